@@ -1,0 +1,1 @@
+"""Rotations, rigid body, rotors and mixer, vehicles, integrators and the registry (pure)."""

@@ -1,0 +1,47 @@
+"""The array namespace of an array: NumPy on board, JAX in batches, the same law in both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+# The laws are generic over the array library, which has no common static type: arrays (..., 3) and the like.
+Array = Any
+
+
+def namespace(array: Array) -> Any:
+    """Return the module with the array functions (``sin``, ``where``, ``stack``...) for ``array``.
+
+    NumPy arrays older than 2.0 and plain sequences get NumPy; every other library is asked through the
+    Python array API standard (``__array_namespace__``).
+    """
+    if isinstance(array, np.ndarray):
+        return np
+    query = getattr(array, "__array_namespace__", None)
+    return np if query is None else query()
+
+
+def norm(vector: Array) -> Array:
+    """Euclidean norm over the last axis, kept as an axis of length 1: (..., n) -> (..., 1)."""
+    xp = namespace(vector)
+    return xp.sqrt(xp.sum(vector * vector, axis=-1, keepdims=True))
+
+
+def components(vector: Array) -> Any:
+    """Return the components along the last axis, (..., n) -> n times (...).
+
+    Those of a single NumPy vector are Python floats: the same numbers, and many times faster to calculate
+    with than arrays without axes.
+    """
+    if isinstance(vector, np.ndarray) and vector.ndim == 1:  # pyright: ignore[reportUnknownMemberType]
+        return vector.tolist()
+    return tuple(vector[..., index] for index in range(vector.shape[-1]))
+
+
+def stacked(parts: Sequence[Array]) -> Array:
+    """Join components along a new last axis, the inverse of :func:`components`."""
+    if isinstance(parts[0], float):
+        return np.array(parts)
+    return namespace(parts[0]).stack(parts, axis=-1)

@@ -1,0 +1,116 @@
+"""From the parameters of a node to the components it runs, and back.
+
+A node has a flat set of named parameters, as ROS 2 knows no deeper form. One names a component, and those
+of the component carry its name as a prefix:
+
+    observer: exosystem
+    exosystem.model: constant
+    exosystem.bandwidth: 10.0
+
+The ``assembly`` modules of quadftc_sim, quadftc_fdi and quadftc_control build their parts from such sets,
+in the ROS nodes and in the closed loop without ROS alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
+
+from quadftc_model.parameters import build, parameters_of
+from quadftc_model.registry import Registry
+from quadftc_model.vehicle import Vehicle, load_vehicle
+
+NodeValue = bool | int | float | str | Sequence[float] | Sequence[str]
+NodeParameters = Mapping[
+    str, Any
+]  # name -> NodeValue; arrays may be lists, tuples or array.array, as rclpy gives them
+
+T = TypeVar("T")
+
+
+def get(parameters: NodeParameters, name: str, kind: type[T]) -> T:
+    """Return a parameter of type ``kind``; a whole number serves as a float.
+
+    Raises
+    ------
+    ValueError
+        If it is missing or of another type.
+    """
+    if name not in parameters:
+        raise ValueError(f"{name}: missing parameter")
+    value: Any = parameters[name]
+    if kind is float and type(value) is int:
+        value = float(value)
+    if type(value) is not kind:
+        raise ValueError(f"{name} = {value!r}: expected {kind.__name__}")
+    return value
+
+
+def texts(parameters: NodeParameters, name: str) -> list[str]:
+    """Return a parameter that is a list of texts; empty if it is missing; empty texts are left out.
+
+    Raises
+    ------
+    ValueError
+        If it is no list of texts.
+    """
+    value: list[Any] | str = parameters.get(name) or []
+    if isinstance(value, str) or not all(isinstance(item, str) for item in value):
+        raise ValueError(f"{name} = {value!r}: expected a list of texts")
+    return [item for item in value if item.strip()]
+
+
+def prefixed(parameters: NodeParameters, prefix: str) -> dict[str, Any]:
+    """Return the parameters named ``prefix.<name>`` under their own names; arrays as lists."""
+    start = f"{prefix}."
+    return {
+        name[len(start) :]: value if isinstance(value, (str, bool, int, float)) else list(value)
+        for name, value in parameters.items()
+        if name.startswith(start)
+    }
+
+
+def build_prefixed(component: type[T], parameters: NodeParameters, prefix: str, **context: Any) -> T:
+    """Build a component from the parameters named ``prefix.<name>``; what is missing keeps its default.
+
+    Raises
+    ------
+    ValueError
+        As :func:`quadftc_model.parameters.build`, with the full name of the parameter.
+    """
+    try:
+        return build(component, prefixed(parameters, prefix), **context)
+    except ValueError as error:
+        raise ValueError(f"{prefix}.{error}") from None
+
+
+def component_from(registry: Registry[T], parameters: NodeParameters, selector: str, **context: Any) -> T:
+    """Build the component that the parameter ``selector`` names, from the parameters prefixed with its name.
+
+    Raises
+    ------
+    ValueError
+        If there is no such component, or one of its parameters is unknown or wrong.
+    """
+    name = get(parameters, selector, str)
+    return build_prefixed(registry.get(name), parameters, name, **context)
+
+
+def vehicle_from(parameters: NodeParameters) -> Vehicle:
+    """Load the vehicle that the parameter ``vehicle`` names.
+
+    Raises
+    ------
+    ValueError
+        If there is none, or its file is wrong.
+    """
+    return load_vehicle(get(parameters, "vehicle", str))
+
+
+def node_values(component: Any, prefix: str) -> dict[str, NodeValue]:
+    """Return all parameters of a component as ``prefix.<name>``: the inverse of :func:`build_prefixed`."""
+    values = {spec.name: getattr(component, spec.name) for spec in parameters_of(component.__class__)}
+    return {
+        f"{prefix}.{name}": list(value) if isinstance(value, tuple) else value  # pyright: ignore
+        for name, value in values.items()
+    }

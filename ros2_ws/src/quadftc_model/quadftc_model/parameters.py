@@ -1,0 +1,177 @@
+"""Parameters of components: one frozen dataclass each; metadata gives a field's unit, range and meaning.
+
+The same metadata checks scenario files, declares ROS parameters and prints ``quadftc list``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
+
+from quadftc_model.units import quantity
+
+T = TypeVar("T")
+
+Value = float | int | bool | str | tuple[float, ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Parameter:
+    """What is known of one parameter: its name, default, SI unit, bounds (inclusive), choices and meaning."""
+
+    name: str
+    default: Value
+    unit: str
+    low: float
+    high: float
+    choices: tuple[str, ...]
+    doc: str
+
+    @property
+    def is_vector(self) -> bool:
+        """Whether the value is a tuple with one number for each axis."""
+        return isinstance(self.default, tuple)
+
+
+def parameter(
+    default: Value,
+    *,
+    unit: str = "1",
+    doc: str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    choices: Sequence[str] = (),
+) -> Any:
+    """Declare a parameter as a dataclass field.
+
+    Parameters
+    ----------
+    default : float, int, bool, str or tuple of float
+        The default; its type is the parameter's type.
+    unit : str
+        SI unit; in braces (``"{channel}"``) when it depends on the context, see :func:`build`.
+    doc : str
+        The meaning, one line; with the paper's symbol where it has one.
+    low, high : float
+        Bounds, inclusive, for each number.
+    choices : sequence of str
+        The values that a text may take; empty: any.
+    """
+    details = {"unit": unit, "doc": doc, "low": low, "high": high, "choices": tuple(choices)}
+    return dataclasses.field(default=default, metadata={"quadftc": details})  # type: ignore[arg-type]
+
+
+def parameters_of(component: type) -> tuple[Parameter, ...]:
+    """Return the parameters of a dataclass, in the order of its fields; other fields are left out."""
+    return tuple(
+        Parameter(name=field.name, default=field.default, **field.metadata["quadftc"])  # type: ignore[arg-type]
+        for field in dataclasses.fields(component)
+        if "quadftc" in field.metadata
+    )
+
+
+def check(instance: Any) -> None:
+    """Check every parameter of a dataclass instance against its bounds; for ``__post_init__``.
+
+    Raises
+    ------
+    ValueError
+        Naming the parameter, the value and what was expected.
+    """
+    for spec in parameters_of(type(instance)):
+        _check_bounds(spec, getattr(instance, spec.name))
+
+
+def build(
+    component: type[T], values: Mapping[str, Any], *, units: Mapping[str, str] | None = None, **context: Any
+) -> T:
+    """Make a component from raw values: texts with units become SI numbers, one number fills a vector.
+
+    Parameters
+    ----------
+    component : type
+        A dataclass with :func:`parameter` fields.
+    values : mapping
+        Parameter name to raw value.
+    units : mapping, optional
+        What stands for a unit in braces: ``{"channel": "rad"}``.
+    **context
+        Fields that are no parameters (the vehicle, say).
+
+    Raises
+    ------
+    ValueError
+        Unknown name, wrong type or unit, value out of bounds; the message names the parameter.
+    """
+    specs = {spec.name: spec for spec in parameters_of(component)}
+    converted: dict[str, Any] = {}
+    for name, raw in values.items():
+        spec = specs.get(name)
+        if spec is None:
+            near = difflib.get_close_matches(str(name), specs, n=1)
+            hint = f" (did you mean '{near[0]}'?)" if near else ""
+            known = ", ".join(specs) or "none"
+            raise ValueError(f"{name}: unknown parameter{hint}; known: {known}")
+        converted[name] = convert(spec, raw, units)
+    return component(**context, **converted)
+
+
+def convert(spec: Parameter, raw: Any, units: Mapping[str, str] | None = None) -> Value:
+    """Convert one raw value to the parameter's type and SI unit, and check it.
+
+    Raises
+    ------
+    ValueError
+        Naming the parameter, the value and what was expected.
+    """
+    unit = spec.unit.format_map(units or {}) if "{" in spec.unit and units else spec.unit
+    try:
+        value = _converted(spec, raw, unit)
+    except ValueError as error:
+        raise ValueError(f"{spec.name}: {error}") from None
+    _check_bounds(spec, value)
+    return value
+
+
+def _converted(spec: Parameter, raw: Any, unit: str) -> Value:
+    default = spec.default
+    if isinstance(default, bool):
+        if isinstance(raw, bool):
+            return raw
+        if str(raw).lower() in ("true", "false"):
+            return str(raw).lower() == "true"
+        raise ValueError(f"{raw!r}: expected true or false")
+    if isinstance(default, str):
+        if not isinstance(raw, str):
+            raise ValueError(f"{raw!r}: expected a text")
+        return raw
+    if isinstance(default, tuple):
+        parts = list(raw) if isinstance(raw, (list, tuple)) else [raw] * len(default)
+        if len(parts) != len(default):
+            raise ValueError(f"{raw!r}: expected one number or {len(default)}, in {unit}")
+        return tuple(quantity(part, unit) for part in parts)
+    number = quantity(raw, unit) if not isinstance(raw, (list, tuple)) else math.nan
+    if math.isnan(number):
+        raise ValueError(f"{raw!r}: expected one number in {unit}")
+    if isinstance(default, int):
+        if number != math.floor(number):
+            raise ValueError(f"{raw!r}: expected a whole number")
+        return int(number)
+    return number
+
+
+def _check_bounds(spec: Parameter, value: Any) -> None:
+    if isinstance(value, str):
+        if spec.choices and value not in spec.choices:
+            raise ValueError(f"{spec.name} = {value!r}: expected one of {', '.join(spec.choices)}")
+        return
+    if isinstance(value, bool):
+        return
+    for number in value if isinstance(value, tuple) else (value,):
+        if not spec.low <= number <= spec.high:  # NaN fails this, too
+            raise ValueError(
+                f"{spec.name} = {number!r} {spec.unit}: must be within [{spec.low:g}, {spec.high:g}]"
+            )

@@ -1,0 +1,91 @@
+"""Named components: one new file with one ``@register("name")`` adds an observer, a controller, a fault...
+
+A registry finds its own files: every module of its package is imported on the first look-up, and so is every
+entry point of its group, by which packages outside this repository add theirs.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import importlib.metadata
+import pkgutil
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+
+class Registry(Generic[T]):
+    """The components of one kind, by name.
+
+    Parameters
+    ----------
+    kind : str
+        What the components are, in words ("fault observer"); used in error messages.
+    package : str
+        The package whose modules register the components.
+    group : str
+        The entry-point group of components outside the package.
+    """
+
+    def __init__(self, kind: str, package: str, group: str) -> None:
+        self.kind = kind
+        self._package = package
+        self._group = group
+        self._components: dict[str, type[T]] = {}
+        self._discovered = False
+
+    def register(self, name: str) -> Callable[[type[T]], type[T]]:
+        """Class decorator that adds a component under ``name``.
+
+        Raises
+        ------
+        ValueError
+            If another class has the name already.
+        """
+
+        def add(component: type[T]) -> type[T]:
+            present = self._components.get(name)
+            if present is not None and _origin(present) != _origin(component):
+                raise ValueError(f"{self.kind} '{name}': registered twice ({present!r} and {component!r})")
+            self._components[name] = component
+            return component
+
+        return add
+
+    def names(self) -> tuple[str, ...]:
+        """Return all names, sorted."""
+        self._discover()
+        return tuple(sorted(self._components))
+
+    def get(self, name: str) -> type[T]:
+        """Return the component's class.
+
+        Raises
+        ------
+        ValueError
+            If there is none of that name; the message lists those that there are.
+        """
+        self._discover()
+        component = self._components.get(name)
+        if component is None:
+            near = difflib.get_close_matches(str(name), self._components, n=1)
+            hint = f" (did you mean '{near[0]}'?)" if near else ""
+            raise ValueError(f"no {self.kind} '{name}'{hint}; there are: {', '.join(self.names())}")
+        return component
+
+    def _discover(self) -> None:
+        if self._discovered:
+            return
+        package = importlib.import_module(self._package)
+        for module in pkgutil.iter_modules(package.__path__):
+            importlib.import_module(f"{self._package}.{module.name}")
+        for entry in importlib.metadata.entry_points(group=self._group):
+            self.register(entry.name)(entry.load())
+        self._discovered = True
+
+
+def _origin(component: type) -> tuple[str, str]:
+    """Where a class is defined; the same for a module that is imported again."""
+    return component.__module__, component.__qualname__

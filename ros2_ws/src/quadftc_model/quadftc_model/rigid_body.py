@@ -1,0 +1,73 @@
+"""The rigid body of the multirotor: rotor torques, propeller gyroscopics, drag and disturbances turn it.
+
+Equations (1) and (2) of Wang et al. (2021), derived again with every torque divided by the inertia (their (3)
+leaves two of them undivided).
+"""
+
+from __future__ import annotations
+
+from quadftc_model.arrays import Array, components, namespace, stacked
+from quadftc_model.rotors import propeller_speeds
+from quadftc_model.vehicle import Vehicle
+
+
+def gyroscopic_acceleration(inertia: Array, body_rate: Array) -> Array:
+    """Acceleration by the body's own rotation, -J^-1 (omega x J omega) [rad/s²] (..., 3).
+
+    It is D f(x) of (6), and f(x2) of (36).
+
+    Parameters
+    ----------
+    inertia : array (3,)
+        Principal moments [kg m²].
+    body_rate : array (..., 3)
+        [rad/s], body frame.
+    """
+    jx, jy, jz = components(inertia)
+    p, q, r = components(body_rate)
+    return stacked([(jy - jz) / jx * q * r, (jz - jx) / jy * p * r, (jx - jy) / jz * p * q])
+
+
+def propeller_torque(vehicle: Vehicle, body_rate: Array, commands: Array) -> Array:
+    """Gyroscopic torque of the propellers [N m] (..., 3): the second term of (2).
+
+    The sum takes each rotor's sign from the sense in which it spins. The paper's (-1)^(i+1) would have its
+    rotors 1 and 2 spin in opposite senses, against its own text and its yaw torque.
+    """
+    xp = namespace(body_rate)
+    rotors = vehicle.rotors
+    momentum = rotors.rotor_inertia * xp.sum(rotors.spin_sign * propeller_speeds(vehicle, commands), axis=-1)
+    p, q, _ = components(body_rate)
+    return stacked([-q * momentum, p * momentum, 0.0 * momentum])
+
+
+def angular_acceleration(
+    vehicle: Vehicle,
+    body_rate: Array,
+    angle_rates: Array,
+    rotor_torque: Array,
+    commands: Array,
+    torque: Array,
+) -> Array:
+    """Angular acceleration [rad/s²] (..., 3), body frame: (1) with the torques of (2) and a disturbance.
+
+    Parameters
+    ----------
+    body_rate : array (..., 3)
+        [rad/s].
+    angle_rates : array (..., 3)
+        Euler angle rates [rad/s], on which the drag of (2) acts.
+    rotor_torque : array (..., 3)
+        From the mixer [N m].
+    commands : array (..., n)
+        Rotor commands, for the speeds of the propellers.
+    torque : array (..., 3)
+        Disturbance torque [N m].
+    """
+    total = (
+        rotor_torque
+        + torque
+        + propeller_torque(vehicle, body_rate, commands)
+        - vehicle.rotational_drag * angle_rates
+    )
+    return gyroscopic_acceleration(vehicle.inertia, body_rate) + total / vehicle.inertia

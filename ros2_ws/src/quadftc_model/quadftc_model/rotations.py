@@ -1,0 +1,142 @@
+"""Rotations: unit quaternions (x, y, z, w order, body to earth) and Euler angles (roll, pitch, yaw; Z-Y-X).
+
+Frames follow REP-103: the body is FLU (x forward, y left, z up), the earth ENU. All functions take and give
+arrays whose last axis holds the components, with any leading axes, in NumPy or another array library.
+"""
+
+from __future__ import annotations
+
+import math
+
+from quadftc_model.arrays import Array, components, namespace, norm, stacked
+
+MIN_COS_PITCH = 1e-6  # 1; the Euler rates of (4) are bounded by this close to +-90 deg of pitch
+
+
+def wrap(angle: Array) -> Array:
+    """Wrap angles [rad] into [-pi, pi]; angles inside already are returned unchanged, bit for bit."""
+    xp = namespace(angle)
+    return angle - 2.0 * math.pi * xp.round(angle / (2.0 * math.pi))
+
+
+def quaternion_from_euler(angles: Array) -> Array:
+    """Unit quaternion q_xyzw (..., 4) of the Euler angles [rad] (..., 3): R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    xp = namespace(angles)
+    half = 0.5 * angles
+    cr, cp, cy = components(xp.cos(half))
+    sr, sp, sy = components(xp.sin(half))
+    return stacked(
+        [
+            sr * cp * cy - cr * sp * sy,
+            cr * sp * cy + sr * cp * sy,
+            cr * cp * sy - sr * sp * cy,
+            cr * cp * cy + sr * sp * sy,
+        ]
+    )
+
+
+def euler_from_quaternion(q_xyzw: Array) -> Array:
+    """Euler angles [rad] (..., 3) of unit quaternions (..., 4).
+
+    Roll and yaw are within [-pi, pi], pitch within [-pi/2, pi/2].
+    """
+    xp = namespace(q_xyzw)
+    x, y, z, w = components(q_xyzw)
+    sin_pitch = xp.minimum(xp.maximum(2.0 * (w * y - z * x), -1.0), 1.0)
+    return stacked(
+        [
+            xp.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+            xp.arcsin(sin_pitch),
+            xp.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+        ]
+    )
+
+
+def quaternion_product(p_xyzw: Array, q_xyzw: Array) -> Array:
+    """Hamilton product p q (..., 4): first the rotation q, then p."""
+    px, py, pz, pw = components(p_xyzw)
+    qx, qy, qz, qw = components(q_xyzw)
+    return stacked(
+        [
+            pw * qx + px * qw + py * qz - pz * qy,
+            pw * qy - px * qz + py * qw + pz * qx,
+            pw * qz + px * qy - py * qx + pz * qw,
+            pw * qw - px * qx - py * qy - pz * qz,
+        ]
+    )
+
+
+def quaternion_rate(q_xyzw: Array, body_rate: Array) -> Array:
+    """Time derivative (..., 4) of a quaternion at body rate [rad/s] (..., 3): q' = q (omega, 0) / 2."""
+    x, y, z, w = components(q_xyzw)
+    p, q, r = components(body_rate)
+    return 0.5 * stacked(
+        [w * p + y * r - z * q, w * q - x * r + z * p, w * r + x * q - y * p, -x * p - y * q - z * r]
+    )
+
+
+def quaternion_from_rotation_vector(rotation_vector: Array) -> Array:
+    """Unit quaternion (..., 4) of a rotation vector [rad] (..., 3); exactly (0, 0, 0, 1) for zero."""
+    xp = namespace(rotation_vector)
+    half_angle = 0.5 * norm(rotation_vector)
+    safe = xp.where(half_angle > 0.0, half_angle, 1.0)
+    return xp.concatenate([0.5 * rotation_vector * xp.sin(safe) / safe, xp.cos(half_angle)], axis=-1)
+
+
+def normalise(q_xyzw: Array) -> Array:
+    """Quaternion (..., 4) scaled to unit length; it must not be zero."""
+    return q_xyzw / norm(q_xyzw)
+
+
+def earth_z_in_body(q_xyzw: Array) -> Array:
+    """The earth's vertical in body axes (..., 3): the third row of the rotation matrix body to earth."""
+    x, y, z, w = components(q_xyzw)
+    return stacked([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)])
+
+
+def euler_rates(angles: Array, body_rate: Array) -> Array:
+    """Euler angle rates [rad/s] (..., 3) of a body rate [rad/s] (..., 3): (4) of Wang et al. (2021).
+
+    Finite at every attitude: the cosine of pitch is kept ``MIN_COS_PITCH`` away from zero.
+    """
+    xp = namespace(angles)
+    (c_phi, c_theta, _), (s_phi, s_theta, _) = components(xp.cos(angles)), components(xp.sin(angles))
+    p, q, r = components(body_rate)
+    psi_dot = (s_phi * q + c_phi * r) / _away_from_zero(c_theta)
+    return stacked([p + s_theta * psi_dot, c_phi * q - s_phi * r, psi_dot])
+
+
+def body_rates(angles: Array, angle_rates: Array) -> Array:
+    """Body rate [rad/s] (..., 3) of Euler angle rates (..., 3): the inverse of :func:`euler_rates`."""
+    xp = namespace(angles)
+    (c_phi, c_theta, _), (s_phi, s_theta, _) = components(xp.cos(angles)), components(xp.sin(angles))
+    phi_dot, theta_dot, psi_dot = components(angle_rates)
+    across = c_theta * psi_dot
+    return stacked(
+        [
+            phi_dot - s_theta * psi_dot,
+            c_phi * theta_dot + s_phi * across,
+            c_phi * across - s_phi * theta_dot,
+        ]
+    )
+
+
+def body_acceleration(angles: Array, angle_rates: Array, angle_accelerations: Array) -> Array:
+    """Angular acceleration in body axes [rad/s²] (..., 3): the time derivative of :func:`body_rates`."""
+    xp = namespace(angles)
+    (c_phi, c_theta, _), (s_phi, s_theta, _) = components(xp.cos(angles)), components(xp.sin(angles))
+    phi_dot, theta_dot, psi_dot = components(angle_rates)
+    across = c_theta * psi_dot
+    q = c_phi * theta_dot + s_phi * across
+    r = c_phi * across - s_phi * theta_dot
+    lean = s_theta * theta_dot * psi_dot
+    convective = stacked(
+        [-c_theta * theta_dot * psi_dot, phi_dot * r - s_phi * lean, -phi_dot * q - c_phi * lean]
+    )
+    return body_rates(angles, angle_accelerations) + convective
+
+
+def _away_from_zero(cosine: Array) -> Array:
+    xp = namespace(cosine)
+    sign = xp.where(cosine < 0.0, -1.0, 1.0)
+    return sign * xp.maximum(xp.abs(cosine), MIN_COS_PITCH)

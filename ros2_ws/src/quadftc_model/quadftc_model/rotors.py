@@ -1,0 +1,59 @@
+"""Rotors: the mixer of (2), its inverse, and the torques that a set of rotors can give.
+
+Wang et al. (2021), equation (2), for any rotor layout: rotor i at (x, y) gives the thrust K_i (u_i - u_idle)
+and with it the body torque (y F, -x F, reaction torque).
+"""
+
+from __future__ import annotations
+
+from quadftc_model.arrays import Array, namespace
+from quadftc_model.vehicle import Vehicle
+
+
+def torque_from_commands(vehicle: Vehicle, commands: Array) -> Array:
+    """Body torque [N m] (..., 3) of the rotor commands (..., n): the first term of (2)."""
+    return commands @ vehicle.mixer.T
+
+
+def commands_from_torque(vehicle: Vehicle, torque: Array) -> Array:
+    """Rotor commands (..., n) for a body torque [N m] (..., 3), around the trim, clipped to their limits."""
+    xp = namespace(torque)
+    rotors = vehicle.rotors
+    return xp.clip(
+        rotors.command_trim + torque @ vehicle.allocation.T, rotors.command_min, rotors.command_max
+    )
+
+
+def attainable(vehicle: Vehicle, torque: Array) -> Array:
+    """Torque [N m] (..., 3) that the rotors can really give, nearest in the sense of flying: tilt before yaw.
+
+    Each axis is held within its authority; then roll and pitch are scaled together into the rotors' room
+    around the trim, and yaw gets what room is left. A torque within reach is returned unchanged, bit for bit.
+    """
+    xp = namespace(torque)
+    limited = xp.clip(torque, -vehicle.authority, vehicle.authority)
+    allocation = vehicle.allocation.T  # (3, n)
+    tilt = limited[..., :2] @ allocation[:2]
+    room = vehicle.command_room
+    tilt_scale = _scale(room, xp.max(xp.abs(tilt), axis=-1, keepdims=True))
+    tilt = tilt * tilt_scale
+    yaw = limited[..., 2:] * allocation[2]
+    left = room - xp.where(yaw > 0.0, tilt, -tilt)
+    yaw_scale = xp.min(_scale(left, xp.abs(yaw)), axis=-1, keepdims=True)
+    return xp.concatenate([limited[..., :2] * tilt_scale, limited[..., 2:] * yaw_scale], axis=-1)
+
+
+def propeller_speeds(vehicle: Vehicle, commands: Array) -> Array:
+    """Speed [rad/s] (..., n) of each propeller, unsigned, from its thrust: F = k Omega²."""
+    xp = namespace(commands)
+    rotors = vehicle.rotors
+    thrust = rotors.thrust_gain * xp.maximum(commands - rotors.command_idle, 0.0)
+    return xp.sqrt(thrust / rotors.thrust_coefficient)
+
+
+def _scale(room: Array, wanted: Array) -> Array:
+    """Factor within [0, 1] that brings ``wanted`` into ``room``; exactly 1 when it fits (to rounding)."""
+    xp = namespace(wanted)
+    room = xp.maximum(room, 0.0)  # rounding may leave it below zero
+    fits = wanted <= room * (1.0 + 1e-12)
+    return xp.where(fits, 1.0, room / xp.where(fits, 1.0, wanted))

@@ -1,0 +1,97 @@
+"""What flows between the parts: the IMU sample, the reference, the outputs of observers and controllers.
+
+Every type is a NamedTuple of arrays with any leading axes (none on board, one for a batch of flights).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from quadftc_model.arrays import Array, namespace, norm
+
+UNIT_NORM_TOLERANCE = 1e-2  # 1; a quaternion further from unit length is no attitude
+
+STARTING, HEALTHY, SUSPECT, FAULTY, RECOVERING = range(5)  # fault states, as in quadftc_msgs/FaultStatus
+
+
+class ImuSample(NamedTuple):
+    """One sample of the IMU message: attitude, body rate, specific force, and which of them are there."""
+
+    q_xyzw: Array  # (..., 4) attitude, body to earth
+    body_rate: Array  # (..., 3) [rad/s], body frame
+    specific_force: Array  # (..., 3) [m/s²], body frame, +g along z at rest
+    attitude_valid: Array  # (...,) bool
+    rate_valid: Array  # (...,) bool
+    force_valid: Array  # (...,) bool
+
+
+class AttitudeReference(NamedTuple):
+    """Where the attitude shall be: Euler angles (Z-Y-X) with their first and second time derivatives."""
+
+    angles: Array  # (..., 3) [rad]
+    rates: Array  # (..., 3) [rad/s]
+    accelerations: Array  # (..., 3) [rad/s²]
+
+
+class FaultObserverInputs(NamedTuple):
+    """What a fault observer sees: the sample, and the torque that acted since the sample before."""
+
+    imu: ImuSample
+    torque: Array  # (..., 3) [N m]
+
+
+class FaultEstimate(NamedTuple):
+    """What a fault observer says."""
+
+    fault: Array  # (..., 3) attitude fault, roll, pitch, yaw [rad]
+    std_dev: Array  # (..., 3) its standard deviation [rad]; -1: the observer gives none
+    state: Array  # (..., 3) uint8: STARTING ... RECOVERING
+    onset_age: Array  # (..., 3) time since the onset of the present fault [s]; -1: no fault
+    corrected: ImuSample  # the sample as the controller shall see it
+
+
+class DisturbanceObserverInputs(NamedTuple):
+    """What a disturbance observer sees: body rate now, and the torque that acted since the sample before."""
+
+    body_rate: Array  # (..., 3) [rad/s]
+    rate_valid: Array  # (...,) bool
+    torque: Array  # (..., 3) [N m]
+
+
+class ControllerInputs(NamedTuple):
+    """What a controller sees."""
+
+    imu: ImuSample
+    reference: AttitudeReference
+    disturbance: Array  # (..., 3) estimate of d in (36) [rad/s²]
+
+
+class ControllerOutput(NamedTuple):
+    """What a controller says: a torque that the rotors can give, and how it came about."""
+
+    torque: Array  # (..., 3) [N m]
+    error: Array  # (..., 3) attitude minus reference, Euler angles [rad]
+    sliding_variable: Array  # (..., 3) S of (38) [rad/s]; zero where the controller has none
+    saturated: Array  # (..., 3) bool: the law asked for more than the rotors can give
+
+
+def sanitised(sample: ImuSample) -> ImuSample:
+    """Mark as absent what cannot be used, with finite numbers in its place.
+
+    That is NaN, Inf, and a quaternion off unit length. Good channels are returned unchanged, bit for bit.
+    """
+    xp = namespace(sample.q_xyzw)
+    length = norm(xp.where(xp.isfinite(sample.q_xyzw), sample.q_xyzw, 0.0))[..., 0]
+    unit = (xp.abs(length - 1.0) <= UNIT_NORM_TOLERANCE) & xp.all(xp.isfinite(sample.q_xyzw), axis=-1)
+    attitude_valid = sample.attitude_valid & unit
+    rate_valid = sample.rate_valid & xp.all(xp.isfinite(sample.body_rate), axis=-1)
+    force_valid = sample.force_valid & xp.all(xp.isfinite(sample.specific_force), axis=-1)
+    level = xp.asarray([0.0, 0.0, 0.0, 1.0])
+    return ImuSample(
+        q_xyzw=xp.where(attitude_valid[..., None], sample.q_xyzw, level),
+        body_rate=xp.where(rate_valid[..., None], sample.body_rate, 0.0),
+        specific_force=xp.where(force_valid[..., None], sample.specific_force, 0.0),
+        attitude_valid=attitude_valid,
+        rate_valid=rate_valid,
+        force_valid=force_valid,
+    )

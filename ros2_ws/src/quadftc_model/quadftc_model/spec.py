@@ -1,0 +1,54 @@
+"""Component specifications in one line of text: ``bias channel=attitude axes=roll value=1deg stop=40s``.
+
+The first word names the component, the others set its parameters; a comma makes a list. ROS parameters,
+services and the command line carry components in this form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+
+class Spec(NamedTuple):
+    """A component's name and its raw parameters (texts, numbers, or lists of them)."""
+
+    kind: str
+    values: dict[str, Any]
+
+
+def parse_spec(text: str) -> Spec:
+    """Parse one specification.
+
+    Raises
+    ------
+    ValueError
+        If the text is empty, a word is no ``key=value``, or a key comes twice.
+    """
+    words = text.split()
+    if not words or "=" in words[0]:
+        raise ValueError(f"{text!r}: expected a name first, then key=value words")
+    values: dict[str, Any] = {}
+    for word in words[1:]:
+        key, equals, value = word.partition("=")
+        if not equals or not key or not value:
+            raise ValueError(f"{text!r}: '{word}' is no key=value")
+        if key in values:
+            raise ValueError(f"{text!r}: '{key}' is given twice")
+        values[key] = value.split(",") if "," in value else value
+    return Spec(words[0], values)
+
+
+def format_spec(kind: str, values: Mapping[str, Any]) -> str:
+    """Write a specification that :func:`parse_spec` reads back; floating-point numbers survive exactly."""
+    return " ".join([kind, *(f"{key}={_format(value)}" for key, value in values.items())])
+
+
+def _format(value: Any) -> str:
+    if isinstance(value, (list, tuple)):
+        parts = list(value)  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+        return ",".join(_format(part) for part in parts)
+    if isinstance(value, bool):
+        return str(value).lower()
+    text = repr(float(value)) if isinstance(value, float) else str(value)  # np.float64 is a float, too
+    return text.replace(" ", "")

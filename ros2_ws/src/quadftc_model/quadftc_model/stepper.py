@@ -1,0 +1,104 @@
+"""Running a law on a stream of stamped samples: the first sample starts it, stamps give the time step.
+
+The ROS nodes and the closed loop without ROS run their laws through this one class, so both treat a repeated
+stamp, a stamp that goes back, and a gap alike.
+"""
+
+from __future__ import annotations
+
+import enum
+from typing import Any, Generic, Protocol, TypeVar
+
+In_contra = TypeVar("In_contra", contravariant=True)
+Out_co = TypeVar("Out_co", covariant=True)
+In = TypeVar("In")
+Out = TypeVar("Out")
+
+NANOSECONDS_PER_SECOND = 1e9
+MAX_GAP = 1.0  # s; over a longer gap nothing can be carried: the law starts anew
+
+
+def seconds(nanoseconds: int) -> float:
+    """Seconds of a whole number of nanoseconds, correctly rounded: 4 000 000 ns are the float 0.004."""
+    return nanoseconds / NANOSECONDS_PER_SECOND
+
+
+class Law(Protocol[In_contra, Out_co]):
+    """A law: explicit state, no clock, no memory of its own; its parameters are the fields of the object."""
+
+    def init(self, inputs: In_contra) -> Any:
+        """Return the state at the first sample."""
+        ...
+
+    def step(self, state: Any, inputs: In_contra, dt: float) -> tuple[Any, Out_co]:
+        """Advance by ``dt`` [s] to the sample ``inputs``; ``dt`` is 0 at the first sample."""
+        ...
+
+
+class Timing(enum.Enum):
+    """What a stamp means for a law."""
+
+    FIRST = "first"
+    NEXT = "next"
+    RESTART = "gap or jump of the clock"
+    REPEATED = "stamp repeated"
+    BACKWARDS = "stamp went back"
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the sample is used."""
+        return self in (Timing.FIRST, Timing.NEXT, Timing.RESTART)
+
+
+class Stepper(Generic[In, Out]):
+    """One law with its state and the stamp of its last sample.
+
+    Parameters
+    ----------
+    law : Law
+    max_gap : float
+        The longest time between two samples over which the state is carried [s].
+    """
+
+    def __init__(self, law: Law[In, Out], max_gap: float = MAX_GAP) -> None:
+        self.law = law
+        self.max_gap = max_gap
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the state; the next sample is the first."""
+        self.state: Any = None
+        self.stamp_ns: int | None = None
+
+    def timing(self, stamp_ns: int) -> Timing:
+        """Say what a sample of this stamp [ns] would be."""
+        if self.stamp_ns is None:
+            return Timing.FIRST
+        elapsed = seconds(stamp_ns - self.stamp_ns)
+        if abs(elapsed) > self.max_gap:
+            return Timing.RESTART
+        if elapsed > 0.0:
+            return Timing.NEXT
+        return Timing.REPEATED if elapsed == 0.0 else Timing.BACKWARDS
+
+    def step(self, stamp_ns: int, inputs: In) -> Out | None:
+        """Advance the law to a sample; None if its stamp is repeated or went back.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            The sample's time [ns].
+        inputs
+            What the law takes.
+        """
+        timing = self.timing(stamp_ns)
+        if not timing.accepted:
+            return None
+        dt = 0.0
+        if timing is Timing.NEXT and self.stamp_ns is not None:
+            dt = seconds(stamp_ns - self.stamp_ns)
+        else:
+            self.state = self.law.init(inputs)
+        self.state, output = self.law.step(self.state, inputs, dt)
+        self.stamp_ns = stamp_ns
+        return output
