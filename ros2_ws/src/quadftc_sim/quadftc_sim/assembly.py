@@ -1,0 +1,95 @@
+"""The simulator and the fault injector from the parameters of their nodes.
+
+Parameters of the node ``plant``: vehicle, rate [Hz], seed, motor_lag, substeps, disturbances (list of
+specifications) and ``imu.<parameter>`` for each parameter of the sensor.
+Parameters of the node ``fault_injector``: seed, faults (list of specifications).
+Other parameters are ignored.
+"""
+
+from __future__ import annotations
+
+from quadftc_model.assembly import NodeParameters, build_prefixed, get, texts, vehicle_from
+from quadftc_model.parameters import build
+from quadftc_model.spec import parse_spec
+from quadftc_sim.disturbance import Disturbance, disturbances
+from quadftc_sim.injection import FaultInjector, Injection, make_injection
+from quadftc_sim.plant import Plant
+from quadftc_sim.sensors import ImuSensor
+from quadftc_sim.simulator import Simulator
+
+EPOCH_NS = 1_000_000_000  # ns; stamp of the first sample in lock-step, where 0 means "unset"
+
+
+def period_ns(rate: float) -> int:
+    """Control period [ns] of a rate [Hz], to the nearest nanosecond.
+
+    Raises
+    ------
+    ValueError
+        If the rate is not positive, or too high for a period of a nanosecond.
+    """
+    if not 0.0 < rate <= 1e9:
+        raise ValueError(f"rate = {rate!r} Hz: must be positive")
+    return round(1e9 / rate)
+
+
+def sample_count(duration: float, rate: float) -> int:
+    """Number of samples that the plant takes in ``duration`` [s] at ``rate`` [Hz]."""
+    return round(duration * rate)
+
+
+def simulator_from(parameters: NodeParameters, epoch_ns: int = EPOCH_NS) -> Simulator:
+    """Build the simulator from the parameters of the plant node.
+
+    Raises
+    ------
+    ValueError
+        Naming the parameter that is wrong.
+    """
+    plant = Plant(
+        vehicle=vehicle_from(parameters),
+        disturbances=tuple(_disturbance(text) for text in texts(parameters, "disturbances")),
+        motor_lag=get(parameters, "motor_lag", bool),
+        substeps=get(parameters, "substeps", int),
+    )
+    sensor = build_prefixed(ImuSensor, parameters, "imu")
+    return Simulator(
+        plant, sensor, period_ns(get(parameters, "rate", float)), epoch_ns, get(parameters, "seed", int)
+    )
+
+
+def injector_from(parameters: NodeParameters) -> FaultInjector:
+    """Build the fault injector with its scheduled faults, numbered from 1 in their order.
+
+    Raises
+    ------
+    ValueError
+        Naming the fault that is wrong.
+    """
+    injector = FaultInjector(get(parameters, "seed", int))
+    for text in texts(parameters, "faults"):
+        injector.add(injection_from(text))
+    return injector
+
+
+def injection_from(text: str, now: float = 0.0) -> Injection:
+    """Make an injection from its specification, times counted from scenario time ``now`` [s].
+
+    Raises
+    ------
+    ValueError
+        Naming the specification and what is wrong with it.
+    """
+    try:
+        spec = parse_spec(text)
+        return make_injection(spec.kind, spec.values, now)
+    except ValueError as error:
+        raise ValueError(f"fault {text!r}: {error}") from None
+
+
+def _disturbance(text: str) -> Disturbance:
+    try:
+        spec = parse_spec(text)
+        return build(disturbances.get(spec.kind), spec.values)
+    except ValueError as error:
+        raise ValueError(f"disturbance {text!r}: {error}") from None

@@ -1,0 +1,40 @@
+"""The interface of disturbances, torques on the body over scenario time, and their registry."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+import math
+from typing import Any
+
+from quadftc_model.arrays import Array, namespace
+from quadftc_model.parameters import check, parameter
+from quadftc_model.registry import Registry
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Disturbance(abc.ABC):
+    """Base of all disturbances: they act from ``start`` to ``stop`` and are zero outside."""
+
+    start: float = parameter(0.0, unit="s", low=0.0, doc="onset, scenario time")
+    stop: float = parameter(math.inf, unit="s", low=0.0, doc="end, scenario time")
+
+    def __post_init__(self) -> None:
+        """Check the parameters."""
+        check(self)
+        if self.stop <= self.start:
+            raise ValueError(f"stop = {self.stop} s: must be later than start = {self.start} s")
+
+    @abc.abstractmethod
+    def shape(self, elapsed: Array) -> Array:
+        """Torque [N m] (3,), body frame, ``elapsed`` seconds after the onset."""
+
+    def torque(self, time: Array) -> Array:
+        """Torque [N m] (3,), body frame, at scenario time ``time`` [s]."""
+        xp = namespace(time)
+        acts = (self.start <= time) & (time < self.stop)
+        return xp.where(acts, self.shape(time - self.start), 0.0)
+
+
+disturbances: Registry[Any] = Registry("disturbance", "quadftc_sim.disturbances", "quadftc.disturbances")
+register = disturbances.register

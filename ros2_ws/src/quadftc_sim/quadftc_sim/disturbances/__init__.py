@@ -1,0 +1,1 @@
+"""Disturbances, one file each."""

@@ -1,0 +1,21 @@
+"""Constant torque: an off-centre load, a steady side wind."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from quadftc_model.arrays import Array, namespace
+from quadftc_model.parameters import parameter
+from quadftc_sim.disturbance import Disturbance, register
+
+
+@register("constant")
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Constant(Disturbance):
+    """A torque that is constant from its start to its stop."""
+
+    amplitude: tuple[float, ...] = parameter((0.0, 0.0, 0.0), unit="N m", doc="torque of each body axis")
+
+    def shape(self, elapsed: Array) -> Array:
+        """Torque [N m] (3,), the same at any time."""
+        return namespace(elapsed).asarray(self.amplitude)

@@ -1,0 +1,26 @@
+"""Sinusoidal torque: gusts, a swinging load, a rotor out of balance."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from quadftc_model.arrays import Array, namespace
+from quadftc_model.parameters import parameter
+from quadftc_sim.disturbance import Disturbance, register
+
+
+@register("sine")
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Sine(Disturbance):
+    """amplitude * sin(frequency (t - start) + phase), each axis with its own numbers."""
+
+    amplitude: tuple[float, ...] = parameter((0.0, 0.0, 0.0), unit="N m", doc="amplitude of each body axis")
+    frequency: tuple[float, ...] = parameter((1.0, 1.0, 1.0), unit="rad/s", low=0.0, doc="angular frequency")
+    phase: tuple[float, ...] = parameter((0.0, 0.0, 0.0), unit="rad", doc="phase at the start")
+
+    def shape(self, elapsed: Array) -> Array:
+        """Torque [N m] (3,) after ``elapsed`` seconds."""
+        xp = namespace(elapsed)
+        return xp.asarray(self.amplitude) * xp.sin(
+            xp.asarray(self.frequency) * elapsed + xp.asarray(self.phase)
+        )

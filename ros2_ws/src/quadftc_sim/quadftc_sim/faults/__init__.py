@@ -1,0 +1,1 @@
+"""Sensor faults, one file each."""

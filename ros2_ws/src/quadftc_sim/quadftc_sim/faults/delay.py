@@ -1,0 +1,37 @@
+"""Values that come late: a slow filter, a congested bus; the stamp does not tell."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import ClassVar, NamedTuple
+
+from quadftc_model.arrays import Array
+from quadftc_model.parameters import parameter
+from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
+
+
+class Past(NamedTuple):
+    """Values of the last samples, oldest first."""
+
+    values: tuple[Array, ...]
+
+
+@register("delay")
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Delay(Fault):
+    """The value of ``delay`` ago, in whole samples."""
+
+    has_memory: ClassVar[bool] = True
+
+    delay: float = parameter(0.0, unit="s", low=0.0, high=1.0, doc="how old the value is")
+
+    def init(self, value: Array) -> Past:
+        """Remember the first value (..., 3)."""
+        return Past((value,))
+
+    def step(self, state: Past, inputs: FaultInputs, dt: float) -> tuple[Past, FaultOutput]:
+        """Return the oldest value wanted; at the start of a flight the oldest that there is."""
+        count = math.floor(self.delay / dt + 0.5) if dt > 0.0 else 0
+        values = (*state.values, inputs.value)[-(count + 1) :] if dt > 0.0 else state.values
+        return Past(values), present(values[0])

@@ -1,0 +1,20 @@
+"""Not a number: a driver that divides by zero, a message half written."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+from quadftc_model.arrays import namespace
+from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
+
+
+@register("nan")
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Nan(Fault):
+    """NaN in place of the value."""
+
+    def step(self, state: Any, inputs: FaultInputs, dt: float) -> tuple[Any, FaultOutput]:
+        """Replace the value."""
+        return state, present(namespace(inputs.value).full_like(inputs.value, math.nan))

@@ -1,0 +1,26 @@
+"""An offset that oscillates: a resonance, interference."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from quadftc_model.arrays import namespace
+from quadftc_model.parameters import parameter
+from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
+
+
+@register("sine")
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Sine(Fault):
+    """value + amplitude * sin(frequency * elapsed + phase)."""
+
+    amplitude: tuple[float, ...] = parameter((0.0, 0.0, 0.0), unit="{channel}", doc="amplitude")
+    frequency: tuple[float, ...] = parameter((1.0, 1.0, 1.0), unit="rad/s", low=0.0, doc="angular frequency")
+    phase: tuple[float, ...] = parameter((0.0, 0.0, 0.0), unit="rad", doc="phase at the onset")
+
+    def step(self, state: Any, inputs: FaultInputs, dt: float) -> tuple[Any, FaultOutput]:
+        """Add the oscillation."""
+        xp = namespace(inputs.value)
+        angle = xp.asarray(self.frequency) * inputs.elapsed + xp.asarray(self.phase)
+        return state, present(inputs.value + xp.asarray(self.amplitude) * xp.sin(angle))

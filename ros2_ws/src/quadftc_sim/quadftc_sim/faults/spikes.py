@@ -1,0 +1,27 @@
+"""Single samples far off: bit errors, electric discharge."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, ClassVar
+
+from quadftc_model.arrays import namespace
+from quadftc_model.parameters import parameter
+from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
+
+
+@register("spikes")
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Spikes(Fault):
+    """Spikes of a fixed size and random sign, as a Poisson process on each axis."""
+
+    is_random: ClassVar[bool] = True
+
+    amplitude: tuple[float, ...] = parameter((0.0, 0.0, 0.0), unit="{channel}", doc="size of a spike")
+    rate: float = parameter(1.0, unit="1/s", low=0.0, doc="mean number of spikes in a second")
+
+    def step(self, state: Any, inputs: FaultInputs, dt: float) -> tuple[Any, FaultOutput]:
+        """Add a spike to the samples that the numbers drawn choose."""
+        xp = namespace(inputs.value)
+        spike = xp.asarray(self.amplitude) * xp.where(inputs.normal < 0.0, -1.0, 1.0)
+        return state, present(inputs.value + xp.where(inputs.uniform < self.rate * dt, spike, 0.0))

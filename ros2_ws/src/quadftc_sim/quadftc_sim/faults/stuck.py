@@ -1,0 +1,26 @@
+"""A sensor that repeats its last good value: a frozen driver, a dead bus."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import ClassVar
+
+from quadftc_model.arrays import Array, namespace
+from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
+
+
+@register("stuck")
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Stuck(Fault):
+    """The value at the onset, for as long as the fault lasts."""
+
+    has_memory: ClassVar[bool] = True
+
+    def init(self, value: Array) -> Array:
+        """Remember the first value (..., 3)."""
+        return value
+
+    def step(self, state: Array, inputs: FaultInputs, dt: float) -> tuple[Array, FaultOutput]:
+        """Follow the value up to the onset, then hold it."""
+        held = namespace(inputs.value).where(inputs.elapsed <= 0.0, inputs.value, state)
+        return held, present(held)

@@ -1,0 +1,101 @@
+"""The plant: the attitude of a multirotor under rotor torques and disturbances.
+
+Equations: rigid body (1), torques (2) and full kinematics (4) of Wang et al. (2021); the attitude is
+integrated as a unit quaternion, which gives the same motion as (4) and has no singularity. Runge-Kutta of
+order 4 at the control rate or finer.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import NamedTuple
+
+from quadftc_model.arrays import Array, namespace
+from quadftc_model.integrators import rk4
+from quadftc_model.parameters import check, parameter
+from quadftc_model.rigid_body import angular_acceleration
+from quadftc_model.rotations import euler_from_quaternion, euler_rates, normalise, quaternion_rate
+from quadftc_model.rotors import commands_from_torque, torque_from_commands
+from quadftc_model.vehicle import Vehicle
+from quadftc_sim.disturbance import Disturbance
+
+
+class PlantState(NamedTuple):
+    """Motion of the vehicle."""
+
+    q_xyzw: Array  # (..., 4) attitude, body to earth
+    body_rate: Array  # (..., 3) [rad/s]
+    commands: Array  # (..., n) rotor commands that act now: with motor lag, behind the commands given
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Plant:
+    """A vehicle in its disturbances.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+    disturbances : tuple of Disturbance
+        Their torques add.
+    motor_lag : bool
+        Whether thrust follows its command through the vehicle's first-order lag; the paper has none.
+    substeps : int
+        Integration steps to a control period.
+    """
+
+    vehicle: Vehicle
+    disturbances: tuple[Disturbance, ...] = ()
+    motor_lag: bool = parameter(False, doc="thrust follows its command through the vehicle's first-order lag")
+    substeps: int = parameter(1, low=1, high=1000, doc="integration steps to a control period")
+
+    def __post_init__(self) -> None:
+        """Check the parameters."""
+        check(self)
+
+    def init(self, q_xyzw: Array, body_rate: Array) -> PlantState:
+        """State at an attitude (..., 4) and a body rate [rad/s] (..., 3), rotors at trim."""
+        xp = namespace(q_xyzw)
+        trim = xp.full_like(q_xyzw[..., :1], self.vehicle.rotors.command_trim)
+        commands = xp.concatenate([trim] * len(self.vehicle.rotors.positions), axis=-1)
+        return PlantState(q_xyzw, body_rate, commands)
+
+    def step(self, state: PlantState, torque: Array, time: float, dt: float) -> PlantState:
+        """Advance by ``dt`` [s] under a torque command held over the step.
+
+        Parameters
+        ----------
+        torque : array (..., 3)
+            Torque command [N m]; goes through the mixer and its limits.
+        time : float
+            Scenario time at the start of the step [s].
+        """
+        wanted = commands_from_torque(self.vehicle, torque)
+        if not self.motor_lag:
+            state = state._replace(commands=wanted)
+        step = dt / self.substeps
+        for index in range(self.substeps):
+            arrays = rk4(lambda t, x: self._derivative(t, x, wanted), time + index * step, tuple(state), step)
+            state = PlantState(normalise(arrays[0]), arrays[1], arrays[2])
+        return state
+
+    def disturbance(self, time: float, like: Array) -> Array:
+        """Sum of the disturbance torques at ``time`` [N m], shaped as ``like`` (..., 3)."""
+        total = namespace(like).zeros_like(like)
+        for disturbance in self.disturbances:
+            total = total + disturbance.torque(time)
+        return total
+
+    def _derivative(self, time: float, arrays: tuple[Array, ...], wanted: Array) -> tuple[Array, ...]:
+        q_xyzw, body_rate, commands = arrays
+        vehicle = self.vehicle
+        angle_rates = euler_rates(euler_from_quaternion(q_xyzw), body_rate)
+        acceleration = angular_acceleration(
+            vehicle,
+            body_rate,
+            angle_rates,
+            torque_from_commands(vehicle, commands),
+            commands,
+            self.disturbance(time, body_rate),
+        )
+        command_rate = (wanted - commands) / vehicle.rotors.time_constant
+        return quaternion_rate(q_xyzw, body_rate), acceleration, command_rate

@@ -1,0 +1,187 @@
+"""The plant node: flies the simulated vehicle and publishes its IMU.
+
+Inputs: torque/command; fault/dropped (a sample that nobody will answer, in lock-step).
+Outputs: plant/imu; the truth on plant/attitude, plant/rate and disturbance/applied; /clock in lock-step.
+Services: ~/start, ~/reset (std_srvs/Trigger).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from typing import Any
+
+import numpy as np
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
+
+from quadftc_model.parameters import parameter
+from quadftc_model.stepper import seconds
+from quadftc_ros.conversions import (
+    BASE_FRAME,
+    EARTH_FRAME,
+    array_of,
+    imu_message,
+    time_message,
+    vector_message,
+)
+from quadftc_ros.diagnostics import ERROR, OK
+from quadftc_ros.executor import run_node
+from quadftc_ros.node import GraphNode
+from quadftc_sim.assembly import EPOCH_NS, sample_count, simulator_from
+from quadftc_sim.plant import Plant
+from quadftc_sim.sensors import ImuSensor
+from quadftc_sim.simulator import Emission
+
+@dataclasses.dataclass(frozen=True)
+class PlantParameters:
+    """Parameters of the plant node besides those of :class:`Plant` and, behind ``imu.``, :class:`ImuSensor`."""
+
+    vehicle: str = parameter("qball_x4", doc="name of a vehicle, or path of its TOML file")
+    rate: float = parameter(250.0, unit="Hz", low=10.0, high=4000.0, doc="control rate")
+    duration: float = parameter(0.0, unit="s", low=0.0, doc="length of the flight; 0: without end")
+    seed: int = parameter(0, low=0, doc="of the sensor's noise and bias")
+    autostart: bool = parameter(True, doc="start as soon as the graph is connected; else wait for ~/start")
+    torque_timeout: float = parameter(
+        0.5, unit="s", low=0.0, doc="real time: zero torque when the command is older (a motor controller's failsafe)"
+    )
+
+
+class PlantNode(GraphNode):
+    """Simulated vehicle with its IMU; the only node with a clock of its own."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("plant", **kwargs)
+        self.settings.declare(PlantParameters, read_only=True)
+        self.settings.declare(Plant, read_only=True)
+        self.settings.declare(ImuSensor, "imu.", read_only=True)
+        self.settings.declare_list("disturbances", "each: kind key=value..., e.g. 'constant start=5s amplitude=0.1Nm'")
+        self._values = self.settings.values()
+        self._publish_imu = self.publishes("plant/imu")
+        self._publish_attitude = self.publishes("plant/attitude")
+        self._publish_rate = self.publishes("plant/rate")
+        self._publish_disturbance = self.publishes("disturbance/applied")
+        self._publish_clock = self.publishes("/clock") if self.lockstep else None
+        self.reads("torque/command", self._on_torque)
+        self.reads("fault/dropped", self._on_dropped)
+        self.offers("start", Trigger, self._on_start)
+        self.offers("reset", Trigger, self._on_reset)
+        self._timer: Any = None
+        self._simulator = simulator_from(self._values, EPOCH_NS)
+        self._clear()
+        if self._values["autostart"]:
+            self._waiting = self.create_timer(0.05, self._start_when_connected)
+        self.ready()
+
+    @property
+    def finished(self) -> bool:
+        """Whether the flight has had its length."""
+        return self._finished
+
+    @property
+    def samples(self) -> int:
+        """Emissions so far."""
+        return self._emitted
+
+    def start(self) -> None:
+        """Begin the flight.
+
+        Raises
+        ------
+        RuntimeError
+            If it has begun already.
+        """
+        if self._emitted:
+            raise RuntimeError("the flight has begun already")
+        epoch_ns = EPOCH_NS if self.lockstep else self.get_clock().now().nanoseconds
+        self._simulator = simulator_from(self._values, epoch_ns)
+        self._emit(self._simulator.start())
+        if not self.lockstep:
+            self._timer = self.create_timer(seconds(self._simulator.period_ns), self._on_timer)
+
+    def _clear(self) -> None:
+        self._torque, self._torque_ns = np.zeros(3), 0
+        self._awaited_ns: int | None = None  # lock-step: stamp of the sample whose torque is missing
+        self._emitted, self._finished = 0, False
+        self._count = sample_count(self._values["duration"], self._values["rate"])  # 0: without end
+
+    def _start_when_connected(self) -> None:
+        if not self.missing_connections():
+            self.destroy_timer(self._waiting)
+            if not self._emitted:
+                self.start()
+
+    def _on_torque(self, stamp_ns: int, message: Any) -> None:
+        torque = array_of(message.vector)
+        if not np.all(np.isfinite(torque)):
+            self.diagnostics.count("torque/command is not finite")
+            return
+        self._torque, self._torque_ns = torque, stamp_ns
+        if stamp_ns == self._awaited_ns:
+            self._advance()
+
+    def _on_dropped(self, stamp_ns: int, message: Any) -> None:
+        if stamp_ns == self._awaited_ns:
+            self._advance()
+
+    def _on_timer(self) -> None:
+        if self._finished:
+            return
+        age = seconds(self._simulator.stamp_ns - self._torque_ns) if self._torque_ns else 0.0
+        if age > self._values["torque_timeout"]:
+            self._torque = np.zeros(3)
+            self.diagnostics.report("torque", ERROR, "torque/command has stopped: zero torque")
+        else:
+            self.diagnostics.report("torque", OK, "torque/command arrives")
+        self._advance()
+
+    def _advance(self) -> None:
+        """Fly one period; in lock-step on to the next sample that somebody will answer."""
+        self._awaited_ns = None
+        while not self._finished and self._awaited_ns is None:
+            if self._count and self._emitted >= self._count:
+                self._finish()
+                return
+            self._emit(self._simulator.advance(self._torque))
+            if not self.lockstep:
+                return
+
+    def _emit(self, emission: Emission) -> None:
+        self._emitted += 1
+        now = emission.stamp_ns
+        if self._publish_clock is not None:
+            self._publish_clock(Clock(clock=time_message(now)))
+        self._publish_attitude(vector_message(now, emission.angles, EARTH_FRAME))
+        self._publish_rate(vector_message(now, emission.body_rate, BASE_FRAME))
+        self._publish_disturbance(vector_message(now, emission.disturbance, BASE_FRAME))
+        self.sampled(now)
+        if emission.sample is not None:
+            self._awaited_ns = emission.sample_stamp_ns
+            self._publish_imu(imu_message(emission.sample_stamp_ns, emission.sample))
+
+    def _finish(self) -> None:
+        self._finished = True
+        self.diagnostics.report("flight", OK, "finished", samples=self._emitted)
+        self.sampled(self._simulator.stamp_ns)
+
+    def _on_start(self, request: Any, response: Any) -> Any:
+        if self._emitted:
+            response.success, response.message = False, "the flight has begun already"
+            return response
+        self.start()
+        response.success, response.message = True, "started"
+        return response
+
+    def _on_reset(self, request: Any, response: Any) -> Any:
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+            self._timer = None
+        self._clear()
+        self.start()
+        response.success, response.message = True, "a new flight has begun"
+        return response
+
+
+def main() -> None:
+    """Run the node."""
+    sys.exit(run_node(PlantNode))
