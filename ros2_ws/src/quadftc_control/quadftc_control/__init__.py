@@ -1,0 +1,1 @@
+"""Attitude control: controllers and references (pure core) and their nodes."""

@@ -1,0 +1,64 @@
+"""The interface of attitude controllers and their registry."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+from typing import Any
+
+from quadftc_model.arrays import Array, namespace
+from quadftc_model.parameters import check
+from quadftc_model.registry import Registry
+from quadftc_model.rotors import attainable
+from quadftc_model.samples import ControllerInputs, ControllerOutput
+from quadftc_model.vehicle import Vehicle
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Controller(abc.ABC):
+    """Base of all controllers: from attitude, body rate, reference and disturbance estimate to a torque.
+
+    The torque of every controller has gone through :func:`limited`: the rotors can give it.
+    """
+
+    vehicle: Vehicle
+
+    def __post_init__(self) -> None:
+        """Check the parameters."""
+        check(self)
+
+    @abc.abstractmethod
+    def init(self, inputs: ControllerInputs) -> Any:
+        """Return the state at the first sample."""
+
+    @abc.abstractmethod
+    def step(self, state: Any, inputs: ControllerInputs, dt: float) -> tuple[Any, ControllerOutput]:
+        """Advance by ``dt`` [s] to a sample; 0 at the first one."""
+
+
+def limited(vehicle: Vehicle, torque: Array) -> tuple[Array, Array]:
+    """Torque [N m] (..., 3) within the authority, and where it was cut (..., 3) bool."""
+    given = attainable(vehicle, torque)
+    return given, given != torque
+
+
+def anti_windup(integral: Array, error: Array, wanted: Array, given: Array, dt: float) -> Array:
+    """Integral of the error over a step, held where its change would drive a cut torque further.
+
+    That is conditional integration.
+
+    Parameters
+    ----------
+    integral, error : array (..., 3)
+        The integral so far and its integrand; a growing integral lowers the torque.
+    wanted, given : array (..., 3)
+        Torque before and after the limits [N m].
+    dt : float
+        Step [s].
+    """
+    deeper = (wanted - given) * error < 0.0
+    return integral + dt * namespace(error).where(deeper, 0.0, error)
+
+
+controllers: Registry[Any] = Registry("controller", "quadftc_control.controllers", "quadftc.controllers")
+register = controllers.register

@@ -1,0 +1,1 @@
+"""Attitude controllers, one file each."""

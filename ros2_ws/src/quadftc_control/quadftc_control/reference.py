@@ -1,0 +1,73 @@
+"""The interface of references, Euler angles with two derivatives over scenario time, and their registry."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from quadftc_model.arrays import Array, namespace
+from quadftc_model.parameters import check
+from quadftc_model.registry import Registry
+from quadftc_model.samples import AttitudeReference
+from quadftc_model.stepper import seconds
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Reference(abc.ABC):
+    """Base of all references; those of a scenario add up."""
+
+    def __post_init__(self) -> None:
+        """Check the parameters."""
+        check(self)
+
+    @abc.abstractmethod
+    def sample(self, time: Array) -> AttitudeReference:
+        """Angles [rad], rates [rad/s], accelerations [rad/s²], at a scenario time [s], () -> (3,).
+
+        Many times at once are a column, (n, 1) -> (n, 3).
+        """
+
+
+def combined(references: Sequence[Reference], time: Array) -> AttitudeReference:
+    """Sum of references at ``time`` [s]; with none, level and still."""
+    zeros = np.zeros(3)
+    total = AttitudeReference(zeros, zeros, zeros)
+    for reference in references:
+        part = reference.sample(time)
+        total = AttitudeReference(*(a + b for a, b in zip(total, part, strict=True)))
+    return total
+
+
+def smooth_rise(fraction: Array) -> tuple[Array, Array, Array]:
+    """Quintic rise from 0 to 1 over a fraction of 0 to 1, held outside; with two derivatives.
+
+    The polynomial of least degree whose first and second derivatives vanish at both ends.
+    """
+    xp = namespace(fraction)
+    s = xp.clip(fraction, 0.0, 1.0)
+    value = s * s * s * (10.0 + s * (6.0 * s - 15.0))
+    slope = 30.0 * s * s * (1.0 - s) * (1.0 - s)
+    curvature = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
+    return value, slope, curvature
+
+
+references: Registry[Any] = Registry("reference", "quadftc_control.references", "quadftc.references")
+register = references.register
+
+
+class ReferenceGenerator:
+    """The reference of a scenario on a stream of stamps; the first stamp is scenario time 0."""
+
+    def __init__(self, parts: Sequence[Reference]) -> None:
+        self.parts = tuple(parts)
+        self._epoch_ns: int | None = None
+
+    def at(self, stamp_ns: int) -> AttitudeReference:
+        """Return the reference at a stamp [ns]."""
+        if self._epoch_ns is None:
+            self._epoch_ns = stamp_ns
+        return combined(self.parts, seconds(stamp_ns - self._epoch_ns))

@@ -1,0 +1,24 @@
+"""A constant attitude."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from quadftc_control.reference import Reference, register
+from quadftc_model.arrays import Array, namespace
+from quadftc_model.parameters import parameter
+from quadftc_model.samples import AttitudeReference
+
+
+@register("hold")
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Hold(Reference):
+    """The same angles at all times."""
+
+    angles: tuple[float, ...] = parameter((0.0, 0.0, 0.0), unit="rad", doc="roll, pitch, yaw")
+
+    def sample(self, time: Array) -> AttitudeReference:
+        """Return the angles with zero rates."""
+        xp = namespace(time)
+        zeros = 0.0 * time + xp.zeros(3)
+        return AttitudeReference(zeros + xp.asarray(self.angles), zeros, zeros)

@@ -1,0 +1,42 @@
+"""Sinusoidal angles, faded in and out."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+from quadftc_control.reference import Reference, register, smooth_rise
+from quadftc_model.arrays import Array, namespace
+from quadftc_model.parameters import parameter
+from quadftc_model.samples import AttitudeReference
+
+
+@register("sine")
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Sine(Reference):
+    """amplitude * sin(frequency (t - start) + phase), with a smooth envelope from ``start`` to ``stop``."""
+
+    amplitude: tuple[float, ...] = parameter((0.0, 0.0, 0.0), unit="rad", doc="amplitude of roll, pitch, yaw")
+    frequency: tuple[float, ...] = parameter((1.0, 1.0, 1.0), unit="rad/s", low=0.0, doc="angular frequency")
+    phase: tuple[float, ...] = parameter((0.0, 0.0, 0.0), unit="rad", doc="phase at the start")
+    start: float = parameter(0.0, unit="s", low=0.0, doc="begin of the fade-in, scenario time")
+    stop: float = parameter(math.inf, unit="s", low=0.0, doc="begin of the fade-out, scenario time")
+    fade: float = parameter(2.0, unit="s", low=1e-3, doc="duration of fade-in and fade-out")
+
+    def sample(self, time: Array) -> AttitudeReference:
+        """Return the oscillation at ``time`` [s]."""
+        xp = namespace(time)
+        up = smooth_rise((time - self.start) / self.fade)
+        down = smooth_rise((time - self.stop) / self.fade)
+        envelope = up[0] - down[0]
+        envelope_dot = (up[1] - down[1]) / self.fade
+        envelope_ddot = (up[2] - down[2]) / self.fade**2
+        omega = xp.asarray(self.frequency)
+        angle = omega * (time - self.start) + xp.asarray(self.phase)
+        sin = xp.asarray(self.amplitude) * xp.sin(angle)
+        cos = xp.asarray(self.amplitude) * omega * xp.cos(angle)
+        return AttitudeReference(
+            envelope * sin,
+            envelope_dot * sin + envelope * cos,
+            envelope_ddot * sin + 2.0 * envelope_dot * cos - envelope * omega**2 * sin,
+        )

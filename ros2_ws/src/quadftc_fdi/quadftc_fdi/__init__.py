@@ -1,0 +1,1 @@
+"""Fault diagnosis: fault and disturbance observers (pure core) and their nodes."""

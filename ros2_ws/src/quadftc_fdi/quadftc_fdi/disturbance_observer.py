@@ -1,0 +1,38 @@
+"""The interface of disturbance observers and their registry."""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+from typing import Any
+
+from quadftc_model.arrays import Array
+from quadftc_model.parameters import check
+from quadftc_model.registry import Registry
+from quadftc_model.samples import DisturbanceObserverInputs
+from quadftc_model.vehicle import Vehicle
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class DisturbanceObserver(abc.ABC):
+    """Base of all disturbance observers: from body rates and torques to d of (36) [rad/s²]."""
+
+    vehicle: Vehicle
+
+    def __post_init__(self) -> None:
+        """Check the parameters."""
+        check(self)
+
+    @abc.abstractmethod
+    def init(self, inputs: DisturbanceObserverInputs) -> Any:
+        """Return the state at the first sample."""
+
+    @abc.abstractmethod
+    def step(self, state: Any, inputs: DisturbanceObserverInputs, dt: float) -> tuple[Any, Array]:
+        """Advance by ``dt`` [s] to a sample (0 at the first one); return the estimate (..., 3) [rad/s²]."""
+
+
+disturbance_observers: Registry[Any] = Registry(
+    "disturbance observer", "quadftc_fdi.disturbance_observers", "quadftc.disturbance_observers"
+)
+register = disturbance_observers.register

@@ -1,0 +1,73 @@
+"""The disturbance observer node: estimates the disturbance as an angular acceleration.
+
+Inputs: imu/corrected, torque/command.
+Outputs: disturbance/estimate [rad/s²].
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import sys
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from quadftc_fdi.assembly import disturbance_observer_from
+from quadftc_fdi.disturbance_observer import disturbance_observers
+from quadftc_model.arrays import Array
+from quadftc_model.parameters import Value, parameter
+from quadftc_model.samples import DisturbanceObserverInputs, sanitised
+from quadftc_model.stepper import Stepper
+from quadftc_ros.conversions import BASE_FRAME, array_of, imu_sample, vector_message
+from quadftc_ros.diagnostics import OK
+from quadftc_ros.executor import run_node
+from quadftc_ros.join import TorqueGate
+from quadftc_ros.node import GraphNode
+
+
+@dataclasses.dataclass(frozen=True)
+class ObserverParameters:
+    """Parameters of the disturbance observer node besides those of the observer, which stand behind its name."""
+
+    vehicle: str = parameter("qball_x4", doc="name of a vehicle, or path of its TOML file")
+    observer: str = parameter("exosystem", doc="name of the disturbance observer")
+
+
+class DisturbanceObserverNode(GraphNode):
+    """A disturbance observer on the stream of corrected IMU samples."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("disturbance_observer", **kwargs)
+        self.settings.declare(ObserverParameters, read_only=True)
+        name = self.settings.values()["observer"]
+        self.settings.declare(disturbance_observers.get(name), f"{name}.")
+        self._stepper: Stepper[DisturbanceObserverInputs, Array] = Stepper(
+            disturbance_observer_from(self.settings.values())
+        )
+        self.settings.on_change(self._rebuilt)
+        self._publish = self.publishes("disturbance/estimate")
+        self._gate = TorqueGate(self.mode, self._on_sample, np.zeros(3))
+        self.reads("imu/corrected", lambda stamp_ns, m: self._gate.put_sample(stamp_ns, m))
+        self.reads("torque/command", lambda stamp_ns, m: self._gate.put_torque(stamp_ns, array_of(m.vector)))
+        self.diagnostics.report("observer", OK, name)
+        self.ready()
+
+    def _rebuilt(self, values: Mapping[str, Value]) -> Callable[[], None]:
+        law = disturbance_observer_from(values)
+        return lambda: setattr(self._stepper, "law", law)
+
+    def _on_sample(self, stamp_ns: int, message: Any, torque: Any) -> None:
+        sample = sanitised(imu_sample(message))
+        inputs = DisturbanceObserverInputs(sample.body_rate, sample.rate_valid, torque)
+        estimate = self._stepper.step(stamp_ns, inputs)
+        if estimate is None:
+            self.diagnostics.count("imu/corrected: stamp repeated or went back")
+            return
+        self._publish(vector_message(stamp_ns, estimate, BASE_FRAME))
+        self.sampled(stamp_ns)
+
+
+def main() -> None:
+    """Run the node."""
+    sys.exit(run_node(DisturbanceObserverNode))

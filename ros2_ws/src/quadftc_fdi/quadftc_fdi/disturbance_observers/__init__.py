@@ -1,0 +1,1 @@
+"""Disturbance observers, one file each."""

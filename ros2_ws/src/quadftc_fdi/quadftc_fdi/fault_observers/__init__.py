@@ -1,0 +1,1 @@
+"""Fault observers, one file each."""
