@@ -1,0 +1,299 @@
+"""Recording that never makes the caller wait for a disk: a bounded queue before a thread that writes the bag.
+
+`BagWriter.write` appends to the queue and returns; the thread builds and compresses chunks, and every half
+second hands everything to the disk and updates ``metadata.yaml``. A killed recorder therefore loses less than
+a second, and what is there can be read.
+
+Two ways of working:
+
+real time
+    Messages are stored in the order of arrival. A full queue drops the message and counts it.
+lock-step
+    A full queue makes the caller wait. Messages are stored in the order (log time, topic) and chunks are cut
+    at multiples of 0.1 s of log time, so that two runs with the same messages give the same file, byte by
+    byte, whatever the threads did; padding inside the messages is set to zero for that. Below a third of
+    real time crash safety comes first: then only the order within each topic is the same.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+
+from rclpy.qos import QoSProfile
+
+from quadftc_ros.bag_file import BagFile
+from quadftc_ros.bag_format import TopicRecord, offered_qos
+from quadftc_ros.bag_order import HeldMessages, Message
+from quadftc_ros.cdr_padding import PaddingCleaner
+from quadftc_ros.interfaces import load_interface
+
+SYNC_PERIOD = 0.5  # s, wall time: everything older is on the disk
+POLL_PERIOD = 0.005  # s, wall time between two looks at the queue
+SLICE = 16  # messages built in one go (about 60 us) before other threads get their turn
+SLICE_PAUSE = 1e-4  # s
+REALTIME_CHUNK = 256 * 1024  # bytes; closing one holds the interpreter for about 0.3 ms
+LOCKSTEP_CHUNK = 4 * 1024 * 1024  # bytes, never reached at usual rates: chunks are cut by log time
+
+Command = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class BagStatus:
+    """How a recording stands.
+
+    Parameters
+    ----------
+    counts : mapping of str to int
+        Messages stored, by topic.
+    dropped : mapping of str to int
+        Messages refused because the queue was full or the writer closed, by topic; only topics with any.
+    lost : int
+        Messages accepted that could not be stored because of ``error``.
+    error : str or None
+        What stopped the recording (disk full, for instance).
+    """
+
+    counts: Mapping[str, int]
+    dropped: Mapping[str, int]
+    lost: int
+    error: str | None
+
+
+class BagWriter:
+    """Write one rosbag2 bag (MCAP) from any thread.
+
+    Parameters
+    ----------
+    directory : path
+        The bag's directory; must not exist.
+    attachments : mapping of str to bytes
+        Files to store inside the bag, by name.
+    metadata : mapping of str to str
+        Entries of the bag's ``custom_data``.
+    compression : str
+        ``zstd``, ``lz4`` or ``none``.
+    lockstep : bool
+        See the module's text.
+    queue_size : int
+        Messages that may wait.
+    on_error : callable or None
+        Called once, from the writing thread, with the text of the error that stopped the recording.
+
+    Raises
+    ------
+    FileExistsError
+        If the directory exists.
+    ValueError
+        If the compression is unknown or the queue holds no message.
+    OSError
+        If the directory cannot be written. Later errors are never raised: see ``status``.
+    """
+
+    def __init__(
+        self,
+        directory: str | os.PathLike[str],
+        attachments: Mapping[str, bytes] | None = None,
+        metadata: Mapping[str, str] | None = None,
+        compression: str = "zstd",
+        *,
+        lockstep: bool = False,
+        queue_size: int = 65536,
+        on_error: Callable[[str], None] | None = None,
+    ) -> None:
+        if queue_size < 1:
+            raise ValueError(f"queue_size: {queue_size} messages, expected at least 1")
+        chunk_size = LOCKSTEP_CHUNK if lockstep else REALTIME_CHUNK
+        self._file = BagFile(directory, attachments or {}, metadata or {}, compression, chunk_size)
+        self.path = self._file.path
+        self._lockstep = lockstep
+        self._queue_size = queue_size
+        self._on_error = on_error
+        self._channels: dict[str, int] = {}
+        self._queue: deque[Message | Command | _Flush] = deque()
+        self._held = HeldMessages() if lockstep else None
+        self._cleaners: list[PaddingCleaner] = []  # by channel number - 1
+        self._dropped: dict[str, int] = {}
+        self._taken = 0  # messages that have left the queue
+        self._error: str | None = None
+        self._closed = False
+        self._wake = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="bag_writer", daemon=True)
+        self._thread.start()
+
+    def add_topic(self, topic: str, type_name: str, qos: QoSProfile) -> None:
+        """Declare a topic; ``qos`` is what its publisher offers.
+
+        Raises
+        ------
+        ValueError
+            If the topic is there already or the type is not installed.
+        """
+        if topic in self._channels:
+            raise ValueError(f"topic '{topic}': in the bag already")
+        interface = load_interface(type_name)
+        record = TopicRecord(topic, type_name, interface.type_hash, offered_qos(qos))
+        if self._lockstep:
+            self._cleaners.append(PaddingCleaner(type_name))
+        self._channels[topic] = len(self._channels) + 1
+        self._queue.append(lambda: self._file.add_topic(record, interface.text))
+
+    def write(self, topic: str, cdr_bytes: bytes, log_time_ns: int, publish_time_ns: int) -> bool:
+        """Queue a serialised message; return whether it was accepted. Never raises for the disk's sake.
+
+        Raises
+        ------
+        KeyError
+            If the topic has not been added.
+        """
+        channel = self._channels[topic]
+        if (len(self._queue) >= self._queue_size or self._closed) and not self._wait_for_room():
+            self._dropped[topic] = self._dropped.get(topic, 0) + 1
+            return False
+        self._queue.append((channel, log_time_ns, publish_time_ns, cdr_bytes))
+        return True
+
+    def flush(self, timeout: float = 10.0) -> bool:
+        """Wait up to ``timeout`` [s] until everything written before is on the disk; return whether it is."""
+        request = _Flush()
+        if not self._closed:
+            self._queue.append(request)
+            self._wake.set()
+            request.wait(timeout)
+        return request.stored
+
+    def close(self) -> BagStatus:
+        """Store what is queued, end the file, and return how it went; a second call only returns that.
+
+        A Ctrl-C meanwhile is raised when the file is complete.
+        """
+        self._closed = True
+        self._wake.set()
+        try:
+            self._thread.join()
+        finally:
+            self._thread.join()
+        return self.status
+
+    @property
+    def status(self) -> BagStatus:
+        """How the recording stands now."""
+        counts = dict(self._file.counts)
+        lost = 0 if self._error is None else self._taken - sum(counts.values())
+        return BagStatus(counts, dict(self._dropped), lost, self._error)
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _wait_for_room(self) -> bool:
+        """In lock-step wait for room in the queue; return whether there is any."""
+        while self._lockstep and not self._closed:
+            if len(self._queue) < self._queue_size:
+                return True
+            self._wake.set()
+            time.sleep(SLICE_PAUSE)
+        return False
+
+    def _run(self) -> None:
+        """Write until closed and the queue is empty (the writing thread)."""
+        next_sync = time.monotonic() + SYNC_PERIOD
+        while True:
+            last_round = self._closed
+            self._attempt(self._drain)
+            if time.monotonic() >= next_sync:
+                self._attempt(self._sync)
+                next_sync = time.monotonic() + SYNC_PERIOD
+            if last_round and not self._queue:
+                break
+            self._wake.wait(POLL_PERIOD)
+            self._wake.clear()
+        self._attempt(self._finish)
+
+    def _attempt(self, action: Command) -> None:
+        """Do something with the file; after the first error only count what is lost."""
+        try:
+            if self._error is None:
+                action()
+        except Exception as error:  # the caller flies on, whatever is wrong with the bag
+            self._fail(error)
+        if self._error is not None:
+            self._discard()
+
+    def _drain(self) -> None:
+        """Write what is queued by now."""
+        for number in range(1, len(self._queue) + 1):
+            item = self._queue.popleft()
+            if isinstance(item, tuple):
+                self._taken += 1
+                self._store(item)
+            elif isinstance(item, _Flush):
+                self._flush_for(item)
+            else:
+                item()
+            if number % SLICE == 0 and not self._lockstep:
+                time.sleep(SLICE_PAUSE)
+
+    def _store(self, message: Message) -> None:
+        """Write a message; in lock-step hold it until its place is certain, and cut chunks by log time."""
+        if self._held is None:
+            self._file.write(*message)
+            return
+        channel, log_time_ns, publish_time_ns, data = message
+        data = self._cleaners[channel - 1].clean(data)
+        if self._held.add((channel, log_time_ns, publish_time_ns, data)):
+            for ready in self._held.take():
+                self._file.write(*ready)
+            self._file.flush()
+
+    def _flush_for(self, request: _Flush) -> None:
+        try:
+            self._release_all()
+            self._file.sync()
+            request.stored = True
+        finally:
+            request.set()
+
+    def _release_all(self) -> None:
+        if self._held is not None:
+            for message in self._held.take_all():
+                self._file.write(*message)
+
+    def _sync(self) -> None:
+        if self._held is None or self._held.is_stale():
+            self._release_all()
+        self._file.sync()
+
+    def _finish(self) -> None:
+        self._release_all()
+        self._file.close()
+
+    def _fail(self, error: Exception) -> None:
+        """Give up the file at its last complete chunk."""
+        self._error = f"{self.path}: {getattr(error, 'strerror', None) or repr(error)}"
+        self._file.abandon()
+        if self._on_error is not None:
+            with suppress(Exception):  # a failing callback must not end the thread that others wait for
+                self._on_error(self._error)
+
+    def _discard(self) -> None:
+        """Empty the queue, count what is lost with it, and let go whoever waits for a flush."""
+        while self._queue:
+            item = self._queue.popleft()
+            if isinstance(item, tuple):
+                self._taken += 1
+            elif isinstance(item, _Flush):
+                item.set()
+
+
+class _Flush(threading.Event):
+    """A request to bring everything to the disk; set when it was dealt with."""
+
+    stored = False

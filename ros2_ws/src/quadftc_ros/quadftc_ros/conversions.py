@@ -1,0 +1,101 @@
+"""Between messages and arrays, without loss: float64 stays float64, stamps stay whole nanoseconds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Vector3, Vector3Stamped
+from numpy.typing import NDArray
+from sensor_msgs.msg import Imu
+
+from quadftc_model.samples import AttitudeReference, ImuSample
+from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
+
+BASE_FRAME = "base_link"  # body, FLU (REP-103)
+IMU_FRAME = "imu_link"  # the IMU, aligned with the body (REP-145)
+EARTH_FRAME = "map"  # ENU (REP-105)
+
+NANOSECONDS = 1_000_000_000  # per second
+ABSENT = -1.0  # element 0 of a covariance: the channel is not in this sample (REP-145)
+
+Floats = NDArray[np.float64]
+
+
+def stamp_of(message: Any) -> int:
+    """Stamp [ns] of a message with a header, or of a header itself."""
+    stamp = getattr(message, "header", message).stamp
+    return stamp.sec * NANOSECONDS + stamp.nanosec
+
+
+def time_message(stamp_ns: int) -> Time:
+    """Message of a time [ns]."""
+    sec, nanosec = divmod(stamp_ns, NANOSECONDS)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def array_of(vector: Vector3) -> Floats:
+    """Array (3,) of a vector message."""
+    return np.array((vector.x, vector.y, vector.z))
+
+
+def fill_vector(vector: Vector3, array: Floats) -> None:
+    """Write an array (3,) into a vector message."""
+    vector.x, vector.y, vector.z = array.tolist()
+
+
+def vector_message(stamp_ns: int, array: Floats, frame: str) -> Vector3Stamped:
+    """Stamped vector of an array (3,)."""
+    message = Vector3Stamped()
+    message.header.stamp = time_message(stamp_ns)
+    message.header.frame_id = frame
+    fill_vector(message.vector, array)
+    return message
+
+
+def imu_sample(message: Imu) -> ImuSample:
+    """Sample of an IMU message; absent channels are marked by covariance element 0 as REP-145 says."""
+    q, rate, force = message.orientation, message.angular_velocity, message.linear_acceleration
+    return ImuSample(
+        q_xyzw=np.array((q.x, q.y, q.z, q.w)),
+        body_rate=np.array((rate.x, rate.y, rate.z)),
+        specific_force=np.array((force.x, force.y, force.z)),
+        attitude_valid=np.bool_(message.orientation_covariance[0] != ABSENT),
+        rate_valid=np.bool_(message.angular_velocity_covariance[0] != ABSENT),
+        force_valid=np.bool_(message.linear_acceleration_covariance[0] != ABSENT),
+    )
+
+
+def imu_message(stamp_ns: int, sample: ImuSample) -> Imu:
+    """IMU message of a sample of one vehicle; covariances are unknown (0) or mark a channel absent (-1)."""
+    message = Imu()
+    message.header.stamp = time_message(stamp_ns)
+    message.header.frame_id = IMU_FRAME
+    q = message.orientation
+    q.x, q.y, q.z, q.w = sample.q_xyzw.tolist()
+    fill_vector(message.angular_velocity, sample.body_rate)
+    fill_vector(message.linear_acceleration, sample.specific_force)
+    if not sample.attitude_valid:
+        message.orientation_covariance[0] = ABSENT
+    if not sample.rate_valid:
+        message.angular_velocity_covariance[0] = ABSENT
+    if not sample.force_valid:
+        message.linear_acceleration_covariance[0] = ABSENT
+    return message
+
+
+def reference_message(stamp_ns: int, reference: AttitudeReference) -> AttitudeReferenceMessage:
+    """Message of a reference of one vehicle."""
+    message = AttitudeReferenceMessage()
+    message.header.stamp = time_message(stamp_ns)
+    message.header.frame_id = EARTH_FRAME
+    fill_vector(message.angles, reference.angles)
+    fill_vector(message.rates, reference.rates)
+    fill_vector(message.accelerations, reference.accelerations)
+    return message
+
+
+def reference_of(message: AttitudeReferenceMessage) -> AttitudeReference:
+    """Reference of a message."""
+    return AttitudeReference(array_of(message.angles), array_of(message.rates), array_of(message.accelerations))

@@ -1,0 +1,91 @@
+"""Spinning nodes: the executor with its traps handled, and the ``main`` that every executable shares."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable
+from types import FrameType
+from typing import Any
+
+import rclpy
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+EXECUTORS = ("events", "single")
+POLL = 0.2  # s; EventsExecutor.spin() without a timeout busy-loops in Jazzy 7.1, so it is called in slices
+
+
+def make_executor(kind: str = "events", context: Any = None) -> Any:
+    """Make an executor: ``events`` (fast) or ``single`` (rclpy's default).
+
+    Raises
+    ------
+    ValueError
+        If the kind is neither.
+    """
+    if kind not in EXECUTORS:
+        raise ValueError(f"executor = {kind!r}: expected one of {', '.join(EXECUTORS)}")
+    return EventsExecutor(context=context) if kind == "events" else SingleThreadedExecutor(context=context)
+
+
+class StopSignals:
+    """Context in which SIGINT and SIGTERM set a flag instead of interrupting whatever runs; a second one interrupts.
+
+    A KeyboardInterrupt inside a callback would be reported by the executor as an error of the node.
+    """
+
+    def __init__(self) -> None:
+        self.requested = False
+        self._previous: dict[int, Any] = {}
+
+    def __enter__(self) -> StopSignals:
+        """Take the signals over."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._previous[number] = signal.signal(number, self._on_signal)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Give them back."""
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if self.requested:
+            raise KeyboardInterrupt
+        self.requested = True
+
+
+def run_node(make: Callable[[], Node]) -> int:
+    """Run one node until Ctrl-C, SIGTERM or shutdown; return the exit code: 0, or 2 for wrong parameters.
+
+    Parameters
+    ----------
+    make : callable
+        Makes the node; called after ``rclpy.init``.
+    """
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    executor, node = None, None
+    try:
+        with StopSignals() as stop:
+            try:
+                node = make()
+            except (ValueError, ParameterException) as error:
+                print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+                return 2
+            executor = make_executor()
+            executor.add_node(node)
+            while rclpy.ok() and not stop.requested:
+                executor.spin_once(timeout_sec=POLL)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        if executor is not None:
+            executor.shutdown()
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

@@ -1,0 +1,101 @@
+"""ROS parameters from dataclasses: type, unit, range and meaning of each come from its field's metadata."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+
+from quadftc_model.parameters import Parameter, Value, parameters_of
+
+_LARGEST = sys.float_info.max
+_LARGEST_INT = 2**63 - 1
+
+
+def descriptor(spec: Parameter, read_only: bool = False) -> ParameterDescriptor:
+    """Describe a parameter to ROS: meaning with unit, range, choices."""
+    unit = "" if spec.unit == "1" else f" [{spec.unit}]"
+    text = ParameterDescriptor(description=spec.doc + unit, read_only=read_only)
+    bounded = math.isfinite(spec.low) or math.isfinite(spec.high)
+    if spec.choices:
+        text.additional_constraints = "one of " + ", ".join(spec.choices)
+    elif spec.is_vector and bounded:
+        text.additional_constraints = f"each within [{spec.low:g}, {spec.high:g}]"
+    elif bounded and type(spec.default) is float:
+        text.floating_point_range = [
+            FloatingPointRange(from_value=max(spec.low, -_LARGEST), to_value=min(spec.high, _LARGEST), step=0.0)
+        ]
+    elif bounded and type(spec.default) is int:
+        low, high = max(spec.low, -_LARGEST_INT), min(spec.high, _LARGEST_INT)
+        text.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+    return text
+
+
+class NodeParameters:
+    """The parameters of a node, as one flat mapping of dotted names.
+
+    Parameters
+    ----------
+    node : Node
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._names: list[str] = []
+
+    def declare(self, component: type, prefix: str = "", read_only: bool = False) -> None:
+        """Declare every parameter of a dataclass, its name behind ``prefix``."""
+        for spec in parameters_of(component):
+            default = list(spec.default) if isinstance(spec.default, tuple) else spec.default
+            self._node.declare_parameter(prefix + spec.name, default, descriptor(spec, read_only))
+            self._names.append(prefix + spec.name)
+
+    def declare_list(self, name: str, doc: str) -> None:
+        """Declare a list of texts, empty by default; it is read once, at the start."""
+        self._node.declare_parameter(name, [""], ParameterDescriptor(description=doc, read_only=True))
+        self._names.append(name)
+
+    def values(self) -> dict[str, Any]:
+        """Return name -> value; lists of texts without their empty entries."""
+        found: dict[str, Any] = {}
+        for name in self._names:
+            value = self._node.get_parameter(name).value
+            if isinstance(value, Sequence) and not isinstance(value, str):
+                value = [part for part in value if part != ""]
+            found[name] = value
+        return found
+
+    def unknown(self) -> list[str]:
+        """Return the names that were given at the start (file, command line) but are no parameter of the node."""
+        given: Mapping[str, Any] = self._node._parameter_overrides  # noqa: SLF001 (rclpy has no public way to ask)
+        return [name for name in given if not self._node.has_parameter(name)]
+
+    def on_change(self, rebuild: Callable[[Mapping[str, Value]], Callable[[], None]]) -> None:
+        """Follow changes at run time.
+
+        ``rebuild(values)`` makes what the node runs on from the whole mapping and returns a function that puts it to use; if it
+        raises ValueError, the change is refused with that message and the old values stay.
+        """
+        apply: list[Callable[[], None]] = []
+
+        def check(changes: list[RosParameter]) -> SetParametersResult:
+            values = self.values()
+            values.update({p.name: p.value for p in changes if p.name in values})
+            try:
+                made = rebuild(values)
+            except ValueError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+            apply[:] = [made]
+            return SetParametersResult(successful=True)
+
+        def put_to_use(changes: list[RosParameter]) -> None:
+            if any(p.name in self._names for p in changes) and apply:
+                apply.pop()()
+
+        self._node.add_on_set_parameters_callback(check)
+        self._node.add_post_set_parameters_callback(put_to_use)

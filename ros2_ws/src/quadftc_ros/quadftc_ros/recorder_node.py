@@ -1,0 +1,217 @@
+"""The recorder: writes the topics of the graph into one rosbag2 (MCAP) bag.
+
+Subscriptions: the topics of `quadftc_ros.topics.TOPICS`, as serialised bytes. Publications: /diagnostics.
+
+The stored log time is in real time when the message was received; in lock-step it is the message's own stamp,
+so that two runs give the same bag. What is sent in lock-step before the flight has no stamp yet and is not
+stored: how much of it there is depends on how fast the processes start.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.metadata
+import os
+import platform
+import struct
+import sys
+import time
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rclpy.qos import QoSProfile
+from rclpy.utilities import get_rmw_implementation_identifier
+
+from quadftc_model.parameters import parameter
+from quadftc_ros.bag_file import COMPRESSIONS
+from quadftc_ros.bag_writer import BagStatus, BagWriter
+from quadftc_ros.diagnostics import ERROR, OK, WARN
+from quadftc_ros.executor import run_node
+from quadftc_ros.interfaces import load_message_class
+from quadftc_ros.node import GraphNode
+from quadftc_ros.qos import topic_profile
+from quadftc_ros.topics import TOPICS, Topic
+
+RECEIVE_DEPTH = {"lockstep": 10000, "realtime": 1000}  # messages per topic that may wait for this node
+CHECK_PERIOD = 1.0  # s, between two looks at how the recording stands
+
+
+@dataclasses.dataclass(frozen=True)
+class RecorderParameters:
+    """Parameters of the recorder, beside the lists ``topics`` and ``attachments``."""
+
+    directory: str = parameter("", doc="directory of the bag to write; must not exist")
+    compression: str = parameter("zstd", choices=tuple(COMPRESSIONS), doc="compression of the bag's chunks")
+
+
+class RecorderNode(GraphNode):
+    """Record topics from construction until `finish`, or until the node is destroyed.
+
+    Parameters
+    ----------
+    **kwargs
+        Those of ``rclpy.node.Node`` (``context``, ``namespace``, ``parameter_overrides``...).
+
+    Raises
+    ------
+    ValueError
+        If a parameter is wrong: the directory exists or cannot be made, a topic is not in the table, an
+        attachment cannot be read.
+    """
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("recorder", **kwargs)
+        self.settings.declare(RecorderParameters, read_only=True)
+        self.settings.declare_list(
+            "topics", "topics to record, as named in the table of the graph; empty: all"
+        )
+        self.settings.declare_list("attachments", "paths of files to store inside the bag")
+        values = self.settings.values()
+        rows = _checked_topics(values["topics"] or list(TOPICS))
+        classes = [load_message_class(row.type_name) for row in rows]
+        self._newest_ns = 0
+        self.received = 0  # messages so far, stored or still waiting to be
+        self._writer = self._open(values)
+        for row, message_class in zip(rows, classes, strict=True):
+            self._record(row, message_class)
+        self.create_timer(CHECK_PERIOD, self._check)
+        self.ready()
+
+    @property
+    def path(self) -> Path:
+        """The MCAP file being written."""
+        return self._writer.path
+
+    @property
+    def status(self) -> BagStatus:
+        """Messages stored by topic, messages dropped or lost, and the error that stopped the recording."""
+        return self._writer.status
+
+    def flush(self) -> bool:
+        """Wait until all that was received is on the disk; return whether it is."""
+        return self._writer.flush()
+
+    def finish(self) -> BagStatus:
+        """Close the bag and return how it went; a second call only returns that."""
+        return self._writer.close()
+
+    def destroy_node(self) -> None:
+        """Close the bag before the rest."""
+        status = self.finish()
+        missing = sum(status.dropped.values()) + status.lost
+        if missing:
+            self.get_logger().error(f"{missing} messages are not in {self.path}")
+        super().destroy_node()
+
+    def _open(self, values: dict[str, Any]) -> BagWriter:
+        if not values["directory"]:
+            raise ValueError("directory = '': expected the path of a new directory")
+        try:
+            return BagWriter(
+                values["directory"],
+                _read_attachments([Path(path) for path in values["attachments"]]),
+                {"mode": self.mode, **versions()},
+                values["compression"],
+                lockstep=self.lockstep,
+                on_error=self._stopped,
+            )
+        except OSError as error:
+            raise ValueError(f"directory = '{values['directory']}': {error}") from error
+
+    def _record(self, row: Topic, message_class: type) -> None:
+        """Subscribe to a topic and store what comes under its full name."""
+        offered = topic_profile(row.qos, self.mode)
+        wanted = QoSProfile(
+            depth=RECEIVE_DEPTH[self.mode], reliability=offered.reliability, durability=offered.durability
+        )
+        name = self.resolve_topic_name(row.name)
+        self._writer.add_topic(name, row.type_name, offered)
+        store = self._store_by_stamp if self.lockstep else self._store_by_clock
+        self.create_subscription(message_class, row.name, partial(store, name), wanted, raw=True)
+
+    def _store_by_stamp(self, topic: str, data: bytes) -> None:
+        stamp_ns = leading_stamp_ns(data)
+        if stamp_ns:
+            self._flying = True
+            self._newest_ns = stamp_ns
+            self.received += 1
+            self._writer.write(topic, data, stamp_ns, stamp_ns)
+
+    def _store_by_clock(self, topic: str, data: bytes) -> None:
+        now_ns = time.time_ns()
+        self.received += 1
+        self._writer.write(topic, data, now_ns, now_ns)
+
+    def _stopped(self, error: str) -> None:
+        self.get_logger().error(f"recording has stopped: {error}")
+
+    def _check(self) -> None:
+        """Report how the recording stands; in lock-step, where all goes by samples, only what is wrong."""
+        status = self.status
+        dropped = sum(status.dropped.values())
+        level, message = OK, "recording"
+        if status.error is not None:
+            level, message = ERROR, f"recording has stopped: {status.error}"
+        elif dropped:
+            level, message = WARN, "messages were dropped"
+        stored = sum(status.counts.values())
+        self.diagnostics.report("bag", level, message, stored=stored, dropped=dropped, lost=status.lost)
+        if self.lockstep and level != OK and self.diagnostics.changed:
+            self.diagnostics.publish(self._newest_ns)
+
+
+def leading_stamp_ns(cdr_bytes: bytes) -> int:
+    """Return the stamp [ns] that a serialised message begins with."""
+    seconds, nanoseconds = struct.unpack_from("<iI" if cdr_bytes[1] else ">iI", cdr_bytes, 4)
+    return seconds * 1_000_000_000 + nanoseconds
+
+
+def versions() -> dict[str, str]:
+    """Return what recorded this bag: versions of this software and of what it stands on."""
+    return {
+        "quadftc": importlib.metadata.version("quadftc-ros"),
+        "ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
+        "rmw_implementation": get_rmw_implementation_identifier(),
+        "python": platform.python_version(),
+        "mcap": importlib.metadata.version("mcap"),
+        "numpy": importlib.metadata.version("numpy"),
+    }
+
+
+def _checked_topics(names: list[str]) -> list[Topic]:
+    unknown = sorted(set(names) - set(TOPICS))
+    if unknown:
+        raise ValueError(f"topics: unknown {', '.join(unknown)}; known are {', '.join(TOPICS)}")
+    return [TOPICS[name] for name in dict.fromkeys(names)]
+
+
+def _read_attachments(paths: list[Path]) -> dict[str, bytes]:
+    attachments: dict[str, bytes] = {}
+    for path in paths:
+        if path.name in attachments:
+            raise ValueError(f"attachments: two files are named {path.name}")
+        try:
+            attachments[path.name] = path.read_bytes()
+        except OSError as error:
+            raise ValueError(f"attachments: {path}: {error.strerror}") from error
+    return attachments
+
+
+def main() -> int:
+    """Record until SIGINT or SIGTERM; return 0, 1 if the recording was cut short, or 2 on bad parameters."""
+    made: list[RecorderNode] = []
+
+    def make() -> RecorderNode:
+        made.append(RecorderNode())
+        return made[0]
+
+    try:
+        code = run_node(make)
+    except KeyboardInterrupt:  # a second Ctrl-C while the bag was being closed: it is closed
+        code = 0
+    return 1 if made and made[0].status.error is not None else code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,250 @@
+"""The recorder node: what it stores of a live graph, in process and as its own process."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import rclpy
+from mcap.reader import make_reader
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
+from rosbags.highlevel import AnyReader
+from ruamel.yaml import YAML
+
+from quadftc_ros.executor import make_executor
+from quadftc_ros.interfaces import load_message_class
+from quadftc_ros.qos import topic_profile
+from quadftc_ros.recorder_node import RecorderNode, leading_stamp_ns
+from quadftc_ros.topics import TOPICS
+
+DOMAIN = 83
+START_NS = 1_000_000_000
+PERIOD_NS = 4_000_000
+PATIENCE = 20.0  # s
+
+
+@pytest.fixture
+def context(monkeypatch: pytest.MonkeyPatch) -> Iterator[Context]:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    context = Context()
+    rclpy.init(context=context)
+    yield context
+    rclpy.try_shutdown(context=context)
+
+
+def parameters(**values: object) -> list[Parameter]:
+    return [Parameter(name, value=value) for name, value in values.items()]
+
+
+def stamped(topic: str, stamp_ns: int) -> object:
+    """A message of a topic of the table whose leading stamp is set."""
+    message = load_message_class(TOPICS[topic].type_name)()
+    header = getattr(message, "header", message)
+    time_message = message.clock if hasattr(message, "clock") else header.stamp
+    time_message.sec, time_message.nanosec = divmod(stamp_ns, 1_000_000_000)
+    return message
+
+
+def wait_until(done: Callable[[], object], spin: Callable[[], None] = lambda: time.sleep(0.01)) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not done():
+        assert time.monotonic() < deadline, "nothing happened in time"
+        spin()
+
+
+def record(context: Context, directory: Path, mode: str, count: int, topics: list[str]) -> RecorderNode:
+    """Publish ``count`` messages on each topic to a recorder; return it, with its bag closed."""
+    given = parameters(directory=str(directory), mode=mode, topics=topics)
+    recorder = RecorderNode(context=context, parameter_overrides=given)
+    sender = Node("sender", context=context)
+    executor = make_executor("events", context)
+    executor.add_node(recorder)
+    publishers = [
+        sender.create_publisher(
+            load_message_class(TOPICS[topic].type_name), topic, topic_profile(TOPICS[topic].qos, mode)
+        )
+        for topic in topics
+    ]
+    wait_until(lambda: all(publisher.get_subscription_count() for publisher in publishers))
+    for number in range(count):
+        for topic, publisher in zip(topics, publishers, strict=True):
+            publisher.publish(stamped(topic, START_NS + number * PERIOD_NS))
+        executor.spin_once(timeout_sec=0.001)
+    wait_until(
+        lambda: recorder.flush() and sum(recorder.status.counts.values()) == count * len(topics),
+        lambda: executor.spin_once(timeout_sec=0.01),
+    )
+    recorder.finish()
+    executor.shutdown()
+    recorder.destroy_node()
+    sender.destroy_node()
+    return recorder
+
+
+@pytest.mark.parametrize("topic", list(TOPICS))
+def test_leading_stamp_is_read_from_every_type_of_the_graph(topic):
+    stamp_ns = 12_345_678_901
+    assert leading_stamp_ns(serialize_message(stamped(topic, stamp_ns))) == stamp_ns
+
+
+def test_lockstep_stores_every_message_by_its_stamp(context, tmp_path):
+    topics = ["imu/data", "fault/status", "control/status", "fault/dropped", "/clock"]
+    recorder = record(context, tmp_path / "run", "lockstep", 100, topics)
+    stamps = [START_NS + number * PERIOD_NS for number in range(100)]
+    with recorder.path.open("rb") as stream:
+        found: dict[str, list[tuple[int, int, int]]] = {}
+        for _, channel, message in make_reader(stream).iter_messages():
+            times = (message.log_time, message.publish_time, leading_stamp_ns(message.data))
+            found.setdefault(channel.topic, []).append(times)
+    assert found == {"/" + topic.strip("/"): [(stamp,) * 3 for stamp in stamps] for topic in topics}
+
+
+def test_two_lockstep_recordings_are_the_same_file(context, tmp_path):
+    topics = ["plant/imu", "imu/data", "torque/command", "fault/status"]
+    files = [
+        record(context, tmp_path / name / "run", "lockstep", 200, topics).path.read_bytes()
+        for name in ("first", "second")
+    ]
+    assert files[0] == files[1]
+
+
+def test_realtime_stores_best_effort_topics_by_the_time_of_arrival(context, tmp_path):
+    before = time.time_ns()
+    recorder = record(context, tmp_path / "run", "realtime", 50, ["imu/data", "fault/status"])
+    after = time.time_ns()
+    with AnyReader([tmp_path / "run"]) as reader:
+        times = [time_ns for _, time_ns, _ in reader.messages()]
+    assert len(times) == 100
+    assert before <= min(times) <= max(times) <= after
+    assert recorder.status.counts == {"/imu/data": 50, "/fault/status": 50}
+
+
+def test_lockstep_leaves_out_what_is_sent_before_the_flight(context, tmp_path):
+    given = parameters(directory=str(tmp_path / "run"), mode="lockstep", topics=["fault/status"])
+    recorder = RecorderNode(context=context, parameter_overrides=given)
+    executor = make_executor("events", context)
+    executor.add_node(recorder)
+    publisher = recorder.create_publisher(
+        load_message_class(TOPICS["fault/status"].type_name), "fault/status", 10
+    )
+    wait_until(lambda: publisher.get_subscription_count() == 1)
+    for stamp_ns in (0, 0, START_NS):
+        publisher.publish(stamped("fault/status", stamp_ns))
+    wait_until(
+        lambda: recorder.flush() and bool(recorder.status.counts["/fault/status"]),
+        lambda: executor.spin_once(timeout_sec=0.01),
+    )
+    executor.shutdown()
+    recorder.destroy_node()
+    with AnyReader([tmp_path / "run"]) as reader:
+        assert [time_ns for _, time_ns, _ in reader.messages()] == [START_NS]
+
+
+def test_bag_holds_attachments_and_versions(context, tmp_path):
+    scenario = tmp_path / "scenario.yaml"
+    scenario.write_bytes(b"rate: 250\n")
+    given = parameters(directory=str(tmp_path / "run"), attachments=[str(scenario)])
+    recorder = RecorderNode(context=context, parameter_overrides=given, namespace="/uav1")
+    recorder.destroy_node()
+    with recorder.path.open("rb") as stream:
+        reader = make_reader(stream)
+        assert [(item.name, item.data) for item in reader.iter_attachments()] == [
+            ("scenario.yaml", b"rate: 250\n")
+        ]
+        (versions,) = [item.metadata for item in reader.iter_metadata() if item.name == "quadftc"]
+        names = {channel.topic for channel in reader.get_summary().channels.values()}
+    assert versions["mode"] == "realtime"
+    assert {"quadftc", "ros_distro", "python", "mcap", "numpy"} <= set(versions)
+    assert names == {name if name.startswith("/") else f"/uav1/{name}" for name in TOPICS}
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({}, "directory = '': expected the path of a new directory"),
+        ({"directory": "{there}"}, "exists already"),
+        ({"directory": "{new}", "mode": "fast"}, "mode = 'fast': expected one of lockstep, realtime"),
+        ({"directory": "{new}", "topics": ["imu/date"]}, "topics: unknown imu/date; known are plant/imu"),
+        ({"directory": "{new}", "compression": "zip"}, "compression 'zip': expected one of zstd"),
+        ({"directory": "{new}", "attachments": ["{new}/no.yaml"]}, "no.yaml: No such file"),
+    ],
+)
+def test_wrong_parameter_is_refused_with_its_name(context, tmp_path, given, text):
+    places = {"there": str(tmp_path), "new": str(tmp_path / "new")}
+    filled = {
+        name: [part.format(**places) for part in value] if isinstance(value, list) else value.format(**places)
+        for name, value in given.items()
+    }
+    with pytest.raises(ValueError, match=text):
+        RecorderNode(context=context, parameter_overrides=parameters(**filled))
+    assert not (tmp_path / "new").exists()
+
+
+def start_process(directory: Path) -> subprocess.Popen[str]:
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    command = [sys.executable, "-m", "quadftc_ros.recorder_node"]
+    arguments = ["--ros-args", "-p", f"directory:={directory}"]
+    return subprocess.Popen(command + arguments, env=environment, stderr=subprocess.PIPE, text=True)
+
+
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_process_closes_the_bag_when_told_to_stop(context, tmp_path, stop):
+    sender = Node("sender", context=context)
+    publisher = sender.create_publisher(
+        load_message_class(TOPICS["imu/data"].type_name), "imu/data", topic_profile("sensor", "realtime")
+    )
+    with start_process(tmp_path / "run") as process:
+        wait_until(lambda: publisher.get_subscription_count() == 1)
+        for number in range(500):
+            publisher.publish(stamped("imu/data", START_NS + number))
+            time.sleep(0.002)
+        time.sleep(0.3)
+        process.send_signal(stop)
+        code = process.wait(PATIENCE)
+        errors = process.stderr.read()
+    sender.destroy_node()
+    assert (code, errors) == (0, "")
+    with AnyReader([tmp_path / "run"]) as reader:
+        stamps = [leading_stamp_ns(data) for link, _, data in reader.messages() if link.topic == "/imu/data"]
+    # The first ones may come before both processes know of each other; from then on none is missing.
+    assert len(stamps) > 100
+    assert stamps == list(range(START_NS + 500 - len(stamps), START_NS + 500))
+
+
+def test_process_refuses_an_existing_directory_in_one_line(tmp_path):
+    with start_process(tmp_path) as process:
+        errors = process.communicate(timeout=PATIENCE)[1]
+    assert process.returncode == 2
+    assert errors.splitlines() == [
+        f"error: directory = '{tmp_path}': bag directory {tmp_path} exists already"
+    ]
+
+
+def test_process_killed_leaves_a_bag_that_says_what_it_holds(context, tmp_path):
+    sender = Node("sender", context=context)
+    publisher = sender.create_publisher(
+        load_message_class(TOPICS["imu/data"].type_name), "imu/data", topic_profile("sensor", "realtime")
+    )
+    with start_process(tmp_path / "run") as process:
+        wait_until(lambda: publisher.get_subscription_count() == 1)
+        wait_until(
+            lambda: re.search(r"\n  message_count: [1-9]", (tmp_path / "run/metadata.yaml").read_text()),
+            lambda: publisher.publish(stamped("imu/data", START_NS)),
+        )
+        process.kill()
+    sender.destroy_node()
+    text = (tmp_path / "run" / "metadata.yaml").read_text()
+    information = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]
+    counts = {
+        t["topic_metadata"]["name"]: t["message_count"] for t in information["topics_with_message_count"]
+    }
+    assert counts["/imu/data"] == information["message_count"] > 0
