@@ -1,0 +1,1 @@
+"""Scenario files, closed loop, bags, metrics and the ``quadftc`` command."""

@@ -1,0 +1,164 @@
+"""The graph in one process: all nodes on one executor. The default, and the fast way."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import rclpy
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from quadftc_bench.graph_plan import CONNECT_TIMEOUT, EXECUTABLES, STALL_TIMEOUT, GraphError, GraphPlan, drain
+from quadftc_control.controller_node import ControllerNode
+from quadftc_control.reference_node import ReferenceNode
+from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
+from quadftc_fdi.fault_observer_node import FaultObserverNode
+from quadftc_ros.executor import make_executor
+from quadftc_ros.node import GraphNode, missing_connections
+from quadftc_ros.recorder_node import RecorderNode
+from quadftc_ros.topics import TOPICS
+from quadftc_sim.fault_injector_node import FaultInjectorNode
+from quadftc_sim.plant_node import PlantNode
+
+NODE_CLASSES: dict[str, type[GraphNode]] = {
+    "fault_injector": FaultInjectorNode,
+    "fault_observer": FaultObserverNode,
+    "disturbance_observer": DisturbanceObserverNode,
+    "reference": ReferenceNode,
+    "controller": ControllerNode,
+    "plant": PlantNode,
+}
+
+
+class ComposedGraph:
+    """All nodes of a plan in this process; a context manager.
+
+    Parameters
+    ----------
+    plan : GraphPlan
+    executor : str
+        ``events`` or ``single``.
+
+    Raises
+    ------
+    ValueError
+        If a parameter of a node is wrong.
+    OSError
+        If the bag cannot be made.
+    """
+
+    def __init__(self, plan: GraphPlan, executor: str = "events") -> None:
+        self.plan = plan
+        self.recorder: RecorderNode | None = None
+        self.nodes: dict[str, GraphNode] = {}
+        self._context = rclpy.Context()
+        self._context.init()
+        self._executor = make_executor(executor, self._context)
+        try:
+            if plan.bag is not None:
+                self.recorder = self._made(RecorderNode, plan.recorder_parameters())
+            for name in EXECUTABLES:
+                self.nodes[name] = self._made(NODE_CLASSES[name], plan.node_parameters(name))
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def plant(self) -> PlantNode:
+        """The plant, by which the flight is followed."""
+        plant = self.nodes["plant"]
+        assert isinstance(plant, PlantNode)
+        return plant
+
+    def __enter__(self) -> ComposedGraph:
+        """Return the graph."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the graph."""
+        self.close()
+
+    def run(self, progress: Callable[[int], bool] | None = None) -> float:
+        """Fly until the plant's duration is over; return the wall time of the flight [s].
+
+        Parameters
+        ----------
+        progress : callable, optional
+            Called with the number of samples so far, often; the flight ends early when it returns False.
+
+        Raises
+        ------
+        GraphError
+            If the nodes do not find each other, or no sample comes for too long.
+        """
+        self._wait_until_connected()
+        begin = time.monotonic()
+        self.plant.start()
+        samples, moved = 0, begin
+        while not self.plant.finished:
+            self.spin_once()
+            now = time.monotonic()
+            if progress is not None and not progress(self.plant.samples):
+                break
+            if self.plant.samples != samples:
+                samples, moved = self.plant.samples, now
+            elif now - moved > STALL_TIMEOUT:
+                raise GraphError(f"the flight stalled after {samples} samples: no torque/command came for the last")
+        wall = time.monotonic() - begin
+        recorder = self.recorder
+        if recorder is not None:
+            drain(lambda: recorder.received, self.spin_once, self.plan.mode)
+        return wall
+
+    def spin_once(self, timeout: float = 0.2) -> None:
+        """Let the nodes work on what has come; return at the latest after ``timeout`` [s]."""
+        self._executor.spin_once(timeout_sec=timeout)
+
+    def close(self) -> None:
+        """Close the bag, end the nodes."""
+        if self.recorder is not None:
+            self.recorder.finish()
+        self._executor.shutdown()
+        for node in [*self.nodes.values(), *([self.recorder] if self.recorder is not None else [])]:
+            node.destroy_node()
+        self.nodes, self.recorder = {}, None
+        self._context.try_shutdown()
+
+    def _made(self, node_class: type[Any], parameters: Mapping[str, Any]) -> Any:
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        node: Node = node_class(
+            context=self._context,
+            namespace=self.plan.namespace or None,
+            parameter_overrides=overrides,
+            use_global_arguments=False,
+        )
+        self._executor.add_node(node)
+        return node
+
+    def _wait_until_connected(self) -> None:
+        recorders = 0 if self.recorder is None else 1
+        end = time.monotonic() + CONNECT_TIMEOUT
+        while True:
+            missing = [
+                f"{name}: {lack}"
+                for name, node in self.nodes.items()
+                for lack in missing_connections(name, node.connections(), recorders)
+            ]
+            if not missing:
+                break
+            if time.monotonic() > end:
+                raise GraphError(f"not connected after {CONNECT_TIMEOUT:g} s: {'; '.join(missing)}")
+            self.spin_once(0.02)
+        self._refuse_company()
+
+    def _refuse_company(self) -> None:
+        for name, row in TOPICS.items():
+            count = self.plant.count_publishers(name)
+            if row.publishers and not name.startswith("/") and count > len(row.publishers):
+                raise GraphError(
+                    f"{name} has {count} publishers: another graph runs in this ROS domain; stop it, "
+                    "or set another ROS_DOMAIN_ID"
+                )
+

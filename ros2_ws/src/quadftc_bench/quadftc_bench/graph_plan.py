@@ -1,0 +1,98 @@
+"""What a graph is made of: its nodes with their parameters, where they run, and what is recorded."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+# node -> (package, executable); the plant comes last, so that the others are there before it
+EXECUTABLES: dict[str, tuple[str, str]] = {
+    "fault_injector": ("quadftc_sim", "fault_injector"),
+    "fault_observer": ("quadftc_fdi", "fault_observer"),
+    "disturbance_observer": ("quadftc_fdi", "disturbance_observer"),
+    "reference": ("quadftc_control", "reference"),
+    "controller": ("quadftc_control", "controller"),
+    "plant": ("quadftc_sim", "plant"),
+}
+
+CONNECT_TIMEOUT = 30.0  # s; to find each other
+STALL_TIMEOUT = 15.0  # s; lock-step: without a new sample
+QUIET = 0.25  # s; lock-step: when nothing more has come to be recorded for so long, all of it has
+AFTERMATH = 0.05  # s; real time: recorded after the end; longer, and the controller reports that the IMU has stopped
+
+
+class GraphError(RuntimeError):
+    """The graph could not be started, stalled, or lost a node; the message says which."""
+
+
+@dataclasses.dataclass(frozen=True)
+class GraphPlan:
+    """A graph to be run.
+
+    Parameters
+    ----------
+    parameters : mapping
+        Node name to its parameters (name to value).
+    mode : str
+        ``lockstep`` or ``realtime``.
+    namespace : str
+        Of the vehicle; empty: none.
+    bag : Path, optional
+        Directory of the bag to write.
+    attachments : tuple of Path
+        Files that go into the bag.
+    """
+
+    parameters: Mapping[str, Mapping[str, Any]]
+    mode: str = "lockstep"
+    namespace: str = ""
+    bag: Path | None = None
+    attachments: tuple[Path, ...] = ()
+
+    def node_parameters(self, node: str) -> dict[str, Any]:
+        """Return the parameters of one node, with the mode and without empty lists (to ROS those have no type)."""
+        values = {"mode": self.mode, **self.parameters.get(node, {})}
+        if node == "plant":
+            values["autostart"] = False
+        return {name: value for name, value in values.items() if value != []}
+
+    def parameter_file(self) -> str:
+        """Return the parameters of all nodes as a ROS parameter file (YAML)."""
+        prefix = f"/{self.namespace.strip('/')}" if self.namespace else ""
+        nodes = {f"{prefix}/{node}": {"ros__parameters": self.node_parameters(node)} for node in EXECUTABLES}
+        return yaml.safe_dump(nodes, sort_keys=False, default_flow_style=None, width=120)
+
+    def recorder_parameters(self) -> dict[str, Any]:
+        """Return the parameters of the recorder."""
+        return {
+            "mode": self.mode,
+            "directory": str(self.bag),
+            "attachments": [str(path) for path in self.attachments] or [""],
+        }
+
+
+def drain(recorded: Callable[[], int], spin: Callable[[float], None], mode: str) -> None:
+    """Spin on after the flight until what was published has been recorded.
+
+    Parameters
+    ----------
+    recorded : callable
+        Messages received by the recorder so far.
+    spin : callable
+        ``spin(timeout)`` [s].
+    mode : str
+        In real time messages never end, so the time is fixed.
+    """
+    begin = since = time.monotonic()
+    total = -1
+    while time.monotonic() - since < (QUIET if mode == "lockstep" else AFTERMATH):
+        spin(0.02)
+        if mode == "lockstep" and recorded() != total:
+            total, since = recorded(), time.monotonic()
+        if time.monotonic() - begin > STALL_TIMEOUT:
+            raise GraphError("messages go on after the end of the flight")

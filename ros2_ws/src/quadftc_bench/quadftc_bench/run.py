@@ -1,0 +1,150 @@
+"""Flying a scenario through the real node graph: one bag and one summary for each run.
+
+Not pure: starts the graph, writes files.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+from quadftc_bench.bags import read_bag
+from quadftc_bench.composed_graph import ComposedGraph
+from quadftc_bench.flight import flight_from_bag
+from quadftc_bench.graph_plan import GraphError, GraphPlan
+from quadftc_bench.process_graph import ProcessGraph
+from quadftc_bench.scenario import Scenario, Scheme, node_parameters
+from quadftc_bench.summary import summary
+from quadftc_ros.recorder_node import versions
+
+GRAPHS = {"composed": ComposedGraph, "processes": ProcessGraph}
+SUMMARY = "summary.json"
+
+Progress = Callable[[float], bool]
+
+
+class RunError(Exception):
+    """A run that cannot be made with this input; the message says why."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RunOptions:
+    """How to fly.
+
+    Parameters
+    ----------
+    graph : str
+        ``composed`` or ``processes``.
+    mode : str
+        ``lockstep`` or ``realtime``.
+    namespace : str
+        Of the vehicle; empty: none.
+    force : bool
+        Replace an earlier run of the same name.
+    """
+
+    graph: str = "composed"
+    mode: str = "lockstep"
+    namespace: str = ""
+    force: bool = False
+
+
+def run_name(scenario: Scenario, scheme: Scheme) -> str:
+    """Name of a run, of its directory and of its bag."""
+    return f"{scenario.name}-{scheme.name}"
+
+
+def prepare(out: Path, names: list[str], force: bool) -> None:
+    """Make room for runs in ``out``.
+
+    Raises
+    ------
+    RunError
+        If a run is there already and not to be replaced, or something else has its name.
+    """
+    for name in names:
+        directory = out / name
+        if not directory.exists():
+            continue
+        if not force:
+            raise RunError(f"{directory}: exists; choose another --out, or --force to replace the earlier run")
+        if not (directory / "metadata.yaml").is_file():
+            raise RunError(f"{directory}: is no earlier run; not replaced")
+        shutil.rmtree(directory)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunError(f"{out}: {error.strerror}") from None
+
+
+def run(scenario: Scenario, scheme: Scheme, out: Path, options: RunOptions, progress: Progress) -> dict[str, Any]:
+    """Fly one scheme of a scenario; return the summary that is written beside the bag.
+
+    Parameters
+    ----------
+    scenario, scheme : Scenario, Scheme
+    out : Path
+        Directory of all runs.
+    options : RunOptions
+    progress : callable
+        Called with the share of the flight that is over; the flight ends early when it returns False.
+
+    Raises
+    ------
+    GraphError
+        If the graph does not start or stalls, or messages were lost on the way to the bag.
+    """
+    bag = out / run_name(scenario, scheme)
+    with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
+        files = (Path(folder, "scenario.yaml"), Path(folder, "parameters.yaml"))
+        plan = GraphPlan(node_parameters(scenario, scheme), options.mode, options.namespace, bag, files)
+        _dump(scenario.raw, files[0])
+        files[1].write_text(plan.parameter_file(), encoding="utf-8")
+        wall_time = _fly(plan, options.graph, scenario.duration * scenario.rate, progress)
+        for file in files:
+            shutil.copy(file, bag / file.name)
+    result = summary(flight_from_bag(read_bag(bag)), scenario, scheme, wall_time)
+    result["mode"], result["graph"], result["bag"] = options.mode, options.graph, bag.name
+    result["versions"] = {**versions(), **_commit()}
+    (bag / SUMMARY).write_text(json.dumps(result, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return result
+
+
+def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> float:
+    with GRAPHS[kind](plan) as graph:
+        wall_time = graph.run(lambda count: progress(min(1.0, count / samples)))
+        recorder = graph.recorder
+        assert recorder is not None  # the plan has a bag
+        status = recorder.finish()
+    if status.error is not None:
+        raise GraphError(f"{plan.bag}: {status.error}")
+    if status.dropped:
+        raise GraphError(f"{plan.bag}: messages were lost on the way to the bag: {dict(status.dropped)}")
+    return wall_time if math.isfinite(wall_time) else 0.0
+
+
+def _dump(data: dict[str, Any], path: Path) -> None:
+    yaml = YAML(typ="safe")
+    yaml.default_flow_style = False
+    yaml.sort_base_mapping_type_on_output = False  # type: ignore[attr-defined]
+    with path.open("w", encoding="utf-8") as file:
+        yaml.dump(data, file)
+
+
+def _commit() -> dict[str, str]:
+    """The commit of the source tree this code runs from, if it is one."""
+    command = ["git", "-C", str(Path(__file__).resolve().parent), "describe", "--always", "--dirty", "--abbrev=12"]
+    try:
+        found = subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return {}
+    return {"commit": found.stdout.strip()} if found.returncode == 0 else {}
