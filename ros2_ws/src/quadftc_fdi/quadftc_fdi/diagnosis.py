@@ -7,14 +7,14 @@ from numpy.typing import NDArray
 
 from quadftc_fdi.fault_observer import FaultObserver
 from quadftc_model.samples import STARTING, FaultEstimate, FaultObserverInputs, ImuSample, sanitised
-from quadftc_model.stepper import Stepper
+from quadftc_model.stepper import Stepper, Timing
 
 
 class Diagnosis:
     """A fault observer on a stream.
 
-    It starts at the first sample that has both attitude and rate. Every later sample with a new stamp gives
-    an estimate and a corrected sample, whatever is wrong with it.
+    It starts, and starts anew after a gap, at the first sample that has both attitude and rate. Every later
+    sample with a new stamp gives an estimate and a corrected sample, whatever is wrong with it.
     """
 
     def __init__(self, law: FaultObserver) -> None:
@@ -51,7 +51,9 @@ class Diagnosis:
             Torque that acted since the sample before [N m].
         """
         clean = sanitised(sample)
-        if self._stepper.state is None and not (clean.attitude_valid and clean.rate_valid):
+        starts = self._stepper.timing(stamp_ns) in (Timing.FIRST, Timing.RESTART)
+        if starts and not (clean.attitude_valid and clean.rate_valid):
+            self._stepper.reset()
             zeros, unknown = np.zeros(3), np.full(3, -1.0)
             return FaultEstimate(zeros, unknown, np.full(3, STARTING, np.uint8), unknown, clean)
         return self._stepper.step(stamp_ns, FaultObserverInputs(clean, torque))

@@ -37,7 +37,7 @@ def components(vector: Array) -> Any:
     """
     if isinstance(vector, np.ndarray) and vector.ndim == 1:  # pyright: ignore[reportUnknownMemberType]
         return vector.tolist()
-    return tuple(vector[..., index] for index in range(vector.shape[-1]))
+    return tuple(vector[..., index] for index in range(vector.shape[-1]))  # pyright: ignore
 
 
 def stacked(parts: Sequence[Array]) -> Array:

@@ -56,7 +56,7 @@ def parameter(
     doc : str
         The meaning, one line; with the paper's symbol where it has one.
     low, high : float
-        Bounds, inclusive, for each number.
+        Bounds, inclusive, for each number. A number must be finite, unless the default is infinite.
     choices : sequence of str
         The values that a text may take; empty: any.
     """
@@ -81,7 +81,7 @@ def check(instance: Any) -> None:
     ValueError
         Naming the parameter, the value and what was expected.
     """
-    for spec in parameters_of(type(instance)):
+    for spec in parameters_of(instance.__class__):
         _check_bounds(spec, getattr(instance, spec.name))
 
 
@@ -128,39 +128,43 @@ def convert(spec: Parameter, raw: Any, units: Mapping[str, str] | None = None) -
         Naming the parameter, the value and what was expected.
     """
     unit = spec.unit.format_map(units or {}) if "{" in spec.unit and units else spec.unit
+    spec = dataclasses.replace(spec, unit=unit)
     try:
-        value = _converted(spec, raw, unit)
+        value = _converted(spec, raw)
     except ValueError as error:
         raise ValueError(f"{spec.name}: {error}") from None
     _check_bounds(spec, value)
     return value
 
 
-def _converted(spec: Parameter, raw: Any, unit: str) -> Value:
+def _converted(spec: Parameter, raw: Any) -> Value:
     default = spec.default
     if isinstance(default, bool):
-        if isinstance(raw, bool):
-            return raw
-        if str(raw).lower() in ("true", "false"):
-            return str(raw).lower() == "true"
-        raise ValueError(f"{raw!r}: expected true or false")
+        return _truth(raw)
     if isinstance(default, str):
         if not isinstance(raw, str):
             raise ValueError(f"{raw!r}: expected a text")
         return raw
     if isinstance(default, tuple):
-        parts = list(raw) if isinstance(raw, (list, tuple)) else [raw] * len(default)
+        parts: list[Any] = [*raw] if isinstance(raw, (list, tuple)) else [raw] * len(default)
         if len(parts) != len(default):
-            raise ValueError(f"{raw!r}: expected one number or {len(default)}, in {unit}")
-        return tuple(quantity(part, unit) for part in parts)
-    number = quantity(raw, unit) if not isinstance(raw, (list, tuple)) else math.nan
-    if math.isnan(number):
-        raise ValueError(f"{raw!r}: expected one number in {unit}")
-    if isinstance(default, int):
-        if number != math.floor(number):
-            raise ValueError(f"{raw!r}: expected a whole number")
-        return int(number)
-    return number
+            raise ValueError(f"{raw!r}: expected one number or {len(default)}, in {spec.unit}")
+        return tuple(quantity(part, spec.unit) for part in parts)
+    if isinstance(raw, (list, tuple)):
+        raise ValueError(f"{raw!r}: expected one number in {spec.unit}")
+    number = quantity(raw, spec.unit)
+    if not isinstance(default, int):
+        return number
+    if not number.is_integer():
+        raise ValueError(f"{raw!r}: expected a whole number")
+    return int(number)
+
+
+def _truth(raw: Any) -> bool:
+    text = str(raw).lower() if isinstance(raw, (bool, str)) else ""
+    if text not in ("true", "false"):
+        raise ValueError(f"{raw!r}: expected true or false")
+    return text == "true"
 
 
 def _check_bounds(spec: Parameter, value: Any) -> None:
@@ -170,8 +174,11 @@ def _check_bounds(spec: Parameter, value: Any) -> None:
         return
     if isinstance(value, bool):
         return
-    for number in value if isinstance(value, tuple) else (value,):
+    numbers: tuple[float, ...] = value if spec.is_vector else (value,)
+    for number in numbers:
         if not spec.low <= number <= spec.high:  # NaN fails this, too
             raise ValueError(
                 f"{spec.name} = {number!r} {spec.unit}: must be within [{spec.low:g}, {spec.high:g}]"
             )
+        if math.isinf(number) and number != spec.default:
+            raise ValueError(f"{spec.name} = {number!r} {spec.unit}: must be finite")

@@ -46,7 +46,7 @@ def format_spec(kind: str, values: Mapping[str, Any]) -> str:
 
 def _format(value: Any) -> str:
     if isinstance(value, (list, tuple)):
-        parts = list(value)  # pyright: ignore[reportUnknownVariableType, reportUnknownArgumentType]
+        parts: list[Any] = [*value]
         return ",".join(_format(part) for part in parts)
     if isinstance(value, bool):
         return str(value).lower()

@@ -20,6 +20,10 @@ else:
 
 _DIRECTORY = Path(__file__).parent / "vehicles"
 _GROUP = "quadftc.vehicles"  # entry points: name -> path of a TOML file
+_ROTOR_NUMBERS = (
+    *("thrust_gain", "yaw_gain", "command_min", "command_max", "command_idle", "command_trim"),
+    *("time_constant", "rotor_inertia", "thrust_coefficient"),
+)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -70,9 +74,7 @@ class Vehicle:
         _require(
             "rotational_drag", self.rotational_drag, bool(np.all(self.rotational_drag >= 0.0)), "not negative"
         )
-        _require(
-            "rotors.rotor_inertia", rotors.rotor_inertia, rotors.rotor_inertia >= 0.0, "not negative"
-        )
+        _require("rotors.rotor_inertia", rotors.rotor_inertia, rotors.rotor_inertia >= 0.0, "not negative")
         low, high = rotors.command_min, rotors.command_max
         _require(
             "rotors.command_trim",
@@ -95,7 +97,7 @@ class Vehicle:
     @functools.cached_property
     def allocation(self) -> NDArray[np.float64]:
         """Pseudo-inverse of the mixer, (n, 3): rotor commands around the trim per unit of torque."""
-        return np.linalg.pinv(self.mixer)
+        return np.asarray(np.linalg.pinv(self.mixer), dtype=np.float64)
 
     @functools.cached_property
     def authority(self) -> NDArray[np.float64]:
@@ -155,13 +157,7 @@ def _vehicle_from(table: dict[str, Any]) -> Vehicle:
         positions=_array(rotors_table, "rotors.positions", (-1, 2)),
         yaw_sign=_array(rotors_table, "rotors.yaw_sign", (-1,)),
         spin_sign=_array(rotors_table, "rotors.spin_sign", (-1,)),
-        **{
-            name: _number(rotors_table, f"rotors.{name}")
-            for name in (
-                "thrust_gain yaw_gain command_min command_max command_idle command_trim time_constant rotor_inertia "
-                "thrust_coefficient"
-            ).split()
-        },
+        **{name: _number(rotors_table, f"rotors.{name}") for name in _ROTOR_NUMBERS},
     )
     vehicle = Vehicle(
         name=_text(table, "name"),

@@ -41,6 +41,7 @@ class FaultInjectorNode(GraphNode):
         self._injector = injector_from(self.settings.values())
         self._seen = {injection.channel for injection in self._injector.injections.values()}
         self._last_ns = -1
+        self._active: tuple[int, ...] = ()
         self._publish_imu = self.publishes("imu/data")
         self._publish_attitude = self.publishes("fault/injected")
         self._publish_gyro = self.publishes("fault/injected/gyro")
@@ -61,21 +62,25 @@ class FaultInjectorNode(GraphNode):
             self._publish_gyro(vector_message(stamp_ns, injected.gyro, IMU_FRAME))
         if "accelerometer" in self._seen:
             self._publish_accelerometer(vector_message(stamp_ns, injected.accelerometer, IMU_FRAME))
-        self._report()
+        self._note_changes()
         self.sampled(stamp_ns)
         if injected.sample is None:
             self._publish_dropped(Header(stamp=time_message(stamp_ns), frame_id=IMU_FRAME))
         else:
             self._publish_imu(imu_message(stamp_ns, injected.sample))
 
-    def _report(self) -> None:
-        now = self._injector.now
+    def report(self) -> None:
+        """Report the faults that act."""
         active = {
             f"{number}": f"{injection.kind} on {injection.channel} until {injection.stop:g} s"
-            for number, injection in self._injector.injections.items()
-            if injection.start <= now
+            for number, injection in self._injector.active.items()
         }
         self.diagnostics.report("faults", WARN if active else OK, f"{len(active)} faults act", **active)
+
+    def _note_changes(self) -> None:
+        if (active := tuple(self._injector.active)) != self._active:
+            self._active = active
+            self.diagnostics.changed = True
 
     def _on_inject(self, request: Any, response: Any) -> Any:
         try:

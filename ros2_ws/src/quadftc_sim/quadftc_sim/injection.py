@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -77,19 +77,21 @@ def make_injection(kind: str, values: Mapping[str, Any], now: float = 0.0) -> In
     if channel not in fault.channels:
         raise ValueError(f"channel = {channel!r}: {kind} can be on {', '.join(fault.channels)}")
     mask = _mask(kind, fault, values)
-    start, stop = _window(values)
+    start, stop = _window(values, now)
     own = {name: value for name, value in values.items() if name not in _RESERVED}
     law = build(fault, own, units=CHANNEL_UNITS[channel])
-    return Injection(kind, channel, mask, now + start, now + stop, law)
+    return Injection(kind, channel, mask, start, stop, law)
 
 
 def _mask(kind: str, fault: Any, values: Mapping[str, Any]) -> NDArray[np.bool_]:
     given = values.get("axes", values.get("axis", ()))
     if "axes" in values and "axis" in values:
         raise ValueError("axes: given twice, as axis too")
-    names: Sequence[Any] = given if isinstance(given, (list, tuple)) else [given]
+    names: list[Any] = [*given] if isinstance(given, (list, tuple)) else [given]
     if names and fault.whole_channel:
-        raise ValueError(f"axes = {', '.join(map(str, names))}: {kind} takes the whole channel; leave axes out")
+        raise ValueError(
+            f"axes = {', '.join(map(str, names))}: {kind} takes the whole channel; leave axes out"
+        )
     mask = np.zeros(3, dtype=bool)
     for name in names or ("x", "y", "z"):
         if not isinstance(name, str) or name not in AXES:
@@ -98,19 +100,22 @@ def _mask(kind: str, fault: Any, values: Mapping[str, Any]) -> NDArray[np.bool_]
     return mask
 
 
-def _window(values: Mapping[str, Any]) -> tuple[float, float]:
+def _window(values: Mapping[str, Any], now: float) -> tuple[float, float]:
+    """Start and stop in scenario time, whole nanoseconds as stamps: 0.1 s + 0.2 s is the sample at 0.3 s."""
     start = _time(values, "start", 0.0)
     if "duration" in values:
         if "stop" in values:
             raise ValueError("duration: give either duration or stop")
         duration = _time(values, "duration", math.inf)
-        if duration == 0.0:
-            raise ValueError("duration = 0 s: must be positive")
-        return start, start + duration
+        first, last = round(now + start, 9), round(now + start + duration, 9)
+        if last <= first:
+            raise ValueError(f"duration = {duration:g} s: must be positive")
+        return first, last
     stop = _time(values, "stop", math.inf)
-    if stop <= start:
+    first, last = round(now + start, 9), round(now + stop, 9)
+    if last <= first:
         raise ValueError(f"stop = {stop:g} s: must be later than start = {start:g} s")
-    return start, stop
+    return first, last
 
 
 def _time(values: Mapping[str, Any], name: str, default: float) -> float:
@@ -170,6 +175,12 @@ class FaultInjector:
     def injections(self) -> dict[int, Injection]:
         """The injections that wait or act, by number."""
         return {number: active.injection for number, active in self._active.items()}
+
+    @property
+    def active(self) -> dict[int, Injection]:
+        """The injections that act on the present sample, by number."""
+        now = self.now
+        return {number: injection for number, injection in self.injections.items() if injection.start <= now}
 
     @property
     def now(self) -> float:

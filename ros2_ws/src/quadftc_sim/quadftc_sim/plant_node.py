@@ -27,7 +27,7 @@ from quadftc_ros.conversions import (
 )
 from quadftc_ros.diagnostics import ERROR, OK
 from quadftc_ros.executor import run_node
-from quadftc_ros.node import GraphNode
+from quadftc_ros.node import GraphNode, missing_connections
 from quadftc_sim.assembly import EPOCH_NS, sample_count, simulator_from
 from quadftc_sim.plant import Plant
 from quadftc_sim.sensors import ImuSensor
@@ -67,8 +67,8 @@ class PlantNode(GraphNode):
         self.offers("start", Trigger, self._on_start)
         self.offers("reset", Trigger, self._on_reset)
         self._timer: Any = None
-        self._simulator = simulator_from(self._values, EPOCH_NS)
         self._clear()
+        self._simulator = simulator_from(self._values, EPOCH_NS)
         if self._values["autostart"]:
             self._waiting = self.create_timer(0.05, self._start_when_connected)
         self.ready()
@@ -106,7 +106,7 @@ class PlantNode(GraphNode):
         self._count = sample_count(self._values["duration"], self._values["rate"])  # 0: without end
 
     def _start_when_connected(self) -> None:
-        if not self.missing_connections():
+        if not missing_connections(self.get_name(), self.connections()):
             self.destroy_timer(self._waiting)
             if not self._emitted:
                 self.start()
@@ -156,12 +156,17 @@ class PlantNode(GraphNode):
         self._publish_disturbance(vector_message(now, emission.disturbance, BASE_FRAME))
         self.sampled(now)
         if emission.sample is not None:
-            self._awaited_ns = emission.sample_stamp_ns
+            self._awaited_ns = emission.sample_stamp_ns if self.lockstep else None
             self._publish_imu(imu_message(emission.sample_stamp_ns, emission.sample))
+
+    def report(self) -> None:
+        """Report how far the flight is."""
+        words = "finished" if self._finished else "flying" if self._emitted else "not started"
+        self.diagnostics.report("flight", OK, words, samples=self._emitted)
 
     def _finish(self) -> None:
         self._finished = True
-        self.diagnostics.report("flight", OK, "finished", samples=self._emitted)
+        self.diagnostics.changed = True
         self.sampled(self._simulator.stamp_ns)
 
     def _on_start(self, request: Any, response: Any) -> Any:

@@ -23,6 +23,12 @@ class Sine(Reference):
     stop: float = parameter(math.inf, unit="s", low=0.0, doc="begin of the fade-out, scenario time")
     fade: float = parameter(2.0, unit="s", low=1e-3, doc="duration of fade-in and fade-out")
 
+    def __post_init__(self) -> None:
+        """Check the parameters."""
+        super().__post_init__()
+        if self.stop <= self.start:
+            raise ValueError(f"stop = {self.stop:g} s: must be later than start = {self.start:g} s")
+
     def sample(self, time: Array) -> AttitudeReference:
         """Return the oscillation at ``time`` [s]."""
         xp = namespace(time)

@@ -24,6 +24,12 @@ class Step(Reference):
     stop: float = parameter(math.inf, unit="s", low=0.0, doc="begin of the fall, scenario time")
     rise: float = parameter(2.0, unit="s", low=1e-3, doc="duration of rise and fall")
 
+    def __post_init__(self) -> None:
+        """Check the parameters."""
+        super().__post_init__()
+        if self.stop <= self.start:
+            raise ValueError(f"stop = {self.stop:g} s: must be later than start = {self.start:g} s")
+
     def sample(self, time: Array) -> AttitudeReference:
         """Return the step at ``time`` [s]."""
         xp = namespace(time)

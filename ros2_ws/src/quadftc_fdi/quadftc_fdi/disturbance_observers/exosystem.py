@@ -5,8 +5,8 @@
     (43)  z' = (A_d - lambda C_d) z + A_d mu - lambda (C_d mu + f(x2) + B_u u)
           zeta^ = z + mu,  mu = lambda x2
 
-Each axis has its own zeta. The paper's (43) prints C where C_d is meant. Its error obeys zeta~' = (A_d - lambda C_d) zeta~ whatever the
-vehicle does.
+Each axis has its own zeta. The paper's (43) prints C where C_d is meant. Its error obeys zeta~' = (A_d -
+lambda C_d) zeta~ whatever the vehicle does.
 
 Discretisation. In terms of zeta^, (43) is zeta^' = A_d zeta^ + lambda (x2' - f - B_u u - C_d zeta^).
 Integrated over a sample, with Phi = exp(A_d dt) and Gamma = int_0^dt exp(A_d s) ds exact and the trapezoidal
@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
+from scipy.linalg import expm  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 
 from quadftc_fdi.disturbance_observer import DisturbanceObserver, register
 from quadftc_model.arrays import Array, namespace
@@ -43,6 +43,7 @@ class ExosystemState(NamedTuple):
 
     zeta: Array  # (..., 3, n) estimate of the exosystem's state; its output is d^ [rad/s²]
     x2: Array  # (..., 3) body rate, measured or, where the gyro was absent, predicted [rad/s]
+    started: Array  # (...,) bool: there has been a measured body rate
 
 
 @register("exosystem")
@@ -65,7 +66,7 @@ class Exosystem(DisturbanceObserver):
         rate = inputs.body_rate
         xp = namespace(rate)
         zeta = xp.stack([xp.zeros_like(rate)] * len(self.A_d), axis=-1)
-        return ExosystemState(zeta, rate)
+        return ExosystemState(zeta, rate, inputs.rate_valid)
 
     def step(
         self, state: ExosystemState, inputs: DisturbanceObserverInputs, dt: float
@@ -80,9 +81,9 @@ class Exosystem(DisturbanceObserver):
         f = 0.5 * (gyroscopic_acceleration(inertia, state.x2) + gyroscopic_acceleration(inertia, rate))
         predicted = state.x2 + dt * (f + inputs.torque / inertia) + state.zeta @ CdGamma
         x2 = xp.where(inputs.rate_valid[..., None], rate, predicted)
-        nu = x2 - predicted
+        nu = xp.where(state.started[..., None], x2 - predicted, 0.0)
         zeta = state.zeta @ Phi.T + nu[..., None] * gain
-        return ExosystemState(zeta, x2), zeta @ self.C_d
+        return ExosystemState(zeta, x2, state.started | inputs.rate_valid), zeta @ self.C_d
 
     @property
     def A_d(self) -> Matrix:
@@ -126,11 +127,13 @@ def exosystem(model: str, frequency: float) -> tuple[Matrix, Matrix]:
 
 @functools.lru_cache(maxsize=256)
 def _discretised(model: str, frequency: float, bandwidth: float, dt: float) -> tuple[Matrix, Matrix, Matrix]:
-    """Phi (n, n), C_d Gamma (n,) and the gain l (n,) for one step; kept, as a flight has few different steps."""
+    """Phi (n, n), C_d Gamma (n,) and the gain l (n,) of a step; kept, as a flight has few different steps."""
     A_d, C_d = exosystem(model, frequency)
     n = len(A_d)
     # exp([[A_d, I], [0, 0]] dt) = [[Phi, Gamma], [0, I]] (Van Loan 1978)
-    total = expm(np.block([[A_d, np.eye(n)], [np.zeros((n, 2 * n))]]) * dt)
+    total: Matrix = expm(  # pyright: ignore
+        np.block([[A_d, np.eye(n)], [np.zeros((n, 2 * n))]]) * dt
+    )
     Phi, CdGamma = total[:n, :n], C_d @ total[:n, n:]
     return _frozen(Phi), _frozen(CdGamma), _frozen(_gain(Phi, CdGamma, math.exp(-bandwidth * dt), dt))
 
@@ -144,7 +147,8 @@ def _gain(Phi: Matrix, CdGamma: Matrix, pole: float, dt: float) -> Matrix:
     D, c = (Phi - np.eye(n)) / dt, CdGamma / dt
     observability = np.stack([c @ np.linalg.matrix_power(D, k) for k in range(n)])
     wanted = np.linalg.matrix_power(D - (pole - 1.0) / dt * np.eye(n), n)
-    return wanted @ np.linalg.solve(observability, np.eye(n)[:, -1])
+    gain: Matrix = wanted @ np.linalg.solve(observability, np.eye(n)[:, -1])  # pyright: ignore
+    return gain
 
 
 def _frozen(matrix: Matrix) -> Matrix:

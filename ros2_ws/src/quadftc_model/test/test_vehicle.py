@@ -1,0 +1,123 @@
+"""Vehicles as data: what comes with quadftc is sound, and wrong files are refused by key."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import quadftc_model
+from quadftc_model.vehicle import load_vehicle, vehicle_names
+
+TEXT = (Path(quadftc_model.__file__).parent / "vehicles" / "qball_x4.toml").read_text()
+EVERY_VEHICLE = pytest.mark.parametrize("name", vehicle_names())
+
+
+def changed(tmp_path, pattern, replacement):
+    """Path of the Qball's file with one thing changed."""
+    text, count = re.subn(pattern, replacement, TEXT, count=1, flags=re.MULTILINE)
+    assert count == 1
+    path = tmp_path / "changed.toml"
+    path.write_text(text)
+    return str(path)
+
+
+@EVERY_VEHICLE
+def test_vehicle_carries_its_own_name(name):
+    assert load_vehicle(name).name == name
+
+
+@EVERY_VEHICLE
+def test_principal_moments_are_those_of_a_body(name):
+    inertia = load_vehicle(name).inertia
+    assert np.all(2.0 * inertia <= np.sum(inertia))  # triangle inequality
+
+
+@EVERY_VEHICLE
+def test_reaction_torques_oppose_the_spin(name):
+    rotors = load_vehicle(name).rotors
+    assert np.array_equal(rotors.yaw_sign, -rotors.spin_sign)
+
+
+@EVERY_VEHICLE
+def test_thrust_through_the_centre_at_trim(name):
+    vehicle = load_vehicle(name)
+    trim = np.full(len(vehicle.rotors.yaw_sign), vehicle.rotors.command_trim)
+    np.testing.assert_allclose(vehicle.mixer @ trim, np.zeros(3), atol=1e-12 * np.max(vehicle.authority))
+
+
+@EVERY_VEHICLE
+def test_numbers_cannot_be_overwritten(name):
+    with pytest.raises(ValueError, match="read-only"):
+        load_vehicle(name).inertia[0] = 1.0
+
+
+def test_path_of_a_file_is_a_vehicle_too(tmp_path):
+    assert load_vehicle(changed(tmp_path, r"^mass = 1.4", "mass = 2.0")).mass == 2.0
+
+
+def test_unknown_vehicle_is_refused_with_those_that_there_are():
+    with pytest.raises(ValueError, match=r"no vehicle 'qball'; there are: .*qball_x4.*\.toml file"):
+        load_vehicle("qball")
+
+
+@pytest.mark.parametrize(
+    ("pattern", "replacement", "message"),
+    [
+        (r"^mass = 1.4", "mass = -1.4", r"mass = -1.4: must be positive"),
+        (r"^mass = 1.4", "mass = true", r"mass = True: expected a finite number"),
+        (r"^mass = 1.4", "mass = nan", r"mass = nan: expected a finite number"),
+        (r"^mass = .*", "", r"mass = None: expected a finite number"),
+        (r"^mass = 1.4", "weight = 1\nmass = 1.4", r"weight: unknown key"),
+        (r"^name = .*", "name = 3", r"name = 3: expected a text"),
+        (r"^inertia = \[0.03", "inertia = [0", r"inertia = .*: must be positive"),
+        (
+            r"^inertia = \[0.03, ",
+            "inertia = [",
+            r"inertia = \[0.03, 0.04\]: expected finite numbers of shape \(3,\)",
+        ),
+        (r"^rotational_drag = \[0", "rotational_drag = [-0", r"rotational_drag = .*: must be not negative"),
+        (r"^\[rotors\]", "[motors]", r"\[rotors\]: expected this table"),
+        (r"^yaw_sign = \[1, ", "yaw_sign = [", r"rotors.yaw_sign: expected 4 numbers"),
+        (
+            r"^positions = .*",
+            "positions = [1, 2]",
+            r"rotors.positions = \[1, 2\]: expected finite numbers of shape",
+        ),
+        (
+            r"^positions = .*",
+            "positions = [['a', 'b']]",
+            r"rotors.positions = .*: expected finite numbers of shape",
+        ),
+        (
+            r"^positions = .*",
+            "positions = [[1, 1], [1, 1], [1, 1], [1, 1]]",
+            r"rotors.positions: this layout cannot give a torque about each axis",
+        ),
+        (r"^command_trim = .*", "command_trim = 0.2", r"rotors.command_trim = 0.2: must be in \(0.05, 0.1\)"),
+        (r"^thrust_gain = .*", "thrust_gain = 0.0", r"rotors.thrust_gain = 0.0: must be positive"),
+        (r"^time_constant = .*", "time_constant = -1.0", r"rotors.time_constant = -1.0: must be positive"),
+        (
+            r"^rotor_inertia = .*",
+            "rotor_inertia = -1.0",
+            r"rotors.rotor_inertia = -1.0: must be not negative",
+        ),
+        (r"^thrust_gain", "thrust_gian = 1.0\nthrust_gain", r"rotors.thrust_gian: unknown key"),
+        (r"^\[rotors\]", "[rotors", r"Expected ']' at the end of a table declaration"),
+    ],
+)
+def test_wrong_file_is_refused_with_its_path_and_key(tmp_path, pattern, replacement, message):
+    path = changed(tmp_path, pattern, replacement)
+    with pytest.raises(ValueError, match=rf"vehicle {re.escape(path)}: {message}"):
+        load_vehicle(path)
+
+
+def test_missing_file_is_refused_with_its_path(tmp_path):
+    with pytest.raises(ValueError, match=r"absent\.toml"):
+        load_vehicle(str(tmp_path / "absent.toml"))
+
+
+def test_file_that_is_no_text_is_refused_with_its_path(tmp_path):
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(ValueError, match=r"vehicle .*binary\.toml"):
+        load_vehicle(str(tmp_path / "binary.toml"))

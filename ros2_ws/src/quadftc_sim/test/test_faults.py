@@ -1,0 +1,176 @@
+"""Fault laws: what every one keeps, and what each does to a channel."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from quadftc_model.assembly import build_prefixed, node_values
+from quadftc_model.parameters import build, parameters_of
+from quadftc_sim.fault import FaultInputs, faults
+
+EVERY_FAULT = pytest.mark.parametrize("name", faults.names())
+UNITS = {"channel": "rad", "channel_rate": "rad/s"}
+VALUE = np.array([1.0, 2.0, 3.0])
+DT = 0.004
+
+
+def sized(name, **values):
+    """A fault whose numbers in the unit of the channel are not zero."""
+    component = faults.get(name)
+    vectors = [spec.name for spec in parameters_of(component) if spec.is_vector]
+    return build(component, {**dict.fromkeys(vectors, 0.3), **values}, units=UNITS)
+
+
+def inputs(value=VALUE, elapsed=0.0, normal=0.0, uniform=0.5):
+    like = np.asarray(value)
+    return FaultInputs(like, elapsed, np.full(like.shape, normal), np.full(like.shape, uniform))
+
+
+def once(law, **values):
+    """The channel after one step at the onset."""
+    return law.step(law.init(VALUE), inputs(**values), DT)[1].value
+
+
+def flown(law, values, generator):
+    """Outputs of a law over a sequence of values (steps, ..., 3); the onset is at step 3."""
+    state, outputs = law.init(values[0]), []
+    for index, value in enumerate(values):
+        normal, uniform = generator.standard_normal(value.shape), generator.random(value.shape)
+        for array in (value, normal, uniform):
+            array.setflags(write=False)
+        sample = FaultInputs(value, (index - 3) * DT, normal, uniform)
+        state, output = law.step(state, sample, 0.0 if index == 0 else DT)
+        outputs.append(output)
+    return outputs
+
+
+@EVERY_FAULT
+def test_parameters_are_documented_with_a_unit_and_defaults_are_valid(name):
+    component = faults.get(name)
+    assert all(spec.doc and spec.unit for spec in parameters_of(component))
+    component()
+
+
+@EVERY_FAULT
+def test_parameters_survive_the_way_through_a_node(name):
+    component = sized(name)
+    again = build_prefixed(type(component), node_values(component, "f"), "f")
+    assert dataclasses.asdict(again) == dataclasses.asdict(component)
+
+
+@EVERY_FAULT
+@pytest.mark.parametrize("shape", [(3,), (5, 3)])
+def test_output_has_the_shape_of_the_channel_and_is_a_number(name, shape):
+    values = np.random.default_rng(6).standard_normal((8, *shape))
+    for output in flown(sized(name), values, np.random.default_rng(7)):
+        assert output.value.shape == shape
+        assert output.value.dtype == np.float64
+        assert np.shape(output.valid) == shape[:-1]
+        assert np.asarray(output.valid).dtype == bool
+        assert name == "nan" or np.all(np.isfinite(output.value))
+
+
+@EVERY_FAULT
+def test_same_numbers_give_the_same_fault(name):
+    values = np.random.default_rng(6).standard_normal((8, 3))
+    first, second = (flown(sized(name), values, np.random.default_rng(7)) for _ in range(2))
+    assert np.array_equal([out.value for out in first], [out.value for out in second], equal_nan=True)
+
+
+@EVERY_FAULT
+def test_batch_equals_the_loop(name):
+    law = sized(name)
+    generator = np.random.default_rng(8)
+    values, normal, uniform = generator.random((3, 8, 4, 3))
+    state = law.init(values[0])
+    alone = [law.init(values[0, lane]) for lane in range(4)]
+    for index in range(8):
+        elapsed, dt = (index - 3) * DT, 0.0 if index == 0 else DT
+        state, batch = law.step(state, FaultInputs(values[index], elapsed, normal[index], uniform[index]), dt)
+        for lane in range(4):
+            sample = FaultInputs(values[index, lane], elapsed, normal[index, lane], uniform[index, lane])
+            alone[lane], single = law.step(alone[lane], sample, dt)
+            np.testing.assert_allclose(batch.value[lane], single.value, rtol=1e-12)
+            assert batch.valid[lane] == single.valid
+
+
+def test_bias_adds_its_value():
+    assert once(sized("bias", value=[0.1, -0.2, 0.3])).tolist() == [1.1, 1.8, 3.3]
+
+
+def test_drift_grows_with_its_rate_and_is_held_after_its_rise():
+    law = sized("drift", rate=[0.1, 0.2, 0.3], rise=2.0)
+    np.testing.assert_allclose(once(law, elapsed=1.5), VALUE + np.array([0.15, 0.3, 0.45]), rtol=1e-15)
+    np.testing.assert_allclose(once(law, elapsed=9.0), VALUE + np.array([0.2, 0.4, 0.6]), rtol=1e-15)
+
+
+def test_sine_has_amplitude_frequency_and_phase():
+    law = sized("sine", amplitude=[0.1, 0.2, 0.3], frequency=[1, 2, 3], phase=["0", "90 deg", "0"])
+    expected = VALUE + np.array([0.1 * math.sin(0.7), 0.2 * math.cos(1.4), 0.3 * math.sin(2.1)])
+    np.testing.assert_allclose(once(law, elapsed=0.7), expected, rtol=1e-14)
+
+
+def test_scale_multiplies():
+    np.testing.assert_allclose(once(sized("scale", factor=[0.1, 0.0, -1.0])), [1.1, 2.0, 0.0], rtol=1e-15)
+
+
+def test_noise_adds_its_standard_deviation_times_the_normal_numbers():
+    np.testing.assert_allclose(
+        once(sized("noise", sigma=[0.1, 0.2, 0.3]), normal=-2.0), VALUE - np.array([0.2, 0.4, 0.6])
+    )
+
+
+def test_nan_leaves_no_number():
+    assert np.all(np.isnan(once(sized("nan"))))
+
+
+def test_stuck_repeats_the_value_at_the_onset():
+    values = np.arange(24.0).reshape(8, 3)
+    outputs = [output.value for output in flown(sized("stuck"), values, np.random.default_rng(0))]
+    np.testing.assert_array_equal(outputs, values[[0, 1, 2, 3, 3, 3, 3, 3]])
+
+
+def test_stuck_between_samples_repeats_the_last_good_value():
+    law = sized("stuck")
+    state, _ = law.step(law.init(VALUE), inputs(elapsed=-0.001), DT)
+    _, output = law.step(state, inputs(VALUE + 1.0, elapsed=0.003), DT)
+    assert output.value.tolist() == VALUE.tolist()
+
+
+@pytest.mark.parametrize(("delay", "samples"), [(0.0, 0), (0.008, 2), (0.009, 2), (0.011, 3)])
+def test_delay_gives_the_value_of_whole_samples_ago(delay, samples):
+    values = np.arange(24.0).reshape(8, 3)
+    outputs = [
+        output.value for output in flown(sized("delay", delay=delay), values, np.random.default_rng(0))
+    ]
+    np.testing.assert_array_equal(outputs, values[[max(0, index - samples) for index in range(8)]])
+
+
+def test_spikes_have_one_size_and_both_signs():
+    law = sized("spikes", amplitude=[0.1, 0.2, 0.3], rate=1.0 / DT)
+    np.testing.assert_allclose(once(law, normal=1.0), VALUE + np.array([0.1, 0.2, 0.3]))
+    np.testing.assert_allclose(once(law, normal=-1.0), VALUE - np.array([0.1, 0.2, 0.3]))
+
+
+def test_spikes_come_at_their_rate():
+    law = sized("spikes", amplitude=1.0, rate=5.0)
+    generator = np.random.default_rng(9)
+    many = np.zeros((100_000, 3))
+    sample = FaultInputs(many, 0.0, generator.standard_normal(many.shape), generator.random(many.shape))
+    hit = law.step((), sample, DT)[1].value != 0.0
+    assert np.mean(hit) == pytest.approx(5.0 * DT, rel=0.05)
+
+
+def test_dropout_misses_samples_with_its_probability():
+    law = sized("dropout", probability=0.3)
+    many = np.zeros((100_000, 3))
+    uniform = np.random.default_rng(10).random(many.shape)
+    output = law.step((), FaultInputs(many, 0.0, many, uniform), DT)[1]
+    assert np.mean(output.valid) == pytest.approx(0.7, abs=0.01)
+
+
+def test_dropout_by_default_misses_every_sample():
+    law = sized("dropout")
+    assert not any(law.step((), inputs(uniform=number), DT)[1].valid for number in (0.0, 0.5, 1.0 - 2.0**-53))

@@ -1,0 +1,117 @@
+"""The IMU: ideal means the truth, and noise has the statistics of its parameters."""
+
+import numpy as np
+import pytest
+
+from quadftc_model.parameters import build
+from quadftc_model.rotations import normalise, quaternion_product
+from quadftc_sim.sensors import DRAWS, GRADES, STANDARD_GRAVITY, ImuSensor
+
+LEVEL, STILL = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3)
+COUNT = 40_000  # sigma of a standard deviation: 1 / sqrt(2 * 3 * COUNT) = 0.2 %
+
+
+def attitude():
+    return normalise(np.array([0.1, -0.2, 0.3, 0.9]))
+
+
+def draws(*shape):
+    return np.random.default_rng(4).standard_normal((*shape, *DRAWS))
+
+
+def batch(sensor, dt):
+    """A measurement of many level vehicles at rest, one after the other in the first axis."""
+    level, still = np.broadcast_to(LEVEL, (COUNT, 4)), np.zeros((COUNT, 3))
+    return sensor.step(sensor.init(still), level, still, draws(COUNT), dt)[1]
+
+
+def test_ideal_grade_returns_the_truth():
+    sensor = build(ImuSensor, GRADES["ideal"])
+    rate = np.array([0.1, -0.2, 0.3])
+    state = sensor.init(sensor.turn_on_bias(np.ones(3)))
+    _, sample = sensor.step(state, attitude(), rate, draws(), 0.004)
+    assert np.array_equal(sample.q_xyzw, attitude())
+    assert np.array_equal(sample.body_rate, rate)
+    assert sample.attitude_valid & sample.rate_valid & sample.force_valid
+
+
+def test_accelerometer_measures_the_reaction_to_gravity():
+    q_xyzw = attitude()
+    _, sample = ImuSensor().step(ImuSensor().init(STILL), q_xyzw, STILL, draws(), 0.004)
+    conjugate = q_xyzw * np.array([-1.0, -1.0, -1.0, 1.0])
+    earth = quaternion_product(quaternion_product(q_xyzw, np.append(sample.specific_force, 0.0)), conjugate)
+    np.testing.assert_allclose(earth[:3], [0.0, 0.0, STANDARD_GRAVITY], atol=1e-12)
+
+
+@pytest.mark.parametrize("rate", [125, 250, 1000])
+def test_gyro_noise_is_the_angle_random_walk_over_the_root_of_the_period(rate):
+    sample = batch(ImuSensor(gyro_noise=1e-3), 1.0 / rate)
+    assert np.std(sample.body_rate) == pytest.approx(1e-3 * np.sqrt(rate), rel=0.01)
+
+
+def test_attitude_noise_has_its_standard_deviation():
+    sample = batch(ImuSensor(attitude_noise=0.002), 0.004)
+    assert 2.0 * np.std(sample.q_xyzw[:, :3]) == pytest.approx(0.002, rel=0.01)
+
+
+def test_accelerometer_noise_has_its_standard_deviation():
+    sample = batch(ImuSensor(accelerometer_noise=0.02), 0.004)
+    assert np.std(sample.specific_force - [0.0, 0.0, STANDARD_GRAVITY]) == pytest.approx(0.02, rel=0.01)
+
+
+@pytest.mark.parametrize("dt", [0.004, 0.016])
+def test_variance_of_the_bias_grows_with_the_time(dt):
+    sensor, vehicles, steps = ImuSensor(gyro_bias_walk=1e-3), 20_000, 25
+    level, still = np.broadcast_to(LEVEL, (vehicles, 4)), np.zeros((vehicles, 3))
+    state = sensor.init(still)
+    generator = np.random.default_rng(5)
+    for _ in range(steps):
+        state, _ = sensor.step(state, level, still, generator.standard_normal((vehicles, *DRAWS)), dt)
+    assert np.var(state.gyro_bias) == pytest.approx(1e-6 * steps * dt, rel=0.02)
+
+
+def test_noise_of_the_channels_is_independent():
+    sample = batch(ImuSensor(attitude_noise=0.1, gyro_noise=0.1, accelerometer_noise=0.1), 0.004)
+    columns = np.concatenate([sample.q_xyzw[:, :3], sample.body_rate, sample.specific_force], axis=-1)
+    correlation = np.corrcoef(columns.T) - np.eye(9)
+    assert np.max(np.abs(correlation)) < 5.0 / np.sqrt(COUNT)
+
+
+def test_turn_on_bias_spans_its_bound():
+    bias = ImuSensor(gyro_bias=0.02).turn_on_bias(np.array([-1.0, 0.5, 1.0]))
+    np.testing.assert_allclose(bias, [-0.02, 0.01, 0.02], rtol=1e-15)
+
+
+def test_bias_is_added_to_the_rate():
+    sensor = ImuSensor()
+    _, sample = sensor.step(sensor.init(np.array([0.1, 0.2, 0.3])), LEVEL, np.ones(3), draws(), 0.004)
+    np.testing.assert_allclose(sample.body_rate, [1.1, 1.2, 1.3], rtol=1e-15)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_sample_comes_out_as_many_steps_later(delay):
+    sensor = ImuSensor(delay=delay)
+    state, out = sensor.init(STILL), []
+    for index in range(6):
+        state, sample = sensor.step(state, LEVEL, np.full(3, float(index)), draws(), 0.004)
+        out.append(None if sample is None else sample.body_rate[0])
+    assert out == [None] * delay + [float(index) for index in range(6 - delay)]
+
+
+@pytest.mark.parametrize("name", GRADES)
+def test_batch_equals_the_loop(name):
+    sensor = build(ImuSensor, GRADES[name] | {"delay": 0})
+    numbers = draws(5)
+    q_xyzw, rate = np.stack([attitude()] * 5), np.arange(15.0).reshape(5, 3)
+    for array in (q_xyzw, rate, numbers):
+        array.setflags(write=False)
+    _, many = sensor.step(sensor.init(np.zeros((5, 3))), q_xyzw, rate, numbers, 0.004)
+    for index in range(5):
+        _, one = sensor.step(sensor.init(STILL), q_xyzw[index], rate[index], numbers[index], 0.004)
+        for single, column in zip(one, many, strict=True):
+            np.testing.assert_allclose(column[index], single, rtol=1e-12, atol=1e-15)
+
+
+def test_negative_noise_is_refused():
+    with pytest.raises(ValueError, match=r"gyro_noise = -1.0 rad/sqrt\(s\): must be within \[0, inf\]"):
+        ImuSensor(gyro_noise=-1.0)

@@ -1,0 +1,76 @@
+"""A flight sample by sample."""
+
+import numpy as np
+import pytest
+
+from quadftc_model.parameters import build
+from quadftc_model.vehicle import load_vehicle
+from quadftc_sim.disturbance import disturbances
+from quadftc_sim.plant import Plant
+from quadftc_sim.sensors import GRADES, ImuSensor
+from quadftc_sim.simulator import Simulator
+
+EPOCH, PERIOD = 1_000_000_000, 4_000_000  # ns
+TORQUE = np.array([0.2, -0.1, 0.05])
+
+
+def simulator(grade="mems", seed=1, **options):
+    vehicle = load_vehicle("qball_x4")
+    push = build(disturbances.get("constant"), {"amplitude": [0.03, 0.06, 0.08], "start": 0.02})
+    sensor = build(ImuSensor, GRADES[grade])
+    return Simulator(Plant(vehicle=vehicle, disturbances=(push,)), sensor, PERIOD, EPOCH, seed, **options)
+
+
+def flown(made, count=20):
+    return [made.start(), *(made.advance(TORQUE) for _ in range(count))]
+
+
+def test_stamps_count_periods_from_the_epoch():
+    assert [emission.stamp_ns for emission in flown(simulator(), 3)] == [EPOCH + PERIOD * k for k in range(4)]
+
+
+def test_scenario_time_is_zero_at_the_epoch():
+    assert simulator().time == 0.0
+
+
+def test_ideal_sample_is_the_truth_of_the_same_instant():
+    emission = flown(simulator("ideal"))[-1]
+    assert emission.sample_stamp_ns == emission.stamp_ns
+    np.testing.assert_array_equal(emission.sample.body_rate, emission.body_rate)
+
+
+def test_delayed_sample_is_stamped_with_the_time_it_was_taken():
+    emissions = flown(simulator("mems"))
+    assert emissions[0].sample is None
+    assert emissions[5].sample_stamp_ns == emissions[4].stamp_ns
+    biased = np.array(
+        [after.sample.body_rate - before.body_rate for before, after in zip(emissions, emissions[1:])]
+    )
+    assert (
+        np.max(np.ptp(biased, axis=0)) < 0.02
+    )  # bias plus noise; one sample off, the motion would show: 0.027 a period
+
+
+def test_disturbance_is_told_as_angular_acceleration_from_its_onset_on():
+    told = np.array([emission.disturbance for emission in flown(simulator(), 10)])
+    expected = np.where(np.arange(11)[:, None] >= 5, [1.0, 2.0, 2.0], 0.0)
+    np.testing.assert_allclose(told, expected, rtol=1e-12)
+
+
+def test_flight_starts_at_the_angles_given():
+    start = simulator(angles=np.array([0.1, -0.2, 0.3])).start()
+    np.testing.assert_allclose(start.angles, [0.1, -0.2, 0.3], atol=1e-14)
+
+
+def test_same_seed_gives_the_same_flight_and_another_seed_another():
+    rates = [
+        [emission.sample.body_rate for emission in flown(simulator(seed=seed))[1:]] for seed in (1, 1, 2)
+    ]
+    np.testing.assert_array_equal(rates[0], rates[1])
+    assert np.all(np.array(rates[0]) != np.array(rates[2]))
+
+
+@pytest.mark.parametrize("period", [0, -1])
+def test_period_that_is_not_positive_is_refused(period):
+    with pytest.raises(ValueError, match=f"period_ns = {period}: must be positive"):
+        Simulator(Plant(vehicle=load_vehicle("qball_x4")), ImuSensor(), period, EPOCH, 0)
