@@ -1,0 +1,104 @@
+"""Launch the graph, one process per node:  ``ros2 launch quadftc_bringup graph.launch.py``.
+
+Without a simulator (``simulate:=false``) the plant and the fault injector stay out, and a vehicle or another
+simulator publishes ``imu/data`` and reads ``torque/command``.
+"""
+
+from __future__ import annotations
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, TimerAction
+from launch.conditions import IfCondition
+from launch.substitutions import (
+    AndSubstitution,
+    EqualsSubstitution,
+    FindExecutable,
+    LaunchConfiguration,
+    NotEqualsSubstitution,
+    PathJoinSubstitution,
+)
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import FindPackageShare
+
+PLANT = ("quadftc_sim", "plant")  # (package, executable = node name)
+FAULT_INJECTOR = ("quadftc_sim", "fault_injector")
+ONBOARD = (
+    ("quadftc_fdi", "fault_observer"),
+    ("quadftc_fdi", "disturbance_observer"),
+    ("quadftc_control", "reference"),
+    ("quadftc_control", "controller"),
+)
+RECORDER = ("quadftc_ros", "recorder")
+START_DELAY = 3.0  # s, for the nodes to find each other: messages sent before that are lost
+
+
+def _arguments() -> list[DeclareLaunchArgument]:
+    share = FindPackageShare("quadftc_bringup")
+    return [
+        DeclareLaunchArgument("namespace", default_value="", description="Namespace of the vehicle."),
+        DeclareLaunchArgument(
+            "params_file",
+            default_value=PathJoinSubstitution([share, "config", "graph.yaml"]),
+            description="Parameter file with overrides for any of the nodes.",
+        ),
+        DeclareLaunchArgument(
+            "mode",
+            default_value="realtime",
+            choices=["realtime", "lockstep"],
+            description="realtime: wall clock; lockstep: the plant waits for each torque.",
+        ),
+        DeclareLaunchArgument(
+            "use_sim_time",
+            default_value=EqualsSubstitution(LaunchConfiguration("mode"), "lockstep"),
+            description="Whether the nodes follow /clock, which the plant publishes in lock-step.",
+        ),
+        DeclareLaunchArgument(
+            "simulate", default_value="true", description="Start the plant and the fault injector."
+        ),
+        DeclareLaunchArgument(
+            "start",
+            default_value="true",
+            description="Call plant/start when all nodes are up.",
+        ),
+        DeclareLaunchArgument(
+            "bag", default_value="", description="New directory to record into; empty: none."
+        ),
+    ]
+
+
+def _node(package: str, name: str, condition: IfCondition | None = None, **parameters: object) -> Node:
+    return Node(
+        package=package,
+        executable=name,
+        name=name,
+        namespace=LaunchConfiguration("namespace"),
+        parameters=[LaunchConfiguration("params_file"), {"mode": LaunchConfiguration("mode"), **parameters}],
+        condition=condition,
+        output="screen",
+    )
+
+
+def _start_call(simulate: LaunchConfiguration) -> TimerAction:
+    service = [LaunchConfiguration("namespace"), "/plant/start"]
+    call = ExecuteProcess(
+        cmd=[FindExecutable(name="ros2"), "service", "call", service, "std_srvs/srv/Trigger"],
+        condition=IfCondition(AndSubstitution(simulate, LaunchConfiguration("start"))),
+        output="screen",
+    )
+    return TimerAction(period=START_DELAY, actions=[call])
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the description: arguments, nodes, the optional recorder and the call that starts the plant."""
+    simulate = LaunchConfiguration("simulate")
+    clock = ParameterValue(LaunchConfiguration("use_sim_time"), value_type=bool)
+    bag = LaunchConfiguration("bag")
+    recording = IfCondition(NotEqualsSubstitution(bag, ""))
+    nodes = [
+        _node(*RECORDER, recording, directory=ParameterValue(bag, value_type=str)),
+        _node(*PLANT, IfCondition(simulate)),  # makes the clock, so does not follow it
+        _node(*FAULT_INJECTOR, IfCondition(simulate), use_sim_time=clock),
+        *(_node(*node, use_sim_time=clock) for node in ONBOARD),
+    ]
+    return LaunchDescription([*_arguments(), *nodes, _start_call(simulate)])

@@ -1,0 +1,40 @@
+# Puts a shell into the environment that scripts/setup made:  . scripts/lib/env.sh
+# Sourced by bash; a second time does nothing. Afterwards `quadftc`, `python`, `colcon` (in ros2_ws) and the nodes in
+# ros2_ws/install/<package>/lib/<package>/ work, and ROS 2 stays on this machine unless you say otherwise.
+
+quadftc_enter() {
+  local root exports
+  root="$(CDPATH='' cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd -P)"
+  exports="$root/ros2_ws/install/quadftc_env.sh"
+  if [ ! -f "$exports" ]; then
+    echo "env.sh: nothing to enter yet: call scripts/setup first" >&2
+    return 2
+  fi
+  case ":${AMENT_PREFIX_PATH:-}:" in
+    *":$root/ros2_ws/install/"*) ;;  # already in, perhaps with a workspace of the user's on top
+    *)
+      quadftc_leave_other_ros PYTHONPATH
+      quadftc_leave_other_ros LD_LIBRARY_PATH
+      . "$exports"
+      PATH="$root/ros2_ws/install/quadftc_bench/lib/quadftc_bench:$PATH"
+      ;;
+  esac
+  export COLCON_DEFAULTS_FILE="$root/.venv/colcon_defaults.yaml"
+  export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}"
+}
+
+# Drops from the path list named $1 what another sourced ROS 2 put there.
+quadftc_leave_other_ros() {
+  local entry prefix kept="" entries prefixes
+  IFS=: read -ra entries <<<"${!1:-}"
+  IFS=: read -ra prefixes <<<"${AMENT_PREFIX_PATH:-}"
+  for entry in "${entries[@]}"; do
+    for prefix in "${prefixes[@]}"; do
+      case $entry in "$prefix" | "$prefix"/*) continue 2 ;; esac
+    done
+    kept+="${kept:+:}$entry"
+  done
+  export "$1=$kept"
+}
+
+quadftc_enter
