@@ -9,7 +9,6 @@ import traceback
 from pathlib import Path
 from typing import Annotated, Any
 
-import click
 import typer
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -163,18 +162,17 @@ def main() -> None:
 def _guarded(arguments: list[str]) -> int:
     screen = console(stderr=True)
     try:
-        result = app(arguments, standalone_mode=False)
+        result = app(arguments or ["--help"], standalone_mode=False)
         return result if isinstance(result, int) else GOOD
-    except click.exceptions.NoArgsIsHelpError:
-        return GOOD
-    except click.ClickException as error:
-        screen.print(f"error: {error.format_message()}", markup=False)
+    except typer.TyperException as error:
+        describe = getattr(error, "format_message", lambda: str(error))
+        screen.print(f"error: {describe()}", markup=False, soft_wrap=True)
         return BAD_INPUT
     except (ScenarioError, BagError, RunError, ValueError) as error:
         for line in str(error).splitlines():
             screen.print(f"error: {line}", markup=False, soft_wrap=True)
         return BAD_INPUT
-    except (KeyboardInterrupt, click.Abort):
+    except (KeyboardInterrupt, typer.Abort):
         return INTERRUPTED
     except GraphError as error:
         screen.print(f"error: {error}", markup=False, soft_wrap=True)

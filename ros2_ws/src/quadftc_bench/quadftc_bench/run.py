@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
+import yaml
 
 from quadftc_bench.bags import read_bag
 from quadftc_bench.composed_graph import ComposedGraph
@@ -107,7 +107,7 @@ def run(scenario: Scenario, scheme: Scheme, out: Path, options: RunOptions, prog
     with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
         files = (Path(folder, "scenario.yaml"), Path(folder, "parameters.yaml"))
         plan = GraphPlan(node_parameters(scenario, scheme), options.mode, options.namespace, bag, files)
-        _dump(scenario.raw, files[0])
+        files[0].write_text(yaml.safe_dump(scenario.raw, sort_keys=False, width=120), encoding="utf-8")
         files[1].write_text(plan.parameter_file(), encoding="utf-8")
         wall_time = _fly(plan, options.graph, scenario.duration * scenario.rate, progress)
         for file in files:
@@ -130,14 +130,6 @@ def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> floa
     if status.dropped:
         raise GraphError(f"{plan.bag}: messages were lost on the way to the bag: {dict(status.dropped)}")
     return wall_time if math.isfinite(wall_time) else 0.0
-
-
-def _dump(data: dict[str, Any], path: Path) -> None:
-    yaml = YAML(typ="safe")
-    yaml.default_flow_style = False
-    yaml.sort_base_mapping_type_on_output = False  # type: ignore[attr-defined]
-    with path.open("w", encoding="utf-8") as file:
-        yaml.dump(data, file)
 
 
 def _commit() -> dict[str, str]:

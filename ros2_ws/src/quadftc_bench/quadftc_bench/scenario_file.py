@@ -199,10 +199,7 @@ class _Reader:
                 continue
             inner = (*path, key)
             if key in values:
-                first = self.origins[inner]
-                self.problems.append(
-                    Problem(inner, f"given twice, in line {first} and in line {_line(key_node)}")
-                )
+                self._problem(inner, f"given twice, first in line {self.origins[inner]}", key_node)
                 continue
             self.origins[inner] = _line(key_node)
             values[key] = self.value(value_node, inner)

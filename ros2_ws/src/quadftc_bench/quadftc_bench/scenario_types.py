@@ -8,8 +8,8 @@ import math
 from collections.abc import Mapping
 from typing import Any, cast
 
-from quadftc_bench.hints import nearest
 from quadftc_bench.flight import AXES
+from quadftc_bench.hints import nearest
 from quadftc_bench.metrics import FaultWindow
 from quadftc_bench.scenario_file import Document, ScenarioError
 from quadftc_model.spec import format_spec

@@ -14,6 +14,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import Imu
 from std_srvs.srv import Trigger
 
 from quadftc_control.assembly import controller_from
@@ -23,7 +25,7 @@ from quadftc_model.parameters import Value, build, parameter
 from quadftc_model.samples import AttitudeReference, ControllerInputs, ControllerOutput, ImuSample, sanitised
 from quadftc_model.stepper import Stepper
 from quadftc_msgs.msg import ControlStatus
-from quadftc_ros.conversions import BASE_FRAME, array_of, fill_vector, imu_sample, reference_of, vector_message
+from quadftc_ros.conversions import BASE_FRAME, VectorWriter, array_of, fill_vector, imu_sample, reference_of, set_stamp
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import StampJoin
@@ -57,11 +59,12 @@ class ControllerNode(GraphNode):
         self._publish_status = self.publishes("control/status")
         self._reference: AttitudeReference | None = None
         self._stamp_ns, self._last_sample = 0, time.monotonic()
+        self._body = VectorWriter(BASE_FRAME)
         self._join = StampJoin(("imu", "reference", "disturbance"), self._on_all)
         self.reads("imu/corrected", self._on_corrected)
         self.reads("attitude/reference", self._on_reference)
         self.reads("disturbance/estimate", self._on_disturbance)
-        self.reads("imu/data", self._on_raw)
+        self.reads_raw("imu/data", self._on_raw)
         self.offers("reset", Trigger, self._on_reset)
         if not self.lockstep:
             self._watchdog = self.create_timer(0.02, self._on_watchdog)
@@ -100,9 +103,9 @@ class ControllerNode(GraphNode):
         else:
             self._on_latest(stamp_ns, imu_sample(message), Mode.FULL)
 
-    def _on_raw(self, stamp_ns: int, message: Any) -> None:
+    def _on_raw(self, stamp_ns: int, data: bytes) -> None:
         if not self.lockstep and self._monitor.use_raw():
-            self._on_latest(stamp_ns, imu_sample(message), Mode.NO_DIAGNOSIS)
+            self._on_latest(stamp_ns, imu_sample(deserialize_message(data, Imu)), Mode.NO_DIAGNOSIS)
 
     def _on_all(self, stamp_ns: int, imu: ImuSample, reference: AttitudeReference, disturbance: Any) -> None:
         self._control(stamp_ns, ControllerInputs(imu, reference, disturbance), Mode.FULL)
@@ -122,7 +125,7 @@ class ControllerNode(GraphNode):
         output = self._stepper.step(stamp_ns, inputs)
         if output is None:  # repeated: imu/corrected of a sample that imu/data has served already
             return
-        self._publish_torque(vector_message(stamp_ns, output.torque, BASE_FRAME))
+        self._publish_torque(self._body(stamp_ns, output.torque))
         self._stamp_ns, self._last_sample = stamp_ns, time.monotonic()
         self._publish_status(status_message(stamp_ns, output, mode, wall_seconds() - begin))
         self.diagnostics.report("mode", _LEVELS[mode], mode.name.lower().replace("_", " "))
@@ -133,7 +136,7 @@ class ControllerNode(GraphNode):
         if mode is Mode.FULL or not self._stamp_ns:
             return
         if mode is Mode.OFF:
-            self._publish_torque(vector_message(self._stamp_ns, np.zeros(3), BASE_FRAME))
+            self._publish_torque(self._body(self._stamp_ns, np.zeros(3)))
         self.diagnostics.report("mode", _LEVELS[mode], f"{mode.name.lower()}: no IMU")
         zeros = np.zeros(3)
         output = ControllerOutput(zeros, zeros, zeros, np.zeros(3, dtype=bool))
@@ -154,7 +157,8 @@ def _patience(values: Mapping[str, Any]) -> Patience:
 def status_message(stamp_ns: int, output: ControllerOutput, mode: Mode, compute_time: float) -> ControlStatus:
     """Message of a control step of one vehicle; ``compute_time`` in seconds."""
     message = ControlStatus()
-    message.header = vector_message(stamp_ns, output.error, BASE_FRAME).header
+    set_stamp(message.header, stamp_ns)
+    message.header.frame_id = BASE_FRAME
     fill_vector(message.error, output.error)
     fill_vector(message.sliding_variable, output.sliding_variable)
     message.saturated = output.saturated.tolist()

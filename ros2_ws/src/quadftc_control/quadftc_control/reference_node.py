@@ -18,7 +18,7 @@ from quadftc_control.setpoint import SetpointFilter
 from quadftc_model.parameters import build, parameter
 from quadftc_model.samples import AttitudeReference
 from quadftc_model.stepper import Stepper
-from quadftc_ros.conversions import array_of, reference_message
+from quadftc_ros.conversions import ReferenceWriter, array_of
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
@@ -51,7 +51,8 @@ class ReferenceNode(GraphNode):
         self._live = values["source"] == "topic"
         self._setpoint = np.zeros(3)
         self._publish = self.publishes("attitude/reference")
-        self.reads("imu/data", self._on_imu)
+        self._message = ReferenceWriter()
+        self.reads_raw("imu/data", self._on_imu)
         if self._live:
             self.reads("attitude/setpoint", self._on_setpoint)
         self.diagnostics.report("source", OK, values["source"])
@@ -64,12 +65,12 @@ class ReferenceNode(GraphNode):
             return
         self._setpoint = setpoint
 
-    def _on_imu(self, stamp_ns: int, message: Any) -> None:
+    def _on_imu(self, stamp_ns: int, _data: bytes) -> None:
         reference = self._filter.step(stamp_ns, self._setpoint) if self._live else self._generator.at(stamp_ns)
         if reference is None:
             self.diagnostics.count("imu/data: stamp repeated or went back")
             return
-        self._publish(reference_message(stamp_ns, reference))
+        self._publish(self._message(stamp_ns, reference))
         self.sampled(stamp_ns)
 
 

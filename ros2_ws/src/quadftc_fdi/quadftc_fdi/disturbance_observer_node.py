@@ -19,7 +19,7 @@ from quadftc_model.arrays import Array
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import DisturbanceObserverInputs, sanitised
 from quadftc_model.stepper import Stepper
-from quadftc_ros.conversions import BASE_FRAME, array_of, imu_sample, vector_message
+from quadftc_ros.conversions import BASE_FRAME, VectorWriter, array_of, imu_sample
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import TorqueGate
@@ -47,6 +47,7 @@ class DisturbanceObserverNode(GraphNode):
         )
         self.settings.on_change(self._rebuilt)
         self._publish = self.publishes("disturbance/estimate")
+        self._body = VectorWriter(BASE_FRAME)
         self._gate = TorqueGate(self.mode, self._on_sample, np.zeros(3))
         self.reads("imu/corrected", lambda stamp_ns, m: self._gate.put_sample(stamp_ns, m))
         self.reads("torque/command", lambda stamp_ns, m: self._gate.put_torque(stamp_ns, array_of(m.vector)))
@@ -64,7 +65,7 @@ class DisturbanceObserverNode(GraphNode):
         if estimate is None:
             self.diagnostics.count("imu/corrected: stamp repeated or went back")
             return
-        self._publish(vector_message(stamp_ns, estimate, BASE_FRAME))
+        self._publish(self._body(stamp_ns, estimate))
         self.sampled(stamp_ns)
 
 

@@ -25,12 +25,12 @@ from quadftc_ros.conversions import (
     EARTH_FRAME,
     IMU_FRAME,
     NANOSECONDS,
+    ImuWriter,
+    VectorWriter,
     array_of,
     fill_vector,
-    imu_message,
     imu_sample,
     time_message,
-    vector_message,
 )
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
@@ -59,6 +59,7 @@ class FaultObserverNode(GraphNode):
         self._publish_corrected = self.publishes("imu/corrected")
         self._publish_estimate = self.publishes("fault/estimate")
         self._publish_status = self.publishes("fault/status")
+        self._imu, self._earth = ImuWriter(), VectorWriter(EARTH_FRAME)
         self._gate = TorqueGate(self.mode, self._on_sample, np.zeros(3))
         self.reads("imu/data", self._on_imu)
         self.reads("torque/command", lambda stamp_ns, m: self._gate.put_torque(stamp_ns, array_of(m.vector)))
@@ -81,10 +82,10 @@ class FaultObserverNode(GraphNode):
             return
         if not estimate.corrected.rate_valid:
             self.diagnostics.count("imu/data: body rate absent or unusable")
-        self._publish_estimate(vector_message(stamp_ns, estimate.fault, EARTH_FRAME))
+        self._publish_estimate(self._earth(stamp_ns, estimate.fault))
         self._publish_status(status_message(stamp_ns, estimate))
         self.sampled(stamp_ns)
-        self._publish_corrected(imu_message(stamp_ns, estimate.corrected))
+        self._publish_corrected(self._imu(stamp_ns, estimate.corrected))
 
     def _on_reset(self, request: Any, response: Any) -> Any:
         self._diagnosis.reset()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -23,12 +24,6 @@ def namespace(array: Array) -> Any:
     return np if query is None else query()
 
 
-def norm(vector: Array) -> Array:
-    """Euclidean norm over the last axis, kept as an axis of length 1: (..., n) -> (..., 1)."""
-    xp = namespace(vector)
-    return xp.sqrt(xp.sum(vector * vector, axis=-1, keepdims=True))
-
-
 def components(vector: Array) -> Any:
     """Return the components along the last axis, (..., n) -> n times (...).
 
@@ -45,3 +40,11 @@ def stacked(parts: Sequence[Array]) -> Array:
     if isinstance(parts[0], float):
         return np.array(parts)
     return namespace(parts[0]).stack(parts, axis=-1)
+
+
+def norm(vector: Array) -> Array:
+    """Euclidean norm over the last axis, kept as an axis of length 1: (..., n) -> (..., 1)."""
+    if isinstance(vector, np.ndarray) and vector.ndim == 1:  # pyright: ignore[reportUnknownMemberType]
+        return np.array([math.sqrt(sum([x * x for x in vector.tolist()]))])
+    xp = namespace(vector)
+    return xp.sqrt(xp.sum(vector * vector, axis=-1, keepdims=True))

@@ -1,5 +1,7 @@
 """Mixer, allocation and the torques that the rotors can give."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,9 +10,18 @@ from hypothesis import strategies as st
 from quadftc_model.rotors import attainable, commands_from_torque, propeller_speeds, torque_from_commands
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 
-EVERY_VEHICLE = pytest.mark.parametrize(
-    "vehicle", [load_vehicle(name) for name in vehicle_names()], ids=vehicle_names()
-)
+
+def lopsided():
+    """A vehicle without any symmetry, for what symmetry would hide."""
+    qball = load_vehicle("qball_x4")
+    positions = np.array([[-0.25, 0.05], [0.2, 0.1], [0.05, 0.22], [-0.1, -0.15]])
+    return dataclasses.replace(
+        qball, name="lopsided", rotors=dataclasses.replace(qball.rotors, positions=positions)
+    )
+
+
+VEHICLES = [*map(load_vehicle, vehicle_names()), lopsided()]
+EVERY_VEHICLE = pytest.mark.parametrize("vehicle", VEHICLES, ids=lambda vehicle: vehicle.name)
 SHARES = st.tuples(*[st.one_of(st.floats(-3.0, 3.0), st.sampled_from([0.0, 1.0, -1.0, 1e6, -1e6]))] * 3).map(
     np.array
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Vector3, Vector3Stamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import Imu
+from std_msgs.msg import Header
 
 from quadftc_model.samples import AttitudeReference, ImuSample
 from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
@@ -29,10 +31,21 @@ def stamp_of(message: Any) -> int:
     return stamp.sec * NANOSECONDS + stamp.nanosec
 
 
+def leading_stamp_ns(cdr_bytes: bytes) -> int:
+    """Return the stamp [ns] that a serialised message begins with."""
+    seconds, nanoseconds = struct.unpack_from("<iI" if cdr_bytes[1] else ">iI", cdr_bytes, 4)
+    return seconds * 1_000_000_000 + nanoseconds
+
+
 def time_message(stamp_ns: int) -> Time:
     """Message of a time [ns]."""
     sec, nanosec = divmod(stamp_ns, NANOSECONDS)
     return Time(sec=sec, nanosec=nanosec)
+
+
+def set_stamp(header: Header, stamp_ns: int) -> None:
+    """Write a time [ns] into a header."""
+    header.stamp.sec, header.stamp.nanosec = divmod(stamp_ns, NANOSECONDS)
 
 
 def array_of(vector: Vector3) -> Floats:
@@ -45,13 +58,18 @@ def fill_vector(vector: Vector3, array: Floats) -> None:
     vector.x, vector.y, vector.z = array.tolist()
 
 
-def vector_message(stamp_ns: int, array: Floats, frame: str) -> Vector3Stamped:
-    """Stamped vector of an array (3,)."""
-    message = Vector3Stamped()
-    message.header.stamp = time_message(stamp_ns)
-    message.header.frame_id = frame
-    fill_vector(message.vector, array)
-    return message
+class VectorWriter:
+    """Makes stamped vectors in a frame; each call returns the same message object, filled anew (publishing copies it)."""
+
+    def __init__(self, frame: str) -> None:
+        self._message = Vector3Stamped()
+        self._message.header.frame_id = frame
+
+    def __call__(self, stamp_ns: int, array: Floats) -> Vector3Stamped:
+        """Return the message of an array (3,)."""
+        set_stamp(self._message.header, stamp_ns)
+        fill_vector(self._message.vector, array)
+        return self._message
 
 
 def imu_sample(message: Imu) -> ImuSample:
@@ -67,33 +85,45 @@ def imu_sample(message: Imu) -> ImuSample:
     )
 
 
-def imu_message(stamp_ns: int, sample: ImuSample) -> Imu:
-    """IMU message of a sample of one vehicle; covariances are unknown (0) or mark a channel absent (-1)."""
-    message = Imu()
-    message.header.stamp = time_message(stamp_ns)
-    message.header.frame_id = IMU_FRAME
-    q = message.orientation
-    q.x, q.y, q.z, q.w = sample.q_xyzw.tolist()
-    fill_vector(message.angular_velocity, sample.body_rate)
-    fill_vector(message.linear_acceleration, sample.specific_force)
-    if not sample.attitude_valid:
-        message.orientation_covariance[0] = ABSENT
-    if not sample.rate_valid:
-        message.angular_velocity_covariance[0] = ABSENT
-    if not sample.force_valid:
-        message.linear_acceleration_covariance[0] = ABSENT
-    return message
+class ImuWriter:
+    """Makes IMU messages; each call returns the same message object, filled anew (publishing copies it).
+
+    Covariances are unknown (0), or mark a channel absent (-1).
+    """
+
+    def __init__(self) -> None:
+        self._message = Imu()
+        self._message.header.frame_id = IMU_FRAME
+
+    def __call__(self, stamp_ns: int, sample: ImuSample) -> Imu:
+        """Return the message of a sample of one vehicle."""
+        message = self._message
+        set_stamp(message.header, stamp_ns)
+        q = message.orientation
+        q.x, q.y, q.z, q.w = sample.q_xyzw.tolist()
+        fill_vector(message.angular_velocity, sample.body_rate)
+        fill_vector(message.linear_acceleration, sample.specific_force)
+        message.orientation_covariance[0] = 0.0 if sample.attitude_valid else ABSENT
+        message.angular_velocity_covariance[0] = 0.0 if sample.rate_valid else ABSENT
+        message.linear_acceleration_covariance[0] = 0.0 if sample.force_valid else ABSENT
+        return message
 
 
-def reference_message(stamp_ns: int, reference: AttitudeReference) -> AttitudeReferenceMessage:
-    """Message of a reference of one vehicle."""
-    message = AttitudeReferenceMessage()
-    message.header.stamp = time_message(stamp_ns)
-    message.header.frame_id = EARTH_FRAME
-    fill_vector(message.angles, reference.angles)
-    fill_vector(message.rates, reference.rates)
-    fill_vector(message.accelerations, reference.accelerations)
-    return message
+class ReferenceWriter:
+    """Makes reference messages; each call returns the same message object, filled anew (publishing copies it)."""
+
+    def __init__(self) -> None:
+        self._message = AttitudeReferenceMessage()
+        self._message.header.frame_id = EARTH_FRAME
+
+    def __call__(self, stamp_ns: int, reference: AttitudeReference) -> AttitudeReferenceMessage:
+        """Return the message of a reference of one vehicle."""
+        message = self._message
+        set_stamp(message.header, stamp_ns)
+        fill_vector(message.angles, reference.angles)
+        fill_vector(message.rates, reference.rates)
+        fill_vector(message.accelerations, reference.accelerations)
+        return message
 
 
 def reference_of(message: AttitudeReferenceMessage) -> AttitudeReference:

@@ -12,7 +12,7 @@ from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
 from quadftc_model.parameters import parameter
-from quadftc_ros.conversions import stamp_of
+from quadftc_ros.conversions import leading_stamp_ns, stamp_of
 from quadftc_ros.diagnostics import OK, WARN, Diagnostics
 from quadftc_ros.interfaces import load_message_class
 from quadftc_ros.parameters import NodeParameters
@@ -84,12 +84,16 @@ class GraphNode(Node):
 
     def reads(self, topic: str, callback: Callable[[int, Any], None]) -> None:
         """Subscribe to a topic of the table; ``callback(stamp_ns, message)``."""
+        self._subscribe(topic, lambda message: callback(stamp_of(message), message), raw=False)
+
+    def reads_raw(self, topic: str, callback: Callable[[int, bytes], None]) -> None:
+        """Subscribe to a topic of which most messages only tell the time; ``callback(stamp_ns, serialised)``."""
+        self._subscribe(topic, lambda data: callback(leading_stamp_ns(data), data), raw=True)
+
+    def _subscribe(self, topic: str, callback: Callable[[Any], None], raw: bool) -> None:
         row = TOPICS[topic]
         self._inputs[topic] = self.create_subscription(
-            load_message_class(row.type_name),
-            topic,
-            lambda message: callback(stamp_of(message), message),
-            topic_profile(row.qos, self.mode),
+            load_message_class(row.type_name), topic, callback, topic_profile(row.qos, self.mode), raw=raw
         )
 
     def offers(self, name: str, service: type, answer: Callable[[Any, Any], Any]) -> None:

@@ -13,7 +13,6 @@ import dataclasses
 import importlib.metadata
 import os
 import platform
-import struct
 import sys
 import time
 from functools import partial
@@ -26,6 +25,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from quadftc_model.parameters import parameter
 from quadftc_ros.bag_file import COMPRESSIONS
 from quadftc_ros.bag_writer import BagStatus, BagWriter
+from quadftc_ros.conversions import leading_stamp_ns
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.interfaces import load_message_class
@@ -159,12 +159,6 @@ class RecorderNode(GraphNode):
         self.diagnostics.report("bag", level, message, stored=stored, dropped=dropped, lost=status.lost)
         if self.lockstep and level != OK and self.diagnostics.changed:
             self.diagnostics.publish(self._newest_ns)
-
-
-def leading_stamp_ns(cdr_bytes: bytes) -> int:
-    """Return the stamp [ns] that a serialised message begins with."""
-    seconds, nanoseconds = struct.unpack_from("<iI" if cdr_bytes[1] else ">iI", cdr_bytes, 4)
-    return seconds * 1_000_000_000 + nanoseconds
 
 
 def versions() -> dict[str, str]:

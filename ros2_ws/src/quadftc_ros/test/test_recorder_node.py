@@ -1,13 +1,14 @@
 """The recorder node: what it stores of a live graph, in process and as its own process."""
 
 import os
-import re
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from uuid import uuid4
 
 import pytest
 import rclpy
@@ -19,13 +20,14 @@ from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
 
+from quadftc_ros.conversions import leading_stamp_ns
 from quadftc_ros.executor import make_executor
 from quadftc_ros.interfaces import load_message_class
 from quadftc_ros.qos import topic_profile
-from quadftc_ros.recorder_node import RecorderNode, leading_stamp_ns
+from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.topics import TOPICS
 
-DOMAIN = 83
+DOMAIN = str(1 + os.getpid() % 101)  # apart from other runs of these tests on the same machine
 START_NS = 1_000_000_000
 PERIOD_NS = 4_000_000
 PATIENCE = 20.0  # s
@@ -33,12 +35,18 @@ PATIENCE = 20.0  # s
 
 @pytest.fixture
 def context(monkeypatch: pytest.MonkeyPatch) -> Iterator[Context]:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    monkeypatch.setenv("ROS_DOMAIN_ID", DOMAIN)
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     context = Context()
     rclpy.init(context=context)
     yield context
     rclpy.try_shutdown(context=context)
+
+
+@pytest.fixture
+def namespace() -> str:
+    """A namespace that no other test has, not even one whose processes are still known to the network."""
+    return f"/test_{uuid4().hex}"
 
 
 def parameters(**values: object) -> list[Parameter]:
@@ -54,6 +62,10 @@ def stamped(topic: str, stamp_ns: int) -> object:
     return message
 
 
+def full_name(namespace: str, topic: str) -> str:
+    return topic if topic.startswith("/") else f"{namespace}/{topic}"
+
+
 def wait_until(done: Callable[[], object], spin: Callable[[], None] = lambda: time.sleep(0.01)) -> None:
     deadline = time.monotonic() + PATIENCE
     while not done():
@@ -61,11 +73,13 @@ def wait_until(done: Callable[[], object], spin: Callable[[], None] = lambda: ti
         spin()
 
 
-def record(context: Context, directory: Path, mode: str, count: int, topics: list[str]) -> RecorderNode:
+def record(
+    context: Context, namespace: str, directory: Path, mode: str, count: int, topics: list[str]
+) -> RecorderNode:
     """Publish ``count`` messages on each topic to a recorder; return it, with its bag closed."""
     given = parameters(directory=str(directory), mode=mode, topics=topics)
-    recorder = RecorderNode(context=context, parameter_overrides=given)
-    sender = Node("sender", context=context)
+    recorder = RecorderNode(context=context, parameter_overrides=given, namespace=namespace)
+    sender = Node("sender", context=context, namespace=namespace)
     executor = make_executor("events", context)
     executor.add_node(recorder)
     publishers = [
@@ -96,41 +110,41 @@ def test_leading_stamp_is_read_from_every_type_of_the_graph(topic):
     assert leading_stamp_ns(serialize_message(stamped(topic, stamp_ns))) == stamp_ns
 
 
-def test_lockstep_stores_every_message_by_its_stamp(context, tmp_path):
+def test_lockstep_stores_every_message_by_its_stamp(context, namespace, tmp_path):
     topics = ["imu/data", "fault/status", "control/status", "fault/dropped", "/clock"]
-    recorder = record(context, tmp_path / "run", "lockstep", 100, topics)
+    recorder = record(context, namespace, tmp_path / "run", "lockstep", 100, topics)
     stamps = [START_NS + number * PERIOD_NS for number in range(100)]
     with recorder.path.open("rb") as stream:
         found: dict[str, list[tuple[int, int, int]]] = {}
         for _, channel, message in make_reader(stream).iter_messages():
             times = (message.log_time, message.publish_time, leading_stamp_ns(message.data))
             found.setdefault(channel.topic, []).append(times)
-    assert found == {"/" + topic.strip("/"): [(stamp,) * 3 for stamp in stamps] for topic in topics}
+    assert found == {full_name(namespace, topic): [(stamp,) * 3 for stamp in stamps] for topic in topics}
 
 
-def test_two_lockstep_recordings_are_the_same_file(context, tmp_path):
+def test_two_lockstep_recordings_are_the_same_file(context, namespace, tmp_path):
     topics = ["plant/imu", "imu/data", "torque/command", "fault/status"]
     files = [
-        record(context, tmp_path / name / "run", "lockstep", 200, topics).path.read_bytes()
+        record(context, namespace, tmp_path / name / "run", "lockstep", 200, topics).path.read_bytes()
         for name in ("first", "second")
     ]
     assert files[0] == files[1]
 
 
-def test_realtime_stores_best_effort_topics_by_the_time_of_arrival(context, tmp_path):
+def test_realtime_stores_best_effort_topics_by_the_time_of_arrival(context, namespace, tmp_path):
     before = time.time_ns()
-    recorder = record(context, tmp_path / "run", "realtime", 50, ["imu/data", "fault/status"])
+    recorder = record(context, namespace, tmp_path / "run", "realtime", 50, ["imu/data", "fault/status"])
     after = time.time_ns()
     with AnyReader([tmp_path / "run"]) as reader:
         times = [time_ns for _, time_ns, _ in reader.messages()]
     assert len(times) == 100
     assert before <= min(times) <= max(times) <= after
-    assert recorder.status.counts == {"/imu/data": 50, "/fault/status": 50}
+    assert recorder.status.counts == {f"{namespace}/imu/data": 50, f"{namespace}/fault/status": 50}
 
 
-def test_lockstep_leaves_out_what_is_sent_before_the_flight(context, tmp_path):
+def test_lockstep_leaves_out_what_is_sent_before_the_flight(context, namespace, tmp_path):
     given = parameters(directory=str(tmp_path / "run"), mode="lockstep", topics=["fault/status"])
-    recorder = RecorderNode(context=context, parameter_overrides=given)
+    recorder = RecorderNode(context=context, parameter_overrides=given, namespace=namespace)
     executor = make_executor("events", context)
     executor.add_node(recorder)
     publisher = recorder.create_publisher(
@@ -140,7 +154,7 @@ def test_lockstep_leaves_out_what_is_sent_before_the_flight(context, tmp_path):
     for stamp_ns in (0, 0, START_NS):
         publisher.publish(stamped("fault/status", stamp_ns))
     wait_until(
-        lambda: recorder.flush() and bool(recorder.status.counts["/fault/status"]),
+        lambda: recorder.flush() and bool(recorder.status.counts[f"{namespace}/fault/status"]),
         lambda: executor.spin_once(timeout_sec=0.01),
     )
     executor.shutdown()
@@ -164,7 +178,7 @@ def test_bag_holds_attachments_and_versions(context, tmp_path):
         names = {channel.topic for channel in reader.get_summary().channels.values()}
     assert versions["mode"] == "realtime"
     assert {"quadftc", "ros_distro", "python", "mcap", "numpy"} <= set(versions)
-    assert names == {name if name.startswith("/") else f"/uav1/{name}" for name in TOPICS}
+    assert names == {full_name("/uav1", name) for name in TOPICS}
 
 
 @pytest.mark.parametrize(
@@ -189,20 +203,26 @@ def test_wrong_parameter_is_refused_with_its_name(context, tmp_path, given, text
     assert not (tmp_path / "new").exists()
 
 
-def start_process(directory: Path) -> subprocess.Popen[str]:
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+@contextmanager
+def recorder_process(directory: Path, namespace: str = "/") -> Iterator[subprocess.Popen[str]]:
+    """Start the recorder as its own process; it is killed at the end if it still runs."""
+    environment = {**os.environ, "ROS_DOMAIN_ID": DOMAIN, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     command = [sys.executable, "-m", "quadftc_ros.recorder_node"]
-    arguments = ["--ros-args", "-p", f"directory:={directory}"]
-    return subprocess.Popen(command + arguments, env=environment, stderr=subprocess.PIPE, text=True)
+    arguments = ["--ros-args", "-r", f"__ns:={namespace}", "-p", f"directory:={directory}"]
+    with subprocess.Popen(command + arguments, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
-def test_process_closes_the_bag_when_told_to_stop(context, tmp_path, stop):
-    sender = Node("sender", context=context)
+def test_process_closes_the_bag_when_told_to_stop(context, namespace, tmp_path, stop):
+    sender = Node("sender", context=context, namespace=namespace)
     publisher = sender.create_publisher(
         load_message_class(TOPICS["imu/data"].type_name), "imu/data", topic_profile("sensor", "realtime")
     )
-    with start_process(tmp_path / "run") as process:
+    with recorder_process(tmp_path / "run", namespace) as process:
         wait_until(lambda: publisher.get_subscription_count() == 1)
         for number in range(500):
             publisher.publish(stamped("imu/data", START_NS + number))
@@ -214,14 +234,16 @@ def test_process_closes_the_bag_when_told_to_stop(context, tmp_path, stop):
     sender.destroy_node()
     assert (code, errors) == (0, "")
     with AnyReader([tmp_path / "run"]) as reader:
-        stamps = [leading_stamp_ns(data) for link, _, data in reader.messages() if link.topic == "/imu/data"]
+        stamps = [
+            leading_stamp_ns(data) for link, _, data in reader.messages() if link.topic.endswith("/imu/data")
+        ]
     # The first ones may come before both processes know of each other; from then on none is missing.
     assert len(stamps) > 100
     assert stamps == list(range(START_NS + 500 - len(stamps), START_NS + 500))
 
 
 def test_process_refuses_an_existing_directory_in_one_line(tmp_path):
-    with start_process(tmp_path) as process:
+    with recorder_process(tmp_path) as process:
         errors = process.communicate(timeout=PATIENCE)[1]
     assert process.returncode == 2
     assert errors.splitlines() == [
@@ -229,22 +251,26 @@ def test_process_refuses_an_existing_directory_in_one_line(tmp_path):
     ]
 
 
-def test_process_killed_leaves_a_bag_that_says_what_it_holds(context, tmp_path):
-    sender = Node("sender", context=context)
+def told_counts(directory: Path) -> dict[str, int]:
+    """The numbers of messages in metadata.yaml, which must agree with their sum there."""
+    information = YAML(typ="safe").load(directory / "metadata.yaml")["rosbag2_bagfile_information"]
+    topics = information["topics_with_message_count"]
+    counts = {topic["topic_metadata"]["name"]: topic["message_count"] for topic in topics}
+    assert sum(counts.values()) == information["message_count"]
+    return counts
+
+
+def test_process_killed_leaves_a_bag_that_says_what_it_holds(context, namespace, tmp_path):
+    sender = Node("sender", context=context, namespace=namespace)
     publisher = sender.create_publisher(
         load_message_class(TOPICS["imu/data"].type_name), "imu/data", topic_profile("sensor", "realtime")
     )
-    with start_process(tmp_path / "run") as process:
+    with recorder_process(tmp_path / "run", namespace) as process:
         wait_until(lambda: publisher.get_subscription_count() == 1)
         wait_until(
-            lambda: re.search(r"\n  message_count: [1-9]", (tmp_path / "run/metadata.yaml").read_text()),
+            lambda: told_counts(tmp_path / "run").get(f"{namespace}/imu/data"),
             lambda: publisher.publish(stamped("imu/data", START_NS)),
         )
         process.kill()
     sender.destroy_node()
-    text = (tmp_path / "run" / "metadata.yaml").read_text()
-    information = YAML(typ="safe").load(text)["rosbag2_bagfile_information"]
-    counts = {
-        t["topic_metadata"]["name"]: t["message_count"] for t in information["topics_with_message_count"]
-    }
-    assert counts["/imu/data"] == information["message_count"] > 0
+    assert told_counts(tmp_path / "run")[f"{namespace}/imu/data"] > 0

@@ -16,7 +16,7 @@ from std_msgs.msg import Header
 
 from quadftc_model.parameters import parameter
 from quadftc_msgs.srv import ClearFault, InjectFault
-from quadftc_ros.conversions import EARTH_FRAME, IMU_FRAME, imu_message, imu_sample, time_message, vector_message
+from quadftc_ros.conversions import EARTH_FRAME, IMU_FRAME, ImuWriter, VectorWriter, imu_sample, time_message
 from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
@@ -47,6 +47,7 @@ class FaultInjectorNode(GraphNode):
         self._publish_gyro = self.publishes("fault/injected/gyro")
         self._publish_accelerometer = self.publishes("fault/injected/accelerometer")
         self._publish_dropped = self.publishes("fault/dropped")
+        self._imu, self._earth, self._sensor = ImuWriter(), VectorWriter(EARTH_FRAME), VectorWriter(IMU_FRAME)
         self.reads("plant/imu", self._on_imu)
         self.offers("inject", InjectFault, self._on_inject)
         self.offers("clear", ClearFault, self._on_clear)
@@ -57,17 +58,17 @@ class FaultInjectorNode(GraphNode):
             self._injector = injector_from(self.settings.values())
         self._last_ns = stamp_ns
         injected = self._injector.apply(stamp_ns, imu_sample(message))
-        self._publish_attitude(vector_message(stamp_ns, injected.attitude, EARTH_FRAME))
+        self._publish_attitude(self._earth(stamp_ns, injected.attitude))
         if "gyro" in self._seen:
-            self._publish_gyro(vector_message(stamp_ns, injected.gyro, IMU_FRAME))
+            self._publish_gyro(self._sensor(stamp_ns, injected.gyro))
         if "accelerometer" in self._seen:
-            self._publish_accelerometer(vector_message(stamp_ns, injected.accelerometer, IMU_FRAME))
+            self._publish_accelerometer(self._sensor(stamp_ns, injected.accelerometer))
         self._note_changes()
         self.sampled(stamp_ns)
         if injected.sample is None:
             self._publish_dropped(Header(stamp=time_message(stamp_ns), frame_id=IMU_FRAME))
         else:
-            self._publish_imu(imu_message(stamp_ns, injected.sample))
+            self._publish_imu(self._imu(stamp_ns, injected.sample))
 
     def report(self) -> None:
         """Report the faults that act."""

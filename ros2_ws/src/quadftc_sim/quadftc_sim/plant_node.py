@@ -20,10 +20,10 @@ from quadftc_model.stepper import seconds
 from quadftc_ros.conversions import (
     BASE_FRAME,
     EARTH_FRAME,
+    NANOSECONDS,
+    ImuWriter,
+    VectorWriter,
     array_of,
-    imu_message,
-    time_message,
-    vector_message,
 )
 from quadftc_ros.diagnostics import ERROR, OK
 from quadftc_ros.executor import run_node
@@ -62,6 +62,8 @@ class PlantNode(GraphNode):
         self._publish_rate = self.publishes("plant/rate")
         self._publish_disturbance = self.publishes("disturbance/applied")
         self._publish_clock = self.publishes("/clock") if self.lockstep else None
+        self._imu, self._body, self._earth = ImuWriter(), VectorWriter(BASE_FRAME), VectorWriter(EARTH_FRAME)
+        self._clock_message = Clock()
         self.reads("torque/command", self._on_torque)
         self.reads("fault/dropped", self._on_dropped)
         self.offers("start", Trigger, self._on_start)
@@ -98,6 +100,8 @@ class PlantNode(GraphNode):
         self._emit(self._simulator.start())
         if not self.lockstep:
             self._timer = self.create_timer(seconds(self._simulator.period_ns), self._on_timer)
+        elif self._awaited_ns is None:  # the first sample is still on its way: nobody will answer
+            self._advance()
 
     def _clear(self) -> None:
         self._torque, self._torque_ns = np.zeros(3), 0
@@ -150,14 +154,15 @@ class PlantNode(GraphNode):
         self._emitted += 1
         now = emission.stamp_ns
         if self._publish_clock is not None:
-            self._publish_clock(Clock(clock=time_message(now)))
-        self._publish_attitude(vector_message(now, emission.angles, EARTH_FRAME))
-        self._publish_rate(vector_message(now, emission.body_rate, BASE_FRAME))
-        self._publish_disturbance(vector_message(now, emission.disturbance, BASE_FRAME))
+            self._clock_message.clock.sec, self._clock_message.clock.nanosec = divmod(now, NANOSECONDS)
+            self._publish_clock(self._clock_message)
+        self._publish_attitude(self._earth(now, emission.angles))
+        self._publish_rate(self._body(now, emission.body_rate))
+        self._publish_disturbance(self._body(now, emission.disturbance))
         self.sampled(now)
         if emission.sample is not None:
             self._awaited_ns = emission.sample_stamp_ns if self.lockstep else None
-            self._publish_imu(imu_message(emission.sample_stamp_ns, emission.sample))
+            self._publish_imu(self._imu(emission.sample_stamp_ns, emission.sample))
 
     def report(self) -> None:
         """Report how far the flight is."""

@@ -174,3 +174,8 @@ def test_dropout_misses_samples_with_its_probability():
 def test_dropout_by_default_misses_every_sample():
     law = sized("dropout")
     assert not any(law.step((), inputs(uniform=number), DT)[1].valid for number in (0.0, 0.5, 1.0 - 2.0**-53))
+
+
+def test_dropout_with_probability_zero_misses_no_sample():
+    law = sized("dropout", probability=0.0)
+    assert all(law.step((), inputs(uniform=number), DT)[1].valid for number in (0.0, 0.5))

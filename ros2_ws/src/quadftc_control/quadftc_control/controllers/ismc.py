@@ -4,12 +4,13 @@
     (38)  S = x1e' + k_c2 x1e + k_c1 int x1e - k_c2 x1e(t0) - x1e'(t0)
     (45)  u = B_u^-1 (x1d'' - k_c2 x1e' - k_c1 x1e - f(x2) - d^) - B_u^-1 k_c3 sat(S)
 
-The paper prints the first term of (38) without its dot.
-With a disturbance estimate of zero this is (39)-(41), the design without observer. sat acts on each
-component, as k_c3 is diagonal. Theorem 2 with the boundary layer phi gives |S| <= phi in the end, not S = 0.
+The paper prints the first term of (38) without its dot. With a disturbance estimate of zero this is
+(39)-(41), the design without observer. sat acts on each component, as k_c3 is diagonal. Theorem 2 with the
+boundary layer phi gives |S| <= phi in the end, not S = 0.
 
-Deviations: full kinematics (see sliding_surface); the integral stands still where the torque is cut and would
-be driven further (no wind-up); the torque is within the rotors' reach.
+Deviations: full kinematics (see sliding_surface); the torque is within the rotors' reach; where it is cut,
+the integral stands still if it would be driven further, and the surface moves along with S at the edge of its
+layer. Otherwise S would have to come back at the rate k_c3, with the attitude k_c3 / k_c1 off until then.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ class IsmcState(NamedTuple):
     """Controller state at the last sample."""
 
     integral: Array  # (..., 3) of x1e [rad s], as of the last sample
-    start: Array  # (..., 3) k_c2 x1e(t0) + x1e'(t0) [rad/s]
+    start: Array  # (..., 3) k_c2 x1e(t0) + x1e'(t0), and how far the surface has moved along [rad/s]
     x1e: Array  # (..., 3) [rad]
     wanted: Array  # (..., 3) torque before the limits [N m]
     given: Array  # (..., 3) torque after the limits [N m]
@@ -67,7 +68,12 @@ class Ismc(Controller):
         mean = 0.5 * (state.x1e + x1e)  # trapezoidal rule
         integral = anti_windup(state.integral, mean, state.wanted, state.given, dt)
         S = x1e_dot + k_c2 * x1e + k_c1 * integral - state.start  # (38)
+        # while the torque is cut S obeys no law: the surface moves along, S stays within its layer
+        excess = xp.where(state.wanted != state.given, S - xp.clip(S, -phi, phi), 0.0)
+        S = S - excess
         x1_ddot = inputs.reference.accelerations - k_c2 * x1e_dot - k_c1 * x1e - k_c3 * sat(S, phi)
         wanted = torque_for(self.vehicle, inputs, track, x1_ddot, inputs.disturbance)  # (45)
         given, cut = limited(self.vehicle, wanted)
-        return IsmcState(integral, state.start, x1e, wanted, given), ControllerOutput(given, x1e, S, cut)
+        return IsmcState(integral, state.start + excess, x1e, wanted, given), ControllerOutput(
+            given, x1e, S, cut
+        )

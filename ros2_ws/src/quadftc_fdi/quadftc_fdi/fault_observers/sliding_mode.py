@@ -24,9 +24,9 @@ Observers, with e1 = h1 - z1^, e3 = h3 - h3^ (all gains scalar times I, so that 
 
 Time stepping. The stiff injections (18) and (26) are solved implicitly: with everything else known, e+ = c -
 dt (a e+ + rho e+ / (|e+| + delta)) leaves e+ parallel to c, and |e+| is the root of a quadratic. That does
-not chatter at any step, however stiff (epsilon_s + epsilon_2) / delta is. z2^ takes the trapezoidal rule and
-e3 backward differentiation (BDF2), which is stiffly stable: z2^ and f_s^ are of order 2 in dt. (16) is of
-order 1.
+not chatter at any step, however stiff (epsilon_s + epsilon_2) / delta is. z2^ takes the trapezoidal rule, of
+order 2. e3 takes h2 - z2^ at the new sample: its mean over the step would put f_s^ half a sample late. What
+is left in f_s^ of order 1, dt f_s'' / 2 times delta / (epsilon_s + epsilon_2), is below the error of z2^.
 
 The integrals h3 and h3^ grow without bound and only their difference acts, so the difference is the state.
 """
@@ -50,8 +50,6 @@ class SlidingModeState(NamedTuple):
     z1: Array  # (..., 3) estimate of the body rate [rad/s]
     z2: Array  # (..., 3) estimate of the angles [rad]
     e3: Array  # (..., 3) h3 - h3^ [rad s]
-    e3_before: Array  # (..., 3) e3 a sample earlier
-    dt: Array  # () length of the last step [s]
     k1: Array  # (..., 1) adaptive gain of (20)
     k2: Array  # (..., 1) adaptive gain of (21)
     v1: Array  # (..., 3) injection (18) [rad/s²]; its mean is the disturbance
@@ -91,23 +89,10 @@ class SlidingMode(FaultObserver):
     def init(self, inputs: FaultObserverInputs) -> SlidingModeState:
         """Start on the measurement: the sensor counts as healthy at the first sample."""
         imu = inputs.imu
-        xp = namespace(imu.body_rate)
-        zeros = xp.zeros_like(imu.body_rate)
+        zeros = namespace(imu.body_rate).zeros_like(imu.body_rate)
         angles = euler_from_quaternion(imu.q_xyzw)
         gain = zeros[..., :1]
-        return SlidingModeState(
-            z1=imu.body_rate,
-            z2=angles,
-            e3=zeros,
-            e3_before=zeros,
-            dt=xp.asarray(0.0),
-            k1=gain,
-            k2=gain,
-            v1=zeros,
-            v2=zeros,
-            innovation=zeros,
-            h1=imu.body_rate,
-        )
+        return SlidingModeState(imu.body_rate, angles, zeros, gain, gain, zeros, zeros, zeros, imu.body_rate)
 
     def step(
         self, state: SlidingModeState, inputs: FaultObserverInputs, dt: float
@@ -149,20 +134,12 @@ class SlidingMode(FaultObserver):
         z2 = self._kinematics(state.z2, state.h1, h1, dt) + 0.5 * dt * L1 * state.e3  # but for L1 e3+ dt / 2
         measured = wrap(euler_from_quaternion(imu.q_xyzw) - z2)  # h2 - z2^
         innovation = xp.where(imu.attitude_valid[..., None], measured, state.innovation)  # absent: as before
-        past, step = _bdf2(state.e3, state.e3_before, dt, state.dt)
         rho = self.epsilon_s + self.epsilon_2
-        e3, v2 = implicit_injection(past + step * innovation, self.L2 + 0.5 * dt * L1, rho, self.delta, step)
+        c = state.e3 + dt * innovation
+        e3, v2 = implicit_injection(c, self.L2 + 0.5 * dt * L1, rho, self.delta, dt)
         k2 = state.k2 + dt * self.l_k2 * self.H**2 * norm(e3) ** 2
         correction = 0.5 * dt * L1 * e3
-        return state._replace(
-            z2=z2 + correction,
-            e3=e3,
-            e3_before=state.e3,
-            dt=xp.asarray(dt),
-            k2=k2,
-            v2=v2,
-            innovation=innovation - correction,
-        )
+        return state._replace(z2=z2 + correction, e3=e3, k2=k2, v2=v2, innovation=innovation - correction)
 
     def _kinematics(self, angles: Array, rate: Array, next_rate: Array, dt: float) -> Array:
         """Angles after ``dt`` on the gyro: the trapezoidal rule with Heun's prediction."""
@@ -173,18 +150,7 @@ class SlidingMode(FaultObserver):
         return angles + 0.5 * dt * (slope + euler_rates(predicted, next_rate))
 
 
-def _bdf2(now: Array, before: Array, dt: float, dt_before: Array) -> tuple[Array, Array]:
-    """Backward differentiation of order 2: x+ = past + step x'+; return past (..., 3) and step [s].
-
-    Of order 1 (backward Euler) on the first step, and on one more than twice as long as the step before.
-    """
-    xp = namespace(now)
-    w = xp.where(dt > 2.0 * dt_before, 0.0, dt / xp.where(dt_before > 0.0, dt_before, 1.0))
-    scale = 1.0 + 2.0 * w
-    return ((1.0 + w) ** 2 * now - w * w * before) / scale, dt * (1.0 + w) / scale
-
-
-def implicit_injection(c: Array, linear: Array, rho: float, delta: float, dt: Array) -> tuple[Array, Array]:
+def implicit_injection(c: Array, linear: Array, rho: float, delta: float, dt: float) -> tuple[Array, Array]:
     """Solve e = c - dt (linear e + injection), injection = rho e / (|e| + delta); return both.
 
     With delta = 0 the injection is set-valued at e = 0: it then takes the value that keeps e there.
@@ -197,7 +163,7 @@ def implicit_injection(c: Array, linear: Array, rho: float, delta: float, dt: Ar
         Linear gain [1/s], not negative.
     rho, delta : float
         Size of the injection and its smoothing.
-    dt : float or array ()
+    dt : float
         Step [s]; with 0 the error stays c.
     """
     xp = namespace(c)
@@ -209,5 +175,5 @@ def implicit_injection(c: Array, linear: Array, rho: float, delta: float, dt: Ar
     n = xp.where(b > 0.0, 2.0 * size * delta / xp.where(b > 0.0, b + root, 1.0), (root - b) / (2.0 * a))
     unit = c / xp.where(size > 0.0, size, 1.0)
     sliding = rho / xp.where(n + delta > 0.0, n + delta, 1.0) * n
-    held = size / xp.where(dt > 0.0, dt, 1.0)  # delta = 0 and n = 0
+    held = size / dt if dt > 0.0 else 0.0 * size  # delta = 0 and n = 0
     return n * unit, xp.where(n + delta > 0.0, sliding, held) * unit

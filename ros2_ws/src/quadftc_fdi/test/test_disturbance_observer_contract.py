@@ -1,0 +1,103 @@
+"""What every disturbance observer of the registry keeps."""
+
+import numpy as np
+import pytest
+
+from quadftc_fdi.disturbance_observer import disturbance_observers
+from quadftc_model.assembly import build_prefixed, node_values
+from quadftc_model.parameters import parameters_of
+from quadftc_model.samples import DisturbanceObserverInputs
+from quadftc_model.vehicle import load_vehicle, vehicle_names
+
+EVERY_OBSERVER = pytest.mark.parametrize("name", disturbance_observers.names())
+DT, COUNT, LANES = 0.004, 60, 5
+
+
+def observer(name, vehicle="qball_x4"):
+    return disturbance_observers.get(name)(vehicle=load_vehicle(vehicle))
+
+
+def inputs_at(index, valid=True):
+    """Inputs of all lanes, read-only."""
+    phase = np.arange(LANES)[:, None] + np.array([0.0, 1.0, 2.0])
+    rate, torque = np.sin(2.0 * DT * index + phase), 0.01 * np.cos(DT * index + phase)
+    inputs = DisturbanceObserverInputs(rate, np.full(LANES, valid), torque)
+    for array in inputs:
+        array.setflags(write=False)
+    return inputs
+
+
+def lane(inputs, index):
+    return DisturbanceObserverInputs(*(array[index] for array in inputs))
+
+
+def flown(law, sequence):
+    """All estimates over a sequence of inputs; the first step takes no time."""
+    state, estimates = law.init(sequence[0]), []
+    for index, inputs in enumerate(sequence):
+        state, estimate = law.step(state, inputs, 0.0 if index == 0 else DT)
+        estimates.append(estimate)
+    return np.array(estimates)
+
+
+@EVERY_OBSERVER
+def test_parameters_are_documented_with_a_unit_and_defaults_are_valid(name):
+    component = disturbance_observers.get(name)
+    assert all(spec.doc and spec.unit for spec in parameters_of(component))
+    observer(name)
+
+
+@EVERY_OBSERVER
+def test_parameters_survive_the_way_through_a_node(name):
+    law = observer(name)
+    again = build_prefixed(type(law), node_values(law, "o"), "o", vehicle=law.vehicle)
+    assert node_values(again, "o") == node_values(law, "o")
+
+
+@EVERY_OBSERVER
+@pytest.mark.parametrize("vehicle", vehicle_names())
+@pytest.mark.parametrize("batched", [False, True])
+def test_estimate_has_the_shape_of_the_rate_and_is_finite(name, vehicle, batched):
+    sequence = [inputs_at(index) if batched else lane(inputs_at(index), 0) for index in range(COUNT)]
+    estimates = flown(observer(name, vehicle), sequence)
+    assert estimates.shape == ((COUNT, LANES, 3) if batched else (COUNT, 3))
+    assert estimates.dtype == np.float64
+    assert np.all(np.isfinite(estimates))
+
+
+@EVERY_OBSERVER
+def test_estimate_starts_at_zero(name):
+    assert not np.any(flown(observer(name), [inputs_at(0)]))
+
+
+@EVERY_OBSERVER
+def test_same_inputs_give_the_same_estimates(name):
+    sequence = [inputs_at(index) for index in range(COUNT)]
+    np.testing.assert_array_equal(flown(observer(name), sequence), flown(observer(name), sequence))
+
+
+@EVERY_OBSERVER
+def test_batch_equals_the_loop(name):
+    sequence = [inputs_at(index, valid=index not in (30, 31)) for index in range(COUNT)]
+    batch = flown(observer(name), sequence)
+    for one in range(LANES):
+        alone = flown(observer(name), [lane(inputs, one) for inputs in sequence])
+        np.testing.assert_allclose(batch[:, one], alone, rtol=1e-12, atol=1e-12)
+
+
+@EVERY_OBSERVER
+def test_number_in_an_absent_rate_does_not_matter(name):
+    sequence = [inputs_at(index, valid=index not in (30, 31)) for index in range(COUNT)]
+    spoilt = [
+        inputs if inputs.rate_valid[0] else inputs._replace(body_rate=inputs.body_rate + 50.0)
+        for inputs in sequence
+    ]
+    np.testing.assert_array_equal(flown(observer(name), spoilt), flown(observer(name), sequence))
+
+
+@EVERY_OBSERVER
+def test_start_without_rate_gives_no_kick_when_the_rate_comes(name):
+    absent = [inputs_at(index, valid=False) for index in range(5)]
+    absent = [inputs._replace(body_rate=np.zeros((LANES, 3))) for inputs in absent]
+    estimates = flown(observer(name), [*absent, inputs_at(5)])
+    assert np.max(np.abs(estimates)) < 0.1

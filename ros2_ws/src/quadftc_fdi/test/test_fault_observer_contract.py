@@ -1,0 +1,184 @@
+"""What every fault observer of the registry keeps."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from quadftc_fdi.fault_observer import fault_observers
+from quadftc_model.assembly import build_prefixed, node_values
+from quadftc_model.parameters import parameters_of
+from quadftc_model.rotations import body_rates, euler_from_quaternion, quaternion_from_euler
+from quadftc_model.samples import HEALTHY, RECOVERING, STARTING, FaultObserverInputs, ImuSample
+from quadftc_model.vehicle import load_vehicle, vehicle_names
+
+EVERY_OBSERVER = pytest.mark.parametrize("name", fault_observers.names())
+DT, COUNT, LANES = 0.004, 60, 5
+SHAPES = {"fault": (3,), "std_dev": (3,), "state": (3,), "onset_age": (3,)}
+
+
+def observer(name, vehicle="qball_x4"):
+    return fault_observers.get(name)(vehicle=load_vehicle(vehicle))
+
+
+def angles_at(time):
+    """A smooth motion, another one in each lane: (LANES, 3) [rad]."""
+    phase = np.arange(LANES)[:, None] + np.array([0.0, 1.0, 2.0])
+    return 0.3 * np.sin(1.5 * time + phase)
+
+
+def inputs_at(index, missing=(), fault=0.02):
+    """Inputs of all lanes, read-only; the attitude is faulty from sample 20 on."""
+    time, step = DT * index, 1e-6
+    slope = (angles_at(time + step) - angles_at(time - step)) / (2 * step)
+    angles = angles_at(time) + fault * (index >= 20)
+    there = np.ones(LANES, dtype=bool)
+    absent = np.zeros(LANES, dtype=bool)
+    imu = ImuSample(
+        q_xyzw=quaternion_from_euler(angles),
+        body_rate=body_rates(angles_at(time), slope),
+        specific_force=np.tile([0.0, 0.0, 9.8], (LANES, 1)),
+        attitude_valid=absent if "attitude" in missing else there,
+        rate_valid=absent if "rate" in missing else there,
+        force_valid=there,
+    )
+    inputs = FaultObserverInputs(imu, 0.1 * np.cos(angles))
+    for array in (*imu, inputs.torque):
+        array.setflags(write=False)
+    return inputs
+
+
+def lane(inputs, index):
+    """The inputs of one lane."""
+    return FaultObserverInputs(ImuSample(*(array[index] for array in inputs.imu)), inputs.torque[index])
+
+
+def flown(law, sequence, start=None):
+    """State after a sequence of inputs, and all estimates; the first step takes no time."""
+    state, estimates = start, []
+    if start is None:
+        state = law.init(sequence[0])
+    for index, inputs in enumerate(sequence):
+        first = start is None and index == 0
+        state, estimate = law.step(state, inputs, 0.0 if first else DT)
+        estimates.append(estimate)
+    return state, estimates
+
+
+def columns(estimate):
+    """All arrays of an estimate."""
+    return (*estimate[:-1], *estimate.corrected)
+
+
+@EVERY_OBSERVER
+def test_parameters_are_documented_with_a_unit_and_defaults_are_valid(name):
+    component = fault_observers.get(name)
+    assert all(spec.doc and spec.unit for spec in parameters_of(component))
+    observer(name)
+
+
+@EVERY_OBSERVER
+def test_parameters_survive_the_way_through_a_node(name):
+    law = observer(name)
+    again = build_prefixed(type(law), node_values(law, "o"), "o", vehicle=law.vehicle)
+    assert node_values(again, "o") == node_values(law, "o")
+
+
+@EVERY_OBSERVER
+@pytest.mark.parametrize("batched", [False, True])
+@pytest.mark.parametrize("vehicle", vehicle_names())
+def test_estimates_have_their_shapes_and_types_and_are_finite(name, vehicle, batched):
+    sequence = [inputs_at(index) if batched else lane(inputs_at(index), 0) for index in range(COUNT)]
+    leading = (LANES,) if batched else ()
+    for estimate in flown(observer(name, vehicle), sequence)[1]:
+        for field, shape in SHAPES.items():
+            assert getattr(estimate, field).shape == leading + shape
+            assert np.all(np.isfinite(getattr(estimate, field)))
+        assert estimate.state.dtype == np.uint8
+        assert np.all((estimate.state >= STARTING) & (estimate.state <= RECOVERING))
+        assert estimate.corrected.q_xyzw.shape == (*leading, 4)
+        assert estimate.corrected.body_rate.shape == (*leading, 3)
+        assert np.asarray(estimate.corrected.attitude_valid).dtype == bool
+
+
+@EVERY_OBSERVER
+def test_standard_deviations_and_onsets_are_given_or_said_to_be_unknown(name):
+    for estimate in flown(observer(name), [inputs_at(index) for index in range(COUNT)])[1]:
+        for column in (estimate.std_dev, estimate.onset_age):
+            assert np.all((column >= 0.0) | (column == -1.0))
+
+
+@EVERY_OBSERVER
+def test_corrected_attitude_is_a_unit_quaternion(name):
+    for estimate in flown(observer(name), [inputs_at(index) for index in range(COUNT)])[1]:
+        np.testing.assert_allclose(np.linalg.norm(estimate.corrected.q_xyzw, axis=-1), 1.0, atol=1e-12)
+
+
+@EVERY_OBSERVER
+def test_healthy_start_shows_no_fault_and_the_measured_attitude(name):
+    inputs = inputs_at(0)
+    estimate = flown(observer(name), [inputs])[1][0]
+    np.testing.assert_allclose(estimate.fault, 0.0, atol=1e-12)
+    measured = euler_from_quaternion(inputs.imu.q_xyzw)
+    np.testing.assert_allclose(euler_from_quaternion(estimate.corrected.q_xyzw), measured, atol=1e-12)
+    assert np.all(np.isin(estimate.state, [STARTING, HEALTHY]))
+
+
+@EVERY_OBSERVER
+def test_same_inputs_give_the_same_estimates(name):
+    sequence = [inputs_at(index) for index in range(COUNT)]
+    first, second = (flown(observer(name), sequence)[1][-1] for _ in range(2))
+    for one, other in zip(columns(first), columns(second), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@EVERY_OBSERVER
+def test_state_can_be_stepped_twice_from_the_same_point(name):
+    law = observer(name)
+    state, _ = flown(law, [inputs_at(index) for index in range(30)])
+    first, second = (law.step(state, inputs_at(30), DT)[1] for _ in range(2))
+    np.testing.assert_array_equal(first.fault, second.fault)
+
+
+@EVERY_OBSERVER
+def test_batch_equals_the_loop(name):
+    law = observer(name)
+    missing = {25: ("attitude",), 26: ("attitude", "rate"), 27: ("rate",)}
+    sequence = [inputs_at(index, missing.get(index, ())) for index in range(COUNT)]
+    batch = flown(law, sequence)[1]
+    for one in range(LANES):
+        alone = flown(law, [lane(inputs, one) for inputs in sequence])[1]
+        for many, single in zip(batch, alone, strict=True):
+            for column, value in zip(columns(many), columns(single), strict=True):
+                np.testing.assert_allclose(column[one], value, rtol=1e-12, atol=1e-14)
+
+
+@EVERY_OBSERVER
+@pytest.mark.parametrize("missing", [("attitude",), ("rate",), ("attitude", "rate")])
+def test_absent_channels_are_bridged(name, missing):
+    law = observer(name)
+    state, before = flown(law, [inputs_at(index) for index in range(40)])
+    gap = [inputs_at(index, missing) for index in range(40, 50)]
+    # what stands in an absent channel must not matter
+    gap = [inputs._replace(imu=spoilt(inputs.imu, missing)) for inputs in gap]
+    estimates = flown(law, gap, state)[1]
+    true = euler_from_quaternion(inputs_at(49, fault=0.0).imu.q_xyzw)
+    for estimate in estimates:
+        np.testing.assert_allclose(estimate.fault, before[-1].fault, atol=0.01)
+    off = euler_from_quaternion(estimates[-1].corrected.q_xyzw) - true
+    assert np.max(np.abs(off)) < 0.06  # the motion of ten samples, and the fault of who does not see it
+
+
+def spoilt(imu, missing):
+    """The sample with nonsense in the channels that are absent."""
+    q_xyzw = np.tile([0.0, 0.0, 0.0, 1.0], (LANES, 1)) if "attitude" in missing else imu.q_xyzw
+    return imu._replace(q_xyzw=q_xyzw, body_rate=imu.body_rate + 50.0 * ("rate" in missing))
+
+
+@EVERY_OBSERVER
+def test_parameter_out_of_bounds_is_refused_by_name(name):
+    component = fault_observers.get(name)
+    for spec in parameters_of(component):
+        if isinstance(spec.default, float) and np.isfinite(spec.low):
+            with pytest.raises(ValueError, match=f"{spec.name} = "):
+                dataclasses.replace(observer(name), **{spec.name: spec.low - 1.0})

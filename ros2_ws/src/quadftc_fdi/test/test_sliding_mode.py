@@ -1,0 +1,162 @@
+"""The sliding-mode fault observer against its theory: accuracy, order, leak, effect of a gyro bias."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from quadftc_fdi.fault_observers.sliding_mode import SlidingMode, implicit_injection
+from quadftc_model.rotations import body_rates, euler_from_quaternion, quaternion_from_euler
+from quadftc_model.samples import FaultObserverInputs, ImuSample
+from quadftc_model.vehicle import load_vehicle
+
+VEHICLE = load_vehicle("qball_x4")
+TRUE = np.bool_(True)
+AMPLITUDE, FREQUENCY, PHASE = np.array([0.3, 0.25, 0.5]), np.array([1.1, 0.9, 0.7]), np.array([0.0, 1.0, 2.0])
+
+
+def motion(time):
+    """Euler angles [rad] and body rate [rad/s] of a smooth motion."""
+    angle = FREQUENCY * time + PHASE
+    angles = AMPLITUDE * np.sin(angle)
+    return angles, body_rates(angles, AMPLITUDE * FREQUENCY * np.cos(angle))
+
+
+def still(_time):
+    return np.zeros(3), np.zeros(3)
+
+
+def flown(observer, duration, fault, rate=250, motion=motion, gyro_bias=0.0, absent=(), torque=0.0):
+    """Times (n,), estimates (n, 3), corrected angles (n, 3) and the last state."""
+    times = np.arange(round(duration * rate) + 1) / rate
+    state, estimates, corrected = None, [], []
+    for time in times:
+        angles, body_rate = motion(time)
+        there = TRUE if not absent or not absent[0] <= time < absent[1] else np.bool_(False)
+        q_xyzw = quaternion_from_euler(angles + fault(time))
+        imu = ImuSample(q_xyzw, body_rate + gyro_bias, np.zeros(3), there, TRUE, TRUE)
+        inputs = FaultObserverInputs(imu, np.zeros(3) + torque)
+        state, estimate = observer.step(
+            observer.init(inputs) if state is None else state, inputs, 1.0 / rate if time > 0.0 else 0.0
+        )
+        estimates.append(estimate.fault)
+        corrected.append(euler_from_quaternion(estimate.corrected.q_xyzw))
+    return times, np.array(estimates), np.array(corrected), state
+
+
+def smooth_fault(time):
+    return np.array([0.01, 0.015, 0.02]) * (1.0 - np.cos(np.array([1.0, 2.0, 1.5]) * time))
+
+
+GAIN = st.floats(0.0, 1e3)
+
+
+@given(
+    st.tuples(*[st.floats(-10.0, 10.0)] * 3).map(np.array),
+    GAIN,
+    st.floats(1e-3, 1e3),
+    st.one_of(st.just(0.0), st.floats(1e-9, 1.0)),
+    st.one_of(st.just(0.0), st.floats(1e-4, 1.0)),
+)
+def test_implicit_injection_solves_its_equation(c, linear, rho, delta, dt):
+    e, v = implicit_injection(c, linear, rho, delta, dt)
+    size = np.linalg.norm(e)
+    scale = np.linalg.norm(c) + dt * (linear * size + rho)
+    np.testing.assert_allclose(e, c - dt * (linear * e + v), atol=1e-12 * scale)
+    assert np.linalg.norm(v) <= rho * (1.0 + 1e-12)
+    if size + delta > 0.0:
+        np.testing.assert_allclose(v, rho * e / (size + delta), rtol=1e-12, atol=1e-300)
+
+
+def test_implicit_injection_holds_the_error_at_zero_within_its_reach():
+    e, v = implicit_injection(np.array([0.003, 0.0, -0.004]), 2.0, 2.0, 0.0, 0.004)
+    assert e.tolist() == [0.0, 0.0, 0.0]
+    np.testing.assert_allclose(v, [0.75, 0.0, -1.0], rtol=1e-14)
+
+
+@pytest.mark.parametrize("rate", [125, 250, 1000])
+@pytest.mark.parametrize("size_deg", [0.5, 5.0])
+def test_step_fault_is_estimated_within_a_twentieth_of_a_degree_after_a_fifth_of_a_second(rate, size_deg):
+    step = np.radians(size_deg) * np.array([1.0, -1.0, 0.7])
+    times, estimates, _, _ = flown(SlidingMode(vehicle=VEHICLE), 4.0, lambda t: step * (t >= 1.0), rate)
+    error = np.degrees(np.abs(estimates - step * (times[:, None] >= 1.0)))
+    assert np.max(error[times < 1.0]) < 0.01
+    assert np.max(error[times >= 1.2]) < 0.05
+
+
+def test_attitude_is_corrected_under_a_step_fault():
+    times, _, corrected, _ = flown(SlidingMode(vehicle=VEHICLE), 3.0, lambda t: np.full(3, 0.05) * (t >= 1.0))
+    true = np.array([motion(time)[0] for time in times])
+    assert np.degrees(np.max(np.abs(corrected - true))) < 0.05
+
+
+@pytest.mark.parametrize("output", ["fault", "attitude"])
+@pytest.mark.parametrize("rate", [125, 250])
+def test_estimates_converge_with_order_two_in_the_time_step(rate, output):
+    last = []
+    for factor in (1, 2, 4):
+        _, estimates, corrected, _ = flown(SlidingMode(vehicle=VEHICLE), 2.0, smooth_fault, rate * factor)
+        last.append(estimates[-1] if output == "fault" else corrected[-1])
+    order = math.log2(np.linalg.norm(last[0] - last[1]) / np.linalg.norm(last[1] - last[2]))
+    assert order == pytest.approx(2.0, abs=0.2)
+
+
+@pytest.mark.parametrize(("delta", "L1", "L2"), [(1e-3, 60.0, 1.0), (1e-2, 10.0, 1.0), (1e-2, 20.0, 40.0)])
+def test_constant_fault_leaks_with_the_time_constant_of_the_theory(delta, L1, L2):
+    observer = SlidingMode(vehicle=VEHICLE, kinematics="small_angle", l_k2=0.0, delta=delta, L1=L1, L2=L2)
+    expected = (L2 + (observer.epsilon_s + observer.epsilon_2) / delta) / L1
+    fault = 1e-6 * np.array([1.0, -2.0, 0.5])
+    onset, duration = 0.1, 2.0 * expected
+    times, estimates, _, _ = flown(observer, duration, lambda t: fault * (t >= onset), motion=still)
+    settled = times > onset + 0.2 * expected
+    slope = np.polyfit(times[settled], np.log(np.abs(estimates[settled])), 1)[0]
+    np.testing.assert_allclose(-1.0 / slope, expected, rtol=0.02)
+
+
+def test_gyro_bias_makes_the_estimate_drift_at_its_rate():
+    bias = np.array([0.002, -0.001, 0.003])
+    observer = SlidingMode(vehicle=VEHICLE, L1=0.0, kinematics="small_angle")
+    times, estimates, _, _ = flown(observer, 3.0, lambda t: np.zeros(3), motion=still, gyro_bias=bias)
+    slope = np.polyfit(times[times > 1.0], estimates[times > 1.0], 1)[0]
+    np.testing.assert_allclose(slope, -bias, rtol=0.01)
+
+
+def test_fault_is_held_while_the_attitude_is_absent():
+    step = np.array([0.05, -0.02, 0.03])
+    times, estimates, _, _ = flown(
+        SlidingMode(vehicle=VEHICLE), 4.0, lambda t: step * (t >= 1.0), absent=(2.0, 3.5)
+    )
+    held = estimates[(times >= 2.0) & (times < 3.5)]
+    np.testing.assert_allclose(held, np.broadcast_to(step, held.shape), atol=np.radians(0.05))
+
+
+def test_rate_observer_finds_the_disturbance_beside_the_torque():
+    push, torque = 1.5, np.array([0.06, 0.0, 0.0])  # rad/s², within xi; N m
+    acceleration = np.array([push, 0.0, 0.0]) + torque / VEHICLE.inertia
+    observer = SlidingMode(vehicle=VEHICLE)
+    *_, state = flown(
+        observer, 0.2, lambda t: np.zeros(3), motion=lambda t: (np.zeros(3), acceleration * t), torque=torque
+    )
+    np.testing.assert_allclose(state.v1, [push, 0.0, 0.0], atol=1e-9)
+
+
+def test_adaptive_gain_grows_as_equation_21():
+    observer = SlidingMode(vehicle=VEHICLE, l_k2=1e6, L1=0.0)
+    fault = np.array([0.03, 0.0, 0.0])
+    *_, state = flown(observer, 2.0, lambda t: fault * (t > 0.0), motion=still)
+    rho = observer.epsilon_s + observer.epsilon_2
+    e3 = observer.delta * 0.03 / (rho - 0.03)  # where the injection balances the fault
+    assert float(state.k2[0]) == pytest.approx(1e6 * e3**2 * 2.0, rel=0.05)
+
+
+def test_no_vehicle_motion_gives_no_fault():
+    times, estimates, _, _ = flown(SlidingMode(vehicle=VEHICLE), 10.0, lambda t: np.zeros(3))
+    assert np.degrees(np.max(np.abs(estimates))) < 0.01
+    assert len(times) == 2501
+
+
+def test_kinematics_of_another_name_are_refused():
+    with pytest.raises(ValueError, match="kinematics = 'large_angle': expected one of full, small_angle"):
+        SlidingMode(vehicle=VEHICLE, kinematics="large_angle")
