@@ -5,44 +5,48 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from quadftc_bench.flight import AXES
 
-# heading, metric (dotted path below "metrics"), decimals
+# heading, metric (dotted path below "metrics"), factor, decimals
 COLUMNS = (
-    ("tracking RMSE\n[deg]", "tracking_rmse_deg", 3),
-    ("tracking max\n[deg]", "tracking_max_deg", 2),
-    ("mean error in 1st\nfault window [deg]", "fault_windows.0.tracking_mean_deg", 3),
-    ("fault estimate max,\nsettled [deg]", "fault_estimate_max_settled_deg", 3),
-    ("torque variation\n[N m/s]", "torque_total_variation", 2),
+    ("tracking\nRMSE\n[deg]", "tracking_rmse_deg", 1.0, 3),
+    ("tracking\nmax\n[deg]", "tracking_max_deg", 1.0, 3),
+    ("mean error,\n1st fault\n[deg]", "fault_windows.0.tracking_mean_deg", 1.0, 3),
+    ("estimate\nsettles in\n[ms]", "fault_windows.0.fault_estimate_settling_s", 1e3, 0),
+    ("its error,\nsettled\n[deg]", "fault_estimate_max_settled_deg", 1.0, 3),
+    ("torque\nvariation\n[N m/s]", "torque_total_variation", 1.0, 3),
 )
 
 
 def console(stderr: bool = False) -> Console:
     """Console that does not wrap in files and pipes, where the width is unknown."""
     found = Console(stderr=stderr, highlight=False, soft_wrap=False)
-    return found if found.is_terminal else Console(stderr=stderr, highlight=False, width=160)
+    return found if found.is_terminal else Console(stderr=stderr, highlight=False, width=120)
 
 
 def run_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
-    """Table of runs: one row a run, roll / pitch / yaw in each cell."""
-    table = Table(title="roll / pitch / yaw", title_justify="left", title_style="dim", show_lines=False)
-    table.add_column("run", no_wrap=True)
-    for heading, _, _ in COLUMNS:
-        table.add_column(heading, justify="right", no_wrap=True)
-    table.add_column("x real\ntime", justify="right")
+    """Table of runs: a row for each axis of each run."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for heading in ("run", "axis"):
+        table.add_column(heading, no_wrap=True)
+    for heading, *_ in COLUMNS:
+        table.add_column(Text(heading), justify="right", no_wrap=True)
     table.add_column("checks", no_wrap=True)
     for item in summaries:
-        cells = [axes_cell(metric_at(item["metrics"], path), digits) for _, path, digits in COLUMNS]
         factor = item["real_time_factor"]
-        table.add_row(
-            f"{item['name']}\n  {item['scheme']}",
-            *cells,
-            "-" if factor is None else f"{factor:.1f}",
-            _verdict(item["checks"]),
-        )
+        first = (item["name"], f"  {item['scheme']}", "" if factor is None else f"  {factor:.1f} x real time")
+        for index, axis in enumerate(AXES):
+            cells = [
+                _number(_on_axis(metric_at(item["metrics"], path), axis), scale, digits)
+                for _, path, scale, digits in COLUMNS
+            ]
+            table.add_row(first[index], axis, *cells, _verdict(item["checks"]) if index == 0 else "")
+        table.add_section()
     return table
 
 
@@ -50,7 +54,7 @@ def failed_checks(summaries: Iterable[Mapping[str, Any]]) -> list[str]:
     """One line for each failed check."""
     return [
         f"{item['name']}-{item['scheme']}: {check['metric']}{'' if check['axis'] is None else ' ' + check['axis']}"
-        f" = {_number(check['value'], 4)}, required {check['bound']}"
+        f" = {_number(check['value'], 1.0, 4)}, required {check['bound']}"
         for item in summaries
         for check in item["checks"]
         if not check["passed"]
@@ -68,15 +72,12 @@ def metric_at(metrics: Any, path: str) -> Any:
     return place
 
 
-def axes_cell(values: Any, digits: int) -> str:
-    """Text of a metric with axes."""
-    if not isinstance(values, Mapping):
-        return "-"
-    return " / ".join(_number(values.get(axis), digits) for axis in AXES)
+def _on_axis(values: Any, axis: str) -> Any:
+    return values.get(axis) if isinstance(values, Mapping) else None
 
 
-def _number(value: Any, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
+def _number(value: Any, scale: float, digits: int) -> str:
+    return "-" if value is None else f"{scale * value:.{digits}f}"
 
 
 def _verdict(checks: Sequence[Mapping[str, Any]]) -> str:

@@ -22,8 +22,8 @@ def sized(name, **values):
     amounts = {
         spec.name: (0.2, -0.3, 0.4) for spec in parameters_of(component) if spec.is_vector and spec.low < 0.0
     }
-    window = {"start": 1.0, "stop": 7.0}
-    return build(component, {**amounts, **{key: window[key] for key in window if key in own}, **values})
+    others = {"start": 1.0, "stop": 7.0, "frequency": 2.0}
+    return build(component, {**amounts, **{key: others[key] for key in others if key in own}, **values})
 
 
 @EVERY_REFERENCE

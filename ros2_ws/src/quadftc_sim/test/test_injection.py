@@ -153,6 +153,17 @@ def test_stuck_channel_is_stuck_at_the_onset_in_the_course_of_a_flight():
     np.testing.assert_array_equal([result.sample.body_rate for result in results], expected)
 
 
+def test_delay_from_its_onset_on_gives_what_was_before_it():
+    results = flown(injector(("delay", {"delay": 0.012, "channel": "gyro", "start": 0.02})))
+    expected = np.array([healthy(index - 3 if index >= 5 else index).body_rate for index in range(20)])
+    np.testing.assert_array_equal([result.sample.body_rate for result in results], expected)
+
+
+def test_channel_that_one_fault_drops_is_not_brought_back_by_another():
+    never, always = ("dropout", {"channel": "gyro", "probability": 0.0}), ("dropout", {"channel": "gyro"})
+    assert not flown(injector(always, never), 1)[0].sample.rate_valid
+
+
 def test_dropout_of_the_imu_withholds_the_sample():
     results = flown(injector(("dropout", {"channel": "imu", "start": 0.02, "stop": 0.04})))
     assert [result.sample is None for result in results] == [5 <= index < 10 for index in range(20)]
