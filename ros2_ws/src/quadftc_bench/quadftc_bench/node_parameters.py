@@ -14,7 +14,7 @@ parameter is there, defaults included.
 
 from __future__ import annotations
 
-from quadftc_bench.scenario_types import Part, Scenario, Scheme
+from quadftc_bench.scenario.types import Part, Scenario, Scheme
 from quadftc_model.assembly import NodeValue, node_values
 
 

@@ -8,7 +8,7 @@ from typing import Any, cast
 
 from quadftc_bench.flight import AXES, Flight
 from quadftc_bench.metrics import flight_metrics, look_up
-from quadftc_bench.scenario_types import Check, Scenario, Scheme
+from quadftc_bench.scenario.types import Check, Scenario, Scheme
 
 
 @dataclasses.dataclass(frozen=True)

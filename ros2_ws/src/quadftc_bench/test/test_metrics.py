@@ -9,7 +9,7 @@ import pytest
 
 from quadftc_bench.flight import AXES, VECTORS, Flight
 from quadftc_bench.metrics import FaultWindow, flight_metrics, known_metrics, look_up
-from quadftc_bench.scenario_types import Check
+from quadftc_bench.scenario.types import Check
 from quadftc_bench.summary import check_results
 
 DEG = math.pi / 180.0

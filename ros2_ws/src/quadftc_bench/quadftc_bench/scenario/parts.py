@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from quadftc_bench.hints import nearest
-from quadftc_bench.scenario_file import Keys, Problem
-from quadftc_bench.scenario_types import Fault, Part
+from quadftc_bench.scenario.document import Keys, Problem
+from quadftc_bench.scenario.types import Fault, Part
 from quadftc_model.parameters import Parameter, build, convert, parameters_of
 from quadftc_model.registry import Registry
 from quadftc_model.vehicle import Vehicle, load_vehicle

@@ -4,7 +4,7 @@
 >>> imu = bag.series("imu/data")
 >>> imu.stamp_ns, imu["angular_velocity"]   # (n,), (n, 3)
 
-`quadftc_bench.cdr` says how the fields of a message become arrays.
+`quadftc_bench.bags.cdr` says how the fields of a message become arrays.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from numpy.typing import NDArray
 from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
-from quadftc_bench.bag_directory import BagError, storage_files
-from quadftc_bench.cdr import Arrays, decode
-from quadftc_bench.mcap_records import CutShortError, NotMcapError, Record, read_records
+from quadftc_bench.bags.directory import BagError, storage_files
+from quadftc_bench.bags.cdr import Arrays, decode
+from quadftc_bench.bags.mcap_records import CutShortError, NotMcapError, Record, read_records
 
 __all__ = ["Bag", "BagError", "Series", "TopicInfo", "read_bag"]
 

@@ -15,7 +15,7 @@ from pydantic import (
 )
 
 from quadftc_bench.hints import nearest
-from quadftc_bench.scenario_file import Keys, Problem
+from quadftc_bench.scenario.document import Keys, Problem
 from quadftc_model.units import quantity
 
 MIN_RATE, MAX_RATE = 10.0, 4000.0  # Hz

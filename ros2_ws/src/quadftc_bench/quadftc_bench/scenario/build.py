@@ -9,10 +9,10 @@ from typing import Any, cast
 
 from quadftc_bench.flight import AXES
 from quadftc_bench.metrics import known_metrics, look_up
-from quadftc_bench.scenario_file import Document, Keys, Problem
-from quadftc_bench.scenario_parts import PartBuilder
-from quadftc_bench.scenario_schema import MAX_DURATION, MIN_DURATION, CheckShape, ScenarioShape, shape_of
-from quadftc_bench.scenario_types import Check, Part, Scenario, Scheme
+from quadftc_bench.scenario.document import Document, Keys, Problem
+from quadftc_bench.scenario.parts import PartBuilder
+from quadftc_bench.scenario.schema import MAX_DURATION, MIN_DURATION, CheckShape, ScenarioShape, shape_of
+from quadftc_bench.scenario.types import Check, Part, Scenario, Scheme
 from quadftc_control.controller import controllers
 from quadftc_control.reference import references
 from quadftc_fdi.disturbance_observer import disturbance_observers
