@@ -7,7 +7,9 @@ PACKAGE = "quadftc_sim"
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="The simulated vehicle and its faults: plant, sensors, disturbances, fault injector, and their nodes.",
+    description=(
+        "The simulated vehicle and its faults: plant, sensors, disturbances, fault injector, and their nodes."
+    ),
     license="Apache-2.0",
     maintainer="quadftc maintainers",
     maintainer_email="maintainers@quadftc.example",

@@ -1,4 +1,4 @@
-"""What a controller does when its inputs go missing in real time: which IMU it believes, and when it gives up.
+"""What a controller does when its inputs go missing: which IMU it believes, and when it gives up.
 
 Pure bookkeeping of stamps and times; the node acts on it.
 """
@@ -32,10 +32,10 @@ class Patience:
     corrected_samples: int = parameter(
         3, low=1, high=1000, doc="samples of imu/data without imu/corrected until imu/data is used"
     )
-    disturbance_age: float = parameter(0.05, unit="s", low=0.0, doc="age from which the disturbance estimate fades")
+    disturbance_age: float = parameter(0.05, unit="s", low=0.0, doc="age from which the estimate fades")
     disturbance_fade: float = parameter(0.5, unit="s", low=1e-3, doc="time in which it fades to zero")
-    hold: float = parameter(0.1, unit="s", low=1e-3, doc="time without IMU from which the torque counts as held")
-    off: float = parameter(0.5, unit="s", low=1e-3, doc="time without IMU from which zero torque is commanded")
+    hold: float = parameter(0.1, unit="s", low=1e-3, doc="time without IMU until the torque counts as held")
+    off: float = parameter(0.5, unit="s", low=1e-3, doc="time without IMU until zero torque is commanded")
 
     def __post_init__(self) -> None:
         """Check the parameters."""

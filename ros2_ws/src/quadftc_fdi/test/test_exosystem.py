@@ -116,6 +116,20 @@ def test_fast_observer_at_a_slow_rate_is_stable(model):
     np.testing.assert_allclose(estimates[-1], true[-1], rtol=0.0, atol=1e-8)
 
 
+def test_model_changed_in_flight_starts_the_estimate_anew():
+    times = np.arange(1000) / 250
+    laws = [Exosystem(vehicle=SPHERE, model=model) for model in ("constant", "ramp")]
+    state, estimates = None, []
+    for index, time in enumerate(times):
+        law = laws[index >= 500]
+        inputs = DisturbanceObserverInputs(ramp(time)[1], np.bool_(True), np.zeros(3))
+        state = law.init(inputs) if state is None else state
+        state, estimate = law.step(state, inputs, 0.004 if index else 0.0)
+        estimates.append(estimate)
+    np.testing.assert_allclose(estimates[-1], ramp(times[-1])[0], atol=1e-6)
+    np.testing.assert_allclose(estimates[500], 0.0, atol=0.5)
+
+
 def test_exosystem_of_another_name_is_refused():
     with pytest.raises(
         ValueError, match="model = 'constant\\+noise': 'noise' is none of constant, ramp, harmonic"

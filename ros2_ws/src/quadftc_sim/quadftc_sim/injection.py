@@ -26,7 +26,7 @@ CHANNEL_UNITS: dict[str, dict[str, str]] = {
 AXES = {
     name: index for names in (("roll", "pitch", "yaw"), ("x", "y", "z")) for index, name in enumerate(names)
 }
-_RESERVED = ("channel", "axes", "axis", "start", "stop", "duration")
+RESERVED = ("channel", "axes", "axis", "start", "stop", "duration")
 
 Floats = NDArray[np.float64]
 
@@ -78,7 +78,7 @@ def make_injection(kind: str, values: Mapping[str, Any], now: float = 0.0) -> In
         raise ValueError(f"channel = {channel!r}: {kind} can be on {', '.join(fault.channels)}")
     mask = _mask(kind, fault, values)
     start, stop = _window(values, now)
-    own = {name: value for name, value in values.items() if name not in _RESERVED}
+    own = {name: value for name, value in values.items() if name not in RESERVED}
     law = build(fault, own, units=CHANNEL_UNITS[channel])
     return Injection(kind, channel, mask, start, stop, law)
 

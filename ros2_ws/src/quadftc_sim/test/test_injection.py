@@ -220,10 +220,21 @@ def test_clear_ends_one_injection_and_zero_ends_all():
     assert flown(made, 1, first=1)[0].gyro.tolist() == [0.0, 0.0, 0.0]
 
 
-def test_injection_that_is_over_is_forgotten():
-    made = injector(("bias", {"value": 1.0, "stop": 0.02}))
-    flown(made, 10)
-    assert made.injections == {}
+def test_injections_wait_act_and_are_forgotten():
+    made = injector(("bias", {"value": 1.0, "start": 0.02, "stop": 0.04}))
+    flown(made, 3)
+    assert (list(made.injections), list(made.active)) == ([1], [])
+    flown(made, 5, first=3)
+    assert (list(made.injections), list(made.active)) == ([1], [1])
+    flown(made, 5, first=8)
+    assert (list(made.injections), list(made.active)) == ([], [])
+
+
+@pytest.mark.parametrize("channel", ATTRIBUTES)
+def test_injection_that_waits_leaves_the_sample_as_it_is_bit_for_bit(channel):
+    made = injector(("bias", {"value": 1.0, "channel": channel, "start": 5.0}))
+    for before, after in zip(healthy(), flown(made, 1)[0].sample, strict=True):
+        assert np.array_equal(before, after)
 
 
 def test_channel_that_is_absent_stays_absent():

@@ -67,10 +67,10 @@ class Ismc(Controller):
         x1e, x1e_dot = track.x1e, track.x1e_dot
         mean = 0.5 * (state.x1e + x1e)  # trapezoidal rule
         integral = anti_windup(state.integral, mean, state.wanted, state.given, dt)
-        S = x1e_dot + k_c2 * x1e + k_c1 * integral - state.start  # (38)
+        surface = x1e_dot + k_c2 * x1e + k_c1 * integral - state.start  # (38)
         # while the torque is cut S obeys no law: the surface moves along, S stays within its layer
-        excess = xp.where(state.wanted != state.given, S - xp.clip(S, -phi, phi), 0.0)
-        S = S - excess
+        excess = xp.where(state.wanted != state.given, surface - xp.clip(surface, -phi, phi), 0.0)
+        S = surface - excess
         x1_ddot = inputs.reference.accelerations - k_c2 * x1e_dot - k_c1 * x1e - k_c3 * sat(S, phi)
         wanted = torque_for(self.vehicle, inputs, track, x1_ddot, inputs.disturbance)  # (45)
         given, cut = limited(self.vehicle, wanted)

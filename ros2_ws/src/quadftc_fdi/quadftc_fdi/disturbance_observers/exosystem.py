@@ -75,6 +75,8 @@ class Exosystem(DisturbanceObserver):
         if dt == 0.0:
             return state, state.zeta @ self.C_d
         xp = namespace(inputs.body_rate)
+        if state.zeta.shape[-1] != len(self.C_d):  # the model was changed in flight
+            state = state._replace(zeta=self.init(inputs).zeta)
         inertia = self.vehicle.inertia
         Phi, CdGamma, gain = _discretised(self.model, self.frequency, self.bandwidth, dt)
         rate = xp.where(inputs.rate_valid[..., None], inputs.body_rate, state.x2)
