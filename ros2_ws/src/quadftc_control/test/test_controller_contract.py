@@ -12,7 +12,6 @@ from quadftc_model.parameters import parameters_of
 from quadftc_model.rigid_body import angular_acceleration
 from quadftc_model.rotations import (
     euler_from_quaternion,
-    euler_rates,
     normalise,
     quaternion_from_euler,
     quaternion_rate,
@@ -78,11 +77,8 @@ def closed_loop(law, angles, duration):
 
         def derivative(_time, motion, commands=commands):
             q_xyzw, rate = motion
-            slopes = euler_rates(euler_from_quaternion(q_xyzw), rate)
             torque = torque_from_commands(vehicle, commands)
-            return quaternion_rate(q_xyzw, rate), angular_acceleration(
-                vehicle, rate, slopes, torque, commands, zeros
-            )
+            return quaternion_rate(q_xyzw, rate), angular_acceleration(vehicle, rate, torque, commands, zeros)
 
         q_xyzw, rate = rk4(derivative, 0.0, motion, DT)
         motion = (normalise(q_xyzw), rate)

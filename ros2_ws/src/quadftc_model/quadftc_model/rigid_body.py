@@ -42,21 +42,17 @@ def propeller_torque(vehicle: Vehicle, body_rate: Array, commands: Array) -> Arr
 
 
 def angular_acceleration(
-    vehicle: Vehicle,
-    body_rate: Array,
-    angle_rates: Array,
-    rotor_torque: Array,
-    commands: Array,
-    torque: Array,
+    vehicle: Vehicle, body_rate: Array, rotor_torque: Array, commands: Array, torque: Array
 ) -> Array:
     """Angular acceleration [rad/s²] (..., 3), body frame: (1) with the torques of (2) and a disturbance.
+
+    The drag acts on the body rate. The paper's (2) writes Euler angle rates, which are the same under its (5);
+    taken literally, they would drive a vehicle that is upside down and have no bound at 90 deg of pitch.
 
     Parameters
     ----------
     body_rate : array (..., 3)
         [rad/s].
-    angle_rates : array (..., 3)
-        Euler angle rates [rad/s], on which the drag of (2) acts.
     rotor_torque : array (..., 3)
         From the mixer [N m].
     commands : array (..., n)
@@ -68,6 +64,6 @@ def angular_acceleration(
         rotor_torque
         + torque
         + propeller_torque(vehicle, body_rate, commands)
-        - vehicle.rotational_drag * angle_rates
+        - vehicle.rotational_drag * body_rate
     )
     return gyroscopic_acceleration(vehicle.inertia, body_rate) + total / vehicle.inertia

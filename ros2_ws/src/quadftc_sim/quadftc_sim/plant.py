@@ -14,7 +14,7 @@ from quadftc_model.arrays import Array, namespace
 from quadftc_model.integrators import rk4
 from quadftc_model.parameters import check, parameter
 from quadftc_model.rigid_body import angular_acceleration
-from quadftc_model.rotations import euler_from_quaternion, euler_rates, normalise, quaternion_rate
+from quadftc_model.rotations import normalise, quaternion_rate
 from quadftc_model.rotors import commands_from_torque, torque_from_commands
 from quadftc_model.vehicle import Vehicle
 from quadftc_sim.disturbance import Disturbance
@@ -88,11 +88,9 @@ class Plant:
     def _derivative(self, time: float, arrays: tuple[Array, ...], wanted: Array) -> tuple[Array, ...]:
         q_xyzw, body_rate, commands = arrays
         vehicle = self.vehicle
-        angle_rates = euler_rates(euler_from_quaternion(q_xyzw), body_rate)
         acceleration = angular_acceleration(
             vehicle,
             body_rate,
-            angle_rates,
             torque_from_commands(vehicle, commands),
             commands,
             self.disturbance(time, body_rate),

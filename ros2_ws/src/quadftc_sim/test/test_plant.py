@@ -60,7 +60,7 @@ def equations(plant, time, state, wanted):
     torque[2] += np.sum(rotors.yaw_sign * rotors.yaw_gain * commands)
     speeds = np.sqrt(thrust / rotors.thrust_coefficient)
     momentum = np.array([0.0, 0.0, rotors.rotor_inertia * np.sum(rotors.spin_sign * speeds)])
-    torque += -np.cross(omega, momentum) - vehicle.rotational_drag * angle_rates
+    torque += -np.cross(omega, momentum) - vehicle.rotational_drag * omega
     torque += sum(disturbance.torque(time) for disturbance in plant.disturbances)
     omega_dot = (torque - np.cross(omega, vehicle.inertia * omega)) / vehicle.inertia
     lag = (wanted - commands) / rotors.time_constant if plant.motor_lag else np.zeros(0)
