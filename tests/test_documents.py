@@ -45,7 +45,9 @@ def test_scripts_that_documents_name_exist():
 
 
 def test_controller_of_contributing_flies_when_pasted_into_a_file(tmp_path: Path):
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), re.DOTALL)
+    blocks = re.findall(
+        r"```python\n(.*?)```", (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8"), re.DOTALL
+    )
     (code,) = [block for block in blocks if '@register("pd")' in block]
     (tmp_path / "pd.py").write_text(code, encoding="utf-8")
     (tmp_path / "fly.py").write_text("import pd\n" + FLY, encoding="utf-8")

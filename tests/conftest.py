@@ -1,0 +1,42 @@
+"""What the tests of the whole graph share: a ROS domain of their own, and short flights."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+# before any test brings up ROS: this machine only, and apart from other runs of these tests
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
+
+SCENARIOS = Path(__file__).parent / "scenarios"
+
+
+@pytest.fixture(scope="session")
+def busy_scenario():
+    """Two seconds in which everything happens at once: noise, a late sensor, every kind of fault, dropouts."""
+    from quadftc_bench.scenario import load_scenario
+
+    return load_scenario(SCENARIOS / "busy.yaml")
+
+
+@pytest.fixture(scope="session")
+def fly_graph(tmp_path_factory):
+    """Fly a scenario through the real graph, once for each set of arguments; return its run directory."""
+    from quadftc_bench.run import RunOptions, prepare, run, run_name
+
+    flown = {}
+
+    def fly(scenario, scheme, take=0, **options):
+        key = (scenario.name, scenario.duration, scheme, take, tuple(sorted(options.items())))
+        if key not in flown:
+            out = tmp_path_factory.mktemp("runs")
+            name = run_name(scenario, scenario.scheme(scheme))
+            prepare(out, [name], force=False)
+            summary = run(scenario, scenario.scheme(scheme), out, RunOptions(**options), lambda _: True)
+            flown[key] = out / name, summary
+        return flown[key]
+
+    return fly
