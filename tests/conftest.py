@@ -1,22 +1,17 @@
-"""What the tests of the whole graph share: a ROS domain of their own, and short flights."""
+"""What the tests of the whole graph share: short flights."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
-
-# before any test brings up ROS: this machine only, and apart from other runs of these tests
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
 
 SCENARIOS = Path(__file__).parent / "scenarios"
 
 
 @pytest.fixture(scope="session")
 def busy_scenario():
-    """Two seconds in which everything happens at once: noise, a late sensor, every kind of fault, dropouts."""
+    """Two seconds in which everything happens at once: noise, a late sensor, every fault, dropouts."""
     from quadftc_bench.scenario import load_scenario
 
     return load_scenario(SCENARIOS / "busy.yaml")

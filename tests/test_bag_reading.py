@@ -30,7 +30,7 @@ def run(fly_graph, busy_scenario):
 
 
 def expected_counts(summary):
-    """Messages of each topic, from what was flown: one sample is on its way at the end, some were withheld."""
+    """Messages of each topic: one sample is still on its way at the end, some were withheld."""
     withheld = summary["samples_withheld"]
     assert withheld > 0
     published = SAMPLES - 1  # the sensor is one sample late

@@ -1,4 +1,8 @@
-"""The ``quadftc`` command. Exit codes: 0 good, 1 a check of a scenario failed, 2 bad input, 3 internal error."""
+# pyright: basic
+"""The ``quadftc`` command.
+
+Exit codes: 0 good, 1 a check of a scenario failed, 2 bad input, 3 internal error, 130 interrupted.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 # this machine only, unless asked otherwise; read when ROS starts, so before any of its modules
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -20,7 +31,8 @@ from quadftc_bench.catalogue import catalogue_table, kinds
 from quadftc_bench.doctor import examine
 from quadftc_bench.graph_plan import GraphError
 from quadftc_bench.play import play as play_bag
-from quadftc_bench.run import GRAPHS, RunError, RunOptions, prepare, run as run_scenario, run_name
+from quadftc_bench.run import RunError, RunOptions, prepare, run_name
+from quadftc_bench.run import run as run_scenario
 from quadftc_bench.scenario import (
     Scenario,
     ScenarioError,
@@ -36,7 +48,9 @@ from quadftc_ros.executor import StopSignals
 
 GOOD, CHECK_FAILED, BAD_INPUT, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 130
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
+app = typer.Typer(
+    add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
+)
 
 
 class Graph(str, enum.Enum):
@@ -60,17 +74,27 @@ def _root() -> None:
 
 @app.command()
 def run(
-    scenarios: Annotated[list[str], typer.Argument(help="Scenario files, or names (see: quadftc list scenarios).")],
+    scenarios: Annotated[
+        list[str], typer.Argument(help="Scenario files, or names (see: quadftc list scenarios).")
+    ],
     scheme: Annotated[str, typer.Option(help="Scheme to fly, or 'all'; default: the scenario's first.")] = "",
     observer: Annotated[str, typer.Option(help="Fault observer in place of the scheme's.")] = "",
-    disturbance_observer: Annotated[str, typer.Option(help="Disturbance observer in place of the scheme's.")] = "",
+    disturbance_observer: Annotated[
+        str, typer.Option(help="Disturbance observer in place of the scheme's.")
+    ] = "",
     controller: Annotated[str, typer.Option(help="Controller in place of the scheme's.")] = "",
-    mode: Annotated[Mode, typer.Option(help="lockstep: as fast as it goes; realtime: by the wall clock.")] = Mode.lockstep,
-    graph: Annotated[Graph, typer.Option(help="All nodes in one process, or a process each.")] = Graph.composed,
+    mode: Annotated[
+        Mode, typer.Option(help="lockstep: as fast as it goes; realtime: by the wall clock.")
+    ] = Mode.lockstep,
+    graph: Annotated[
+        Graph, typer.Option(help="All nodes in one process, or a process each.")
+    ] = Graph.composed,
     namespace: Annotated[str, typer.Option(help="ROS namespace of the vehicle.")] = "",
     rate: Annotated[str, typer.Option(help="Control rate, such as 500 or '500 Hz'.")] = "",
     seed: Annotated[str, typer.Option(help="Seed of the random numbers.")] = "",
-    set_: Annotated[list[str], typer.Option("--set", help="Any value of the scenario: a.b=v, faults.0.value='2 deg'.")] = [],  # noqa: B006
+    set_: Annotated[
+        list[str], typer.Option("--set", help="Any value of the scenario: a.b=v, faults.0.value='2 deg'.")
+    ] = [],  # noqa: B006
     out: Annotated[Path, typer.Option(help="Directory of the runs.")] = Path("results"),
     force: Annotated[bool, typer.Option("--force", help="Replace earlier runs of the same name.")] = False,
 ) -> None:
@@ -89,7 +113,9 @@ def run(
         jobs += [(loaded, loaded.scheme(each)) for each in chosen]
     names = [run_name(*job) for job in jobs]
     if len(set(names)) < len(names):
-        raise RunError(f"{next(n for n in names if names.count(n) > 1)}: asked for twice; give scenarios other names")
+        raise RunError(
+            f"{next(n for n in names if names.count(n) > 1)}: asked for twice; give scenarios other names"
+        )
     prepare(out, names, force)
     raise typer.Exit(_run_all(jobs, out, RunOptions(graph.value, mode.value, namespace, force)))
 
@@ -97,7 +123,13 @@ def run(
 def _run_all(jobs: list[tuple[Scenario, Scheme]], out: Path, options: RunOptions) -> int:
     screen = console()
     summaries: list[dict[str, Any]] = []
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
     with StopSignals() as stop, Progress(*columns, console=screen) as bars:
         for scenario, scheme in jobs:
             bar = bars.add_task(run_name(scenario, scheme), total=1.0)
@@ -125,7 +157,9 @@ def play(
     rate: Annotated[float, typer.Option(help="Speed, as a multiple of the recorded one.")] = 1.0,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
     topic: Annotated[list[str], typer.Option(help="Only this topic; may be repeated.")] = [],  # noqa: B006
-    delay: Annotated[float, typer.Option(help="Seconds from making the publishers to the first message.")] = 1.0,
+    delay: Annotated[
+        float, typer.Option(help="Seconds from making the publishers to the first message.")
+    ] = 1.0,
 ) -> None:
     """Publish a bag on the live graph, with the recorded timing."""
     count = play_bag(bag, rate, loop=loop, topics=topic or None, delay=delay)
@@ -165,8 +199,8 @@ def _guarded(arguments: list[str]) -> int:
         result = app(arguments or ["--help"], standalone_mode=False)
         return result if isinstance(result, int) else GOOD
     except typer.TyperException as error:
-        describe = getattr(error, "format_message", lambda: str(error))
-        screen.print(f"error: {describe()}", markup=False, soft_wrap=True)
+        words = error.format_message() if hasattr(error, "format_message") else str(error)
+        screen.print(f"error: {words}", markup=False, soft_wrap=True)
         return BAD_INPUT
     except (ScenarioError, BagError, RunError, ValueError) as error:
         for line in str(error).splitlines():
@@ -177,7 +211,7 @@ def _guarded(arguments: list[str]) -> int:
     except GraphError as error:
         screen.print(f"error: {error}", markup=False, soft_wrap=True)
         return INTERNAL
-    except Exception as error:  # noqa: BLE001 (the last line of defence: no traceback unless asked for)
+    except Exception as error:
         screen.print(f"internal error: {type(error).__name__}: {error}", markup=False, soft_wrap=True)
         if os.environ.get("QUADFTC_DEBUG"):
             traceback.print_exc()

@@ -1,28 +1,37 @@
+# pyright: basic
 """The graph in one process: all nodes on one executor. The default, and the fast way."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
-import rclpy
-from rclpy.node import Node
+from rclpy.context import Context
 from rclpy.parameter import Parameter
 
-from quadftc_bench.graph_plan import CONNECT_TIMEOUT, EXECUTABLES, STALL_TIMEOUT, GraphError, GraphPlan, drain
+from quadftc_bench.graph_plan import (
+    ALONE,
+    CONNECT_TIMEOUT,
+    EXECUTABLES,
+    STALL_TIMEOUT,
+    GraphError,
+    GraphPlan,
+    Progress,
+    always,
+    drain,
+)
 from quadftc_control.controller_node import ControllerNode
 from quadftc_control.reference_node import ReferenceNode
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_ros.executor import make_executor
-from quadftc_ros.node import GraphNode, missing_connections
+from quadftc_ros.node import GraphNode, crowded_topics, missing_connections
 from quadftc_ros.recorder_node import RecorderNode
-from quadftc_ros.topics import TOPICS
 from quadftc_sim.fault_injector_node import FaultInjectorNode
 from quadftc_sim.plant_node import PlantNode
 
-NODE_CLASSES: dict[str, type[GraphNode]] = {
+NODE_CLASSES: dict[str, type[Any]] = {
     "fault_injector": FaultInjectorNode,
     "fault_observer": FaultObserverNode,
     "disturbance_observer": DisturbanceObserverNode,
@@ -44,16 +53,16 @@ class ComposedGraph:
     Raises
     ------
     ValueError
-        If a parameter of a node is wrong.
-    OSError
-        If the bag cannot be made.
+        If a parameter of a node is wrong, or the bag cannot be made.
     """
+
+    exit_code = 0  # for those who treat both kinds of graph alike: no process that could end badly
 
     def __init__(self, plan: GraphPlan, executor: str = "events") -> None:
         self.plan = plan
         self.recorder: RecorderNode | None = None
         self.nodes: dict[str, GraphNode] = {}
-        self._context = rclpy.Context()
+        self._context = Context()
         self._context.init()
         self._executor = make_executor(executor, self._context)
         try:
@@ -80,12 +89,12 @@ class ComposedGraph:
         """Close the graph."""
         self.close()
 
-    def run(self, progress: Callable[[int], bool] | None = None) -> float:
+    def run(self, progress: Progress = always) -> float:
         """Fly until the plant's duration is over; return the wall time of the flight [s].
 
         Parameters
         ----------
-        progress : callable, optional
+        progress : callable
             Called with the number of samples so far, often; the flight ends early when it returns False.
 
         Raises
@@ -93,24 +102,47 @@ class ComposedGraph:
         GraphError
             If the nodes do not find each other, or no sample comes for too long.
         """
-        self._wait_until_connected()
+        if not self.wait_until_connected(progress):
+            return 0.0
         begin = time.monotonic()
         self.plant.start()
         samples, moved = 0, begin
         while not self.plant.finished:
             self.spin_once()
             now = time.monotonic()
-            if progress is not None and not progress(self.plant.samples):
+            if not progress(self.plant.samples):
                 break
             if self.plant.samples != samples:
                 samples, moved = self.plant.samples, now
             elif now - moved > STALL_TIMEOUT:
-                raise GraphError(f"the flight stalled after {samples} samples: no torque/command came for the last")
+                raise GraphError(
+                    f"the flight stalled after {samples} samples: no torque/command came for the last"
+                )
         wall = time.monotonic() - begin
         recorder = self.recorder
         if recorder is not None:
             drain(lambda: recorder.received, self.spin_once, self.plan.mode)
         return wall
+
+    def wait_until_connected(self, progress: Progress = always) -> bool:
+        """Wait until every node is matched with every other; return False if ``progress(0)`` did so before.
+
+        Raises
+        ------
+        GraphError
+            If they do not find each other, or another graph is there, too.
+        """
+        recorders = 0 if self.recorder is None else 1
+        end = time.monotonic() + CONNECT_TIMEOUT
+        while missing := self._missing(recorders):
+            if time.monotonic() > end:
+                raise GraphError(f"not connected after {CONNECT_TIMEOUT:g} s: {'; '.join(missing)}")
+            if not progress(0):
+                return False
+            self.spin_once(0.02)
+        if crowd := crowded_topics(self.plant.count_publishers):
+            raise GraphError(f"{crowd[0]}: {ALONE}")
+        return True
 
     def spin_once(self, timeout: float = 0.2) -> None:
         """Let the nodes work on what has come; return at the latest after ``timeout`` [s]."""
@@ -128,7 +160,7 @@ class ComposedGraph:
 
     def _made(self, node_class: type[Any], parameters: Mapping[str, Any]) -> Any:
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        node: Node = node_class(
+        node = node_class(
             context=self._context,
             namespace=self.plan.namespace or None,
             parameter_overrides=overrides,
@@ -137,28 +169,9 @@ class ComposedGraph:
         self._executor.add_node(node)
         return node
 
-    def _wait_until_connected(self) -> None:
-        recorders = 0 if self.recorder is None else 1
-        end = time.monotonic() + CONNECT_TIMEOUT
-        while True:
-            missing = [
-                f"{name}: {lack}"
-                for name, node in self.nodes.items()
-                for lack in missing_connections(name, node.connections(), recorders)
-            ]
-            if not missing:
-                break
-            if time.monotonic() > end:
-                raise GraphError(f"not connected after {CONNECT_TIMEOUT:g} s: {'; '.join(missing)}")
-            self.spin_once(0.02)
-        self._refuse_company()
-
-    def _refuse_company(self) -> None:
-        for name, row in TOPICS.items():
-            count = self.plant.count_publishers(name)
-            if row.publishers and not name.startswith("/") and count > len(row.publishers):
-                raise GraphError(
-                    f"{name} has {count} publishers: another graph runs in this ROS domain; stop it, "
-                    "or set another ROS_DOMAIN_ID"
-                )
-
+    def _missing(self, recorders: int) -> list[str]:
+        return [
+            f"{name}: {lack}"
+            for name, node in self.nodes.items()
+            for lack in missing_connections(name, node.connections(), recorders)
+        ]

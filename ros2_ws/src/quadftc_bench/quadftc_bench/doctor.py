@@ -1,3 +1,4 @@
+# pyright: basic
 """``quadftc doctor``: what is installed, what is missing, and how to mend it."""
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import rclpy
+from rclpy.context import Context
 from rclpy.utilities import get_rmw_implementation_identifier
 from std_msgs.msg import Header
 
@@ -20,8 +22,8 @@ from quadftc_bench.process_graph import executable_path
 from quadftc_bench.scenario import ScenarioError, find_scenario, load_scenario, scenario_names
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 from quadftc_ros.executor import make_executor
-from quadftc_ros.topics import TOPICS
 from quadftc_ros.interfaces import load_message_class
+from quadftc_ros.topics import TOPICS
 
 MIN_DISK = 500e6  # bytes; a bag of 80 s at 250 Hz takes about 20 MB
 LIBRARIES = ("numpy", "scipy", "mcap", "rosbags", "pydantic", "ruamel.yaml", "typer", "rich")
@@ -50,13 +52,14 @@ def examine() -> list[Finding]:
         ("discovery", _discovery, "set ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"),
         ("disk", _disk, "free some space"),
     )
-    findings: list[Finding] = []
-    for part, check, mend in checks:
-        try:
-            findings.append(Finding(part, True, check()))
-        except Exception as error:  # noqa: BLE001 (whatever is wrong is what the doctor is asked for)
-            findings.append(Finding(part, False, " ".join(str(error).split()) or type(error).__name__, mend))
-    return findings
+    return [_finding(*row) for row in checks]
+
+
+def _finding(part: str, check: Callable[[], str], mend: str) -> Finding:
+    try:
+        return Finding(part, True, check())
+    except Exception as error:  # whatever is wrong is what the doctor is asked for
+        return Finding(part, False, " ".join(str(error).split()) or type(error).__name__, mend)
 
 
 def _python() -> str:
@@ -67,7 +70,9 @@ def _python() -> str:
 
 def _ros() -> str:
     where = "/opt/ros" if "/opt/ros/" in (rclpy.__file__ or "") else "wheels"
-    return f"Jazzy, rclpy {importlib.metadata.version('rclpy')} ({where}), {get_rmw_implementation_identifier()}"
+    return (
+        f"Jazzy, rclpy {importlib.metadata.version('rclpy')} ({where}), {get_rmw_implementation_identifier()}"
+    )
 
 
 def _messages() -> str:
@@ -78,7 +83,11 @@ def _messages() -> str:
 
 
 def _executables() -> str:
-    for package, executable in (*EXECUTABLES.values(), ("quadftc_ros", "recorder"), ("quadftc_bench", "quadftc")):
+    for package, executable in (
+        *EXECUTABLES.values(),
+        ("quadftc_ros", "recorder"),
+        ("quadftc_bench", "quadftc"),
+    ):
         executable_path(package, executable)
     return f"{len(EXECUTABLES) + 2} installed"
 
@@ -102,7 +111,7 @@ def _scenarios() -> str:
 
 def _communication() -> str:
     """Send a message from one node to another and time it."""
-    context = rclpy.Context()
+    context = Context()
     context.init()
     executor = make_executor("events", context)
     node = rclpy.create_node("doctor", context=context, use_global_arguments=False)

@@ -23,7 +23,14 @@ EXECUTABLES: dict[str, tuple[str, str]] = {
 CONNECT_TIMEOUT = 30.0  # s; to find each other
 STALL_TIMEOUT = 15.0  # s; lock-step: without a new sample
 QUIET = 0.25  # s; lock-step: when nothing more has come to be recorded for so long, all of it has
-AFTERMATH = 0.05  # s; real time: recorded after the end; longer, and the controller reports that the IMU has stopped
+AFTERMATH = (
+    0.05  # s; real time: recorded after the end; longer, and the controller reports that the IMU has stopped
+)
+
+
+ALONE = "another graph runs in this ROS domain; stop it, or set another ROS_DOMAIN_ID"
+
+Progress = Callable[[int], bool]  # called with the number of samples so far; False ends the flight early
 
 
 class GraphError(RuntimeError):
@@ -55,7 +62,7 @@ class GraphPlan:
     attachments: tuple[Path, ...] = ()
 
     def node_parameters(self, node: str) -> dict[str, Any]:
-        """Return the parameters of one node, with the mode and without empty lists (to ROS those have no type)."""
+        """Return the parameters of one node: with the mode, less empty lists, which to ROS have no type."""
         values = {"mode": self.mode, **self.parameters.get(node, {})}
         if node == "plant":
             values["autostart"] = False
@@ -74,6 +81,11 @@ class GraphPlan:
             "directory": str(self.bag),
             "attachments": [str(path) for path in self.attachments] or [""],
         }
+
+
+def always(samples: int) -> bool:
+    """Let the flight go on to its end."""
+    return True
 
 
 def drain(recorded: Callable[[], int], spin: Callable[[float], None], mode: str) -> None:

@@ -1,3 +1,4 @@
+# pyright: basic
 """Flying a scenario through the real node graph: one bag and one summary for each run.
 
 Not pure: starts the graph, writes files.
@@ -76,7 +77,9 @@ def prepare(out: Path, names: list[str], force: bool) -> None:
         if not directory.exists():
             continue
         if not force:
-            raise RunError(f"{directory}: exists; choose another --out, or --force to replace the earlier run")
+            raise RunError(
+                f"{directory}: exists; choose another --out, or --force to replace the earlier run"
+            )
         if not (directory / "metadata.yaml").is_file():
             raise RunError(f"{directory}: is no earlier run; not replaced")
         shutil.rmtree(directory)
@@ -86,7 +89,9 @@ def prepare(out: Path, names: list[str], force: bool) -> None:
         raise RunError(f"{out}: {error.strerror}") from None
 
 
-def run(scenario: Scenario, scheme: Scheme, out: Path, options: RunOptions, progress: Progress) -> dict[str, Any]:
+def run(
+    scenario: Scenario, scheme: Scheme, out: Path, options: RunOptions, progress: Progress
+) -> dict[str, Any]:
     """Fly one scheme of a scenario; return the summary that is written beside the bag.
 
     Parameters
@@ -134,7 +139,15 @@ def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> floa
 
 def _commit() -> dict[str, str]:
     """The commit of the source tree this code runs from, if it is one."""
-    command = ["git", "-C", str(Path(__file__).resolve().parent), "describe", "--always", "--dirty", "--abbrev=12"]
+    command = [
+        "git",
+        "-C",
+        str(Path(__file__).resolve().parent),
+        "describe",
+        "--always",
+        "--dirty",
+        "--abbrev=12",
+    ]
     try:
         found = subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=False)
     except (OSError, subprocess.TimeoutExpired):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from quadftc_bench.flight import AXES
+from quadftc_bench.metrics import look_up
 
 # heading, metric (dotted path below "metrics"), factor, decimals
 COLUMNS = (
@@ -53,8 +54,8 @@ def run_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
 def failed_checks(summaries: Iterable[Mapping[str, Any]]) -> list[str]:
     """One line for each failed check."""
     return [
-        f"{item['name']}-{item['scheme']}: {check['metric']}{'' if check['axis'] is None else ' ' + check['axis']}"
-        f" = {_number(check['value'], 1.0, 4)}, required {check['bound']}"
+        f"{item['name']}-{item['scheme']}: {check['metric']} {check['axis'] or ''}".rstrip()
+        + f" = {_number(check['value'], 1.0, 4)}, required {check['bound']}"
         for item in summaries
         for check in item["checks"]
         if not check["passed"]
@@ -63,17 +64,14 @@ def failed_checks(summaries: Iterable[Mapping[str, Any]]) -> list[str]:
 
 def metric_at(metrics: Any, path: str) -> Any:
     """Metric at a dotted path, or None."""
-    place = metrics
-    for word in path.split("."):
-        if isinstance(place, list):
-            place = place[int(word)] if int(word) < len(place) else None
-        else:
-            place = place.get(word) if isinstance(place, Mapping) else None
-    return place
+    try:
+        return look_up(metrics, path)
+    except KeyError:
+        return None
 
 
 def _on_axis(values: Any, axis: str) -> Any:
-    return values.get(axis) if isinstance(values, Mapping) else None
+    return cast("Mapping[str, Any]", values).get(axis) if isinstance(values, Mapping) else None
 
 
 def _number(value: Any, scale: float, digits: int) -> str:

@@ -1,4 +1,5 @@
-"""The controller node: from attitude, reference and disturbance estimate to a torque that the rotors can give.
+# pyright: basic
+"""The controller node: from attitude, reference and disturbance estimate to a torque within the authority.
 
 Inputs: imu/corrected, attitude/reference, disturbance/estimate; imu/data as fallback in real time.
 Outputs: torque/command [N m], control/status.
@@ -9,34 +10,51 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from quadftc_msgs.msg import ControlStatus
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu
-from std_srvs.srv import Trigger
 
 from quadftc_control.assembly import controller_from
 from quadftc_control.controller import controllers
 from quadftc_control.degraded import InputMonitor, Mode, Patience
-from quadftc_model.parameters import Value, build, parameter
+from quadftc_model.assembly import build_prefixed
+from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import AttitudeReference, ControllerInputs, ControllerOutput, ImuSample, sanitised
-from quadftc_model.stepper import Stepper
-from quadftc_msgs.msg import ControlStatus
-from quadftc_ros.conversions import BASE_FRAME, VectorWriter, array_of, fill_vector, imu_sample, reference_of, set_stamp
+from quadftc_model.stepper import Stepper, seconds
+from quadftc_ros.conversions import (
+    BASE_FRAME,
+    Floats,
+    VectorWriter,
+    array_of,
+    fill_vector,
+    imu_sample,
+    is_finite,
+    reference_of,
+    set_stamp,
+)
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import StampJoin
 from quadftc_ros.node import GraphNode, wall_seconds
 
-_LEVELS = {Mode.FULL: OK, Mode.NO_DIAGNOSIS: WARN, Mode.NO_DISTURBANCE_ESTIMATE: WARN, Mode.HOLD: WARN, Mode.OFF: ERROR}
+WATCH_PERIOD = 0.02  # s; real time: how often the controller looks whether samples still come
+
+_REPORTS = {
+    Mode.FULL: (OK, "full"),
+    Mode.NO_DIAGNOSIS: (WARN, "no diagnosis: on imu/data, as imu/corrected is missing"),
+    Mode.NO_DISTURBANCE_ESTIMATE: (WARN, "no disturbance estimate"),
+    Mode.HOLD: (WARN, "hold: no IMU, the last torque is held"),
+    Mode.OFF: (ERROR, "off: no IMU, zero torque"),
+}
 
 
 @dataclasses.dataclass(frozen=True)
 class ControllerParameters:
-    """Parameters of the controller node besides those of the controller itself, which stand behind its name."""
+    """Parameters of the controller node besides those of the controller, which stand behind its name."""
 
     vehicle: str = parameter("qball_x4", doc="name of a vehicle, or path of its TOML file")
     controller: str = parameter("ismc", doc="name of the controller")
@@ -53,25 +71,26 @@ class ControllerNode(GraphNode):
         self.settings.declare(Patience, "patience.")
         values = self.settings.values()
         self._stepper: Stepper[ControllerInputs, ControllerOutput] = Stepper(controller_from(values))
-        self._monitor = InputMonitor(_patience(values))
+        self._monitor = InputMonitor(build_prefixed(Patience, values, "patience"))
         self.settings.on_change(self._rebuilt)
         self._publish_torque = self.publishes("torque/command")
         self._publish_status = self.publishes("control/status")
-        self._reference: AttitudeReference | None = None
-        self._stamp_ns, self._last_sample = 0, time.monotonic()
         self._body = VectorWriter(BASE_FRAME)
+        self._reference: AttitudeReference | None = None
+        self._mode: Mode | None = None
+        self._torque, self._stamp_ns = np.zeros(3), 0  # last command [N m] and its stamp [ns]
         self._join = StampJoin(("imu", "reference", "disturbance"), self._on_all)
-        self.reads("imu/corrected", self._on_corrected)
+        self.driven_by("imu/corrected", self._on_corrected, restart=self._stepper.reset)
         self.reads("attitude/reference", self._on_reference)
         self.reads("disturbance/estimate", self._on_disturbance)
         self.reads_raw("imu/data", self._on_raw)
-        self.offers("reset", Trigger, self._on_reset)
+        self._watched_ns, self._silent_since_ns = 0, 0
         if not self.lockstep:
-            self._watchdog = self.create_timer(0.02, self._on_watchdog)
+            self._watchdog = self.create_timer(WATCH_PERIOD, self._on_watchdog, clock=self.pace)
         self.ready()
 
     def _rebuilt(self, values: Mapping[str, Value]) -> Callable[[], None]:
-        law, patience = controller_from(values), _patience(values)
+        law, patience = controller_from(values), build_prefixed(Patience, values, "patience")
 
         def apply() -> None:
             self._stepper.law, self._monitor.patience = law, patience
@@ -80,7 +99,7 @@ class ControllerNode(GraphNode):
 
     def _on_reference(self, stamp_ns: int, message: Any) -> None:
         reference = reference_of(message)
-        if not all(np.all(np.isfinite(part)) for part in reference):
+        if not all(is_finite(part) for part in reference):
             self.diagnostics.count("attitude/reference is not finite")
             return
         self._reference = reference
@@ -89,7 +108,7 @@ class ControllerNode(GraphNode):
 
     def _on_disturbance(self, stamp_ns: int, message: Any) -> None:
         disturbance = array_of(message.vector)
-        if not np.all(np.isfinite(disturbance)):
+        if not is_finite(disturbance):
             self.diagnostics.count("disturbance/estimate is not finite")
             return
         self._monitor.estimated(stamp_ns, disturbance)
@@ -107,51 +126,62 @@ class ControllerNode(GraphNode):
         if not self.lockstep and self._monitor.use_raw():
             self._on_latest(stamp_ns, imu_sample(deserialize_message(data, Imu)), Mode.NO_DIAGNOSIS)
 
-    def _on_all(self, stamp_ns: int, imu: ImuSample, reference: AttitudeReference, disturbance: Any) -> None:
+    def _on_all(
+        self, stamp_ns: int, imu: ImuSample, reference: AttitudeReference, disturbance: Floats
+    ) -> None:
         self._control(stamp_ns, ControllerInputs(imu, reference, disturbance), Mode.FULL)
 
     def _on_latest(self, stamp_ns: int, imu: ImuSample, mode: Mode) -> None:
         clean = sanitised(imu)
-        if self._reference is None or not clean.attitude_valid:
-            self.diagnostics.count("no reference yet" if self._reference is None else "imu without attitude")
+        if self._reference is None:
+            self.diagnostics.count("no attitude/reference yet")
+            return
+        if not clean.attitude_valid:
+            self.diagnostics.count("IMU without attitude")
             return
         disturbance, fresh = self._monitor.disturbance_at(stamp_ns)
         if mode is Mode.FULL and not fresh:
             mode = Mode.NO_DISTURBANCE_ESTIMATE
-        self._control(stamp_ns, ControllerInputs(imu, self._reference, disturbance), mode)
+        self._control(stamp_ns, ControllerInputs(clean, self._reference, disturbance), mode)
 
     def _control(self, stamp_ns: int, inputs: ControllerInputs, mode: Mode) -> None:
         begin = wall_seconds()
         output = self._stepper.step(stamp_ns, inputs)
         if output is None:  # repeated: imu/corrected of a sample that imu/data has served already
             return
+        if not all(map(is_finite, (output.torque, output.error, output.sliding_variable))):
+            self.diagnostics.count("the controller gave no number: the last torque is held")
+            self._stepper.reset()
+            output = _nothing_but(self._torque)
+        self._torque, self._stamp_ns = output.torque, stamp_ns
         self._publish_torque(self._body(stamp_ns, output.torque))
-        self._stamp_ns, self._last_sample = stamp_ns, time.monotonic()
         self._publish_status(status_message(stamp_ns, output, mode, wall_seconds() - begin))
-        self.diagnostics.report("mode", _LEVELS[mode], mode.name.lower().replace("_", " "))
+        self._enter(mode)
         self.sampled(stamp_ns)
 
+    def _enter(self, mode: Mode) -> None:
+        if mode is not self._mode:
+            self._mode = mode
+            self.diagnostics.report("mode", *_REPORTS[mode])
+
     def _on_watchdog(self) -> None:
-        mode = self._monitor.silence(time.monotonic() - self._last_sample)
+        """Act when samples have stopped coming."""
+        now_ns = self.pace.now().nanoseconds
+        if self._stamp_ns != self._watched_ns:
+            self._watched_ns, self._silent_since_ns = self._stamp_ns, now_ns
+        mode = self._monitor.silence(seconds(now_ns - self._silent_since_ns))
         if mode is Mode.FULL or not self._stamp_ns:
             return
-        if mode is Mode.OFF:
-            self._publish_torque(self._body(self._stamp_ns, np.zeros(3)))
-        self.diagnostics.report("mode", _LEVELS[mode], f"{mode.name.lower()}: no IMU")
-        zeros = np.zeros(3)
-        output = ControllerOutput(zeros, zeros, zeros, np.zeros(3, dtype=bool))
-        self._publish_status(status_message(self._stamp_ns, output, mode, 0.0))
-
-    def _on_reset(self, request: Any, response: Any) -> Any:
-        self._stepper.reset()
-        self._join.clear()
-        response.success, response.message = True, "starts anew at the next sample"
-        return response
+        torque = self._torque if mode is Mode.HOLD else np.zeros(3)
+        self._publish_torque(self._body(self._stamp_ns, torque))
+        self._publish_status(status_message(self._stamp_ns, _nothing_but(torque), mode, 0.0))
+        self._enter(mode)
+        self.sampled(self._stamp_ns)
 
 
-def _patience(values: Mapping[str, Any]) -> Patience:
-    prefix = "patience."
-    return build(Patience, {k.removeprefix(prefix): v for k, v in values.items() if k.startswith(prefix)})
+def _nothing_but(torque: Floats) -> ControllerOutput:
+    """The output when no law has spoken."""
+    return ControllerOutput(torque, np.zeros(3), np.zeros(3), np.zeros(3, dtype=bool))
 
 
 def status_message(stamp_ns: int, output: ControllerOutput, mode: Mode, compute_time: float) -> ControlStatus:

@@ -1,7 +1,9 @@
+# pyright: basic
 """The disturbance observer node: estimates the disturbance as an angular acceleration.
 
 Inputs: imu/corrected, torque/command.
 Outputs: disturbance/estimate [rad/s²].
+Services: ~/reset (std_srvs/Trigger). A sample whose stamp repeats or goes back is refused and counted.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from quadftc_model.arrays import Array
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import DisturbanceObserverInputs, sanitised
 from quadftc_model.stepper import Stepper
-from quadftc_ros.conversions import BASE_FRAME, VectorWriter, array_of, imu_sample
+from quadftc_ros.conversions import BASE_FRAME, Floats, VectorWriter, array_of, imu_sample, is_finite
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import TorqueGate
@@ -28,7 +30,7 @@ from quadftc_ros.node import GraphNode
 
 @dataclasses.dataclass(frozen=True)
 class ObserverParameters:
-    """Parameters of the disturbance observer node besides those of the observer, which stand behind its name."""
+    """Parameters of the node besides those of the observer, which stand behind its name."""
 
     vehicle: str = parameter("qball_x4", doc="name of a vehicle, or path of its TOML file")
     observer: str = parameter("exosystem", doc="name of the disturbance observer")
@@ -48,9 +50,9 @@ class DisturbanceObserverNode(GraphNode):
         self.settings.on_change(self._rebuilt)
         self._publish = self.publishes("disturbance/estimate")
         self._body = VectorWriter(BASE_FRAME)
-        self._gate = TorqueGate(self.mode, self._on_sample, np.zeros(3))
-        self.reads("imu/corrected", lambda stamp_ns, m: self._gate.put_sample(stamp_ns, m))
-        self.reads("torque/command", lambda stamp_ns, m: self._gate.put_torque(stamp_ns, array_of(m.vector)))
+        self._gate = TorqueGate(self.mode, self._on_sample)
+        self.driven_by("imu/corrected", self._gate.put_sample, restart=self._stepper.reset)
+        self.reads("torque/command", self._on_torque)
         self.diagnostics.report("observer", OK, name)
         self.ready()
 
@@ -58,13 +60,21 @@ class DisturbanceObserverNode(GraphNode):
         law = disturbance_observer_from(values)
         return lambda: setattr(self._stepper, "law", law)
 
-    def _on_sample(self, stamp_ns: int, message: Any, torque: Any) -> None:
+    def _on_torque(self, stamp_ns: int, message: Any) -> None:
+        if not self._gate.put_torque(stamp_ns, array_of(message.vector)):
+            self.diagnostics.count("torque/command: not finite")
+
+    def _on_sample(self, stamp_ns: int, message: Any, torque: Floats) -> None:
         sample = sanitised(imu_sample(message))
         inputs = DisturbanceObserverInputs(sample.body_rate, sample.rate_valid, torque)
         estimate = self._stepper.step(stamp_ns, inputs)
         if estimate is None:
             self.diagnostics.count("imu/corrected: stamp repeated or went back")
             return
+        if not is_finite(estimate):
+            self.diagnostics.count("the observer gave no number: it starts anew")
+            self._stepper.reset()
+            estimate = np.zeros(3)
         self._publish(self._body(stamp_ns, estimate))
         self.sampled(stamp_ns)
 

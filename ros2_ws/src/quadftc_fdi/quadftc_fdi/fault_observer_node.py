@@ -1,8 +1,9 @@
+# pyright: basic
 """The fault observer node: estimates the attitude fault and publishes the corrected IMU.
 
 Inputs: imu/data; torque/command (observer (16) of the paper needs the torque that acted).
 Outputs: imu/corrected, fault/estimate, fault/status.
-Services: ~/reset (std_srvs/Trigger).
+Services: ~/reset (std_srvs/Trigger). A sample whose stamp repeats or goes back is refused and counted.
 """
 
 from __future__ import annotations
@@ -13,23 +14,25 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from std_srvs.srv import Trigger
+from quadftc_msgs.msg import FaultStatus
 
 from quadftc_fdi.assembly import fault_observer_from
 from quadftc_fdi.diagnosis import Diagnosis
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_model.parameters import Value, parameter
-from quadftc_model.samples import FaultEstimate
-from quadftc_msgs.msg import FaultStatus
+from quadftc_model.samples import STARTING, FaultEstimate, ImuSample, sanitised
 from quadftc_ros.conversions import (
     EARTH_FRAME,
     IMU_FRAME,
     NANOSECONDS,
+    Floats,
     ImuWriter,
     VectorWriter,
     array_of,
     fill_vector,
     imu_sample,
+    is_finite,
+    set_stamp,
     time_message,
 )
 from quadftc_ros.diagnostics import OK
@@ -40,7 +43,7 @@ from quadftc_ros.node import GraphNode
 
 @dataclasses.dataclass(frozen=True)
 class ObserverParameters:
-    """Parameters of the fault observer node besides those of the observer itself, which stand behind its name."""
+    """Parameters of the node besides those of the observer, which stand behind its name."""
 
     vehicle: str = parameter("qball_x4", doc="name of a vehicle, or path of its TOML file")
     observer: str = parameter("sliding_mode", doc="name of the fault observer")
@@ -60,10 +63,9 @@ class FaultObserverNode(GraphNode):
         self._publish_estimate = self.publishes("fault/estimate")
         self._publish_status = self.publishes("fault/status")
         self._imu, self._earth = ImuWriter(), VectorWriter(EARTH_FRAME)
-        self._gate = TorqueGate(self.mode, self._on_sample, np.zeros(3))
-        self.reads("imu/data", self._on_imu)
-        self.reads("torque/command", lambda stamp_ns, m: self._gate.put_torque(stamp_ns, array_of(m.vector)))
-        self.offers("reset", Trigger, self._on_reset)
+        self._gate = TorqueGate(self.mode, self._on_sample)
+        self.driven_by("imu/data", self._gate.put_sample, restart=self._diagnosis.reset)
+        self.reads("torque/command", self._on_torque)
         self.diagnostics.report("observer", OK, name)
         self.ready()
 
@@ -71,15 +73,20 @@ class FaultObserverNode(GraphNode):
         law = fault_observer_from(values)
         return lambda: setattr(self._diagnosis, "law", law)
 
-    def _on_imu(self, stamp_ns: int, message: Any) -> None:
-        self._gate.put_sample(stamp_ns, message)
+    def _on_torque(self, stamp_ns: int, message: Any) -> None:
+        if not self._gate.put_torque(stamp_ns, array_of(message.vector)):
+            self.diagnostics.count("torque/command: not finite")
 
-    def _on_sample(self, stamp_ns: int, message: Any, torque: Any) -> None:
+    def _on_sample(self, stamp_ns: int, message: Any, torque: Floats) -> None:
         sample = imu_sample(message)
         estimate = self._diagnosis.step(stamp_ns, sample, torque)
         if estimate is None:
             self.diagnostics.count("imu/data: stamp repeated or went back")
             return
+        if not _is_finite(estimate):
+            self.diagnostics.count("the observer gave no number: it starts anew")
+            self._diagnosis.reset()
+            estimate = _no_estimate(sample)
         if not estimate.corrected.rate_valid:
             self.diagnostics.count("imu/data: body rate absent or unusable")
         self._publish_estimate(self._earth(stamp_ns, estimate.fault))
@@ -87,23 +94,30 @@ class FaultObserverNode(GraphNode):
         self.sampled(stamp_ns)
         self._publish_corrected(self._imu(stamp_ns, estimate.corrected))
 
-    def _on_reset(self, request: Any, response: Any) -> Any:
-        self._diagnosis.reset()
-        response.success, response.message = True, "starts anew at the next sample"
-        return response
+
+def _is_finite(estimate: FaultEstimate) -> bool:
+    corrected = estimate.corrected
+    return is_finite(estimate.fault) and is_finite(corrected.q_xyzw) and is_finite(corrected.body_rate)
+
+
+def _no_estimate(sample: ImuSample) -> FaultEstimate:
+    unknown = np.full(3, -1.0)
+    return FaultEstimate(np.zeros(3), unknown, np.full(3, STARTING, np.uint8), unknown, sanitised(sample))
 
 
 def status_message(stamp_ns: int, estimate: FaultEstimate) -> FaultStatus:
     """Message of an estimate of one vehicle."""
     message = FaultStatus()
-    message.header.stamp = time_message(stamp_ns)
+    set_stamp(message.header, stamp_ns)
     message.header.frame_id = IMU_FRAME
     message.state = estimate.state
     fill_vector(message.estimate, estimate.fault)
     fill_vector(message.std_dev, estimate.std_dev)
-    for axis, age in enumerate(estimate.onset_age.tolist()):
-        if age >= 0.0:
-            message.onset[axis] = time_message(stamp_ns - round(age * NANOSECONDS))
+    ages = estimate.onset_age.tolist()
+    if max(ages) >= 0.0:
+        message.onset = [
+            time_message(stamp_ns - round(age * NANOSECONDS) if age >= 0.0 else 0) for age in ages
+        ]
     return message
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from typing import Any
 
@@ -9,11 +10,11 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Vector3, Vector3Stamped
 from numpy.typing import NDArray
+from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
 from quadftc_model.samples import AttitudeReference, ImuSample
-from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
 
 BASE_FRAME = "base_link"  # body, FLU (REP-103)
 IMU_FRAME = "imu_link"  # the IMU, aligned with the body (REP-145)
@@ -33,8 +34,8 @@ def stamp_of(message: Any) -> int:
 
 def leading_stamp_ns(cdr_bytes: bytes) -> int:
     """Return the stamp [ns] that a serialised message begins with."""
-    seconds, nanoseconds = struct.unpack_from("<iI" if cdr_bytes[1] else ">iI", cdr_bytes, 4)
-    return seconds * 1_000_000_000 + nanoseconds
+    sec, nanosec = struct.unpack_from("<iI" if cdr_bytes[1] else ">iI", cdr_bytes, 4)
+    return sec * NANOSECONDS + nanosec
 
 
 def time_message(stamp_ns: int) -> Time:
@@ -53,13 +54,21 @@ def array_of(vector: Vector3) -> Floats:
     return np.array((vector.x, vector.y, vector.z))
 
 
+def is_finite(array: Floats) -> bool:
+    """Whether every number of a small array is finite."""
+    return all(map(math.isfinite, array.tolist()))
+
+
 def fill_vector(vector: Vector3, array: Floats) -> None:
     """Write an array (3,) into a vector message."""
     vector.x, vector.y, vector.z = array.tolist()
 
 
 class VectorWriter:
-    """Makes stamped vectors in a frame; each call returns the same message object, filled anew (publishing copies it)."""
+    """Makes stamped vectors in a frame; each call returns the same message object, filled anew.
+
+    Publishing copies it.
+    """
 
     def __init__(self, frame: str) -> None:
         self._message = Vector3Stamped()
@@ -110,7 +119,10 @@ class ImuWriter:
 
 
 class ReferenceWriter:
-    """Makes reference messages; each call returns the same message object, filled anew (publishing copies it)."""
+    """Makes reference messages; each call returns the same message object, filled anew.
+
+    Publishing copies it.
+    """
 
     def __init__(self) -> None:
         self._message = AttitudeReferenceMessage()
@@ -128,4 +140,6 @@ class ReferenceWriter:
 
 def reference_of(message: AttitudeReferenceMessage) -> AttitudeReference:
     """Reference of a message."""
-    return AttitudeReference(array_of(message.angles), array_of(message.rates), array_of(message.accelerations))
+    return AttitudeReference(
+        array_of(message.angles), array_of(message.rates), array_of(message.accelerations)
+    )

@@ -41,6 +41,7 @@ class Diagnostics:
         )
         self._statuses: dict[str, DiagnosticStatus] = {}
         self._counts: Counter[str] = Counter()
+        self._counted = False  # since the last message
         self._due_ns = 0
         self.changed = False
 
@@ -50,14 +51,26 @@ class Diagnostics:
         if status is None:
             status = DiagnosticStatus(name=f"{self._name}: {part}", hardware_id=self._hardware_id)
             self._statuses[part] = status
+            self.changed = True
         if (status.level, status.message) != (level, message):
             status.level, status.message = level, message
             self.changed = True
         status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
 
+    def forget(self, part: str) -> None:
+        """Report a part no longer."""
+        self._statuses.pop(part, None)
+
     def count(self, event: str) -> None:
-        """Count something that should not happen; the counts are part of every message."""
+        """Count something that should not happen; the counts are part of every message.
+
+        The status ``samples`` is a warning when something was counted since the last message.
+        """
         self._counts[event] += 1
+        self._counted = True
+        samples = self._statuses.get("samples")
+        if samples is None or samples.level == OK:
+            self.changed = True
 
     def tick(self, stamp_ns: int) -> None:
         """Publish if a second has passed since the last time, or something changed [stamp in ns]."""
@@ -69,9 +82,9 @@ class Diagnostics:
         """Publish all statuses now [stamp in ns; 0: before the flight]."""
         self._due_ns = stamp_ns + NANOSECONDS if stamp_ns else 0
         self._refresh()
-        counted = WARN if self._counts else OK
-        self.report("samples", counted, "samples were rejected" if self._counts else "all used", **self._counts)
-        self.changed = False
-        message = DiagnosticArray(status=list(self._statuses.values()))
+        level, words = (WARN, "samples were rejected") if self._counted else (OK, "all used")
+        self.report("samples", level, words, **self._counts)
+        self.changed = self._counted = False
+        message = DiagnosticArray(status=[self._statuses[part] for part in sorted(self._statuses)])
         message.header.stamp = time_message(stamp_ns)
         self._publisher.publish(message)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Callable
@@ -16,6 +17,10 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 EXECUTORS = ("events", "single")
+STOPPING = (signal.SIGINT, signal.SIGTERM)
+LAUNCHER = (
+    "QUADFTC_LAUNCHER"  # environment variable: process that started this one and must not die before it
+)
 POLL = 0.2  # s; EventsExecutor.spin() without a timeout busy-loops in Jazzy 7.1, so it is called in slices
 
 
@@ -33,7 +38,7 @@ def make_executor(kind: str = "events", context: Any = None) -> Any:
 
 
 class StopSignals:
-    """Context in which SIGINT and SIGTERM set a flag instead of interrupting whatever runs; a second one interrupts.
+    """Context in which SIGINT and SIGTERM set a flag; a second one interrupts whatever runs.
 
     A KeyboardInterrupt inside a callback would be reported by the executor as an error of the node.
     """
@@ -44,7 +49,7 @@ class StopSignals:
 
     def __enter__(self) -> StopSignals:
         """Take the signals over."""
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in STOPPING:
             self._previous[number] = signal.signal(number, self._on_signal)
         return self
 
@@ -60,25 +65,34 @@ class StopSignals:
 
 
 def run_node(make: Callable[[], Node]) -> int:
-    """Run one node until Ctrl-C, SIGTERM or shutdown; return the exit code: 0, or 2 for wrong parameters.
+    """Run one node until Ctrl-C, SIGTERM, shutdown or the death of its launcher.
 
     Parameters
     ----------
     make : callable
         Makes the node; called after ``rclpy.init``.
+
+    Returns
+    -------
+    int
+        Exit code: 0, or 2 for wrong arguments or parameters.
     """
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     executor, node = None, None
     try:
         with StopSignals() as stop:
+            signal.pthread_sigmask(
+                signal.SIG_UNBLOCK, STOPPING
+            )  # a launcher blocks them until they can be handled
             try:
+                _initialise()
                 node = make()
             except (ValueError, ParameterException) as error:
-                print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+                sys.stderr.write(f"error: {' '.join(str(error).split())}\n")
                 return 2
             executor = make_executor()
             executor.add_node(node)
-            while rclpy.ok() and not stop.requested:
+            launcher = int(os.environ.get(LAUNCHER, os.getppid()))
+            while rclpy.ok() and not stop.requested and os.getppid() == launcher:
                 executor.spin_once(timeout_sec=POLL)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -89,3 +103,11 @@ def run_node(make: Callable[[], Node]) -> int:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _initialise() -> None:
+    """Initialise ROS; a wrong argument is a ValueError, not the RuntimeError that rclpy makes of it."""
+    try:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:
+        raise ValueError(f"ROS arguments: {error}") from None

@@ -6,11 +6,17 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+
+from quadftc_ros.conversions import Floats, is_finite
+
 DEPTH = 64  # samples that may be incomplete at a time; older ones are given up
 
 
 class StampJoin:
     """Call back with one message of each input, all of the same stamp.
+
+    An input whose stamps go back has begun a new flight: what it left waiting of the old one is forgotten.
 
     Parameters
     ----------
@@ -24,10 +30,14 @@ class StampJoin:
         self._inputs = tuple(inputs)
         self._callback = callback
         self._waiting: dict[int, dict[str, Any]] = {}
+        self._newest = dict.fromkeys(self._inputs, -1)
         self.given_up = 0
 
     def put(self, name: str, stamp_ns: int, message: Any) -> None:
         """Add a message [stamp in ns]; calls back if it completes its sample."""
+        if stamp_ns <= self._newest[name]:
+            self._forget(name, stamp_ns)
+        self._newest[name] = stamp_ns
         sample = self._waiting.setdefault(stamp_ns, {})
         sample[name] = message
         if len(sample) == len(self._inputs):
@@ -37,35 +47,38 @@ class StampJoin:
             del self._waiting[min(self._waiting)]
             self.given_up += 1
 
-    def clear(self) -> None:
-        """Forget what waits."""
-        self._waiting.clear()
+    def _forget(self, name: str, from_ns: int) -> None:
+        """Forget what waits of one input, from a stamp [ns] on."""
+        for stamp_ns in [known for known in self._waiting if known >= from_ns]:
+            self._waiting[stamp_ns].pop(name, None)
+            if not self._waiting[stamp_ns]:
+                del self._waiting[stamp_ns]
 
 
 class TorqueGate:
     """Pairs each IMU sample with the torque that acted before it: the command of the sample before.
 
+    A torque that is not finite is replaced by the one before. In lock-step, a stamp that is not later than
+    the last begins a new flight.
+
     Parameters
     ----------
     mode : str
-        In ``lockstep`` a sample waits until that very command has come; in ``realtime`` the latest one is taken.
+        In ``lockstep`` a sample waits until that very command has come; in ``realtime`` it gets the latest.
     callback : callable
         ``callback(stamp_ns, message, torque)``; the torque [N m] is an array (3,).
-    initial : array (3,)
-        Torque before the first command [N m].
     """
 
-    def __init__(self, mode: str, callback: Callable[[int, Any, Any], None], initial: Any) -> None:
+    def __init__(self, mode: str, callback: Callable[[int, Any, Floats], None]) -> None:
         self._lockstep = mode == "lockstep"
         self._callback = callback
-        self._initial = initial
         self._samples: deque[tuple[int, Any]] = deque(maxlen=DEPTH)
-        self.clear()
+        self._newest_ns = -1
+        self._begin()
 
-    def clear(self) -> None:
-        """Start anew: the next sample is the first."""
+    def _begin(self) -> None:
         self._samples.clear()
-        self._torque, self._torque_stamp_ns = self._initial, -1
+        self._torque, self._torque_stamp_ns = np.zeros(3), -1
         self._awaited_ns: int | None = None  # stamp of the last sample passed on
 
     def put_sample(self, stamp_ns: int, message: Any) -> None:
@@ -73,13 +86,20 @@ class TorqueGate:
         if not self._lockstep:
             self._callback(stamp_ns, message, self._torque)
             return
+        if stamp_ns <= self._newest_ns:
+            self._begin()
+        self._newest_ns = stamp_ns
         self._samples.append((stamp_ns, message))
         self._release()
 
-    def put_torque(self, stamp_ns: int, torque: Any) -> None:
-        """Add a command [stamp in ns]."""
-        self._torque, self._torque_stamp_ns = torque, stamp_ns
+    def put_torque(self, stamp_ns: int, torque: Floats) -> bool:
+        """Add a command [stamp in ns, N m (3,)]; return whether it was finite."""
+        finite = is_finite(torque)
+        if finite:
+            self._torque = torque
+        self._torque_stamp_ns = stamp_ns
         self._release()
+        return finite
 
     def _release(self) -> None:
         while self._samples and self._awaited_ns in (None, self._torque_stamp_ns):

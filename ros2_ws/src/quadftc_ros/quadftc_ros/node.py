@@ -7,12 +7,16 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
+from std_srvs.srv import Trigger
 
 from quadftc_model.parameters import parameter
-from quadftc_ros.conversions import leading_stamp_ns, stamp_of
+from quadftc_model.stepper import MAX_GAP
+from quadftc_ros.conversions import NANOSECONDS, leading_stamp_ns, stamp_of
 from quadftc_ros.diagnostics import OK, WARN, Diagnostics
 from quadftc_ros.interfaces import load_message_class
 from quadftc_ros.parameters import NodeParameters
@@ -20,6 +24,7 @@ from quadftc_ros.qos import service_profile, topic_profile
 from quadftc_ros.topics import TOPICS
 
 MODES = ("lockstep", "realtime")
+HEARTBEAT = {"realtime": 1.0, "lockstep": 0.2}  # s; in lock-step only before the flight
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,10 +58,11 @@ class GraphNode(Node):
         super().__init__(name, **kwargs)
         self.settings = NodeParameters(self)
         self.settings.declare(GraphParameters, read_only=True)
-        self.mode: str = self.get_parameter("mode").value
-        if self.mode not in MODES:
-            raise ValueError(f"mode = {self.mode!r}: expected one of {', '.join(MODES)}")
+        self.mode: str = self.settings.values()["mode"]
         self.diagnostics = Diagnostics(self, self.get_namespace().strip("/") or "vehicle", self.report)
+        self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        # for time-outs: does not jump when the machine's clock is set, stands still with a paused simulation
+        self.pace = self.get_clock() if self.get_parameter("use_sim_time").value else self.steady_clock
         self._flying = False
         self._outputs: dict[str, Publisher] = {}
         self._inputs: dict[str, Subscription] = {}
@@ -68,10 +74,10 @@ class GraphNode(Node):
 
     def ready(self) -> None:
         """Call at the end of the constructor: warns of unknown parameters and starts the diagnostics."""
-        for name in self.settings.unknown():
-            if name not in ("use_sim_time",) and not name.startswith("qos_overrides"):
-                self.get_logger().warning(f"parameter '{name}' was given but this node has no such parameter")
-        self._heartbeat = self.create_timer(1.0 if self.mode == "realtime" else 0.2, self._beat)
+        for complaint in self.settings.unknown():
+            self.get_logger().warning(complaint)
+        # on the steady clock, as the time of a simulation may stand still
+        self._heartbeat = self.create_timer(HEARTBEAT[self.mode], self._beat, clock=self.steady_clock)
 
     def publishes(self, topic: str) -> Callable[[Any], None]:
         """Create the publisher of a topic of the table; return its ``publish``."""
@@ -87,8 +93,31 @@ class GraphNode(Node):
         self._subscribe(topic, lambda message: callback(stamp_of(message), message), raw=False)
 
     def reads_raw(self, topic: str, callback: Callable[[int, bytes], None]) -> None:
-        """Subscribe to a topic of which most messages only tell the time; ``callback(stamp_ns, serialised)``."""
+        """Subscribe to a topic that mostly tells the time only; ``callback(stamp_ns, serialised)``."""
         self._subscribe(topic, lambda data: callback(leading_stamp_ns(data), data), raw=True)
+
+    def driven_by(
+        self, topic: str, callback: Callable[[int, Any], None], restart: Callable[[], None], raw: bool = False
+    ) -> None:
+        """Subscribe to the topic whose samples drive the node, as `reads` (or, ``raw``, as `reads_raw`) does.
+
+        ``restart()`` makes the next sample the first. It is called when a new flight begins, which shows in
+        stamps that go back: in lock-step by any amount, in real time by more than a sample that was overtaken
+        could be late. The service ``~/reset`` calls it, too.
+        """
+        tolerance_ns = -1 if self.lockstep else round(MAX_GAP * NANOSECONDS)
+        newest_ns = -1
+
+        def checked(stamp_ns: int, message: Any) -> None:
+            nonlocal newest_ns
+            if newest_ns - stamp_ns > tolerance_ns:
+                restart()
+                newest_ns = stamp_ns
+            newest_ns = max(newest_ns, stamp_ns)
+            callback(stamp_ns, message)
+
+        (self.reads_raw if raw else self.reads)(topic, checked)
+        self.offers_reset(restart, "starts anew at the next sample")
 
     def _subscribe(self, topic: str, callback: Callable[[Any], None], raw: bool) -> None:
         row = TOPICS[topic]
@@ -100,8 +129,18 @@ class GraphNode(Node):
         """Create the service ``~/name``; ``answer(request, response)`` returns the response."""
         self.create_service(service, f"~/{name}", answer, qos_profile=service_profile())
 
+    def offers_reset(self, restart: Callable[[], None], words: str) -> None:
+        """Create the service ``~/reset``, which calls ``restart()`` and answers with ``words``."""
+
+        def answer(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+            restart()
+            response.success, response.message = True, words
+            return response
+
+        self.offers("reset", Trigger, answer)
+
     def connections(self) -> dict[str, int]:
-        """Return how many publishers (for an input) or readers (for an output) each topic of the node has now."""
+        """Return how many publishers (of an input) or readers (of an output) each topic has now."""
         counts = {topic: publisher.get_subscription_count() for topic, publisher in self._outputs.items()}
         counts.update((topic, reader.get_publisher_count()) for topic, reader in self._inputs.items())
         return counts
@@ -113,28 +152,31 @@ class GraphNode(Node):
         super().destroy_node()
 
     def sampled(self, stamp_ns: int) -> None:
-        """Call once for each sample, at its end: lets /diagnostics out when it is due or something changed."""
-        self._flying = True
+        """Call once for each sample, at its end: publishes /diagnostics if due or something changed."""
         if self.lockstep:
+            if not self._flying:  # when the nodes found each other differs from run to run
+                self.diagnostics.forget("connections")
             self.diagnostics.tick(stamp_ns)
         elif self.diagnostics.changed:
-            self.diagnostics.tick(time.time_ns())
+            self.diagnostics.publish(self.now_ns())
+        self._flying = True
+
+    def now_ns(self) -> int:
+        """Time of the node's clock [ns]: that of the machine, or /clock with use_sim_time."""
+        return self.get_clock().now().nanoseconds
 
     def report(self) -> None:
-        """Report to the diagnostics; called before each of their messages. Nodes with more to say extend it."""
+        """Report to the diagnostics before each of their messages; nodes with more to say extend it."""
 
     def _beat(self) -> None:
-        """Report the connections; in lock-step only before the flight (stamp 0), whose messages are all by sample."""
+        """Publish the diagnostics; in lock-step only before the flight (stamp 0), where `sampled` does."""
         if self.lockstep and self._flying:
             return
         counts = self.connections()
         missing = missing_connections(self.get_name(), counts)
         message = "; ".join(missing) if missing else "all connected"
         self.diagnostics.report("connections", WARN if missing else OK, message, **counts)
-        if self.lockstep:
-            self.diagnostics.publish(0)
-        else:
-            self.diagnostics.tick(time.time_ns())
+        self.diagnostics.publish(0 if self.lockstep else self.now_ns())
 
 
 def missing_connections(node: str, counts: Mapping[str, int], recorders: int = 0) -> list[str]:
@@ -159,6 +201,22 @@ def missing_connections(node: str, counts: Mapping[str, int], recorders: int = 0
         if count < wanted:
             missing.append(f"{topic}: {count} of {wanted} {kind}")
     return missing
+
+
+def crowded_topics(count_publishers: Callable[[str], int]) -> list[str]:
+    """Say which topics have more publishers than one graph gives them: another graph is there, too.
+
+    Parameters
+    ----------
+    count_publishers : callable
+        That of a node in the namespace of the graph.
+    """
+    counts = {name: count_publishers(name) for name in TOPICS if not name.startswith("/")}
+    return [
+        f"{name} has {count} publishers"
+        for name, count in counts.items()
+        if TOPICS[name].publishers and count > len(TOPICS[name].publishers)
+    ]
 
 
 def wall_seconds() -> float:

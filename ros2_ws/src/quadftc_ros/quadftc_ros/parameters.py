@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import array
+import dataclasses
+import difflib
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -11,10 +14,18 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
-from quadftc_model.parameters import Parameter, Value, parameters_of
+from quadftc_model.parameters import Parameter, Value, convert, parameters_of
 
 _LARGEST = sys.float_info.max
 _LARGEST_INT = 2**63 - 1
+
+_EXPECTED: dict[type, tuple[RosParameter.Type, str]] = {  # type of the default -> type in ROS, and in words
+    bool: (RosParameter.Type.BOOL, "true or false"),
+    int: (RosParameter.Type.INTEGER, "a whole number"),
+    float: (RosParameter.Type.DOUBLE, "a number with a decimal point, as 3.0 (to ROS, 3 is another type)"),
+    str: (RosParameter.Type.STRING, "a text"),
+    tuple: (RosParameter.Type.DOUBLE_ARRAY, "three numbers with decimal points, as [1.0, 2.0, 3.0]"),
+}
 
 
 def descriptor(spec: Parameter, read_only: bool = False) -> ParameterDescriptor:
@@ -28,7 +39,9 @@ def descriptor(spec: Parameter, read_only: bool = False) -> ParameterDescriptor:
         text.additional_constraints = f"each within [{spec.low:g}, {spec.high:g}]"
     elif bounded and type(spec.default) is float:
         text.floating_point_range = [
-            FloatingPointRange(from_value=max(spec.low, -_LARGEST), to_value=min(spec.high, _LARGEST), step=0.0)
+            FloatingPointRange(
+                from_value=max(spec.low, -_LARGEST), to_value=min(spec.high, _LARGEST), step=0.0
+            )
         ]
     elif bounded and type(spec.default) is int:
         low, high = max(spec.low, -_LARGEST_INT), min(spec.high, _LARGEST_INT)
@@ -47,16 +60,35 @@ class NodeParameters:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._names: list[str] = []
+        # what file and command line say; rclpy has no public way to ask
+        self._given: Mapping[str, RosParameter] = node._parameter_overrides
 
     def declare(self, component: type, prefix: str = "", read_only: bool = False) -> None:
-        """Declare every parameter of a dataclass, its name behind ``prefix``."""
-        for spec in parameters_of(component):
+        """Declare every parameter of a dataclass, its name behind ``prefix``.
+
+        Raises
+        ------
+        ValueError
+            If a value given at the start is of the wrong type or out of bounds; names the parameter.
+        """
+        for own in parameters_of(component):
+            spec = dataclasses.replace(own, name=prefix + own.name)
             default = list(spec.default) if isinstance(spec.default, tuple) else spec.default
-            self._node.declare_parameter(prefix + spec.name, default, descriptor(spec, read_only))
-            self._names.append(prefix + spec.name)
+            _check_given(spec, self._given.get(spec.name))
+            self._node.declare_parameter(spec.name, default, descriptor(spec, read_only))
+            self._names.append(spec.name)
 
     def declare_list(self, name: str, doc: str) -> None:
-        """Declare a list of texts, empty by default; it is read once, at the start."""
+        """Declare a list of texts, empty by default; it is read once, at the start.
+
+        Raises
+        ------
+        ValueError
+            If something else was given at the start.
+        """
+        given = self._given.get(name)
+        if given is not None and given.type_ != RosParameter.Type.STRING_ARRAY:
+            raise ValueError(f"{name} = {given.value!r}: expected a list of texts (none: [''])")
         self._node.declare_parameter(name, [""], ParameterDescriptor(description=doc, read_only=True))
         self._names.append(name)
 
@@ -71,15 +103,20 @@ class NodeParameters:
         return found
 
     def unknown(self) -> list[str]:
-        """Return the names that were given at the start (file, command line) but are no parameter of the node."""
-        given: Mapping[str, Any] = self._node._parameter_overrides  # noqa: SLF001 (rclpy has no public way to ask)
-        return [name for name in given if not self._node.has_parameter(name)]
+        """Say which names were given at the start (file, command line) that are no parameter of the node."""
+        lines: list[str] = []
+        for name in self._given:
+            if not self._node.has_parameter(name) and not name.startswith("qos_overrides."):
+                near = difflib.get_close_matches(name, self._names, n=1)
+                hint = f"; did you mean '{near[0]}'?" if near else ""
+                lines.append(f"parameter '{name}' was given, but this node has none of that name{hint}")
+        return lines
 
     def on_change(self, rebuild: Callable[[Mapping[str, Value]], Callable[[], None]]) -> None:
         """Follow changes at run time.
 
-        ``rebuild(values)`` makes what the node runs on from the whole mapping and returns a function that puts it to use; if it
-        raises ValueError, the change is refused with that message and the old values stay.
+        ``rebuild(values)`` makes what the node runs on from the whole mapping, and returns a function that
+        puts it to use. If it raises ValueError, the change is refused with that message and the old values stay.
         """
         apply: list[Callable[[], None]] = []
 
@@ -99,3 +136,16 @@ class NodeParameters:
 
         self._node.add_on_set_parameters_callback(check)
         self._node.add_post_set_parameters_callback(put_to_use)
+
+
+def _check_given(spec: Parameter, given: RosParameter | None) -> None:
+    """Check a value given at the start as ROS would, but say what is wrong in one line."""
+    if given is None:
+        return
+    value = given.value
+    if isinstance(value, (list, tuple, array.array)):
+        value = list(value)
+    wanted, words = _EXPECTED[type(spec.default)]
+    if given.type_ != wanted:
+        raise ValueError(f"{spec.name} = {value!r}: expected {words}")
+    convert(spec, value)

@@ -6,8 +6,9 @@ reliable   reliable, keep last 10        the same                 estimates, tor
 latched    reliable, transient local, 1  the same                 what a late reader needs
 clock      best effort, keep last 1      reliable, keep last 1    /clock
 
-In lock-step the flight waits for every message, so none may be lost. In real time an IMU sample that is late is worth nothing:
-sensor topics follow the sensor-data convention of ROS 2, which also matches the drivers of real vehicles.
+In lock-step the flight waits for every message, so none may be lost. In real time an IMU sample that is late
+is worth nothing: sensor topics follow the sensor-data convention of ROS 2, which also matches the drivers of
+real vehicles.
 """
 
 from __future__ import annotations

@@ -1,9 +1,11 @@
-"""The fault injector node: puts sensor faults on the IMU, by schedule and by service, and publishes what it did.
+# pyright: basic
+"""The fault injector node: puts sensor faults on the IMU, by schedule and by service, and says what it did.
 
 Inputs: plant/imu (or a real IMU, by remapping).
-Outputs: imu/data; the truth on fault/injected (attitude [rad]), fault/injected/gyro and fault/injected/accelerometer (once such
-a fault was asked for); fault/dropped (the stamp of each sample withheld).
-Services: ~/inject (quadftc_msgs/InjectFault), ~/clear (quadftc_msgs/ClearFault).
+Outputs: imu/data; the truth on fault/injected (attitude [rad]), and once such a fault was asked for on
+fault/injected/gyro and fault/injected/accelerometer; fault/dropped (the stamp of each sample withheld).
+Services: ~/inject (quadftc_msgs/InjectFault), ~/clear (quadftc_msgs/ClearFault), ~/reset (std_srvs/Trigger:
+the schedule begins anew with the next sample, faults injected by service are gone).
 """
 
 from __future__ import annotations
@@ -12,16 +14,16 @@ import dataclasses
 import sys
 from typing import Any
 
+from quadftc_msgs.srv import ClearFault, InjectFault
 from std_msgs.msg import Header
 
 from quadftc_model.parameters import parameter
-from quadftc_msgs.srv import ClearFault, InjectFault
 from quadftc_ros.conversions import EARTH_FRAME, IMU_FRAME, ImuWriter, VectorWriter, imu_sample, time_message
 from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
 from quadftc_sim.assembly import injector_from
-from quadftc_sim.injection import make_injection
+from quadftc_sim.injection import RESERVED, make_injection
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,25 +39,33 @@ class FaultInjectorNode(GraphNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("fault_injector", **kwargs)
         self.settings.declare(InjectorParameters, read_only=True)
-        self.settings.declare_list("faults", "each: kind key=value..., e.g. 'bias axes=roll value=1deg start=20s'")
-        self._injector = injector_from(self.settings.values())
-        self._seen = {injection.channel for injection in self._injector.injections.values()}
+        self.settings.declare_list(
+            "faults", "each: kind key=value..., e.g. 'bias axes=roll value=1deg start=20s'"
+        )
         self._last_ns = -1
         self._active: tuple[int, ...] = ()
+        self._seen: set[str] = set()
+        self._restart()
         self._publish_imu = self.publishes("imu/data")
         self._publish_attitude = self.publishes("fault/injected")
         self._publish_gyro = self.publishes("fault/injected/gyro")
         self._publish_accelerometer = self.publishes("fault/injected/accelerometer")
         self._publish_dropped = self.publishes("fault/dropped")
         self._imu, self._earth, self._sensor = ImuWriter(), VectorWriter(EARTH_FRAME), VectorWriter(IMU_FRAME)
-        self.reads("plant/imu", self._on_imu)
+        self.driven_by("plant/imu", self._on_imu, restart=self._restart)
         self.offers("inject", InjectFault, self._on_inject)
         self.offers("clear", ClearFault, self._on_clear)
         self.ready()
 
+    def _restart(self) -> None:
+        self._injector = injector_from(self.settings.values())
+        self._seen.update(injection.channel for injection in self._injector.injections.values())
+        self._last_ns = -1
+
     def _on_imu(self, stamp_ns: int, message: Any) -> None:
-        if stamp_ns <= self._last_ns:  # time went back: a new flight, whose schedule begins anew
-            self._injector = injector_from(self.settings.values())
+        if stamp_ns <= self._last_ns:
+            self.diagnostics.count("plant/imu: stamp repeated or went back")
+            return
         self._last_ns = stamp_ns
         injected = self._injector.apply(stamp_ns, imu_sample(message))
         self._publish_attitude(self._earth(stamp_ns, injected.attitude))
@@ -85,20 +95,7 @@ class FaultInjectorNode(GraphNode):
 
     def _on_inject(self, request: Any, response: Any) -> Any:
         try:
-            if len(request.parameter_names) != len(request.parameter_values):
-                raise ValueError("parameter_values: expected one for each of parameter_names")
-            if request.duration < 0.0:
-                raise ValueError(f"duration = {request.duration:g} s: must not be negative")
-            values: dict[str, Any] = dict(zip(request.parameter_names, request.parameter_values, strict=True))
-            taken = [name for name in values if name in ("channel", "axes", "axis", "start", "stop", "duration")]
-            if taken:
-                raise ValueError(f"parameter_names: {taken[0]} is a field of the request")
-            values.update(start=float(request.start), axes=list(request.axes))
-            if request.channel:
-                values["channel"] = request.channel
-            if request.duration > 0.0:
-                values["duration"] = float(request.duration)
-            injection = make_injection(request.kind, values, self._injector.now)
+            injection = make_injection(request.kind, _values_of(request), self._injector.now)
         except ValueError as error:
             response.success, response.message = False, str(error)
             return response
@@ -110,8 +107,36 @@ class FaultInjectorNode(GraphNode):
     def _on_clear(self, request: Any, response: Any) -> Any:
         response.cleared = self._injector.clear(request.id)
         response.success = request.id == 0 or response.cleared > 0
-        response.message = f"{response.cleared} ended" if response.success else f"there is no fault {request.id}"
+        response.message = (
+            f"{response.cleared} ended" if response.success else f"there is no fault {request.id}"
+        )
         return response
+
+
+def _values_of(request: InjectFault.Request) -> dict[str, Any]:
+    """Values that `make_injection` takes, of a request.
+
+    Raises
+    ------
+    ValueError
+        Lists of different length, a parameter given twice or that is a field, a duration that is no time.
+    """
+    names, numbers = list(request.parameter_names), list(request.parameter_values)
+    if len(names) != len(numbers):
+        raise ValueError(f"parameter_values: {len(numbers)} numbers for {len(names)} parameter_names")
+    for name in names:
+        if name in RESERVED:
+            raise ValueError(f"parameter_names: {name} is a field of the request")
+        if names.count(name) > 1:
+            raise ValueError(f"parameter_names: {name} is given twice")
+    if not request.duration >= 0.0:
+        raise ValueError(f"duration = {request.duration:g} s: must not be negative")
+    values: dict[str, Any] = {"start": request.start, "axes": list(request.axes)}
+    if request.channel:
+        values["channel"] = request.channel
+    if request.duration > 0.0:
+        values["duration"] = request.duration
+    return {**values, **dict(zip(names, numbers, strict=True))}
 
 
 def main() -> None:

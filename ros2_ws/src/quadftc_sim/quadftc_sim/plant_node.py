@@ -1,14 +1,20 @@
+# pyright: basic
 """The plant node: flies the simulated vehicle and publishes its IMU.
 
 Inputs: torque/command; fault/dropped (a sample that nobody will answer, in lock-step).
 Outputs: plant/imu; the truth on plant/attitude, plant/rate and disturbance/applied; /clock in lock-step.
-Services: ~/start, ~/reset (std_srvs/Trigger).
+Services: ~/start, ~/reset (std_srvs/Trigger: a new flight begins). In lock-step the stamps begin anew, by
+which the other nodes know it. In real time the plant pauses until their laws take the next sample for the
+first; the schedules of faults and references begin anew if ~/reset of fault_injector and reference is called.
+
+The plant makes time: it does not follow /clock, whatever use_sim_time says.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import sys
+import time
 from typing import Any
 
 import numpy as np
@@ -16,7 +22,7 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from quadftc_model.parameters import parameter
-from quadftc_model.stepper import seconds
+from quadftc_model.stepper import MAX_GAP, seconds
 from quadftc_ros.conversions import (
     BASE_FRAME,
     EARTH_FRAME,
@@ -24,8 +30,9 @@ from quadftc_ros.conversions import (
     ImuWriter,
     VectorWriter,
     array_of,
+    is_finite,
 )
-from quadftc_ros.diagnostics import ERROR, OK
+from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode, missing_connections
 from quadftc_sim.assembly import EPOCH_NS, sample_count, simulator_from
@@ -33,9 +40,13 @@ from quadftc_sim.plant import Plant
 from quadftc_sim.sensors import ImuSensor
 from quadftc_sim.simulator import Emission
 
+LATE = 0.1  # s; real time: from when on a flight behind the wall clock is reported
+PAUSE = MAX_GAP + 0.2  # s; real time: between two flights, so that the laws of all nodes start anew
+
+
 @dataclasses.dataclass(frozen=True)
 class PlantParameters:
-    """Parameters of the plant node besides those of :class:`Plant` and, behind ``imu.``, :class:`ImuSensor`."""
+    """Parameters of the node besides those of :class:`Plant` and, behind ``imu.``, :class:`ImuSensor`."""
 
     vehicle: str = parameter("qball_x4", doc="name of a vehicle, or path of its TOML file")
     rate: float = parameter(250.0, unit="Hz", low=10.0, high=4000.0, doc="control rate")
@@ -43,7 +54,10 @@ class PlantParameters:
     seed: int = parameter(0, low=0, doc="of the sensor's noise and bias")
     autostart: bool = parameter(True, doc="start as soon as the graph is connected; else wait for ~/start")
     torque_timeout: float = parameter(
-        0.5, unit="s", low=0.0, doc="real time: zero torque when the command is older (a motor controller's failsafe)"
+        0.5,
+        unit="s",
+        low=0.0,
+        doc="real time: zero torque when none has come for so long, as a motor controller does",
     )
 
 
@@ -55,7 +69,9 @@ class PlantNode(GraphNode):
         self.settings.declare(PlantParameters, read_only=True)
         self.settings.declare(Plant, read_only=True)
         self.settings.declare(ImuSensor, "imu.", read_only=True)
-        self.settings.declare_list("disturbances", "each: kind key=value..., e.g. 'constant start=5s amplitude=0.1Nm'")
+        self.settings.declare_list(
+            "disturbances", "each: kind key=value..., e.g. 'constant start=5s amplitude=0.1Nm'"
+        )
         self._values = self.settings.values()
         self._publish_imu = self.publishes("plant/imu")
         self._publish_attitude = self.publishes("plant/attitude")
@@ -67,12 +83,14 @@ class PlantNode(GraphNode):
         self.reads("torque/command", self._on_torque)
         self.reads("fault/dropped", self._on_dropped)
         self.offers("start", Trigger, self._on_start)
-        self.offers("reset", Trigger, self._on_reset)
+        self.offers_reset(self._restart, "a new flight begins")
         self._timer: Any = None
+        self._torque_level: bytes | None = None
         self._clear()
         self._simulator = simulator_from(self._values, EPOCH_NS)
+        self._waiting: Any = None
         if self._values["autostart"]:
-            self._waiting = self.create_timer(0.05, self._start_when_connected)
+            self._waiting = self.create_timer(0.05, self._start_when_connected, clock=self.steady_clock)
         self.ready()
 
     @property
@@ -95,32 +113,47 @@ class PlantNode(GraphNode):
         """
         if self._emitted:
             raise RuntimeError("the flight has begun already")
-        epoch_ns = EPOCH_NS if self.lockstep else self.get_clock().now().nanoseconds
-        self._simulator = simulator_from(self._values, epoch_ns)
+        self._stop_waiting()
+        self._simulator = simulator_from(self._values, EPOCH_NS if self.lockstep else time.time_ns())
         self._emit(self._simulator.start())
         if not self.lockstep:
-            self._timer = self.create_timer(seconds(self._simulator.period_ns), self._on_timer)
-        elif self._awaited_ns is None:  # the first sample is still on its way: nobody will answer
+            period = seconds(self._simulator.period_ns)
+            self._timer = self.create_timer(period, self._on_timer, clock=self.steady_clock)
+        elif self._awaited_ns is None:  # the sensor is late: its first sample comes after the first period
             self._advance()
 
     def _clear(self) -> None:
-        self._torque, self._torque_ns = np.zeros(3), 0
+        self._torque, self._torque_age = np.zeros(3), 0.0  # last command [N m], and how long ago it came [s]
         self._awaited_ns: int | None = None  # lock-step: stamp of the sample whose torque is missing
         self._emitted, self._finished = 0, False
         self._count = sample_count(self._values["duration"], self._values["rate"])  # 0: without end
 
+    def _restart(self) -> None:
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+            self._timer = None
+        self._stop_waiting()
+        self._clear()
+        if self.lockstep:
+            self.start()
+        else:
+            self._waiting = self.create_timer(PAUSE, self.start, clock=self.steady_clock)
+
     def _start_when_connected(self) -> None:
         if not missing_connections(self.get_name(), self.connections()):
+            self.start()
+
+    def _stop_waiting(self) -> None:
+        if self._waiting is not None:
             self.destroy_timer(self._waiting)
-            if not self._emitted:
-                self.start()
+            self._waiting = None
 
     def _on_torque(self, stamp_ns: int, message: Any) -> None:
         torque = array_of(message.vector)
-        if not np.all(np.isfinite(torque)):
-            self.diagnostics.count("torque/command is not finite")
-            return
-        self._torque, self._torque_ns = torque, stamp_ns
+        if is_finite(torque):
+            self._torque, self._torque_age = torque, 0.0
+        else:
+            self.diagnostics.count("torque/command: not finite")
         if stamp_ns == self._awaited_ns:
             self._advance()
 
@@ -131,13 +164,18 @@ class PlantNode(GraphNode):
     def _on_timer(self) -> None:
         if self._finished:
             return
-        age = seconds(self._simulator.stamp_ns - self._torque_ns) if self._torque_ns else 0.0
-        if age > self._values["torque_timeout"]:
+        self._torque_age += seconds(self._simulator.period_ns)
+        if self._torque_age > self._values["torque_timeout"]:
             self._torque = np.zeros(3)
-            self.diagnostics.report("torque", ERROR, "torque/command has stopped: zero torque")
+            self._note_torque(ERROR, "torque/command does not come: zero torque")
         else:
-            self.diagnostics.report("torque", OK, "torque/command arrives")
+            self._note_torque(OK, "torque/command comes")
         self._advance()
+
+    def _note_torque(self, level: bytes, words: str) -> None:
+        if level != self._torque_level:
+            self._torque_level = level
+            self.diagnostics.report("torque", level, words)
 
     def _advance(self) -> None:
         """Fly one period; in lock-step on to the next sample that somebody will answer."""
@@ -165,9 +203,15 @@ class PlantNode(GraphNode):
             self._publish_imu(self._imu(emission.sample_stamp_ns, emission.sample))
 
     def report(self) -> None:
-        """Report how far the flight is."""
-        words = "finished" if self._finished else "flying" if self._emitted else "not started"
-        self.diagnostics.report("flight", OK, words, samples=self._emitted)
+        """Report how far the flight is, and in real time how far behind the wall clock."""
+        level, words = OK, "finished" if self._finished else "flying" if self._emitted else "not started"
+        values: dict[str, object] = {"samples": self._emitted}
+        if not self.lockstep and self._emitted and not self._finished:
+            behind = seconds(time.time_ns() - self._simulator.stamp_ns)
+            values["behind_s"] = f"{behind:.3f}"
+            if behind > LATE:
+                level, words = WARN, "flying, behind the wall clock"
+        self.diagnostics.report("flight", level, words, **values)
 
     def _finish(self) -> None:
         self._finished = True
@@ -180,15 +224,6 @@ class PlantNode(GraphNode):
             return response
         self.start()
         response.success, response.message = True, "started"
-        return response
-
-    def _on_reset(self, request: Any, response: Any) -> Any:
-        if self._timer is not None:
-            self.destroy_timer(self._timer)
-            self._timer = None
-        self._clear()
-        self.start()
-        response.success, response.message = True, "a new flight has begun"
         return response
 
 

@@ -1,0 +1,268 @@
+"""The fault injector node: faults by schedule and by service, the truth about them, and every refusal."""
+
+import math
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from std_srvs.srv import Trigger
+
+from quadftc_msgs.srv import ClearFault, InjectFault
+from quadftc_ros.conversions import imu_sample, stamp_of
+from quadftc_ros.testing import imu_message
+from quadftc_sim.fault_injector_node import FaultInjectorNode
+
+FIRST_NS = 1_000_000_000
+PERIOD_NS = 4_000_000
+ANGLES = (0.1, -0.2, 0.3)  # rad
+RATE = (0.01, 0.02, 0.03)  # rad/s
+BIAS = {"kind": "bias", "channel": "attitude", "parameter_names": ["value"], "parameter_values": [0.01]}
+TRUTH = ("fault/injected", "fault/injected/gyro", "fault/injected/accelerometer")
+
+
+class Injector:
+    """An injector with a source of samples and all that comes out of it."""
+
+    def __init__(self, bench, **parameters):
+        self.bench = bench
+        self.node = bench.run(FaultInjectorNode, **parameters)
+        self.send = bench.talk("plant/imu")
+        self.imu = bench.listen("imu/data")
+        self.truth = {topic: bench.listen(topic) for topic in TRUTH}
+        self.dropped = bench.listen("fault/dropped")
+        self.status = bench.watch_diagnostics()
+        bench.connect()
+        self.sent = 0
+
+    def step(self, count=1):
+        """Send samples; wait until each was delivered or withheld."""
+        for _ in range(count):
+            answered = len(self.imu) + len(self.dropped)
+            told = len(self.truth["fault/injected"])
+            self.send(imu_message(FIRST_NS + self.sent * PERIOD_NS, ANGLES, RATE))
+            self.sent += 1
+            self.bench.until(
+                lambda before=answered, said=told: (
+                    len(self.imu) + len(self.dropped) > before and len(self.truth["fault/injected"]) > said
+                )
+            )
+
+    def inject(self, **fields):
+        return self.bench.call(InjectFault, "fault_injector/inject", **fields)
+
+    def clear(self, number=0):
+        return self.bench.call(ClearFault, "fault_injector/clear", id=number)
+
+    def injected(self, topic="fault/injected"):
+        found = self.truth[topic][-1].vector
+        return [found.x, found.y, found.z]
+
+
+@pytest.fixture
+def injector(lockstep_bench):
+    return Injector(lockstep_bench)
+
+
+def test_without_faults_a_sample_passes_bit_for_bit(injector):
+    injector.step()
+    assert injector.imu == [imu_message(FIRST_NS, ANGLES, RATE)]
+    assert injector.injected() == [0.0, 0.0, 0.0]
+    assert stamp_of(injector.truth["fault/injected"][0]) == FIRST_NS
+    assert injector.truth["fault/injected"][0].header.frame_id == "map"
+
+
+def test_injected_bias_is_on_the_sample_and_on_the_truth(injector):
+    injector.step()
+    answer = injector.inject(**BIAS, axes=["roll"])
+    assert (answer.success, answer.id) == (True, 1)
+    injector.step()
+    assert injector.injected() == pytest.approx([0.01, 0.0, 0.0], abs=1e-12)
+    faulty = imu_sample(injector.imu[-1])
+    np.testing.assert_allclose(
+        faulty.q_xyzw, imu_sample(imu_message(0, (ANGLES[0] + 0.01, *ANGLES[1:]))).q_xyzw, atol=1e-12
+    )
+    np.testing.assert_array_equal(faulty.body_rate, RATE)
+
+
+@pytest.mark.parametrize(
+    ("channel", "topic", "axes", "truth", "frame"),
+    [
+        ("gyro", "fault/injected/gyro", ["y"], [0.0, 0.5, 0.0], "imu_link"),
+        ("accelerometer", "fault/injected/accelerometer", [], [0.5, 0.5, 0.5], "imu_link"),
+    ],
+)
+def test_fault_of_another_channel_has_its_own_truth(injector, channel, topic, axes, truth, frame):
+    request = {**BIAS, "channel": channel, "axes": axes, "parameter_values": [0.5]}
+    assert injector.inject(**request).success
+    injector.step()
+    injector.bench.until(lambda: injector.truth[topic])
+    assert injector.injected(topic) == pytest.approx(truth, abs=1e-12)
+    assert injector.truth[topic][-1].header.frame_id == frame
+    assert injector.injected() == [0.0, 0.0, 0.0]
+
+
+def test_fault_acts_from_its_start_for_its_duration(injector):
+    injector.step(3)
+    assert injector.inject(**BIAS, start=0.008, duration=0.012).success
+    injector.step(8)
+    rolls = [message.vector.x for message in injector.truth["fault/injected"]]
+    # asked at 0.008 s of scenario time: from 0.016 s (sample 4) up to, not including, 0.028 s (sample 7)
+    assert np.flatnonzero(np.array(rolls) > 0.005).tolist() == [4, 5, 6]
+
+
+def test_scheduled_faults_act_on_scenario_time(lockstep_bench):
+    injector = Injector(lockstep_bench, faults=["bias axes=yaw value=0.02 start=0.008s stop=0.016s", ""])
+    injector.step(6)
+    yaws = [round(message.vector.z, 12) for message in injector.truth["fault/injected"]]
+    assert yaws == [0.0, 0.0, 0.02, 0.02, 0.0, 0.0]
+
+
+def test_whole_sample_dropped_is_announced_and_not_delivered(injector):
+    injector.step()
+    assert injector.inject(kind="dropout", channel="imu", duration=0.008).success
+    injector.step(3)
+    assert [stamp_of(message) for message in injector.dropped] == [FIRST_NS + k * PERIOD_NS for k in (1,)] + [
+        FIRST_NS + 2 * PERIOD_NS
+    ] * (len(injector.dropped) - 1)
+    delivered = [stamp_of(message) for message in injector.imu]
+    withheld = [stamp_of(message) for message in injector.dropped]
+    assert sorted(delivered + withheld) == [FIRST_NS + k * PERIOD_NS for k in range(4)]
+    assert len(injector.truth["fault/injected"]) == 4  # the truth is told of withheld samples, too
+
+
+def test_channel_dropped_is_marked_absent(injector):
+    assert injector.inject(kind="dropout", channel="gyro").success
+    injector.step()
+    sample = imu_sample(injector.imu[-1])
+    assert (sample.attitude_valid, sample.rate_valid, sample.force_valid) == (True, False, True)
+
+
+def test_fault_that_is_no_number_shows_as_such_in_the_truth(injector):
+    assert injector.inject(kind="nan", channel="gyro", axes=["x"]).success
+    injector.step()
+    injector.bench.until(lambda: injector.truth["fault/injected/gyro"])
+    assert np.isnan(injector.injected("fault/injected/gyro")).tolist() == [True, False, False]
+    assert math.isnan(injector.imu[-1].angular_velocity.x)
+
+
+@pytest.mark.parametrize(
+    ("request_fields", "reason"),
+    [
+        ({"kind": "bais"}, "bais.*bias"),
+        ({"kind": ""}, "fault"),
+        ({**BIAS, "channel": "attitud"}, "channel = 'attitud': expected one of attitude, gyro"),
+        ({**BIAS, "channel": "imu"}, "channel = 'imu': bias can be on attitude"),
+        ({**BIAS, "axes": ["north"]}, "axes: 'north' is no axis; expected roll, pitch, yaw or x, y, z"),
+        ({"kind": "dropout", "channel": "imu", "axes": ["x"]}, "dropout takes the whole channel"),
+        ({**BIAS, "duration": -1.0}, "duration = -1 s: must not be negative"),
+        ({**BIAS, "duration": math.nan}, "duration = nan s: must not be negative"),
+        ({**BIAS, "duration": 1e-12}, "duration = 1e-12 s: must be positive"),
+        ({**BIAS, "start": -0.1}, "start = -0.1 s: must not be negative"),
+        ({**BIAS, "start": math.nan}, "start: nan: expected a number in s, not NaN"),
+        ({**BIAS, "start": math.inf}, "must be"),
+        ({**BIAS, "parameter_values": []}, "parameter_values: 0 numbers for 1 parameter_names"),
+        ({**BIAS, "parameter_values": [1.0, 2.0]}, "parameter_values: 2 numbers for 1 parameter_names"),
+        ({**BIAS, "parameter_names": ["valeu"]}, "valeu: unknown parameter .did you mean 'value'"),
+        ({**BIAS, "parameter_names": ["stop"]}, "parameter_names: stop is a field of the request"),
+        (
+            {**BIAS, "parameter_names": ["value"] * 2, "parameter_values": [1.0, 2.0]},
+            "parameter_names: value is given twice",
+        ),
+        ({**BIAS, "parameter_values": [math.nan]}, "value: nan: expected a number in rad, not NaN"),
+        ({**BIAS, "parameter_values": [math.inf]}, "value = inf rad: must be finite"),
+        (
+            {"kind": "dropout", "parameter_names": ["probability"], "parameter_values": [1.5]},
+            r"probability = 1.5 1: must be within \[0, 1\]",
+        ),
+    ],
+)
+def test_injection_that_cannot_be_done_is_answered_with_the_reason(injector, request_fields, reason):
+    answer = injector.inject(**request_fields)
+    assert (answer.success, answer.id) == (False, 0)
+    assert pytest.approx(0) == 0
+    assert __import__("re").search(reason, answer.message), answer.message
+    injector.step()
+    assert injector.injected() == [0.0, 0.0, 0.0]
+
+
+def test_two_hundred_injections_at_once_are_all_accepted_and_all_act(injector):
+    injector.step()
+    requests = [{**BIAS, "axes": ["roll"], "parameter_values": [0.001 * (k + 1)]} for k in range(200)]
+    answers = injector.bench.call_all(InjectFault, "fault_injector/inject", requests)
+    assert all(answer.success for answer in answers)
+    assert {answer.id for answer in answers} == set(range(1, 201))
+    injector.step()
+    assert injector.injected()[0] == pytest.approx(np.angle(np.exp(1j * 0.001 * 200 * 201 / 2)), abs=1e-9)
+    for number, answer in enumerate(answers[:10]):
+        before = injector.injected()[0]
+        assert injector.clear(answer.id).success
+        injector.step()
+        change = np.angle(np.exp(1j * (before - injector.injected()[0])))
+        assert change == pytest.approx(0.001 * (number + 1), abs=1e-9)
+
+
+def test_clear_ends_one_fault_or_all(injector):
+    first, second = (injector.inject(**BIAS, axes=[axis]).id for axis in ("roll", "pitch"))
+    injector.step()
+    answer = injector.clear(first)
+    assert (answer.success, answer.cleared) == (True, 1)
+    injector.step()
+    assert injector.injected() == pytest.approx([0.0, 0.01, 0.0], abs=1e-12)
+    injector.inject(**BIAS, axes=["yaw"])
+    answer = injector.clear()
+    assert (answer.success, answer.cleared) == (True, 2)
+    injector.step()
+    assert injector.injected() == [0.0, 0.0, 0.0]
+    gone = injector.clear(second)
+    assert (gone.success, gone.cleared, gone.message) == (False, 0, f"there is no fault {second}")
+    nothing = injector.clear()
+    assert (nothing.success, nothing.cleared) == (True, 0)
+
+
+def test_diagnostics_name_the_faults_that_act(injector):
+    injector.step()
+    injector.bench.until(lambda: "fault_injector: faults" in injector.status)
+    assert injector.status["fault_injector: faults"].level == DiagnosticStatus.OK
+    injector.inject(**BIAS, duration=0.004)
+    injector.step()
+    injector.bench.until(lambda: injector.status["fault_injector: faults"].level == DiagnosticStatus.WARN)
+    said = injector.status["fault_injector: faults"]
+    assert (said.message, said.hardware_id) == ("1 faults act", "vehicle")
+    assert {pair.key: pair.value for pair in said.values} == {"1": "bias on attitude until 0.004 s"}
+    injector.step()
+    injector.bench.until(lambda: injector.status["fault_injector: faults"].level == DiagnosticStatus.OK)
+
+
+def test_reset_begins_the_schedule_anew_and_forgets_what_was_injected(lockstep_bench):
+    injector = Injector(lockstep_bench, faults=["bias axes=yaw value=0.02 stop=0.008s"])
+    injector.inject(**BIAS, axes=["roll"])
+    injector.step(4)
+    assert injector.injected() == pytest.approx([0.01, 0.0, 0.0], abs=1e-12)
+    assert injector.bench.call(Trigger, "fault_injector/reset").success
+    injector.step()
+    assert injector.injected() == pytest.approx([0.0, 0.0, 0.02], abs=1e-12)
+
+
+def test_stamps_that_go_back_in_lockstep_begin_a_new_flight(lockstep_bench):
+    injector = Injector(lockstep_bench, faults=["noise channel=gyro sigma=0.1"], seed=3)
+    injector.step(5)
+    injector.sent = 0
+    injector.step(5)
+    assert injector.imu[:5] == injector.imu[5:]
+
+
+def test_stamp_that_repeats_in_real_time_is_refused_and_counted(bench):
+    injector = Injector(bench)
+    injector.step(2)
+    injector.send(imu_message(FIRST_NS + PERIOD_NS))
+    bench.until(lambda: "fault_injector: samples" in injector.status)
+    bench.until(lambda: injector.status["fault_injector: samples"].level == DiagnosticStatus.WARN)
+    counted = {pair.key: pair.value for pair in injector.status["fault_injector: samples"].values}
+    assert counted == {"plant/imu: stamp repeated or went back": "1"}
+    injector.step()
+    assert [stamp_of(message) for message in injector.imu] == [FIRST_NS + k * PERIOD_NS for k in range(3)]
+
+
+def test_wrong_scheduled_fault_is_refused_by_name(bench):
+    with pytest.raises(ValueError, match="fault 'bias axes=up': axes: 'up' is no axis"):
+        bench.run(FaultInjectorNode, faults=["bias axes=up"])
