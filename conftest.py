@@ -10,6 +10,11 @@ from pathlib import Path
 from typing import IO, Any
 
 import pytest
+from hypothesis import settings
+
+# property tests: the same examples in every run, and no time limit for one
+settings.register_profile("quadftc", derandomize=True, database=None, deadline=None)
+settings.load_profile("quadftc")
 
 DOMAINS = range(1, 81)  # those that ROS 2 can have on any Linux, less a few that tests name themselves
 

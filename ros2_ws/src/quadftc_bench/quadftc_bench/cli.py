@@ -139,10 +139,10 @@ def _run_all(jobs: list[tuple[Scenario, Scheme]], out: Path, options: RunOptions
                 return not stop.requested
 
             result = run_scenario(scenario, scheme, out, options, progress)
-            bars.update(bar, completed=1.0)
-            if stop.requested:
+            if result is None:
                 screen.print(f"interrupted; what was flown is in {out / run_name(scenario, scheme)}")
                 return INTERRUPTED
+            bars.update(bar, completed=1.0)
             summaries.append(result)
     screen.print(run_table(summaries))
     for line in failed_checks(summaries):

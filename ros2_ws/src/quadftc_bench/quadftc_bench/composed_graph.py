@@ -111,7 +111,7 @@ class ComposedGraph:
             self.spin_once()
             now = time.monotonic()
             if not progress(self.plant.samples):
-                break
+                return time.monotonic() - begin
             if self.plant.samples != samples:
                 samples, moved = self.plant.samples, now
             elif now - moved > STALL_TIMEOUT:

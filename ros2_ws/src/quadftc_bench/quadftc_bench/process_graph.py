@@ -112,7 +112,7 @@ class ProcessGraph:
             self._spin_once(0.1)
             self._check_alive()
             if not progress(self._samples):
-                break
+                return time.monotonic() - begin
             now = time.monotonic()
             if (news := (self._heard, self._received())) != seen:
                 seen, moved = news, now

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 import shutil
 import subprocess
 import tempfile
@@ -26,6 +25,7 @@ from quadftc_bench.process_graph import ProcessGraph
 from quadftc_bench.scenario import Scenario, Scheme, node_parameters
 from quadftc_bench.summary import summary
 from quadftc_ros.recorder_node import versions
+from quadftc_sim.assembly import sample_count
 
 GRAPHS = {"composed": ComposedGraph, "processes": ProcessGraph}
 SUMMARY = "summary.json"
@@ -91,8 +91,8 @@ def prepare(out: Path, names: list[str], force: bool) -> None:
 
 def run(
     scenario: Scenario, scheme: Scheme, out: Path, options: RunOptions, progress: Progress
-) -> dict[str, Any]:
-    """Fly one scheme of a scenario; return the summary that is written beside the bag.
+) -> dict[str, Any] | None:
+    """Fly one scheme of a scenario; return the summary that is written beside the bag, None if ended early.
 
     Parameters
     ----------
@@ -117,16 +117,30 @@ def run(
         wall_time = _fly(plan, options.graph, scenario.duration * scenario.rate, progress)
         for file in files:
             shutil.copy(file, bag / file.name)
-    result = summary(flight_from_bag(read_bag(bag)), scenario, scheme, wall_time)
+    if wall_time is None:
+        return None
+    flight = flight_from_bag(read_bag(bag))
+    wanted = sample_count(scenario.duration, scenario.rate) - scenario.sensor.delay
+    if options.mode == "lockstep" and len(flight) != wanted:
+        raise GraphError(f"{bag}: {wanted} samples were flown, but {len(flight)} recorded")
+    result = summary(flight, scenario, scheme, wall_time)
     result["mode"], result["graph"], result["bag"] = options.mode, options.graph, bag.name
     result["versions"] = {**versions(), **_commit()}
     (bag / SUMMARY).write_text(json.dumps(result, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return result
 
 
-def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> float:
+def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> float | None:
+    """Fly and record; return the wall time [s], None if ``progress`` ended the flight."""
+    going_on = True
+
+    def follow(count: int) -> bool:
+        nonlocal going_on
+        going_on = progress(min(1.0, count / samples))
+        return going_on
+
     with GRAPHS[kind](plan) as graph:
-        wall_time = graph.run(lambda count: progress(min(1.0, count / samples)))
+        wall_time = graph.run(follow)
         recorder = graph.recorder
         assert recorder is not None  # the plan has a bag
         status = recorder.finish()
@@ -134,7 +148,7 @@ def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> floa
         raise GraphError(f"{plan.bag}: {status.error}")
     if status.dropped:
         raise GraphError(f"{plan.bag}: messages were lost on the way to the bag: {dict(status.dropped)}")
-    return wall_time if math.isfinite(wall_time) else 0.0
+    return wall_time if going_on else None
 
 
 def _commit() -> dict[str, str]:

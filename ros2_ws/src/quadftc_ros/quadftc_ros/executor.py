@@ -91,8 +91,8 @@ def run_node(make: Callable[[], Node]) -> int:
                 return 2
             executor = make_executor()
             executor.add_node(node)
-            launcher = int(os.environ.get(LAUNCHER, os.getppid()))
-            while rclpy.ok() and not stop.requested and os.getppid() == launcher:
+            launcher = os.environ.get(LAUNCHER)  # started by hand, a node outlives the shell it came from
+            while rclpy.ok() and not stop.requested and launcher in (None, str(os.getppid())):
                 executor.spin_once(timeout_sec=POLL)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

@@ -7,7 +7,7 @@ import dataclasses
 import difflib
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -94,13 +94,7 @@ class NodeParameters:
 
     def values(self) -> dict[str, Any]:
         """Return name -> value; lists of texts without their empty entries."""
-        found: dict[str, Any] = {}
-        for name in self._names:
-            value = self._node.get_parameter(name).value
-            if isinstance(value, Sequence) and not isinstance(value, str):
-                value = [part for part in value if part != ""]
-            found[name] = value
-        return found
+        return {name: _plain(self._node.get_parameter(name).value) for name in self._names}
 
     def unknown(self) -> list[str]:
         """Say which names were given at the start (file, command line) that are no parameter of the node."""
@@ -116,13 +110,13 @@ class NodeParameters:
         """Follow changes at run time.
 
         ``rebuild(values)`` makes what the node runs on from the whole mapping, and returns a function that
-        puts it to use. If it raises ValueError, the change is refused with that message and the old values stay.
+        puts it to use. If it raises ValueError, the change is refused with that message; the old values stay.
         """
         apply: list[Callable[[], None]] = []
 
         def check(changes: list[RosParameter]) -> SetParametersResult:
             values = self.values()
-            values.update({p.name: p.value for p in changes if p.name in values})
+            values.update({p.name: _plain(p.value) for p in changes if p.name in values})
             try:
                 made = rebuild(values)
             except ValueError as error:
@@ -138,13 +132,18 @@ class NodeParameters:
         self._node.add_post_set_parameters_callback(put_to_use)
 
 
+def _plain(value: Any) -> Any:
+    """A value of rclpy: what is an array in one form or another is a list, without empty texts."""
+    if isinstance(value, (list, tuple, array.array)):
+        return [part for part in value if part != ""]
+    return value
+
+
 def _check_given(spec: Parameter, given: RosParameter | None) -> None:
     """Check a value given at the start as ROS would, but say what is wrong in one line."""
     if given is None:
         return
-    value = given.value
-    if isinstance(value, (list, tuple, array.array)):
-        value = list(value)
+    value = _plain(given.value)
     wanted, words = _EXPECTED[type(spec.default)]
     if given.type_ != wanted:
         raise ValueError(f"{spec.name} = {value!r}: expected {words}")

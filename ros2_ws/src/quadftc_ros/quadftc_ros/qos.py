@@ -1,14 +1,14 @@
 """Quality of service of every topic and service, in one place.
 
-class      realtime                      lockstep                 used for
-sensor     best effort, keep last 5      reliable, keep last 10   IMU samples
-reliable   reliable, keep last 10        the same                 estimates, torque, status, truth
-latched    reliable, transient local, 1  the same                 what a late reader needs
-clock      best effort, keep last 1      reliable, keep last 1    /clock
+class      realtime                      lockstep                  used for
+sensor     best effort, keep last 5      reliable, keep last 1000  IMU samples
+reliable   reliable, keep last 10        reliable, keep last 1000  estimates, torque, status, truth
+latched    reliable, transient local, 1  the same                  what a late reader needs
+clock      best effort, keep last 1      reliable, keep last 1000  /clock
 
-In lock-step the flight waits for every message, so none may be lost. In real time an IMU sample that is late
-is worth nothing: sensor topics follow the sensor-data convention of ROS 2, which also matches the drivers of
-real vehicles.
+In lock-step none may be lost. The nodes wait for each other, but not for a recorder in another process: the
+depth is what it may lag behind. In real time an IMU sample that is late is worth nothing: sensor topics follow
+the sensor-data convention of ROS 2, which also matches the drivers of real vehicles.
 """
 
 from __future__ import annotations
@@ -17,13 +17,16 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from quadftc_ros.topics import QosClass
 
+LOCKSTEP_DEPTH = 1000  # messages a recorder may lag behind: seconds of flight
 SERVICE_DEPTH = 1000  # requests that may wait: a burst of injections must not be lost
 
 
 def topic_profile(kind: QosClass, mode: str) -> QoSProfile:
     """Return the profile that publishers and subscribers of a class of topics use in a mode."""
     reliable = kind in ("reliable", "latched") or mode == "lockstep"
-    depth = {"sensor": 10 if mode == "lockstep" else 5, "reliable": 10, "latched": 1, "clock": 1}[kind]
+    depth = {"sensor": 5, "reliable": 10, "latched": 1, "clock": 1}[kind]
+    if mode == "lockstep" and kind != "latched":
+        depth = LOCKSTEP_DEPTH
     return QoSProfile(
         depth=depth,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,

@@ -188,7 +188,7 @@ def test_bag_holds_attachments_and_versions(context, tmp_path):
         ({"directory": "{there}"}, "exists already"),
         ({"directory": "{new}", "mode": "fast"}, "mode = 'fast': expected one of lockstep, realtime"),
         ({"directory": "{new}", "topics": ["imu/date"]}, "topics: unknown imu/date; known are plant/imu"),
-        ({"directory": "{new}", "compression": "zip"}, "compression 'zip': expected one of zstd"),
+        ({"directory": "{new}", "compression": "zip"}, "compression = 'zip': expected one of zstd"),
         ({"directory": "{new}", "attachments": ["{new}/no.yaml"]}, "no.yaml: No such file"),
     ],
 )

@@ -25,6 +25,8 @@ from quadftc_ros.node import GraphNode
 from quadftc_sim.assembly import injector_from
 from quadftc_sim.injection import RESERVED, make_injection
 
+JUST_AFTER = 1e-9  # s, the resolution of stamps
+
 
 @dataclasses.dataclass(frozen=True)
 class InjectorParameters:
@@ -93,9 +95,14 @@ class FaultInjectorNode(GraphNode):
             self._active = active
             self.diagnostics.changed = True
 
+    def _time_of(self, request: Any) -> float:
+        """Scenario time [s] that a request counts from: the last sample; without start, just after it."""
+        served = self._last_ns >= 0
+        return self._injector.now + (JUST_AFTER if served and request.start == 0.0 else 0.0)
+
     def _on_inject(self, request: Any, response: Any) -> Any:
         try:
-            injection = make_injection(request.kind, _values_of(request), self._injector.now)
+            injection = make_injection(request.kind, _values_of(request), self._time_of(request))
         except ValueError as error:
             response.success, response.message = False, str(error)
             return response

@@ -1,0 +1,271 @@
+"""The fault observer node: an estimate and a corrected sample for every sample, whatever comes in."""
+
+import math
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.qos import ReliabilityPolicy
+from std_srvs.srv import Trigger
+
+from quadftc_fdi.fault_observer_node import FaultObserverNode, status_message
+from quadftc_model.samples import FAULTY, HEALTHY, FaultEstimate
+from quadftc_ros.conversions import imu_sample, stamp_of
+from quadftc_ros.testing import imu_message, vector_message
+
+FIRST_NS = 1_000_000_000
+PERIOD_NS = 4_000_000
+OUTPUTS = ("imu/corrected", "fault/estimate", "fault/status")
+
+
+class Observer:
+    """An observer with the sources it reads and all that comes out of it."""
+
+    def __init__(self, bench, **parameters):
+        self.bench = bench
+        self.node = bench.run(FaultObserverNode, **parameters)
+        self.send = bench.talk("imu/data")
+        self.command = bench.talk("torque/command")
+        self.found = {topic: bench.listen(topic) for topic in OUTPUTS}
+        self.status = bench.watch_diagnostics()
+        bench.connect()
+        self.sent = 0
+
+    @property
+    def stamp_ns(self):
+        return FIRST_NS + self.sent * PERIOD_NS
+
+    def step(self, *angles, torque=(0.0, 0.0, 0.0), message=None):
+        """Send a sample; wait for all that it brings about, then command a torque for it."""
+        counts = {topic: len(messages) for topic, messages in self.found.items()}
+        stamp_ns = self.stamp_ns
+        self.sent += 1
+        self.send(imu_message(stamp_ns, angles or (0.0, 0.0, 0.0)) if message is None else message)
+        self.bench.until(lambda: all(len(self.found[topic]) > count for topic, count in counts.items()))
+        self.command(vector_message(stamp_ns, torque))
+
+    def estimate(self):
+        found = self.found["fault/estimate"][-1].vector
+        return [found.x, found.y, found.z]
+
+    def counted(self):
+        """What the diagnostics have counted, once that is told."""
+        self.bench.until(lambda: "fault_observer: samples" in self.status)
+        self.bench.until(lambda: self.status["fault_observer: samples"].level == DiagnosticStatus.WARN)
+        return {pair.key: int(pair.value) for pair in self.status["fault_observer: samples"].values}
+
+
+def test_outputs_have_the_stamp_of_the_sample_and_their_frames(lockstep_bench):
+    observer = Observer(lockstep_bench)
+    for _ in range(3):
+        observer.step()
+    wanted = [FIRST_NS + k * PERIOD_NS for k in range(3)]
+    assert [[stamp_of(m) for m in observer.found[topic]] for topic in OUTPUTS] == [wanted] * 3
+    frames = [observer.found[topic][0].header.frame_id for topic in OUTPUTS]
+    assert frames == ["imu_link", "map", "imu_link"]
+
+
+def test_fault_is_estimated_and_taken_off_the_sample(lockstep_bench):
+    observer = Observer(lockstep_bench)
+    for k in range(100):
+        observer.step(0.02 if k >= 50 else 0.0, 0.0, 0.0)
+    assert observer.estimate() == pytest.approx([0.02, 0.0, 0.0], abs=1e-3)
+    corrected = imu_sample(observer.found["imu/corrected"][-1])
+    np.testing.assert_allclose(corrected.q_xyzw, [0.0, 0.0, 0.0, 1.0], atol=1e-3)
+    estimate = observer.found["fault/status"][-1].estimate
+    assert [estimate.x, estimate.y, estimate.z] == observer.estimate()
+
+
+def test_without_diagnosis_the_sample_passes_bit_for_bit(lockstep_bench):
+    observer = Observer(lockstep_bench, observer="none")
+    message = imu_message(FIRST_NS, (0.1, 0.2, 0.3), (1.0, 2.0, 3.0))
+    observer.step(message=message)
+    assert observer.found["imu/corrected"] == [message]
+    assert observer.estimate() == [0.0, 0.0, 0.0]
+
+
+def test_lockstep_waits_for_the_torque_of_the_sample_before(lockstep_bench):
+    observer = Observer(lockstep_bench)
+    for k in (0, 1, 2):
+        observer.send(imu_message(FIRST_NS + k * PERIOD_NS))
+    lockstep_bench.until(lambda: observer.found["fault/estimate"])
+    observer.command(vector_message(FIRST_NS))
+    lockstep_bench.until(lambda: len(observer.found["fault/estimate"]) == 2)
+    observer.command(vector_message(FIRST_NS + PERIOD_NS))
+    lockstep_bench.until(lambda: len(observer.found["fault/estimate"]) == 3)
+    assert [stamp_of(m) for m in observer.found["fault/estimate"]] == [
+        FIRST_NS + k * PERIOD_NS for k in (0, 1, 2)
+    ]
+
+
+def broken(stamp_ns, part):
+    """A sample with one part that cannot be used."""
+    message = imu_message(stamp_ns, (0.0, 0.0, 0.0))
+    if part == "attitude is no number":
+        message.orientation.x = math.nan
+    elif part == "rate is infinite":
+        message.angular_velocity.y = math.inf
+    elif part == "force is no number":
+        message.linear_acceleration.z = math.nan
+    elif part == "quaternion is zero":
+        message.orientation.w = 0.0
+    elif part == "attitude is absent":
+        message.orientation_covariance[0] = -1.0
+    elif part == "rate is absent":
+        message.angular_velocity_covariance[0] = -1.0
+    return message
+
+
+@pytest.mark.parametrize("name", ["sliding_mode", "none"])
+@pytest.mark.parametrize(
+    "part",
+    [
+        "attitude is no number",
+        "rate is infinite",
+        "force is no number",
+        "quaternion is zero",
+        "attitude is absent",
+        "rate is absent",
+    ],
+)
+@pytest.mark.parametrize("first", [0, 5])
+def test_no_number_that_is_none_ever_leaves(lockstep_bench, name, part, first):
+    observer = Observer(lockstep_bench, observer=name)
+    for k in range(10):
+        observer.step(message=broken(observer.stamp_ns, part) if first <= k < first + 3 else None)
+    for topic in OUTPUTS:
+        assert len(observer.found[topic]) == 10
+    for message in observer.found["imu/corrected"]:
+        sample = imu_sample(message)
+        assert np.all(np.isfinite(np.concatenate(sample[:3])))
+        assert np.linalg.norm(sample.q_xyzw) == pytest.approx(1.0, abs=1e-9)
+    for message in observer.found["fault/estimate"]:
+        assert np.all(np.isfinite([message.vector.x, message.vector.y, message.vector.z]))
+
+
+def test_unusable_body_rate_is_counted(lockstep_bench):
+    observer = Observer(lockstep_bench)
+    observer.step()
+    observer.step(message=broken(observer.stamp_ns, "rate is absent"))
+    observer.step()
+    assert observer.counted() == {"imu/data: body rate absent or unusable": 1}
+
+
+def test_torque_that_is_no_number_is_counted_and_does_no_harm(lockstep_bench):
+    observer = Observer(lockstep_bench)
+    for _ in range(5):
+        observer.step(torque=(math.nan, 0.0, 0.0))
+    assert np.all(np.isfinite(observer.estimate()))
+    assert set(observer.counted()) == {"torque/command: not finite"}
+
+
+def test_stamp_that_repeats_or_goes_back_is_refused_and_counted_in_real_time(bench):
+    observer = Observer(bench)
+    for _ in range(3):
+        observer.step()
+    for stamp_ns in (FIRST_NS + 2 * PERIOD_NS, FIRST_NS):
+        observer.send(imu_message(stamp_ns))
+    assert observer.counted()["imu/data: stamp repeated or went back"] >= 1
+    observer.step()
+    assert [stamp_of(m) for m in observer.found["fault/estimate"]] == [
+        FIRST_NS + k * PERIOD_NS for k in range(4)
+    ]
+
+
+def test_stamps_that_go_back_in_lockstep_begin_a_new_flight(lockstep_bench):
+    observer = Observer(lockstep_bench)
+    for _ in range(2):
+        observer.sent = 0
+        for k in range(10):
+            observer.step(0.01 * (k > 3), 0.0, 0.0)
+    estimates = observer.found["fault/estimate"]
+    assert estimates[:10] == estimates[10:]
+    assert max(abs(message.vector.x) for message in estimates) > 0.0
+
+
+def test_reset_forgets_what_was_estimated(lockstep_bench):
+    observer = Observer(lockstep_bench)
+    for k in range(30):
+        observer.step(0.02 * (k > 10), 0.0, 0.0)
+    assert abs(observer.estimate()[0]) > 0.015
+    assert lockstep_bench.call(Trigger, "fault_observer/reset").success
+    observer.step(0.02, 0.0, 0.0)  # to which it starts anew
+    assert observer.estimate() == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
+
+
+def test_parameters_of_the_chosen_observer_are_described_and_live(lockstep_bench):
+    observer = Observer(lockstep_bench)
+    described = lockstep_bench.describe("fault_observer", "sliding_mode.L2")
+    assert described.description.endswith("[1/s]")
+    assert described.floating_point_range[0].from_value == 0.0
+    before = lockstep_bench.get_parameter("fault_observer", "sliding_mode.L2")
+    for k in range(20):
+        observer.step(0.02 * (k > 10), 0.0, 0.0)
+    assert lockstep_bench.set_parameter("fault_observer", "sliding_mode.L2", 2.0 * before).successful
+    assert lockstep_bench.get_parameter("fault_observer", "sliding_mode.L2") == 2.0 * before
+    kept = observer.estimate()[0]
+    observer.step(0.02, 0.0, 0.0)
+    assert observer.estimate()[0] == pytest.approx(kept, abs=5e-3)  # it goes on, it does not start anew
+
+
+def test_parameter_out_of_range_is_refused_with_the_bound(lockstep_bench):
+    Observer(lockstep_bench)
+    before = lockstep_bench.get_parameter("fault_observer", "sliding_mode.L2")
+    result = lockstep_bench.set_parameter("fault_observer", "sliding_mode.L2", -1.0)
+    assert not result.successful
+    assert "sliding_mode.L2" in result.reason
+    assert "Min: 0" in result.reason
+    assert lockstep_bench.get_parameter("fault_observer", "sliding_mode.L2") == before
+
+
+def test_observer_itself_cannot_be_exchanged_in_flight(lockstep_bench):
+    Observer(lockstep_bench)
+    assert "read-only" in lockstep_bench.set_parameter("fault_observer", "observer", "none").reason
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ({"observer": "sliding_mod"}, "sliding_mod.*sliding_mode"),
+        ({"sliding_mode.L2": -1.0}, r"sliding_mode.L2 = -1.0 1/s: must be within \[0, inf\]"),
+        ({"vehicle": "/nowhere.toml"}, "/nowhere.toml"),
+    ],
+)
+def test_wrong_parameter_is_refused_by_name(bench, wrong, text):
+    with pytest.raises(ValueError, match=text):
+        bench.run(FaultObserverNode, **wrong)
+
+
+def test_diagnostics_name_the_observer(bench):
+    Observer(bench)
+    status = bench.watch_diagnostics()
+    bench.until(lambda: "fault_observer: observer" in status)
+    said = status["fault_observer: observer"]
+    assert (said.message, said.level, said.hardware_id) == (
+        "sliding_mode",
+        DiagnosticStatus.OK,
+        "vehicle",
+    )
+    assert "fault_observer: connections" in status
+
+
+def test_imu_is_read_best_effort_in_real_time(bench):
+    node = bench.run(FaultObserverNode)
+    readers = node.get_subscriptions_info_by_topic(node.resolve_topic_name("imu/data"))
+    assert [reader.qos_profile.reliability for reader in readers] == [ReliabilityPolicy.BEST_EFFORT]
+
+
+def test_onset_of_a_fault_is_its_time():
+    unknown = np.full(3, -1.0)
+    sample = imu_sample(imu_message(0))
+    estimate = FaultEstimate(
+        np.zeros(3),
+        unknown,
+        np.array([HEALTHY, FAULTY, HEALTHY], np.uint8),
+        np.array([-1.0, 0.25, -1.0]),
+        sample,
+    )
+    message = status_message(3_000_000_000, estimate)
+    assert [stamp.sec * 10**9 + stamp.nanosec for stamp in message.onset] == [0, 2_750_000_000, 0]
+    assert message.state.tolist() == [HEALTHY, FAULTY, HEALTHY]
+    assert [message.std_dev.x, message.std_dev.y, message.std_dev.z] == [-1.0] * 3

@@ -1,0 +1,122 @@
+"""Running nodes: the executor, stopping by signals, and what every executable does with wrong arguments."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from rclpy.executors import SingleThreadedExecutor
+
+from quadftc_ros.executor import LAUNCHER, StopSignals, make_executor
+from quadftc_ros.testing import PATIENCE
+
+NODE = """
+import sys, time
+from rclpy.node import Node
+from quadftc_ros.executor import run_node
+
+class Told(Node):
+    def __init__(self):
+        super().__init__("told")
+        self.declare_parameter("size", 1.0)
+        if self.get_parameter("size").value < 0.0:
+            raise ValueError("size = -1: must not\\n be negative")
+        self.create_timer(0.01, self.say)
+    def say(self):
+        print("runs", flush=True)
+        if self.get_parameter("size").value > 9.0:
+            raise RuntimeError("defect")
+    def destroy_node(self):
+        print("destroyed", flush=True)
+        super().destroy_node()
+
+sys.exit(run_node(Told))
+"""
+
+
+def start(*arguments, **environment):
+    return subprocess.Popen(
+        [sys.executable, "-c", NODE, "--ros-args", *arguments],
+        env={**os.environ, **environment},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_kind_of_executor_is_chosen_by_name(bench):
+    assert isinstance(make_executor("single", bench.context), SingleThreadedExecutor)
+    assert not isinstance(make_executor("events", bench.context), SingleThreadedExecutor)
+    with pytest.raises(ValueError, match="executor = 'multi': expected one of events, single"):
+        make_executor("multi")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_first_signal_asks_and_the_second_interrupts(number):
+    before = signal.getsignal(number)
+    with StopSignals() as stop:
+        assert not stop.requested
+        os.kill(os.getpid(), number)
+        assert stop.requested
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), number)
+    assert signal.getsignal(number) is before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_ends_a_node_in_order(number):
+    with start() as process:
+        assert process.stdout.readline() == "runs\n"
+        process.send_signal(number)
+        output, errors = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, errors) == (0, "")
+    assert output.endswith("destroyed\n")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["-p", "size:=-1.0"], "error: size = -1: must not be negative"),
+        (["-p", "size:=big"], "size"),
+        (["-p", "size"], "error: ROS arguments: "),
+        (["--params-file", "/nowhere.yaml"], "/nowhere.yaml"),
+    ],
+)
+def test_wrong_argument_is_one_line_and_exit_code_2(arguments, words):
+    with start(*arguments) as process:
+        output, errors = process.communicate(timeout=PATIENCE)
+    lines = [line for line in errors.splitlines() if "[rcl" not in line]  # what rcl logs beside it
+    assert (process.returncode, output) == (2, "")
+    assert len(lines) == 1
+    assert words in lines[0]
+
+
+def test_defect_in_a_callback_is_not_hidden():
+    with start("-p", "size:=10.0") as process:
+        output, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 1
+    assert "RuntimeError: defect" in errors
+    assert output.endswith("destroyed\n")
+
+
+def test_node_stops_when_its_launcher_is_no_more():
+    with start(**{LAUNCHER: "-1"}) as process:  # which is nobody's parent
+        output, errors = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, errors) == (0, "")
+    assert output.endswith("destroyed\n")
+
+
+def test_single_executor_runs_a_node_as_the_fast_one_does(bench):
+    executor = make_executor("single", bench.context)
+    ticks = []
+    timer = bench.tester.create_timer(0.001, lambda: ticks.append(1))
+    executor.add_node(bench.tester)
+    end = time.monotonic() + PATIENCE
+    while len(ticks) < 3 and time.monotonic() < end:
+        executor.spin_once(timeout_sec=0.1)
+    executor.remove_node(bench.tester)
+    executor.shutdown()
+    bench.tester.destroy_timer(timer)
+    assert len(ticks) >= 3

@@ -1,0 +1,194 @@
+"""The quadftc command as installed: what it writes, what it says, and how it exits."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+
+from quadftc_bench.bags import read_bag
+from quadftc_bench.process_graph import executable_path
+
+SCENARIO = """\
+name: tiny
+description: half a second with a fault
+duration: 0.5 s
+rate: 250 Hz
+seed: 3
+vehicle: qball_x4
+sensors: {grade: ideal}
+faults:
+  - {kind: bias, channel: attitude, axes: roll, value: 1 deg, start: 0.2 s}
+schemes:
+  proposed:
+    observer: sliding_mode
+    disturbance_observer: exosystem
+    controller: ismc
+    checks:
+      - {metric: tracking_rmse_deg, below: 0.1}
+  conventional:
+    observer: none
+    disturbance_observer: none
+    controller: smc
+    checks:
+      - {metric: tracking_max_deg, axis: roll, below: 0.01}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "tiny.yaml").write_text(SCENARIO, encoding="utf-8")
+    return tmp_path
+
+
+def quadftc(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [str(executable_path("quadftc_bench", "quadftc")), *arguments]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
+    assert "Traceback" not in done.stderr
+    return done
+
+
+def test_run_writes_bag_and_summary_and_exits_with_0(folder: Path):
+    done = quadftc(folder, "run", "tiny.yaml", "--out", "out")
+    assert done.returncode == 0, done.stderr
+    run = folder / "out" / "tiny-proposed"
+    assert read_bag(run).topics["/imu/data"].count == 125
+    summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
+    assert summary["passed"] is True
+    assert summary["seed"] == 3
+    metrics = summary["metrics"]
+    for name in (
+        "tracking_rmse_deg",
+        "tracking_max_deg",
+        "fault_estimate_rmse_inside_deg",
+        "fault_estimate_max_inside_deg",
+        "fault_estimate_rmse_outside_deg",
+        "fault_estimate_max_outside_deg",
+        "torque_rms",
+        "torque_total_variation",
+        "saturation_share",
+    ):
+        assert metrics[name].keys() == {"roll", "pitch", "yaw"}, name
+    assert metrics["fault_windows"][0]["fault_estimate_settling_s"]["roll"] < 0.2
+    assert summary["wall_time_s"] > 0.0
+    assert summary["real_time_factor"] > 0.0
+    assert "tiny" in done.stdout
+
+
+def test_run_exits_with_1_and_names_the_check_that_failed(folder: Path):
+    done = quadftc(folder, "run", "tiny.yaml", "--scheme", "conventional", "--out", "out")
+    assert done.returncode == 1
+    assert re.search(r"tiny-conventional: tracking_max_deg roll = [\d.]+, required below 0.01", done.stdout)
+
+
+def test_options_reach_the_nodes(folder: Path):
+    options = ("--controller", "pid", "--observer", "none", "--rate", "125", "--seed", "9")
+    done = quadftc(folder, "run", "tiny.yaml", *options, "--set", "faults.0.value=2 deg", "--out", "out")
+    assert done.returncode in (0, 1), done.stderr  # the check is not made for these
+    run = folder / "out" / "tiny-proposed"
+    nodes = yaml.safe_load((run / "parameters.yaml").read_text(encoding="utf-8"))
+    plant, controller, observer = (
+        nodes[f"/{name}"]["ros__parameters"] for name in ("plant", "controller", "fault_observer")
+    )
+    assert (plant["rate"], plant["seed"]) == (125.0, 9)
+    assert (controller["controller"], observer["observer"]) == ("pid", "none")
+    fault = read_bag(run).series("fault/injected")["vector"]
+    assert max(fault[:, 0]) == pytest.approx(0.0349, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("run", "nowhere.yaml"), ("nowhere.yaml",)),
+        (("run", "no_such_scenario"), ("no_such_scenario", "paper_faults")),
+        (("run", "wrong.yaml"), ("wrong.yaml:9", "faults[0].value", "deg")),
+        (("run", "tiny.yaml", "--scheme", "best"), ("best", "proposed")),
+        (("run", "tiny.yaml", "--observer", "psychic"), ("psychic", "sliding_mode")),
+        (("run", "tiny.yaml", "--set", "sede=1"), ("sede", "seed")),
+        (("run", "tiny.yaml", "--rate", "fast"), ("rate", "fast")),
+        (("run", "tiny.yaml", "--mode", "dream"), ("dream", "lockstep")),
+        (("run",), ("scenarios",)),
+        (("fly",), ("fly",)),
+        (("list", "unicorns"), ("unicorns", "controllers")),
+        (("play", "tiny.yaml"), ("tiny.yaml",)),
+    ],
+)
+def test_wrong_input_exits_with_2_and_says_what_was_expected(
+    folder: Path, arguments: tuple[str, ...], words: tuple[str, ...]
+):
+    (folder / "wrong.yaml").write_text(SCENARIO.replace("1 deg", "1 dge"), encoding="utf-8")
+    done = quadftc(folder, *arguments)
+    assert done.returncode == 2
+    assert all(word in done.stderr for word in words), done.stderr
+
+
+def test_earlier_run_is_kept_unless_forced(folder: Path):
+    assert quadftc(folder, "run", "tiny.yaml", "--out", "out").returncode == 0
+    refused = quadftc(folder, "run", "tiny.yaml", "--out", "out")
+    assert refused.returncode == 2
+    assert "--force" in refused.stderr
+    assert quadftc(folder, "run", "tiny.yaml", "--out", "out", "--force").returncode == 0
+
+
+def test_force_replaces_only_runs(folder: Path):
+    precious = folder / "out" / "tiny-proposed" / "thesis.txt"
+    precious.parent.mkdir(parents=True)
+    precious.write_text("years of work", encoding="utf-8")
+    assert quadftc(folder, "run", "tiny.yaml", "--out", "out", "--force").returncode == 2
+    assert precious.read_text(encoding="utf-8") == "years of work"
+
+
+def test_interrupted_run_leaves_a_bag_that_can_be_read(folder: Path):
+    command = [str(executable_path("quadftc_bench", "quadftc")), "run", "tiny.yaml", "--out", "out"]
+    process = subprocess.Popen(
+        [*command, "--set", "duration=600 s"],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    bag = folder / "out" / "tiny-proposed" / "tiny-proposed_0.mcap"
+    end = time.monotonic() + 60.0
+    while not (bag.exists() and bag.stat().st_size > 100_000) and time.monotonic() < end:
+        assert process.poll() is None
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60.0)
+    assert process.returncode == 130, errors
+    assert "Traceback" not in errors
+    assert read_bag(bag.parent).topics["/imu/data"].count > 100
+
+
+@pytest.mark.parametrize("kind", ["observers", "controllers", "faults", "vehicles", "scenarios"])
+def test_list_shows_what_there_is(folder: Path, kind: str):
+    done = quadftc(folder, "list", kind)
+    assert done.returncode == 0, done.stderr
+    names = {
+        "observers": ("sliding_mode", "epsilon_s", "rad"),
+        "controllers": ("ismc", "smc", "pid", "k_c3"),
+        "faults": ("bias", "drift", "sine", "scale", "noise", "stuck", "spikes", "dropout", "delay", "nan"),
+        "vehicles": ("qball_x4", "crazyflie_2x"),
+        "scenarios": ("paper_faults", "mems_faults", "250 Hz"),
+    }
+    assert [name for name in names[kind] if name not in done.stdout] == []
+
+
+def test_doctor_finds_this_installation_well(folder: Path):
+    done = quadftc(folder, "doctor")
+    assert done.returncode == 0, done.stdout
+    assert "BAD" not in done.stdout
+
+
+def test_play_publishes_the_bag(folder: Path):
+    assert quadftc(folder, "run", "tiny.yaml", "--out", "out").returncode == 0
+    count = sum(topic.count for topic in read_bag(folder / "out" / "tiny-proposed").topics.values())
+    done = quadftc(folder, "play", os.fspath(Path("out", "tiny-proposed")), "--rate", "10", "--delay", "0")
+    assert done.returncode == 0, done.stderr
+    assert f"{count} messages" in done.stdout
