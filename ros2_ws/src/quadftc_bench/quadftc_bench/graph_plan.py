@@ -63,7 +63,7 @@ class GraphPlan:
 
     def node_parameters(self, node: str) -> dict[str, Any]:
         """Return the parameters of one node: with the mode, less empty lists, which to ROS have no type."""
-        values = {"mode": self.mode, **self.parameters.get(node, {})}
+        values = {**self.parameters.get(node, {}), "mode": self.mode}
         if node == "plant":
             values["autostart"] = False
         return {name: value for name, value in values.items() if value != []}
@@ -81,6 +81,45 @@ class GraphPlan:
             "directory": str(self.bag),
             "attachments": [str(path) for path in self.attachments] or [""],
         }
+
+
+def parameters_from_file(path: Path) -> dict[str, dict[str, Any]]:
+    """Read a ROS parameter file: the parameters of each node of the graph, by the node's name.
+
+    ``/**`` stands for all nodes; namespaces are left out, and so are nodes that are not of the graph.
+
+    Raises
+    ------
+    ValueError
+        If it is no parameter file.
+    """
+    try:
+        data: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ValueError(f"{path}: {' '.join(str(error).split())}") from None
+    if not isinstance(data, dict):
+        raise ValueError(f"{path}: expected node names with ros__parameters below each")
+    found: dict[str, dict[str, Any]] = {}
+    for key, entry in data.items():
+        values = entry.get("ros__parameters") if isinstance(entry, dict) else None
+        if not isinstance(values, dict):
+            raise ValueError(f"{path}: {key}: expected ros__parameters with a mapping")
+        name = str(key).rpartition("/")[2]
+        for node in EXECUTABLES if name == "**" else (name,):
+            if node in EXECUTABLES:
+                found.setdefault(node, {}).update(_flat(values))
+    return found
+
+
+def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested parameters as dotted names."""
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, dict):
+            flat.update(_flat(value, f"{prefix}{name}."))
+        else:
+            flat[f"{prefix}{name}"] = value
+    return flat
 
 
 def always(samples: int) -> bool:

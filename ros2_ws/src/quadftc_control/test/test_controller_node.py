@@ -1,0 +1,318 @@
+"""The controller node: a torque for every sample, whichever input goes missing."""
+
+import dataclasses
+import math
+import uuid
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from std_srvs.srv import Trigger
+
+from quadftc_control.controller import Controller, controllers
+from quadftc_control.controller_node import ControllerNode
+from quadftc_model.samples import AttitudeReference, ControllerOutput
+from quadftc_model.vehicle import load_vehicle
+from quadftc_msgs.msg import ControlStatus
+from quadftc_ros.conversions import ReferenceWriter, stamp_of
+from quadftc_ros.testing import imu_message, vector_message
+
+FIRST_NS = 1_000_000_000
+PERIOD_NS = 4_000_000
+TILT = (0.1, 0.0, 0.0)  # rad
+INPUTS = ("imu/data", "imu/corrected", "attitude/reference", "disturbance/estimate")
+
+
+class Pilot:
+    """A controller with the sources it reads and what comes out of it."""
+
+    def __init__(self, bench, **parameters):
+        self.bench = bench
+        self.node = bench.run(ControllerNode, **parameters)
+        self.send = {topic: bench.talk(topic) for topic in INPUTS}
+        self.torques = bench.listen("torque/command")
+        self.states = bench.listen("control/status")
+        self.status = bench.watch_diagnostics()
+        bench.connect()
+        self.sent = 0
+
+    def message(self, topic, angles, stamp_ns):
+        if topic == "attitude/reference":
+            return ReferenceWriter()(stamp_ns, AttitudeReference(*(np.zeros(3),) * 3))
+        if topic == "disturbance/estimate":
+            return vector_message(stamp_ns)
+        return imu_message(stamp_ns, angles)
+
+    def publish(self, *topics, angles=TILT):
+        """Send what belongs to the next sample on some topics."""
+        stamp_ns = FIRST_NS + self.sent * PERIOD_NS
+        self.sent += 1
+        for topic in topics:
+            self.send[topic](self.message(topic, angles, stamp_ns))
+
+    def step(self, *topics, angles=TILT):
+        """Send a sample and wait for its torque."""
+        count = len(self.torques), len(self.states)
+        self.publish(*(topics or INPUTS), angles=angles)
+        self.bench.until(lambda: len(self.torques) > count[0] and len(self.states) > count[1])
+
+    def hear_reference(self):
+        """In real time: make sure that a reference has come before the first sample."""
+        self.bench.until(lambda: self.node.diagnostics is not None)
+        while not self.torques:
+            self.publish(*INPUTS)
+            self.bench.until(lambda: True)
+            self.bench.tester.get_logger()
+            self.bench._executor.spin_once(timeout_sec=0.01)
+
+    def mode(self):
+        return self.states[-1].mode
+
+    def until_status(self, part, level):
+        name = f"controller: {part}"
+        self.bench.until(lambda: name in self.status and self.status[name].level == level)
+        return self.status[name]
+
+
+def values(message):
+    return [message.vector.x, message.vector.y, message.vector.z]
+
+
+def test_torque_and_status_have_the_stamp_of_the_sample(lockstep_bench):
+    pilot = Pilot(lockstep_bench)
+    for _ in range(3):
+        pilot.step()
+    wanted = [FIRST_NS + k * PERIOD_NS for k in range(3)]
+    assert [stamp_of(m) for m in pilot.torques] == [stamp_of(m) for m in pilot.states] == wanted
+    assert {m.header.frame_id for m in (*pilot.torques, *pilot.states)} == {"base_link"}
+
+
+def test_torque_drives_the_error_down_and_status_tells_it(lockstep_bench):
+    pilot = Pilot(lockstep_bench)
+    pilot.step()
+    pilot.step()
+    assert pilot.torques[-1].vector.x < 0.0
+    state = pilot.states[-1]
+    assert state.error.x == pytest.approx(TILT[0], abs=1e-9)
+    assert state.mode == ControlStatus.MODE_FULL
+    assert 0.0 < state.compute_time < 1.0
+
+
+def test_torque_is_within_the_authority_and_cuts_are_told(lockstep_bench):
+    pilot = Pilot(lockstep_bench)
+    for _ in range(3):
+        pilot.step(angles=(1.2, -1.0, 3.0))
+    authority = load_vehicle("qball_x4").authority
+    assert np.all(np.abs([values(m) for m in pilot.torques]) <= np.array(authority) * (1.0 + 1e-12))
+    assert any(pilot.states[-1].saturated)
+
+
+@pytest.mark.parametrize("order", [INPUTS, INPUTS[::-1]])
+def test_lockstep_waits_for_all_of_one_stamp_in_any_order(lockstep_bench, order):
+    pilot = Pilot(lockstep_bench)
+    needed = [topic for topic in order if topic != "imu/data"]
+    for stamp_ns in (FIRST_NS, FIRST_NS + PERIOD_NS):
+        for topic in needed:
+            pilot.send[topic](pilot.message(topic, TILT, stamp_ns))
+    lockstep_bench.until(lambda: len(pilot.torques) == 2)
+    pilot.send["imu/corrected"](imu_message(FIRST_NS + 2 * PERIOD_NS))
+    pilot.send["disturbance/estimate"](vector_message(FIRST_NS + 2 * PERIOD_NS))
+    lockstep_bench.call(Trigger, "controller/reset")  # so that both have been heard
+    assert len(pilot.torques) == 2
+    pilot.send["attitude/reference"](pilot.message("attitude/reference", TILT, FIRST_NS + 2 * PERIOD_NS))
+    lockstep_bench.until(lambda: len(pilot.torques) == 3)
+
+
+def test_reset_in_lockstep_keeps_the_sample_that_waits(lockstep_bench):
+    pilot = Pilot(lockstep_bench)
+    pilot.publish("imu/corrected")
+    pilot.sent -= 1
+    assert lockstep_bench.call(Trigger, "controller/reset").success
+    pilot.step("attitude/reference", "disturbance/estimate")
+
+
+def test_stamps_that_go_back_in_lockstep_begin_a_new_flight(lockstep_bench):
+    pilot = Pilot(lockstep_bench)
+    for _ in range(2):
+        pilot.sent = 0
+        for k in range(10):
+            pilot.step(angles=(0.02 * k, 0.0, 0.0))
+    assert pilot.torques[:10] == pilot.torques[10:]
+
+
+# What follows is about real time.
+
+
+def test_falls_back_on_imu_data_within_three_samples_and_returns(bench):
+    pilot = Pilot(bench)
+    prime(pilot)
+    pilot.step("imu/data", "imu/corrected")
+    assert pilot.mode() == ControlStatus.MODE_FULL
+    first = pilot.sent
+    pilot.publish("imu/data")
+    pilot.publish("imu/data")
+    pilot.publish("imu/data")
+    pilot.step("imu/data")
+    assert pilot.mode() == ControlStatus.MODE_NO_DIAGNOSIS
+    assert stamp_of(pilot.torques[-1]) <= FIRST_NS + (first + 3) * PERIOD_NS
+    said = pilot.until_status("mode", DiagnosticStatus.WARN)
+    assert said.message == "no diagnosis: on imu/data, as imu/corrected is missing"
+    pilot.step("imu/data")
+    assert pilot.mode() == ControlStatus.MODE_NO_DIAGNOSIS
+    pilot.step("disturbance/estimate", "imu/corrected")
+    bench.until(lambda: pilot.states[-1].mode != ControlStatus.MODE_NO_DIAGNOSIS)
+    bench.until(lambda: "imu/data" not in pilot.status["controller: mode"].message)
+
+
+def prime(pilot):
+    """Send inputs until reference and disturbance estimate are known, so that every sample is served."""
+    pilot.bench.until(lambda: _primed(pilot))
+
+
+def _primed(pilot):
+    pilot.publish(*INPUTS)
+    return bool(pilot.states) and pilot.states[-1].mode == ControlStatus.MODE_FULL
+
+
+def test_disturbance_estimate_that_stops_fades_and_is_told(bench):
+    pilot = Pilot(bench, **{"patience.disturbance_age": 0.01, "patience.disturbance_fade": 0.02})
+    prime(pilot)
+    pilot.send["disturbance/estimate"](vector_message(FIRST_NS + pilot.sent * PERIOD_NS, (1.0, 0.0, 0.0)))
+    torques = []
+    for _ in range(12):
+        pilot.step("imu/corrected", angles=(0.0, 0.0, 0.0))
+        torques.append(pilot.torques[-1].vector.x)
+    assert pilot.mode() == ControlStatus.MODE_NO_DISTURBANCE_ESTIMATE
+    assert pilot.until_status("mode", DiagnosticStatus.WARN).message == "no disturbance estimate"
+    assert abs(torques[-1]) < abs(torques[0])
+
+
+def test_holds_then_gives_up_when_the_imu_stops_and_returns(bench):
+    pilot = Pilot(bench, **{"patience.hold": 0.1, "patience.off": 0.4})
+    prime(pilot)
+    pilot.step()
+    last = values(pilot.torques[-1])
+    assert last != [0.0, 0.0, 0.0]
+    bench.until(lambda: pilot.mode() == ControlStatus.MODE_OFF)
+    held = [m.mode for m in pilot.states if m.mode == ControlStatus.MODE_HOLD]
+    assert held
+    said = pilot.until_status("mode", DiagnosticStatus.ERROR)
+    assert said.message == "off: no IMU, zero torque"
+    bench.until(lambda: values(pilot.torques[-1]) == [0.0, 0.0, 0.0])
+    index = next(i for i, m in enumerate(pilot.torques) if values(m) == [0.0, 0.0, 0.0])
+    assert values(pilot.torques[index - 1]) == last  # held until then
+    pilot.step("disturbance/estimate", "imu/corrected")
+    bench.until(lambda: pilot.mode() in (ControlStatus.MODE_FULL, ControlStatus.MODE_NO_DISTURBANCE_ESTIMATE))
+    pilot.bench.until(lambda: pilot.status["controller: mode"].level != DiagnosticStatus.ERROR)
+
+
+def test_nothing_is_commanded_before_there_is_a_reference(bench):
+    pilot = Pilot(bench)
+    pilot.publish("imu/data", "imu/corrected")
+    said = pilot.until_status("samples", DiagnosticStatus.WARN)
+    assert "no attitude/reference yet" in {pair.key for pair in said.values}
+    assert pilot.torques == []
+
+
+def spoilt(topic, stamp_ns):
+    message = imu_message(stamp_ns, TILT)
+    message.orientation.z = math.nan
+    if topic == "attitude/reference":
+        message = ReferenceWriter()(stamp_ns, AttitudeReference(*(np.full(3, math.nan),) * 3))
+    elif topic == "disturbance/estimate":
+        message = vector_message(stamp_ns, (math.nan, 0.0, 0.0))
+    return message
+
+
+@pytest.mark.parametrize("topic", INPUTS[1:])
+def test_no_number_that_is_none_ever_leaves(bench, topic):
+    pilot = Pilot(bench)
+    prime(pilot)
+    pilot.send[topic](spoilt(topic, FIRST_NS + pilot.sent * PERIOD_NS))
+    pilot.until_status("samples", DiagnosticStatus.WARN)
+    pilot.step()
+    numbers = [values(m) + [m2.error.x, m2.sliding_variable.x] for m, m2 in zip(pilot.torques, pilot.states)]
+    assert np.all(np.isfinite(numbers))
+
+
+@pytest.fixture
+def defective():
+    """The name of a controller whose torque is no number at one of its steps."""
+
+    @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+    class Defective(Controller):
+        """Counts its steps."""
+
+        def init(self, inputs):
+            return 0
+
+        def step(self, state, inputs, dt):
+            torque = np.full(3, math.nan if state == 3 else 0.001 * (state + 1))
+            return state + 1, ControllerOutput(torque, np.zeros(3), np.zeros(3), np.zeros(3, dtype=bool))
+
+    name = f"defective_{uuid.uuid4().hex}"
+    controllers.register(name)(Defective)
+    yield name
+    entries: dict[str, Any] = vars(controllers)["_components"]
+    del entries[name]
+
+
+def test_law_that_gives_no_number_is_counted_and_the_last_torque_held(lockstep_bench, defective):
+    pilot = Pilot(lockstep_bench, controller=defective)
+    for _ in range(5):
+        pilot.step()
+    assert [m.vector.x for m in pilot.torques] == pytest.approx([0.001, 0.002, 0.003, 0.003, 0.001])
+    said = pilot.until_status("samples", DiagnosticStatus.WARN)
+    assert {pair.key: pair.value for pair in said.values} == {
+        "the controller gave no number: the last torque is held": "1"
+    }
+
+
+def test_reset_forgets_the_integral(lockstep_bench):
+    pilot = Pilot(lockstep_bench, controller="pid")
+    for _ in range(30):
+        pilot.step()
+    first, last = pilot.torques[0], pilot.torques[-1]
+    assert lockstep_bench.call(Trigger, "controller/reset").success
+    pilot.step()
+    assert values(pilot.torques[-1]) == pytest.approx(values(first))
+    assert values(last) != pytest.approx(values(first))
+
+
+def test_parameters_change_in_flight_and_bad_ones_are_refused(lockstep_bench):
+    pilot = Pilot(lockstep_bench)
+    pilot.step()
+    bench = lockstep_bench
+    old = bench.get_parameter("controller", "ismc.k_c3")
+    new = [2.0 * value for value in old]
+    assert bench.set_parameter("controller", "ismc.k_c3", new).successful
+    assert bench.get_parameter("controller", "ismc.k_c3") == new
+    refused = bench.set_parameter("controller", "ismc.k_c3", [-1.0, 0.0, 0.0])
+    assert not refused.successful
+    assert "k_c3 = -1.0" in refused.reason
+    assert "must be within [0," in refused.reason
+    assert bench.get_parameter("controller", "ismc.k_c3") == new
+    pilot.step()
+
+
+def test_patience_is_checked_as_a_whole_and_described(bench):
+    Pilot(bench)
+    refused = bench.set_parameter("controller", "patience.off", 0.01)
+    assert (refused.successful, "must not be less than hold" in refused.reason) == (False, True)
+    assert bench.get_parameter("controller", "patience.off") == 0.5
+    assert bench.set_parameter("controller", "patience.off", 0.2).successful
+    assert bench.describe("controller", "patience.hold").description.endswith("[s]")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        ({"controller": "ismk"}, "ismk.*ismc"),
+        ({"ismc.k_c3": [1, 1, 1]}, r"ismc.k_c3 = \[1, 1, 1\]: expected three numbers with decimal points"),
+        ({"patience.hold": 2.0}, "off = 0.5 s: must not be less than hold = 2 s"),
+    ],
+)
+def test_wrong_parameter_is_refused_by_name(bench, wrong, text):
+    with pytest.raises(ValueError, match=text):
+        bench.run(ControllerNode, **wrong)

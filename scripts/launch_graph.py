@@ -1,0 +1,102 @@
+#!/usr/bin/env python3
+"""Start the node graph, in one process or a process for each node, and run it until it ends or Ctrl-C.
+
+    scripts/launch_graph.py --scenario paper_faults --scheme proposed --graph processes --mode realtime
+    scripts/launch_graph.py --params my_graph.yaml --namespace drone1 --record results/drone1
+
+It waits until all nodes are connected, passes SIGINT and SIGTERM on, ends only what it started, and returns the
+worst exit code of the nodes: 0 when all ended well, 2 for wrong input, 3 when the graph failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+BAD_INPUT, FAILED = 2, 3
+ENTER = """
+. "$1/scripts/lib/common.sh"
+setup_ready || "$1/scripts/setup" || exit
+. "$1/scripts/lib/env.sh"
+shift
+exec python3 "$@"
+"""  # bash: into the environment of scripts/setup, made first if need be
+
+
+def parse(arguments: list[str]) -> argparse.Namespace:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(description="Start the node graph and run it until it ends or Ctrl-C.")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument(
+        "--scenario", help="scenario file or name; default: the nodes' own defaults, without end"
+    )
+    what.add_argument("--params", type=Path, help="ROS parameter file for the nodes")
+    parser.add_argument("--scheme", help="scheme of the scenario; default: its first")
+    parser.add_argument("--graph", choices=("composed", "processes"), default="composed")
+    parser.add_argument("--mode", choices=("lockstep", "realtime"), default="realtime")
+    parser.add_argument("--namespace", default="", help="ROS namespace of the vehicle")
+    parser.add_argument("--record", type=Path, help="directory of the bag to write; must not exist")
+    parser.add_argument("--duration", type=float, help="length of the flight [s]; 0: until Ctrl-C")
+    return parser.parse_args(arguments)
+
+
+def node_parameters_of(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    """Collect the parameters of each node from scenario or parameter file.
+
+    Raises
+    ------
+    ValueError
+        If file or scenario are wrong.
+    """
+    from quadftc_bench.graph_plan import parameters_from_file
+    from quadftc_bench.scenario import find_scenario, load_scenario, node_parameters
+
+    if options.scenario:
+        loaded = load_scenario(find_scenario(options.scenario))
+        parameters = {node: dict(values) for node, values in node_parameters(loaded, options.scheme).items()}
+    elif options.scheme:
+        raise ValueError("--scheme: belongs to --scenario")
+    else:
+        parameters = parameters_from_file(options.params) if options.params else {}
+    if options.duration is not None:
+        parameters.setdefault("plant", {})["duration"] = options.duration
+    return parameters
+
+
+def launch(options: argparse.Namespace) -> int:
+    """Run the graph; return the exit code."""
+    from quadftc_bench.graph_plan import GraphError, GraphPlan
+    from quadftc_bench.run import GRAPHS
+    from quadftc_ros.executor import StopSignals
+
+    graph = None
+    try:
+        plan = GraphPlan(node_parameters_of(options), options.mode, options.namespace, options.record)
+        with StopSignals() as stop, GRAPHS[options.graph](plan) as graph:
+            graph.run(lambda _samples: not stop.requested)
+    except GraphError as error:
+        sys.stderr.write(f"error: {error}\n")
+        return (graph.exit_code if graph is not None else 0) or FAILED
+    except ValueError as error:
+        sys.stderr.write("".join(f"error: {line}\n" for line in str(error).splitlines()))
+        return BAD_INPUT
+    return graph.exit_code
+
+
+def main() -> int:
+    """Run the command, inside the environment that scripts/setup made."""
+    options = parse(sys.argv[1:])
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if importlib.util.find_spec("quadftc_bench") is None:
+        arguments = ["bash", "-c", ENTER, "bash", str(ROOT), str(Path(__file__).resolve()), *sys.argv[1:]]
+        os.execvp("bash", arguments)
+    return launch(options)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,126 @@
+"""scripts/launch_graph.py: starts the graph either way, ends it cleanly, answers for its exit codes."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from quadftc_bench.bags import read_bag
+from quadftc_bench.graph_plan import EXECUTABLES, GraphPlan, parameters_from_file
+from quadftc_bench.process_graph import executable_path
+from quadftc_bench.scenario import load_scenario, node_parameters
+from quadftc_ros.testing import NodeBench
+
+SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "launch_graph.py"
+BUSY = Path(__file__).parent / "scenarios" / "busy.yaml"
+END = 60.0  # s; for a process to end on its own
+
+
+def started(*arguments: object) -> subprocess.Popen[str]:
+    command = [sys.executable, str(SCRIPT), *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def finished(*arguments: object) -> tuple[int, str]:
+    with started(*arguments) as process:
+        _, errors = process.communicate(timeout=2 * END)
+    assert "Traceback" not in errors
+    return process.returncode, errors
+
+
+def nodes_running() -> list[str]:
+    """Node processes of this workspace that are alive, by their command lines."""
+    ours = {str(executable_path(*row)) for row in EXECUTABLES.values()}
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):  # ended meanwhile, or not ours to look at
+            words = (process / "cmdline").read_bytes().decode().split("\0")
+            domain = f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']}".encode()
+            if ours & set(words) and domain in (process / "environ").read_bytes().split(b"\0"):
+                found.append(" ".join(words))
+    return found
+
+
+@pytest.mark.parametrize("graph", ["composed", "processes"])
+def test_flight_of_a_scenario_ends_with_0_and_a_whole_bag(tmp_path: Path, graph: str):
+    bag = tmp_path / "bag"
+    code, errors = finished("--scenario", BUSY, "--graph", graph, "--mode", "lockstep", "--record", bag)
+    assert code == 0, errors
+    assert read_bag(bag).topics["/plant/attitude"].count == 500
+    assert nodes_running() == []
+
+
+@pytest.mark.parametrize("graph", ["composed", "processes"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_ends_the_nodes_and_the_launcher_with_0(graph: str, number: signal.Signals):
+    with NodeBench("realtime") as bench:
+        torques = bench.listen("torque/command")
+        with started("--graph", graph) as process:
+            bench.until(lambda: torques)
+            process.send_signal(number)
+            _, errors = process.communicate(timeout=END)
+    assert process.returncode == 0, errors
+    assert "Traceback" not in errors
+    assert nodes_running() == []
+
+
+def test_death_of_a_node_ends_the_rest_and_is_reported():
+    with NodeBench("realtime") as bench:
+        torques = bench.listen("torque/command")
+        with started("--graph", "processes") as process:
+            bench.until(lambda: torques)
+            children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text(encoding="ascii")
+            victim = next(
+                int(child)
+                for child in children.split()
+                if b"disturbance_observer" in Path(f"/proc/{child}/cmdline").read_bytes()
+            )
+            os.kill(victim, signal.SIGKILL)
+            _, errors = process.communicate(timeout=END)
+    assert process.returncode not in (0, None)
+    assert "disturbance_observer" in errors
+    assert nodes_running() == []
+
+
+def test_nodes_end_when_their_launcher_is_killed():
+    with NodeBench("realtime") as bench:
+        torques = bench.listen("torque/command")
+        with started("--graph", "processes") as process:
+            bench.until(lambda: torques)
+            process.kill()
+    end = time.monotonic() + END
+    while nodes_running() and time.monotonic() < end:
+        time.sleep(0.1)
+    assert nodes_running() == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--scenario", "nowhere"), ("nowhere", "paper_faults")),
+        (("--scenario", BUSY, "--scheme", "best"), ("best", "proposed")),
+        (("--scheme", "proposed"), ("--scheme", "--scenario")),
+        (("--params", "missing.yaml"), ("missing.yaml",)),
+        (("--params", BUSY), ("busy.yaml", "ros__parameters")),
+    ],
+)
+def test_wrong_input_ends_with_2_and_one_line(arguments: tuple[object, ...], words: tuple[str, ...]):
+    code, errors = finished(*arguments)
+    assert code == 2
+    assert len(errors.strip().splitlines()) == 1
+    assert all(word in errors for word in words)
+
+
+def test_parameter_file_gives_back_the_parameters_it_was_made_from(tmp_path: Path):
+    parameters = node_parameters(load_scenario(BUSY), "proposed")
+    plan = GraphPlan(parameters, "lockstep", "drone1")
+    (tmp_path / "graph.yaml").write_text(plan.parameter_file(), encoding="utf-8")
+    read = parameters_from_file(tmp_path / "graph.yaml")
+    assert read == {node: plan.node_parameters(node) for node in EXECUTABLES}
