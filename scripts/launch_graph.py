@@ -4,8 +4,8 @@
     scripts/launch_graph.py --scenario paper_faults --scheme proposed --graph processes --mode realtime
     scripts/launch_graph.py --params my_graph.yaml --namespace drone1 --record results/drone1
 
-It waits until all nodes are connected, passes SIGINT and SIGTERM on, ends only what it started, and returns the
-worst exit code of the nodes: 0 when all ended well, 2 for wrong input, 3 when the graph failed.
+It waits until all nodes are connected, passes SIGINT and SIGTERM on, ends only what it started, and returns
+the worst exit code of the nodes: 0 when all ended well, 2 for wrong input, 3 when the graph failed.
 """
 
 from __future__ import annotations

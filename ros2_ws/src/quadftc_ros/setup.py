@@ -7,7 +7,7 @@ PACKAGE = "quadftc_ros"
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="What all nodes share: QoS profiles, parameters, conversions, stamp synchronisation, diagnostics, the bag recorder.",
+    description="What all nodes share: QoS, parameters, conversions, stamp joining, diagnostics, recorder.",
     license="Apache-2.0",
     maintainer="quadftc maintainers",
     maintainer_email="maintainers@quadftc.example",

@@ -6,7 +6,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import yaml
 
@@ -100,14 +100,16 @@ def parameters_from_file(path: Path) -> dict[str, dict[str, Any]]:
     if not isinstance(data, dict):
         raise ValueError(f"{path}: expected node names with ros__parameters below each")
     found: dict[str, dict[str, Any]] = {}
-    for key, entry in data.items():
-        values = entry.get("ros__parameters") if isinstance(entry, dict) else None
+    for key, entry in cast("dict[Any, Any]", data).items():
+        values: Any = (
+            cast("dict[Any, Any]", entry).get("ros__parameters") if isinstance(entry, dict) else None
+        )
         if not isinstance(values, dict):
             raise ValueError(f"{path}: {key}: expected ros__parameters with a mapping")
         name = str(key).rpartition("/")[2]
         for node in EXECUTABLES if name == "**" else (name,):
             if node in EXECUTABLES:
-                found.setdefault(node, {}).update(_flat(values))
+                found.setdefault(node, {}).update(_flat(cast("dict[str, Any]", values)))
     return found
 
 
@@ -116,7 +118,7 @@ def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for name, value in values.items():
         if isinstance(value, dict):
-            flat.update(_flat(value, f"{prefix}{name}."))
+            flat.update(_flat(cast("dict[str, Any]", value), f"{prefix}{name}."))
         else:
             flat[f"{prefix}{name}"] = value
     return flat

@@ -46,8 +46,8 @@ def angular_acceleration(
 ) -> Array:
     """Angular acceleration [rad/s²] (..., 3), body frame: (1) with the torques of (2) and a disturbance.
 
-    The drag acts on the body rate. The paper's (2) writes Euler angle rates, which are the same under its (5);
-    taken literally, they would drive a vehicle that is upside down and have no bound at 90 deg of pitch.
+    The drag acts on the body rate. The paper's (2) writes Euler angle rates, the same under its (5); those
+    would drive a vehicle that is upside down, and have no bound at 90 deg of pitch.
 
     Parameters
     ----------

@@ -7,8 +7,8 @@ latched    reliable, transient local, 1  the same                  what a late r
 clock      best effort, keep last 1      reliable, keep last 1000  /clock
 
 In lock-step none may be lost. The nodes wait for each other, but not for a recorder in another process: the
-depth is what it may lag behind. In real time an IMU sample that is late is worth nothing: sensor topics follow
-the sensor-data convention of ROS 2, which also matches the drivers of real vehicles.
+depth is what it may lag behind. In real time an IMU sample that is late is worth nothing: sensor topics
+follow the sensor-data convention of ROS 2, which also matches the drivers of real vehicles.
 """
 
 from __future__ import annotations

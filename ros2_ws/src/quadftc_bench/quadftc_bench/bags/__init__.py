@@ -21,8 +21,8 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from numpy.typing import NDArray
 from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
-from quadftc_bench.bags.directory import BagError, storage_files
 from quadftc_bench.bags.cdr import Arrays, decode
+from quadftc_bench.bags.directory import BagError, storage_files
 from quadftc_bench.bags.mcap_records import CutShortError, NotMcapError, Record, read_records
 
 __all__ = ["Bag", "BagError", "Series", "TopicInfo", "read_bag"]
