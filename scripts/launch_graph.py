@@ -5,7 +5,8 @@
     scripts/launch_graph.py --params my_graph.yaml --namespace drone1 --record results/drone1
 
 It waits until all nodes are connected, passes SIGINT and SIGTERM on, ends only what it started, and returns
-the worst exit code of the nodes: 0 when all ended well, 2 for wrong input, 3 when the graph failed.
+the worst exit code of the nodes: 0 when all ended well, 2 for wrong input, 3 when the graph failed, 130 when
+it was interrupted before it started anything, or twice.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-BAD_INPUT, FAILED = 2, 3
+BAD_INPUT, FAILED, INTERRUPTED = 2, 3, 130
 ENTER = """
 . "$1/scripts/lib/common.sh"
 setup_ready || "$1/scripts/setup" || exit
@@ -95,7 +96,10 @@ def main() -> int:
     if importlib.util.find_spec("quadftc_bench") is None:
         arguments = ["bash", "-c", ENTER, "bash", str(ROOT), str(Path(__file__).resolve()), *sys.argv[1:]]
         os.execvp("bash", arguments)
-    return launch(options)
+    try:
+        return launch(options)
+    except KeyboardInterrupt:  # before anything was started; or a second time, and then all was ended
+        return INTERRUPTED
 
 
 if __name__ == "__main__":

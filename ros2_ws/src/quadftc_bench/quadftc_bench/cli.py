@@ -10,6 +10,7 @@ import enum
 import os
 import sys
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,6 +18,7 @@ import typer
 from rich.progress import (
     BarColumn,
     Progress,
+    TaskID,
     TaskProgressColumn,
     TextColumn,
     TimeElapsedColumn,
@@ -46,6 +48,7 @@ from quadftc_bench.scenario import (
 from quadftc_bench.tables import console, failed_checks, run_table
 from quadftc_ros.executor import StopSignals
 
+STRIDE = 0.005  # share of a flight between two looks of the progress bar
 GOOD, CHECK_FAILED, BAD_INPUT, INTERNAL, INTERRUPTED = 0, 1, 2, 3, 130
 
 app = typer.Typer(
@@ -133,12 +136,7 @@ def _run_all(jobs: list[tuple[Scenario, Scheme]], out: Path, options: RunOptions
     with StopSignals() as stop, Progress(*columns, console=screen) as bars:
         for scenario, scheme in jobs:
             bar = bars.add_task(run_name(scenario, scheme), total=1.0)
-
-            def progress(share: float, bar: Any = bar) -> bool:
-                bars.update(bar, completed=share)
-                return not stop.requested
-
-            result = run_scenario(scenario, scheme, out, options, progress)
+            result = run_scenario(scenario, scheme, out, options, _follower(bars, bar, stop))
             if result is None:
                 screen.print(f"interrupted; what was flown is in {out / run_name(scenario, scheme)}")
                 return INTERRUPTED
@@ -149,6 +147,20 @@ def _run_all(jobs: list[tuple[Scenario, Scheme]], out: Path, options: RunOptions
         screen.print(f"[red]FAILED[/] {line}")
     screen.print(f"bags and summaries: {out}")
     return GOOD if all(item["passed"] for item in summaries) else CHECK_FAILED
+
+
+def _follower(bars: Progress, bar: TaskID, stop: StopSignals) -> Callable[[float], bool]:
+    """Return what moves a bar, in strides, as it is called for every message, until a signal comes."""
+    shown = 0.0
+
+    def follow(share: float) -> bool:
+        nonlocal shown
+        if share - shown > STRIDE:
+            bars.update(bar, completed=share)
+            shown = share
+        return not stop.requested
+
+    return follow
 
 
 @app.command()

@@ -37,7 +37,7 @@ def run_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
         table.add_column(heading, no_wrap=True)
     for heading, *_ in COLUMNS:
         table.add_column(Text(heading), justify="right", no_wrap=True)
-    table.add_column("checks", no_wrap=True)
+    table.add_column("checks\npassed", no_wrap=True)
     for item in summaries:
         factor = item["real_time_factor"]
         first = (item["name"], f"  {item['scheme']}", "" if factor is None else f"  {factor:.1f} x real time")
@@ -79,7 +79,7 @@ def _number(value: Any, scale: float, digits: int) -> str:
 
 
 def _verdict(checks: Sequence[Mapping[str, Any]]) -> str:
-    if not checks:
-        return "none"
-    failed = sum(not check["passed"] for check in checks)
-    return f"[red]{failed} of {len(checks)} failed[/]" if failed else f"[green]{len(checks)} passed[/]"
+    """Checks passed, of all."""
+    good = sum(check["passed"] for check in checks)
+    colour = "green" if good == len(checks) else "red"
+    return f"[{colour}]{good} of {len(checks)}[/]" if checks else "-"

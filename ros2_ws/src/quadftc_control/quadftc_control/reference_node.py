@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ import numpy as np
 from quadftc_control.assembly import reference_from
 from quadftc_control.setpoint import SetpointFilter
 from quadftc_model.assembly import build_prefixed
-from quadftc_model.parameters import parameter
+from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import AttitudeReference
 from quadftc_model.stepper import Stepper
 from quadftc_ros.conversions import ReferenceWriter, array_of, is_finite
@@ -44,7 +45,7 @@ class ReferenceNode(GraphNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("reference", **kwargs)
         self.settings.declare(ReferenceParameters, read_only=True)
-        self.settings.declare(SetpointFilter, "setpoint.", read_only=True)
+        self.settings.declare(SetpointFilter, "setpoint.")
         self.settings.declare_list(
             "references", "each: kind key=value..., e.g. 'step angles=5deg,0,0 start=5s'"
         )
@@ -53,6 +54,7 @@ class ReferenceNode(GraphNode):
         self._filter = Stepper[Any, AttitudeReference](law)
         self._live = values["source"] == "topic"
         self._restart()
+        self.settings.on_change(self._rebuilt)
         self._publish = self.publishes("attitude/reference")
         self._message = ReferenceWriter()
         self.driven_by("imu/data", self._on_imu, restart=self._restart, raw=True)
@@ -60,6 +62,10 @@ class ReferenceNode(GraphNode):
             self.reads("attitude/setpoint", self._on_setpoint)
         self.diagnostics.report("source", OK, values["source"])
         self.ready()
+
+    def _rebuilt(self, values: Mapping[str, Value]) -> Callable[[], None]:
+        law = build_prefixed(SetpointFilter, values, "setpoint")
+        return lambda: setattr(self._filter, "law", law)
 
     def _restart(self) -> None:
         self._generator = reference_from(self.settings.values())
