@@ -142,7 +142,7 @@ def _run_all(jobs: list[tuple[Scenario, Scheme]], out: Path, options: RunOptions
                 return INTERRUPTED
             bars.update(bar, completed=1.0)
             summaries.append(result)
-    screen.print(run_table(summaries))
+    screen.print(run_table(summaries, screen))
     for line in failed_checks(summaries):
         screen.print(f"[red]FAILED[/] {line}")
     screen.print(f"bags and summaries: {out}")

@@ -7,21 +7,24 @@ from typing import Any, cast
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
 from quadftc_bench.flight import AXES
 from quadftc_bench.metrics import look_up
 
-# heading, metric (dotted path below "metrics"), factor, decimals
+# heading, metric (dotted path below "metrics"), factor, decimals; the last ones go first where there is no room
 COLUMNS = (
     ("tracking\nRMSE\n[deg]", "tracking_rmse_deg", 1.0, 3),
-    ("tracking\nmax\n[deg]", "tracking_max_deg", 1.0, 3),
     ("mean error,\n1st fault\n[deg]", "fault_windows.0.tracking_mean_deg", 1.0, 3),
     ("estimate\nsettles in\n[ms]", "fault_windows.0.fault_estimate_settling_s", 1e3, 0),
     ("its error,\nsettled\n[deg]", "fault_estimate_max_settled_deg", 1.0, 3),
+    ("tracking\nmax\n[deg]", "tracking_max_deg", 1.0, 3),
     ("torque\nvariation\n[N m/s]", "torque_total_variation", 1.0, 3),
 )
+
+WIDE = 1000  # characters; wider than any table
 
 
 def console(stderr: bool = False) -> Console:
@@ -30,12 +33,21 @@ def console(stderr: bool = False) -> Console:
     return found if found.is_terminal else Console(stderr=stderr, highlight=False, width=120)
 
 
-def run_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
-    """Table of runs: a row for each axis of each run."""
+def run_table(summaries: Sequence[Mapping[str, Any]], screen: Console) -> Table:
+    """Table of runs: a row for each axis of each run, with as many columns as the screen has room for."""
+    for count in range(len(COLUMNS), 1, -1):
+        table = _run_table(summaries, count)
+        if Measurement.get(screen, screen.options.update(max_width=WIDE), table).maximum <= screen.width:
+            return table
+    return _run_table(summaries, 1)
+
+
+def _run_table(summaries: Sequence[Mapping[str, Any]], count: int) -> Table:
+    columns = COLUMNS[:count]
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for heading in ("run", "axis"):
         table.add_column(heading, no_wrap=True)
-    for heading, *_ in COLUMNS:
+    for heading, *_ in columns:
         table.add_column(Text(heading), justify="right", no_wrap=True)
     table.add_column("checks\npassed", no_wrap=True)
     for item in summaries:
@@ -44,7 +56,7 @@ def run_table(summaries: Sequence[Mapping[str, Any]]) -> Table:
         for index, axis in enumerate(AXES):
             cells = [
                 _number(_on_axis(metric_at(item["metrics"], path), axis), scale, digits)
-                for _, path, scale, digits in COLUMNS
+                for _, path, scale, digits in columns
             ]
             table.add_row(first[index], axis, *cells, _verdict(item["checks"]) if index == 0 else "")
         table.add_section()
