@@ -97,3 +97,14 @@ def test_wrong_parameter_ends_the_node_with_one_line(node: str, setting: str, wo
     assert process.returncode == 2
     assert len(errors.strip().splitlines()) == 1
     assert all(word in errors for word in words)
+
+
+def test_unknown_parameter_is_warned_of_and_the_node_runs(bench: NodeBench):
+    setting = "sliding_mode.espilon_2:=0.2"
+    with running(*EXECUTABLES["fault_observer"], "--ros-args", "-p", setting) as process:
+        bench.until(lambda: "/fault/estimate" in published_by(bench, "fault_observer"))
+        process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=END)
+    assert process.returncode == 0
+    assert "parameter 'sliding_mode.espilon_2' was given" in errors
+    assert "did you mean 'sliding_mode.epsilon_2'?" in errors

@@ -6,11 +6,15 @@ import dataclasses
 
 import numpy as np
 import pytest
+from std_srvs.srv import Trigger
 
 from quadftc_bench.bags import read_bag
 from quadftc_bench.closed_loop import fly
+from quadftc_bench.composed_graph import ComposedGraph
 from quadftc_bench.flight import Flight, flight_from_bag
+from quadftc_bench.graph_plan import GraphPlan
 from quadftc_bench.scenario import find_scenario, load_scenario, node_parameters, with_duration
+from quadftc_ros.testing import NodeBench
 
 
 def short(name, duration):
@@ -67,3 +71,50 @@ def test_processes_give_the_same_messages_as_one_process(fly_graph, busy_scenari
     processes = messages_by_topic(fly_graph(busy_scenario, "proposed", graph="processes")[0])
     assert composed.keys() == processes.keys()
     assert [topic for topic in composed if composed[topic] != processes[topic]] == []
+
+
+def test_other_executor_gives_the_same_messages(tmp_path, fly_graph, busy_scenario):
+    plan = GraphPlan(node_parameters(busy_scenario), bag=tmp_path / "bag")
+    with ComposedGraph(plan, executor="single") as graph:
+        graph.run()
+    usual = messages_by_topic(fly_graph(busy_scenario, "proposed")[0])
+    other = messages_by_topic(tmp_path / "bag")
+    assert [topic for topic in usual if usual[topic] != other[topic]] == []
+
+
+def test_two_vehicles_fly_in_one_process_without_hearing_each_other(tmp_path, busy_scenario):
+    plans = [
+        GraphPlan(node_parameters(busy_scenario, scheme), "lockstep", scheme, tmp_path / scheme)
+        for scheme in ("proposed", "conventional")
+    ]
+    with ComposedGraph(plans[0]) as first, ComposedGraph(plans[1]) as second:
+        second.wait_until_connected()
+        second.plant.start()
+        first.run(lambda _samples: second.spin_once(0.0) or True)
+        while not second.plant.finished:
+            second.spin_once()
+    for scheme in ("proposed", "conventional"):
+        flight = flight_from_bag(read_bag(tmp_path / scheme))
+        assert_equal_bit_for_bit(flight, fly(node_parameters(busy_scenario, scheme)))
+
+
+def test_reset_flies_the_same_flight_again_whenever_it_comes(busy_scenario):
+    with NodeBench("lockstep") as bench, ComposedGraph(GraphPlan(node_parameters(busy_scenario))) as graph:
+        torques = bench.listen("torque/command")
+        graph.wait_until_connected()
+        bench.connect()
+        graph.run(lambda samples: samples < 150)  # into the dropouts, less than a second: no gap to go by
+        client = graph.nodes["reference"].create_client(Trigger, "plant/reset")
+        answer = client.call_async(Trigger.Request())
+        while not (answer.done() and graph.plant.finished):
+            graph.spin_once()
+        flown = fly(node_parameters(busy_scenario))
+        wanted = flown.torque[flown.delivered]
+        bench.until(lambda: len(torques) > len(wanted) + 50)
+        bench.until(lambda: stamps_of(torques)[-1] == flown.stamp_ns[flown.delivered][-1])
+    again = [[m.vector.x, m.vector.y, m.vector.z] for m in torques[-len(wanted) :]]
+    np.testing.assert_array_equal(again, wanted)
+
+
+def stamps_of(messages):
+    return [message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in messages]

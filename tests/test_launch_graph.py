@@ -118,6 +118,49 @@ def test_wrong_input_ends_with_2_and_one_line(arguments: tuple[object, ...], wor
     assert all(word in errors for word in words)
 
 
+def children_of(process: subprocess.Popen[str]) -> list[str]:
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text(encoding="ascii").split()
+    return []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("patience", [0, 1, 6])
+def test_signal_while_the_nodes_are_starting_leaves_none_behind(number: signal.Signals, patience: int):
+    """Whether none, one or all of the nodes have been started, and hardly one of them can hear yet."""
+    with started("--graph", "processes") as process:
+        end = time.monotonic() + END
+        while len(children_of(process)) < patience and time.monotonic() < end:
+            pass
+        process.send_signal(number)
+        _, errors = process.communicate(timeout=END)
+    assert process.returncode in ((0,) if patience else (0, 130, -number)), errors
+    assert "Traceback" not in errors or patience == 0  # Python itself, still importing
+    assert nodes_running() == []
+
+
+def test_second_signal_does_not_leave_nodes_behind():
+    with NodeBench("realtime") as bench:
+        torques = bench.listen("torque/command")
+        with started("--graph", "processes") as process:
+            bench.until(lambda: torques)
+            for _ in range(2):
+                process.send_signal(signal.SIGINT)
+            _, errors = process.communicate(timeout=END)
+    assert process.returncode in (0, 130, 128 + signal.SIGKILL), errors
+    assert "Traceback" not in errors
+    assert nodes_running() == []
+
+
+@pytest.mark.parametrize("graph", ["composed", "processes"])
+def test_whole_number_where_ros_wants_another_type_is_named(tmp_path: Path, graph: str):
+    (tmp_path / "graph.yaml").write_text("plant: {ros__parameters: {rate: 250}}\n", encoding="utf-8")
+    code, errors = finished("--params", tmp_path / "graph.yaml", "--graph", graph)
+    assert code == 2
+    assert "error: rate = 250: expected a number with a decimal point" in errors
+    assert nodes_running() == []
+
+
 def test_parameter_file_gives_back_the_parameters_it_was_made_from(tmp_path: Path):
     parameters = node_parameters(load_scenario(BUSY), "proposed")
     plan = GraphPlan(parameters, "lockstep", "drone1")

@@ -14,7 +14,7 @@ from rich.text import Text
 from quadftc_bench.flight import AXES
 from quadftc_bench.metrics import look_up
 
-# heading, metric (dotted path below "metrics"), factor, decimals; the last ones go first where there is no room
+# heading, metric (dotted path below "metrics"), factor, decimals; where there is no room, the last go first
 COLUMNS = (
     ("tracking\nRMSE\n[deg]", "tracking_rmse_deg", 1.0, 3),
     ("mean error,\n1st fault\n[deg]", "fault_windows.0.tracking_mean_deg", 1.0, 3),

@@ -41,6 +41,7 @@ from quadftc_ros.executor import run_node
 from quadftc_ros.join import StampJoin
 from quadftc_ros.node import GraphNode, wall_seconds
 
+REFERENCE_AGE = 0.5  # s; real time: age from which a reference is reported as stopped
 WATCH_PERIOD = 0.02  # s; real time: how often the controller looks whether samples still come
 
 _REPORTS = {
@@ -77,6 +78,7 @@ class ControllerNode(GraphNode):
         self._publish_status = self.publishes("control/status")
         self._body = VectorWriter(BASE_FRAME)
         self._reference: AttitudeReference | None = None
+        self._reference_ns = 0
         self._mode: Mode | None = None
         self._torque, self._stamp_ns = np.zeros(3), 0  # last command [N m] and its stamp [ns]
         self._join = StampJoin(("imu", "reference", "disturbance"), self._on_all)
@@ -99,19 +101,20 @@ class ControllerNode(GraphNode):
 
     def _on_reference(self, stamp_ns: int, message: Any) -> None:
         reference = reference_of(message)
-        if not all(is_finite(part) for part in reference):
-            self.diagnostics.count("attitude/reference is not finite")
-            return
-        self._reference = reference
-        if self.lockstep:
-            self._join.put("reference", stamp_ns, reference)
+        if all(is_finite(part) for part in reference):
+            self._reference, self._reference_ns = reference, stamp_ns
+        else:
+            self.diagnostics.count("attitude/reference: not finite")
+        if self.lockstep and self._reference is not None:
+            self._join.put("reference", stamp_ns, self._reference)
 
     def _on_disturbance(self, stamp_ns: int, message: Any) -> None:
         disturbance = array_of(message.vector)
-        if not is_finite(disturbance):
-            self.diagnostics.count("disturbance/estimate is not finite")
-            return
-        self._monitor.estimated(stamp_ns, disturbance)
+        if is_finite(disturbance):
+            self._monitor.estimated(stamp_ns, disturbance)
+        else:
+            self.diagnostics.count("disturbance/estimate: not finite")
+            disturbance = np.zeros(3)
         if self.lockstep:
             self._join.put("disturbance", stamp_ns, disturbance)
 
@@ -163,6 +166,15 @@ class ControllerNode(GraphNode):
         if mode is not self._mode:
             self._mode = mode
             self.diagnostics.report("mode", *_REPORTS[mode])
+
+    def report(self) -> None:
+        """Report a reference that stands still because its node does."""
+        if not self.lockstep and self._stamp_ns and self._reference is not None:
+            old = seconds(self._stamp_ns - self._reference_ns) > REFERENCE_AGE
+            level, words = (
+                (WARN, "attitude/reference does not come: the last is held") if old else (OK, "comes")
+            )
+            self.diagnostics.report("reference", level, words)
 
     def _on_watchdog(self) -> None:
         """Act when samples have stopped coming."""

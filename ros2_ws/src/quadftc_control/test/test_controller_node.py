@@ -210,6 +210,17 @@ def test_holds_then_gives_up_when_the_imu_stops_and_returns(bench):
     pilot.until_status("mode", DiagnosticStatus.OK)
 
 
+def test_reference_that_stops_is_held_and_told(bench):
+    pilot = Pilot(bench, **PATIENT)
+    pilot.prime()
+    pilot.sent += 200  # 0.8 s
+    pilot.step("imu/corrected", "disturbance/estimate")
+    said = pilot.until_status("reference", DiagnosticStatus.WARN)
+    assert said.message == "attitude/reference does not come: the last is held"
+    pilot.step()
+    pilot.until_status("reference", DiagnosticStatus.OK)
+
+
 def test_nothing_is_commanded_before_there_is_a_reference(bench):
     pilot = Pilot(bench, **PATIENT)
     pilot.publish("imu/data", "imu/corrected")
@@ -240,6 +251,17 @@ def test_no_number_that_is_none_ever_leaves(bench, topic):
         [*values(torque), state.error.x] for torque, state in zip(pilot.torques, pilot.states, strict=True)
     ]
     assert np.all(np.isfinite(numbers))
+
+
+@pytest.mark.parametrize("topic", INPUTS[2:])
+def test_number_that_is_none_does_not_stop_lockstep(lockstep_bench, topic):
+    pilot = Pilot(lockstep_bench)
+    pilot.step()
+    stamp_ns = FIRST_NS + pilot.sent * PERIOD_NS
+    pilot.send[topic](spoilt(topic, stamp_ns))
+    pilot.step(*(each for each in INPUTS if each != topic))
+    assert stamp_of(pilot.torques[-1]) == stamp_ns
+    assert np.all(np.isfinite(values(pilot.torques[-1])))
 
 
 @pytest.fixture

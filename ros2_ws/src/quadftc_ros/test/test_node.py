@@ -1,0 +1,115 @@
+"""What every node of the graph does: it is driven by stamps, resets, and tells of its connections."""
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from std_srvs.srv import Trigger
+
+from quadftc_ros.conversions import stamp_of
+from quadftc_ros.node import GraphNode, crowded_topics, missing_connections
+from quadftc_ros.testing import NodeBench, imu_message
+from quadftc_ros.topics import TOPICS
+
+SECOND = 1_000_000_000  # ns
+
+
+class Counter(GraphNode):
+    """Notes what drives it; named as the fault observer, whose topics it has."""
+
+    def __init__(self, **kwargs):
+        super().__init__("fault_observer", **kwargs)
+        self.seen = []
+        self.publishes("imu/corrected")
+        self.driven_by("imu/data", self.note, restart=lambda: self.seen.append("restart"))
+        self.ready()
+
+    def note(self, stamp_ns, message):
+        assert stamp_of(message) == stamp_ns
+        self.seen.append(stamp_ns)
+        self.sampled(stamp_ns)
+
+
+def driven(bench, stamps):
+    """What a node notes of samples with these stamps [ns]."""
+    node = bench.run(Counter)
+    send = bench.talk("imu/data")
+    bench.connect()
+    for stamp_ns in stamps:
+        count = len(node.seen)
+        send(imu_message(stamp_ns))
+        bench.until(lambda before=count: len(node.seen) > before)
+    bench.until(lambda: stamps[-1] in node.seen)
+    return node
+
+
+@pytest.mark.parametrize("back", [0, 1, 10 * SECOND])
+def test_any_stamp_that_is_not_later_begins_a_new_flight_in_lockstep(lockstep_bench, back):
+    stamps = [20 * SECOND, 21 * SECOND, 21 * SECOND - back, 22 * SECOND]
+    node = driven(lockstep_bench, stamps)
+    assert node.seen == [*stamps[:2], "restart", *stamps[2:]]
+
+
+def test_late_sample_does_not_begin_a_new_flight_in_real_time(bench):
+    stamps = [20 * SECOND, 21 * SECOND, 20 * SECOND + 1, 21 * SECOND, 22 * SECOND]
+    assert driven(bench, stamps).seen == stamps
+
+
+def test_clock_that_was_set_back_begins_a_new_flight_in_real_time(bench):
+    stamps = [20 * SECOND, 5 * SECOND, 6 * SECOND]
+    assert driven(bench, stamps).seen == [20 * SECOND, "restart", 5 * SECOND, 6 * SECOND]
+
+
+def test_reset_service_restarts(bench):
+    node = bench.run(Counter)
+    answer = bench.call(Trigger, "fault_observer/reset")
+    assert (answer.success, answer.message) == (True, "starts anew at the next sample")
+    assert node.seen == ["restart"]
+
+
+@pytest.mark.parametrize("use_sim_time", [False, True])
+def test_connections_are_told_whatever_the_clock(bench, use_sim_time):
+    status = bench.watch_diagnostics()
+    bench.run(Counter, use_sim_time=use_sim_time)
+    bench.until(lambda: "fault_observer: connections" in status)
+    said = status["fault_observer: connections"]
+    assert said.level == DiagnosticStatus.WARN
+    assert "imu/data: 0 of 1 publishers" in said.message
+    assert "imu/corrected: 0 of 2 readers" in said.message
+    bench.talk("imu/data")
+    for _ in range(2):
+        bench.listen("imu/corrected")
+    bench.until(lambda: status["fault_observer: connections"].message == "all connected")
+    assert status["fault_observer: connections"].level == DiagnosticStatus.OK
+
+
+def test_namespace_is_in_names_of_topics_services_and_diagnostics():
+    with NodeBench("realtime", namespace="fleet/uav3") as bench:
+        node = bench.run(Counter)
+        status = bench.watch_diagnostics()
+        bench.until(lambda: "fleet/uav3/fault_observer: connections" in status)
+        assert status["fleet/uav3/fault_observer: connections"].hardware_id == "fleet/uav3"
+        topics = {
+            name for name, _ in node.get_publisher_names_and_types_by_node("fault_observer", "/fleet/uav3")
+        }
+        services = {
+            name for name, _ in node.get_service_names_and_types_by_node("fault_observer", "/fleet/uav3")
+        }
+    assert "/fleet/uav3/imu/corrected" in topics
+    assert "/fleet/uav3/fault_observer/reset" in services
+
+
+def test_missing_connections_counts_the_table_and_the_recorders():
+    counts = {"imu/data": 1, "imu/corrected": 2}
+    assert missing_connections("fault_observer", counts) == []
+    assert missing_connections("fault_observer", counts, recorders=1) == ["imu/corrected: 2 of 3 readers"]
+
+
+def test_topic_with_a_second_publisher_is_crowded():
+    alone = {name: len(row.publishers) for name, row in TOPICS.items()}
+    assert crowded_topics(alone.__getitem__) == []
+    doubled = {**alone, "imu/data": 2, "/diagnostics": 50}
+    assert crowded_topics(doubled.__getitem__) == ["imu/data has 2 publishers"]
+
+
+def test_mode_is_one_of_two(bench):
+    with pytest.raises(ValueError, match="mode = 'fast': expected one of lockstep, realtime"):
+        bench.run(Counter, mode="fast")

@@ -1,0 +1,119 @@
+"""Real time: flights by the wall clock, in one process and in several, also when a node falls silent."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import numpy as np
+import pytest
+from quadftc_msgs.msg import ControlStatus
+from quadftc_msgs.srv import InjectFault
+
+from quadftc_bench.bags import read_bag
+from quadftc_bench.graph_plan import GraphPlan
+from quadftc_bench.process_graph import ProcessGraph
+from quadftc_bench.scenario import find_scenario, load_scenario, node_parameters, with_duration
+from quadftc_ros.testing import NodeBench
+
+DURATION = 2.0  # s
+RATE = 250  # Hz
+PERIOD_NS = 4_000_000
+TRUTH = ("plant/attitude", "plant/rate", "disturbance/applied")
+VECTORS = {
+    "fault/injected": "vector",
+    "fault/estimate": "vector",
+    "disturbance/estimate": "vector",
+    "torque/command": "vector",
+    "attitude/reference": "angles",
+    "control/status": "error",
+    "imu/corrected": "orientation_xyzw",
+}
+
+
+def more(bench, messages, count=1):
+    """Wait for so many more messages."""
+    wanted = len(messages) + count
+    bench.until(lambda: len(messages) >= wanted)
+
+
+@pytest.fixture(scope="module")
+def paper_scenario():
+    return with_duration(load_scenario(find_scenario("paper_faults")), DURATION)
+
+
+@pytest.mark.parametrize("graph", ["composed", "processes"])
+def test_flight_in_real_time_is_whole_and_at_the_rate(fly_graph, paper_scenario, graph):
+    directory, summary = fly_graph(paper_scenario, "proposed", mode="realtime", graph=graph)
+    bag = read_bag(directory)
+    for topic in TRUTH:
+        stamps = bag.series(topic).stamp_ns
+        # all of them, unless the machine was too busy to listen for a while
+        assert 0.9 * DURATION * RATE < len(stamps) <= DURATION * RATE, topic
+        assert np.all(np.diff(stamps) > 0), topic
+        assert np.all(np.diff(stamps) % PERIOD_NS == 0), topic
+    first_ns = bag.series("plant/attitude").stamp_ns[0]
+    for topic, field in VECTORS.items():
+        series = bag.series(topic)
+        assert len(series) > 0.5 * DURATION * RATE, topic  # best effort, so a busy machine loses more
+        assert np.all((series.stamp_ns - first_ns) % PERIOD_NS == 0), topic
+        assert np.all(np.isfinite(series[field])), topic
+    assert summary["mode"] == "realtime"
+    assert summary["wall_time_s"] > 0.9 * DURATION
+
+
+def test_diagnosis_that_falls_silent_is_flown_without_until_it_is_back():
+    """The process of the fault observer is stopped, and goes on after the controller has noticed."""
+    plan = GraphPlan({}, "realtime")
+    with NodeBench("realtime") as bench, ProcessGraph(plan) as graph:
+        states = bench.listen("control/status")
+        observer = graph.children.process_ids()["fault_observer"]
+        assert graph.wait_until_connected()
+        bench.connect()
+        stages = iter(
+            [
+                (ControlStatus.MODE_FULL, lambda: os.kill(observer, signal.SIGSTOP)),
+                (ControlStatus.MODE_NO_DIAGNOSIS, lambda: os.kill(observer, signal.SIGCONT)),
+                (ControlStatus.MODE_FULL, lambda: None),
+            ]
+        )
+        stage = next(stages)
+        passed = []
+
+        def watch(_samples):
+            nonlocal stage
+            more(bench, states)
+            while stage is not None and states[-1].mode == stage[0]:
+                passed.append(stage[0])
+                stage[1]()
+                stage = next(stages, None)
+                more(bench, states, 10)
+            return stage is not None
+
+        try:
+            graph.run(watch)
+        finally:
+            os.kill(observer, signal.SIGCONT)
+    assert passed == [ControlStatus.MODE_FULL, ControlStatus.MODE_NO_DIAGNOSIS, ControlStatus.MODE_FULL]
+    assert graph.exit_code == 0
+
+
+def test_faults_injected_in_flight_are_estimated(paper_scenario):
+    plan = GraphPlan({**node_parameters(paper_scenario), "plant": {"rate": 100.0}}, "realtime")
+    with NodeBench("realtime") as bench, ProcessGraph(plan) as graph:
+        truth, estimates = bench.listen("fault/injected"), bench.listen("fault/estimate")
+        graph.wait_until_connected()
+        bench.connect()
+        answers = []
+
+        def inject(_samples):
+            more(bench, estimates)
+            if not answers:
+                request = {"kind": "bias", "channel": "attitude", "axes": ["roll"]}
+                request |= {"parameter_names": ["value"], "parameter_values": [0.05]}
+                answers.append(bench.call(InjectFault, "fault_injector/inject", **request))
+            return abs(estimates[-1].vector.x - 0.05) > 0.005
+
+        graph.run(inject)
+    assert answers[0].success
+    assert truth[-1].vector.x == pytest.approx(0.05, abs=1e-9)
