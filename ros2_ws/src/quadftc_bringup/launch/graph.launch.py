@@ -30,7 +30,7 @@ ONBOARD = (
     ("quadftc_control", "controller"),
 )
 RECORDER = ("quadftc_ros", "recorder")
-START_DELAY = 3.0  # s, for the nodes to find each other: messages sent before that are lost
+START_DELAY = 6.0  # s, for the nodes to find each other (about 4 s): messages sent before that are lost
 
 
 def _arguments() -> list[DeclareLaunchArgument]:
@@ -97,7 +97,7 @@ def generate_launch_description() -> LaunchDescription:
     recording = IfCondition(NotEqualsSubstitution(bag, ""))
     nodes = [
         _node(*RECORDER, recording, directory=ParameterValue(bag, value_type=str)),
-        _node(*PLANT, IfCondition(simulate)),  # makes the clock, so does not follow it
+        _node(*PLANT, IfCondition(simulate), autostart=False),  # makes the clock, so does not follow it
         _node(*FAULT_INJECTOR, IfCondition(simulate), use_sim_time=clock),
         *(_node(*node, use_sim_time=clock) for node in ONBOARD),
     ]
