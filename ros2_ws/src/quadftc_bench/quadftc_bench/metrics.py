@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bench.flight import AXES, VECTORS, Flight
-from quadftc_bench.hints import nearest
+from quadftc_model.hints import nearest
 from quadftc_model.rotations import wrap
 
 Floats = NDArray[np.float64]

@@ -30,7 +30,7 @@ class Patience:
     """How long each input may be missing."""
 
     corrected_samples: int = parameter(
-        3, low=1, high=1000, doc="samples of imu/data without imu/corrected until imu/data is used"
+        3, low=2, high=1000, doc="which imu/data in a row without imu/corrected is used in its place"
     )
     disturbance_age: float = parameter(0.05, unit="s", low=0.0, doc="age from which the estimate fades")
     disturbance_fade: float = parameter(0.5, unit="s", low=1e-3, doc="time in which it fades to zero")
@@ -64,7 +64,7 @@ class InputMonitor:
     def use_raw(self) -> bool:
         """Note that imu/data came; whether it has to be used."""
         self._uncorrected += 1
-        return self._uncorrected > self.patience.corrected_samples
+        return self._uncorrected >= self.patience.corrected_samples
 
     def estimated(self, stamp_ns: int, disturbance: NDArray[np.float64]) -> None:
         """Note a disturbance estimate [rad/s²] (3,) with its stamp [ns]."""

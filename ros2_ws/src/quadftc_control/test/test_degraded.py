@@ -16,8 +16,8 @@ def monitor():
     )
 
 
-def test_raw_imu_is_used_after_so_many_samples_without_a_corrected_one(monitor):
-    assert [monitor.use_raw() for _ in range(5)] == [False, False, False, True, True]
+def test_raw_imu_is_used_from_so_many_samples_without_a_corrected_one_on(monitor):
+    assert [monitor.use_raw() for _ in range(5)] == [False, False, True, True, True]
 
 
 def test_corrected_imu_is_believed_again_as_soon_as_it_comes(monitor):

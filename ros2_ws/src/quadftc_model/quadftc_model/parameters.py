@@ -6,11 +6,11 @@ The same metadata checks scenario files, declares ROS parameters and prints ``qu
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
+from quadftc_model.hints import nearest
 from quadftc_model.units import quantity
 
 T = TypeVar("T")
@@ -111,10 +111,8 @@ def build(
     for name, raw in values.items():
         spec = specs.get(name)
         if spec is None:
-            near = difflib.get_close_matches(str(name), specs, n=1)
-            hint = f" (did you mean '{near[0]}'?)" if near else ""
             known = ", ".join(specs) or "none"
-            raise ValueError(f"{name}: unknown parameter{hint}; known: {known}")
+            raise ValueError(f"{name}: unknown parameter{nearest(str(name), specs)}; known: {known}")
         converted[name] = convert(spec, raw, units)
     return component(**context, **converted)
 

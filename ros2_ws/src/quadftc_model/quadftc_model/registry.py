@@ -6,12 +6,13 @@ entry point of its group, by which packages outside this repository add theirs.
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import importlib.metadata
 import pkgutil
 from collections.abc import Callable
 from typing import Generic, TypeVar
+
+from quadftc_model.hints import nearest
 
 T = TypeVar("T")
 
@@ -70,8 +71,7 @@ class Registry(Generic[T]):
         self._discover()
         component = self._components.get(name)
         if component is None:
-            near = difflib.get_close_matches(str(name), self._components, n=1)
-            hint = f" (did you mean '{near[0]}'?)" if near else ""
+            hint = nearest(str(name), self._components)
             raise ValueError(f"no {self.kind} '{name}'{hint}; there are: {', '.join(self.names())}")
         return component
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import array
 import dataclasses
-import difflib
 import math
 import sys
 from collections.abc import Callable, Mapping
@@ -14,6 +13,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
+from quadftc_model.hints import nearest
 from quadftc_model.parameters import Parameter, Value, convert, parameters_of
 
 _LARGEST = sys.float_info.max
@@ -101,8 +101,7 @@ class NodeParameters:
         lines: list[str] = []
         for name in self._given:
             if not self._node.has_parameter(name) and not name.startswith("qos_overrides."):
-                near = difflib.get_close_matches(name, self._names, n=1)
-                hint = f"; did you mean '{near[0]}'?" if near else ""
+                hint = nearest(name, self._names)
                 lines.append(f"parameter '{name}' was given, but this node has none of that name{hint}")
         return lines
 

@@ -164,7 +164,7 @@ def test_change_that_only_the_law_refuses_leaves_the_next_one_free(bench):
 def test_name_that_is_no_parameter_is_reported_with_the_nearest(bench):
     node = bench.run(Holder, **{"law.gian": 2.0, "qos_overrides./a.publisher.depth": 1})
     assert node.settings.unknown() == [
-        "parameter 'law.gian' was given, but this node has none of that name; did you mean 'law.gain'?"
+        "parameter 'law.gian' was given, but this node has none of that name (did you mean 'law.gain'?)"
     ]
 
 

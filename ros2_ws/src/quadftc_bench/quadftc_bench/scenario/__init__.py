@@ -11,12 +11,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from quadftc_bench.hints import nearest
 from quadftc_bench.node_parameters import node_parameters
 from quadftc_bench.scenario.build import build_scenario
 from quadftc_bench.scenario.document import Keys, ScenarioError, parse_document, read_document
 from quadftc_bench.scenario.overrides import overridden
 from quadftc_bench.scenario.types import Check, Fault, Part, Scenario, Scheme
+from quadftc_model.hints import nearest
 
 __all__ = [
     "Check",

@@ -7,8 +7,8 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Any, cast
 
-from quadftc_bench.hints import nearest
 from quadftc_bench.scenario.document import Document, Keys, ScenarioError, dotted, parse_value
+from quadftc_model.hints import nearest
 
 _COMPONENTS = ("observer", "disturbance_observer", "controller")  # keys that may hold a name only
 

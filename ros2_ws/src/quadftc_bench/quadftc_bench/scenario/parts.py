@@ -12,9 +12,9 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from quadftc_bench.hints import nearest
 from quadftc_bench.scenario.document import Keys, Problem
 from quadftc_bench.scenario.types import Fault, Part
+from quadftc_model.hints import nearest
 from quadftc_model.parameters import Parameter, build, convert, parameters_of
 from quadftc_model.registry import Registry
 from quadftc_model.vehicle import Vehicle, load_vehicle

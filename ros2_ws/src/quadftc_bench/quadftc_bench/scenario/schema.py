@@ -14,8 +14,8 @@ from pydantic import (
     model_validator,
 )
 
-from quadftc_bench.hints import nearest
 from quadftc_bench.scenario.document import Keys, Problem
+from quadftc_model.hints import nearest
 from quadftc_model.units import quantity
 
 MIN_RATE, MAX_RATE = 10.0, 4000.0  # Hz
