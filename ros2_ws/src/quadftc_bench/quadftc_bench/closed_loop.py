@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_bench.flight import NO_STATE, VECTORS, Flight
+from quadftc_bench.flight import NO_STATE, VECTORS, Flight, onset_ns
 from quadftc_control.assembly import controller_from, reference_from
 from quadftc_fdi.assembly import disturbance_observer_from, fault_observer_from
 from quadftc_fdi.diagnosis import Diagnosis
@@ -122,6 +122,7 @@ class _Log:
         self._stamp_ns = np.zeros(count, np.int64)
         self._delivered = np.zeros(count, np.bool_)
         self._state = np.full((count, 3), NO_STATE, np.uint8)
+        self._onset_ns = np.zeros((count, 3), np.int64)
         self._saturated = np.zeros((count, 3), np.bool_)
         self._vectors = {name: np.full((count, 3), np.nan) for name in VECTORS}
 
@@ -137,6 +138,7 @@ class _Log:
             return
         estimate, output = reaction.estimate, reaction.output
         self._state[row] = estimate.state
+        self._onset_ns[row] = onset_ns(int(self._stamp_ns[row]), estimate.onset_age)
         self._saturated[row] = output.saturated
         self._put(
             row,
@@ -158,6 +160,7 @@ class _Log:
             time=(stamp_ns - epoch_ns) / NANOSECONDS_PER_SECOND,
             delivered=self._delivered[:rows],
             fault_state=self._state[:rows],
+            fault_onset_ns=self._onset_ns[:rows],
             saturated=self._saturated[:rows],
             **{name: column[:rows] for name, column in self._vectors.items()},
         )

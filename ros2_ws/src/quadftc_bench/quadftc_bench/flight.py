@@ -31,8 +31,9 @@ NO_STATE = 255  # fault state of a row without diagnosis
 class Flight:
     """One row for each IMU sample that was taken, in the order of the stamps.
 
-    What is unknown in a row is NaN (``fault_state``: ``NO_STATE``; ``saturated``: False). In the row of a
-    withheld sample this is all but the motion and the disturbance; in a bag, every message that is missing.
+    What is unknown in a row is NaN (``fault_state``: ``NO_STATE``; ``fault_onset_ns``: 0; ``saturated``:
+    False). In the row of a withheld sample this is all but the motion and the disturbance; in a bag, every
+    message that is missing.
     """
 
     stamp_ns: NDArray[np.int64]  # (n,) when the sample was taken
@@ -45,6 +46,7 @@ class Flight:
     fault_estimate: Floats  # (n, 3) [rad]
     fault_std_dev: Floats  # (n, 3) [rad]; -1: this observer gives none
     fault_state: NDArray[np.uint8]  # (n, 3) as in quadftc_msgs/FaultStatus
+    fault_onset_ns: NDArray[np.int64]  # (n, 3) stamp of the onset of the present fault; 0: none
     disturbance: Floats  # (n, 3) true, as an angular acceleration [rad/s²]
     disturbance_estimate: Floats  # (n, 3) [rad/s²]
     torque: Floats  # (n, 3) command [N m]
@@ -54,6 +56,13 @@ class Flight:
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
+
+
+def onset_ns(stamp_ns: int | NDArray[np.int64], onset_age: Floats) -> NDArray[np.int64]:
+    """Stamp of the onset of a fault as quadftc_msgs/FaultStatus says it, 0 without one: by its age [s]."""
+    there = onset_age >= 0.0  # false for NaN
+    age_ns = np.round(np.where(there, onset_age, 0.0) * NANOSECONDS_PER_SECOND).astype(np.int64)
+    return np.where(there, stamp_ns - age_ns, 0)
 
 
 def flight_from_bag(bag: Bag) -> Flight:
@@ -85,6 +94,7 @@ def flight_from_bag(bag: Bag) -> Flight:
         fault_estimate=join.vectors("fault/estimate", "vector"),
         fault_std_dev=join.vectors("fault/status", "std_dev"),
         fault_state=join.column("fault/status", "state", np.full(3, NO_STATE, np.uint8)),
+        fault_onset_ns=join.column("fault/status", "onset_ns", np.zeros(3, np.int64)),
         disturbance=join.truth("disturbance/applied", "vector"),
         disturbance_estimate=join.vectors("disturbance/estimate", "vector"),
         torque=join.vectors("torque/command", "vector"),

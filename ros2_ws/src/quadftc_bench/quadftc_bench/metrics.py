@@ -12,7 +12,8 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_bench.flight import AXES, VECTORS, Flight
+from quadftc_bench.diagnosis_metrics import FaultEvent, diagnosis_metrics, events_of_windows
+from quadftc_bench.flight import AXES, NO_STATE, VECTORS, Flight
 from quadftc_model.hints import nearest
 from quadftc_model.rotations import wrap
 
@@ -32,7 +33,9 @@ class FaultWindow(NamedTuple):
     axes: tuple[str, ...]
 
 
-def flight_metrics(flight: Flight, windows: Sequence[FaultWindow]) -> dict[str, Any]:
+def flight_metrics(
+    flight: Flight, windows: Sequence[FaultWindow], events: Sequence[FaultEvent] | None = None
+) -> dict[str, Any]:
     """Compute every metric.
 
     Parameters
@@ -40,18 +43,21 @@ def flight_metrics(flight: Flight, windows: Sequence[FaultWindow]) -> dict[str, 
     flight : Flight
     windows : sequence of FaultWindow
         When the attitude is faulty; the metrics inside and outside fault windows divide the time by them.
+    events : sequence of FaultEvent, optional
+        The faults that the diagnosis is judged by; default: those of the windows, of a kind not known.
 
     Returns
     -------
     dict
-        Ready for JSON: numbers, None, mappings of axes, and ``fault_windows``, a list of such.
+        Ready for JSON: numbers, None, mappings of axes, ``fault_windows``, a list of such, and ``diagnosis``
+        as `diagnosis_metrics` gives it.
     """
     time = flight.time
     tracking = np.degrees(wrap(flight.angles - flight.reference))
     estimate = np.degrees(wrap(flight.fault_estimate - flight.fault))
     inside = _within(time, [(window.start, window.stop) for window in windows])
-    events = sorted({moment for window in windows for moment in (window.start, window.stop)})
-    settled = ~_within(time, [(moment, moment + SETTLING_TIME) for moment in events])
+    moments = sorted({moment for window in windows for moment in (window.start, window.stop)})
+    settled = ~_within(time, [(moment, moment + SETTLING_TIME) for moment in moments])
     return {
         "tracking_rmse_deg": _rms(tracking),
         "tracking_max_deg": _max(tracking),
@@ -67,21 +73,26 @@ def flight_metrics(flight: Flight, windows: Sequence[FaultWindow]) -> dict[str, 
         "disturbance_estimate_rmse": _rms(flight.disturbance_estimate - flight.disturbance),
         **_effort(flight),
         "max_tilt_deg": _number(_largest(_tilt_deg(flight.angles))),
+        "diagnosis": diagnosis_metrics(flight, events_of_windows(windows) if events is None else events),
     }
 
 
-def known_metrics(window_count: int) -> dict[str, Any]:
-    """Return the metrics of a flight with that many fault windows, without values: it is for their names."""
+def known_metrics(window_count: int, events: Sequence[FaultEvent] = ()) -> dict[str, Any]:
+    """Return the metrics of a flight with that many fault windows and these events, for their names.
+
+    They have no values but what is counted without a flight.
+    """
     unknown = np.full((2, 3), np.nan)
     nowhere = Flight(
         stamp_ns=np.arange(2),
         time=np.array([-2.0, -1.0]),
         delivered=np.zeros(2, np.bool_),
-        fault_state=np.zeros((2, 3), np.uint8),
+        fault_state=np.full((2, 3), NO_STATE, np.uint8),
+        fault_onset_ns=np.zeros((2, 3), np.int64),
         saturated=np.zeros((2, 3), np.bool_),
         **dict.fromkeys(VECTORS, unknown),
     )
-    return flight_metrics(nowhere, [FaultWindow(0.0, 1.0, AXES)] * window_count)
+    return flight_metrics(nowhere, [FaultWindow(0.0, 1.0, AXES)] * window_count, events)
 
 
 def look_up(metrics: Any, path: str) -> Any:

@@ -65,7 +65,7 @@ def summary(flight: Flight, scenario: Scenario, scheme: Scheme, wall_time: float
         "samples_withheld": int((~flight.delivered).sum()),
         "wall_time_s": wall_time,
         "real_time_factor": scenario.duration / wall_time if wall_time else None,
-        "metrics": flight_metrics(flight, scenario.fault_windows),
+        "metrics": flight_metrics(flight, scenario.fault_windows, scenario.fault_events),
     }
     results = check_results(result, scheme.checks)
     result["checks"] = [dataclasses.asdict(item) for item in results]

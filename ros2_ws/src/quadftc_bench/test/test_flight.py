@@ -14,8 +14,10 @@ from std_msgs.msg import Header
 
 from quadftc_bench.bags import BagError, read_bag
 from quadftc_bench.closed_loop import fly
-from quadftc_bench.flight import Flight, flight_from_bag
+from quadftc_bench.flight import Flight, flight_from_bag, onset_ns
 from quadftc_bench.scenario import node_parameters, parse_scenario
+from quadftc_fdi.fault_observer_node import status_message
+from quadftc_model.samples import FaultEstimate
 from quadftc_ros.bag_writer import BagWriter
 
 TYPES = {
@@ -52,7 +54,9 @@ schemes: {only: {observer: sliding_mode, disturbance_observer: exosystem, contro
 def flown() -> Flight:
     flight = fly(node_parameters(parse_scenario(TEXT)))
     assert 0 < (~flight.delivered).sum() < len(flight)
-    return flight
+    said = (flight.delivered & (flight.time > 0.6))[:, None] & np.array([True, False, True])
+    onset = np.where(said, flight.stamp_ns[0] + np.array([500_000_000, 0, 570_000_001]), 0)
+    return dataclasses.replace(flight, fault_onset_ns=onset)
 
 
 def vector(row) -> Vector3:
@@ -77,10 +81,9 @@ def messages(flight: Flight, row: int):
         return
     yield "imu/data", Imu(header=header)
     yield "attitude/reference", AttitudeReference(header=header, angles=vector(flight.reference[row]))
-    yield (
-        "fault/status",
-        FaultStatus(header=header, state=flight.fault_state[row], std_dev=vector(flight.fault_std_dev[row])),
-    )
+    onset = [Time(sec=ns // 10**9, nanosec=ns % 10**9) for ns in flight.fault_onset_ns[row].tolist()]
+    state, std_dev = flight.fault_state[row], vector(flight.fault_std_dev[row])
+    yield "fault/status", FaultStatus(header=header, state=state, std_dev=std_dev, onset=onset)
     yield (
         "control/status",
         ControlStatus(
@@ -113,6 +116,15 @@ def test_a_recorded_flight_is_the_flight_bit_for_bit(flown, tmp_path, namespace)
         expected, found = getattr(flown, field.name), getattr(read, field.name)
         assert found.dtype == expected.dtype, field.name
         assert found.tobytes() == expected.tobytes(), field.name
+
+
+def test_onset_in_a_flight_is_the_one_in_the_message():
+    rng = np.random.default_rng(1)
+    for stamp_ns in rng.integers(10**9, 2 * 10**18, 200).tolist():
+        age = np.append(rng.uniform(0.0, 0.9, 2), -1.0)
+        estimate = FaultEstimate(np.zeros(3), -np.ones(3), np.full(3, 3, np.uint8), age, None)
+        onset = [time.sec * 10**9 + time.nanosec for time in status_message(stamp_ns, estimate).onset]
+        assert onset_ns(stamp_ns, age).tolist() == onset
 
 
 def test_a_topic_that_is_missing_leaves_its_columns_unknown(flown, tmp_path):

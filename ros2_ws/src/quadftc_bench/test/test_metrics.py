@@ -24,6 +24,7 @@ def still(count=41, period=0.1) -> Flight:
         time=(stamp_ns - stamp_ns[0]) / 1e9,
         delivered=np.ones(count, np.bool_),
         fault_state=np.ones((count, 3), np.uint8),
+        fault_onset_ns=np.zeros((count, 3), np.int64),
         saturated=np.zeros((count, 3), np.bool_),
         **{name: np.zeros((count, 3)) for name in VECTORS},
     )

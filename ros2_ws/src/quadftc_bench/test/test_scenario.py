@@ -78,7 +78,9 @@ def test_shipped_scenario_loads_as_the_paper_has_it(path):
         (20.0, 40.0, ("roll", "pitch", "yaw")),
         (50.0, 70.0, ("roll", "pitch", "yaw")),
     ]
-    proposed, conventional = scenario.schemes.values()
+    proposed, conventional = scenario.scheme("proposed"), scenario.scheme("conventional")
+    supervised = {"supervised"} if path.stem.startswith("mems") else set()
+    assert set(scenario.schemes) == {"proposed", "conventional"} | supervised
     assert scenario.scheme() is proposed
     assert [proposed.observer.kind, proposed.disturbance_observer.kind, proposed.controller.kind] == [
         "sliding_mode",
@@ -97,9 +99,10 @@ def test_all_scenarios_of_the_first_release_are_shipped():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_mems_scenario_is_the_papers_but_for_sensors_and_checks(kind):
+def test_mems_scenario_is_the_papers_but_for_sensors_checks_and_a_scheme_more(kind):
     by_name = {path.stem: load_scenario(path) for path in SHIPPED}
     paper, mems = by_name[f"paper_{kind}"].raw, by_name[f"mems_{kind}"].raw
+    assert mems["schemes"].pop("supervised")["observer"]["kind"] == "supervised"
     for raw in (paper, mems):
         for scheme in raw["schemes"].values():
             del scheme["checks"]

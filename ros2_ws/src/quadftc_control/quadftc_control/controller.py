@@ -7,6 +7,7 @@ import dataclasses
 from typing import Any
 
 from quadftc_model.arrays import Array, namespace
+from quadftc_model.conditions import Circumstances, Condition, Trace, unknown_theory
 from quadftc_model.parameters import check
 from quadftc_model.registry import Registry
 from quadftc_model.rotors import attainable
@@ -34,6 +35,14 @@ class Controller(abc.ABC):
     @abc.abstractmethod
     def step(self, state: Any, inputs: ControllerInputs, dt: float) -> tuple[Any, ControllerOutput]:
         """Advance by ``dt`` [s] to a sample; 0 at the first one."""
+
+    def conditions(self, given: Circumstances) -> list[Condition]:
+        """Judge what the controller's theory asks for."""
+        return unknown_theory(type(self).__name__)
+
+    def conditions_along(self, trace: Trace, given: Circumstances) -> list[Condition]:
+        """Judge the controller's Lyapunov function along a recorded run; none by default."""
+        return []
 
 
 def limited(vehicle: Vehicle, torque: Array) -> tuple[Array, Array]:

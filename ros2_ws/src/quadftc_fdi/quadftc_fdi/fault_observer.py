@@ -6,6 +6,7 @@ import abc
 import dataclasses
 from typing import Any
 
+from quadftc_model.conditions import Circumstances, Condition, Trace, unknown_theory
 from quadftc_model.parameters import check
 from quadftc_model.registry import Registry
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs
@@ -33,6 +34,14 @@ class FaultObserver(abc.ABC):
     @abc.abstractmethod
     def step(self, state: Any, inputs: FaultObserverInputs, dt: float) -> tuple[Any, FaultEstimate]:
         """Advance by ``dt`` [s] to a sample; 0 at the first one."""
+
+    def conditions(self, given: Circumstances) -> list[Condition]:
+        """Judge what the observer's theory asks for."""
+        return unknown_theory(type(self).__name__)
+
+    def conditions_along(self, trace: Trace, given: Circumstances) -> list[Condition]:
+        """Judge the observer's Lyapunov functions along a recorded run; none by default."""
+        return []
 
 
 fault_observers: Registry[Any] = Registry(

@@ -56,11 +56,26 @@ def flown(observer, disturbance, duration, rate, missing=()):
 
 @EVERY_RATE
 @pytest.mark.parametrize("bandwidth", [2.0, 10.0, 40.0])
-def test_error_under_a_constant_disturbance_decays_at_the_bandwidth(rate, bandwidth):
+def test_error_under_a_constant_disturbance_decays_with_the_pole_lambda(rate, bandwidth):
     observer = Exosystem(vehicle=SPHERE, bandwidth=bandwidth)
-    _, estimates, true = flown(observer, constant, 1.0 / bandwidth, rate)
-    error = np.abs(estimates - true)
-    np.testing.assert_allclose(error[1:] / error[:-1], math.exp(-bandwidth / rate), rtol=0.01)
+    times, estimates, true = flown(observer, constant, 3.0 / bandwidth, rate)
+    slope = np.polyfit(times, np.log(np.abs(estimates - true)), 1)[0]
+    np.testing.assert_allclose(-slope, bandwidth, rtol=0.01)  # (44): d_e' = -lambda d_e
+
+
+@pytest.mark.parametrize("rate", [125, 1000])
+@pytest.mark.parametrize("frequency", [0.5, 2.0, 10.0])
+def test_constant_exosystem_sees_a_sine_through_a_first_order_lag(rate, frequency):
+    def sine(time):
+        return SIZE * np.sin(frequency * time), -SIZE / frequency * np.cos(frequency * time)
+
+    period = 2.0 * math.pi / frequency
+    times, estimates, _ = flown(Exosystem(vehicle=SPHERE, bandwidth=10.0), sine, 2.0 + period, rate)
+    last = times > times[-1] - period
+    basis = np.column_stack([np.sin(frequency * times[last]), np.cos(frequency * times[last])])
+    in_phase, across = np.linalg.lstsq(basis, estimates[last], rcond=None)[0] / SIZE
+    expected = 1.0 / (1.0 + 1j * frequency / 10.0)  # (T16): lambda / (lambda + s)
+    np.testing.assert_allclose(in_phase + 1j * across, expected, rtol=0.001)
 
 
 @EVERY_RATE

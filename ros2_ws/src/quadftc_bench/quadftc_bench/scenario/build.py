@@ -67,7 +67,7 @@ def build_scenario(document: Document) -> Scenario:
         document=document,
         **parts,
     )
-    problems = list(_wrong_checks(shape, len(scenario.fault_windows)))
+    problems = list(_wrong_checks(shape, scenario))
     if problems:
         raise document.error(problems)
     return scenario
@@ -101,9 +101,9 @@ def _check(shape: CheckShape) -> Check:
     return Check(shape.metric, shape.axis, shape.above, shape.below)
 
 
-def _wrong_checks(shape: ScenarioShape, window_count: int) -> Iterator[Problem]:
+def _wrong_checks(shape: ScenarioShape, scenario: Scenario) -> Iterator[Problem]:
     """Find the checks on metrics that no flight of this scenario has."""
-    metrics = known_metrics(window_count)
+    metrics = known_metrics(len(scenario.fault_windows), scenario.fault_events)
     for name, scheme in shape.schemes.items():
         for index, check in enumerate(scheme.checks):
             path: Keys = ("schemes", name, "checks", index)

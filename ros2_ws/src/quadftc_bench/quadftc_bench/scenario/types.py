@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, cast
 
+from quadftc_bench.diagnosis_metrics import FaultEvent, fault_events
 from quadftc_bench.flight import AXES
 from quadftc_bench.metrics import FaultWindow
 from quadftc_bench.scenario.document import Document, ScenarioError
@@ -145,6 +146,11 @@ class Scenario:
             FaultWindow(start, stop, tuple(axis for axis in AXES if axis in axes[start, stop]))
             for start, stop in sorted(axes)
         )
+
+    @property
+    def fault_events(self) -> tuple[FaultEvent, ...]:
+        """The scheduled faults of the attitude, axis by axis, with their kind."""
+        return fault_events(self.faults, self.duration)
 
 
 def _compact(value: Any) -> Any:

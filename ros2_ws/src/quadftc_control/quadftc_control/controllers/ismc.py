@@ -19,8 +19,16 @@ import dataclasses
 from typing import NamedTuple
 
 from quadftc_control.controller import Controller, anti_windup, limited, register
+from quadftc_control.controller_conditions import (
+    authority_condition,
+    layer_condition,
+    sliding_mode_along,
+    surface_condition,
+    switching_gain_condition,
+)
 from quadftc_control.sliding_surface import sat, torque_for, tracking
 from quadftc_model.arrays import Array, namespace
+from quadftc_model.conditions import Circumstances, Condition, Trace
 from quadftc_model.parameters import parameter
 from quadftc_model.samples import ControllerInputs, ControllerOutput
 
@@ -48,6 +56,19 @@ class Ismc(Controller):
     phi: tuple[float, ...] = parameter(
         (0.1, 0.1, 0.1), unit="rad/s", low=1e-9, doc="Phi of (41): boundary layer of each axis"
     )
+
+    def conditions(self, given: Circumstances) -> list[Condition]:
+        """Judge the conditions of Theorem 2."""
+        return [
+            surface_condition(self.k_c1, self.k_c2),
+            switching_gain_condition(self.k_c3, given.disturbance_error, given.dt, "D_e"),
+            layer_condition(self.k_c3, self.phi, given.dt),
+            authority_condition(self.k_c3, given),
+        ]
+
+    def conditions_along(self, trace: Trace, given: Circumstances) -> list[Condition]:
+        """Judge (47) along a recorded run."""
+        return [sliding_mode_along(self.k_c3, self.phi, given.disturbance_error.peak, trace)]
 
     def init(self, inputs: ControllerInputs) -> IsmcState:
         """Start on the sliding surface: S(t0) = 0."""

@@ -13,8 +13,10 @@ import dataclasses
 from typing import NamedTuple
 
 from quadftc_control.controller import Controller, anti_windup, limited, register
+from quadftc_control.controller_conditions import authority_condition
 from quadftc_control.sliding_surface import tracking
 from quadftc_model.arrays import Array, namespace
+from quadftc_model.conditions import Circumstances, Condition
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import body_rates
 from quadftc_model.samples import ControllerInputs, ControllerOutput
@@ -41,6 +43,10 @@ class Pid(Controller):
     cutoff: float = parameter(
         190.0, unit="rad/s", low=1e-3, doc="low-pass of the rate before its derivative (30 Hz)"
     )
+
+    def conditions(self, given: Circumstances) -> list[Condition]:
+        """Judge the authority; there is no theorem on this loop here."""
+        return [authority_condition((0.0, 0.0, 0.0), given)]
 
     def init(self, inputs: ControllerInputs) -> PidState:
         """Start with the integral at zero."""

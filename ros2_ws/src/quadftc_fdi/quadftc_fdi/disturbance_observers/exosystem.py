@@ -29,8 +29,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 
+from quadftc_fdi.disturbance_conditions import exosystem_conditions
 from quadftc_fdi.disturbance_observer import DisturbanceObserver, register
 from quadftc_model.arrays import Array, namespace
+from quadftc_model.conditions import Circumstances, Condition
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.samples import DisturbanceObserverInputs
@@ -86,6 +88,16 @@ class Exosystem(DisturbanceObserver):
         nu = xp.where(state.started[..., None], x2 - predicted, 0.0)
         zeta = state.zeta @ Phi.T + nu[..., None] * gain
         return ExosystemState(zeta, x2, state.started | inputs.rate_valid), zeta @ self.C_d
+
+    def conditions(self, given: Circumstances) -> list[Condition]:
+        """Judge (42)-(44) at the sampling period given."""
+        return exosystem_conditions(self.poles(given.dt), self.model, given)
+
+    def poles(self, dt: float) -> Matrix:
+        """Poles (n,) [rad/s] of the observer stepped by ``dt`` [s]: log of the eigenvalues over dt."""
+        Phi, CdGamma, gain = _discretised(self.model, self.frequency, self.bandwidth, dt)
+        eigenvalues = np.linalg.eigvals(Phi - np.outer(gain, CdGamma))
+        return np.asarray(np.log(eigenvalues.astype(np.complex128)) / dt)
 
     @property
     def A_d(self) -> Matrix:

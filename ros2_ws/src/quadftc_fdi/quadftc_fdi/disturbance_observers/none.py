@@ -5,8 +5,10 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+from quadftc_fdi.disturbance_conditions import disturbance_bounded
 from quadftc_fdi.disturbance_observer import DisturbanceObserver, register
 from quadftc_model.arrays import Array, namespace
+from quadftc_model.conditions import Circumstances, Condition
 from quadftc_model.samples import DisturbanceObserverInputs
 
 
@@ -14,6 +16,10 @@ from quadftc_model.samples import DisturbanceObserverInputs
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class NoDisturbanceObserver(DisturbanceObserver):
     """Says zero."""
+
+    def conditions(self, given: Circumstances) -> list[Condition]:
+        """Judge what is left without an estimate: that the disturbance is bounded."""
+        return [disturbance_bounded(given)]
 
     def init(self, inputs: DisturbanceObserverInputs) -> tuple[()]:
         """Return no state."""

@@ -1,0 +1,169 @@
+# pyright: basic
+"""The report as one HTML page: a section for each scenario, filled into the templates beside this module."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+from urllib.parse import quote
+
+import jinja2
+from plotly.offline import get_plotlyjs
+
+from quadftc_bench.flight import AXES
+from quadftc_bench.report.comparison import Comparison, has_observer
+from quadftc_bench.report.description import Figure
+from quadftc_bench.report.draw_plotly import plotly_config, plotly_figure
+from quadftc_bench.report.figures import figures
+from quadftc_bench.report.measures import axis_metric
+from quadftc_bench.report.metrics_table import MetricsTable, metrics_table
+from quadftc_bench.report.page_tables import Fact, Group, metric_groups, origins, parameters
+from quadftc_bench.report.paper import Judgement, Verdict, judge
+from quadftc_bench.report.real_sensors import TITLE, beyond_the_paper
+from quadftc_bench.report.statements import Paragraph, statements
+from quadftc_bench.report.wording import listing, short
+
+KEY_METRICS = (
+    ("tracking_rmse_deg", "tracking RMSE [deg]"),
+    ("fault_estimate_max_settled_deg", "fault estimate: largest settled error [deg]"),
+)  # of the table at the top: dotted path, heading
+ELSEWHERE = ("paper", "checks", "recording")  # paragraphs that are not told under "What happened"
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Drawing:
+    """A figure on the page, and where the same is for print.
+
+    Parameters
+    ----------
+    figure : Figure
+    files : mapping of str to str
+        Kind of file to its address, relative to the page; empty: there is none.
+    """
+
+    figure: Figure
+    files: Mapping[str, str]
+
+    @functools.cached_property
+    def spec(self) -> dict[str, Any]:
+        """What Plotly draws it from: data, layout, config."""
+        return {**plotly_figure(self.figure).to_dict(), "config": plotly_config(self.figure)}
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Section:
+    """All that the page says of one scenario."""
+
+    comparison: Comparison
+    drawings: tuple[Drawing, ...]
+    paragraphs: Mapping[str, Paragraph]  # by key
+    judgements: tuple[Judgement, ...]
+    table: MetricsTable
+
+    @property
+    def story(self) -> list[Paragraph]:
+        """What happened, in words."""
+        return [paragraph for key, paragraph in self.paragraphs.items() if key not in ELSEWHERE]
+
+    @property
+    def groups(self) -> tuple[list[Group], list[Group]]:
+        """Metrics of the flight, and of each fault window."""
+        return metric_groups(self.table)
+
+    @property
+    def parameters(self) -> list[tuple[str, list[Fact]]]:
+        """Parameters of every node."""
+        return parameters(self.comparison.runs)
+
+    @property
+    def origins(self) -> list[Fact]:
+        """Where the runs come from."""
+        return origins(self.comparison.runs)
+
+    @property
+    def verdicts(self) -> list[tuple[Verdict, int]]:
+        """How many of the paper's claims got each verdict, where any did."""
+        found = [judgement.verdict for judgement in self.judgements]
+        return [(verdict, found.count(verdict)) for verdict in Verdict if verdict in found]
+
+
+def sections(comparisons: Sequence[Comparison], folder: str | None) -> list[Section]:
+    """Gather what the page says.
+
+    Parameters
+    ----------
+    comparisons : sequence of Comparison
+    folder : str, optional
+        Directory of the figures for print, beside the page; None: there are none.
+
+    Returns
+    -------
+    list of Section
+        Those with figures of the paper first, in its order; on sensors that are not ideal, last.
+    """
+    made = [_section(comparison, comparisons, folder) for comparison in comparisons]
+    return sorted(made, key=lambda part: (not part.comparison.ideal, _first_figure(part)))
+
+
+def _section(comparison: Comparison, among: Sequence[Comparison], folder: str | None) -> Section:
+    return Section(
+        comparison=comparison,
+        drawings=tuple(Drawing(figure, _files(figure, folder)) for figure in figures(comparison)),
+        paragraphs={paragraph.key: paragraph for paragraph in statements(comparison, among)},
+        judgements=tuple(judge(comparison, among)),
+        table=metrics_table(comparison),
+    )
+
+
+def _files(figure: Figure, folder: str | None) -> dict[str, str]:
+    if folder is None:
+        return {}
+    return {kind.upper(): quote(f"{folder}/{figure.key}.{kind}") for kind in ("png", "pdf")}
+
+
+def _first_figure(part: Section) -> float:
+    numbers = [number for drawing in part.drawings for number in drawing.figure.paper_figures]
+    return min(numbers, default=float("inf"))
+
+
+def render(parts: Sequence[Section], warnings: Iterable[str]) -> str:
+    """Return the page: HTML that needs no other file.
+
+    Parameters
+    ----------
+    parts : sequence of Section
+    warnings : iterable of str
+        To be told at the top.
+    """
+    runs = [run for part in parts for run in part.comparison.runs]
+    return (
+        _environment()
+        .get_template("report.html")
+        .render(
+            axes=AXES,
+            ideal=[part for part in parts if part.comparison.ideal],
+            real=[part for part in parts if not part.comparison.ideal],
+            runs=runs,
+            versions=listing(sorted({run.versions.get("quadftc", "unknown") for run in runs})),
+            beyond=beyond_the_paper([part.comparison for part in parts]),
+            beyond_title=TITLE,
+            warnings=list(warnings),
+            key_metrics=KEY_METRICS,
+            plotly_js=get_plotlyjs(),
+        )
+    )
+
+
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("quadftc_bench.report"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.globals.update(axis_metric=axis_metric, has_observer=has_observer)
+    environment.filters.update(short=lambda value: "–" if value is None else short(value))
+    return environment

@@ -1,0 +1,217 @@
+r"""The adaptive augmented-state Kalman filter: angles, gyro bias, and the fault as a random walk.
+
+The fault diagnosis of Zhong, Zhang and Zhang (2017) and Zhong et al. (2019), references [26] and [9] of Wang,
+Huang and Zhang (2021), for our sensors. x are the Euler angles, b the gyro bias, f_s the fault, m the gyro:
+
+    x' = E(x) (m - b - n_g),   b' = n_b,   f_s' = n_f,   y = x + f_s + E(x) n_y
+
+in one extended Kalman filter of nine states, coupled by the full kinematics (4). (Per axis, decoupled, b
+would be in Euler rates, and no constant as soon as the vehicle turns.) The references split it into a filter
+without fault and one of the fault alone; that is algebraically this filter (Hsieh and Chen 1999), and
+cheaper only where matrices are large.
+
+Adaptation. A fault begins faster than its random walk says. As in the adaptive two-stage filter (Kim, Lee
+and Park 2009) a forgetting factor lambda_i >= 1 raises the variance of f_s,i until the innovation r_i is as
+large as the filter believes. With m_ij the mean of r_i over the time T_j (one sample, and three longer times
+for slow faults) and v_ij its variance, S_ii the one of r_i itself:
+
+    P_f,ii <- lambda_i P_f,ii,  (lambda_i - 1) P_f,ii = max over j of m_ij² - v_ij  where m_ij² > gate² v_ij
+
+and lambda_i = 1 where no mean is out of bounds. (With a gate of 1 noise alone keeps lambda above 1, and the
+gyro bias is hardly learnt.) The means begin anew after lambda > 1. On a faulty axis, and for ``alert_time``
+after that, the random walk of f_s is ``faulty_walk``, so that f_s takes what changes, and not b.
+
+What it cannot do. x and f_s appear only as their sum, and both may be constant: the model has three
+invariant zeros at s = 0. An angle error and a constant fault are told apart by the initial condition alone,
+f_s(0) = 0 up to ``initial_fault``, below which std_dev never falls. So a fault that is there at the first
+sample is taken for attitude and stays so (in a turn, a wrong roll or pitch shows a little in the other axes);
+the angle random walk accumulates in x and, with the other sign, in f_s; and an error made in telling a fault
+from the attitude (at its onset, or by the error of b^ times its length) stays for ever: nothing in this
+filter trusts the sensor anew when the fault is gone. std_dev is the filter's own. Errors of the attitude that
+are not white are faults to it.
+
+The attitude is carried as a quaternion, on the mean of two gyro samples; only errors are Euler angles. Beyond
+80 deg of pitch they are not used: the filter then dead-reckons. The corrected sample is the filter's attitude
+and m - b^.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+from quadftc_fdi.baseline_conditions import augmented_kalman_conditions
+from quadftc_fdi.dead_reckoning import comparable, dead_reckoned, kinematic_matrices
+from quadftc_fdi.fault_observer import FaultObserver, register
+from quadftc_fdi.level_detection import Detection, detect, fault_state, onset_age, undetected
+from quadftc_model.arrays import Array, namespace
+from quadftc_model.conditions import Circumstances, Condition
+from quadftc_model.parameters import parameter
+from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
+from quadftc_model.samples import FaultEstimate, FaultObserverInputs
+
+DEG = math.pi / 180.0
+WINDOWS = (0.0, 0.03, 0.3, 1.5)  # s; T_j, the first is one sample
+UNKNOWN = 1.0  # rad; standard deviation of an angle that is absent at the first sample
+
+
+class AugmentedKalmanState(NamedTuple):
+    """Filter state at the last sample. The errors in P: angles, gyro bias, fault."""
+
+    q_xyzw: Array  # (..., 4) attitude x^
+    gyro_bias: Array  # (..., 3) b^ [rad/s]
+    fault: Array  # (..., 3) f_s^ [rad]
+    P: Array  # (..., 9, 9) covariance [rad, rad/s, rad]
+    gyro: Array  # (..., 3) [rad/s]
+    means: Array  # (..., 3, 4) m_ij [rad]
+    alert: Array  # (..., 3) how long n_f is still that of a faulty axis [s]
+    detection: Detection
+
+
+@register("augmented_kalman")
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class AugmentedKalman(FaultObserver):
+    """Kalman filter with the fault as a state; finds the gyro bias, and no fault that is there at first."""
+
+    attitude_noise: float = parameter(
+        0.1 * DEG, unit="rad", low=1e-6, doc="standard deviation of n_y, of a sample"
+    )
+    gyro_noise: float = parameter(
+        0.007 * DEG, unit="rad/sqrt(s)", low=1e-9, doc="n_g: angle random walk of the gyro"
+    )
+    gyro_bias: float = parameter(
+        1.5 * DEG, unit="rad/s", low=1e-9, doc="standard deviation of b at the first sample"
+    )
+    gyro_bias_walk: float = parameter(
+        2e-4 * DEG, unit="rad/s/sqrt(s)", low=0.0, doc="n_b: random walk of the gyro bias"
+    )
+    fault_walk: float = parameter(
+        0.002 * DEG, unit="rad/sqrt(s)", low=0.0, doc="n_f of a healthy axis: random walk of the fault"
+    )
+    faulty_walk: float = parameter(
+        0.3 * DEG, unit="rad/sqrt(s)", low=0.0, doc="n_f of a faulty axis, and of one on alert"
+    )
+    initial_fault: float = parameter(
+        0.01 * DEG, unit="rad", low=1e-9, doc="standard deviation of f_s at the first sample"
+    )
+    gap_walk: float = parameter(
+        3.0 * DEG, unit="rad/sqrt(s)", low=0.0, doc="random walk of the angles while the gyro is absent"
+    )
+    gate: float = parameter(5.0, unit="1", low=1.0, doc="bound of a mean innovation, in standard deviations")
+    alert_time: float = parameter(
+        0.5, unit="s", low=0.0, doc="how long an axis is on alert after an innovation out of bounds"
+    )
+    detection_level: float = parameter(4.0, unit="1", low=0.0, doc="|f_s^| / std_dev that is a fault")
+    recovery_level: float = parameter(2.5, unit="1", low=0.0, doc="|f_s^| / std_dev that is none")
+    recovery_time: float = parameter(1.0, unit="s", low=0.0, doc="how long it must be none to end the fault")
+
+    def conditions(self, given: Circumstances) -> list[Condition]:
+        """Judge the filter's model, and say what it leaves out."""
+        return augmented_kalman_conditions(self, given)
+
+    def init(self, inputs: FaultObserverInputs) -> AugmentedKalmanState:
+        """Start on the measurement: the sensor counts as healthy at the first sample."""
+        imu = inputs.imu
+        xp = namespace(imu.body_rate)
+        zeros = xp.zeros_like(imu.body_rate)
+        angle = zeros + xp.where(imu.attitude_valid[..., None], self.attitude_noise, UNKNOWN)
+        std_devs = xp.concatenate([angle, zeros + self.gyro_bias, zeros], axis=-1)
+        hidden = xp.concatenate([xp.eye(3), xp.zeros((3, 3)), -xp.eye(3)], axis=-1)  # x^ is off by the fault
+        return AugmentedKalmanState(
+            q_xyzw=imu.q_xyzw,
+            gyro_bias=zeros,
+            fault=zeros,
+            P=(std_devs**2)[..., None] * xp.eye(9) + self.initial_fault**2 * (hidden.T @ hidden),
+            gyro=imu.body_rate,
+            means=xp.stack([zeros] * len(WINDOWS), axis=-1),
+            alert=zeros,
+            detection=undetected(zeros),
+        )
+
+    def step(
+        self, state: AugmentedKalmanState, inputs: FaultObserverInputs, dt: float
+    ) -> tuple[AugmentedKalmanState, FaultEstimate]:
+        """Predict on the gyro over ``dt`` [s], adapt, and correct by the attitude."""
+        imu = inputs.imu
+        xp = namespace(imu.body_rate)
+        gyro = xp.where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
+        b = state.gyro_bias
+        q_xyzw = dead_reckoned(state.q_xyzw, state.gyro - b, gyro - b, dt)
+        x, y = euler_from_quaternion(q_xyzw), euler_from_quaternion(imu.q_xyzw)
+        E, J = kinematic_matrices(x, gyro - b)
+        EE = E @ xp.swapaxes(E, -1, -2)
+        predicted = self._predicted(state.P, E, J, EE, imu.rate_valid, dt)
+        usable = imu.attitude_valid[..., None] & comparable(x, y) & (dt > 0.0)
+        r = xp.where(usable, wrap(y - x - state.fault), 0.0)
+        PH = predicted[..., :3] + predicted[..., 6:]  # P H', H = [I 0 I]
+        S = PH[..., :3, :] + PH[..., 6:, :] + self.attitude_noise**2 * EE
+        state, growth = self._adapted(state, r, xp.einsum("...ii->...i", S), usable, dt)
+        correction, P = _corrected(predicted, PH, S, growth, r, usable)
+        fault = wrap(state.fault + correction[..., 6:])
+        std_dev = xp.sqrt(xp.einsum("...ii->...i", P)[..., 6:])
+        level = xp.abs(fault) / std_dev
+        found = detect(
+            state.detection, level, self.detection_level, self.recovery_level, self.recovery_time, dt
+        )
+        state = state._replace(
+            q_xyzw=xp.where(usable, quaternion_from_euler(x + correction[..., :3]), q_xyzw),
+            gyro_bias=b + correction[..., 3:6],
+            fault=fault,
+            P=P,
+            gyro=gyro,
+            detection=found,
+        )
+        corrected = imu._replace(
+            q_xyzw=state.q_xyzw,
+            body_rate=gyro - state.gyro_bias,
+            attitude_valid=xp.ones_like(imu.attitude_valid),
+        )
+        status = fault_state(found, suspect=~found.low | (state.alert > 0.0))
+        return state, FaultEstimate(fault, std_dev, status, onset_age(found), corrected)
+
+    def _predicted(self, P: Array, E: Array, J: Array, EE: Array, rate_valid: Array, dt: float) -> Array:
+        """F P F' + Q, with F = I + dt [[J, -E, 0], [0, 0, 0], [0, 0, 0]]."""
+        xp = namespace(P)
+        F = xp.concatenate([xp.eye(3) + dt * J, -dt * E, xp.zeros_like(E)], axis=-1)  # its upper rows
+        upper = F @ P
+        gap = xp.where(rate_valid, 0.0, self.gap_walk**2)[..., None, None] * xp.eye(3)
+        angles = upper @ xp.swapaxes(F, -1, -2) + dt * (self.gyro_noise**2 * EE + gap)
+        across = upper[..., 3:]
+        walks = [dt * self.gyro_bias_walk**2] * 3 + [dt * self.fault_walk**2] * 3
+        lower = P[..., 3:, 3:] + xp.asarray(walks) * xp.eye(6)
+        return xp.concatenate(
+            [
+                xp.concatenate([angles, across], axis=-1),
+                xp.concatenate([xp.swapaxes(across, -1, -2), lower], axis=-1),
+            ],
+            axis=-2,
+        )
+
+    def _adapted(
+        self, state: AugmentedKalmanState, r: Array, S_ii: Array, usable: Array, dt: float
+    ) -> tuple[AugmentedKalmanState, Array]:
+        """Means of the innovation, and what is added to P_f,ii (..., 3) [rad²]."""
+        xp = namespace(r)
+        gains = xp.asarray([dt / (T + dt) if dt > 0.0 else 0.0 for T in WINDOWS])
+        m = state.means + xp.where(usable[..., None], gains * (r[..., None] - state.means), 0.0)
+        v = S_ii[..., None] * (gains / (2.0 - gains))  # of the mean of white innovations
+        excess = xp.max(xp.where(m * m > self.gate**2 * v, m * m - v, 0.0), axis=-1)
+        excess = xp.where(usable, excess, 0.0)  # (lambda_i - 1) P_f,ii
+        sudden = excess > 0.0
+        alert = xp.where(sudden, self.alert_time, xp.maximum(state.alert - dt, 0.0))
+        faulty = state.detection.detected | (alert > 0.0)
+        walk = xp.where(faulty, max(self.faulty_walk**2 - self.fault_walk**2, 0.0), 0.0)
+        means = xp.where(sudden[..., None], 0.0, m)
+        return state._replace(means=means, alert=alert), excess + dt * walk
+
+
+def _corrected(P: Array, PH: Array, S: Array, growth: Array, r: Array, usable: Array) -> tuple[Array, Array]:
+    """Correction of the nine states (..., 9) and their covariance, after the variance of f_s has grown."""
+    xp = namespace(P)
+    more = growth[..., None] * xp.eye(3)
+    grown = xp.concatenate([PH[..., :6, :], PH[..., 6:, :] + more], axis=-2)
+    K = xp.where(usable[..., None], grown @ xp.linalg.inv(S + more), 0.0)
+    growths = xp.concatenate([xp.zeros_like(growth), xp.zeros_like(growth), growth], axis=-1)
+    after = P + growths[..., None] * xp.eye(9) - K @ xp.swapaxes(grown, -1, -2)
+    return (K @ r[..., None])[..., 0], 0.5 * (after + xp.swapaxes(after, -1, -2))

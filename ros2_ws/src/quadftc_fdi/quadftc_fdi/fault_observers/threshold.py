@@ -1,0 +1,164 @@
+r"""A residual gate with a threshold on accumulated inconsistency, as in PX4's sensor selector.
+
+PX4 compares each gyro with the mean of all (EKF2Selector.cpp, UpdateErrorScores, and VotedSensorsUpdate). The
+difference d goes through a first-order low pass, 0.95 d + 0.05 (difference) at each sample, and what is above
+7 deg/s (EKF2_SEL_IMU_RAT) adds up; from 15 deg (EKF2_SEL_IMU_ANG) on the sensor is faulty:
+
+    a <- max(0, a + (|d| - rate_threshold) dt),      faulty: a > angle_threshold
+
+Here the same law compares the gyro with the measured attitude y, each Euler angle by itself. x^ is the
+attitude dead-reckoned on the gyro and, where a = 0, pulled to y with time constant T. Its residual r = y - x^
+changes, but for the pull, by the difference that is to be judged, so there is nothing to differentiate: with
+g = dt / (T + dt) and r^- the residual that the sample before left,
+
+    rho <- (1 - g) (rho + r - r^-),    d = rho / T      low pass of y' less the rate from the gyro, exactly
+    x^ <- x^ + g r                       where a = 0
+
+T = 0.1 s is PX4's factor of 0.95 at 200 Hz. Where a > 0, x^ is carried on by the gyro alone: so it dates from
+before the fault, and is what is switched to.
+
+    state        begins when                                  attitude given       fault estimate
+    HEALTHY      a = 0                                        measured             0
+    SUSPECT      a > 0                                        measured             0
+    FAULTY       a > angle_threshold                          x^                   y - x^
+    RECOVERING   FAULTY, and |y - x^| < recovery_angle        x^                   y - x^
+
+RECOVERING ends in FAULTY when the residual is larger again, and in HEALTHY after ``recovery_time``. (PX4
+itself lets a fall at rate_threshold as soon as d is small, and so forgives any constant fault.) Dead
+reckoning is given up after ``patience``: the measured attitude is believed again, whatever it says.
+
+What it cannot do. A step of less than angle_threshold, and anything slower than rate_threshold, is never
+found. No gyro bias is estimated: on a faulty axis the attitude and the estimate drift at the bias, and if the
+residual has drifted out of recovery_angle by the end of the fault, only ``patience`` ends the state. An
+attitude beyond 80 deg of pitch counts as absent.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+from quadftc_fdi.baseline_conditions import threshold_conditions
+from quadftc_fdi.dead_reckoning import comparable, dead_reckoned
+from quadftc_fdi.fault_observer import FaultObserver, register
+from quadftc_model.arrays import Array, namespace
+from quadftc_model.conditions import Circumstances, Condition
+from quadftc_model.parameters import parameter
+from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
+from quadftc_model.samples import (
+    FAULTY,
+    HEALTHY,
+    RECOVERING,
+    SUSPECT,
+    FaultEstimate,
+    FaultObserverInputs,
+    ImuSample,
+)
+
+DEG = math.pi / 180.0
+
+
+class ThresholdState(NamedTuple):
+    """Observer state at the last sample."""
+
+    q_xyzw: Array  # (..., 4) x^
+    gyro: Array  # (..., 3) [rad/s]
+    residual: Array  # (..., 3) r^-, y - x^ after the pull [rad]
+    rho: Array  # (..., 3) T d [rad]
+    accumulated: Array  # (..., 3) a [rad]
+    state: Array  # (..., 3) uint8
+    age: Array  # (..., 3) time since a was last 0 [s]
+    calm: Array  # (..., 3) time since RECOVERING began [s]
+
+
+@register("threshold")
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Threshold(FaultObserver):
+    """Switch to dead reckoning once gyro and attitude have disagreed for too long; finds large faults."""
+
+    rate_threshold: float = parameter(
+        7.0 * DEG, unit="rad/s", low=0.0, doc="inconsistency that does not add up (EKF2_SEL_IMU_RAT)"
+    )
+    angle_threshold: float = parameter(
+        15.0 * DEG, unit="rad", low=1e-6, doc="accumulated inconsistency that is a fault (EKF2_SEL_IMU_ANG)"
+    )
+    filter_time: float = parameter(
+        0.1, unit="s", low=1e-3, doc="T: time constant of the low pass of the inconsistency"
+    )
+    recovery_angle: float = parameter(2.0 * DEG, unit="rad", low=0.0, doc="residual that is no fault")
+    recovery_time: float = parameter(1.0, unit="s", low=0.0, doc="how long it must be none to end the fault")
+    patience: float = parameter(30.0, unit="s", low=0.0, doc="longest dead reckoning")
+
+    def conditions(self, given: Circumstances) -> list[Condition]:
+        """Say which faults are found, and how far the dead reckoning drifts."""
+        return threshold_conditions(self, given)
+
+    def init(self, inputs: FaultObserverInputs) -> ThresholdState:
+        """Start on the measurement: the sensor counts as healthy at the first sample."""
+        imu = inputs.imu
+        xp = namespace(imu.body_rate)
+        zeros = xp.zeros_like(imu.body_rate)
+        healthy = xp.full_like(zeros, HEALTHY, dtype=xp.uint8)
+        return ThresholdState(imu.q_xyzw, imu.body_rate, zeros, zeros, zeros, healthy, zeros, zeros)
+
+    def step(
+        self, state: ThresholdState, inputs: FaultObserverInputs, dt: float
+    ) -> tuple[ThresholdState, FaultEstimate]:
+        """Advance by ``dt`` [s] to the sample."""
+        imu = inputs.imu
+        xp = namespace(imu.body_rate)
+        gyro = xp.where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
+        y = euler_from_quaternion(imu.q_xyzw)
+        q_xyzw = dead_reckoned(state.q_xyzw, state.gyro, gyro, dt)
+        x = euler_from_quaternion(q_xyzw)
+        usable = imu.attitude_valid[..., None] & comparable(x, y)
+        g = dt / (self.filter_time + dt)
+        r = xp.where(usable, wrap(y - x), state.residual)
+        rho = xp.where(usable, (1.0 - g) * (state.rho + wrap(r - state.residual)), state.rho)
+        excess = (xp.abs(rho) / self.filter_time - self.rate_threshold) * dt
+        a = xp.maximum(state.accumulated + xp.where(usable, excess, 0.0), 0.0)
+        state = self._switched(state, a, xp.abs(r), dt)
+        switched = state.state >= FAULTY
+        pull = xp.where(usable & (state.state == HEALTHY), g * r, 0.0)
+        state = state._replace(
+            q_xyzw=xp.where(usable, quaternion_from_euler(x + pull), q_xyzw),
+            gyro=gyro,
+            residual=r - pull,
+            rho=rho,
+        )
+        fault = xp.where(switched, r, 0.0)
+        return state, self._estimate(state, imu, fault, xp.where(switched, x, y))
+
+    def _switched(self, state: ThresholdState, a: Array, residual: Array, dt: float) -> ThresholdState:
+        """Take the transitions of the table, with the new a and |y - x^|, each (..., 3)."""
+        xp = namespace(a)
+        was_switched = state.state >= FAULTY
+        small = residual < self.recovery_angle
+        calm = xp.where(was_switched & small, state.calm + dt, 0.0)
+        age = xp.where((a > 0.0) | was_switched, state.age + dt, 0.0)
+        over = (calm >= self.recovery_time) | (age >= self.patience)
+        trusted = xp.where(a > self.angle_threshold, FAULTY, xp.where(a > 0.0, SUSPECT, HEALTHY))
+        distrusted = xp.where(over, HEALTHY, xp.where(small, RECOVERING, FAULTY))
+        now = xp.where(was_switched, distrusted, trusted)
+        ended = was_switched & over
+        return state._replace(
+            accumulated=xp.where(ended, 0.0, a),
+            state=now.astype(xp.uint8),
+            age=xp.where(ended, 0.0, age),
+            calm=xp.where(ended, 0.0, calm),
+        )
+
+    def _estimate(self, state: ThresholdState, imu: ImuSample, fault: Array, angles: Array) -> FaultEstimate:
+        """Give the measured attitude, x^ where it is absent, and where axes are switched, ``angles``."""
+        xp = namespace(angles)
+        switched = state.state >= FAULTY
+        known = xp.where(imu.attitude_valid[..., None], imu.q_xyzw, state.q_xyzw)
+        mixed = imu.attitude_valid[..., None] & xp.any(switched, axis=-1, keepdims=True)
+        corrected = imu._replace(
+            q_xyzw=xp.where(mixed, quaternion_from_euler(angles), known),
+            body_rate=state.gyro,
+            attitude_valid=xp.ones_like(imu.attitude_valid),
+        )
+        age = xp.where(switched, state.age, -1.0)
+        return FaultEstimate(fault, xp.full_like(age, -1.0), state.state, age, corrected)

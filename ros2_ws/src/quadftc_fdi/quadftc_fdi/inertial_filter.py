@@ -1,0 +1,195 @@
+"""Error-state Kalman filter of an IMU with an attitude sensor: attitude, gyro bias, scale, alignment, delay.
+
+    omega = (I + M) g - b,   q' = q (omega, 0) / 2          g: gyro
+    h = x1(q) - E(x1) omega tau + noise                      Euler angles, sampled tau before the gyro
+
+Error state (16): rotation delta in body axes, b (3), M (9, by rows), tau (1), after Lefferts, Markley and
+Shuster (1982). The rotation itself is a quaternion, so nothing is singular but the Euler angles of the
+measurement.
+
+    delta' = -omega x delta + delta_M g - delta_b,   H = E [I, 0, 0, -omega]
+
+Each axis of the measurement is taken or left by itself: a faulty one is left out and runs on the gyro alone,
+and the covariance says how good that is. Arrays have any leading axes; there are no branches on data.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_model.arrays import Array, components, namespace, stacked
+from quadftc_model.rotations import (
+    MIN_COS_PITCH,
+    normalise,
+    quaternion_from_rotation_vector,
+    quaternion_product,
+)
+
+SIZE = 16  # of the error state
+IDENTITY = np.eye(SIZE)
+ROTATION, BIAS, DELAY = slice(0, 3), slice(3, 6), 15
+REFUSED = 1e6  # rad²; variance of a measurement that is left out
+
+
+class FilterState(NamedTuple):
+    """Estimate and covariance."""
+
+    q_xyzw: Array  # (..., 4)
+    x: Array  # (..., 13) b [rad/s], M by rows [1], tau [s]
+    P: Array  # (..., 16, 16) covariance of the error state
+
+
+def initial(q_xyzw: Array, std_devs: NDArray[np.float64]) -> FilterState:
+    """Start at an attitude (..., 4) with standard deviations (16,) of the error state."""
+    xp = namespace(q_xyzw)
+    batch = q_xyzw.shape[:-1]
+    return FilterState(
+        q_xyzw, xp.zeros((*batch, SIZE - 3)), xp.zeros((*batch, SIZE, SIZE)) + np.diag(std_devs**2)
+    )
+
+
+def rate(x: Array, gyro: Array) -> Array:
+    """Body rate [rad/s] (..., 3) of a gyro sample: (I + M) g - b."""
+    p, q, r = components(gyro)
+    bx, by, bz, xx, xy, xz, yx, yy, yz, zx, zy, zz, _ = components(x)
+    return stacked(
+        [
+            p + xx * p + xy * q + xz * r - bx,
+            q + yx * p + yy * q + yz * r - by,
+            r + zx * p + zy * q + zz * r - bz,
+        ]
+    )
+
+
+def propagated(state: FilterState, gyro: Array, noise: Array, dt: float) -> tuple[FilterState, Array]:
+    """Turn by a gyro sample (..., 3) over ``dt`` [s].
+
+    Parameters
+    ----------
+    state : FilterState
+    gyro : array (..., 3)
+        Mean over the step [rad/s].
+    noise : array (16,) or (..., 16)
+        Variance that the step adds to the error state.
+    dt : float
+
+    Returns
+    -------
+    FilterState, and the transition matrix (..., 16, 16) of the error.
+    """
+    xp = namespace(gyro)
+    omega = rate(state.x, gyro)
+    q = normalise(quaternion_product(state.q_xyzw, quaternion_from_rotation_vector(omega * dt)))
+    moving = xp.concatenate([omega, gyro], axis=-1) * dt
+    F = (moving @ _TRANSITION + _resting(dt)).reshape(*gyro.shape[:-1], SIZE, SIZE)
+    P = F @ state.P @ xp.swapaxes(F, -1, -2) + noise[..., None] * IDENTITY
+    return FilterState(q, state.x, P), F
+
+
+def shifted(state: FilterState, dx: Array) -> FilterState:
+    """Apply a correction (..., 16) of the error state; the covariance stays."""
+    turn = quaternion_from_rotation_vector(dx[..., ROTATION])
+    return FilterState(normalise(quaternion_product(state.q_xyzw, turn)), state.x + dx[..., 3:], state.P)
+
+
+def predicted_angles(state: FilterState, angles: Array, H: Array) -> Array:
+    """Euler angles that the attitude sensor should read: as they were ``tau`` ago."""
+    return angles + H[..., DELAY] * state.x[..., 12:13]
+
+
+def measurement_matrix(angles: Array, omega: Array) -> Array:
+    """H = E [I, 0, 0, -omega] (..., 3, 16) at Euler angles (..., 3) and body rate (..., 3)."""
+    E = euler_matrix(angles)
+    rows = (omega @ _DELAYED + _DIRECT).reshape(*omega.shape[:-1], 3, SIZE)
+    return E @ rows
+
+
+def euler_matrix(angles: Array) -> Array:
+    """E (..., 3, 3) of (4), with the cosine of pitch kept away from zero."""
+    xp = namespace(angles)
+    (s_phi, s_theta, _), (c_phi, c_theta, _) = components(xp.sin(angles)), components(xp.cos(angles))
+    if isinstance(c_theta, float):
+        secant = 1.0 / math.copysign(max(abs(c_theta), MIN_COS_PITCH), c_theta)
+        tangent = s_theta * secant
+        return np.array(
+            [
+                [1.0, s_phi * tangent, c_phi * tangent],
+                [0.0, c_phi, -s_phi],
+                [0.0, s_phi * secant, c_phi * secant],
+            ]
+        )
+    one, zero = xp.ones_like(s_phi), xp.zeros_like(s_phi)
+    secant = xp.where(c_theta < 0.0, -1.0, 1.0) / xp.maximum(xp.abs(c_theta), MIN_COS_PITCH)
+    tangent = s_theta * secant
+    rows = [
+        [one, s_phi * tangent, c_phi * tangent],
+        [zero, c_phi, -s_phi],
+        [zero, s_phi * secant, c_phi * secant],
+    ]
+    return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def updated(
+    state: FilterState, H: Array, residual: Array, variance: Array, taken: Array
+) -> tuple[FilterState, Array]:
+    """Correct by a measurement, axis by axis as ``taken`` says.
+
+    Parameters
+    ----------
+    state : FilterState
+    H : array (..., 3, 16)
+    residual : array (..., 3)
+        Measured minus predicted Euler angles [rad].
+    variance : array (..., 3)
+        Of each axis [rad²].
+    taken : array (..., 3) bool
+        The others are left out.
+
+    Returns
+    -------
+    FilterState, and the correction (..., 16) that was made.
+    """
+    xp = namespace(residual)
+    PH = state.P @ xp.swapaxes(H, -1, -2)
+    S = H @ PH + xp.where(taken, variance, REFUSED)[..., None] * np.eye(3)
+    K = PH @ xp.linalg.inv(S)
+    dx = (K @ xp.where(taken, residual, 0.0)[..., None])[..., 0]
+    P = state.P - K @ xp.swapaxes(PH, -1, -2)
+    return shifted(state._replace(P=0.5 * (P + xp.swapaxes(P, -1, -2))), dx), dx
+
+
+@functools.lru_cache(maxsize=256)
+def _resting(dt: float) -> NDArray[np.float64]:
+    """Transition of the error (256,) without motion: delta falls by dt times the bias."""
+    F = np.eye(SIZE)
+    F[ROTATION, BIAS] = -dt * np.eye(3)
+    F.setflags(write=False)
+    return F.ravel()
+
+
+def _transition() -> NDArray[np.float64]:
+    """What (omega, g) dt adds to the transition (6, 256): -[omega]x, and g against the rows of M."""
+    found = np.zeros((6, SIZE, SIZE))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        found[i, j, k], found[i, k, j] = 1.0, -1.0  # -[omega]x
+        for row in range(3):
+            found[3 + i, row, 6 + 3 * row + i] = 1.0
+    return found.reshape(6, -1)
+
+
+def _measurement() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """[I, 0, 0, -omega] as omega @ (3, 48) + (48,)."""
+    direct, delayed = np.zeros((3, SIZE)), np.zeros((3, 3, SIZE))
+    direct[:, ROTATION] = np.eye(3)
+    for i in range(3):
+        delayed[i, i, SIZE - 1] = -1.0
+    return direct.ravel(), delayed.reshape(3, -1)
+
+
+_TRANSITION = _transition()
+_DIRECT, _DELAYED = _measurement()

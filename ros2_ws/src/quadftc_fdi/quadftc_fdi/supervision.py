@@ -1,0 +1,211 @@
+"""Supervision of an attitude sensor, axis by axis: residual tests, tracked fault, when to trust again.
+
+Residuals are measured minus predicted Euler angles. Healthy, they are the sensor's white noise plus a slow
+error (the attitude filter or the markers of a real sensor wander, more so when moving); the model says how
+large, and what is larger than the model says is learned.
+
+Tests, on each axis:
+
+* averages over 0.05, 0.15 and 0.5 s of the filter's residual, for incipient faults;
+* averages over 0.15 s of the residuals of two anchors, states of the filter some seconds old that have seen
+  no measurement since, for faults so slow that the filter follows them;
+* a cumulative sum (Page, 1954) of the residual beyond three standard deviations, for abrupt ones.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_model.arrays import Array, namespace
+
+MEANS = np.array([0.05, 0.15, 0.5, 0.15, 0.15])  # s; averaging times, the last two of the anchors
+OLD, YOUNG = 3, 4  # columns of the anchors
+# x @ ROLLED: the young anchor becomes the old one, and starts at zero
+ROLLED = np.array(
+    [[1.0, 0, 0, 0, 0], [0, 1.0, 0, 0, 0], [0, 0, 1.0, 0, 0], [0, 0, 0, 0, 0], [0, 0, 0, 1.0, 0]]
+)
+SHARE = 0.1  # 1; of the filter's own variance in an average, as its residuals are not perfectly white
+ALLOWANCE, LIMIT, LARGEST = 3.0, 4.5, 8.0  # 1; of the cumulative sum, and the largest step it takes
+SUSPICION = 0.75  # 1; share of the threshold at which an axis is suspect
+OUTLIER = 4.0  # 1; how far beyond what is known a residual may move what is learned
+STILL = np.array([0.15, 0.6])  # s; two averages of a fault, whose difference shows that it moves
+AGREES, STANDS, JUMPS = 9.0, 9.0, 36.0  # 1; squared standard deviations
+ALMOST_STILL = 0.0087  # rad, 0.5 deg; an error of ours moves a little, as the vehicle does
+BOTH_WAYS = np.array([1.0, -1.0])
+
+
+class Sizes(NamedTuple):
+    """Variances of a healthy residual [rad²], (..., 3) each."""
+
+    white: Array  # of one sample
+    slow: Array  # of the slow error
+    own: Array  # of the filter's prediction
+    anchors: Array  # (..., 3, 2) of the two anchors' predictions
+
+
+class Tests(NamedTuple):
+    """What the tests remember."""
+
+    means: Array  # (..., 3, 5) averages of the residuals [rad]
+    learned: Array  # (..., 3, 5) squares of the averages over what the model says [1]
+    sums: Array  # (..., 3, 2) cumulative sums, upwards and downwards [1]
+    suspicion: Array  # (..., 3) how long an axis has been suspect [s]
+
+
+class Track(NamedTuple):
+    """The fault of each axis while it is faulty, all zero otherwise."""
+
+    fault: Array  # (..., 3) [rad]
+    slope: Array  # (..., 3) [rad/s]
+    count: Array  # (..., 3) samples since the last jump
+    means: Array  # (..., 3, 2) two averages of it [rad]
+    since: Array  # (..., 3) time since the onset [s]
+    calm: Array  # (..., 3) how long the axis has looked healthy again [s]
+
+
+class Weights(NamedTuple):
+    """Weights of one step."""
+
+    mean: NDArray[np.float64]  # (5,) of a sample in the averages
+    white: NDArray[np.float64]  # (5,) of white noise in their variance
+    slow: NDArray[np.float64]  # (5,) of the slow error
+    own: NDArray[np.float64]  # (3,) of the filter's own error
+    still: NDArray[np.float64]  # (2,)
+    alpha: float  # of a sample in the tracked fault
+    beta: float  # [1/s] in its slope
+    settled: float  # samples after a jump before the slope moves
+    white_equivalent: float  # of the slow error, as white noise of a sample
+
+
+@functools.lru_cache(maxsize=64)
+def weights(dt: float, memory: float, tracking: float) -> Weights:
+    """Weights for a step ``dt``, the slow error's correlation time and the averaging of faults, all [s]."""
+    alpha = 1.4 * dt / (tracking + dt)
+    white = dt / (2.0 * MEANS + dt)
+    return Weights(
+        mean=dt / (MEANS + dt),
+        white=white,
+        slow=memory / (memory + MEANS),
+        own=white[:3] + SHARE,
+        still=dt / (STILL + dt),
+        alpha=alpha,
+        beta=alpha**2 / (2.0 - alpha) / dt if dt > 0.0 else 0.0,
+        settled=1.4 / alpha if alpha > 0.0 else math.inf,
+        white_equivalent=2.0 * memory / dt if dt > 0.0 else 0.0,
+    )
+
+
+class Settings(NamedTuple):
+    """Parameters of the supervision, as of the observer."""
+
+    threshold: float
+    learning: float
+    recovery: float
+    patience: float
+
+
+class Findings(NamedTuple):
+    """What the tests say of each axis (..., 3)."""
+
+    alarm: Array  # bool: an axis trusted so far is faulty
+    slow: Array  # bool: not by the cumulative sum, so for some time already
+    suspect: Array  # bool: it may become so; its measurement is not used
+
+
+def tested(
+    tests: Tests, residuals: Array, sizes: Sizes, trusted: Array, w: Weights, dt: float, settings: Settings
+) -> tuple[Tests, Findings]:
+    """Take one sample of residuals.
+
+    Parameters
+    ----------
+    tests : Tests
+    residuals : array (..., 3, 5)
+        Of the filter three times, then of the old and the young anchor [rad].
+    sizes : Sizes
+    trusted : array (..., 3) bool
+        Trusted so far, and measured in this sample.
+    w : Weights
+    dt : float
+        [s]
+    settings : Settings
+    """
+    xp = namespace(residuals)
+    taken = trusted[..., None]
+    own = xp.concatenate([sizes.own[..., None] * w.own, sizes.anchors], axis=-1)
+    variance = sizes.white[..., None] * w.white + sizes.slow[..., None] * w.slow + own
+    means = tests.means + taken * w.mean * (residuals - tests.means)
+    ratio = means**2 / variance
+    limited = xp.minimum(ratio, OUTLIER * xp.maximum(tests.learned, 1.0))
+    learned = tests.learned + taken * (dt / settings.learning) * (limited - tests.learned)
+    excess = xp.maximum(learned, 1.0)
+    level = xp.max(ratio / excess, axis=-1)
+    single = xp.sqrt((sizes.white + sizes.own + sizes.slow) * excess[..., 0])
+    step = xp.minimum((residuals[..., 0] / single)[..., None] * BOTH_WAYS, LARGEST) - ALLOWANCE
+    sums = xp.minimum(xp.maximum(tests.sums + taken * step, 0.0), 2.0 * LIMIT)
+    top = xp.maximum(sums[..., 0], sums[..., 1])
+    abrupt = trusted & (top > LIMIT)
+    slow = trusted & (level > settings.threshold**2) & ~abrupt
+    suspect = trusted & ((top > 0.5 * LIMIT) | (level > (SUSPICION * settings.threshold) ** 2))
+    return Tests(means, learned, sums, (tests.suspicion + dt) * suspect), Findings(
+        abrupt | slow, slow, suspect
+    )
+
+
+def spread_of(sizes: Sizes, learned: Array, w: Weights) -> Array:
+    """Variance (..., 3) of a healthy average over 0.15 s, the filter's own error left out [rad²]."""
+    xp = namespace(learned)
+    return (sizes.white * w.white[1] + sizes.slow * w.slow[1]) * xp.maximum(learned[..., 1], 1.0)
+
+
+def tracked(
+    track: Track, residual: Array, sizes: Sizes, alarm: Array, valid: Array, w: Weights, dt: float
+) -> Track:
+    """Follow the residual of the faulty axes by an alpha-beta filter that begins anew at every jump."""
+    xp = namespace(residual)
+    expected = track.fault + track.slope * dt
+    error = residual - expected
+    jump = alarm | (error**2 > JUMPS * (sizes.white + sizes.slow))
+    count = (track.count + 1.0) * ~jump
+    alpha = xp.maximum(w.alpha, 1.0 / (count + 1.0)) * valid
+    means = track.means + valid[..., None] * w.still * (residual[..., None] - track.means)
+    return track._replace(
+        fault=expected + alpha * error,
+        slope=(track.slope + w.beta * valid * error) * (count > w.settled),
+        count=count,
+        means=xp.where(alarm[..., None], residual[..., None], means),
+    )
+
+
+def recovered(
+    track: Track, faulty: Array, own: Array, spread: Array, turning: Array, settings: Settings, dt: float
+) -> tuple[Track, Array, Array]:
+    """Say which faulty axes can be trusted again (..., 3), and which although they disagree with us.
+
+    An axis looks healthy when its fault is within what dead reckoning knows, and stands still; after
+    ``patience`` a fault that stands still is taken for an error of ours, as without it a wrong start or a
+    false alarm would never end.
+
+    Parameters
+    ----------
+    own : array (..., 3)
+        Variance of the dead-reckoned angle [rad²].
+    spread : array (..., 3)
+        Of `spread_of` [rad²].
+    turning : array (..., 1)
+        Variance of the gyro bias [rad²/s²].
+    """
+    xp = namespace(own)
+    moved = track.means[..., 0] - track.means[..., 1]
+    still = moved**2 < STANDS * (spread + turning * (STILL[1] - STILL[0]) ** 2)
+    agrees = track.means[..., 0] ** 2 < AGREES * (own + spread)
+    known = track.since > STILL[1]  # before, both averages are near the first value
+    outlasted = (track.since > settings.patience) & (xp.abs(moved) < ALMOST_STILL)
+    calm = (track.calm + dt) * (faulty & known & ((still & agrees) | outlasted))
+    trusted = calm > settings.recovery
+    return track._replace(calm=calm), trusted, trusted & ~agrees

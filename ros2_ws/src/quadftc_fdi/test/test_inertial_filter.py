@@ -1,0 +1,120 @@
+"""The filter of attitude and gyro errors: it finds them and is consistent; its matrices are derivatives."""
+
+import math
+
+import numpy as np
+
+from quadftc_fdi.inertial_filter import (
+    SIZE,
+    euler_matrix,
+    initial,
+    measurement_matrix,
+    predicted_angles,
+    propagated,
+    rate,
+    shifted,
+    updated,
+)
+from quadftc_model.rotations import (
+    euler_from_quaternion,
+    euler_rates,
+    quaternion_from_euler,
+    quaternion_from_rotation_vector,
+    quaternion_product,
+    wrap,
+)
+
+DEG = math.pi / 180.0
+DT = 0.004
+START = np.concatenate([[0.1 * DEG] * 3, [1.0 * DEG] * 3, [0.01] * 9, [0.01]])
+NOISE = np.concatenate([np.full(3, (0.007 * DEG) ** 2 * DT), np.full(13, 0.0)])
+
+
+def some_state(seed=0):
+    rng = np.random.default_rng(seed)
+    q = quaternion_from_euler(np.array([0.3, -0.4, 1.0]))
+    return initial(q, START)._replace(x=0.05 * rng.normal(size=13)), rng.normal(size=3)
+
+
+def test_the_transition_is_the_derivative_of_the_propagation():
+    state, gyro = some_state()
+    after, F = propagated(state, gyro, np.zeros(SIZE), DT)
+    for column, step in enumerate(1e-6 * np.eye(SIZE)):
+        moved, _ = propagated(shifted(state, step), gyro, np.zeros(SIZE), DT)
+        turn = quaternion_product(after.q_xyzw * [-1, -1, -1, 1], moved.q_xyzw)
+        found = np.concatenate([2.0 * turn[:3], moved.x - after.x]) / 1e-6
+        np.testing.assert_allclose(found, F[:, column], atol=2e-4)  # F is of first order in dt
+
+
+def test_the_measurement_matrix_is_the_derivative_of_the_prediction():
+    state, gyro = some_state()
+    state = state._replace(x=np.zeros(13))
+
+    def reading(at):
+        angles = euler_from_quaternion(at.q_xyzw)
+        return predicted_angles(at, angles, measurement_matrix(angles, rate(at.x, gyro)))
+
+    angles = euler_from_quaternion(state.q_xyzw)
+    H = measurement_matrix(angles, rate(state.x, gyro))
+    for column, step in enumerate(1e-6 * np.eye(SIZE)):
+        np.testing.assert_allclose(
+            (reading(shifted(state, step)) - reading(state)) / 1e-6, H[:, column], atol=1e-4
+        )
+
+
+def test_the_euler_matrix_is_that_of_the_kinematics_and_finite_at_the_pole():
+    angles, omega = np.array([0.3, -0.7, 2.0]), np.array([0.1, 0.2, -0.3])
+    np.testing.assert_allclose(euler_matrix(angles) @ omega, euler_rates(angles, omega))
+    batch = np.stack([angles, [0.1, math.pi / 2.0, 0.0], [0.0, 0.0, 0.0]])
+    assert np.all(np.isfinite(euler_matrix(batch)))
+    np.testing.assert_allclose(euler_matrix(batch)[0], euler_matrix(angles))
+
+
+def flown(flights, seconds, seed):
+    """Flights with gyro bias, scale error and delay: final error states (n, 16) and covariances."""
+    rng = np.random.default_rng(seed)
+    truth = START * rng.normal(size=(flights, SIZE))
+    bias, M, tau = truth[:, 3:6], truth[:, 6:15].reshape(-1, 3, 3), truth[:, 15:]
+    w, phase = rng.uniform(0.5, 3.0, (flights, 3)), rng.uniform(0.0, 6.0, (flights, 3))
+    q = quaternion_from_euler(np.zeros((flights, 3)))
+    noisy = quaternion_product(q, quaternion_from_rotation_vector(0.1 * DEG * rng.normal(size=(flights, 3))))
+    state = initial(noisy, START)
+    everything = np.ones((flights, 3), bool)
+    for k in range(round(seconds / DT)):
+        omega = 0.5 * np.sin(w * k * DT + phase)
+        q = quaternion_product(q, quaternion_from_rotation_vector(omega * DT))
+        walk = 0.007 * DEG / math.sqrt(DT) * rng.normal(size=(flights, 3))
+        gyro = np.linalg.solve(np.eye(3) + M, (omega + bias)[..., None])[..., 0] + walk
+        state, _ = propagated(state, gyro, NOISE, DT)
+        angles = euler_from_quaternion(state.q_xyzw)
+        H = measurement_matrix(angles, rate(state.x, gyro))
+        late = quaternion_product(q, quaternion_from_rotation_vector(-omega * tau))
+        read = quaternion_product(
+            late, quaternion_from_rotation_vector(0.1 * DEG * rng.normal(size=(flights, 3)))
+        )
+        residual = wrap(euler_from_quaternion(read) - predicted_angles(state, angles, H))
+        variance = (0.1 * DEG) ** 2 * np.sum(H[..., :3] ** 2, axis=-1)
+        state, _ = updated(state, H, residual, variance, everything)
+    turn = quaternion_product(state.q_xyzw * [-1, -1, -1, 1], q)
+    wrong = np.concatenate([2.0 * turn[:, :3], truth[:, 3:] - state.x], axis=1)
+    return wrong, state.P
+
+
+def test_bias_scale_alignment_and_delay_are_found_with_an_honest_covariance():
+    flights = 60
+    wrong, P = flown(flights, 20.0, seed=5)
+    spread = np.sqrt(np.mean(np.diagonal(P, axis1=1, axis2=2), axis=0))
+    assert np.all(spread[3:6] < 0.02 * DEG)  # from 1 deg/s
+    assert np.all(spread[6:15] < 0.005)  # from 1 %
+    assert spread[15] < 1e-3  # from 10 ms
+    nees = np.einsum("ni,nij,nj->n", wrong, np.linalg.inv(P), wrong)
+    # over independent flights chi-square, 16 degrees of freedom each: within 4 standard deviations
+    assert abs(np.sum(nees) - flights * SIZE) < 4.0 * math.sqrt(2.0 * flights * SIZE)
+
+
+def test_an_axis_that_is_left_out_is_not_corrected():
+    state, gyro = some_state()
+    angles = euler_from_quaternion(state.q_xyzw)
+    H = measurement_matrix(angles, rate(state.x, gyro))
+    _, dx = updated(state, H, np.array([1.0, 0.0, 0.0]), np.full(3, 1e-6), np.array([False, True, True]))
+    np.testing.assert_array_equal(dx, 0.0)

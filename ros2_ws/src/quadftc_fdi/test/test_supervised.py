@@ -1,0 +1,162 @@
+"""Supervised diagnosis on simulated MEMS sensors: it detects, isolates, estimates and recovers."""
+
+import math
+
+import numpy as np
+import pytest
+
+from quadftc_fdi.fault_observers.supervised import Supervised
+from quadftc_model.rotations import (
+    body_rates,
+    euler_from_quaternion,
+    quaternion_from_euler,
+    quaternion_from_rotation_vector,
+    quaternion_product,
+)
+from quadftc_model.samples import FAULTY, HEALTHY, RECOVERING, STARTING, FaultObserverInputs, ImuSample
+from quadftc_model.vehicle import load_vehicle
+
+DEG = math.pi / 180.0
+QBALL = load_vehicle("qball_x4")
+FLIGHTS = 12
+SIMULATED = {"wander": 0.0, "wander_moving": 0.0, "gyro_moving": 0.0}
+
+
+class Diagnosed:
+    """Flights (leading axis) with MEMS sensors and a fault (n, flights, 3), diagnosed."""
+
+    def __init__(self, fault, rate=250.0, seed=1, absent=None, observer=None, pitch=0.0):
+        dt, n, rng = 1.0 / rate, len(fault), np.random.default_rng(seed)
+        self.time = dt * np.arange(n)
+        size, w = rng.uniform(1.0, 4.0, (FLIGHTS, 3)) * DEG, rng.uniform(0.3, 1.2, (FLIGHTS, 3))
+        phase = rng.uniform(0.0, 6.0, (FLIGHTS, 3))
+        angle = w * self.time[:, None, None] + phase
+        self.angles = size * np.sin(angle) + [0.0, pitch, 0.0]
+        omega = body_rates(self.angles, size * w * np.cos(angle))
+        bias = rng.uniform(-1.0, 1.0, (FLIGHTS, 3)) * DEG
+        gyro = omega + bias + 0.007 * DEG / math.sqrt(dt) * rng.standard_normal(omega.shape)
+        noise = quaternion_from_rotation_vector(0.1 * DEG * rng.standard_normal(omega.shape))
+        attitude = quaternion_product(quaternion_from_euler(self.angles + fault), noise)
+        there, zeros = np.ones(FLIGHTS, bool), np.zeros((FLIGHTS, 3))
+        observer = observer or Supervised(vehicle=QBALL, **SIMULATED)
+        state, found = None, []
+        for k in range(n):
+            seen = there if absent is None else there & ~absent[k]
+            inputs = FaultObserverInputs(ImuSample(attitude[k], gyro[k], zeros, seen, there, there), zeros)
+            state = observer.init(inputs) if state is None else state
+            state, estimate = observer.step(state, inputs, dt if k else 0.0)
+            found.append(estimate)
+        self.state = np.array([each.state for each in found])
+        self.estimate = np.array([each.fault for each in found])
+        self.std_dev = np.array([each.std_dev for each in found])
+        self.onset_age = np.array([each.onset_age for each in found])
+        self.attitude = euler_from_quaternion(np.array([each.corrected.q_xyzw for each in found]))
+        self.faulty = np.isin(self.state, (FAULTY, RECOVERING))
+        self.error = self.estimate - fault
+
+
+def times(seconds, rate=250.0):
+    return np.arange(round(seconds * rate)) / rate
+
+
+def a_fault(time, shape, axis=0, start=14.0, stop=22.0):
+    fault = np.zeros((len(time), FLIGHTS, 3))
+    rows = (start <= time) & (time < stop)
+    fault[rows, :, axis] = np.asarray(shape(time[rows] - start))[:, None]
+    return fault
+
+
+SHAPES = {
+    "step": (lambda elapsed: 0.0 * elapsed + 0.5 * DEG, 0.02),
+    "ramp": (lambda elapsed: 0.3 * DEG * elapsed, 1.0),
+    "sine": (lambda elapsed: 2.0 * DEG * np.sin(1.0 * elapsed), 0.3),
+}
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("kind", SHAPES)
+def test_a_fault_is_detected_on_its_axis_alone_estimated_and_over(kind, axis):
+    shape, delay = SHAPES[kind]
+    time = times(30.0)
+    flown = Diagnosed(a_fault(time, shape, axis))
+    assert not flown.faulty[time < 14.0].any()
+    others = [other for other in range(3) if other != axis]
+    assert not flown.faulty[..., others].any()
+    assert flown.faulty[(time >= 14.0 + delay) & (time < 22.0), :, axis].all()
+    inside = (time >= 14.0) & (time < 22.0)
+    assert np.all(np.sqrt(np.mean(flown.error[inside, :, axis] ** 2, axis=0)) < 0.25 * DEG)
+    assert np.mean(flown.faulty[time > 29.0]) < 0.05
+
+
+def test_the_attitude_stays_right_through_steps_on_all_axes_at_once():
+    time = times(24.0)
+    fault = a_fault(time, SHAPES["step"][0]) + 4.0 * DEG * ((time >= 14.0) & (time < 22.0))[:, None, None]
+    flown = Diagnosed(fault)
+    wrong = flown.attitude - flown.angles
+    assert np.sqrt(np.mean(wrong[time > 5.0] ** 2)) < 0.08 * DEG
+    assert np.max(np.abs(wrong[time > 5.0])) < 0.4 * DEG
+
+
+def test_the_standard_deviation_is_honest():
+    time = times(20.0)
+    flown = Diagnosed(a_fault(time, SHAPES["step"][0], stop=30.0))
+    rows = (time > 14.5) & (np.arange(len(time)) % 250 == 0)
+    ratio = (flown.error[rows, :, 0] / flown.std_dev[rows, :, 0]) ** 2
+    assert 0.3 < np.mean(ratio) < 1.7  # samples of one flight depend on each other: a wide band
+
+
+def test_the_onset_is_dated():
+    time = times(16.0)
+    flown = Diagnosed(a_fault(time, SHAPES["ramp"][0]))
+    onset = (time[-1] - flown.onset_age[-1, :, 0]) - 14.0
+    assert np.all((onset > -0.1) & (onset < 1.0))
+    assert np.all(flown.onset_age[time < 13.0] == -1.0)
+
+
+def test_a_healthy_flight_raises_no_alarm_and_starts_within_two_seconds():
+    time = times(30.0)
+    flown = Diagnosed(np.zeros((len(time), FLIGHTS, 3)))
+    assert not flown.faulty.any()
+    assert np.all(flown.state[0] == STARTING)
+    assert np.mean(flown.state[time > 2.0] == HEALTHY) > 0.99
+    assert np.max(np.abs((flown.attitude - flown.angles)[time > 5.0])) < 0.06 * DEG
+
+
+@pytest.mark.parametrize("rate", [50.0, 1000.0])
+def test_it_works_at_other_rates(rate):
+    time = times(24.0, rate)
+    flown = Diagnosed(a_fault(time, lambda elapsed: 0.0 * elapsed + 2.0 * DEG, start=10.0, stop=16.0), rate)
+    assert not flown.faulty[time < 10.0].any()
+    assert flown.faulty[(time >= 10.1) & (time < 16.0), :, 0].all()
+    assert not flown.faulty[time > 23.0].any()
+    inside = (time >= 10.0) & (time < 16.0)
+    assert np.sqrt(np.mean(flown.error[inside, :, 0] ** 2)) < 0.15 * DEG
+
+
+def test_missing_attitudes_are_bridged():
+    time = times(20.0)
+    absent = (time % 1.0 < 0.4) | ((time > 8.0) & (time < 9.5))
+    flown = Diagnosed(a_fault(time, SHAPES["step"][0], start=12.5, stop=30.0), absent=absent)
+    assert not flown.faulty[time < 12.5].any()
+    assert flown.faulty[(time > 13.0), :, 0].all()
+    assert np.all(np.isfinite(flown.estimate))
+
+
+def test_a_fault_from_the_start_does_not_lock_it_out():
+    """Taken for the attitude; at its end it looks like a new fault, which stands still and is given up."""
+    time = times(30.0)
+    observer = Supervised(vehicle=QBALL, patience=8.0, **SIMULATED)
+    flown = Diagnosed(
+        a_fault(time, lambda elapsed: 0.0 * elapsed + 3.0 * DEG, start=0.0, stop=5.0), observer=observer
+    )
+    assert flown.faulty[(time > 5.1) & (time < 6.0), :, 0].all()
+    assert not flown.faulty[time > 20.0, :, 0].any()
+    assert np.max(np.abs((flown.attitude - flown.angles)[time > 29.0, :, 0])) < 0.1 * DEG
+
+
+def test_near_the_pole_of_the_euler_angles_it_stays_finite_and_raises_no_alarm():
+    time = times(10.0)
+    flown = Diagnosed(np.zeros((len(time), FLIGHTS, 3)), pitch=math.pi / 2.0)
+    assert np.all(np.isfinite(flown.estimate))
+    assert np.all(np.isfinite(flown.attitude))
+    assert np.mean(flown.faulty) < 0.05

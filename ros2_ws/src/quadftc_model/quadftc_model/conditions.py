@@ -1,0 +1,205 @@
+"""Conditions of the theory: what a theorem asks for, whether it holds in a given situation, and by how much.
+
+A component says under which conditions its theorems hold (``conditions``); ``quadftc check`` asks for them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_model.vehicle import Vehicle
+
+Floats = NDArray[np.float64]
+
+
+class Verdict(str, enum.Enum):
+    """Whether a condition holds."""
+
+    PASS = "PASS"
+    FAIL = "FAIL"
+    DEPENDS = "DEPENDS"  # on something outside the model, which the text names, or for part of the time
+
+
+@dataclasses.dataclass(frozen=True)
+class Condition:
+    """A condition with its verdict.
+
+    Parameters
+    ----------
+    name : str
+        What is asked for, as the source calls it.
+    verdict : Verdict
+    text : str
+        In plain words, with numbers and units.
+    numbers : mapping
+        The numbers behind it, by name, in SI units.
+    needed : bool
+        Whether the scheme needs it: its FAIL is a FAIL of the whole.
+    """
+
+    name: str
+    verdict: Verdict
+    text: str
+    numbers: Mapping[str, Any] = dataclasses.field(default_factory=dict[str, Any])
+    needed: bool = True
+
+    @property
+    def failed(self) -> bool:
+        """Whether the scheme lacks something it needs."""
+        return self.needed and self.verdict is Verdict.FAIL
+
+
+def verdict(holds: bool) -> Verdict:
+    """PASS or FAIL."""
+    return Verdict.PASS if holds else Verdict.FAIL
+
+
+def unknown_theory(kind: str) -> list[Condition]:
+    """Return the one condition of a component that brings no theory along."""
+    text = f"{kind} states no conditions; define conditions() in its class to have them judged"
+    return [Condition("theory", Verdict.DEPENDS, text, needed=False)]
+
+
+@dataclasses.dataclass(frozen=True)
+class Bound:
+    """A bound that a condition uses, and where it comes from.
+
+    Parameters
+    ----------
+    value : float or tuple of float
+        In SI units; a tuple has one number for each axis.
+    unit : str
+    origin : str
+        ``given`` (by the scenario, the vehicle or the sensor), ``trace`` (computed from a recorded run) or
+        ``assumed``, and how.
+    """
+
+    value: Any
+    unit: str
+    origin: str
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Series:
+    """A quantity over time, known at every sample.
+
+    Parameters
+    ----------
+    values : array (n, 3)
+        In SI units.
+    unit : str
+    origin : str
+        As of a `Bound`.
+    """
+
+    values: Floats
+    unit: str
+    origin: str
+
+    @property
+    def peak(self) -> Floats:
+        """Largest magnitude of each axis (3,)."""
+        return np.max(np.abs(self.values), axis=0)
+
+    @property
+    def norm(self) -> float:
+        """Largest Euclidean norm."""
+        return float(np.max(np.linalg.norm(self.values, axis=1)))
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Circumstances:
+    """What a scheme has to cope with: the bounds that the conditions of its parts are held against."""
+
+    vehicle: Vehicle
+    dt: float  # sampling period [s]
+    duration: float  # [s]
+    faulty_channels: tuple[str, ...]  # "attitude", "gyro", ...: those with scheduled faults
+    tilt: Bound  # largest roll or pitch [rad]
+    body_rate: Bound  # largest norm [rad/s]
+    acceleration: Bound  # of the reference, each axis [rad/s²]
+    fault: Bound  # largest norm of the attitude fault [rad]
+    fault_growth: Bound  # slowest growth of an attitude fault to its peak [rad/s]; inf: there is none
+    fault_length: Bound  # longest attitude fault [s]
+    gyro_bias: Bound  # [rad/s]
+    gyro_noise: Bound  # angle random walk [rad/sqrt(s)]
+    attitude_noise: Bound  # of a sample, 1 sigma [rad]
+    disturbance: Series  # lumped, d of (36) [rad/s²]
+    disturbance_error: Series  # d - d^ with the scheme's disturbance observer [rad/s²]
+
+    @property
+    def bounds(self) -> dict[str, Bound]:
+        """Every bound by name; of a quantity over time, the largest magnitude of each axis."""
+        found: dict[str, Bound] = {}
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, Series):
+                found[field.name] = Bound(tuple(value.peak.tolist()), value.unit, value.origin)
+            elif isinstance(value, Bound):
+                found[field.name] = value
+        return found
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Trace:
+    """A recorded run as the Lyapunov functions need it: a row for each delivered sample, truth beside it."""
+
+    stamp_ns: NDArray[np.int64]  # (n,)
+    q_xyzw: Floats  # (n, 4) measured attitude
+    gyro: Floats  # (n, 3) [rad/s]
+    torque: Floats  # (n, 3) command of the sample [N m]
+    angles: Floats  # (n, 3) true [rad]
+    body_rate: Floats  # (n, 3) true [rad/s]
+    sliding_variable: Floats  # (n, 3) S [rad/s]
+    saturated: NDArray[np.bool_]  # (n, 3)
+
+
+def falls(
+    name: str,
+    values: Floats,
+    stamp_ns: NDArray[np.int64],
+    required: Floats,
+    outside: NDArray[np.bool_],
+) -> Condition:
+    """Judge a Lyapunov derivative along a run, outside the boundary layers only.
+
+    Parameters
+    ----------
+    name : str
+    values : array (n,) or (n, k)
+        The Lyapunov function of each sample; of k functions, each by itself.
+    stamp_ns : array (n,)
+        [ns].
+    required : array like values
+        The rate at which it has to fall at least, negative.
+    outside : array of bool, like values
+        Where the state is outside its boundary layer.
+    """
+    elapsed = (np.diff(stamp_ns) / 1e9).reshape((-1,) + (1,) * (values.ndim - 1))
+    slope = np.diff(values, axis=0) / elapsed
+    counted = outside[:-1] & np.isfinite(slope) & np.isfinite(required[:-1])
+    total, count = int(np.isfinite(slope).sum()), int(counted.sum())
+    share_outside = count / total if total else 0.0
+    if total == 0:
+        return Condition(name, Verdict.DEPENDS, "the bag lacks the truth that this needs", needed=False)
+    numbers: dict[str, Any] = {"share_outside": share_outside, "share_holding": None}
+    if count == 0:
+        text = "never outside the boundary layer: nothing has to fall"
+        return Condition(name, Verdict.PASS, text, numbers, needed=False)
+    holding = float(np.mean(slope[counted] <= required[:-1][counted]))
+    numbers["share_holding"] = holding
+    text = f"outside the boundary layer for {100.0 * share_outside:.3g} % of the run; falls fast enough in "
+    text += f"{100.0 * holding:.4g} % of that"
+    outcome = Verdict.PASS if holding == 1.0 else Verdict.DEPENDS if holding >= 0.95 else Verdict.FAIL
+    return Condition(name, outcome, text, numbers, needed=False)
+
+
+def per_axis(values: Iterable[float], digits: int = 3) -> str:
+    """Numbers of roll, pitch and yaw as ``1.2/1.2/0.4``."""
+    return "/".join(f"{value:.{digits}g}" for value in values)

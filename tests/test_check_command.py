@@ -1,0 +1,96 @@
+"""``quadftc check`` on recorded runs, and on what is none."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from quadftc_bench.process_graph import executable_path
+from quadftc_bench.scenario import load_scenario
+
+SHORT = """\
+name: short
+description: a second with a fault
+duration: 1 s
+rate: 250 Hz
+seed: 3
+vehicle: qball_x4
+sensors: {grade: ideal}
+disturbances:
+  - {kind: constant, amplitude: [0.1 N m, 0 N m, 0 N m], start: 0.3 s}
+faults:
+  - {kind: bias, channel: attitude, axes: roll, value: 1 deg, start: 0.5 s}
+schemes:
+  proposed: {observer: sliding_mode, disturbance_observer: exosystem, controller: ismc}
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory, fly_graph):
+    path = tmp_path_factory.mktemp("scenario") / "short.yaml"
+    path.write_text(SHORT, encoding="utf-8")
+    return fly_graph(load_scenario(path, []), "proposed")[0]
+
+
+def check(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [str(executable_path("quadftc_bench", "quadftc")), "check", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert "Traceback" not in done.stderr
+    return done
+
+
+def test_a_recorded_run_is_judged_along_its_way(run):
+    done = check(run, "--json")
+    assert done.returncode in (0, 1), done.stderr
+    report = json.loads(done.stdout)
+    along = next(section for section in report["sections"] if section["title"] == "along the recorded run")
+    assert [item["name"][:4] for item in along["conditions"]] == ["(35)", "(35)", "(47)"]
+    assert report["bounds"]["disturbance"]["origin"].startswith("trace")
+    assert report["bounds"]["disturbance"]["value"][0] == pytest.approx(0.1 / 0.03, rel=0.02)
+
+
+def test_the_run_of_another_scenario_is_refused(run):
+    done = check("paper_faults", "--bag", run)
+    assert done.returncode == 2
+    assert done.stderr == f"error: {run}: is a run of scenario 'short', not of 'paper_faults'\n"
+
+
+def test_a_truncated_bag_is_read_to_its_end_with_a_warning(run, tmp_path):
+    copy = tmp_path / run.name
+    shutil.copytree(run, copy)
+    (file,) = copy.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[: int(0.6 * file.stat().st_size)])
+    done = check(copy)
+    assert done.returncode in (0, 1)
+    assert len(done.stderr.splitlines()) == 1
+    assert done.stderr.startswith("warning: ")
+    assert "along the recorded run" in done.stdout
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"this is no bag, but long enough to look at"], ids=["empty", "text"]
+)
+def test_a_file_that_is_no_bag_is_refused_with_one_line(tmp_path, content):
+    path = tmp_path / "some.mcap"
+    path.write_bytes(content)
+    done = check(path)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"error: {path}")
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_isolability_shows_which_faults_look_the_same():
+    done = check("paper_faults", "--isolability")
+    assert done.returncode == 0, done.stderr
+    assert "cannot be told apart: actuator roll / disturbance roll" in done.stdout
+    assert "cannot be told apart: attitude roll / gyro roll" in done.stdout
+
+
+def test_an_unknown_sensor_is_refused_with_those_there_are():
+    done = check("paper_faults", "--isolability", "--sensors", "attitude,gyros")
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: sensor_set: 'gyros' is none of attitude, gyro, ")

@@ -1,0 +1,105 @@
+"""`quadftc report` as installed: what it writes, what it says, and how it refuses."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from quadftc_bench.process_graph import executable_path
+
+
+@pytest.fixture(scope="module")
+def runs(fly_graph, busy_scenario, tmp_path_factory) -> Path:
+    """A directory of two runs of one scenario, and something that is no run."""
+    folder = tmp_path_factory.mktemp("flown")
+    for scheme in busy_scenario.schemes:
+        directory, _ = fly_graph(busy_scenario, scheme)
+        shutil.copytree(directory, folder / directory.name)
+    (folder / "notes").mkdir()
+    return folder
+
+
+def report(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [str(executable_path("quadftc_bench", "quadftc")), "report", *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert "Traceback" not in done.stderr
+    return done
+
+
+def test_directory_of_runs_gives_a_page_and_figures_for_print(runs: Path, tmp_path: Path):
+    out = tmp_path / "new" / "report.html"
+    done = report(runs, "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert f"report on 2 runs: {out}" in done.stdout
+    page = out.read_text(encoding="utf-8")
+    assert 'data-run="busy-proposed"' in page
+    assert 'data-run="busy-conventional"' in page
+    figures = sorted(file.name for file in (tmp_path / "new" / "report_figures").iterdir())
+    assert len(figures) == 18
+    assert {"busy-fault-roll.pdf", "busy-fault-roll.png", "busy-torque.png"} <= set(figures)
+    assert all(f"report_figures/{name}" in page for name in figures)
+    assert sorted(path.name for path in out.parent.iterdir()) == ["report.html", "report_figures"]
+
+
+def test_page_without_figures_for_print_names_none(runs: Path, tmp_path: Path):
+    done = report(runs / "busy-proposed", "--no-figures", "--out", tmp_path / "report.html")
+    assert done.returncode == 0, done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+    assert "report_figures" not in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_truncated_bag_is_read_to_its_end_with_a_warning(runs: Path, tmp_path: Path):
+    run = shutil.copytree(runs / "busy-proposed", tmp_path / "busy-proposed")
+    (bag,) = run.glob("*.mcap")
+    bag.write_bytes(bag.read_bytes()[: bag.stat().st_size * 7 // 10])
+    done = report(run, "--no-figures", "--out", tmp_path / "report.html")
+    assert done.returncode == 0, done.stderr
+    (warning,) = done.stderr.splitlines()
+    assert warning.startswith(f"warning: {run}: cut short at ")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert f"<li>{warning.removeprefix('warning: ')}</li>" in page
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("noise.mcap", b"\x00\x01 no bag at all", "noise.mcap"),
+        ("empty.mcap", b"", "empty.mcap"),
+        ("missing", None, "no such file or directory"),
+    ],
+)
+def test_wrong_bag_among_good_ones_is_one_line_and_leaves_the_old_report(
+    runs: Path, tmp_path: Path, name: str, content: bytes | None, words: str
+):
+    out = tmp_path / "report.html"
+    out.write_text("the old report", encoding="utf-8")
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    before = sorted(tmp_path.iterdir())
+    done = report(runs / "busy-proposed", tmp_path / name, "--out", out)
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("error: ")
+    assert words in line
+    assert out.read_text(encoding="utf-8") == "the old report"
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_directory_as_the_place_of_the_page_is_refused(runs: Path, tmp_path: Path):
+    done = report(runs, "--out", tmp_path)
+    assert done.returncode == 2
+    assert "is a directory" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_command_starts_without_the_libraries_that_draw():
+    code = "import sys, quadftc_bench.cli; print(*{'plotly', 'matplotlib', 'jinja2'} & set(sys.modules))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stdout.strip() == ""
