@@ -55,15 +55,8 @@ def initial(q_xyzw: Array, std_devs: NDArray[np.float64]) -> FilterState:
 
 def rate(x: Array, gyro: Array) -> Array:
     """Body rate [rad/s] (..., 3) of a gyro sample: (I + M) g - b."""
-    p, q, r = components(gyro)
-    bx, by, bz, xx, xy, xz, yx, yy, yz, zx, zy, zz, _ = components(x)
-    return stacked(
-        [
-            p + xx * p + xy * q + xz * r - bx,
-            q + yx * p + yy * q + yz * r - by,
-            r + zx * p + zy * q + zz * r - bz,
-        ]
-    )
+    M = x[..., 3:12].reshape(*x.shape[:-1], 3, 3)
+    return gyro + (M @ gyro[..., None])[..., 0] - x[..., :3]
 
 
 def propagated(state: FilterState, gyro: Array, noise: Array, dt: float) -> tuple[FilterState, Array]:
@@ -74,8 +67,8 @@ def propagated(state: FilterState, gyro: Array, noise: Array, dt: float) -> tupl
     state : FilterState
     gyro : array (..., 3)
         Mean over the step [rad/s].
-    noise : array (16,) or (..., 16)
-        Variance that the step adds to the error state.
+    noise : array (..., 16, 16)
+        Of `process_noise`.
     dt : float
 
     Returns
@@ -87,8 +80,14 @@ def propagated(state: FilterState, gyro: Array, noise: Array, dt: float) -> tupl
     q = normalise(quaternion_product(state.q_xyzw, quaternion_from_rotation_vector(omega * dt)))
     moving = xp.concatenate([omega, gyro], axis=-1) * dt
     F = (moving @ _TRANSITION + _resting(dt)).reshape(*gyro.shape[:-1], SIZE, SIZE)
-    P = F @ state.P @ xp.swapaxes(F, -1, -2) + noise[..., None] * IDENTITY
-    return FilterState(q, state.x, P), F
+    return FilterState(q, state.x, F @ state.P @ F.swapaxes(-1, -2) + noise), F
+
+
+def process_noise(rotation: Array, bias: Array) -> Array:
+    """Covariance (..., 16, 16) that a step adds, of variances (..., 1) of rotation and bias of each axis."""
+    xp = namespace(rotation)
+    both = xp.concatenate([rotation, bias], axis=-1) @ _NOISE
+    return both.reshape(*rotation.shape[:-1], SIZE, SIZE)
 
 
 def shifted(state: FilterState, dx: Array) -> FilterState:
@@ -155,12 +154,22 @@ def updated(
     FilterState, and the correction (..., 16) that was made.
     """
     xp = namespace(residual)
-    PH = state.P @ xp.swapaxes(H, -1, -2)
-    S = H @ PH + xp.where(taken, variance, REFUSED)[..., None] * np.eye(3)
-    K = PH @ xp.linalg.inv(S)
+    PH = state.P @ H.swapaxes(-1, -2)
+    S = H @ PH + xp.where(taken, variance, REFUSED)[..., None] * _AXES
+    K = PH @ _inverse(S)
     dx = (K @ xp.where(taken, residual, 0.0)[..., None])[..., 0]
-    P = state.P - K @ xp.swapaxes(PH, -1, -2)
-    return shifted(state._replace(P=0.5 * (P + xp.swapaxes(P, -1, -2))), dx), dx
+    P = state.P - K @ PH.swapaxes(-1, -2)
+    return shifted(state._replace(P=0.5 * (P + P.swapaxes(-1, -2))), dx), dx
+
+
+def _inverse(S: Array) -> Array:
+    """Inverse of a symmetric positive definite matrix (..., 3, 3)."""
+    a, b, c, _, d, e, _, _, f = components(S.reshape(*S.shape[:-2], 9))
+    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
+    D, E, F = a * f - c * c, b * c - a * e, a * d - b * b
+    scale = 1.0 / (a * A + b * B + c * C)
+    parts = [A, B, C, B, D, E, C, E, F]
+    return stacked([part * scale for part in parts]).reshape(S.shape)
 
 
 @functools.lru_cache(maxsize=256)
@@ -191,5 +200,14 @@ def _measurement() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return direct.ravel(), delayed.reshape(3, -1)
 
 
+def _noise() -> NDArray[np.float64]:
+    """Covariances of the error per variance of rotation and of bias (2, 256)."""
+    found = np.zeros((2, SIZE))
+    found[0, ROTATION] = found[1, BIAS] = 1.0
+    return (found[..., None] * IDENTITY).reshape(2, -1)
+
+
+_AXES = np.eye(3)
+_NOISE = _noise()
 _TRANSITION = _transition()
 _DIRECT, _DELAYED = _measurement()

@@ -21,17 +21,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_model.arrays import Array, namespace
+from quadftc_fdi.anchors import OLD, ROLLED, YOUNG
+from quadftc_model.arrays import Array, changed_where, namespace
 
 MEANS = np.array([0.05, 0.15, 0.5, 0.15, 0.15])  # s; averaging times, the last two of the anchors
-OLD, YOUNG = 3, 4  # columns of the anchors
-# x @ ROLLED: the young anchor becomes the old one, and starts at zero
-ROLLED = np.array(
-    [[1.0, 0, 0, 0, 0], [0, 1.0, 0, 0, 0], [0, 0, 1.0, 0, 0], [0, 0, 0, 0, 0], [0, 0, 0, 1.0, 0]]
-)
 SHARE = 0.1  # 1; of the filter's own variance in an average, as its residuals are not perfectly white
 ALLOWANCE, LIMIT, LARGEST = 3.0, 4.5, 8.0  # 1; of the cumulative sum, and the largest step it takes
 SUSPICION = 0.75  # 1; share of the threshold at which an axis is suspect
+SUDDEN = 0.06  # s; so soon after the first suspicion the filter has taken nothing from the fault
 OUTLIER = 4.0  # 1; how far beyond what is known a residual may move what is learned
 STILL = np.array([0.15, 0.6])  # s; two averages of a fault, whose difference shows that it moves
 AGREES, STANDS, JUMPS = 9.0, 9.0, 36.0  # 1; squared standard deviations
@@ -40,12 +37,11 @@ BOTH_WAYS = np.array([1.0, -1.0])
 
 
 class Sizes(NamedTuple):
-    """Variances of a healthy residual [rad²], (..., 3) each."""
+    """Variances of a healthy residual [rad²]."""
 
-    white: Array  # of one sample
-    slow: Array  # of the slow error
-    own: Array  # of the filter's prediction
-    anchors: Array  # (..., 3, 2) of the two anchors' predictions
+    noise: Array  # (..., 3) white noise of one sample
+    slow: Array  # (..., 3) the slow error
+    own: Array  # (..., 3, 3) what filter, old and young anchor say of their predictions
 
 
 class Tests(NamedTuple):
@@ -72,9 +68,7 @@ class Weights(NamedTuple):
     """Weights of one step."""
 
     mean: NDArray[np.float64]  # (5,) of a sample in the averages
-    white: NDArray[np.float64]  # (5,) of white noise in their variance
-    slow: NDArray[np.float64]  # (5,) of the slow error
-    own: NDArray[np.float64]  # (3,) of the filter's own error
+    variance: NDArray[np.float64]  # (5, 5) of noise, slow error and own three in their variances
     still: NDArray[np.float64]  # (2,)
     alpha: float  # of a sample in the tracked fault
     beta: float  # [1/s] in its slope
@@ -86,12 +80,14 @@ class Weights(NamedTuple):
 def weights(dt: float, memory: float, tracking: float) -> Weights:
     """Weights for a step ``dt``, the slow error's correlation time and the averaging of faults, all [s]."""
     alpha = 1.4 * dt / (tracking + dt)
-    white = dt / (2.0 * MEANS + dt)
+    variance = np.zeros((5, 5))
+    variance[0] = white = dt / (2.0 * MEANS + dt)
+    variance[1] = memory / (memory + MEANS)
+    variance[2, :OLD] = white[:OLD] + SHARE
+    variance[3, OLD] = variance[4, YOUNG] = 1.0
     return Weights(
         mean=dt / (MEANS + dt),
-        white=white,
-        slow=memory / (memory + MEANS),
-        own=white[:3] + SHARE,
+        variance=variance,
         still=dt / (STILL + dt),
         alpha=alpha,
         beta=alpha**2 / (2.0 - alpha) / dt if dt > 0.0 else 0.0,
@@ -113,6 +109,7 @@ class Findings(NamedTuple):
     """What the tests say of each axis (..., 3)."""
 
     alarm: Array  # bool: an axis trusted so far is faulty
+    sudden: Array  # bool: by the cumulative sum, within SUDDEN of the first suspicion
     slow: Array  # bool: not by the cumulative sum, so for some time already
     suspect: Array  # bool: it may become so; its measurement is not used
 
@@ -137,30 +134,44 @@ def tested(
     """
     xp = namespace(residuals)
     taken = trusted[..., None]
-    own = xp.concatenate([sizes.own[..., None] * w.own, sizes.anchors], axis=-1)
-    variance = sizes.white[..., None] * w.white + sizes.slow[..., None] * w.slow + own
+    noise, slow = sizes.noise, sizes.slow
+    parts = xp.concatenate([noise[..., None], slow[..., None], sizes.own], axis=-1)
     means = tests.means + taken * w.mean * (residuals - tests.means)
-    ratio = means**2 / variance
-    limited = xp.minimum(ratio, OUTLIER * xp.maximum(tests.learned, 1.0))
-    learned = tests.learned + taken * (dt / settings.learning) * (limited - tests.learned)
-    excess = xp.maximum(learned, 1.0)
-    level = xp.max(ratio / excess, axis=-1)
-    single = xp.sqrt((sizes.white + sizes.own + sizes.slow) * excess[..., 0])
+    ratio = means**2 / (parts @ w.variance)
+    excess = xp.maximum(tests.learned, 1.0)
+    news = xp.minimum(ratio, OUTLIER * excess) - tests.learned
+    learned = tests.learned + taken * (dt / settings.learning) * news
+    level = (ratio / excess).max(axis=-1)
+    single = xp.sqrt(parts[..., :3].sum(axis=-1) * excess[..., 0])
     step = xp.minimum((residuals[..., 0] / single)[..., None] * BOTH_WAYS, LARGEST) - ALLOWANCE
-    sums = xp.minimum(xp.maximum(tests.sums + taken * step, 0.0), 2.0 * LIMIT)
-    top = xp.maximum(sums[..., 0], sums[..., 1])
+    sums = (tests.sums + taken * step).clip(0.0, 2.0 * LIMIT)
+    top = sums.max(axis=-1)
     abrupt = trusted & (top > LIMIT)
-    slow = trusted & (level > settings.threshold**2) & ~abrupt
+    creeping = trusted & (level > settings.threshold**2) & ~abrupt
     suspect = trusted & ((top > 0.5 * LIMIT) | (level > (SUSPICION * settings.threshold) ** 2))
-    return Tests(means, learned, sums, (tests.suspicion + dt) * suspect), Findings(
-        abrupt | slow, slow, suspect
-    )
+    suspicion = (tests.suspicion + dt) * suspect
+    sudden = abrupt & (suspicion < SUDDEN)
+    found = Findings(abrupt | creeping, sudden, creeping, suspect)
+    return Tests(means, learned, sums, suspicion), found
+
+
+def begun_anew(tests: Tests, rolled: Array, anew: Array) -> Tests:
+    """Tests that begin anew for axes (..., 3), and roll on with the anchors (..., 1)."""
+    xp = namespace(anew)
+
+    def changed() -> Tests:
+        means = xp.where(rolled[..., None], tests.means @ ROLLED, tests.means)
+        kept = ~anew[..., None]
+        return tests._replace(means=means * kept, sums=tests.sums * kept)
+
+    return changed_where(anew | rolled, changed, tests)
 
 
 def spread_of(sizes: Sizes, learned: Array, w: Weights) -> Array:
     """Variance (..., 3) of a healthy average over 0.15 s, the filter's own error left out [rad²]."""
     xp = namespace(learned)
-    return (sizes.white * w.white[1] + sizes.slow * w.slow[1]) * xp.maximum(learned[..., 1], 1.0)
+    noise, slow = w.variance[0, 1], w.variance[1, 1]
+    return (sizes.noise * noise + sizes.slow * slow) * xp.maximum(learned[..., 1], 1.0)
 
 
 def tracked(
@@ -170,7 +181,7 @@ def tracked(
     xp = namespace(residual)
     expected = track.fault + track.slope * dt
     error = residual - expected
-    jump = alarm | (error**2 > JUMPS * (sizes.white + sizes.slow))
+    jump = alarm | (error**2 > JUMPS * (sizes.noise + sizes.slow))
     count = (track.count + 1.0) * ~jump
     alpha = xp.maximum(w.alpha, 1.0 / (count + 1.0)) * valid
     means = track.means + valid[..., None] * w.still * (residual[..., None] - track.means)
@@ -178,7 +189,7 @@ def tracked(
         fault=expected + alpha * error,
         slope=(track.slope + w.beta * valid * error) * (count > w.settled),
         count=count,
-        means=xp.where(alarm[..., None], residual[..., None], means),
+        means=xp.where(jump[..., None], residual[..., None], means),
     )
 
 
@@ -204,8 +215,20 @@ def recovered(
     moved = track.means[..., 0] - track.means[..., 1]
     still = moved**2 < STANDS * (spread + turning * (STILL[1] - STILL[0]) ** 2)
     agrees = track.means[..., 0] ** 2 < AGREES * (own + spread)
-    known = track.since > STILL[1]  # before, both averages are near the first value
+    known = (track.since > STILL[1]) & (track.count * dt > STILL[1])  # before, both are near the first value
     outlasted = (track.since > settings.patience) & (xp.abs(moved) < ALMOST_STILL)
     calm = (track.calm + dt) * (faulty & known & ((still & agrees) | outlasted))
     trusted = calm > settings.recovery
     return track._replace(calm=calm), trusted, trusted & ~agrees
+
+
+def track_of(track: Track, faulty: Array) -> Track:
+    """The track of faulty axes (..., 3); all zero for the others."""
+    return Track(
+        fault=track.fault * faulty,
+        slope=track.slope * faulty,
+        count=track.count * faulty,
+        means=track.means * faulty[..., None],
+        since=track.since * faulty,
+        calm=track.calm * faulty,
+    )

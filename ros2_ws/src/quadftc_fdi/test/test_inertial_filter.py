@@ -10,6 +10,7 @@ from quadftc_fdi.inertial_filter import (
     initial,
     measurement_matrix,
     predicted_angles,
+    process_noise,
     propagated,
     rate,
     shifted,
@@ -27,7 +28,7 @@ from quadftc_model.rotations import (
 DEG = math.pi / 180.0
 DT = 0.004
 START = np.concatenate([[0.1 * DEG] * 3, [1.0 * DEG] * 3, [0.01] * 9, [0.01]])
-NOISE = np.concatenate([np.full(3, (0.007 * DEG) ** 2 * DT), np.full(13, 0.0)])
+NOISE = process_noise(np.array([(0.007 * DEG) ** 2 * DT]), np.array([0.0]))
 
 
 def some_state(seed=0):
@@ -38,9 +39,9 @@ def some_state(seed=0):
 
 def test_the_transition_is_the_derivative_of_the_propagation():
     state, gyro = some_state()
-    after, F = propagated(state, gyro, np.zeros(SIZE), DT)
+    after, F = propagated(state, gyro, np.zeros((SIZE, SIZE)), DT)
     for column, step in enumerate(1e-6 * np.eye(SIZE)):
-        moved, _ = propagated(shifted(state, step), gyro, np.zeros(SIZE), DT)
+        moved, _ = propagated(shifted(state, step), gyro, np.zeros((SIZE, SIZE)), DT)
         turn = quaternion_product(after.q_xyzw * [-1, -1, -1, 1], moved.q_xyzw)
         found = np.concatenate([2.0 * turn[:3], moved.x - after.x]) / 1e-6
         np.testing.assert_allclose(found, F[:, column], atol=2e-4)  # F is of first order in dt

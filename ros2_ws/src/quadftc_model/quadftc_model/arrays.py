@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 
 # The laws are generic over the array library, which has no common static type: arrays (..., 3) and the like.
 Array = Any
+T = TypeVar("T")
 
 
 def namespace(array: Array) -> Any:
@@ -24,13 +25,18 @@ def namespace(array: Array) -> Any:
     return np if query is None else query()
 
 
+def is_single(vector: Array) -> bool:
+    """Whether it is one NumPy vector (n,), for which Python floats are many times faster than arrays."""
+    return isinstance(vector, np.ndarray) and vector.ndim == 1  # pyright: ignore[reportUnknownMemberType]
+
+
 def components(vector: Array) -> Any:
     """Return the components along the last axis, (..., n) -> n times (...).
 
     Those of a single NumPy vector are Python floats: the same numbers, and many times faster to calculate
     with than arrays without axes.
     """
-    if isinstance(vector, np.ndarray) and vector.ndim == 1:  # pyright: ignore[reportUnknownMemberType]
+    if is_single(vector):
         return vector.tolist()
     return tuple(vector[..., index] for index in range(vector.shape[-1]))  # pyright: ignore
 
@@ -44,7 +50,18 @@ def stacked(parts: Sequence[Array]) -> Array:
 
 def norm(vector: Array) -> Array:
     """Euclidean norm over the last axis, kept as an axis of length 1: (..., n) -> (..., 1)."""
-    if isinstance(vector, np.ndarray) and vector.ndim == 1:  # pyright: ignore[reportUnknownMemberType]
+    if is_single(vector):
         return np.array([math.sqrt(sum([x * x for x in vector.tolist()]))])
     xp = namespace(vector)
     return xp.sqrt(xp.sum(vector * vector, axis=-1, keepdims=True))
+
+
+def changed_where(mask: Array, change: Callable[[], T], unchanged: T) -> T:
+    """Return ``change()``, which must equal ``unchanged`` if ``mask`` is false everywhere.
+
+    Then NumPy saves the work: most of the time nothing happens. Other libraries, whose masks may have no
+    values yet, always do it.
+    """
+    if isinstance(mask, (np.ndarray, np.bool_)) and not mask.any():  # pyright: ignore[reportUnknownMemberType]
+        return unchanged
+    return change()

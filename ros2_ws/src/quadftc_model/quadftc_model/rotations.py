@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 
-from quadftc_model.arrays import Array, components, namespace, norm, stacked
+import numpy as np
+
+from quadftc_model.arrays import Array, components, is_single, namespace, norm, stacked
 
 MIN_COS_PITCH = 1e-6  # 1; the Euler rates of (4) are bounded by this close to +-90 deg of pitch
 
@@ -40,8 +42,16 @@ def euler_from_quaternion(q_xyzw: Array) -> Array:
 
     Roll and yaw are within [-pi, pi], pitch within [-pi/2, pi/2].
     """
-    xp = namespace(q_xyzw)
     x, y, z, w = components(q_xyzw)
+    if isinstance(x, float):
+        return np.array(
+            [
+                math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+                math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)),
+                math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+            ]
+        )
+    xp = namespace(q_xyzw)
     sin_pitch = xp.minimum(xp.maximum(2.0 * (w * y - z * x), -1.0), 1.0)
     return stacked(
         [
@@ -77,6 +87,13 @@ def quaternion_rate(q_xyzw: Array, body_rate: Array) -> Array:
 
 def quaternion_from_rotation_vector(rotation_vector: Array) -> Array:
     """Unit quaternion (..., 4) of a rotation vector [rad] (..., 3); exactly (0, 0, 0, 1) for zero."""
+    if is_single(rotation_vector):
+        x, y, z = rotation_vector.tolist()
+        half = 0.5 * math.sqrt(x * x + y * y + z * z)
+        if not half < math.inf:  # not a number, as with arrays
+            return np.full(4, math.nan)
+        scale = 0.5 * math.sin(half) / half if half > 0.0 else 0.5
+        return np.array([x * scale, y * scale, z * scale, math.cos(half)])
     xp = namespace(rotation_vector)
     half_angle = 0.5 * norm(rotation_vector)
     safe = xp.where(half_angle > 0.0, half_angle, 1.0)
@@ -85,6 +102,10 @@ def quaternion_from_rotation_vector(rotation_vector: Array) -> Array:
 
 def normalise(q_xyzw: Array) -> Array:
     """Quaternion (..., 4) scaled to unit length; it must not be zero."""
+    if is_single(q_xyzw):
+        x, y, z, w = q_xyzw.tolist()
+        length = math.sqrt(x * x + y * y + z * z + w * w) or math.nan
+        return np.array([x / length, y / length, z / length, w / length])
     return q_xyzw / norm(q_xyzw)
 
 
