@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import signal
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +17,23 @@ from hypothesis import settings
 settings.register_profile("quadftc", derandomize=True, database=None, deadline=None)
 settings.load_profile("quadftc")
 
-DOMAINS = range(1, 81)  # those that ROS 2 can have on any Linux, less a few that tests name themselves
+DOMAINS = range(1, 81)  # of those that ROS 2 can have on any Linux
+
+# Tests that must not run beside others: by the wall clock, with signals, of processes that await each other.
+# So are all on a bench in real time.
+SERIAL_FILES = {
+    "test_bag_writer.py",
+    "test_children.py",
+    "test_executables.py",
+    "test_executor.py",
+    "test_graph_realtime.py",
+    "test_launch_graph.py",
+    "test_play.py",
+    "test_recorder_node.py",
+    "test_report_in_browser.py",
+}
+SERIAL_TESTS = {"test_processes_give_the_same_messages_as_one_process"}
+SERIAL_FIXTURES = {"bench"}
 
 
 def _own_domain() -> IO[str]:
@@ -34,12 +51,30 @@ def _own_domain() -> IO[str]:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Before anything of ROS is imported; in every worker of pytest-xdist, too."""
+    """Before anything of ROS or NumPy is imported; in every worker of pytest-xdist, too."""
+    for library in ("OPENBLAS", "OMP"):  # with small matrices, threads do little but wait for each other
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in a background job; its children ignore it, too
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     config.stash[DOMAIN_LOCK] = _own_domain()
 
 
 DOMAIN_LOCK = pytest.StashKey[IO[str]]()
+
+
+@pytest.hookimpl(tryfirst=True)  # before -m chooses
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the tests that must not run beside others."""
+    for item in items:
+        if not isinstance(item, pytest.Function):
+            continue
+        if (
+            item.path.name in SERIAL_FILES
+            or item.originalname in SERIAL_TESTS
+            or SERIAL_FIXTURES & set(item.fixturenames)
+        ):
+            item.add_marker(pytest.mark.serial)
 
 
 @pytest.fixture

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -23,9 +24,14 @@ BUSY = Path(__file__).parent / "scenarios" / "busy.yaml"
 END = 60.0  # s; for a process to end on its own
 
 
-def started(*arguments: object) -> subprocess.Popen[str]:
+@contextlib.contextmanager
+def started(*arguments: object) -> Iterator[subprocess.Popen[str]]:
     command = [sys.executable, str(SCRIPT), *map(str, arguments)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()  # does nothing to one that has ended
 
 
 def finished(*arguments: object) -> tuple[int, str]:
@@ -131,7 +137,7 @@ def test_signal_while_the_nodes_are_starting_leaves_none_behind(number: signal.S
     with started("--graph", "processes") as process:
         end = time.monotonic() + END
         while len(children_of(process)) < patience and time.monotonic() < end:
-            pass
+            time.sleep(0.001)
         process.send_signal(number)
         _, errors = process.communicate(timeout=END)
     assert process.returncode in ((0,) if patience else (0, 130, -number)), errors

@@ -23,8 +23,23 @@ def runs(fly_graph, busy_scenario, tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def replayed(runs: Path, tmp_path_factory) -> Path:
+    """A replay of one of the runs, with a fault overlaid."""
+    from quadftc_bench.replay import ReplayOptions
+    from quadftc_bench.replay.ros_output import replay
+
+    out = tmp_path_factory.mktemp("replayed")
+    options = ReplayOptions(topic="plant/imu", faults=("bias axis=roll value=3deg start=0.5s stop=1.5s",))
+    return out / replay(runs / "busy-proposed", options, out)["bag"]
+
+
 def report(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [str(executable_path("quadftc_bench", "quadftc")), "report", *map(str, arguments)]
+    return quadftc("report", *arguments)
+
+
+def quadftc(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [str(executable_path("quadftc_bench", "quadftc")), *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert "Traceback" not in done.stderr
     return done
@@ -63,6 +78,34 @@ def test_truncated_bag_is_read_to_its_end_with_a_warning(runs: Path, tmp_path: P
     assert warning.startswith(f"warning: {run}: cut short at ")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert f"<li>{warning.removeprefix('warning: ')}</li>" in page
+
+
+def test_replay_gives_a_page_and_figures_for_print(replayed: Path, tmp_path: Path):
+    out = tmp_path / "report.html"
+    done = report(replayed, "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert f"report on 1 replay: {out}" in done.stdout
+    page = out.read_text(encoding="utf-8")
+    assert f'data-run="{replayed.name}"' in page
+    figures = {file.name for file in (tmp_path / "report_figures").iterdir()}
+    assert {f"replay-busy-proposed-{kind}-roll.png" for kind in ("attitude", "fault")} <= figures
+    assert all(f"report_figures/{name}" in page for name in figures)
+
+
+def test_runs_and_replays_go_into_one_report(runs: Path, replayed: Path, tmp_path: Path):
+    done = report(runs, replayed, "--no-figures", "--out", tmp_path / "report.html")
+    assert done.returncode == 0, done.stderr
+    assert "report on 2 runs and 1 replay: " in done.stdout
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<h1>2 recorded runs of 1 scenario and 1 replay of 1 recording</h1>" in page
+
+
+def test_replay_is_refused_by_the_check_in_one_line(replayed: Path):
+    done = quadftc("check", replayed)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert f"{replayed}: a replay of a recording; expected a flight" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,12 @@ lock-step both give the same arrays, bit for bit.
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from quadftc_model.rotations import euler_from_quaternion
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 
 if TYPE_CHECKING:  # reading bags takes libraries that the closed loop does without
@@ -25,6 +26,7 @@ VECTORS = (
     *("disturbance_estimate", "torque", "error", "sliding_variable"),
 )  # columns of a flight with three numbers
 NO_STATE = 255  # fault state of a row without diagnosis
+ABSENT = -1.0  # element 0 of a covariance: the channel is not in this sample (REP-145)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -104,6 +106,39 @@ def flight_from_bag(bag: Bag) -> Flight:
     )
 
 
+class Reading(NamedTuple):
+    """What an IMU said in the rows of a flight; NaN where it said nothing."""
+
+    angles: Floats  # (n, 3) Euler angles [rad]
+    body_rate: Floats  # (n, 3) [rad/s]
+
+
+def reading_from_bag(bag: Bag, topic: str, stamp_ns: NDArray[np.int64]) -> Reading:
+    """Join the samples of an IMU by stamp.
+
+    Parameters
+    ----------
+    bag : Bag
+    topic : str
+        Of type sensor_msgs/Imu; if it is not there, nothing was said.
+    stamp_ns : array (n,)
+        The rows of the flight.
+
+    Raises
+    ------
+    BagError
+        If the topic cannot be decoded.
+    """
+    join = _Join(bag, stamp_ns, np.ones(len(stamp_ns), np.bool_))
+    nothing = np.full(9, np.nan)
+    q_xyzw = join.column(topic, "orientation_xyzw", nothing[:4])
+    angles = np.asarray(euler_from_quaternion(q_xyzw))
+    body_rate = join.vectors(topic, "angular_velocity")
+    for values, field in ((angles, "orientation_covariance"), (body_rate, "angular_velocity_covariance")):
+        values[join.column(topic, field, nothing)[:, 0] == ABSENT] = np.nan
+    return Reading(angles, body_rate)
+
+
 class _Join:
     """Columns of a bag on the rows of a flight; of several messages with one stamp, the first counts."""
 
@@ -113,7 +148,7 @@ class _Join:
         self.delivered = delivered
 
     def column(self, topic: str, field: str, unknown: NDArray[Any]) -> NDArray[Any]:
-        """A field (n, 3) of the samples delivered; ``unknown`` (3,) elsewhere."""
+        """A field (n, k) of the samples delivered; ``unknown`` (k,) elsewhere."""
         return self._column(topic, field, unknown, self.delivered)
 
     def vectors(self, topic: str, field: str) -> Floats:

@@ -1,24 +1,28 @@
-"""A recorded run: bag, scenario, scheme, parameters, flight and summary, checked against each other.
+"""A recorded flight: bag, scenario, scheme, parameters, flight and summary, checked against each other.
 
 >>> for path in find_runs([Path("results")]):
 ...     run = read_run(path)
 ...     print(run.name, run.summary["metrics"]["tracking_rmse_deg"]["roll"])
 
 A bag that was cut short is read up to the cut. `RecordedRun.warnings` says what was not as it should be.
+Replays: `quadftc_bench.recorded_replay`.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, cast
 
 from quadftc_bench.bags import Bag, BagError, read_bag
+from quadftc_bench.diagnosis_metrics import FaultEvent
 from quadftc_bench.flight import Flight, flight_from_bag
+from quadftc_bench.recorded import Recorded, topics_text, versions_of, without_messages
+from quadftc_bench.replay_origin import is_replay
 from quadftc_bench.run_origin import SCENARIO, SUMMARY, attached_text, beside, read_origin, run_name
-from quadftc_bench.scenario import Scenario, Scheme
+from quadftc_bench.scenario import Fault, Part, Scenario, Scheme
 from quadftc_bench.stored_summary import partial_summary, read_summary, whole_summary
+from quadftc_bench.summary import summary
 
 NEEDED = ("imu/data", "plant/attitude", "attitude/reference")  # topics; without one there is nothing to say
 WANTED = (
@@ -29,42 +33,49 @@ END_SLACK = 0.02  # s; what may be missing at the end of a flight in real time
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class RecordedRun:
-    """What is known of one run.
+class RecordedRun(Recorded):
+    """What is known of one run; in its summary no check counts if the flight ends early.
 
     Parameters
     ----------
-    name : str
-        Of its directory, or of its file.
-    path : Path
-        As it was given.
-    bag : Bag
     scenario : Scenario
         From the bag, or from the file beside it.
     scheme : Scheme
         The one that was flown.
-    parameters : dict
-        Node name to its parameters: what the closed loop was made of.
-    flight : Flight
-    summary : dict
-        As in ``summary.json``. Of a flight that ends early it is about what was recorded; no check counts
-        then: ``checks`` is empty and ``passed`` None.
-    versions : dict
-        What the run was made with.
-    warnings : tuple of str
-        One line each.
     """
 
-    name: str
-    path: Path
-    bag: Bag
     scenario: Scenario
     scheme: Scheme
-    parameters: dict[str, dict[str, Any]]
-    flight: Flight
-    summary: dict[str, Any]
-    versions: dict[str, str]
-    warnings: tuple[str, ...] = ()
+
+    @property
+    def observer(self) -> str:
+        """Name of the fault observer."""
+        return self.scheme.observer.kind
+
+    @property
+    def disturbance_observer(self) -> str:
+        """Name of the disturbance observer."""
+        return self.scheme.disturbance_observer.kind
+
+    @property
+    def label(self) -> str:
+        """Its scheme."""
+        return self.scheme.name
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """Faults of the scenario."""
+        return self.scenario.faults
+
+    @property
+    def fault_events(self) -> tuple[FaultEvent, ...]:
+        """When which axis of the attitude is faulty."""
+        return self.scenario.fault_events
+
+    @property
+    def disturbances(self) -> tuple[Part, ...]:
+        """Disturbances of the scenario."""
+        return self.scenario.disturbances
 
     @property
     def duration(self) -> float:
@@ -110,14 +121,18 @@ def read_run(path: Path) -> RecordedRun:
     BagError
         If it is no bag, not one of this software's, or holds too little to be judged; one line.
     """
-    bag = read_bag(path)
+    return run_from_bag(read_bag(path))
+
+
+def run_from_bag(bag: Bag) -> RecordedRun:
+    """Make sense of the bag of a run; see `read_run`."""
     _require_run(bag)
     stored, broken = read_summary(beside(bag.path, SUMMARY))
     scenario, scheme, parameters, warnings = read_origin(bag, stored)
     flight = flight_from_bag(bag)
     warnings += _shortcomings(bag, flight, scenario)
     if _is_whole(flight, scenario):
-        result, wrong = whole_summary(flight, scenario, scheme, stored)
+        result, wrong = whole_summary(summary(flight, scenario, scheme, None), stored)
         disagreement = f"{bag.path}: {SUMMARY} disagrees with the bag, whose numbers count: {wrong}"
         warnings += [broken] * bool(broken) + [disagreement] * bool(wrong)
     else:
@@ -131,7 +146,7 @@ def read_run(path: Path) -> RecordedRun:
         parameters=parameters,
         flight=flight,
         summary=result,
-        versions=_versions(stored, bag),
+        versions=versions_of(stored, bag),
         warnings=tuple(warnings),
     )
 
@@ -158,21 +173,20 @@ def _is_run(directory: Path) -> bool:
 
 def _require_run(bag: Bag) -> None:
     """Refuse a bag that lacks what every run has."""
-    topics = _without_messages(bag, NEEDED)
+    if is_replay(bag):
+        raise BagError(
+            f"{bag.path}: a replay of a recording; expected a flight, which has a scenario and a controller"
+        )
+    topics = without_messages(bag, NEEDED)
     missing = [f"messages on {', '.join(topics)}"] if topics else []
     if attached_text(bag, SCENARIO) is None:
         missing.insert(0, f"{SCENARIO} (attached to the bag, or beside it)")
     if missing:
-        what = "cut short before it holds a run" if bag.truncated else "no run of quadftc"
-        there = ", ".join(sorted(name for name, topic in bag.topics.items() if topic.count)) or "none"
+        what = "cut short before it holds a run" if bag.truncated else "no run or replay of quadftc"
         raise BagError(
-            f"{bag.path}: {what}: missing {' and '.join(missing)}; topics with messages there: {there}"
+            f"{bag.path}: {what}: missing {' and '.join(missing)}; topics with messages there:"
+            f" {topics_text(bag)}"
         )
-
-
-def _without_messages(bag: Bag, topics: Iterable[str]) -> list[str]:
-    full = [f"/{name.strip('/')}" for name, topic in bag.topics.items() if topic.count]
-    return [topic for topic in topics if not any(name.endswith(f"/{topic}") for name in full)]
 
 
 def _recorded(flight: Flight, scenario: Scenario) -> float:
@@ -192,13 +206,6 @@ def _shortcomings(bag: Bag, flight: Flight, scenario: Scenario) -> Iterator[str]
         yield f"{bag.path}: {what} at {end}; read up to there"
     elif bag.truncated:
         yield f"{bag.path}: cut short behind the end of the flight; {end} are there"
-    missing = _without_messages(bag, WANTED)
+    missing = without_messages(bag, WANTED)
     if missing:
         yield f"{bag.path}: no message on {', '.join(missing)}; their numbers are missing"
-
-
-def _versions(stored: Mapping[str, Any], bag: Bag) -> dict[str, str]:
-    given: Any = stored.get("versions")
-    if not isinstance(given, dict):
-        given = bag.metadata.get("quadftc", {})
-    return {str(key): str(value) for key, value in cast("dict[Any, Any]", given).items() if key != "mode"}

@@ -13,6 +13,7 @@ from quadftc_bench.bags import Bag, BagError
 from quadftc_bench.scenario import Scenario, ScenarioError, Scheme, node_parameters, parse_scenario
 
 SCENARIO, PARAMETERS, SUMMARY = "scenario.yaml", "parameters.yaml", "summary.json"
+DESCRIPTION = "replay.yaml"  # in place of the scenario: what was replayed
 
 _ROLES = {
     "observer": ("fault_observer", "observer"),
@@ -90,14 +91,25 @@ def _parameters(text: str | None, path: Path, warnings: list[str]) -> Parameters
         warnings.append(f"{path}: {PARAMETERS} is missing; took the parameters that the scenario gives")
         return {}
     try:
-        data: Any = yaml.safe_load(text)
-        return {
-            str(node).rpartition("/")[2]: dict(entry["ros__parameters"])
-            for node, entry in cast("dict[str, Any]", data).items()
-        }
+        return parsed_parameters(text)
     except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError):
         warnings.append(f"{path}: {PARAMETERS} makes no sense; took the parameters that the scenario gives")
         return {}
+
+
+def parsed_parameters(text: str) -> Parameters:
+    """Read a ROS parameter file: the name of each node, without its namespace, to its parameters.
+
+    Raises
+    ------
+    yaml.YAMLError, AttributeError, KeyError, TypeError or ValueError
+        If it is no such file.
+    """
+    data: Any = yaml.safe_load(text)
+    return {
+        str(node).rpartition("/")[2]: dict(entry["ros__parameters"])
+        for node, entry in cast("dict[str, Any]", data).items()
+    }
 
 
 def _scenario(text: str, parameters: Parameters, path: Path) -> Scenario:

@@ -32,11 +32,16 @@ def read_summary(file: Path) -> tuple[dict[str, Any], str]:
     return cast("dict[str, Any]", data), ""
 
 
-def whole_summary(
-    flight: Flight, scenario: Scenario, scheme: Scheme, stored: Mapping[str, Any]
-) -> tuple[dict[str, Any], str]:
-    """Return the summary of a whole flight, the stored one if it agrees, and where it does not."""
-    computed = summary(flight, scenario, scheme, None)
+def whole_summary(computed: dict[str, Any], stored: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
+    """Return the summary of a whole recording, and where the stored one does not agree with it.
+
+    Parameters
+    ----------
+    computed : dict
+        From the bag; counts where they differ.
+    stored : mapping
+        What lies beside the bag; counts where they agree, and has entries of its own. May be empty.
+    """
     if not stored:
         return computed, ""
     wrong = [

@@ -1,6 +1,5 @@
 """Playing a bag: what a subscriber on the live graph receives."""
 
-import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,15 +20,12 @@ from quadftc_ros.bag_format import offered_qos
 from quadftc_ros.bag_writer import BagWriter
 from quadftc_ros.executor import make_executor
 
-DOMAIN = str(1 + os.getpid() % 101)  # apart from other runs of these tests on the same machine
 COUNT = 50
 PERIOD_NS = 10_000_000
 
 
 @pytest.fixture
-def context(monkeypatch: pytest.MonkeyPatch) -> Iterator[Context]:
-    monkeypatch.setenv("ROS_DOMAIN_ID", DOMAIN)
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+def context() -> Iterator[Context]:
     context = Context()
     rclpy.init(context=context)
     yield context

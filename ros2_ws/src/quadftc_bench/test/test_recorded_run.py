@@ -236,7 +236,10 @@ def test_summary_that_disagrees_with_the_bag_does_not_count(run):
 
 def test_missing_topics_are_named(tmp_path, scenario, flight):
     needed = record(tmp_path / "a-first", scenario, "first", flight, leave_out=("plant/attitude", "imu/data"))
-    assert "no run of quadftc: missing messages on imu/data, plant/attitude; topics with" in refusal(needed)
+    assert (
+        "no run or replay of quadftc: missing messages on imu/data, plant/attitude; topics with"
+        in refusal(needed)
+    )
     wanted = record(tmp_path / "b-first", scenario, "first", flight, leave_out=("torque/command",))
     found = read_run(wanted)
     assert "no message on torque/command; their numbers are missing" in found.warnings[0]
@@ -252,7 +255,7 @@ def test_foreign_bag_is_refused_with_what_it_lacks(tmp_path):
         writer.add_message(writer.register_channel("/camera", "cdr", schema), 0, b"\0\1\0\0\0\0\0\0", 0)
         writer.finish()
     text = refusal(path)
-    assert "no run of quadftc: missing scenario.yaml" in text
+    assert "no run or replay of quadftc: missing scenario.yaml" in text
     assert "messages on imu/data, plant/attitude, attitude/reference" in text
     assert text.endswith("topics with messages there: /camera")
 

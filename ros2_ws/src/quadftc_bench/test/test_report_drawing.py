@@ -143,6 +143,39 @@ def test_nothing_of_the_print_is_clipped_and_no_text_overlaps(figure):
         assert all(panel.height > 0.6 * canvas.dpi for panel in panels)
 
 
+def worded() -> Figure:
+    """A figure of a state, on a scale of words."""
+    state = np.where(TIME < 40.0, 1.0, 3.0)
+    panel = Panel(
+        title="roll",
+        y_label="roll",
+        unit="",
+        traces=(Trace("proposed", "proposed", TIME, state),),
+        ticks=((0.0, "starting"), (1.0, "healthy"), (2.0, "suspect"), (3.0, "faulty")),
+    )
+    return single(panels=(panel,))
+
+
+def test_print_has_words_for_ticks_where_they_are_given():
+    with mpl.rc_context({**mpl.rcParamsDefault, **STYLE}):
+        (ax,) = draw(worded()).axes
+        assert [label.get_text() for label in ax.get_yticklabels()] == [
+            *("starting", "healthy", "suspect", "faulty"),
+        ]
+        assert (ax.get_yticks().tolist(), ax.get_ylabel()) == ([0.0, 1.0, 2.0, 3.0], "roll")
+        low, high = ax.get_ylim()
+        assert low < 0.0 < 3.0 < high
+
+
+def test_screen_has_words_for_ticks_and_values():
+    drawing = plotly_figure(worded())
+    assert drawing.layout.yaxis.ticktext == ("starting", "healthy", "suspect", "faulty")
+    assert drawing.layout.yaxis.title.text == "roll"
+    (trace,) = drawing.data
+    assert trace.hovertemplate == "roll, proposed: %{text}<extra></extra>"
+    assert set(zip(trace.y.tolist(), trace.text, strict=True)) == {(1.0, "healthy"), (3.0, "faulty")}
+
+
 def test_print_shows_extremes_and_gaps():
     with mpl.rc_context({**mpl.rcParamsDefault, **STYLE}):
         canvas = draw(single())

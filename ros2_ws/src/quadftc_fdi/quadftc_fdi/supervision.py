@@ -6,8 +6,8 @@ large, and what is larger than the model says is learned.
 
 Tests, on each axis:
 
-* averages over 0.05, 0.15 and 0.5 s of the filter's residual, for incipient faults;
-* averages over 0.15 s of the residuals of two anchors, states of the filter some seconds old that have seen
+* averages over 0.08, 0.25 and 0.6 s of the filter's residual, for incipient faults;
+* averages over 0.25 s of the residuals of two anchors, states of the filter some seconds old that have seen
   no measurement since, for faults so slow that the filter follows them;
 * a cumulative sum (Page, 1954) of the residual beyond three standard deviations, for abrupt ones.
 """
@@ -24,13 +24,14 @@ from numpy.typing import NDArray
 from quadftc_fdi.anchors import OLD, ROLLED, YOUNG
 from quadftc_model.arrays import Array, changed_where, namespace
 
-MEANS = np.array([0.05, 0.15, 0.5, 0.15, 0.15])  # s; averaging times, the last two of the anchors
+MEANS = np.array([0.08, 0.25, 0.6, 0.25, 0.25])  # s; averaging times, the last two of the anchors
+LEVELS = np.array([1.04, 1.0, 0.95, 0.95, 0.95])  # 1; of the threshold, as short averages have more chances
 SHARE = 0.1  # 1; of the filter's own variance in an average, as its residuals are not perfectly white
 ALLOWANCE, LIMIT, LARGEST = 3.0, 4.5, 8.0  # 1; of the cumulative sum, and the largest step it takes
 SUSPICION = 0.75  # 1; share of the threshold at which an axis is suspect
 SUDDEN = 0.06  # s; so soon after the first suspicion the filter has taken nothing from the fault
 OUTLIER = 4.0  # 1; how far beyond what is known a residual may move what is learned
-STILL = np.array([0.15, 0.6])  # s; two averages of a fault, whose difference shows that it moves
+STILL = np.array([0.25, 0.6])  # s; two averages of a fault, whose difference shows that it moves
 AGREES, STANDS, JUMPS = 9.0, 9.0, 36.0  # 1; squared standard deviations
 ALMOST_STILL = 0.0087  # rad, 0.5 deg; an error of ours moves a little, as the vehicle does
 BOTH_WAYS = np.array([1.0, -1.0])
@@ -72,6 +73,7 @@ class Weights(NamedTuple):
     still: NDArray[np.float64]  # (2,)
     alpha: float  # of a sample in the tracked fault
     beta: float  # [1/s] in its slope
+    passed: float  # of white noise in the variance of the tracked fault (Blair, 1993)
     settled: float  # samples after a jump before the slope moves
     white_equivalent: float  # of the slow error, as white noise of a sample
 
@@ -80,6 +82,8 @@ class Weights(NamedTuple):
 def weights(dt: float, memory: float, tracking: float) -> Weights:
     """Weights for a step ``dt``, the slow error's correlation time and the averaging of faults, all [s]."""
     alpha = 1.4 * dt / (tracking + dt)
+    curve = alpha**2 / (2.0 - alpha)
+    passed = (2.0 * alpha**2 + 2.0 * curve - 3.0 * alpha * curve) / (4.0 - 2.0 * alpha - curve)
     variance = np.zeros((5, 5))
     variance[0] = white = dt / (2.0 * MEANS + dt)
     variance[1] = memory / (memory + MEANS)
@@ -90,7 +94,8 @@ def weights(dt: float, memory: float, tracking: float) -> Weights:
         variance=variance,
         still=dt / (STILL + dt),
         alpha=alpha,
-        beta=alpha**2 / (2.0 - alpha) / dt if dt > 0.0 else 0.0,
+        beta=curve / dt if dt > 0.0 else 0.0,
+        passed=passed / alpha if alpha > 0.0 else 1.0,
         settled=1.4 / alpha if alpha > 0.0 else math.inf,
         white_equivalent=2.0 * memory / dt if dt > 0.0 else 0.0,
     )
@@ -141,7 +146,7 @@ def tested(
     excess = xp.maximum(tests.learned, 1.0)
     news = xp.minimum(ratio, OUTLIER * excess) - tests.learned
     learned = tests.learned + taken * (dt / settings.learning) * news
-    level = (ratio / excess).max(axis=-1)
+    level = (ratio / (excess * LEVELS**2)).max(axis=-1)
     single = xp.sqrt(parts[..., :3].sum(axis=-1) * excess[..., 0])
     step = xp.minimum((residuals[..., 0] / single)[..., None] * BOTH_WAYS, LARGEST) - ALLOWANCE
     sums = (tests.sums + taken * step).clip(0.0, 2.0 * LIMIT)
@@ -168,7 +173,7 @@ def begun_anew(tests: Tests, rolled: Array, anew: Array) -> Tests:
 
 
 def spread_of(sizes: Sizes, learned: Array, w: Weights) -> Array:
-    """Variance (..., 3) of a healthy average over 0.15 s, the filter's own error left out [rad²]."""
+    """Variance (..., 3) of a healthy average over 0.25 s, the filter's own error left out [rad²]."""
     xp = namespace(learned)
     noise, slow = w.variance[0, 1], w.variance[1, 1]
     return (sizes.noise * noise + sizes.slow * slow) * xp.maximum(learned[..., 1], 1.0)

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 
@@ -182,3 +183,23 @@ def test_parameter_out_of_bounds_is_refused_by_name(name):
         if isinstance(spec.default, float) and np.isfinite(spec.low):
             with pytest.raises(ValueError, match=f"{spec.name} = "):
                 dataclasses.replace(observer(name), **{spec.name: spec.low - 1.0})
+
+
+@EVERY_OBSERVER
+def test_jax_gives_the_same_numbers(name):
+    """One law, two array libraries: compiled, and with the state carried by its loop."""
+    jax.config.update("jax_enable_x64", True)
+    law, sequence = observer(name), [inputs_at(index) for index in range(COUNT)]
+    _, expected = flown(law, sequence)
+
+    def first(inputs):
+        return law.step(law.init(inputs), inputs, 0.0)
+
+    state, start = jax.jit(first)(sequence[0])
+    rest = jax.tree.map(lambda *rows: np.stack(rows), *sequence[1:])
+    _, found = jax.lax.scan(lambda state, inputs: law.step(state, inputs, DT), state, rest)
+    assert isinstance(start.fault, jax.Array)
+    for index in (0, 19, 20, 21, COUNT - 1):
+        estimate = start if index == 0 else jax.tree.map(lambda rows: rows[index - 1], found)  # noqa: B023
+        for one, other in zip(columns(estimate), columns(expected[index]), strict=True):
+            np.testing.assert_allclose(np.asarray(one), other, rtol=1e-9, atol=1e-12)

@@ -1,6 +1,5 @@
 """The recorder node: what it stores of a live graph, in process and as its own process."""
 
-import os
 import signal
 import subprocess
 import sys
@@ -27,16 +26,13 @@ from quadftc_ros.qos import topic_profile
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.topics import TOPICS
 
-DOMAIN = str(1 + os.getpid() % 101)  # apart from other runs of these tests on the same machine
 START_NS = 1_000_000_000
 PERIOD_NS = 4_000_000
 PATIENCE = 20.0  # s
 
 
 @pytest.fixture
-def context(monkeypatch: pytest.MonkeyPatch) -> Iterator[Context]:
-    monkeypatch.setenv("ROS_DOMAIN_ID", DOMAIN)
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+def context() -> Iterator[Context]:
     context = Context()
     rclpy.init(context=context)
     yield context
@@ -93,11 +89,8 @@ def record(
         for topic, publisher in zip(topics, publishers, strict=True):
             publisher.publish(stamped(topic, START_NS + number * PERIOD_NS))
         executor.spin_once(timeout_sec=0.001)
-    wait_until(
-        lambda: recorder.flush() and sum(recorder.status.counts.values()) == count * len(topics),
-        lambda: executor.spin_once(timeout_sec=0.01),
-    )
-    recorder.finish()
+    wait_until(lambda: recorder.received == count * len(topics), lambda: executor.spin_once(timeout_sec=0.01))
+    assert sum(recorder.finish().counts.values()) == count * len(topics)
     executor.shutdown()
     recorder.destroy_node()
     sender.destroy_node()
@@ -206,10 +199,9 @@ def test_wrong_parameter_is_refused_with_its_name(context, tmp_path, given, text
 @contextmanager
 def recorder_process(directory: Path, namespace: str = "/") -> Iterator[subprocess.Popen[str]]:
     """Start the recorder as its own process; it is killed at the end if it still runs."""
-    environment = {**os.environ, "ROS_DOMAIN_ID": DOMAIN, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     command = [sys.executable, "-m", "quadftc_ros.recorder_node"]
     arguments = ["--ros-args", "-r", f"__ns:={namespace}", "-p", f"directory:={directory}"]
-    with subprocess.Popen(command + arguments, env=environment, stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(command + arguments, stderr=subprocess.PIPE, text=True) as process:
         try:
             yield process
         finally:

@@ -16,7 +16,8 @@ def report(
     bags: Annotated[
         list[Path],
         typer.Argument(
-            metavar="BAG|DIR", help="Runs (rosbag2 directories or .mcap files), or directories of runs."
+            metavar="BAG|DIR",
+            help="Runs and replays (rosbag2 directories, .mcap files), or directories of such.",
         ),
     ],
     out: Annotated[
@@ -26,11 +27,13 @@ def report(
         bool, typer.Option(help="Write the figures as PNG and PDF, too, into a directory beside the page.")
     ] = True,
 ) -> None:
-    """Compare recorded runs: one HTML page with figures, metrics, checks, and what they say of the paper.
+    """Compare recorded runs and replays: one HTML page with figures and metrics, side by side.
 
-    Runs of the same scenario are put side by side. The page needs no network.
+    Runs of one scenario share figures and tables, with checks and what they say of the paper; so do replays
+    of one recording. The page needs no network.
     """
     from quadftc_bench.report import write_report
+    from quadftc_bench.report.wording import counted, listing
 
     screen = console()
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
@@ -44,7 +47,8 @@ def report(
         )
     for line in written.warnings:
         console(stderr=True).print(f"warning: {line}", markup=False, soft_wrap=True)
-    count = f"{len(written.runs)} run{'s' if len(written.runs) > 1 else ''}"
-    screen.print(f"report on {count}: {written.page}", markup=False, soft_wrap=True)
+    pairs = ((len(written.runs), "run"), (len(written.replays), "replay"))
+    counts = listing([counted(number, what) for number, what in pairs if number])
+    screen.print(f"report on {counts}: {written.page}", markup=False, soft_wrap=True)
     if written.figures is not None:
         screen.print(f"figures (PNG, PDF): {written.figures}", markup=False, soft_wrap=True)

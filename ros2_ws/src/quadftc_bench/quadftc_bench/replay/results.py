@@ -60,7 +60,7 @@ def replay_summary(
         "parameters": observer.parameters,
         "faults": [fault.spec for fault in faults],
         "seed": seed,
-        "truth": _truth(recording, faults),
+        "truth": truth_text(recording, faults),
         "torque": recording.torque_topic or "zero: none recorded",
         "rate": recording.rate,
         "duration": recording.duration,
@@ -81,7 +81,7 @@ def replay_name(recording: Recording, observer: ChosenObserver) -> str:
     return f"{recording.name}-{observer.name}"
 
 
-def _truth(recording: Recording, faults: Sequence[Fault]) -> str:
-    """What the estimates are compared with, in words."""
+def truth_text(recording: Recording, faults: Sequence[Fault]) -> str:
+    """Tell what the estimates are compared with."""
     parts = ["recorded"] * ("attitude" in recording.faults) + ["overlaid"] * bool(faults)
     return f"{' and '.join(parts)} faults" if parts else "no fault: the recording counts as healthy"

@@ -36,7 +36,9 @@ from quadftc_bench.replay.diagnose import Diagnosed, true_fault
 from quadftc_bench.replay.encoding import encode
 from quadftc_bench.replay.plan import YAML_WIDTH, Replay, ReplayOptions, plan_replay
 from quadftc_bench.replay.recording import Passenger, Stamps
+from quadftc_bench.replay.results import replay_events, replay_windows, truth_text
 from quadftc_bench.run import RunError, prepare
+from quadftc_bench.run_origin import DESCRIPTION, PARAMETERS, SUMMARY
 from quadftc_model.samples import ImuSample
 from quadftc_ros.bag_file import BagFile
 from quadftc_ros.bag_format import TopicRecord, offered_qos
@@ -47,7 +49,6 @@ from quadftc_ros.qos import topic_profile
 from quadftc_ros.recorder_node import versions
 from quadftc_ros.topics import HEADER, TOPICS
 
-SUMMARY, DESCRIPTION, PARAMETERS = "summary.json", "replay.yaml", "parameters.yaml"
 CHUNK = 1024 * 1024  # bytes
 DIAGNOSING = 0.85  # share of the work; the rest is writing
 STRIDE = 4096  # messages between two looks of the progress bar
@@ -168,8 +169,9 @@ def _in_order(passengers: list[Passenger]) -> Iterator[tuple[int, int, bytes]]:
 
 
 def _description(plan: Replay) -> str:
-    """What was replayed, for people; the parameters stand in the parameter file."""
+    """What was replayed, and by which faults it is judged; the parameters stand in the parameter file."""
     recording = plan.recording
+    windows, events = replay_windows(recording, plan.faults), replay_events(recording, plan.faults)
     content = {
         "recording": recording.name,
         "topic": recording.topic,
@@ -177,8 +179,17 @@ def _description(plan: Replay) -> str:
         "faults": [fault.spec for fault in plan.faults],
         "seed": plan.seed,
         "torque": recording.torque_topic or "zero: none recorded",
+        "truth": truth_text(recording, plan.faults),
+        "duration": recording.duration,
         "samples": len(recording),
         "samples_left_out": dict(recording.rejected),
+        "fault_windows": [
+            {"start": float(start), "stop": float(stop), "axes": list(axes)} for start, stop, axes in windows
+        ],
+        "fault_events": [
+            {"axis": axis, "kind": kind, "start": float(start), "stop": float(stop)}
+            for axis, kind, start, stop in events
+        ],
     }
     return yaml.safe_dump(content, sort_keys=False, width=YAML_WIDTH)
 

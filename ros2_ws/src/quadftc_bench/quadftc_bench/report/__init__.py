@@ -1,4 +1,4 @@
-"""The report: recorded runs side by side, as one HTML file and as figures for print.
+"""The report: recorded runs and replays side by side, as one HTML file and as figures for print.
 
 >>> write_report([Path("results/demo")], Path("report.html"))
 
@@ -14,10 +14,13 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
-from quadftc_bench.recorded_run import find_runs, read_run
+from quadftc_bench.bags import read_bag
+from quadftc_bench.recorded_replay import RecordedReplay, replay_from_bag
+from quadftc_bench.recorded_run import RecordedRun, find_runs, run_from_bag
+from quadftc_bench.replay_origin import is_replay
 
 if TYPE_CHECKING:
-    from quadftc_bench.report.page import Section
+    from quadftc_bench.report.drawing import Drawing
 
 __all__ = ["ReportError", "ReportFiles", "write_report"]
 
@@ -42,8 +45,8 @@ class ReportFiles:
         The HTML file.
     figures : Path, optional
         The directory of the figures for print; None: none were asked for.
-    runs : tuple of str
-        Names of the runs in the report.
+    runs, replays : tuple of str
+        Names of the flown runs and of the replays in the report.
     warnings : tuple of str
         One line each; they are on the page, too.
     """
@@ -51,6 +54,7 @@ class ReportFiles:
     page: Path
     figures: Path | None
     runs: tuple[str, ...]
+    replays: tuple[str, ...]
     warnings: tuple[str, ...]
 
 
@@ -61,7 +65,7 @@ def write_report(
     with_figures: bool = True,
     progress: Progress = lambda _what, _share: None,
 ) -> ReportFiles:
-    """Write the report on recorded runs.
+    """Write the report on recorded runs and replays.
 
     The page needs no other file and no network. The same figures are written as PNG and PDF into a directory
     beside it. Nothing is in its place before all is written.
@@ -69,7 +73,7 @@ def write_report(
     Parameters
     ----------
     paths : sequence of Path
-        Runs, or directories of runs.
+        Runs and replays, or directories of such.
     out : Path
         The HTML file; an earlier one is replaced.
     with_figures : bool
@@ -80,32 +84,49 @@ def write_report(
     Raises
     ------
     BagError
-        If a path holds no run, or one that cannot be read.
+        If a path holds neither run nor replay, or one that cannot be read.
     ReportError
         If the report cannot be written where it is asked for.
     """
     folder = out.parent / f"{out.stem}_figures"
     _check_place(out, folder)
     found = find_runs(paths)
-    runs = [read_run(path) for path in _followed(found, str, progress, 0.0, READING)]
-    warnings = tuple(line for run in runs for line in run.warnings)
+    read = [_read(path) for path in _followed(found, str, progress, 0.0, READING)]
+    runs = [each for each in read if isinstance(each, RecordedRun)]
+    replays = [each for each in read if isinstance(each, RecordedReplay)]
+    warnings = tuple(line for each in read for line in each.warnings)
 
-    from quadftc_bench.report.comparison import compare
+    from quadftc_bench.report.comparison import compare, compare_replays
     from quadftc_bench.report.page import render, sections
+    from quadftc_bench.report.replay_page import replay_sections
 
-    parts = sections(compare(runs), folder.name if with_figures else None)
+    place = folder.name if with_figures else None
+    parts = sections(compare(runs), place)
+    replayed = replay_sections(compare_replays(replays, [part.comparison.key for part in parts]), place)
+    drawings = [drawing for part in (*parts, *replayed) for drawing in part.drawings]
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{out.stem}_", dir=out.parent) as name:
             made = Path(name)
-            (made / out.name).write_text(render(parts, warnings), encoding="utf-8")
+            (made / out.name).write_text(render(parts, warnings, replayed), encoding="utf-8")
             if with_figures:
-                _draw(parts, made / folder.name, progress)
+                _draw(drawings, made / folder.name, progress)
                 _move_all(made / folder.name, folder)
             (made / out.name).replace(out)
     except OSError as error:
         raise ReportError(f"{out}: cannot be written: {error.strerror or error}") from None
-    return ReportFiles(out, folder if with_figures else None, tuple(run.name for run in runs), warnings)
+    return ReportFiles(
+        page=out,
+        figures=folder if with_figures else None,
+        runs=tuple(run.name for run in runs),
+        replays=tuple(replay.name for replay in replays),
+        warnings=warnings,
+    )
+
+
+def _read(path: Path) -> RecordedRun | RecordedReplay:
+    bag = read_bag(path)
+    return replay_from_bag(bag) if is_replay(bag) else run_from_bag(bag)
 
 
 def _check_place(out: Path, folder: Path) -> None:
@@ -124,13 +145,12 @@ def _check_place(out: Path, folder: Path) -> None:
             raise ReportError(f"{place}: may not be written to")
 
 
-def _draw(parts: Sequence[Section], folder: Path, progress: Progress) -> None:
+def _draw(drawings: Sequence[Drawing], folder: Path, progress: Progress) -> None:
     from quadftc_bench.report.draw_matplotlib import save_figure
 
     folder.mkdir()
-    drawings = [drawing.figure for part in parts for drawing in part.drawings]
-    for figure in _followed(drawings, lambda each: each.key, progress, READING, 1.0):
-        save_figure(figure, folder)
+    for drawing in _followed(drawings, lambda each: each.figure.key, progress, READING, 1.0):
+        save_figure(drawing.figure, folder)
 
 
 def _move_all(source: Path, target: Path) -> None:

@@ -33,6 +33,33 @@ def tracking(axis: str, shades: Sequence[Shade], marks: Sequence[Mark], errors: 
     return f"{what}; RMS tracking error {found}."
 
 
+def attitude(axis: str, shades: Sequence[Shade], errors: Named) -> str:
+    """Caption of a measured and a corrected angle, from what they are off by [deg] (n,)."""
+    what = f"{axis.capitalize()} angle as the observers saw it, and as they pass it on{_events(shades, ())}"
+    if not errors:
+        return f"{what}."
+    found = _of_each((label, f"{_rms(e)} deg RMS, {_peak(e)} deg at most") for label, e in errors)
+    return f"{what}; off the angle without the fault by {found}."
+
+
+def states(declared: Named) -> str:
+    """Caption of the states, from the time [s] (3,) for which each axis is declared faulty."""
+    found = _of_each((label, f"{_listed(times)} s") for label, times in declared)
+    return f"State of each axis; declared faulty (faulty or recovering) in roll, pitch, yaw for {found}."
+
+
+def gyro(rate: Floats) -> str:
+    """Caption of the body rate [deg/s] (n, 3)."""
+    return f"Body rate of each axis as the observers saw it; at most {_per_axis(rate, _peak)} deg/s."
+
+
+def gyro_correction(last: Named) -> str:
+    """Caption of what is added to the gyro, from its last value [deg/s] (3,)."""
+    found = _of_each((label, f"{_listed(value)} deg/s") for label, value in last)
+    what = "Corrected less measured body rate of each axis"
+    return f"{what}; at the end, in roll, pitch, yaw, {found}."
+
+
 def disturbance(marks: Sequence[Mark], errors: Named) -> str:
     """Caption of the disturbance d and its estimates, from their errors [rad/s²] (n, 3)."""
     events = _events((), marks, "" if marks else "there is none")
@@ -89,6 +116,10 @@ def _of_each(texts: Iterable[tuple[str, str]]) -> str:
 
 def _per_axis(columns: Floats, measure: Callable[[Floats], str]) -> str:
     return ", ".join(measure(column) for column in columns.T)
+
+
+def _listed(values: Floats) -> str:
+    return ", ".join(short(value) for value in values.tolist())
 
 
 def _rms(values: Floats) -> str:

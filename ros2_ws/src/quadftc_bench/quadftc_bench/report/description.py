@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
+TICK_MARGIN = 0.4  # on both ends of a scale of words
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Trace:
@@ -74,7 +76,18 @@ class Panel:
     marks: tuple[Mark, ...] = ()
     bands: tuple[Band, ...] = ()
     envelopes: tuple[Envelope, ...] = ()
+    ticks: tuple[tuple[float, str], ...] = ()  # values of a scale of words, and the words
     height: float = 1.0  # in relation to the other panels
+
+    def axis_label(self, gap: str = " ") -> str:
+        """The label of the y axis with its unit, if it has one."""
+        return f"{self.y_label}{gap}[{self.unit}]" if self.unit else self.y_label
+
+    @property
+    def tick_span(self) -> tuple[float, float]:
+        """What the axis of a scale of words shows: all of them, with a margin."""
+        values = [value for value, _ in self.ticks]
+        return min(values) - TICK_MARGIN, max(values) + TICK_MARGIN
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any, cast
 
 from quadftc_bench.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG, GRACE_TIME
-from quadftc_bench.recorded_run import RecordedRun
-from quadftc_bench.report.comparison import Comparison, has_observer
+from quadftc_bench.recorded import Recorded
+from quadftc_bench.report.comparison import SideBySide, has_observer
 from quadftc_bench.report.measures import metric
 from quadftc_bench.report.wording import duration, listing, period, plain, sentence
 
@@ -15,14 +15,14 @@ ALL = "all"  # beside the kinds of faults: all of them
 SHOWN = 6  # missed faults that are named
 
 
-def detection_sentences(comparison: Comparison) -> Iterator[str]:
+def detection_sentences(comparison: SideBySide[Recorded]) -> Iterator[str]:
     """How each run that has a fault observer detects, isolates and lets go."""
     for run in comparison.runs:
         found = metric(run, "diagnosis")
         if not has_observer(run) or not isinstance(found, dict):
             continue
         diagnosis = cast("dict[str, Any]", found)
-        name = f"{comparison.title(run)} ({run.scheme.observer.kind})"
+        name = comparison.full_title(run)
         if diagnosis["total_false_alarm_share"] is None and not diagnosis["fault_count"]:
             yield f"Of {name} no fault state is known."
         elif not _declares(run):
@@ -34,7 +34,7 @@ def detection_sentences(comparison: Comparison) -> Iterator[str]:
             yield from _consistency(diagnosis)
 
 
-def _declares(run: RecordedRun) -> bool:
+def _declares(run: Recorded) -> bool:
     """Whether the run declares any axis faulty at any time."""
     shares = [event["declared_share"] for event in metric(run, "diagnosis")["events"]]
     return any(shares) or bool(metric(run, "diagnosis.total_false_alarms"))

@@ -91,12 +91,12 @@ def draw(figure: Figure) -> Canvas:
     canvas = Canvas(layout=ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.03, hspace=0.02))
     FigureCanvasAgg(canvas)
     axes = canvas.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
-    texts = [(panel, f"{panel.y_label} [{panel.unit}]") for panel in figure.panels]
+    texts = [(panel, panel.axis_label()) for panel in figure.panels]
     one_line = all(LETTER * len(text) <= 0.9 * PANEL_HEIGHT * panel.height for panel, text in texts)
     gap = " " if one_line else "\n"
     entries: dict[str, Any] = {}
     for ax, panel in zip(axes, figure.panels, strict=True):
-        ax.set_ylabel(f"{panel.y_label}{gap}[{panel.unit}]")
+        ax.set_ylabel(panel.axis_label(gap))
         for label, handle in _panel(ax, panel):
             entries.setdefault(label, handle)
     axes[0].set_xlim(*figure.span)
@@ -110,7 +110,11 @@ def draw(figure: Figure) -> Canvas:
 
 def _panel(ax: Any, panel: Panel) -> Iterator[tuple[str, Any]]:
     """Draw a panel; yield its entries in the legend."""
-    ax.yaxis.set_major_locator(MaxNLocator(nbins=round(5 * panel.height), steps=[1, 2, 5, 10]))
+    if panel.ticks:
+        ax.set_yticks(*zip(*panel.ticks, strict=True))
+        ax.set_ylim(panel.tick_span)
+    else:
+        ax.yaxis.set_major_locator(MaxNLocator(nbins=round(5 * panel.height), steps=[1, 2, 5, 10]))
     for trace in panel.traces:
         t, y = decimate(trace.t, trace.y)
         yield trace.name, ax.plot(t, y, **_line(trace.role, trace.rank))[0]

@@ -108,13 +108,22 @@ _LINES: dict[str, Any] = {
 
 def _y_axis(panel: Panel, domain: tuple[float, float]) -> dict[str, Any]:
     return {
-        "title": {"text": f"{panel.y_label} [{panel.unit}]", "standoff": 6},
+        "title": {"text": panel.axis_label(), "standoff": 6},
         "domain": [max(domain[0], 0.0), min(domain[1], 1.0)],
         "anchor": "x",
         "nticks": 7,
         "minexponent": 5,
         **_LINES,
+        **_ticks(panel),
     }
+
+
+def _ticks(panel: Panel) -> dict[str, Any]:
+    """A scale of words in place of numbers, if the panel has one."""
+    if not panel.ticks:
+        return {}
+    values, words = zip(*panel.ticks, strict=True)
+    return {"tickvals": values, "ticktext": words, "range": list(panel.tick_span)}
 
 
 def _traces(panel: Panel, span: tuple[float, float]) -> Iterator[dict[str, Any]]:
@@ -129,11 +138,14 @@ def _traces(panel: Panel, span: tuple[float, float]) -> Iterator[dict[str, Any]]
 
 def _trace(trace: Trace, panel: Panel) -> dict[str, Any]:
     t, y = decimate(trace.t, trace.y)
+    words = dict(panel.ticks)
+    shown = "%{text}" if words else f"%{{y:.4~g}} {panel.unit}"
     return {
         "name": trace.name,
         "x": t.astype(np.float32),
         "y": y.astype(np.float32),
-        "hovertemplate": f"{panel.title}, {trace.name}: %{{y:.4~g}} {panel.unit}<extra></extra>",
+        **({"text": [words.get(value, "") for value in y.tolist()]} if words else {}),
+        "hovertemplate": f"{panel.title}, {trace.name}: {shown}<extra></extra>",
         **_look(trace.role, trace.rank),
     }
 

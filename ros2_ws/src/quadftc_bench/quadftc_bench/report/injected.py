@@ -27,15 +27,15 @@ _SCHEDULE = ("start", "stop")
 _STRAY = 1e-6  # rad; a fault outside its schedule that is larger was injected by hand
 
 
-def faults_text(scenario: Scenario, until: float) -> str:
-    """Tell the scheduled faults that begin before ``until`` [s]; empty if there is none."""
+def faults_text(faults: Sequence[Fault], duration: float, until: float) -> str:
+    """Tell the faults that begin before ``until`` [s], in a flight of that duration [s]; empty: none."""
     groups: dict[tuple[float, float, str], list[Fault]] = {}
-    for fault in scenario.faults:
+    for fault in faults:
         injection = fault.injection
         if injection.start < until:
             groups.setdefault((injection.start, injection.stop, injection.channel), []).append(fault)
     parts = [
-        f"{period(start, _end(stop, scenario))} {_READINGS.get(channel, channel)} is faulty: "
+        f"{period(start, _end(stop, duration))} {_READINGS.get(channel, channel)} is faulty: "
         + "; ".join(_fault(fault) for fault in group)
         for (start, stop, channel), group in sorted(groups.items(), key=lambda item: item[0])
     ]
@@ -49,7 +49,7 @@ def disturbances_text(scenario: Scenario, until: float) -> str:
         start, stop = float(getattr(part.law, "start", 0.0)), float(getattr(part.law, "stop", math.inf))
         if start < until:
             torque = _law(part, AXES, {}).replace(part.kind, f"{part.kind} torque", 1)
-            parts.append(f"{period(start, _end(stop, scenario))}: {torque}")
+            parts.append(f"{period(start, _end(stop, scenario.duration))}: {torque}")
     return "; ".join(parts)
 
 
@@ -72,8 +72,8 @@ def stray_fault(flight: Flight, scenario: Scenario) -> float | None:
     return float(sizes.max()) if len(sizes) and sizes.max() > _STRAY else None
 
 
-def _end(stop: float, scenario: Scenario) -> float:
-    return math.inf if stop >= scenario.duration else stop
+def _end(stop: float, duration: float) -> float:
+    return math.inf if stop >= duration else stop
 
 
 def _fault(fault: Fault) -> str:

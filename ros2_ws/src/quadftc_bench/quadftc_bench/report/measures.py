@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from quadftc_bench.flight import AXES, Flight
 from quadftc_bench.metrics import look_up
-from quadftc_bench.recorded_run import RecordedRun
+from quadftc_bench.recorded import Recorded
 from quadftc_model.rotations import wrap
 
 Floats = NDArray[np.float64]
 Values = dict[str, float | None]  # by axis
 
 
-def metric(run: RecordedRun, path: str) -> Any:
+def metric(run: Recorded, path: str) -> Any:
     """Return what is at a dotted path in ``summary["metrics"]``, or None."""
     try:
         return look_up(run.summary["metrics"], path)
@@ -25,7 +25,7 @@ def metric(run: RecordedRun, path: str) -> Any:
         return None
 
 
-def axis_metric(run: RecordedRun, path: str) -> Values:
+def axis_metric(run: Recorded, path: str) -> Values:
     """Return the metric of each axis at a dotted path; None where there is none."""
     found = metric(run, path)
     values = cast("dict[str, Any]", found) if isinstance(found, dict) else {}

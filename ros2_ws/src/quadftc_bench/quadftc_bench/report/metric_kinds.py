@@ -8,7 +8,7 @@ from typing import Any, cast
 
 from quadftc_bench.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG
 from quadftc_bench.flight import AXES
-from quadftc_bench.recorded_run import RecordedRun
+from quadftc_bench.recorded import Recorded
 from quadftc_bench.report.measures import metric
 from quadftc_bench.report.wording import period
 
@@ -176,7 +176,7 @@ def rank(section: str) -> int:
     return len(_SECTIONS) + (2 if section == _OTHER else int(section.startswith(_DETAILS)))
 
 
-def kind_of(path: str, runs: tuple[RecordedRun, ...]) -> Kind:
+def kind_of(path: str, runs: tuple[Recorded, ...]) -> Kind:
     """Return what the metric at a path is; the runs tell when a fault window or fault was."""
     words = path.split(".")
     if path.startswith(WINDOW):
@@ -218,7 +218,7 @@ def _confusion(name: str, row: str, column: str) -> str:
     return f"{who}: {_COLUMNS.get(column, 'declared')}"
 
 
-def _window_title(number: int, runs: tuple[RecordedRun, ...]) -> str:
+def _window_title(number: int, runs: tuple[Recorded, ...]) -> str:
     for run in runs:
         start, stop = (metric(run, f"{WINDOW}{number}.{name}") for name in ("start", "stop"))
         if start is not None and stop is not None:
@@ -226,7 +226,7 @@ def _window_title(number: int, runs: tuple[RecordedRun, ...]) -> str:
     return f"Fault window {number + 1}"
 
 
-def _event_title(number: int, runs: tuple[RecordedRun, ...]) -> str:
+def _event_title(number: int, runs: tuple[Recorded, ...]) -> str:
     for run in runs:
         event: Any = metric(run, f"{EVENT}{number}")
         if event is not None:

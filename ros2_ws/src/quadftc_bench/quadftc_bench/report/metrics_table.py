@@ -13,8 +13,8 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
-from quadftc_bench.recorded_run import RecordedRun
-from quadftc_bench.report.comparison import NO_OBSERVER, Comparison, has_observer
+from quadftc_bench.recorded import NO_OBSERVER, Recorded
+from quadftc_bench.report.comparison import SideBySide, has_observer
 from quadftc_bench.report.measures import metric
 from quadftc_bench.report.metric_kinds import (
     DIAGNOSIS,
@@ -104,7 +104,7 @@ class MetricsTable:
     rows: tuple[Row, ...]
 
 
-def metrics_table(comparison: Comparison) -> MetricsTable:
+def metrics_table(comparison: SideBySide[Recorded]) -> MetricsTable:
     """Lay out every metric of every run of a comparison.
 
     A metric that is not known comes last, under its own name. What no run has a number for is left out of the
@@ -120,7 +120,7 @@ def metrics_table(comparison: Comparison) -> MetricsTable:
     return MetricsTable(labels, tuple(run.name for run in runs), baseline, tuple(rows))
 
 
-def _baseline(runs: tuple[RecordedRun, ...]) -> int | None:
+def _baseline(runs: tuple[Recorded, ...]) -> int | None:
     if len(runs) < 2:
         return None
     return next((index for index, run in enumerate(runs) if not has_observer(run)), len(runs) - 1)
@@ -130,7 +130,7 @@ def _says_something(row: Row) -> bool:
     return any(cell.value is not None for cell in row.cells)
 
 
-def _paths(runs: tuple[RecordedRun, ...]) -> Iterator[tuple[str, str | None]]:
+def _paths(runs: tuple[Recorded, ...]) -> Iterator[tuple[str, str | None]]:
     """Yield the path of every number that any run has, and its axis; in the order of the tables of kinds."""
     found: dict[str, str | None] = {}
     for run in runs:
@@ -155,7 +155,7 @@ def _index(names: list[str], name: str) -> int:
     return names.index(name) if name in names else len(names)
 
 
-def _row(path: str, axis: str | None, runs: tuple[RecordedRun, ...], baseline: int | None) -> Row:
+def _row(path: str, axis: str | None, runs: tuple[Recorded, ...], baseline: int | None) -> Row:
     kind = kind_of(path, runs)
     found = [metric(run, path) for run in runs]
     if any(isinstance(value, bool) for value in found):
@@ -178,7 +178,7 @@ def _verdict(found: Any) -> Cell:
     return Cell(_number(found), {True: "yes", False: "no"}.get(found, "-"))
 
 
-def _missing(path: str, run: RecordedRun) -> Cell:
+def _missing(path: str, run: Recorded) -> Cell:
     """A cell without a number; an estimate that was there all the time and did not settle says so."""
     never = SETTLING in path and metric(run, path.replace(SETTLING, "fault_estimate_max_deg")) is not None
     return Cell(None, "never" if never else "-")
@@ -202,7 +202,7 @@ def _change_text(ratio: float) -> str:
     return f"{'+' if change > 0.0 else ''}{plain(change)} %"
 
 
-def _best(values: list[float | None], kind: Kind, path: str, runs: tuple[RecordedRun, ...]) -> int | None:
+def _best(values: list[float | None], kind: Kind, path: str, runs: tuple[Recorded, ...]) -> int | None:
     """The smallest of several values, if it is the only one and not that of a run that does not estimate."""
     known = sorted(value for value in values if value is not None)
     if not kind.less_is_better or len(values) < 2 or not known or known[:1] == known[1:2]:
@@ -211,9 +211,9 @@ def _best(values: list[float | None], kind: Kind, path: str, runs: tuple[Recorde
     return best if _judged(path, runs[best]) else None
 
 
-def _judged(path: str, run: RecordedRun) -> bool:
+def _judged(path: str, run: Recorded) -> bool:
     """Whether a run does at all what a metric measures."""
     name = path.split(".")[2 if path.startswith(WINDOW) else 0]
     if name.startswith("fault_estimate") or (path.startswith(DIAGNOSIS) and "tracking" not in path):
         return has_observer(run)
-    return not name.startswith("disturbance_estimate") or run.scheme.disturbance_observer.kind != NO_OBSERVER
+    return not name.startswith("disturbance_estimate") or run.disturbance_observer != NO_OBSERVER

@@ -1,55 +1,40 @@
 # pyright: basic
-"""The report as one HTML page: a section for each scenario, filled into the templates beside this module."""
+"""The report as one HTML page: a section for each scenario and for each recording that was replayed."""
 
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
-from urllib.parse import quote
 
 import jinja2
 from plotly.offline import get_plotlyjs
 
 from quadftc_bench.flight import AXES
 from quadftc_bench.report.comparison import Comparison, has_observer
-from quadftc_bench.report.description import Figure
-from quadftc_bench.report.draw_plotly import plotly_config, plotly_figure
+from quadftc_bench.report.drawing import Drawing, drawings
 from quadftc_bench.report.figures import figures
 from quadftc_bench.report.measures import axis_metric
 from quadftc_bench.report.metrics_table import MetricsTable, metrics_table
 from quadftc_bench.report.page_tables import Fact, Group, metric_groups, origins, parameters
 from quadftc_bench.report.paper import Judgement, Verdict, judge
 from quadftc_bench.report.real_sensors import TITLE, beyond_the_paper
+from quadftc_bench.report.replay_page import (
+    CONFUSION,
+    DECLARED,
+    OVERVIEW,
+    TRUTHS,
+    ReplaySection,
+    overview,
+    pooled,
+)
 from quadftc_bench.report.statements import Paragraph, statements
-from quadftc_bench.report.wording import listing, short
+from quadftc_bench.report.wording import counted, listing, short
 
 KEY_METRICS = (
     ("tracking_rmse_deg", "tracking RMSE [deg]"),
     ("fault_estimate_max_settled_deg", "fault estimate: largest settled error [deg]"),
 )  # of the table at the top: dotted path, heading
 ELSEWHERE = ("paper", "checks", "recording")  # paragraphs that are not told under "What happened"
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Drawing:
-    """A figure on the page, and where the same is for print.
-
-    Parameters
-    ----------
-    figure : Figure
-    files : mapping of str to str
-        Kind of file to its address, relative to the page; empty: there is none.
-    """
-
-    figure: Figure
-    files: Mapping[str, str]
-
-    @functools.cached_property
-    def spec(self) -> dict[str, Any]:
-        """What Plotly draws it from: data, layout, config."""
-        return {**plotly_figure(self.figure).to_dict(), "config": plotly_config(self.figure)}
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -110,17 +95,11 @@ def sections(comparisons: Sequence[Comparison], folder: str | None) -> list[Sect
 def _section(comparison: Comparison, among: Sequence[Comparison], folder: str | None) -> Section:
     return Section(
         comparison=comparison,
-        drawings=tuple(Drawing(figure, _files(figure, folder)) for figure in figures(comparison)),
+        drawings=drawings(figures(comparison), folder),
         paragraphs={paragraph.key: paragraph for paragraph in statements(comparison, among)},
         judgements=tuple(judge(comparison, among)),
         table=metrics_table(comparison),
     )
-
-
-def _files(figure: Figure, folder: str | None) -> dict[str, str]:
-    if folder is None:
-        return {}
-    return {kind.upper(): quote(f"{folder}/{figure.key}.{kind}") for kind in ("png", "pdf")}
 
 
 def _first_figure(part: Section) -> float:
@@ -128,7 +107,7 @@ def _first_figure(part: Section) -> float:
     return min(numbers, default=float("inf"))
 
 
-def render(parts: Sequence[Section], warnings: Iterable[str]) -> str:
+def render(parts: Sequence[Section], warnings: Iterable[str], replayed: Sequence[ReplaySection] = ()) -> str:
     """Return the page: HTML that needs no other file.
 
     Parameters
@@ -136,8 +115,11 @@ def render(parts: Sequence[Section], warnings: Iterable[str]) -> str:
     parts : sequence of Section
     warnings : iterable of str
         To be told at the top.
+    replayed : sequence of ReplaySection
     """
-    runs = [run for part in parts for run in part.comparison.runs]
+    replays = [part.comparison for part in replayed]
+    flown = [run for part in parts for run in part.comparison.runs]
+    every = [*flown, *(run for comparison in replays for run in comparison.runs)]
     return (
         _environment()
         .get_template("report.html")
@@ -145,8 +127,10 @@ def render(parts: Sequence[Section], warnings: Iterable[str]) -> str:
             axes=AXES,
             ideal=[part for part in parts if part.comparison.ideal],
             real=[part for part in parts if not part.comparison.ideal],
-            runs=runs,
-            versions=listing(sorted({run.versions.get("quadftc", "unknown") for run in runs})),
+            replayed=list(replayed),
+            pooled=pooled(replays),
+            heading=heading(parts, replayed),
+            versions=listing(sorted({run.versions.get("quadftc", "unknown") for run in every})),
             beyond=beyond_the_paper([part.comparison for part in parts]),
             beyond_title=TITLE,
             warnings=list(warnings),
@@ -154,6 +138,16 @@ def render(parts: Sequence[Section], warnings: Iterable[str]) -> str:
             plotly_js=get_plotlyjs(),
         )
     )
+
+
+def heading(parts: Sequence[Section], replayed: Sequence[ReplaySection]) -> str:
+    """Say what the report is on: ``2 recorded runs of 1 scenario and 3 replays of 2 recordings``."""
+    told: list[str] = []
+    for of, one, among in ((parts, "recorded run", "scenario"), (replayed, "replay", "recording")):
+        count = sum(len(part.comparison.runs) for part in of)
+        if count:
+            told.append(f"{counted(count, one)} of {counted(len(of), among)}")
+    return listing(told)
 
 
 def _environment() -> jinja2.Environment:
@@ -164,6 +158,14 @@ def _environment() -> jinja2.Environment:
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
-    environment.globals.update(axis_metric=axis_metric, has_observer=has_observer)
+    environment.globals.update(
+        axis_metric=axis_metric,
+        has_observer=has_observer,
+        overview=overview,
+        overview_columns=OVERVIEW,
+        confusion_rows=TRUTHS,
+        confusion_columns=DECLARED,
+        confusion_path=CONFUSION,
+    )
     environment.filters.update(short=lambda value: "–" if value is None else short(value))
     return environment

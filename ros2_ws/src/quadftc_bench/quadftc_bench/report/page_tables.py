@@ -9,6 +9,8 @@ from collections.abc import Iterable, Sequence
 from typing import Any, cast
 
 from quadftc_bench.flight import AXES
+from quadftc_bench.recorded import Recorded
+from quadftc_bench.recorded_replay import RecordedReplay
 from quadftc_bench.recorded_run import RecordedRun
 from quadftc_bench.report.metrics_table import Cell, MetricsTable, Row
 from quadftc_bench.report.wording import plain
@@ -98,7 +100,7 @@ class Fact:
         return len(set(self.values)) > 1
 
 
-def parameters(runs: Sequence[RecordedRun]) -> list[tuple[str, list[Fact]]]:
+def parameters(runs: Sequence[Recorded]) -> list[tuple[str, list[Fact]]]:
     """Return the parameters of every node, in SI units: pairs of a node and its facts."""
     nodes = _names(run.parameters for run in runs)
     return [
@@ -124,10 +126,34 @@ def origins(runs: Sequence[RecordedRun]) -> list[Fact]:
         Fact("of them withheld", tuple(str(item["samples_withheld"]) for item in summaries)),
         Fact("mode", tuple(str(item.get("mode", NOTHING)) for item in summaries)),
         Fact("graph", tuple(str(item.get("graph", NOTHING)) for item in summaries)),
-        Fact("read from", tuple(str(run.path) for run in runs)),
     ]
+    return facts + _made_with(runs)
+
+
+def replay_origins(runs: Sequence[RecordedReplay]) -> list[Fact]:
+    """Return what each replay is of and where it comes from."""
+    origins = [run.origin for run in runs]
+    summaries = [run.summary for run in runs]
+    facts = [
+        Fact("recording", tuple(origin.recording for origin in origins)),
+        Fact("topic", tuple(origin.topic for origin in origins)),
+        Fact("torque", tuple(origin.torque for origin in origins)),
+        Fact("truth", tuple(origin.truth for origin in origins)),
+        Fact("rate [Hz]", tuple(plain(item["rate"]) for item in summaries)),
+        Fact("replayed [s]", tuple(f"{run.duration:.6g} of {run.origin.duration:.6g}" for run in runs)),
+        Fact("samples", tuple(f"{len(run.flight)} of {run.origin.samples}" for run in runs)),
+        Fact("of them withheld", tuple(str(item["samples_withheld"]) for item in summaries)),
+        Fact("left out of the recording", tuple(str(sum(origin.left_out.values())) for origin in origins)),
+    ]
+    return facts + _made_with(runs)
+
+
+def _made_with(runs: Sequence[Recorded]) -> list[Fact]:
     versions = _names(run.versions for run in runs)
-    return facts + [Fact(name, tuple(run.versions.get(name, NOTHING) for run in runs)) for name in versions]
+    return [
+        Fact("read from", tuple(str(run.path) for run in runs)),
+        *(Fact(name, tuple(run.versions.get(name, NOTHING) for run in runs)) for name in versions),
+    ]
 
 
 def _names(mappings: Iterable[Any]) -> list[str]:

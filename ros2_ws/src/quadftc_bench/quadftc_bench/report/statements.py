@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadftc_bench.report.comparison import Comparison
+from quadftc_bench.recorded import Recorded
+from quadftc_bench.report.comparison import Comparison, SideBySide
 from quadftc_bench.report.detection import detection_sentences
 from quadftc_bench.report.injected import disturbances_text, faults_text, largest_disturbance, stray_fault
 from quadftc_bench.report.measures import axis_metric
@@ -54,7 +55,7 @@ def statements(comparison: Comparison, among: Sequence[Comparison] = ()) -> list
         paragraph("effort", "Torque", effort_sentences(comparison)),
         paragraph("checks", "Checks", _checks(comparison)),
         paragraph("paper", "The paper's claims", _paper(judge(comparison, among))),
-        paragraph("recording", "Recording", _recording(comparison)),
+        paragraph("recording", "Recording", recording_sentences(comparison)),
     )
     return [each for each in paragraphs if each.sentences]
 
@@ -67,7 +68,7 @@ def paragraph(key: str, title: str, sentences: Iterator[str]) -> Paragraph:
 def _injected(comparison: Comparison) -> Iterator[str]:
     scenario = comparison.scenario
     longest = max(comparison.runs, key=lambda run: run.duration)
-    faults = faults_text(scenario, longest.duration)
+    faults = faults_text(scenario.faults, scenario.duration, longest.duration)
     yield sentence(faults or "no sensor fault is scheduled")
     sizes = axis_metric(longest, "fault_max_deg")
     if faults and any(sizes.values()):
@@ -139,9 +140,10 @@ def _verb(verdict: Verdict, count: int) -> str:
     return f"{verb}s" if count == 1 else verb
 
 
-def _recording(comparison: Comparison) -> Iterator[str]:
+def recording_sentences(comparison: SideBySide[Recorded]) -> Iterator[str]:
+    """What was not as it should be with the bags."""
     for run in comparison.runs:
         yield from (sentence(warning) for warning in run.warnings)
     if len({run.duration for run in comparison.runs}) > 1:
         lengths = [f"{duration(run.duration)} of {comparison.title(run)}" for run in comparison.runs]
-        yield f"Numbers over the whole flight do not compare, as the recordings differ: {listing(lengths)}."
+        yield f"Numbers over the whole time do not compare, as the recordings differ: {listing(lengths)}."

@@ -2,40 +2,56 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from quadftc_bench.diagnosis_metrics import FaultEvent
+from quadftc_bench.flight import AXES
 from quadftc_bench.report.description import Mark, Shade
-from quadftc_bench.scenario import Fault, Scenario
+from quadftc_bench.scenario import Fault, Part
 
 FAULT_WINDOW = "fault window"  # of the attitude; windows on other channels are named by channel and kind
 ONSET, ON_OFF = "disturbance onset", "disturbance on, off"
 INSTANTS = 200  # at which a disturbance is looked at to see whether it acts on an axis
 
 
-def shades(scenario: Scenario, axis: int, end: float) -> tuple[Shade, ...]:
+def shades(faults: Sequence[Fault], events: Sequence[FaultEvent], axis: int, end: float) -> tuple[Shade, ...]:
     """Return the fault windows of an axis up to ``end`` [s], those of the attitude first.
 
     Windows of one kind that touch are one.
+
+    Parameters
+    ----------
+    faults : sequence of Fault
+        Of these, those on other channels than the attitude count.
+    events : sequence of FaultEvent
+        When the attitude is faulty.
+    axis : int
+    end : float
     """
-    kinds = sorted({_kind(fault) for fault in scenario.faults} | {FAULT_WINDOW}, key=_order)
+    periods = [(FAULT_WINDOW, event.start, event.stop) for event in events if event.axis == AXES[axis]]
+    for fault in faults:
+        injection = fault.injection
+        if injection.channel != "attitude" and injection.mask[axis]:
+            periods.append((_kind(fault), injection.start, injection.stop))
+    kinds = [FAULT_WINDOW, *sorted({_kind(fault) for fault in faults} - {FAULT_WINDOW})]
     windows: list[Shade] = []
-    for fault in sorted(scenario.faults, key=lambda fault: (_order(_kind(fault)), fault.injection.start)):
-        start, stop = fault.injection.start, min(fault.injection.stop, end)
-        if not fault.injection.mask[axis] or start >= end:
+    for kind, start, stop in sorted(periods, key=lambda period: (kinds.index(period[0]), period[1])):
+        rank, last = kinds.index(kind), windows[-1] if windows else None
+        if start >= end:
             continue
-        rank, last = kinds.index(_kind(fault)), windows[-1] if windows else None
         if last is not None and last.rank == rank and start <= last.stop:
-            windows[-1] = Shade(last.start, max(last.stop, stop), last.label, rank)
+            windows[-1] = Shade(last.start, max(last.stop, min(stop, end)), kind, rank)
         else:
-            windows.append(Shade(start, stop, _kind(fault), rank))
+            windows.append(Shade(start, min(stop, end), kind, rank))
     return tuple(windows)
 
 
-def marks(scenario: Scenario, axis: int, end: float) -> tuple[Mark, ...]:
+def marks(disturbances: Sequence[Part], axis: int, end: float) -> tuple[Mark, ...]:
     """Return when disturbances of an axis begin before ``end`` [s], and when they end before it."""
-    laws = [part.law for part in scenario.disturbances if part.law.start < end]
+    laws = [part.law for part in disturbances if part.law.start < end]
     label = ON_OFF if any(law.stop < end for law in laws) else ONSET  # the same for all axes
     acting = [law for law in laws if _acts(law, axis, min(law.stop, end))]
     times = {law.start for law in acting} | {law.stop for law in acting if law.stop < end}
@@ -45,10 +61,6 @@ def marks(scenario: Scenario, axis: int, end: float) -> tuple[Mark, ...]:
 def _kind(fault: Fault) -> str:
     injection = fault.injection
     return FAULT_WINDOW if injection.channel == "attitude" else f"{injection.channel} {injection.kind}"
-
-
-def _order(kind: str) -> tuple[bool, str]:
-    return kind != FAULT_WINDOW, kind
 
 
 def _acts(law: Any, axis: int, stop: float) -> bool:

@@ -51,6 +51,11 @@ def listing(items: Sequence[str], last: str = "and") -> str:
     return f"{', '.join(first)} {last} {end}" if first else end
 
 
+def counted(number: int, thing: str) -> str:
+    """Write how many of a thing: ``1 run``, ``2 runs``."""
+    return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
 def known(values: PerAxis) -> dict[str, float]:
     """Return the axes that have a value."""
     return {axis: value for axis, value in values.items() if value is not None}

@@ -33,9 +33,7 @@ from quadftc_fdi.dead_reckoning import comparable
 from quadftc_fdi.fault_observer import FaultObserver, register
 from quadftc_fdi.inertial_filter import (
     BIAS,
-    IDENTITY,
     ROTATION,
-    SIZE,
     FilterState,
     initial,
     measurement_matrix,
@@ -74,12 +72,17 @@ from quadftc_model.samples import (
 )
 
 DEG = math.pi / 180.0
+UNKNOWN = 10.0  # 1; standard deviations of the attitude's noise: as good as nothing known
 STARTED = 0.1 * DEG  # rad/s; the gyro bias is known to this when the observer has started
 RESTING = 0.1  # rad/s; below, a vehicle rests
 MOVING = 0.35  # rad/s; from here on a vehicle moves, as far as the sensor's slow error goes
 MOVED = 8.0  # s; how long it counts as moving afterwards (time constant)
+FADING = (
+    2.0  # s; in which a gyro bias just found leaves the corrected rate: at once, it would jolt the flight
+)
 SHOWN = 0.3  # 1; share of the recovery time from which an axis is shown as recovering
-TURNING = np.array([1.0] * 3 + [0.0] * (SIZE - 3))
+# what a wrong rotation has made wrong: itself, the bias by as much at a rate of 0.1 rad/s, the alignment
+DOUBTED = np.diag([1.0] * 3 + [0.1**2] * 3 + [1.0] * 9 + [0.0])
 
 
 class SupervisedState(NamedTuple):
@@ -93,6 +96,7 @@ class SupervisedState(NamedTuple):
     tests: Tests
     faulty: Array  # (..., 3) bool
     track: Track
+    raw: Array  # (..., 1) share of the gyro as it is in the corrected body rate
 
 
 class _Sample(NamedTuple):
@@ -118,13 +122,13 @@ class Supervised(FaultObserver):
     gyro_noise: float = parameter(0.007 * DEG, unit="rad/sqrt(s)", low=1e-8, doc="angle random walk N")
     gyro_moving: float = parameter(0.001, unit="sqrt(s)", low=0.0, doc="what N grows by per body rate")
     gyro_shift: float = parameter(
-        0.03 * DEG, unit="rad/s", low=0.0, doc="what motion adds to the gyro bias, 1 sigma"
+        0.02 * DEG, unit="rad/s", low=0.0, doc="what motion adds to the gyro bias, 1 sigma"
     )
     gyro_bias: float = parameter(1.5 * DEG, unit="rad/s", low=1e-6, doc="turn-on gyro bias, 1 sigma")
     gyro_bias_walk: float = parameter(2e-4 * DEG, unit="rad/s/sqrt(s)", low=0.0, doc="rate random walk K")
     gyro_scale: float = parameter(0.01, unit="1", low=0.0, doc="scale and alignment errors, 1 sigma")
     delay: float = parameter(0.01, unit="s", low=0.0, doc="delay of attitude against gyro, 1 sigma")
-    threshold: float = parameter(5.3, unit="1", low=1.0, doc="standard deviations at which an axis is faulty")
+    threshold: float = parameter(5.2, unit="1", low=1.0, doc="standard deviations at which an axis is faulty")
     anchor_age: float = parameter(6.0, unit="s", low=0.1, doc="how old an anchor gets")
     learning: float = parameter(200.0, unit="s", low=1.0, doc="time over which residuals are learned")
     tracking: float = parameter(0.06, unit="s", low=1e-3, doc="averaging time of the estimate of a fault")
@@ -159,7 +163,9 @@ class Supervised(FaultObserver):
         track = Track(zeros, zeros, zeros, xp.zeros((*batch, 3, 2)), zeros, zeros)
         rest = xp.zeros((*batch, 1))
         anchors = anchored(start.P)
-        return SupervisedState(start, anchors, imu.body_rate, rest, rest, tests, zeros > 1.0, track)
+        return SupervisedState(
+            start, anchors, imu.body_rate, rest, rest, tests, zeros > 1.0, track, rest + 1.0
+        )
 
     def step(
         self, state: SupervisedState, inputs: FaultObserverInputs, dt: float
@@ -206,8 +212,9 @@ class Supervised(FaultObserver):
         held = found.suspect.any(axis=-1, keepdims=True)
         anchors, rolled = renewed(anchors, estimate.P, dx, anew, held, dt, self.anchor_age)
         tests = begun_anew(tests, rolled, faulty | again | anew)
-        new = SupervisedState(estimate, anchors, gyro, activity, motion, tests, faulty, track)
         starting = bias > STARTED**2
+        raw = xp.where(starting, state.raw, state.raw * math.exp(-dt / FADING))
+        new = SupervisedState(estimate, anchors, gyro, activity, motion, tests, faulty, track, raw)
         return new, self._report(new, found.suspect, starting, own, sample.sizes, w, inputs)
 
     def _propagated(
@@ -246,9 +253,10 @@ class Supervised(FaultObserver):
     ) -> FaultEstimate:
         imu, faulty, track = inputs.imu, state.faulty, state.track
         xp = namespace(imu.body_rate)
+        omega = rate(state.filter.x, state.gyro)
         corrected = imu._replace(
             q_xyzw=state.filter.q_xyzw,
-            body_rate=rate(state.filter.x, state.gyro),
+            body_rate=omega + state.raw * (state.gyro - omega),
             attitude_valid=xp.ones_like(imu.attitude_valid),
         )
         trusted = xp.where(starting, STARTING, xp.where(suspect, SUSPECT, HEALTHY)).astype(xp.uint8)
@@ -256,7 +264,8 @@ class Supervised(FaultObserver):
 
         def of_faults() -> tuple[Array, Array, Array]:
             out = xp.where(track.calm > SHOWN * self.recovery, RECOVERING, FAULTY)
-            noise = (sizes.noise + sizes.slow) * xp.maximum(w.alpha, 1.0 / (track.count + 1.0))
+            passed = xp.maximum(w.passed, 1.0 / (track.count + 1.0))
+            noise = (sizes.noise + sizes.slow) * passed
             return (
                 xp.where(faulty, out, trusted).astype(xp.uint8),
                 own + faulty * noise,
@@ -267,13 +276,19 @@ class Supervised(FaultObserver):
         return FaultEstimate(track.fault, xp.sqrt(variance), states, age, corrected)
 
     def _start(self) -> NDArray[np.float64]:
-        """Standard deviations of the error state at the start (16,)."""
-        attitude = max(self.attitude_noise, self.wander)
+        """Standard deviations of the error state at the start (16,).
+
+        The first step takes the attitude of the start as a measurement, so before it nothing is known of it.
+        """
+        attitude = UNKNOWN * max(self.attitude_noise, self.wander)
         parts = ([attitude] * 3, [self.gyro_bias] * 3, [self.gyro_scale] * 9, [self.delay])
         return np.concatenate([np.asarray(part) for part in parts])
 
 
 def _doubted(estimate: FilterState, residual: Array) -> FilterState:
-    """The filter with its rotation in doubt by a residual (..., 3) that is to be believed."""
+    """The filter with its rotation in doubt by a residual (..., 3) that is to be believed.
+
+    And with it what it knows of the gyro: as long as the rotation was wrong, so were the axes.
+    """
     doubt = namespace(residual).sum(residual**2, axis=-1)
-    return estimate._replace(P=estimate.P + doubt[..., None, None] * (TURNING * IDENTITY))
+    return estimate._replace(P=estimate.P + doubt[..., None, None] * DOUBTED)
