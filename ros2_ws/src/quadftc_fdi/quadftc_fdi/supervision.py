@@ -6,7 +6,7 @@ large, and what is larger than the model says is learned.
 
 Tests, on each axis:
 
-* averages over 0.08, 0.25 and 0.6 s of the filter's residual, for incipient faults;
+* averages over 0.05, 0.15 and 0.5 s of the filter's residual, for incipient faults;
 * averages over 0.25 s of the residuals of two anchors, states of the filter some seconds old that have seen
   no measurement since, for faults so slow that the filter follows them;
 * a cumulative sum (Page, 1954) of the residual beyond three standard deviations, for abrupt ones.
@@ -24,15 +24,16 @@ from numpy.typing import NDArray
 from quadftc_fdi.anchors import OLD, ROLLED, YOUNG
 from quadftc_model.arrays import Array, changed_where, namespace
 
-MEANS = np.array([0.08, 0.25, 0.6, 0.25, 0.25])  # s; averaging times, the last two of the anchors
-LEVELS = np.array([1.04, 1.0, 0.95, 0.95, 0.95])  # 1; of the threshold, as short averages have more chances
+MEANS = np.array([0.05, 0.15, 0.5, 0.25, 0.25])  # s; averaging times, the last two of the anchors
+LEVELS = np.array([1.08, 1.0, 1.0, 0.95, 0.95])  # 1; of the threshold, as short averages have more chances
 SHARE = 0.1  # 1; of the filter's own variance in an average, as its residuals are not perfectly white
 ALLOWANCE, LIMIT, LARGEST = 3.0, 4.5, 8.0  # 1; of the cumulative sum, and the largest step it takes
 SUSPICION = 0.75  # 1; share of the threshold at which an axis is suspect
 SUDDEN = 0.06  # s; so soon after the first suspicion the filter has taken nothing from the fault
 OUTLIER = 4.0  # 1; how far beyond what is known a residual may move what is learned
-STILL = np.array([0.25, 0.6])  # s; two averages of a fault, whose difference shows that it moves
-AGREES, STANDS, JUMPS = 9.0, 9.0, 36.0  # 1; squared standard deviations
+STILL = np.array([0.15, 0.6])  # s; two averages of a fault, whose difference shows that it moves
+AGREES, STANDS, JUMPS = 9.0, 9.0, 25.0  # 1; squared standard deviations
+GRADUAL = 6.0  # 1; how many times as long a fault that did not end by a jump must look healthy
 ALMOST_STILL = 0.0087  # rad, 0.5 deg; an error of ours moves a little, as the vehicle does
 BOTH_WAYS = np.array([1.0, -1.0])
 
@@ -60,6 +61,7 @@ class Track(NamedTuple):
     fault: Array  # (..., 3) [rad]
     slope: Array  # (..., 3) [rad/s]
     count: Array  # (..., 3) samples since the last jump
+    jumped: Array  # (..., 3) 1: it has jumped since it was found
     means: Array  # (..., 3, 2) two averages of it [rad]
     since: Array  # (..., 3) time since the onset [s]
     calm: Array  # (..., 3) how long the axis has looked healthy again [s]
@@ -173,7 +175,7 @@ def begun_anew(tests: Tests, rolled: Array, anew: Array) -> Tests:
 
 
 def spread_of(sizes: Sizes, learned: Array, w: Weights) -> Array:
-    """Variance (..., 3) of a healthy average over 0.25 s, the filter's own error left out [rad²]."""
+    """Variance (..., 3) of a healthy average over 0.15 s, the filter's own error left out [rad²]."""
     xp = namespace(learned)
     noise, slow = w.variance[0, 1], w.variance[1, 1]
     return (sizes.noise * noise + sizes.slow * slow) * xp.maximum(learned[..., 1], 1.0)
@@ -194,6 +196,7 @@ def tracked(
         fault=expected + alpha * error,
         slope=(track.slope + w.beta * valid * error) * (count > w.settled),
         count=count,
+        jumped=xp.maximum(track.jumped, 1.0 * jump) * ~alarm,
         means=xp.where(jump[..., None], residual[..., None], means),
     )
 
@@ -203,7 +206,8 @@ def recovered(
 ) -> tuple[Track, Array, Array]:
     """Say which faulty axes can be trusted again (..., 3), and which although they disagree with us.
 
-    An axis looks healthy when its fault is within what dead reckoning knows, and stands still; after
+    An axis looks healthy when its fault is within what dead reckoning knows, and stands still, the longer if
+    it got there without a jump, as a slow fault that was found early looks the same for a while; after
     ``patience`` a fault that stands still is taken for an error of ours, as without it a wrong start or a
     false alarm would never end.
 
@@ -223,7 +227,7 @@ def recovered(
     known = (track.since > STILL[1]) & (track.count * dt > STILL[1])  # before, both are near the first value
     outlasted = (track.since > settings.patience) & (xp.abs(moved) < ALMOST_STILL)
     calm = (track.calm + dt) * (faulty & known & ((still & agrees) | outlasted))
-    trusted = calm > settings.recovery
+    trusted = calm > settings.recovery * (track.jumped + (1.0 - track.jumped) * GRADUAL)
     return track._replace(calm=calm), trusted, trusted & ~agrees
 
 
@@ -233,6 +237,7 @@ def track_of(track: Track, faulty: Array) -> Track:
         fault=track.fault * faulty,
         slope=track.slope * faulty,
         count=track.count * faulty,
+        jumped=track.jumped * faulty,
         means=track.means * faulty[..., None],
         since=track.since * faulty,
         calm=track.calm * faulty,

@@ -12,7 +12,8 @@ gyro against the attitude of the healthy axes. Tests (`quadftc_fdi.supervision`)
   run on the gyro since. From then on the axis is dead-reckoned; measured minus dead-reckoned angle is the
   fault, the filter's covariance its uncertainty.
 * RECOVERING: the fault is within what dead reckoning knows, and stands still; after ``recovery`` seconds the
-  axis is trusted again. A fault that stands still for ``patience`` seconds is taken for an error of ours.
+  axis is trusted again, after several times that if the fault did not end by a jump. A fault that stands
+  still for ``patience`` seconds is taken for an error of ours.
 
 The defaults are for a MEMS IMU on a vehicle that moves, with an attitude that wanders (optical markers, a
 filter), and a gyro whose bias changes a little when it starts to move. A simulated sensor without such errors
@@ -160,7 +161,7 @@ class Supervised(FaultObserver):
         zeros = xp.zeros_like(imu.body_rate)
         batch = zeros.shape[:-1]
         tests = Tests(xp.zeros((*batch, 3, 5)), xp.ones((*batch, 3, 5)), xp.zeros((*batch, 3, 2)), zeros)
-        track = Track(zeros, zeros, zeros, xp.zeros((*batch, 3, 2)), zeros, zeros)
+        track = Track(zeros, zeros, zeros, zeros, xp.zeros((*batch, 3, 2)), zeros, zeros)
         rest = xp.zeros((*batch, 1))
         anchors = anchored(start.P)
         return SupervisedState(
