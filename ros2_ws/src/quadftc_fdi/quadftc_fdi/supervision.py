@@ -33,7 +33,7 @@ SUDDEN = 0.06  # s; so soon after the first suspicion the filter has taken nothi
 OUTLIER = 4.0  # 1; how far beyond what is known a residual may move what is learned
 STILL = np.array([0.15, 0.6])  # s; two averages of a fault, whose difference shows that it moves
 AGREES, STANDS, JUMPS = 9.0, 9.0, 25.0  # 1; squared standard deviations
-GRADUAL = 6.0  # 1; how many times as long a fault that did not end by a jump must look healthy
+GRADUAL = 6.0  # 1; how many times as long a fault that never visibly moved must look healthy
 ALMOST_STILL = 0.0087  # rad, 0.5 deg; an error of ours moves a little, as the vehicle does
 BOTH_WAYS = np.array([1.0, -1.0])
 
@@ -61,7 +61,7 @@ class Track(NamedTuple):
     fault: Array  # (..., 3) [rad]
     slope: Array  # (..., 3) [rad/s]
     count: Array  # (..., 3) samples since the last jump
-    jumped: Array  # (..., 3) 1: it has jumped since it was found
+    jumped: Array  # (..., 3) 1: it has jumped, or visibly moved, since it was found
     means: Array  # (..., 3, 2) two averages of it [rad]
     since: Array  # (..., 3) time since the onset [s]
     calm: Array  # (..., 3) how long the axis has looked healthy again [s]
@@ -207,7 +207,7 @@ def recovered(
     """Say which faulty axes can be trusted again (..., 3), and which although they disagree with us.
 
     An axis looks healthy when its fault is within what dead reckoning knows, and stands still, the longer if
-    it got there without a jump, as a slow fault that was found early looks the same for a while; after
+    it never visibly moved, as a slow fault that was found early looks the same for a while; after
     ``patience`` a fault that stands still is taken for an error of ours, as without it a wrong start or a
     false alarm would never end.
 
@@ -222,13 +222,15 @@ def recovered(
     """
     xp = namespace(own)
     moved = track.means[..., 0] - track.means[..., 1]
-    still = moved**2 < STANDS * (spread + turning * (STILL[1] - STILL[0]) ** 2)
+    unmoved = spread + turning * (STILL[1] - STILL[0]) ** 2
+    still = moved**2 < STANDS * unmoved
+    jumped = xp.maximum(track.jumped, 1.0 * (moved**2 > JUMPS * unmoved))
     agrees = track.means[..., 0] ** 2 < AGREES * (own + spread)
     known = (track.since > STILL[1]) & (track.count * dt > STILL[1])  # before, both are near the first value
     outlasted = (track.since > settings.patience) & (xp.abs(moved) < ALMOST_STILL)
     calm = (track.calm + dt) * (faulty & known & ((still & agrees) | outlasted))
-    trusted = calm > settings.recovery * (track.jumped + (1.0 - track.jumped) * GRADUAL)
-    return track._replace(calm=calm), trusted, trusted & ~agrees
+    trusted = calm > settings.recovery * xp.where(outlasted | (jumped > 0.0), 1.0, GRADUAL)
+    return track._replace(calm=calm, jumped=jumped), trusted, trusted & ~agrees
 
 
 def track_of(track: Track, faulty: Array) -> Track:

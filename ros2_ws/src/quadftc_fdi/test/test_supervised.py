@@ -169,7 +169,7 @@ def test_a_fault_from_the_start_does_not_lock_it_out():
         a_fault(time, lambda elapsed: 0.0 * elapsed + 3.0 * DEG, start=0.0, stop=5.0), observer=observer
     )
     assert flown.faulty[(time > 5.1) & (time < 6.0), :, 0].all()
-    assert not flown.faulty[time > 25.0].any()
+    assert not flown.faulty[time > 28.0].any()
     assert np.max(np.abs((flown.attitude - flown.angles)[time > 29.0])) < 0.1 * DEG
 
 

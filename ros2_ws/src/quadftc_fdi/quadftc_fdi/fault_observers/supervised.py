@@ -12,7 +12,7 @@ gyro against the attitude of the healthy axes. Tests (`quadftc_fdi.supervision`)
   run on the gyro since. From then on the axis is dead-reckoned; measured minus dead-reckoned angle is the
   fault, the filter's covariance its uncertainty.
 * RECOVERING: the fault is within what dead reckoning knows, and stands still; after ``recovery`` seconds the
-  axis is trusted again, after several times that if the fault did not end by a jump. A fault that stands
+  axis is trusted again, after several times that if the fault never visibly moved. A fault that stands
   still for ``patience`` seconds is taken for an error of ours.
 
 The defaults are for a MEMS IMU on a vehicle that moves, with an attitude that wanders (optical markers, a
