@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_fdi.inertial_filter import SIZE, FilterState, shifted
-from quadftc_model.arrays import Array, changed_where, namespace
+from quadftc_model.arrays import Array, any_of, changed_where, namespace
 
 OLD, YOUNG = 3, 4  # columns of the residuals; those before are of the filter itself
 ANCHORED = np.array([0.0, 0.0, 0.0, 1.0, 1.0])
@@ -77,7 +77,7 @@ def returned(
     xp = namespace(back)
 
     def gone() -> tuple[FilterState, Array, Array]:
-        returns, to_old = back.any(axis=-1, keepdims=True), far.any(axis=-1, keepdims=True)
+        returns, to_old = any_of(back), any_of(far)
 
         def chosen(now: Array, young: Array, old: Array) -> Array:
             extra = (None,) * (now.ndim - returns.ndim)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 
-from quadftc_model.arrays import Array, components, namespace
+import numpy as np
+
+from quadftc_model.arrays import Array, components, is_single, namespace
 from quadftc_model.rotations import normalise, quaternion_from_rotation_vector, quaternion_product
 
 MAX_PITCH = math.radians(80.0)  # rad; steeper, roll and yaw are not defined well enough to be compared
@@ -18,6 +20,9 @@ def dead_reckoned(q_xyzw: Array, rate: Array, next_rate: Array, dt: float) -> Ar
 
 def comparable(angles: Array, others: Array) -> Array:
     """Whether two attitudes, Euler angles (..., 3), are both away from 90 deg of pitch: bool (..., 1)."""
+    if is_single(angles) and is_single(others):
+        (_, pitch, _), (_, other, _) = angles.tolist(), others.tolist()
+        return np.array([abs(pitch) < MAX_PITCH and abs(other) < MAX_PITCH])
     xp = namespace(angles)
     steeper = xp.maximum(xp.abs(angles[..., 1:2]), xp.abs(others[..., 1:2]))
     return steeper < MAX_PITCH

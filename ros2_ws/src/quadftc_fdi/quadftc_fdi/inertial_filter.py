@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_model.arrays import Array, components, namespace, stacked
+from quadftc_model.arrays import Array, components, is_single, namespace, stacked
 from quadftc_model.rotations import (
     MIN_COS_PITCH,
     normalise,
@@ -31,7 +31,6 @@ from quadftc_model.rotations import (
 )
 
 SIZE = 16  # of the error state
-IDENTITY = np.eye(SIZE)
 ROTATION, BIAS, DELAY = slice(0, 3), slice(3, 6), 15
 REFUSED = 1e6  # rad²; variance of a measurement that is left out
 
@@ -55,6 +54,8 @@ def initial(q_xyzw: Array, std_devs: NDArray[np.float64]) -> FilterState:
 
 def rate(x: Array, gyro: Array) -> Array:
     """Body rate [rad/s] (..., 3) of a gyro sample: (I + M) g - b."""
+    if is_single(x):
+        return gyro + x[3:12].reshape(3, 3).dot(gyro) - x[:3]
     M = x[..., 3:12].reshape(*x.shape[:-1], 3, 3)
     return gyro + (M @ gyro[..., None])[..., 0] - x[..., :3]
 
@@ -85,9 +86,16 @@ def propagated(state: FilterState, gyro: Array, noise: Array, dt: float) -> tupl
 
 def process_noise(rotation: Array, bias: Array) -> Array:
     """Covariance (..., 16, 16) that a step adds, of variances (..., 1) of rotation and bias of each axis."""
-    xp = namespace(rotation)
-    both = xp.concatenate([rotation, bias], axis=-1) @ _NOISE
+    both = rotation * _ROTATION_NOISE + bias * _BIAS_NOISE
     return both.reshape(*rotation.shape[:-1], SIZE, SIZE)
+
+
+def bias_variance(P: Array) -> Array:
+    """Largest variance of the gyro bias (..., 1) [rad²/s²] in a covariance (..., 16, 16)."""
+    diagonal = P.reshape(*P.shape[:-2], SIZE * SIZE)[..., :: SIZE + 1]
+    if is_single(diagonal):
+        return np.array([max(diagonal[BIAS].tolist())])
+    return diagonal[..., BIAS].max(axis=-1, keepdims=True)
 
 
 def shifted(state: FilterState, dx: Array) -> FilterState:
@@ -200,14 +208,14 @@ def _measurement() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return direct.ravel(), delayed.reshape(3, -1)
 
 
-def _noise() -> NDArray[np.float64]:
-    """Covariances of the error per variance of rotation and of bias (2, 256)."""
-    found = np.zeros((2, SIZE))
-    found[0, ROTATION] = found[1, BIAS] = 1.0
-    return (found[..., None] * IDENTITY).reshape(2, -1)
+def _noise(where: slice) -> NDArray[np.float64]:
+    """Covariance of the error (256,) per variance of three of its elements."""
+    found = np.zeros(SIZE)
+    found[where] = 1.0
+    return np.diag(found).ravel()
 
 
 _AXES = np.eye(3)
-_NOISE = _noise()
+_ROTATION_NOISE, _BIAS_NOISE = _noise(ROTATION), _noise(BIAS)
 _TRANSITION = _transition()
 _DIRECT, _DELAYED = _measurement()

@@ -10,6 +10,9 @@ Tests, on each axis:
 * averages over 0.25 s of the residuals of two anchors, states of the filter some seconds old that have seen
   no measurement since, for faults so slow that the filter follows them;
 * a cumulative sum (Page, 1954) of the residual beyond three standard deviations, for abrupt ones.
+
+When one axis is found, the others are held to a lower level, as what disturbs one often disturbs them all,
+and the evidence against them is lost when the filter goes back to an anchor.
 """
 
 from __future__ import annotations
@@ -22,17 +25,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_fdi.anchors import OLD, ROLLED, YOUNG
-from quadftc_model.arrays import Array, changed_where, namespace
+from quadftc_model.arrays import Array, any_of, changed_where, namespace
 
 MEANS = np.array([0.05, 0.15, 0.5, 0.25, 0.25])  # s; averaging times, the last two of the anchors
 LEVELS = np.array([1.08, 1.0, 1.0, 0.95, 0.95])  # 1; of the threshold, as short averages have more chances
 SHARE = 0.1  # 1; of the filter's own variance in an average, as its residuals are not perfectly white
 ALLOWANCE, LIMIT, LARGEST = 3.0, 4.5, 8.0  # 1; of the cumulative sum, and the largest step it takes
 SUSPICION = 0.75  # 1; share of the threshold at which an axis is suspect
+TOGETHER = 0.6  # 1; share at which it is taken for faulty when another is found: faults come together
+RATIOS = LEVELS**2  # 1; the same of squares
 SUDDEN = 0.06  # s; so soon after the first suspicion the filter has taken nothing from the fault
 OUTLIER = 4.0  # 1; how far beyond what is known a residual may move what is learned
 STILL = np.array([0.15, 0.6])  # s; two averages of a fault, whose difference shows that it moves
-AGREES, STANDS, JUMPS = 9.0, 9.0, 25.0  # 1; squared standard deviations
+AGREES, STANDS, JUMPS = 16.0, 9.0, 25.0  # 1; squared standard deviations
 GRADUAL = 6.0  # 1; how many times as long a fault that never visibly moved must look healthy
 ALMOST_STILL = 0.0087  # rad, 0.5 deg; an error of ours moves a little, as the vehicle does
 BOTH_WAYS = np.array([1.0, -1.0])
@@ -116,8 +121,8 @@ class Findings(NamedTuple):
     """What the tests say of each axis (..., 3)."""
 
     alarm: Array  # bool: an axis trusted so far is faulty
-    sudden: Array  # bool: by the cumulative sum, within SUDDEN of the first suspicion
-    slow: Array  # bool: not by the cumulative sum, so for some time already
+    sudden: Array  # bool: not by an average, and within SUDDEN of the first suspicion
+    slow: Array  # bool: by an average, so for some time already
     suspect: Array  # bool: it may become so; its measurement is not used
 
 
@@ -148,17 +153,23 @@ def tested(
     excess = xp.maximum(tests.learned, 1.0)
     news = xp.minimum(ratio, OUTLIER * excess) - tests.learned
     learned = tests.learned + taken * (dt / settings.learning) * news
-    level = (ratio / (excess * LEVELS**2)).max(axis=-1)
-    single = xp.sqrt(parts[..., :3].sum(axis=-1) * excess[..., 0])
+    level = (ratio / (excess * RATIOS)).max(axis=-1)
+    single = xp.sqrt((noise + slow + sizes.own[..., 0]) * excess[..., 0])
     step = xp.minimum((residuals[..., 0] / single)[..., None] * BOTH_WAYS, LARGEST) - ALLOWANCE
     sums = (tests.sums + taken * step).clip(0.0, 2.0 * LIMIT)
     top = sums.max(axis=-1)
-    abrupt = trusted & (top > LIMIT)
-    creeping = trusted & (level > settings.threshold**2) & ~abrupt
     suspect = trusted & ((top > 0.5 * LIMIT) | (level > (SUSPICION * settings.threshold) ** 2))
     suspicion = (tests.suspicion + dt) * suspect
-    sudden = abrupt & (suspicion < SUDDEN)
-    found = Findings(abrupt | creeping, sudden, creeping, suspect)
+
+    def findings() -> Findings:
+        abrupt = trusted & (top > LIMIT)
+        creeping = trusted & (level > settings.threshold**2) & ~abrupt
+        close = suspect | (trusted & (level > (TOGETHER * settings.threshold) ** 2))
+        alarm = abrupt | creeping
+        alarm = alarm | (any_of(alarm) & close)
+        return Findings(alarm, alarm & ~creeping & (suspicion < SUDDEN), creeping, suspect)
+
+    found = changed_where(suspect, findings, Findings(suspect, suspect, suspect, suspect))
     return Tests(means, learned, sums, suspicion), found
 
 

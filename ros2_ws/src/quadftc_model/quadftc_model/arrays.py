@@ -56,12 +56,21 @@ def norm(vector: Array) -> Array:
     return xp.sqrt(xp.sum(vector * vector, axis=-1, keepdims=True))
 
 
+def any_of(mask: Array) -> Array:
+    """Whether any is true over the last axis, kept as an axis of length 1: (..., n) bool -> (..., 1) bool."""
+    if is_single(mask):
+        return np.array([True in mask.tolist()])
+    return mask.any(axis=-1, keepdims=True)
+
+
 def changed_where(mask: Array, change: Callable[[], T], unchanged: T) -> T:
     """Return ``change()``, which must equal ``unchanged`` if ``mask`` is false everywhere.
 
     Then NumPy saves the work: most of the time nothing happens. Other libraries, whose masks may have no
     values yet, always do it.
     """
+    if is_single(mask):
+        return change() if True in mask.tolist() else unchanged
     if isinstance(mask, (np.ndarray, np.bool_)) and not mask.any():  # pyright: ignore[reportUnknownMemberType]
         return unchanged
     return change()

@@ -18,7 +18,7 @@ MIN_COS_PITCH = 1e-6  # 1; the Euler rates of (4) are bounded by this close to +
 def wrap(angle: Array) -> Array:
     """Wrap angles [rad] into [-pi, pi]; angles inside already are returned unchanged, bit for bit."""
     xp = namespace(angle)
-    return angle - 2.0 * math.pi * xp.round(angle / (2.0 * math.pi))
+    return angle - 2.0 * math.pi * xp.rint(angle / (2.0 * math.pi))
 
 
 def quaternion_from_euler(angles: Array) -> Array:

@@ -33,9 +33,9 @@ from quadftc_fdi.anchors import Anchors, anchored, carried, own_variances, renew
 from quadftc_fdi.dead_reckoning import comparable
 from quadftc_fdi.fault_observer import FaultObserver, register
 from quadftc_fdi.inertial_filter import (
-    BIAS,
     ROTATION,
     FilterState,
+    bias_variance,
     initial,
     measurement_matrix,
     predicted_angles,
@@ -58,7 +58,7 @@ from quadftc_fdi.supervision import (
     tracked,
     weights,
 )
-from quadftc_model.arrays import Array, changed_where, namespace, norm
+from quadftc_model.arrays import Array, any_of, changed_where, namespace, norm
 from quadftc_model.conditions import Circumstances, Condition, Verdict
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, wrap
@@ -129,7 +129,7 @@ class Supervised(FaultObserver):
     gyro_bias_walk: float = parameter(2e-4 * DEG, unit="rad/s/sqrt(s)", low=0.0, doc="rate random walk K")
     gyro_scale: float = parameter(0.01, unit="1", low=0.0, doc="scale and alignment errors, 1 sigma")
     delay: float = parameter(0.01, unit="s", low=0.0, doc="delay of attitude against gyro, 1 sigma")
-    threshold: float = parameter(5.2, unit="1", low=1.0, doc="standard deviations at which an axis is faulty")
+    threshold: float = parameter(5.5, unit="1", low=1.0, doc="standard deviations at which an axis is faulty")
     anchor_age: float = parameter(6.0, unit="s", low=0.1, doc="how old an anchor gets")
     learning: float = parameter(200.0, unit="s", low=1.0, doc="time over which residuals are learned")
     tracking: float = parameter(0.06, unit="s", low=1e-3, doc="averaging time of the estimate of a fault")
@@ -191,7 +191,7 @@ class Supervised(FaultObserver):
             estimate, anchors, sample.residuals, sample.sizes.own, late, found.slow
         )
         faulty = state.faulty | found.alarm
-        bias = xp.diagonal(estimate.P, axis1=-2, axis2=-1)[..., BIAS].max(axis=-1, keepdims=True)
+        bias = bias_variance(estimate.P)
 
         def watched_faults() -> tuple[Track, Array, Array]:
             track = tracked(state.track, residual, sample.sizes, found.alarm, valid, w, dt)
@@ -202,16 +202,14 @@ class Supervised(FaultObserver):
             )
             return track_of(track, faulty & ~again), again, given_up
 
-        none = xp.zeros_like(faulty)
-        track, again, given_up = changed_where(faulty, watched_faults, (state.track, none, none))
+        track, again, given_up = changed_where(faulty, watched_faults, (state.track, faulty, faulty))
         faulty = faulty & ~again
         estimate = changed_where(given_up, lambda: _doubted(estimate, residual * given_up), estimate)
-        anew = (late | given_up).any(axis=-1, keepdims=True)
+        anew = any_of(late | given_up)
         variance = sample.sizes.noise + sample.sizes.slow * w.white_equivalent
         used = valid & ~faulty & ~found.suspect
         estimate, dx = updated(estimate, sample.H, residual, variance, used)
-        held = found.suspect.any(axis=-1, keepdims=True)
-        anchors, rolled = renewed(anchors, estimate.P, dx, anew, held, dt, self.anchor_age)
+        anchors, rolled = renewed(anchors, estimate.P, dx, anew, any_of(found.suspect), dt, self.anchor_age)
         tests = begun_anew(tests, rolled, faulty | again | anew)
         starting = bias > STARTED**2
         raw = xp.where(starting, state.raw, state.raw * math.exp(-dt / FADING))
@@ -258,7 +256,7 @@ class Supervised(FaultObserver):
         corrected = imu._replace(
             q_xyzw=state.filter.q_xyzw,
             body_rate=omega + state.raw * (state.gyro - omega),
-            attitude_valid=xp.ones_like(imu.attitude_valid),
+            attitude_valid=imu.attitude_valid | True,
         )
         trusted = xp.where(starting, STARTING, xp.where(suspect, SUSPECT, HEALTHY)).astype(xp.uint8)
         own = xp.maximum(own, 0.0)
@@ -273,7 +271,7 @@ class Supervised(FaultObserver):
                 xp.where(faulty, track.since, -1.0),
             )
 
-        states, variance, age = changed_where(faulty, of_faults, (trusted, own, xp.full_like(own, -1.0)))
+        states, variance, age = changed_where(faulty, of_faults, (trusted, own, faulty - 1.0))
         return FaultEstimate(track.fault, xp.sqrt(variance), states, age, corrected)
 
     def _start(self) -> NDArray[np.float64]:
