@@ -35,3 +35,16 @@ def fly_graph(tmp_path_factory):
         return flown[key]
 
     return fly
+
+
+@pytest.fixture(scope="session")
+def replay_run(tmp_path_factory):
+    """Replay a run, with a fault overlaid; return the directory of the replay."""
+    from quadftc_bench.replay import ReplayOptions
+    from quadftc_bench.replay.ros_output import replay
+
+    def replayed(run, fault, **options):
+        out = tmp_path_factory.mktemp("replayed")
+        return out / replay(run, ReplayOptions(faults=(fault,), **options), out)["bag"]
+
+    return replayed

@@ -24,14 +24,9 @@ def runs(fly_graph, busy_scenario, tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def replayed(runs: Path, tmp_path_factory) -> Path:
-    """A replay of one of the runs, with a fault overlaid."""
-    from quadftc_bench.replay import ReplayOptions
-    from quadftc_bench.replay.ros_output import replay
-
-    out = tmp_path_factory.mktemp("replayed")
-    options = ReplayOptions(topic="plant/imu", faults=("bias axis=roll value=3deg start=0.5s stop=1.5s",))
-    return out / replay(runs / "busy-proposed", options, out)["bag"]
+def replayed(runs: Path, replay_run) -> Path:
+    fault = "bias axis=roll value=3deg start=0.5s stop=1.5s"
+    return replay_run(runs / "busy-proposed", fault, topic="plant/imu")
 
 
 def report(*arguments: str | Path) -> subprocess.CompletedProcess[str]:

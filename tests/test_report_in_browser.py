@@ -35,6 +35,7 @@ schemes:
   conventional: {observer: none, disturbance_observer: none, controller: smc}
 """
 FIGURES = 9  # of each scenario
+ALL = 2 * FIGURES + 8  # with those of the replay
 PATIENCE = 60.0  # s
 WIDE, NARROW = 1280, 400  # px
 DRAWN = "return document.documentElement.dataset.figures === 'drawn'"
@@ -57,11 +58,12 @@ def programs() -> tuple[str, str]:
 
 
 @pytest.fixture(scope="module")
-def runs(fly_graph, busy_scenario) -> dict[str, Path]:
-    """Two scenarios, each flown with both schemes for two seconds: name of the run to its directory."""
+def runs(fly_graph, busy_scenario, replay_run) -> dict[str, Path]:
+    """Two scenarios, each flown with both schemes for two seconds, and a replay: name to directory."""
     scenarios = (parse_scenario(CALM), busy_scenario)
     flown = [fly_graph(each, scheme)[0] for each in scenarios for scheme in each.schemes]
-    return {directory.name: directory for directory in flown}
+    replay = replay_run(flown[0], "bias axis=pitch value=5deg start=0.5s stop=1.5s", observer="supervised")
+    return {directory.name: directory for directory in (*flown, replay)}
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +117,7 @@ def test_every_line_of_every_figure_is_drawn_without_an_error(opened):
             .filter(trace => [...trace.querySelectorAll("path")].some(line => line.getAttribute("d"))).length,
         ])
     """)
-    assert len(found) == 2 * FIGURES
+    assert len(found) == ALL
     assert [(name, wanted, there) for name, wanted, there in found if not 0 < wanted == there] == []
     assert opened.get_log("browser") == []
 
@@ -179,7 +181,7 @@ def test_page_loads_nothing_but_itself(opened, page):
 
 
 def test_markup_in_a_scenario_is_shown_and_not_run(opened):
-    assert opened.title == "quadftc report: calm, busy"
+    assert opened.title == "quadftc report: calm, busy, replay-calm-proposed"
     lead = opened.execute_script("return document.querySelector('#calm .lead').textContent")
     assert "<script>document.title = 'broken out of'</script>" in lead
 
@@ -190,7 +192,7 @@ def test_page_fits_a_narrow_screen(browser, page):
     sizes = narrow.execute_script("""
         return [...document.querySelectorAll(".plot .main-svg")].map(svg => svg.getBoundingClientRect().right)
     """)
-    assert len(sizes) >= 2 * FIGURES
+    assert len(sizes) >= ALL
     assert max(sizes) <= NARROW
 
 
