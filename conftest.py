@@ -23,6 +23,7 @@ DOMAINS = range(1, 81)  # of those that ROS 2 can have on any Linux
 # So are all on a bench in real time.
 SERIAL_FILES = {
     "test_bag_writer.py",
+    "test_bench.py",
     "test_children.py",
     "test_executables.py",
     "test_executor.py",

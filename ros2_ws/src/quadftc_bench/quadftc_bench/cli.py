@@ -18,6 +18,7 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 from quadftc_bench.bags import BagError
 from quadftc_bench.commands import BAD_INPUT, GOOD, INTERNAL, INTERRUPTED
+from quadftc_bench.commands.bench import bench
 from quadftc_bench.commands.catalogue import list_
 from quadftc_bench.commands.check import check
 from quadftc_bench.commands.doctor import doctor
@@ -46,6 +47,7 @@ app.command()(replay)
 app.command()(report)
 app.command()(check)
 app.command("list")(list_)
+app.add_typer(bench, name="bench")
 app.command()(doctor)
 
 

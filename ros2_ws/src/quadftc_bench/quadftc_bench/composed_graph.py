@@ -11,6 +11,7 @@ from rclpy.context import Context
 from rclpy.parameter import Parameter
 
 from quadftc_bench.graph_plan import (
+    AFTERMATH,
     ALONE,
     CONNECT_TIMEOUT,
     EXECUTABLES,
@@ -19,17 +20,18 @@ from quadftc_bench.graph_plan import (
     GraphPlan,
     Progress,
     always,
-    drain,
 )
 from quadftc_control.controller_node import ControllerNode
 from quadftc_control.reference_node import ReferenceNode
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer_node import FaultObserverNode
-from quadftc_ros.executor import make_executor
+from quadftc_ros.executor import Slice, make_executor
 from quadftc_ros.node import GraphNode, crowded_topics, missing_connections
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_sim.fault_injector_node import FaultInjectorNode
 from quadftc_sim.plant_node import PlantNode
+
+SLICE = 0.02  # s, wall time of flight between two looks at it
 
 NODE_CLASSES: dict[str, type[Any]] = {
     "fault_injector": FaultInjectorNode,
@@ -65,11 +67,15 @@ class ComposedGraph:
         self._context = Context()
         self._context.init()
         self._executor = make_executor(executor, self._context)
+        self._slice = Slice(self._executor)
         try:
             if plan.bag is not None:
-                self.recorder = self._made(RecorderNode, plan.recorder_parameters())
+                self.recorder = self._made(RecorderNode, plan.recorder_parameters(), subscribes=False)
+            tap = None if self.recorder is None else self.recorder.tap
             for name in EXECUTABLES:
-                self.nodes[name] = self._made(NODE_CLASSES[name], plan.node_parameters(name))
+                options = {"each_sample": self._slice.look} if name == "plant" else {}
+                parameters = plan.node_parameters(name)
+                self.nodes[name] = self._made(NODE_CLASSES[name], parameters, tap=tap, **options)
         except BaseException:
             self.close()
             raise
@@ -108,7 +114,7 @@ class ComposedGraph:
         self.plant.start()
         samples, moved = 0, begin
         while not self.plant.finished:
-            self.spin_once()
+            self._slice.spin(SLICE)
             now = time.monotonic()
             if not progress(self.plant.samples):
                 return time.monotonic() - begin
@@ -119,9 +125,7 @@ class ComposedGraph:
                     f"the flight stalled after {samples} samples: no torque/command came for the last"
                 )
         wall = time.monotonic() - begin
-        recorder = self.recorder
-        if recorder is not None:
-            drain(lambda: recorder.received, self.spin_once, self.plan.mode)
+        self._slice.spin(AFTERMATH)  # what follows from the last sample is on its way
         return wall
 
     def wait_until_connected(self, progress: Progress = always) -> bool:
@@ -132,9 +136,8 @@ class ComposedGraph:
         GraphError
             If they do not find each other, or another graph is there, too.
         """
-        recorders = 0 if self.recorder is None else 1
         end = time.monotonic() + CONNECT_TIMEOUT
-        while missing := self._missing(recorders):
+        while missing := self._missing():
             if time.monotonic() > end:
                 raise GraphError(f"not connected after {CONNECT_TIMEOUT:g} s: {'; '.join(missing)}")
             if not progress(0):
@@ -158,20 +161,21 @@ class ComposedGraph:
         self.nodes, self.recorder = {}, None
         self._context.try_shutdown()
 
-    def _made(self, node_class: type[Any], parameters: Mapping[str, Any]) -> Any:
+    def _made(self, node_class: type[Any], parameters: Mapping[str, Any], **options: Any) -> Any:
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
         node = node_class(
             context=self._context,
             namespace=self.plan.namespace or None,
             parameter_overrides=overrides,
             use_global_arguments=False,
+            **options,
         )
         self._executor.add_node(node)
         return node
 
-    def _missing(self, recorders: int) -> list[str]:
+    def _missing(self) -> list[str]:
         return [
             f"{name}: {lack}"
             for name, node in self.nodes.items()
-            for lack in missing_connections(name, node.connections(), recorders)
+            for lack in missing_connections(name, node.connections())
         ]

@@ -53,6 +53,8 @@ class GraphPlan:
         Directory of the bag to write.
     attachments : tuple of Path
         Files that go into the bag.
+    traces : Path, optional
+        Directory for the times at which messages come and go, a file for each node.
     """
 
     parameters: Mapping[str, Mapping[str, Any]]
@@ -60,12 +62,15 @@ class GraphPlan:
     namespace: str = ""
     bag: Path | None = None
     attachments: tuple[Path, ...] = ()
+    traces: Path | None = None
 
     def node_parameters(self, node: str) -> dict[str, Any]:
         """Return the parameters of one node: with the mode, less empty lists, which to ROS have no type."""
         values = {**self.parameters.get(node, {}), "mode": self.mode}
         if node == "plant":
             values["autostart"] = False
+        if self.traces is not None:
+            values["trace"] = str(self.traces / f"{node}.npz")
         return {name: value for name, value in values.items() if value != []}
 
     def parameter_file(self) -> str:

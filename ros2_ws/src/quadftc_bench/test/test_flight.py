@@ -16,9 +16,9 @@ from quadftc_bench.bags import BagError, read_bag
 from quadftc_bench.closed_loop import fly
 from quadftc_bench.flight import Flight, flight_from_bag, onset_ns
 from quadftc_bench.scenario import node_parameters, parse_scenario
-from quadftc_fdi.fault_observer_node import status_message
 from quadftc_model.samples import FaultEstimate
 from quadftc_ros.bag_writer import BagWriter
+from quadftc_ros.conversions import FaultStatusWriter
 
 TYPES = {
     "imu/data": "sensor_msgs/msg/Imu",
@@ -123,7 +123,7 @@ def test_onset_in_a_flight_is_the_one_in_the_message():
     for stamp_ns in rng.integers(10**9, 2 * 10**18, 200).tolist():
         age = np.append(rng.uniform(0.0, 0.9, 2), -1.0)
         estimate = FaultEstimate(np.zeros(3), -np.ones(3), np.full(3, 3, np.uint8), age, None)
-        onset = [time.sec * 10**9 + time.nanosec for time in status_message(stamp_ns, estimate).onset]
+        onset = [time.sec * 10**9 + time.nanosec for time in FaultStatusWriter()(stamp_ns, estimate).onset]
         assert onset_ns(stamp_ns, age).tolist() == onset
 
 

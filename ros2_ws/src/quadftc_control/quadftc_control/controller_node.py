@@ -14,7 +14,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from quadftc_msgs.msg import ControlStatus
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Imu
 
@@ -27,14 +26,13 @@ from quadftc_model.samples import AttitudeReference, ControllerInputs, Controlle
 from quadftc_model.stepper import Stepper, seconds
 from quadftc_ros.conversions import (
     BASE_FRAME,
+    ControlStatusWriter,
     Floats,
     VectorWriter,
     array_of,
-    fill_vector,
     imu_sample,
     is_finite,
     reference_of,
-    set_stamp,
 )
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
@@ -76,7 +74,7 @@ class ControllerNode(GraphNode):
         self.settings.on_change(self._rebuilt)
         self._publish_torque = self.publishes("torque/command")
         self._publish_status = self.publishes("control/status")
-        self._body = VectorWriter(BASE_FRAME)
+        self._body, self._status = VectorWriter(BASE_FRAME), ControlStatusWriter()
         self._reference: AttitudeReference | None = None
         self._reference_ns = 0
         self._mode: Mode | None = None
@@ -158,7 +156,7 @@ class ControllerNode(GraphNode):
             output = _nothing_but(self._torque)
         self._torque, self._stamp_ns = output.torque, stamp_ns
         self._publish_torque(self._body(stamp_ns, output.torque))
-        self._publish_status(status_message(stamp_ns, output, mode, wall_seconds() - begin))
+        self._publish_status(self._status(stamp_ns, output, mode, wall_seconds() - begin))
         self._enter(mode)
         self.sampled(stamp_ns)
 
@@ -186,7 +184,7 @@ class ControllerNode(GraphNode):
             return
         torque = self._torque if mode is Mode.HOLD else np.zeros(3)
         self._publish_torque(self._body(self._stamp_ns, torque))
-        self._publish_status(status_message(self._stamp_ns, _nothing_but(torque), mode, 0.0))
+        self._publish_status(self._status(self._stamp_ns, _nothing_but(torque), mode, 0.0))
         self._enter(mode)
         self.sampled(self._stamp_ns)
 
@@ -194,19 +192,6 @@ class ControllerNode(GraphNode):
 def _nothing_but(torque: Floats) -> ControllerOutput:
     """The output when no law has spoken."""
     return ControllerOutput(torque, np.zeros(3), np.zeros(3), np.zeros(3, dtype=bool))
-
-
-def status_message(stamp_ns: int, output: ControllerOutput, mode: Mode, compute_time: float) -> ControlStatus:
-    """Message of a control step of one vehicle; ``compute_time`` in seconds."""
-    message = ControlStatus()
-    set_stamp(message.header, stamp_ns)
-    message.header.frame_id = BASE_FRAME
-    fill_vector(message.error, output.error)
-    fill_vector(message.sliding_variable, output.sliding_variable)
-    message.saturated = output.saturated.tolist()
-    message.mode = int(mode)
-    message.compute_time = compute_time
-    return message
 
 
 def main() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Array, clip
 from quadftc_model.parameters import check
 from quadftc_model.registry import Registry
 from quadftc_model.samples import AttitudeReference
@@ -34,11 +34,12 @@ class Reference(abc.ABC):
 
 def combined(references: Sequence[Reference], time: Array) -> AttitudeReference:
     """Sum of references at ``time`` [s]; with none, level and still."""
-    zeros = np.zeros(3)
-    total = AttitudeReference(zeros, zeros, zeros)
-    for reference in references:
-        part = reference.sample(time)
-        total = AttitudeReference(*(a + b for a, b in zip(total, part, strict=True)))
+    if not references:
+        zeros = np.zeros(3)
+        return AttitudeReference(zeros, zeros, zeros)
+    total = references[0].sample(time)
+    for reference in references[1:]:
+        total = AttitudeReference(*(a + b for a, b in zip(total, reference.sample(time), strict=True)))
     return total
 
 
@@ -47,8 +48,7 @@ def smooth_rise(fraction: Array) -> tuple[Array, Array, Array]:
 
     The polynomial of least degree whose first and second derivatives vanish at both ends.
     """
-    xp = namespace(fraction)
-    s = xp.clip(fraction, 0.0, 1.0)
+    s = clip(fraction, 0.0, 1.0)
     value = s * s * s * (10.0 + s * (6.0 * s - 15.0))
     slope = 30.0 * s * s * (1.0 - s) * (1.0 - s)
     curvature = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)

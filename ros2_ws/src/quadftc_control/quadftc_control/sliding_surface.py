@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Array, clip
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import body_acceleration, euler_from_quaternion, euler_rates, wrap
 from quadftc_model.samples import ControllerInputs
@@ -38,7 +38,7 @@ def sat(S: Array, phi: Array) -> Array:
 
     S / phi inside, sign(S) outside.
     """
-    return namespace(S).clip(S / phi, -1.0, 1.0)
+    return clip(S / phi, -1.0, 1.0)
 
 
 def torque_for(

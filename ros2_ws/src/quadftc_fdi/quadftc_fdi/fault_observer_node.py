@@ -14,7 +14,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from quadftc_msgs.msg import FaultStatus
 
 from quadftc_fdi.assembly import fault_observer_from
 from quadftc_fdi.diagnosis import Diagnosis
@@ -23,17 +22,13 @@ from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import STARTING, FaultEstimate, ImuSample, sanitised
 from quadftc_ros.conversions import (
     EARTH_FRAME,
-    IMU_FRAME,
-    NANOSECONDS,
+    FaultStatusWriter,
     Floats,
     ImuWriter,
     VectorWriter,
     array_of,
-    fill_vector,
     imu_sample,
     is_finite,
-    set_stamp,
-    time_message,
 )
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
@@ -62,7 +57,7 @@ class FaultObserverNode(GraphNode):
         self._publish_corrected = self.publishes("imu/corrected")
         self._publish_estimate = self.publishes("fault/estimate")
         self._publish_status = self.publishes("fault/status")
-        self._imu, self._earth = ImuWriter(), VectorWriter(EARTH_FRAME)
+        self._imu, self._earth, self._status = ImuWriter(), VectorWriter(EARTH_FRAME), FaultStatusWriter()
         self._gate = TorqueGate(self.mode, self._on_sample)
         self.driven_by("imu/data", self._gate.put_sample, restart=self._diagnosis.reset)
         self.reads("torque/command", self._on_torque)
@@ -90,7 +85,7 @@ class FaultObserverNode(GraphNode):
         if not estimate.corrected.rate_valid:
             self.diagnostics.count("imu/data: body rate absent or unusable")
         self._publish_estimate(self._earth(stamp_ns, estimate.fault))
-        self._publish_status(status_message(stamp_ns, estimate))
+        self._publish_status(self._status(stamp_ns, estimate))
         self.sampled(stamp_ns)
         self._publish_corrected(self._imu(stamp_ns, estimate.corrected))
 
@@ -103,22 +98,6 @@ def _is_finite(estimate: FaultEstimate) -> bool:
 def _no_estimate(sample: ImuSample) -> FaultEstimate:
     unknown = np.full(3, -1.0)
     return FaultEstimate(np.zeros(3), unknown, np.full(3, STARTING, np.uint8), unknown, sanitised(sample))
-
-
-def status_message(stamp_ns: int, estimate: FaultEstimate) -> FaultStatus:
-    """Message of an estimate of one vehicle."""
-    message = FaultStatus()
-    set_stamp(message.header, stamp_ns)
-    message.header.frame_id = IMU_FRAME
-    message.state = estimate.state
-    fill_vector(message.estimate, estimate.fault)
-    fill_vector(message.std_dev, estimate.std_dev)
-    ages = estimate.onset_age.tolist()
-    if max(ages) >= 0.0:
-        message.onset = [
-            time_message(stamp_ns - round(age * NANOSECONDS) if age >= 0.0 else 0) for age in ages
-        ]
-    return message
 
 
 def main() -> None:

@@ -8,9 +8,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import ReliabilityPolicy
 from std_srvs.srv import Trigger
 
-from quadftc_fdi.fault_observer_node import FaultObserverNode, status_message
+from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_model.samples import FAULTY, HEALTHY, FaultEstimate
-from quadftc_ros.conversions import imu_sample, stamp_of
+from quadftc_ros.conversions import FaultStatusWriter, imu_sample, stamp_of
 from quadftc_ros.testing import imu_message, vector_message
 
 FIRST_NS = 1_000_000_000
@@ -265,7 +265,7 @@ def test_onset_of_a_fault_is_its_time():
         np.array([-1.0, 0.25, -1.0]),
         sample,
     )
-    message = status_message(3_000_000_000, estimate)
+    message = FaultStatusWriter()(3_000_000_000, estimate)
     assert [stamp.sec * 10**9 + stamp.nanosec for stamp in message.onset] == [0, 2_750_000_000, 0]
     assert message.state.tolist() == [HEALTHY, FAULTY, HEALTHY]
     assert [message.std_dev.x, message.std_dev.y, message.std_dev.z] == [-1.0] * 3

@@ -56,6 +56,14 @@ def norm(vector: Array) -> Array:
     return xp.sqrt(xp.sum(vector * vector, axis=-1, keepdims=True))
 
 
+def clip(x: Array, low: Array, high: Array) -> Array:
+    """Hold ``x``, an array or a float, within two bounds."""
+    if isinstance(x, float):
+        return min(max(x, low), high)
+    xp = namespace(x)
+    return xp.minimum(xp.maximum(x, low), high)
+
+
 def any_of(mask: Array) -> Array:
     """Whether any is true over the last axis, kept as an axis of length 1: (..., n) bool -> (..., 1) bool."""
     if is_single(mask):

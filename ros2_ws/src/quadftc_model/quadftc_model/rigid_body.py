@@ -6,7 +6,7 @@ leaves two of them undivided).
 
 from __future__ import annotations
 
-from quadftc_model.arrays import Array, components, namespace, stacked
+from quadftc_model.arrays import Array, components, stacked
 from quadftc_model.rotors import propeller_speeds
 from quadftc_model.vehicle import Vehicle
 
@@ -34,9 +34,8 @@ def propeller_torque(vehicle: Vehicle, body_rate: Array, commands: Array) -> Arr
     The sum takes each rotor's sign from the sense in which it spins. The paper's (-1)^(i+1) would have its
     rotors 1 and 2 spin in opposite senses, against its own text and its yaw torque.
     """
-    xp = namespace(body_rate)
     rotors = vehicle.rotors
-    momentum = rotors.rotor_inertia * xp.sum(rotors.spin_sign * propeller_speeds(vehicle, commands), axis=-1)
+    momentum = rotors.rotor_inertia * (propeller_speeds(vehicle, commands) @ rotors.spin_sign)
     p, q, _ = components(body_rate)
     return stacked([-q * momentum, p * momentum, 0.0 * momentum])
 

@@ -6,7 +6,7 @@ and with it the body torque (y F, -x F, reaction torque).
 
 from __future__ import annotations
 
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Array, changed_where, clip, namespace
 from quadftc_model.vehicle import Vehicle
 
 
@@ -17,11 +17,9 @@ def torque_from_commands(vehicle: Vehicle, commands: Array) -> Array:
 
 def commands_from_torque(vehicle: Vehicle, torque: Array) -> Array:
     """Rotor commands (..., n) for a body torque [N m] (..., 3), around the trim, clipped to their limits."""
-    xp = namespace(torque)
     rotors = vehicle.rotors
-    return xp.clip(
-        rotors.command_trim + torque @ vehicle.allocation.T, rotors.command_min, rotors.command_max
-    )
+    commands = rotors.command_trim + torque @ vehicle.allocation.T
+    return clip(commands, rotors.command_min, rotors.command_max)
 
 
 def attainable(vehicle: Vehicle, torque: Array) -> Array:
@@ -31,16 +29,19 @@ def attainable(vehicle: Vehicle, torque: Array) -> Array:
     around the trim, and yaw gets what room is left. A torque within reach is returned unchanged, bit for bit.
     """
     xp = namespace(torque)
-    limited = xp.clip(torque, -vehicle.authority, vehicle.authority)
+    limited = clip(torque, -vehicle.authority, vehicle.authority)
     allocation = vehicle.allocation.T  # (3, n)
-    tilt = limited[..., :2] @ allocation[:2]
+    tilt, yaw = limited[..., :2] @ allocation[:2], limited[..., 2:] * allocation[2]
     room = vehicle.command_room
-    tilt_scale = _scale(room, xp.max(xp.abs(tilt), axis=-1, keepdims=True))
-    tilt = tilt * tilt_scale
-    yaw = limited[..., 2:] * allocation[2]
-    left = room - xp.where(yaw > 0.0, tilt, -tilt)
-    yaw_scale = xp.min(_scale(left, xp.abs(yaw)), axis=-1, keepdims=True)
-    return xp.concatenate([limited[..., :2] * tilt_scale, limited[..., 2:] * yaw_scale], axis=-1)
+
+    def scaled() -> Array:
+        tilt_scale = _scale(room, abs(tilt).max(axis=-1, keepdims=True))
+        kept = tilt * tilt_scale
+        left = room - xp.where(yaw > 0.0, kept, -kept)
+        yaw_scale = _scale(left, abs(yaw)).min(axis=-1, keepdims=True)
+        return xp.concatenate([limited[..., :2] * tilt_scale, limited[..., 2:] * yaw_scale], axis=-1)
+
+    return changed_where(abs(tilt) + abs(yaw) > room, scaled, limited)
 
 
 def propeller_speeds(vehicle: Vehicle, commands: Array) -> Array:

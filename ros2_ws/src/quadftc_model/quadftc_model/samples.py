@@ -5,9 +5,10 @@ Every type is a NamedTuple of arrays with any leading axes (none on board, one f
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
-from quadftc_model.arrays import Array, components, namespace
+from quadftc_model.arrays import Array, components, is_single, namespace
 
 UNIT_NORM_TOLERANCE = 1e-2  # 1; a quaternion further from unit length is no attitude
 
@@ -80,6 +81,8 @@ def sanitised(sample: ImuSample) -> ImuSample:
 
     That is NaN, Inf, and a quaternion off unit length. Good channels are returned unchanged, bit for bit.
     """
+    if is_single(sample.q_xyzw) and _all_good(sample):
+        return sample
     xp = namespace(sample.q_xyzw)
     squared = [x * x for x in components(sample.q_xyzw)]
     unit = xp.abs(sum(squared) - 1.0) <= 2.0 * UNIT_NORM_TOLERANCE  # false for NaN and Inf, too
@@ -95,6 +98,15 @@ def sanitised(sample: ImuSample) -> ImuSample:
         rate_valid=rate_valid,
         force_valid=force_valid,
     )
+
+
+def _all_good(sample: ImuSample) -> bool:
+    """Whether every channel of the sample of one vehicle is there and can be used."""
+    if not (sample.attitude_valid and sample.rate_valid and sample.force_valid):
+        return False
+    squared = sum([x * x for x in sample.q_xyzw.tolist()])
+    others = sum([abs(x) for x in (*sample.body_rate.tolist(), *sample.specific_force.tolist())])
+    return abs(squared - 1.0) <= 2.0 * UNIT_NORM_TOLERANCE and others < math.inf  # false for NaN, too
 
 
 def _finite(vector: Array) -> Array:

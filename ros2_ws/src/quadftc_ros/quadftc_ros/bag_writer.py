@@ -41,6 +41,7 @@ REALTIME_CHUNK = 256 * 1024  # bytes; closing one holds the interpreter for abou
 LOCKSTEP_CHUNK = 4 * 1024 * 1024  # bytes, never reached at usual rates: chunks are cut by log time
 
 Command = Callable[[], None]
+Input = Callable[[bytes, int, int], bool]
 
 
 @dataclass(frozen=True)
@@ -143,20 +144,30 @@ class BagWriter:
         self._channels[topic] = len(self._channels) + 1
         self._queue.append(lambda: self._file.add_topic(record, interface.text))
 
-    def write(self, topic: str, cdr_bytes: bytes, log_time_ns: int, publish_time_ns: int) -> bool:
-        """Queue a serialised message; return whether it was accepted. Never raises for the disk's sake.
+    def input(self, topic: str) -> Input:
+        """Return what queues a serialised message of a topic: ``(data, log time, publish time)``, in ns.
+
+        It returns whether the message was accepted, and never raises for the disk's sake.
 
         Raises
         ------
         KeyError
             If the topic has not been added.
         """
-        channel = self._channels[topic]
-        if (len(self._queue) >= self._queue_size or self._closed) and not self._wait_for_room():
-            self._dropped[topic] = self._dropped.get(topic, 0) + 1
-            return False
-        self._queue.append((channel, log_time_ns, publish_time_ns, cdr_bytes))
-        return True
+        channel, queue = self._channels[topic], self._queue
+
+        def write(data: bytes, log_time_ns: int, publish_time_ns: int) -> bool:
+            if (len(queue) >= self._queue_size or self._closed) and not self._wait_for_room():
+                self._dropped[topic] = self._dropped.get(topic, 0) + 1
+                return False
+            queue.append((channel, log_time_ns, publish_time_ns, data))
+            return True
+
+        return write
+
+    def write(self, topic: str, cdr_bytes: bytes, log_time_ns: int, publish_time_ns: int) -> bool:
+        """Queue a serialised message, as :meth:`input` does."""
+        return self.input(topic)(cdr_bytes, log_time_ns, publish_time_ns)
 
     def flush(self, timeout: float = 10.0) -> bool:
         """Wait up to ``timeout`` [s] until everything written before is on the disk; return whether it is."""
@@ -179,6 +190,11 @@ class BagWriter:
         finally:
             self._thread.join()
         return self.status
+
+    @property
+    def closed(self) -> bool:
+        """Whether `close` was called."""
+        return self._closed
 
     @property
     def status(self) -> BagStatus:

@@ -11,10 +11,11 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Vector3, Vector3Stamped
 from numpy.typing import NDArray
 from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
+from quadftc_msgs.msg import ControlStatus, FaultStatus
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
-from quadftc_model.samples import AttitudeReference, ImuSample
+from quadftc_model.samples import AttitudeReference, ControllerOutput, FaultEstimate, ImuSample
 
 BASE_FRAME = "base_link"  # body, FLU (REP-103)
 IMU_FRAME = "imu_link"  # the IMU, aligned with the body (REP-145)
@@ -143,3 +144,55 @@ def reference_of(message: AttitudeReferenceMessage) -> AttitudeReference:
     return AttitudeReference(
         array_of(message.angles), array_of(message.rates), array_of(message.accelerations)
     )
+
+
+class FaultStatusWriter:
+    """Makes status messages of the diagnosis; each call returns the same message object, filled anew.
+
+    Publishing copies it.
+    """
+
+    def __init__(self) -> None:
+        self._message = FaultStatus()
+        self._message.header.frame_id = IMU_FRAME
+        self._has_onset = False
+
+    def __call__(self, stamp_ns: int, estimate: FaultEstimate) -> FaultStatus:
+        """Return the message of an estimate of one vehicle."""
+        message = self._message
+        set_stamp(message.header, stamp_ns)
+        message.state = estimate.state
+        fill_vector(message.estimate, estimate.fault)
+        fill_vector(message.std_dev, estimate.std_dev)
+        ages = estimate.onset_age.tolist()
+        has_onset = max(ages) >= 0.0
+        if has_onset or self._has_onset:
+            message.onset = [
+                time_message(stamp_ns - round(age * NANOSECONDS) if age >= 0.0 else 0) for age in ages
+            ]
+        self._has_onset = has_onset
+        return message
+
+
+class ControlStatusWriter:
+    """Makes status messages of the control; each call returns the same message object, filled anew.
+
+    Publishing copies it.
+    """
+
+    def __init__(self) -> None:
+        self._message = ControlStatus()
+        self._message.header.frame_id = BASE_FRAME
+
+    def __call__(
+        self, stamp_ns: int, output: ControllerOutput, mode: int, compute_time: float
+    ) -> ControlStatus:
+        """Return the message of a control step of one vehicle; ``compute_time`` in seconds."""
+        message = self._message
+        set_stamp(message.header, stamp_ns)
+        fill_vector(message.error, output.error)
+        fill_vector(message.sliding_variable, output.sliding_variable)
+        message.saturated = output.saturated.tolist()
+        message.mode = int(mode)
+        message.compute_time = compute_time
+        return message

@@ -10,6 +10,7 @@ from rclpy.node import Node
 
 from quadftc_ros.conversions import NANOSECONDS, time_message
 from quadftc_ros.qos import topic_profile
+from quadftc_ros.tap import Tap, tapped
 
 OK, WARN, ERROR, STALE = (
     DiagnosticStatus.OK,
@@ -30,15 +31,18 @@ class Diagnostics:
         The vehicle.
     refresh : callable
         Called before every message, to report what is too costly to report with every sample.
+    tap : callable, optional
+        As of `GraphNode`.
     """
 
-    def __init__(self, node: Node, hardware_id: str, refresh: Callable[[], None]) -> None:
+    def __init__(
+        self, node: Node, hardware_id: str, refresh: Callable[[], None], tap: Tap | None = None
+    ) -> None:
         self._refresh = refresh
         self._name = node.get_fully_qualified_name().lstrip("/")
         self._hardware_id = hardware_id
-        self._publisher = node.create_publisher(
-            DiagnosticArray, "/diagnostics", topic_profile("reliable", "realtime")
-        )
+        profile = topic_profile("reliable", "realtime")
+        self._publish = tapped(node.create_publisher(DiagnosticArray, "/diagnostics", profile), tap)
         self._statuses: dict[str, DiagnosticStatus] = {}
         self._counts: Counter[str] = Counter()
         self._counted = False  # since the last message
@@ -87,4 +91,4 @@ class Diagnostics:
         self.changed = self._counted = False
         message = DiagnosticArray(status=[self._statuses[part] for part in sorted(self._statuses)])
         message.header.stamp = time_message(stamp_ns)
-        self._publisher.publish(message)
+        self._publish(message)

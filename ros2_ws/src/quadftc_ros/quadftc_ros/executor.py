@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable
 from types import FrameType
 from typing import Any
@@ -15,6 +17,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 
 EXECUTORS = ("events", "single")
 STOPPING = (signal.SIGINT, signal.SIGTERM)
@@ -35,6 +38,30 @@ def make_executor(kind: str = "events", context: Any = None) -> Any:
     if kind not in EXECUTORS:
         raise ValueError(f"executor = {kind!r}: expected one of {', '.join(EXECUTORS)}")
     return EventsExecutor(context=context) if kind == "events" else SingleThreadedExecutor(context=context)
+
+
+class Slice:
+    """A time in which an executor serves its nodes: many callbacks in one call, unlike ``spin_once``.
+
+    As long as there is something to do, EventsExecutor takes no notice of a timeout: a callback that comes
+    often has to call :meth:`look`.
+    """
+
+    def __init__(self, executor: Any) -> None:
+        self._executor = executor
+        self._over: Future = Future()
+        self._end = math.inf
+
+    def spin(self, duration: float) -> None:
+        """Serve the nodes for a time [s]."""
+        self._over, self._end = Future(), time.monotonic() + duration
+        self._executor.spin_until_future_complete(self._over, timeout_sec=duration)
+
+    def look(self) -> None:
+        """End the slice if its time is over."""
+        if time.monotonic() >= self._end:
+            self._end = math.inf
+            self._over.set_result(None)
 
 
 class StopSignals:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock
@@ -21,7 +22,9 @@ from quadftc_ros.diagnostics import OK, WARN, Diagnostics
 from quadftc_ros.interfaces import load_message_class
 from quadftc_ros.parameters import NodeParameters
 from quadftc_ros.qos import service_profile, topic_profile
+from quadftc_ros.tap import Tap, tapped
 from quadftc_ros.topics import TOPICS
+from quadftc_ros.trace import MessageTrace, Note
 
 MODES = ("lockstep", "realtime")
 HEARTBEAT = {"realtime": 1.0, "lockstep": 0.2}  # s; in lock-step only before the flight
@@ -36,6 +39,9 @@ class GraphParameters:
         choices=MODES,
         doc="realtime: by the wall clock, latest messages; lockstep: every sample waits for its answer",
     )
+    trace: str = parameter(
+        "", doc="file (.npz) for the times at which messages come and go, written at the end; empty: none"
+    )
 
 
 class GraphNode(Node):
@@ -45,6 +51,9 @@ class GraphNode(Node):
     ----------
     name : str
         Name of the node, as in the table of topics.
+    tap : callable, optional
+        ``tap(topic)`` returns what gets a copy of all that the node publishes on a topic, serialised: a
+        recorder in the same process needs no subscriptions.
     **kwargs
         Those of ``rclpy.node.Node`` (``context``, ``namespace``, ``parameter_overrides``...).
 
@@ -54,12 +63,15 @@ class GraphNode(Node):
         If a parameter is wrong.
     """
 
-    def __init__(self, name: str, **kwargs: Any) -> None:
+    def __init__(self, name: str, tap: Tap | None = None, **kwargs: Any) -> None:
         super().__init__(name, **kwargs)
+        self._tap = tap
         self.settings = NodeParameters(self)
         self.settings.declare(GraphParameters, read_only=True)
         self.mode: str = self.settings.values()["mode"]
-        self.diagnostics = Diagnostics(self, self.get_namespace().strip("/") or "vehicle", self.report)
+        self._trace_file: str = self.settings.values()["trace"]
+        self._trace = MessageTrace() if self._trace_file else None
+        self.diagnostics = Diagnostics(self, self.get_namespace().strip("/") or "vehicle", self.report, tap)
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         # for time-outs: does not jump when the machine's clock is set, stands still with a paused simulation
         self.pace = self.get_clock() if self.get_parameter("use_sim_time").value else self.steady_clock
@@ -86,15 +98,41 @@ class GraphNode(Node):
             load_message_class(row.type_name), topic, topic_profile(row.qos, self.mode)
         )
         self._outputs[topic] = publisher
-        return publisher.publish
+        publish = tapped(publisher, self._tap)
+        if self._trace is None or topic == "/clock":  # which has no header
+            return publish
+        note = self._trace.given(topic)
+
+        def noted(message: Any) -> None:
+            note(stamp_of(message))
+            publish(message)
+
+        return noted
 
     def reads(self, topic: str, callback: Callable[[int, Any], None]) -> None:
         """Subscribe to a topic of the table; ``callback(stamp_ns, message)``."""
-        self._subscribe(topic, lambda message: callback(stamp_of(message), message), raw=False)
+        note = self._note_of(topic)
+
+        def receive(message: Any) -> None:
+            stamp_ns = stamp_of(message)
+            note(stamp_ns)
+            callback(stamp_ns, message)
+
+        self._subscribe(topic, receive, raw=False)
 
     def reads_raw(self, topic: str, callback: Callable[[int, bytes], None]) -> None:
         """Subscribe to a topic that mostly tells the time only; ``callback(stamp_ns, serialised)``."""
-        self._subscribe(topic, lambda data: callback(leading_stamp_ns(data), data), raw=True)
+        note = self._note_of(topic)
+
+        def receive(data: bytes) -> None:
+            stamp_ns = leading_stamp_ns(data)
+            note(stamp_ns)
+            callback(stamp_ns, data)
+
+        self._subscribe(topic, receive, raw=True)
+
+    def _note_of(self, topic: str) -> Note:
+        return _unnoted if self._trace is None else self._trace.taken(topic)
 
     def driven_by(
         self, topic: str, callback: Callable[[int, Any], None], restart: Callable[[], None], raw: bool = False
@@ -146,9 +184,15 @@ class GraphNode(Node):
         return counts
 
     def destroy_node(self) -> None:
-        """Stop the timer before the rest."""
+        """Stop the timer before the rest, and save the trace."""
         if self.context.ok():
             self.destroy_timer(self._heartbeat)
+        if self._trace is not None:
+            try:
+                self._trace.save(Path(self._trace_file))
+            except OSError as error:
+                self.get_logger().error(f"trace = '{self._trace_file}': {error.strerror}")
+            self._trace = None
         super().destroy_node()
 
     def sampled(self, stamp_ns: int) -> None:
@@ -177,6 +221,10 @@ class GraphNode(Node):
         message = "; ".join(missing) if missing else "all connected"
         self.diagnostics.report("connections", WARN if missing else OK, message, **counts)
         self.diagnostics.publish(0 if self.lockstep else self.now_ns())
+
+
+def _unnoted(stamp_ns: int) -> None:
+    """Note nothing."""
 
 
 def missing_connections(node: str, counts: Mapping[str, int], recorders: int = 0) -> list[str]:

@@ -1,6 +1,7 @@
 """The recorder: writes the topics of the graph into one rosbag2 (MCAP) bag.
 
-Subscriptions: the topics of `quadftc_ros.topics.TOPICS`, as serialised bytes. Publications: /diagnostics.
+Subscriptions: the topics of `quadftc_ros.topics.TOPICS`, as serialised bytes; in one process with the other
+nodes none, as these hand over what they publish. Publications: /diagnostics.
 
 The stored log time is in real time when the message was received; in lock-step it is the message's own stamp,
 so that two runs give the same bag. What is sent in lock-step before the flight has no stamp yet and is not
@@ -24,13 +25,15 @@ from rclpy.utilities import get_rmw_implementation_identifier
 
 from quadftc_model.parameters import parameter
 from quadftc_ros.bag_file import COMPRESSIONS
-from quadftc_ros.bag_writer import BagStatus, BagWriter
+from quadftc_ros.bag_process import BagProcess
+from quadftc_ros.bag_writer import BagStatus, BagWriter, Input
 from quadftc_ros.conversions import leading_stamp_ns
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.interfaces import load_message_class
 from quadftc_ros.node import GraphNode
 from quadftc_ros.qos import topic_profile
+from quadftc_ros.tap import Take
 from quadftc_ros.topics import TOPICS, Topic
 
 RECEIVE_DEPTH = {"lockstep": 10000, "realtime": 1000}  # messages per topic that may wait for this node
@@ -50,6 +53,8 @@ class RecorderNode(GraphNode):
 
     Parameters
     ----------
+    subscribes : bool
+        Else it gets its messages by `take`, from nodes in the same process (their ``tap``).
     **kwargs
         Those of ``rclpy.node.Node`` (``context``, ``namespace``, ``parameter_overrides``...).
 
@@ -60,8 +65,8 @@ class RecorderNode(GraphNode):
         attachment cannot be read.
     """
 
-    def __init__(self, **kwargs: Any) -> None:
-        super().__init__("recorder", **kwargs)
+    def __init__(self, *, subscribes: bool = True, **kwargs: Any) -> None:
+        super().__init__("recorder", None if subscribes else self._tap_of_its_own, **kwargs)
         self.settings.declare(RecorderParameters, read_only=True)
         self.settings.declare_list(
             "topics", "topics to record, as named in the table of the graph; empty: all"
@@ -72,9 +77,10 @@ class RecorderNode(GraphNode):
         classes = [load_message_class(row.type_name) for row in rows]
         self._newest_ns = 0
         self.received = 0  # messages so far, stored or still waiting to be
-        self._writer = self._open(values)
+        self._writer = self._open(values, BagWriter if subscribes else BagProcess)
+        self._takes: dict[str, Take] = {}
         for row, message_class in zip(rows, classes, strict=True):
-            self._record(row, message_class)
+            self._record(row, message_class, subscribes)
         self.create_timer(CHECK_PERIOD, self._check)
         self.ready()
 
@@ -87,6 +93,11 @@ class RecorderNode(GraphNode):
     def status(self) -> BagStatus:
         """Messages stored by topic, messages dropped or lost, and the error that stopped the recording."""
         return self._writer.status
+
+    @property
+    def process_id(self) -> int | None:
+        """Of the process that writes the bag, if it is another one."""
+        return self._writer.process_id if isinstance(self._writer, BagProcess) else None
 
     def flush(self) -> bool:
         """Wait until all that was received is on the disk; return whether it is."""
@@ -104,11 +115,11 @@ class RecorderNode(GraphNode):
             self.get_logger().error(f"{missing} messages are not in {self.path}")
         super().destroy_node()
 
-    def _open(self, values: dict[str, Any]) -> BagWriter:
+    def _open(self, values: dict[str, Any], kind: type[BagWriter | BagProcess]) -> BagWriter | BagProcess:
         if not values["directory"]:
             raise ValueError("directory = '': expected the path of a new directory")
         try:
-            return BagWriter(
+            return kind(
                 values["directory"],
                 _read_attachments([Path(path) for path in values["attachments"]]),
                 {"mode": self.mode, **versions()},
@@ -119,29 +130,43 @@ class RecorderNode(GraphNode):
         except OSError as error:
             raise ValueError(f"directory = '{values['directory']}': {error}") from error
 
-    def _record(self, row: Topic, message_class: type) -> None:
-        """Subscribe to a topic and store what comes under its full name."""
+    def tap(self, topic: str) -> Take | None:
+        """Return what takes the serialised messages of a topic (its full name); None: it is not recorded."""
+        return self._takes.get(topic)
+
+    def _tap_of_its_own(self, topic: str) -> Take:
+        def take(data: bytes) -> None:  # known only when the bag has been made
+            self._takes.get(topic, _leave)(data)
+
+        return take
+
+    def _record(self, row: Topic, message_class: type, subscribes: bool) -> None:
+        """Store what comes on a topic under its full name."""
         offered = topic_profile(row.qos, self.mode)
         wanted = QoSProfile(
             depth=RECEIVE_DEPTH[self.mode], reliability=offered.reliability, durability=offered.durability
         )
         name = self.resolve_topic_name(row.name)
         self._writer.add_topic(name, row.type_name, offered)
-        store = self._store_by_stamp if self.lockstep else self._store_by_clock
-        self.create_subscription(message_class, row.name, partial(store, name), wanted, raw=True)
+        take = partial(
+            self._take_by_stamp if self.lockstep else self._take_by_clock, self._writer.input(name)
+        )
+        self._takes[name] = take
+        if subscribes:
+            self.create_subscription(message_class, row.name, take, wanted, raw=True)
 
-    def _store_by_stamp(self, topic: str, data: bytes) -> None:
+    def _take_by_stamp(self, write: Input, data: bytes) -> None:
         stamp_ns = leading_stamp_ns(data)
         if stamp_ns:
             self._flying = True
             self._newest_ns = stamp_ns
             self.received += 1
-            self._writer.write(topic, data, stamp_ns, stamp_ns)
+            write(data, stamp_ns, stamp_ns)
 
-    def _store_by_clock(self, topic: str, data: bytes) -> None:
+    def _take_by_clock(self, write: Input, data: bytes) -> None:
         now_ns = time.time_ns()
         self.received += 1
-        self._writer.write(topic, data, now_ns, now_ns)
+        write(data, now_ns, now_ns)
 
     def _stopped(self, error: str) -> None:
         self.get_logger().error(f"recording has stopped: {error}")
@@ -159,6 +184,10 @@ class RecorderNode(GraphNode):
         self.diagnostics.report("bag", level, message, stored=stored, dropped=dropped, lost=status.lost)
         if self.lockstep and level != OK and self.diagnostics.changed:
             self.diagnostics.publish(self._newest_ns)
+
+
+def _leave(data: bytes) -> None:
+    """Take nothing."""
 
 
 def versions() -> dict[str, str]:

@@ -1,6 +1,7 @@
-"""The bag writer: what other readers find in its bags, and what is left when things go wrong."""
+"""The bag writers, by thread and by process: what readers find, and what is left when things go wrong."""
 
 import json
+import os
 import random
 import re
 import signal
@@ -24,6 +25,7 @@ from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
 
 from quadftc_ros.bag_file import BagFile
+from quadftc_ros.bag_process import BATCH, BagProcess
 from quadftc_ros.bag_writer import BagWriter
 from quadftc_ros.interfaces import load_interface, load_message_class
 from quadftc_ros.topics import TOPICS
@@ -39,7 +41,12 @@ def vector(number: int) -> bytes:
     return serialize_message(message)
 
 
-def write_numbers(writer: BagWriter, count: int, topic: str = "/plant/rate") -> None:
+@pytest.fixture(params=[BagWriter, BagProcess])
+def kind(request) -> type[BagWriter | BagProcess]:
+    return request.param
+
+
+def write_numbers(writer: BagWriter | BagProcess, count: int, topic: str = "/plant/rate") -> None:
     for number in range(count):
         time_ns = 1_000_000_000 + number * PERIOD_NS
         writer.write(topic, vector(number), time_ns, time_ns)
@@ -57,8 +64,8 @@ def stored_numbers(path: Path) -> list[float]:
     return [deserialize_message(message.data, Vector3Stamped).vector.x for message in stored_messages(path)]
 
 
-def test_rosbags_reads_every_topic_of_the_graph(tmp_path):
-    with BagWriter(tmp_path / "run") as writer:
+def test_rosbags_reads_every_topic_of_the_graph(tmp_path, kind):
+    with kind(tmp_path / "run") as writer:
         for topic in TOPICS.values():
             data = serialize_message(load_message_class(topic.type_name)())
             writer.add_topic(f"/{topic.name.strip('/')}", topic.type_name, qos_profile_sensor_data)
@@ -72,8 +79,8 @@ def test_rosbags_reads_every_topic_of_the_graph(tmp_path):
     assert counts == {f"/{name.strip('/')}": 3 for name in TOPICS}
 
 
-def test_mcap_reader_finds_what_rosbag2_writes(tmp_path):
-    with BagWriter(tmp_path / "run", {"scenario.yaml": b"rate: 250\n"}, {"note": 'a "b"\n\\ é 😀'}) as writer:
+def test_mcap_reader_finds_what_rosbag2_writes(tmp_path, kind):
+    with kind(tmp_path / "run", {"scenario.yaml": b"rate: 250\n"}, {"note": 'a "b"\n\\ é 😀'}) as writer:
         writer.add_topic("/plant/rate", VECTOR, qos_profile_sensor_data)
         write_numbers(writer, 10)
 
@@ -132,15 +139,15 @@ def test_unknown_type_is_refused_by_name(name):
 
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
-def test_compression_is_read_back(tmp_path, compression):
-    with BagWriter(tmp_path / "run", compression=compression) as writer:
+def test_compression_is_read_back(tmp_path, kind, compression):
+    with kind(tmp_path / "run", compression=compression) as writer:
         writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
         write_numbers(writer, 5000)
     assert stored_numbers(writer.path) == list(range(5000))
 
 
-def test_bag_without_messages_is_read(tmp_path):
-    with BagWriter(tmp_path / "run") as writer:
+def test_bag_without_messages_is_read(tmp_path, kind):
+    with kind(tmp_path / "run") as writer:
         writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
     with AnyReader([tmp_path / "run"]) as reader:
         assert [(connection.topic, connection.msgcount) for connection in reader.connections] == [
@@ -148,21 +155,21 @@ def test_bag_without_messages_is_read(tmp_path):
         ]
 
 
-def test_existing_directory_is_refused(tmp_path):
+def test_existing_directory_is_refused(tmp_path, kind):
     with pytest.raises(FileExistsError, match=f"{tmp_path} exists already"):
-        BagWriter(tmp_path)
+        kind(tmp_path)
 
 
-def test_bad_arguments_are_refused_before_anything_is_made(tmp_path):
+def test_bad_arguments_are_refused_before_anything_is_made(tmp_path, kind):
     with pytest.raises(ValueError, match="compression 'zip': expected one of zstd, lz4, none"):
-        BagWriter(tmp_path / "run", compression="zip")
+        kind(tmp_path / "run", compression="zip")
     with pytest.raises(ValueError, match="queue_size: 0"):
-        BagWriter(tmp_path / "run", queue_size=0)
+        kind(tmp_path / "run", queue_size=0)
     assert not (tmp_path / "run").exists()
 
 
-def test_topic_twice_or_unknown_is_refused(tmp_path):
-    with BagWriter(tmp_path / "run") as writer:
+def test_topic_twice_or_unknown_is_refused(tmp_path, kind):
+    with kind(tmp_path / "run") as writer:
         writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
         with pytest.raises(ValueError, match="in the bag already"):
             writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
@@ -171,8 +178,8 @@ def test_topic_twice_or_unknown_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
-def test_flushed_messages_are_in_the_file_while_recording(tmp_path, lockstep):
-    with BagWriter(tmp_path / "run", lockstep=lockstep) as writer:
+def test_flushed_messages_are_in_the_file_while_recording(tmp_path, kind, lockstep):
+    with kind(tmp_path / "run", lockstep=lockstep) as writer:
         writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
         write_numbers(writer, 100)
         assert writer.flush()
@@ -223,12 +230,12 @@ import json, resource, sys, time
 from pathlib import Path
 sys.path.insert(0, {here!r})
 from test_bag_writer import VECTOR, vector
-from quadftc_ros.bag_writer import BagWriter
+from quadftc_ros.{module} import {kind}
 from rclpy.qos import QoSProfile
 errors = []
-writer = BagWriter(sys.argv[1], compression="none", lockstep=sys.argv[2] == "True", on_error=errors.append)
-writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
 resource.setrlimit(resource.RLIMIT_FSIZE, (700_000, 700_000))
+writer = {kind}(sys.argv[1], compression="none", lockstep=sys.argv[2] == "True", on_error=errors.append)
+writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
 for number in range(20000):
     time_ns = 1_000_000_000 + number * 4_000_000
     writer.write("/plant/rate", vector(number), time_ns, time_ns)
@@ -240,8 +247,9 @@ print(json.dumps([errors, status.counts, dict(status.dropped), status.lost, stat
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
-def test_file_that_cannot_grow_stops_the_recording_not_the_caller(tmp_path, lockstep):
-    code = FULL_DISK.format(here=str(Path(__file__).parent))
+def test_file_that_cannot_grow_stops_the_recording_not_the_caller(tmp_path, kind, lockstep):
+    module = kind.__module__.rpartition(".")[2]
+    code = FULL_DISK.format(here=str(Path(__file__).parent), module=module, kind=kind.__name__)
     arguments = [sys.executable, "-c", code, str(tmp_path / "run"), str(lockstep)]
     result = subprocess.run(arguments, check=True, capture_output=True, text=True, timeout=60)
     errors, counts, dropped, lost, error = json.loads(result.stdout)
@@ -257,7 +265,7 @@ def test_file_that_cannot_grow_stops_the_recording_not_the_caller(tmp_path, lock
     assert sorted(path.name for path in (tmp_path / "run").iterdir()) == ["metadata.yaml", "run_0.mcap"]
 
 
-def test_lockstep_file_does_not_depend_on_order_of_arrival_or_padding(tmp_path):
+def test_lockstep_file_does_not_depend_on_order_of_arrival_or_padding(tmp_path, kind):
     generator = random.Random(1)
     events = [(1_000_000_000 + k * PERIOD_NS, topic, k) for k in range(1000) for topic in ("/a", "/b", "/c")]
     files = []
@@ -267,7 +275,7 @@ def test_lockstep_file_does_not_depend_on_order_of_arrival_or_padding(tmp_path):
         for topic in ("/a", "/b", "/c"):
             late = generator.randrange(100_000_000)
             arrivals += [(event[0] + late, event) for event in events if event[1] == topic]
-        with BagWriter(tmp_path / run, lockstep=True) as writer:
+        with kind(tmp_path / run, lockstep=True) as writer:
             for topic in ("/a", "/b", "/c"):
                 writer.add_topic(topic, VECTOR, QoSProfile(depth=1))
             for number, (_, (time_ns, topic, k)) in enumerate(sorted(arrivals)):
@@ -298,17 +306,74 @@ def test_full_queue_drops_and_counts_in_real_time(tmp_path, monkeypatch):
     assert stored_numbers(writer.path) == [k for k in range(100) if accepted[k]]
 
 
-def test_full_queue_makes_the_caller_wait_in_lockstep(tmp_path):
-    with BagWriter(tmp_path / "run", lockstep=True, queue_size=4) as writer:
+def test_full_queue_makes_the_caller_wait_in_lockstep(tmp_path, kind):
+    with kind(tmp_path / "run", lockstep=True, queue_size=4) as writer:
         writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
         write_numbers(writer, 2000)
     assert writer.status.dropped == {}
     assert stored_numbers(writer.path) == list(range(2000))
 
 
-def test_closed_writer_counts_what_it_refuses(tmp_path):
-    writer = BagWriter(tmp_path / "run")
+def test_closed_writer_counts_what_it_refuses(tmp_path, kind):
+    writer = kind(tmp_path / "run")
     writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
     assert writer.close() == writer.close()
     assert not writer.write("/plant/rate", vector(0), 0, 0)
     assert writer.status.dropped == {"/plant/rate": 1}
+
+
+def test_process_that_ends_stops_the_recording_not_the_caller(tmp_path):
+    errors: list[str] = []
+    writer = BagProcess(tmp_path / "run", on_error=errors.append)
+    writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    write_numbers(writer, 300)
+    assert writer.flush()
+    os.kill(writer.process_id, signal.SIGKILL)
+    write_numbers(writer, 2000)
+    status = writer.close()
+    assert errors == [status.error]
+    assert status.error == f"{writer.path}: the process that writes it has ended"
+    assert stored_numbers(writer.path) == list(range(300))
+    assert status.lost + sum(status.counts.values()) + sum(status.dropped.values()) == 2300
+    assert not writer.flush()
+
+
+def test_process_closes_the_bag_when_the_one_that_flies_is_killed(tmp_path):
+    code = CHILD.format(here=str(Path(__file__).parent)).replace("time.sleep(0.001)", "")
+    code = code.replace("bag_writer", "bag_process").replace("test_bag_process", "test_bag_writer")
+    code = code.replace("BagWriter", "BagProcess")
+    arguments = [sys.executable, "-c", code, str(tmp_path / "run"), "False"]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as child:
+        written = [int(child.stdout.readline()) for _ in range(3 * BATCH)]
+        child.send_signal(signal.SIGKILL)
+        written += [int(line) for line in child.stdout if line.endswith("\n")]
+    deadline = time.monotonic() + 30.0
+    while not is_complete(tmp_path / "run" / "run_0.mcap") and time.monotonic() < deadline:
+        time.sleep(0.05)
+    stored = [message.log_time for message in stored_messages(tmp_path / "run" / "run_0.mcap")]
+    assert is_complete(tmp_path / "run" / "run_0.mcap")
+    assert stored == written[: len(stored)]
+    assert len(written) - len(stored) <= BATCH
+
+
+def is_complete(path: Path) -> bool:
+    """Whether a file has the summary that closing it writes."""
+    with path.open("rb") as stream, suppress(EndOfFile, struct.error, ValueError):
+        return make_reader(stream).get_summary() is not None
+    return False
+
+
+def test_process_drops_and_counts_in_real_time_when_the_other_is_slow(tmp_path):
+    writer = BagProcess(tmp_path / "run", queue_size=4 * BATCH)
+    writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    assert writer.flush()
+    os.kill(writer.process_id, signal.SIGSTOP)
+    accepted = [writer.write("/plant/rate", vector(k), k, k) for k in range(200_000)]
+    os.kill(writer.process_id, signal.SIGCONT)
+    assert accepted.count(False) > 100_000  # the socket and the queue are full; the caller did not wait
+    status = writer.close()
+    assert sum(status.counts.values()) + sum(status.dropped.values()) == 200_000
+    assert status.error is None
+    numbers = stored_numbers(writer.path)
+    assert len(numbers) == status.counts["/plant/rate"]
+    assert set(numbers) <= {k for k in range(200_000) if accepted[k]}

@@ -80,10 +80,8 @@ class Plant:
 
     def disturbance(self, time: float, like: Array) -> Array:
         """Sum of the disturbance torques at ``time`` [N m], shaped as ``like`` (..., 3)."""
-        total = namespace(like).zeros_like(like)
-        for disturbance in self.disturbances:
-            total = total + disturbance.torque(time)
-        return total
+        torques = [disturbance.torque(time) for disturbance in self.disturbances]
+        return sum(torques, start=0.0 * like)
 
     def _derivative(self, time: float, arrays: tuple[Array, ...], wanted: Array) -> tuple[Array, ...]:
         q_xyzw, body_rate, commands = arrays

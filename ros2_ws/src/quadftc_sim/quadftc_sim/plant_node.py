@@ -15,6 +15,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -62,10 +63,19 @@ class PlantParameters:
 
 
 class PlantNode(GraphNode):
-    """Simulated vehicle with its IMU; the only node with a clock of its own."""
+    """Simulated vehicle with its IMU; the only node with a clock of its own.
 
-    def __init__(self, **kwargs: Any) -> None:
+    Parameters
+    ----------
+    each_sample : callable, optional
+        Called after each emission, by whoever runs the node and wants to look at the flight now and then.
+    **kwargs
+        Those of `GraphNode`.
+    """
+
+    def __init__(self, each_sample: Callable[[], None] | None = None, **kwargs: Any) -> None:
         super().__init__("plant", **kwargs)
+        self._each_sample = each_sample
         self.settings.declare(PlantParameters, read_only=True)
         self.settings.declare(Plant, read_only=True)
         self.settings.declare(ImuSensor, "imu.", read_only=True)
@@ -201,6 +211,8 @@ class PlantNode(GraphNode):
         if emission.sample is not None:
             self._awaited_ns = emission.sample_stamp_ns if self.lockstep else None
             self._publish_imu(self._imu(emission.sample_stamp_ns, emission.sample))
+        if self._each_sample is not None:
+            self._each_sample()
 
     def report(self) -> None:
         """Report how far the flight is, and in real time how far behind the wall clock."""

@@ -27,7 +27,7 @@ from quadftc_control.controller_conditions import (
     switching_gain_condition,
 )
 from quadftc_control.sliding_surface import sat, torque_for, tracking
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Array, clip, namespace
 from quadftc_model.conditions import Circumstances, Condition, Trace
 from quadftc_model.parameters import parameter
 from quadftc_model.samples import ControllerInputs, ControllerOutput
@@ -90,7 +90,7 @@ class Ismc(Controller):
         integral = anti_windup(state.integral, mean, state.wanted, state.given, dt)
         surface = x1e_dot + k_c2 * x1e + k_c1 * integral - state.start  # (38)
         # while the torque is cut S obeys no law: the surface moves along, S stays within its layer
-        excess = xp.where(state.wanted != state.given, surface - xp.clip(surface, -phi, phi), 0.0)
+        excess = xp.where(state.wanted != state.given, surface - clip(surface, -phi, phi), 0.0)
         S = surface - excess
         x1_ddot = inputs.reference.accelerations - k_c2 * x1e_dot - k_c1 * x1e - k_c3 * sat(S, phi)
         wanted = torque_for(self.vehicle, inputs, track, x1_ddot, inputs.disturbance)  # (45)

@@ -1,0 +1,223 @@
+# pyright: basic
+"""``quadftc bench``."""
+
+from __future__ import annotations
+
+import enum
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from quadftc_bench.commands import GOOD, INTERRUPTED
+from quadftc_bench.commands.run import Graph
+from quadftc_bench.run import RunError
+from quadftc_bench.scenario import (
+    Scenario,
+    find_scenario,
+    load_scenario,
+    with_duration,
+    with_observer,
+    with_rate,
+)
+from quadftc_bench.tables import console
+from quadftc_ros.executor import StopSignals
+
+SCENARIO = "mems_faults"
+NO_DELAY = "sensors.delay=0"  # the modelled delay of the sensor is no latency of the graph
+SHOWN = ("p50", "p90", "p99", "p99.9", "max")
+
+
+class Executor(str, enum.Enum):
+    """What runs the nodes of the composed graph."""
+
+    events = "events"
+    single = "single"
+
+
+bench = typer.Typer(help="Measure how fast it is, on this machine.", no_args_is_help=True)
+
+Observer = Annotated[str, typer.Option(help="Fault observer.")]
+Duration = Annotated[float, typer.Option(min=3.0, help="Length of a flight [s].")]
+Out = Annotated[Path | None, typer.Option(help="Directory for the results: JSON, and a figure of latencies.")]
+Repeat = Annotated[int, typer.Option(min=1, help="How often; medians are shown.")]
+
+
+@bench.command()
+def latency(
+    rate: Annotated[list[float], typer.Option(help="Control rates [Hz].")] = [250.0, 500.0, 1000.0],  # noqa: B006
+    graph: Annotated[
+        Graph, typer.Option(help="All nodes in one process, or a process each.")
+    ] = Graph.composed,
+    executor: Annotated[Executor, typer.Option(help="Executor of the composed graph.")] = Executor.events,
+    observer: Observer = "supervised",
+    duration: Duration = 60.0,
+    repeat: Repeat = 1,
+    record: Annotated[bool, typer.Option(help="Record a bag meanwhile.")] = True,
+    out: Out = None,
+) -> None:
+    """From the stamp of an IMU sample to its torque, stage by stage, in real time."""
+    from quadftc_bench.bench.latency import LatencyOptions, measure_latency
+
+    options = LatencyOptions(graph.value, executor.value, record)
+    results: list[dict[str, Any]] = []
+    jobs = [(each, number) for each in rate for number in range(repeat)]
+    with StopSignals() as stop, _bars() as bars:
+        for each, number in jobs:
+            scenario = _scenario(observer, duration, each)
+            bar = bars.add_task(f"{each:g} Hz, {number + 1} of {repeat}", total=duration * each)
+            result = measure_latency(
+                scenario, scenario.scheme(None), options, _follower(bars, bar, lambda: stop.requested)
+            )
+            if result is None:
+                raise typer.Exit(INTERRUPTED)
+            results.append(result)
+    screen = console()
+    for each in rate:
+        of_rate = [item for item in results if item["rate"] == each]
+        screen.print(_latency_table(of_rate))
+        for item in of_rate:
+            recorded = item.get("recorded", {"stored": 0, "dropped": 0})
+            screen.print(
+                f"{item['samples']} samples, {item['missed']} missed, {item['late']} late;"
+                f" recorded {recorded['stored']} messages, dropped {recorded['dropped']}"
+            )
+    _write(out, "latency", results)
+    raise typer.Exit(GOOD)
+
+
+@bench.command()
+def lockstep(
+    rate: Annotated[list[float], typer.Option(help="Control rates [Hz].")] = [250.0],  # noqa: B006
+    observer: Observer = "sliding_mode",
+    duration: Duration = 10.0,
+    repeat: Repeat = 5,
+    out: Out = None,
+) -> None:
+    """How many times real time the graph flies in lock-step, beside the closed loop without ROS."""
+    from quadftc_bench.bench.lockstep import FORMS, measure_lockstep
+
+    results: list[dict[str, Any]] = []
+    with StopSignals() as stop, _bars() as bars:
+        for each in rate:
+            scenario = _scenario(observer, duration, each)
+            bar = bars.add_task(f"{each:g} Hz", total=repeat * len(FORMS))
+            for _ in range(repeat):
+                for form in FORMS:  # in turn, so that a busy machine is as bad for all
+                    found = measure_lockstep(
+                        scenario, scenario.scheme(None), form, lambda _: not stop.requested
+                    )
+                    if found is None:
+                        raise typer.Exit(INTERRUPTED)
+                    results.append(found)
+                    bars.advance(bar)
+    console().print(_lockstep_table(results))
+    _write(out, "lockstep", results)
+    raise typer.Exit(GOOD)
+
+
+@bench.command()
+def step(out: Out = None) -> None:
+    """What one step of each fault observer costs, for one vehicle in NumPy."""
+    from quadftc_bench.bench.steps import step_costs
+
+    table = Table("observer", box=SIMPLE_HEAD, title="one step [us], of batches of 250")
+    for name in ("best", "median"):
+        table.add_column(name, justify="right")
+    results = list(step_costs())
+    for item in results:
+        table.add_row(item["observer"], f"{item['best_us']:.1f}", f"{item['median_us']:.1f}")
+    console().print(table)
+    _write(out, "step", results)
+    raise typer.Exit(GOOD)
+
+
+def _scenario(observer: str, duration: float, rate: float) -> Scenario:
+    loaded = with_duration(load_scenario(find_scenario(SCENARIO), [NO_DELAY]), duration)
+    return with_observer(with_rate(loaded, rate), observer)
+
+
+def _bars() -> Progress:
+    return Progress(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=console())
+
+
+def _follower(bars: Progress, bar: Any, stopped: Callable[[], bool]) -> Callable[[int], bool]:
+    def follow(samples: int) -> bool:
+        bars.update(bar, completed=samples)
+        return not stopped()
+
+    return follow
+
+
+def _latency_table(results: list[dict[str, Any]]) -> Table:
+    """Stages of one rate; of several runs, the medians."""
+    first = results[0]
+    what = f"{first['graph']}, {first['executor']}" if first["graph"] == "composed" else first["graph"]
+    table = Table(
+        "stage", box=SIMPLE_HEAD, title=f"{first['rate']:g} Hz, {what}, {first['observer']}: latency [us]"
+    )
+    for name in SHOWN:
+        table.add_column(name, justify="right")
+    for stage in first["stages"]:
+        rows = [item["stages"][stage] for item in results if stage in item["stages"]]
+        table.add_row(stage, *(f"{_median([row[name] for row in rows]):.0f}" for name in SHOWN))
+    return table
+
+
+def _lockstep_table(results: list[dict[str, Any]]) -> Table:
+    table = Table("rate [Hz]", "form", box=SIMPLE_HEAD, title=f"lock-step, {results[0]['observer']}")
+    for heading in ("times real time", "one sample [us]", "of the closed loop"):
+        table.add_column(heading, justify="right")
+    for rate in dict.fromkeys(item["rate"] for item in results):
+        rows = [item for item in results if item["rate"] == rate]
+        alone = _median([row["sample_us"] for row in rows if "without ROS" in row["form"]])
+        for form in dict.fromkeys(row["form"] for row in rows):
+            of_form = [row for row in rows if row["form"] == form]
+            sample = _median([row["sample_us"] for row in of_form])
+            factor = _median([row["real_time_factor"] for row in of_form])
+            table.add_row(f"{rate:g}", form, f"{factor:.2f}", f"{sample:.0f}", f"{sample / alone:.2f}")
+    return table
+
+
+def _median(values: list[float]) -> float:
+    ordered = sorted(values)
+    return ordered[len(ordered) // 2]
+
+
+def _write(out: Path | None, kind: str, results: list[dict[str, Any]]) -> None:
+    """Print what it ran on; write all of it, if asked.
+
+    Raises
+    ------
+    RunError
+        If it cannot be written.
+    """
+    from quadftc_bench.bench.machine import machine
+
+    what = machine()
+    screen = console()
+    screen.print(
+        f"{what['processor']}, {what['usable_cores']} of {what['cores']} cores,"
+        f" load {what['load_average'][0]:.2f}; "
+        + ", ".join(f"{name} {version}" for name, version in what["versions"].items()),
+        soft_wrap=True,
+    )
+    if out is None:
+        return
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        path = out / f"{kind}.json"
+        text = json.dumps({"machine": what, "results": results}, indent=2, allow_nan=False)
+        path.write_text(text + "\n", encoding="utf-8")
+        screen.print(f"written: {path}", markup=False, soft_wrap=True)
+        if kind == "latency":
+            from quadftc_bench.bench.figures import latency_figure
+
+            screen.print(f"written: {latency_figure(results, out)}", markup=False, soft_wrap=True)
+    except OSError as error:
+        raise RunError(f"{out}: {error.strerror}") from None

@@ -1,0 +1,287 @@
+"""Recording by another process: what it costs the one that flies is a list, handed over now and then.
+
+A thread that writes takes the interpreter from the thread that flies, several hundred times a second. So
+`BagProcess` has the interface of `BagWriter`, which does the work in the other process. The two talk through
+a pair of sockets, with the pickles of `multiprocessing.connection`. The other process ends when it is told to
+close the bag, or when this one has ended, in whatever way: then it closes the bag, too.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
+from typing import Any
+
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+
+from quadftc_ros.bag_writer import BagStatus, BagWriter, Input
+from quadftc_ros.interfaces import load_interface
+
+BATCH = 256  # messages handed over at a time; the socket holds some of these, so that nobody waits
+REPORT_PERIOD = 0.5  # s, wall time between two reports of how the recording stands
+SWITCH_INTERVAL = 1e-4  # s; here the thread that receives must not wait for the one that writes
+PATIENCE = 60.0  # s, wall time for the end of a recording
+ENDED = "the process that writes it has ended"
+
+
+class BagProcess:
+    """Write one rosbag2 bag (MCAP) from one thread, by another process.
+
+    Parameters
+    ----------
+    directory, attachments, metadata, compression, lockstep, queue_size
+        As of `BagWriter`.
+    on_error : callable or None
+        Called once, from the thread that writes, with the text of the error that stopped the recording.
+
+    Raises
+    ------
+    FileExistsError, ValueError, OSError
+        As of `BagWriter`; an OSError, too, if the other process does not start.
+    """
+
+    def __init__(
+        self,
+        directory: str | os.PathLike[str],
+        attachments: Mapping[str, bytes] | None = None,
+        metadata: Mapping[str, str] | None = None,
+        compression: str = "zstd",
+        *,
+        lockstep: bool = False,
+        queue_size: int = 65536,
+        on_error: Callable[[str], None] | None = None,
+    ) -> None:
+        self._lockstep = lockstep
+        self._queue_size = queue_size
+        self._on_error = on_error
+        self._topics: set[str] = set()
+        self._batch: list[tuple[str, bytes, int, int]] = []
+        self._limit = BATCH  # messages; when the batch is so long, it is time to hand it over
+        self._accepted = 0  # messages handed over so far
+        self._dropped: dict[str, int] = {}
+        self._status = BagStatus({}, {}, 0, None)  # as the other process has said last
+        self._closed = self._ended = self._complete = False  # by us; the process; the bag
+        self._connection, theirs = Pipe()
+        with theirs:
+            command = [sys.executable, "-m", "quadftc_ros.bag_process", str(theirs.fileno())]
+            # in a session of its own: Ctrl-C in the terminal is for the process that flies
+            self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()], start_new_session=True)
+        self._writable = select.poll()
+        self._writable.register(self._connection, select.POLLOUT)
+        files = str(directory), dict(attachments or {}), dict(metadata or {})
+        self._send((*files, compression, lockstep, queue_size))
+        self.path: Path = self._first_answer()
+
+    @property
+    def process_id(self) -> int:
+        """Of the process that writes."""
+        return self._process.pid
+
+    def add_topic(self, topic: str, type_name: str, qos: QoSProfile) -> None:
+        """As of `BagWriter`."""
+        if topic in self._topics:
+            raise ValueError(f"topic '{topic}': in the bag already")
+        load_interface(type_name)  # raises what is wrong here, not there
+        self._topics.add(topic)
+        self._send(("topic", topic, type_name, qos.depth, qos.reliability.value, qos.durability.value))
+
+    def input(self, topic: str) -> Input:
+        """As of `BagWriter`."""
+        if topic not in self._topics:
+            raise KeyError(topic)
+        batch = self._batch
+
+        def write(data: bytes, log_time_ns: int, publish_time_ns: int) -> bool:
+            if len(batch) >= self._limit and not self._make_room():
+                self._dropped[topic] = self._dropped.get(topic, 0) + 1
+                return False
+            batch.append((topic, data, log_time_ns, publish_time_ns))
+            return True
+
+        return write
+
+    def write(self, topic: str, cdr_bytes: bytes, log_time_ns: int, publish_time_ns: int) -> bool:
+        """As of `BagWriter`."""
+        return self.input(topic)(cdr_bytes, log_time_ns, publish_time_ns)
+
+    def flush(self, timeout: float = 10.0) -> bool:
+        """As of `BagWriter`."""
+        if self._closed:
+            return False
+        self._hand_over()
+        self._send(("flush", timeout))
+        return self._wait_for(("flushed", "not flushed"), timeout) == "flushed"
+
+    def close(self) -> BagStatus:
+        """As of `BagWriter`."""
+        if not self._closed:
+            self._hand_over()
+            self._closed, self._limit = True, 0
+            self._send(("close",))
+            self._wait_for(("closed",), PATIENCE)
+            self._end()
+        return self.status
+
+    @property
+    def status(self) -> BagStatus:
+        """As of `BagWriter`, not older than a second; call it every second, so that nothing waits longer."""
+        if not self._closed:
+            self._hand_over()
+        dropped = {
+            topic: self._dropped.get(topic, 0) + self._status.dropped.get(topic, 0)
+            for topic in {*self._dropped, *self._status.dropped}
+        }
+        lost = self._status.lost
+        if self._ended and not self._complete:  # counts are those of its last report
+            lost = self._accepted - sum(self._status.counts.values()) - sum(self._status.dropped.values())
+        return dataclasses.replace(self._status, dropped=dropped, lost=lost)
+
+    def __enter__(self) -> BagProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _make_room(self) -> bool:
+        """Hand the batch over, in lock-step even if that takes time; return whether there is room now."""
+        if self._closed:
+            return False
+        if self._lockstep or self._writable.poll(0):
+            self._hand_over()
+            self._limit = BATCH
+        else:
+            self._limit = min(self._limit + BATCH, self._queue_size)
+        return len(self._batch) < self._limit
+
+    def _hand_over(self) -> None:
+        if self._batch:
+            self._send(self._batch)
+            self._accepted += len(self._batch)
+            self._batch.clear()
+        while self._receive(0.0):
+            pass
+
+    def _send(self, item: object) -> None:
+        with suppress(OSError):  # that it has ended shows in what it says last
+            self._connection.send(item)
+
+    def _receive(self, timeout: float) -> str:
+        """Note what the other process says within a time [s]; return its kind, empty if nothing."""
+        if self._ended:
+            return ""
+        try:
+            if not self._connection.poll(timeout):
+                return ""
+            kind, status = self._connection.recv()
+        except (EOFError, OSError):
+            self._ended = True
+            kind, status = "ended", self._status
+            if not self._complete:
+                status = dataclasses.replace(status, error=status.error or f"{self.path}: {ENDED}")
+        self._complete = self._complete or kind == "closed"
+        known, self._status = self._status.error, status
+        if status.error is not None and known is None and self._on_error is not None:
+            self._on_error(status.error)
+        return kind
+
+    def _wait_for(self, kinds: tuple[str, ...], timeout: float) -> str:
+        """Wait for one of some answers, up to a time [s]; return which, empty if none."""
+        end = time.monotonic() + timeout
+        while not self._ended and (rest := end - time.monotonic()) > 0.0:
+            if (kind := self._receive(rest)) in kinds:
+                return kind
+        return ""
+
+    def _first_answer(self) -> Path:
+        """Return the path of the bag."""
+        try:
+            answer = self._connection.recv()
+        except (EOFError, OSError):
+            answer = OSError("the process that was to write the bag has ended")
+        if isinstance(answer, Exception):
+            self._closed = True
+            self._end()
+            raise answer
+        return answer
+
+    def _end(self) -> None:
+        self._connection.close()
+        try:
+            self._process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+def serve(connection: Connection) -> None:
+    """Write the bag that the first message describes, until told to close it or the other side has ended."""
+    try:
+        directory, attachments, metadata, compression, lockstep, queue_size = connection.recv()
+        options = {"lockstep": lockstep, "queue_size": queue_size}
+        writer = BagWriter(directory, attachments, metadata, compression, **options)
+    except EOFError:
+        return
+    except (ValueError, OSError) as error:
+        connection.send(error)
+        return
+    with writer, suppress(EOFError, OSError):  # of the connection: the bag is closed then, too
+        connection.send(writer.path)
+        _Server(connection, writer).serve()
+
+
+class _Server:
+    def __init__(self, connection: Connection, writer: BagWriter) -> None:
+        self._connection = connection
+        self._writer = writer
+        self._inputs: dict[str, Input] = {}
+
+    def serve(self) -> None:
+        due = 0.0
+        while not self._writer.closed:
+            if self._connection.poll(REPORT_PERIOD):
+                self._do(self._connection.recv())
+            if (now := time.monotonic()) >= due:
+                self._connection.send(("status", self._writer.status))
+                due = now + REPORT_PERIOD
+
+    def _do(self, item: Any) -> None:
+        if isinstance(item, list):
+            for topic, data, log_time_ns, publish_time_ns in item:
+                self._inputs[topic](data, log_time_ns, publish_time_ns)
+            return
+        match item:
+            case ("topic", topic, type_name, depth, reliability, durability):
+                qos = QoSProfile(
+                    depth=depth,
+                    reliability=ReliabilityPolicy(reliability),
+                    durability=DurabilityPolicy(durability),
+                )
+                self._writer.add_topic(topic, type_name, qos)
+                self._inputs[topic] = self._writer.input(topic)
+            case ("flush", timeout):
+                flushed = self._writer.flush(timeout)
+                self._connection.send(("flushed" if flushed else "not flushed", self._writer.status))
+            case _:
+                self._connection.send(("closed", self._writer.close()))
+
+
+def main() -> None:
+    """Serve the process that started this one, on the descriptor that it gave."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # the bag is closed when the other process says so, or ends
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    with Connection(int(sys.argv[1])) as connection:
+        serve(connection)
+
+
+if __name__ == "__main__":
+    main()
