@@ -125,6 +125,7 @@ class PlantNode(GraphNode):
             raise RuntimeError("the flight has begun already")
         self._stop_waiting()
         self._simulator = simulator_from(self._values, EPOCH_NS if self.lockstep else time.time_ns())
+        self._begin_ns = time.monotonic_ns()
         self._emit(self._simulator.start())
         if not self.lockstep:
             period = seconds(self._simulator.period_ns)
@@ -136,6 +137,7 @@ class PlantNode(GraphNode):
         self._torque, self._torque_age = np.zeros(3), 0.0  # last command [N m], and how long ago it came [s]
         self._awaited_ns: int | None = None  # lock-step: stamp of the sample whose torque is missing
         self._emitted, self._finished = 0, False
+        self._begin_ns = 0  # monotonic clock, at the first emission
         self._count = sample_count(self._values["duration"], self._values["rate"])  # 0: without end
 
     def _restart(self) -> None:
@@ -181,6 +183,12 @@ class PlantNode(GraphNode):
         else:
             self._note_torque(OK, "torque/command comes")
         self._advance()
+        if not self._finished and time.monotonic_ns() >= self._due_ns():
+            self._advance()  # a timer that is late by a period skips it; the flight does not
+
+    def _due_ns(self) -> int:
+        """When the next emission is due, by the monotonic clock."""
+        return self._begin_ns + self._emitted * self._simulator.period_ns
 
     def _note_torque(self, level: bytes, words: str) -> None:
         if level != self._torque_level:

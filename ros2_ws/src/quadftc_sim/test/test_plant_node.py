@@ -1,6 +1,7 @@
 """The plant node: what it publishes, how lock-step and real time drive it, its services and parameters."""
 
 import math
+import time
 
 import numpy as np
 import pytest
@@ -255,3 +256,14 @@ def test_what_is_fixed_for_a_flight_cannot_be_changed(bench):
 def test_wrong_parameter_is_refused_by_name(bench, wrong, text):
     with pytest.raises(ValueError, match=text):
         bench.run(PlantNode, **wrong)
+
+
+def test_flight_in_real_time_keeps_up_with_the_clock_after_a_stall(bench):
+    flight = Flight(bench, rate=100.0)
+    flight.start()
+    begin = time.monotonic()
+    time.sleep(0.3)  # nobody serves the plant: its timer skips periods
+    bench.until(lambda: time.monotonic() - begin > 1.5)
+    elapsed = time.monotonic() - begin
+    assert flight.node.samples >= 100 * elapsed - 10  # without catching up it would be 30 fewer
+    assert flight.node.samples <= 100 * elapsed + 2
