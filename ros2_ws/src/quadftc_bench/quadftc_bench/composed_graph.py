@@ -25,7 +25,7 @@ from quadftc_control.controller_node import ControllerNode
 from quadftc_control.reference_node import ReferenceNode
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer_node import FaultObserverNode
-from quadftc_ros.executor import Slice, make_executor
+from quadftc_ros.executor import Slice, make_executor, settled_memory
 from quadftc_ros.node import GraphNode, crowded_topics, missing_connections
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_sim.fault_injector_node import FaultInjectorNode
@@ -110,6 +110,10 @@ class ComposedGraph:
         """
         if not self.wait_until_connected(progress):
             return 0.0
+        with settled_memory():
+            return self._fly(progress)
+
+    def _fly(self, progress: Progress) -> float:
         begin = time.monotonic()
         self.plant.start()
         samples, moved = 0, begin

@@ -22,8 +22,15 @@ from quadftc_control.controller import controllers
 from quadftc_control.degraded import InputMonitor, Mode, Patience
 from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import Value, parameter
-from quadftc_model.samples import AttitudeReference, ControllerInputs, ControllerOutput, ImuSample, sanitised
-from quadftc_model.stepper import Stepper, seconds
+from quadftc_model.samples import (
+    AttitudeReference,
+    ControllerInputs,
+    ControllerOutput,
+    ImuSample,
+    level_sample,
+    sanitised,
+)
+from quadftc_model.stepper import Stepper, seconds, warm_up
 from quadftc_ros.conversions import (
     BASE_FRAME,
     ControlStatusWriter,
@@ -70,6 +77,8 @@ class ControllerNode(GraphNode):
         self.settings.declare(Patience, "patience.")
         values = self.settings.values()
         self._stepper: Stepper[ControllerInputs, ControllerOutput] = Stepper(controller_from(values))
+        still = AttitudeReference(np.zeros(3), np.zeros(3), np.zeros(3))
+        warm_up(self._stepper.law, ControllerInputs(level_sample(), still, np.zeros(3)))
         self._monitor = InputMonitor(build_prefixed(Patience, values, "patience"))
         self.settings.on_change(self._rebuilt)
         self._publish_torque = self.publishes("torque/command")

@@ -20,7 +20,7 @@ from quadftc_fdi.disturbance_observer import disturbance_observers
 from quadftc_model.arrays import Array
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import DisturbanceObserverInputs, sanitised
-from quadftc_model.stepper import Stepper
+from quadftc_model.stepper import Stepper, warm_up
 from quadftc_ros.conversions import BASE_FRAME, Floats, VectorWriter, array_of, imu_sample, is_finite
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
@@ -47,6 +47,7 @@ class DisturbanceObserverNode(GraphNode):
         self._stepper: Stepper[DisturbanceObserverInputs, Array] = Stepper(
             disturbance_observer_from(self.settings.values())
         )
+        warm_up(self._stepper.law, DisturbanceObserverInputs(np.zeros(3), np.bool_(True), np.zeros(3)))
         self.settings.on_change(self._rebuilt)
         self._publish = self.publishes("disturbance/estimate")
         self._body = VectorWriter(BASE_FRAME)

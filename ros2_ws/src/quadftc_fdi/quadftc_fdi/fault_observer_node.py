@@ -19,7 +19,15 @@ from quadftc_fdi.assembly import fault_observer_from
 from quadftc_fdi.diagnosis import Diagnosis
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_model.parameters import Value, parameter
-from quadftc_model.samples import STARTING, FaultEstimate, ImuSample, sanitised
+from quadftc_model.samples import (
+    STARTING,
+    FaultEstimate,
+    FaultObserverInputs,
+    ImuSample,
+    level_sample,
+    sanitised,
+)
+from quadftc_model.stepper import warm_up
 from quadftc_ros.conversions import (
     EARTH_FRAME,
     FaultStatusWriter,
@@ -53,6 +61,7 @@ class FaultObserverNode(GraphNode):
         name = self.settings.values()["observer"]
         self.settings.declare(fault_observers.get(name), f"{name}.")
         self._diagnosis = Diagnosis(fault_observer_from(self.settings.values()))
+        warm_up(self._diagnosis.law, FaultObserverInputs(level_sample(), np.zeros(3)))
         self.settings.on_change(self._rebuilt)
         self._publish_corrected = self.publishes("imu/corrected")
         self._publish_estimate = self.publishes("fault/estimate")

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from quadftc_model.arrays import Array, components, is_single, namespace
 
 UNIT_NORM_TOLERANCE = 1e-2  # 1; a quaternion further from unit length is no attitude
@@ -24,6 +26,14 @@ class ImuSample(NamedTuple):
     attitude_valid: Array  # (...,) bool
     rate_valid: Array  # (...,) bool
     force_valid: Array  # (...,) bool
+
+
+def level_sample() -> ImuSample:
+    """What an IMU of one vehicle says that is level and at rest."""
+    there = np.bool_(True)
+    return ImuSample(
+        np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.array([0.0, 0.0, 9.80665]), there, there, there
+    )
 
 
 class AttitudeReference(NamedTuple):

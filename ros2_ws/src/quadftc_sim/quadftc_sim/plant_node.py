@@ -149,10 +149,15 @@ class PlantNode(GraphNode):
         if self.lockstep:
             self.start()
         else:
-            self._waiting = self.create_timer(PAUSE, self.start, clock=self.steady_clock)
+            self._waiting = self.create_timer(PAUSE, self._start_waiting, clock=self.steady_clock)
 
     def _start_when_connected(self) -> None:
         if not missing_connections(self.get_name(), self.connections()):
+            self._start_waiting()
+
+    def _start_waiting(self) -> None:
+        """Begin the flight, if the timer has not done so: one that is late may come twice."""
+        if not self._emitted:
             self.start()
 
     def _stop_waiting(self) -> None:
