@@ -70,6 +70,10 @@ class FaultInjectorNode(GraphNode):
             return
         self._last_ns = stamp_ns
         injected = self._injector.apply(stamp_ns, imu_sample(message))
+        if injected.sample is None:
+            self._publish_dropped(Header(stamp=time_message(stamp_ns), frame_id=IMU_FRAME))
+        else:  # first, as others wait for it
+            self._publish_imu(self._imu(stamp_ns, injected.sample))
         self._publish_attitude(self._earth(stamp_ns, injected.attitude))
         if "gyro" in self._seen:
             self._publish_gyro(self._sensor(stamp_ns, injected.gyro))
@@ -77,10 +81,6 @@ class FaultInjectorNode(GraphNode):
             self._publish_accelerometer(self._sensor(stamp_ns, injected.accelerometer))
         self._note_changes()
         self.sampled(stamp_ns)
-        if injected.sample is None:
-            self._publish_dropped(Header(stamp=time_message(stamp_ns), frame_id=IMU_FRAME))
-        else:
-            self._publish_imu(self._imu(stamp_ns, injected.sample))
 
     def report(self) -> None:
         """Report the faults that act."""

@@ -217,13 +217,13 @@ class PlantNode(GraphNode):
         if self._publish_clock is not None:
             self._clock_message.clock.sec, self._clock_message.clock.nanosec = divmod(now, NANOSECONDS)
             self._publish_clock(self._clock_message)
+        if emission.sample is not None:  # first, as others wait for it
+            self._awaited_ns = emission.sample_stamp_ns if self.lockstep else None
+            self._publish_imu(self._imu(emission.sample_stamp_ns, emission.sample))
         self._publish_attitude(self._earth(now, emission.angles))
         self._publish_rate(self._body(now, emission.body_rate))
         self._publish_disturbance(self._body(now, emission.disturbance))
         self.sampled(now)
-        if emission.sample is not None:
-            self._awaited_ns = emission.sample_stamp_ns if self.lockstep else None
-            self._publish_imu(self._imu(emission.sample_stamp_ns, emission.sample))
         if self._each_sample is not None:
             self._each_sample()
 
