@@ -12,7 +12,7 @@ from quadftc_bench.bags import read_bag
 from quadftc_bench.closed_loop import fly
 from quadftc_bench.composed_graph import ComposedGraph
 from quadftc_bench.flight import Flight, flight_from_bag
-from quadftc_bench.graph_plan import GraphPlan, drain
+from quadftc_bench.graph_plan import GraphPlan
 from quadftc_bench.scenario import find_scenario, load_scenario, node_parameters, with_duration
 from quadftc_ros.testing import NodeBench
 
@@ -93,16 +93,17 @@ def test_two_vehicles_fly_in_one_process_without_hearing_each_other(tmp_path, bu
         GraphPlan(node_parameters(busy_scenario, scheme), "lockstep", scheme, tmp_path / scheme)
         for scheme in ("proposed", "conventional")
     ]
-    with ComposedGraph(plans[0]) as first, ComposedGraph(plans[1]) as second:
-        second.wait_until_connected()
-        second.plant.start()
-        first.run(lambda _samples: second.spin_once(0.0) or True)
-        while not second.plant.finished:
-            second.spin_once()
-        drain(lambda: second.recorder.received, second.spin_once, "lockstep")
+    with ComposedGraph(*plans) as graph:
+        graph.run()
     for scheme in ("proposed", "conventional"):
         flight = flight_from_bag(read_bag(tmp_path / scheme))
         assert_equal_bit_for_bit(flight, fly(node_parameters(busy_scenario, scheme)))
+
+
+def test_two_vehicles_in_one_namespace_are_refused(busy_scenario):
+    plan = GraphPlan(node_parameters(busy_scenario))
+    with pytest.raises(ValueError, match="vehicles: 2 in the namespaces"):
+        ComposedGraph(plan, plan)
 
 
 def test_reset_flies_the_same_flight_again_whenever_it_comes(busy_scenario):

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from rclpy.context import Context
@@ -43,14 +43,16 @@ NODE_CLASSES: dict[str, type[Any]] = {
 }
 
 
-class ComposedGraph:
-    """All nodes of a plan in this process; a context manager.
+class ComposedVehicle:
+    """The nodes of a plan in this process, on the executor of a graph.
 
     Parameters
     ----------
     plan : GraphPlan
-    executor : str
-        ``events`` or ``single``.
+    context, executor
+        Of ROS; they stay open when this is closed.
+    each_sample : callable
+        Called after each emission of the plant.
 
     Raises
     ------
@@ -58,22 +60,19 @@ class ComposedGraph:
         If a parameter of a node is wrong, or the bag cannot be made.
     """
 
-    exit_code = 0  # for those who treat both kinds of graph alike: no process that could end badly
-
-    def __init__(self, plan: GraphPlan, executor: str = "events") -> None:
+    def __init__(
+        self, plan: GraphPlan, context: Context, executor: Any, each_sample: Callable[[], None]
+    ) -> None:
         self.plan = plan
         self.recorder: RecorderNode | None = None
         self.nodes: dict[str, GraphNode] = {}
-        self._context = Context()
-        self._context.init()
-        self._executor = make_executor(executor, self._context)
-        self._slice = Slice(self._executor)
+        self._context, self._executor = context, executor
         try:
             if plan.bag is not None:
                 self.recorder = self._made(RecorderNode, plan.recorder_parameters(), subscribes=False)
             tap = None if self.recorder is None else self.recorder.tap
             for name in EXECUTABLES:
-                options = {"each_sample": self._slice.look} if name == "plant" else {}
+                options = {"each_sample": each_sample} if name == "plant" else {}
                 parameters = plan.node_parameters(name)
                 self.nodes[name] = self._made(NODE_CLASSES[name], parameters, tap=tap, **options)
         except BaseException:
@@ -87,6 +86,85 @@ class ComposedGraph:
         assert isinstance(plant, PlantNode)
         return plant
 
+    def missing(self) -> list[str]:
+        """Say which connections between the nodes are missing."""
+        return [
+            f"{name}: {lack}"
+            for name, node in self.nodes.items()
+            for lack in missing_connections(name, node.connections())
+        ]
+
+    def close(self) -> None:
+        """Close the bag, end the nodes."""
+        if self.recorder is not None:
+            self.recorder.finish()
+        for node in [*self.nodes.values(), *([self.recorder] if self.recorder is not None else [])]:
+            node.destroy_node()
+        self.nodes, self.recorder = {}, None
+
+    def _made(self, node_class: type[Any], parameters: Mapping[str, Any], **options: Any) -> Any:
+        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
+        node = node_class(
+            context=self._context,
+            namespace=self.plan.namespace or None,
+            parameter_overrides=overrides,
+            use_global_arguments=False,
+            **options,
+        )
+        self._executor.add_node(node)
+        return node
+
+
+class ComposedGraph:
+    """All nodes of one or more plans in this process; a context manager.
+
+    Parameters
+    ----------
+    *plans : GraphPlan
+        One for each vehicle, each in a namespace of its own.
+    executor : str
+        ``events`` or ``single``.
+
+    Raises
+    ------
+    ValueError
+        If a parameter of a node is wrong, a bag cannot be made, or two vehicles have one namespace.
+    """
+
+    exit_code = 0  # for those who treat both kinds of graph alike: no process that could end badly
+
+    def __init__(self, *plans: GraphPlan, executor: str = "events") -> None:
+        names = [plan.namespace.strip("/") for plan in plans]
+        if len(set(names)) < len(names) or not names:
+            raise ValueError(f"vehicles: {len(names)} in the namespaces {', '.join(sorted(set(names)))}")
+        self.vehicles: list[ComposedVehicle] = []
+        self._context = Context()
+        self._context.init()
+        self._executor = make_executor(executor, self._context)
+        self._slice = Slice(self._executor)
+        try:
+            for plan in plans:
+                vehicle = ComposedVehicle(plan, self._context, self._executor, self._slice.look)
+                self.vehicles.append(vehicle)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def recorder(self) -> RecorderNode | None:
+        """The recorder of the first vehicle."""
+        return self.vehicles[0].recorder
+
+    @property
+    def nodes(self) -> dict[str, GraphNode]:
+        """The nodes of the first vehicle."""
+        return self.vehicles[0].nodes
+
+    @property
+    def plant(self) -> PlantNode:
+        """The plant of the first vehicle."""
+        return self.vehicles[0].plant
+
     def __enter__(self) -> ComposedGraph:
         """Return the graph."""
         return self
@@ -96,7 +174,7 @@ class ComposedGraph:
         self.close()
 
     def run(self, progress: Progress = always) -> float:
-        """Fly until the plant's duration is over; return the wall time of the flight [s].
+        """Fly until the durations of all plants are over; return the wall time of the flight [s].
 
         Parameters
         ----------
@@ -111,19 +189,20 @@ class ComposedGraph:
         if not self.wait_until_connected(progress):
             return 0.0
         with settled_memory():
-            return self._fly(progress)
+            return self._fly([vehicle.plant for vehicle in self.vehicles], progress)
 
-    def _fly(self, progress: Progress) -> float:
+    def _fly(self, plants: list[PlantNode], progress: Progress) -> float:
         begin = time.monotonic()
-        self.plant.start()
+        for plant in plants:
+            plant.start()
         samples, moved = 0, begin
-        while not self.plant.finished:
+        while not all(plant.finished for plant in plants):
             self._slice.spin(SLICE)
-            now = time.monotonic()
-            if not progress(self.plant.samples):
+            now, count = time.monotonic(), sum(plant.samples for plant in plants)
+            if not progress(count):
                 return time.monotonic() - begin
-            if self.plant.samples != samples:
-                samples, moved = self.plant.samples, now
+            if count != samples:
+                samples, moved = count, now
             elif now - moved > STALL_TIMEOUT:
                 raise GraphError(
                     f"the flight stalled after {samples} samples: no torque/command came for the last"
@@ -141,14 +220,15 @@ class ComposedGraph:
             If they do not find each other, or another graph is there, too.
         """
         end = time.monotonic() + CONNECT_TIMEOUT
-        while missing := self._missing():
+        while missing := [lack for vehicle in self.vehicles for lack in vehicle.missing()]:
             if time.monotonic() > end:
                 raise GraphError(f"not connected after {CONNECT_TIMEOUT:g} s: {'; '.join(missing)}")
             if not progress(0):
                 return False
             self.spin_once(0.02)
-        if crowd := crowded_topics(self.plant.count_publishers):
-            raise GraphError(f"{crowd[0]}: {ALONE}")
+        for vehicle in self.vehicles:
+            if crowd := crowded_topics(vehicle.plant.count_publishers):
+                raise GraphError(f"{crowd[0]}: {ALONE}")
         return True
 
     def spin_once(self, timeout: float = 0.2) -> None:
@@ -156,30 +236,12 @@ class ComposedGraph:
         self._executor.spin_once(timeout_sec=timeout)
 
     def close(self) -> None:
-        """Close the bag, end the nodes."""
-        if self.recorder is not None:
-            self.recorder.finish()
+        """Close the bags, end the nodes."""
+        for vehicle in self.vehicles:
+            if vehicle.recorder is not None:
+                vehicle.recorder.finish()
         self._executor.shutdown()
-        for node in [*self.nodes.values(), *([self.recorder] if self.recorder is not None else [])]:
-            node.destroy_node()
-        self.nodes, self.recorder = {}, None
+        for vehicle in self.vehicles:
+            vehicle.close()
+        self.vehicles = []
         self._context.try_shutdown()
-
-    def _made(self, node_class: type[Any], parameters: Mapping[str, Any], **options: Any) -> Any:
-        overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        node = node_class(
-            context=self._context,
-            namespace=self.plan.namespace or None,
-            parameter_overrides=overrides,
-            use_global_arguments=False,
-            **options,
-        )
-        self._executor.add_node(node)
-        return node
-
-    def _missing(self) -> list[str]:
-        return [
-            f"{name}: {lack}"
-            for name, node in self.nodes.items()
-            for lack in missing_connections(name, node.connections())
-        ]

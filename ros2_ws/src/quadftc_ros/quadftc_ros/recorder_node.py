@@ -81,6 +81,7 @@ class RecorderNode(GraphNode):
         self._takes: dict[str, Take] = {}
         for row, message_class in zip(rows, classes, strict=True):
             self._record(row, message_class, subscribes)
+        self.flush()  # it takes time to get ready for the topics, which is not to be that of the flight
         self.create_timer(CHECK_PERIOD, self._check)
         self.ready()
 

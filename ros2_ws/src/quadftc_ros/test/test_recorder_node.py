@@ -20,8 +20,10 @@ from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
 
 from quadftc_ros.conversions import leading_stamp_ns
+from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import make_executor
 from quadftc_ros.interfaces import load_message_class
+from quadftc_ros.node import GraphNode
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.topics import TOPICS
@@ -266,3 +268,30 @@ def test_process_killed_leaves_a_bag_that_says_what_it_holds(context, namespace,
         process.kill()
     sender.destroy_node()
     assert told_counts(tmp_path / "run")[f"{namespace}/imu/data"] > 0
+
+
+@pytest.mark.parametrize("mode", ["lockstep", "realtime"])
+def test_recorder_gets_by_tap_what_nodes_in_its_process_publish(context, namespace, tmp_path, mode):
+    common = {"context": context, "namespace": namespace}
+    given = parameters(directory=str(tmp_path / "bag"), mode=mode, topics=["plant/rate", "/diagnostics"])
+    recorder = RecorderNode(subscribes=False, parameter_overrides=given, **common)
+    sender = GraphNode("plant", tap=recorder.tap, parameter_overrides=parameters(mode=mode), **common)
+    rate, attitude = sender.publishes("plant/rate"), sender.publishes("plant/attitude")
+    sender.ready()
+    assert sender.count_subscribers("plant/rate") == 0
+    for number in range(300):
+        rate(stamped("plant/rate", START_NS + number * PERIOD_NS))
+        attitude(stamped("plant/attitude", START_NS + number * PERIOD_NS))
+    sender.diagnostics.report("part", OK, "well")
+    sender.sampled(START_NS)
+    recorder.diagnostics.publish(START_NS)  # its own, too
+    assert recorder.process_id is not None
+    status = recorder.finish()
+    assert status.counts == {full_name(namespace, "plant/rate"): 300, "/diagnostics": 2}
+    with AnyReader([tmp_path / "bag"]) as reader:
+        names = {connection.topic for connection in reader.connections}
+        found = [leading_stamp_ns(data) for at, _, data in reader.messages() if at.topic.endswith("rate")]
+    assert names == {full_name(namespace, "plant/rate"), "/diagnostics"}
+    assert found == [START_NS + number * PERIOD_NS for number in range(300)]
+    for node in (sender, recorder):
+        node.destroy_node()

@@ -93,9 +93,7 @@ def measure_latency(
             going_on = progress(samples)
             return going_on
 
-        make = ProcessGraph if options.graph == "processes" else ComposedGraph
-        arguments = () if options.graph == "processes" else (options.executor,)
-        with make(plan, *arguments) as graph:
+        with _graph(plan, options) as graph:
             usage = Usage(_processes(graph))
             wall_time = graph.run(follow)
             taken = usage.taken(wall_time)
@@ -164,6 +162,12 @@ def histogram(nanoseconds: NDArray[np.int64], bins: int = 120) -> dict[str, list
     edges = np.geomspace(10.0, 1e6, bins + 1)
     counts, _ = np.histogram(nanoseconds / MICROSECOND, edges)
     return {"edges_us": [round(float(edge), 2) for edge in edges], "counts": counts.tolist()}
+
+
+def _graph(plan: GraphPlan, options: LatencyOptions) -> ComposedGraph | ProcessGraph:
+    if options.graph == "processes":
+        return ProcessGraph(plan)
+    return ComposedGraph(plan, executor=options.executor)
 
 
 def _processes(graph: ComposedGraph | ProcessGraph) -> dict[str, int]:

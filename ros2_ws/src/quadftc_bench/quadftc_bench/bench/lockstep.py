@@ -14,18 +14,31 @@ from quadftc_bench.composed_graph import ComposedGraph
 from quadftc_bench.graph_plan import GraphPlan
 from quadftc_bench.scenario import Scenario, Scheme, node_parameters
 
-FORMS = ("composed, recording", "composed", "composed, SingleThreadedExecutor", "closed loop without ROS")
+RECORDING, COMPOSED, SINGLE, ALONE = FORMS = (
+    "composed, recording",
+    "composed",
+    "composed, SingleThreadedExecutor",
+    "closed loop without ROS",
+)
 
 
 def measure_lockstep(
-    scenario: Scenario, scheme: Scheme, form: str, progress: Callable[[int], bool]
+    scenario: Scenario, scheme: Scheme, form: str, vehicles: int, progress: Callable[[int], bool]
 ) -> dict[str, Any] | None:
     """Fly a scenario in one of `FORMS`; None if ``progress``, called with the samples so far, ended it.
+
+    Parameters
+    ----------
+    scenario, scheme : Scenario, Scheme
+    form : str
+    vehicles : int
+        So many fly in one process, each in a namespace of its own.
+    progress : callable
 
     Returns
     -------
     dict
-        ``real_time_factor``, ``sample_us``, and what was flown.
+        ``real_time_factor`` of the whole; ``sample_us`` of one sample of one vehicle; what was flown.
 
     Raises
     ------
@@ -33,14 +46,22 @@ def measure_lockstep(
         If the graph does not start or stalls.
     """
     parameters = node_parameters(scenario, scheme)
-    if form == FORMS[3]:
+    if form == ALONE:
         begin = time.monotonic()
-        fly(parameters)
+        for _ in range(vehicles):
+            fly(parameters)
         wall_time = time.monotonic() - begin
     else:
         with tempfile.TemporaryDirectory(prefix="quadftc_bench_") as folder:
-            bag = Path(folder, "bag") if form == FORMS[0] else None
-            executor = "single" if form == FORMS[2] else "events"
+            plans = [
+                GraphPlan(
+                    parameters,
+                    "lockstep",
+                    namespace=f"vehicle_{number}",
+                    bag=Path(folder, f"bag_{number}") if form == RECORDING else None,
+                )
+                for number in range(vehicles)
+            ]
             going_on = True
 
             def follow(samples: int) -> bool:
@@ -48,15 +69,16 @@ def measure_lockstep(
                 going_on = progress(samples)
                 return going_on
 
-            with ComposedGraph(GraphPlan(parameters, "lockstep", bag=bag), executor) as graph:
+            with ComposedGraph(*plans, executor="single" if form == SINGLE else "events") as graph:
                 wall_time = graph.run(follow)
             if not going_on:
                 return None
-    samples = scenario.duration * scenario.rate
+    samples = scenario.duration * scenario.rate * vehicles
     return {
         "form": form,
         "scenario": scenario.name,
         "rate": scenario.rate,
+        "vehicles": vehicles,
         "observer": scheme.observer.kind,
         "real_time_factor": round(scenario.duration / wall_time, 3),
         "sample_us": round(1e6 * wall_time / samples, 1),

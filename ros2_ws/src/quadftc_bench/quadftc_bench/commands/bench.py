@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import enum
+import itertools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -94,8 +95,9 @@ def latency(
 @bench.command()
 def lockstep(
     rate: Annotated[list[float], typer.Option(help="Control rates [Hz].")] = [250.0],  # noqa: B006
+    vehicles: Annotated[list[int], typer.Option(min=1, help="Vehicles in one process.")] = [1],  # noqa: B006
     observer: Observer = "sliding_mode",
-    duration: Duration = 10.0,
+    duration: Duration = 20.0,
     repeat: Repeat = 5,
     out: Out = None,
 ) -> None:
@@ -104,13 +106,13 @@ def lockstep(
 
     results: list[dict[str, Any]] = []
     with StopSignals() as stop, _bars() as bars:
-        for each in rate:
+        for each, count in itertools.product(rate, vehicles):
             scenario = _scenario(observer, duration, each)
-            bar = bars.add_task(f"{each:g} Hz", total=repeat * len(FORMS))
+            bar = bars.add_task(f"{each:g} Hz, vehicles: {count}", total=repeat * len(FORMS))
             for _ in range(repeat):
                 for form in FORMS:  # in turn, so that a busy machine is as bad for all
                     found = measure_lockstep(
-                        scenario, scenario.scheme(None), form, lambda _: not stop.requested
+                        scenario, scenario.scheme(None), form, count, lambda _: not stop.requested
                     )
                     if found is None:
                         raise typer.Exit(INTERRUPTED)
@@ -170,17 +172,20 @@ def _latency_table(results: list[dict[str, Any]]) -> Table:
 
 
 def _lockstep_table(results: list[dict[str, Any]]) -> Table:
-    table = Table("rate [Hz]", "form", box=SIMPLE_HEAD, title=f"lock-step, {results[0]['observer']}")
+    title = f"lock-step, {results[0]['observer']}"
+    table = Table("rate [Hz]", "vehicles", "form", box=SIMPLE_HEAD, title=title)
     for heading in ("times real time", "one sample [us]", "of the closed loop"):
         table.add_column(heading, justify="right")
-    for rate in dict.fromkeys(item["rate"] for item in results):
-        rows = [item for item in results if item["rate"] == rate]
+    for rate, count in dict.fromkeys((item["rate"], item["vehicles"]) for item in results):
+        rows = [item for item in results if (item["rate"], item["vehicles"]) == (rate, count)]
         alone = _median([row["sample_us"] for row in rows if "without ROS" in row["form"]])
         for form in dict.fromkeys(row["form"] for row in rows):
             of_form = [row for row in rows if row["form"] == form]
             sample = _median([row["sample_us"] for row in of_form])
             factor = _median([row["real_time_factor"] for row in of_form])
-            table.add_row(f"{rate:g}", form, f"{factor:.2f}", f"{sample:.0f}", f"{sample / alone:.2f}")
+            table.add_row(
+                f"{rate:g}", f"{count}", form, f"{factor:.2f}", f"{sample:.0f}", f"{sample / alone:.2f}"
+            )
     return table
 
 
