@@ -36,7 +36,7 @@ def components(vector: Array) -> Any:
     Those of a single NumPy vector are Python floats: the same numbers, and many times faster to calculate
     with than arrays without axes.
     """
-    if is_single(vector):
+    if type(vector) is np.ndarray and vector.ndim == 1:  # as `is_single`, without the call
         return vector.tolist()
     return tuple(vector[..., index] for index in range(vector.shape[-1]))  # pyright: ignore
 

@@ -158,6 +158,8 @@ def body_acceleration(angles: Array, angle_rates: Array, angle_accelerations: Ar
 
 
 def _away_from_zero(cosine: Array) -> Array:
+    if isinstance(cosine, float):
+        return (-1.0 if cosine < 0.0 else 1.0) * max(abs(cosine), MIN_COS_PITCH)
     xp = namespace(cosine)
     sign = xp.where(cosine < 0.0, -1.0, 1.0)
     return sign * xp.maximum(xp.abs(cosine), MIN_COS_PITCH)

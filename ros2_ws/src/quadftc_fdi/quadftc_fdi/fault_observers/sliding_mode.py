@@ -35,12 +35,13 @@ The integrals h3 and h3^ grow without bound and only their difference acts, so t
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import NamedTuple
 
 from quadftc_fdi.fault_observer import FaultObserver, register
 from quadftc_fdi.lyapunov import sliding_mode_along
 from quadftc_fdi.sliding_mode_conditions import gain_margins, sliding_mode_conditions
-from quadftc_model.arrays import Array, namespace, norm
+from quadftc_model.arrays import Array, is_single, namespace, norm
 from quadftc_model.conditions import Circumstances, Condition, Trace
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
@@ -178,8 +179,12 @@ def implicit_injection(c: Array, linear: Array, rho: float, delta: float, dt: fl
     dt : float
         Step [s]; with 0 the error stays c.
     """
-    xp = namespace(c)
     size = norm(c)
+    if is_single(size):
+        return _of_one(
+            c, float(size[0]), linear if isinstance(linear, float) else float(linear[0]), rho, delta, dt
+        )
+    xp = namespace(c)
     a = 1.0 + dt * linear
     b = a * delta + dt * rho - size
     # positive root of a n² + b n - |c| delta = 0, in the form that does not cancel for b > 0
@@ -189,3 +194,15 @@ def implicit_injection(c: Array, linear: Array, rho: float, delta: float, dt: fl
     sliding = rho / xp.where(n + delta > 0.0, n + delta, 1.0) * n
     held = size / dt if dt > 0.0 else 0.0 * size  # delta = 0 and n = 0
     return n * unit, xp.where(n + delta > 0.0, sliding, held) * unit
+
+
+def _of_one(c: Array, size: float, linear: float, rho: float, delta: float, dt: float) -> tuple[Array, Array]:
+    """`implicit_injection` of one vehicle: the same in floats, for which the branches are branches."""
+    a = 1.0 + dt * linear
+    b = a * delta + dt * rho - size
+    root = math.sqrt(b * b + 4.0 * a * delta * size)
+    n = 2.0 * size * delta / (b + root) if b > 0.0 else (root - b) / (2.0 * a)
+    held = size / dt if dt > 0.0 else 0.0 * size  # delta = 0 and n = 0
+    injection = rho / (n + delta) * n if n + delta > 0.0 else held
+    unit = c / (size if size > 0.0 else 1.0)
+    return n * unit, injection * unit
