@@ -14,8 +14,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import Imu
 
 from quadftc_control.assembly import controller_from
 from quadftc_control.controller import controllers
@@ -36,15 +34,13 @@ from quadftc_ros.conversions import (
     ControlStatusWriter,
     Floats,
     VectorWriter,
-    array_of,
-    imu_sample,
     is_finite,
-    reference_of,
 )
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import StampJoin
 from quadftc_ros.node import GraphNode, wall_seconds
+from quadftc_ros.wire import imu_of, reference_in, vector_of
 
 REFERENCE_AGE = 0.5  # s; real time: age from which a reference is reported as stopped
 WATCH_PERIOD = 0.02  # s; real time: how often the controller looks whether samples still come
@@ -89,10 +85,11 @@ class ControllerNode(GraphNode):
         self._mode: Mode | None = None
         self._torque, self._stamp_ns = np.zeros(3), 0  # last command [N m] and its stamp [ns]
         self._join = StampJoin(("imu", "reference", "disturbance"), self._on_all)
-        self.driven_by("imu/corrected", self._on_corrected, restart=self._stepper.reset)
-        self.reads("attitude/reference", self._on_reference)
-        self.reads("disturbance/estimate", self._on_disturbance)
+        self.driven_by("imu/corrected", self._on_corrected, restart=self._stepper.reset, decode=imu_of)
+        self.reads("attitude/reference", self._on_reference, decode=reference_in)
+        self.reads("disturbance/estimate", self._on_disturbance, decode=vector_of)
         self.reads_raw("imu/data", self._on_raw)
+        self._on_fallback = self.decoding("imu/data", self._on_uncorrected, imu_of)
         self._watched_ns, self._silent_since_ns = 0, 0
         if not self.lockstep:
             self._watchdog = self.create_timer(WATCH_PERIOD, self._on_watchdog, clock=self.pace)
@@ -106,8 +103,7 @@ class ControllerNode(GraphNode):
 
         return apply
 
-    def _on_reference(self, stamp_ns: int, message: Any) -> None:
-        reference = reference_of(message)
+    def _on_reference(self, stamp_ns: int, reference: AttitudeReference) -> None:
         if all(is_finite(part) for part in reference):
             self._reference, self._reference_ns = reference, stamp_ns
         else:
@@ -115,8 +111,7 @@ class ControllerNode(GraphNode):
         if self.lockstep and self._reference is not None:
             self._join.put("reference", stamp_ns, self._reference)
 
-    def _on_disturbance(self, stamp_ns: int, message: Any) -> None:
-        disturbance = array_of(message.vector)
+    def _on_disturbance(self, stamp_ns: int, disturbance: Floats) -> None:
         if is_finite(disturbance):
             self._monitor.estimated(stamp_ns, disturbance)
         else:
@@ -125,16 +120,19 @@ class ControllerNode(GraphNode):
         if self.lockstep:
             self._join.put("disturbance", stamp_ns, disturbance)
 
-    def _on_corrected(self, stamp_ns: int, message: Any) -> None:
+    def _on_corrected(self, stamp_ns: int, imu: ImuSample) -> None:
         self._monitor.corrected()
         if self.lockstep:
-            self._join.put("imu", stamp_ns, imu_sample(message))
+            self._join.put("imu", stamp_ns, imu)
         else:
-            self._on_latest(stamp_ns, imu_sample(message), Mode.FULL)
+            self._on_latest(stamp_ns, imu, Mode.FULL)
 
     def _on_raw(self, stamp_ns: int, data: bytes) -> None:
         if not self.lockstep and self._monitor.use_raw():
-            self._on_latest(stamp_ns, imu_sample(deserialize_message(data, Imu)), Mode.NO_DIAGNOSIS)
+            self._on_fallback(stamp_ns, data)
+
+    def _on_uncorrected(self, stamp_ns: int, imu: ImuSample) -> None:
+        self._on_latest(stamp_ns, imu, Mode.NO_DIAGNOSIS)
 
     def _on_all(
         self, stamp_ns: int, imu: ImuSample, reference: AttitudeReference, disturbance: Floats

@@ -22,10 +22,11 @@ from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import AttitudeReference
 from quadftc_model.stepper import Stepper
-from quadftc_ros.conversions import ReferenceWriter, array_of, is_finite
+from quadftc_ros.conversions import Floats, ReferenceWriter, is_finite
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
+from quadftc_ros.wire import vector_of
 
 MAX_TILT = math.radians(80.0)  # rad; further, Euler angles are no sensible setpoint
 
@@ -57,9 +58,9 @@ class ReferenceNode(GraphNode):
         self.settings.on_change(self._rebuilt)
         self._publish = self.publishes("attitude/reference")
         self._message = ReferenceWriter()
-        self.driven_by("imu/data", self._on_imu, restart=self._restart, raw=True)
+        self.driven_by("imu/data", self._on_imu, restart=self._restart, decode=bytes)  # for its stamp
         if self._live:
-            self.reads("attitude/setpoint", self._on_setpoint)
+            self.reads("attitude/setpoint", self._on_setpoint, decode=vector_of)
         self.diagnostics.report("source", OK, values["source"])
         self.ready()
 
@@ -72,8 +73,7 @@ class ReferenceNode(GraphNode):
         self._filter.reset()
         self._setpoint = np.zeros(3)
 
-    def _on_setpoint(self, stamp_ns: int, message: Any) -> None:
-        setpoint = array_of(message.vector)
+    def _on_setpoint(self, stamp_ns: int, setpoint: Floats) -> None:
         if not is_finite(setpoint) or np.any(np.abs(setpoint[:2]) > MAX_TILT):
             self.diagnostics.count("attitude/setpoint is not finite or beyond 80 deg of tilt")
             return

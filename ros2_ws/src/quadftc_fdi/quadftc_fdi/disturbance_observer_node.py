@@ -19,13 +19,14 @@ from quadftc_fdi.assembly import disturbance_observer_from
 from quadftc_fdi.disturbance_observer import disturbance_observers
 from quadftc_model.arrays import Array
 from quadftc_model.parameters import Value, parameter
-from quadftc_model.samples import DisturbanceObserverInputs, sanitised
+from quadftc_model.samples import DisturbanceObserverInputs, ImuSample, sanitised
 from quadftc_model.stepper import Stepper, warm_up
-from quadftc_ros.conversions import BASE_FRAME, Floats, VectorWriter, array_of, imu_sample, is_finite
+from quadftc_ros.conversions import BASE_FRAME, Floats, VectorWriter, is_finite
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import TorqueGate
 from quadftc_ros.node import GraphNode
+from quadftc_ros.wire import imu_of, vector_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,8 +53,8 @@ class DisturbanceObserverNode(GraphNode):
         self._publish = self.publishes("disturbance/estimate")
         self._body = VectorWriter(BASE_FRAME)
         self._gate = TorqueGate(self.mode, self._on_sample)
-        self.driven_by("imu/corrected", self._gate.put_sample, restart=self._stepper.reset)
-        self.reads("torque/command", self._on_torque)
+        self.driven_by("imu/corrected", self._gate.put_sample, restart=self._stepper.reset, decode=imu_of)
+        self.reads("torque/command", self._on_torque, decode=vector_of)
         self.diagnostics.report("observer", OK, name)
         self.ready()
 
@@ -61,12 +62,12 @@ class DisturbanceObserverNode(GraphNode):
         law = disturbance_observer_from(values)
         return lambda: setattr(self._stepper, "law", law)
 
-    def _on_torque(self, stamp_ns: int, message: Any) -> None:
-        if not self._gate.put_torque(stamp_ns, array_of(message.vector)):
+    def _on_torque(self, stamp_ns: int, torque: Floats) -> None:
+        if not self._gate.put_torque(stamp_ns, torque):
             self.diagnostics.count("torque/command: not finite")
 
-    def _on_sample(self, stamp_ns: int, message: Any, torque: Floats) -> None:
-        sample = sanitised(imu_sample(message))
+    def _on_sample(self, stamp_ns: int, received: ImuSample, torque: Floats) -> None:
+        sample = sanitised(received)
         inputs = DisturbanceObserverInputs(sample.body_rate, sample.rate_valid, torque)
         estimate = self._stepper.step(stamp_ns, inputs)
         if estimate is None:

@@ -34,14 +34,13 @@ from quadftc_ros.conversions import (
     Floats,
     ImuWriter,
     VectorWriter,
-    array_of,
-    imu_sample,
     is_finite,
 )
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import TorqueGate
 from quadftc_ros.node import GraphNode
+from quadftc_ros.wire import imu_of, vector_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,8 +67,8 @@ class FaultObserverNode(GraphNode):
         self._publish_status = self.publishes("fault/status")
         self._imu, self._earth, self._status = ImuWriter(), VectorWriter(EARTH_FRAME), FaultStatusWriter()
         self._gate = TorqueGate(self.mode, self._on_sample)
-        self.driven_by("imu/data", self._gate.put_sample, restart=self._diagnosis.reset)
-        self.reads("torque/command", self._on_torque)
+        self.driven_by("imu/data", self._gate.put_sample, restart=self._diagnosis.reset, decode=imu_of)
+        self.reads("torque/command", self._on_torque, decode=vector_of)
         self.diagnostics.report("observer", OK, name)
         self.ready()
 
@@ -77,12 +76,11 @@ class FaultObserverNode(GraphNode):
         law = fault_observer_from(values)
         return lambda: setattr(self._diagnosis, "law", law)
 
-    def _on_torque(self, stamp_ns: int, message: Any) -> None:
-        if not self._gate.put_torque(stamp_ns, array_of(message.vector)):
+    def _on_torque(self, stamp_ns: int, torque: Floats) -> None:
+        if not self._gate.put_torque(stamp_ns, torque):
             self.diagnostics.count("torque/command: not finite")
 
-    def _on_sample(self, stamp_ns: int, message: Any, torque: Floats) -> None:
-        sample = imu_sample(message)
+    def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats) -> None:
         estimate = self._diagnosis.step(stamp_ns, sample, torque)
         if estimate is None:
             self.diagnostics.count("imu/data: stamp repeated or went back")

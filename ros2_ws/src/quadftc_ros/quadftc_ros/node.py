@@ -109,8 +109,17 @@ class GraphNode(Node):
 
         return noted
 
-    def reads(self, topic: str, callback: Callable[[int, Any], None]) -> None:
-        """Subscribe to a topic of the table; ``callback(stamp_ns, message)``."""
+    def reads(
+        self, topic: str, callback: Callable[[int, Any], None], decode: Callable[[bytes], Any] | None = None
+    ) -> None:
+        """Subscribe to a topic of the table; ``callback(stamp_ns, message)``.
+
+        With ``decode`` (of `quadftc_ros.wire`) it is ``callback(stamp_ns, decode(serialised))``; what cannot
+        be decoded is counted.
+        """
+        if decode is not None:
+            self.reads_raw(topic, self.decoding(topic, callback, decode))
+            return
         note = self._note_of(topic)
 
         def receive(message: Any) -> None:
@@ -131,13 +140,32 @@ class GraphNode(Node):
 
         self._subscribe(topic, receive, raw=True)
 
+    def decoding(
+        self, topic: str, callback: Callable[[int, Any], None], decode: Callable[[bytes], Any]
+    ) -> Callable[[int, bytes], None]:
+        """Return ``callback`` for serialised messages; what cannot be decoded is counted."""
+
+        def receive(stamp_ns: int, data: bytes) -> None:
+            try:
+                value = decode(data)
+            except ValueError:
+                self.diagnostics.count(f"{topic}: unreadable")
+            else:
+                callback(stamp_ns, value)
+
+        return receive
+
     def _note_of(self, topic: str) -> Note:
         return _unnoted if self._trace is None else self._trace.taken(topic)
 
     def driven_by(
-        self, topic: str, callback: Callable[[int, Any], None], restart: Callable[[], None], raw: bool = False
+        self,
+        topic: str,
+        callback: Callable[[int, Any], None],
+        restart: Callable[[], None],
+        decode: Callable[[bytes], Any] | None = None,
     ) -> None:
-        """Subscribe to the topic whose samples drive the node, as `reads` (or, ``raw``, as `reads_raw`) does.
+        """Subscribe to the topic whose samples drive the node, as `reads` does.
 
         ``restart()`` makes the next sample the first. It is called when a new flight begins, which shows in
         stamps that go back: in lock-step by any amount, in real time by more than a sample that was overtaken
@@ -154,7 +182,7 @@ class GraphNode(Node):
             newest_ns = max(newest_ns, stamp_ns)
             callback(stamp_ns, message)
 
-        (self.reads_raw if raw else self.reads)(topic, checked)
+        self.reads(topic, checked, decode)
         self.offers_reset(restart, "starts anew at the next sample")
 
     def _subscribe(self, topic: str, callback: Callable[[Any], None], raw: bool) -> None:

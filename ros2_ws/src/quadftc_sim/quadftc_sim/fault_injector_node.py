@@ -18,10 +18,12 @@ from quadftc_msgs.srv import ClearFault, InjectFault
 from std_msgs.msg import Header
 
 from quadftc_model.parameters import parameter
-from quadftc_ros.conversions import EARTH_FRAME, IMU_FRAME, ImuWriter, VectorWriter, imu_sample, time_message
+from quadftc_model.samples import ImuSample
+from quadftc_ros.conversions import EARTH_FRAME, IMU_FRAME, ImuWriter, VectorWriter, time_message
 from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
+from quadftc_ros.wire import imu_of
 from quadftc_sim.assembly import injector_from
 from quadftc_sim.injection import RESERVED, make_injection
 
@@ -54,7 +56,7 @@ class FaultInjectorNode(GraphNode):
         self._publish_accelerometer = self.publishes("fault/injected/accelerometer")
         self._publish_dropped = self.publishes("fault/dropped")
         self._imu, self._earth, self._sensor = ImuWriter(), VectorWriter(EARTH_FRAME), VectorWriter(IMU_FRAME)
-        self.driven_by("plant/imu", self._on_imu, restart=self._restart)
+        self.driven_by("plant/imu", self._on_imu, restart=self._restart, decode=imu_of)
         self.offers("inject", InjectFault, self._on_inject)
         self.offers("clear", ClearFault, self._on_clear)
         self.ready()
@@ -64,12 +66,12 @@ class FaultInjectorNode(GraphNode):
         self._seen.update(injection.channel for injection in self._injector.injections.values())
         self._last_ns = -1
 
-    def _on_imu(self, stamp_ns: int, message: Any) -> None:
+    def _on_imu(self, stamp_ns: int, sample: ImuSample) -> None:
         if stamp_ns <= self._last_ns:
             self.diagnostics.count("plant/imu: stamp repeated or went back")
             return
         self._last_ns = stamp_ns
-        injected = self._injector.apply(stamp_ns, imu_sample(message))
+        injected = self._injector.apply(stamp_ns, sample)
         if injected.sample is None:
             self._publish_dropped(Header(stamp=time_message(stamp_ns), frame_id=IMU_FRAME))
         else:  # first, as others wait for it

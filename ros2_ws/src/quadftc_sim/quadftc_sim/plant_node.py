@@ -28,14 +28,15 @@ from quadftc_ros.conversions import (
     BASE_FRAME,
     EARTH_FRAME,
     NANOSECONDS,
+    Floats,
     ImuWriter,
     VectorWriter,
-    array_of,
     is_finite,
 )
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode, missing_connections
+from quadftc_ros.wire import vector_of
 from quadftc_sim.assembly import EPOCH_NS, sample_count, simulator_from
 from quadftc_sim.plant import Plant
 from quadftc_sim.sensors import ImuSensor
@@ -90,7 +91,7 @@ class PlantNode(GraphNode):
         self._publish_clock = self.publishes("/clock") if self.lockstep else None
         self._imu, self._body, self._earth = ImuWriter(), VectorWriter(BASE_FRAME), VectorWriter(EARTH_FRAME)
         self._clock_message = Clock()
-        self.reads("torque/command", self._on_torque)
+        self.reads("torque/command", self._on_torque, decode=vector_of)
         self.reads("fault/dropped", self._on_dropped)
         self.offers("start", Trigger, self._on_start)
         self.offers_reset(self._restart, "a new flight begins")
@@ -165,8 +166,7 @@ class PlantNode(GraphNode):
             self.destroy_timer(self._waiting)
             self._waiting = None
 
-    def _on_torque(self, stamp_ns: int, message: Any) -> None:
-        torque = array_of(message.vector)
+    def _on_torque(self, stamp_ns: int, torque: Floats) -> None:
         if is_finite(torque):
             self._torque, self._torque_age = torque, 0.0
         else:
