@@ -31,16 +31,14 @@ from quadftc_model.samples import (
 from quadftc_model.stepper import Stepper, seconds, warm_up
 from quadftc_ros.conversions import (
     BASE_FRAME,
-    ControlStatusWriter,
     Floats,
-    VectorWriter,
     is_finite,
 )
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import StampJoin
 from quadftc_ros.node import GraphNode, wall_seconds
-from quadftc_ros.wire import imu_of, reference_in, vector_of
+from quadftc_ros.wire import ControlStatusWire, VectorWire, imu_of, reference_in, vector_of
 
 REFERENCE_AGE = 0.5  # s; real time: age from which a reference is reported as stopped
 WATCH_PERIOD = 0.02  # s; real time: how often the controller looks whether samples still come
@@ -79,7 +77,7 @@ class ControllerNode(GraphNode):
         self.settings.on_change(self._rebuilt)
         self._publish_torque = self.publishes("torque/command")
         self._publish_status = self.publishes("control/status")
-        self._body, self._status = VectorWriter(BASE_FRAME), ControlStatusWriter()
+        self._body, self._status = VectorWire(BASE_FRAME), ControlStatusWire()
         self._reference: AttitudeReference | None = None
         self._reference_ns = 0
         self._mode: Mode | None = None

@@ -22,11 +22,11 @@ from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import AttitudeReference
 from quadftc_model.stepper import Stepper
-from quadftc_ros.conversions import Floats, ReferenceWriter, is_finite
+from quadftc_ros.conversions import Floats, is_finite
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
-from quadftc_ros.wire import vector_of
+from quadftc_ros.wire import ReferenceWire, vector_of
 
 MAX_TILT = math.radians(80.0)  # rad; further, Euler angles are no sensible setpoint
 
@@ -57,7 +57,7 @@ class ReferenceNode(GraphNode):
         self._restart()
         self.settings.on_change(self._rebuilt)
         self._publish = self.publishes("attitude/reference")
-        self._message = ReferenceWriter()
+        self._message = ReferenceWire()
         self.driven_by("imu/data", self._on_imu, restart=self._restart, decode=bytes)  # for its stamp
         if self._live:
             self.reads("attitude/setpoint", self._on_setpoint, decode=vector_of)

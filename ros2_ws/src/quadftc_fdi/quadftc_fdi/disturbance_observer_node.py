@@ -21,12 +21,12 @@ from quadftc_model.arrays import Array
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import DisturbanceObserverInputs, ImuSample, sanitised
 from quadftc_model.stepper import Stepper, warm_up
-from quadftc_ros.conversions import BASE_FRAME, Floats, VectorWriter, is_finite
+from quadftc_ros.conversions import BASE_FRAME, Floats, is_finite
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import TorqueGate
 from quadftc_ros.node import GraphNode
-from quadftc_ros.wire import imu_of, vector_of
+from quadftc_ros.wire import VectorWire, imu_of, vector_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,7 +51,7 @@ class DisturbanceObserverNode(GraphNode):
         warm_up(self._stepper.law, DisturbanceObserverInputs(np.zeros(3), np.bool_(True), np.zeros(3)))
         self.settings.on_change(self._rebuilt)
         self._publish = self.publishes("disturbance/estimate")
-        self._body = VectorWriter(BASE_FRAME)
+        self._body = VectorWire(BASE_FRAME)
         self._gate = TorqueGate(self.mode, self._on_sample)
         self.driven_by("imu/corrected", self._gate.put_sample, restart=self._stepper.reset, decode=imu_of)
         self.reads("torque/command", self._on_torque, decode=vector_of)

@@ -30,17 +30,14 @@ from quadftc_model.samples import (
 from quadftc_model.stepper import warm_up
 from quadftc_ros.conversions import (
     EARTH_FRAME,
-    FaultStatusWriter,
     Floats,
-    ImuWriter,
-    VectorWriter,
     is_finite,
 )
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import TorqueGate
 from quadftc_ros.node import GraphNode
-from quadftc_ros.wire import imu_of, vector_of
+from quadftc_ros.wire import FaultStatusWire, ImuWire, VectorWire, imu_of, vector_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,7 +62,7 @@ class FaultObserverNode(GraphNode):
         self._publish_corrected = self.publishes("imu/corrected")
         self._publish_estimate = self.publishes("fault/estimate")
         self._publish_status = self.publishes("fault/status")
-        self._imu, self._earth, self._status = ImuWriter(), VectorWriter(EARTH_FRAME), FaultStatusWriter()
+        self._imu, self._earth, self._status = ImuWire(), VectorWire(EARTH_FRAME), FaultStatusWire()
         self._gate = TorqueGate(self.mode, self._on_sample)
         self.driven_by("imu/data", self._gate.put_sample, restart=self._diagnosis.reset, decode=imu_of)
         self.reads("torque/command", self._on_torque, decode=vector_of)

@@ -92,7 +92,7 @@ class GraphNode(Node):
         self._heartbeat = self.create_timer(HEARTBEAT[self.mode], self._beat, clock=self.steady_clock)
 
     def publishes(self, topic: str) -> Callable[[Any], None]:
-        """Create the publisher of a topic of the table; return its ``publish``."""
+        """Create the publisher of a topic of the table; return its ``publish``, of messages or serialised."""
         row = TOPICS[topic]
         publisher = self.create_publisher(
             load_message_class(row.type_name), topic, topic_profile(row.qos, self.mode)
@@ -104,7 +104,7 @@ class GraphNode(Node):
         note = self._trace.given(topic)
 
         def noted(message: Any) -> None:
-            note(stamp_of(message))
+            note(leading_stamp_ns(message) if isinstance(message, bytes) else stamp_of(message))
             publish(message)
 
         return noted

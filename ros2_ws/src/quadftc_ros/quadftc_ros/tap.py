@@ -23,7 +23,7 @@ def tapped(publisher: Publisher, tap: Tap | None) -> Callable[[Any], None]:
         return send
 
     def publish(message: Any) -> None:
-        data = serialize_message(message)
+        data = message if isinstance(message, bytes) else serialize_message(message)
         send(data)
         take(data)
 

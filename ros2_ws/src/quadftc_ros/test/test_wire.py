@@ -14,8 +14,34 @@ from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu
 
-from quadftc_ros.conversions import array_of, imu_sample, reference_of
-from quadftc_ros.wire import imu_of, reference_in, vector_of
+from quadftc_model.samples import (
+    AttitudeReference,
+    ControllerOutput,
+    FaultEstimate,
+    ImuSample,
+    level_sample,
+)
+from quadftc_ros.cdr_padding import PaddingCleaner
+from quadftc_ros.conversions import (
+    ControlStatusWriter,
+    FaultStatusWriter,
+    ImuWriter,
+    ReferenceWriter,
+    VectorWriter,
+    array_of,
+    imu_sample,
+    reference_of,
+)
+from quadftc_ros.wire import (
+    ControlStatusWire,
+    FaultStatusWire,
+    ImuWire,
+    ReferenceWire,
+    VectorWire,
+    imu_of,
+    reference_in,
+    vector_of,
+)
 
 FRAMES = st.text(st.characters(min_codepoint=32, max_codepoint=0x2FF), max_size=20)
 
@@ -95,3 +121,58 @@ def test_any_bytes_give_a_sample_or_an_error(data):
     except ValueError:
         return
     assert sample.q_xyzw.shape == (4,)
+
+
+STAMPS = st.integers(0, 2**31 * 10**9 - 1)
+FLAGS = st.booleans().map(np.bool_)
+
+
+def same_message(mine: bytes, theirs) -> bool:
+    """Whether it is the same message, by its bytes without padding, which may be anything."""
+    package, name = type(theirs).__module__.partition(".")[0], type(theirs).__name__
+    clean = PaddingCleaner(f"{package}/msg/{name}").clean
+    return clean(mine) == clean(serialize_message(theirs))
+
+
+@given(STAMPS, doubles(3), st.sampled_from(["map", "base_link", "imu_link"]))
+def test_vector_is_written_as_rclpy_does(stamp_ns, vector, frame):
+    assert same_message(VectorWire(frame)(stamp_ns, vector), VectorWriter(frame)(stamp_ns, vector))
+
+
+@given(STAMPS, doubles(4), doubles(3), doubles(3), FLAGS, FLAGS, FLAGS)
+def test_imu_is_written_as_rclpy_does(stamp_ns, q_xyzw, rate, force, attitude, turning, pushed):
+    sample = ImuSample(q_xyzw, rate, force, attitude, turning, pushed)
+    wire = ImuWire()
+    for _ in range(2):  # nothing stays of the one before
+        assert same_message(wire(stamp_ns, sample), ImuWriter()(stamp_ns, sample))
+        wire(7, sample._replace(attitude_valid=~attitude, rate_valid=~turning, force_valid=~pushed))
+
+
+@given(STAMPS, doubles((3, 3)))
+def test_reference_is_written_as_rclpy_does(stamp_ns, parts):
+    reference = AttitudeReference(*parts)
+    assert same_message(ReferenceWire()(stamp_ns, reference), ReferenceWriter()(stamp_ns, reference))
+
+
+AGES = arrays(np.float64, 3, elements=st.one_of(st.just(-1.0), st.floats(0.0, 1.0)))
+
+
+@given(
+    st.integers(2 * 10**9, 2**31 * 10**9 - 1),
+    doubles((2, 3)),
+    arrays(np.uint8, 3, elements=st.integers(0, 4)),
+    AGES,
+    AGES,
+)
+def test_fault_status_is_written_as_rclpy_does(stamp_ns, numbers, state, ages, others):
+    wire, writer = FaultStatusWire(), FaultStatusWriter()
+    for age in (others, ages):
+        estimate = FaultEstimate(numbers[0], numbers[1], state, age, level_sample())
+        assert same_message(wire(stamp_ns, estimate), writer(stamp_ns, estimate))
+
+
+@given(STAMPS, doubles((3, 3)), arrays(np.bool_, 3), st.integers(0, 4), st.floats(0.0, 1.0))
+def test_control_status_is_written_as_rclpy_does(stamp_ns, numbers, saturated, mode, compute_time):
+    output = ControllerOutput(*numbers, saturated)
+    mine = ControlStatusWire()(stamp_ns, output, mode, compute_time)
+    assert same_message(mine, ControlStatusWriter()(stamp_ns, output, mode, compute_time))

@@ -19,11 +19,11 @@ from std_msgs.msg import Header
 
 from quadftc_model.parameters import parameter
 from quadftc_model.samples import ImuSample
-from quadftc_ros.conversions import EARTH_FRAME, IMU_FRAME, ImuWriter, VectorWriter, time_message
+from quadftc_ros.conversions import EARTH_FRAME, IMU_FRAME, time_message
 from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
-from quadftc_ros.wire import imu_of
+from quadftc_ros.wire import ImuWire, VectorWire, imu_of
 from quadftc_sim.assembly import injector_from
 from quadftc_sim.injection import RESERVED, make_injection
 
@@ -55,7 +55,7 @@ class FaultInjectorNode(GraphNode):
         self._publish_gyro = self.publishes("fault/injected/gyro")
         self._publish_accelerometer = self.publishes("fault/injected/accelerometer")
         self._publish_dropped = self.publishes("fault/dropped")
-        self._imu, self._earth, self._sensor = ImuWriter(), VectorWriter(EARTH_FRAME), VectorWriter(IMU_FRAME)
+        self._imu, self._earth, self._sensor = ImuWire(), VectorWire(EARTH_FRAME), VectorWire(IMU_FRAME)
         self.driven_by("plant/imu", self._on_imu, restart=self._restart, decode=imu_of)
         self.offers("inject", InjectFault, self._on_inject)
         self.offers("clear", ClearFault, self._on_clear)

@@ -29,14 +29,12 @@ from quadftc_ros.conversions import (
     EARTH_FRAME,
     NANOSECONDS,
     Floats,
-    ImuWriter,
-    VectorWriter,
     is_finite,
 )
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode, missing_connections
-from quadftc_ros.wire import vector_of
+from quadftc_ros.wire import ImuWire, VectorWire, vector_of
 from quadftc_sim.assembly import EPOCH_NS, sample_count, simulator_from
 from quadftc_sim.plant import Plant
 from quadftc_sim.sensors import ImuSensor
@@ -89,7 +87,7 @@ class PlantNode(GraphNode):
         self._publish_rate = self.publishes("plant/rate")
         self._publish_disturbance = self.publishes("disturbance/applied")
         self._publish_clock = self.publishes("/clock") if self.lockstep else None
-        self._imu, self._body, self._earth = ImuWriter(), VectorWriter(BASE_FRAME), VectorWriter(EARTH_FRAME)
+        self._imu, self._body, self._earth = ImuWire(), VectorWire(BASE_FRAME), VectorWire(EARTH_FRAME)
         self._clock_message = Clock()
         self.reads("torque/command", self._on_torque, decode=vector_of)
         self.reads("fault/dropped", self._on_dropped)
