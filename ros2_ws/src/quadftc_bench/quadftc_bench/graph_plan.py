@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -22,7 +21,6 @@ EXECUTABLES: dict[str, tuple[str, str]] = {
 
 CONNECT_TIMEOUT = 30.0  # s; to find each other
 STALL_TIMEOUT = 15.0  # s; lock-step: without a new sample
-QUIET = 0.25  # s; lock-step: when nothing more has come to be recorded for so long, all of it has
 AFTERMATH = (
     0.05  # s; real time: recorded after the end; longer, and the controller reports that the IMU has stopped
 )
@@ -132,25 +130,3 @@ def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 def always(samples: int) -> bool:
     """Let the flight go on to its end."""
     return True
-
-
-def drain(recorded: Callable[[], int], spin: Callable[[float], None], mode: str) -> None:
-    """Spin on after the flight until what was published has been recorded.
-
-    Parameters
-    ----------
-    recorded : callable
-        Messages received by the recorder so far.
-    spin : callable
-        ``spin(timeout)`` [s].
-    mode : str
-        In real time messages never end, so the time is fixed.
-    """
-    begin = since = time.monotonic()
-    total = -1
-    while time.monotonic() - since < (QUIET if mode == "lockstep" else AFTERMATH):
-        spin(0.02)
-        if mode == "lockstep" and recorded() != total:
-            total, since = recorded(), time.monotonic()
-        if time.monotonic() - begin > STALL_TIMEOUT:
-            raise GraphError("messages go on after the end of the flight")

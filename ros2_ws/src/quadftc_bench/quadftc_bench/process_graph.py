@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from quadftc_bench.graph_plan import (
+    AFTERMATH,
     ALONE,
     CONNECT_TIMEOUT,
     EXECUTABLES,
@@ -24,13 +26,14 @@ from quadftc_bench.graph_plan import (
     GraphPlan,
     Progress,
     always,
-    drain,
 )
 from quadftc_ros.children import Children
 from quadftc_ros.executor import make_executor
 from quadftc_ros.node import crowded_topics, missing_connections
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.recorder_node import RecorderNode
+
+QUIET = 0.25  # s; lock-step: when nothing more has come to be recorded for so long, all of it has
 
 
 def executable_path(package: str, executable: str) -> Path:
@@ -120,7 +123,7 @@ class ProcessGraph:
                 raise GraphError(f"the flight stalled: not a word from the nodes for {STALL_TIMEOUT:g} s")
         wall = time.monotonic() - begin
         if self.recorder is not None:
-            drain(self._received, self._spin_once, self.plan.mode)
+            _drain(self._received, self._spin_once, self.plan.mode)
         return wall
 
     def wait_until_connected(self, progress: Progress = always) -> bool:
@@ -233,3 +236,25 @@ class ProcessGraph:
     def _check_alive(self) -> None:
         for name, code in self.children.ended().items():
             raise GraphError(f"node {name} ended with exit code {code}")
+
+
+def _drain(recorded: Callable[[], int], spin: Callable[[float], None], mode: str) -> None:
+    """Spin on after the flight until what was published has been recorded.
+
+    Parameters
+    ----------
+    recorded : callable
+        Messages received by the recorder so far.
+    spin : callable
+        ``spin(timeout)`` [s].
+    mode : str
+        In real time messages never end, so the time is fixed.
+    """
+    begin = since = time.monotonic()
+    total = -1
+    while time.monotonic() - since < (QUIET if mode == "lockstep" else AFTERMATH):
+        spin(0.02)
+        if mode == "lockstep" and recorded() != total:
+            total, since = recorded(), time.monotonic()
+        if time.monotonic() - begin > STALL_TIMEOUT:
+            raise GraphError("messages go on after the end of the flight")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import NamedTuple
 
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Array, clip, namespace
 from quadftc_model.parameters import check, parameter
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AttitudeReference
@@ -40,10 +40,9 @@ class SetpointFilter:
         self, state: SetpointState, setpoint: Array, dt: float
     ) -> tuple[SetpointState, AttitudeReference]:
         """Advance by ``dt`` [s] towards a setpoint (..., 3) [rad]."""
-        xp = namespace(setpoint)
         w, last = self.bandwidth, state.reference
         wanted = w * w * wrap(setpoint - last.angles) - 2.0 * w * last.rates
-        acceleration = xp.clip(wanted, -self.max_acceleration, self.max_acceleration)
+        acceleration = clip(wanted, -self.max_acceleration, self.max_acceleration)
         rates = last.rates + dt * acceleration
         reference = AttitudeReference(last.angles + 0.5 * dt * (last.rates + rates), rates, acceleration)
         return SetpointState(reference), reference

@@ -33,9 +33,9 @@ from quadftc_fdi.structural_model import (
     LinearModel,
     linearised,
 )
+from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_model.vehicle import Vehicle
 
-STANDARD_GRAVITY = 9.80665  # m/s²
 # 1/s, drag over mass along body x, y, z. Estimate for the Qball-X4 by the rotor coefficients in its TOML
 # file: 4 x 8.06e-5 N s²/(m rad) x 445 rad/s / 1.4 kg, and 4 x 0.16 N s/m / 1.4 kg. They are to be positive;
 # no rank depends on the numbers.

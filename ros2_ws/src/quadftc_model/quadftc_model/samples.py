@@ -14,6 +14,8 @@ from quadftc_model.arrays import Array, components, is_single, namespace
 
 UNIT_NORM_TOLERANCE = 1e-2  # 1; a quaternion further from unit length is no attitude
 
+STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901
+
 STARTING, HEALTHY, SUSPECT, FAULTY, RECOVERING = range(5)  # fault states, as in quadftc_msgs/FaultStatus
 
 
@@ -31,9 +33,8 @@ class ImuSample(NamedTuple):
 def level_sample() -> ImuSample:
     """What an IMU of one vehicle says that is level and at rest."""
     there = np.bool_(True)
-    return ImuSample(
-        np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.array([0.0, 0.0, 9.80665]), there, there, there
-    )
+    q_xyzw, force = np.array([0.0, 0.0, 0.0, 1.0]), np.array([0.0, 0.0, STANDARD_GRAVITY])
+    return ImuSample(q_xyzw, np.zeros(3), force, there, there, there)
 
 
 class AttitudeReference(NamedTuple):

@@ -54,7 +54,7 @@ class RecorderNode(GraphNode):
     Parameters
     ----------
     subscribes : bool
-        Else it gets its messages by `take`, from nodes in the same process (their ``tap``).
+        Else it gets its messages from nodes in the same process, by its `tap`.
     **kwargs
         Those of ``rclpy.node.Node`` (``context``, ``namespace``, ``parameter_overrides``...).
 

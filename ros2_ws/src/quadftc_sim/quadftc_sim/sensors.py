@@ -14,9 +14,8 @@ from typing import NamedTuple
 from quadftc_model.arrays import Array, namespace
 from quadftc_model.parameters import check, parameter
 from quadftc_model.rotations import earth_z_in_body, quaternion_from_rotation_vector, quaternion_product
-from quadftc_model.samples import ImuSample
+from quadftc_model.samples import STANDARD_GRAVITY, ImuSample
 
-STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901
 DRAWS = (4, 3)  # standard normal numbers a sample needs: attitude, gyro, accelerometer, bias random walk
 
 
