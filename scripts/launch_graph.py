@@ -43,6 +43,11 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--namespace", default="", help="ROS namespace of the vehicle")
     parser.add_argument("--record", type=Path, help="directory of the bag to write; must not exist")
     parser.add_argument("--duration", type=float, help="length of the flight [s]; 0: until Ctrl-C")
+    parser.add_argument(
+        "--wait", choices=("sleep", "poll"), default="sleep", help="between samples; poll takes a whole core"
+    )
+    parser.add_argument("--realtime-priority", type=int, default=0, help="of SCHED_FIFO, if permitted")
+    parser.add_argument("--core", type=int, action="append", default=[], help="processor core to run on")
     return parser.parse_args(arguments)
 
 
@@ -71,13 +76,17 @@ def node_parameters_of(options: argparse.Namespace) -> dict[str, dict[str, Any]]
 
 def launch(options: argparse.Namespace) -> int:
     """Run the graph; return the exit code."""
-    from quadftc_bench.graph_plan import GraphError, GraphPlan
+    from quadftc_bench.graph_plan import GraphError, GraphPlan, check_scheduling
     from quadftc_bench.run import GRAPHS
     from quadftc_ros.executor import StopSignals
+    from quadftc_ros.scheduling import Scheduling
 
     graph = None
     try:
-        plan = GraphPlan(node_parameters_of(options), options.mode, options.namespace, options.record)
+        scheduling = Scheduling(options.wait, options.realtime_priority, tuple(options.core))
+        check_scheduling(scheduling, options.mode, options.graph)
+        parameters = node_parameters_of(options)
+        plan = GraphPlan(parameters, options.mode, options.namespace, options.record, scheduling=scheduling)
         with StopSignals() as stop, GRAPHS[options.graph](plan) as graph:
             graph.run(lambda _samples: not stop.requested)
     except GraphError as error:

@@ -25,9 +25,10 @@ from quadftc_control.controller_node import ControllerNode
 from quadftc_control.reference_node import ReferenceNode
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer_node import FaultObserverNode
-from quadftc_ros.executor import Slice, make_executor, settled_memory
+from quadftc_ros.executor import Pace, Slice, make_executor, settled_memory
 from quadftc_ros.node import GraphNode, crowded_topics, missing_connections
 from quadftc_ros.recorder_node import RecorderNode
+from quadftc_ros.scheduling import SchedulingError, scheduled
 from quadftc_sim.fault_injector_node import FaultInjectorNode
 from quadftc_sim.plant_node import PlantNode
 
@@ -72,7 +73,7 @@ class ComposedVehicle:
                 self.recorder = self._made(RecorderNode, plan.recorder_parameters(), subscribes=False)
             tap = None if self.recorder is None else self.recorder.tap
             for name in EXECUTABLES:
-                options = {"each_sample": each_sample} if name == "plant" else {}
+                options = {"each_sample": each_sample, "timed": False} if name == "plant" else {}
                 parameters = plan.node_parameters(name)
                 self.nodes[name] = self._made(NODE_CLASSES[name], parameters, tap=tap, **options)
         except BaseException:
@@ -184,20 +185,28 @@ class ComposedGraph:
         Raises
         ------
         GraphError
-            If the nodes do not find each other, or no sample comes for too long.
+            If the nodes do not find each other, no sample comes for too long, or the machine does not allow
+            the scheduling.
         """
         if not self.wait_until_connected(progress):
             return 0.0
-        with settled_memory():
-            return self._fly([vehicle.plant for vehicle in self.vehicles], progress)
+        plan = self.vehicles[0].plan
+        plants = [vehicle.plant for vehicle in self.vehicles]
+        pace = Pace(self._executor, plants, poll=plan.scheduling.wait == "poll")
+        spin = self._slice.spin if plan.mode == "lockstep" else pace.spin
+        try:
+            with settled_memory(), scheduled(plan.scheduling):
+                return self._fly(plants, spin, progress)
+        except SchedulingError as error:
+            raise GraphError(str(error)) from None
 
-    def _fly(self, plants: list[PlantNode], progress: Progress) -> float:
+    def _fly(self, plants: list[PlantNode], spin: Callable[[float], None], progress: Progress) -> float:
         begin = time.monotonic()
         for plant in plants:
             plant.start()
         samples, moved = 0, begin
         while not all(plant.finished for plant in plants):
-            self._slice.spin(SLICE)
+            spin(SLICE)
             now, count = time.monotonic(), sum(plant.samples for plant in plants)
             if not progress(count):
                 return time.monotonic() - begin
@@ -208,7 +217,7 @@ class ComposedGraph:
                     f"the flight stalled after {samples} samples: no torque/command came for the last"
                 )
         wall = time.monotonic() - begin
-        self._slice.spin(AFTERMATH)  # what follows from the last sample is on its way
+        spin(AFTERMATH)  # what follows from the last sample is on its way
         return wall
 
     def wait_until_connected(self, progress: Progress = always) -> bool:

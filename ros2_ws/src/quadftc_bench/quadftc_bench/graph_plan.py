@@ -9,14 +9,17 @@ from typing import Any, cast
 
 import yaml
 
-# node -> (package, executable); the plant comes last, so that the others are there before it
+from quadftc_ros.scheduling import ORDINARY, Scheduling
+
+# node -> (package, executable), in the order in which they are made: the earlier of two readers of a topic
+# gets its messages first, so those come first for whom others wait
 EXECUTABLES: dict[str, tuple[str, str]] = {
+    "plant": ("quadftc_sim", "plant"),
     "fault_injector": ("quadftc_sim", "fault_injector"),
     "fault_observer": ("quadftc_fdi", "fault_observer"),
+    "controller": ("quadftc_control", "controller"),
     "disturbance_observer": ("quadftc_fdi", "disturbance_observer"),
     "reference": ("quadftc_control", "reference"),
-    "controller": ("quadftc_control", "controller"),
-    "plant": ("quadftc_sim", "plant"),
 }
 
 CONNECT_TIMEOUT = 30.0  # s; to find each other
@@ -53,6 +56,8 @@ class GraphPlan:
         Files that go into the bag.
     traces : Path, optional
         Directory for the times at which messages come and go, a file for each node.
+    scheduling : Scheduling
+        In real time: how to share the machine.
     """
 
     parameters: Mapping[str, Mapping[str, Any]]
@@ -61,6 +66,7 @@ class GraphPlan:
     bag: Path | None = None
     attachments: tuple[Path, ...] = ()
     traces: Path | None = None
+    scheduling: Scheduling = ORDINARY
 
     def node_parameters(self, node: str) -> dict[str, Any]:
         """Return the parameters of one node: with the mode, less empty lists, which to ROS have no type."""
@@ -125,6 +131,20 @@ def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
         else:
             flat[f"{prefix}{name}"] = value
     return flat
+
+
+def check_scheduling(scheduling: Scheduling, mode: str, graph: str) -> None:
+    """Check that a scheduling suits the mode (``lockstep``, ``realtime``) and the graph.
+
+    Raises
+    ------
+    ValueError
+        If it does not.
+    """
+    if mode == "lockstep" and scheduling != ORDINARY:
+        raise ValueError("waiting, realtime priority and cores are for real time, not for lock-step")
+    if graph == "processes" and scheduling.wait == "poll":
+        raise ValueError("wait = 'poll': for the composed graph; six processes that poll need six cores")
 
 
 def always(samples: int) -> bool:

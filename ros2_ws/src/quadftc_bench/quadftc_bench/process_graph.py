@@ -32,6 +32,7 @@ from quadftc_ros.executor import make_executor
 from quadftc_ros.node import crowded_topics, missing_connections
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.recorder_node import RecorderNode
+from quadftc_ros.scheduling import SchedulingError, scheduled
 
 QUIET = 0.25  # s; lock-step: when nothing more has come to be recorded for so long, all of it has
 
@@ -63,7 +64,7 @@ class ProcessGraph:
     ValueError
         If the namespace is wrong, or the bag cannot be made.
     GraphError
-        If a node is not installed.
+        If a node is not installed, or the machine does not allow the scheduling.
     """
 
     def __init__(self, plan: GraphPlan) -> None:
@@ -80,7 +81,11 @@ class ProcessGraph:
         self._executor = make_executor("events", self._context)
         try:
             self._watch_and_record()
-            self.children.start(self._commands())
+            with scheduled(plan.scheduling):  # which the processes inherit
+                self.children.start(self._commands())
+        except SchedulingError as error:
+            self.close()
+            raise GraphError(str(error)) from None
         except BaseException:
             self.close()
             raise

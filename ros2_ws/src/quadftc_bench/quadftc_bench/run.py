@@ -20,11 +20,12 @@ import yaml
 from quadftc_bench.bags import read_bag
 from quadftc_bench.composed_graph import ComposedGraph
 from quadftc_bench.flight import flight_from_bag
-from quadftc_bench.graph_plan import GraphError, GraphPlan
+from quadftc_bench.graph_plan import GraphError, GraphPlan, check_scheduling
 from quadftc_bench.process_graph import ProcessGraph
 from quadftc_bench.scenario import Scenario, Scheme, node_parameters
 from quadftc_bench.summary import summary
 from quadftc_ros.recorder_node import versions
+from quadftc_ros.scheduling import ORDINARY, Scheduling
 from quadftc_sim.assembly import sample_count
 
 GRAPHS = {"composed": ComposedGraph, "processes": ProcessGraph}
@@ -51,12 +52,23 @@ class RunOptions:
         Of the vehicle; empty: none.
     force : bool
         Replace an earlier run of the same name.
+    scheduling : Scheduling
+        In real time: how to share the machine.
+
+    Raises
+    ------
+    ValueError
+        If the scheduling does not suit graph or mode.
     """
 
     graph: str = "composed"
     mode: str = "lockstep"
     namespace: str = ""
     force: bool = False
+    scheduling: Scheduling = ORDINARY
+
+    def __post_init__(self) -> None:
+        check_scheduling(self.scheduling, self.mode, self.graph)
 
 
 def run_name(scenario: Scenario, scheme: Scheme) -> str:
@@ -111,7 +123,14 @@ def run(
     bag = out / run_name(scenario, scheme)
     with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
         files = (Path(folder, "scenario.yaml"), Path(folder, "parameters.yaml"))
-        plan = GraphPlan(node_parameters(scenario, scheme), options.mode, options.namespace, bag, files)
+        plan = GraphPlan(
+            node_parameters(scenario, scheme),
+            options.mode,
+            options.namespace,
+            bag,
+            files,
+            scheduling=options.scheduling,
+        )
         files[0].write_text(yaml.safe_dump(scenario.raw, sort_keys=False, width=120), encoding="utf-8")
         files[1].write_text(plan.parameter_file(), encoding="utf-8")
         wall_time = _fly(plan, options.graph, scenario.duration * scenario.rate, progress)

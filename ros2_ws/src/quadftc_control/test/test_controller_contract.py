@@ -9,7 +9,7 @@ from quadftc_control.controller import controllers
 from quadftc_model.assembly import build_prefixed, node_values
 from quadftc_model.integrators import rk4
 from quadftc_model.parameters import parameters_of
-from quadftc_model.rigid_body import angular_acceleration
+from quadftc_model.rigid_body import angular_acceleration, propeller_momentum
 from quadftc_model.rotations import (
     euler_from_quaternion,
     normalise,
@@ -78,7 +78,8 @@ def closed_loop(law, angles, duration):
         def derivative(_time, motion, commands=commands):
             q_xyzw, rate = motion
             torque = torque_from_commands(vehicle, commands)
-            return quaternion_rate(q_xyzw, rate), angular_acceleration(vehicle, rate, torque, commands, zeros)
+            momentum = propeller_momentum(vehicle, commands)
+            return quaternion_rate(q_xyzw, rate), angular_acceleration(vehicle, rate, torque, momentum)
 
         q_xyzw, rate = rk4(derivative, 0.0, motion, DT)
         motion = (normalise(q_xyzw), rate)

@@ -28,21 +28,24 @@ def gyroscopic_acceleration(inertia: Array, body_rate: Array) -> Array:
     return stacked([(jy - jz) / jx * q * r, (jz - jx) / jy * p * r, (jx - jy) / jz * p * q])
 
 
-def propeller_torque(vehicle: Vehicle, body_rate: Array, commands: Array) -> Array:
-    """Gyroscopic torque of the propellers [N m] (..., 3): the second term of (2).
+def propeller_momentum(vehicle: Vehicle, commands: Array) -> Array:
+    """Angular momentum of the propellers about their common axis [N m s] (...), of rotor commands (..., n).
 
-    The sum takes each rotor's sign from the sense in which it spins. The paper's (-1)^(i+1) would have its
-    rotors 1 and 2 spin in opposite senses, against its own text and its yaw torque.
+    The sum of the second term of (2). It takes each rotor's sign from the sense in which it spins; the
+    paper's (-1)^(i+1) would have its rotors 1 and 2 spin in opposite senses, against its own text and its yaw
+    torque.
     """
     rotors = vehicle.rotors
-    momentum = rotors.rotor_inertia * (propeller_speeds(vehicle, commands) @ rotors.spin_sign)
+    return rotors.rotor_inertia * (propeller_speeds(vehicle, commands) @ rotors.spin_sign)
+
+
+def propeller_torque(body_rate: Array, momentum: Array) -> Array:
+    """Gyroscopic torque [N m] (..., 3) of propellers of a momentum [N m s] (...): second term of (2)."""
     p, q, _ = components(body_rate)
     return stacked([-q * momentum, p * momentum, 0.0 * momentum])
 
 
-def angular_acceleration(
-    vehicle: Vehicle, body_rate: Array, rotor_torque: Array, commands: Array, torque: Array
-) -> Array:
+def angular_acceleration(vehicle: Vehicle, body_rate: Array, torque: Array, momentum: Array) -> Array:
     """Angular acceleration [rad/s²] (..., 3), body frame: (1) with the torques of (2) and a disturbance.
 
     The drag acts on the body rate. The paper's (2) writes Euler angle rates, the same under its (5); those
@@ -52,17 +55,10 @@ def angular_acceleration(
     ----------
     body_rate : array (..., 3)
         [rad/s].
-    rotor_torque : array (..., 3)
-        From the mixer [N m].
-    commands : array (..., n)
-        Rotor commands, for the speeds of the propellers.
     torque : array (..., 3)
-        Disturbance torque [N m].
+        Of the rotors, by the mixer, and the disturbance [N m].
+    momentum : array (...)
+        Of the propellers [N m s].
     """
-    total = (
-        rotor_torque
-        + torque
-        + propeller_torque(vehicle, body_rate, commands)
-        - vehicle.rotational_drag * body_rate
-    )
+    total = torque + propeller_torque(body_rate, momentum) - vehicle.rotational_drag * body_rate
     return gyroscopic_acceleration(vehicle.inertia, body_rate) + total / vehicle.inertia

@@ -8,7 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from quadftc_model.integrators import rk4
-from quadftc_model.rigid_body import angular_acceleration, gyroscopic_acceleration, propeller_torque
+from quadftc_model.rigid_body import (
+    angular_acceleration,
+    gyroscopic_acceleration,
+    propeller_momentum,
+    propeller_torque,
+)
 from quadftc_model.rotations import normalise, quaternion_product, quaternion_rate
 from quadftc_model.rotors import propeller_speeds
 from quadftc_model.vehicle import load_vehicle, vehicle_names
@@ -29,7 +34,7 @@ def free_flight(vehicle, commands, steps=2000, dt=0.001):
 
     def derivative(_time, state):
         q_xyzw, rate = state
-        acceleration = angular_acceleration(vehicle, rate, zeros, commands, zeros)
+        acceleration = angular_acceleration(vehicle, rate, zeros, propeller_momentum(vehicle, commands))
         return quaternion_rate(q_xyzw, rate), acceleration
 
     state = (np.array([0.0, 0.0, 0.0, 1.0]), np.array([3.0, 2.0, -4.0]))
@@ -61,9 +66,8 @@ def test_propeller_torque_is_minus_omega_cross_the_momentum_of_the_rotors(name):
     commands = unequal_commands(vehicle)
     speeds = vehicle.rotors.spin_sign * propeller_speeds(vehicle, commands)
     momentum = np.array([0.0, 0.0, vehicle.rotors.rotor_inertia * np.sum(speeds)])
-    np.testing.assert_allclose(
-        propeller_torque(vehicle, rate, commands), -np.cross(rate, momentum), rtol=1e-13
-    )
+    torque = propeller_torque(rate, propeller_momentum(vehicle, commands))
+    np.testing.assert_allclose(torque, -np.cross(rate, momentum), rtol=1e-13)
 
 
 @pytest.mark.parametrize("name", vehicle_names())
@@ -89,7 +93,8 @@ def test_every_torque_is_divided_by_the_inertia(name):
     rotors, disturbance = np.array([0.1, -0.2, 0.3]), np.array([0.4, 0.5, -0.6])
     rates = np.array([0.0, 0.0, 3.0])  # about a principal axis: no gyroscopic torque
     trim = np.full(len(vehicle.rotors.spin_sign), vehicle.rotors.command_trim)
-    actual = angular_acceleration(vehicle, rates, rotors, trim, disturbance)
+    momentum = propeller_momentum(vehicle, trim)
+    actual = angular_acceleration(vehicle, rates, rotors + disturbance, momentum)
     expected = (rotors + disturbance - vehicle.rotational_drag * rates) / vehicle.inertia
     np.testing.assert_allclose(actual, expected, rtol=1e-14)
 
@@ -97,7 +102,11 @@ def test_every_torque_is_divided_by_the_inertia(name):
 def test_batch_equals_the_loop():
     vehicle = load_vehicle("qball_x4")
     generator = np.random.default_rng(2)
-    widths = (3, 3, 4, 3)
-    batch = [np.abs(0.05 * generator.standard_normal((6, width))) for width in widths]
-    loop = [angular_acceleration(vehicle, *(array[index] for array in batch)) for index in range(6)]
-    np.testing.assert_allclose(angular_acceleration(vehicle, *batch), np.array(loop), rtol=1e-12)
+    rates, torques, commands = (np.abs(0.05 * generator.standard_normal((6, width))) for width in (3, 3, 4))
+
+    def acceleration(*index):
+        momentum = propeller_momentum(vehicle, commands[index])
+        return angular_acceleration(vehicle, rates[index], torques[index], momentum)
+
+    loop = [acceleration(index) for index in range(6)]
+    np.testing.assert_allclose(acceleration(), np.array(loop), rtol=1e-12)

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from quadftc_model.integrators import rk4
-from quadftc_model.rigid_body import angular_acceleration
+from quadftc_model.rigid_body import angular_acceleration, propeller_momentum
 from quadftc_model.rotations import normalise, quaternion_rate
 from quadftc_model.vehicle import load_vehicle
 
@@ -46,7 +46,7 @@ def flown(vehicle, torque, dt, held=False, duration=DURATION, body_rate=START_RA
         def derivative(time, arrays, start=start):
             q_xyzw, rate = arrays
             acting = torque(start if held else time)
-            acceleration = angular_acceleration(vehicle, rate, acting, TRIM, np.zeros(3))
+            acceleration = angular_acceleration(vehicle, rate, acting, propeller_momentum(vehicle, TRIM))
             return quaternion_rate(q_xyzw, rate), acceleration
 
         q_xyzw, rate = rk4(derivative, start, state, dt)

@@ -2,16 +2,19 @@
 
 A thread that writes takes the interpreter from the thread that flies, several hundred times a second. So
 `BagProcess` has the interface of `BagWriter`, which does the work in the other process. The two talk through
-a pair of sockets, with the pickles of `multiprocessing.connection`. The other process ends when it is told to
-close the bag, or when this one has ended, in whatever way: then it closes the bag, too.
+a pair of sockets. The other process ends when it is told to close the bag, or when this one has ended, in
+whatever way: then it closes the bag, too. It looks now and then for what has come instead of waiting for it:
+to wake another process would take the one that flies several times as long as to hand over what it has.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import os
+import pickle
 import select
 import signal
+import struct
 import subprocess
 import sys
 import time
@@ -26,7 +29,10 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from quadftc_ros.bag_writer import BagStatus, BagWriter, Input
 from quadftc_ros.interfaces import load_interface
 
-BATCH = 256  # messages handed over at a time; the socket holds some of these, so that nobody waits
+BATCH = 32  # messages handed over at a time; the socket holds many of these, so that nobody waits
+REST = 0.005  # s, between two looks at what has come
+MESSAGES = b"M"  # what a batch begins with; all else is a pickle, which begins with another byte
+MESSAGE = struct.Struct("=IIqq")  # in it: number of the topic, size, log and publish time; then the bytes
 REPORT_PERIOD = 0.5  # s, wall time between two reports of how the recording stands
 SWITCH_INTERVAL = 1e-4  # s; here the thread that receives must not wait for the one that writes
 PATIENCE = 60.0  # s, wall time for the end of a recording
@@ -63,8 +69,8 @@ class BagProcess:
         self._lockstep = lockstep
         self._queue_size = queue_size
         self._on_error = on_error
-        self._topics: set[str] = set()
-        self._batch: list[tuple[str, bytes, int, int]] = []
+        self._topics: dict[str, int] = {}  # and their numbers
+        self._batch: list[bytes] = []
         self._limit = BATCH  # messages; when the batch is so long, it is time to hand it over
         self._accepted = 0  # messages handed over so far
         self._dropped: dict[str, int] = {}
@@ -91,20 +97,20 @@ class BagProcess:
         if topic in self._topics:
             raise ValueError(f"topic '{topic}': in the bag already")
         load_interface(type_name)  # raises what is wrong here, not there
-        self._topics.add(topic)
+        self._topics[topic] = len(self._topics)
         self._send(("topic", topic, type_name, qos.depth, qos.reliability.value, qos.durability.value))
 
     def input(self, topic: str) -> Input:
         """As of `BagWriter`."""
         if topic not in self._topics:
             raise KeyError(topic)
-        batch = self._batch
+        batch, number, pack = self._batch, self._topics[topic], MESSAGE.pack
 
         def write(data: bytes, log_time_ns: int, publish_time_ns: int) -> bool:
             if len(batch) >= self._limit and not self._make_room():
                 self._dropped[topic] = self._dropped.get(topic, 0) + 1
                 return False
-            batch.append((topic, data, log_time_ns, publish_time_ns))
+            batch.append(pack(number, len(data), log_time_ns, publish_time_ns) + data)
             return True
 
         return write
@@ -164,7 +170,8 @@ class BagProcess:
 
     def _hand_over(self) -> None:
         if self._batch:
-            self._send(self._batch)
+            with suppress(OSError):  # that it has ended shows in what it says last
+                self._connection.send_bytes(MESSAGES + b"".join(self._batch))
             self._accepted += len(self._batch)
             self._batch.clear()
         while self._receive(0.0):
@@ -242,22 +249,30 @@ class _Server:
     def __init__(self, connection: Connection, writer: BagWriter) -> None:
         self._connection = connection
         self._writer = writer
-        self._inputs: dict[str, Input] = {}
+        self._inputs: list[Input] = []
 
     def serve(self) -> None:
         due = 0.0
         while not self._writer.closed:
-            if self._connection.poll(REPORT_PERIOD):
-                self._do(self._connection.recv())
+            while not self._writer.closed and self._connection.poll(0.0):
+                self._take(self._connection.recv_bytes())
+            time.sleep(REST)
             if (now := time.monotonic()) >= due:
                 self._connection.send(("status", self._writer.status))
                 due = now + REPORT_PERIOD
 
-    def _do(self, item: Any) -> None:
-        if isinstance(item, list):
-            for topic, data, log_time_ns, publish_time_ns in item:
-                self._inputs[topic](data, log_time_ns, publish_time_ns)
+    def _take(self, data: bytes) -> None:
+        if not data.startswith(MESSAGES):
+            self._do(pickle.loads(data))
             return
+        position, end = len(MESSAGES), len(data)
+        while position < end:
+            number, size, log_time_ns, publish_time_ns = MESSAGE.unpack_from(data, position)
+            position += MESSAGE.size
+            self._inputs[number](data[position : position + size], log_time_ns, publish_time_ns)
+            position += size
+
+    def _do(self, item: Any) -> None:
         match item:
             case ("topic", topic, type_name, depth, reliability, durability):
                 qos = QoSProfile(
@@ -266,7 +281,7 @@ class _Server:
                     durability=DurabilityPolicy(durability),
                 )
                 self._writer.add_topic(topic, type_name, qos)
-                self._inputs[topic] = self._writer.input(topic)
+                self._inputs.append(self._writer.input(topic))
             case ("flush", timeout):
                 flushed = self._writer.flush(timeout)
                 self._connection.send(("flushed" if flushed else "not flushed", self._writer.status))

@@ -9,9 +9,9 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from types import FrameType
-from typing import Any
+from typing import Any, Protocol
 
 import rclpy
 from rclpy.exceptions import ParameterException
@@ -26,6 +26,8 @@ STOPPING = (signal.SIGINT, signal.SIGTERM)
 LAUNCHER = (
     "QUADFTC_LAUNCHER"  # environment variable: process that started this one and must not die before it
 )
+NEAR = 100_000  # ns; an executor that sleeps may wake so late
+NANOSECONDS = 1_000_000_000
 POLL = 0.2  # s; EventsExecutor.spin() without a timeout busy-loops in Jazzy 7.1, so it is called in slices
 
 
@@ -64,6 +66,56 @@ class Slice:
         if time.monotonic() >= self._end:
             self._end = math.inf
             self._over.set_result(None)
+
+
+class Paced(Protocol):
+    """Who has something to do at times of its own."""
+
+    @property
+    def due_ns(self) -> int:
+        """When, by the monotonic clock [ns]."""
+        ...
+
+    def tick(self) -> None:
+        """Do it."""
+        ...
+
+
+class Pace:
+    """Real time: an executor serves its nodes, and in between some of them act when they are due.
+
+    A timer of rclpy would do it, too, but wakes another thread first, and leaves out what it is late for.
+
+    Parameters
+    ----------
+    executor
+        As of `make_executor`.
+    paced : sequence of Paced
+    poll : bool
+        Look for work again and again while there is none, so that the processor stays awake.
+    """
+
+    def __init__(self, executor: Any, paced: Sequence[Paced], poll: bool) -> None:
+        self._executor, self._paced, self._poll = executor, paced, poll
+
+    def spin(self, duration: float) -> None:
+        """Serve and act for a time [s]."""
+        serve, now_ns = self._executor.spin_until_future_complete, time.monotonic_ns
+        end_ns = now_ns() + round(duration * NANOSECONDS)
+        while (now := now_ns()) < end_ns:
+            first = min(self._paced, key=_due)
+            if (rest := min(first.due_ns, end_ns) - now) > NEAR:
+                serve(Future(), timeout_sec=0.0 if self._poll else (rest - NEAR) / NANOSECONDS)
+                continue
+            while first.due_ns > now_ns() < end_ns:
+                pass  # an executor would wake too late
+            if first.due_ns <= now_ns():
+                first.tick()
+            serve(Future(), timeout_sec=0.0)  # until all that follows has been done
+
+
+def _due(paced: Paced) -> int:
+    return paced.due_ns
 
 
 @contextlib.contextmanager

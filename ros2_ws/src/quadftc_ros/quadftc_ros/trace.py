@@ -10,26 +10,29 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+PIECE = 65536  # messages: a minute at 1 kHz
+
 Note = Callable[[int], None]  # gets the stamp of a message [ns]
 
 
 class MessageTrace:
     """Times at which a node takes and gives messages, topic by topic.
 
-    Two integers are appended for each message: that takes a few tenths of a microsecond.
+    Two integers are noted for each message, in memory that is there already: that takes a few tenths of a
+    microsecond. Memory that grew with the flight would now and then take milliseconds.
     """
 
     def __init__(self) -> None:
-        self._taken: dict[str, array[int]] = {}
-        self._given: dict[str, array[int]] = {}
+        self._taken: dict[str, _Rows] = {}
+        self._given: dict[str, _Rows] = {}
 
     def taken(self, topic: str) -> Note:
         """Return what notes that a message of a topic has come."""
-        return _noting(self._taken.setdefault(topic, array("q")))
+        return self._taken.setdefault(topic, _Rows()).note
 
     def given(self, topic: str) -> Note:
         """Return what notes that a message of a topic is about to be published."""
-        return _noting(self._given.setdefault(topic, array("q")))
+        return self._given.setdefault(topic, _Rows()).note
 
     def save(self, path: Path) -> None:
         """Write the times as a NumPy archive, see :func:`load_trace`.
@@ -39,8 +42,8 @@ class MessageTrace:
         OSError
             If it cannot be written.
         """
-        rows = {f"taken {topic}": np.array(row) for topic, row in self._taken.items()}
-        rows.update((f"given {topic}", np.array(row)) for topic, row in self._given.items())
+        rows = {f"taken {topic}": row.noted() for topic, row in self._taken.items()}
+        rows.update((f"given {topic}", row.noted()) for topic, row in self._given.items())
         np.savez(path, allow_pickle=False, **rows)
 
 
@@ -53,14 +56,26 @@ def load_trace(path: Path) -> dict[str, NDArray[np.int64]]:
         ``"taken <topic>"`` and ``"given <topic>"``: array (n, 2) of stamp and time [ns].
     """
     with np.load(path, allow_pickle=False) as archive:
-        return {name: archive[name].reshape(-1, 2).astype(np.int64) for name in archive.files}
+        return {name: archive[name].astype(np.int64) for name in archive.files}
 
 
-def _noting(row: array[int]) -> Note:
-    append, now = row.append, time.monotonic_ns
+class _Rows:
+    """Stamps and times [ns], in pieces of a fixed size."""
 
-    def note(stamp_ns: int) -> None:
-        append(stamp_ns)
-        append(now())
+    def __init__(self) -> None:
+        self._pieces = [array("q", bytes(16 * PIECE))]
+        self._end = 0  # in the last piece
 
-    return note
+    def note(self, stamp_ns: int) -> None:
+        piece, end = self._pieces[-1], self._end
+        piece[end] = stamp_ns
+        piece[end + 1] = time.monotonic_ns()
+        self._end = end + 2
+        if self._end == 2 * PIECE:
+            self._pieces.append(array("q", bytes(16 * PIECE)))
+            self._end = 0
+
+    def noted(self) -> NDArray[np.int64]:
+        """Array (n, 2)."""
+        rows = np.concatenate([np.array(piece) for piece in self._pieces])
+        return rows[: 2 * PIECE * (len(self._pieces) - 1) + self._end].reshape(-1, 2)

@@ -11,9 +11,9 @@ import dataclasses
 from typing import NamedTuple
 
 from quadftc_model.arrays import Array, namespace
-from quadftc_model.integrators import rk4
+from quadftc_model.integrators import Derivative, rk4
 from quadftc_model.parameters import check, parameter
-from quadftc_model.rigid_body import angular_acceleration
+from quadftc_model.rigid_body import angular_acceleration, propeller_momentum
 from quadftc_model.rotations import normalise, quaternion_rate
 from quadftc_model.rotors import commands_from_torque, torque_from_commands
 from quadftc_model.vehicle import Vehicle
@@ -70,28 +70,40 @@ class Plant:
             Scenario time at the start of the step [s].
         """
         wanted = commands_from_torque(self.vehicle, torque)
-        if not self.motor_lag:
-            state = state._replace(commands=wanted)
         step = dt / self.substeps
+        if self.motor_lag:
+            arrays, derivative = tuple(state), self._lagging(wanted)
+        else:
+            arrays, derivative = (state.q_xyzw, state.body_rate), self._driven(wanted)
         for index in range(self.substeps):
-            arrays = rk4(lambda t, x: self._derivative(t, x, wanted), time + index * step, tuple(state), step)
-            state = PlantState(normalise(arrays[0]), arrays[1], arrays[2])
-        return state
+            q_xyzw, *rest = rk4(derivative, time + index * step, arrays, step)
+            arrays = (normalise(q_xyzw), *rest)
+        return PlantState(*(arrays if self.motor_lag else (*arrays, wanted)))
 
     def disturbance(self, time: float, like: Array) -> Array:
         """Sum of the disturbance torques at ``time`` [N m], shaped as ``like`` (..., 3)."""
         torques = [disturbance.torque(time) for disturbance in self.disturbances]
         return sum(torques, start=0.0 * like)
 
-    def _derivative(self, time: float, arrays: tuple[Array, ...], wanted: Array) -> tuple[Array, ...]:
-        q_xyzw, body_rate, commands = arrays
-        vehicle = self.vehicle
-        acceleration = angular_acceleration(
-            vehicle,
-            body_rate,
-            torque_from_commands(vehicle, commands),
-            commands,
-            self.disturbance(time, body_rate),
-        )
-        command_rate = (wanted - commands) / vehicle.rotors.time_constant
-        return quaternion_rate(q_xyzw, body_rate), acceleration, command_rate
+    def _driven(self, commands: Array) -> Derivative:
+        """Derivative of attitude and body rate under rotor commands that are held."""
+        rotor_torque = torque_from_commands(self.vehicle, commands)
+        momentum = propeller_momentum(self.vehicle, commands)
+
+        def derivative(time: float, arrays: tuple[Array, ...]) -> tuple[Array, ...]:
+            q_xyzw, body_rate = arrays
+            torque = rotor_torque + self.disturbance(time, body_rate)
+            acceleration = angular_acceleration(self.vehicle, body_rate, torque, momentum)
+            return quaternion_rate(q_xyzw, body_rate), acceleration
+
+        return derivative
+
+    def _lagging(self, wanted: Array) -> Derivative:
+        """Derivative of attitude, body rate and rotor commands, which follow those that are wanted."""
+
+        def derivative(time: float, arrays: tuple[Array, ...]) -> tuple[Array, ...]:
+            *motion, commands = arrays
+            command_rate = (wanted - commands) / self.vehicle.rotors.time_constant
+            return (*self._driven(commands)(time, tuple(motion)), command_rate)
+
+        return derivative

@@ -18,7 +18,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
@@ -37,6 +36,7 @@ from quadftc_ros.node import GraphNode, missing_connections
 from quadftc_ros.wire import ImuWire, VectorWire, vector_of
 from quadftc_sim.assembly import EPOCH_NS, sample_count, simulator_from
 from quadftc_sim.plant import Plant
+from quadftc_sim.plant_flight import NEVER_NS, PlantFlight
 from quadftc_sim.sensors import ImuSensor
 from quadftc_sim.simulator import Emission
 
@@ -68,13 +68,17 @@ class PlantNode(GraphNode):
     ----------
     each_sample : callable, optional
         Called after each emission, by whoever runs the node and wants to look at the flight now and then.
+    timed : bool
+        Real time: a timer of the node's own calls `tick`; otherwise whoever runs the node does, at `due_ns`.
     **kwargs
         Those of `GraphNode`.
     """
 
-    def __init__(self, each_sample: Callable[[], None] | None = None, **kwargs: Any) -> None:
+    def __init__(
+        self, each_sample: Callable[[], None] | None = None, timed: bool = True, **kwargs: Any
+    ) -> None:
         super().__init__("plant", **kwargs)
-        self._each_sample = each_sample
+        self._each_sample, self._timed = each_sample, timed
         self.settings.declare(PlantParameters, read_only=True)
         self.settings.declare(Plant, read_only=True)
         self.settings.declare(ImuSensor, "imu.", read_only=True)
@@ -94,10 +98,11 @@ class PlantNode(GraphNode):
         self.offers("start", Trigger, self._on_start)
         self.offers_reset(self._restart, "a new flight begins")
         self._timer: Any = None
-        self._torque_level: bytes | None = None
-        self._clear()
-        self._simulator = simulator_from(self._values, EPOCH_NS)
         self._waiting: Any = None
+        self._torque_level: bytes | None = None
+        self._flight = self._new_flight(EPOCH_NS)
+        self._stamp_ns = EPOCH_NS  # of the last emission
+        self._unshown: Emission | None = None  # real time: whose truth is still to be published
         if self._values["autostart"]:
             self._waiting = self.create_timer(0.05, self._start_when_connected, clock=self.steady_clock)
         self.ready()
@@ -105,12 +110,17 @@ class PlantNode(GraphNode):
     @property
     def finished(self) -> bool:
         """Whether the flight has had its length."""
-        return self._finished
+        return self._flight.finished
 
     @property
     def samples(self) -> int:
         """Emissions so far."""
-        return self._emitted
+        return self._flight.emitted
+
+    @property
+    def due_ns(self) -> int:
+        """Real time: when :meth:`tick` is due, by the monotonic clock [ns]."""
+        return self._flight.due_ns if self._flight.emitted else NEVER_NS
 
     def start(self) -> None:
         """Begin the flight.
@@ -120,31 +130,40 @@ class PlantNode(GraphNode):
         RuntimeError
             If it has begun already.
         """
-        if self._emitted:
+        if self._flight.emitted:
             raise RuntimeError("the flight has begun already")
         self._stop_waiting()
-        self._simulator = simulator_from(self._values, EPOCH_NS if self.lockstep else time.time_ns())
-        self._begin_ns = time.monotonic_ns()
-        self._emit(self._simulator.start())
-        if not self.lockstep:
-            period = seconds(self._simulator.period_ns)
-            self._timer = self.create_timer(period, self._on_timer, clock=self.steady_clock)
-        elif self._awaited_ns is None:  # the sensor is late: its first sample comes after the first period
+        self._flight = self._new_flight(EPOCH_NS if self.lockstep else time.time_ns())
+        if self.lockstep:
             self._advance()
+            return
+        self._emit()
+        if self._timed:
+            period = seconds(self._flight.period_ns)
+            self._timer = self.create_timer(period, self._on_timer, clock=self.steady_clock)
 
-    def _clear(self) -> None:
-        self._torque, self._torque_age = np.zeros(3), 0.0  # last command [N m], and how long ago it came [s]
-        self._awaited_ns: int | None = None  # lock-step: stamp of the sample whose torque is missing
-        self._emitted, self._finished = 0, False
-        self._begin_ns = 0  # monotonic clock, at the first emission
-        self._count = sample_count(self._values["duration"], self._values["rate"])  # 0: without end
+    def tick(self) -> None:
+        """Real time: emit the next sample; zero torque has acted if none has come for too long."""
+        flight = self._flight
+        flight.wait()
+        if flight.torque_lost:
+            self._note_torque(ERROR, "torque/command does not come: zero torque")
+        else:
+            self._note_torque(OK, "torque/command comes")
+        self._emit()
+
+    def _new_flight(self, epoch_ns: int) -> PlantFlight:
+        values = self._values
+        simulator = simulator_from(values, epoch_ns)
+        count = sample_count(values["duration"], values["rate"])
+        return PlantFlight(simulator, count, values["torque_timeout"], time.monotonic_ns())
 
     def _restart(self) -> None:
         if self._timer is not None:
             self.destroy_timer(self._timer)
             self._timer = None
         self._stop_waiting()
-        self._clear()
+        self._flight, self._unshown = self._new_flight(EPOCH_NS), None
         if self.lockstep:
             self.start()
         else:
@@ -156,7 +175,7 @@ class PlantNode(GraphNode):
 
     def _start_waiting(self) -> None:
         """Begin the flight, if the timer has not done so: one that is late may come twice."""
-        if not self._emitted:
+        if not self._flight.emitted:
             self.start()
 
     def _stop_waiting(self) -> None:
@@ -165,33 +184,32 @@ class PlantNode(GraphNode):
             self._waiting = None
 
     def _on_torque(self, stamp_ns: int, torque: Floats) -> None:
+        flight = self._flight
         if is_finite(torque):
-            self._torque, self._torque_age = torque, 0.0
+            flight.command(torque)
         else:
             self.diagnostics.count("torque/command: not finite")
-        if stamp_ns == self._awaited_ns:
+        if stamp_ns != flight.awaited_ns:
+            return
+        if self.lockstep:
             self._advance()
+        else:
+            self._show()
+            flight.fly_ahead()
 
     def _on_dropped(self, stamp_ns: int, message: Any) -> None:
-        if stamp_ns == self._awaited_ns:
+        if self.lockstep and stamp_ns == self._flight.awaited_ns:
             self._advance()
 
     def _on_timer(self) -> None:
-        if self._finished:
-            return
-        self._torque_age += seconds(self._simulator.period_ns)
-        if self._torque_age > self._values["torque_timeout"]:
-            self._torque = np.zeros(3)
-            self._note_torque(ERROR, "torque/command does not come: zero torque")
-        else:
-            self._note_torque(OK, "torque/command comes")
-        self._advance()
-        if not self._finished and time.monotonic_ns() >= self._due_ns():
-            self._advance()  # a timer that is late by a period skips it; the flight does not
+        """Emit what is due: a timer that is late by periods skips them; the flight does not.
 
-    def _due_ns(self) -> int:
-        """When the next emission is due, by the monotonic clock."""
-        return self._begin_ns + self._emitted * self._simulator.period_ns
+        Its clock and ours may drift apart, so that it does not come at the due time: half a period decides.
+        """
+        half = self._flight.period_ns // 2
+        for _ in range(2):  # not more at a time, so that others get to work, too
+            if time.monotonic_ns() + half >= self.due_ns:
+                self.tick()
 
     def _note_torque(self, level: bytes, words: str) -> None:
         if level != self._torque_level:
@@ -199,25 +217,36 @@ class PlantNode(GraphNode):
             self.diagnostics.report("torque", level, words)
 
     def _advance(self) -> None:
-        """Fly one period; in lock-step on to the next sample that somebody will answer."""
-        self._awaited_ns = None
-        while not self._finished and self._awaited_ns is None:
-            if self._count and self._emitted >= self._count:
-                self._finish()
-                return
-            self._emit(self._simulator.advance(self._torque))
-            if not self.lockstep:
-                return
+        """Lock-step: emit the next sample that somebody will answer, and what comes before it."""
+        self._emit()
+        while self._flight.awaited_ns is None and not self._flight.finished:
+            self._emit()
 
-    def _emit(self, emission: Emission) -> None:
-        self._emitted += 1
-        now = emission.stamp_ns
+    def _emit(self) -> None:
+        """Publish what comes next; in real time its truth later, when nobody waits for anything."""
+        self._show()
+        emission = self._flight.emission()
+        if emission is None:
+            self.diagnostics.changed = True
+            self.sampled(self._stamp_ns)
+            return
+        self._unshown, self._stamp_ns = emission, emission.stamp_ns
         if self._publish_clock is not None:
-            self._clock_message.clock.sec, self._clock_message.clock.nanosec = divmod(now, NANOSECONDS)
+            self._clock_message.clock.sec, self._clock_message.clock.nanosec = divmod(
+                emission.stamp_ns, NANOSECONDS
+            )
             self._publish_clock(self._clock_message)
         if emission.sample is not None:  # first, as others wait for it
-            self._awaited_ns = emission.sample_stamp_ns if self.lockstep else None
             self._publish_imu(self._imu(emission.sample_stamp_ns, emission.sample))
+        if self.lockstep:
+            self._show()
+
+    def _show(self) -> None:
+        """Publish the truth of the last emission, if that has not been done."""
+        emission, self._unshown = self._unshown, None
+        if emission is None:
+            return
+        now = emission.stamp_ns
         self._publish_attitude(self._earth(now, emission.angles))
         self._publish_rate(self._body(now, emission.body_rate))
         self._publish_disturbance(self._body(now, emission.disturbance))
@@ -226,23 +255,19 @@ class PlantNode(GraphNode):
             self._each_sample()
 
     def report(self) -> None:
-        """Report how far the flight is, and in real time how far behind the wall clock."""
-        level, words = OK, "finished" if self._finished else "flying" if self._emitted else "not started"
-        values: dict[str, object] = {"samples": self._emitted}
-        if not self.lockstep and self._emitted and not self._finished:
-            behind = seconds(time.time_ns() - self._simulator.stamp_ns)
+        """Report how far the flight is, and in real time how far behind the clock."""
+        flight = self._flight
+        level, words = OK, "finished" if flight.finished else "flying" if flight.emitted else "not started"
+        values: dict[str, object] = {"samples": flight.emitted}
+        if not self.lockstep and flight.emitted and not flight.finished:
+            behind = max(0.0, seconds(time.monotonic_ns() - flight.due_ns))
             values["behind_s"] = f"{behind:.3f}"
             if behind > LATE:
                 level, words = WARN, "flying, behind the wall clock"
         self.diagnostics.report("flight", level, words, **values)
 
-    def _finish(self) -> None:
-        self._finished = True
-        self.diagnostics.changed = True
-        self.sampled(self._simulator.stamp_ns)
-
     def _on_start(self, request: Any, response: Any) -> Any:
-        if self._emitted:
+        if self._flight.emitted:
             response.success, response.message = False, "the flight has begun already"
             return response
         self.start()

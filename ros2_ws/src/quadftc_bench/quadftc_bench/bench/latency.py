@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from quadftc_bench.bench.machine import Usage
 from quadftc_bench.composed_graph import ComposedGraph
-from quadftc_bench.graph_plan import EXECUTABLES, GraphPlan
+from quadftc_bench.graph_plan import EXECUTABLES, GraphPlan, check_scheduling
 from quadftc_bench.process_graph import ProcessGraph
 from quadftc_bench.scenario import Scenario, Scheme, node_parameters
+from quadftc_ros.scheduling import ORDINARY, Scheduling
 from quadftc_ros.trace import load_trace
 
 SETTLED = 1.0  # s; what comes before is not counted
@@ -64,11 +65,22 @@ class LatencyOptions:
         ``events`` or ``single``; of the composed graph.
     record : bool
         Write a bag meanwhile, and throw it away.
+    scheduling : Scheduling
+        How to share the machine.
+
+    Raises
+    ------
+    ValueError
+        If the scheduling does not suit the graph.
     """
 
     graph: str = "composed"
     executor: str = "events"
     record: bool = True
+    scheduling: Scheduling = ORDINARY
+
+    def __post_init__(self) -> None:
+        check_scheduling(self.scheduling, "realtime", self.graph)
 
 
 def measure_latency(
@@ -85,7 +97,13 @@ def measure_latency(
         bag = Path(folder, "bag") if options.record else None
         traces = Path(folder, "traces")
         traces.mkdir()
-        plan = GraphPlan(node_parameters(scenario, scheme), "realtime", bag=bag, traces=traces)
+        plan = GraphPlan(
+            node_parameters(scenario, scheme),
+            "realtime",
+            bag=bag,
+            traces=traces,
+            scheduling=options.scheduling,
+        )
         going_on = True
 
         def follow(samples: int) -> bool:

@@ -16,7 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from quadftc_bench.commands import GOOD, INTERRUPTED
-from quadftc_bench.commands.run import Graph
+from quadftc_bench.commands.run import CoreOption, Graph, PriorityOption, Wait
 from quadftc_bench.run import RunError
 from quadftc_bench.scenario import (
     Scenario,
@@ -28,6 +28,7 @@ from quadftc_bench.scenario import (
 )
 from quadftc_bench.tables import console
 from quadftc_ros.executor import StopSignals
+from quadftc_ros.scheduling import Scheduling
 
 SCENARIO = "mems_faults"
 NO_DELAY = "sensors.delay=0"  # the modelled delay of the sensor is no latency of the graph
@@ -60,12 +61,20 @@ def latency(
     duration: Duration = 60.0,
     repeat: Repeat = 1,
     record: Annotated[bool, typer.Option(help="Record a bag meanwhile.")] = True,
+    wait: Annotated[
+        Wait | None, typer.Option(help="Between samples; default: poll, where it is possible.")
+    ] = None,
+    realtime_priority: PriorityOption = 0,
+    core: CoreOption = [],  # noqa: B006
     out: Out = None,
 ) -> None:
     """From the stamp of an IMU sample to its torque, stage by stage, in real time."""
     from quadftc_bench.bench.latency import LatencyOptions, measure_latency
 
-    options = LatencyOptions(graph.value, executor.value, record)
+    if wait is None:
+        wait = Wait.sleep if graph is Graph.processes or realtime_priority else Wait.poll
+    scheduling = Scheduling(wait.value, realtime_priority, tuple(core))
+    options = LatencyOptions(graph.value, executor.value, record, scheduling)
     results: list[dict[str, Any]] = []
     jobs = [(each, number) for each in rate for number in range(repeat)]
     with StopSignals() as stop, _bars() as bars:
@@ -145,7 +154,13 @@ def _scenario(observer: str, duration: float, rate: float) -> Scenario:
 
 
 def _bars() -> Progress:
-    return Progress(TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn(), console=console())
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TimeRemainingColumn(),
+        console=console(),
+        auto_refresh=False,
+    )
 
 
 def _follower(bars: Progress, bar: Any, stopped: Callable[[], bool]) -> Callable[[int], bool]:

@@ -33,6 +33,7 @@ from quadftc_bench.scenario import (
 )
 from quadftc_bench.tables import console, failed_checks, run_table
 from quadftc_ros.executor import StopSignals
+from quadftc_ros.scheduling import Scheduling
 
 STRIDE = 0.005  # share of a flight between two looks of the progress bar
 
@@ -49,6 +50,26 @@ class Mode(str, enum.Enum):
 
     lockstep = "lockstep"
     realtime = "realtime"
+
+
+class Wait(str, enum.Enum):
+    """What a graph in real time does between samples."""
+
+    sleep = "sleep"
+    poll = "poll"
+
+
+WaitOption = Annotated[
+    Wait,
+    typer.Option(help="Real time, between samples: sleep, or poll, which is faster and takes a whole core."),
+]
+PriorityOption = Annotated[
+    int,
+    typer.Option(
+        "--realtime-priority", metavar="1-99", help="Real time: priority of SCHED_FIFO, if permitted."
+    ),
+]
+CoreOption = Annotated[list[int], typer.Option(help="Real time: processor core to run on; may be repeated.")]
 
 
 def run(
@@ -74,10 +95,15 @@ def run(
         list[str], typer.Option("--set", help="Any value of the scenario: a.b=v, faults.0.value='2 deg'.")
     ] = [],  # noqa: B006
     out: Annotated[Path, typer.Option(help="Directory of the runs.")] = Path("results"),
+    wait: WaitOption = Wait.sleep,
+    realtime_priority: PriorityOption = 0,
+    core: CoreOption = [],  # noqa: B006
     force: Annotated[bool, typer.Option("--force", help="Replace earlier runs of the same name.")] = False,
 ) -> None:
     """Fly scenarios through the node graph; write a bag and a summary for each run."""
     overrides = [*set_, *([f"rate={rate}"] if rate else []), *([f"seed={seed}"] if seed else [])]
+    scheduling = Scheduling(wait.value, realtime_priority, tuple(core))
+    options = RunOptions(graph.value, mode.value, namespace, force, scheduling)
     jobs: list[tuple[Scenario, Scheme]] = []
     for name in scenarios:
         loaded = load_scenario(find_scenario(name), overrides)
@@ -95,7 +121,7 @@ def run(
             f"{next(n for n in names if names.count(n) > 1)}: asked for twice; give scenarios other names"
         )
     prepare(out, names, force)
-    raise typer.Exit(_run_all(jobs, out, RunOptions(graph.value, mode.value, namespace, force)))
+    raise typer.Exit(_run_all(jobs, out, options))
 
 
 def _run_all(jobs: list[tuple[Scenario, Scheme]], out: Path, options: RunOptions) -> int:
@@ -108,14 +134,16 @@ def _run_all(jobs: list[tuple[Scenario, Scheme]], out: Path, options: RunOptions
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
-    with StopSignals() as stop, Progress(*columns, console=screen) as bars:
+    # what draws a moving bar would take the interpreter from a flight in real time, for milliseconds
+    still = options.mode == "realtime"
+    with StopSignals() as stop, Progress(*columns, console=screen, auto_refresh=not still) as bars:
         for scenario, scheme in jobs:
             bar = bars.add_task(run_name(scenario, scheme), total=1.0)
             result = run_scenario(scenario, scheme, out, options, _follower(bars, bar, stop))
             if result is None:
                 screen.print(f"interrupted; what was flown is in {out / run_name(scenario, scheme)}")
                 return INTERRUPTED
-            bars.update(bar, completed=1.0)
+            bars.update(bar, completed=1.0, refresh=still)
             summaries.append(result)
     screen.print(run_table(summaries, screen))
     for line in failed_checks(summaries):

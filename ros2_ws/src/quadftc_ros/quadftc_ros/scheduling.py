@@ -1,0 +1,112 @@
+"""How a graph in real time shares the machine: how it waits, real-time priority, and processor cores.
+
+Linux only lets a process ask for a real-time priority if it may: as root, with the capability SYS_NICE, or
+within the limit ``rtprio`` of /etc/security/limits.conf. Elsewhere than on Linux there is neither.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import dataclasses
+import os
+from collections.abc import Generator
+
+WAITS = ("sleep", "poll")
+PRIORITIES = (1, 99)  # of SCHED_FIFO
+_PR_SET_TIMERSLACK = 29
+_MCL_CURRENT_AND_FUTURE = 3
+
+
+class SchedulingError(RuntimeError):
+    """The machine does not allow it; the message says what would."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Scheduling:
+    """How a graph in real time shares the machine.
+
+    Parameters
+    ----------
+    wait : str
+        Between samples: ``sleep``, or ``poll``, which keeps one core awake and therefore fast.
+    priority : int
+        Of SCHED_FIFO, 1 to 99; 0: like all others.
+    cores : tuple of int
+        Where to run; empty: anywhere.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of range, or they exclude each other.
+    """
+
+    wait: str = "sleep"
+    priority: int = 0
+    cores: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        low, high = PRIORITIES
+        if self.wait not in WAITS:
+            raise ValueError(f"wait = {self.wait!r}: expected one of {', '.join(WAITS)}")
+        if self.priority and not low <= self.priority <= high:
+            raise ValueError(f"realtime priority = {self.priority}: expected {low} to {high}")
+        if self.priority and self.wait == "poll":
+            raise ValueError(
+                "realtime priority: not while polling, as Linux stops a real-time thread that never rests"
+                " for 50 ms in every second"
+            )
+        if self.cores and (absent := sorted(set(self.cores) - set(range(os.cpu_count() or 1)))):
+            raise ValueError(f"cores: there is no core {', '.join(map(str, absent))} on this machine")
+
+
+ORDINARY = Scheduling()
+
+
+@contextlib.contextmanager
+def scheduled(scheduling: Scheduling) -> Generator[None, None, None]:
+    """Context in which this thread, and processes it starts, run as asked.
+
+    With a real-time priority the memory of the process stays in the machine, and is not paged out.
+
+    Raises
+    ------
+    SchedulingError
+        If the machine does not allow it.
+    """
+    with contextlib.ExitStack() as undo:
+        if scheduling.wait == "poll":
+            _call("prctl", _PR_SET_TIMERSLACK, 1, 0, 0, 0)  # ns; else each look takes 50 us more
+            undo.callback(_call, "prctl", _PR_SET_TIMERSLACK, 0, 0, 0, 0)
+        if scheduling.cores:
+            before = os.sched_getaffinity(0)
+            _allowed(lambda: os.sched_setaffinity(0, scheduling.cores), f"cores {scheduling.cores}", "")
+            undo.callback(os.sched_setaffinity, 0, before)
+        if scheduling.priority:
+            number = scheduling.priority
+            policy, param = os.sched_getscheduler(0), os.sched_getparam(0)
+            _allowed(
+                lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(number)),
+                f"realtime priority {number}",
+                f"; allow it by 'ulimit -r {number}', rtprio in /etc/security/limits.conf, or CAP_SYS_NICE",
+            )
+            undo.callback(os.sched_setscheduler, 0, policy, param)
+            if _call("mlockall", _MCL_CURRENT_AND_FUTURE) == 0:
+                undo.callback(_call, "munlockall")
+        yield
+
+
+def _allowed(action: object, what: str, remedy: str) -> None:
+    try:
+        action()  # type: ignore[operator]
+    except (AttributeError, OSError) as error:
+        words = getattr(error, "strerror", None) or "this system does not know of it"
+        raise SchedulingError(f"{what}: {words}{remedy}") from None
+
+
+def _call(name: str, *arguments: int) -> int:
+    """Call a function of the C library; -1 where there is none of that name."""
+    try:
+        return int(getattr(ctypes.CDLL(None), name)(*arguments))
+    except (AttributeError, OSError):
+        return -1
