@@ -14,6 +14,7 @@ from quadftc_bench.bags import read_bag
 from quadftc_bench.graph_plan import GraphPlan
 from quadftc_bench.process_graph import ProcessGraph
 from quadftc_bench.scenario import find_scenario, load_scenario, node_parameters, with_duration
+from quadftc_ros.scheduling import Scheduling
 from quadftc_ros.testing import NodeBench
 
 DURATION = 2.0  # s
@@ -42,9 +43,12 @@ def paper_scenario():
     return with_duration(load_scenario(find_scenario("paper_faults")), DURATION)
 
 
-@pytest.mark.parametrize("graph", ["composed", "processes"])
-def test_flight_in_real_time_is_whole_and_at_the_rate(fly_graph, paper_scenario, graph):
-    directory, summary = fly_graph(paper_scenario, "proposed", mode="realtime", graph=graph)
+@pytest.mark.parametrize(
+    ("graph", "wait"), [("composed", "sleep"), ("composed", "poll"), ("processes", "sleep")]
+)
+def test_flight_in_real_time_is_whole_and_at_the_rate(fly_graph, paper_scenario, graph, wait):
+    options = {"graph": graph, "scheduling": Scheduling(wait)}
+    directory, summary = fly_graph(paper_scenario, "proposed", mode="realtime", **options)
     bag = read_bag(directory)
     for topic in TRUTH:
         stamps = bag.series(topic).stamp_ns

@@ -28,12 +28,14 @@ from quadftc_bench.graph_plan import (
     always,
 )
 from quadftc_ros.children import Children
-from quadftc_ros.executor import make_executor
+from quadftc_ros.executor import Slice, make_executor
 from quadftc_ros.node import crowded_topics, missing_connections
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.recorder_node import RecorderNode
-from quadftc_ros.scheduling import SchedulingError, scheduled
+from quadftc_ros.scheduling import Scheduling, SchedulingError, scheduled
 
+CALM = {"lockstep": 0.0, "realtime": 0.5}  # s; between the last match and the flight
+FEW = 10  # messages within AFTERMATH; real time: no more are those that still were on their way
 QUIET = 0.25  # s; lock-step: when nothing more has come to be recorded for so long, all of it has
 
 
@@ -73,14 +75,19 @@ class ProcessGraph:
         self.recorder: RecorderNode | None = None
         self.exit_code = 0  # the worst of the processes, once they were stopped
         self._counts: dict[str, dict[str, int]] = {}
+        self._calm: float | None = None  # when the processes have got to rest
         self._finished, self._samples, self._heard = False, 0, 0
         self._folder = tempfile.TemporaryDirectory(prefix="quadftc_")
         self._node: Node | None = None
+        # the recorder gives way to the nodes, and to nobody else
+        self._scheduling = Scheduling(priority=max(0, plan.scheduling.priority - 1))
         self._context = Context()
         self._context.init()
         self._executor = make_executor("events", self._context)
+        self._slice = Slice(self._executor)
         try:
-            self._watch_and_record()
+            with scheduled(self._scheduling):
+                self._watch_and_record()
             with scheduled(plan.scheduling):  # which the processes inherit
                 self.children.start(self._commands())
         except SchedulingError as error:
@@ -113,11 +120,15 @@ class ProcessGraph:
         """
         if not self.wait_until_connected(progress):
             return 0.0
+        with scheduled(self._scheduling):
+            return self._fly(progress)
+
+    def _fly(self, progress: Progress) -> float:
         begin = moved = time.monotonic()
         self._begin_flight()
         seen = (0, 0)
         while not self._finished:
-            self._spin_once(0.1)
+            self._slice.spin(0.1)
             self._check_alive()
             if not progress(self._samples):
                 return time.monotonic() - begin
@@ -128,7 +139,7 @@ class ProcessGraph:
                 raise GraphError(f"the flight stalled: not a word from the nodes for {STALL_TIMEOUT:g} s")
         wall = time.monotonic() - begin
         if self.recorder is not None:
-            _drain(self._received, self._spin_once, self.plan.mode)
+            _drain(self._received, self._slice.spin, self.plan.mode)
         return wall
 
     def wait_until_connected(self, progress: Progress = always) -> bool:
@@ -148,9 +159,19 @@ class ProcessGraph:
                 raise GraphError(f"not connected after {CONNECT_TIMEOUT:g} s: {lack}")
             if not progress(0):
                 return False
-            self._spin_once(0.1)
+            self._slice.spin(0.1)
         if crowd := crowded_topics(self._node.count_publishers):
             raise GraphError(f"{crowd[0]}: {ALONE}")
+        return True if self._calm is not None else self._calm_down(progress)
+
+    def _calm_down(self, progress: Progress) -> bool:
+        """Real time: let the processes finish with discovery, which goes on for services and parameters."""
+        self._calm = time.monotonic() + CALM[self.plan.mode]
+        while time.monotonic() < self._calm:
+            self._check_alive()
+            if not progress(0):
+                return False
+            self._slice.spin(0.1)
         return True
 
     def close(self) -> None:
@@ -223,14 +244,11 @@ class ProcessGraph:
     def _received(self) -> int:
         return 0 if self.recorder is None else self.recorder.received
 
-    def _spin_once(self, timeout: float) -> None:
-        self._executor.spin_once(timeout_sec=timeout)
-
     def _begin_flight(self) -> None:
         future = self._starter.call_async(Trigger.Request())
         end = time.monotonic() + CONNECT_TIMEOUT
         while not future.done():
-            self._spin_once(0.05)
+            self._slice.spin(0.05)
             self._check_alive()
             if time.monotonic() > end:
                 raise GraphError("plant/start did not answer")
@@ -246,20 +264,21 @@ class ProcessGraph:
 def _drain(recorded: Callable[[], int], spin: Callable[[float], None], mode: str) -> None:
     """Spin on after the flight until what was published has been recorded.
 
+    In real time messages never quite end: a controller without samples goes on to say so.
+
     Parameters
     ----------
     recorded : callable
         Messages received by the recorder so far.
     spin : callable
-        ``spin(timeout)`` [s].
+        ``spin(time)`` [s].
     mode : str
-        In real time messages never end, so the time is fixed.
     """
-    begin = since = time.monotonic()
-    total = -1
-    while time.monotonic() - since < (QUIET if mode == "lockstep" else AFTERMATH):
-        spin(0.02)
-        if mode == "lockstep" and recorded() != total:
-            total, since = recorded(), time.monotonic()
-        if time.monotonic() - begin > STALL_TIMEOUT:
+    quiet, few = (QUIET, 0) if mode == "lockstep" else (AFTERMATH, FEW)
+    end, total = time.monotonic() + STALL_TIMEOUT, recorded()
+    spin(quiet)
+    while recorded() - total > few:
+        if time.monotonic() > end:
             raise GraphError("messages go on after the end of the flight")
+        total = recorded()
+        spin(quiet)

@@ -21,7 +21,7 @@ from quadftc_control.setpoint import SetpointFilter
 from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import AttitudeReference
-from quadftc_model.stepper import Stepper
+from quadftc_model.stepper import Stepper, warm_up
 from quadftc_ros.conversions import Floats, is_finite
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
@@ -54,6 +54,8 @@ class ReferenceNode(GraphNode):
         law: Any = build_prefixed(SetpointFilter, values, "setpoint")
         self._filter = Stepper[Any, AttitudeReference](law)
         self._live = values["source"] == "topic"
+        reference_from(values).at(0)  # as `warm_up` does
+        warm_up(law, np.zeros(3))
         self._restart()
         self.settings.on_change(self._rebuilt)
         self._publish = self.publishes("attitude/reference")

@@ -34,6 +34,7 @@ REST = 0.005  # s, between two looks at what has come
 MESSAGES = b"M"  # what a batch begins with; all else is a pickle, which begins with another byte
 MESSAGE = struct.Struct("=IIqq")  # in it: number of the topic, size, log and publish time; then the bytes
 REPORT_PERIOD = 0.5  # s, wall time between two reports of how the recording stands
+NICENESS = 10  # the one that flies comes first
 SWITCH_INTERVAL = 1e-4  # s; here the thread that receives must not wait for the one that writes
 PATIENCE = 60.0  # s, wall time for the end of a recording
 ENDED = "the process that writes it has ended"
@@ -293,6 +294,7 @@ def main() -> None:
     """Serve the process that started this one, on the descriptor that it gave."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the bag is closed when the other process says so, or ends
+    os.nice(NICENESS)
     sys.setswitchinterval(SWITCH_INTERVAL)
     with Connection(int(sys.argv[1])) as connection:
         serve(connection)

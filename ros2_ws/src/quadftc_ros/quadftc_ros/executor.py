@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Generator, Sequence
 from types import FrameType
-from typing import Any, Protocol
+from typing import Any, Protocol, cast
 
 import rclpy
 from rclpy.exceptions import ParameterException
@@ -64,12 +64,18 @@ class Slice:
     def look(self) -> None:
         """End the slice if its time is over."""
         if time.monotonic() >= self._end:
-            self._end = math.inf
-            self._over.set_result(None)
+            self.end()
+
+    def end(self) -> None:
+        """End the slice."""
+        self._end = math.inf
+        self._over.set_result(None)
 
 
 class Paced(Protocol):
     """Who has something to do at times of its own."""
+
+    on_due: Callable[[], None]  # to be called when it is due earlier than it was
 
     @property
     def due_ns(self) -> int:
@@ -97,6 +103,14 @@ class Pace:
 
     def __init__(self, executor: Any, paced: Sequence[Paced], poll: bool) -> None:
         self._executor, self._paced, self._poll = executor, paced, poll
+        self._over: Future = Future()
+        for each in paced:
+            each.on_due = self.look_again
+
+    def look_again(self) -> None:
+        """Find out anew what is due first, as soon as the nodes have been served."""
+        if not self._over.done():
+            self._over.set_result(None)
 
     def spin(self, duration: float) -> None:
         """Serve and act for a time [s]."""
@@ -105,7 +119,8 @@ class Pace:
         while (now := now_ns()) < end_ns:
             first = min(self._paced, key=_due)
             if (rest := min(first.due_ns, end_ns) - now) > NEAR:
-                serve(Future(), timeout_sec=0.0 if self._poll else (rest - NEAR) / NANOSECONDS)
+                self._over = Future()
+                serve(self._over, timeout_sec=0.0 if self._poll else (rest - NEAR) / NANOSECONDS)
                 continue
             while first.due_ns > now_ns() < end_ns:
                 pass  # an executor would wake too late
@@ -140,6 +155,7 @@ class StopSignals:
 
     def __init__(self) -> None:
         self.requested = False
+        self.then: Callable[[], None] | None = None  # called by the first signal
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> StopSignals:
@@ -157,15 +173,19 @@ class StopSignals:
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True
+        if self.then is not None:
+            self.then()
 
 
-def run_node(make: Callable[[], Node]) -> int:
+def run_node(make: Callable[[], Node], paced: bool = False) -> int:
     """Run one node until Ctrl-C, SIGTERM, shutdown or the death of its launcher.
 
     Parameters
     ----------
     make : callable
         Makes the node; called after ``rclpy.init``.
+    paced : bool
+        Whether it is `Paced`.
 
     Returns
     -------
@@ -187,9 +207,12 @@ def run_node(make: Callable[[], Node]) -> int:
             executor = make_executor()
             executor.add_node(node)
             launcher = os.environ.get(LAUNCHER)  # started by hand, a node outlives the shell it came from
+            served = Slice(executor)
+            stop.then = served.end  # a node that is never idle ends, too
+            spin = Pace(executor, [cast("Paced", node)], poll=False).spin if paced else served.spin
             with settled_memory():
                 while rclpy.ok() and not stop.requested and launcher in (None, str(os.getppid())):
-                    executor.spin_once(timeout_sec=POLL)
+                    spin(POLL)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:

@@ -13,9 +13,8 @@ import os
 from collections.abc import Generator
 
 WAITS = ("sleep", "poll")
-PRIORITIES = (1, 99)  # of SCHED_FIFO
+PRIORITIES = (1, 99)  # of SCHED_RR
 _PR_SET_TIMERSLACK = 29
-_MCL_CURRENT_AND_FUTURE = 3
 
 
 class SchedulingError(RuntimeError):
@@ -31,7 +30,7 @@ class Scheduling:
     wait : str
         Between samples: ``sleep``, or ``poll``, which keeps one core awake and therefore fast.
     priority : int
-        Of SCHED_FIFO, 1 to 99; 0: like all others.
+        Of SCHED_RR, 1 to 99; 0: like all others.
     cores : tuple of int
         Where to run; empty: anywhere.
 
@@ -67,8 +66,6 @@ ORDINARY = Scheduling()
 def scheduled(scheduling: Scheduling) -> Generator[None, None, None]:
     """Context in which this thread, and processes it starts, run as asked.
 
-    With a real-time priority the memory of the process stays in the machine, and is not paged out.
-
     Raises
     ------
     SchedulingError
@@ -86,13 +83,11 @@ def scheduled(scheduling: Scheduling) -> Generator[None, None, None]:
             number = scheduling.priority
             policy, param = os.sched_getscheduler(0), os.sched_getparam(0)
             _allowed(
-                lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(number)),
+                lambda: os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(number)),
                 f"realtime priority {number}",
                 f"; allow it by 'ulimit -r {number}', rtprio in /etc/security/limits.conf, or CAP_SYS_NICE",
             )
             undo.callback(os.sched_setscheduler, 0, policy, param)
-            if _call("mlockall", _MCL_CURRENT_AND_FUTURE) == 0:
-                undo.callback(_call, "munlockall")
         yield
 
 

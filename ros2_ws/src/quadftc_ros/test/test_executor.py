@@ -9,7 +9,7 @@ import time
 import pytest
 from rclpy.executors import SingleThreadedExecutor
 
-from quadftc_ros.executor import LAUNCHER, StopSignals, make_executor
+from quadftc_ros.executor import LAUNCHER, Pace, StopSignals, make_executor
 from quadftc_ros.testing import PATIENCE
 
 NODE = """
@@ -120,3 +120,49 @@ def test_single_executor_runs_a_node_as_the_fast_one_does(bench):
     executor.shutdown()
     bench.tester.destroy_timer(timer)
     assert len(ticks) >= 3
+
+
+class Clockwork:
+    """Something to be done every 10 ms of the monotonic clock, a number of times."""
+
+    def __init__(self, count, period=0.01):
+        self.period_ns = round(period * 1e9)
+        self.begin_ns = time.monotonic_ns()
+        self.left, self.times = count, []
+
+    @property
+    def due_ns(self):
+        done = len(self.times)
+        return self.begin_ns + (done + 1) * self.period_ns if done < self.left else sys.maxsize
+
+    def tick(self):
+        self.times.append(time.monotonic_ns())
+
+
+@pytest.mark.parametrize("kind", ["events", "single"])
+@pytest.mark.parametrize("poll", [False, True])
+def test_pace_acts_when_it_is_due_and_serves_the_nodes_meanwhile(bench, kind, poll):
+    executor = make_executor(kind, bench.context)
+    served = []
+    timer = bench.tester.create_timer(0.002, lambda: served.append(1))
+    executor.add_node(bench.tester)
+    both = [Clockwork(5), Clockwork(3, period=0.025)]
+    pace, end = Pace(executor, both, poll), time.monotonic() + PATIENCE
+    while any(len(each.times) < each.left for each in both) and time.monotonic() < end:
+        pace.spin(0.02)
+    executor.remove_node(bench.tester)
+    executor.shutdown()
+    bench.tester.destroy_timer(timer)
+    assert [len(each.times) for each in both] == [5, 3]
+    for each in both:  # never before its time, and none left out however late
+        due = [each.begin_ns + (k + 1) * each.period_ns for k in range(each.left)]
+        assert all(done >= wanted for done, wanted in zip(each.times, due, strict=True))
+    assert len(served) >= 5
+
+
+def test_pace_ends_with_its_time_when_nothing_is_due(bench):
+    executor = make_executor("events", bench.context)
+    begin = time.monotonic()
+    Pace(executor, [Clockwork(0)], poll=False).spin(0.05)
+    executor.shutdown()
+    assert 0.05 <= time.monotonic() - begin < PATIENCE

@@ -102,6 +102,8 @@ class PlantNode(GraphNode):
         self._torque_level: bytes | None = None
         self._flight = self._new_flight(EPOCH_NS)
         self._stamp_ns = EPOCH_NS  # of the last emission
+        self._rests_until_ns = 0  # real time: does not emit before, however late
+        self.on_due: Callable[[], None] = _ignored
         self._unshown: Emission | None = None  # real time: whose truth is still to be published
         if self._values["autostart"]:
             self._waiting = self.create_timer(0.05, self._start_when_connected, clock=self.steady_clock)
@@ -119,8 +121,13 @@ class PlantNode(GraphNode):
 
     @property
     def due_ns(self) -> int:
-        """Real time: when :meth:`tick` is due, by the monotonic clock [ns]."""
-        return self._flight.due_ns if self._flight.emitted else NEVER_NS
+        """When :meth:`tick` is due, by the monotonic clock [ns]; in lock-step never.
+
+        A flight that is late catches up at twice its rate: others have to keep up with it.
+        """
+        if self.lockstep or not self._flight.emitted:
+            return NEVER_NS
+        return max(self._flight.due_ns, self._rests_until_ns)
 
     def start(self) -> None:
         """Begin the flight.
@@ -137,14 +144,16 @@ class PlantNode(GraphNode):
         if self.lockstep:
             self._advance()
             return
-        self._emit()
         if self._timed:
             period = seconds(self._flight.period_ns)
             self._timer = self.create_timer(period, self._on_timer, clock=self.steady_clock)
+        self._emit()
+        self.on_due()
 
     def tick(self) -> None:
         """Real time: emit the next sample; zero torque has acted if none has come for too long."""
         flight = self._flight
+        self._rests_until_ns = time.monotonic_ns() + flight.period_ns // 2
         flight.wait()
         if flight.torque_lost:
             self._note_torque(ERROR, "torque/command does not come: zero torque")
@@ -208,7 +217,7 @@ class PlantNode(GraphNode):
         """
         half = self._flight.period_ns // 2
         for _ in range(2):  # not more at a time, so that others get to work, too
-            if time.monotonic_ns() + half >= self.due_ns:
+            if time.monotonic_ns() + half >= self._flight.due_ns:
                 self.tick()
 
     def _note_torque(self, level: bytes, words: str) -> None:
@@ -275,6 +284,10 @@ class PlantNode(GraphNode):
         return response
 
 
+def _ignored() -> None:
+    """Do nothing."""
+
+
 def main() -> None:
     """Run the node."""
-    sys.exit(run_node(PlantNode))
+    sys.exit(run_node(lambda: PlantNode(timed=False), paced=True))

@@ -12,6 +12,7 @@ from std_srvs.srv import Trigger
 
 from quadftc_ros.conversions import stamp_of, time_message
 from quadftc_ros.testing import vector_message
+from quadftc_sim.plant_flight import NEVER_NS
 from quadftc_sim.plant_node import PlantNode
 
 FIRST_NS = 1_000_000_000
@@ -268,3 +269,12 @@ def test_flight_in_real_time_keeps_up_with_the_clock_after_a_stall(bench):
     elapsed = time.monotonic() - begin
     assert flight.node.samples >= 100 * elapsed - 10  # without catching up it would be 30 fewer
     assert flight.node.samples <= 100 * elapsed + 2
+
+
+def test_plant_is_due_by_the_clock_in_real_time_and_never_in_lockstep(bench, lockstep_bench):
+    waiting, flying = Flight(lockstep_bench), Flight(bench, rate=100.0)
+    assert (waiting.node.due_ns, flying.node.due_ns) == (NEVER_NS, NEVER_NS)
+    for flight in (waiting, flying):
+        flight.start()
+    assert waiting.node.due_ns == NEVER_NS
+    assert abs(flying.node.due_ns - time.monotonic_ns()) < 10e9

@@ -19,6 +19,7 @@ from quadftc_bench.graph_plan import EXECUTABLES, GraphPlan, check_scheduling
 from quadftc_bench.process_graph import ProcessGraph
 from quadftc_bench.scenario import Scenario, Scheme, node_parameters
 from quadftc_ros.scheduling import ORDINARY, Scheduling
+from quadftc_ros.topics import TOPICS
 from quadftc_ros.trace import load_trace
 
 SETTLED = 1.0  # s; what comes before is not counted
@@ -112,6 +113,8 @@ def measure_latency(
             return going_on
 
         with _graph(plan, options) as graph:
+            if not graph.wait_until_connected(follow):
+                return None
             usage = Usage(_processes(graph))
             wall_time = graph.run(follow)
             taken = usage.taken(wall_time)
@@ -130,8 +133,11 @@ def measure_latency(
         usage=taken,
     )
     if recorded is not None:
-        stored, dropped = sum(recorded.counts.values()), sum(recorded.dropped.values())
-        result["recorded"] = {"stored": stored, "dropped": dropped + recorded.lost}
+        result["recorded"] = {
+            "stored": sum(recorded.counts.values()),
+            "dropped": sum(recorded.dropped.values()) + recorded.lost,
+            "missing": unrecorded(found, recorded.counts),
+        }
     return result
 
 
@@ -142,7 +148,8 @@ def latencies(traces: Traces, rate: float) -> dict[str, Any]:
     -------
     dict
         ``stages``: by name ``p50``...``max`` and ``mean`` [us]; ``samples`` counted; ``missed``: without a
-        torque of their own; ``late``: whose torque came after the next sample; ``histogram`` of the total.
+        torque of their own; ``late``: whose torque came after the next sample; ``lost``: messages that did
+        not reach a reader, by topic and reader; ``histogram`` of the total.
     """
     ends = {end for both in STAGES.values() for end in both}
     times = {(node, event): _first_times(traces[node], event) for node, event in ends}
@@ -162,8 +169,43 @@ def latencies(traces: Traces, rate: float) -> dict[str, Any]:
         "samples": len(stamps),
         "missed": len(stamps) - len(there),
         "late": int(np.sum(total > period)),
+        "lost": lost_messages(traces),
         "histogram": histogram(total),
     }
+
+
+def lost_messages(traces: Traces) -> dict[str, int]:
+    """How many messages were published but not taken, for each ``topic to reader`` with any.
+
+    The last sample's do not count: the flight ends meanwhile.
+    """
+    lost: dict[str, int] = {}
+    for row in TOPICS.values():
+        given = {
+            stamp
+            for node in row.publishers
+            for stamp in _first_times(traces.get(node, {}), f"given {row.name}")
+        }
+        for reader in row.readers:
+            missing = (
+                given
+                - set(_first_times(traces.get(reader, {}), f"taken {row.name}"))
+                - {max(given, default=0)}
+            )
+            if missing:
+                lost[f"{row.name} to {reader}"] = len(missing)
+    return lost
+
+
+def unrecorded(traces: Traces, counts: Mapping[str, int]) -> int:
+    """How many of the messages that were published are not in the bag with these counts, by topic."""
+    missing = 0
+    for node, trace in traces.items():
+        for event, rows in trace.items():
+            kind, _, topic = event.partition(" ")
+            if kind == "given" and node in TOPICS[topic].publishers:
+                missing += max(0, len(rows) - counts.get(f"/{topic}", 0))
+    return missing
 
 
 def statistics(nanoseconds: NDArray[np.int64]) -> dict[str, float]:

@@ -92,11 +92,8 @@ def latency(
         of_rate = [item for item in results if item["rate"] == each]
         screen.print(_latency_table(of_rate))
         for item in of_rate:
-            recorded = item.get("recorded", {"stored": 0, "dropped": 0})
-            screen.print(
-                f"{item['samples']} samples, {item['missed']} missed, {item['late']} late;"
-                f" recorded {recorded['stored']} messages, dropped {recorded['dropped']}"
-            )
+            screen.print(_counts_line(item))
+        screen.print(_usage_line(of_rate))
     _write(out, "latency", results)
     raise typer.Exit(GOOD)
 
@@ -184,6 +181,33 @@ def _latency_table(results: list[dict[str, Any]]) -> Table:
         rows = [item["stages"][stage] for item in results if stage in item["stages"]]
         table.add_row(stage, *(f"{_median([row[name] for row in rows]):.0f}" for name in SHOWN))
     return table
+
+
+def _counts_line(result: dict[str, Any]) -> str:
+    """What became of the samples and messages of one run."""
+    words = f"{result['samples']} samples, {result['missed']} missed, {result['late']} late"
+    words += f"; {sum(result['lost'].values())} messages lost"
+    if (recorded := result.get("recorded")) is not None:
+        words += (
+            f"; {recorded['stored']} recorded, {recorded['dropped']} dropped, {recorded['missing']} missing"
+        )
+    return words
+
+
+def _usage_line(results: list[dict[str, Any]]) -> str:
+    """Processor time by process and thread, and memory; medians of the runs."""
+    words: list[str] = []
+    for name, used in results[0]["usage"].items():
+        runs = [result["usage"][name] for result in results]
+        shares = {
+            thread: _median([run["cpu_share"].get(thread, 0.0) for run in runs])
+            for thread in used["cpu_share"]
+        }
+        threads = ", ".join(
+            f"{thread} {100.0 * share:.0f} %" for thread, share in shares.items() if share > 5e-3
+        )
+        words.append(f"{name}: {threads}; {_median([run['memory_mib'] for run in runs]):.0f} MiB")
+    return "processor time and memory: " + " | ".join(words)
 
 
 def _lockstep_table(results: list[dict[str, Any]]) -> Table:
