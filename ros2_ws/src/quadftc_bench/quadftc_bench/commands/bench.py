@@ -93,7 +93,7 @@ def latency(
         screen.print(_latency_table(of_rate))
         for item in of_rate:
             screen.print(_counts_line(item))
-        screen.print(_usage_line(of_rate))
+        screen.print(_usage_line(of_rate), soft_wrap=True)
     _write(out, "latency", results)
     raise typer.Exit(GOOD)
 
@@ -247,7 +247,8 @@ def _write(out: Path | None, kind: str, results: list[dict[str, Any]]) -> None:
     screen = console()
     screen.print(
         f"{what['processor']}, {what['usable_cores']} of {what['cores']} cores,"
-        f" load {what['load_average'][0]:.2f}; "
+        f" load {what['load_average'][0]:.2f}, a calculation took {what['slowness']['p50']:.2f} (p90"
+        f" {what['slowness']['p90']:.2f}) times its best; "
         + ", ".join(f"{name} {version}" for name, version in what["versions"].items()),
         soft_wrap=True,
     )
