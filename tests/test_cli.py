@@ -118,6 +118,8 @@ def test_options_reach_the_nodes(folder: Path):
         (("fly",), ("fly",)),
         (("list", "unicorns"), ("unicorns", "controllers")),
         (("play", "tiny.yaml"), ("tiny.yaml",)),
+        (("run", "tiny.yaml", "--wait", "poll"), ("lock-step",)),
+        (("run", "tiny.yaml", "--mode", "realtime", "--core", "4096"), ("core 4096",)),
     ],
 )
 def test_wrong_input_exits_with_2_and_says_what_was_expected(

@@ -8,8 +8,18 @@ import os
 import numpy as np
 import pytest
 
-from quadftc_bench.bench.latency import STAGES, TIMER, TOTAL, histogram, latencies, statistics
-from quadftc_bench.bench.machine import Usage, machine
+from quadftc_bench.bench.latency import (
+    STAGES,
+    TIMER,
+    TOTAL,
+    histogram,
+    latencies,
+    lost_messages,
+    statistics,
+    unrecorded,
+)
+from quadftc_bench.bench.lockstep import ALONE, APART, COMPOSED
+from quadftc_bench.bench.machine import Usage, machine, slowness
 from quadftc_bench.cli import _guarded
 
 RATE, PERIOD = 100.0, 10_000_000  # Hz, ns
@@ -78,6 +88,27 @@ def test_answer_that_comes_twice_counts_once_and_early():
     assert latencies(flight, RATE)["stages"][TOTAL]["max"] == 430.0
 
 
+def test_messages_that_do_not_reach_a_reader_are_counted_by_reader():
+    flight = traces(400)
+    assert lost_messages(flight)["imu/data to reference"] == 399  # it has no trace; the last does not count
+    taken = flight["disturbance_observer"]["taken imu/corrected"]
+    flight["disturbance_observer"]["taken imu/corrected"] = np.delete(taken, [7, 8, 200, 399], axis=0)
+    lost = lost_messages(flight)
+    assert lost["imu/corrected to disturbance_observer"] == 3
+    assert "imu/corrected to controller" not in lost
+
+
+def test_messages_that_are_not_in_the_bag_are_counted():
+    flight = traces(400)
+    counts = {"/plant/imu": 400, "/imu/data": 398, "/imu/corrected": 400, "/torque/command": 401}
+    assert unrecorded(flight, counts) == 2 + 400  # disturbance/estimate is not in it at all
+
+
+def test_slowness_is_one_at_best():
+    found = slowness(40)
+    assert 1.0 <= found["p50"] <= found["p90"]
+
+
 def test_percentiles_and_histogram_are_in_microseconds():
     values = np.arange(1, 1001) * 1000
     found = statistics(values)
@@ -105,7 +136,7 @@ def test_machine_and_usage_are_described():
     ("arguments", "kind"),
     [
         (["step"], "step"),
-        (["lockstep", "--duration", "3", "--repeat", "1"], "lockstep"),
+        (["lockstep", "--duration", "3", "--repeat", "1", "--vehicles", "1", "--vehicles", "2"], "lockstep"),
         (["latency", "--duration", "3", "--rate", "100"], "latency"),
         (["latency", "--duration", "3", "--rate", "100", "--graph", "processes", "--no-record"], "latency"),
     ],
@@ -123,8 +154,10 @@ def test_benchmark_writes_what_it_measured(tmp_path, capfd, arguments, kind):
         assert result.get("recorded", {"dropped": 0})["dropped"] == 0
         assert ("recorded" in result) == ("--no-record" not in arguments)
     if kind == "lockstep":
-        factors = {row["form"]: row["real_time_factor"] for row in written["results"]}
-        assert factors["closed loop without ROS"] > factors["composed"] > 0.0
+        factors = {(row["form"], row["vehicles"]): row["real_time_factor"] for row in written["results"]}
+        assert factors[ALONE, 1] > factors[COMPOSED, 1] > factors[COMPOSED, 2] > 0.0
+        assert factors[APART, 2] > 0.0
+        assert (APART, 1) not in factors
     if kind == "step":
         assert {row["observer"] for row in written["results"]} >= {"supervised", "sliding_mode", "none"}
     assert "load" in capfd.readouterr().out
@@ -132,7 +165,15 @@ def test_benchmark_writes_what_it_measured(tmp_path, capfd, arguments, kind):
 
 @pytest.mark.parametrize(
     "arguments",
-    [["latency", "--rate", "-5"], ["latency", "--observer", "nobody"], ["latency", "--duration", "1"]],
+    [
+        ["latency", "--rate", "-5"],
+        ["latency", "--observer", "nobody"],
+        ["latency", "--duration", "1"],
+        ["latency", "--core", "4096"],
+        ["latency", "--realtime-priority", "100"],
+        ["latency", "--realtime-priority", "5", "--wait", "poll"],
+        ["latency", "--graph", "processes", "--wait", "poll"],
+    ],
 )
 def test_wrong_arguments_are_refused_in_one_line(capfd, arguments):
     assert _guarded(["bench", *arguments]) == 2

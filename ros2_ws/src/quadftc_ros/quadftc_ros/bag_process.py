@@ -141,7 +141,7 @@ class BagProcess:
     @property
     def status(self) -> BagStatus:
         """As of `BagWriter`, not older than a second; call it every second, so that nothing waits longer."""
-        if not self._closed:
+        if not self._closed and (self._lockstep or self._writable.poll(0)):
             self._hand_over()
         dropped = {
             topic: self._dropped.get(topic, 0) + self._status.dropped.get(topic, 0)

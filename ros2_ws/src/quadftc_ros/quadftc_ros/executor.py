@@ -64,12 +64,8 @@ class Slice:
     def look(self) -> None:
         """End the slice if its time is over."""
         if time.monotonic() >= self._end:
-            self.end()
-
-    def end(self) -> None:
-        """End the slice."""
-        self._end = math.inf
-        self._over.set_result(None)
+            self._end = math.inf
+            self._over.set_result(None)
 
 
 class Paced(Protocol):
@@ -155,7 +151,6 @@ class StopSignals:
 
     def __init__(self) -> None:
         self.requested = False
-        self.then: Callable[[], None] | None = None  # called by the first signal
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> StopSignals:
@@ -173,8 +168,6 @@ class StopSignals:
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True
-        if self.then is not None:
-            self.then()
 
 
 def run_node(make: Callable[[], Node], paced: bool = False) -> int:
@@ -207,9 +200,7 @@ def run_node(make: Callable[[], Node], paced: bool = False) -> int:
             executor = make_executor()
             executor.add_node(node)
             launcher = os.environ.get(LAUNCHER)  # started by hand, a node outlives the shell it came from
-            served = Slice(executor)
-            stop.then = served.end  # a node that is never idle ends, too
-            spin = Pace(executor, [cast("Paced", node)], poll=False).spin if paced else served.spin
+            spin = Pace(executor, [cast("Paced", node)], False).spin if paced else Slice(executor).spin
             with settled_memory():
                 while rclpy.ok() and not stop.requested and launcher in (None, str(os.getppid())):
                     spin(POLL)

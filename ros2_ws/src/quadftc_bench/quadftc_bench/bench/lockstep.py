@@ -3,9 +3,13 @@
 
 from __future__ import annotations
 
+import itertools
+import multiprocessing
+import signal
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +18,21 @@ from quadftc_bench.composed_graph import ComposedGraph
 from quadftc_bench.graph_plan import GraphPlan
 from quadftc_bench.scenario import Scenario, Scheme, node_parameters
 
-RECORDING, COMPOSED, SINGLE, ALONE = FORMS = (
+RECORDING, COMPOSED, SINGLE, APART, ALONE = FORMS = (
     "composed, recording",
     "composed",
     "composed, SingleThreadedExecutor",
+    "composed, each vehicle in a process of its own",
     "closed loop without ROS",
 )
+MEETING = 120.0  # s; for all processes to be ready
+
+_barriers: list[Any] = []  # where the processes of `_wall_time_apart` wait for each other
+
+
+def forms(vehicles: int) -> tuple[str, ...]:
+    """Those of `FORMS` that differ for a number of vehicles."""
+    return tuple(form for form in FORMS if form != APART or vehicles > 1)
 
 
 def measure_lockstep(
@@ -51,6 +64,8 @@ def measure_lockstep(
         for _ in range(vehicles):
             fly(parameters)
         wall_time = time.monotonic() - begin
+    elif form == APART:
+        wall_time = _wall_time_apart(parameters, vehicles)
     else:
         with tempfile.TemporaryDirectory(prefix="quadftc_bench_") as folder:
             plans = [
@@ -83,3 +98,23 @@ def measure_lockstep(
         "real_time_factor": round(scenario.duration / wall_time, 3),
         "sample_us": round(1e6 * wall_time / samples, 1),
     }
+
+
+def _wall_time_apart(parameters: Mapping[str, Mapping[str, Any]], vehicles: int) -> float:
+    """Fly each vehicle in a process of its own, all at a time; return the time of the slowest [s]."""
+    context = multiprocessing.get_context("spawn")  # a process that has ROS in it must not be forked
+    barrier = context.Barrier(vehicles)
+    with ProcessPoolExecutor(vehicles, context, _ready, (barrier,)) as pool:
+        return max(pool.map(_fly_one, itertools.repeat(parameters), range(vehicles)))
+
+
+def _ready(barrier: Any) -> None:
+    _barriers.append(barrier)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that waits for this one
+
+
+def _fly_one(parameters: Mapping[str, Mapping[str, Any]], number: int) -> float:
+    with ComposedGraph(GraphPlan(parameters, "lockstep", namespace=f"vehicle_{number}")) as graph:
+        graph.wait_until_connected()
+        _barriers[-1].wait(MEETING)
+        return graph.run()

@@ -101,22 +101,24 @@ def latency(
 @bench.command()
 def lockstep(
     rate: Annotated[list[float], typer.Option(help="Control rates [Hz].")] = [250.0],  # noqa: B006
-    vehicles: Annotated[list[int], typer.Option(min=1, help="Vehicles in one process.")] = [1],  # noqa: B006
+    vehicles: Annotated[list[int], typer.Option(min=1, help="How many, in one process and in as many.")] = [
+        1
+    ],  # noqa: B006
     observer: Observer = "sliding_mode",
     duration: Duration = 20.0,
     repeat: Repeat = 5,
     out: Out = None,
 ) -> None:
     """How many times real time the graph flies in lock-step, beside the closed loop without ROS."""
-    from quadftc_bench.bench.lockstep import FORMS, measure_lockstep
+    from quadftc_bench.bench.lockstep import forms, measure_lockstep
 
     results: list[dict[str, Any]] = []
     with StopSignals() as stop, _bars() as bars:
         for each, count in itertools.product(rate, vehicles):
             scenario = _scenario(observer, duration, each)
-            bar = bars.add_task(f"{each:g} Hz, vehicles: {count}", total=repeat * len(FORMS))
+            bar = bars.add_task(f"{each:g} Hz, vehicles: {count}", total=repeat * len(forms(count)))
             for _ in range(repeat):
-                for form in FORMS:  # in turn, so that a busy machine is as bad for all
+                for form in forms(count):  # in turn, so that a busy machine is as bad for all
                     found = measure_lockstep(
                         scenario, scenario.scheme(None), form, count, lambda _: not stop.requested
                     )
