@@ -101,9 +101,7 @@ def latency(
 @bench.command()
 def lockstep(
     rate: Annotated[list[float], typer.Option(help="Control rates [Hz].")] = [250.0],  # noqa: B006
-    vehicles: Annotated[list[int], typer.Option(min=1, help="How many, in one process and in as many.")] = [
-        1
-    ],  # noqa: B006
+    vehicles: Annotated[list[int], typer.Option(min=1, help="In one process, and in as many.")] = [1],  # noqa: B006
     observer: Observer = "sliding_mode",
     duration: Duration = 20.0,
     repeat: Repeat = 5,
