@@ -10,7 +10,7 @@ import contextlib
 import ctypes
 import dataclasses
 import os
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 
 WAITS = ("sleep", "poll")
 PRIORITIES = (1, 99)  # of SCHED_RR
@@ -91,9 +91,9 @@ def scheduled(scheduling: Scheduling) -> Generator[None, None, None]:
         yield
 
 
-def _allowed(action: object, what: str, remedy: str) -> None:
+def _allowed(action: Callable[[], None], what: str, remedy: str) -> None:
     try:
-        action()  # type: ignore[operator]
+        action()
     except (AttributeError, OSError) as error:
         words = getattr(error, "strerror", None) or "this system does not know of it"
         raise SchedulingError(f"{what}: {words}{remedy}") from None

@@ -81,12 +81,14 @@ def latency(
         for each, number in jobs:
             scenario = _scenario(observer, duration, each)
             bar = bars.add_task(f"{each:g} Hz, {number + 1} of {repeat}", total=duration * each)
+            bars.refresh()  # not in flight: drawing would take milliseconds from it
             result = measure_latency(
                 scenario, scenario.scheme(None), options, _follower(bars, bar, lambda: stop.requested)
             )
             if result is None:
                 raise typer.Exit(INTERRUPTED)
             results.append(result)
+            bars.refresh()
     screen = console()
     for each in rate:
         of_rate = [item for item in results if item["rate"] == each]
@@ -124,6 +126,7 @@ def lockstep(
                         raise typer.Exit(INTERRUPTED)
                     results.append(found)
                     bars.advance(bar)
+                    bars.refresh()
     console().print(_lockstep_table(results))
     _write(out, "lockstep", results)
     raise typer.Exit(GOOD)
