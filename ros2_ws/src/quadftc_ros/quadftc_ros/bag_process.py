@@ -4,7 +4,7 @@ A thread that writes takes the interpreter from the thread that flies, several h
 `BagProcess` has the interface of `BagWriter`, which does the work in the other process. The two talk through
 a pair of sockets. The other process ends when it is told to close the bag, or when this one has ended, in
 whatever way: then it closes the bag, too. It looks now and then for what has come instead of waiting for it:
-to wake another process would take the one that flies several times as long as to hand over what it has.
+to wake another process takes the one that flies longer than to hand over what it has.
 """
 
 from __future__ import annotations

@@ -21,13 +21,14 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
+from quadftc_ros.conversions import NANOSECONDS
+
 EXECUTORS = ("events", "single")
 STOPPING = (signal.SIGINT, signal.SIGTERM)
 LAUNCHER = (
     "QUADFTC_LAUNCHER"  # environment variable: process that started this one and must not die before it
 )
 NEAR = 100_000  # ns; an executor that sleeps may wake so late
-NANOSECONDS = 1_000_000_000
 POLL = 0.2  # s; EventsExecutor.spin() without a timeout busy-loops in Jazzy 7.1, so it is called in slices
 
 

@@ -10,7 +10,7 @@ In lock-step none may be lost. The nodes wait for each other, but not for a reco
 depth is what it may lag behind. In real time IMU samples are not sent again: best effort, as in the
 sensor-data convention of ROS 2, also matches the drivers of real vehicles. The depth is more than the five of
 that convention. A node that was kept from working for 20 ms has ten samples to make up for at 500 Hz, which
-takes it 2 ms; to an observer, a gap in its samples costs more.
+it does within a few periods; to an observer, a gap in its samples costs more.
 """
 
 from __future__ import annotations
