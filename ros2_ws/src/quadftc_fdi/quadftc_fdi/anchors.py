@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_fdi.inertial_filter import SIZE, FilterState, shifted
-from quadftc_model.arrays import Array, any_of, changed_where, namespace
+from quadftc_fdi.error_transition import SIZE, Transition
+from quadftc_fdi.inertial_filter import MEASURED, FilterState, shifted
+from quadftc_model.arrays import Array, any_of, changed_where, namespace, product
 
 OLD, YOUNG = 3, 4  # columns of the residuals; those before are of the filter itself
 ANCHORED = np.array([0.0, 0.0, 0.0, 1.0, 1.0])
@@ -40,18 +41,18 @@ def anchored(P: Array) -> Anchors:
     return Anchors(xp.zeros((*batch, SIZE, 5)), xp.stack([P, P], axis=-3), xp.zeros((*batch, 1)))
 
 
-def carried(anchors: Anchors, F: Array, noise: Array) -> Anchors:
-    """Take a step with the transition and the noise of the filter's, (..., 16, 16) each."""
-    both = F[..., None, :, :]
-    P = both @ anchors.P @ both.swapaxes(-1, -2) + noise[..., None, :, :]
-    return anchors._replace(ahead=F @ anchors.ahead, P=P)
+def carried(anchors: Anchors, F: Transition, noise: Array) -> Anchors:
+    """Take a step with the transition of the filter's, and its noise (..., 16, 16)."""
+    xp = namespace(noise)
+    P = xp.stack([F.around(anchors.P[..., age, :, :]) + noise for age in (0, 1)], axis=-3)
+    return anchors._replace(ahead=F.of(anchors.ahead), P=P)
 
 
 def own_variances(P: Array, anchors: Anchors, H: Array) -> Array:
     """Variance (..., 3, 3) of each predicted angle by filter, old and young anchor [rad²]."""
     covariances = namespace(P).concatenate([P[..., None, :, :], anchors.P], axis=-3)
     each = H[..., None, :, :]
-    return ((each @ covariances) * each).sum(axis=-1).swapaxes(-1, -2)
+    return (product(each, covariances, MEASURED) * each).sum(axis=-1).swapaxes(-1, -2)
 
 
 def returned(

@@ -15,14 +15,14 @@ and the covariance says how good that is. Arrays have any leading axes; there ar
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_model.arrays import Array, components, is_single, namespace, stacked
+from quadftc_fdi.error_transition import BIAS, DELAY, ROTATION, SIZE, Transition, transition
+from quadftc_model.arrays import Array, components, is_single, namespace, product, stacked
 from quadftc_model.rotations import (
     MIN_COS_PITCH,
     normalise,
@@ -30,8 +30,7 @@ from quadftc_model.rotations import (
     quaternion_product,
 )
 
-SIZE = 16  # of the error state
-ROTATION, BIAS, DELAY = slice(0, 3), slice(3, 6), 15
+MEASURED = (0, 1, 2, DELAY)  # elements of the error that a measurement shows: all other columns of H are zero
 REFUSED = 1e6  # rad²; variance of a measurement that is left out
 
 
@@ -57,10 +56,12 @@ def rate(x: Array, gyro: Array) -> Array:
     if is_single(x):
         return gyro + x[3:12].reshape(3, 3).dot(gyro) - x[:3]
     M = x[..., 3:12].reshape(*x.shape[:-1], 3, 3)
-    return gyro + (M @ gyro[..., None])[..., 0] - x[..., :3]
+    return gyro + product(M, gyro[..., None])[..., 0] - x[..., :3]
 
 
-def propagated(state: FilterState, gyro: Array, noise: Array, dt: float) -> tuple[FilterState, Array]:
+def propagated(
+    state: FilterState, gyro: Array, noise: Array, dt: float
+) -> tuple[FilterState, Transition]:
     """Turn by a gyro sample (..., 3) over ``dt`` [s].
 
     Parameters
@@ -74,14 +75,12 @@ def propagated(state: FilterState, gyro: Array, noise: Array, dt: float) -> tupl
 
     Returns
     -------
-    FilterState, and the transition matrix (..., 16, 16) of the error.
+    FilterState, and the transition of the error.
     """
-    xp = namespace(gyro)
     omega = rate(state.x, gyro)
     q = normalise(quaternion_product(state.q_xyzw, quaternion_from_rotation_vector(omega * dt)))
-    moving = xp.concatenate([omega, gyro], axis=-1) * dt
-    F = (moving @ _TRANSITION + _resting(dt)).reshape(*gyro.shape[:-1], SIZE, SIZE)
-    return FilterState(q, state.x, F @ state.P @ F.swapaxes(-1, -2) + noise), F
+    F = transition(omega, gyro, dt)
+    return FilterState(q, state.x, F.around(state.P) + noise), F
 
 
 def process_noise(rotation: Array, bias: Array) -> Array:
@@ -112,8 +111,11 @@ def predicted_angles(state: FilterState, angles: Array, H: Array) -> Array:
 def measurement_matrix(angles: Array, omega: Array) -> Array:
     """H = E [I, 0, 0, -omega] (..., 3, 16) at Euler angles (..., 3) and body rate (..., 3)."""
     E = euler_matrix(angles)
-    rows = (omega @ _DELAYED + _DIRECT).reshape(*omega.shape[:-1], 3, SIZE)
-    return E @ rows
+    if is_single(omega):
+        return E @ (omega @ _DELAYED + _DIRECT).reshape(3, SIZE)
+    xp = namespace(omega)
+    unseen = xp.zeros((*omega.shape[:-1], 3, DELAY - 3))
+    return xp.concatenate([E, unseen.astype(E.dtype), -product(E, omega[..., None])], axis=-1)
 
 
 def euler_matrix(angles: Array) -> Array:
@@ -162,11 +164,11 @@ def updated(
     FilterState, and the correction (..., 16) that was made.
     """
     xp = namespace(residual)
-    PH = state.P @ H.swapaxes(-1, -2)
-    S = H @ PH + xp.where(taken, variance, REFUSED)[..., None] * _AXES
-    K = PH @ _inverse(S)
-    dx = (K @ xp.where(taken, residual, 0.0)[..., None])[..., 0]
-    P = state.P - K @ PH.swapaxes(-1, -2)
+    PH = product(state.P, H.swapaxes(-1, -2), MEASURED)
+    S = product(H, PH, MEASURED) + xp.where(taken, variance, REFUSED)[..., None] * _AXES
+    K = product(PH, _inverse(S))
+    dx = product(K, xp.where(taken, residual, 0.0)[..., None])[..., 0]
+    P = state.P - product(K, PH.swapaxes(-1, -2))
     return shifted(state._replace(P=0.5 * (P + P.swapaxes(-1, -2))), dx), dx
 
 
@@ -178,25 +180,6 @@ def _inverse(S: Array) -> Array:
     scale = 1.0 / (a * A + b * B + c * C)
     parts = [A, B, C, B, D, E, C, E, F]
     return stacked([part * scale for part in parts]).reshape(S.shape)
-
-
-@functools.lru_cache(maxsize=256)
-def _resting(dt: float) -> NDArray[np.float64]:
-    """Transition of the error (256,) without motion: delta falls by dt times the bias."""
-    F = np.eye(SIZE)
-    F[ROTATION, BIAS] = -dt * np.eye(3)
-    F.setflags(write=False)
-    return F.ravel()
-
-
-def _transition() -> NDArray[np.float64]:
-    """What (omega, g) dt adds to the transition (6, 256): -[omega]x, and g against the rows of M."""
-    found = np.zeros((6, SIZE, SIZE))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        found[i, j, k], found[i, k, j] = 1.0, -1.0  # -[omega]x
-        for row in range(3):
-            found[3 + i, row, 6 + 3 * row + i] = 1.0
-    return found.reshape(6, -1)
 
 
 def _measurement() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -217,5 +200,4 @@ def _noise(where: slice) -> NDArray[np.float64]:
 
 _AXES = np.eye(3)
 _ROTATION_NOISE, _BIAS_NOISE = _noise(ROTATION), _noise(BIAS)
-_TRANSITION = _transition()
 _DIRECT, _DELAYED = _measurement()

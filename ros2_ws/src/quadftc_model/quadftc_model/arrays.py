@@ -56,6 +56,25 @@ def norm(vector: Array) -> Array:
     return xp.sqrt(xp.sum(vector * vector, axis=-1, keepdims=True))
 
 
+def product(a: Array, b: Array, terms: Sequence[int] | None = None) -> Array:
+    """Matrix product a @ b of small matrices, (..., n, k) and (..., k, m).
+
+    Outside NumPy the sum is written out: a compiler fuses it with what follows, over a whole batch at once,
+    where it would call a routine for every pair of matrices.
+
+    Parameters
+    ----------
+    a, b : array (..., n, k), (..., k, m)
+    terms : sequence of int, optional
+        The inner indices that count; for the others, ``a`` or ``b`` is zero.
+    """
+    if isinstance(a, np.ndarray):
+        return a @ b
+    inner = range(a.shape[-1]) if terms is None else terms
+    parts = [a[..., :, k, None] * b[..., k, None, :] for k in inner]
+    return sum(parts[1:], parts[0])
+
+
 def clip(x: Array, low: Array, high: Array) -> Array:
     """Hold ``x``, an array or a float, within two bounds."""
     if isinstance(x, float):

@@ -128,13 +128,18 @@ def _time(values: Mapping[str, Any], name: str, default: float) -> float:
     return time
 
 
+def fault_generators(seed: int, number: int) -> tuple[np.random.Generator, np.random.Generator]:
+    """Return where an injection's normal and uniform numbers come from, which no other injection shifts."""
+    return np.random.default_rng([seed, number, 0]), np.random.default_rng([seed, number, 1])
+
+
 class _Active:
-    """An injection with its state and its own random numbers, which no other injection shifts."""
+    """An injection with its state and its own random numbers."""
 
     def __init__(self, injection: Injection, number: int, seed: int) -> None:
         self.injection = injection
         self.state: Any = None
-        self._generator = np.random.default_rng([seed, number])
+        self._normal, self._uniform = fault_generators(seed, number)
         self._zeros = np.zeros(3)
 
     def step(self, time: float, healthy: Floats, dt: float) -> tuple[Floats, bool]:
@@ -147,7 +152,7 @@ class _Active:
             self.state = law.init(healthy)
         normal = uniform = self._zeros
         if law.is_random:
-            normal, uniform = self._generator.standard_normal(3), self._generator.random(3)
+            normal, uniform = self._normal.standard_normal(3), self._uniform.random(3)
         inputs = FaultInputs(healthy, time - injection.start, normal, uniform)
         self.state, output = law.step(self.state, inputs, dt)
         if not acts:

@@ -33,6 +33,7 @@ from quadftc_fdi.anchors import Anchors, anchored, carried, own_variances, renew
 from quadftc_fdi.dead_reckoning import comparable
 from quadftc_fdi.fault_observer import FaultObserver, register
 from quadftc_fdi.inertial_filter import (
+    MEASURED,
     ROTATION,
     FilterState,
     bias_variance,
@@ -58,7 +59,7 @@ from quadftc_fdi.supervision import (
     tracked,
     weights,
 )
-from quadftc_model.arrays import Array, any_of, changed_where, namespace, norm
+from quadftc_model.arrays import Array, any_of, changed_where, namespace, norm, product
 from quadftc_model.conditions import Circumstances, Condition, Verdict
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, wrap
@@ -234,7 +235,7 @@ class Supervised(FaultObserver):
         H = measurement_matrix(angles, omega)
         measured = euler_from_quaternion(q_xyzw)
         residual = wrap(measured - predicted_angles(estimate, angles, H))
-        residuals = residual[..., None] + H @ anchors.ahead
+        residuals = residual[..., None] + product(H, anchors.ahead, MEASURED)
         slow = self.wander + (self.wander_moving - self.wander) * motion
         noise = self.attitude_noise**2 * (H[..., ROTATION] ** 2).sum(axis=-1)
         sizes = Sizes(noise, slow**2 + 0.0 * noise, own_variances(estimate.P, anchors, H))

@@ -12,7 +12,7 @@ from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
 
 
 class Past(NamedTuple):
-    """Values of the last samples, oldest first."""
+    """Values of the last samples, oldest first; before there are enough, the first stands for older ones."""
 
     values: tuple[Array, ...]
 
@@ -32,6 +32,9 @@ class Delay(Fault):
 
     def step(self, state: Past, inputs: FaultInputs, dt: float) -> tuple[Past, FaultOutput]:
         """Return the oldest value wanted; at the start of a flight the oldest that there is."""
-        count = math.floor(self.delay / dt + 0.5) if dt > 0.0 else 0
-        values = (*state.values, inputs.value)[-(count + 1) :] if dt > 0.0 else state.values
-        return Past(values), present(values[0])
+        if dt == 0.0:
+            return state, present(state.values[0])
+        count = math.floor(self.delay / dt + 0.5)
+        values = (*state.values, inputs.value)
+        values = (values[0],) * (count + 1 - len(values)) + values
+        return Past(values[-(count + 1) :]), present(values[-(count + 1)])

@@ -1,0 +1,308 @@
+"""The batch engine: thousands of flights at once, compiled by JAX, what is kept of each a tally.
+
+>>> engine = Engine(float32=True)
+>>> for index, outcome in engine.fly(flights, schedules):
+...
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import dataclasses
+import itertools
+import os
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_bench.batch.compiled import Brought, Carried, CompiledFlight, Own, Structure, Times
+from quadftc_bench.batch.draws import FaultNumbers, SensorDraws, Withheld, withheld
+from quadftc_bench.batch.loop import Delivery, Row
+from quadftc_bench.batch.parts import (
+    FlightParts,
+    differing,
+    numbers_of,
+    structure_of,
+    with_common_faults,
+)
+from quadftc_bench.batch.tally import Marks, Schedule, Sums
+from quadftc_bench.diagnosis_metrics import FaultEvent
+from quadftc_bench.flight import AXES
+from quadftc_model.stepper import NANOSECONDS_PER_SECOND
+from quadftc_sim.injection_step import FaultDraws
+
+STRETCH = 500  # samples between two looks from outside: sums are taken out, random numbers brought
+LANES = 256  # flights that are flown together
+
+Floats = NDArray[np.float64]
+
+
+class Outcome(NamedTuple):
+    """What is left of one flight; arrays as in `Sums` and `Marks`, in double precision."""
+
+    sums: Sums
+    marks: Marks
+    rows: int  # samples that came out of the IMU
+    period: float  # of the samples [s]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Traced:
+    """Every row of one flight: arrays (samples, ...) as in `Row`."""
+
+    row: Row
+
+
+class Engine:
+    """Flies batches; what it has compiled, it keeps.
+
+    Parameters
+    ----------
+    float32 : bool
+        Single precision in place of double.
+    lanes : int
+        Flights that are flown together.
+    threads : int
+        Batches that are flown side by side; default: one for each core that this process may use.
+    """
+
+    def __init__(self, float32: bool = False, lanes: int = LANES, threads: int | None = None) -> None:
+        if lanes < 1:
+            raise ValueError(f"lanes = {lanes}: must be positive")
+        self._float32 = float32
+        self._lanes = lanes
+        self._threads = threads or len(os.sched_getaffinity(0))
+        self._compiled: dict[Any, CompiledFlight] = {}
+        self._on_cpu = jax.default_backend() == "cpu"
+
+    @property
+    def device(self) -> str:
+        """The device that computes, in words."""
+        found = jax.devices()[0]
+        return f"{found.platform} ({found.device_kind})"
+
+    def fly(
+        self,
+        flights: Sequence[FlightParts],
+        events: Sequence[Sequence[FaultEvent]],
+        progress: Callable[[int], None] = lambda samples: None,
+    ) -> list[Outcome]:
+        """Fly all flights.
+
+        Parameters
+        ----------
+        flights : sequence of FlightParts
+        events : sequence of sequences of FaultEvent
+            The faults that each is judged by.
+        progress : callable
+            Called with the number of samples flown since the last call.
+
+        Returns
+        -------
+        list of Outcome
+
+        Raises
+        ------
+        ValueError
+            If a part cannot be flown in a batch.
+        """
+        outcomes: list[Outcome | None] = [None] * len(flights)
+        with jax.enable_x64(not self._float32):
+            tasks = list(self._tasks(with_common_faults(flights), events))
+            with concurrent.futures.ThreadPoolExecutor(self._threads) as pool:
+                for places, found in pool.map(lambda task: self._fly_block(*task, progress), tasks):
+                    for place, outcome in zip(places, found, strict=True):
+                        outcomes[place] = outcome
+        return [outcome for outcome in outcomes if outcome is not None]
+
+    def _tasks(
+        self, flights: Sequence[FlightParts], events: Sequence[Sequence[FaultEvent]]
+    ) -> Iterator[tuple[CompiledFlight, list[int], list[FlightParts], Own]]:
+        """Blocks of flights of one structure."""
+        groups: dict[Any, list[int]] = {}
+        for index, flight in enumerate(flights):
+            groups.setdefault(structure_of(flight.loop), []).append(index)
+        for key, members in groups.items():
+            numbers = [numbers_of(flights[index].loop) for index in members]
+            varying = differing(numbers)
+            chosen = [flights[index] for index in members]
+            most = max(map(_most_events, (events[index] for index in members)))
+            compiled = self._compile(key, chosen, tuple(varying), most, numbers[0])
+            schedules = [_schedule(events[index], most) for index in members]
+            lanes = min(self._lanes, len(members))
+            for start in range(0, len(members), lanes):
+                block = list(range(start, min(start + lanes, len(members))))
+                full = block + [block[-1]] * (lanes - len(block))
+                own = Own(
+                    {path: np.moveaxis(values[full], 0, -1) for path, values in varying.items()},
+                    Schedule(*(np.stack([schedules[i][kind] for i in full], axis=-1) for kind in range(3))),
+                )
+                yield compiled, [members[i] for i in block], [chosen[i] for i in full], own
+
+    def _compile(
+        self,
+        key: Any,
+        flights: Sequence[FlightParts],
+        varying: tuple[str, ...],
+        events: int,
+        numbers: dict[str, Any],
+    ) -> CompiledFlight:
+        loop = flights[0].loop
+        structure = Structure(
+            loop=loop,
+            varying=varying,
+            events=events,
+            late_start=any(map(_may_start_late, flights)),
+            loses=any(injection.channel == "imu" for injection in loop.injections),
+            float32=self._float32,
+        )
+        fixed = tuple(value.tobytes() for path, value in numbers.items() if path not in varying)
+        whole_key = (key, varying, events, structure.late_start, fixed)
+        if whole_key not in self._compiled:
+            self._compiled[whole_key] = CompiledFlight(structure, lanes_last=self._on_cpu)
+        return self._compiled[whole_key]
+
+    def _fly_block(
+        self,
+        compiled: CompiledFlight,
+        places: list[int],
+        flights: list[FlightParts],
+        own: Own,
+        progress: Callable[[int], None],
+    ) -> tuple[list[int], list[Outcome]]:
+        with jax.enable_x64(not self._float32):
+            total, marks = self._flown(compiled, flights, own, lambda count: progress(count * len(places)))
+        loop = flights[0].loop
+        rows, period = loop.count - loop.sensor.delay, loop.period_ns / NANOSECONDS_PER_SECOND
+        return places, [
+            Outcome(_lane(total, lane), _lane(marks, lane), rows, period) for lane in range(len(places))
+        ]
+
+    def _flown(
+        self,
+        compiled: CompiledFlight,
+        flights: Sequence[FlightParts],
+        own: Own,
+        progress: Callable[[int], None],
+    ) -> tuple[Sums, Marks]:
+        structure = compiled.structure
+        supply = Supply(flights, structure, compiled.needed)
+        first = compiled.first_samples
+        brought, times = supply.next(first, every=True)
+        state, _ = compiled.begin(
+            supply.bias,
+            [jax.tree.map(lambda a: a[i], brought) for i in range(first)],
+            _in_precision(own, structure.dtype),
+            [jax.tree.map(lambda a: a[i], times) for i in range(first)],
+        )
+        own = jax.device_put(_in_precision(own, structure.dtype))
+        total = _doubled(state.tally.sums)
+        progress(first)
+        for start in range(first, structure.loop.count, STRETCH):
+            count = min(STRETCH, structure.loop.count - start)
+            brought, times = supply.next(count)
+            state, _ = compiled.fly(state, brought, own, times)
+            total = Sums(*(a + b for a, b in zip(total, _doubled(state.tally.sums), strict=True)))
+            progress(count)
+        return total, _doubled(state.tally.marks)
+
+
+class Supply:
+    """What is brought to the steps of a block of flights, in the order of the samples.
+
+    Parameters
+    ----------
+    flights : sequence of FlightParts
+        Of one structure.
+    structure : Structure
+    needed : Brought
+        Which of it decides anything.
+    """
+
+    def __init__(self, flights: Sequence[FlightParts], structure: Structure, needed: Brought) -> None:
+        self._structure = structure
+        self._needed = needed
+        self._sensors = SensorDraws(flights)
+        self.bias = self._sensors.bias.astype(structure.dtype)
+        self._faults = [
+            FaultNumbers(flights, place) if injection.law.is_random and injection.channel != "imu" else None
+            for place, injection in enumerate(structure.loop.injections)
+        ]
+        self._withheld = withheld(flights) if structure.loses else None
+        self._flights = len(flights)
+        self._at = 0
+
+    def next(self, count: int, every: bool = False) -> tuple[Brought, Times]:
+        """Bring what ``count`` samples need, arrays (count, ..., flights); or everything (``every``)."""
+        dtype, flights = self._structure.dtype, self._flights
+        at, delay = self._at, self._structure.loop.sensor.delay
+        self._at += count
+        wanted = [every or need for need in self._needed.draws]
+        drawn = self._sensors.next(count, wanted, dtype)
+        unused = np.broadcast_to(np.zeros((), dtype), (count, 3, flights))
+        draws = tuple(unused if block is None else block for block in drawn)
+        taken = np.arange(at - delay, at + count - delay)
+        faults = tuple(
+            None if each is None else FaultDraws(*(part.astype(dtype) for part in each.between(taken[0], taken[-1] + 1)))
+            for each in self._faults
+        )
+        period = self._structure.loop.period_ns
+        times = [
+            (np.maximum(index, 0) * period / NANOSECONDS_PER_SECOND).astype(dtype)
+            for index in (taken + delay - 1, taken + delay, taken)
+        ]
+        delivery = None if self._withheld is None else _delivery(self._withheld, taken, dtype)
+        return Brought(draws, faults, delivery), Times(*times)
+
+
+def _delivery(lost: Withheld, taken: NDArray[np.int64], dtype: np.dtype[Any]) -> Delivery:
+    rows = np.clip(taken, 0, len(lost.comes) - 1)
+    return Delivery(
+        lost.comes[rows], lost.dt[rows].astype(dtype), lost.anew[rows], lost.elapsed[rows].astype(dtype)
+    )
+
+
+def _most_events(events: Sequence[FaultEvent]) -> int:
+    """Of any axis; at least one, so that there is something to compute with."""
+    return max([1, *(sum(event.axis == axis for event in events) for axis in AXES)])
+
+
+def _schedule(events: Sequence[FaultEvent], most: int) -> tuple[Floats, Floats, Floats]:
+    """Start, stop and the start of the next fault of each axis (most, 3) [s]; infinite where there is none."""
+    start, stop, following = (np.full((most, len(AXES)), np.inf) for _ in range(3))
+    for axis, name in enumerate(AXES):
+        own = [event for event in events if event.axis == name]
+        start[: len(own), axis] = [event.start for event in own]
+        stop[: len(own), axis] = [event.stop for event in own]
+        for place, event in enumerate(own):
+            later = [other.start for other in own if other.start >= event.stop]
+            following[place, axis] = min(later, default=np.inf)
+    return start, stop, following
+
+
+def _may_start_late(flight: FlightParts) -> bool:
+    """Whether a fault acts on the first sample that may leave nothing to begin with."""
+    return any(
+        injection.start <= 0.0 and injection.channel in ("attitude", "gyro", "imu")
+        for injection in flight.loop.injections
+    )
+
+
+def _in_precision(own: Own, dtype: np.dtype[Any]) -> Own:
+    def cast(array: Any) -> Any:
+        return array.astype(dtype) if array.dtype.kind == "f" else array
+
+    return jax.tree.map(cast, own)
+
+
+def _doubled(tree: Any) -> Any:
+    """Arrays of NumPy, floats in double precision."""
+    arrays = [np.asarray(leaf) for leaf in tree]
+    return type(tree)(*(array.astype(np.float64) if array.dtype.kind == "f" else array for array in arrays))
+
+
+def _lane(tree: Any, lane: int) -> Any:
+    return type(tree)(*(leaf[..., lane] for leaf in tree))

@@ -1,0 +1,221 @@
+"""The parts of one flight, and which of their numbers differ between the flights of a batch.
+
+A part is a frozen dataclass. Its texts, whole numbers and switches are its *structure*, over which a step is
+compiled; its floats and arrays are *numbers*, each known by its path (``plant.vehicle.inertia``). Flights of
+one structure are flown together: numbers that all of them share stay what they are, the others become arrays
+with one value a flight.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import functools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_control.assembly import controller_from, reference_from
+from quadftc_control.controller import Controller
+from quadftc_control.reference import Reference
+from quadftc_fdi.assembly import disturbance_observer_from, fault_observer_from
+from quadftc_fdi.disturbance_observer import DisturbanceObserver
+from quadftc_fdi.fault_observer import FaultObserver
+from quadftc_model.assembly import NodeParameters, get
+from quadftc_sim.assembly import injector_from, sample_count, simulator_from
+from quadftc_sim.injection import Injection
+from quadftc_sim.plant import Plant
+from quadftc_sim.sensors import ImuSensor
+
+NEVER = math.inf  # s; start of a fault that another flight of the batch has in its place
+
+Numbers = NDArray[Any]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Loop:
+    """Everything that acts in the closed loop of one flight."""
+
+    plant: Plant
+    sensor: ImuSensor
+    injections: tuple[Injection, ...]
+    observer: FaultObserver
+    disturbance_observer: DisturbanceObserver
+    controller: Controller
+    references: tuple[Reference, ...]
+    period_ns: int
+    count: int  # samples
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Seeds:
+    """What the random numbers of a flight come from."""
+
+    sensor: int
+    injector: int
+    numbers: tuple[int, ...]  # of each injection, as the injector counts them; 0: not in this flight
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FlightParts:
+    """One flight of a batch."""
+
+    loop: Loop
+    seeds: Seeds
+
+
+def flight_parts(parameters: Mapping[str, NodeParameters]) -> FlightParts:
+    """Build the parts of a flight from the parameters of its nodes.
+
+    Raises
+    ------
+    ValueError
+        If a part cannot be built from its parameters.
+    """
+    plant, faults = parameters["plant"], parameters["fault_injector"]
+    simulator = simulator_from(plant)
+    injections = injector_from(faults).injections
+    loop = Loop(
+        plant=simulator.plant,
+        sensor=simulator.sensor,
+        injections=tuple(injections.values()),
+        observer=fault_observer_from(parameters["fault_observer"]),
+        disturbance_observer=disturbance_observer_from(parameters["disturbance_observer"]),
+        controller=controller_from(parameters["controller"]),
+        references=tuple(reference_from(parameters["reference"]).parts),
+        period_ns=simulator.period_ns,
+        count=sample_count(get(plant, "duration", float), get(plant, "rate", float)),
+    )
+    seeds = Seeds(get(plant, "seed", int), get(faults, "seed", int), tuple(injections))
+    return FlightParts(loop, seeds)
+
+
+def with_common_faults(flights: Sequence[FlightParts]) -> list[FlightParts]:
+    """Give all flights the same kinds of faults in the same order, those that a flight has not never acting.
+
+    So flights that differ only in the kinds of their faults are compiled and flown together.
+    """
+    templates: dict[tuple[int, Any], Injection] = {}
+    for flight in flights:
+        for place, injection in enumerate(flight.loop.injections):
+            templates.setdefault((place, structure_of(injection)), injection)
+    order = sorted(templates, key=lambda slot: slot[0])
+    never = [dataclasses.replace(templates[slot], start=NEVER, stop=NEVER) for slot in order]
+    return [_with_faults(flight, order, never) for flight in flights]
+
+
+def _with_faults(
+    flight: FlightParts, order: Sequence[tuple[int, Any]], never: Sequence[Injection]
+) -> FlightParts:
+    own = {(place, structure_of(one)): place for place, one in enumerate(flight.loop.injections)}
+    places = [own.get(slot) for slot in order]
+    injections = tuple(
+        absent if place is None else flight.loop.injections[place]
+        for place, absent in zip(places, never, strict=True)
+    )
+    numbers = tuple(0 if place is None else flight.seeds.numbers[place] for place in places)
+    return FlightParts(
+        dataclasses.replace(flight.loop, injections=injections),
+        dataclasses.replace(flight.seeds, numbers=numbers),
+    )
+
+
+def structure_of(part: Any) -> Any:
+    """What two parts must have in common to be flown together; hashable."""
+    return tuple(_static(part, ""))
+
+
+def numbers_of(part: Any) -> dict[str, Numbers]:
+    """The numbers of a part, by path."""
+    return dict(_numbers(part, ""))
+
+
+def with_numbers(part: Any, values: Mapping[str, Any]) -> Any:
+    """Return the part with other numbers, unchecked: they may be those of a compiler."""
+    return _replaced(part, "", values) if values else part
+
+
+def differing(flights: Sequence[Mapping[str, Numbers]]) -> dict[str, Numbers]:
+    """The numbers that are not the same in all flights, stacked: (flights, ...)."""
+    first = flights[0]
+    return {
+        path: np.stack([flight[path] for flight in flights])
+        for path, value in first.items()
+        if any(flight[path].tobytes() != value.tobytes() for flight in flights[1:])
+    }
+
+
+def _numbers(part: Any, path: str) -> Iterator[tuple[str, Numbers]]:
+    number = _as_number(part)
+    if number is not None:
+        yield path, number
+        return
+    for name, inside in _inside(part):
+        yield from _numbers(inside, f"{path}.{name}" if path else name)
+
+
+def _static(part: Any, path: str) -> Iterator[Any]:
+    number = _as_number(part)
+    if number is not None:
+        yield path, number.shape, number.dtype.kind
+        return
+    inside = list(_inside(part))
+    yield path, type(part).__qualname__, None if inside or _is_container(part) else part
+    for name, each in inside:
+        yield from _static(each, f"{path}.{name}" if path else name)
+
+
+def _replaced(part: Any, path: str, values: Mapping[str, Any]) -> Any:
+    if path in values:
+        return values[path]
+    if not any(name.startswith(f"{path}." if path else "") for name in values):
+        return part
+    changed = {
+        name: new
+        for name, inside in _inside(part)
+        if (new := _replaced(inside, f"{path}.{name}" if path else name, values)) is not inside
+    }
+    if not changed:
+        return part
+    if isinstance(part, tuple):
+        return tuple(changed.get(str(index), each) for index, each in enumerate(part))  # pyright: ignore
+    new_part = copy.copy(part)
+    for name, value in changed.items():
+        object.__setattr__(new_part, name, value)
+    return new_part
+
+
+def _as_number(part: Any) -> Numbers | None:
+    """A float, an array, or a vector of floats, as an array; None for anything else."""
+    if isinstance(part, (float, np.ndarray)):
+        return np.asarray(part)
+    if isinstance(part, tuple) and part and all(isinstance(each, float) for each in part):  # pyright: ignore
+        return np.asarray(part, np.float64)
+    return None
+
+
+def _inside(part: Any) -> list[tuple[str, Any]]:
+    if isinstance(part, tuple):
+        return [(str(index), each) for index, each in enumerate(part)]  # pyright: ignore
+    if not dataclasses.is_dataclass(part):
+        return []
+    names = [field.name for field in dataclasses.fields(part)]
+    return [(name, getattr(part, name)) for name in (*names, *_derived(type(part)))]
+
+
+def _is_container(part: Any) -> bool:
+    return isinstance(part, tuple) or dataclasses.is_dataclass(part)
+
+
+@functools.cache
+def _derived(kind: type) -> tuple[str, ...]:
+    """Names of what a part computes once from its fields (the mixer of a vehicle): numbers like the others."""
+    return tuple(
+        name
+        for each in kind.__mro__
+        for name, value in vars(each).items()
+        if isinstance(value, functools.cached_property)
+    )
