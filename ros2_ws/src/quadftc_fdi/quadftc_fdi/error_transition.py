@@ -27,7 +27,7 @@ class Transition(Protocol):
         ...
 
     def around(self, P: Array) -> Array:
-        """F P F' of a covariance (..., 16, 16)."""
+        """F P F' of a covariance (..., 16, 16), symmetric."""
         ...
 
 
@@ -52,7 +52,8 @@ class _Matrix(NamedTuple):
         return self.F @ x
 
     def around(self, P: Array) -> Array:
-        return self.F @ P @ self.F.T
+        carried = self.F @ P @ self.F.T
+        return 0.5 * (carried + carried.T)
 
 
 class _Blocks(NamedTuple):
@@ -74,6 +75,7 @@ class _Blocks(NamedTuple):
         rotation = product(turned, self.A.swapaxes(-1, -2)) + self._turned(
             across.swapaxes(-1, -2)
         ).swapaxes(-1, -2)
+        rotation = 0.5 * (rotation + rotation.swapaxes(-1, -2))
         above = xp.concatenate([rotation, across], axis=-1)
         below = xp.concatenate([across.swapaxes(-1, -2), D], axis=-1)
         return xp.concatenate([above, below], axis=-2)

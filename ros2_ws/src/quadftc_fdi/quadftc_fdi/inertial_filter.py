@@ -166,20 +166,27 @@ def updated(
     xp = namespace(residual)
     PH = product(state.P, H.swapaxes(-1, -2), MEASURED)
     S = product(H, PH, MEASURED) + xp.where(taken, variance, REFUSED)[..., None] * _AXES
-    K = product(PH, _inverse(S))
-    dx = product(K, xp.where(taken, residual, 0.0)[..., None])[..., 0]
-    P = state.P - product(K, PH.swapaxes(-1, -2))
-    return shifted(state._replace(P=0.5 * (P + P.swapaxes(-1, -2))), dx), dx
+    whitening = _whitening(S)
+    W = product(PH, whitening)  # K = W whitening', and K S K' = W W', symmetric to the last bit
+    white = product(whitening.swapaxes(-1, -2), xp.where(taken, residual, 0.0)[..., None])
+    dx = product(W, white)[..., 0]
+    P = state.P - product(W, W.swapaxes(-1, -2))
+    return shifted(state._replace(P=P), dx), dx
 
 
-def _inverse(S: Array) -> Array:
-    """Inverse of a symmetric positive definite matrix (..., 3, 3)."""
-    a, b, c, _, d, e, _, _, f = components(S.reshape(*S.shape[:-2], 9))
-    A, B, C = d * f - e * e, c * e - b * f, b * e - c * d
-    D, E, F = a * f - c * c, b * c - a * e, a * d - b * b
-    scale = 1.0 / (a * A + b * B + c * C)
-    parts = [A, B, C, B, D, E, C, E, F]
-    return stacked([part * scale for part in parts]).reshape(S.shape)
+def _whitening(S: Array) -> Array:
+    """L^-T (..., 3, 3) of the Cholesky factor L of a symmetric positive definite matrix (..., 3, 3)."""
+    a, _, _, b, d, _, c, e, f = components(S.reshape(*S.shape[:-2], 9))
+    sqrt = math.sqrt if isinstance(a, float) else namespace(S).sqrt
+    i00 = 1.0 / sqrt(a)
+    l10, l20 = b * i00, c * i00
+    i11 = 1.0 / sqrt(d - l10 * l10)
+    l21 = (e - l20 * l10) * i11
+    i22 = 1.0 / sqrt(f - l20 * l20 - l21 * l21)
+    i10 = -l10 * i00 * i11
+    i20, i21 = -(l20 * i00 + l21 * i10) * i22, -l21 * i11 * i22
+    zero = 0.0 * a
+    return stacked([i00, i10, i20, zero, i11, i21, zero, zero, i22]).reshape(S.shape)
 
 
 def _measurement() -> tuple[NDArray[np.float64], NDArray[np.float64]]:

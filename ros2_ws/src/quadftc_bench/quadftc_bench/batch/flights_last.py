@@ -115,6 +115,8 @@ class _Program:
         self._fold()
         self._forget(carried, shown)
         self.maker = {var: equation for equation in self.equations for var in equation.outputs}
+        self.kept: set[Var] = set()  # results that end a stage
+        self.cost: dict[Var, float] = {}  # of one number of a result, from what is kept
         self.stages = self._staged()
 
     def __call__(self, leaves: Sequence[Any]) -> list[Any]:
@@ -208,9 +210,9 @@ class _Program:
         return stages
 
     def _closure(self, members: Sequence[_Equation]) -> tuple[list[_Equation], list[Var]]:
-        """The equations of a stage with the free ones they need, and what has to come from outside.
+        """The equations of a stage with the cheap ones they need, and what has to come from outside.
 
-        What costs nothing is done again where it is used, so that no slice or broadcast is ever kept.
+        What costs little is done again where it is used.
         """
         included: dict[_Equation, None] = {}
         outside: dict[Var, None] = {}
@@ -222,7 +224,7 @@ class _Program:
             if maker is None:
                 outside[atom] = None
             elif maker not in included and maker not in own:
-                if maker.free:
+                if self.cost[atom] <= SHARED and atom not in self.kept:
                     include(maker)
                 else:
                     outside[atom] = None
@@ -247,8 +249,7 @@ class _Program:
             if not isinstance(atom, core.Literal):
                 uses[atom] = uses.get(atom, 0) + 1
         stage: dict[_Equation, int] = {}
-        cost: dict[Var, float] = {}
-        kept: set[Var] = set()
+        cost, kept = self.cost, self.kept
         for equation in self.equations:
             number, total = 0, 0.0
             for atom in equation.inputs:
@@ -256,10 +257,10 @@ class _Program:
                 if maker is None:
                     continue
                 before = stage[maker]
-                if atom in kept or (cost[atom] > 0.0 and _repeats(equation, atom)):
+                if cost[atom] > 0.0 and _repeats(equation, atom):
+                    kept.add(atom)
+                if atom in kept:
                     before += 1
-                    if maker.free:  # keep it: what it is made of would be made again
-                        pass
                 else:
                     total += cost[atom]
                 number = max(number, before)
