@@ -1,4 +1,4 @@
-"""Transition of the error state of the inertial filter over a step: delta' = -omega x delta + delta_M g - delta_b.
+"""Transition of the error of the inertial filter over a step: delta' = -omega x delta + delta_M g - delta_b.
 
 Only the rotation changes, so F = [[A, G], [0, I]] with A = I - [omega]x dt and G = dt [-I, I (x) g', 0]. One
 vehicle in NumPy is quickest with F as a matrix; batches, with the seven elements of each row that are not
@@ -72,9 +72,9 @@ class _Blocks(NamedTuple):
         R, C, D = P[..., :3, :3], P[..., :3, 3:], P[..., 3:, 3:]
         across = product(self.A, C) + self._turned(D)
         turned = product(self.A, R) + self._turned(C.swapaxes(-1, -2))
-        rotation = product(turned, self.A.swapaxes(-1, -2)) + self._turned(
-            across.swapaxes(-1, -2)
-        ).swapaxes(-1, -2)
+        rotation = product(turned, self.A.swapaxes(-1, -2)) + self._turned(across.swapaxes(-1, -2)).swapaxes(
+            -1, -2
+        )
         rotation = 0.5 * (rotation + rotation.swapaxes(-1, -2))
         above = xp.concatenate([rotation, across], axis=-1)
         below = xp.concatenate([across.swapaxes(-1, -2), D], axis=-1)

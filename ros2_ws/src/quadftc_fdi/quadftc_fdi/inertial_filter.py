@@ -59,9 +59,7 @@ def rate(x: Array, gyro: Array) -> Array:
     return gyro + product(M, gyro[..., None])[..., 0] - x[..., :3]
 
 
-def propagated(
-    state: FilterState, gyro: Array, noise: Array, dt: float
-) -> tuple[FilterState, Transition]:
+def propagated(state: FilterState, gyro: Array, noise: Array, dt: float) -> tuple[FilterState, Transition]:
     """Turn by a gyro sample (..., 3) over ``dt`` [s].
 
     Parameters

@@ -44,7 +44,9 @@ def test_the_transition_is_the_derivative_of_the_propagation():
         moved, _ = propagated(shifted(state, step), gyro, np.zeros((SIZE, SIZE)), DT)
         turn = quaternion_product(after.q_xyzw * [-1, -1, -1, 1], moved.q_xyzw)
         found = np.concatenate([2.0 * turn[:3], moved.x - after.x]) / 1e-6
-        np.testing.assert_allclose(found, F.of(np.eye(SIZE))[:, column], atol=2e-4)  # F is of first order in dt
+        np.testing.assert_allclose(
+            found, F.of(np.eye(SIZE))[:, column], atol=2e-4
+        )  # F is of first order in dt
 
 
 def test_the_measurement_matrix_is_the_derivative_of_the_prediction():

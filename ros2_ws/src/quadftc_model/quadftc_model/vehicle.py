@@ -127,6 +127,15 @@ def load_vehicle(name: str) -> Vehicle:
     """
     path = _path_of(name)
     try:
+        return _loaded(path, path.stat().st_mtime_ns)
+    except OSError as error:
+        raise ValueError(f"vehicle {path}: {error}") from None
+
+
+@functools.lru_cache(maxsize=64)
+def _loaded(path: Path, changed_ns: int) -> Vehicle:
+    """Read a file; again only when it has changed, as a campaign builds thousands of flights."""
+    try:
         with path.open("rb") as file:
             table = tomllib.load(file)
     except (OSError, ValueError) as error:  # unreadable, no TOML, no UTF-8

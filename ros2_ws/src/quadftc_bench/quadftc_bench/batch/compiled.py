@@ -16,6 +16,7 @@ from quadftc_bench.batch.parts import Loop, numbers_of, with_numbers
 from quadftc_bench.batch.tally import Schedule, Tally, no_tally, tallied
 from quadftc_sim.injection_step import FaultDraws
 
+QUICK_TO_COMPILE = {"xla_backend_optimization_level": 0}  # the beginning runs once
 MAX_SETTLING = 3  # steps in which the parts of a state may still change
 DRAWN = ("attitude", "gyro", "accelerometer", "gyro bias")
 
@@ -125,7 +126,8 @@ class CompiledFlight:
         else:
             self.needed = jax.tree.map(lambda _: True, brought)
             self._all = jax.vmap(self._step, in_axes=(-1, -1, None), out_axes=-1)
-        self.begin = jax.jit(jax.vmap(self._begin, in_axes=(-1, -1, -1, None), out_axes=-1))
+        begin = jax.vmap(self._begin, in_axes=(-1, -1, -1, None), out_axes=-1)
+        self.begin = jax.jit(begin, compiler_options=QUICK_TO_COMPILE)
         self.fly = jax.jit(self._stretch, donate_argnums=0)
 
     def _begin(

@@ -27,9 +27,13 @@ class SensorDraws:
 
     def __init__(self, flights: Sequence[FlightParts]) -> None:
         self._generators = [np.random.default_rng(flight.seeds.sensor) for flight in flights]
-        self.bias = np.stack([each.uniform(-1.0, 1.0, 3) for each in self._generators], axis=-1)  # (3, flights)
+        self.bias = np.stack(
+            [each.uniform(-1.0, 1.0, 3) for each in self._generators], axis=-1
+        )  # (3, flights)
 
-    def next(self, count: int, wanted: Sequence[bool], dtype: np.dtype[np.floating]) -> list[NDArray[np.floating] | None]:
+    def next(
+        self, count: int, wanted: Sequence[bool], dtype: np.dtype[np.floating]
+    ) -> list[NDArray[np.floating] | None]:
         """Draw for ``count`` samples.
 
         Parameters

@@ -1,26 +1,26 @@
 """The batch engine: thousands of flights at once, compiled by JAX, what is kept of each a tally.
 
->>> engine = Engine(float32=True)
->>> for index, outcome in engine.fly(flights, schedules):
-...
+>>> engine = Engine()
+>>> outcomes = engine.fly([flight_parts(parameters)], [scenario.fault_events])
+
+One engine keeps one core busy; for more, start a process for each (`quadftc_bench.campaign` does). JAX reads
+its settings when it is imported first: see `quadftc_bench.batch.environment`.
 """
 
 from __future__ import annotations
 
-import concurrent.futures
-import dataclasses
-import itertools
 import os
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_bench.batch.compiled import Brought, Carried, CompiledFlight, Own, Structure, Times
+from quadftc_bench.batch.compiled import Brought, CompiledFlight, Own, Structure, Times
 from quadftc_bench.batch.draws import FaultNumbers, SensorDraws, Withheld, withheld
-from quadftc_bench.batch.loop import Delivery, Row
+from quadftc_bench.batch.loop import Delivery
 from quadftc_bench.batch.parts import (
     FlightParts,
     differing,
@@ -40,6 +40,11 @@ LANES = 256  # flights that are flown together
 Floats = NDArray[np.float64]
 
 
+def lanes_for(flights: int) -> int:
+    """Return how many lanes suit a number of flights: a power of two, up to `LANES`."""
+    return min(LANES, 1 << max(flights - 1, 0).bit_length())
+
+
 class Outcome(NamedTuple):
     """What is left of one flight; arrays as in `Sums` and `Marks`, in double precision."""
 
@@ -49,13 +54,6 @@ class Outcome(NamedTuple):
     period: float  # of the samples [s]
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Traced:
-    """Every row of one flight: arrays (samples, ...) as in `Row`."""
-
-    row: Row
-
-
 class Engine:
     """Flies batches; what it has compiled, it keeps.
 
@@ -63,18 +61,16 @@ class Engine:
     ----------
     float32 : bool
         Single precision in place of double.
-    lanes : int
-        Flights that are flown together.
-    threads : int
-        Batches that are flown side by side; default: one for each core that this process may use.
+    lanes : int, optional
+        Flights that are flown together; compiled for so many, a batch of fewer is filled up. Default: as the
+        flights are, up to `LANES`.
     """
 
-    def __init__(self, float32: bool = False, lanes: int = LANES, threads: int | None = None) -> None:
-        if lanes < 1:
+    def __init__(self, float32: bool = False, lanes: int | None = None) -> None:
+        if lanes is not None and lanes < 1:
             raise ValueError(f"lanes = {lanes}: must be positive")
         self._float32 = float32
         self._lanes = lanes
-        self._threads = threads or len(os.sched_getaffinity(0))
         self._compiled: dict[Any, CompiledFlight] = {}
         self._on_cpu = jax.default_backend() == "cpu"
 
@@ -111,11 +107,10 @@ class Engine:
         """
         outcomes: list[Outcome | None] = [None] * len(flights)
         with jax.enable_x64(not self._float32):
-            tasks = list(self._tasks(with_common_faults(flights), events))
-            with concurrent.futures.ThreadPoolExecutor(self._threads) as pool:
-                for places, found in pool.map(lambda task: self._fly_block(*task, progress), tasks):
-                    for place, outcome in zip(places, found, strict=True):
-                        outcomes[place] = outcome
+            for compiled, places, chosen, own in self._tasks(with_common_faults(flights), events):
+                found = self._fly_block(compiled, len(places), chosen, own, progress)
+                for place, outcome in zip(places, found, strict=True):
+                    outcomes[place] = outcome
         return [outcome for outcome in outcomes if outcome is not None]
 
     def _tasks(
@@ -132,7 +127,7 @@ class Engine:
             most = max(map(_most_events, (events[index] for index in members)))
             compiled = self._compile(key, chosen, tuple(varying), most, numbers[0])
             schedules = [_schedule(events[index], most) for index in members]
-            lanes = min(self._lanes, len(members))
+            lanes = self._lanes or lanes_for(len(members))
             for start in range(0, len(members), lanes):
                 block = list(range(start, min(start + lanes, len(members))))
                 full = block + [block[-1]] * (lanes - len(block))
@@ -168,18 +163,16 @@ class Engine:
     def _fly_block(
         self,
         compiled: CompiledFlight,
-        places: list[int],
+        count: int,
         flights: list[FlightParts],
         own: Own,
         progress: Callable[[int], None],
-    ) -> tuple[list[int], list[Outcome]]:
-        with jax.enable_x64(not self._float32):
-            total, marks = self._flown(compiled, flights, own, lambda count: progress(count * len(places)))
+    ) -> list[Outcome]:
+        """Fly a block; its first ``count`` lanes are flights of their own."""
+        total, marks = self._flown(compiled, flights, own, lambda samples: progress(samples * count))
         loop = flights[0].loop
         rows, period = loop.count - loop.sensor.delay, loop.period_ns / NANOSECONDS_PER_SECOND
-        return places, [
-            Outcome(_lane(total, lane), _lane(marks, lane), rows, period) for lane in range(len(places))
-        ]
+        return [Outcome(_lane(total, lane), _lane(marks, lane), rows, period) for lane in range(count)]
 
     def _flown(
         self,
@@ -246,7 +239,9 @@ class Supply:
         draws = tuple(unused if block is None else block for block in drawn)
         taken = np.arange(at - delay, at + count - delay)
         faults = tuple(
-            None if each is None else FaultDraws(*(part.astype(dtype) for part in each.between(taken[0], taken[-1] + 1)))
+            None
+            if each is None
+            else FaultDraws(*(part.astype(dtype) for part in each.between(taken[0], taken[-1] + 1)))
             for each in self._faults
         )
         period = self._structure.loop.period_ns
@@ -306,3 +301,16 @@ def _doubled(tree: Any) -> Any:
 
 def _lane(tree: Any, lane: int) -> Any:
     return type(tree)(*(leaf[..., lane] for leaf in tree))
+
+
+def keep_compiled(directory: Path | None = None) -> None:
+    """Keep what is compiled on disk, for other processes and the next time.
+
+    Parameters
+    ----------
+    directory : Path, optional
+        Default: ``$XDG_CACHE_HOME/quadftc/jax``.
+    """
+    place = directory or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "quadftc" / "jax"
+    jax.config.update("jax_compilation_cache_dir", str(place))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)

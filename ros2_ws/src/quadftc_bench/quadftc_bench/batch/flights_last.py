@@ -23,8 +23,7 @@ from jax.extend import core
 
 # Relative cost of one number; what is in neither list counts as 1.
 FREE = frozenset(
-    "slice squeeze reshape broadcast_in_dim transpose expand_dims convert_element_type concatenate stack rev "
-    "copy stop_gradient".split()
+    ["slice", "squeeze", "reshape", "broadcast_in_dim", "transpose", "expand_dims", "convert_element_type", "concatenate", "stack", "rev", "copy", "stop_gradient"]
 )
 DEAR = {"sin": 20.0, "cos": 20.0, "tan": 30.0, "atan2": 30.0, "asin": 30.0, "acos": 30.0, "exp": 15.0}
 DEAR |= {"log": 15.0, "pow": 40.0, "div": 4.0, "sqrt": 4.0, "tanh": 20.0}
@@ -369,7 +368,10 @@ def _evaluated(equation: _Equation, known: dict[Var, Any], program: _Program, fl
         return [(jnp.concatenate if name == "concatenate" else jnp.stack)(parts, axis=axis)]
     if name in REDUCTIONS:
         return [_reduced(x, params["axes"], REDUCTIONS[name])]
-    if name == "dot_general" and params.get("preferred_element_type") in (None, equation.outputs[0].aval.dtype):
+    if name == "dot_general" and params.get("preferred_element_type") in (
+        None,
+        equation.outputs[0].aval.dtype,
+    ):
         return [_contracted(values, varies, params["dimension_numbers"], shape)]
     if name in ELEMENTWISE:
         parts = [_aligned(v, b, shape) for v, b in zip(values, varies, strict=True)]
@@ -377,16 +379,16 @@ def _evaluated(equation: _Equation, known: dict[Var, Any], program: _Program, fl
             return [parts[0] * parts[0]]
         return [equation.primitive.bind(*parts, **params)]
     over = jax.vmap(
-        lambda *a: equation.primitive.bind(*a, **params), in_axes=[-1 if b else None for b in varies], out_axes=-1
+        lambda *a: equation.primitive.bind(*a, **params),
+        in_axes=[-1 if b else None for b in varies],
+        out_axes=-1,
     )
     found = over(*values)
     return list(found) if equation.primitive.multiple_results else [found]
 
 
 ELEMENTWISE = frozenset(
-    "mul add add_any sub div rem neg max min sin cos tan asin acos atan atan2 sinh cosh tanh exp exp2 expm1 log "
-    "log1p pow sqrt rsqrt cbrt abs sign floor ceil round and or not xor gt lt ge le eq ne is_finite select_n "
-    "convert_element_type integer_pow square clamp erf erfc logistic nextafter copy stop_gradient".split()
+    ["mul", "add", "add_any", "sub", "div", "rem", "neg", "max", "min", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "exp", "exp2", "expm1", "log", "log1p", "pow", "sqrt", "rsqrt", "cbrt", "abs", "sign", "floor", "ceil", "round", "and", "or", "not", "xor", "gt", "lt", "ge", "le", "eq", "ne", "is_finite", "select_n", "convert_element_type", "integer_pow", "square", "clamp", "erf", "erfc", "logistic", "nextafter", "copy", "stop_gradient"]
 )
 
 

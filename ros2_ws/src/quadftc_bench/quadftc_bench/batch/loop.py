@@ -202,9 +202,7 @@ class ClosedLoop:
         dt = self._dt if delivery is None else delivery.dt
         anew = None if delivery is None else delivery.anew
         clean = sanitised(sample)
-        observer, estimate = self.loop.observer.step(
-            before.observer, FaultObserverInputs(clean, torque), dt
-        )
+        observer, estimate = self.loop.observer.step(before.observer, FaultObserverInputs(clean, torque), dt)
         started = before.started
         if started is not None:
             begins = ~started if anew is None else anew | ~started

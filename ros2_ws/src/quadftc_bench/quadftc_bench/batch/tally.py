@@ -83,7 +83,11 @@ class Tally(NamedTuple):
 def no_sums(like: Array, events: int) -> Sums:
     """Sums of no sample."""
     xp = namespace(like)
-    one, axes, each = like[..., 0] * 0.0, xp.zeros_like(like), xp.stack([xp.zeros_like(like)] * events, axis=-2)
+    one, axes, each = (
+        like[..., 0] * 0.0,
+        xp.zeros_like(like),
+        xp.stack([xp.zeros_like(like)] * events, axis=-2),
+    )
     kinds = {"delivered": one}
     return Sums(*(kinds.get(name, each if name.startswith("event") else axes) for name in Sums._fields))
 

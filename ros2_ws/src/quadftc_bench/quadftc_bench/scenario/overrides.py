@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, cast
 
 from quadftc_bench.scenario.document import Document, Keys, ScenarioError, dotted, parse_value
@@ -33,10 +33,38 @@ def overridden(document: Document, assignments: Iterable[str]) -> Document:
     return document
 
 
+def with_values(document: Document, values: Mapping[str, Any], origin: str) -> Document:
+    """Put values in place of others, all at once: `overridden` for values that have been read.
+
+    Parameters
+    ----------
+    document : Document
+    values : mapping
+        By dotted path.
+    origin : str
+        Where they come from, for messages.
+
+    Raises
+    ------
+    ScenarioError
+        If a path leads nowhere; the message names what there is.
+    """
+    data, origins = copy.deepcopy(document.data), dict(document.origins)
+    for target, value in values.items():
+        path, place = _entered_all(data, _words(target), f"{document.source}: {origin}")
+        place[path[-1]] = copy.deepcopy(value)
+        origins[path] = f"{origin}, {target} = {value}"
+    return Document(document.source, document.text, data, origins)
+
+
+def _words(target: str) -> list[str]:
+    return re.sub(r"\[(\d+)\]", r".\1", target).strip().split(".")
+
+
 def _assign(document: Document, assignment: str) -> Document:
     origin = f"override {assignment!r}"
     target, equals, text = assignment.partition("=")
-    words = re.sub(r"\[(\d+)\]", r".\1", target).strip().split(".")
+    words = _words(target)
     if not equals or not all(words):
         raise ScenarioError(
             f"{document.source}: {origin}: expected path=value, such as 'faults.0.value=2 deg'"
@@ -51,6 +79,11 @@ def _assign(document: Document, assignment: str) -> Document:
 def _grown(data: dict[str, Any], words: Sequence[str], where: str) -> tuple[Keys, dict[str, Any]]:
     """Return the path that the words name, and the data with every mapping on that path."""
     data = copy.deepcopy(data)
+    return _entered_all(data, words, where)[0], data
+
+
+def _entered_all(data: dict[str, Any], words: Sequence[str], where: str) -> tuple[Keys, Any]:
+    """Return the path that the words name, and what its last word is in, made where it was not there."""
     place: Any = data
     path: Keys = ()
     for word in words:
@@ -59,7 +92,7 @@ def _grown(data: dict[str, Any], words: Sequence[str], where: str) -> tuple[Keys
         path = (*path, _key(place, word, path, where))  # pyright: ignore[reportUnknownArgumentType]
         if len(path) < len(words):
             place = _entered(place, path)
-    return path, data
+    return path, place
 
 
 def _key(place: dict[str, Any] | list[Any], word: str, path: Keys, where: str) -> str | int:

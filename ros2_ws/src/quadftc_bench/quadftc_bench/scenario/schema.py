@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 from pydantic import (
@@ -109,7 +110,12 @@ def shape_of(data: dict[str, Any]) -> tuple[ScenarioShape | None, list[Problem]]
     try:
         return ScenarioShape.model_validate(data), []
     except ValidationError as error:
-        return None, [_problem(dict(details)) for details in error.errors()]
+        return None, problems_of(error, _model_at)
+
+
+def problems_of(error: ValidationError, model_at: Callable[[Keys], type[BaseModel]]) -> list[Problem]:
+    """Return what a model found wrong with a document; ``model_at`` gives the model that is at some keys."""
+    return [_problem(dict(details), model_at) for details in error.errors()]
 
 
 _EXPECTED = {
@@ -126,11 +132,11 @@ _EXPECTED = {
 }
 
 
-def _problem(details: dict[str, Any]) -> Problem:
+def _problem(details: dict[str, Any], model_at: Callable[[Keys], type[BaseModel]]) -> Problem:
     path: Keys = tuple(key for key in details["loc"] if key != "[key]")
     kind, shown = str(details["type"]), _shown(details["input"])
     if kind == "extra_forbidden":
-        known = list(_model_at(path[:-1]).model_fields)
+        known = list(model_at(path[:-1]).model_fields)
         hint = nearest(str(path[-1]), known)
         return Problem(path, f"unknown key{hint}; known: {', '.join(known)}")
     if kind == "missing":

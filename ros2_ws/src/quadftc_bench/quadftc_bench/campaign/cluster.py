@@ -1,0 +1,119 @@
+"""Chunks as tasks of Dask distributed: on the cores of this machine, or on a cluster that exists."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Generator, Iterator, Sequence
+from typing import Any
+
+from quadftc_bench.campaign.document import Campaign
+from quadftc_bench.campaign.table import Rows
+
+RETRIES = 3  # of a chunk whose worker is lost
+TOPIC = "quadftc-samples"  # on which workers say how far they are
+TIMEOUT = 30.0  # s, to reach a scheduler
+
+
+class ClusterError(Exception):
+    """A cluster that cannot be used; the message says why."""
+
+
+@contextlib.contextmanager
+def cluster_client(address: str | None, workers: int) -> Generator[Any, None, None]:
+    """Connect to a scheduler, or start one with workers on this machine.
+
+    Parameters
+    ----------
+    address : str, optional
+        Such as ``tcp://10.0.0.1:8786``; None: start a cluster here.
+    workers : int
+        Processes to start here, each for one core.
+
+    Raises
+    ------
+    ClusterError
+        If there is no scheduler at the address.
+    """
+    from distributed import Client, LocalCluster
+
+    if address is not None:
+        try:
+            client = Client(address, timeout=TIMEOUT, set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise ClusterError(f"scheduler {address}: {_first_line(error)}") from None
+        with client:
+            yield client
+        return
+    with (
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address=None,
+            env=_environment(),
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        yield client
+
+
+def fly_chunks(
+    client: Any, campaign: Campaign, chunks: Sequence[Sequence[int]], progress: Callable[[int], None]
+) -> Iterator[tuple[int, Rows]]:
+    """Fly chunks; return place and rows of each as it is done.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    campaign : Campaign
+    chunks : sequence of sequences of int
+        Numbers of flights.
+    progress : callable
+        Called with the number of samples flown since the last call.
+
+    Raises
+    ------
+    ClusterError
+        If a chunk is lost with its worker again and again.
+    ScenarioError, ValueError
+        What a chunk raises.
+    """
+    from distributed import KilledWorker, as_completed
+
+    client.subscribe_topic(TOPIC, lambda event: progress(event[1]))
+    futures = {
+        client.submit(_chunk, campaign, list(numbers), retries=RETRIES, pure=False): place
+        for place, numbers in enumerate(chunks)
+    }
+    try:
+        for future in as_completed(futures):
+            try:
+                yield futures[future], future.result()
+            except KilledWorker as error:
+                raise ClusterError(f"chunk {futures[future]}: {_first_line(error)}") from None
+            future.release()
+    finally:
+        client.cancel(list(futures))
+        client.unsubscribe_topic(TOPIC)
+
+
+def _chunk(campaign: Campaign, numbers: list[int]) -> Rows:
+    """A task, in a worker."""
+    from distributed import get_worker
+
+    from quadftc_bench.campaign.work import fly_chunk
+
+    worker = get_worker()
+    return fly_chunk(campaign, numbers, lambda samples: worker.log_event(TOPIC, samples))
+
+
+def _environment() -> dict[str, str]:
+    from quadftc_bench.batch.environment import environment
+
+    path = os.environ.get("PYTHONPATH")
+    return environment() | ({} if path is None else {"PYTHONPATH": path})
+
+
+def _first_line(error: BaseException) -> str:
+    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

@@ -1,0 +1,176 @@
+"""What a value of a scenario may be drawn from.
+
+    uniform: [0.5 deg, 5 deg]        sign: random        size: 3
+    log_uniform: [0.05 deg/s, 0.5 deg/s]
+    normal: [0, 0.1]                 mean and standard deviation
+    choice: [bias, drift]            each as likely as another
+    grid: [100 Hz, 250 Hz]           all, in turn; several grids are crossed
+
+A value has the unit that the bounds have. ``size`` draws a list of so many, ``sign: random`` turns every
+other value round.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Mapping
+from typing import Any, cast
+
+import numpy as np
+
+from quadftc_model.hints import nearest
+
+Value = Any  # what may stand in a scenario: a number, a text, a list, a component
+
+CONTINUOUS = ("uniform", "log_uniform", "normal")
+DISCRETE = ("choice", "grid")
+_NUMBER = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$")
+_MAX_SIZE = 16
+
+
+@dataclasses.dataclass(frozen=True)
+class Distribution:
+    """How a value is drawn.
+
+    Parameters
+    ----------
+    kind : str
+    bounds : tuple of two floats
+        Low and high, or mean and standard deviation; of ``choice`` and ``grid``: none.
+    values : tuple
+        Of ``choice`` and ``grid``.
+    unit : str
+        As written; empty: none.
+    size : int
+        Of a list; 0: a single value.
+    signed : bool
+        Whether every other value is turned round.
+    """
+
+    kind: str
+    bounds: tuple[float, float] = (0.0, 0.0)
+    values: tuple[Value, ...] = ()
+    unit: str = ""
+    size: int = 0
+    signed: bool = False
+
+    @property
+    def is_grid(self) -> bool:
+        """Whether the flights go through the values in turn."""
+        return self.kind == "grid"
+
+    def draw(self, generator: np.random.Generator) -> Value:
+        """Draw a value as it stands in a scenario.
+
+        Parameters
+        ----------
+        generator : numpy.random.Generator
+        """
+        if self.values:
+            drawn = [self.values[int(generator.integers(len(self.values)))] for _ in range(self.size or 1)]
+        else:
+            drawn = [self._with_unit(number) for number in self._numbers(generator)]
+        return drawn if self.size else drawn[0]
+
+    def _numbers(self, generator: np.random.Generator) -> list[float]:
+        low, high = self.bounds
+        count = self.size or 1
+        if self.kind == "normal":
+            numbers = generator.normal(low, high, count)
+        elif self.kind == "uniform":
+            numbers = generator.uniform(low, high, count)
+        else:
+            numbers = np.exp(generator.uniform(math.log(low), math.log(high), count))
+        if self.signed:
+            numbers = numbers * np.where(generator.random(count) < 0.5, -1.0, 1.0)
+        return numbers.tolist()
+
+    def _with_unit(self, number: float) -> Value:
+        return f"{number!r} {self.unit}" if self.unit else number
+
+
+def distribution(raw: Any) -> Distribution:
+    """Read a distribution from a campaign file.
+
+    Raises
+    ------
+    ValueError
+        If it is none; the message says what was expected.
+    """
+    if not isinstance(raw, Mapping):
+        raise ValueError(f"{raw!r}: expected a distribution, such as {{uniform: [0.5 deg, 5 deg]}}")
+    given = cast("Mapping[Any, Any]", raw)
+    known = (*CONTINUOUS, *DISCRETE)
+    kinds = [key for key in given if key in known]
+    for key in given:
+        if key not in (*known, "size", "sign"):
+            raise ValueError(f"unknown key '{key}'{nearest(str(key), (*known, 'size', 'sign'))}")
+    if len(kinds) != 1:
+        raise ValueError(f"expected one of {', '.join(known)}")
+    kind = kinds[0]
+    size = _size(given, kind)
+    if kind in DISCRETE:
+        if "sign" in given:
+            raise ValueError(f"sign: a {kind} has none; list the values with their signs")
+        return Distribution(kind, values=_values(kind, given[kind]), size=size)
+    bounds, unit = _bounds(kind, given[kind])
+    signed = given.get("sign")
+    if signed not in (None, "random"):
+        raise ValueError(f"sign: {signed!r}: expected random")
+    return Distribution(kind, bounds, (), unit, size, signed is not None)
+
+
+def plain(value: Value) -> Any:
+    """A value as it is reported: a number without its unit, a text, or a text of the list."""
+    if isinstance(value, str):
+        match = _NUMBER.match(value)
+        return float(match[1]) if match else value
+    if isinstance(value, bool) or isinstance(value, (int, float)):
+        return value
+    return str(value)
+
+
+def unit_of(value: Value) -> str:
+    """The unit with which a value is written."""
+    match = _NUMBER.match(value) if isinstance(value, str) else None
+    return match[2] if match else ""
+
+
+def _size(given: Mapping[Any, Any], kind: str) -> int:
+    size = given.get("size", 0)
+    if "size" in given and (kind == "grid" or type(size) is not int or not 1 <= size <= _MAX_SIZE):
+        raise ValueError(f"size: {size!r}: expected a whole number of 1 to {_MAX_SIZE}; a grid has none")
+    return size
+
+
+def _values(kind: str, raw: Any) -> tuple[Value, ...]:
+    if not isinstance(raw, list) or not raw:
+        raise ValueError(f"{kind}: {raw!r}: expected a list of values, at least one")
+    return tuple(cast("list[Any]", raw))
+
+
+def _bounds(kind: str, raw: Any) -> tuple[tuple[float, float], str]:
+    names = ("mean", "standard deviation") if kind == "normal" else ("low", "high")
+    if not isinstance(raw, list) or len(cast("list[Any]", raw)) != 2:
+        raise ValueError(f"{kind}: {raw!r}: expected [{', '.join(names)}]")
+    numbers: list[float] = []
+    units: list[str] = []
+    for name, each in zip(names, cast("list[Any]", raw), strict=True):
+        match = _NUMBER.match(str(each)) if isinstance(each, (int, float, str)) else None
+        if match is None or isinstance(each, bool):
+            raise ValueError(f"{kind}: {name} {each!r}: expected a number, with its unit if it has one")
+        numbers.append(float(match[1]))
+        units.append(match[2])
+    zero_without = [unit for number, unit in zip(numbers, units, strict=True) if unit or number != 0.0]
+    if len(set(zero_without)) > 1:
+        raise ValueError(f"{kind}: {names[0]} in '{units[0]}', {names[1]} in '{units[1]}': expected one unit")
+    low, high = numbers
+    if kind == "normal" and not high > 0.0:
+        raise ValueError(f"normal: standard deviation {high:g}: must be positive")
+    if kind != "normal" and not low < high:
+        raise ValueError(f"{kind}: low {low:g}, high {high:g}: an empty range")
+    if kind == "log_uniform" and not low > 0.0:
+        raise ValueError(f"log_uniform: low {low:g}: must be positive")
+    return (low, high), max(units, key=len)

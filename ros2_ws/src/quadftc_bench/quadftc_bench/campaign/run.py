@@ -1,0 +1,153 @@
+"""Flying a campaign: chunks to the workers, tables to the disk, results when all are there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import polars as pl
+
+from quadftc_bench.campaign.cluster import cluster_client, fly_chunks
+from quadftc_bench.campaign.document import Campaign, Variant
+from quadftc_bench.campaign.flights import flight, flight_document, flight_name
+from quadftc_bench.campaign.store import CampaignError, Store
+from quadftc_bench.campaign.summary import summary_of
+from quadftc_bench.campaign.table import Row, table_of
+from quadftc_bench.campaign.work import chunks_of, fly_chunk
+from quadftc_bench.scenario import Scenario
+from quadftc_bench.scenario.build import build_scenario
+
+
+class Extent(NamedTuple):
+    """How much there is to fly."""
+
+    chunks: int
+    missing: int
+    samples: int  # of the chunks that are missing, all variants
+
+
+class CampaignRun:
+    """A campaign in a directory.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    directory : Path
+    """
+
+    def __init__(self, campaign: Campaign, directory: Path) -> None:
+        self.campaign = campaign
+        self._chunks = chunks_of(campaign)
+        self._store = Store(directory, campaign, len(self._chunks))
+
+    def open(self, resume: bool) -> Extent:
+        """Make the directory or go on with it; say how much is to be flown.
+
+        Raises
+        ------
+        CampaignError
+            If the directory cannot be used.
+        ScenarioError
+            If the first flight of a chunk cannot be built: better now than when hours are over.
+        """
+        for numbers in self._chunks:
+            for variant in self.campaign.variants:
+                flight(self.campaign, numbers[0], variant)
+        self._store.open(resume)
+        missing = self._store.missing
+        samples = sum(self._samples(place) for place in missing)
+        return Extent(len(self._chunks), len(missing), samples)
+
+    def fly(self, address: str | None, workers: int, progress: Callable[[int], None]) -> None:
+        """Fly the chunks that are missing.
+
+        Parameters
+        ----------
+        address : str, optional
+            Of a Dask scheduler; None: start workers here.
+        workers : int
+            How many to start here.
+        progress : callable
+            Called with the number of samples flown since the last call.
+
+        Raises
+        ------
+        CampaignError, ClusterError, ScenarioError, ValueError
+            If a chunk cannot be flown or written.
+        """
+        missing = self._store.missing
+        if not missing:
+            return
+        chunks = [self._chunks[place] for place in missing]
+        with cluster_client(address, min(workers, len(missing))) as client:
+            for index, rows in fly_chunks(client, self.campaign, chunks, progress):
+                self._store.add(missing[index], table_of(rows))
+
+    def finish(self) -> tuple[pl.DataFrame, dict[str, Any]]:
+        """Join the chunks, and summarise; both are written.
+
+        Raises
+        ------
+        CampaignError
+            If something cannot be read or written.
+        """
+        frame = self._store.finish()
+        summary = summary_of(self.campaign, frame)
+        self._store.summarise(summary)
+        return frame, summary
+
+    def _samples(self, place: int) -> int:
+        numbers = self._chunks[place]
+        loop = flight(self.campaign, numbers[0], self.campaign.variants[0]).parts.loop
+        return len(numbers) * len(self.campaign.variants) * loop.count
+
+
+def variant_of(campaign: Campaign, name: str | None) -> Variant:
+    """Return a variant by name; the first by default.
+
+    Raises
+    ------
+    CampaignError
+        If there is none of that name.
+    """
+    if name is None:
+        return campaign.variants[0]
+    for variant in campaign.variants:
+        if variant.name == name:
+            return variant
+    there = ", ".join(variant.name for variant in campaign.variants)
+    raise CampaignError(f"{campaign.document.source}: no variant '{name}'; there are: {there}")
+
+
+def flight_scenario(campaign: Campaign, number: int, variant: Variant) -> Scenario:
+    """The scenario of one flight, as any other.
+
+    Raises
+    ------
+    CampaignError
+        If the campaign has no such flight.
+    ScenarioError
+        If the values drawn make no scenario.
+    """
+    if not 0 <= number < campaign.flights:
+        raise CampaignError(
+            f"{campaign.document.source}: no flight {number}; there are 0 to {campaign.flights - 1}"
+        )
+    return build_scenario(flight_document(campaign, number, variant))
+
+
+def flight_rows(campaign: Campaign, number: int, variant: Variant) -> list[Row]:
+    """Rows of one flight with one variant, flown alone in a batch."""
+    return [row for row in fly_chunk(campaign, [number]) if row["variant"] == variant.name]
+
+
+__all__ = [
+    "CampaignError",
+    "CampaignRun",
+    "Extent",
+    "flight_name",
+    "flight_rows",
+    "flight_scenario",
+    "variant_of",
+]

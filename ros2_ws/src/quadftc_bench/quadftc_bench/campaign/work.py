@@ -1,0 +1,88 @@
+"""One chunk of a campaign: flights built, flown and judged, in the process that is told to."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from quadftc_bench.campaign.distributions import plain
+from quadftc_bench.campaign.document import Campaign, Variant
+from quadftc_bench.campaign.flights import Flight, drawn, flight
+from quadftc_bench.campaign.table import Row, Rows
+
+FLIGHTS_A_CHUNK = 512
+
+Progress = Callable[[int], None]
+
+
+def chunks_of(campaign: Campaign, size: int = FLIGHTS_A_CHUNK) -> list[list[int]]:
+    """Divide the flights into chunks, each with flights of one combination of the grids."""
+    cells = campaign.cells
+    numbers = (range(cell, campaign.flights, cells) for cell in range(min(cells, campaign.flights)))
+    return [list(own[start : start + size]) for own in numbers for start in range(0, len(own), size)]
+
+
+def fly_chunk(campaign: Campaign, numbers: Sequence[int], progress: Progress = lambda samples: None) -> Rows:
+    """Fly some flights of a campaign with all its variants.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    numbers : sequence of int
+        Of the flights.
+    progress : callable
+        Called with the number of samples flown since the last call.
+
+    Returns
+    -------
+    list of dict
+        One row for each flight, variant and fault; see `quadftc_bench.campaign.table`.
+
+    Raises
+    ------
+    ScenarioError
+        If the values drawn make no scenario.
+    ValueError
+        If a part cannot be flown in a batch.
+    """
+    rows: Rows = []
+    engine = _engine(campaign.float32)
+    for variant in campaign.variants:
+        flights = [flight(campaign, number, variant) for number in numbers]
+        outcomes = engine.fly([each.parts for each in flights], [each.events for each in flights], progress)
+        for number, one, outcome in zip(numbers, flights, outcomes, strict=True):
+            rows += _rows(campaign, number, variant, one, outcome)
+    return rows
+
+
+def _rows(campaign: Campaign, number: int, variant: Variant, one: Flight, outcome: Any) -> Rows:
+    from quadftc_bench.batch.outcome import fault_records, flight_record
+
+    scheme = one.scenario.scheme(variant.scheme)
+    values = {path: plain(value) for path, value in drawn(campaign, number).items()}
+    common: Row = {
+        "flight": number,
+        "variant": variant.name,
+        "observer": scheme.observer.kind,
+        "disturbance_observer": scheme.disturbance_observer.kind,
+        "controller": scheme.controller.kind,
+        **values,
+        **flight_record(outcome),
+    }
+    records = fault_records(outcome, one.events)
+    if not records:
+        return [{**common, "fault": None}]
+    return [
+        {**common, "fault": index, **{f"fault.{name}": value for name, value in record.items()}}
+        for index, record in enumerate(records)
+    ]
+
+
+@functools.cache
+def _engine(float32: bool) -> Any:
+    """The engine of this process; it keeps what it has compiled."""
+    from quadftc_bench.batch.engine import LANES, Engine, keep_compiled
+
+    keep_compiled()
+    return Engine(float32, LANES)

@@ -1,0 +1,183 @@
+# pyright: basic
+"""``quadftc campaign``."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+from rich.text import Text
+
+from quadftc_bench.campaign.document import Campaign, load_campaign
+from quadftc_bench.campaign.run import CampaignError, CampaignRun, flight_scenario, variant_of
+from quadftc_bench.commands import GOOD, INTERRUPTED
+from quadftc_bench.run import RunError, RunOptions, prepare, run_name
+from quadftc_bench.run import run as run_scenario
+from quadftc_bench.tables import console
+
+SHOWN = (
+    ("tracking_rmse_deg", "tracking RMSE, worst axis"),
+    ("fault_estimate_rmse_deg", "estimate RMSE, worst axis"),
+)
+
+
+def campaign(
+    file: Annotated[Path, typer.Argument(help="Campaign file (see campaigns/).")],
+    out: Annotated[Path | None, typer.Option(help="Directory of the results; default: results/NAME.")] = None,
+    flights: Annotated[int | None, typer.Option(help="Number of flights in place of the file's.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with what is in the directory.")] = False,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Dask scheduler that exists, tcp://HOST:PORT; default: this machine.")
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Processes on this machine; default: one for each core.")
+    ] = None,
+    flight: Annotated[
+        int | None, typer.Option(help="Fly this one alone, through the node graph, and write its bag.")
+    ] = None,
+    variant: Annotated[str | None, typer.Option(help="Of that flight; default: the first.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an earlier run of that flight.")] = False,
+) -> None:
+    """Fly a scenario thousands of times with drawn values; write table, summary and report."""
+    loaded = load_campaign(file, flights)
+    directory = out or Path("results") / loaded.name
+    if flight is not None:
+        raise typer.Exit(_fly_alone(loaded, flight, variant, directory, force))
+    if variant is not None:
+        raise CampaignError("--variant: is for --flight; a campaign flies all variants")
+    raise typer.Exit(_fly_all(loaded, directory, resume, scheduler, workers))
+
+
+def _fly_alone(loaded: Campaign, number: int, name: str | None, directory: Path, force: bool) -> int:
+    """Fly one flight as ``quadftc run`` would."""
+    chosen = variant_of(loaded, name)
+    scenario = flight_scenario(loaded, number, chosen)
+    scheme = scenario.scheme(chosen.scheme)
+    runs = directory / "runs"
+    prepare(runs, [run_name(scenario, scheme)], force)
+    screen = console()
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), console=screen
+    ) as bars:
+        bar = bars.add_task(run_name(scenario, scheme), total=1.0)
+
+        def follow(share: float) -> bool:
+            bars.update(bar, completed=share)
+            return True
+
+        result = run_scenario(scenario, scheme, runs, RunOptions(), follow)
+    if result is None:
+        raise RunError(f"{runs}: the flight ended early")
+    screen.print(_flight_table(result))
+    screen.print(f"bag and summary: {runs / run_name(scenario, scheme)}")
+    return GOOD
+
+
+def _flight_table(result: dict[str, Any]) -> Table:
+    table = Table("metric", "roll", "pitch", "yaw", title=f"{result['name']}, {result['scheme']}")
+    for name, _ in SHOWN:
+        values = result["metrics"][name]
+        table.add_row(name, *("-" if values[axis] is None else f"{values[axis]:.6g}" for axis in values))
+    return table
+
+
+def _fly_all(
+    loaded: Campaign, directory: Path, resume: bool, scheduler: str | None, workers: int | None
+) -> int:
+    if workers is not None and (workers < 1 or scheduler is not None):
+        raise CampaignError(
+            f"--workers {workers}: must be positive, and is for this machine, not for --scheduler"
+        )
+    screen = console()
+    flown = CampaignRun(loaded, directory)
+    extent = flown.open(resume)
+    cores = workers or len(os.sched_getaffinity(0))
+    where = scheduler or f"{min(cores, max(extent.missing, 1))} of {len(os.sched_getaffinity(0))} cores here"
+    screen.print(
+        f"{loaded.name}: {loaded.flights} flights x {len(loaded.variants)} variants, "
+        f"{'float32' if loaded.float32 else 'float64'}, on {where}; {extent.missing} of {extent.chunks} chunks to fly"
+    )
+    columns = (
+        TextColumn("flying"),
+        BarColumn(),
+        TaskProgressColumn(),
+        _Rate(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    started = time.monotonic()
+    try:
+        with Progress(*columns, console=screen, disable=extent.missing == 0) as bars:
+            bar = bars.add_task("", total=max(extent.samples, 1))
+            flown.fly(scheduler, cores, lambda samples: bars.advance(bar, samples))
+            bars.update(bar, completed=max(extent.samples, 1))
+    except KeyboardInterrupt:
+        screen.print(f"interrupted; --resume goes on with what is in {directory}")
+        return INTERRUPTED
+    seconds = time.monotonic() - started
+    frame, summary = flown.finish()
+    if extent.missing:
+        screen.print(
+            f"{extent.samples:.3g} closed-loop steps in {seconds:.1f} s: {extent.samples / seconds:.3g} a second"
+        )
+    screen.print(_table(summary))
+    screen.print(
+        f"{frame.height} rows: {directory / 'flights.parquet'}; numbers: {directory / 'summary.json'}"
+    )
+    return GOOD
+
+
+class _Rate(ProgressColumn):
+    """Samples a second."""
+
+    def render(self, task: Task) -> Text:
+        speed = task.finished_speed or task.speed
+        return Text("" if not speed else f"{speed / 1e6:.2f} M steps/s")
+
+
+def _table(summary: dict[str, Any]) -> Table:
+    """Median and 95 % quantile of the worst axis, and what became of the faults."""
+    table = Table(
+        "variant",
+        "flights",
+        *(f"{words}: median / 95 %" for _, words in SHOWN),
+        "faults missed",
+        "delay: median / 95 %",
+    )
+    for name, each in summary["variants"].items():
+        faults = each["faults"].get("all", {})
+        delay = faults.get("metrics", {}).get("fault.detection_delay_s", {})
+        table.add_row(
+            name,
+            str(each["flights"]),
+            *(_pair(_worst(each["metrics"], metric), "deg") for metric, _ in SHOWN),
+            f"{faults['missed']} of {faults['judged']}" if faults else "-",
+            _pair(delay, "s"),
+        )
+    return table
+
+
+def _worst(metrics: dict[str, Any], name: str) -> dict[str, Any]:
+    axes = [metrics[f"{name}.{axis}"] for axis in ("roll", "pitch", "yaw")]
+    return max(axes, key=lambda each: each.get("q50", -math.inf))
+
+
+def _pair(values: dict[str, Any], unit: str) -> str:
+    if not values.get("count"):
+        return "-"
+    return f"{values['q50']:.3g} / {values['q95']:.3g} {unit}"
