@@ -12,7 +12,10 @@ setup(
     maintainer="quadftc maintainers",
     maintainer_email="maintainers@quadftc.example",
     packages=find_packages(exclude=["test"]),
-    package_data={"quadftc_bench.report": ["templates/*"]},
+    package_data={
+        "quadftc_bench.campaign_report": ["templates/*"],
+        "quadftc_bench.report": ["templates/*"],
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),

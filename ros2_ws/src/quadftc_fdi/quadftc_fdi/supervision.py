@@ -29,6 +29,7 @@ from quadftc_model.arrays import Array, any_of, changed_where, namespace
 
 MEANS = np.array([0.05, 0.15, 0.5, 0.25, 0.25])  # s; averaging times, the last two of the anchors
 LEVELS = np.array([1.08, 1.0, 1.0, 0.95, 0.95])  # 1; of the threshold, as short averages have more chances
+OF_FILTER, IS_OLD, IS_YOUNG = (np.isin(np.arange(5), each) * 1.0 for each in ((0, 1, 2), OLD, YOUNG))
 SHARE = 0.1  # 1; of the filter's own variance in an average, as its residuals are not perfectly white
 ALLOWANCE, LIMIT, LARGEST = 3.0, 4.5, 8.0  # 1; of the cumulative sum, and the largest step it takes
 SUSPICION = 0.75  # 1; share of the threshold at which an axis is suspect
@@ -85,27 +86,33 @@ class Weights(NamedTuple):
     white_equivalent: float  # of the slow error, as white noise of a sample
 
 
-@functools.lru_cache(maxsize=64)
 def weights(dt: float, memory: float, tracking: float) -> Weights:
     """Weights for a step ``dt``, the slow error's correlation time and the averaging of faults, all [s]."""
+    numbers = all(isinstance(each, float) for each in (dt, memory, tracking))
+    return _known_weights(dt, memory, tracking) if numbers else _weights(dt, memory, tracking)
+
+
+def _weights(dt: Array, memory: Array, tracking: Array) -> Weights:
+    starts = isinstance(dt, float) and dt == 0.0
     alpha = 1.4 * dt / (tracking + dt)
     curve = alpha**2 / (2.0 - alpha)
     passed = (2.0 * alpha**2 + 2.0 * curve - 3.0 * alpha * curve) / (4.0 - 2.0 * alpha - curve)
-    variance = np.zeros((5, 5))
-    variance[0] = white = dt / (2.0 * MEANS + dt)
-    variance[1] = memory / (memory + MEANS)
-    variance[2, :OLD] = white[:OLD] + SHARE
-    variance[3, OLD] = variance[4, YOUNG] = 1.0
+    white = dt / (2.0 * MEANS + dt)
+    rows = [white, memory / (memory + MEANS), (white + SHARE) * OF_FILTER, IS_OLD, IS_YOUNG]
+    xp = namespace(white)
     return Weights(
         mean=dt / (MEANS + dt),
-        variance=variance,
+        variance=xp.stack([xp.asarray(row) for row in rows]),
         still=dt / (STILL + dt),
         alpha=alpha,
-        beta=curve / dt if dt > 0.0 else 0.0,
-        passed=passed / alpha if alpha > 0.0 else 1.0,
-        settled=1.4 / alpha if alpha > 0.0 else math.inf,
-        white_equivalent=2.0 * memory / dt if dt > 0.0 else 0.0,
+        beta=0.0 if starts else curve / dt,
+        passed=1.0 if starts else passed / alpha,
+        settled=math.inf if starts else 1.4 / alpha,
+        white_equivalent=0.0 if starts else 2.0 * memory / dt,
     )
+
+
+_known_weights = functools.lru_cache(maxsize=64)(_weights)  # a flight has few different steps
 
 
 class Settings(NamedTuple):

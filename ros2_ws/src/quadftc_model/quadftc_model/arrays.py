@@ -56,6 +56,18 @@ def norm(vector: Array) -> Array:
     return xp.sqrt(xp.sum(vector * vector, axis=-1, keepdims=True))
 
 
+def whole_nanoseconds(time: Array) -> Array:
+    """Round a time [s] to the nanosecond: 2.996 + 0.002 + 0.002 is 3, in whatever order it is added."""
+    if isinstance(time, float):
+        return round(time * 1e9) / 1e9
+    return namespace(time).rint(time * 1e9) / 1e9
+
+
+def exp(x: Array) -> Array:
+    """Exponential of an array or a float."""
+    return math.exp(x) if isinstance(x, float) else namespace(x).exp(x)
+
+
 def product(a: Array, b: Array, terms: Sequence[int] | None = None) -> Array:
     """Matrix product a @ b of small matrices, (..., n, k) and (..., k, m).
 

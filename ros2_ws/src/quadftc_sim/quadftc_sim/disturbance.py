@@ -7,7 +7,7 @@ import dataclasses
 import math
 from typing import Any
 
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Array, namespace, whole_nanoseconds
 from quadftc_model.parameters import check, parameter
 from quadftc_model.registry import Registry
 
@@ -32,6 +32,7 @@ class Disturbance(abc.ABC):
     def torque(self, time: Array) -> Array:
         """Torque [N m] (3,), body frame, at scenario time ``time`` [s]."""
         xp = namespace(time)
+        time = whole_nanoseconds(time)  # so that start and stop mean the same at whatever step
         acts = (self.start <= time) & (time < self.stop)
         return xp.where(acts, self.shape(time - self.start), 0.0)
 

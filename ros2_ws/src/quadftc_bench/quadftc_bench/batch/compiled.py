@@ -12,7 +12,7 @@ import numpy as np
 
 from quadftc_bench.batch.flights_last import AllFlights
 from quadftc_bench.batch.loop import ClosedLoop, Delivery, Given, LoopState, Row
-from quadftc_bench.batch.parts import Loop, numbers_of, with_numbers
+from quadftc_bench.batch.parts import Loop, in_precision, numbers_of, with_numbers
 from quadftc_bench.batch.tally import Schedule, Tally, no_tally, tallied
 from quadftc_sim.injection_step import FaultDraws
 
@@ -102,7 +102,7 @@ class CompiledFlight:
     """
 
     def __init__(self, structure: Structure, traced: bool = False, lanes_last: bool = True) -> None:
-        self.structure = structure
+        self.structure = dataclasses.replace(structure, loop=in_precision(structure.loop, structure.dtype))
         self._traced = traced
         brought, own, times = self._shapes()
         delay = structure.loop.sensor.delay

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bench.batch.compiled import Brought, CompiledFlight, Own, Structure, Times
+from quadftc_bench.batch.trace import flight_of
 from quadftc_bench.batch.draws import FaultNumbers, SensorDraws, Withheld, withheld
-from quadftc_bench.batch.loop import Delivery
+from quadftc_bench.batch.loop import Delivery, Row
 from quadftc_bench.batch.parts import (
     FlightParts,
     differing,
@@ -28,10 +29,12 @@ from quadftc_bench.batch.parts import (
     structure_of,
     with_common_faults,
 )
+from quadftc_bench.batch.refusal import UNTRACEABLE, refusal
 from quadftc_bench.batch.tally import Marks, Schedule, Sums
 from quadftc_bench.diagnosis_metrics import FaultEvent
-from quadftc_bench.flight import AXES
+from quadftc_bench.flight import AXES, Flight
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
+from quadftc_sim.assembly import EPOCH_NS
 from quadftc_sim.injection_step import FaultDraws
 
 STRETCH = 500  # samples between two looks from outside: sums are taken out, random numbers brought
@@ -52,6 +55,17 @@ class Outcome(NamedTuple):
     marks: Marks
     rows: int  # samples that came out of the IMU
     period: float  # of the samples [s]
+
+
+class Traced(NamedTuple):
+    """One flight with every sample."""
+
+    outcome: Outcome
+    flight: Flight
+
+
+def _no_progress(samples: int) -> None:
+    """Say nothing."""
 
 
 class Engine:
@@ -84,7 +98,7 @@ class Engine:
         self,
         flights: Sequence[FlightParts],
         events: Sequence[Sequence[FaultEvent]],
-        progress: Callable[[int], None] = lambda samples: None,
+        progress: Callable[[int], None] = _no_progress,
     ) -> list[Outcome]:
         """Fly all flights.
 
@@ -113,8 +127,38 @@ class Engine:
                     outcomes[place] = outcome
         return [outcome for outcome in outcomes if outcome is not None]
 
+    def trace(
+        self,
+        flights: Sequence[FlightParts],
+        events: Sequence[Sequence[FaultEvent]],
+        epoch_ns: int = EPOCH_NS,
+    ) -> list[Traced]:
+        """Fly flights and keep every sample, as `quadftc_bench.closed_loop.fly` does; else as `fly`.
+
+        Parameters
+        ----------
+        flights, events : sequences
+        epoch_ns : int
+            Stamp of the first sample [ns].
+        """
+        found: dict[int, Traced] = {}
+        with jax.enable_x64(not self._float32):
+            for compiled, places, chosen, own in self._tasks(
+                with_common_faults(flights), events, traced=True
+            ):
+                pieces: list[Row] = []
+                outcomes = self._fly_block(compiled, len(places), chosen, own, _no_progress, pieces.append)
+                row: Row = jax.tree.map(lambda *parts: np.concatenate(parts), *pieces)
+                for lane, (place, outcome) in enumerate(zip(places, outcomes, strict=True)):
+                    one: Row = jax.tree.map(lambda leaf: leaf[..., lane], row)  # noqa: B023
+                    found[place] = Traced(outcome, flight_of(one, chosen[lane].loop.period_ns, epoch_ns))
+        return [found[place] for place in range(len(flights))]
+
     def _tasks(
-        self, flights: Sequence[FlightParts], events: Sequence[Sequence[FaultEvent]]
+        self,
+        flights: Sequence[FlightParts],
+        events: Sequence[Sequence[FaultEvent]],
+        traced: bool = False,
     ) -> Iterator[tuple[CompiledFlight, list[int], list[FlightParts], Own]]:
         """Blocks of flights of one structure."""
         groups: dict[Any, list[int]] = {}
@@ -125,7 +169,7 @@ class Engine:
             varying = differing(numbers)
             chosen = [flights[index] for index in members]
             most = max(map(_most_events, (events[index] for index in members)))
-            compiled = self._compile(key, chosen, tuple(varying), most, numbers[0])
+            compiled = self._compile(key, chosen, tuple(varying), most, numbers[0], traced)
             schedules = [_schedule(events[index], most) for index in members]
             lanes = self._lanes or lanes_for(len(members))
             for start in range(0, len(members), lanes):
@@ -144,6 +188,7 @@ class Engine:
         varying: tuple[str, ...],
         events: int,
         numbers: dict[str, Any],
+        traced: bool,
     ) -> CompiledFlight:
         loop = flights[0].loop
         structure = Structure(
@@ -155,9 +200,12 @@ class Engine:
             float32=self._float32,
         )
         fixed = tuple(value.tobytes() for path, value in numbers.items() if path not in varying)
-        whole_key = (key, varying, events, structure.late_start, fixed)
+        whole_key = (key, varying, events, structure.late_start, fixed, traced)
         if whole_key not in self._compiled:
-            self._compiled[whole_key] = CompiledFlight(structure, lanes_last=self._on_cpu)
+            try:
+                self._compiled[whole_key] = CompiledFlight(structure, traced, self._on_cpu)
+            except UNTRACEABLE as error:
+                raise refusal(error, loop, varying) from error
         return self._compiled[whole_key]
 
     def _fly_block(
@@ -167,9 +215,10 @@ class Engine:
         flights: list[FlightParts],
         own: Own,
         progress: Callable[[int], None],
+        keep: Callable[[Row], None] | None = None,
     ) -> list[Outcome]:
         """Fly a block; its first ``count`` lanes are flights of their own."""
-        total, marks = self._flown(compiled, flights, own, lambda samples: progress(samples * count))
+        total, marks = self._flown(compiled, flights, own, lambda samples: progress(samples * count), keep)
         loop = flights[0].loop
         rows, period = loop.count - loop.sensor.delay, loop.period_ns / NANOSECONDS_PER_SECOND
         return [Outcome(_lane(total, lane), _lane(marks, lane), rows, period) for lane in range(count)]
@@ -180,12 +229,14 @@ class Engine:
         flights: Sequence[FlightParts],
         own: Own,
         progress: Callable[[int], None],
+        keep: Callable[[Row], None] | None,
     ) -> tuple[Sums, Marks]:
+        """Fly a block; ``keep`` takes the rows of each stretch, arrays (samples, ..., flights)."""
         structure = compiled.structure
         supply = Supply(flights, structure, compiled.needed)
         first = compiled.first_samples
         brought, times = supply.next(first, every=True)
-        state, _ = compiled.begin(
+        state, rows = compiled.begin(
             supply.bias,
             [jax.tree.map(lambda a: a[i], brought) for i in range(first)],
             _in_precision(own, structure.dtype),
@@ -194,10 +245,14 @@ class Engine:
         own = jax.device_put(_in_precision(own, structure.dtype))
         total = _doubled(state.tally.sums)
         progress(first)
+        if keep is not None:
+            keep(jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *rows))
         for start in range(first, structure.loop.count, STRETCH):
             count = min(STRETCH, structure.loop.count - start)
             brought, times = supply.next(count)
-            state, _ = compiled.fly(state, brought, own, times)
+            state, rows = compiled.fly(state, brought, own, times)
+            if keep is not None:
+                keep(jax.tree.map(np.asarray, rows))
             total = Sums(*(a + b for a, b in zip(total, _doubled(state.tally.sums), strict=True)))
             progress(count)
         return total, _doubled(state.tally.marks)

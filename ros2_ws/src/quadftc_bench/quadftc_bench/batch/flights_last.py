@@ -23,7 +23,20 @@ from jax.extend import core
 
 # Relative cost of one number; what is in neither list counts as 1.
 FREE = frozenset(
-    ["slice", "squeeze", "reshape", "broadcast_in_dim", "transpose", "expand_dims", "convert_element_type", "concatenate", "stack", "rev", "copy", "stop_gradient"]
+    [
+        "slice",
+        "squeeze",
+        "reshape",
+        "broadcast_in_dim",
+        "transpose",
+        "expand_dims",
+        "convert_element_type",
+        "concatenate",
+        "stack",
+        "rev",
+        "copy",
+        "stop_gradient",
+    ]
 )
 DEAR = {"sin": 20.0, "cos": 20.0, "tan": 30.0, "atan2": 30.0, "asin": 30.0, "acos": 30.0, "exp": 15.0}
 DEAR |= {"log": 15.0, "pow": 40.0, "div": 4.0, "sqrt": 4.0, "tanh": 20.0}
@@ -388,7 +401,63 @@ def _evaluated(equation: _Equation, known: dict[Var, Any], program: _Program, fl
 
 
 ELEMENTWISE = frozenset(
-    ["mul", "add", "add_any", "sub", "div", "rem", "neg", "max", "min", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "exp", "exp2", "expm1", "log", "log1p", "pow", "sqrt", "rsqrt", "cbrt", "abs", "sign", "floor", "ceil", "round", "and", "or", "not", "xor", "gt", "lt", "ge", "le", "eq", "ne", "is_finite", "select_n", "convert_element_type", "integer_pow", "square", "clamp", "erf", "erfc", "logistic", "nextafter", "copy", "stop_gradient"]
+    [
+        "mul",
+        "add",
+        "add_any",
+        "sub",
+        "div",
+        "rem",
+        "neg",
+        "max",
+        "min",
+        "sin",
+        "cos",
+        "tan",
+        "asin",
+        "acos",
+        "atan",
+        "atan2",
+        "sinh",
+        "cosh",
+        "tanh",
+        "exp",
+        "exp2",
+        "expm1",
+        "log",
+        "log1p",
+        "pow",
+        "sqrt",
+        "rsqrt",
+        "cbrt",
+        "abs",
+        "sign",
+        "floor",
+        "ceil",
+        "round",
+        "and",
+        "or",
+        "not",
+        "xor",
+        "gt",
+        "lt",
+        "ge",
+        "le",
+        "eq",
+        "ne",
+        "is_finite",
+        "select_n",
+        "convert_element_type",
+        "integer_pow",
+        "square",
+        "clamp",
+        "erf",
+        "erfc",
+        "logistic",
+        "nextafter",
+        "copy",
+        "stop_gradient",
+    ]
 )
 
 

@@ -138,6 +138,16 @@ def with_numbers(part: Any, values: Mapping[str, Any]) -> Any:
     return _replaced(part, "", values) if values else part
 
 
+def in_precision(part: Any, dtype: np.dtype[Any]) -> Any:
+    """Return the part with all arrays of floats in a precision; single floats have none."""
+    arrays = {
+        path: raw.astype(dtype)
+        for path, raw in _leaves(part, "")
+        if isinstance(raw, np.ndarray) and raw.dtype.kind == "f"
+    }
+    return with_numbers(part, arrays)
+
+
 def differing(flights: Sequence[Mapping[str, Numbers]]) -> dict[str, Numbers]:
     """The numbers that are not the same in all flights, stacked: (flights, ...)."""
     first = flights[0]
@@ -149,12 +159,16 @@ def differing(flights: Sequence[Mapping[str, Numbers]]) -> dict[str, Numbers]:
 
 
 def _numbers(part: Any, path: str) -> Iterator[tuple[str, Numbers]]:
-    number = _as_number(part)
-    if number is not None:
-        yield path, number
+    return ((name, np.asarray(raw)) for name, raw in _leaves(part, path))
+
+
+def _leaves(part: Any, path: str) -> Iterator[tuple[str, Any]]:
+    """The numbers of a part as they are there: floats, arrays, tuples of floats."""
+    if _as_number(part) is not None:
+        yield path, part
         return
     for name, inside in _inside(part):
-        yield from _numbers(inside, f"{path}.{name}" if path else name)
+        yield from _leaves(inside, f"{path}.{name}" if path else name)
 
 
 def _static(part: Any, path: str) -> Iterator[Any]:

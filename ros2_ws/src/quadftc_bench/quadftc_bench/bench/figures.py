@@ -1,4 +1,4 @@
-"""The figure of latencies."""
+"""The figures: latencies, and the speed of batches."""
 
 from __future__ import annotations
 
@@ -31,5 +31,44 @@ def latency_figure(results: Sequence[Mapping[str, Any]], out: Path) -> Path:
         axis.grid(alpha=0.3)
     axes[-1, 0].set(xlabel="IMU stamp to torque [us]")
     path = out / "latency.png"
+    figure.savefig(path, dpi=120)  # pyright: ignore[reportUnknownMemberType]
+    return path
+
+
+def batch_figure(results: Sequence[Mapping[str, Any]], out: Path) -> Path:
+    """Draw steps per second and core over the number of flights, a colour for what is simulated.
+
+    Returns
+    -------
+    Path
+        Of the figure.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    figure = Figure(figsize=(10.0, 5.0), layout="constrained")
+    axes: Any = figure.subplots()
+    measured = [row for row in results if "steps_per_second" in row]
+    names = list(dict.fromkeys(row["name"] for row in measured))
+    fewest = min((row["cores"] for row in measured), default=1)
+    lines: dict[tuple[str, str, int], list[Mapping[str, Any]]] = {}
+    for row in measured:
+        lines.setdefault((row["name"], row["precision"], row["cores"]), []).append(row)
+    for (name, precision, cores), rows in lines.items():
+        axes.plot(
+            [row["flights"] for row in rows],
+            [row["steps_per_second"]["best"] / cores for row in rows],
+            color=f"C{names.index(name)}",
+            linestyle="-" if precision == "float32" else "--",
+            marker="o" if cores == fewest else "x",
+            label=f"{name}, {precision}" if cores == fewest else None,
+        )
+    axes.set(xscale="log", yscale="log", xlabel="flights in a process", ylabel="steps per second and core")
+    axes.set_title("crosses: on more cores; dashed: double precision")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    path = out / "batch.png"
     figure.savefig(path, dpi=120)  # pyright: ignore[reportUnknownMemberType]
     return path

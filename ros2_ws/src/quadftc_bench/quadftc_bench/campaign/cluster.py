@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
@@ -51,6 +52,7 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
             threads_per_worker=1,
             host="127.0.0.1",
             dashboard_address=None,
+            silence_logs=logging.ERROR,
             env=_environment(),
         ) as cluster,
         Client(cluster, set_as_default=False) as client,
@@ -87,7 +89,7 @@ def fly_chunks(
         for place, numbers in enumerate(chunks)
     }
     try:
-        for future in as_completed(futures):
+        for future in as_completed(futures, loop=client.loop):
             try:
                 yield futures[future], future.result()
             except KilledWorker as error:

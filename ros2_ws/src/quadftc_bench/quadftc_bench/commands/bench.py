@@ -42,11 +42,21 @@ class Executor(str, enum.Enum):
     single = "single"
 
 
+class Precision(str, enum.Enum):
+    """Of all numbers of a batch."""
+
+    float64 = "float64"
+    float32 = "float32"
+
+
 bench = typer.Typer(help="Measure how fast it is, on this machine.", no_args_is_help=True)
 
 Observer = Annotated[str, typer.Option(help="Fault observer.")]
 Duration = Annotated[float, typer.Option(min=3.0, help="Length of a flight [s].")]
-Out = Annotated[Path | None, typer.Option(help="Directory for the results: JSON, and a figure of latencies.")]
+Out = Annotated[
+    Path | None,
+    typer.Option(help="Directory for the results: JSON, and a figure of latencies or of batches."),
+]
 Repeat = Annotated[int, typer.Option(min=1, help="How often; medians are shown.")]
 
 
@@ -145,6 +155,52 @@ def step(out: Out = None) -> None:
         table.add_row(item["observer"], f"{item['best_us']:.1f}", f"{item['median_us']:.1f}")
     console().print(table)
     _write(out, "step", results)
+    raise typer.Exit(GOOD)
+
+
+@bench.command()
+def batch(
+    flights: Annotated[list[int], typer.Option(min=1, help="In each process.")] = [1, 64, 256, 1024],  # noqa: B006
+    precision: Annotated[list[Precision], typer.Option(help="Of the batch engine.")] = list(Precision),  # noqa: B006
+    cores: Annotated[
+        list[int],
+        typer.Option(min=1, help="So many processes, a core each. Default: one, and all there are."),
+    ] = [],  # noqa: B006
+    repeats: Annotated[int, typer.Option(min=1, help="How often each is measured.")] = 5,
+    duration: Annotated[float, typer.Option(min=0.1, help="Length of a flight [s].")] = 8.0,
+    others: Annotated[
+        str | None, typer.Option(help="Python with crazyflow and RotorPy; default: the one that runs this.")
+    ] = None,
+    out: Out = None,
+) -> None:
+    """Closed-loop steps per second of the batch engine, beside other simulators."""
+    from quadftc_bench.bench.batch import measure, measurements, python_of, usable_cores
+    from quadftc_bench.bench.batch_table import batch_table, what_lines
+
+    usable = len(usable_cores())
+    if max(cores, default=1) > usable:
+        raise RunError(f"--cores {max(cores)}: this process may use {usable}")
+    python = python_of(others)
+    chosen = sorted(set(cores)) or sorted({1, usable})
+    single = [each is Precision.float32 for each in dict.fromkeys(precision)]
+    plan = measurements(sorted(set(flights)), single, chosen, duration)
+    results: list[dict[str, Any]] = []
+    with StopSignals() as stop, _bars() as bars:
+        bar = bars.add_task("", total=len(plan))
+        for each in plan:
+            bars.update(bar, description=each.title)
+            bars.refresh()
+            found = measure(each, repeats, python, lambda: stop.requested)
+            if found is None:
+                raise typer.Exit(INTERRUPTED)
+            results.append(found)
+            bars.advance(bar)
+        bars.refresh()
+    screen = console()
+    screen.print(batch_table(results))
+    for line in what_lines(results):
+        screen.print(line, markup=False, soft_wrap=True)
+    _write(out, "batch", results)
     raise typer.Exit(GOOD)
 
 
@@ -263,9 +319,10 @@ def _write(out: Path | None, kind: str, results: list[dict[str, Any]]) -> None:
         text = json.dumps({"machine": what, "results": results}, indent=2, allow_nan=False)
         path.write_text(text + "\n", encoding="utf-8")
         screen.print(f"written: {path}", markup=False, soft_wrap=True)
-        if kind == "latency":
-            from quadftc_bench.bench.figures import latency_figure
+        if kind in ("latency", "batch"):
+            from quadftc_bench.bench.figures import batch_figure, latency_figure
 
-            screen.print(f"written: {latency_figure(results, out)}", markup=False, soft_wrap=True)
+            draw = latency_figure if kind == "latency" else batch_figure
+            screen.print(f"written: {draw(results, out)}", markup=False, soft_wrap=True)
     except OSError as error:
         raise RunError(f"{out}: {error.strerror}") from None

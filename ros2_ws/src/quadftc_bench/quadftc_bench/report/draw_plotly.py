@@ -36,7 +36,12 @@ CONFIG: dict[str, Any] = {
 
 def plotly_config(figure: Figure) -> dict[str, Any]:
     """Return the ``config`` to draw a figure with: it resets on a double click, and saves under its key."""
-    return {**CONFIG, "toImageButtonOptions": {"filename": figure.key, "format": "svg"}}
+    return config_of(figure.key)
+
+
+def config_of(key: str) -> dict[str, Any]:
+    """Return the ``config`` of a figure that is saved under a key."""
+    return {**CONFIG, "toImageButtonOptions": {"filename": key, "format": "svg"}}
 
 
 def plotly_figure(figure: Figure) -> go.Figure:
@@ -93,12 +98,12 @@ def _layout(figure: Figure, height: float) -> dict[str, Any]:
             "title": {"text": "time [s]", "standoff": 8},
             "range": list(figure.span),
             "unifiedhovertitle": {"text": "%{x:.3f} s"},
-            **_LINES,
+            **LINES,
         },
     }
 
 
-_LINES: dict[str, Any] = {
+LINES: dict[str, Any] = {
     "showline": True,
     "linecolor": "#9a9a9a",
     "mirror": "all",
@@ -113,7 +118,7 @@ def _y_axis(panel: Panel, domain: tuple[float, float]) -> dict[str, Any]:
         "anchor": "x",
         "nticks": 7,
         "minexponent": 5,
-        **_LINES,
+        **LINES,
         **_ticks(panel),
     }
 
@@ -146,7 +151,7 @@ def _trace(trace: Trace, panel: Panel) -> dict[str, Any]:
         "y": y.astype(np.float32),
         **({"text": [words.get(value, "") for value in y.tolist()]} if words else {}),
         "hovertemplate": f"{panel.title}, {trace.name}: {shown}<extra></extra>",
-        **_look(trace.role, trace.rank),
+        **look(trace.role, trace.rank),
     }
 
 
@@ -183,14 +188,14 @@ def _outline(area: Envelope, part: NDArray[np.intp]) -> tuple[NDArray[np.float64
 
 def _band(band: Band, span: tuple[float, float]) -> dict[str, Any]:
     """Both edges of a range of values."""
-    look = _look(band.role, band.rank)
-    look["line"]["width"] = 0.7 * LINE_WIDTH
+    thin = look(band.role, band.rank)
+    thin["line"]["width"] = 0.7 * LINE_WIDTH
     return {
         "name": band.label,
         "x": [*span, None, *span],
         "y": [band.high, band.high, None, band.low, band.low],
         "hoverinfo": "skip",
-        **look,
+        **thin,
         "zorder": 0,
     }
 
@@ -217,8 +222,8 @@ def _shapes(panel: Panel) -> Iterator[dict[str, Any]]:
         }
 
 
-def _look(role: str, rank: int) -> dict[str, Any]:
-    """Attributes of Plotly for the look of a line."""
+def look(role: str, rank: int) -> dict[str, Any]:
+    """Return the attributes of Plotly for the look of a line; see `quadftc_bench.report.style.line_style`."""
     style = line_style(role, rank)
     width = LINE_WIDTH * style.width
     dash = ",".join(f"{SCREEN * length * width:.1f}px" for length in style.dashes) or "solid"

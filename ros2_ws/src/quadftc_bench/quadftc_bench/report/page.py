@@ -28,7 +28,8 @@ from quadftc_bench.report.replay_page import (
     pooled,
 )
 from quadftc_bench.report.statements import Paragraph, statements
-from quadftc_bench.report.wording import counted, listing, short
+from quadftc_bench.report.templating import environment
+from quadftc_bench.report.wording import counted, listing
 
 KEY_METRICS = (
     ("tracking_rmse_deg", "tracking RMSE [deg]"),
@@ -151,14 +152,8 @@ def heading(parts: Sequence[Section], replayed: Sequence[ReplaySection]) -> str:
 
 
 def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("quadftc_bench.report"),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    environment.globals.update(
+    made = environment("quadftc_bench.report")
+    made.globals.update(
         axis_metric=axis_metric,
         has_observer=has_observer,
         overview=overview,
@@ -167,5 +162,4 @@ def _environment() -> jinja2.Environment:
         confusion_columns=DECLARED,
         confusion_path=CONFUSION,
     )
-    environment.filters.update(short=lambda value: "–" if value is None else short(value))
-    return environment
+    return made

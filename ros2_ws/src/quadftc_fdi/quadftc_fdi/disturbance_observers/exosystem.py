@@ -22,16 +22,14 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
 
 from quadftc_fdi.disturbance_conditions import exosystem_conditions
 from quadftc_fdi.disturbance_observer import DisturbanceObserver, register
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Array, exp, namespace
 from quadftc_model.conditions import Circumstances, Condition
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
@@ -67,14 +65,14 @@ class Exosystem(DisturbanceObserver):
         """Start with no disturbance, at the first body rate."""
         rate = inputs.body_rate
         xp = namespace(rate)
-        zeta = xp.stack([xp.zeros_like(rate)] * len(self.A_d), axis=-1)
+        zeta = xp.stack([xp.zeros_like(rate)] * len(self.C_d), axis=-1)
         return ExosystemState(zeta, rate, inputs.rate_valid)
 
     def step(
         self, state: ExosystemState, inputs: DisturbanceObserverInputs, dt: float
     ) -> tuple[ExosystemState, Array]:
         """Advance by ``dt`` [s]; a sample without body rate is predicted, not corrected."""
-        if dt == 0.0:
+        if isinstance(dt, float) and dt == 0.0:
             return state, state.zeta @ self.C_d
         xp = namespace(inputs.body_rate)
         if state.zeta.shape[-1] != len(self.C_d):  # the model was changed in flight
@@ -107,7 +105,7 @@ class Exosystem(DisturbanceObserver):
     @property
     def C_d(self) -> Matrix:
         """C_d of (42), (n,)."""
-        return exosystem(self.model, self.frequency)[1]
+        return _output_of(self.model)
 
 
 @functools.lru_cache(maxsize=256)
@@ -124,47 +122,83 @@ def exosystem(model: str, frequency: float) -> tuple[Matrix, Matrix]:
         "ramp": np.array([[0.0, 1.0], [0.0, 0.0]]),
         "harmonic": np.array([[0.0, frequency], [-frequency, 0.0]]),
     }
-    names = model.split("+")
-    unknown = [name for name in names if name not in blocks]
-    if unknown:
-        raise ValueError(f"model = {model!r}: '{unknown[0]}' is none of {', '.join(blocks)}")
-    size = sum(len(blocks[name]) for name in names)
-    A_d, C_d = np.zeros((size, size)), np.zeros(size)
-    at = 0
-    for name in names:
+    C_d = _output_of(model)
+    A_d, at = np.zeros((len(C_d), len(C_d))), 0
+    for name in model.split("+"):
         n = len(blocks[name])
         A_d[at : at + n, at : at + n] = blocks[name]
-        C_d[at] = 1.0
         at += n
-    return _frozen(A_d), _frozen(C_d)
+    return _frozen(A_d), C_d
 
 
 @functools.lru_cache(maxsize=256)
-def _discretised(model: str, frequency: float, bandwidth: float, dt: float) -> tuple[Matrix, Matrix, Matrix]:
-    """Phi (n, n), C_d Gamma (n,) and the gain l (n,) of a step; kept, as a flight has few different steps."""
-    A_d, C_d = exosystem(model, frequency)
-    n = len(A_d)
-    # exp([[A_d, I], [0, 0]] dt) = [[Phi, Gamma], [0, I]] (Van Loan 1978)
-    total: Matrix = expm(  # pyright: ignore
-        np.block([[A_d, np.eye(n)], [np.zeros((n, 2 * n))]]) * dt
-    )
-    Phi, CdGamma = total[:n, :n], C_d @ total[:n, n:]
-    return _frozen(Phi), _frozen(CdGamma), _frozen(_gain(Phi, CdGamma, math.exp(-bandwidth * dt), dt))
+def _output_of(model: str) -> Matrix:
+    """C_d (n,) of (42): the first state of each block."""
+    unknown = [name for name in model.split("+") if name not in _SIZES]
+    if unknown:
+        raise ValueError(f"model = {model!r}: '{unknown[0]}' is none of {', '.join(_SIZES)}")
+    return _frozen(np.concatenate([np.eye(_SIZES[name])[0] for name in model.split("+")]))
 
 
-def _gain(Phi: Matrix, CdGamma: Matrix, pole: float, dt: float) -> Matrix:
-    """Gain l (n,) that puts all eigenvalues of Phi - l C_d Gamma at ``pole``: Ackermann's formula.
+def _discretised(model: str, frequency: Array, bandwidth: Array, dt: Array) -> tuple[Array, Array, Array]:
+    """Phi (n, n), C_d Gamma (n,) and the gain l (n,) of a step, in closed form; those of numbers are kept."""
+    numbers = all(isinstance(each, float) for each in (frequency, bandwidth, dt))
+    of = _known_discretisation if numbers else _discretisation
+    return of(model, frequency, bandwidth, dt)
 
-    In the delta operator, (Phi - I) / dt: the observability matrix stays well conditioned as dt goes to 0.
+
+def _discretisation(model: str, frequency: Array, bandwidth: Array, dt: Array) -> tuple[Array, Array, Array]:
+    xp = namespace(1.0 * frequency * bandwidth * dt)
+    blocks = {name: _block(name, frequency, dt, xp) for name in model.split("+")}
+    n, at = sum(_SIZES[name] for name in blocks), 0
+    rows: list[Any] = []
+    for change, _ in blocks.values():  # of each row of Phi - I, zeros around the block
+        left, right = xp.zeros(at), xp.zeros(n - at - len(change))
+        rows += [xp.concatenate([left, xp.stack([xp.asarray(x) for x in row]), right]) for row in change]
+        at += len(change)
+    D = xp.stack(rows) / dt
+    CdGamma = xp.stack([xp.asarray(x) for _, integral in blocks.values() for x in integral])
+    gain = _gain(D, CdGamma / dt, (exp(-bandwidth * dt) - 1.0) / dt, xp)
+    return xp.eye(n) + dt * D, CdGamma, gain
+
+
+@functools.lru_cache(maxsize=256)
+def _known_discretisation(
+    model: str, frequency: float, bandwidth: float, dt: float
+) -> tuple[Matrix, Matrix, Matrix]:
+    """Of numbers, of which a flight has few."""
+    Phi, CdGamma, gain = map(np.asarray, _discretisation(model, frequency, bandwidth, dt))
+    return _frozen(Phi), _frozen(CdGamma), _frozen(gain)
+
+
+def _block(name: str, frequency: Array, dt: Array, xp: Any) -> tuple[list[list[Array]], list[Array]]:
+    """Phi - I and C_d Gamma of one block: exp(A_d dt) - I, and the first row of its integral."""
+    if name == "constant":
+        return [[0.0 * dt]], [dt]
+    if name == "ramp":
+        return [[0.0 * dt, dt], [0.0 * dt, 0.0 * dt]], [dt, 0.5 * dt * dt]
+    sine, half = xp.sin(frequency * dt), xp.sin(0.5 * frequency * dt)
+    fall = 2.0 * half * half  # 1 - cos, without cancellation
+    return [[-fall, sine], [-sine, -fall]], [sine / frequency, fall / frequency]
+
+
+def _gain(D: Array, c: Array, pole: Array, xp: Any) -> Array:
+    """Gain l (n,) that puts all eigenvalues of D - l c at ``pole``: Ackermann's formula.
+
+    In the delta operator, D = (Phi - I) / dt: the observability matrix stays well conditioned as dt goes to 0.
     """
-    n = len(Phi)
-    D, c = (Phi - np.eye(n)) / dt, CdGamma / dt
-    observability = np.stack([c @ np.linalg.matrix_power(D, k) for k in range(n)])
-    wanted = np.linalg.matrix_power(D - (pole - 1.0) / dt * np.eye(n), n)
-    gain: Matrix = wanted @ np.linalg.solve(observability, np.eye(n)[:, -1])  # pyright: ignore
-    return gain
+    n = D.shape[-1]
+    observability, wanted = [c], xp.eye(n)
+    for _ in range(n - 1):
+        observability.append(observability[-1] @ D)
+    for _ in range(n):
+        wanted = wanted @ (D - pole * xp.eye(n))
+    return wanted @ xp.linalg.solve(xp.stack(observability), xp.eye(n)[:, -1:])[:, 0]
 
 
 def _frozen(matrix: Matrix) -> Matrix:
     matrix.setflags(write=False)
     return matrix
+
+
+_SIZES = {"constant": 1, "ramp": 2, "harmonic": 2}

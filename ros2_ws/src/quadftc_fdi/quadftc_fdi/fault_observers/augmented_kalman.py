@@ -193,7 +193,8 @@ class AugmentedKalman(FaultObserver):
     ) -> tuple[AugmentedKalmanState, Array]:
         """Means of the innovation, and what is added to P_f,ii (..., 3) [rad²]."""
         xp = namespace(r)
-        gains = xp.asarray([dt / (T + dt) if dt > 0.0 else 0.0 for T in WINDOWS])
+        starts = isinstance(dt, float) and dt == 0.0
+        gains = xp.zeros(len(WINDOWS)) if starts else dt / (xp.asarray(WINDOWS) + dt)
         m = state.means + xp.where(usable[..., None], gains * (r[..., None] - state.means), 0.0)
         v = S_ii[..., None] * (gains / (2.0 - gains))  # of the mean of white innovations
         excess = xp.max(xp.where(m * m > self.gate**2 * v, m * m - v, 0.0), axis=-1)

@@ -43,7 +43,7 @@ from quadftc_fdi.dead_reckoning import comparable, dead_reckoned
 from quadftc_fdi.fault_observer import FaultObserver, register
 from quadftc_fdi.fault_observers.sliding_mode import implicit_injection
 from quadftc_fdi.level_detection import Detection, detect, fault_state, onset_age, undetected
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Array, exp, namespace
 from quadftc_model.conditions import Circumstances, Condition
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
@@ -104,7 +104,7 @@ class EdwardsSpurgeon(FaultObserver):
         innovation = xp.where(usable, wrap(y1 - x), state.fault)  # x - x^ + f_s
         c = state.e + dt * self.a_f * innovation
         e, nu = implicit_injection(c, self.a_s, self.rho, 0.0, dt)
-        fault = state.fault - math.expm1(-dt / self.tau) * (nu / self.a_f - state.fault)
+        fault = state.fault + (1.0 - exp(-dt / self.tau)) * (nu / self.a_f - state.fault)
         leaked = quaternion_from_euler(x + dt * (self.leak / self.a_f) * nu)
         q_xyzw = xp.where(usable, leaked, q_xyzw)
         found = detect(

@@ -192,7 +192,8 @@ def implicit_injection(c: Array, linear: Array, rho: float, delta: float, dt: fl
     n = xp.where(b > 0.0, 2.0 * size * delta / xp.where(b > 0.0, b + root, 1.0), (root - b) / (2.0 * a))
     unit = c / xp.where(size > 0.0, size, 1.0)
     sliding = rho / xp.where(n + delta > 0.0, n + delta, 1.0) * n
-    held = size / dt if dt > 0.0 else 0.0 * size  # delta = 0 and n = 0
+    starts = isinstance(dt, float) and dt == 0.0
+    held = 0.0 * size if starts else size / dt  # delta = 0 and n = 0
     return n * unit, xp.where(n + delta > 0.0, sliding, held) * unit
 
 

@@ -59,7 +59,7 @@ from quadftc_fdi.supervision import (
     tracked,
     weights,
 )
-from quadftc_model.arrays import Array, any_of, changed_where, namespace, norm, product
+from quadftc_model.arrays import Array, any_of, changed_where, exp, namespace, norm, product
 from quadftc_model.conditions import Circumstances, Condition, Verdict
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, wrap
@@ -179,7 +179,7 @@ class Supervised(FaultObserver):
         settings = Settings(self.threshold, self.learning, self.recovery, self.patience)
         gyro = xp.where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
         omega = rate(state.filter.x, gyro)
-        activity = xp.maximum(norm(omega), state.activity * math.exp(-dt / MOVED))
+        activity = xp.maximum(norm(omega), state.activity * exp(-dt / MOVED))
         motion = ((activity - RESTING) / (MOVING - RESTING)).clip(0.0, 1.0)
         estimate, anchors = self._propagated(state, gyro, motion, dt)
         sample = self._compared(estimate, anchors, imu.q_xyzw, omega, motion)
@@ -213,7 +213,7 @@ class Supervised(FaultObserver):
         anchors, rolled = renewed(anchors, estimate.P, dx, anew, any_of(found.suspect), dt, self.anchor_age)
         tests = begun_anew(tests, rolled, faulty | again | anew)
         starting = bias > STARTED**2
-        raw = xp.where(starting, state.raw, state.raw * math.exp(-dt / FADING))
+        raw = xp.where(starting, state.raw, state.raw * exp(-dt / FADING))
         new = SupervisedState(estimate, anchors, gyro, activity, motion, tests, faulty, track, raw)
         return new, self._report(new, found.suspect, starting, own, sample.sizes, w, inputs)
 
