@@ -51,7 +51,7 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
             n_workers=workers,
             threads_per_worker=1,
             host="127.0.0.1",
-            dashboard_address=None,
+            dashboard_address="127.0.0.1:0",  # any free port: it cannot be left out
             silence_logs=logging.ERROR,
             env=_environment(),
         ) as cluster,

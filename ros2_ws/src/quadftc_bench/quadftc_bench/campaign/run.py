@@ -14,7 +14,7 @@ from quadftc_bench.campaign.flights import flight, flight_document, flight_name
 from quadftc_bench.campaign.store import CampaignError, Store
 from quadftc_bench.campaign.summary import summary_of
 from quadftc_bench.campaign.table import Row, table_of
-from quadftc_bench.campaign.work import chunks_of, fly_chunk
+from quadftc_bench.campaign.work import FLIGHTS_A_CHUNK, chunks_of, fly_chunk
 from quadftc_bench.scenario import Scenario
 from quadftc_bench.scenario.build import build_scenario
 
@@ -34,11 +34,13 @@ class CampaignRun:
     ----------
     campaign : Campaign
     directory : Path
+    size : int
+        Flights of a chunk.
     """
 
-    def __init__(self, campaign: Campaign, directory: Path) -> None:
+    def __init__(self, campaign: Campaign, directory: Path, size: int = FLIGHTS_A_CHUNK) -> None:
         self.campaign = campaign
-        self._chunks = chunks_of(campaign)
+        self._chunks = chunks_of(campaign, size)
         self._store = Store(directory, campaign, len(self._chunks))
 
     def open(self, resume: bool) -> Extent:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,7 +12,7 @@ from quadftc_bench.campaign.document import Campaign, Variant
 from quadftc_bench.campaign.flights import Flight, drawn, flight
 from quadftc_bench.campaign.table import Row, Rows
 
-FLIGHTS_A_CHUNK = 512
+FLIGHTS_A_CHUNK = 256  # what a kill loses at most, of each worker; as many as are flown together
 
 Progress = Callable[[int], None]
 
@@ -46,8 +47,11 @@ def fly_chunk(campaign: Campaign, numbers: Sequence[int], progress: Progress = l
     ValueError
         If a part cannot be flown in a batch.
     """
+    from quadftc_bench.batch.engine import lanes_for
+
     rows: Rows = []
-    engine = _engine(campaign.float32)
+    each_cell = math.ceil(campaign.flights / campaign.cells)
+    engine = _engine(campaign.float32, lanes_for(min(FLIGHTS_A_CHUNK, each_cell)))
     for variant in campaign.variants:
         flights = [flight(campaign, number, variant) for number in numbers]
         outcomes = engine.fly([each.parts for each in flights], [each.events for each in flights], progress)
@@ -80,9 +84,9 @@ def _rows(campaign: Campaign, number: int, variant: Variant, one: Flight, outcom
 
 
 @functools.cache
-def _engine(float32: bool) -> Any:
+def _engine(float32: bool, lanes: int) -> Any:
     """The engine of this process; it keeps what it has compiled."""
-    from quadftc_bench.batch.engine import LANES, Engine, keep_compiled
+    from quadftc_bench.batch.engine import Engine, keep_compiled
 
     keep_compiled()
-    return Engine(float32, LANES)
+    return Engine(float32, lanes)
