@@ -17,8 +17,7 @@ import typer
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 from quadftc_bench.bags import BagError
-from quadftc_bench.campaign.cluster import ClusterError
-from quadftc_bench.campaign.store import CampaignError
+from quadftc_bench.campaign.errors import CampaignError
 from quadftc_bench.commands import BAD_INPUT, GOOD, INTERNAL, INTERRUPTED
 from quadftc_bench.commands.bench import bench
 from quadftc_bench.commands.campaign import campaign
@@ -69,7 +68,7 @@ def _guarded(arguments: list[str]) -> int:
         words = error.format_message() if hasattr(error, "format_message") else str(error)
         screen.print(f"error: {words}", markup=False, soft_wrap=True)
         return BAD_INPUT
-    except (ScenarioError, BagError, RunError, CampaignError, ClusterError, ValueError) as error:
+    except (ScenarioError, BagError, RunError, CampaignError, ValueError) as error:
         for line in str(error).splitlines():
             screen.print(f"error: {line}", markup=False, soft_wrap=True)
         return BAD_INPUT

@@ -1,4 +1,4 @@
-"""The batch engine flies what the closed loop flies, and its tally says what the metrics of the flight say."""
+"""The batch engine flies what the closed loop flies, and its tally says what the metrics say."""
 
 import dataclasses
 
@@ -176,7 +176,8 @@ def test_a_flight_that_cannot_start_at_once_flies_alike():
             observer="sliding_mode",
         )
     )
-    assert np.any(expected.fault_state == STARTING) and not np.all(expected.delivered)
+    assert np.any(expected.fault_state == STARTING)
+    assert not np.all(expected.delivered)
 
 
 def test_flights_of_one_batch_do_not_touch_each_other():

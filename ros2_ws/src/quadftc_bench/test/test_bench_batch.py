@@ -1,4 +1,4 @@
-"""The benchmark of the batch engine: what it counts, what it says of others that are not there, what it writes."""
+"""The benchmark of the batch engine: what it counts and writes, what it says of others that are absent."""
 
 from __future__ import annotations
 

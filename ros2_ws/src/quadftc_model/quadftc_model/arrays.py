@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -113,3 +113,20 @@ def changed_where(mask: Array, change: Callable[[], T], unchanged: T) -> T:
     if isinstance(mask, (np.ndarray, np.bool_)) and not mask.any():  # pyright: ignore[reportUnknownMemberType]
         return unchanged
     return change()
+
+
+def chosen(mask: Array, new: Any, old: Any) -> Any:
+    """Arrays of ``new`` where a mask (...,) holds, of ``old`` elsewhere; both are nested tuples alike.
+
+    Where ``old`` has fewer arrays (a memory that fills), it is the new one.
+    """
+    if isinstance(new, tuple):
+        parts, others = cast("tuple[Any, ...]", new), cast("tuple[Any, ...]", old)
+        if len(parts) != len(others):
+            return parts
+        each = [chosen(mask, a, b) for a, b in zip(parts, others, strict=True)]
+        kind: Any = type(parts)
+        return kind(*each) if hasattr(kind, "_fields") else tuple(each)
+    if new is None:
+        return None
+    return namespace(new).where(mask.reshape(mask.shape + (1,) * (new.ndim - mask.ndim)), new, old)

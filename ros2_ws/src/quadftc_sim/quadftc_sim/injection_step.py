@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Array, chosen, namespace
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import ImuSample
 from quadftc_sim.fault import FaultInputs
@@ -86,9 +86,9 @@ def inject(
         inputs = FaultInputs(healthy, time - injection.start, *(draw or (zeros, zeros)))
         acts = (injection.start <= time) & (time < injection.stop)
         runs = acts | (time < injection.start) if injection.law.has_memory else acts
-        before = _chosen(state.begun, state.fault, injection.law.init(healthy))
+        before = chosen(state.begun, state.fault, injection.law.init(healthy))
         after, output = injection.law.step(before, inputs, dt)
-        new_states.append(InjectionState(_chosen(runs, after, before), state.begun | runs))
+        new_states.append(InjectionState(chosen(runs, after, before), state.begun | runs))
         values[channel] = xp.where(acts[..., None] & injection.mask, output.value, healthy)
         there[channel] = there[channel] & (output.valid | ~acts)
         turned = turned | acts if channel == "attitude" else turned
@@ -110,17 +110,3 @@ def _healthy(channel: str, sample: ImuSample) -> Array:
     if channel == "accelerometer":
         return sample.specific_force
     return euler_from_quaternion(sample.q_xyzw)
-
-
-def _chosen(mask: Array, new: Any, old: Any) -> Any:
-    """Arrays of ``new`` where the mask (...,) holds, of ``old`` elsewhere; both nested tuples alike.
-
-    Where ``old`` has fewer arrays (a memory that fills), it is the new one.
-    """
-    if isinstance(new, tuple):
-        parts: list[Any] = [*new]
-        if not isinstance(old, tuple) or len(parts) != len(old):  # pyright: ignore[reportUnknownArgumentType]
-            return new
-        chosen = [_chosen(mask, a, b) for a, b in zip(parts, old, strict=True)]  # pyright: ignore
-        return type(new)(*chosen) if hasattr(new, "_fields") else tuple(chosen)  # pyright: ignore
-    return namespace(new).where(mask.reshape(mask.shape + (1,) * (new.ndim - mask.ndim)), new, old)

@@ -1,3 +1,4 @@
+# pyright: basic
 """A flight of one structure, compiled: the beginning, and stretches of samples, for many flights at once."""
 
 from __future__ import annotations

@@ -123,7 +123,7 @@ class FaultNumbers:
         ]
 
     def between(self, start: int, stop: int) -> tuple[Floats, Floats]:
-        """Normal and uniform numbers (samples, 3, flights) of the samples ``start`` to ``stop``; 0 if unused."""
+        """Normal and uniform numbers (samples, 3, flights) from ``start`` to ``stop``; 0 if unused."""
         normal = np.zeros((stop - start, 3, len(self._rows)))
         uniform = np.zeros_like(normal)
         for flight, (rows, values) in enumerate(zip(self._rows, self._values, strict=True)):

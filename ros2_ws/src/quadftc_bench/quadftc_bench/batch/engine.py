@@ -1,3 +1,4 @@
+# pyright: basic
 """The batch engine: thousands of flights at once, compiled by JAX, what is kept of each a tally.
 
 >>> engine = Engine()
@@ -18,10 +19,8 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_bench.batch.compiled import Brought, CompiledFlight, Own, Structure, Times
-from quadftc_bench.batch.trace import flight_of
-from quadftc_bench.batch.draws import FaultNumbers, SensorDraws, Withheld, withheld
-from quadftc_bench.batch.loop import Delivery, Row
+from quadftc_bench.batch.compiled import CompiledFlight, Own, Structure
+from quadftc_bench.batch.loop import Row
 from quadftc_bench.batch.parts import (
     FlightParts,
     differing,
@@ -30,12 +29,13 @@ from quadftc_bench.batch.parts import (
     with_common_faults,
 )
 from quadftc_bench.batch.refusal import UNTRACEABLE, refusal
+from quadftc_bench.batch.supply import Supply
 from quadftc_bench.batch.tally import Marks, Schedule, Sums
+from quadftc_bench.batch.trace import flight_of
 from quadftc_bench.diagnosis_metrics import FaultEvent
 from quadftc_bench.flight import AXES, Flight
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_sim.assembly import EPOCH_NS
-from quadftc_sim.injection_step import FaultDraws
 
 STRETCH = 500  # samples between two looks from outside: sums are taken out, random numbers brought
 LANES = 256  # flights that are flown together
@@ -238,9 +238,9 @@ class Engine:
         brought, times = supply.next(first, every=True)
         state, rows = compiled.begin(
             supply.bias,
-            [jax.tree.map(lambda a: a[i], brought) for i in range(first)],
+            _one_by_one(brought, first),
             _in_precision(own, structure.dtype),
-            [jax.tree.map(lambda a: a[i], times) for i in range(first)],
+            _one_by_one(times, first),
         )
         own = jax.device_put(_in_precision(own, structure.dtype))
         total = _doubled(state.tally.sums)
@@ -258,70 +258,13 @@ class Engine:
         return total, _doubled(state.tally.marks)
 
 
-class Supply:
-    """What is brought to the steps of a block of flights, in the order of the samples.
-
-    Parameters
-    ----------
-    flights : sequence of FlightParts
-        Of one structure.
-    structure : Structure
-    needed : Brought
-        Which of it decides anything.
-    """
-
-    def __init__(self, flights: Sequence[FlightParts], structure: Structure, needed: Brought) -> None:
-        self._structure = structure
-        self._needed = needed
-        self._sensors = SensorDraws(flights)
-        self.bias = self._sensors.bias.astype(structure.dtype)
-        self._faults = [
-            FaultNumbers(flights, place) if injection.law.is_random and injection.channel != "imu" else None
-            for place, injection in enumerate(structure.loop.injections)
-        ]
-        self._withheld = withheld(flights) if structure.loses else None
-        self._flights = len(flights)
-        self._at = 0
-
-    def next(self, count: int, every: bool = False) -> tuple[Brought, Times]:
-        """Bring what ``count`` samples need, arrays (count, ..., flights); or everything (``every``)."""
-        dtype, flights = self._structure.dtype, self._flights
-        at, delay = self._at, self._structure.loop.sensor.delay
-        self._at += count
-        wanted = [every or need for need in self._needed.draws]
-        drawn = self._sensors.next(count, wanted, dtype)
-        unused = np.broadcast_to(np.zeros((), dtype), (count, 3, flights))
-        draws = tuple(unused if block is None else block for block in drawn)
-        taken = np.arange(at - delay, at + count - delay)
-        faults = tuple(
-            None
-            if each is None
-            else FaultDraws(*(part.astype(dtype) for part in each.between(taken[0], taken[-1] + 1)))
-            for each in self._faults
-        )
-        period = self._structure.loop.period_ns
-        times = [
-            (np.maximum(index, 0) * period / NANOSECONDS_PER_SECOND).astype(dtype)
-            for index in (taken + delay - 1, taken + delay, taken)
-        ]
-        delivery = None if self._withheld is None else _delivery(self._withheld, taken, dtype)
-        return Brought(draws, faults, delivery), Times(*times)
-
-
-def _delivery(lost: Withheld, taken: NDArray[np.int64], dtype: np.dtype[Any]) -> Delivery:
-    rows = np.clip(taken, 0, len(lost.comes) - 1)
-    return Delivery(
-        lost.comes[rows], lost.dt[rows].astype(dtype), lost.anew[rows], lost.elapsed[rows].astype(dtype)
-    )
-
-
 def _most_events(events: Sequence[FaultEvent]) -> int:
     """Of any axis; at least one, so that there is something to compute with."""
     return max([1, *(sum(event.axis == axis for event in events) for axis in AXES)])
 
 
 def _schedule(events: Sequence[FaultEvent], most: int) -> tuple[Floats, Floats, Floats]:
-    """Start, stop and the start of the next fault of each axis (most, 3) [s]; infinite where there is none."""
+    """Start, stop and start of the next fault of each axis (most, 3) [s]; infinite where there is none."""
     start, stop, following = (np.full((most, len(AXES)), np.inf) for _ in range(3))
     for axis, name in enumerate(AXES):
         own = [event for event in events if event.axis == name]
@@ -339,6 +282,12 @@ def _may_start_late(flight: FlightParts) -> bool:
         injection.start <= 0.0 and injection.channel in ("attitude", "gyro", "imu")
         for injection in flight.loop.injections
     )
+
+
+def _one_by_one(tree: Any, count: int) -> list[Any]:
+    """Trees of single samples from a tree of arrays (count, ...)."""
+    leaves, structure = jax.tree.flatten(tree)
+    return [jax.tree.unflatten(structure, [leaf[index] for leaf in leaves]) for index in range(count)]
 
 
 def _in_precision(own: Own, dtype: np.dtype[Any]) -> Own:

@@ -1,4 +1,4 @@
-"""The closed loop of one flight as a pure step over arrays of any library: `quadftc_bench.closed_loop` in JAX.
+"""The closed loop of one flight as a pure step: `quadftc_bench.closed_loop` for any array library.
 
     plant -> fault injector -> fault observer -> disturbance observer, reference -> controller -> plant
 
@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from quadftc_bench.batch.parts import Loop
 from quadftc_control.reference import combined
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Array, chosen, namespace
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import (
     STARTING,
@@ -131,7 +131,7 @@ class ClosedLoop:
         zeros = namespace(bias).zeros_like(bias)
         plant = self.loop.plant.init(quaternion_from_euler(zeros), zeros)
         sensor = self.loop.sensor.init(self.loop.sensor.turn_on_bias(bias))
-        pending: tuple[Truth, ...] = ()
+        pending: Any = ()
         sample = None
         for index, each in enumerate(given):
             if index > 0:
@@ -139,14 +139,14 @@ class ClosedLoop:
             sensor, sample, pending = self._measured(plant, sensor, pending, each)
         if sample is None:
             raise ValueError(f"{len(given)} samples: the IMU delays more")
-        first = given[-1]
+        first, truth, later = given[-1], pending[0], pending[1:]
         injections = begin(self.loop.injections, sample)
         injections, faulty = inject(self.loop.injections, injections, sample, first.taken, 0.0, first.faults)
         avionics, reaction = self._first(faulty.sample, zeros, first)
         if first.delivery is not None:
-            avionics = _chosen(first.delivery.comes, avionics, avionics._replace(torque=zeros))
-        state = LoopState(plant, sensor, pending[1:], injections, avionics)
-        return state, self._row(pending[0], first, faulty.attitude, reaction)
+            avionics = chosen(first.delivery.comes, avionics, avionics._replace(torque=zeros))
+        state = LoopState(plant, sensor, later, injections, avionics)
+        return state, self._row(truth, first, faulty.attitude, reaction)
 
     def step(self, state: LoopState, given: Given) -> tuple[LoopState, Row]:
         """Fly to the next sample, and react to the one that comes out of the IMU then."""
@@ -160,12 +160,12 @@ class ClosedLoop:
         )
         avionics, reaction = self._next(before, faulty.sample, given)
         if given.delivery is not None:
-            avionics = _chosen(given.delivery.comes, avionics, before)
+            avionics = chosen(given.delivery.comes, avionics, before)
         new = LoopState(plant, sensor, pending[1:], injections, avionics)
         return new, self._row(pending[0], given, faulty.attitude, reaction)
 
     def _measured(
-        self, plant: PlantState, sensor: ImuState, pending: tuple[Truth, ...], given: Given
+        self, plant: PlantState, sensor: ImuState, pending: Sequence[Truth], given: Given
     ) -> tuple[ImuState, ImuSample | None, tuple[Truth, ...]]:
         xp = namespace(plant.q_xyzw)
         draws = xp.stack(given.draws, axis=-2)
@@ -183,7 +183,7 @@ class ClosedLoop:
         started = None
         if self._late_start:
             valid = clean.attitude_valid & clean.rate_valid
-            estimate = _chosen(valid, estimate, _starting(clean))
+            estimate = chosen(valid, estimate, _starting(clean))
             started = valid if given.delivery is None else valid & given.delivery.comes
         disturbance_inputs = _disturbance_inputs(estimate, torque)
         law = self.loop.disturbance_observer
@@ -207,8 +207,8 @@ class ClosedLoop:
         if started is not None:
             begins = ~started if anew is None else anew | ~started
             fresh, at_start, valid = self._observer_begun(clean, torque)
-            observer = _chosen(begins, fresh, observer)
-            estimate = _chosen(begins, _chosen(valid, at_start, _starting(clean)), estimate)
+            observer = chosen(begins, fresh, observer)
+            estimate = chosen(begins, chosen(valid, at_start, _starting(clean)), estimate)
             started = valid | ~begins
         disturbance_inputs = _disturbance_inputs(estimate, torque)
         disturbance_observer, disturbance = self._stepped(
@@ -231,7 +231,7 @@ class ClosedLoop:
     @staticmethod
     def _stepped(law: Any, state: Any, inputs: Any, dt: Any, anew: Array | None) -> tuple[Any, Any]:
         after = law.step(state, inputs, dt)
-        return after if anew is None else _chosen(anew, law.step(law.init(inputs), inputs, 0.0), after)
+        return after if anew is None else chosen(anew, law.step(law.init(inputs), inputs, 0.0), after)
 
     def _reference(self, given: Given) -> AttitudeReference:
         elapsed = given.taken if given.delivery is None else given.delivery.elapsed
@@ -267,13 +267,3 @@ def _starting(clean: ImuSample) -> FaultEstimate:
     zeros = xp.zeros_like(clean.body_rate)
     state = xp.full_like(clean.body_rate, STARTING, dtype=xp.uint8)
     return FaultEstimate(zeros, zeros - 1.0, state, zeros - 1.0, clean)
-
-
-def _chosen(mask: Array, new: Any, old: Any) -> Any:
-    """Arrays of ``new`` where the mask holds, of ``old`` elsewhere; both are nested tuples alike."""
-    if new is None:
-        return None
-    if isinstance(new, tuple):
-        chosen = [_chosen(mask, a, b) for a, b in zip(new, old, strict=True)]  # pyright: ignore
-        return type(new)(*chosen) if hasattr(new, "_fields") else tuple(chosen)  # pyright: ignore
-    return namespace(new).where(mask, new, old)

@@ -45,7 +45,7 @@ def flight_record(outcome: Outcome) -> Record:
 
 def fault_records(outcome: Outcome, events: Sequence[FaultEvent]) -> list[Record]:
     """Metrics of each fault, as in the records of `quadftc_bench.diagnosis_metrics`."""
-    places = dict.fromkeys(AXES, 0)
+    places: dict[str, int] = dict.fromkeys(AXES, 0)
     records: list[Record] = []
     for event in events:
         records.append(_fault_record(outcome, event, (places[event.axis], AXES.index(event.axis))))

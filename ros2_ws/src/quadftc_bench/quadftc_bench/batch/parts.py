@@ -141,9 +141,9 @@ def with_numbers(part: Any, values: Mapping[str, Any]) -> Any:
 def in_precision(part: Any, dtype: np.dtype[Any]) -> Any:
     """Return the part with all arrays of floats in a precision; single floats have none."""
     arrays = {
-        path: raw.astype(dtype)
-        for path, raw in _leaves(part, "")
-        if isinstance(raw, np.ndarray) and raw.dtype.kind == "f"
+        path: number.astype(dtype)
+        for path, number, raw in ((path, np.asarray(raw), raw) for path, raw in _leaves(part, ""))
+        if isinstance(raw, np.ndarray) and number.dtype.kind == "f"
     }
     return with_numbers(part, arrays)
 
@@ -226,7 +226,7 @@ def _is_container(part: Any) -> bool:
 
 @functools.cache
 def _derived(kind: type) -> tuple[str, ...]:
-    """Names of what a part computes once from its fields (the mixer of a vehicle): numbers like the others."""
+    """Names of what a part computes once from its fields (a mixer, say): numbers like the others."""
     return tuple(
         name
         for each in kind.__mro__

@@ -154,7 +154,7 @@ def tallied(tally: Tally, row: Row, schedule: Schedule) -> Tally:
         event_declared=sums.event_declared + 1.0 * (event & declared),
     )
     cosine = xp.cos(row.angles)
-    numbers = sum(xp.abs(x) for x in (row.angles, row.estimate.fault, torque)).sum(axis=-1)
+    numbers = (xp.abs(row.angles) + size + xp.abs(torque)).sum(axis=-1)
     new_marks = Marks(
         tracking=xp.maximum(marks.tracking, xp.where(there, tracking, 0.0)),
         estimate=xp.maximum(marks.estimate, xp.abs(error)),

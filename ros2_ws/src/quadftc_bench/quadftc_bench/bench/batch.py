@@ -27,7 +27,7 @@ CRAZYFLOW, ROTORPY = "crazyflow", "RotorPy"
 LEAST = 0.5  # s; what takes less is flown several times over
 OURS = "quadftc_bench.bench.batch_worker"
 NANOSECONDS = 1e9
-IS_PYTHON = "import sys; sys.exit(sys.version_info < (3, 10))"
+VERSION = "import sys; print(sys.version_info >= (3, 10))"
 PRECISIONS = {True: "float32", False: "float64"}
 
 
@@ -124,8 +124,8 @@ def python_of(others: str | None) -> str:
     if found is None:
         raise RunError(f"--others {others}: no such program")
     path = str(Path(found).absolute())
-    asked = subprocess.run([path, "-E", "-c", IS_PYTHON], capture_output=True, check=False)
-    if asked.returncode != 0:
+    asked = subprocess.run([path, "-E", "-c", VERSION], capture_output=True, check=False)
+    if asked.stdout.strip() != b"True":
         raise RunError(f"--others {others}: no Python of 3.10 or later")
     return path
 

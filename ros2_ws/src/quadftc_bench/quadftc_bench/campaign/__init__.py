@@ -1,1 +1,1 @@
-"""Campaigns: thousands of flights of a scenario whose values are drawn, in batches, on any number of cores."""
+"""Campaigns: thousands of flights of a scenario whose values are drawn, on any number of cores."""

@@ -1,3 +1,4 @@
+# pyright: basic
 """Chunks as tasks of Dask distributed: on the cores of this machine, or on a cluster that exists."""
 
 from __future__ import annotations
@@ -9,15 +10,12 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
 
 from quadftc_bench.campaign.document import Campaign
+from quadftc_bench.campaign.errors import ClusterError
 from quadftc_bench.campaign.table import Rows
 
 RETRIES = 3  # of a chunk whose worker is lost
 TOPIC = "quadftc-samples"  # on which workers say how far they are
 TIMEOUT = 30.0  # s, to reach a scheduler
-
-
-class ClusterError(Exception):
-    """A cluster that cannot be used; the message says why."""
 
 
 @contextlib.contextmanager

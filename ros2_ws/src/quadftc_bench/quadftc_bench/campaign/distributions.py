@@ -127,7 +127,7 @@ def plain(value: Value) -> Any:
     if isinstance(value, str):
         match = _NUMBER.match(value)
         return float(match[1]) if match else value
-    if isinstance(value, bool) or isinstance(value, (int, float)):
+    if isinstance(value, (bool, int, float)):
         return value
     return str(value)
 

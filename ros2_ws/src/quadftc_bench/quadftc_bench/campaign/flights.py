@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import zlib
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -87,8 +87,8 @@ def flight(campaign: Campaign, number: int, variant: Variant) -> Flight:
 
 def _replaced(given: Any, kind: str) -> Any:
     """A part by its name; with the parameters given if it is the one that was there."""
-    there = given.get("kind") if isinstance(given, dict) else given
-    return given if there == kind else kind
+    there: Any = cast("dict[str, Any]", given).get("kind") if isinstance(given, dict) else given
+    return cast("Any", given) if there == kind else kind
 
 
 def _generator(campaign: Campaign, number: int, path: str) -> np.random.Generator:

@@ -10,11 +10,12 @@ import polars as pl
 
 from quadftc_bench.campaign.cluster import cluster_client, fly_chunks
 from quadftc_bench.campaign.document import Campaign, Variant
-from quadftc_bench.campaign.flights import flight, flight_document, flight_name
-from quadftc_bench.campaign.store import CampaignError, Store
+from quadftc_bench.campaign.errors import CampaignError
+from quadftc_bench.campaign.flights import flight, flight_document
+from quadftc_bench.campaign.store import Store
 from quadftc_bench.campaign.summary import summary_of
-from quadftc_bench.campaign.table import Row, table_of
-from quadftc_bench.campaign.work import FLIGHTS_A_CHUNK, chunks_of, fly_chunk
+from quadftc_bench.campaign.table import table_of
+from quadftc_bench.campaign.work import FLIGHTS_A_CHUNK, chunks_of
 from quadftc_bench.scenario import Scenario
 from quadftc_bench.scenario.build import build_scenario
 
@@ -137,19 +138,3 @@ def flight_scenario(campaign: Campaign, number: int, variant: Variant) -> Scenar
             f"{campaign.document.source}: no flight {number}; there are 0 to {campaign.flights - 1}"
         )
     return build_scenario(flight_document(campaign, number, variant))
-
-
-def flight_rows(campaign: Campaign, number: int, variant: Variant) -> list[Row]:
-    """Rows of one flight with one variant, flown alone in a batch."""
-    return [row for row in fly_chunk(campaign, [number]) if row["variant"] == variant.name]
-
-
-__all__ = [
-    "CampaignError",
-    "CampaignRun",
-    "Extent",
-    "flight_name",
-    "flight_rows",
-    "flight_scenario",
-    "variant_of",
-]

@@ -11,17 +11,14 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from quadftc_bench.campaign.document import Campaign
+from quadftc_bench.campaign.errors import CampaignError
 from quadftc_bench.campaign.table import joined, write_table
 
 MANIFEST, CHUNKS, FLIGHTS, SUMMARY = "campaign.json", "chunks", "flights.parquet", "summary.json"
 FORMAT = 1
-
-
-class CampaignError(Exception):
-    """A campaign that cannot be flown or finished with this input; the message says why."""
 
 
 class Store:
@@ -72,11 +69,8 @@ class Store:
         except ValueError:
             raise CampaignError(f"{path}: is no JSON; choose another --out") from None
         if there != self._manifest:
-            keys = [
-                key
-                for key in self._manifest
-                if not isinstance(there, dict) or there.get(key) != self._manifest[key]
-            ]
+            found = cast("dict[str, Any]", there if isinstance(there, dict) else {})
+            keys = [key for key, value in self._manifest.items() if found.get(key) != value]
             raise CampaignError(
                 f"{path}: another campaign ({', '.join(keys) or 'other keys'} differ); choose another --out"
             )

@@ -79,8 +79,8 @@ def roc(results: Results, shown: Sequence[tuple[Side, Detector]]) -> Iterator[st
         yield f"Of these largest estimates {listing(silent)} are zero, and no size tells those apart."
     if any(each.point is not None for _, each in shown):
         yield (
-            "Dots: the observers' own detectors; found is a fault that is declared while it lasts, a false"
-            " alarm an axis that is declared faulty while it is healthy."
+            "Dots, in the colours of the curves: the observers' own detectors; found is a fault that is"
+            " declared while it lasts, a false alarm an axis that is declared faulty while it is healthy."
         )
     without = [side for side in results.sides if all(side is not other for other, _ in shown)]
     if without:

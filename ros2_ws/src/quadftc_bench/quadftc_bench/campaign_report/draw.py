@@ -15,8 +15,8 @@ Spec = dict[str, Any]  # what Plotly draws from: data, layout, config
 
 HEIGHT = 380  # px
 TOP = 52  # px; of it, with one row of the legend
-LEGEND_ROW = 20  # px
-IN_A_ROW = 4  # entries of a legend, about
+LEGEND_ROW = 23  # px
+IN_A_ROW = 3  # entries of a legend, about
 
 
 def look_of(side: Side) -> Mapping[str, Any]:

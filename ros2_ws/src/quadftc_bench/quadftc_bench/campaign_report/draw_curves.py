@@ -75,8 +75,7 @@ def _axis(scale: Scale) -> Spec:
 
 def roc_spec(key: str, detectors: Sequence[tuple[Side, Detector]]) -> Spec:
     """Draw receiver operating characteristics, and the points of the variants' own detectors."""
-    entries = sum((found.curve is not None) + (found.point is not None) for _, found in detectors)
-    drawing = figure(entries, ("share of healthy axes with a false alarm", "share of faults found"))
+    drawing = figure(len(detectors), ("share of healthy axes with a false alarm", "share of faults found"))
     shares: Spec = {"range": [-0.02, 1.02], "tickformat": ".0%"}
     drawing.update_layout(xaxis=shares, yaxis={**shares, "range": [-0.02, 1.03]})
     drawing.add_scatter(
@@ -90,6 +89,7 @@ def roc_spec(key: str, detectors: Sequence[tuple[Side, Detector]]) -> Spec:
                 y=found.curve.detection_probability[chosen].astype(np.float32),
                 customdata=[short(level) for level in found.curve.threshold[chosen].tolist()],
                 name=f"{escaped(side.name)} (AUC {area_text(found.curve.area)})",
+                legendgroup=escaped(side.name),
                 hovertemplate=f"{escaped(side.name)}, from %{{customdata}} deg on: {RATES}",
                 **look_of(side),
             )
@@ -98,6 +98,8 @@ def roc_spec(key: str, detectors: Sequence[tuple[Side, Detector]]) -> Spec:
                 x=[found.point[0]],
                 y=[found.point[1]],
                 name=f"{escaped(side.name)}, its own detector",
+                legendgroup=escaped(side.name),
+                showlegend=False,
                 mode="markers",
                 cliponaxis=False,
                 zorder=2000,

@@ -20,11 +20,16 @@ def result_sentences(results: Results) -> list[str]:
 
 
 def _broken(results: Results) -> Iterator[str]:
-    for side in results.sides:
-        count = side.summary["not_finite"]
-        if count:
-            total = counted(side.summary["flights"], "flight")
-            yield f"{count} of {total} of {side.title} did NOT stay finite; no quantile tells of them."
+    counts = [(side.summary["not_finite"], side) for side in results.sides if side.summary["not_finite"]]
+    if not counts:
+        return
+    flights = sum(side.summary["flights"] for side in results.sides)
+    if len(counts) > TOLD:
+        who = f"{sum(count for count, _ in counts)} of {counted(flights, 'flight')} of all variants"
+    else:
+        totals = [(count, counted(side.summary["flights"], "flight"), side.title) for count, side in counts]
+        who = listing([f"{count} of {total} of {title}" for count, total, title in totals])
+    yield f"{who} did NOT stay finite; what numbers they lack is in no quantile."
 
 
 def _tracking(results: Results) -> str:

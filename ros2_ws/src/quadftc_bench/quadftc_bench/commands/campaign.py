@@ -7,7 +7,7 @@ import math
 import os
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.progress import (
@@ -23,12 +23,14 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from quadftc_bench.campaign.document import Campaign, load_campaign
-from quadftc_bench.campaign.run import CampaignError, CampaignRun, flight_scenario, variant_of
+from quadftc_bench.campaign.errors import CampaignError
 from quadftc_bench.commands import GOOD, INTERRUPTED
 from quadftc_bench.run import RunError, RunOptions, prepare, run_name
 from quadftc_bench.run import run as run_scenario
 from quadftc_bench.tables import console
+
+if TYPE_CHECKING:
+    from quadftc_bench.campaign.document import Campaign
 
 SHOWN = (
     ("tracking_rmse_deg", "tracking RMSE, worst axis"),
@@ -54,6 +56,8 @@ def campaign(
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier run of that flight.")] = False,
 ) -> None:
     """Fly a scenario thousands of times with drawn values; write table, summary and report."""
+    from quadftc_bench.campaign.document import load_campaign  # with what it needs, half a second
+
     loaded = load_campaign(file, flights)
     directory = out or Path("results") / loaded.name
     if flight is not None:
@@ -65,6 +69,8 @@ def campaign(
 
 def _fly_alone(loaded: Campaign, number: int, name: str | None, directory: Path, force: bool) -> int:
     """Fly one flight as ``quadftc run`` would."""
+    from quadftc_bench.campaign.run import flight_scenario, variant_of
+
     chosen = variant_of(loaded, name)
     scenario = flight_scenario(loaded, number, chosen)
     scheme = scenario.scheme(chosen.scheme)
@@ -103,6 +109,8 @@ def _fly_all(
         raise CampaignError(
             f"--workers {workers}: must be positive, and is for this machine, not for --scheduler"
         )
+    from quadftc_bench.campaign.run import CampaignRun
+
     screen = console()
     flown = CampaignRun(loaded, directory)
     extent = flown.open(resume)
@@ -110,7 +118,8 @@ def _fly_all(
     where = scheduler or f"{min(cores, max(extent.missing, 1))} of {len(os.sched_getaffinity(0))} cores here"
     screen.print(
         f"{loaded.name}: {loaded.flights} flights x {len(loaded.variants)} variants, "
-        f"{'float32' if loaded.float32 else 'float64'}, on {where}; {extent.missing} of {extent.chunks} chunks to fly"
+        f"{'float32' if loaded.float32 else 'float64'}, on {where}; "
+        f"{extent.missing} of {extent.chunks} chunks to fly"
     )
     columns = (
         TextColumn("flying"),
@@ -133,7 +142,8 @@ def _fly_all(
     frame, summary = flown.finish()
     if extent.missing:
         screen.print(
-            f"{extent.samples:.3g} closed-loop steps in {seconds:.1f} s: {extent.samples / seconds:.3g} a second"
+            f"{extent.samples:.3g} closed-loop steps in {seconds:.1f} s: "
+            f"{extent.samples / seconds:.3g} a second"
         )
     screen.print(_table(summary))
     screen.print(

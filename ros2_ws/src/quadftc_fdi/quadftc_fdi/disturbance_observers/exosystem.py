@@ -94,8 +94,8 @@ class Exosystem(DisturbanceObserver):
     def poles(self, dt: float) -> Matrix:
         """Poles (n,) [rad/s] of the observer stepped by ``dt`` [s]: log of the eigenvalues over dt."""
         Phi, CdGamma, gain = _discretised(self.model, self.frequency, self.bandwidth, dt)
-        eigenvalues = np.linalg.eigvals(Phi - np.outer(gain, CdGamma))
-        return np.asarray(np.log(eigenvalues.astype(np.complex128)) / dt)
+        eigenvalues = np.asarray(np.linalg.eigvals(Phi - np.outer(gain, CdGamma)), np.complex128)
+        return np.asarray(np.log(eigenvalues) / dt)
 
     @property
     def A_d(self) -> Matrix:
@@ -185,7 +185,7 @@ def _block(name: str, frequency: Array, dt: Array, xp: Any) -> tuple[list[list[A
 def _gain(D: Array, c: Array, pole: Array, xp: Any) -> Array:
     """Gain l (n,) that puts all eigenvalues of D - l c at ``pole``: Ackermann's formula.
 
-    In the delta operator, D = (Phi - I) / dt: the observability matrix stays well conditioned as dt goes to 0.
+    In the delta operator, D = (Phi - I) / dt: observability stays well conditioned as dt goes to 0.
     """
     n = D.shape[-1]
     observability, wanted = [c], xp.eye(n)
