@@ -114,7 +114,7 @@ def test_a_list_is_drawn_number_by_number():
         ({"grid": [1, 2], "size": 2}, "size"),
         ({"choice": [1, 2], "sign": "random"}, "sign: a choice has none"),
         ({"uniform": [0.0, 1.0], "sign": "up"}, "expected random"),
-        ({"unifrom": [0.0, 1.0]}, "unknown key 'unifrom'.*did you mean 'uniform'"),
+        ({"unyform": [0.0, 1.0]}, "unknown key 'unyform'.*did you mean 'uniform'"),
     ],
 )
 def test_a_distribution_that_is_none_is_refused(raw, message):
@@ -129,7 +129,7 @@ def test_a_distribution_that_is_none_is_refused(raw, message):
         (("flights: 12", "flihgts: 12"), "flihgts: unknown key"),
         (("scenario: base.yaml", "scenario: nothing_such"), "scenario: no scenario 'nothing_such'"),
         (("controllers: [smc, pid]", "controllers: [smc, pdi]"), r"controllers\[1\]: no 'pdi'"),
-        (("schemes: [plain]", "schemes: [plian]"), r"schemes\[0\]: no 'plian'"),
+        (("schemes: [plain]", "schemes: [plein]"), r"schemes\[0\]: no 'plein'"),
         (
             ("uniform: [1 deg, 5 deg]", "uniform: [5 deg, 1 deg]"),
             r"uniform: low 5, high 1: an empty range",
