@@ -12,6 +12,7 @@ RATE = 500  # Hz, of its own benchmark
 STEPS = 1000  # of a run
 LARGEST_ANGLE = 0.1  # rad
 GRAVITY = 9.81  # m/s²
+INTEGRATORS = {"rk4": "RK4", "euler": "Euler"}
 
 
 def prepare(job: Job) -> Subject:
@@ -48,7 +49,7 @@ def prepare(job: Job) -> Subject:
         {
             "by": f"crazyflow {version('crazyflow')}, JAX {jax.__version__}, {simulation.device.platform}",
             "states": "position, velocity, attitude, body rate, rotor speeds (17), drag",
-            "integrator": f"{job['integrator']}, {RATE} Hz, {a_call} steps a call",
+            "integrator": f"{INTEGRATORS[job['integrator']]}, {RATE} Hz, steps a call: {a_call}",
             "control": "attitude (Mellinger), at every step, rotor mixer with limits",
             "sensors": "none",
         },

@@ -93,7 +93,7 @@ def _engine(job: Job, scenario: Scenario, scheme: str) -> Subject:
             "states": "attitude and body rate (7), observers and controller",
             "integrator": f"RK4, {scenario.rate:g} Hz",
             "control": "fault observer {}, disturbance observer {}, controller {}".format(*laws),
-            "sensors": f"{scenario.name}: {len(scenario.faults)} sensor faults, metrics kept of each flight",
+            "sensors": f"those of {scenario.name}, {len(scenario.faults)} sensor faults; metrics are kept",
         },
         run,
     )

@@ -23,17 +23,19 @@ Row = dict[str, Any]
 Rows = list[Row]
 
 ORDER = ("flight", "variant", "fault")
+FLAGS = ("finite", "fault.detected", "fault.already_declared", "fault.recovered", "fault.above_threshold")
 WHOLE = ("flight", "seed", "fault")  # columns of whole numbers
 
 
 def table_of(rows: Rows) -> pl.DataFrame:
     """Make a table of rows; columns of numbers are Float64, but for `WHOLE`."""
     frame = pl.DataFrame(rows, infer_schema_length=None, strict=False)
-    types = {
+    types: dict[str, Any] = {
         name: pl.Int64 if name in WHOLE else pl.Float64
         for name, kind in frame.schema.items()
-        if kind.is_numeric()
+        if kind.is_numeric() or (kind == pl.Null and name not in FLAGS)
     }
+    types |= {name: pl.Boolean for name in FLAGS if name in frame.columns}
     return frame.cast(types)  # pyright: ignore[reportArgumentType]
 
 

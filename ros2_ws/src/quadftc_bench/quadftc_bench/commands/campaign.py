@@ -64,7 +64,7 @@ def campaign(
         raise typer.Exit(_fly_alone(loaded, flight, variant, directory, force))
     if variant is not None:
         raise CampaignError("--variant: is for --flight; a campaign flies all variants")
-    raise typer.Exit(_fly_all(loaded, directory, resume, scheduler, workers))
+    raise typer.Exit(_fly_all(loaded, file, directory, resume, scheduler, workers))
 
 
 def _fly_alone(loaded: Campaign, number: int, name: str | None, directory: Path, force: bool) -> int:
@@ -103,13 +103,14 @@ def _flight_table(result: dict[str, Any]) -> Table:
 
 
 def _fly_all(
-    loaded: Campaign, directory: Path, resume: bool, scheduler: str | None, workers: int | None
+    loaded: Campaign, file: Path, directory: Path, resume: bool, scheduler: str | None, workers: int | None
 ) -> int:
     if workers is not None and (workers < 1 or scheduler is not None):
         raise CampaignError(
             f"--workers {workers}: must be positive, and is for this machine, not for --scheduler"
         )
     from quadftc_bench.campaign.run import CampaignRun
+    from quadftc_bench.campaign_report import write_campaign_report
 
     screen = console()
     flown = CampaignRun(loaded, directory)
@@ -140,15 +141,15 @@ def _fly_all(
         return INTERRUPTED
     seconds = time.monotonic() - started
     frame, summary = flown.finish()
+    report = write_campaign_report(loaded, frame, summary, directory, str(file))
     if extent.missing:
         screen.print(
             f"{extent.samples:.3g} closed-loop steps in {seconds:.1f} s: "
             f"{extent.samples / seconds:.3g} a second"
         )
     screen.print(_table(summary))
-    screen.print(
-        f"{frame.height} rows: {directory / 'flights.parquet'}; numbers: {directory / 'summary.json'}"
-    )
+    screen.print(f"{frame.height} rows: {directory / 'flights.parquet'}")
+    screen.print(f"numbers: {directory / 'summary.json'}; report: {report}")
     return GOOD
 
 
