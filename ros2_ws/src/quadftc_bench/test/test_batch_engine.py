@@ -1,6 +1,9 @@
 """The batch engine flies what the closed loop flies, and its tally says what the metrics say."""
 
 import dataclasses
+import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -200,15 +203,36 @@ def test_flights_of_one_batch_do_not_touch_each_other():
         assert_same_metrics(traced.outcome, expected, scenario)
 
 
+SINGLE = """
+import json, sys
+from quadftc_bench.batch.engine import Engine
+from quadftc_bench.batch.outcome import flight_record
+from quadftc_bench.batch.parts import flight_parts
+parameters = json.load(sys.stdin)
+(outcome,) = Engine(float32=True).fly([flight_parts(parameters)], [()])
+print(json.dumps(flight_record(outcome)))
+"""
+
+
 def test_single_precision_is_near_double():
+    """In a process of its own, as one process has one precision."""
     scenario = busy({"kind": "bias", "value": 0.03, "start": 1.0, "stop": 2.0})
-    parts = [flight_parts(node_parameters(scenario))]
-    single, double = (Engine(float32=f32).fly(parts, [scenario.fault_events])[0] for f32 in (True, False))
-    one, other = flight_record(single), flight_record(double)
+    parameters = node_parameters(scenario)
+    (double,) = Engine().fly([flight_parts(parameters)], [()])
+    run = subprocess.run(
+        [sys.executable, "-c", SINGLE],
+        input=json.dumps(parameters),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    one, other = json.loads(run.stdout), flight_record(double)
     for axis in AXES:
         name = f"tracking_rmse_deg.{axis}"
         assert one[name] == pytest.approx(other[name], rel=1e-2)
-    assert single.sums.delivered == double.sums.delivered
+        assert one[name] != other[name]
+    with pytest.raises(ValueError, match="this process computes in float64"):
+        Engine(float32=True)
 
 
 def test_a_part_that_asks_for_its_numbers_is_refused_by_name():

@@ -33,7 +33,7 @@ def _supply_is_put_back(monkeypatch):
 @pytest.mark.usefixtures("_supply_is_put_back")
 @pytest.mark.parametrize("flights", [1, 3])
 def test_every_step_of_every_flight_is_counted_in_each_run(flights):
-    subject = prepare({**JOB, "flights": flights, "float32": True})
+    subject = prepare({**JOB, "flights": flights, "float32": False})
     for _ in range(2):
         flown = subject.run()
         assert flown.steps == flights * SAMPLES
@@ -49,9 +49,8 @@ def test_faults_come_at_the_same_parts_of_a_shorter_flight():
         assert fault.injection.stop == pytest.approx(expected.injection.stop * 8.0 / whole.duration)
 
 
-@pytest.mark.parametrize("float32", [False, True])
-def test_bare_loop_holds_the_attitude_of_each_flight(float32):
-    subject = bare_subject(bare_scenario(5.0, motor_lag=True), 3, float32)
+def test_bare_loop_holds_the_attitude_of_each_flight():
+    subject = bare_subject(bare_scenario(5.0, motor_lag=True), 3, float32=False)
     assert subject.run().steps == 3 * 1250  # it raises if the attitude is not there at the end
 
 

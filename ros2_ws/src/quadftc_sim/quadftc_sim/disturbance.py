@@ -32,8 +32,8 @@ class Disturbance(abc.ABC):
     def torque(self, time: Array) -> Array:
         """Torque [N m] (3,), body frame, at scenario time ``time`` [s]."""
         xp = namespace(time)
-        time = whole_nanoseconds(time)  # so that start and stop mean the same at whatever step
-        acts = (self.start <= time) & (time < self.stop)
+        stamp = whole_nanoseconds(time)  # so that start and stop mean the same at whatever step
+        acts = (self.start <= stamp) & (stamp < self.stop)
         return xp.where(acts, self.shape(time - self.start), 0.0)
 
 

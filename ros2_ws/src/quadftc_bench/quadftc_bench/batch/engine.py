@@ -74,7 +74,7 @@ class Engine:
     Parameters
     ----------
     float32 : bool
-        Single precision in place of double.
+        Single precision in place of double; the same for all engines of a process.
     lanes : int, optional
         Flights that are flown together; compiled for so many, a batch of fewer is filled up. Default: as the
         flights are, up to `LANES`.
@@ -83,6 +83,7 @@ class Engine:
     def __init__(self, float32: bool = False, lanes: int | None = None) -> None:
         if lanes is not None and lanes < 1:
             raise ValueError(f"lanes = {lanes}: must be positive")
+        settle_precision(float32)
         self._float32 = float32
         self._lanes = lanes
         self._compiled: dict[Any, CompiledFlight] = {}
@@ -120,11 +121,10 @@ class Engine:
             If a part cannot be flown in a batch.
         """
         outcomes: list[Outcome | None] = [None] * len(flights)
-        with jax.enable_x64(not self._float32):
-            for compiled, places, chosen, own in self._tasks(with_common_faults(flights), events):
-                found = self._fly_block(compiled, len(places), chosen, own, progress)
-                for place, outcome in zip(places, found, strict=True):
-                    outcomes[place] = outcome
+        for compiled, places, chosen, own in self._tasks(with_common_faults(flights), events):
+            found = self._fly_block(compiled, len(places), chosen, own, progress)
+            for place, outcome in zip(places, found, strict=True):
+                outcomes[place] = outcome
         return [outcome for outcome in outcomes if outcome is not None]
 
     def trace(
@@ -142,16 +142,13 @@ class Engine:
             Stamp of the first sample [ns].
         """
         found: dict[int, Traced] = {}
-        with jax.enable_x64(not self._float32):
-            for compiled, places, chosen, own in self._tasks(
-                with_common_faults(flights), events, traced=True
-            ):
-                pieces: list[Row] = []
-                outcomes = self._fly_block(compiled, len(places), chosen, own, _no_progress, pieces.append)
-                row: Row = jax.tree.map(lambda *parts: np.concatenate(parts), *pieces)
-                for lane, (place, outcome) in enumerate(zip(places, outcomes, strict=True)):
-                    one: Row = jax.tree.map(lambda leaf: leaf[..., lane], row)  # noqa: B023
-                    found[place] = Traced(outcome, flight_of(one, chosen[lane].loop.period_ns, epoch_ns))
+        for compiled, places, chosen, own in self._tasks(with_common_faults(flights), events, traced=True):
+            pieces: list[Row] = []
+            outcomes = self._fly_block(compiled, len(places), chosen, own, _no_progress, pieces.append)
+            row: Row = jax.tree.map(lambda *parts: np.concatenate(parts), *pieces)
+            for lane, (place, outcome) in enumerate(zip(places, outcomes, strict=True)):
+                one: Row = jax.tree.map(lambda leaf: leaf[..., lane], row)  # noqa: B023
+                found[place] = Traced(outcome, flight_of(one, chosen[lane].loop.period_ns, epoch_ns))
         return [found[place] for place in range(len(flights))]
 
     def _tasks(
@@ -305,6 +302,24 @@ def _doubled(tree: Any) -> Any:
 
 def _lane(tree: Any, lane: int) -> Any:
     return type(tree)(*(leaf[..., lane] for leaf in tree))
+
+
+_settled: set[bool] = set()  # whether this process computes in single precision, once it is known
+
+
+def settle_precision(float32: bool) -> None:
+    """Set the precision of this process, for good: JAX keeps constants in that in which it met them first.
+
+    Raises
+    ------
+    ValueError
+        If this process computes in another one already.
+    """
+    if _settled and float32 not in _settled:
+        there, wanted = ("float64", "float32") if float32 else ("float32", "float64")
+        raise ValueError(f"precision {wanted}: this process computes in {there}; start another")
+    _settled.add(float32)
+    jax.config.update("jax_enable_x64", not float32)
 
 
 def keep_compiled(directory: Path | None = None) -> None:

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from quadftc_bench.batch.engine import settle_precision
 from quadftc_bench.batch.flights_last import AllFlights
 from quadftc_bench.batch.parts import Loop, flight_parts
 from quadftc_bench.bench.batch_child import Flown, Subject
@@ -74,18 +75,17 @@ def bare_subject(scenario: Scenario, flights: int, float32: bool) -> Subject:
     bare = BareLoop(loop, dtype)
     one = jax.ShapeDtypeStruct((3,), dtype)
     drawn = np.random.default_rng(0).uniform(-LARGEST_ANGLE, LARGEST_ANGLE, (3, flights))
-    with jax.enable_x64(not float32):
-        step = AllFlights(bare.step, jax.eval_shape(bare.begin, one), one, ())
-        angles = jnp.asarray(drawn, dtype)
-        start = jax.jit(jax.vmap(bare.begin, in_axes=-1, out_axes=-1))(angles)
+    settle_precision(float32)
+    step = AllFlights(bare.step, jax.eval_shape(bare.begin, one), one, ())
+    angles = jnp.asarray(drawn, dtype)
+    start = jax.jit(jax.vmap(bare.begin, in_axes=-1, out_axes=-1))(angles)
 
     @jax.jit
     def fly(state: Any, angles: Any) -> Any:
         return jax.lax.scan(lambda now, _: (step(now, angles, ())[0], None), state, length=loop.count)[0]
 
     def run() -> Flown:
-        with jax.enable_x64(not float32):
-            plant, *_ = jax.block_until_ready(fly(start, angles))
+        plant, *_ = jax.block_until_ready(fly(start, angles))
         error = euler_from_quaternion(np.moveaxis(np.asarray(plant.q_xyzw), 0, -1)) - drawn.T
         if scenario.duration >= SETTLED and not float(np.abs(error).max()) < TOLERANCE:
             raise ValueError("the attitude is not what it should be")

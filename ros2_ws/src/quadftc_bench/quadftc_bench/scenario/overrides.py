@@ -92,7 +92,7 @@ def _entered_all(data: dict[str, Any], words: Sequence[str], where: str) -> tupl
         path = (*path, _key(place, word, path, where))  # pyright: ignore[reportUnknownArgumentType]
         if len(path) < len(words):
             place = _entered(place, path)
-    return path, place
+    return path, cast("Any", place)
 
 
 def _key(place: dict[str, Any] | list[Any], word: str, path: Keys, where: str) -> str | int:
