@@ -5,8 +5,7 @@
 and leaves it to XLA where intermediate results are kept; XLA's CPU compiler fuses a sum into everything that
 uses it and computes it again for each. Here the flights are last, which fills the machine's vector registers,
 and the step is cut into stages, functions that the compiler must not merge: a result that is dear and used
-more than once ends a stage. The numbers are those of ``vmap`` up to rounding; on two cores it is several
-times as fast (docs/performance.md).
+more than once ends a stage. The numbers are those of ``vmap`` up to rounding.
 """
 
 from __future__ import annotations
