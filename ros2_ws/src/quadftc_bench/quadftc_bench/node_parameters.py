@@ -2,14 +2,14 @@
 
 | node | parameters |
 |---|---|
-| plant | vehicle, rate [Hz], duration [s], seed, motor_lag, substeps, disturbances, imu.<parameter> |
+| plant | vehicle, rate [Hz], duration [s], seed, <parameter>, disturbances, imu.<parameter> |
 | fault_injector | seed, faults |
 | fault_observer, disturbance_observer | vehicle, observer, <observer>.<parameter> |
 | controller | vehicle, controller, <controller>.<parameter> |
 | reference | references |
 
-Lists of components are lists of specifications (quadftc_model.spec) in SI. Of observers and controllers every
-parameter is there, defaults included.
+Lists of components are lists of specifications (quadftc_model.spec) in SI. Of plant, observers and controllers
+every parameter is there, defaults included.
 """
 
 from __future__ import annotations
@@ -36,8 +36,7 @@ def node_parameters(
             "rate": scenario.rate,
             "duration": scenario.duration,
             "seed": scenario.seed,
-            "motor_lag": scenario.motor_lag,
-            "substeps": scenario.substeps,
+            **node_values(scenario.plant, ""),
             "disturbances": [part.spec for part in scenario.disturbances],
             **node_values(scenario.sensor, "imu"),
         },

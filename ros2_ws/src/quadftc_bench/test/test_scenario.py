@@ -307,7 +307,7 @@ def test_overrides_replace_and_add_values():
     )
     assert scenario.faults[0].injection.law.value == (2.0 * DEG,) * 3
     assert scenario.faults[1].axes == ("pitch",)
-    assert scenario.substeps == 4
+    assert scenario.plant.substeps == 4
     assert scenario.schemes["plain"].controller.kind == "pid"
     assert scenario.schemes["plain"].controller.law.k_d == (0.2,) * 3
     assert scenario.schemes["plain"].observer.kind == "sliding_mode"

@@ -64,10 +64,13 @@ def prefixed(parameters: NodeParameters, prefix: str) -> dict[str, Any]:
     """Return the parameters named ``prefix.<name>`` under their own names; arrays as lists."""
     start = f"{prefix}."
     return {
-        name[len(start) :]: value if isinstance(value, (str, bool, int, float)) else list(value)
-        for name, value in parameters.items()
-        if name.startswith(start)
+        name[len(start) :]: _plain(value) for name, value in parameters.items() if name.startswith(start)
     }
+
+
+def _plain(value: Any) -> Any:
+    """An array as a list, anything else as it is."""
+    return value if isinstance(value, (str, bool, int, float)) else list(value)
 
 
 def build_prefixed(component: type[T], parameters: NodeParameters, prefix: str, **context: Any) -> T:
@@ -82,6 +85,18 @@ def build_prefixed(component: type[T], parameters: NodeParameters, prefix: str, 
         return build(component, prefixed(parameters, prefix), **context)
     except ValueError as error:
         raise ValueError(f"{prefix}.{error}") from None
+
+
+def build_named(component: type[T], parameters: NodeParameters, **context: Any) -> T:
+    """Build a component from the parameters that have the names of its own; what is missing keeps its default.
+
+    Raises
+    ------
+    ValueError
+        As :func:`quadftc_model.parameters.build`.
+    """
+    names = {spec.name for spec in parameters_of(component)}
+    return build(component, {name: _plain(parameters[name]) for name in names & parameters.keys()}, **context)
 
 
 def component_from(registry: Registry[T], parameters: NodeParameters, selector: str, **context: Any) -> T:
@@ -108,9 +123,13 @@ def vehicle_from(parameters: NodeParameters) -> Vehicle:
 
 
 def node_values(component: Any, prefix: str) -> dict[str, NodeValue]:
-    """Return all parameters of a component as ``prefix.<name>``: the inverse of :func:`build_prefixed`."""
+    """Return all parameters of a component as ``prefix.<name>``: the inverse of :func:`build_prefixed`.
+
+    With an empty prefix they have their own names: the inverse of :func:`build_named`.
+    """
+    start = f"{prefix}." if prefix else ""
     values = {spec.name: getattr(component, spec.name) for spec in parameters_of(component.__class__)}
     return {
-        f"{prefix}.{name}": list(value) if isinstance(value, tuple) else value  # pyright: ignore
+        f"{start}{name}": list(value) if isinstance(value, tuple) else value  # pyright: ignore
         for name, value in values.items()
     }

@@ -6,6 +6,7 @@ The same metadata checks scenario files, declares ROS parameters and prints ``qu
 from __future__ import annotations
 
 import dataclasses
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
@@ -64,6 +65,7 @@ def parameter(
     return dataclasses.field(default=default, metadata={"quadftc": details})  # type: ignore[arg-type]
 
 
+@functools.cache
 def parameters_of(component: type) -> tuple[Parameter, ...]:
     """Return the parameters of a dataclass, in the order of its fields; other fields are left out."""
     return tuple(
@@ -126,7 +128,8 @@ def convert(spec: Parameter, raw: Any, units: Mapping[str, str] | None = None) -
         Naming the parameter, the value and what was expected.
     """
     unit = spec.unit.format_map(units or {}) if "{" in spec.unit and units else spec.unit
-    spec = dataclasses.replace(spec, unit=unit)
+    if unit != spec.unit:
+        spec = dataclasses.replace(spec, unit=unit)
     try:
         value = _converted(spec, raw)
     except ValueError as error:

@@ -45,7 +45,9 @@ def propeller_torque(body_rate: Array, momentum: Array) -> Array:
     return stacked([-q * momentum, p * momentum, 0.0 * momentum])
 
 
-def angular_acceleration(vehicle: Vehicle, body_rate: Array, torque: Array, momentum: Array) -> Array:
+def angular_acceleration(
+    vehicle: Vehicle, body_rate: Array, torque: Array, momentum: Array, inertia: Array | None = None
+) -> Array:
     """Angular acceleration [rad/s²] (..., 3), body frame: (1) with the torques of (2) and a disturbance.
 
     The drag acts on the body rate. The paper's (2) writes Euler angle rates, the same under its (5); those
@@ -59,6 +61,9 @@ def angular_acceleration(vehicle: Vehicle, body_rate: Array, torque: Array, mome
         Of the rotors, by the mixer, and the disturbance [N m].
     momentum : array (...)
         Of the propellers [N m s].
+    inertia : array (3,), optional
+        Principal moments [kg m²]; default: the vehicle's.
     """
+    inertia = vehicle.inertia if inertia is None else inertia
     total = torque + propeller_torque(body_rate, momentum) - vehicle.rotational_drag * body_rate
-    return gyroscopic_acceleration(vehicle.inertia, body_rate) + total / vehicle.inertia
+    return gyroscopic_acceleration(inertia, body_rate) + total / inertia

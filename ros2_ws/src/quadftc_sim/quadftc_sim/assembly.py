@@ -1,14 +1,14 @@
 """The simulator and the fault injector from the parameters of their nodes.
 
-Parameters of the node ``plant``: vehicle, rate [Hz], seed, motor_lag, substeps, disturbances (list of
-specifications) and ``imu.<parameter>`` for each parameter of the sensor.
+Parameters of the node ``plant``: vehicle, rate [Hz], seed, disturbances (list of specifications), those of
+:class:`quadftc_sim.plant.Plant` and ``imu.<parameter>`` for each parameter of the sensor.
 Parameters of the node ``fault_injector``: seed, faults (list of specifications).
 Other parameters are ignored.
 """
 
 from __future__ import annotations
 
-from quadftc_model.assembly import NodeParameters, build_prefixed, get, texts, vehicle_from
+from quadftc_model.assembly import NodeParameters, build_named, build_prefixed, get, texts, vehicle_from
 from quadftc_model.parameters import build
 from quadftc_model.spec import parse_spec
 from quadftc_sim.disturbance import Disturbance, disturbances
@@ -46,11 +46,11 @@ def simulator_from(parameters: NodeParameters, epoch_ns: int = EPOCH_NS) -> Simu
     ValueError
         Naming the parameter that is wrong.
     """
-    plant = Plant(
+    plant = build_named(
+        Plant,
+        parameters,
         vehicle=vehicle_from(parameters),
         disturbances=tuple(_disturbance(text) for text in texts(parameters, "disturbances")),
-        motor_lag=get(parameters, "motor_lag", bool),
-        substeps=get(parameters, "substeps", int),
     )
     sensor = build_prefixed(ImuSensor, parameters, "imu")
     return Simulator(

@@ -8,7 +8,10 @@ order 4 at the control rate or finer.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import NamedTuple
+
+import numpy as np
 
 from quadftc_model.arrays import Array, namespace
 from quadftc_model.integrators import Derivative, rk4
@@ -32,25 +35,58 @@ class PlantState(NamedTuple):
 class Plant:
     """A vehicle in its disturbances.
 
+    It may differ from the vehicle that observers and controller are designed for: in its moments of inertia and
+    in how fast its rotors are.
+
     Parameters
     ----------
     vehicle : Vehicle
+        The nominal one.
     disturbances : tuple of Disturbance
         Their torques add.
     motor_lag : bool
         Whether thrust follows its command through the vehicle's first-order lag; the paper has none.
+    motor_bandwidth : float
+        Of that lag [rad/s]; 0: the vehicle's own.
     substeps : int
         Integration steps to a control period.
+    inertia_factor : three floats
+        True moments of inertia over those of the vehicle, about x, y, z.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is out of bounds, or a bandwidth is given without a lag.
     """
 
     vehicle: Vehicle
     disturbances: tuple[Disturbance, ...] = ()
     motor_lag: bool = parameter(False, doc="thrust follows its command through the vehicle's first-order lag")
+    motor_bandwidth: float = parameter(
+        0.0, unit="rad/s", low=0.0, high=500.0, doc="of the motor lag; 0: the vehicle's own"
+    )
     substeps: int = parameter(1, low=1, high=1000, doc="integration steps to a control period")
+    inertia_factor: tuple[float, float, float] = parameter(
+        (1.0, 1.0, 1.0), low=0.2, high=5.0, doc="true moments of inertia over those of the vehicle"
+    )
 
     def __post_init__(self) -> None:
         """Check the parameters."""
         check(self)
+        if self.motor_bandwidth > 0.0 and not self.motor_lag:
+            raise ValueError(f"motor_bandwidth = {self.motor_bandwidth:g} rad/s: motor_lag is false")
+
+    @functools.cached_property
+    def inertia(self) -> Array:
+        """True principal moments of inertia [kg m²] (3,)."""
+        return self.vehicle.inertia * np.array(self.inertia_factor)
+
+    @functools.cached_property
+    def motor_time_constant(self) -> float:
+        """Time constant of the motor lag [s]."""
+        if self.motor_bandwidth > 0.0:
+            return 1.0 / self.motor_bandwidth
+        return self.vehicle.rotors.time_constant
 
     def init(self, q_xyzw: Array, body_rate: Array) -> PlantState:
         """State at an attitude (..., 4) and a body rate [rad/s] (..., 3), rotors at trim."""
@@ -85,6 +121,10 @@ class Plant:
         torques = [disturbance.torque(time) for disturbance in self.disturbances]
         return sum(torques, start=0.0 * like)
 
+    def disturbance_acceleration(self, time: float, like: Array) -> Array:
+        """Disturbance at ``time`` [rad/s²], shaped as ``like`` (..., 3): its torque over the true inertia."""
+        return self.disturbance(time, like) / self.inertia
+
     def _driven(self, commands: Array) -> Derivative:
         """Derivative of attitude and body rate under rotor commands that are held."""
         rotor_torque = torque_from_commands(self.vehicle, commands)
@@ -93,7 +133,7 @@ class Plant:
         def derivative(time: float, arrays: tuple[Array, ...]) -> tuple[Array, ...]:
             q_xyzw, body_rate = arrays
             torque = rotor_torque + self.disturbance(time, body_rate)
-            acceleration = angular_acceleration(self.vehicle, body_rate, torque, momentum)
+            acceleration = angular_acceleration(self.vehicle, body_rate, torque, momentum, self.inertia)
             return quaternion_rate(q_xyzw, body_rate), acceleration
 
         return derivative
@@ -103,7 +143,7 @@ class Plant:
 
         def derivative(time: float, arrays: tuple[Array, ...]) -> tuple[Array, ...]:
             *motion, commands = arrays
-            command_rate = (wanted - commands) / self.vehicle.rotors.time_constant
+            command_rate = (wanted - commands) / self.motor_time_constant
             return (*self._driven(commands)(time, tuple(motion)), command_rate)
 
         return derivative

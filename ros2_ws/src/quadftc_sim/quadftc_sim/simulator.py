@@ -24,7 +24,7 @@ class Emission(NamedTuple):
     sample_stamp_ns: int  # when that sample was taken [ns]
     angles: Floats  # (3,) true Euler angles [rad]
     body_rate: Floats  # (3,) true body rate [rad/s]
-    disturbance: Floats  # (3,) true disturbance [rad/s²], as an angular acceleration
+    disturbance: Floats  # (3,) true disturbance [rad/s²]: its torque over the true inertia
 
 
 class Simulator:
@@ -85,12 +85,11 @@ class Simulator:
         self._sensor_state, sample = self.sensor.step(
             self._sensor_state, state.q_xyzw, state.body_rate, draws, self._dt
         )
-        torque = self.plant.disturbance(self.time, state.body_rate)
         return Emission(
             stamp_ns=self.stamp_ns,
             sample=sample,
             sample_stamp_ns=self.stamp_ns - self.sensor.delay * self.period_ns,
             angles=euler_from_quaternion(state.q_xyzw),
             body_rate=state.body_rate,
-            disturbance=torque / self.plant.vehicle.inertia,
+            disturbance=self.plant.disturbance_acceleration(self.time, state.body_rate),
         )

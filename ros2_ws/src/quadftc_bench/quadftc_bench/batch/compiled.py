@@ -154,15 +154,24 @@ class CompiledFlight:
         new = Carried(loop, tallied(state.tally, row, own.schedule))
         return self._cast(new), row if self._traced else ()
 
-    def _stretch(self, state: Carried, brought: Brought, own: Own, times: Times) -> tuple[Carried, Any]:
-        """Fly all flights over some samples, from sums of nothing."""
+    def _stretch(
+        self, state: Carried, brought: Brought, own: Own, times: Times, count: int
+    ) -> tuple[Carried, Any]:
+        """Fly all flights over ``count`` samples, of which more may be brought, from sums of nothing."""
         sums = jax.tree.map(jnp.zeros_like, state.tally.sums)
         start = state._replace(tally=state.tally._replace(sums=sums))
 
         def body(carried: Carried, each: tuple[Brought, Times]) -> tuple[Carried, Any]:
             return self._all(carried, (each[0], own), each[1])
 
-        return jax.lax.scan(body, start, (brought, times))
+        if self._traced:
+            return jax.lax.scan(body, start, (brought, times))
+
+        def sample(index: Any, carried: Carried) -> Carried:
+            each = jax.tree.map(lambda all_of_it: all_of_it[index], (brought, times))
+            return body(carried, each)[0]
+
+        return jax.lax.fori_loop(0, count, sample, start), ()
 
     def _closed(self, own: Own) -> ClosedLoop:
         return ClosedLoop(with_numbers(self.structure.loop, own.numbers), self.structure.late_start)

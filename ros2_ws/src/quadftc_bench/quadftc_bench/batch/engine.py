@@ -247,7 +247,9 @@ class Engine:
         for start in range(first, structure.loop.count, STRETCH):
             count = min(STRETCH, structure.loop.count - start)
             brought, times = supply.next(count)
-            state, rows = compiled.fly(state, brought, own, times)
+            if keep is None and count < STRETCH:
+                brought, times = jax.tree.map(_filled, (brought, times))
+            state, rows = compiled.fly(state, brought, own, times, count)
             if keep is not None:
                 keep(jax.tree.map(np.asarray, rows))
             total = Sums(*(a + b for a, b in zip(total, _doubled(state.tally.sums), strict=True)))
@@ -285,6 +287,11 @@ def _one_by_one(tree: Any, count: int) -> list[Any]:
     """Trees of single samples from a tree of arrays (count, ...)."""
     leaves, structure = jax.tree.flatten(tree)
     return [jax.tree.unflatten(structure, [leaf[index] for leaf in leaves]) for index in range(count)]
+
+
+def _filled(array: Any) -> Any:
+    """As long as any other stretch, so that nothing is compiled for this one alone."""
+    return np.concatenate([array, np.zeros((STRETCH - len(array), *array.shape[1:]), array.dtype)])
 
 
 def _in_precision(own: Own, dtype: np.dtype[Any]) -> Own:

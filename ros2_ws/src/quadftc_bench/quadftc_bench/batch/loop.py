@@ -170,10 +170,8 @@ class ClosedLoop:
         xp = namespace(plant.q_xyzw)
         draws = xp.stack(given.draws, axis=-2)
         sensor, sample = self.loop.sensor.step(sensor, plant.q_xyzw, plant.body_rate, draws, self._dt)
-        torque = self.loop.plant.disturbance(given.now, plant.body_rate)
-        truth = Truth(
-            euler_from_quaternion(plant.q_xyzw), plant.body_rate, torque / self.loop.plant.vehicle.inertia
-        )
+        disturbance = self.loop.plant.disturbance_acceleration(given.now, plant.body_rate)
+        truth = Truth(euler_from_quaternion(plant.q_xyzw), plant.body_rate, disturbance)
         return sensor, sample, (*pending, truth)
 
     def _first(self, sample: ImuSample, torque: Array, given: Given) -> tuple[Avionics, _Reaction]:

@@ -33,6 +33,7 @@ from quadftc_sim.sensors import ImuSensor
 NEVER = math.inf  # s; start of a fault that another flight of the batch has in its place
 
 Numbers = NDArray[Any]
+Slot = tuple[int, Any]  # place among the faults, structure
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -98,19 +99,24 @@ def with_common_faults(flights: Sequence[FlightParts]) -> list[FlightParts]:
 
     So flights that differ only in the kinds of their faults are compiled and flown together.
     """
-    templates: dict[tuple[int, Any], Injection] = {}
-    for flight in flights:
-        for place, injection in enumerate(flight.loop.injections):
-            templates.setdefault((place, structure_of(injection)), injection)
+    slots = [_slots(flight) for flight in flights]
+    templates: dict[Slot, Injection] = {}
+    for flight, own in zip(flights, slots, strict=True):
+        for slot, place in own.items():
+            templates.setdefault(slot, flight.loop.injections[place])
     order = sorted(templates, key=lambda slot: slot[0])
     never = [dataclasses.replace(templates[slot], start=NEVER, stop=NEVER) for slot in order]
-    return [_with_faults(flight, order, never) for flight in flights]
+    return [_with_faults(flight, own, order, never) for flight, own in zip(flights, slots, strict=True)]
+
+
+def _slots(flight: FlightParts) -> dict[Slot, int]:
+    """Which kind of fault is at which place."""
+    return {(place, structure_of(one)): place for place, one in enumerate(flight.loop.injections)}
 
 
 def _with_faults(
-    flight: FlightParts, order: Sequence[tuple[int, Any]], never: Sequence[Injection]
+    flight: FlightParts, own: Mapping[Slot, int], order: Sequence[Slot], never: Sequence[Injection]
 ) -> FlightParts:
-    own = {(place, structure_of(one)): place for place, one in enumerate(flight.loop.injections)}
     places = [own.get(slot) for slot in order]
     injections = tuple(
         absent if place is None else flight.loop.injections[place]

@@ -15,7 +15,6 @@ from quadftc_fdi.disturbance_conditions import estimation_error
 from quadftc_model.conditions import Bound, Circumstances, Series
 from quadftc_model.rotations import body_rates, quaternion_from_euler
 from quadftc_model.samples import AttitudeReference, ImuSample
-from quadftc_model.vehicle import Vehicle, load_vehicle
 from quadftc_sim.assembly import period_ns, sample_count
 from quadftc_sim.injection import FaultInjector
 
@@ -28,12 +27,12 @@ REFERENCE = "given: as on the reference"
 
 def circumstances(scenario: Scenario, scheme: Scheme) -> Circumstances:
     """Bounds from the scenario: its faults, disturbances and sensors; motion as on its reference."""
-    vehicle = load_vehicle(scenario.vehicle)
+    vehicle = scenario.plant.vehicle
     dt = period_ns(scenario.rate) / 1e9
     time = dt * np.arange(sample_count(scenario.duration, scenario.rate), dtype=np.float64)
     motion = _motion(scenario, time)
     rates: Floats = body_rates(motion.angles, motion.rates)
-    disturbance = _disturbance(scenario, vehicle, time, rates)
+    disturbance = _disturbance(scenario, time, rates)
     generator = np.random.default_rng(scenario.seed)
     noise: Floats = scenario.sensor.gyro_noise / math.sqrt(dt) * generator.standard_normal(rates.shape)
     error = estimation_error(scheme.disturbance_observer.law, disturbance, noise, dt)
@@ -64,7 +63,7 @@ def circumstances_of_run(run: RecordedRun) -> Circumstances:
     """Bounds from a recorded run, where the bag has the truth; from its scenario where it has not."""
     planned, flight = circumstances(run.scenario, run.scheme), run.flight
     origin = "trace"
-    drag = planned.vehicle.rotational_drag / planned.vehicle.inertia * flight.body_rate
+    drag = planned.vehicle.rotational_drag / run.scenario.plant.inertia * flight.body_rate
     disturbance = flight.disturbance - drag
     known = np.all(np.isfinite(disturbance), axis=1)
     both = known & np.all(np.isfinite(flight.disturbance_estimate), axis=1)
@@ -91,12 +90,15 @@ def _motion(scenario: Scenario, time: Floats) -> AttitudeReference:
     return AttitudeReference(*(np.broadcast_to(each, (len(time), 3)) for each in found))
 
 
-def _disturbance(scenario: Scenario, vehicle: Vehicle, time: Floats, rates: Floats) -> Floats:
-    """Lumped disturbance d of (36) (n, 3) [rad/s²]: torques of the scenario, and the drag f leaves out."""
+def _disturbance(scenario: Scenario, time: Floats, rates: Floats) -> Floats:
+    """Lumped disturbance d of (36) (n, 3) [rad/s²]: torques of the scenario, and the drag f leaves out.
+
+    What a wrong model of the inertia adds depends on the torque, and is not in it.
+    """
     torque = np.zeros((len(time), 3))
     for part in scenario.disturbances:
         torque += np.array([part.law.torque(np.float64(moment)) for moment in time])
-    return (torque - vehicle.rotational_drag * rates) / vehicle.inertia
+    return (torque - scenario.plant.vehicle.rotational_drag * rates) / scenario.plant.inertia
 
 
 def _attitude_faults(scenario: Scenario) -> tuple[float, float, float]:

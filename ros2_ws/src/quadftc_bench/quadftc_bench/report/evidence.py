@@ -116,7 +116,7 @@ def _wrong_conditions(comparison: Comparison) -> str:
     scenario = comparison.scenario
     if not comparison.ideal:
         return "the sensors are not ideal, as they are in the paper"
-    if scenario.vehicle != VEHICLE or scenario.motor_lag:
+    if scenario.vehicle != VEHICLE or scenario.plant.motor_lag or set(scenario.plant.inertia_factor) != {1.0}:
         return "the vehicle is not the paper's, a Qball-X4 whose motors follow at once"
     windows = {(window.start, window.stop): window.axes for window in scenario.fault_windows}
     if windows != dict.fromkeys(FAULT_TIMES, AXES):

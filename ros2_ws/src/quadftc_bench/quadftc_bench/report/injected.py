@@ -13,7 +13,6 @@ from quadftc_bench.recorded_run import RecordedRun
 from quadftc_bench.report.wording import each_axis, listing, period, plain
 from quadftc_bench.scenario import Fault, Part, Scenario
 from quadftc_model.parameters import Parameter, parameters_of
-from quadftc_model.vehicle import load_vehicle
 from quadftc_sim.injection import CHANNEL_UNITS
 
 _READINGS = {
@@ -55,8 +54,7 @@ def disturbances_text(scenario: Scenario, until: float) -> str:
 
 def largest_disturbance(run: RecordedRun) -> dict[str, float]:
     """Return the largest recorded disturbance of each axis, as a torque [N m]; empty if none is known."""
-    inertia = load_vehicle(run.scenario.vehicle).inertia
-    sizes = np.abs(run.flight.disturbance * inertia)
+    sizes = np.abs(run.flight.disturbance * run.scenario.plant.inertia)
     if not np.isfinite(sizes).any():
         return {}
     return {axis: float(size) for axis, size in zip(AXES, np.nanmax(sizes, axis=0), strict=True)}

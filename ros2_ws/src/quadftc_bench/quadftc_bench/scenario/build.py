@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +21,9 @@ from quadftc_fdi.fault_observer import fault_observers
 from quadftc_model.units import quantity
 from quadftc_model.vehicle import Vehicle
 from quadftc_sim.disturbance import disturbances
+from quadftc_sim.plant import Plant
+
+LAG_A_STEP = 2.0  # motor lag times length of an integration step: Runge-Kutta of order 4 is unstable from 2.78 on
 
 _ROLES = {
     "observer": fault_observers,
@@ -40,7 +44,8 @@ def build_scenario(document: Document) -> Scenario:
     shape, problems = shape_of(data)
     builder = PartBuilder(_duration(data))
     vehicle = builder.vehicle(data.get("vehicle"), Path(document.source).parent)
-    sensor, plant = builder.sensor(data.get("sensors")), builder.plant(data.get("plant"))
+    sensor = builder.sensor(data.get("sensors"))
+    plant = builder.plant(data.get("plant"), vehicle[1] if vehicle else None)
     parts: dict[str, Any] = {
         "references": builder.parts(references, data.get("references"), ("references",)),
         "disturbances": builder.parts(disturbances, data.get("disturbances"), ("disturbances",)),
@@ -48,7 +53,9 @@ def build_scenario(document: Document) -> Scenario:
     }
     roles = _roles(builder, data.get("schemes"), vehicle[1] if vehicle else None)
     problems += builder.problems
-    if problems or shape is None or vehicle is None or sensor is None:
+    if shape is not None and plant is not None:
+        problems += _unstable_lag(plant, shape.rate)
+    if problems or shape is None or vehicle is None or plant is None or sensor is None:
         raise document.error(problems)
     scenario = Scenario(
         name=shape.name or re.sub(r"\W", "_", Path(document.source).stem),
@@ -57,8 +64,7 @@ def build_scenario(document: Document) -> Scenario:
         rate=shape.rate,
         seed=shape.seed,
         vehicle=vehicle[0],
-        motor_lag=bool(plant.get("motor_lag", False)),
-        substeps=int(plant.get("substeps", 1)),
+        plant=plant,
         sensor=sensor,
         schemes={
             name: Scheme(name=name, checks=tuple(map(_check, scheme.checks)), **roles[name])
@@ -97,12 +103,23 @@ def _roles(builder: PartBuilder, raw: Any, vehicle: Vehicle | None) -> dict[str,
     return schemes
 
 
+def _unstable_lag(plant: Plant, rate: float) -> Iterator[Problem]:
+    """Refuse a motor lag that is too fast to be integrated at a rate [Hz]."""
+    steps = 1.0 / (rate * plant.motor_time_constant)
+    needed = math.ceil(steps / LAG_A_STEP)
+    if plant.motor_lag and plant.substeps < needed:
+        text = f"{plant.substeps}: {steps * rate:.4g} rad/s of motor lag at {rate:g} Hz need {needed} at least"
+        yield Problem(("plant", "substeps"), text)
+
+
 def _check(shape: CheckShape) -> Check:
     return Check(shape.metric, shape.axis, shape.above, shape.below)
 
 
 def _wrong_checks(shape: ScenarioShape, scenario: Scenario) -> Iterator[Problem]:
     """Find the checks on metrics that no flight of this scenario has."""
+    if not any(scheme.checks for scheme in shape.schemes.values()):
+        return
     metrics = known_metrics(len(scenario.fault_windows), scenario.fault_events)
     for name, scheme in shape.schemes.items():
         for index, check in enumerate(scheme.checks):

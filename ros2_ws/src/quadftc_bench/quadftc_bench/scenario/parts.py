@@ -57,9 +57,10 @@ class PartBuilder:
             self._add(("vehicle",), f"{_shown(name)}: {error.strerror}")
         return None
 
-    def plant(self, raw: Any) -> Mapping[str, Any]:
-        """Check the plant's options; return those given."""
-        return self._converted(Plant, _mapping(raw), ("plant",))
+    def plant(self, raw: Any, vehicle: Vehicle | None) -> Plant | None:
+        """Build the plant, without its disturbances."""
+        given = self._converted(Plant, _mapping(raw), ("plant",))
+        return self._built(Plant, given, ("plant",), vehicle=vehicle)
 
     def sensor(self, raw: Any) -> ImuSensor | None:
         """Build the IMU: a grade, with single parameters changed."""

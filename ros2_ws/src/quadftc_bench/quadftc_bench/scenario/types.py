@@ -15,6 +15,7 @@ from quadftc_bench.scenario.document import Document, ScenarioError
 from quadftc_model.hints import nearest
 from quadftc_model.spec import format_spec
 from quadftc_sim.injection import Injection
+from quadftc_sim.plant import Plant
 from quadftc_sim.sensors import ImuSensor
 
 
@@ -98,8 +99,7 @@ class Scenario:
     rate: float  # [Hz]
     seed: int
     vehicle: str  # name, or absolute path of a TOML file
-    motor_lag: bool
-    substeps: int
+    plant: Plant  # without the disturbances
     sensor: ImuSensor
     references: tuple[Part, ...]
     disturbances: tuple[Part, ...]
