@@ -8,8 +8,8 @@
 | controller | vehicle, controller, <controller>.<parameter> |
 | reference | references |
 
-Lists of components are lists of specifications (quadftc_model.spec) in SI. Of plant, observers and controllers
-every parameter is there, defaults included.
+Lists of components are lists of specifications (quadftc_model.spec) in SI. Of plant, observers and
+controllers every parameter is there, defaults included.
 """
 
 from __future__ import annotations

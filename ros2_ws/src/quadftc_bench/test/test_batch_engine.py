@@ -129,9 +129,37 @@ def test_every_controller_flies_alike(name):
     assert_flies_alike(busy(observer="none", controller=name))
 
 
+def with_plant(scenario, **options):
+    return build_scenario(scenario.document.replaced(("plant",), options, "test"))
+
+
 def test_rotors_that_lag_fly_alike():
-    document = busy(observer="none", controller="pid").document
-    assert_flies_alike(build_scenario(document.replaced(("plant", "motor_lag"), True, "test")))
+    assert_flies_alike(with_plant(busy(observer="none", controller="pid"), motor_lag=True))
+
+
+def test_a_vehicle_that_differs_from_its_model_flies_alike():
+    factor = [0.8, 1.3, 1.1]
+    expected = assert_flies_alike(
+        with_plant(busy(observer="none"), motor_lag=True, motor_bandwidth=40.0, inertia_factor=factor)
+    )
+    nominal = fly(node_parameters(busy(observer="none")))
+    there = nominal.disturbance != 0.0
+    ratio = expected.disturbance[there] / nominal.disturbance[there]
+    np.testing.assert_allclose(ratio, 1.0 / np.broadcast_to(factor, there.shape)[there], rtol=1e-12)
+
+
+def test_vehicles_of_several_inertias_and_motors_are_one_structure():
+    """So a campaign over them compiles once."""
+    values = [(0.8, 0.0), (1.0, 60.0), (1.25, 20.0)]
+    batch = [
+        with_plant(busy(observer="none"), motor_lag=True, inertia_factor=factor, motor_bandwidth=bandwidth)
+        for factor, bandwidth in values
+    ]
+    parts = [flight_parts(node_parameters(scenario)) for scenario in batch]
+    assert len({structure_of(flight.loop) for flight in parts}) == 1
+    together = Engine().trace(parts, [scenario.fault_events for scenario in batch])
+    for scenario, traced in zip(batch, together, strict=True):
+        assert_same_flight(traced.flight, fly(node_parameters(scenario)))
 
 
 @pytest.mark.parametrize("model", ["ramp", "harmonic", "constant+harmonic"])

@@ -132,6 +132,7 @@ def test_node_parameters_build_the_very_parts_of_the_scenario(path):
             assert type(law) is type(getattr(scheme, role).law)
             assert node_values(law, "") == node_values(getattr(scheme, role).law, "")
         simulator = simulator_from(parameters["plant"])
+        assert node_values(simulator.plant, "") == node_values(scenario.plant, "")
         assert node_values(simulator.sensor, "") == node_values(scenario.sensor, "")
         assert simulator.period_ns == 4_000_000
         parts = {
@@ -207,6 +208,9 @@ def test_units_become_si_and_vectors_lists():
         ("motor_lag: false", "motor_lag: 2", "plant.motor_lag", "expected true or false"),
         ("motor_lag: false", "motor_leg: true", "plant.motor_leg", "did you mean 'motor_lag'"),
         ("motor_lag: false", "substeps: 0", "plant.substeps", "must be within [1, 1000]"),
+        ("motor_lag: false", "motor_bandwidth: 20", "plant.motor_bandwidth", "motor_lag is false"),
+        ("motor_lag: false", "inertia_factor: 0.1", "plant.inertia_factor", "must be within [0.2, 5]"),
+        ("motor_lag: false", "inertia_factor: [1, 2]", "plant.inertia_factor", "expected one number or 3"),
         ("grade: mems", "grade: memes", "sensors.grade", "expected one of ideal, mems"),
         ("gyro_bias: 0.5 deg/s", "gyro_bias: -1", "sensors.gyro_bias", "must be within [0, inf]"),
         ("gyro_bias: 0.5 deg/s", "delay: .inf", "sensors.delay", "expected a whole number"),
@@ -291,6 +295,13 @@ def test_a_vehicle_file_is_found_beside_the_scenario(tmp_path, monkeypatch):
     monkeypatch.chdir("/")
     assert scenario.vehicle == str(tmp_path / "mine.toml")
     assert simulator_from(node_parameters(scenario)["plant"]).plant.vehicle.name == "qball_x4"
+
+
+def test_a_motor_lag_that_is_too_fast_for_its_steps_is_refused():
+    fast = ["plant.motor_lag=true", "plant.motor_bandwidth=500", "rate=200 Hz"]
+    (line,) = refusal(TEXT, fast)
+    assert "plant.substeps: 1: 500 rad/s of motor lag at 200 Hz need 2 at least" in line
+    assert parse_scenario(TEXT, overrides=[*fast, "plant.substeps=2"]).plant.motor_time_constant == 0.002
 
 
 def test_overrides_replace_and_add_values():

@@ -63,9 +63,7 @@ def texts(parameters: NodeParameters, name: str) -> list[str]:
 def prefixed(parameters: NodeParameters, prefix: str) -> dict[str, Any]:
     """Return the parameters named ``prefix.<name>`` under their own names; arrays as lists."""
     start = f"{prefix}."
-    return {
-        name[len(start) :]: _plain(value) for name, value in parameters.items() if name.startswith(start)
-    }
+    return {name[len(start) :]: _plain(value) for name, value in parameters.items() if name.startswith(start)}
 
 
 def _plain(value: Any) -> Any:
@@ -88,15 +86,15 @@ def build_prefixed(component: type[T], parameters: NodeParameters, prefix: str, 
 
 
 def build_named(component: type[T], parameters: NodeParameters, **context: Any) -> T:
-    """Build a component from the parameters that have the names of its own; what is missing keeps its default.
+    """Build a component from the parameters named as its own; what is missing keeps its default.
 
     Raises
     ------
     ValueError
         As :func:`quadftc_model.parameters.build`.
     """
-    names = {spec.name for spec in parameters_of(component)}
-    return build(component, {name: _plain(parameters[name]) for name in names & parameters.keys()}, **context)
+    names = [spec.name for spec in parameters_of(component) if spec.name in parameters]
+    return build(component, {name: _plain(parameters[name]) for name in names}, **context)
 
 
 def component_from(registry: Registry[T], parameters: NodeParameters, selector: str, **context: Any) -> T:

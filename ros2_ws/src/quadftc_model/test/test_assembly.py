@@ -5,7 +5,15 @@ from array import array
 
 import pytest
 
-from quadftc_model.assembly import build_prefixed, component_from, get, node_values, texts, vehicle_from
+from quadftc_model.assembly import (
+    build_named,
+    build_prefixed,
+    component_from,
+    get,
+    node_values,
+    texts,
+    vehicle_from,
+)
 from quadftc_model.parameters import check, parameter
 from quadftc_model.registry import Registry
 
@@ -44,6 +52,15 @@ def test_what_is_written_out_builds_the_same_component():
     }
     again = build_prefixed(Law, {**values, "another": 1, "lawyer.rate": 3.0}, "law")
     assert dataclasses.astuple(again) == dataclasses.astuple(law)
+
+
+def test_parameters_without_a_prefix_build_the_same_component():
+    law = Law(gains=(0.1, 0.2, 1 / 3), count=7)
+    values = node_values(law, "")
+    assert values["gains"] == [0.1, 0.2, 1 / 3]
+    again = build_named(Law, {**values, "gains": array("d", values["gains"]), "another": 1}, vehicle="mine")
+    assert dataclasses.astuple(again)[:-1] == dataclasses.astuple(law)[:-1]
+    assert again.vehicle == "mine"
 
 
 def test_component_is_chosen_by_name_and_keeps_its_defaults(laws):

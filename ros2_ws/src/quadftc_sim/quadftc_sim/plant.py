@@ -35,8 +35,8 @@ class PlantState(NamedTuple):
 class Plant:
     """A vehicle in its disturbances.
 
-    It may differ from the vehicle that observers and controller are designed for: in its moments of inertia and
-    in how fast its rotors are.
+    It may differ from the vehicle that observers and controller are designed for: in its moments of inertia,
+    and in how fast its rotors are.
 
     Parameters
     ----------

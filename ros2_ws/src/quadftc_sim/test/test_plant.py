@@ -62,8 +62,10 @@ def equations(plant, time, state, wanted):
     momentum = np.array([0.0, 0.0, rotors.rotor_inertia * np.sum(rotors.spin_sign * speeds)])
     torque += -np.cross(omega, momentum) - vehicle.rotational_drag * omega
     torque += sum(disturbance.torque(time) for disturbance in plant.disturbances)
-    omega_dot = (torque - np.cross(omega, vehicle.inertia * omega)) / vehicle.inertia
-    lag = (wanted - commands) / rotors.time_constant if plant.motor_lag else np.zeros(0)
+    inertia = vehicle.inertia * np.array(plant.inertia_factor)
+    omega_dot = (torque - np.cross(omega, inertia * omega)) / inertia
+    bandwidth = plant.motor_bandwidth or 1.0 / rotors.time_constant
+    lag = (wanted - commands) * bandwidth if plant.motor_lag else np.zeros(0)
     return np.concatenate([angle_rates, omega_dot, lag])
 
 
@@ -89,9 +91,11 @@ def integrated(plant):
 
 
 @pytest.mark.parametrize("name", vehicle_names())
-@pytest.mark.parametrize("motor_lag", [False, True])
-def test_plant_agrees_with_an_independent_integration(name, motor_lag):
-    law = plant(name, motor_lag=motor_lag, substeps=10)
+@pytest.mark.parametrize("inertia_factor", [(1.0, 1.0, 1.0), (0.7, 1.3, 1.1)])
+@pytest.mark.parametrize(("motor_lag", "bandwidth"), [(False, 0.0), (True, 0.0), (True, 40.0)])
+def test_plant_agrees_with_an_independent_integration(name, motor_lag, bandwidth, inertia_factor):
+    options = {"motor_lag": motor_lag, "motor_bandwidth": bandwidth, "inertia_factor": inertia_factor}
+    law = plant(name, substeps=10, **options)
     state, expected = flown(law), integrated(law)
     np.testing.assert_allclose(euler_from_quaternion(state.q_xyzw), expected[:3], atol=1e-8)
     np.testing.assert_allclose(state.body_rate, expected[3:6], rtol=0.0, atol=1e-8)
@@ -150,6 +154,17 @@ def test_inputs_are_not_changed():
 def test_number_of_substeps_out_of_bounds_is_refused(substeps):
     with pytest.raises(ValueError, match=rf"substeps = {substeps} 1: must be within \[1, 1000\]"):
         Plant(vehicle=load_vehicle("qball_x4"), substeps=substeps)
+
+
+@pytest.mark.parametrize("factor", [(0.1, 1.0, 1.0), (1.0, 1.0, 6.0)])
+def test_inertia_out_of_bounds_is_refused(factor):
+    with pytest.raises(ValueError, match=r"inertia_factor = .* 1: must be within \[0.2, 5\]"):
+        Plant(vehicle=load_vehicle("qball_x4"), inertia_factor=factor)
+
+
+def test_bandwidth_without_a_lag_is_refused():
+    with pytest.raises(ValueError, match="motor_bandwidth = 20 rad/s: motor_lag is false"):
+        Plant(vehicle=load_vehicle("qball_x4"), motor_bandwidth=20.0)
 
 
 def test_disturbance_is_the_sum_of_its_parts():

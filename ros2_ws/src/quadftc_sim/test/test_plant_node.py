@@ -248,6 +248,8 @@ def test_what_is_fixed_for_a_flight_cannot_be_changed(bench):
     [
         ({"rate": 5.0}, r"rate = 5.0 Hz: must be within \[10, 4000\]"),
         ({"rate": 250}, r"rate = 250: expected a number with a decimal point"),
+        ({"inertia_factor": [1.0, 1.0, 0.1]}, r"inertia_factor = 0.1 1: must be within \[0.2, 5\]"),
+        ({"motor_bandwidth": 20.0}, "motor_bandwidth = 20 rad/s: motor_lag is false"),
         ({"mode": "fast"}, "mode = 'fast': expected one of lockstep, realtime"),
         ({"vehicle": "qbal"}, "qbal"),
         ({"imu.gyro_noise": -1.0}, r"imu.gyro_noise = -1.0 .*: must be within"),

@@ -23,7 +23,7 @@ from quadftc_model.vehicle import Vehicle
 from quadftc_sim.disturbance import disturbances
 from quadftc_sim.plant import Plant
 
-LAG_A_STEP = 2.0  # motor lag times length of an integration step: Runge-Kutta of order 4 is unstable from 2.78 on
+LAG_A_STEP = 2.0  # 1; motor bandwidth times integration step; from 2.78 on Runge-Kutta of order 4 is unstable
 
 _ROLES = {
     "observer": fault_observers,
@@ -108,7 +108,8 @@ def _unstable_lag(plant: Plant, rate: float) -> Iterator[Problem]:
     steps = 1.0 / (rate * plant.motor_time_constant)
     needed = math.ceil(steps / LAG_A_STEP)
     if plant.motor_lag and plant.substeps < needed:
-        text = f"{plant.substeps}: {steps * rate:.4g} rad/s of motor lag at {rate:g} Hz need {needed} at least"
+        lag = f"{steps * rate:.4g} rad/s of motor lag at {rate:g} Hz"
+        text = f"{plant.substeps}: {lag} need {needed} at least"
         yield Problem(("plant", "substeps"), text)
 
 
