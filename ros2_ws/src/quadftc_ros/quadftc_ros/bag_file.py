@@ -1,7 +1,9 @@
 """One rosbag2 directory being written: ``metadata.yaml`` and one MCAP file, as rosbag2 Jazzy writes them.
 
 Everything here happens in the caller's thread; `quadftc_ros.bag_writer` puts it into a thread of its own.
-After ``flush`` a killed process loses nothing written before, after ``sync`` neither does a power cut.
+Only ``sync``, which takes as long as the disk does, may run in another one meanwhile.
+After ``flush`` a killed process loses nothing written before, after a ``sync`` that follows neither does a
+power cut.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ import os
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from typing import TypeAlias
 
 from mcap.writer import CompressionType, Writer
 
@@ -20,6 +23,7 @@ COMPRESSIONS = {
     "lz4": CompressionType.LZ4,
     "none": CompressionType.NONE,
 }
+_Kept: TypeAlias = "tuple[int, dict[str, int], tuple[int, int] | None]"  # bytes, messages by topic, log times
 _MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json", ".txt": "text/plain"}
 
 
@@ -70,19 +74,22 @@ class BagFile:
         self._topics: list[TopicRecord] = []
         self._schemas: dict[str, int] = {}
         self._span: tuple[int, int] | None = None  # first and last log time [ns]
-        self._kept = (0, self.counts, self._span)
+        self._kept: _Kept = (0, {}, None)
         self._output = _Output(self.path)
         self._chunk_size = chunk_size
         self._open_size = 0
         never = 2**63  # bytes; chunks are closed by flush alone, so that it is known where the last one ends
         self._writer = Writer(self._output, never, COMPRESSIONS[compression])  # type: ignore[arg-type]
         self._writer.start("ros2", library="quadftc")
-        self._writer.add_metadata("rosbag2", {"serialized_metadata": bag_information(self._summary())})
+        self._writer.add_metadata(
+            "rosbag2", {"serialized_metadata": bag_information(self._summary(self._kept))}
+        )
         if self._custom:
             self._writer.add_metadata("quadftc", self._custom)
         for name, data in attachments.items():
             media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
             self._writer.add_attachment(0, 0, name, media_type, data)
+        self.flush()
         self.sync()
 
     def add_topic(self, topic: TopicRecord, definition: str) -> None:
@@ -116,19 +123,20 @@ class BagFile:
         self._kept = (self._output.tell(), dict(self.counts), self._span)
 
     def sync(self) -> None:
-        """Flush, wait until the disk has it, and bring ``metadata.yaml`` up to date."""
-        self.flush()
+        """Wait until the disk has what was flushed, and let ``metadata.yaml`` say what that is."""
+        kept = self._kept
         self._output.sync()
-        self._write_metadata_file()
+        self._write_metadata_file(kept)
 
     def close(self) -> None:
         """Write the summary of the MCAP file and the final metadata."""
         self.flush()
-        self._writer.add_metadata("rosbag2", {"serialized_metadata": bag_information(self._summary())})
+        self._writer.add_metadata(
+            "rosbag2", {"serialized_metadata": bag_information(self._summary(self._kept))}
+        )
         self._writer.finish()
-        self._output.sync()
+        self.sync()
         self._output.close()
-        self._write_metadata_file()
 
     def abandon(self) -> None:
         """After an error: cut the file back to the last complete chunk and close it; raises nothing.
@@ -142,20 +150,25 @@ class BagFile:
         with suppress(OSError):
             self._output.close()
         with suppress(OSError):
-            self._write_metadata_file()
+            self._write_metadata_file(self._kept)
 
-    def _summary(self) -> BagSummary:
-        topics = [(topic, self.counts[topic.name]) for topic in self._topics]
+    def _add_information(self) -> None:
+        text = bag_information(self._summary(self._kept))
+        self._writer.add_metadata("rosbag2", {"serialized_metadata": text})
+
+    def _summary(self, kept: _Kept) -> BagSummary:
+        _, counts, span = kept
+        topics = [(topic, counts.get(topic.name, 0)) for topic in tuple(self._topics)]
         distro = os.environ.get("ROS_DISTRO", "jazzy")
-        start_ns, end_ns = self._span or (0, 0)
+        start_ns, end_ns = span or (0, 0)
         return BagSummary(self.path.name, topics, start_ns, end_ns, self._custom, distro)
 
-    def _write_metadata_file(self) -> None:
+    def _write_metadata_file(self, kept: _Kept) -> None:
         target = self.directory / "metadata.yaml"
         partial = target.with_suffix(".yaml.part")
         try:
             with partial.open("w", encoding="utf-8") as stream:
-                stream.write(metadata_file(self._summary()))
+                stream.write(metadata_file(self._summary(kept)))
                 stream.flush()
                 os.fsync(stream.fileno())
             partial.replace(target)

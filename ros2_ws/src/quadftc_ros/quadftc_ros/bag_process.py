@@ -25,8 +25,9 @@ from quadftc_ros.bag_writer import BagStatus, Input
 from quadftc_ros.interfaces import load_interface
 
 BATCH = 32  # messages handed over at a time; the socket holds many of these, so that nobody waits
-PATIENCE = 60.0  # s, wall time for the end of a recording
+PATIENCE = 60.0  # s, wall time for the other process to take a batch in lock-step, and to end a recording
 ENDED = "the process that writes it has ended"
+SILENT = "the process that writes it does not answer"
 
 
 class BagProcess:
@@ -66,6 +67,7 @@ class BagProcess:
         self._dropped: dict[str, int] = {}
         self._status = BagStatus({}, {}, 0, None)  # as the other process has said last
         self._closed = self._ended = self._complete = False  # by us; the process; the bag
+        self._silent = False  # it was given up
         self._connection, theirs = Pipe()
         with theirs:
             command = [sys.executable, "-m", "quadftc_ros.bag_server", str(theirs.fileno())]
@@ -111,35 +113,43 @@ class BagProcess:
 
     def flush(self, timeout: float = 10.0) -> bool:
         """As of `BagWriter`."""
-        if self._closed:
+        if self._closed or not self._hand_over(timeout):
             return False
-        self._hand_over()
         self._send(("flush", timeout))
         return self._wait_for(("flushed", "not flushed"), timeout) == "flushed"
 
     def close(self) -> BagStatus:
         """As of `BagWriter`."""
         if not self._closed:
-            self._hand_over()
+            if not self._hand_over(PATIENCE):
+                self._give_up()
             self._closed, self._limit = True, 0
             self._send(("close",))
-            self._wait_for(("closed",), PATIENCE)
+            if not self._wait_for(("closed",), PATIENCE) and not self._ended:
+                self._give_up()
             self._end()
         return self.status
 
     @property
     def status(self) -> BagStatus:
-        """As of `BagWriter`, not older than a second; call it every second, so that nothing waits longer."""
-        if not self._closed and (self._lockstep or self._writable.poll(0)):
-            self._hand_over()
+        """As of `BagWriter`, not older than a second."""
+        self.hand_over()
         dropped = {
             topic: self._dropped.get(topic, 0) + self._status.dropped.get(topic, 0)
             for topic in {*self._dropped, *self._status.dropped}
         }
         lost = self._status.lost
-        if self._ended and not self._complete:  # counts are those of its last report
+        if (self._ended or self._silent) and not self._complete:  # counts are those of its last report
             lost = self._accepted - sum(self._status.counts.values()) - sum(self._status.dropped.values())
         return dataclasses.replace(self._status, dropped=dropped, lost=lost)
+
+    def hand_over(self) -> None:
+        """Hand over what waits, in real time no more than the other process can take at once.
+
+        Call it four times a second, so that nothing waits longer.
+        """
+        if not self._closed and not self._hand_over(PATIENCE if self._lockstep else 0.0) and self._lockstep:
+            self._give_up()
 
     def __enter__(self) -> BagProcess:
         return self
@@ -151,21 +161,31 @@ class BagProcess:
         """Hand the batch over, in lock-step even if that takes time; return whether there is room now."""
         if self._closed:
             return False
-        if self._lockstep or self._writable.poll(0):
-            self._hand_over()
-            self._limit = BATCH
-        else:
-            self._limit = min(self._limit + BATCH, self._queue_size)
+        self.hand_over()
+        backlog = len(self._batch) >= BATCH
+        self._limit = min(len(self._batch) + BATCH, self._queue_size) if backlog else BATCH
         return len(self._batch) < self._limit
 
-    def _hand_over(self) -> None:
-        if self._batch:
+    def _hand_over(self, patience: float) -> bool:
+        """Hand over what waits if the other process makes room within ``patience`` [s]; return whether it did."""
+        batch = self._batch
+        while batch and not self._silent and self._writable.poll(1000.0 * patience):
             with suppress(OSError):  # that it has ended shows in what it says last
-                self._connection.send_bytes(MESSAGES + b"".join(self._batch))
-            self._accepted += len(self._batch)
-            self._batch.clear()
+                self._connection.send_bytes(MESSAGES + b"".join(batch[:BATCH]))
+            self._accepted += len(batch[:BATCH])
+            del batch[:BATCH]
         while self._receive(0.0):
             pass
+        return not batch
+
+    def _give_up(self) -> None:
+        """Take the other process for one that never answers: what was for it is lost."""
+        self._accepted += len(self._batch)
+        self._batch.clear()
+        if not self._silent:
+            self._silent = True
+            self._process.kill()
+            self._note(dataclasses.replace(self._status, error=f"{self.path}: {SILENT}"))
 
     def _send(self, item: object) -> None:
         with suppress(OSError):  # that it has ended shows in what it says last
@@ -185,10 +205,14 @@ class BagProcess:
             if not self._complete:
                 status = dataclasses.replace(status, error=status.error or f"{self.path}: {ENDED}")
         self._complete = self._complete or kind == "closed"
+        self._note(status)
+        return kind
+
+    def _note(self, status: BagStatus) -> None:
+        """Keep what is known of the recording; its first error is reported."""
         known, self._status = self._status.error, status
         if status.error is not None and known is None and self._on_error is not None:
             self._on_error(status.error)
-        return kind
 
     def _wait_for(self, kinds: tuple[str, ...], timeout: float) -> str:
         """Wait for one of some answers, up to a time [s]; return which, empty if none."""

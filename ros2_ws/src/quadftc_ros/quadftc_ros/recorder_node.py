@@ -38,6 +38,7 @@ from quadftc_ros.topics import TOPICS, Topic
 
 RECEIVE_DEPTH = {"lockstep": 10000, "realtime": 1000}  # messages per topic that may wait for this node
 CHECK_PERIOD = 1.0  # s, between two looks at how the recording stands
+HAND_OVER_PERIOD = 0.25  # s, for which a message may wait for others to go to the other process with it
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,6 +84,8 @@ class RecorderNode(GraphNode):
             self._record(row, message_class, subscribes)
         self.flush()  # it takes time to get ready for the topics, which is not to be that of the flight
         self.create_timer(CHECK_PERIOD, self._check)
+        if isinstance(self._writer, BagProcess):
+            self.create_timer(HAND_OVER_PERIOD, self._writer.hand_over, clock=self.steady_clock)
         self.ready()
 
     @property

@@ -24,9 +24,10 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
 
+from quadftc_ros import bag_process
 from quadftc_ros.bag_file import BagFile
 from quadftc_ros.bag_process import BATCH, BagProcess
-from quadftc_ros.bag_writer import BagWriter
+from quadftc_ros.bag_writer import FLUSH_PERIOD, BagWriter
 from quadftc_ros.interfaces import load_interface, load_message_class
 from quadftc_ros.topics import TOPICS
 
@@ -377,3 +378,69 @@ def test_process_drops_and_counts_in_real_time_when_the_other_is_slow(tmp_path):
     numbers = stored_numbers(writer.path)
     assert len(numbers) == status.counts["/plant/rate"]
     assert set(numbers) <= {k for k in range(200_000) if accepted[k]}
+
+
+@pytest.mark.parametrize("lockstep", [False, True])
+def test_process_that_hangs_is_given_up_and_the_caller_goes_on(tmp_path, monkeypatch, lockstep):
+    monkeypatch.setattr(bag_process, "PATIENCE", 0.5)
+    errors: list[str] = []
+    writer = BagProcess(tmp_path / "run", lockstep=lockstep, on_error=errors.append)
+    writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    assert writer.flush()
+    os.kill(writer.process_id, signal.SIGSTOP)
+    begin = time.monotonic()
+    write_numbers(writer, 20_000)
+    status = writer.close()
+    assert time.monotonic() - begin < 10.0
+    assert errors == [status.error]
+    assert status.error == f"{writer.path}: the process that writes it does not answer"
+    assert status.lost + sum(status.counts.values()) + sum(status.dropped.values()) == 20_000
+
+
+def test_slow_disk_does_not_delay_what_a_killed_recorder_leaves(tmp_path, monkeypatch):
+    monkeypatch.setattr(BagFile, "sync", lambda file: time.sleep(1.0))
+    writer = BagWriter(tmp_path / "run")
+    writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    end, number, worst = time.monotonic() + 1.5, 0, 0.0
+    while (now := time.monotonic()) < end:
+        writer.write("/plant/rate", vector(number), time.time_ns(), 0)
+        stored = stored_messages(writer.path)
+        if number and stored:
+            worst = max(worst, time.time() - stored[-1].log_time * 1e-9)
+        number += 1
+        time.sleep(max(0.0, now + 0.02 - time.monotonic()))
+    assert writer.close().counts == {"/plant/rate": number}
+    assert worst < 2 * FLUSH_PERIOD
+
+
+def test_lockstep_stream_slower_than_real_time_is_held_no_longer_than_a_second(tmp_path):
+    """At 0.2 of real time the messages that a cut waits for would be 1.5 s old."""
+    writer = BagWriter(tmp_path / "run", lockstep=True)
+    writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    begin, number, worst = time.monotonic(), 0, 0.0
+    while time.monotonic() - begin < 3.0:
+        log_time_ns = 1_000_000_000 + round(0.2e9 * (time.monotonic() - begin))
+        writer.write("/plant/rate", vector(number), log_time_ns, log_time_ns)
+        stored = stored_messages(writer.path)
+        last = stored[-1].log_time if stored else 1_000_000_000
+        worst = max(worst, (log_time_ns - last) / 0.2e9)
+        number += 1
+        time.sleep(0.02)
+    assert writer.close().counts == {"/plant/rate": number}
+    assert 0.6 < worst < 1.0
+
+
+def test_no_memory_stops_the_recording_not_the_caller(tmp_path, monkeypatch):
+    def no_memory(*_: object) -> None:
+        raise MemoryError
+
+    writer = BagWriter(tmp_path / "run")
+    writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    write_numbers(writer, 100)
+    assert writer.flush()
+    monkeypatch.setattr(BagFile, "write", no_memory)
+    write_numbers(writer, 100)
+    status = writer.close()
+    assert (status.counts, status.lost) == ({"/plant/rate": 100}, 100)
+    assert status.error == f"{writer.path}: MemoryError()"
+    assert stored_numbers(writer.path) == list(range(100))
