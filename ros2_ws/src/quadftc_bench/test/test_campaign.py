@@ -165,11 +165,25 @@ def test_a_flight_depends_on_its_number_alone(campaign, tmp_path):
     assert len({drawn(campaign, number)["seed"] for number in range(12)}) == 12
 
 
-def test_grids_are_gone_through_in_turn_and_chunks_have_one_cell(campaign):
+def test_grids_are_gone_through_in_turn_and_chunks_have_one_structure(campaign):
     assert [drawn(campaign, number)["rate"] for number in range(4)] == ["125 Hz", "250 Hz"] * 2
     chunks = chunks_of(campaign, size=4)
     assert sorted(number for chunk in chunks for number in chunk) == list(range(12))
     assert all(len({drawn(campaign, number)["rate"] for number in chunk}) == 1 for chunk in chunks)
+
+
+def test_grids_of_numbers_share_their_chunks(tmp_path):
+    """So that nothing is compiled for each value; a switch has chunks of its own."""
+    grids = """  plant.inertia_factor: {grid: [0.8, 1.0, 1.25]}
+  plant.motor_lag: {grid: [false, true]}
+"""
+    campaign = written(tmp_path, CAMPAIGN.replace("  rate: {grid: [125 Hz, 250 Hz]}\n", grids))
+    chunks = chunks_of(campaign, size=4)
+    assert sorted(len(chunk) for chunk in chunks) == [3, 3, 3, 3]
+    for chunk in chunks:
+        values = [drawn(campaign, number) for number in chunk]
+        assert len({value["plant.motor_lag"] for value in values}) == 1
+        assert {value["plant.inertia_factor"] for value in values} == {0.8, 1.0, 1.25}
 
 
 def test_a_row_says_what_the_flight_alone_says(campaign):

@@ -18,7 +18,7 @@ from quadftc_bench.campaign.errors import CampaignError
 from quadftc_bench.campaign.table import joined, write_table
 
 MANIFEST, CHUNKS, FLIGHTS, SUMMARY = "campaign.json", "chunks", "flights.parquet", "summary.json"
-FORMAT = 1
+FORMAT = 2
 
 
 class Store:

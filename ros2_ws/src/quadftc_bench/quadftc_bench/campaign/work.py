@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import functools
-import math
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from quadftc_bench.batch.parts import structure_of
 from quadftc_bench.campaign.distributions import plain
 from quadftc_bench.campaign.document import Campaign, Variant
 from quadftc_bench.campaign.flights import Flight, drawn, flight
@@ -18,10 +19,34 @@ Progress = Callable[[int], None]
 
 
 def chunks_of(campaign: Campaign, size: int = FLIGHTS_A_CHUNK) -> list[list[int]]:
-    """Divide the flights into chunks, each with flights of one combination of the grids."""
+    """Divide the flights into chunks of about equal size, each with flights of one structure.
+
+    What changes the structure (`quadftc_bench.batch.parts`) from one combination of the grids to another,
+    such as the rate, keeps them apart. Others, such as inertias, are mixed: nothing is compiled for each.
+
+    Raises
+    ------
+    ScenarioError
+        If the values of a combination make no scenario.
+    """
     cells = campaign.cells
-    numbers = (range(cell, campaign.flights, cells) for cell in range(min(cells, campaign.flights)))
-    return [list(own[start : start + size]) for own in numbers for start in range(0, len(own), size)]
+    groups: dict[Any, list[int]] = {}
+    for cell in range(min(cells, campaign.flights)):
+        groups.setdefault(_structure(campaign, cell), []).extend(range(cell, campaign.flights, cells))
+    return [chunk for numbers in groups.values() for chunk in _pieces(sorted(numbers), size)]
+
+
+def _pieces(numbers: list[int], size: int) -> list[list[int]]:
+    count = -(-len(numbers) // size)
+    edges = [len(numbers) * place // count for place in range(count + 1)]
+    return [numbers[low:high] for low, high in itertools.pairwise(edges)]
+
+
+def _structure(campaign: Campaign, number: int) -> Any:
+    """Structure of a flight; None where all have the same."""
+    if campaign.cells == 1:
+        return None
+    return structure_of(flight(campaign, number, campaign.variants[0]).parts.loop)
 
 
 def fly_chunk(campaign: Campaign, numbers: Sequence[int], progress: Progress = lambda samples: None) -> Rows:
@@ -50,8 +75,7 @@ def fly_chunk(campaign: Campaign, numbers: Sequence[int], progress: Progress = l
     from quadftc_bench.batch.engine import lanes_for
 
     rows: Rows = []
-    each_cell = math.ceil(campaign.flights / campaign.cells)
-    engine = _engine(campaign.float32, lanes_for(min(FLIGHTS_A_CHUNK, each_cell)))
+    engine = _engine(campaign.float32, lanes_for(len(numbers)))
     for variant in campaign.variants:
         flights = [flight(campaign, number, variant) for number in numbers]
         outcomes = engine.fly([each.parts for each in flights], [each.events for each in flights], progress)
