@@ -49,11 +49,18 @@ def stacked(parts: Sequence[Array]) -> Array:
 
 
 def norm(vector: Array) -> Array:
-    """Euclidean norm over the last axis, kept as an axis of length 1: (..., n) -> (..., 1)."""
+    """Euclidean norm over the last axis, kept as an axis of length 1: (..., n) -> (..., 1).
+
+    Its derivative at zero, where it has none, is 0, not NaN.
+    """
     if is_single(vector):
         return np.array([math.sqrt(sum([x * x for x in vector.tolist()]))])
     xp = namespace(vector)
-    return xp.sqrt(xp.sum(vector * vector, axis=-1, keepdims=True))
+    square = xp.sum(vector * vector, axis=-1, keepdims=True)
+    if xp is np:
+        return np.sqrt(square)
+    zero = square == 0.0
+    return xp.where(zero, 0.0, xp.sqrt(xp.where(zero, 1.0, square)))
 
 
 def whole_nanoseconds(time: Array) -> Array:

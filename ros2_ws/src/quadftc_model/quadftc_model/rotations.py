@@ -96,8 +96,10 @@ def quaternion_from_rotation_vector(rotation_vector: Array) -> Array:
         return np.array([x * scale, y * scale, z * scale, math.cos(half)])
     xp = namespace(rotation_vector)
     half_angle = 0.5 * norm(rotation_vector)
-    safe = xp.where(half_angle > 0.0, half_angle, 1.0)
-    return xp.concatenate([0.5 * rotation_vector * xp.sin(safe) / safe, xp.cos(half_angle)], axis=-1)
+    zero = half_angle == 0.0
+    safe = xp.where(zero, 1.0, half_angle)
+    cosine = xp.where(zero, 1.0, xp.cos(safe))
+    return xp.concatenate([0.5 * rotation_vector * xp.where(zero, 1.0, xp.sin(safe) / safe), cosine], axis=-1)
 
 
 def normalise(q_xyzw: Array) -> Array:

@@ -43,6 +43,7 @@ class Own(NamedTuple):
 
     numbers: dict[str, Any]  # of its parts, by path
     schedule: Schedule
+    direction: dict[str, Any] | None = None  # in which some of them change, for `quadftc_bench.batch.slopes`
 
 
 class Carried(NamedTuple):
@@ -70,6 +71,8 @@ class Structure:
         Whether samples may be withheld.
     float32 : bool
         Single precision in place of double.
+    tuned : tuple of str
+        Paths of the numbers whose change a flight is derived by; all of them vary.
     """
 
     loop: Loop
@@ -78,6 +81,7 @@ class Structure:
     late_start: bool
     loses: bool
     float32: bool
+    tuned: tuple[str, ...] = ()
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -119,9 +123,7 @@ class CompiledFlight:
         else:
             raise ValueError(f"after {MAX_SETTLING} steps a state still gets more parts")
         if lanes_last:
-            program = AllFlights(
-                self._step, state, (brought, own), times, shown=lambda carried: carried.tally
-            )
+            program = AllFlights(self._step, state, (brought, own), times, shown=self._shown)
             self.needed: Brought = program.needed[0]
             self._all = program
         else:
@@ -130,6 +132,10 @@ class CompiledFlight:
         begin = jax.vmap(self._begin, in_axes=(-1, -1, -1, None), out_axes=-1)
         self.begin = jax.jit(begin, compiler_options=QUICK_TO_COMPILE)
         self.fly = jax.jit(self._stretch, donate_argnums=0)
+
+    def _shown(self, carried: Any) -> Any:
+        """What is looked at in the end."""
+        return carried.tally
 
     def _begin(
         self, bias: Any, brought: Sequence[Brought], own: Own, times: Sequence[Times]
@@ -205,7 +211,9 @@ class CompiledFlight:
             for path in structure.varying
         }
         schedule = Schedule(*[shape(structure.events, 3)] * 3)
-        return Brought((vector,) * len(DRAWN), faults, delivery), Own(varying, schedule), Times(one, one, one)
+        direction = {path: varying[path] for path in structure.tuned} or None
+        own = Own(varying, schedule, direction)
+        return Brought((vector,) * len(DRAWN), faults, delivery), own, Times(one, one, one)
 
 
 def _given(brought: Brought, times: Times) -> Given:

@@ -11,7 +11,7 @@ its settings when it is imported first: see `quadftc_bench.batch.environment`.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,12 +23,14 @@ from quadftc_bench.batch.compiled import CompiledFlight, Own, Structure
 from quadftc_bench.batch.loop import Row
 from quadftc_bench.batch.parts import (
     FlightParts,
+    Loop,
     differing,
     numbers_of,
     structure_of,
     with_common_faults,
 )
 from quadftc_bench.batch.refusal import UNTRACEABLE, refusal
+from quadftc_bench.batch.slopes import SlopeFlight, slope_of_sums
 from quadftc_bench.batch.supply import Supply
 from quadftc_bench.batch.tally import Marks, Schedule, Sums
 from quadftc_bench.batch.trace import flight_of
@@ -57,6 +59,13 @@ class Outcome(NamedTuple):
     period: float  # of the samples [s]
 
 
+class Sloped(NamedTuple):
+    """What is left of one flight, and how its sums change along a direction of its numbers."""
+
+    outcome: Outcome
+    slope: Sums
+
+
 class Traced(NamedTuple):
     """One flight with every sample."""
 
@@ -78,14 +87,18 @@ class Engine:
     lanes : int, optional
         Flights that are flown together; compiled for so many, a batch of fewer is filled up. Default: as the
         flights are, up to `LANES`.
+    free : sequence of str
+        Paths of numbers (`numbers_of`) for which nothing is compiled anew when they change from one call to
+        the next; those that differ between the flights of a call need not be named.
     """
 
-    def __init__(self, float32: bool = False, lanes: int | None = None) -> None:
+    def __init__(self, float32: bool = False, lanes: int | None = None, free: Sequence[str] = ()) -> None:
         if lanes is not None and lanes < 1:
             raise ValueError(f"lanes = {lanes}: must be positive")
         settle_precision(float32)
         self._float32 = float32
         self._lanes = lanes
+        self._free = frozenset(free)
         self._compiled: dict[Any, CompiledFlight] = {}
         self._on_cpu = jax.default_backend() == "cpu"
 
@@ -151,11 +164,39 @@ class Engine:
                 found[place] = Traced(outcome, flight_of(one, chosen[lane].loop.period_ns, epoch_ns))
         return [found[place] for place in range(len(flights))]
 
+    def slopes(
+        self,
+        flights: Sequence[FlightParts],
+        events: Sequence[Sequence[FaultEvent]],
+        directions: Sequence[Mapping[str, Floats]],
+        progress: Callable[[int], None] = _no_progress,
+    ) -> list[Sloped]:
+        """Fly flights, each with the slope of its sums along a direction; else as `fly`.
+
+        Parameters
+        ----------
+        flights, events : sequences
+        directions : sequence of mappings
+            For each flight, how some of its numbers change, by path (`numbers_of`); of all flights the same
+            paths.
+        progress : callable
+        """
+        found: dict[int, Sloped] = {}
+        tasks = self._tasks(with_common_faults(flights), events, directions=directions)
+        for compiled, places, chosen, own in tasks:
+            total, marks, state = self._flown(compiled, chosen, own, progress, None)
+            outcomes = _outcomes(total, marks, chosen[0].loop, len(places))
+            slope = _doubled(slope_of_sums(state))
+            for lane, (place, outcome) in enumerate(zip(places, outcomes, strict=True)):
+                found[place] = Sloped(outcome, _lane(slope, lane))
+        return [found[place] for place in range(len(flights))]
+
     def _tasks(
         self,
         flights: Sequence[FlightParts],
         events: Sequence[Sequence[FaultEvent]],
         traced: bool = False,
+        directions: Sequence[Mapping[str, Floats]] | None = None,
     ) -> Iterator[tuple[CompiledFlight, list[int], list[FlightParts], Own]]:
         """Blocks of flights of one structure."""
         groups: dict[Any, list[int]] = {}
@@ -163,18 +204,21 @@ class Engine:
             groups.setdefault(structure_of(flight.loop), []).append(index)
         for key, members in groups.items():
             numbers = [numbers_of(flights[index].loop) for index in members]
-            varying = differing(numbers)
+            tuned = tuple(directions[0]) if directions else ()
+            varying = differing(numbers, self._free | set(tuned))
             chosen = [flights[index] for index in members]
             most = max(map(_most_events, (events[index] for index in members)))
-            compiled = self._compile(key, chosen, tuple(varying), most, numbers[0], traced)
+            compiled = self._compile(key, chosen, tuple(varying), most, numbers[0], traced, tuned)
             schedules = [_schedule(events[index], most) for index in members]
             lanes = self._lanes or lanes_for(len(members))
             for start in range(0, len(members), lanes):
                 block = list(range(start, min(start + lanes, len(members))))
                 full = block + [block[-1]] * (lanes - len(block))
+                along = [directions[members[i]] for i in full] if directions else []
                 own = Own(
                     {path: np.moveaxis(values[full], 0, -1) for path, values in varying.items()},
                     Schedule(*(np.stack([schedules[i][kind] for i in full], axis=-1) for kind in range(3))),
+                    {path: np.stack([one[path] for one in along], axis=-1) for path in tuned} or None,
                 )
                 yield compiled, [members[i] for i in block], [chosen[i] for i in full], own
 
@@ -186,6 +230,7 @@ class Engine:
         events: int,
         numbers: dict[str, Any],
         traced: bool,
+        tuned: tuple[str, ...],
     ) -> CompiledFlight:
         loop = flights[0].loop
         structure = Structure(
@@ -195,12 +240,14 @@ class Engine:
             late_start=any(map(_may_start_late, flights)),
             loses=any(injection.channel == "imu" for injection in loop.injections),
             float32=self._float32,
+            tuned=tuned,
         )
         fixed = tuple(value.tobytes() for path, value in numbers.items() if path not in varying)
-        whole_key = (key, varying, events, structure.late_start, fixed, traced)
+        whole_key = (key, varying, events, structure.late_start, fixed, traced, tuned)
         if whole_key not in self._compiled:
             try:
-                self._compiled[whole_key] = CompiledFlight(structure, traced, self._on_cpu)
+                kind = SlopeFlight if tuned else CompiledFlight
+                self._compiled[whole_key] = kind(structure, traced, self._on_cpu)
             except UNTRACEABLE as error:
                 raise refusal(error, loop, varying) from error
         return self._compiled[whole_key]
@@ -215,10 +262,8 @@ class Engine:
         keep: Callable[[Row], None] | None = None,
     ) -> list[Outcome]:
         """Fly a block; its first ``count`` lanes are flights of their own."""
-        total, marks = self._flown(compiled, flights, own, lambda samples: progress(samples * count), keep)
-        loop = flights[0].loop
-        rows, period = loop.count - loop.sensor.delay, loop.period_ns / NANOSECONDS_PER_SECOND
-        return [Outcome(_lane(total, lane), _lane(marks, lane), rows, period) for lane in range(count)]
+        total, marks, _ = self._flown(compiled, flights, own, lambda samples: progress(samples * count), keep)
+        return _outcomes(total, marks, flights[0].loop, count)
 
     def _flown(
         self,
@@ -227,8 +272,11 @@ class Engine:
         own: Own,
         progress: Callable[[int], None],
         keep: Callable[[Row], None] | None,
-    ) -> tuple[Sums, Marks]:
-        """Fly a block; ``keep`` takes the rows of each stretch, arrays (samples, ..., flights)."""
+    ) -> tuple[Sums, Marks, Any]:
+        """Fly a block; return its tally, and what is carried in the end.
+
+        ``keep`` takes the rows of each stretch, arrays (samples, ..., flights).
+        """
         structure = compiled.structure
         supply = Supply(flights, structure, compiled.needed)
         first = compiled.first_samples
@@ -254,7 +302,13 @@ class Engine:
                 keep(jax.tree.map(np.asarray, rows))
             total = Sums(*(a + b for a, b in zip(total, _doubled(state.tally.sums), strict=True)))
             progress(count)
-        return total, _doubled(state.tally.marks)
+        return total, _doubled(state.tally.marks), state
+
+
+def _outcomes(total: Sums, marks: Marks, loop: Loop, count: int) -> list[Outcome]:
+    """Of the first lanes of a block."""
+    rows, period = loop.count - loop.sensor.delay, loop.period_ns / NANOSECONDS_PER_SECOND
+    return [Outcome(_lane(total, lane), _lane(marks, lane), rows, period) for lane in range(count)]
 
 
 def _most_events(events: Sequence[FaultEvent]) -> int:

@@ -12,7 +12,7 @@ import copy
 import dataclasses
 import functools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -154,13 +154,13 @@ def in_precision(part: Any, dtype: np.dtype[Any]) -> Any:
     return with_numbers(part, arrays)
 
 
-def differing(flights: Sequence[Mapping[str, Numbers]]) -> dict[str, Numbers]:
-    """The numbers that are not the same in all flights, stacked: (flights, ...)."""
+def differing(flights: Sequence[Mapping[str, Numbers]], free: Collection[str] = ()) -> dict[str, Numbers]:
+    """The numbers that are not the same in all flights, and those that are ``free``, stacked (flights, ...)."""
     first = flights[0]
     return {
         path: np.stack([flight[path] for flight in flights])
         for path, value in first.items()
-        if any(flight[path].tobytes() != value.tobytes() for flight in flights[1:])
+        if path in free or any(flight[path].tobytes() != value.tobytes() for flight in flights[1:])
     }
 
 
