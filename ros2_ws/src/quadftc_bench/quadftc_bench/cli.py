@@ -25,9 +25,11 @@ from quadftc_bench.commands.catalogue import list_
 from quadftc_bench.commands.check import check
 from quadftc_bench.commands.doctor import doctor
 from quadftc_bench.commands.play import play
+from quadftc_bench.commands.repair import repair
 from quadftc_bench.commands.replay import replay
 from quadftc_bench.commands.report import report
 from quadftc_bench.commands.run import run
+from quadftc_bench.commands.tune import tune
 from quadftc_bench.graph_plan import GraphError
 from quadftc_bench.run import RunError
 from quadftc_bench.scenario import ScenarioError
@@ -46,8 +48,10 @@ def _root() -> None:
 app.command()(run)
 app.command()(play)
 app.command()(replay)
+app.command()(repair)
 app.command()(report)
 app.command()(campaign)
+app.command()(tune)
 app.command()(check)
 app.command("list")(list_)
 app.add_typer(bench, name="bench")

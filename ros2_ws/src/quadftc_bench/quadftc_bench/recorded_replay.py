@@ -131,7 +131,7 @@ def _require_replay(bag: Bag) -> None:
         what = "cut short before its first estimate" if bag.truncated else "without its data"
         raise BagError(
             f"{bag.path}: a replay {what}: missing messages on {', '.join(missing)}; topics with messages"
-            f" there: {topics_text(bag)}"
+            f" there: {topics_text(bag)}{bag.remedy}"
         )
 
 
@@ -139,9 +139,10 @@ def _shortcomings(replay: RecordedReplay) -> Iterator[str]:
     """What the bag lacks."""
     whole = f"{replay.origin.duration:.1f} s"
     if not replay.is_whole:
-        yield f"{replay.path}: cut short at {replay.duration:.1f} s of {whole}; read up to there"
+        end = f"{replay.duration:.1f} s of {whole}"
+        yield f"{replay.path}: cut short at {end}; read up to there{replay.bag.remedy}"
     elif replay.bag.truncated:
-        yield f"{replay.path}: cut short behind the last sample; {whole} are there"
+        yield f"{replay.path}: cut short behind the last sample; {whole} are there{replay.bag.remedy}"
     missing = without_messages(replay.bag, WANTED)
     if missing:
         yield f"{replay.path}: no message on {', '.join(missing)}; their figures are missing"

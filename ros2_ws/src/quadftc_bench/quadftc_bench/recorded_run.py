@@ -185,7 +185,7 @@ def _require_run(bag: Bag) -> None:
         what = "cut short before it holds a run" if bag.truncated else "no run or replay of quadftc"
         raise BagError(
             f"{bag.path}: {what}: missing {' and '.join(missing)}; topics with messages there:"
-            f" {topics_text(bag)}"
+            f" {topics_text(bag)}{bag.remedy}"
         )
 
 
@@ -203,9 +203,9 @@ def _shortcomings(bag: Bag, flight: Flight, scenario: Scenario) -> Iterator[str]
     end = f"{min(_recorded(flight, scenario), scenario.duration):.1f} s of {scenario.duration:g} s"
     if not _is_whole(flight, scenario):
         what = "cut short" if bag.truncated else "flight ended early,"
-        yield f"{bag.path}: {what} at {end}; read up to there"
+        yield f"{bag.path}: {what} at {end}; read up to there{bag.remedy}"
     elif bag.truncated:
-        yield f"{bag.path}: cut short behind the end of the flight; {end} are there"
+        yield f"{bag.path}: cut short behind the end of the flight; {end} are there{bag.remedy}"
     missing = without_messages(bag, WANTED)
     if missing:
         yield f"{bag.path}: no message on {', '.join(missing)}; their numbers are missing"

@@ -92,10 +92,14 @@ class BagFile:
         self.flush()
         self.sync()
 
-    def add_topic(self, topic: TopicRecord, definition: str) -> None:
+    def add_record(self, name: str, entries: Mapping[str, str]) -> None:
+        """Add an MCAP metadata record."""
+        self._writer.add_metadata(name, dict(entries))
+
+    def add_topic(self, topic: TopicRecord, definition: str, encoding: str = "ros2msg") -> None:
         """Register a topic with its type's definition; channels are numbered from 1 in the order of calls."""
         if topic.type_name not in self._schemas:
-            schema = self._writer.register_schema(topic.type_name, "ros2msg", definition.encode())
+            schema = self._writer.register_schema(topic.type_name, encoding, definition.encode())
             self._schemas[topic.type_name] = schema
         self._writer.register_channel(
             topic.name,

@@ -11,6 +11,7 @@ from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 
 VERSION = 9
+_NO_HASH = "''"  # of bags that older versions recorded
 NEVER_NS = 2**63 - 1  # rosbag2: start of an empty bag, and "infinite" as a duration
 
 
@@ -101,12 +102,16 @@ def _topics(topics: Sequence[tuple[TopicRecord, int]]) -> str:
         f"    name: {topic.name}\n"
         f"    type: {topic.type_name}\n"
         "    serialization_format: cdr\n"
-        f"    offered_qos_profiles:\n{_indented(topic.qos, '    ')}"
-        f"    type_description_hash: {topic.type_hash}\n"
+        f"    offered_qos_profiles:{_offered(topic.qos)}"
+        f"    type_description_hash: {topic.type_hash or _NO_HASH}\n"
         f"  message_count: {count}"
         for topic, count in topics
     ]
     return "".join(entries) or " []"
+
+
+def _offered(qos: str) -> str:
+    return "\n" + _indented(qos.rstrip() + "\n", "    ") if qos.strip() else " []\n"
 
 
 def _duration(duration: Duration) -> str:

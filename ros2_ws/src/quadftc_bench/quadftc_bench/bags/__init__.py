@@ -122,6 +122,11 @@ class Bag:
             for name, topic in self._topics.items()
         }
 
+    @property
+    def remedy(self) -> str:
+        """What to do about a bag that was cut short, to be said behind what is wrong; else empty."""
+        return f"; to make it whole, run quadftc repair {self.path}" if self.truncated else ""
+
     def resolve(self, topic: str) -> str:
         """Return a topic's full name: as given, with a leading slash, or in the only namespace that has it.
 

@@ -26,7 +26,7 @@ def storage_files(path: Path) -> list[Path]:
         if path.stat().st_size == 0:
             raise BagError(f"{path}: empty file")
         return [path]
-    information = _information(path / "metadata.yaml")
+    information = bag_information(path / "metadata.yaml")
     mode = str(information.get("compression_mode") or "").lower()
     if mode not in ("", "none", "storage"):
         raise BagError(f"{path}: compressed by {mode}; unpack it with 'ros2 bag convert'")
@@ -36,7 +36,9 @@ def storage_files(path: Path) -> list[Path]:
         raise BagError(f"{path}: no bag in this directory (neither metadata.yaml nor an .mcap file)")
     for file in files:
         if not file.is_file():
-            raise BagError(f"{path}: metadata.yaml names {file.name}, which is missing")
+            raise BagError(
+                f"{path}: metadata.yaml names {file.name}, which is missing; run quadftc repair {path}"
+            )
         if file.suffix != ".mcap":
             raise BagError(f"{path}: {file.name} is not MCAP; convert the bag with 'ros2 bag convert'")
         if file.stat().st_size == 0:
@@ -44,7 +46,7 @@ def storage_files(path: Path) -> list[Path]:
     return files
 
 
-def _information(path: Path) -> dict[str, Any]:
+def bag_information(path: Path) -> dict[str, Any]:
     """Return what ``metadata.yaml`` says; nothing if it is missing."""
     if not path.exists():
         return {}
@@ -52,4 +54,5 @@ def _information(path: Path) -> dict[str, Any]:
         content: Any = YAML(typ="safe").load(path.read_text("utf-8"))  # pyright: ignore
         return dict(content["rosbag2_bagfile_information"])
     except (OSError, YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
-        raise BagError(f"{path}: not the metadata of a bag ({type(error).__name__})") from error
+        what = f"not the metadata of a bag ({type(error).__name__})"
+        raise BagError(f"{path}: {what}; run quadftc repair {path.parent}") from error

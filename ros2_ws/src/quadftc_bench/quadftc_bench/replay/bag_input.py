@@ -86,7 +86,7 @@ def recording_from_bag(path: Path, topic: str = "", skip_backwards: bool = False
         torque = torque_before(kept.stamp_ns, commands.stamp_ns, commands["vector"])
         passengers[TORQUE] = Passenger(VECTOR, commands.stamp_ns, _messages(bag, torque_topic))
     faults = recorded_faults(bag, wanted, namespace, kept.stamp_ns)
-    cut = [f"{path}: cut short; read up to there"] if bag.truncated else []
+    cut = [f"{path}: cut short; read up to there{bag.remedy}"] if bag.truncated else []
     return Recording(
         name=run_name(path),
         path=path,
