@@ -167,7 +167,7 @@ class BagProcess:
         return len(self._batch) < self._limit
 
     def _hand_over(self, patience: float) -> bool:
-        """Hand over what waits if the other process makes room within ``patience`` [s]; return whether it did."""
+        """Hand over what waits; return whether the other process made room within ``patience`` [s]."""
         batch = self._batch
         while batch and not self._silent and self._writable.poll(1000.0 * patience):
             with suppress(OSError):  # that it has ended shows in what it says last
