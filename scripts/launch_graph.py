@@ -89,6 +89,9 @@ def launch(options: argparse.Namespace) -> int:
         plan = GraphPlan(parameters, options.mode, options.namespace, options.record, scheduling=scheduling)
         with StopSignals() as stop, GRAPHS[options.graph](plan) as graph:
             graph.run(lambda _samples: not stop.requested)
+            status = graph.recorder.finish() if graph.recorder is not None else None
+            if status is not None and status.error is not None:
+                raise GraphError(f"{status.error}: the recording stopped")
     except GraphError as error:
         sys.stderr.write(f"error: {error}\n")
         return (graph.exit_code if graph is not None else 0) or FAILED

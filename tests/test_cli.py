@@ -7,6 +7,7 @@ import os
 import re
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -194,3 +195,40 @@ def test_play_publishes_the_bag(folder: Path):
     done = quadftc(folder, "play", os.fspath(Path("out", "tiny-proposed")), "--rate", "10", "--delay", "0")
     assert done.returncode == 0, done.stderr
     assert f"{count} messages" in done.stdout
+
+
+def test_run_on_a_full_disk_flies_on_and_ends_with_what_is_there(folder: Path):
+    """No file may grow beyond 100 kB, which is what a disk that is full looks like to the one that writes."""
+    limit = "import os, resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000));"
+    tool = str(executable_path("quadftc_bench", "quadftc"))
+    command = [sys.executable, "-c", f"{limit} os.execv(sys.argv[1], sys.argv[1:])", tool]
+    arguments = ["run", "tiny.yaml", "--set", "duration=3 s", "--out", "out"]
+    done = subprocess.run(
+        [*command, *arguments], cwd=folder, capture_output=True, text=True, timeout=120, check=False
+    )
+    bag = folder / "out" / "tiny-proposed"
+    assert done.returncode == 3
+    assert done.stderr.count("recording has stopped: ") == 1
+    (line,) = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
+    found = re.fullmatch(
+        rf"error: {bag}/tiny-proposed_0.mcap: File too large: the recording stopped, the flight went on;"
+        r" (\d+) messages are in the bag, (\d+) are lost; run quadftc repair out/tiny-proposed",
+        line,
+    )
+    assert found is not None, line
+    kept, lost = map(int, found.groups())
+    assert kept > 100
+    assert lost > 1000  # those of the rest of the flight
+    assert sorted(path.name for path in bag.iterdir()) == ["metadata.yaml", "tiny-proposed_0.mcap"]
+    repaired = quadftc(folder, "repair", str(bag))
+    assert repaired.returncode == 0, repaired.stderr
+    assert f"kept: {kept} messages" in repaired.stdout
+    assert sum(topic.count for topic in read_bag(f"{bag}-repaired").topics.values()) == kept
+
+
+def test_summary_says_what_was_recorded(folder: Path):
+    assert quadftc(folder, "run", "tiny.yaml", "--out", "out").returncode == 0
+    bag = folder / "out" / "tiny-proposed"
+    summary = json.loads((bag / "summary.json").read_text(encoding="utf-8"))
+    counts = [topic.count for topic in read_bag(bag).topics.values()]
+    assert summary["recorded"] == {"messages": sum(counts), "dropped": {}}

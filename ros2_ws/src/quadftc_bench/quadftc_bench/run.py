@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from quadftc_bench.graph_plan import GraphError, GraphPlan, check_scheduling
 from quadftc_bench.process_graph import ProcessGraph
 from quadftc_bench.scenario import Scenario, Scheme, node_parameters
 from quadftc_bench.summary import summary
+from quadftc_ros.bag_writer import BagStatus
 from quadftc_ros.recorder_node import versions
 from quadftc_ros.scheduling import ORDINARY, Scheduling
 from quadftc_sim.assembly import sample_count
@@ -118,7 +120,8 @@ def run(
     Raises
     ------
     GraphError
-        If the graph does not start or stalls, or messages were lost on the way to the bag.
+        If the graph does not start or stalls, messages were lost on the way to the bag, or the recording
+        stopped, as on a full disk: then after the flight, and the bag can be read up to there.
     """
     bag = out / run_name(scenario, scheme)
     with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
@@ -133,9 +136,11 @@ def run(
         )
         files[0].write_text(yaml.safe_dump(scenario.raw, sort_keys=False, width=120), encoding="utf-8")
         files[1].write_text(plan.parameter_file(), encoding="utf-8")
-        wall_time = _fly(plan, options.graph, scenario.duration * scenario.rate, progress)
+        wall_time, status = _fly(plan, options.graph, scenario.duration * scenario.rate, progress)
+        if status.error is not None:
+            raise GraphError(_stopped(bag, status))
         for file in files:
-            shutil.copy(file, bag / file.name)
+            _write(bag / file.name, file.read_text(encoding="utf-8"))
     if wall_time is None:
         return None
     flight = flight_from_bag(read_bag(bag))
@@ -144,13 +149,33 @@ def run(
         raise GraphError(f"{bag}: {wanted} samples were flown, but {len(flight)} recorded")
     result = summary(flight, scenario, scheme, wall_time)
     result["mode"], result["graph"], result["bag"] = options.mode, options.graph, bag.name
+    result["recorded"] = {"messages": sum(status.counts.values()), "dropped": dict(status.dropped)}
     result["versions"] = {**versions(), **_commit()}
-    (bag / SUMMARY).write_text(json.dumps(result, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    _write(bag / SUMMARY, json.dumps(result, indent=2, allow_nan=False) + "\n")
+    if status.dropped:
+        lost = ", ".join(f"{topic} {count}" for topic, count in sorted(status.dropped.items()))
+        raise GraphError(f"{bag}: messages were lost on the way to the bag, as the writer was behind: {lost}")
     return result
 
 
-def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> float | None:
-    """Fly and record; return the wall time [s], None if ``progress`` ended the flight."""
+def _write(file: Path, text: str) -> None:
+    """Write a file beside the bag, or none."""
+    try:
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        with suppress(OSError):
+            file.unlink()
+        raise GraphError(f"{file}: {error.strerror}; the bag is whole") from None
+
+
+def _stopped(bag: Path, status: BagStatus) -> str:
+    """Say what became of a recording that stopped."""
+    kept = f"{sum(status.counts.values())} messages are in the bag, {status.lost} are lost"
+    return f"{status.error}: the recording stopped, the flight went on; {kept}; run quadftc repair {bag}"
+
+
+def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> tuple[float | None, BagStatus]:
+    """Fly and record; return the wall time [s], None if ``progress`` ended the flight, and the recording."""
     going_on = True
 
     def follow(count: int) -> bool:
@@ -163,11 +188,7 @@ def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> floa
         recorder = graph.recorder
         assert recorder is not None  # the plan has a bag
         status = recorder.finish()
-    if status.error is not None:
-        raise GraphError(f"{plan.bag}: {status.error}")
-    if status.dropped:
-        raise GraphError(f"{plan.bag}: messages were lost on the way to the bag: {dict(status.dropped)}")
-    return wall_time if going_on else None
+    return (wall_time if going_on else None), status
 
 
 def _commit() -> dict[str, str]:
