@@ -23,6 +23,7 @@ def chunks_of(campaign: Campaign, size: int = FLIGHTS_A_CHUNK) -> list[list[int]
 
     What changes the structure (`quadftc_bench.batch.parts`) from one combination of the grids to another,
     such as the rate, keeps them apart. Others, such as inertias, are mixed: nothing is compiled for each.
+    Structures take turns, so that workers compile one each and not the same one at the same time.
 
     Raises
     ------
@@ -33,7 +34,8 @@ def chunks_of(campaign: Campaign, size: int = FLIGHTS_A_CHUNK) -> list[list[int]
     groups: dict[Any, list[int]] = {}
     for cell in range(min(cells, campaign.flights)):
         groups.setdefault(_structure(campaign, cell), []).extend(range(cell, campaign.flights, cells))
-    return [chunk for numbers in groups.values() for chunk in _pieces(sorted(numbers), size)]
+    turns = itertools.zip_longest(*(_pieces(sorted(numbers), size) for numbers in groups.values()))
+    return [chunk for turn in turns for chunk in turn if chunk is not None]
 
 
 def _pieces(numbers: list[int], size: int) -> list[list[int]]:
