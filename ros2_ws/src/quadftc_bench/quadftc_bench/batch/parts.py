@@ -155,7 +155,7 @@ def in_precision(part: Any, dtype: np.dtype[Any]) -> Any:
 
 
 def differing(flights: Sequence[Mapping[str, Numbers]], free: Collection[str] = ()) -> dict[str, Numbers]:
-    """The numbers that are not the same in all flights, and those that are ``free``, stacked (flights, ...)."""
+    """The numbers that differ between flights, and those that are ``free``, stacked (flights, ...)."""
     first = flights[0]
     return {
         path: np.stack([flight[path] for flight in flights])

@@ -2,9 +2,9 @@
 """A flight and its derivative: how the sums of a tally change when gains do.
 
 Forward mode: beside every float that a flight carries goes its slope along one direction of the gains, so a
-flight of any length takes the same memory, and a gradient takes one lane for each gain. A slope is that of the
-branch that was taken: what a gain does by moving a decision (the moment of a detection, say) to another sample
-is not in it. Where a function has no slope (a norm at zero), it is taken as 0.
+flight of any length takes the same memory, and a gradient takes one lane for each gain. A slope is that of
+the branch that was taken: what a gain does by moving a decision (the moment of a detection, say) to another
+sample is not in it. Where a function has no slope (a norm at zero), it is taken as 0.
 """
 
 from __future__ import annotations

@@ -75,17 +75,45 @@ def fly_chunks(
 
     Raises
     ------
+    ClusterError, ScenarioError, ValueError
+        As `run_tasks` does.
+    """
+    from quadftc_bench.campaign.work import fly_chunk
+
+    return run_tasks(client, fly_chunk, [(campaign, list(numbers)) for numbers in chunks], progress)
+
+
+def run_tasks(
+    client: Any,
+    function: Callable[..., Any],
+    arguments: Sequence[tuple[Any, ...]],
+    progress: Callable[[int], None],
+) -> Iterator[tuple[int, Any]]:
+    """Call a function in the workers; return place and result of each call as it is done.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    function : callable
+        Its last argument is like ``progress``.
+    arguments : sequence of tuples
+        The others, of each call.
+    progress : callable
+        Called with the number of samples flown since the last call.
+
+    Raises
+    ------
     ClusterError
-        If a chunk is lost with its worker again and again.
-    ScenarioError, ValueError
-        What a chunk raises.
+        If a call is lost with its worker again and again.
+    Exception
+        What a call raises.
     """
     from distributed import KilledWorker, as_completed
 
     client.subscribe_topic(TOPIC, lambda event: progress(event[1]))
     futures = {
-        client.submit(_chunk, campaign, list(numbers), retries=RETRIES, pure=False): place
-        for place, numbers in enumerate(chunks)
+        client.submit(_called, function, each, retries=RETRIES, pure=False): place
+        for place, each in enumerate(arguments)
     }
     try:
         for future in as_completed(futures, loop=client.loop):
@@ -99,14 +127,12 @@ def fly_chunks(
         client.unsubscribe_topic(TOPIC)
 
 
-def _chunk(campaign: Campaign, numbers: list[int]) -> Rows:
+def _called(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
     """A task, in a worker."""
     from distributed import get_worker
 
-    from quadftc_bench.campaign.work import fly_chunk
-
     worker = get_worker()
-    return fly_chunk(campaign, numbers, lambda samples: worker.log_event(TOPIC, samples))
+    return function(*arguments, lambda samples: worker.log_event(TOPIC, samples))
 
 
 def _environment() -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 name: mems_robustness
 scenario: mems_faults              # by name, or a path relative to this file
+gains: qball_x4_mems               # tuned gains, if any: see quadftc_bench.scenario.gains
 set: [duration=60 s]               # values of the scenario that are the same in all flights
 flights: 1000
 seed: 1
@@ -12,6 +13,13 @@ vary:
   faults.0.value: {uniform: [0.5 deg, 5 deg], sign: random}
   rate: {grid: [125 Hz, 250 Hz]}
 report: {map: [faults.0.value, rate], metric: fault.estimate_rmse_deg}
+tune:                                    # for quadftc tune
+  gains: [controller.k_c1, controller.phi, disturbance_observer.bandwidth]
+  cost: {tracking_rmse_deg: 1, torque_total_variation: 0.1}  # weights, of metrics over their first values
+  flights: 32                            # of each step, in turn out of those of the campaign
+  steps: 30
+  rate: 0.05                             # of Adam, in the logarithm of a gain
+  held_out: 256                          # flights beyond those of the campaign, to judge by
 """
 
 from __future__ import annotations
@@ -22,12 +30,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from quadftc_bench.campaign.distributions import Distribution, distribution
 from quadftc_bench.scenario import Scenario, ScenarioError, find_scenario
 from quadftc_bench.scenario.build import build_scenario
 from quadftc_bench.scenario.document import Document, Keys, Problem, read_document
+from quadftc_bench.scenario.gains import find_gains, with_gains_of
 from quadftc_bench.scenario.overrides import overridden
 from quadftc_bench.scenario.schema import MAX_SEED, Name, problems_of
 from quadftc_control.controller import controllers
@@ -35,6 +44,10 @@ from quadftc_fdi.fault_observer import fault_observers
 
 MAX_FLIGHTS = 10_000_000
 MAX_CELLS = 10_000
+COSTS = (
+    *("tracking_rmse_deg", "fault_estimate_rmse_deg", "disturbance_estimate_rmse", "torque_rms"),
+    "torque_total_variation",
+)  # metrics that a flight can be tuned for
 RESERVED = ("seed", "schemes")  # each flight gets a seed of its own; what is compared is not drawn
 
 
@@ -49,12 +62,34 @@ class ReportShape(_Shape):
     metric: str = "fault.estimate_rmse_deg"
 
 
+class TuneShape(_Shape):
+    """What ``quadftc tune`` does with the campaign."""
+
+    gains: list[str] = Field(min_length=1)
+    cost: dict[str, float] = Field(min_length=1)
+    flights: int = Field(default=32, ge=1, le=MAX_FLIGHTS)
+    steps: int = Field(default=30, ge=1, le=10_000)
+    rate: float = Field(default=0.05, gt=0.0, le=1.0)
+    held_out: int = Field(default=256, ge=1, le=MAX_FLIGHTS)
+
+    @field_validator("cost")
+    @classmethod
+    def _known(cls, cost: dict[str, float]) -> dict[str, float]:
+        for name, weight in cost.items():
+            if name not in COSTS:
+                raise ValueError(f"no '{name}'; there are: {', '.join(COSTS)}")
+            if not 0.0 < weight < math.inf:
+                raise ValueError(f"{name} = {weight}: must be positive and finite")
+        return cost
+
+
 class CampaignShape(_Shape):
     """The keys of a campaign file."""
 
     name: Name | None = None
     description: str = ""
     scenario: str
+    gains: str | None = None
     set: list[str] = []
     flights: int = Field(ge=1, le=MAX_FLIGHTS)
     seed: int = Field(default=1, ge=0, le=MAX_SEED)
@@ -64,6 +99,7 @@ class CampaignShape(_Shape):
     vary: dict[str, Any] = {}
     precision: Literal["float64", "float32"] = "float64"
     report: ReportShape = ReportShape()
+    tune: TuneShape | None = None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -98,12 +134,18 @@ class Campaign:
     float32: bool
     map: tuple[str, ...]
     metric: str
+    tune: TuneShape | None
     document: Document
 
     @property
     def cells(self) -> int:
         """How many combinations the grids have."""
         return math.prod(len(each.values) for each in self.vary.values() if each.is_grid)
+
+    def with_steps(self, steps: int) -> Campaign:
+        """The campaign with another number of steps of tuning."""
+        tune = self.tune and self.tune.model_copy(update={"steps": steps})
+        return dataclasses.replace(self, tune=tune)
 
 
 def load_campaign(path: Path, flights: int | None = None) -> Campaign:
@@ -141,6 +183,7 @@ def load_campaign(path: Path, flights: int | None = None) -> Campaign:
         float32=shape.precision == "float32",
         map=tuple(shape.report.map),
         metric=shape.report.metric,
+        tune=shape.tune,
         document=document,
     )
     if campaign.cells > MAX_CELLS:
@@ -152,7 +195,7 @@ def load_campaign(path: Path, flights: int | None = None) -> Campaign:
 
 
 def _model_at(path: Keys) -> type[BaseModel]:
-    return ReportShape if path[:1] == ("report",) else CampaignShape
+    return {"report": ReportShape, "tune": TuneShape}.get(str(path[0]) if path else "", CampaignShape)
 
 
 def _distributions(shape: CampaignShape) -> tuple[dict[str, Distribution], list[Problem]]:
@@ -178,7 +221,10 @@ def _base(document: Document, shape: CampaignShape) -> tuple[Document, Scenario]
             if beside.suffix in (".yaml", ".yml") and beside.is_file()
             else find_scenario(shape.scenario)
         )
-        base = overridden(read_document(path), shape.set)
+        base = read_document(path)
+        if shape.gains is not None:
+            base = with_gains_of(base, find_gains(shape.gains))
+        base = overridden(base, shape.set)
         return base, build_scenario(base)
     except ScenarioError as error:
         lines = str(error).splitlines()

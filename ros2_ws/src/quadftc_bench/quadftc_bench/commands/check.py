@@ -49,6 +49,9 @@ def check(
     set_: Annotated[
         list[str], typer.Option("--set", help="Any value of the scenario: schemes.proposed.observer.L1=0.")
     ] = [],  # noqa: B006
+    gains: Annotated[
+        str, typer.Option(help="Tuned gains for the vehicle and its sensors: a name or a file (see gains/).")
+    ] = "",
     bag: Annotated[
         Path | None, typer.Option(help="Recorded run: its bounds, and the Lyapunov functions along it.")
     ] = None,
@@ -66,14 +69,14 @@ def check(
     if isolability:
         _isolability(load_scenario(find_scenario(target), set_).vehicle, sensors, as_json)
         raise typer.Exit(GOOD)
-    choices = (scheme, observer, disturbance_observer, controller, *set_)
+    choices = (scheme, observer, disturbance_observer, controller, gains, *set_)
     recorded = bag or (Path(target) if _is_bag(Path(target)) else None)
     if recorded is None:
-        report = _of_scenario(target, scheme, observer, disturbance_observer, controller, set_, output)
+        report = _of_scenario(target, scheme, observer, disturbance_observer, controller, set_, gains, output)
     else:
         if any(choices):
             raise BagError(
-                f"{recorded}: a recorded run is judged as it was flown; leave out scheme, parts and --set"
+                f"{recorded}: a recorded run is judged as it was flown; no scheme, parts, --gains, --set"
             )
         run = read_run(recorded)
         for warning in run.warnings:
@@ -95,9 +98,10 @@ def _of_scenario(
     disturbance_observer: str,
     controller: str,
     overrides: list[str],
+    gains: str,
     output: Output,
 ) -> CheckReport:
-    loaded: Scenario = load_scenario(find_scenario(target), overrides)
+    loaded: Scenario = load_scenario(find_scenario(target), overrides, gains)
     for change, kind in (
         (with_observer, observer),
         (with_disturbance_observer, disturbance_observer),

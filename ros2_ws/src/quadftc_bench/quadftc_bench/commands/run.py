@@ -94,6 +94,9 @@ def run(
     set_: Annotated[
         list[str], typer.Option("--set", help="Any value of the scenario: a.b=v, faults.0.value='2 deg'.")
     ] = [],  # noqa: B006
+    gains: Annotated[
+        str, typer.Option(help="Tuned gains for the vehicle and its sensors: a name or a file (see gains/).")
+    ] = "",
     out: Annotated[Path, typer.Option(help="Directory of the runs.")] = Path("results"),
     wait: WaitOption = Wait.sleep,
     realtime_priority: PriorityOption = 0,
@@ -106,7 +109,7 @@ def run(
     options = RunOptions(graph.value, mode.value, namespace, force, scheduling)
     jobs: list[tuple[Scenario, Scheme]] = []
     for name in scenarios:
-        loaded = load_scenario(find_scenario(name), overrides)
+        loaded = load_scenario(find_scenario(name), overrides, gains)
         for change, kind in (
             (with_observer, observer),
             (with_disturbance_observer, disturbance_observer),

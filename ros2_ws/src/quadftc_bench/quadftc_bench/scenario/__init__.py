@@ -14,6 +14,7 @@ from typing import Any
 from quadftc_bench.node_parameters import node_parameters
 from quadftc_bench.scenario.build import build_scenario
 from quadftc_bench.scenario.document import Keys, ScenarioError, parse_document, read_document
+from quadftc_bench.scenario.gains import find_gains, with_gains_of
 from quadftc_bench.scenario.overrides import overridden
 from quadftc_bench.scenario.types import Check, Fault, Part, Scenario, Scheme
 from quadftc_model.hints import nearest
@@ -42,7 +43,7 @@ __all__ = [
 SEARCH_PATH = "QUADFTC_SCENARIO_PATH"  # environment variable: directories, separated as in PATH
 
 
-def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -> Scenario:
+def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = (), gains: str = "") -> Scenario:
     """Load a scenario file.
 
     Parameters
@@ -50,13 +51,18 @@ def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = ()) -
     path : path
     overrides : sequence of str
         Values to put in place of the file's: ``seed=3``, ``faults.0.value=2 deg``.
+    gains : str
+        Name or path of a file of tuned gains (`quadftc_bench.scenario.gains`); overrides come after them.
 
     Raises
     ------
     ScenarioError
         If anything is wrong with it: one line for each problem.
     """
-    return build_scenario(overridden(read_document(Path(path)), overrides))
+    document = read_document(Path(path))
+    if gains:
+        document = with_gains_of(document, find_gains(gains))
+    return build_scenario(overridden(document, overrides))
 
 
 def parse_scenario(text: str, source: str = "scenario.yaml", overrides: Sequence[str] = ()) -> Scenario:

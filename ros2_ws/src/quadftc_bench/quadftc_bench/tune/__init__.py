@@ -1,0 +1,1 @@
+"""Tuning gains by gradients through the closed loop."""
