@@ -30,6 +30,7 @@ SERIAL_FILES = {
     "test_graph_realtime.py",
     "test_launch_graph.py",
     "test_play.py",
+    "test_recorder_faults.py",
     "test_recorder_node.py",
     "test_report_in_browser.py",
 }

@@ -64,9 +64,14 @@ def main() -> None:
 
 
 def _guarded(arguments: list[str]) -> int:
+    return guarded(app, arguments)
+
+
+def guarded(command: typer.Typer, arguments: list[str]) -> int:
+    """Run a command; turn every error into a line, and return the exit code."""
     screen = console(stderr=True)
     try:
-        result = app(arguments or ["--help"], standalone_mode=False)
+        result = command(arguments or ["--help"], standalone_mode=False)
         return result if isinstance(result, int) else GOOD
     except typer.TyperException as error:
         words = error.format_message() if hasattr(error, "format_message") else str(error)

@@ -1,0 +1,1 @@
+"""Long tests of the software itself, `scripts/soak`: faults put into the programs, at random times."""

@@ -1,0 +1,91 @@
+# pyright: basic
+"""``scripts/soak PART``: each part injects one kind of fault into the software, many times.
+
+Exit codes as of ``quadftc``: 1 if what was required did not hold in some trial. A new part is a module with
+what it does and how it shows it, and a function here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+from quadftc_bench.cli import guarded
+from quadftc_bench.commands import CHECK_FAILED, GOOD
+from quadftc_bench.tables import console
+
+app = typer.Typer(
+    add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
+)
+
+TrialsOption = Annotated[int, typer.Option(min=1, help="How many.")]
+SeedOption = Annotated[int, typer.Option(help="Of the random times.")]
+OutOption = Annotated[Path | None, typer.Option(metavar="FILE.json", help="Write every trial there.")]
+
+
+@app.callback()
+def _root() -> None:
+    """Long tests of the software itself: one fault, injected many times, and the worst that came of it."""
+
+
+@app.command()
+def recorder(trials: TrialsOption = 50, seed: SeedOption = 1, out: OutOption = None) -> None:
+    """Kill recorders at random times; repair their bags; tell how much was lost."""
+    from quadftc_bench.soak.recorder_trial import KILLED
+
+    _hit_recorders(KILLED, trials, seed, out)
+
+
+@app.command()
+def disk(trials: TrialsOption = 20, seed: SeedOption = 1, out: OutOption = None) -> None:
+    """Let disks be full at random times of flights, which are to go on; repair the bags."""
+    from quadftc_bench.soak.recorder_trial import DISK_FULL
+
+    _hit_recorders(DISK_FULL, trials, seed, out)
+
+
+def _hit_recorders(hit: str, trials: int, seed: int, out: Path | None) -> None:
+    from quadftc_bench.soak import recorder as part
+    from quadftc_bench.soak.recorder_trial import Trial
+
+    screen = console()
+
+    def follow(trial: Trial) -> None:
+        verdict = trial.wrong or ("good" if part.passed(trial) else "too much is lost")
+        screen.print(
+            f"{trial.form}: {hit} after {trial.after:.2f} s, lost {trial.lost:.3f} s"
+            f" ({trial.lost_stamps:.3f} s of stamps), {trial.messages} messages read: {verdict}",
+            markup=False,
+            soft_wrap=True,
+        )
+
+    done = part.soak(hit, trials, seed, follow)
+    screen.print(part.table(hit, done))
+    _finish(part.summary(hit, done, seed), done, out)
+
+
+def _finish(summary: dict[str, Any], trials: Sequence[Any], out: Path | None) -> None:
+    """Write the results if asked to, and end with the exit code."""
+    if out is not None:
+        rows = {**summary, "each": [dataclasses.asdict(trial) for trial in trials]}
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+    raise typer.Exit(GOOD if summary["passed"] else CHECK_FAILED)
+
+
+def main() -> None:
+    """Run the command; turn every error into a line and an exit code."""
+    sys.exit(guarded(app, sys.argv[1:]))
+
+
+if __name__ == "__main__":
+    main()
