@@ -133,6 +133,26 @@ def with_plant(scenario, **options):
     return build_scenario(scenario.document.replaced(("plant",), options, "test"))
 
 
+def test_a_flight_alone_is_one_kernel_and_says_what_the_metrics_say():
+    """Without a trace; the loop over its samples is compiled as a whole."""
+    scenario = busy({"kind": "bias", "value": 0.03, "start": 1.0, "stop": 2.0})
+    parameters = node_parameters(scenario)
+    parts, events, engine = [flight_parts(parameters)], [scenario.fault_events], Engine()
+    compiled, *_ = next(engine._tasks(parts, events))
+    texts = []
+
+    def fly_as_compiled(*arguments):
+        made = stretch.lower(*arguments).compile()
+        texts.append(made.as_text())
+        return made(*arguments)
+
+    stretch, compiled.fly = compiled.fly, fly_as_compiled
+    (outcome,) = engine.fly(parts, events)
+    assert len(texts) == 2
+    assert all('xla_cpu_small_call="true"' in text for text in texts)
+    assert_same_metrics(outcome, fly(parameters), scenario)
+
+
 def test_rotors_that_lag_fly_alike():
     assert_flies_alike(with_plant(busy(observer="none", controller="pid"), motor_lag=True))
 

@@ -40,7 +40,7 @@ from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_sim.assembly import EPOCH_NS
 
 STRETCH = 500  # samples between two looks from outside: sums are taken out, random numbers brought
-LANES = 256  # flights that are flown together
+LANES = 128  # flights that are flown together: their state stays in the cache
 
 Floats = NDArray[np.float64]
 
