@@ -59,11 +59,12 @@ def test_speed_is_that_of_the_slowest_process():
         [{"steps": 600, "seconds": 1.0, "drawing": 0.5}, {"steps": 400, "seconds": 2.0, "drawing": 0.5}],
         [{"steps": 600, "seconds": 1.0, "drawing": 0.0}, {"steps": 400, "seconds": 1.0, "drawing": 0.0}],
     ]
-    found = _summary(rounds)
+    found = _summary([[{**one, "runs": 2} for one in each] for each in rounds])
     assert found["steps_per_second"] == {"best": 1000, "median": 750}
     assert found["repeats"] == [500, 1000]
     assert found["ns_per_step_and_core"] == pytest.approx(2e6)
     assert found["drawing_share"] == pytest.approx(0.2)
+    assert found["seconds"] == {"best": 0.5, "median": 0.5}
 
 
 def test_all_batch_sizes_are_flown_on_the_fewest_cores_and_the_largest_on_all():
@@ -117,7 +118,11 @@ def test_benchmark_writes_what_it_measured(tmp_path, capfd, monkeypatch):
         assert rows[name]["memory_mib"] > 50.0
     assert {"crazyflow", "RotorPy", "RotorPy, one drone"} < set(rows)
     assert (tmp_path / "batch.png").stat().st_size > 5000
-    assert "load" in capfd.readouterr().out
+    printed = capfd.readouterr().out
+    assert "load" in printed
+    whole = rows["conventional, one whole flight"]
+    assert whole["seconds"]["best"] == pytest.approx(20_000 / whole["steps_per_second"]["best"], rel=1e-3)
+    assert f"conventional, one whole flight of 80 s, float32: {whole['seconds']['best']:.3f} s" in printed
 
 
 @pytest.mark.parametrize(

@@ -79,6 +79,7 @@ def _timed(subject: Subject, times: int) -> dict[str, float]:
     seconds = time.perf_counter() - begin
     return {
         "seconds": seconds,
+        "runs": times,
         "steps": sum(each.steps for each in flown),
         "drawing": sum(each.drawing for each in flown),
     }

@@ -8,6 +8,8 @@ from typing import Any
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from quadftc_bench.bench.batch import WHOLE, WHOLE_DURATION
+
 MILLION = 1e6
 TITLE = "steps per second; flights of each process, core time of a step"
 HEADINGS = (
@@ -46,6 +48,16 @@ def batch_table(results: Sequence[Mapping[str, Any]]) -> Table:
             f"{100.0 * share:.0f} %" if share else "-",
         )
     return table
+
+
+def flight_lines(results: Sequence[Mapping[str, Any]]) -> list[str]:
+    """How long one flight takes from its beginning to its end, random numbers included, a line each."""
+    whole = [row for row in results if row["name"].endswith(WHOLE) and "seconds" in row]
+    return [
+        f"{row['name']} of {WHOLE_DURATION:g} s, {row['precision']}: "
+        f"{row['seconds']['best']:.3f} s, median {row['seconds']['median']:.3f} s"
+        for row in whole
+    ]
 
 
 def what_lines(results: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from quadftc_bench.bench.batch import WHOLE
+
 
 def latency_figure(results: Sequence[Mapping[str, Any]], out: Path) -> Path:
     """Draw the latency from stamp to torque, a histogram for each rate with all its runs; return its path.
@@ -50,7 +52,7 @@ def batch_figure(results: Sequence[Mapping[str, Any]], out: Path) -> Path:
     """
     figure = Figure(figsize=(10.0, 5.0), layout="constrained")
     axes: Any = figure.subplots()
-    measured = [row for row in results if "steps_per_second" in row]
+    measured = [row for row in results if "steps_per_second" in row and not row["name"].endswith(WHOLE)]
     names = list(dict.fromkeys(row["name"] for row in measured))
     fewest = min((row["cores"] for row in measured), default=1)
     lines: dict[tuple[str, str, int], list[Mapping[str, Any]]] = {}
