@@ -13,6 +13,8 @@ from typing import IO, Any
 import pytest
 from hypothesis import settings
 
+from quadftc_bench.batch.environment import environment
+
 # property tests: the same examples in every run, and no time limit for one
 settings.register_profile("quadftc", derandomize=True, database=None, deadline=None)
 settings.load_profile("quadftc")
@@ -56,6 +58,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Before anything of ROS or NumPy is imported; in every worker of pytest-xdist, too."""
     for library in ("OPENBLAS", "OMP"):  # with small matrices, threads do little but wait for each other
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    os.environ.update(environment())  # what JAX compiles here it compiles as in a campaign
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in a background job; its children ignore it, too
         signal.signal(signal.SIGINT, signal.default_int_handler)
