@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import logging
 import os
@@ -57,6 +58,19 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
         Client(cluster, set_as_default=False) as client,
     ):
         yield client
+
+
+def devices(client: Any) -> str:
+    """Say what the workers compute on, such as ``2 x cpu``."""
+    found = collections.Counter(client.run(_device).values())
+    return ", ".join(f"{count} x {name}" for name, count in sorted(found.items()))
+
+
+def _device() -> str:
+    """In a worker."""
+    import jax
+
+    return jax.devices()[0].device_kind
 
 
 def fly_chunks(

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import polars as pl
 
-from quadftc_bench.campaign.cluster import cluster_client, fly_chunks
+from quadftc_bench.campaign.cluster import cluster_client, devices, run_tasks
 from quadftc_bench.campaign.document import Campaign, Variant
 from quadftc_bench.campaign.errors import CampaignError
 from quadftc_bench.campaign.flights import flight, flight_document
 from quadftc_bench.campaign.store import Store
 from quadftc_bench.campaign.summary import summary_of
 from quadftc_bench.campaign.table import table_of
-from quadftc_bench.campaign.work import FLIGHTS_A_CHUNK, chunks_of
+from quadftc_bench.campaign.work import FLIGHTS_A_CHUNK, chunks_of, fly_chunk
 from quadftc_bench.scenario import Scenario
 from quadftc_bench.scenario.build import build_scenario
 
@@ -28,6 +29,13 @@ class Extent(NamedTuple):
     samples: int  # of the chunks that are missing, all variants
 
 
+class Chunk(NamedTuple):
+    """What a worker flies at a time."""
+
+    numbers: list[int]  # of flights
+    variant: Variant
+
+
 class CampaignRun:
     """A campaign in a directory.
 
@@ -36,12 +44,13 @@ class CampaignRun:
     campaign : Campaign
     directory : Path
     size : int
-        Flights of a chunk.
+        Flights of a chunk, which has one variant.
     """
 
     def __init__(self, campaign: Campaign, directory: Path, size: int = FLIGHTS_A_CHUNK) -> None:
         self.campaign = campaign
-        self._chunks = chunks_of(campaign, size)
+        pieces = chunks_of(campaign, size)
+        self._chunks = [Chunk(numbers, variant) for variant in campaign.variants for numbers in pieces]
         self._store = Store(directory, campaign, len(self._chunks))
 
     def open(self, resume: bool) -> Extent:
@@ -54,15 +63,20 @@ class CampaignRun:
         ScenarioError
             If the first flight of a chunk cannot be built: better now than when hours are over.
         """
-        for numbers in self._chunks:
-            for variant in self.campaign.variants:
-                flight(self.campaign, numbers[0], variant)
+        for chunk in self._chunks:
+            flight(self.campaign, chunk.numbers[0], chunk.variant)
         self._store.open(resume)
         missing = self._store.missing
         samples = sum(self._samples(place) for place in missing)
         return Extent(len(self._chunks), len(missing), samples)
 
-    def fly(self, address: str | None, workers: int, progress: Callable[[int], None]) -> None:
+    def fly(
+        self,
+        address: str | None,
+        workers: int,
+        progress: Callable[[int], None],
+        told: Callable[[str], None] = lambda devices: None,
+    ) -> None:
         """Fly the chunks that are missing.
 
         Parameters
@@ -73,6 +87,8 @@ class CampaignRun:
             How many to start here.
         progress : callable
             Called with the number of samples flown since the last call.
+        told : callable
+            Called with what it is computed on, in words.
 
         Raises
         ------
@@ -82,9 +98,15 @@ class CampaignRun:
         missing = self._store.missing
         if not missing:
             return
+        each = {
+            variant: dataclasses.replace(self.campaign, variants=(variant,))
+            for variant in self.campaign.variants
+        }
         chunks = [self._chunks[place] for place in missing]
+        tasks = [(each[chunk.variant], chunk.numbers) for chunk in chunks]
         with cluster_client(address, min(workers, len(missing))) as client:
-            for index, rows in fly_chunks(client, self.campaign, chunks, progress):
+            told(devices(client))
+            for index, rows in run_tasks(client, fly_chunk, tasks, progress):
                 self._store.add(missing[index], table_of(rows))
 
     def finish(self) -> tuple[pl.DataFrame, dict[str, Any]]:
@@ -101,9 +123,8 @@ class CampaignRun:
         return frame, summary
 
     def _samples(self, place: int) -> int:
-        numbers = self._chunks[place]
-        loop = flight(self.campaign, numbers[0], self.campaign.variants[0]).parts.loop
-        return len(numbers) * len(self.campaign.variants) * loop.count
+        numbers, variant = self._chunks[place]
+        return len(numbers) * flight(self.campaign, numbers[0], variant).parts.loop.count
 
 
 def variant_of(campaign: Campaign, name: str | None) -> Variant:

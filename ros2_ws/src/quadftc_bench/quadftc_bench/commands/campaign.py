@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import time
@@ -15,6 +16,7 @@ from rich.progress import (
     Progress,
     ProgressColumn,
     Task,
+    TaskID,
     TaskProgressColumn,
     TextColumn,
     TimeElapsedColumn,
@@ -50,8 +52,9 @@ def campaign(
         int | None, typer.Option(help="Processes on this machine; default: one for each core.")
     ] = None,
     flight: Annotated[
-        int | None, typer.Option(help="Fly this one alone, through the node graph, and write its bag.")
-    ] = None,
+        list[int],
+        typer.Option(help="Fly this one alone, through the node graph, and write its bag; may be repeated."),
+    ] = [],  # noqa: B006
     variant: Annotated[str | None, typer.Option(help="Of that flight; default: the first.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier run of that flight.")] = False,
 ) -> None:
@@ -60,38 +63,42 @@ def campaign(
 
     loaded = load_campaign(file, flights)
     directory = out or Path("results") / loaded.name
-    if flight is not None:
+    if flight:
         raise typer.Exit(_fly_alone(loaded, flight, variant, directory, force))
     if variant is not None:
         raise CampaignError("--variant: is for --flight; a campaign flies all variants")
     raise typer.Exit(_fly_all(loaded, file, directory, resume, scheduler, workers))
 
 
-def _fly_alone(loaded: Campaign, number: int, name: str | None, directory: Path, force: bool) -> int:
-    """Fly one flight as ``quadftc run`` would."""
+def _fly_alone(loaded: Campaign, numbers: list[int], name: str | None, directory: Path, force: bool) -> int:
+    """Fly chosen flights as ``quadftc run`` would."""
     from quadftc_bench.campaign.run import flight_scenario, variant_of
 
     chosen = variant_of(loaded, name)
-    scenario = flight_scenario(loaded, number, chosen)
-    scheme = scenario.scheme(chosen.scheme)
+    scenarios = [flight_scenario(loaded, number, chosen) for number in dict.fromkeys(numbers)]
+    jobs = [(scenario, scenario.scheme(chosen.scheme)) for scenario in scenarios]
     runs = directory / "runs"
-    prepare(runs, [run_name(scenario, scheme)], force)
+    prepare(runs, [run_name(*job) for job in jobs], force)
     screen = console()
+    results: list[dict[str, Any]] = []
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), console=screen
     ) as bars:
-        bar = bars.add_task(run_name(scenario, scheme), total=1.0)
-
-        def follow(share: float) -> bool:
-            bars.update(bar, completed=share)
-            return True
-
-        result = run_scenario(scenario, scheme, runs, RunOptions(), follow)
-    if result is None:
-        raise RunError(f"{runs}: the flight ended early")
-    screen.print(_flight_table(result))
-    screen.print(f"bag and summary: {runs / run_name(scenario, scheme)}")
+        for job in jobs:
+            bar = bars.add_task(run_name(*job), total=1.0)
+            result = run_scenario(*job, runs, RunOptions(), functools.partial(_follow, bars, bar))
+            if result is None:
+                raise RunError(f"{runs}: the flight ended early")
+            results.append(result)
+    for job, result in zip(jobs, results, strict=True):
+        screen.print(_flight_table(result))
+        screen.print(f"bag and summary: {runs / run_name(*job)}")
     return GOOD
+
+
+def _follow(bars: Progress, bar: TaskID, share: float) -> bool:
+    bars.update(bar, completed=share)
+    return True
 
 
 def _flight_table(result: dict[str, Any]) -> Table:
@@ -134,7 +141,12 @@ def _fly_all(
     try:
         with Progress(*columns, console=screen, disable=extent.missing == 0) as bars:
             bar = bars.add_task("", total=max(extent.samples, 1))
-            flown.fly(scheduler, cores, lambda samples: bars.advance(bar, samples))
+            flown.fly(
+                scheduler,
+                cores,
+                lambda samples: bars.advance(bar, samples),
+                lambda devices: bars.console.print(f"computed on {devices}"),
+            )
             bars.update(bar, completed=max(extent.samples, 1))
     except KeyboardInterrupt:
         screen.print(f"interrupted; --resume goes on with what is in {directory}")

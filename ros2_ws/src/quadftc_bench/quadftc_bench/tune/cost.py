@@ -62,13 +62,14 @@ class Cost:
     def _shares(self) -> Floats:
         """What a unit of each metric on each axis costs (metrics, 3)."""
         counts = self.scale > 0.0
-        each = np.array([*self.weights.values()], np.float64).reshape(-1, 1)
-        weights = each * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+        each: Floats = np.array([*self.weights.values()], np.float64)
+        weights = each[:, None] * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
         return weights / weights.sum() / np.where(counts, self.scale, 1.0)
 
     def of(self, values: Floats) -> float:
         """Mean cost of flights (flights, metrics, 3)."""
-        return float(np.mean(np.sum(np.where(self.scale > 0.0, values * self._shares, 0.0), axis=(1, 2))))
+        terms: Floats = np.where(self.scale > 0.0, values * self._shares, 0.0)
+        return float(terms.sum()) / len(terms)
 
     def gradient(self, slopes: Floats) -> Floats:
         """Slope (gains,) of the mean cost, from those of the metrics (flights, gains, metrics, 3)."""
