@@ -9,7 +9,7 @@ Two ways of working:
 
 real time
     Messages are stored in the order of arrival. A full queue drops the message and counts it: with the
-    messages of the graph, of 0.1 to 0.5 kB, the queue does not grow beyond some 30 MB.
+    messages of the graph, of 0.1 to 0.5 kB, the queue does not grow beyond 50 MB.
 lock-step
     A full queue makes the caller wait. Messages are stored in the order (log time, topic) and chunks are cut
     at multiples of 0.1 s of log time, so that two runs with the same messages give the same file, byte by

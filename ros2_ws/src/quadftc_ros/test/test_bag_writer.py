@@ -444,3 +444,30 @@ def test_no_memory_stops_the_recording_not_the_caller(tmp_path, monkeypatch):
     assert (status.counts, status.lost) == ({"/plant/rate": 100}, 100)
     assert status.error == f"{writer.path}: MemoryError()"
     assert stored_numbers(writer.path) == list(range(100))
+
+
+def test_memory_is_bounded_while_nothing_can_be_written(tmp_path, kind, monkeypatch):
+    """Three minutes of a graph, 0.5 kB a message, to a writer that does not write."""
+    go_on = threading.Event()
+    write = BagFile.write
+    monkeypatch.setattr(BagFile, "write", lambda *args: (go_on.wait(60.0), write(*args)))
+    writer = kind(tmp_path / "run")
+    writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))
+    assert writer.flush()
+    if isinstance(writer, BagProcess):
+        os.kill(writer.process_id, signal.SIGSTOP)
+    before, data, put = resident_memory(), vector(0), writer.input("/plant/rate")
+    accepted = sum(put(data + bytes(512 - len(data)), number, number) for number in range(500_000))
+    grown = resident_memory() - before
+    go_on.set()
+    if isinstance(writer, BagProcess):
+        os.kill(writer.process_id, signal.SIGCONT)
+    status = writer.close()
+    assert grown < 60e6, grown
+    assert status.dropped == {"/plant/rate": 500_000 - status.counts["/plant/rate"]}
+    assert 65_536 <= status.counts["/plant/rate"] <= accepted < 70_000
+
+
+def resident_memory() -> int:
+    """Of this process [bytes]."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
