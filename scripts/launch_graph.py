@@ -38,6 +38,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     )
     what.add_argument("--params", type=Path, help="ROS parameter file for the nodes")
     parser.add_argument("--scheme", help="scheme of the scenario; default: its first")
+    parser.add_argument("--gains", default="", help="tuned gains for the vehicle: a name or file (see gains/)")
     parser.add_argument("--graph", choices=("composed", "processes"), default="composed")
     parser.add_argument("--mode", choices=("lockstep", "realtime"), default="realtime")
     parser.add_argument("--namespace", default="", help="ROS namespace of the vehicle")
@@ -63,10 +64,10 @@ def node_parameters_of(options: argparse.Namespace) -> dict[str, dict[str, Any]]
     from quadftc_bench.scenario import find_scenario, load_scenario, node_parameters
 
     if options.scenario:
-        loaded = load_scenario(find_scenario(options.scenario))
+        loaded = load_scenario(find_scenario(options.scenario), gains=options.gains)
         parameters = {node: dict(values) for node, values in node_parameters(loaded, options.scheme).items()}
-    elif options.scheme:
-        raise ValueError("--scheme: belongs to --scenario")
+    elif options.scheme or options.gains:
+        raise ValueError("--scheme, --gains: belong to --scenario")
     else:
         parameters = parameters_from_file(options.params) if options.params else {}
     if options.duration is not None:
