@@ -169,11 +169,11 @@ def _write(found: Survey, directory: Path) -> None:
     def on_message(number: int, log_time_ns: int, publish_time_ns: int, data: memoryview) -> None:
         bag.write(numbers[number], log_time_ns, publish_time_ns, bytes(data))
 
-    def on_other(record: Attachment | Metadata) -> None:
+    def on_record(record: Attachment | Metadata) -> None:
         """Pass over what was written at the beginning."""
 
     try:
-        walk(found, on_topic, on_message, on_other)
+        walk(found, on_topic, on_message, on_record)
         bag.close()
     except BaseException:
         bag.abandon()

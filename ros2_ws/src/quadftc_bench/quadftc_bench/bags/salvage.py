@@ -18,7 +18,7 @@ DEFINITIONS = ("ros2msg", "ros2idl")  # encodings of a type's definition that a 
 
 OnTopic = Callable[[int, Channel, Schema], None]
 OnMessage = Callable[[int, int, int, memoryview], None]
-OnOther = Callable[["Attachment | Metadata"], None]
+OnRecord = Callable[["Attachment | Metadata"], None]
 
 
 @dataclass
@@ -92,7 +92,7 @@ def survey(path: Path) -> Survey:
     """
     found = Survey(path, _size(path))
 
-    def on_other(record: Attachment | Metadata) -> None:
+    def on_record(record: Attachment | Metadata) -> None:
         if isinstance(record, Attachment):
             found.attachments[record.name] = record.data
         else:
@@ -108,7 +108,7 @@ def survey(path: Path) -> Survey:
         found.topics[names[number]].add(log_time_ns)
 
     try:
-        walk(found, on_topic, on_message, on_other)
+        walk(found, on_topic, on_message, on_record)
     except OSError as error:
         raise BagError(f"{path}: {error.strerror or error}") from None
     if not found.topics:
@@ -117,7 +117,7 @@ def survey(path: Path) -> Survey:
     return found
 
 
-def walk(found: Survey, on_topic: OnTopic, on_message: OnMessage, on_other: OnOther) -> None:
+def walk(found: Survey, on_topic: OnTopic, on_message: OnMessage, on_record: OnRecord) -> None:
     """Go through a file; ``found`` gets what cannot be read.
 
     Parameters
@@ -127,7 +127,7 @@ def walk(found: Survey, on_topic: OnTopic, on_message: OnMessage, on_other: OnOt
         ``on_topic(number, channel, schema)`` before the first message of a channel.
     on_message : callable
         ``on_message(number, log time, publish time, data)`` [ns].
-    on_other : callable
+    on_record : callable
         Called with every attachment and metadata record.
 
     Raises
@@ -150,7 +150,7 @@ def walk(found: Survey, on_topic: OnTopic, on_message: OnMessage, on_other: OnOt
         with found.path.open("rb") as stream:
             for record in read_records(stream, checked, found.damages.append):
                 if isinstance(record, (Attachment, Metadata)):
-                    on_other(record)
+                    on_record(record)
                 else:
                     channels.add(record)
     except NotMcapError:
