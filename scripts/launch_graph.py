@@ -38,7 +38,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     )
     what.add_argument("--params", type=Path, help="ROS parameter file for the nodes")
     parser.add_argument("--scheme", help="scheme of the scenario; default: its first")
-    parser.add_argument("--gains", default="", help="tuned gains for the vehicle: a name or file (see gains/)")
+    parser.add_argument("--gains", default="", help="tuned gains: a name or a file (see gains/)")
     parser.add_argument("--graph", choices=("composed", "processes"), default="composed")
     parser.add_argument("--mode", choices=("lockstep", "realtime"), default="realtime")
     parser.add_argument("--namespace", default="", help="ROS namespace of the vehicle")
