@@ -147,7 +147,7 @@ def _of_sizes(frame: pl.DataFrame) -> Figure:
         axes[2][column].set_xlim(sized.edges[0], sized.edges[-1])
         axes[0][column].set_title(sized.kind)
         axes[2][column].set_xlabel(sized.title)
-    titles = ("tracking RMSE [deg]", "RMSE of the fault estimate [deg]", "faults missed [%]")
+    titles = ("tracking RMSE [deg]", "fault estimate RMSE [deg]", "faults missed [%]")
     for row, title in enumerate(titles):
         axes[row][0].set_ylabel(title)
     _legend(figure, axes[0][0])

@@ -27,11 +27,6 @@ class Study(NamedTuple):
     title: str  # of its axis, with the unit
     shown: tuple[Shown, ...]
 
-    @property
-    def file(self) -> str:
-        """The campaign file, from the root of the repository."""
-        return f"campaigns/study_{self.name}.yaml"
-
 
 class Sized(NamedTuple):
     """A kind of fault of the study of sizes."""

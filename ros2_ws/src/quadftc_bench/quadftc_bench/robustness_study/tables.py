@@ -105,6 +105,7 @@ def _number(value: float) -> str:
         return LOST
     if value == 0.0:
         return "0"
+    value = float(f"{value:.1e}")
     digits = max(1 - math.floor(math.log10(abs(value))), 0)
     return f"{value:.{min(digits, 4)}f}"
 
