@@ -1,9 +1,13 @@
 """Campaigns: what is drawn, what is refused, and that the results do not depend on how they were flown."""
 
+import contextlib
 import json
 import os
 import signal
+import subprocess
+import sys
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -238,6 +242,54 @@ def test_a_worker_that_is_killed_in_the_middle_loses_nothing(campaign):
         assert victim not in client.run(os.getpid).values()
     assert killed.is_set()
     assert found == expected
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    """Address of a scheduler, and two workers, started as one starts them on a cluster."""
+    file = tmp_path / "scheduler.json"
+    common = ["--scheduler-file", str(file), "--no-dashboard"]
+    with contextlib.ExitStack() as stack:
+
+        def start(*arguments):
+            process = subprocess.Popen(
+                [sys.executable, "-m", "distributed.cli.dask_" + arguments[0], *arguments[1:], *common],
+                stderr=subprocess.DEVNULL,
+                cwd=tmp_path,
+            )
+            stack.callback(process.wait, 30)
+            stack.callback(process.kill)
+            return process
+
+        start("scheduler", "--host", "127.0.0.1", "--port", "0")
+        until = time.monotonic() + 60.0
+        while not file.exists() or not file.read_text():
+            assert time.monotonic() < until, "no scheduler"
+            time.sleep(0.1)
+        workers = [start("worker", "--nthreads", "1", "--no-nanny", "--host", "127.0.0.1") for _ in range(2)]
+        yield json.loads(file.read_text())["address"], workers
+
+
+def test_a_cluster_that_exists_flies_the_same_with_a_worker_killed(campaign, tmp_path, cluster):
+    """Workers started by hand: one is killed in the middle, the other does its chunks again."""
+    address, workers = cluster
+    run = CampaignRun(campaign, tmp_path / "out", size=2)
+    run.open(resume=False)
+    killed = threading.Event()
+
+    def kill_once(samples):
+        if not killed.is_set():
+            killed.set()
+            workers[0].kill()
+
+    said = []
+    run.fly(address, 1, kill_once, said.append)
+    frame, _ = run.finish()
+    alone = table_of([row for chunk in chunks_of(campaign, 2) for row in fly_chunk(campaign, chunk)])
+    assert killed.is_set()
+    assert frame.equals(alone.sort("flight", "variant", "fault"))
+    assert said
+    assert "cpu" in said[0]
 
 
 def test_a_campaign_goes_on_where_it_was_and_ends_the_same(campaign, tmp_path):

@@ -7,6 +7,7 @@ import collections
 import contextlib
 import logging
 import os
+import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
 
@@ -63,11 +64,12 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
 def devices(client: Any) -> str:
     """Say what the workers compute on, such as ``2 x cpu``."""
     found = collections.Counter(client.run(_device).values())
-    return ", ".join(f"{count} x {name}" for name, count in sorted(found.items()))
+    return ", ".join(f"{count} x {name}" for name, count in sorted(found.items())) or "workers yet to come"
 
 
 def _device() -> str:
     """In a worker."""
+    _prepare()
     import jax
 
     return jax.devices()[0].device_kind
@@ -145,8 +147,17 @@ def _called(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
     """A task, in a worker."""
     from distributed import get_worker
 
+    _prepare()
     worker = get_worker()
     return function(*arguments, lambda samples: worker.log_event(TOPIC, samples))
+
+
+def _prepare() -> None:
+    """Set what JAX reads when it is imported: in workers that others have started, it is not set yet."""
+    from quadftc_bench.batch.environment import environment
+
+    if "jax" not in sys.modules:
+        os.environ.update(environment())
 
 
 def _environment() -> dict[str, str]:
