@@ -36,6 +36,13 @@ class Controller(abc.ABC):
     def step(self, state: Any, inputs: ControllerInputs, dt: float) -> tuple[Any, ControllerOutput]:
         """Advance by ``dt`` [s] to a sample; 0 at the first one."""
 
+    def without_estimate(self, missing: float) -> Controller:
+        """Return the law to fly with where ``missing`` (0..1) of the disturbance estimate is missing.
+
+        Continuous in ``missing``, and with 0 this law. By default it is this law always.
+        """
+        return self
+
     def conditions(self, given: Circumstances) -> list[Condition]:
         """Judge what the controller's theory asks for."""
         return unknown_theory(type(self).__name__)

@@ -1,8 +1,10 @@
 # pyright: basic
 """The controller node: from attitude, reference and disturbance estimate to a torque within the authority.
 
-Inputs: imu/corrected, attitude/reference, disturbance/estimate; imu/data as fallback in real time.
-Outputs: torque/command [N m], control/status.
+Inputs: imu/corrected, attitude/reference, disturbance/estimate; in real time imu/data as fallback, and
+fault/status.
+Outputs: torque/command [N m], control/status; in real time fault/kept, gyro/kept and disturbance/kept for
+observers that are started again (`quadftc_control.keeper`).
 Services: ~/reset (std_srvs/Trigger).
 """
 
@@ -18,6 +20,8 @@ import numpy as np
 from quadftc_control.assembly import controller_from
 from quadftc_control.controller import controllers
 from quadftc_control.degraded import InputMonitor, Mode, Patience
+from quadftc_control.keeper import Keeper
+from quadftc_control.transfer import Transfer
 from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import (
@@ -38,7 +42,7 @@ from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import StampJoin
 from quadftc_ros.node import GraphNode, wall_seconds
-from quadftc_ros.wire import ControlStatusWire, VectorWire, imu_of, reference_in, vector_of
+from quadftc_ros.wire import ControlStatusWire, VectorWire, fault_states_of, imu_of, reference_in, vector_of
 
 REFERENCE_AGE = 0.5  # s; real time: age from which a reference is reported as stopped
 WATCH_PERIOD = 0.02  # s; real time: how often the controller looks whether samples still come
@@ -46,7 +50,7 @@ WATCH_PERIOD = 0.02  # s; real time: how often the controller looks whether samp
 _REPORTS = {
     Mode.FULL: (OK, "full"),
     Mode.NO_DIAGNOSIS: (WARN, "no diagnosis: on imu/data, as imu/corrected is missing"),
-    Mode.NO_DISTURBANCE_ESTIMATE: (WARN, "no disturbance estimate"),
+    Mode.NO_DISTURBANCE_ESTIMATE: (WARN, "no disturbance estimate: the switching gain takes over"),
     Mode.HOLD: (WARN, "hold: no IMU, the last torque is held"),
     Mode.OFF: (ERROR, "off: no IMU, zero torque"),
 }
@@ -70,10 +74,13 @@ class ControllerNode(GraphNode):
         self.settings.declare(controllers.get(name), f"{name}.")
         self.settings.declare(Patience, "patience.")
         values = self.settings.values()
-        self._stepper: Stepper[ControllerInputs, ControllerOutput] = Stepper(controller_from(values))
+        self._law = controller_from(values)  # for when there is a disturbance estimate
+        self._stepper: Stepper[ControllerInputs, ControllerOutput] = Stepper(self._law)
         still = AttitudeReference(np.zeros(3), np.zeros(3), np.zeros(3))
-        warm_up(self._stepper.law, ControllerInputs(level_sample(), still, np.zeros(3)))
-        self._monitor = InputMonitor(build_prefixed(Patience, values, "patience"))
+        warm_up(self._law, ControllerInputs(level_sample(), still, np.zeros(3)))
+        patience = build_prefixed(Patience, values, "patience")
+        self._monitor, self._transfer = InputMonitor(patience), Transfer(patience)
+        self._keeper = Keeper(imu_of, fault_states_of)
         self.settings.on_change(self._rebuilt)
         self._publish_torque = self.publishes("torque/command")
         self._publish_status = self.publishes("control/status")
@@ -83,13 +90,19 @@ class ControllerNode(GraphNode):
         self._mode: Mode | None = None
         self._torque, self._stamp_ns = np.zeros(3), 0  # last command [N m] and its stamp [ns]
         self._join = StampJoin(("imu", "reference", "disturbance"), self._on_all)
-        self.driven_by("imu/corrected", self._on_corrected, restart=self._stepper.reset, decode=imu_of)
+        self.driven_by("imu/corrected", self._on_corrected, restart=self._restart, decode=imu_of)
         self.reads("attitude/reference", self._on_reference, decode=reference_in)
         self.reads("disturbance/estimate", self._on_disturbance, decode=vector_of)
         self.reads_raw("imu/data", self._on_raw)
+        self.reads_raw("fault/status", self._keeper.status)
         self._on_fallback = self.decoding("imu/data", self._on_uncorrected, imu_of)
         self._watched_ns, self._silent_since_ns = 0, 0
+        self._missing = 0.0  # share of the disturbance estimate that is missing
+        self._trusted, self._estimate = False, (0, np.zeros(3))  # whether it is; the last, with its stamp
         if not self.lockstep:
+            self._keep_status = self.publishes("fault/kept")
+            self._keep_gyro = self.publishes("gyro/kept")
+            self._keep_disturbance = self.publishes("disturbance/kept")
             self._watchdog = self.create_timer(WATCH_PERIOD, self._on_watchdog, clock=self.pace)
         self.ready()
 
@@ -97,9 +110,14 @@ class ControllerNode(GraphNode):
         law, patience = controller_from(values), build_prefixed(Patience, values, "patience")
 
         def apply() -> None:
-            self._stepper.law, self._monitor.patience = law, patience
+            self._law, self._stepper.law = law, law.without_estimate(self._missing)
+            self._monitor.patience = self._transfer.patience = patience
 
         return apply
+
+    def _restart(self) -> None:
+        self._stepper.reset()
+        self._transfer.reset()
 
     def _on_reference(self, stamp_ns: int, reference: AttitudeReference) -> None:
         if all(is_finite(part) for part in reference):
@@ -112,6 +130,7 @@ class ControllerNode(GraphNode):
     def _on_disturbance(self, stamp_ns: int, disturbance: Floats) -> None:
         if is_finite(disturbance):
             self._monitor.estimated(stamp_ns, disturbance)
+            self._estimate = stamp_ns, disturbance
         else:
             self.diagnostics.count("disturbance/estimate: not finite")
             disturbance = np.zeros(3)
@@ -119,18 +138,42 @@ class ControllerNode(GraphNode):
             self._join.put("disturbance", stamp_ns, disturbance)
 
     def _on_corrected(self, stamp_ns: int, imu: ImuSample) -> None:
-        self._monitor.corrected()
         if self.lockstep:
             self._join.put("imu", stamp_ns, imu)
-        else:
-            self._on_latest(stamp_ns, imu, Mode.FULL)
+            return
+        clean = sanitised(imu)
+        if not clean.attitude_valid:
+            self.diagnostics.count("imu/corrected: no attitude")
+        elif self._monitor.is_late(stamp_ns):
+            self.diagnostics.count("imu/corrected: late")
+        elif self._monitor.use_corrected(stamp_ns, self._monitor.undiagnosed and self._keeper.starting):
+            self._keeper.corrected(stamp_ns, clean)
+            self._on_latest(stamp_ns, clean, Mode.FULL)
 
     def _on_raw(self, stamp_ns: int, data: bytes) -> None:
-        if not self.lockstep and self._monitor.use_raw():
+        if self.lockstep:
+            return
+        self._keeper.raw(stamp_ns, data)
+        had_diagnosis = not self._monitor.undiagnosed
+        if self._monitor.use_raw(stamp_ns):
+            if had_diagnosis:
+                self._keep_diagnosis()
             self._on_fallback(stamp_ns, data)
 
     def _on_uncorrected(self, stamp_ns: int, imu: ImuSample) -> None:
-        self._on_latest(stamp_ns, imu, Mode.NO_DIAGNOSIS)
+        clean = sanitised(imu)
+        if clean.attitude_valid:
+            self._on_latest(stamp_ns, clean, Mode.NO_DIAGNOSIS)
+        else:
+            self.diagnostics.count("imu/data: no attitude")
+
+    def _keep_diagnosis(self) -> None:
+        """Publish what a fault observer that is started again needs to go on."""
+        words = self._keeper.last_words()
+        if words is not None:
+            status, stamp_ns, correction = words
+            self._keep_gyro(self._body(stamp_ns, correction))
+            self._keep_status(status)
 
     def _on_all(
         self, stamp_ns: int, imu: ImuSample, reference: AttitudeReference, disturbance: Floats
@@ -138,30 +181,43 @@ class ControllerNode(GraphNode):
         self._control(stamp_ns, ControllerInputs(imu, reference, disturbance), Mode.FULL)
 
     def _on_latest(self, stamp_ns: int, imu: ImuSample, mode: Mode) -> None:
-        clean = sanitised(imu)
+        """Real time: fly on a clean sample, with the latest of all else."""
         if self._reference is None:
             self.diagnostics.count("no attitude/reference yet")
             return
-        if not clean.attitude_valid:
-            self.diagnostics.count("IMU without attitude")
+        if not self._stepper.timing(stamp_ns).accepted:
+            return  # repeated: imu/corrected of a sample that imu/data has served already
+        if self._mode is Mode.OFF and not self._monitor.is_back(stamp_ns):
+            self._say(stamp_ns, _nothing_but(np.zeros(3)), Mode.OFF, 0.0)
             return
-        disturbance, fresh = self._monitor.disturbance_at(stamp_ns)
-        if mode is Mode.FULL and not fresh:
-            mode = Mode.NO_DISTURBANCE_ESTIMATE
-        self._control(stamp_ns, ControllerInputs(clean, self._reference, disturbance), mode)
+        disturbance, share, trusted = self._monitor.disturbance_at(stamp_ns)
+        if not trusted:
+            mode = Mode.NO_DISTURBANCE_ESTIMATE if mode is Mode.FULL else mode
+            if self._trusted:
+                self._keep_disturbance(self._body(*self._estimate))
+        self._trusted = trusted
+        if self._missing != 1.0 - share:
+            self._missing = 1.0 - share
+            self._stepper.law = self._law.without_estimate(self._missing)
+        imu = self._transfer.used(stamp_ns, imu, mode is Mode.NO_DIAGNOSIS)
+        self._control(stamp_ns, ControllerInputs(imu, self._reference, disturbance), mode)
 
     def _control(self, stamp_ns: int, inputs: ControllerInputs, mode: Mode) -> None:
         begin = wall_seconds()
         output = self._stepper.step(stamp_ns, inputs)
-        if output is None:  # repeated: imu/corrected of a sample that imu/data has served already
+        if output is None:
             return
         if not all(map(is_finite, (output.torque, output.error, output.sliding_variable))):
             self.diagnostics.count("the controller gave no number: the last torque is held")
             self._stepper.reset()
             output = _nothing_but(self._torque)
+        self._say(stamp_ns, output, mode, wall_seconds() - begin)
+
+    def _say(self, stamp_ns: int, output: ControllerOutput, mode: Mode, compute_time: float) -> None:
+        """Publish a torque and how it came about."""
         self._torque, self._stamp_ns = output.torque, stamp_ns
         self._publish_torque(self._body(stamp_ns, output.torque))
-        self._publish_status(self._status(stamp_ns, output, mode, wall_seconds() - begin))
+        self._publish_status(self._status(stamp_ns, output, mode, compute_time))
         self._enter(mode)
         self.sampled(stamp_ns)
 
@@ -188,10 +244,7 @@ class ControllerNode(GraphNode):
         if mode is Mode.FULL or not self._stamp_ns:
             return
         torque = self._torque if mode is Mode.HOLD else np.zeros(3)
-        self._publish_torque(self._body(self._stamp_ns, torque))
-        self._publish_status(self._status(self._stamp_ns, _nothing_but(torque), mode, 0.0))
-        self._enter(mode)
-        self.sampled(self._stamp_ns)
+        self._say(self._stamp_ns, _nothing_but(torque), mode, 0.0)
 
 
 def _nothing_but(torque: Floats) -> ControllerOutput:

@@ -1,12 +1,20 @@
 """What a controller does when its inputs go missing: which IMU it believes, and when it gives up.
 
-Pure bookkeeping of stamps and times; the node acts on it.
+* no diagnosis: ``corrected_samples`` imu/data in a row had no imu/corrected in time; until
+  ``return_samples`` in a row had one, and the observer says that it has started.
+* no disturbance estimate: it is older than ``disturbance_age``; until it was not for ``return_samples``.
+* hold: no IMU for the time ``hold``; until the next sample.
+* off: no IMU for the time ``off``; until ``return_samples`` came, none of them ``hold`` after the last.
+
+Pure bookkeeping of stamps and times; the node acts on it. What changes with a mode changes gradually:
+`quadftc_control.transfer`.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import enum
+from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,23 +22,43 @@ from numpy.typing import NDArray
 from quadftc_model.parameters import check, parameter
 from quadftc_model.stepper import seconds
 
+MOST_SAMPLES = 1000  # that any count of samples may be
+
 
 class Mode(enum.IntEnum):
     """How the controller flies; the numbers are those of quadftc_msgs/ControlStatus."""
 
     FULL = 0
     NO_DIAGNOSIS = 1  # on imu/data: imu/corrected is missing
-    NO_DISTURBANCE_ESTIMATE = 2  # the disturbance estimate is missing: it has faded to zero
+    NO_DISTURBANCE_ESTIMATE = 2  # the disturbance estimate is missing: the switching gain takes over
     HOLD = 3  # no IMU: the last torque is held
     OFF = 4  # no IMU for long: zero torque
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Patience:
-    """How long each input may be missing."""
+    """How long each input may be missing, and how gradually the controller goes over to what is left."""
 
     corrected_samples: int = parameter(
-        3, low=2, high=1000, doc="which imu/data in a row without imu/corrected is used in its place"
+        3, low=2, high=MOST_SAMPLES, doc="which imu/data in a row without imu/corrected is used in its place"
+    )
+    return_samples: int = parameter(
+        25, low=1, high=MOST_SAMPLES, doc="good samples in a row after which a better mode is returned to"
+    )
+    starting: float = parameter(
+        3.0,
+        unit="s",
+        low=0.0,
+        doc="how long imu/corrected that is back may wait for its observer",
+    )
+    correction_hold: float = parameter(
+        1.0, unit="s", low=0.0, doc="how long the last known fault stays taken off imu/data"
+    )
+    correction_fade: float = parameter(
+        2.0, unit="s", low=1e-3, doc="time in which it is given up afterwards, as it may have ended"
+    )
+    blend: float = parameter(
+        0.5, unit="s", low=1e-3, doc="time in which what is back, IMU or estimate, comes into use"
     )
     disturbance_age: float = parameter(0.05, unit="s", low=0.0, doc="age from which the estimate fades")
     disturbance_fade: float = parameter(0.5, unit="s", low=1e-3, doc="time in which it fades to zero")
@@ -54,31 +82,83 @@ class InputMonitor:
 
     def __init__(self, patience: Patience) -> None:
         self.patience = patience
-        self._uncorrected = 0
+        self.undiagnosed = False  # flies on imu/data
+        self._raws_ns: deque[int] = deque(maxlen=MOST_SAMPLES)
+        self._uncorrected, self._good, self._good_since_ns = 0, 0, 0
         self._disturbance, self._disturbance_ns = np.zeros(3), 0
+        self._estimated_ns: int | None = None  # stamp of the last call of `disturbance_at`
+        self._share, self._unestimated, self._fresh = 0.0, True, 0
+        self._back, self._back_ns = 0, 0
 
-    def corrected(self) -> None:
-        """Note that imu/corrected came."""
-        self._uncorrected = 0
-
-    def use_raw(self) -> bool:
-        """Note that imu/data came; whether it has to be used."""
+    def use_raw(self, stamp_ns: int) -> bool:
+        """Note that imu/data of a stamp [ns] came; whether it has to be used."""
+        self._raws_ns.append(stamp_ns)
         self._uncorrected += 1
-        return self._uncorrected >= self.patience.corrected_samples
+        if self._uncorrected >= self.patience.corrected_samples:
+            self.undiagnosed, self._good = True, 0
+        return self.undiagnosed
+
+    def is_late(self, stamp_ns: int) -> bool:
+        """Whether imu/corrected of a stamp [ns] comes too late to count: imu/data has served in its place."""
+        count = self.patience.corrected_samples
+        return len(self._raws_ns) >= count and stamp_ns < self._raws_ns[-count]
+
+    def use_corrected(self, stamp_ns: int, starting: bool) -> bool:
+        """Note that imu/corrected of a stamp [ns] came; whether it is to be used.
+
+        ``starting`` says that its observer has not converged: then it is not returned to yet.
+        """
+        if self.is_late(stamp_ns):
+            return False
+        self._uncorrected = 0
+        if not self.undiagnosed:
+            return True
+        if self._good == 0:
+            self._good_since_ns = stamp_ns
+        self._good += 1
+        waited = seconds(stamp_ns - self._good_since_ns) > self.patience.starting
+        if self._good >= self.patience.return_samples and (waited or not starting):
+            self.undiagnosed = False
+        return not self.undiagnosed
 
     def estimated(self, stamp_ns: int, disturbance: NDArray[np.float64]) -> None:
         """Note a disturbance estimate [rad/s²] (3,) with its stamp [ns]."""
         self._disturbance, self._disturbance_ns = disturbance, stamp_ns
 
-    def disturbance_at(self, stamp_ns: int) -> tuple[NDArray[np.float64], bool]:
-        """Return the estimate to use at a stamp [ns], and whether it is fresh; it fades when it gets old."""
-        age = seconds(stamp_ns - self._disturbance_ns) - self.patience.disturbance_age
-        if age <= 0.0:
-            return self._disturbance, True
-        return self._disturbance * max(0.0, 1.0 - age / self.patience.disturbance_fade), False
+    def disturbance_at(self, stamp_ns: int) -> tuple[NDArray[np.float64], float, bool]:
+        """Return the estimate to use for the sample of a stamp [ns], its share, and whether it is trusted.
+
+        The share is 1 in flight and 0 without estimate; it fades when the estimate gets old, and comes back
+        when it is fresh again. At the first sample it is used at once.
+        """
+        patience = self.patience
+        fresh = seconds(stamp_ns - self._disturbance_ns) <= patience.disturbance_age
+        first, since_ns = self._estimated_ns is None, stamp_ns - (self._estimated_ns or stamp_ns)
+        self._estimated_ns = stamp_ns
+        self._fresh = self._fresh + 1 if fresh else 0
+        if first:
+            self._unestimated, self._share = not fresh, float(fresh)
+        elif not fresh:
+            self._unestimated = True
+        elif self._fresh >= patience.return_samples:
+            self._unestimated = False
+        dt = max(0.0, seconds(since_ns))
+        change = -dt / patience.disturbance_fade if self._unestimated else dt / patience.blend
+        self._share = min(1.0, max(0.0, self._share + change))
+        if self._share == 1.0:  # bit for bit
+            return self._disturbance, 1.0, not self._unestimated
+        return self._share * self._disturbance, self._share, not self._unestimated
 
     def silence(self, elapsed: float) -> Mode:
         """Return the mode after ``elapsed`` seconds without any IMU sample."""
         if elapsed >= self.patience.off:
+            self._back = 0
             return Mode.OFF
         return Mode.HOLD if elapsed >= self.patience.hold else Mode.FULL
+
+    def is_back(self, stamp_ns: int) -> bool:
+        """In the mode off: note a sample [ns]; whether enough have come in a row to fly again."""
+        if self._back and seconds(stamp_ns - self._back_ns) >= self.patience.hold:
+            self._back = 0
+        self._back, self._back_ns = self._back + 1, stamp_ns
+        return self._back >= self.patience.return_samples

@@ -7,14 +7,14 @@ import uuid
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from quadftc_msgs.msg import ControlStatus
+from quadftc_msgs.msg import ControlStatus, FaultStatus
 from std_srvs.srv import Trigger
 
 from quadftc_control.controller import Controller, controllers
 from quadftc_control.controller_node import ControllerNode
-from quadftc_model.samples import AttitudeReference, ControllerOutput
+from quadftc_model.samples import FAULTY, HEALTHY, AttitudeReference, ControllerOutput
 from quadftc_model.vehicle import load_vehicle
-from quadftc_ros.conversions import ReferenceWriter, stamp_of
+from quadftc_ros.conversions import ReferenceWriter, stamp_of, time_message
 from quadftc_ros.testing import imu_message, vector_message
 
 FIRST_NS = 1_000_000_000
@@ -34,7 +34,7 @@ class Pilot:
         self.states = bench.listen("control/status")
         self.status = bench.watch_diagnostics()
         bench.connect()
-        self.sent = 0
+        self.sent, self.waited = 0, 0
         self.angles = TILT
 
     def message(self, topic, angles, stamp_ns):
@@ -69,7 +69,12 @@ class Pilot:
         self.served()
 
     def full(self):
-        self.publish(*INPUTS)
+        """Send the next sample when the last was answered, or is not going to be."""
+        self.waited += 1
+        newest = FIRST_NS + (self.sent - 1) * PERIOD_NS
+        if self.waited > 20 or (self.states and stamp_of(self.states[-1]) == newest):
+            self.waited = 0
+            self.publish(*INPUTS)
         return self.states and self.mode() == ControlStatus.MODE_FULL
 
     def mode(self):
@@ -170,10 +175,39 @@ def test_falls_back_on_imu_data_within_three_samples_and_returns(bench):
     assert said.message == "no diagnosis: on imu/data, as imu/corrected is missing"
     pilot.step("imu/data")
     assert pilot.mode() == ControlStatus.MODE_NO_DIAGNOSIS
-    for _ in range(2):
-        pilot.step("imu/data", "imu/corrected")
-    assert pilot.mode() == ControlStatus.MODE_FULL
+    pilot.step("imu/data", "imu/corrected")
+    assert pilot.mode() == ControlStatus.MODE_NO_DIAGNOSIS  # one is not enough
+    pilot.prime()
     pilot.until_status("mode", DiagnosticStatus.OK)
+    modes = [state.mode for state in pilot.states]
+    back = len(modes) - modes[::-1].index(ControlStatus.MODE_NO_DIAGNOSIS)
+    assert stamp_of(pilot.states[back]) - stamp_of(fallen[-1]) > 20 * PERIOD_NS
+
+
+def test_last_words_of_an_observer_are_kept_for_the_next(bench):
+    pilot = Pilot(bench, **PATIENT)
+    status = bench.talk("fault/status")
+    kept = {topic: bench.listen(topic) for topic in ("fault/kept", "gyro/kept", "disturbance/kept")}
+    bench.connect()
+    pilot.prime()
+    last_ns = FIRST_NS + pilot.sent * PERIOD_NS
+    said = FaultStatus(state=[FAULTY, HEALTHY, HEALTHY])
+    said.header.stamp, said.estimate.x = time_message(last_ns), 0.05
+    status(said)
+    pilot.send["imu/data"](imu_message(last_ns, TILT, (0.02, 0.0, 0.0)))
+    pilot.send["attitude/reference"](pilot.message("attitude/reference", TILT, last_ns))
+    pilot.send["disturbance/estimate"](vector_message(last_ns, (0.7, 0.0, 0.0)))
+    pilot.send["imu/corrected"](imu_message(last_ns, (0.0, 0.0, 0.0), (0.01, 0.0, 0.0)))
+    pilot.sent += 1
+    pilot.served()
+    bench.call(Trigger, "controller/reset")  # so that all has been heard
+    for _ in range(50):
+        pilot.publish("imu/data")
+    bench.until(lambda: all(kept.values()))
+    assert kept["fault/kept"] == [said]
+    assert stamp_of(kept["gyro/kept"][0]) == last_ns
+    assert values(kept["gyro/kept"][0]) == pytest.approx([-0.01, 0.0, 0.0])
+    assert values(kept["disturbance/kept"][0]) == [0.7, 0.0, 0.0]
 
 
 def test_disturbance_estimate_that_stops_fades_and_is_told(bench):
@@ -187,7 +221,8 @@ def test_disturbance_estimate_that_stops_fades_and_is_told(bench):
         pilot.step("imu/corrected")
         torques.append(pilot.torques[-1].vector.x)
     assert pilot.mode() == ControlStatus.MODE_NO_DISTURBANCE_ESTIMATE
-    assert pilot.until_status("mode", DiagnosticStatus.WARN).message == "no disturbance estimate"
+    said = pilot.until_status("mode", DiagnosticStatus.WARN)
+    assert said.message == "no disturbance estimate: the switching gain takes over"
     inertia = load_vehicle("qball_x4").inertia[0]
     assert torques[1] == pytest.approx(-inertia * 1.0)
     assert np.all(np.diff(torques[1:]) >= 0.0)

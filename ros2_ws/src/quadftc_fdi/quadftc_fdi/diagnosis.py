@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_fdi.fault_observer import FaultObserver
+from quadftc_fdi.fault_observer import FaultObserver, LastWords
 from quadftc_model.samples import STARTING, FaultEstimate, FaultObserverInputs, ImuSample, sanitised
 from quadftc_model.stepper import Stepper, Timing
 
@@ -37,6 +37,23 @@ class Diagnosis:
     def reset(self) -> None:
         """Start anew at the next sample."""
         self._stepper.reset()
+
+    def resume(
+        self, stamp_ns: int, sample: ImuSample, torque: NDArray[np.float64], last: LastWords
+    ) -> FaultEstimate | None:
+        """Diagnose a sample from what another diagnosis has left; None if it needs another sample for that.
+
+        Parameters
+        ----------
+        stamp_ns, sample, torque
+            As of `step`.
+        last : LastWords
+        """
+        clean = sanitised(sample)
+        if not (clean.attitude_valid and clean.rate_valid and self._stepper.timing(stamp_ns).accepted):
+            return None
+        inputs = FaultObserverInputs(clean, torque)
+        return self._stepper.resume(stamp_ns, inputs, self.law.resumed(inputs, last))
 
     def step(self, stamp_ns: int, sample: ImuSample, torque: NDArray[np.float64]) -> FaultEstimate | None:
         """Diagnose a sample; None if its stamp is repeated or went back.

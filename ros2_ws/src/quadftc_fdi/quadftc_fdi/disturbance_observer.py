@@ -28,6 +28,13 @@ class DisturbanceObserver(abc.ABC):
     def init(self, inputs: DisturbanceObserverInputs) -> Any:
         """Return the state at the first sample."""
 
+    def resumed(self, inputs: DisturbanceObserverInputs, estimate: Array) -> Any:
+        """Return the state with which to go on where another one has left off, at ``estimate`` [rad/s²].
+
+        By default it starts anew.
+        """
+        return self.init(inputs)
+
     @abc.abstractmethod
     def step(self, state: Any, inputs: DisturbanceObserverInputs, dt: float) -> tuple[Any, Array]:
         """Advance by ``dt`` [s] to a sample (0 at the first one); return the estimate (..., 3) [rad/s²]."""

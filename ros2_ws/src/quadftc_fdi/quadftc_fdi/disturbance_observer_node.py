@@ -1,7 +1,8 @@
 # pyright: basic
 """The disturbance observer node: estimates the disturbance as an angular acceleration.
 
-Inputs: imu/corrected, torque/command.
+Inputs: imu/corrected, torque/command; in real time disturbance/kept: started again in flight, it goes on
+from the estimate that the one before has left.
 Outputs: disturbance/estimate [rad/s²].
 Services: ~/reset (std_srvs/Trigger). A sample whose stamp repeats or goes back is refused and counted.
 """
@@ -16,7 +17,8 @@ from typing import Any
 import numpy as np
 
 from quadftc_fdi.assembly import disturbance_observer_from
-from quadftc_fdi.disturbance_observer import disturbance_observers
+from quadftc_fdi.disturbance_observer import DisturbanceObserver, disturbance_observers
+from quadftc_fdi.handover import Handover
 from quadftc_model.arrays import Array
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import DisturbanceObserverInputs, ImuSample, sanitised
@@ -45,22 +47,47 @@ class DisturbanceObserverNode(GraphNode):
         self.settings.declare(ObserverParameters, read_only=True)
         name = self.settings.values()["observer"]
         self.settings.declare(disturbance_observers.get(name), f"{name}.")
-        self._stepper: Stepper[DisturbanceObserverInputs, Array] = Stepper(
-            disturbance_observer_from(self.settings.values())
-        )
-        warm_up(self._stepper.law, DisturbanceObserverInputs(np.zeros(3), np.bool_(True), np.zeros(3)))
+        law = disturbance_observer_from(self.settings.values())
+        self._law: DisturbanceObserver = law
+        self._stepper: Stepper[DisturbanceObserverInputs, Array] = Stepper(law)
+        warm_up(law, DisturbanceObserverInputs(np.zeros(3), np.bool_(True), np.zeros(3)))
         self.settings.on_change(self._rebuilt)
         self._publish = self.publishes("disturbance/estimate")
         self._body = VectorWire(BASE_FRAME)
         self._gate = TorqueGate(self.mode, self._on_sample)
-        self.driven_by("imu/corrected", self._gate.put_sample, restart=self._stepper.reset, decode=imu_of)
+        self.driven_by("imu/corrected", self._gate.put_sample, restart=self._restart, decode=imu_of)
         self.reads("torque/command", self._on_torque, decode=vector_of)
+        self._handover, self._estimate_kept = Handover(), np.zeros(3)
+        if not self.lockstep:
+            self.reads("disturbance/kept", self._on_kept, decode=vector_of)
         self.diagnostics.report("observer", OK, name)
         self.ready()
 
     def _rebuilt(self, values: Mapping[str, Value]) -> Callable[[], None]:
         law = disturbance_observer_from(values)
-        return lambda: setattr(self._stepper, "law", law)
+
+        def apply() -> None:
+            self._law = self._stepper.law = law
+
+        return apply
+
+    def _restart(self) -> None:
+        self._stepper.reset()
+        self._handover.forget()
+
+    def _on_kept(self, stamp_ns: int, estimate: Floats) -> None:
+        if is_finite(estimate):
+            self._estimate_kept = estimate
+            self._handover.heard(stamp_ns)
+
+    def _stepped(self, stamp_ns: int, inputs: DisturbanceObserverInputs) -> Array | None:
+        self._handover.sampled(stamp_ns)
+        if self._handover.due() and inputs.rate_valid and self._stepper.timing(stamp_ns).accepted:
+            self._handover.forget_words()
+            self.get_logger().info("goes on from where a disturbance observer has left off")
+            state = self._law.resumed(inputs, self._estimate_kept)
+            return self._stepper.resume(stamp_ns, inputs, state)
+        return self._stepper.step(stamp_ns, inputs)
 
     def _on_torque(self, stamp_ns: int, torque: Floats) -> None:
         if not self._gate.put_torque(stamp_ns, torque):
@@ -69,7 +96,7 @@ class DisturbanceObserverNode(GraphNode):
     def _on_sample(self, stamp_ns: int, received: ImuSample, torque: Floats) -> None:
         sample = sanitised(received)
         inputs = DisturbanceObserverInputs(sample.body_rate, sample.rate_valid, torque)
-        estimate = self._stepper.step(stamp_ns, inputs)
+        estimate = self._stepped(stamp_ns, inputs)
         if estimate is None:
             self.diagnostics.count("imu/corrected: stamp repeated or went back")
             return

@@ -4,13 +4,25 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
+from quadftc_model.arrays import Array
 from quadftc_model.conditions import Circumstances, Condition, Trace, unknown_theory
 from quadftc_model.parameters import check
 from quadftc_model.registry import Registry
+from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs
 from quadftc_model.vehicle import Vehicle
+
+
+class LastWords(NamedTuple):
+    """What an observer knew that has died, as far as others have heard it."""
+
+    fault: Array  # (..., 3) attitude fault [rad]
+    std_dev: Array  # (..., 3) its standard deviation [rad]; -1: not known
+    faulty: Array  # (..., 3) bool: a fault was confirmed and had not ended
+    since: Array  # (..., 3) time since its onset, now [s]; 0 where there was none
+    gyro_correction: Array  # (..., 3) what it added to the gyro [rad/s]: minus the bias
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,6 +43,14 @@ class FaultObserver(abc.ABC):
     def init(self, inputs: FaultObserverInputs) -> Any:
         """Return the state at the first sample."""
 
+    def resumed(self, inputs: FaultObserverInputs, last: LastWords) -> Any:
+        """Return the state with which to go on at a sample where another one of this kind has left off.
+
+        The fault that was there is taken to be there still; by default the observer starts at the attitude
+        without it.
+        """
+        return self.init(without_fault(inputs, last.fault))
+
     @abc.abstractmethod
     def step(self, state: Any, inputs: FaultObserverInputs, dt: float) -> tuple[Any, FaultEstimate]:
         """Advance by ``dt`` [s] to a sample; 0 at the first one."""
@@ -42,6 +62,12 @@ class FaultObserver(abc.ABC):
     def conditions_along(self, trace: Trace, given: Circumstances) -> list[Condition]:
         """Judge the observer's Lyapunov functions along a recorded run; none by default."""
         return []
+
+
+def without_fault(inputs: FaultObserverInputs, fault: Array) -> FaultObserverInputs:
+    """Inputs whose attitude is what the sensor would read without a fault (..., 3) [rad]."""
+    angles = euler_from_quaternion(inputs.imu.q_xyzw) - fault
+    return inputs._replace(imu=inputs.imu._replace(q_xyzw=quaternion_from_euler(angles)))
 
 
 fault_observers: Registry[Any] = Registry(

@@ -1,7 +1,8 @@
 # pyright: basic
 """The fault observer node: estimates the attitude fault and publishes the corrected IMU.
 
-Inputs: imu/data; torque/command (observer (16) of the paper needs the torque that acted).
+Inputs: imu/data; torque/command (observer (16) of the paper needs the torque that acted). In real time
+fault/kept and gyro/kept: started again in flight, it goes on from where the one before has left off.
 Outputs: imu/corrected, fault/estimate, fault/status.
 Services: ~/reset (std_srvs/Trigger). A sample whose stamp repeats or goes back is refused and counted.
 """
@@ -14,12 +15,16 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from std_msgs.msg import Header
 
 from quadftc_fdi.assembly import fault_observer_from
 from quadftc_fdi.diagnosis import Diagnosis
-from quadftc_fdi.fault_observer import fault_observers
+from quadftc_fdi.fault_observer import LastWords, fault_observers
+from quadftc_fdi.handover import Handover
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import (
+    FAULTY,
+    RECOVERING,
     STARTING,
     FaultEstimate,
     FaultObserverInputs,
@@ -27,11 +32,13 @@ from quadftc_model.samples import (
     level_sample,
     sanitised,
 )
-from quadftc_model.stepper import warm_up
+from quadftc_model.stepper import seconds, warm_up
 from quadftc_ros.conversions import (
     EARTH_FRAME,
     Floats,
+    array_of,
     is_finite,
+    stamp_of,
 )
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
@@ -64,8 +71,14 @@ class FaultObserverNode(GraphNode):
         self._publish_status = self.publishes("fault/status")
         self._imu, self._earth, self._status = ImuWire(), VectorWire(EARTH_FRAME), FaultStatusWire()
         self._gate = TorqueGate(self.mode, self._on_sample)
-        self.driven_by("imu/data", self._gate.put_sample, restart=self._diagnosis.reset, decode=imu_of)
+        self.driven_by("imu/data", self._gate.put_sample, restart=self._restart, decode=imu_of)
         self.reads("torque/command", self._on_torque, decode=vector_of)
+        self._handover = Handover()
+        self._gyro_kept: Floats | None = None
+        self._status_kept: Any = None
+        if not self.lockstep:
+            self.reads("gyro/kept", self._on_gyro_kept, decode=vector_of)
+            self.reads("fault/kept", self._on_status_kept)
         self.diagnostics.report("observer", OK, name)
         self.ready()
 
@@ -73,12 +86,40 @@ class FaultObserverNode(GraphNode):
         law = fault_observer_from(values)
         return lambda: setattr(self._diagnosis, "law", law)
 
+    def _restart(self) -> None:
+        self._diagnosis.reset()
+        self._handover.forget()
+
+    def _on_gyro_kept(self, stamp_ns: int, correction: Floats) -> None:
+        self._gyro_kept = correction
+        self._kept(stamp_ns)
+
+    def _on_status_kept(self, stamp_ns: int, status: Any) -> None:
+        self._status_kept = status
+        self._kept(stamp_ns)
+
+    def _kept(self, stamp_ns: int) -> None:
+        if self._gyro_kept is not None and self._status_kept is not None:
+            self._handover.heard(stamp_ns)
+
+    def _diagnosed(self, stamp_ns: int, sample: ImuSample, torque: Floats) -> FaultEstimate | None:
+        self._handover.sampled(stamp_ns)
+        if self._handover.due() and self._gyro_kept is not None:
+            last = _last_words(self._status_kept, self._gyro_kept, stamp_ns)
+            estimate = None if last is None else self._diagnosis.resume(stamp_ns, sample, torque, last)
+            if estimate is not None or last is None:
+                self._handover.forget_words()
+            if estimate is not None:
+                self.get_logger().info("goes on from where a fault observer has left off")
+                return estimate
+        return self._diagnosis.step(stamp_ns, sample, torque)
+
     def _on_torque(self, stamp_ns: int, torque: Floats) -> None:
         if not self._gate.put_torque(stamp_ns, torque):
             self.diagnostics.count("torque/command: not finite")
 
     def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats) -> None:
-        estimate = self._diagnosis.step(stamp_ns, sample, torque)
+        estimate = self._diagnosed(stamp_ns, sample, torque)
         if estimate is None:
             self.diagnostics.count("imu/data: stamp repeated or went back")
             return
@@ -97,6 +138,19 @@ class FaultObserverNode(GraphNode):
 def _is_finite(estimate: FaultEstimate) -> bool:
     corrected = estimate.corrected
     return is_finite(estimate.fault) and is_finite(corrected.q_xyzw) and is_finite(corrected.body_rate)
+
+
+def _last_words(status: Any, gyro_correction: Floats, stamp_ns: int) -> LastWords | None:
+    """What fault/kept and gyro/kept say at a sample [ns]; None if it is not finite."""
+    onset = np.array([stamp_of(Header(stamp=time)) for time in status.onset])
+    words = LastWords(
+        fault=array_of(status.estimate),
+        std_dev=array_of(status.std_dev),
+        faulty=np.isin(status.state, (FAULTY, RECOVERING)),
+        since=np.array([seconds(max(0, stamp_ns - time_ns)) if time_ns else 0.0 for time_ns in onset]),
+        gyro_correction=gyro_correction,
+    )
+    return words if all(np.all(np.isfinite(part)) for part in words) else None
 
 
 def _no_estimate(sample: ImuSample) -> FaultEstimate:

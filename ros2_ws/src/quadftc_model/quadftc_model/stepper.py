@@ -76,6 +76,12 @@ class Stepper(Generic[In, Out]):
         self.state: Any = None
         self.stamp_ns: int | None = None
 
+    def resume(self, stamp_ns: int, inputs: In, state: Any) -> Out:
+        """Go on at a sample [ns] from a state given: it is the first, but not from nothing."""
+        self.state, output = self.law.step(state, inputs, 0.0)
+        self.stamp_ns = stamp_ns
+        return output
+
     def timing(self, stamp_ns: int) -> Timing:
         """Say what a sample of this stamp [ns] would be."""
         if self.stamp_ns is None:

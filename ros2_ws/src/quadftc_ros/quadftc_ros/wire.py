@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from geometry_msgs.msg import Vector3Stamped
 from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
+from quadftc_msgs.msg import FaultStatus
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu
 
@@ -67,10 +68,7 @@ class Numbers:
             If it is no message of the type.
         """
         if data[:2] not in PLAIN:
-            try:
-                data = serialize_message(deserialize_message(data, self._class))
-            except Exception as error:  # of rclpy, which has no class for it
-                raise ValueError(f"not a {self._class.__name__}: {error}") from None
+            data = serialize_message(_whole(data, self._class))
         little = data[1]
         try:
             (length,) = self._lengths[little].unpack_from(data, FRAME_LENGTH)
@@ -119,6 +117,31 @@ def reference_in(data: bytes) -> AttitudeReference:
     """
     values = _reference(data)
     return AttitudeReference(np.array(values[:3]), np.array(values[3:6]), np.array(values[6:]))
+
+
+def fault_states_of(data: bytes) -> tuple[int, ...]:
+    """State of each axis, of a serialised FaultStatus.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    if data[:2] not in PLAIN:
+        return tuple(_whole(data, FaultStatus).state.tolist())
+    try:
+        (length,) = struct.unpack_from("<I" if data[1] else ">I", data, FRAME_LENGTH)
+        return struct.unpack_from("3B", data, FRAME + length)
+    except struct.error:
+        raise ValueError(f"not a FaultStatus: {len(data)} bytes") from None
+
+
+def _whole(data: bytes, message_class: type) -> Any:
+    """Message of bytes that may be in any encoding."""
+    try:
+        return deserialize_message(data, message_class)
+    except Exception as error:  # of rclpy, which has no class for it
+        raise ValueError(f"not a {message_class.__name__}: {error}") from None
 
 
 class _Template:

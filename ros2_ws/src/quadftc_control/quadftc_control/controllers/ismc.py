@@ -8,6 +8,9 @@ The paper prints the first term of (38) without its dot. With a disturbance esti
 (39)-(41), the design without observer. sat acts on each component, as k_c3 is diagonal. Theorem 2 with the
 boundary layer phi gives |S| <= phi in the end, not S = 0.
 
+Without observer k_c3 has to hold against the whole disturbance: where the estimate goes missing in flight,
+k_c3_alone takes over, with Phi in proportion, as noise and sampling bound k_c3 / Phi.
+
 Deviations: full kinematics (see sliding_surface); the torque is within the rotors' reach; where it is cut,
 the integral stands still if it would be driven further, and the surface moves along with S at the edge of its
 layer. Otherwise S would have to come back at the rate k_c3, with the attitude k_c3 / k_c1 off until then.
@@ -17,6 +20,8 @@ from __future__ import annotations
 
 import dataclasses
 from typing import NamedTuple
+
+import numpy as np
 
 from quadftc_control.controller import Controller, anti_windup, limited, register
 from quadftc_control.controller_conditions import (
@@ -56,6 +61,22 @@ class Ismc(Controller):
     phi: tuple[float, ...] = parameter(
         (0.1, 0.1, 0.1), unit="rad/s", low=1e-9, doc="Phi of (41): boundary layer of each axis"
     )
+
+    k_c3_alone: tuple[float, ...] = parameter(
+        (10.0, 10.0, 4.0),
+        unit="rad/s^2",
+        low=0.0,
+        doc="k_c3 while there is no disturbance estimate, if larger: eta + D_d",
+    )
+
+    def without_estimate(self, missing: float) -> Ismc:
+        """Return the law with k_c3 and Phi between both designs."""
+        if missing <= 0.0:
+            return self
+        with_one = np.asarray(self.k_c3)
+        gain = with_one + missing * (np.maximum(self.k_c3_alone, with_one) - with_one)
+        factor = np.where(with_one > 0.0, gain / np.where(with_one > 0.0, with_one, 1.0), 1.0)
+        return dataclasses.replace(self, k_c3=tuple(gain.tolist()), phi=tuple((factor * self.phi).tolist()))
 
     def conditions(self, given: Circumstances) -> list[Condition]:
         """Judge the conditions of Theorem 2."""

@@ -68,6 +68,12 @@ class Exosystem(DisturbanceObserver):
         zeta = xp.stack([xp.zeros_like(rate)] * len(self.C_d), axis=-1)
         return ExosystemState(zeta, rate, inputs.rate_valid)
 
+    def resumed(self, inputs: DisturbanceObserverInputs, estimate: Array) -> ExosystemState:
+        """Go on with all of the disturbance as the state that (42) puts out, of the first block."""
+        state = self.init(inputs)
+        first = np.eye(len(self.C_d))[0]
+        return state._replace(zeta=state.zeta + estimate[..., None] * first)
+
     def step(
         self, state: ExosystemState, inputs: DisturbanceObserverInputs, dt: float
     ) -> tuple[ExosystemState, Array]:

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from quadftc_fdi.anchors import Anchors, anchored, carried, own_variances, renewed, returned
 from quadftc_fdi.dead_reckoning import comparable
-from quadftc_fdi.fault_observer import FaultObserver, register
+from quadftc_fdi.fault_observer import FaultObserver, LastWords, register, without_fault
 from quadftc_fdi.inertial_filter import (
     MEASURED,
     ROTATION,
@@ -76,6 +76,7 @@ from quadftc_model.samples import (
 DEG = math.pi / 180.0
 UNKNOWN = 10.0  # 1; standard deviations of the attitude's noise: as good as nothing known
 STARTED = 0.1 * DEG  # rad/s; the gyro bias is known to this when the observer has started
+KEPT = 0.05 * DEG  # rad/s; a gyro bias taken over from an observer that has died is known to this
 RESTING = 0.1  # rad/s; below, a vehicle rests
 MOVING = 0.35  # rad/s; from here on a vehicle moves, as far as the sensor's slow error goes
 MOVED = 8.0  # s; how long it counts as moving afterwards (time constant)
@@ -167,6 +168,30 @@ class Supervised(FaultObserver):
         anchors = anchored(start.P)
         return SupervisedState(
             start, anchors, imu.body_rate, rest, rest, tests, zeros > 1.0, track, rest + 1.0
+        )
+
+    def resumed(self, inputs: FaultObserverInputs, last: LastWords) -> SupervisedState:
+        """Go on with the gyro bias as it was, and with faulty axes at what is left without their fault."""
+        xp = namespace(inputs.imu.body_rate)
+        faulty = xp.asarray(last.faulty)
+        fault = last.fault * faulty
+        fresh = self.init(without_fault(inputs, fault))
+        deviations = xp.zeros((*fault.shape[:-1], 16)) + self._start()
+        known = xp.sqrt(xp.maximum(last.std_dev, 0.0) ** 2 + self.attitude_noise**2)
+        rotation = xp.where(faulty, known, deviations[..., ROTATION])
+        bias = xp.zeros_like(fault) + KEPT
+        deviations = xp.concatenate([rotation, bias, deviations[..., 6:]], axis=-1)
+        x = xp.concatenate([-last.gyro_correction, fresh.filter.x[..., 3:]], axis=-1)
+        P = deviations[..., None] ** 2 * np.eye(16)
+        track = fresh.track._replace(
+            fault=fault, means=xp.stack([fault, fault], axis=-1), since=last.since * faulty
+        )
+        return fresh._replace(
+            filter=fresh.filter._replace(x=x, P=P),
+            anchors=anchored(P),
+            faulty=faulty,
+            track=track,
+            raw=fresh.raw * 0.0,
         )
 
     def step(

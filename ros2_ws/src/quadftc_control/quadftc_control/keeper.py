@@ -1,0 +1,84 @@
+"""What the controller keeps for observers that die: their last words, for those started in their place.
+
+A node that dies takes its state with it, and what it has published for late readers, too. The controller
+hears both observers in any case. When one of them falls silent, it publishes once, for late readers:
+
+* ``fault/kept``: the last fault/status;
+* ``gyro/kept``: what imu/corrected last added to the body rate of imu/data [rad/s], minus the gyro bias;
+* ``disturbance/kept``: the last disturbance/estimate.
+
+The stamps are those of the samples they belong to.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_model.samples import STARTING, ImuSample
+
+DEPTH = 64  # samples of imu/data of which imu/corrected may still come
+
+
+class Keeper:
+    """The last words of both observers.
+
+    Parameters
+    ----------
+    decode : callable
+        Sample of a serialised imu/data.
+    states : callable
+        State of each axis, of a serialised fault/status.
+    """
+
+    def __init__(
+        self, decode: Callable[[bytes], ImuSample], states: Callable[[bytes], tuple[int, ...]]
+    ) -> None:
+        self._decode, self._states = decode, states
+        self._raws: deque[tuple[int, bytes]] = deque(maxlen=DEPTH)
+        self._newest: tuple[int, ImuSample] | None = None
+        self._status: bytes | None = None
+
+    def raw(self, stamp_ns: int, data: bytes) -> None:
+        """Note imu/data [stamp in ns], serialised."""
+        self._raws.append((stamp_ns, data))
+
+    def corrected(self, stamp_ns: int, imu: ImuSample) -> None:
+        """Note imu/corrected that is in use [stamp in ns]."""
+        self._newest = stamp_ns, imu
+
+    def status(self, stamp_ns: int, data: bytes) -> None:
+        """Note fault/status [stamp in ns], serialised."""
+        self._status = data
+
+    @property
+    def starting(self) -> bool:
+        """Whether the fault observer says that it has not converged on some axis, or nothing readable."""
+        if self._status is None:
+            return False
+        try:
+            return STARTING in self._states(self._status)
+        except ValueError:
+            return True
+
+    def last_words(self) -> tuple[bytes, int, NDArray[np.float64]] | None:
+        """Return the last status (serialised), a stamp [ns] and the correction of the gyro [rad/s] (3,).
+
+        None as long as there is none that would help: nothing has been heard, or the observer was starting.
+        """
+        if self._status is None or self._newest is None or self.starting:
+            return None
+        stamp_ns, corrected = self._newest
+        data = next((data for each_ns, data in self._raws if each_ns == stamp_ns), None)
+        if data is None:
+            return None
+        try:
+            raw = self._decode(data)
+        except ValueError:
+            return None
+        known = raw.rate_valid and corrected.rate_valid
+        correction = corrected.body_rate - raw.body_rate if known else np.zeros(3)
+        return (self._status, stamp_ns, correction) if np.all(np.isfinite(correction)) else None

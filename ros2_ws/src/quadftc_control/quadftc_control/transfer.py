@@ -1,0 +1,99 @@
+"""Going over from one IMU to another without a jump: what the controller flies on is continuous.
+
+At the sample from which another source is used, the attitude used so far, turned on by the body rate, and the
+new source differ by a rotation delta (and their body rates by omega_o). From then on
+
+    q_used = q * exp(w delta / 2),   omega_used = omega + w omega_o
+
+with w = 1 at first. Towards imu/data, delta is the fault as it was last known: it is held for some time,
+as faults mostly last, then given up, as they end. Towards imu/corrected, it is what has come of that
+meanwhile, and is given up at once.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_control.degraded import Patience
+from quadftc_model.rotations import normalise, quaternion_from_rotation_vector, quaternion_product
+from quadftc_model.samples import ImuSample
+from quadftc_model.stepper import seconds
+
+# Share of the authority of an axis by which the torque may change from sample to sample because a node was
+# lost or came back, beyond what it changes by otherwise; held by tests.
+TORQUE_JUMP = 0.10
+LONGEST = 0.1  # s; over a longer gap there is nothing to go on from
+_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+class Transfer:
+    """What the controller flies on, whichever source it comes from.
+
+    Parameters
+    ----------
+    patience : Patience
+    """
+
+    def __init__(self, patience: Patience) -> None:
+        self.patience = patience
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was used: the next sample is taken as it is."""
+        self._raw: bool | None = None
+        self._used: ImuSample | None = None
+        self._stamp_ns = self._since_ns = 0
+        self._turn, self._rate = np.zeros(3), np.zeros(3)
+        self._blending = False
+
+    def used(self, stamp_ns: int, sample: ImuSample, raw: bool) -> ImuSample:
+        """Return the sample to fly on.
+
+        Parameters
+        ----------
+        stamp_ns : int
+            [ns], later than that of the last call.
+        sample : ImuSample
+            Clean, of one vehicle; with attitude.
+        raw : bool
+            Whether it is of imu/data, else of imu/corrected.
+        """
+        before, elapsed = self._used, seconds(stamp_ns - self._stamp_ns)
+        if before is None or not 0.0 < elapsed <= LONGEST:
+            self._blending = False
+        elif raw != self._raw:
+            self._begin(stamp_ns, before, sample, elapsed)
+        self._raw, self._stamp_ns = raw, stamp_ns
+        weight = self._weight(seconds(stamp_ns - self._since_ns)) if self._blending else 0.0
+        self._blending = weight > 0.0
+        if weight > 0.0:
+            turn = quaternion_from_rotation_vector(weight * self._turn)
+            q_xyzw = normalise(quaternion_product(sample.q_xyzw, turn))
+            sample = sample._replace(q_xyzw=q_xyzw, body_rate=sample.body_rate + weight * self._rate)
+        self._used = sample
+        return sample
+
+    def _begin(self, stamp_ns: int, before: ImuSample, sample: ImuSample, elapsed: float) -> None:
+        both = before.rate_valid and sample.rate_valid
+        self._rate = before.body_rate - sample.body_rate if both else np.zeros(3)
+        turned = quaternion_from_rotation_vector(before.body_rate * elapsed)
+        expected = quaternion_product(before.q_xyzw, turned)
+        self._turn = rotation_vector(quaternion_product(sample.q_xyzw * _CONJUGATE, expected))
+        self._since_ns, self._blending = stamp_ns, True
+
+    def _weight(self, elapsed: float) -> float:
+        """Return w, so long [s] after the change of source."""
+        if self._raw:
+            return min(1.0, 1.0 - (elapsed - self.patience.correction_hold) / self.patience.correction_fade)
+        return 1.0 - elapsed / self.patience.blend
+
+
+def rotation_vector(q_xyzw: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation vector [rad] (3,) of a unit quaternion (4,), at most pi long."""
+    x, y, z, w = q_xyzw.tolist()
+    sine = math.sqrt(x * x + y * y + z * z)
+    angle = 2.0 * math.atan2(sine, abs(w))
+    return q_xyzw[:3] * (math.copysign(angle / sine, w) if sine > 0.0 else 2.0)

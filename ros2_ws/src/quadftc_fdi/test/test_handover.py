@@ -1,0 +1,169 @@
+"""An observer that is started again in flight goes on from where the one before has left off."""
+
+import numpy as np
+import pytest
+from quadftc_msgs.msg import FaultStatus
+
+from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
+from quadftc_fdi.disturbance_observers.exosystem import Exosystem
+from quadftc_fdi.fault_observer import LastWords, fault_observers
+from quadftc_fdi.fault_observer_node import FaultObserverNode
+from quadftc_fdi.fault_observers.supervised import Supervised
+from quadftc_fdi.handover import LONGEST, Handover
+from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
+from quadftc_model.samples import (
+    FAULTY,
+    HEALTHY,
+    STARTING,
+    DisturbanceObserverInputs,
+    FaultObserverInputs,
+    level_sample,
+)
+from quadftc_model.stepper import Stepper
+from quadftc_model.vehicle import load_vehicle
+from quadftc_ros.conversions import time_message
+from quadftc_ros.testing import imu_message, vector_message
+
+DEG = np.pi / 180.0
+DT, PERIOD_NS, FIRST_NS = 0.004, 4_000_000, 10_000_000_000
+FAULT = np.array([2.0, 0.0, 0.0]) * DEG
+BIAS = np.array([0.8, -0.5, 0.3]) * DEG  # rad/s
+WORDS = LastWords(
+    fault=FAULT,
+    std_dev=np.array([0.05, 0.01, 0.01]) * DEG,
+    faulty=np.array([True, False, False]),
+    since=np.array([4.0, 0.0, 0.0]),
+    gyro_correction=-BIAS,
+)
+SIMULATED = {"wander": 0.0, "wander_moving": 0.0, "gyro_moving": 0.0, "gyro_shift": 0.0}
+QBALL = load_vehicle("qball_x4")
+
+
+def resting(seed=3):
+    """Inputs of a vehicle at rest: noise of a MEMS IMU, gyro bias, fault."""
+    noise = np.random.default_rng(seed)
+    while True:
+        attitude = quaternion_from_euler(FAULT + 0.1 * DEG * noise.standard_normal(3))
+        gyro = BIAS + 0.007 * DEG / np.sqrt(DT) * noise.standard_normal(3)
+        yield FaultObserverInputs(level_sample()._replace(q_xyzw=attitude, body_rate=gyro), np.zeros(3))
+
+
+def test_supervised_goes_on_with_fault_and_bias():
+    observer, samples = Supervised(vehicle=QBALL, **SIMULATED), resting()
+    stepper, first = Stepper(observer), next(samples)
+    found = [stepper.resume(FIRST_NS, first, observer.resumed(first, WORDS))]
+    found += [stepper.step(FIRST_NS + k * PERIOD_NS, next(samples)) for k in range(1, 1250)]  # 5 s
+    states = np.array([each.state for each in found])
+    assert np.all(states[:, 0] == FAULTY)
+    assert np.all(states[:, 1:] == HEALTHY)
+    assert found[0].onset_age[0] == pytest.approx(4.0)
+    angles = np.array([euler_from_quaternion(each.corrected.q_xyzw) for each in found]) / DEG
+    rates = np.array([each.corrected.body_rate for each in found]) / DEG
+    assert np.max(np.abs(angles)) < 0.5
+    assert np.max(np.abs(rates.mean(axis=0))) < 0.05
+
+
+def test_supervised_without_last_words_takes_the_fault_for_the_attitude():
+    observer, samples = Supervised(vehicle=QBALL, **SIMULATED), resting()
+    estimate = Stepper(observer).step(FIRST_NS, next(samples))
+    assert euler_from_quaternion(estimate.corrected.q_xyzw)[0] / DEG == pytest.approx(2.0, abs=0.5)
+
+
+def test_supervised_that_has_taken_over_trusts_the_sensor_when_its_fault_ends():
+    observer, samples = Supervised(vehicle=QBALL, **SIMULATED), resting()
+    stepper = Stepper(observer)
+    first = next(samples)
+    stepper.resume(FIRST_NS, first, observer.resumed(first, WORDS))
+    for k in range(1, 500):
+        stepper.step(FIRST_NS + k * PERIOD_NS, next(samples))
+    for k, each in zip(range(2500), samples, strict=False):
+        q_xyzw = quaternion_from_euler(euler_from_quaternion(each.imu.q_xyzw) - FAULT)
+        inputs = each._replace(imu=each.imu._replace(q_xyzw=q_xyzw))
+        estimate = stepper.step(FIRST_NS + (500 + k) * PERIOD_NS, inputs)
+    assert estimate.state.tolist() == [HEALTHY] * 3
+
+
+@pytest.mark.parametrize("name", sorted(fault_observers.names()))
+def test_every_observer_can_go_on(name):
+    observer, samples = fault_observers.get(name)(vehicle=QBALL), resting()
+    first = next(samples)
+    state = observer.resumed(first, WORDS)
+    stepper = Stepper(observer)
+    estimates = [stepper.resume(FIRST_NS, first, state)]
+    estimates += [stepper.step(FIRST_NS + k * PERIOD_NS, next(samples)) for k in range(1, 5)]
+    assert np.all(np.isfinite([each.corrected.q_xyzw for each in estimates]))
+
+
+@pytest.mark.parametrize("model", ["constant", "ramp", "harmonic", "constant+harmonic"])
+def test_disturbance_observer_goes_on_from_the_estimate(model):
+    observer = Exosystem(vehicle=QBALL, model=model)
+    inputs = DisturbanceObserverInputs(np.zeros(3), np.bool_(True), np.zeros(3))
+    estimate = np.array([1.0, -2.0, 0.5])
+    found = Stepper(observer).resume(FIRST_NS, inputs, observer.resumed(inputs, estimate))
+    np.testing.assert_allclose(found, estimate)
+
+
+def test_last_words_are_used_once_by_who_began_after_them():
+    handover = Handover()
+    handover.sampled(FIRST_NS)
+    assert not handover.due()
+    handover.heard(FIRST_NS - 3_000_000_000)
+    assert handover.due()
+    handover.forget_words()
+    assert not handover.due()
+    handover.heard(FIRST_NS + PERIOD_NS)  # its own
+    handover.sampled(FIRST_NS + 10 * PERIOD_NS)
+    assert not handover.due()
+    handover.sampled(FIRST_NS + 2_000_000_000)  # begins anew, after a gap
+    assert handover.due()
+
+
+def test_old_words_are_not_used():
+    handover = Handover()
+    handover.heard(FIRST_NS - round((LONGEST + 0.1) * 1e9))
+    handover.sampled(FIRST_NS)
+    assert not handover.due()
+
+
+def test_fault_observer_node_takes_over(bench):
+    bench.run(FaultObserverNode, observer="supervised")
+    imu, gyro, words = bench.talk("imu/data"), bench.talk("gyro/kept"), bench.talk("fault/kept")
+    states = bench.listen("fault/status")
+    bench.connect()
+    sent = 0
+
+    def fly():
+        nonlocal sent
+        imu(imu_message(FIRST_NS + sent * PERIOD_NS, FAULT, BIAS))
+        sent += 1
+        bench.until(lambda: len(states) >= sent)
+
+    fly()
+    assert states[-1].state.tolist() == [STARTING] * 3
+    kept = FaultStatus(state=WORDS.faulty * FAULTY + ~WORDS.faulty * HEALTHY)
+    kept.header.stamp = time_message(FIRST_NS - 2_000_000_000)
+    kept.onset[0] = time_message(FIRST_NS - 4_000_000_000)
+    kept.estimate.x, kept.std_dev.x = FAULT[0], 1e-3
+    gyro(vector_message(FIRST_NS - 2_000_000_000, -BIAS))
+    words(kept)
+    bench.until(lambda: (fly(), states[-1].state[0] == FAULTY)[1])
+    assert states[-1].estimate.x == pytest.approx(FAULT[0], abs=1e-4)
+    assert states[-1].onset[0] == kept.onset[0]
+
+
+def test_disturbance_observer_node_takes_over(bench):
+    bench.run(DisturbanceObserverNode)
+    imu, kept = bench.talk("imu/corrected"), bench.talk("disturbance/kept")
+    found = bench.listen("disturbance/estimate")
+    bench.connect()
+    kept(vector_message(FIRST_NS - 2_000_000_000, (0.7, 0.0, 0.0)))
+    sent = 0
+
+    def taken():
+        nonlocal sent
+        imu(imu_message(FIRST_NS + sent * PERIOD_NS))
+        sent += 1
+        bench.until(lambda: len(found) >= sent)
+        return found[-1].vector.x == pytest.approx(0.7)
+
+    bench.until(taken)
