@@ -177,6 +177,8 @@ def test_tuned_gains_fly_better_and_can_be_used(tmp_path, capsys):
     assert gains_of(with_gains(campaign, "plain", found.gains), tuned.scheme("plain"), found.gains.names)
     other = (tmp_path / "base.yaml").read_text().replace("qball_x4", "crazyflie_2x")
     (tmp_path / "other.yaml").write_text(other)
+    both = load_scenario(tmp_path / "base.yaml", ["schemes.plain.controller.k_c2=7"], str(path))
+    assert both.scheme("plain").controller.law.k_c2 == (7.0, 7.0, 7.0)  # an override comes last
     with pytest.raises(ScenarioError, match=r"vehicle: 'qball_x4': .*other\.yaml has 'crazyflie_2x'"):
         load_scenario(tmp_path / "other.yaml", gains=str(path))
 

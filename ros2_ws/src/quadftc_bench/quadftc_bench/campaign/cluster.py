@@ -35,7 +35,7 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
     Raises
     ------
     ClusterError
-        If there is no scheduler at the address.
+        If there is no scheduler at the address, or it has no workers.
     """
     from distributed import Client, LocalCluster
 
@@ -45,6 +45,10 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
         except (OSError, ValueError, TimeoutError) as error:
             raise ClusterError(f"scheduler {address}: {_first_line(error)}") from None
         with client:
+            try:
+                client.wait_for_workers(1, timeout=TIMEOUT)
+            except TimeoutError:
+                raise ClusterError(f"scheduler {address}: no worker after {TIMEOUT:g} s") from None
             yield client
         return
     with (
@@ -64,7 +68,7 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
 def devices(client: Any) -> str:
     """Say what the workers compute on, such as ``2 x cpu``."""
     found = collections.Counter(client.run(_device).values())
-    return ", ".join(f"{count} x {name}" for name, count in sorted(found.items())) or "workers yet to come"
+    return ", ".join(f"{count} x {name}" for name, count in sorted(found.items()))
 
 
 def _device() -> str:

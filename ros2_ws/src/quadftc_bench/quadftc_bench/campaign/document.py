@@ -33,11 +33,9 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from quadftc_bench.campaign.distributions import Distribution, distribution
-from quadftc_bench.scenario import Scenario, ScenarioError, find_scenario
+from quadftc_bench.scenario import Scenario, ScenarioError, changed_document, find_scenario
 from quadftc_bench.scenario.build import build_scenario
 from quadftc_bench.scenario.document import Document, Keys, Problem, read_document
-from quadftc_bench.scenario.gains import find_gains, with_gains_of
-from quadftc_bench.scenario.overrides import overridden
 from quadftc_bench.scenario.schema import MAX_SEED, Name, problems_of
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
@@ -89,7 +87,7 @@ class CampaignShape(_Shape):
     name: Name | None = None
     description: str = ""
     scenario: str
-    gains: str | None = None
+    gains: str = ""
     set: list[str] = []
     flights: int = Field(ge=1, le=MAX_FLIGHTS)
     seed: int = Field(default=1, ge=0, le=MAX_SEED)
@@ -221,10 +219,7 @@ def _base(document: Document, shape: CampaignShape) -> tuple[Document, Scenario]
             if beside.suffix in (".yaml", ".yml") and beside.is_file()
             else find_scenario(shape.scenario)
         )
-        base = read_document(path)
-        if shape.gains is not None:
-            base = with_gains_of(base, find_gains(shape.gains))
-        base = overridden(base, shape.set)
+        base = changed_document(path, shape.set, shape.gains)
         return base, build_scenario(base)
     except ScenarioError as error:
         lines = str(error).splitlines()

@@ -13,7 +13,7 @@ from typing import Any
 
 from quadftc_bench.node_parameters import node_parameters
 from quadftc_bench.scenario.build import build_scenario
-from quadftc_bench.scenario.document import Keys, ScenarioError, parse_document, read_document
+from quadftc_bench.scenario.document import Document, Keys, ScenarioError, parse_document, read_document
 from quadftc_bench.scenario.gains import find_gains, with_gains_of
 from quadftc_bench.scenario.overrides import overridden
 from quadftc_bench.scenario.types import Check, Fault, Part, Scenario, Scheme
@@ -26,6 +26,7 @@ __all__ = [
     "Scenario",
     "ScenarioError",
     "Scheme",
+    "changed_document",
     "find_scenario",
     "load_scenario",
     "node_parameters",
@@ -59,10 +60,15 @@ def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = (), g
     ScenarioError
         If anything is wrong with it: one line for each problem.
     """
-    document = read_document(Path(path))
-    if gains:
-        document = with_gains_of(document, find_gains(gains))
-    return build_scenario(overridden(document, overrides))
+    return build_scenario(changed_document(Path(path), overrides, gains))
+
+
+def changed_document(path: Path, overrides: Sequence[str], gains: str = "") -> Document:
+    """Read a scenario file, with overrides and gains as in `load_scenario`; nothing is built yet."""
+    document = overridden(read_document(path), overrides)
+    if gains:  # for the vehicle that overrides may have set; and what they say of gains counts
+        document = overridden(with_gains_of(document, find_gains(gains)), overrides)
+    return document
 
 
 def parse_scenario(text: str, source: str = "scenario.yaml", overrides: Sequence[str] = ()) -> Scenario:

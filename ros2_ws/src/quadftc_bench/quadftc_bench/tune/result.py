@@ -76,7 +76,7 @@ def write_gains(
     lines = [
         f"Gains for {document['vehicle']} with sensors of grade {document['grade']}, found by",
         "",
-        f"  scripts/quadftc tune {campaign.document.source} --out {path}",
+        f"  scripts/quadftc tune {campaign.document.source}",
         "",
         f"Means over {flights} flights not used for it, before and after:",
         *(f"  {name}: {before.metrics[name]:.4g} -> {after.metrics[name]:.4g}" for name in before.metrics),
