@@ -2,6 +2,7 @@
 """Start the node graph, in one process or a process for each node, and run it until it ends or Ctrl-C.
 
     scripts/launch_graph.py --scenario paper_faults --scheme proposed --graph processes --mode realtime
+    scripts/launch_graph.py --graph processes --respawn
     scripts/launch_graph.py --params my_graph.yaml --namespace drone1 --record results/drone1
 
 It waits until all nodes are connected, passes SIGINT and SIGTERM on, ends only what it started, and returns
@@ -45,6 +46,11 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--record", type=Path, help="directory of the bag to write; must not exist")
     parser.add_argument("--duration", type=float, help="length of the flight [s]; 0: until Ctrl-C")
     parser.add_argument(
+        "--respawn",
+        action="store_true",
+        help="start a node again that dies in flight (--graph processes, real time; not the plant)",
+    )
+    parser.add_argument(
         "--wait", choices=("sleep", "poll"), default="sleep", help="between samples; poll takes a whole core"
     )
     parser.add_argument("--realtime-priority", type=int, default=0, help="of SCHED_FIFO, if permitted")
@@ -77,7 +83,7 @@ def node_parameters_of(options: argparse.Namespace) -> dict[str, dict[str, Any]]
 
 def launch(options: argparse.Namespace) -> int:
     """Run the graph; return the exit code."""
-    from quadftc_bench.graph_plan import GraphError, GraphPlan, check_scheduling
+    from quadftc_bench.graph_plan import GraphError, GraphPlan, check_respawn, check_scheduling
     from quadftc_bench.run import GRAPHS
     from quadftc_ros.executor import StopSignals
     from quadftc_ros.scheduling import Scheduling
@@ -86,8 +92,16 @@ def launch(options: argparse.Namespace) -> int:
     try:
         scheduling = Scheduling(options.wait, options.realtime_priority, tuple(options.core))
         check_scheduling(scheduling, options.mode, options.graph)
+        check_respawn(options.respawn, options.mode, options.graph)
         parameters = node_parameters_of(options)
-        plan = GraphPlan(parameters, options.mode, options.namespace, options.record, scheduling=scheduling)
+        plan = GraphPlan(
+            parameters,
+            options.mode,
+            options.namespace,
+            options.record,
+            scheduling=scheduling,
+            respawn=options.respawn,
+        )
         with StopSignals() as stop, GRAPHS[options.graph](plan) as graph:
             graph.run(lambda _samples: not stop.requested)
             status = graph.recorder.finish() if graph.recorder is not None else None

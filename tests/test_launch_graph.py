@@ -95,6 +95,32 @@ def test_death_of_a_node_ends_the_rest_and_is_reported():
     assert nodes_running() == []
 
 
+def child_of(process: subprocess.Popen[str], name: str) -> int:
+    """Process id of a node of a launcher; 0: there is none."""
+    for child in children_of(process):
+        with contextlib.suppress(OSError):
+            if f"/{name}".encode() in Path(f"/proc/{child}/cmdline").read_bytes():
+                return int(child)
+    return 0
+
+
+def test_dead_node_is_started_again_if_asked_for():
+    with NodeBench("realtime") as bench:
+        estimates = bench.listen("disturbance/estimate")
+        with started("--graph", "processes", "--respawn") as process:
+            bench.until(lambda: estimates)
+            victim = child_of(process, "disturbance_observer")
+            os.kill(victim, signal.SIGKILL)
+            bench.until(lambda: child_of(process, "disturbance_observer") not in (0, victim))
+            estimates.clear()
+            bench.until(lambda: estimates)
+            process.send_signal(signal.SIGINT)
+            _, errors = process.communicate(timeout=END)
+    assert process.returncode == 0, errors
+    assert "disturbance_observer ended with exit code 137: starts again in 0.1 s" in errors
+    assert nodes_running() == []
+
+
 def test_nodes_end_when_their_launcher_is_killed():
     with NodeBench("realtime") as bench:
         torques = bench.listen("torque/command")
@@ -113,6 +139,7 @@ def test_nodes_end_when_their_launcher_is_killed():
         (("--scenario", "nowhere"), ("nowhere", "paper_faults")),
         (("--scenario", BUSY, "--scheme", "best"), ("best", "proposed")),
         (("--scheme", "proposed"), ("--scheme", "--scenario")),
+        (("--respawn",), ("respawn", "processes")),
         (("--params", "missing.yaml"), ("missing.yaml",)),
         (("--params", BUSY), ("busy.yaml", "ros__parameters")),
     ],

@@ -58,6 +58,11 @@ class GraphPlan:
         Directory for the times at which messages come and go, a file for each node.
     scheduling : Scheduling
         In real time: how to share the machine.
+    respawn : bool
+        In real time, as processes: start a node again that dies in flight. The plant is the vehicle, and is
+        not.
+    remapped : mapping
+        Node to topics, by name, that it publishes under another name, for what stands in between (tests).
     """
 
     parameters: Mapping[str, Mapping[str, Any]]
@@ -67,6 +72,10 @@ class GraphPlan:
     attachments: tuple[Path, ...] = ()
     traces: Path | None = None
     scheduling: Scheduling = ORDINARY
+    respawn: bool = False
+    remapped: Mapping[str, Mapping[str, str]] = dataclasses.field(
+        default_factory=dict[str, Mapping[str, str]]
+    )
 
     def node_parameters(self, node: str) -> dict[str, Any]:
         """Return the parameters of one node: with the mode, less empty lists, which to ROS have no type."""
@@ -145,6 +154,18 @@ def check_scheduling(scheduling: Scheduling, mode: str, graph: str) -> None:
         raise ValueError("waiting, realtime priority and cores are for real time, not for lock-step")
     if graph == "processes" and scheduling.wait == "poll":
         raise ValueError("wait = 'poll': for the composed graph; six processes that poll need six cores")
+
+
+def check_respawn(respawn: bool, mode: str, graph: str) -> None:
+    """Check that nodes can be started again in a mode (``lockstep``, ``realtime``) and a graph.
+
+    Raises
+    ------
+    ValueError
+        If they cannot.
+    """
+    if respawn and (mode, graph) != ("realtime", "processes"):
+        raise ValueError("respawn: for nodes that are processes, in real time")
 
 
 def always(samples: int) -> bool:

@@ -5,19 +5,19 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from quadftc_bench.draining import drain
 from quadftc_bench.graph_plan import (
-    AFTERMATH,
     ALONE,
     CONNECT_TIMEOUT,
     EXECUTABLES,
@@ -27,7 +27,10 @@ from quadftc_bench.graph_plan import (
     Progress,
     always,
 )
+from quadftc_bench.respawn import MOST_DEATHS, Respawn
 from quadftc_ros.children import Children
+from quadftc_ros.conversions import time_message
+from quadftc_ros.diagnostics import WARN
 from quadftc_ros.executor import Slice, make_executor
 from quadftc_ros.node import crowded_topics, missing_connections
 from quadftc_ros.qos import topic_profile
@@ -35,8 +38,6 @@ from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.scheduling import Scheduling, SchedulingError, scheduled
 
 CALM = {"lockstep": 0.0, "realtime": 0.5}  # s; between the last match and the flight
-FEW = 10  # messages within AFTERMATH; real time: no more are those that still were on their way
-QUIET = 0.25  # s; lock-step: when nothing more has come to be recorded for so long, all of it has
 
 
 def executable_path(package: str, executable: str) -> Path:
@@ -76,9 +77,11 @@ class ProcessGraph:
         self.exit_code = 0  # the worst of the processes, once they were stopped
         self._counts: dict[str, dict[str, int]] = {}
         self._calm: float | None = None  # when the processes have got to rest
-        self._finished, self._samples, self._heard = False, 0, 0
+        self._flying = self._finished = False
+        self._samples = self._heard = 0
         self._folder = tempfile.TemporaryDirectory(prefix="quadftc_")
         self._node: Node | None = None
+        self._respawn = Respawn()
         # the recorder gives way to the nodes, and to nobody else
         self._scheduling = Scheduling(priority=max(0, plan.scheduling.priority - 1))
         self._context = Context()
@@ -89,7 +92,8 @@ class ProcessGraph:
             with scheduled(self._scheduling):
                 self._watch_and_record()
             with scheduled(plan.scheduling):  # which the processes inherit
-                self.children.start(self._commands())
+                self._started = self._commands()
+                self.children.start(self._started)
         except SchedulingError as error:
             self.close()
             raise GraphError(str(error)) from None
@@ -125,6 +129,7 @@ class ProcessGraph:
 
     def _fly(self, progress: Progress) -> float:
         begin = moved = time.monotonic()
+        self._flying = True
         self._begin_flight()
         seen = (0, 0)
         while not self._finished:
@@ -139,7 +144,7 @@ class ProcessGraph:
                 raise GraphError(f"the flight stalled: not a word from the nodes for {STALL_TIMEOUT:g} s")
         wall = time.monotonic() - begin
         if self.recorder is not None:
-            _drain(self._received, self._slice.spin, self.plan.mode)
+            drain(self._received, self._slice.spin, self.plan.mode)
         return wall
 
     def wait_until_connected(self, progress: Progress = always) -> bool:
@@ -204,6 +209,9 @@ class ProcessGraph:
         self._node.create_subscription(
             DiagnosticArray, "/diagnostics", self._on_diagnostics, topic_profile("reliable", plan.mode)
         )
+        self._report = self._node.create_publisher(
+            DiagnosticArray, "/diagnostics", topic_profile("reliable", plan.mode)
+        )
         self._starter = self._node.create_client(Trigger, "plant/start")
         self._executor.add_node(self._node)
         if plan.bag is not None:
@@ -217,7 +225,10 @@ class ProcessGraph:
         arguments = ["--ros-args", "--params-file", str(file)]
         if self.plan.namespace:
             arguments += ["-r", f"__ns:=/{self.plan.namespace.strip('/')}"]
-        return {name: [str(executable_path(*row)), *arguments] for name, row in EXECUTABLES.items()}
+        return {
+            name: [str(executable_path(*row)), *arguments, *_remappings(self.plan.remapped.get(name, {}))]
+            for name, row in EXECUTABLES.items()
+        }
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -256,29 +267,38 @@ class ProcessGraph:
         if answer is None or not answer.success:
             raise GraphError(f"plant/start: {answer.message if answer is not None else 'no answer'}")
 
+    @property
+    def restarts(self) -> dict[str, int]:
+        """How often each node was started again."""
+        return dict(self._respawn.restarts)
+
     def _check_alive(self) -> None:
         for name, code in self.children.ended().items():
-            raise GraphError(f"node {name} ended with exit code {code}")
+            if not (self.plan.respawn and self._flying) or name == "plant":
+                raise GraphError(f"node {name} ended with exit code {code}")
+            known = self._respawn.waits(name)
+            delay = self._respawn.died(name, time.monotonic())
+            if delay is None:
+                raise GraphError(f"node {name} died {MOST_DEATHS + 1} times: exit code {code}")
+            if not known:
+                self._warn(f"node {name} ended with exit code {code}: starts again in {delay:g} s")
+            elif delay == 0.0:
+                count = self._respawn.started(name)
+                with scheduled(self.plan.scheduling):
+                    self.children.start({name: self._started[name]})
+                self._warn(f"node {name} is started again, for the {count}. time")
+
+    def _warn(self, words: str) -> None:
+        """Say what became of a node, in the log and on /diagnostics."""
+        assert self._node is not None
+        self._node.get_logger().warning(words)
+        message = DiagnosticArray()
+        message.header.stamp = time_message(self._node.get_clock().now().nanoseconds)
+        counts = [KeyValue(key=name, value=str(count)) for name, count in self.restarts.items()]
+        name = f"{self._node.get_fully_qualified_name().lstrip('/')}: restarts"
+        message.status = [DiagnosticStatus(name=name, level=WARN, message=words, values=counts)]
+        self._report.publish(message)
 
 
-def _drain(recorded: Callable[[], int], spin: Callable[[float], None], mode: str) -> None:
-    """Spin on after the flight until what was published has been recorded.
-
-    In real time messages never quite end: a controller without samples goes on to say so.
-
-    Parameters
-    ----------
-    recorded : callable
-        Messages received by the recorder so far.
-    spin : callable
-        ``spin(time)`` [s].
-    mode : str
-    """
-    quiet, few = (QUIET, 0) if mode == "lockstep" else (AFTERMATH, FEW)
-    end, total = time.monotonic() + STALL_TIMEOUT, recorded()
-    spin(quiet)
-    while recorded() - total > few:
-        if time.monotonic() > end:
-            raise GraphError("messages go on after the end of the flight")
-        total = recorded()
-        spin(quiet)
+def _remappings(topics: Mapping[str, str]) -> list[str]:
+    return [word for topic, other in topics.items() for word in ("-r", f"{topic}:={other}")]
