@@ -222,8 +222,7 @@ def _inside(part: Any) -> list[tuple[str, Any]]:
         return [(str(index), each) for index, each in enumerate(part)]  # pyright: ignore
     if not dataclasses.is_dataclass(part):
         return []
-    names = [field.name for field in dataclasses.fields(part)]
-    return [(name, getattr(part, name)) for name in (*names, *_derived(type(part)))]
+    return [(name, getattr(part, name)) for name in _names(type(part))]
 
 
 def _is_container(part: Any) -> bool:
@@ -231,11 +230,12 @@ def _is_container(part: Any) -> bool:
 
 
 @functools.cache
-def _derived(kind: type) -> tuple[str, ...]:
-    """Names of what a part computes once from its fields (a mixer, say): numbers like the others."""
-    return tuple(
+def _names(kind: type) -> tuple[str, ...]:
+    """Names of the fields of a part, and of what it computes once from them (a mixer, say)."""
+    derived = (
         name
         for each in kind.__mro__
         for name, value in vars(each).items()
         if isinstance(value, functools.cached_property)
     )
+    return (*(field.name for field in dataclasses.fields(kind)), *derived)
