@@ -35,6 +35,7 @@ SERIAL_FILES = {
     "test_recorder_faults.py",
     "test_recorder_node.py",
     "test_report_in_browser.py",
+    "test_software_faults.py",
 }
 SERIAL_TESTS = {"test_processes_give_the_same_messages_as_one_process"}
 SERIAL_FIXTURES = {"bench"}

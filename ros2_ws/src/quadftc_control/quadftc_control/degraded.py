@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import math
 from collections import deque
 
 import numpy as np
@@ -56,6 +57,12 @@ class Patience:
     )
     correction_fade: float = parameter(
         2.0, unit="s", low=1e-3, doc="time in which it is given up afterwards, as it may have ended"
+    )
+    jump: float = parameter(
+        math.radians(1.0),
+        unit="rad",
+        low=0.0,
+        doc="step of imu/data that the gyro does not explain: a fault begins or ends, and is taken off",
     )
     blend: float = parameter(
         0.5, unit="s", low=1e-3, doc="time in which what is back, IMU or estimate, comes into use"

@@ -6,8 +6,9 @@ new source differ by a rotation delta (and their body rates by omega_o). From th
     q_used = q * exp(w delta / 2),   omega_used = omega + w omega_o
 
 with w = 1 at first. Towards imu/data, delta is the fault as it was last known: it is held for some time,
-as faults mostly last, then given up, as they end. Towards imu/corrected, it is what has come of that
-meanwhile, and is given up at once.
+as faults mostly last, then given up, as they end. Should imu/data make a step meanwhile that the body rate
+does not explain, then a fault has begun or ended, and delta is found anew. Towards imu/corrected, delta is
+what has come of all that, and is given up at once.
 """
 
 from __future__ import annotations
@@ -65,30 +66,45 @@ class Transfer:
         if before is None or not 0.0 < elapsed <= LONGEST:
             self._blending = False
         elif raw != self._raw:
-            self._begin(stamp_ns, before, sample, elapsed)
+            both = before.rate_valid and sample.rate_valid
+            self._rate = before.body_rate - sample.body_rate if both else np.zeros(3)
+            self._begin(stamp_ns, _turn_between(sample, before, elapsed))
+        elif raw:
+            turn = _turn_between(self._shifted(stamp_ns, sample), before, elapsed)
+            if math.sqrt(turn.dot(turn)) > self.patience.jump:
+                self._rate = self._rate * self._weight(stamp_ns)
+                self._begin(stamp_ns, _turn_between(sample, before, elapsed))
         self._raw, self._stamp_ns = raw, stamp_ns
-        weight = self._weight(seconds(stamp_ns - self._since_ns)) if self._blending else 0.0
-        self._blending = weight > 0.0
-        if weight > 0.0:
-            turn = quaternion_from_rotation_vector(weight * self._turn)
-            q_xyzw = normalise(quaternion_product(sample.q_xyzw, turn))
-            sample = sample._replace(q_xyzw=q_xyzw, body_rate=sample.body_rate + weight * self._rate)
-        self._used = sample
-        return sample
+        self._used = self._shifted(stamp_ns, sample)
+        return self._used
 
-    def _begin(self, stamp_ns: int, before: ImuSample, sample: ImuSample, elapsed: float) -> None:
-        both = before.rate_valid and sample.rate_valid
-        self._rate = before.body_rate - sample.body_rate if both else np.zeros(3)
-        turned = quaternion_from_rotation_vector(before.body_rate * elapsed)
-        expected = quaternion_product(before.q_xyzw, turned)
-        self._turn = rotation_vector(quaternion_product(sample.q_xyzw * _CONJUGATE, expected))
-        self._since_ns, self._blending = stamp_ns, True
+    def _begin(self, stamp_ns: int, turn: NDArray[np.float64]) -> None:
+        self._turn, self._since_ns, self._blending = turn, stamp_ns, True
 
-    def _weight(self, elapsed: float) -> float:
-        """Return w, so long [s] after the change of source."""
+    def _shifted(self, stamp_ns: int, sample: ImuSample) -> ImuSample:
+        weight = self._weight(stamp_ns)
+        if weight <= 0.0:
+            self._blending = False
+            return sample
+        turn = quaternion_from_rotation_vector(weight * self._turn)
+        q_xyzw = normalise(quaternion_product(sample.q_xyzw, turn))
+        return sample._replace(q_xyzw=q_xyzw, body_rate=sample.body_rate + weight * self._rate)
+
+    def _weight(self, stamp_ns: int) -> float:
+        """Return w at a stamp [ns]; not positive once the difference is given up."""
+        if not self._blending:
+            return 0.0
+        elapsed = seconds(stamp_ns - self._since_ns)
         if self._raw:
             return min(1.0, 1.0 - (elapsed - self.patience.correction_hold) / self.patience.correction_fade)
         return 1.0 - elapsed / self.patience.blend
+
+
+def _turn_between(sample: ImuSample, before: ImuSample, elapsed: float) -> NDArray[np.float64]:
+    """Rotation vector [rad] (3,) from a sample to where the one before has come in a time [s]."""
+    turned = quaternion_from_rotation_vector(before.body_rate * elapsed)
+    expected = quaternion_product(before.q_xyzw, turned)
+    return rotation_vector(quaternion_product(sample.q_xyzw * _CONJUGATE, expected))
 
 
 def rotation_vector(q_xyzw: NDArray[np.float64]) -> NDArray[np.float64]:

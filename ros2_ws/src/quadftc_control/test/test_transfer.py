@@ -67,6 +67,17 @@ def test_torque_does_not_jump_when_the_imu_or_the_estimate_is_another(estimated)
     assert np.max(np.abs(np.degrees(angles[-1]))) < 0.3
 
 
+@pytest.mark.parametrize("begins", [False, True])
+def test_fault_that_ends_or_begins_meanwhile_is_noticed_by_its_step(begins):
+    transfer = Transfer(Patience())
+    level, off = sample(np.zeros(3), np.zeros(3)), sample(FAULT, np.zeros(3))
+    before, after = (level, off) if begins else (off, level)
+    transfer.used(1, level, raw=False)
+    for k in range(1, 400):
+        used = transfer.used(1 + k * PERIOD_NS, before if k < 200 else after, raw=True)
+        np.testing.assert_allclose(euler_from_quaternion(used.q_xyzw), 0.0, atol=1e-12)
+
+
 def test_without_a_transfer_samples_are_used_as_they_are():
     transfer = Transfer(Patience())
     given = sample(FAULT, BIAS)

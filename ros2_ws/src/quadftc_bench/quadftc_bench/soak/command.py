@@ -53,6 +53,35 @@ def disk(trials: TrialsOption = 20, seed: SeedOption = 1, out: OutOption = None)
     _hit_recorders(DISK_FULL, trials, seed, out)
 
 
+@app.command()
+def nodes(
+    trials: TrialsOption = 34,
+    seed: SeedOption = 1,
+    only: Annotated[str, typer.Option(help="Only what has this in its name: node, action, stress.")] = "",
+    keep: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Keep bags of flights gone wrong.")
+    ] = None,
+    out: OutOption = None,
+) -> None:
+    """Kill, stop and slow nodes in flight, lose and delay messages; tell how the vehicle took it."""
+    from quadftc_bench.soak import nodes as part
+
+    screen = console()
+
+    def follow(trial: part.Trial) -> None:
+        screen.print(
+            f"{trial.node} {trial.action} during {trial.stress}: off by {trial.largest:.2f} deg, away"
+            f" {trial.away:.1f} s, back within {trial.returned:.2f} s, torque jumped by"
+            f" {100.0 * trial.jump:.1f} %: {trial.wrong or 'good'}",
+            markup=False,
+            soft_wrap=True,
+        )
+
+    done = part.soak(trials, seed, only, keep, follow)
+    screen.print(part.table(done))
+    _finish(part.summary(done, seed), done, out)
+
+
 def _hit_recorders(hit: str, trials: int, seed: int, out: Path | None) -> None:
     from quadftc_bench.soak import recorder as part
     from quadftc_bench.soak.recorder_trial import Trial
