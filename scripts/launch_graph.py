@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 BAD_INPUT, FAILED, INTERRUPTED = 2, 3, 130
 ENTER = """
 . "$1/scripts/lib/common.sh"
@@ -43,6 +44,11 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument("--graph", choices=("composed", "processes"), default="composed")
     parser.add_argument("--mode", choices=("lockstep", "realtime"), default="realtime")
     parser.add_argument("--namespace", default="", help="ROS namespace of the vehicle")
+    parser.add_argument(
+        "--network",
+        action="store_true",
+        help="let other machines on the network find the graph; default: this machine only",
+    )
     parser.add_argument("--record", type=Path, help="directory of the bag to write; must not exist")
     parser.add_argument("--duration", type=float, help="length of the flight [s]; 0: until Ctrl-C")
     parser.add_argument(
@@ -81,6 +87,13 @@ def node_parameters_of(options: argparse.Namespace) -> dict[str, dict[str, Any]]
     return parameters
 
 
+def reach() -> str:
+    """Say who can find the graph, by what ROS 2 goes by."""
+    found, domain = os.environ.get(RANGE, ""), os.environ.get("ROS_DOMAIN_ID") or 0
+    words = {"LOCALHOST": "this machine only (--network opens it)", "SUBNET": "this machine and its network"}
+    return f"ROS domain {domain}, found by {words.get(found, f'{RANGE}={found}')}"
+
+
 def launch(options: argparse.Namespace) -> int:
     """Run the graph; return the exit code."""
     from quadftc_bench.graph_plan import GraphError, GraphPlan, check_respawn, check_scheduling
@@ -102,6 +115,7 @@ def launch(options: argparse.Namespace) -> int:
             scheduling=scheduling,
             respawn=options.respawn,
         )
+        sys.stderr.write(f"{reach()}\n")
         with StopSignals() as stop, GRAPHS[options.graph](plan) as graph:
             graph.run(lambda _samples: not stop.requested)
             status = graph.recorder.finish() if graph.recorder is not None else None
@@ -119,7 +133,10 @@ def launch(options: argparse.Namespace) -> int:
 def main() -> int:
     """Run the command, inside the environment that scripts/setup made."""
     options = parse(sys.argv[1:])
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    if options.network:
+        os.environ[RANGE] = "SUBNET"
+    else:
+        os.environ.setdefault(RANGE, "LOCALHOST")
     if importlib.util.find_spec("quadftc_bench") is None:
         arguments = ["bash", "-c", ENTER, "bash", str(ROOT), str(Path(__file__).resolve()), *sys.argv[1:]]
         os.execvp("bash", arguments)

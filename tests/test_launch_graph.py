@@ -63,6 +63,47 @@ def test_flight_of_a_scenario_ends_with_0_and_a_whole_bag(tmp_path: Path, graph:
     assert nodes_running() == []
 
 
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ((), "found by this machine only (--network opens it)"),
+        (("--network",), "this machine and its network"),
+    ],
+)
+def test_who_can_find_the_graph_is_said(option: tuple[str, ...], words: str):
+    code, errors = finished("--scenario", BUSY, "--mode", "lockstep", "--duration", "0.1", *option)
+    assert code == 0, errors
+    assert f"ROS domain {os.environ['ROS_DOMAIN_ID']}, " in errors
+    assert words in errors
+
+
+def other_domain() -> int:
+    """A domain that no test session has: those are below (see conftest.py)."""
+    return 81 + int(os.environ["ROS_DOMAIN_ID"]) % 20
+
+
+@pytest.mark.parametrize("by", ["namespace", "domain"])
+def test_two_graphs_side_by_side_do_not_hear_each_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, by: str
+):
+    """Both fly the same scenario in lock-step at the same time, and give the bags that one alone gives."""
+    both = ("--scenario", BUSY, "--mode", "lockstep")
+    with started(*both, "--record", tmp_path / "one") as first:
+        if by == "domain":
+            monkeypatch.setenv("ROS_DOMAIN_ID", str(other_domain()))
+        namespace = ("--namespace", "other") if by == "namespace" else ()
+        code, errors = finished(*both, *namespace, "--record", tmp_path / "other")
+        _, first_errors = first.communicate(timeout=2 * END)
+    assert (first.returncode, code) == (0, 0), first_errors + errors
+    one, other = read_bag(tmp_path / "one"), read_bag(tmp_path / "other")
+    for topic in ("plant/attitude", "torque/command", "control/status"):
+        mine, theirs = one.series(topic), other.series(topic)
+        assert len(mine) == len(theirs) > 300
+        for field in ("vector", "error"):
+            if field in mine.fields:
+                assert (mine[field] == theirs[field]).all()
+
+
 @pytest.mark.parametrize("graph", ["composed", "processes"])
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_ends_the_nodes_and_the_launcher_with_0(graph: str, number: signal.Signals):

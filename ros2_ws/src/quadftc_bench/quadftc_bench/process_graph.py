@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import tempfile
 import time
 from collections.abc import Mapping
@@ -284,7 +285,9 @@ class ProcessGraph:
                 self._warn(f"node {name} ended with exit code {code}: starts again in {delay:g} s")
             elif delay == 0.0:
                 count = self._respawn.started(name)
-                with scheduled(self.plan.scheduling):
+                # starting takes a core for seconds, which the nodes that fly must not miss
+                low = dataclasses.replace(self.plan.scheduling, priority=self._scheduling.priority)
+                with scheduled(low):
                     self.children.start({name: self._started[name]})
                 self._warn(f"node {name} is started again, for the {count}. time")
 

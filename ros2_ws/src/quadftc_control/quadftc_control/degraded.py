@@ -1,7 +1,7 @@
 """What a controller does when its inputs go missing: which IMU it believes, and when it gives up.
 
-* no diagnosis: ``corrected_samples`` imu/data in a row had no imu/corrected in time; until
-  ``return_samples`` in a row had one, and the observer says that it has started.
+* no diagnosis: ``corrected_samples`` imu/data came in a row, but no imu/corrected, or none younger than
+  ``corrected_age``; until ``return_samples`` came in time, and the observer says that it has started.
 * no disturbance estimate: it is older than ``disturbance_age``; until it was not for ``return_samples``.
 * hold: no IMU for the time ``hold``; until the next sample.
 * off: no IMU for the time ``off``; until ``return_samples`` came, none of them ``hold`` after the last.
@@ -15,7 +15,6 @@ from __future__ import annotations
 import dataclasses
 import enum
 import math
-from collections import deque
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +41,9 @@ class Patience:
 
     corrected_samples: int = parameter(
         3, low=2, high=MOST_SAMPLES, doc="which imu/data in a row without imu/corrected is used in its place"
+    )
+    corrected_age: float = parameter(
+        0.05, unit="s", low=0.0, doc="age against imu/data from which imu/corrected counts as missing"
     )
     return_samples: int = parameter(
         25, low=1, high=MOST_SAMPLES, doc="good samples in a row after which a better mode is returned to"
@@ -90,7 +92,7 @@ class InputMonitor:
     def __init__(self, patience: Patience) -> None:
         self.patience = patience
         self.undiagnosed = False  # flies on imu/data
-        self._raws_ns: deque[int] = deque(maxlen=MOST_SAMPLES)
+        self._raw_ns = 0  # stamp of the newest imu/data
         self._uncorrected, self._good, self._good_since_ns = 0, 0, 0
         self._disturbance, self._disturbance_ns = np.zeros(3), 0
         self._estimated_ns: int | None = None  # stamp of the last call of `disturbance_at`
@@ -99,16 +101,15 @@ class InputMonitor:
 
     def use_raw(self, stamp_ns: int) -> bool:
         """Note that imu/data of a stamp [ns] came; whether it has to be used."""
-        self._raws_ns.append(stamp_ns)
+        self._raw_ns = stamp_ns
         self._uncorrected += 1
         if self._uncorrected >= self.patience.corrected_samples:
             self.undiagnosed, self._good = True, 0
         return self.undiagnosed
 
     def is_late(self, stamp_ns: int) -> bool:
-        """Whether imu/corrected of a stamp [ns] comes too late to count: imu/data has served in its place."""
-        count = self.patience.corrected_samples
-        return len(self._raws_ns) >= count and stamp_ns < self._raws_ns[-count]
+        """Whether imu/corrected of a stamp [ns] comes too late to count."""
+        return seconds(self._raw_ns - stamp_ns) > self.patience.corrected_age
 
     def use_corrected(self, stamp_ns: int, starting: bool) -> bool:
         """Note that imu/corrected of a stamp [ns] came; whether it is to be used.

@@ -61,11 +61,11 @@ def test_single_corrected_samples_do_not_make_the_mode_flap(monitor):
 
 
 def test_corrected_imu_that_comes_late_does_not_count(monitor):
-    for k in range(10):
+    for k in range(30):
         monitor.use_raw(SECOND + k * PERIOD)
-        if k >= 3:
-            assert monitor.is_late(SECOND + (k - 3) * PERIOD)
-            assert not monitor.use_corrected(SECOND + (k - 3) * PERIOD, starting=False)
+        assert not monitor.is_late(SECOND + (k - 12) * PERIOD)  # 48 ms
+        assert monitor.is_late(SECOND + (k - 13) * PERIOD)
+        assert not monitor.use_corrected(SECOND + (k - 13) * PERIOD, starting=False)
     assert monitor.undiagnosed
 
 

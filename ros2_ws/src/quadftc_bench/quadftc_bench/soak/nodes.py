@@ -22,6 +22,7 @@ from quadftc_bench.soak.node_flight import (
     NODES,
     STRESSES,
     Hit,
+    best_scheduling,
     fly,
 )
 from quadftc_bench.soak.node_judgement import Judge, Trial
@@ -133,6 +134,7 @@ def summary(done: Sequence[Trial], seed: int) -> dict[str, Any]:
     return {
         "fault": "nodes killed, stopped, stalled; messages lost and late",
         "seed": seed,
+        "realtime_priority": best_scheduling().priority,
         "trials": len(done),
         "survived": sum(not each.wrong for each in done),
         "worst_error_deg": max((each.largest for each in done), default=None),
