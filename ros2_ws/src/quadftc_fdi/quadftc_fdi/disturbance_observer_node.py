@@ -100,6 +100,8 @@ class DisturbanceObserverNode(GraphNode):
         if estimate is None:
             self.diagnostics.count("imu/corrected: stamp repeated or went back")
             return
+        if not sample.rate_valid:
+            self.diagnostics.count("imu/corrected: body rate absent or unusable")
         if not is_finite(estimate):
             self.diagnostics.count("the observer gave no number: it starts anew")
             self._stepper.reset()

@@ -129,6 +129,8 @@ class FaultObserverNode(GraphNode):
             estimate = _no_estimate(sample)
         if not estimate.corrected.rate_valid:
             self.diagnostics.count("imu/data: body rate absent or unusable")
+        if not sanitised(sample).attitude_valid:
+            self.diagnostics.count("imu/data: attitude absent or unusable")
         self._publish_corrected(self._imu(stamp_ns, estimate.corrected))  # first, as others wait for it
         self._publish_estimate(self._earth(stamp_ns, estimate.fault))
         self._publish_status(self._status(stamp_ns, estimate))

@@ -14,6 +14,8 @@ from quadftc_model.arrays import Array, components, is_single, namespace
 
 UNIT_NORM_TOLERANCE = 1e-2  # 1; a quaternion further from unit length is no attitude
 
+MAX_BODY_RATE = 100.0  # rad/s, sum over the axes; MEMS gyros end at 70 (4000 deg/s): more is no body rate
+
 STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901
 
 STARTING, HEALTHY, SUSPECT, FAULTY, RECOVERING = range(5)  # fault states, as in quadftc_msgs/FaultStatus
@@ -90,7 +92,8 @@ class ControllerOutput(NamedTuple):
 def sanitised(sample: ImuSample) -> ImuSample:
     """Mark as absent what cannot be used, with finite numbers in its place.
 
-    That is NaN, Inf, and a quaternion off unit length. Good channels are returned unchanged, bit for bit.
+    That is NaN, Inf, a quaternion off unit length, and a body rate beyond `MAX_BODY_RATE`. Good channels are
+    returned unchanged, bit for bit.
     """
     if is_single(sample.q_xyzw) and _all_good(sample):
         return sample
@@ -98,7 +101,8 @@ def sanitised(sample: ImuSample) -> ImuSample:
     squared = [x * x for x in components(sample.q_xyzw)]
     unit = xp.abs(sum(squared) - 1.0) <= 2.0 * UNIT_NORM_TOLERANCE  # false for NaN and Inf, too
     attitude_valid = sample.attitude_valid & unit
-    rate_valid = sample.rate_valid & _finite(sample.body_rate)
+    turning = sum(abs(x) for x in components(sample.body_rate))
+    rate_valid = sample.rate_valid & (turning <= MAX_BODY_RATE)  # false for NaN and Inf, too
     force_valid = sample.force_valid & _finite(sample.specific_force)
     level = xp.asarray([0.0, 0.0, 0.0, 1.0])
     return ImuSample(
@@ -116,8 +120,10 @@ def _all_good(sample: ImuSample) -> bool:
     if not (sample.attitude_valid and sample.rate_valid and sample.force_valid):
         return False
     squared = sum([x * x for x in sample.q_xyzw.tolist()])
-    others = sum([abs(x) for x in (*sample.body_rate.tolist(), *sample.specific_force.tolist())])
-    return abs(squared - 1.0) <= 2.0 * UNIT_NORM_TOLERANCE and others < math.inf  # false for NaN, too
+    turning = sum([abs(x) for x in sample.body_rate.tolist()])
+    force = sum([abs(x) for x in sample.specific_force.tolist()])
+    unit = abs(squared - 1.0) <= 2.0 * UNIT_NORM_TOLERANCE
+    return unit and turning <= MAX_BODY_RATE and force < math.inf  # false for NaN, too
 
 
 def _finite(vector: Array) -> Array:

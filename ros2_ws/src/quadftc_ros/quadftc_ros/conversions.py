@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from typing import Any
 
@@ -22,6 +21,9 @@ IMU_FRAME = "imu_link"  # the IMU, aligned with the body (REP-145)
 EARTH_FRAME = "map"  # ENU (REP-105)
 
 NANOSECONDS = 1_000_000_000  # per second
+END_NS = 2**31 * NANOSECONDS  # ns; where the stamps end that a message can have
+ABSURD = 1e6  # in rad, rad/s, rad/s², N m and m/s² alike: no number that can be meant is so large
+STAMP_END = 12  # bytes; of a serialised message, behind encapsulation and stamp
 ABSENT = -1.0  # element 0 of a covariance: the channel is not in this sample (REP-145)
 
 Floats = NDArray[np.float64]
@@ -34,7 +36,15 @@ def stamp_of(message: Any) -> int:
 
 
 def leading_stamp_ns(cdr_bytes: bytes) -> int:
-    """Return the stamp [ns] that a serialised message begins with."""
+    """Return the stamp [ns] that a serialised message begins with.
+
+    Raises
+    ------
+    ValueError
+        If it is too short to have one.
+    """
+    if len(cdr_bytes) < STAMP_END:
+        raise ValueError(f"no stamp in {len(cdr_bytes)} bytes")
     sec, nanosec = struct.unpack_from("<iI" if cdr_bytes[1] else ">iI", cdr_bytes, 4)
     return sec * NANOSECONDS + nanosec
 
@@ -56,8 +66,8 @@ def array_of(vector: Vector3) -> Floats:
 
 
 def is_finite(array: Floats) -> bool:
-    """Whether every number of a small array is finite."""
-    return all(map(math.isfinite, array.tolist()))
+    """Whether every number of a small array is finite, and none so large that it overflows somewhere."""
+    return all(-ABSURD < x < ABSURD for x in array.tolist())  # false for NaN, too
 
 
 def fill_vector(vector: Vector3, array: Floats) -> None:

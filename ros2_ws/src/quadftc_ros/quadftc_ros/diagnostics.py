@@ -76,6 +76,11 @@ class Diagnostics:
         if samples is None or samples.level == OK:
             self.changed = True
 
+    @property
+    def counts(self) -> Counter[str]:
+        """What was counted so far, and how often."""
+        return self._counts
+
     def tick(self, stamp_ns: int) -> None:
         """Publish if a second has passed since the last time, or something changed [stamp in ns]."""
         if stamp_ns < self._due_ns and not self.changed and self._due_ns - stamp_ns <= NANOSECONDS:

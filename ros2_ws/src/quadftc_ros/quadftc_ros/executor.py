@@ -29,6 +29,7 @@ LAUNCHER = (
     "QUADFTC_LAUNCHER"  # environment variable: process that started this one and must not die before it
 )
 NEAR = 100_000  # ns; an executor that sleeps may wake so late
+MAX_WORDS = 1000  # characters of what is said about a wrong parameter
 POLL = 0.2  # s; EventsExecutor.spin() without a timeout busy-loops in Jazzy 7.1, so it is called in slices
 
 
@@ -196,7 +197,10 @@ def run_node(make: Callable[[], Node], paced: bool = False) -> int:
                 _initialise()
                 node = make()
             except (ValueError, ParameterException) as error:
-                sys.stderr.write(f"error: {' '.join(str(error).split())}\n")
+                words = " ".join(str(error).split())
+                sys.stderr.write(
+                    f"error: {words if len(words) <= MAX_WORDS else words[:MAX_WORDS] + '...'}\n"
+                )
                 return 2
             executor = make_executor()
             executor.add_node(node)

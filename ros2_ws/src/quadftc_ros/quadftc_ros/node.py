@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from quadftc_model.parameters import parameter
 from quadftc_model.stepper import MAX_GAP
-from quadftc_ros.conversions import NANOSECONDS, leading_stamp_ns, stamp_of
+from quadftc_ros.conversions import END_NS, NANOSECONDS, leading_stamp_ns, stamp_of
 from quadftc_ros.diagnostics import OK, WARN, Diagnostics
 from quadftc_ros.interfaces import load_message_class
 from quadftc_ros.parameters import NodeParameters
@@ -27,6 +27,7 @@ from quadftc_ros.topics import TOPICS
 from quadftc_ros.trace import MessageTrace, Note
 
 MODES = ("lockstep", "realtime")
+NO_STAMP = "stamp is no time"  # negative, or so late that no message can have it
 HEARTBEAT = {"realtime": 1.0, "lockstep": 0.2}  # s; in lock-step only before the flight
 
 
@@ -124,6 +125,9 @@ class GraphNode(Node):
 
         def receive(message: Any) -> None:
             stamp_ns = stamp_of(message)
+            if not 0 <= stamp_ns < END_NS:
+                self.diagnostics.count(f"{topic}: {NO_STAMP}")
+                return
             note(stamp_ns)
             callback(stamp_ns, message)
 
@@ -134,7 +138,14 @@ class GraphNode(Node):
         note = self._note_of(topic)
 
         def receive(data: bytes) -> None:
-            stamp_ns = leading_stamp_ns(data)
+            try:
+                stamp_ns = leading_stamp_ns(data)
+            except ValueError:
+                self.diagnostics.count(f"{topic}: unreadable")
+                return
+            if not 0 <= stamp_ns < END_NS:
+                self.diagnostics.count(f"{topic}: {NO_STAMP}")
+                return
             note(stamp_ns)
             callback(stamp_ns, data)
 

@@ -27,7 +27,7 @@ from quadftc_model.parameters import parameter
 from quadftc_ros.bag_file import COMPRESSIONS
 from quadftc_ros.bag_process import BagProcess
 from quadftc_ros.bag_writer import BagStatus, BagWriter, Input
-from quadftc_ros.conversions import leading_stamp_ns
+from quadftc_ros.conversions import END_NS, leading_stamp_ns
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.interfaces import load_message_class
@@ -160,8 +160,13 @@ class RecorderNode(GraphNode):
             self.create_subscription(message_class, row.name, take, wanted, raw=True)
 
     def _take_by_stamp(self, write: Input, data: bytes) -> None:
-        stamp_ns = leading_stamp_ns(data)
-        if stamp_ns:
+        try:
+            stamp_ns = leading_stamp_ns(data)
+        except ValueError:
+            stamp_ns = END_NS
+        if not 0 <= stamp_ns < END_NS:
+            self.diagnostics.count("messages without a stamp, not recorded")
+        elif stamp_ns:
             self._flying = True
             self._newest_ns = stamp_ns
             self.received += 1
