@@ -7,11 +7,13 @@ recording or software failed, 130 interrupted.
 
 from __future__ import annotations
 
+import errno
 import os
 import sys
 import traceback
 
 import typer
+from rich.console import Console
 
 # this machine only, unless asked otherwise; read when ROS starts, so before any of its modules
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -34,6 +36,12 @@ from quadftc_bench.graph_plan import GraphError
 from quadftc_bench.run import RunError
 from quadftc_bench.scenario import ScenarioError
 from quadftc_bench.tables import console
+
+MAX_LINES, MAX_LINE = 11, 1200  # of what is said about a bad input; characters
+PATHS_FAULT = (
+    *(errno.ENOENT, errno.EACCES, errno.EPERM, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG),
+    *(errno.ELOOP, errno.EROFS, errno.EINVAL),
+)  # errors of the system that say that a path was bad input
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
@@ -74,12 +82,10 @@ def guarded(command: typer.Typer, arguments: list[str]) -> int:
         result = command(arguments or ["--help"], standalone_mode=False)
         return result if isinstance(result, int) else GOOD
     except typer.TyperException as error:
-        words = error.format_message() if hasattr(error, "format_message") else str(error)
-        screen.print(f"error: {words}", markup=False, soft_wrap=True)
+        _refuse(screen, error.format_message() if hasattr(error, "format_message") else str(error))
         return BAD_INPUT
     except (ScenarioError, BagError, RunError, CampaignError, ValueError) as error:
-        for line in str(error).splitlines():
-            screen.print(f"error: {line}", markup=False, soft_wrap=True)
+        _refuse(screen, str(error))
         return BAD_INPUT
     except (KeyboardInterrupt, typer.Abort):
         return INTERRUPTED
@@ -87,12 +93,31 @@ def guarded(command: typer.Typer, arguments: list[str]) -> int:
         screen.print(f"error: {error}", markup=False, soft_wrap=True)
         return INTERNAL
     except Exception as error:
-        screen.print(f"internal error: {type(error).__name__}: {error}", markup=False, soft_wrap=True)
+        if isinstance(error, OSError) and error.errno in PATHS_FAULT:
+            _refuse(screen, f"{error.filename or 'a file'}: {error.strerror}")
+            return BAD_INPUT
+        screen.print(
+            _shortened(f"internal error: {type(error).__name__}: {error}"), markup=False, soft_wrap=True
+        )
         if os.environ.get("QUADFTC_DEBUG"):
             traceback.print_exc()
         else:
             screen.print("set QUADFTC_DEBUG=1 to see where", markup=False)
         return INTERNAL
+
+
+def _refuse(screen: Console, words: str) -> None:
+    """Say what is wrong with the input, on a line for each problem."""
+    lines = words.splitlines() or ["bad input"]
+    for line in lines[:MAX_LINES]:
+        screen.print(_shortened(f"error: {line}"), markup=False, soft_wrap=True)
+    if len(lines) > MAX_LINES:
+        screen.print(f"error: and {len(lines) - MAX_LINES} more lines", markup=False)
+
+
+def _shortened(line: str) -> str:
+    """Leave out the middle of what is too long to be read."""
+    return line if len(line) <= MAX_LINE else f"{line[: MAX_LINE // 2]} [...] {line[-MAX_LINE // 2 :]}"
 
 
 if __name__ == "__main__":

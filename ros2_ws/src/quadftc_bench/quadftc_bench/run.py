@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from rclpy.exceptions import InvalidNamespaceException
+from rclpy.validate_namespace import validate_namespace
 
 from quadftc_bench.bags import read_bag
 from quadftc_bench.composed_graph import ComposedGraph
@@ -60,7 +62,7 @@ class RunOptions:
     Raises
     ------
     ValueError
-        If the scheduling does not suit graph or mode.
+        If the scheduling does not suit graph or mode, or ROS has no such namespace.
     """
 
     graph: str = "composed"
@@ -71,6 +73,23 @@ class RunOptions:
 
     def __post_init__(self) -> None:
         check_scheduling(self.scheduling, self.mode, self.graph)
+        check_namespace(self.namespace)
+
+
+def check_namespace(namespace: str) -> None:
+    """Refuse what ROS does not take for a namespace.
+
+    Raises
+    ------
+    ValueError
+        Saying why.
+    """
+    try:
+        validate_namespace(f"/{namespace.strip('/')}")
+    except (InvalidNamespaceException, TypeError) as error:  # the latter: no text that can be encoded
+        words = str(error).split(": ", 1)[-1].splitlines()[0].rstrip(":")
+        words = words if isinstance(error, InvalidNamespaceException) else "is no text"
+        raise ValueError(f"namespace = {namespace!r}: {words}") from None
 
 
 def run_name(scenario: Scenario, scheme: Scheme) -> str:

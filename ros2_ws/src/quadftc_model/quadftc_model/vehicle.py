@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import importlib.metadata
-import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ else:
 
 _DIRECTORY = Path(__file__).parent / "vehicles"
 _GROUP = "quadftc.vehicles"  # entry points: name -> path of a TOML file
+_LARGEST, _SMALLEST = 1e9, 1e-12  # in SI; no number of a vehicle is larger, none that is positive smaller
 _ROTOR_NUMBERS = (
     *("thrust_gain", "yaw_gain", "command_min", "command_max", "command_idle", "command_trim"),
     *("time_constant", "rotor_inertia", "thrust_coefficient"),
@@ -69,8 +69,9 @@ class Vehicle:
         for name in ("yaw_sign", "spin_sign"):
             if getattr(rotors, name).shape != (count,):
                 raise ValueError(f"rotors.{name}: expected {count} numbers, one for each of rotors.positions")
-        _require("mass", self.mass, self.mass > 0.0, "positive")
-        _require("inertia", self.inertia, bool(np.all(self.inertia > 0.0)), "positive")
+        positive = f"positive, at least {_SMALLEST:g}"
+        _require("mass", self.mass, self.mass >= _SMALLEST, positive)
+        _require("inertia", self.inertia, bool(np.all(self.inertia >= _SMALLEST)), positive)
         _require(
             "rotational_drag", self.rotational_drag, bool(np.all(self.rotational_drag >= 0.0)), "not negative"
         )
@@ -83,7 +84,7 @@ class Vehicle:
             f"in ({low}, {high})",
         )
         for name in ("thrust_gain", "yaw_gain", "time_constant", "thrust_coefficient"):
-            _require(f"rotors.{name}", getattr(rotors, name), getattr(rotors, name) > 0.0, "positive")
+            _require(f"rotors.{name}", getattr(rotors, name), getattr(rotors, name) >= _SMALLEST, positive)
         if np.linalg.matrix_rank(self.mixer) < 3:
             raise ValueError("rotors.positions: this layout cannot give a torque about each axis")
 
@@ -192,8 +193,8 @@ def _section(table: dict[str, Any], key: str) -> dict[str, Any]:
 
 def _number(table: dict[str, Any], key: str) -> float:
     value = table.pop(key.rpartition(".")[2], None)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise ValueError(f"{key} = {value!r}: expected a finite number")
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= _LARGEST:
+        raise ValueError(f"{key} = {_shown(value)}: expected a finite number, not beyond {_LARGEST:g}")
     return float(value)
 
 
@@ -206,16 +207,24 @@ def _text(table: dict[str, Any], key: str) -> str:
 
 def _array(table: dict[str, Any], key: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
     value = table.pop(key.rpartition(".")[2], None)
-    wanted = f"{key} = {value!r}: expected finite numbers of shape {shape}, -1 being any length"
+    wanted = (
+        f"{key} = {_shown(value)}: expected finite numbers of shape {shape}, -1 being any length,"
+        f" none beyond {_LARGEST:g}"
+    )
     try:
         array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(wanted) from None
     fits = array.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))
-    if not fits or not np.all(np.isfinite(array)):
+    if not fits or not np.all(np.abs(array) <= _LARGEST):
         raise ValueError(wanted)
     array.setflags(write=False)
     return array
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 100 else f"{text[:97]}..."
 
 
 def _require(name: str, value: Any, holds: bool, expected: str) -> None:

@@ -201,7 +201,8 @@ class Bag:
                 types = get_types_from_msg(text, topic.type_name)
             return decode(types, topic.type_name, bytes(topic.data), topic.sizes)
         except Exception as error:  # whatever the libraries find wrong with the definition or a message
-            raise BagError(f"{self.path}: topic '{name}' cannot be decoded: {error}") from error
+            words = " ".join(str(error).split()) or type(error).__name__
+            raise BagError(f"{self.path}: topic '{name}' cannot be decoded: {words}") from error
 
     def load(self, path: Path, wanted: Collection[str] | None) -> None:
         """Add the contents of one MCAP file, those of the wanted topics; `read_bag` does it.

@@ -23,6 +23,7 @@ OnMessage = Callable[[int, int, int, memoryview], None]
 _NONE = 0  # no opcode: what a file is full of that lost its end with the power
 _HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+_LATEST = 2**63 - 1  # ns; a later time is none
 _CHUNK_SPAN = struct.Struct("<QQ")  # first and last log time, with which a chunk begins
 _READERS: dict[int, Callable[[ReadDataStream], Record]] = {
     Opcode.HEADER: Header.read,
@@ -138,6 +139,8 @@ def _read_sequence(data: bytes, on_message: OnMessage) -> Iterator[Record]:
                 raise CutShortError
             if opcode == Opcode.MESSAGE:
                 channel, _, log_time, publish_time = _MESSAGE.unpack_from(data, start)
+                if log_time > _LATEST or publish_time > _LATEST:
+                    raise CutShortError
                 on_message(channel, log_time, publish_time, view[start + _MESSAGE.size : position])
             elif opcode in _READERS:
                 yield _READERS[opcode](ReadDataStream(BytesIO(view[start:position])))
