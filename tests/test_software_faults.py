@@ -5,6 +5,7 @@ The long form of the first is `scripts/soak nodes`; docs/reliability.md has its 
 
 from __future__ import annotations
 
+import dataclasses
 import random
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 
 from quadftc_bench.scenario import node_parameters
 from quadftc_bench.soak.node_flight import DISTURBANCE, KILL, SENSOR_FAULT, STOP, Hit, scenario_of
-from quadftc_bench.soak.node_judgement import BACK, LARGEST, WITHIN
+from quadftc_bench.soak.node_judgement import BACK, LARGEST, WITHIN, Trial
 from quadftc_bench.soak.nodes import ALL, flights_of, flown, summary, table
 from quadftc_control.controller_node import ControllerNode
 from quadftc_control.reference_node import ReferenceNode
@@ -39,6 +40,8 @@ def test_flight_goes_on_when_nodes_are_killed_and_stopped():
         Hit("controller", STOP, SENSOR_FAULT),
     ]
     trials = flown(hits, seed=1)
+    if any(trial.void for trial in trials):
+        pytest.skip("this machine cannot carry the flight now")
     assert [trial.wrong for trial in trials] == [""] * 3, trials
     assert all(trial.away > 0.2 for trial in trials[:2])  # they were away, and came back
     assert summary(trials, 1)["survived"] == table(trials).row_count - 1 == 3
@@ -47,6 +50,15 @@ def test_flight_goes_on_when_nodes_are_killed_and_stopped():
 def test_soak_hits_everything_in_turn():
     flights = list(flights_of(ALL, len(ALL), random.Random(1)))
     assert sorted(map(repr, (hit for hits in flights for hit in hits))) == sorted(map(repr, ALL))
+
+
+def test_trial_that_went_wrong_before_anything_was_done_does_not_count():
+    good = Trial("controller", STOP, DISTURBANCE, 0.2, 0.0, 0.1, 0.01, "")
+    bad = dataclasses.replace(good, largest=9.0, wrong="attitude off by 9.0 deg")
+    assert summary([good, bad], 1)["passed"] is False
+    found = summary([good, dataclasses.replace(bad, void=True)], 1)
+    assert (found["passed"], found["trials"], found["void"], found["worst_error_deg"]) == (True, 1, 1, 0.2)
+    assert summary([], 1)["passed"] is False
 
 
 @pytest.mark.parametrize(
@@ -74,6 +86,7 @@ def test_clock_that_jumps_in_lockstep_does_little(lockstep_bench, jump, stress):
             continue
         stamp_ns = emission.sample_stamp_ns + (round(jump * 1e9) if k >= 7 * RATE else 0)
         sample = injector.apply(emission.sample_stamp_ns, emission.sample).sample
+        assert sample is not None
         count = len(torques)
         send(message(stamp_ns, sample))
         bench.until(lambda: len(torques) > count)  # noqa: B023

@@ -72,7 +72,7 @@ def nodes(
         screen.print(
             f"{trial.node} {trial.action} during {trial.stress}: off by {trial.largest:.2f} deg, away"
             f" {trial.away:.1f} s, back within {trial.returned:.2f} s, torque jumped by"
-            f" {100.0 * trial.jump:.1f} %: {trial.wrong or 'good'}",
+            f" {100.0 * trial.jump:.1f} %: {'void: ' * trial.void}{trial.wrong or 'good'}",
             markup=False,
             soft_wrap=True,
         )

@@ -21,10 +21,13 @@ from quadftc_model.rotations import wrap
 from quadftc_model.vehicle import load_vehicle
 from quadftc_ros.diagnostics import ERROR
 
-LARGEST, LARGEST_WITHOUT_CONTROLLER = 5.0, 20.0  # deg; attitude error
+LARGEST, LARGEST_GIVEN_UP = 5.0, 20.0  # deg; attitude error
+# without these there is nothing to fly by: zero torque until they are back, and who has to say so
+GIVES_UP = {"controller": "plant: torque", "fault_injector": "controller: mode"}
 BACK, WITHIN = 0.5, 3.0  # deg, s; the error has to be below that, so long after the end
+BEFORE = 1.0  # s; that the vehicle must have flown well before it counts
 SILENT = 0.2  # s; a topic that has a gap as long had lost its node
-TIMEOUT, NOTICE = 0.5, 0.5  # s; of the plant's torque, and for it to say so
+TIMEOUT, NOTICE = 0.5, 0.5  # s; of torques and of the IMU, and for it to be said
 FLOWN = (Mode.FULL, Mode.NO_DIAGNOSIS, Mode.NO_DISTURBANCE_ESTIMATE)
 OUTPUTS = {
     "fault_observer": "imu/corrected",
@@ -44,17 +47,19 @@ class Trial:
     ----------
     node, action, stress : str
     largest : float
-        Attitude error from the hit to the end of its window [deg]; if the controller was killed, until the
-        vehicle had given up.
+        Attitude error from the hit to the end of its window [deg]; where the vehicle gives up, until it has.
     away : float
         How long a killed node was away [s]; 0 for others.
     returned : float
         From the end of the hit, or from when the node was back, until the attitude error stayed below
         `BACK` [s].
     jump : float
-        Largest step of the torque where the controller went over to another mode, of the authority.
+        Largest step of the torque where the controller went over to another mode, of the authority; 0 where
+        the vehicle gives up.
     wrong : str
         What did not hold; empty if all did.
+    void : bool
+        The vehicle was off already before anything was done: the machine could not carry the flight.
     """
 
     node: str
@@ -65,6 +70,7 @@ class Trial:
     returned: float
     jump: float
     wrong: str
+    void: bool = False
 
 
 class Judge:
@@ -85,12 +91,14 @@ class Judge:
         killed = hit.action == KILL
         back_ns, away = self._back(hit.node, begin_ns, record.until_ns) if killed else (end_ns, 0.0)
         wrong = list(self._lost)
-        dead = killed and hit.node == "controller"
-        if dead:
-            given_up = begin_ns + (TIMEOUT + NOTICE) * NANOSECONDS
-            largest, bound = self._largest(begin_ns, given_up), LARGEST_WITHOUT_CONTROLLER
-            if not self._told(begin_ns, given_up):
-                wrong.append("the plant did not report that torques stopped")
+        gives_up = killed and hit.node in GIVES_UP
+        if gives_up:
+            until_ns = begin_ns + (TIMEOUT + NOTICE) * NANOSECONDS
+            largest, bound = self._largest(begin_ns, until_ns), LARGEST_GIVEN_UP
+            if not self._told(GIVES_UP[hit.node], begin_ns, until_ns):
+                wrong.append("it was not reported in time")
+            if not self._without_torque(hit.node, begin_ns, back_ns):
+                wrong.append("the torque is not zero")
         else:
             largest, bound = self._largest(begin_ns, record.until_ns), LARGEST
         if largest > bound:
@@ -100,10 +108,12 @@ class Judge:
             wrong.append("the node did not come back")
         elif returned > WITHIN:
             wrong.append(f"attitude still off {returned:.1f} s later")
-        jump = self._jump(begin_ns, record.until_ns)
+        jump = 0.0 if gives_up else self._jump(begin_ns, record.until_ns)
         if jump > TORQUE_JUMP:
             wrong.append(f"torque jumped by {100.0 * jump:.1f} % of the authority")
-        return Trial(hit.node, hit.action, hit.stress, largest, away, returned, jump, "; ".join(wrong))
+        words = "; ".join(wrong)
+        void = bool(wrong) and self._largest(begin_ns - BEFORE * NANOSECONDS, begin_ns) > BACK
+        return Trial(hit.node, hit.action, hit.stress, largest, away, returned, jump, words, void)
 
     def _during(self, begin_ns: float, end_ns: float) -> NDArray[np.bool_]:
         return (self._log_ns >= begin_ns) & (self._log_ns < end_ns)
@@ -126,12 +136,19 @@ class Judge:
         back = float(times[gaps[0] + 1]) if len(gaps) else float(until_ns + 1)
         return back, (back - begin_ns) / NANOSECONDS
 
-    def _told(self, begin_ns: float, end_ns: float) -> bool:
-        """Whether the plant said that it applies zero torque."""
+    def _without_torque(self, node: str, begin_ns: int, back_ns: float) -> bool:
+        """Whether the controller, if there is one, commands zero torque in the end."""
+        torque = self._bag.series("torque/command")
+        late = begin_ns + (TIMEOUT + NOTICE) * NANOSECONDS
+        during = (torque.log_time_ns > late) & (torque.log_time_ns < back_ns)
+        return node == "controller" or (bool(during.any()) and not torque["vector"][during].any())
+
+    def _told(self, part: str, begin_ns: float, end_ns: float) -> bool:
+        """Whether an error was reported of a part, as /diagnostics names it."""
         for _, log_time_ns, data in self._bag.messages(["/diagnostics"]):
             if begin_ns <= log_time_ns <= end_ns:
                 statuses: Any = deserialize_message(data, DiagnosticArray).status
-                if any(each.name.endswith("plant: torque") and each.level == ERROR for each in statuses):
+                if any(each.name.endswith(part) and each.level == ERROR for each in statuses):
                     return True
         return False
 

@@ -101,7 +101,8 @@ def flights_of(chosen: Sequence[Hit], trials: int, generator: random.Random) -> 
 
 
 def table(done: Sequence[Trial]) -> Table:
-    """One row for each kind of hit, and one for all."""
+    """One row for each kind of hit, and one for all; without trials that are void."""
+    done = [each for each in done if not each.void]
     shown = Table(box=SIMPLE_HEAD, pad_edge=False, title="Faults of nodes in flight")
     for heading in ("node", "what", "during"):
         shown.add_column(heading)
@@ -111,7 +112,8 @@ def table(done: Sequence[Trial]) -> Table:
         rows = [each for each in done if (each.node, each.action, each.stress) == tuple(_of(hit))]
         if rows:
             shown.add_row(*_of(hit), *_cells(rows))
-    shown.add_row("all", "", "", *_cells(done))
+    if done:
+        shown.add_row("all", "", "", *_cells(done))
     return shown
 
 
@@ -131,14 +133,17 @@ def _cells(rows: Sequence[Trial]) -> list[str]:
 
 def summary(done: Sequence[Trial], seed: int) -> dict[str, Any]:
     """What was found, ready for JSON."""
+    void = sum(each.void for each in done)
+    done = [each for each in done if not each.void]
     return {
         "fault": "nodes killed, stopped, stalled; messages lost and late",
         "seed": seed,
         "realtime_priority": best_scheduling().priority,
         "trials": len(done),
+        "void": void,
         "survived": sum(not each.wrong for each in done),
         "worst_error_deg": max((each.largest for each in done), default=None),
         "worst_return_s": max((each.returned for each in done), default=None),
         "worst_jump": max((each.jump for each in done), default=None),
-        "passed": not any(each.wrong for each in done),
+        "passed": bool(done) and not any(each.wrong for each in done),
     }

@@ -26,7 +26,7 @@ from quadftc_ros.topics import TOPICS
 
 DROP, DELAY = "drop", "delay"
 SHARE = 0.05  # of the messages
-HELD_BACK = 0.02  # s; five samples at 250 Hz: others overtake
+HELD_BACK = 0.02  # s; two and a half samples at 125 Hz: others overtake
 LOOK = 0.002  # s; how often it is looked for messages whose time has come
 
 
