@@ -27,6 +27,7 @@ GIVES_UP = {"controller": "plant: torque", "fault_injector": "controller: mode"}
 BACK, WITHIN = 0.5, 3.0  # deg, s; the error has to be below that, so long after the end
 BEFORE = 1.0  # s; that the vehicle must have flown well before it counts
 SILENT = 0.2  # s; a topic that has a gap as long had lost its node
+AWAKE = 0.02  # s; between two torques of a controller that runs
 TIMEOUT, NOTICE = 0.5, 0.5  # s; of torques and of the IMU, and for it to be said
 FLOWN = (Mode.FULL, Mode.NO_DIAGNOSIS, Mode.NO_DISTURBANCE_ESTIMATE)
 OUTPUTS = {
@@ -153,7 +154,10 @@ class Judge:
         return False
 
     def _jump(self, begin_ns: int, until_ns: int) -> float:
-        """Largest step of the torque at a sample at which the controller changes between flying modes."""
+        """Largest step of the torque at a sample at which the controller changes between flying modes.
+
+        Not over a gap in which the controller itself did not run: the vehicle has moved meanwhile.
+        """
         status, torque = self._bag.series("control/status"), self._bag.series("torque/command")
         size = min(len(status), len(torque))
         if not np.array_equal(status.stamp_ns[:size], torque.stamp_ns[:size]):
@@ -161,6 +165,7 @@ class Judge:
         mode, values = status["mode"][:size].astype(int), torque["vector"][:size]
         flown = np.isin(mode, [int(each) for each in FLOWN])
         changed = (mode[1:] != mode[:-1]) & flown[1:] & flown[:-1]
+        changed &= np.diff(status.stamp_ns[:size]) <= AWAKE * NANOSECONDS
         inside = (status.log_time_ns[1:size] >= begin_ns) & (status.log_time_ns[1:size] < until_ns)
         steps = np.abs(np.diff(values, axis=0)) / load_vehicle("qball_x4").authority
         return float(np.max(steps[changed & inside], initial=0.0))
