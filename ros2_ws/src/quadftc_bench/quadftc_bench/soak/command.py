@@ -54,6 +54,35 @@ def disk(trials: TrialsOption = 20, seed: SeedOption = 1, out: OutOption = None)
 
 
 @app.command()
+def fuzz(
+    minutes: Annotated[float, typer.Option(min=0.0, help="How long.")] = 10.0,
+    seed: Annotated[int, typer.Option(help="Of the inputs.")] = 1,
+    target: Annotated[list[str], typer.Option(help="Only this; may be repeated.")] = [],  # noqa: B006
+    crashes: Annotated[
+        Path, typer.Option(metavar="DIR", help="Inputs that were answered wrongly; tried again first.")
+    ] = Path("results/fuzz"),
+    out: OutOption = None,
+) -> None:
+    """Feed every command and file bad input; keep what is not answered in a line and an exit code."""
+    from quadftc_bench.soak import fuzz as part
+    from quadftc_bench.soak.fuzz_targets import TARGETS
+
+    for name in target:
+        if name not in TARGETS:
+            raise ValueError(f"--target: no '{name}'; there are: {', '.join(TARGETS)}")
+    screen = console()
+    found = part.Fuzzing(
+        crashes.resolve(),
+        target or list(TARGETS),
+        seed,
+        lambda line: screen.print(line, markup=False, soft_wrap=True),
+    )
+    done = found.run(60.0 * minutes)
+    screen.print(part.table(done))
+    _finish(part.summary(done, seed, minutes), done, out)
+
+
+@app.command()
 def nodes(
     trials: TrialsOption = 34,
     seed: SeedOption = 1,
