@@ -10,17 +10,19 @@ from collections.abc import Collection, Mapping
 import rclpy
 from rclpy.context import Context
 from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.utilities import ok, try_shutdown
-from ruamel.yaml import YAML
+from ruamel.yaml import YAML, YAMLError
 
 from quadftc_bench.bags import Bag, BagError, read_bag
 from quadftc_ros.interfaces import load_message_class
 
 LAST_MESSAGES = Duration(seconds=1)  # what reliable readers get to fetch the last messages
+DEEPEST = 100_000  # messages; a recorded depth beyond makes no sense
 LONGEST_SLEEP = 0.1  # s, between two looks at whether to go on
 
 
@@ -83,15 +85,18 @@ def play(
 
 def profile_from_record(text: str) -> QoSProfile:
     """Return the recorded quality of service (a YAML list); what rosbag2 could not know is reliable."""
-    entries = YAML(typ="safe").load(text) or [{}]
-    entry: Mapping[str, object] = entries[0]
+    try:
+        entries = YAML(typ="safe").load(text) or [{}]
+        entry: Mapping[str, object] = dict(entries[0])
+    except (YAMLError, LookupError, TypeError, ValueError, RecursionError):
+        entry = {}
     best_effort = entry.get("reliability") in ("best_effort", 2)
     latched = entry.get("durability") in ("transient_local", 1)
     keep_all = entry.get("history") in ("keep_all", 2)
     depth = entry.get("depth")
     return QoSProfile(
         history=HistoryPolicy.KEEP_ALL if keep_all else HistoryPolicy.KEEP_LAST,
-        depth=depth if isinstance(depth, int) and depth > 0 else 10,
+        depth=depth if isinstance(depth, int) and 0 < depth <= DEEPEST else 10,
         reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
     )
@@ -105,12 +110,15 @@ class _Player:
         self._bag = bag
         self._rate = rate
         self._published = 0
-        self._publishers: dict[str, Publisher] = {
-            name: node.create_publisher(
-                load_message_class(topic.type_name), name, profile_from_record(topic.qos)
-            )
-            for name, topic in bag.topics.items()
-        }
+        try:
+            self._publishers: dict[str, Publisher] = {
+                name: node.create_publisher(
+                    load_message_class(topic.type_name), name, profile_from_record(topic.qos)
+                )
+                for name, topic in bag.topics.items()
+            }
+        except NameValidationException as error:
+            raise BagError(f"{bag.path}: {' '.join(str(error).split())}") from None
 
     def run(self, loop: bool, delay: float) -> int:
         """Publish; return how many messages."""

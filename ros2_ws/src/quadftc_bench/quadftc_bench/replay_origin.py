@@ -11,7 +11,14 @@ from quadftc_bench.bags import Bag, BagError
 from quadftc_bench.diagnosis_metrics import FaultEvent
 from quadftc_bench.metrics import FaultWindow
 from quadftc_bench.replay.overlay import faults_from
-from quadftc_bench.run_origin import DESCRIPTION, PARAMETERS, Parameters, attached_text, parsed_parameters
+from quadftc_bench.run_origin import (
+    DESCRIPTION,
+    NO_PARAMETERS,
+    PARAMETERS,
+    Parameters,
+    attached_text,
+    parsed_parameters,
+)
 from quadftc_bench.scenario import Fault
 
 Axis = Literal["roll", "pitch", "yaw"]
@@ -136,7 +143,7 @@ def _description(bag: Bag) -> _Description:
     try:
         data: Any = yaml.safe_load(attached_text(bag, DESCRIPTION) or "")
         return _Description.model_validate(data)
-    except yaml.YAMLError:
+    except (yaml.YAMLError, RecursionError):
         raise BagError(f"{bag.path}: {DESCRIPTION} is no YAML") from None
     except ValidationError as error:
         first = error.errors()[0]
@@ -150,5 +157,5 @@ def _parameters(bag: Bag) -> Parameters:
         raise BagError(f"{bag.path}: a replay without {PARAMETERS} (attached to the bag, or beside it)")
     try:
         return parsed_parameters(text)
-    except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError):
+    except NO_PARAMETERS:
         raise BagError(f"{bag.path}: {PARAMETERS} makes no sense; expected a ROS parameter file") from None

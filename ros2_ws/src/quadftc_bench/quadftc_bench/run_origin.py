@@ -15,6 +15,9 @@ from quadftc_bench.scenario import Scenario, ScenarioError, Scheme, node_paramet
 SCENARIO, PARAMETERS, SUMMARY = "scenario.yaml", "parameters.yaml", "summary.json"
 DESCRIPTION = "replay.yaml"  # in place of the scenario: what was replayed
 
+# what `parsed_parameters` raises of a text that is no ROS parameter file
+NO_PARAMETERS = (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError, RecursionError)
+
 _ROLES = {
     "observer": ("fault_observer", "observer"),
     "disturbance_observer": ("disturbance_observer", "observer"),
@@ -92,7 +95,7 @@ def _parameters(text: str | None, path: Path, warnings: list[str]) -> Parameters
         return {}
     try:
         return parsed_parameters(text)
-    except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError):
+    except NO_PARAMETERS:
         warnings.append(f"{path}: {PARAMETERS} makes no sense; took the parameters that the scenario gives")
         return {}
 
@@ -102,7 +105,7 @@ def parsed_parameters(text: str) -> Parameters:
 
     Raises
     ------
-    yaml.YAMLError, AttributeError, KeyError, TypeError or ValueError
+    One of NO_PARAMETERS
         If it is no such file.
     """
     data: Any = yaml.safe_load(text)

@@ -53,6 +53,6 @@ def bag_information(path: Path) -> dict[str, Any]:
     try:
         content: Any = YAML(typ="safe").load(path.read_text("utf-8"))  # pyright: ignore
         return dict(content["rosbag2_bagfile_information"])
-    except (OSError, YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError) as error:
+    except (OSError, YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError, RecursionError) as error:
         what = f"not the metadata of a bag ({type(error).__name__})"
         raise BagError(f"{path}: {what}; run quadftc repair {path.parent}") from error

@@ -185,9 +185,9 @@ def _custom_data(record: Mapping[str, str]) -> dict[str, str]:
     try:
         data: Any = YAML(typ="safe").load(record.get("serialized_metadata", ""))  # pyright: ignore
         custom: Any = data.get("custom_data") or {}
-    except (YAMLError, AttributeError):
+        return {str(key): str(value) for key, value in cast("dict[Any, Any]", custom).items()}
+    except (YAMLError, AttributeError, TypeError, ValueError, RecursionError):
         return {}
-    return {str(key): str(value) for key, value in cast("dict[Any, Any]", custom).items()}
 
 
 def _in_words(qos: str) -> str:

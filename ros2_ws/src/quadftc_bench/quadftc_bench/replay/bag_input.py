@@ -30,7 +30,7 @@ from quadftc_bench.replay.recording import (
     keep_good_stamps,
     torque_before,
 )
-from quadftc_bench.run_origin import PARAMETERS, attached_text, run_name
+from quadftc_bench.run_origin import NO_PARAMETERS, PARAMETERS, attached_text, run_name
 from quadftc_model.samples import ImuSample
 
 IMU = "sensor_msgs/msg/Imu"
@@ -209,5 +209,5 @@ def _observer_parameters(bag: Bag, namespace: str) -> dict[str, Any] | None:
         named = [node for node in nodes if str(node).rpartition("/")[2] == "fault_observer"]
         own = [node for node in named if node == f"{namespace}fault_observer"] or named
         return dict(nodes[own[0]]["ros__parameters"]) if own else {}
-    except (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError):
+    except NO_PARAMETERS:
         return None
