@@ -77,7 +77,7 @@ class Wired:
 
     def call(self, name: str, request: Any) -> Any:
         """Have a service (the last word of its name) answer a request; return the response."""
-        service = self.services[name]
+        service: Any = self.services[name]
         return service.callback(request, service.srv_type.Response())
 
     def take(self) -> list[tuple[str, Any]]:

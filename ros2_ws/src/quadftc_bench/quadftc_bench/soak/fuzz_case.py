@@ -151,5 +151,6 @@ def _stream(errors: str) -> io.TextIOWrapper:
 def _text(stream: io.TextIOWrapper) -> str:
     with stream:
         stream.flush()
-        stream.buffer.seek(0)
-        return stream.buffer.read().decode("utf-8", "replace")
+        written: Any = stream.buffer
+        written.seek(0)
+        return written.read().decode("utf-8", "replace")

@@ -1,3 +1,4 @@
+# pyright: basic
 """Bad input made of good input: values in YAML replaced, texts broken, bytes overwritten.
 
 Each function draws from a `random.Random`, that of a seed or that of a property test.
