@@ -10,9 +10,7 @@ its settings when it is imported first: see `quadftc_bench.batch.environment`.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -20,26 +18,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bench.batch.compiled import CompiledFlight, Own, Structure
+from quadftc_bench.batch.flown import Outcome, doubled, flown, lane_of
 from quadftc_bench.batch.loop import Row
 from quadftc_bench.batch.parts import (
     FlightParts,
-    Loop,
     differing,
     numbers_of,
     structure_of,
     with_common_faults,
 )
 from quadftc_bench.batch.refusal import UNTRACEABLE, refusal
+from quadftc_bench.batch.session import settle_precision
 from quadftc_bench.batch.slopes import SlopeFlight, slope_of_sums
-from quadftc_bench.batch.supply import Supply
-from quadftc_bench.batch.tally import Marks, Schedule, Sums
+from quadftc_bench.batch.tally import Schedule, Sums, most_events, schedule_of
 from quadftc_bench.batch.trace import flight_of
 from quadftc_bench.diagnosis_metrics import FaultEvent
-from quadftc_bench.flight import AXES, Flight
-from quadftc_model.stepper import NANOSECONDS_PER_SECOND
+from quadftc_bench.flight import Flight
 from quadftc_sim.assembly import EPOCH_NS
 
-STRETCH = 500  # samples between two looks from outside: sums are taken out, random numbers brought
 LANES = 128  # flights that are flown together: their state stays in the cache
 
 Floats = NDArray[np.float64]
@@ -48,15 +44,6 @@ Floats = NDArray[np.float64]
 def lanes_for(flights: int) -> int:
     """Return how many lanes suit a number of flights: a power of two, up to `LANES`."""
     return min(LANES, 1 << max(flights - 1, 0).bit_length())
-
-
-class Outcome(NamedTuple):
-    """What is left of one flight; arrays as in `Sums` and `Marks`, in double precision."""
-
-    sums: Sums
-    marks: Marks
-    rows: int  # samples that came out of the IMU
-    period: float  # of the samples [s]
 
 
 class Sloped(NamedTuple):
@@ -135,7 +122,7 @@ class Engine:
         """
         outcomes: list[Outcome | None] = [None] * len(flights)
         for compiled, places, chosen, own in self._tasks(with_common_faults(flights), events):
-            found = self._fly_block(compiled, len(places), chosen, own, progress)
+            found, _ = flown(compiled, chosen, own, len(places), progress)
             for place, outcome in zip(places, found, strict=True):
                 outcomes[place] = outcome
         return [outcome for outcome in outcomes if outcome is not None]
@@ -157,7 +144,7 @@ class Engine:
         found: dict[int, Traced] = {}
         for compiled, places, chosen, own in self._tasks(with_common_faults(flights), events, traced=True):
             pieces: list[Row] = []
-            outcomes = self._fly_block(compiled, len(places), chosen, own, _no_progress, pieces.append)
+            outcomes, _ = flown(compiled, chosen, own, len(places), _no_progress, pieces.append)
             row: Row = jax.tree.map(lambda *parts: np.concatenate(parts), *pieces)
             for lane, (place, outcome) in enumerate(zip(places, outcomes, strict=True)):
                 one: Row = jax.tree.map(lambda leaf: leaf[..., lane], row)  # noqa: B023
@@ -184,11 +171,10 @@ class Engine:
         found: dict[int, Sloped] = {}
         tasks = self._tasks(with_common_faults(flights), events, directions=directions)
         for compiled, places, chosen, own in tasks:
-            total, marks, state = self._flown(compiled, chosen, own, progress, None)
-            outcomes = _outcomes(total, marks, chosen[0].loop, len(places))
-            slope = _doubled(slope_of_sums(state))
+            outcomes, state = flown(compiled, chosen, own, len(places), progress)
+            slope = doubled(slope_of_sums(state))
             for lane, (place, outcome) in enumerate(zip(places, outcomes, strict=True)):
-                found[place] = Sloped(outcome, _lane(slope, lane))
+                found[place] = Sloped(outcome, lane_of(slope, lane))
         return [found[place] for place in range(len(flights))]
 
     def _tasks(
@@ -207,9 +193,9 @@ class Engine:
             tuned = tuple(directions[0]) if directions else ()
             varying = differing(numbers, self._free | set(tuned))
             chosen = [flights[index] for index in members]
-            most = max(map(_most_events, (events[index] for index in members)))
+            most = max(map(most_events, (events[index] for index in members)))
             compiled = self._compile(key, chosen, tuple(varying), most, numbers[0], traced, tuned)
-            schedules = [_schedule(events[index], most) for index in members]
+            schedules = [schedule_of(events[index], most) for index in members]
             lanes = self._lanes or lanes_for(len(members))
             for start in range(0, len(members), lanes):
                 block = list(range(start, min(start + lanes, len(members))))
@@ -252,82 +238,6 @@ class Engine:
                 raise refusal(error, loop, varying) from error
         return self._compiled[whole_key]
 
-    def _fly_block(
-        self,
-        compiled: CompiledFlight,
-        count: int,
-        flights: list[FlightParts],
-        own: Own,
-        progress: Callable[[int], None],
-        keep: Callable[[Row], None] | None = None,
-    ) -> list[Outcome]:
-        """Fly a block; its first ``count`` lanes are flights of their own."""
-        total, marks, _ = self._flown(compiled, flights, own, lambda samples: progress(samples * count), keep)
-        return _outcomes(total, marks, flights[0].loop, count)
-
-    def _flown(
-        self,
-        compiled: CompiledFlight,
-        flights: Sequence[FlightParts],
-        own: Own,
-        progress: Callable[[int], None],
-        keep: Callable[[Row], None] | None,
-    ) -> tuple[Sums, Marks, Any]:
-        """Fly a block; return its tally, and what is carried in the end.
-
-        ``keep`` takes the rows of each stretch, arrays (samples, ..., flights).
-        """
-        structure = compiled.structure
-        supply = Supply(flights, structure, compiled.needed)
-        first = compiled.first_samples
-        brought, times = supply.next(first, every=True)
-        state, rows = compiled.begin(
-            supply.bias,
-            _one_by_one(brought, first),
-            _in_precision(own, structure.dtype),
-            _one_by_one(times, first),
-        )
-        own = jax.device_put(_in_precision(own, structure.dtype))
-        total = _doubled(state.tally.sums)
-        progress(first)
-        if keep is not None:
-            keep(jax.tree.map(lambda *leaves: np.stack([np.asarray(leaf) for leaf in leaves]), *rows))
-        for start in range(first, structure.loop.count, STRETCH):
-            count = min(STRETCH, structure.loop.count - start)
-            brought, times = supply.next(count)
-            if keep is None and count < STRETCH:
-                brought, times = jax.tree.map(_filled, (brought, times))
-            state, rows = compiled.fly(state, brought, own, times, count)
-            if keep is not None:
-                keep(jax.tree.map(np.asarray, rows))
-            total = Sums(*(a + b for a, b in zip(total, _doubled(state.tally.sums), strict=True)))
-            progress(count)
-        return total, _doubled(state.tally.marks), state
-
-
-def _outcomes(total: Sums, marks: Marks, loop: Loop, count: int) -> list[Outcome]:
-    """Of the first lanes of a block."""
-    rows, period = loop.count - loop.sensor.delay, loop.period_ns / NANOSECONDS_PER_SECOND
-    return [Outcome(_lane(total, lane), _lane(marks, lane), rows, period) for lane in range(count)]
-
-
-def _most_events(events: Sequence[FaultEvent]) -> int:
-    """Of any axis; at least one, so that there is something to compute with."""
-    return max([1, *(sum(event.axis == axis for event in events) for axis in AXES)])
-
-
-def _schedule(events: Sequence[FaultEvent], most: int) -> tuple[Floats, Floats, Floats]:
-    """Start, stop and start of the next fault of each axis (most, 3) [s]; infinite where there is none."""
-    start, stop, following = (np.full((most, len(AXES)), np.inf) for _ in range(3))
-    for axis, name in enumerate(AXES):
-        own = [event for event in events if event.axis == name]
-        start[: len(own), axis] = [event.start for event in own]
-        stop[: len(own), axis] = [event.stop for event in own]
-        for place, event in enumerate(own):
-            later = [other.start for other in own if other.start >= event.stop]
-            following[place, axis] = min(later, default=np.inf)
-    return start, stop, following
-
 
 def _may_start_late(flight: FlightParts) -> bool:
     """Whether a fault acts on the first sample that may leave nothing to begin with."""
@@ -335,62 +245,3 @@ def _may_start_late(flight: FlightParts) -> bool:
         injection.start <= 0.0 and injection.channel in ("attitude", "gyro", "imu")
         for injection in flight.loop.injections
     )
-
-
-def _one_by_one(tree: Any, count: int) -> list[Any]:
-    """Trees of single samples from a tree of arrays (count, ...)."""
-    leaves, structure = jax.tree.flatten(tree)
-    return [jax.tree.unflatten(structure, [leaf[index] for leaf in leaves]) for index in range(count)]
-
-
-def _filled(array: Any) -> Any:
-    """As long as any other stretch, so that nothing is compiled for this one alone."""
-    return np.concatenate([array, np.zeros((STRETCH - len(array), *array.shape[1:]), array.dtype)])
-
-
-def _in_precision(own: Own, dtype: np.dtype[Any]) -> Own:
-    def cast(array: Any) -> Any:
-        return array.astype(dtype) if array.dtype.kind == "f" else array
-
-    return jax.tree.map(cast, own)
-
-
-def _doubled(tree: Any) -> Any:
-    """Arrays of NumPy, floats in double precision."""
-    arrays = [np.asarray(leaf) for leaf in tree]
-    return type(tree)(*(array.astype(np.float64) if array.dtype.kind == "f" else array for array in arrays))
-
-
-def _lane(tree: Any, lane: int) -> Any:
-    return type(tree)(*(leaf[..., lane] for leaf in tree))
-
-
-_settled: set[bool] = set()  # whether this process computes in single precision, once it is known
-
-
-def settle_precision(float32: bool) -> None:
-    """Set the precision of this process, for good: JAX keeps constants in that in which it met them first.
-
-    Raises
-    ------
-    ValueError
-        If this process computes in another one already.
-    """
-    if _settled and float32 not in _settled:
-        there, wanted = ("float64", "float32") if float32 else ("float32", "float64")
-        raise ValueError(f"precision {wanted}: this process computes in {there}; start another")
-    _settled.add(float32)
-    jax.config.update("jax_enable_x64", not float32)
-
-
-def keep_compiled(directory: Path | None = None) -> None:
-    """Keep what is compiled on disk, for other processes and the next time.
-
-    Parameters
-    ----------
-    directory : Path, optional
-        Default: ``$XDG_CACHE_HOME/quadftc/jax``.
-    """
-    place = directory or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "quadftc" / "jax"
-    jax.config.update("jax_compilation_cache_dir", str(place))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_bench.batch.engine import Outcome
+from quadftc_bench.batch.flown import Outcome
 from quadftc_bench.diagnosis_metrics import FaultEvent
 from quadftc_bench.flight import AXES
 

@@ -6,15 +6,20 @@ Sums are taken out and set to zero every few hundred samples, and added in doubl
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from quadftc_bench.batch.loop import Row
-from quadftc_bench.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG, GRACE_TIME
+from quadftc_bench.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG, GRACE_TIME, FaultEvent
+from quadftc_bench.flight import AXES
 from quadftc_model.arrays import Array, namespace
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import FAULTY, HEALTHY, RECOVERING, SUSPECT
+
+Floats = NDArray[np.float64]
 
 ABOVE = float(np.radians(ESTIMATE_THRESHOLD_DEG))  # rad
 
@@ -175,3 +180,21 @@ def tallied(tally: Tally, row: Row, schedule: Schedule) -> Tally:
         event_score=xp.maximum(marks.event_score, xp.where(event, size, 0.0)),
     )
     return Tally(new_sums, new_marks)
+
+
+def most_events(events: Sequence[FaultEvent]) -> int:
+    """Of any axis; at least one, so that there is something to compute with."""
+    return max([1, *(sum(event.axis == axis for event in events) for axis in AXES)])
+
+
+def schedule_of(events: Sequence[FaultEvent], most: int) -> tuple[Floats, Floats, Floats]:
+    """Start, stop and start of the next fault of each axis (most, 3) [s]; infinite where there is none."""
+    start, stop, following = (np.full((most, len(AXES)), np.inf) for _ in range(3))
+    for axis, name in enumerate(AXES):
+        own = [event for event in events if event.axis == name]
+        start[: len(own), axis] = [event.start for event in own]
+        stop[: len(own), axis] = [event.stop for event in own]
+        for place, event in enumerate(own):
+            later = [other.start for other in own if other.start >= event.stop]
+            following[place, axis] = min(later, default=np.inf)
+    return start, stop, following

@@ -112,7 +112,8 @@ def _rows(campaign: Campaign, number: int, variant: Variant, one: Flight, outcom
 @functools.cache
 def _engine(float32: bool, lanes: int) -> Any:
     """The engine of this process; it keeps what it has compiled."""
-    from quadftc_bench.batch.engine import Engine, keep_compiled
+    from quadftc_bench.batch.engine import Engine
+    from quadftc_bench.batch.session import keep_compiled
 
     keep_compiled()
     return Engine(float32, lanes)

@@ -14,7 +14,7 @@ from quadftc_bench.campaign.flights import flight
 from quadftc_bench.tune.cost import slope_of_term, term
 from quadftc_bench.tune.gains import Gains, directions
 
-LANES = 256
+TOGETHER = 256  # lanes: flights times gains
 
 
 class Sensitivity(NamedTuple):
@@ -70,12 +70,13 @@ def sensitivity(
 
 def flights_together(gains: Gains) -> int:
     """How many flights fill the lanes."""
-    return max(LANES // len(gains.logarithms), 1)
+    return max(TOGETHER // len(gains.logarithms), 1)
 
 
 @functools.cache
 def _engine(float32: bool, free: tuple[str, ...]) -> Any:
-    from quadftc_bench.batch.engine import Engine, keep_compiled
+    from quadftc_bench.batch.engine import LANES, Engine
+    from quadftc_bench.batch.session import keep_compiled
 
     keep_compiled()
     return Engine(float32, LANES, free)
