@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from quadftc_bench.batch import engine
+from quadftc_bench.batch import flown
 from quadftc_bench.bench.batch import OURS, Measurement, _summary, measure, measurements
 from quadftc_bench.bench.batch_bare import bare_subject
 from quadftc_bench.bench.batch_worker import bare_scenario, compressed, prepare
@@ -27,7 +27,7 @@ JOB = {
 
 @pytest.fixture
 def _supply_is_put_back(monkeypatch):
-    monkeypatch.setattr(engine, "Supply", engine.Supply)  # the worker puts a timed one in its place
+    monkeypatch.setattr(flown, "Supply", flown.Supply)  # the worker puts a timed one in its place
 
 
 @pytest.mark.usefixtures("_supply_is_put_back")

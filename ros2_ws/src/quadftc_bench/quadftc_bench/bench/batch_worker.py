@@ -63,15 +63,15 @@ def bare_scenario(duration: float, motor_lag: bool = False) -> Scenario:
 def _engine(job: Job, scenario: Scenario, scheme: str) -> Subject:
     import jax
 
-    from quadftc_bench.batch import engine as engine_module
+    from quadftc_bench.batch import flown as flown_module
     from quadftc_bench.batch.parts import flight_parts
 
     seeds = range(job["first_seed"], job["first_seed"] + job["flights"])
     scenarios = (with_seed(scenario, seed) for seed in seeds)
     parts = [flight_parts(node_parameters(each, each.scheme(scheme))) for each in scenarios]
     events = [scenario.fault_events] * len(parts)
-    drawing = _timed_supply(engine_module)
-    engine = engine_module.Engine(job["float32"])
+    drawing = _timed_supply(flown_module)
+    engine = flown_module.Engine(job["float32"])
 
     def run() -> Flown:
         before, steps = drawing[0], 0
@@ -99,11 +99,11 @@ def _engine(job: Job, scenario: Scenario, scheme: str) -> Subject:
     )
 
 
-def _timed_supply(engine_module: Any) -> list[float]:
+def _timed_supply(flown_module: Any) -> list[float]:
     """Time the source of random numbers; the list's one number is the time spent in it so far [s]."""
     spent = [0.0]
 
-    class TimedSupply(engine_module.Supply):
+    class TimedSupply(flown_module.Supply):
         def __init__(self, *arguments: Any) -> None:
             begin = time.perf_counter()
             super().__init__(*arguments)
@@ -115,7 +115,7 @@ def _timed_supply(engine_module: Any) -> list[float]:
             spent[0] += time.perf_counter() - begin
             return found
 
-    engine_module.Supply = TimedSupply
+    flown_module.Supply = TimedSupply
     return spent
 
 
