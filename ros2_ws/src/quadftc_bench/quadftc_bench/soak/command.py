@@ -87,9 +87,7 @@ def nodes(
     trials: TrialsOption = 34,
     seed: SeedOption = 1,
     only: Annotated[str, typer.Option(help="Only what has this in its name: node, action, stress.")] = "",
-    keep: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Keep bags of flights gone wrong.")
-    ] = None,
+    keep: Annotated[Path | None, typer.Option(metavar="DIR", help="Keep bags of flights gone wrong.")] = None,
     out: OutOption = None,
 ) -> None:
     """Kill, stop and slow nodes in flight, lose and delay messages; tell how the vehicle took it."""
