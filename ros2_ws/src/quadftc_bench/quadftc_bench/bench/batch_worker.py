@@ -64,6 +64,7 @@ def _engine(job: Job, scenario: Scenario, scheme: str) -> Subject:
     import jax
 
     from quadftc_bench.batch import flown as flown_module
+    from quadftc_bench.batch.engine import Engine
     from quadftc_bench.batch.parts import flight_parts
 
     seeds = range(job["first_seed"], job["first_seed"] + job["flights"])
@@ -71,7 +72,7 @@ def _engine(job: Job, scenario: Scenario, scheme: str) -> Subject:
     parts = [flight_parts(node_parameters(each, each.scheme(scheme))) for each in scenarios]
     events = [scenario.fault_events] * len(parts)
     drawing = _timed_supply(flown_module)
-    engine = flown_module.Engine(job["float32"])
+    engine = Engine(job["float32"])
 
     def run() -> Flown:
         before, steps = drawing[0], 0
