@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from quadftc_msgs.srv import ClearFault, InjectFault
+from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
@@ -28,6 +29,7 @@ from quadftc_fdi.fault_observer import fault_observers
 from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_ros.conversions import set_stamp, stamp_of
 from quadftc_ros.interfaces import load_message_class
+from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.testing import imu_message
 from quadftc_ros.testing_wired import (
     NO_MESSAGES,
@@ -324,3 +326,15 @@ def test_plant_flies_on_whatever_torque_comes(mode):
 
         sequence()
         assert wired.node.diagnostics.counts["torque/command: not finite"] > 0
+
+
+@pytest.mark.parametrize("data", [*NO_MESSAGES[:4], b"\0\1\0\0\0\0\0\x80" + bytes(40)])
+def test_recorder_in_lockstep_leaves_out_what_has_no_stamp(lockstep_bench, tmp_path, data):
+    node = lockstep_bench.run(RecorderNode, directory=str(tmp_path / "bag"), topics=["imu/data"])
+    take = node.tap("/imu/data")
+    for stamp_ns in (SECOND, 2 * SECOND):
+        take(data)
+        take(serialize_message(imu_message(stamp_ns)))
+    status = node.finish()
+    assert (status.error, sum(status.counts.values())) == (None, 2)
+    assert node.diagnostics.counts["messages without a stamp, not recorded"] == 2
