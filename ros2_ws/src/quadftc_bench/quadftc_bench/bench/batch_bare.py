@@ -13,9 +13,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadftc_bench.batch.session import settle_precision
 from quadftc_bench.batch.flights_last import AllFlights
 from quadftc_bench.batch.parts import Loop, flight_parts
+from quadftc_bench.batch.session import settle_precision
 from quadftc_bench.bench.batch_child import Flown, Subject
 from quadftc_bench.scenario import Scenario, node_parameters
 from quadftc_model.rotations import euler_from_quaternion
