@@ -12,7 +12,7 @@ import time
 import numpy as np
 import pytest
 
-from quadftc_bench.campaign.cluster import cluster_client, fly_chunks
+from quadftc_bench.campaign.cluster import cluster_client, run_tasks
 from quadftc_bench.campaign.distributions import distribution, plain
 from quadftc_bench.campaign.document import load_campaign
 from quadftc_bench.campaign.errors import CampaignError, ClusterError
@@ -238,7 +238,7 @@ def test_a_worker_that_is_killed_in_the_middle_loses_nothing(campaign):
                 killed.set()
                 os.kill(victim, signal.SIGKILL)
 
-        found = dict(fly_chunks(client, campaign, chunks, kill_once))
+        found = dict(run_tasks(client, fly_chunk, [(campaign, each) for each in chunks], kill_once))
         assert victim not in client.run(os.getpid).values()
     assert killed.is_set()
     assert found == expected

@@ -63,7 +63,7 @@ def test_slopes_are_those_of_differences(engine: Engine) -> None:
             difference = (getattr(after, kind) - getattr(before, kind)) / (2.0 * size)
             slope = getattr(found[place].slope, kind)
             np.testing.assert_allclose(
-                slope, difference, rtol=1e-3, atol=1e-6 * (1.0 + np.max(np.abs(difference)))
+                slope, difference, rtol=1e-5, atol=1e-7 * (1.0 + np.max(np.abs(difference)))
             )
         assert np.any(found[place].slope.variation != 0.0)
     np.testing.assert_array_equal(

@@ -11,9 +11,7 @@ import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
 
-from quadftc_bench.campaign.document import Campaign
 from quadftc_bench.campaign.errors import ClusterError
-from quadftc_bench.campaign.table import Rows
 
 RETRIES = 3  # of a chunk whose worker is lost
 TOPIC = "quadftc-samples"  # on which workers say how far they are
@@ -77,30 +75,6 @@ def _device() -> str:
     import jax
 
     return jax.devices()[0].device_kind
-
-
-def fly_chunks(
-    client: Any, campaign: Campaign, chunks: Sequence[Sequence[int]], progress: Callable[[int], None]
-) -> Iterator[tuple[int, Rows]]:
-    """Fly chunks; return place and rows of each as it is done.
-
-    Parameters
-    ----------
-    client : distributed.Client
-    campaign : Campaign
-    chunks : sequence of sequences of int
-        Numbers of flights.
-    progress : callable
-        Called with the number of samples flown since the last call.
-
-    Raises
-    ------
-    ClusterError, ScenarioError, ValueError
-        As `run_tasks` does.
-    """
-    from quadftc_bench.campaign.work import fly_chunk
-
-    return run_tasks(client, fly_chunk, [(campaign, list(numbers)) for numbers in chunks], progress)
 
 
 def run_tasks(

@@ -37,15 +37,12 @@ from quadftc_bench.scenario import Scenario, ScenarioError, changed_document, fi
 from quadftc_bench.scenario.build import build_scenario
 from quadftc_bench.scenario.document import Document, Keys, Problem, read_document
 from quadftc_bench.scenario.schema import MAX_SEED, Name, problems_of
+from quadftc_bench.tune.cost import TERMS
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
 
 MAX_FLIGHTS = 10_000_000
 MAX_CELLS = 10_000
-COSTS = (
-    *("tracking_rmse_deg", "fault_estimate_rmse_deg", "disturbance_estimate_rmse", "torque_rms"),
-    "torque_total_variation",
-)  # metrics that a flight can be tuned for
 RESERVED = ("seed", "schemes")  # each flight gets a seed of its own; what is compared is not drawn
 
 
@@ -74,8 +71,8 @@ class TuneShape(_Shape):
     @classmethod
     def _known(cls, cost: dict[str, float]) -> dict[str, float]:
         for name, weight in cost.items():
-            if name not in COSTS:
-                raise ValueError(f"no '{name}'; there are: {', '.join(COSTS)}")
+            if name not in TERMS:
+                raise ValueError(f"no '{name}'; there are: {', '.join(TERMS)}")
             if not 0.0 < weight < math.inf:
                 raise ValueError(f"{name} = {weight}: must be positive and finite")
         return cost

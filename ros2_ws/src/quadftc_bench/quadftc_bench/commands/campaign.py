@@ -27,6 +27,7 @@ from rich.text import Text
 
 from quadftc_bench.campaign.errors import CampaignError
 from quadftc_bench.commands import GOOD, INTERRUPTED
+from quadftc_bench.commands.options import SchedulerOption, WorkersOption, workers_here
 from quadftc_bench.run import RunError, RunOptions, prepare, run_name
 from quadftc_bench.run import run as run_scenario
 from quadftc_bench.tables import console
@@ -45,12 +46,8 @@ def campaign(
     out: Annotated[Path | None, typer.Option(help="Directory of the results; default: results/NAME.")] = None,
     flights: Annotated[int | None, typer.Option(help="Number of flights in place of the file's.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with what is in the directory.")] = False,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Dask scheduler that exists, tcp://HOST:PORT; default: this machine.")
-    ] = None,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine; default: one for each core.")
-    ] = None,
+    scheduler: SchedulerOption = None,
+    workers: WorkersOption = None,
     flight: Annotated[
         list[int],
         typer.Option(help="Fly this one alone, through the node graph, and write its bag; may be repeated."),
@@ -112,17 +109,13 @@ def _flight_table(result: dict[str, Any]) -> Table:
 def _fly_all(
     loaded: Campaign, file: Path, directory: Path, resume: bool, scheduler: str | None, workers: int | None
 ) -> int:
-    if workers is not None and (workers < 1 or scheduler is not None):
-        raise CampaignError(
-            f"--workers {workers}: must be positive, and is for this machine, not for --scheduler"
-        )
+    cores = workers_here(workers, scheduler)
     from quadftc_bench.campaign.run import CampaignRun
     from quadftc_bench.campaign_report import write_campaign_report
 
     screen = console()
     flown = CampaignRun(loaded, directory)
     extent = flown.open(resume)
-    cores = workers or len(os.sched_getaffinity(0))
     where = scheduler or f"{min(cores, max(extent.missing, 1))} of {len(os.sched_getaffinity(0))} cores here"
     screen.print(
         f"{loaded.name}: {loaded.flights} flights x {len(loaded.variants)} variants, "

@@ -13,6 +13,7 @@ import typer
 from quadftc_bench.bags import BagError
 from quadftc_bench.check.checks import CheckReport, check_run, check_scenario
 from quadftc_bench.commands import CHECK_FAILED, GOOD
+from quadftc_bench.commands.options import GainsOption
 from quadftc_bench.recorded_run import read_run
 from quadftc_bench.scenario import (
     Scenario,
@@ -49,9 +50,7 @@ def check(
     set_: Annotated[
         list[str], typer.Option("--set", help="Any value of the scenario: schemes.proposed.observer.L1=0.")
     ] = [],  # noqa: B006
-    gains: Annotated[
-        str, typer.Option(help="Tuned gains for the vehicle and its sensors: a name or a file (see gains/).")
-    ] = "",
+    gains: GainsOption = "",
     bag: Annotated[
         Path | None, typer.Option(help="Recorded run: its bounds, and the Lyapunov functions along it.")
     ] = None,

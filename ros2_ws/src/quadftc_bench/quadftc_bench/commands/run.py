@@ -20,6 +20,7 @@ from rich.progress import (
 )
 
 from quadftc_bench.commands import CHECK_FAILED, GOOD, INTERRUPTED
+from quadftc_bench.commands.options import GainsOption
 from quadftc_bench.run import RunError, RunOptions, prepare, run_name
 from quadftc_bench.run import run as run_scenario
 from quadftc_bench.scenario import (
@@ -94,9 +95,7 @@ def run(
     set_: Annotated[
         list[str], typer.Option("--set", help="Any value of the scenario: a.b=v, faults.0.value='2 deg'.")
     ] = [],  # noqa: B006
-    gains: Annotated[
-        str, typer.Option(help="Tuned gains for the vehicle and its sensors: a name or a file (see gains/).")
-    ] = "",
+    gains: GainsOption = "",
     out: Annotated[Path, typer.Option(help="Directory of the runs.")] = Path("results"),
     wait: WaitOption = Wait.sleep,
     realtime_priority: PriorityOption = 0,

@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.progress import (
@@ -18,29 +17,29 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from quadftc_bench.campaign.document import load_campaign
 from quadftc_bench.campaign.errors import CampaignError
 from quadftc_bench.commands import CHECK_FAILED, GOOD, INTERRUPTED
+from quadftc_bench.commands.options import SchedulerOption, WorkersOption, workers_here
 from quadftc_bench.tables import console
-from quadftc_bench.tune.run import Tuned, checked, write
-from quadftc_bench.tune.run import tune as tuned_for
+
+if TYPE_CHECKING:
+    from quadftc_bench.tune.run import Tuned
 
 
 def tune(
     file: Annotated[Path, typer.Argument(help="Campaign file with a key 'tune' (see campaigns/).")],
     out: Annotated[Path | None, typer.Option(help="File for the gains; default: gains/NAME.yaml.")] = None,
     steps: Annotated[int | None, typer.Option(help="Steps of the search in place of the file's.")] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Dask scheduler that exists, tcp://HOST:PORT; default: this machine.")
-    ] = None,
-    workers: Annotated[
-        int | None, typer.Option(help="Processes on this machine; default: one for each core.")
-    ] = None,
+    scheduler: SchedulerOption = None,
+    workers: WorkersOption = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
 ) -> None:
     """Tune gains by gradients through the closed loop; judge them on other flights."""
-    if workers is not None and workers < 1:
-        raise CampaignError(f"--workers {workers}: must be positive")
+    from quadftc_bench.campaign.document import load_campaign  # with what it needs, half a second
+    from quadftc_bench.tune.run import checked, write
+    from quadftc_bench.tune.run import tune as tuned_for
+
+    cores = workers_here(workers, scheduler)
     loaded = load_campaign(file)
     start = checked(loaded)
     if steps is not None and loaded.tune is not None:
@@ -64,7 +63,7 @@ def tune(
             found = tuned_for(
                 loaded,
                 scheduler,
-                workers or len(os.sched_getaffinity(0)),
+                cores,
                 lambda step: bars.update(bar, advance=1, description=f"cost {step.cost:.4f}"),
             )
     except KeyboardInterrupt:

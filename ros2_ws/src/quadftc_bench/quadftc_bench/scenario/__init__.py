@@ -15,9 +15,9 @@ from quadftc_bench.node_parameters import node_parameters
 from quadftc_bench.scenario.build import build_scenario
 from quadftc_bench.scenario.document import Document, Keys, ScenarioError, parse_document, read_document
 from quadftc_bench.scenario.gains import find_gains, with_gains_of
+from quadftc_bench.scenario.lookup import find_file, folders_named, names_in
 from quadftc_bench.scenario.overrides import overridden
 from quadftc_bench.scenario.types import Check, Fault, Part, Scenario, Scheme
-from quadftc_model.hints import nearest
 
 __all__ = [
     "Check",
@@ -84,31 +84,19 @@ def find_scenario(name_or_path: str) -> Path:
     ScenarioError
         If there is none.
     """
-    path = Path(name_or_path)
-    if path.suffix in (".yaml", ".yml") or path.name != name_or_path:
-        if path.is_file():
-            return path
-        raise ScenarioError(f"{path}: no such file")
-    for directory in scenario_directories():
-        candidate = directory / f"{name_or_path}.yaml"
-        if candidate.is_file():
-            return _short(candidate)
-    names = scenario_names()
-    there = ", ".join(names) or f"none; give a path, or set {SEARCH_PATH}"
-    raise ScenarioError(f"no scenario '{name_or_path}'{nearest(name_or_path, names)}; there are: {there}")
+    advice = f"give a path, or set {SEARCH_PATH}"
+    return find_file(name_or_path, scenario_directories(), "scenario", advice)
 
 
 def scenario_names() -> tuple[str, ...]:
     """Return the names of all scenarios that can be found without a path, sorted."""
-    return tuple(sorted({file.stem for folder in scenario_directories() for file in folder.glob("*.yaml")}))
+    return names_in(scenario_directories())
 
 
 def scenario_directories() -> tuple[Path, ...]:
     """Return where scenarios are looked for: $QUADFTC_SCENARIO_PATH, ./scenarios, the repository's."""
     given = [Path(part) for part in os.environ.get(SEARCH_PATH, "").split(os.pathsep) if part]
-    above = [parent / "scenarios" for parent in Path(__file__).resolve().parents]
-    own = next((directory for directory in above if any(directory.glob("*.yaml"))), None)
-    return (*given, Path("scenarios"), *(() if own is None else (own,)))
+    return (*given, *folders_named("scenarios"))
 
 
 def with_rate(scenario: Scenario, rate: float | str) -> Scenario:
@@ -174,11 +162,3 @@ def _changed(scenario: Scenario, changes: dict[Keys, Any], origin: str) -> Scena
     for path, value in changes.items():
         document = document.replaced(path, value, origin)
     return build_scenario(document)
-
-
-def _short(path: Path) -> Path:
-    """The path as one would type it, if it is below the working directory."""
-    try:
-        return path.resolve().relative_to(Path.cwd())
-    except ValueError:
-        return path

@@ -16,9 +16,9 @@ from typing import Any, cast
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from quadftc_bench.scenario.document import Document, Keys, Problem, ScenarioError, read_document
+from quadftc_bench.scenario.document import Document, Keys, Problem, read_document
+from quadftc_bench.scenario.lookup import find_file, folders_named
 from quadftc_bench.scenario.schema import problems_of
-from quadftc_model.hints import nearest
 
 ROLES = ("observer", "disturbance_observer", "controller")
 
@@ -49,16 +49,7 @@ def find_gains(name_or_path: str) -> Path:
     ScenarioError
         If there is none.
     """
-    path = Path(name_or_path)
-    if path.suffix in (".yaml", ".yml") or path.name != name_or_path:
-        return path  # whether it is there is found out when it is read
-    folders = [Path("gains"), *(parent / "gains" for parent in Path(__file__).resolve().parents)]
-    for folder in folders:
-        if (folder / f"{name_or_path}.yaml").is_file():
-            return folder / f"{name_or_path}.yaml"
-    names = sorted({file.stem for folder in folders for file in folder.glob("*.yaml")})
-    there = ", ".join(names) or "none; give a path"
-    raise ScenarioError(f"no gains '{name_or_path}'{nearest(name_or_path, names)}; there are: {there}")
+    return find_file(name_or_path, folders_named("gains"), "gains")
 
 
 def with_gains_of(document: Document, path: Path) -> Document:

@@ -8,7 +8,7 @@ from typing import Any
 
 import typer
 
-from quadftc_bench.soak.mutations import TEXTS
+from quadftc_bench.soak.bad_values import TEXTS
 
 COMMANDS = (
     "run",

@@ -17,10 +17,11 @@ from quadftc_bench.cli import app, guarded
 from quadftc_bench.closed_loop import fly
 from quadftc_bench.commands import GOOD
 from quadftc_bench.scenario import load_scenario, node_parameters
+from quadftc_bench.soak.bad_values import TEXTS, WRITTEN
 from quadftc_bench.soak.fuzz_arguments import draw_arguments
 from quadftc_bench.soak.fuzz_case import Case, Program
 from quadftc_bench.soak.fuzz_seeds import CAMPAIGN, FAULTS, GAINS, NODES, SCENARIO, Seeds, with_vehicle
-from quadftc_bench.soak.mutations import TEXTS, WRITTEN, mutated_bytes, mutated_text, mutated_yaml
+from quadftc_bench.soak.mutations import mutated_bytes, mutated_text, mutated_yaml
 from quadftc_control.controller_node import ControllerNode
 from quadftc_control.reference_node import ReferenceNode
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bench.batch.tally import Sums
+from quadftc_bench.flight import AXES
 
 Floats = NDArray[np.float64]
 
@@ -19,7 +20,8 @@ ROOTS = {
     "fault_estimate_rmse_deg": ("estimate", "known"),
     "disturbance_estimate_rmse": ("disturbance", "delivered"),
     "torque_rms": ("torque", "delivered"),
-}  # besides, there is torque_total_variation
+}
+TERMS = (*ROOTS, "torque_total_variation")
 
 
 def term(name: str, sums: Sums, span: float) -> Floats:
@@ -92,6 +94,5 @@ def cost_from(weights: Mapping[str, float], values: Floats) -> Cost:
 
 def values_of(record: Mapping[str, Any], names: Mapping[str, float]) -> Floats:
     """Metrics (metrics, 3) of a row of a campaign's table."""
-    axes = ("roll", "pitch", "yaw")
-    found = [[record[f"{name}.{axis}"] for axis in axes] for name in names]
+    found = [[record[f"{name}.{axis}"] for axis in AXES] for name in names]
     return np.array([[np.nan if value is None else value for value in row] for row in found], np.float64)

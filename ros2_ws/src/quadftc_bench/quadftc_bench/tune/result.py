@@ -14,6 +14,7 @@ from ruamel.yaml import YAML
 
 from quadftc_bench.campaign.document import Campaign
 from quadftc_bench.campaign.errors import CampaignError
+from quadftc_bench.flight import AXES
 from quadftc_bench.scenario import Scenario
 from quadftc_bench.scenario.gains import ROLES, grade_of
 from quadftc_bench.tune.cost import Cost, values_of
@@ -38,7 +39,7 @@ def judged(frame: pl.DataFrame, cost: Cost) -> Judged:
     rows = list(flights.iter_rows(named=True))
     values = np.array([values_of(row, cost.weights) for row in rows])
     detected = frame["fault.detected"] if "fault.detected" in frame.columns else pl.Series(dtype=pl.Boolean)
-    alarms = sum(int(flights[f"false_alarms.{axis}"].sum()) for axis in ("roll", "pitch", "yaw"))
+    alarms = sum(int(flights[f"false_alarms.{axis}"].sum()) for axis in AXES)
     means = np.nanmean(values, axis=(0, 2)) if rows else np.full(len(cost.weights), np.nan)
     return Judged(
         cost.of(values),

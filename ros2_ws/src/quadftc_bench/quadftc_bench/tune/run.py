@@ -93,9 +93,7 @@ def tune(
             told(step)
         if search.cost is None:
             raise ValueError("no step was made")
-        before, after = (
-            _judged(client, campaign, gains, search.cost, progress) for gains in (start, search.result)
-        )
+        before, after = _judged(client, campaign, (start, search.result), search.cost, progress)
     return Tuned(start, search.result, search.failing, before, after)
 
 
@@ -114,15 +112,16 @@ def write(tuned: Tuned, campaign: Campaign, path: Path) -> None:
 
 
 def _judged(
-    client: Any, campaign: Campaign, gains: Gains, cost: Cost, progress: Callable[[int], None]
-) -> Judged:
-    """Fly the flights after those of the campaign."""
+    client: Any, campaign: Campaign, each: Sequence[Gains], cost: Cost, progress: Callable[[int], None]
+) -> list[Judged]:
+    """Fly the flights after those of the campaign, with each of some gains."""
     count = campaign.tune.held_out if campaign.tune else 0
-    tried = with_gains(campaign, campaign.variants[0].scheme, gains)
-    tried = dataclasses.replace(tried, flights=campaign.flights + count)
     numbers = list(range(campaign.flights, campaign.flights + count))
     pieces = [numbers[at : at + FLIGHTS_A_CHUNK] for at in range(0, count, FLIGHTS_A_CHUNK)]
-    rows: Rows = []
-    for _, found in run_tasks(client, fly_chunk, [(tried, piece) for piece in pieces], progress):
-        rows += found
-    return judged(table_of(rows), cost)
+    longer = dataclasses.replace(campaign, flights=campaign.flights + count)
+    tried = [with_gains(longer, campaign.variants[0].scheme, gains) for gains in each]
+    tasks = [(one, piece) for one in tried for piece in pieces]
+    rows: list[Rows] = [[] for _ in each]
+    for place, found in run_tasks(client, fly_chunk, tasks, progress):
+        rows[place // len(pieces)] += found
+    return [judged(table_of(some), cost) for some in rows]

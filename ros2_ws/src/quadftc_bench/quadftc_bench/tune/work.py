@@ -39,7 +39,7 @@ def sensitivity(
         With these gains.
     gains : Gains
     metrics : sequence of str
-        Of `quadftc_bench.campaign.document.COSTS`.
+        Of `quadftc_bench.tune.cost.TERMS`.
     numbers : sequence of int
         Of the flights.
     progress : callable
