@@ -15,6 +15,7 @@ from quadftc_bench.graph_plan import (
     ALONE,
     CONNECT_TIMEOUT,
     EXECUTABLES,
+    SLICE,
     STALL_TIMEOUT,
     GraphError,
     GraphPlan,
@@ -25,14 +26,13 @@ from quadftc_control.controller_node import ControllerNode
 from quadftc_control.reference_node import ReferenceNode
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer_node import FaultObserverNode
+from quadftc_ros.connections import crowded_topics, missing_connections
 from quadftc_ros.executor import Pace, Slice, make_executor, settled_memory
-from quadftc_ros.node import GraphNode, crowded_topics, missing_connections
+from quadftc_ros.node import GraphNode
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.scheduling import SchedulingError, scheduled
 from quadftc_sim.fault_injector_node import FaultInjectorNode
 from quadftc_sim.plant_node import PlantNode
-
-SLICE = 0.02  # s, wall time of flight between two looks at it
 
 NODE_CLASSES: dict[str, type[Any]] = {
     "fault_injector": FaultInjectorNode,

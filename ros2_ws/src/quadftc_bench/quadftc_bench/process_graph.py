@@ -22,6 +22,7 @@ from quadftc_bench.graph_plan import (
     ALONE,
     CONNECT_TIMEOUT,
     EXECUTABLES,
+    SLICE,
     STALL_TIMEOUT,
     GraphError,
     GraphPlan,
@@ -30,10 +31,10 @@ from quadftc_bench.graph_plan import (
 )
 from quadftc_bench.respawn import MOST_DEATHS, Respawn
 from quadftc_ros.children import Children
+from quadftc_ros.connections import crowded_topics, missing_connections
 from quadftc_ros.conversions import time_message
 from quadftc_ros.diagnostics import WARN
 from quadftc_ros.executor import Slice, make_executor
-from quadftc_ros.node import crowded_topics, missing_connections
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.scheduling import Scheduling, SchedulingError, scheduled
@@ -134,7 +135,7 @@ class ProcessGraph:
         self._begin_flight()
         seen = (0, 0)
         while not self._finished:
-            self._slice.spin(0.1)
+            self._slice.spin(SLICE)
             self._check_alive()
             if not progress(self._samples):
                 return time.monotonic() - begin

@@ -33,15 +33,12 @@ from quadftc_model.samples import (
     sanitised,
 )
 from quadftc_model.stepper import Stepper, seconds, warm_up
-from quadftc_ros.conversions import (
-    BASE_FRAME,
-    Floats,
-    is_finite,
-)
+from quadftc_ros.conversions import Floats, is_finite
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import StampJoin
 from quadftc_ros.node import GraphNode, wall_seconds
+from quadftc_ros.topics import BASE_FRAME
 from quadftc_ros.wire import ControlStatusWire, VectorWire, fault_states_of, imu_of, reference_in, vector_of
 
 REFERENCE_AGE = 0.5  # s; real time: age from which a reference is reported as stopped

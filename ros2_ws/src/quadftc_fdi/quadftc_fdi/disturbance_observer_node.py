@@ -23,11 +23,12 @@ from quadftc_model.arrays import Array
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import DisturbanceObserverInputs, ImuSample, sanitised
 from quadftc_model.stepper import Stepper, warm_up
-from quadftc_ros.conversions import BASE_FRAME, Floats, is_finite
+from quadftc_ros.conversions import Floats, is_finite
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import TorqueGate
 from quadftc_ros.node import GraphNode
+from quadftc_ros.topics import BASE_FRAME
 from quadftc_ros.wire import VectorWire, imu_of, vector_of
 
 

@@ -10,6 +10,7 @@ Services: ~/reset (std_srvs/Trigger). A sample whose stamp repeats or goes back 
 from __future__ import annotations
 
 import dataclasses
+import math
 import sys
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -23,7 +24,9 @@ from quadftc_fdi.fault_observer import LastWords, fault_observers
 from quadftc_fdi.handover import Handover
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import (
+    FAULT_STATE_NAMES,
     FAULTY,
+    HEALTHY,
     RECOVERING,
     STARTING,
     FaultEstimate,
@@ -33,18 +36,16 @@ from quadftc_model.samples import (
     sanitised,
 )
 from quadftc_model.stepper import seconds, warm_up
-from quadftc_ros.conversions import (
-    EARTH_FRAME,
-    Floats,
-    array_of,
-    is_finite,
-    stamp_of,
-)
-from quadftc_ros.diagnostics import OK
+from quadftc_ros.conversions import Floats, array_of, is_finite, stamp_of
+from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import TorqueGate
 from quadftc_ros.node import GraphNode
+from quadftc_ros.topics import EARTH_FRAME
 from quadftc_ros.wire import FaultStatusWire, ImuWire, VectorWire, imu_of, vector_of
+
+AXES = ("roll", "pitch", "yaw")
+ALARMS = (FAULTY, RECOVERING)  # told at once; a suspicion may come and go with every sample
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,7 +62,7 @@ class FaultObserverNode(GraphNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("fault_observer", **kwargs)
         self.settings.declare(ObserverParameters, read_only=True)
-        name = self.settings.values()["observer"]
+        self._observer = name = self.settings.values()["observer"]
         self.settings.declare(fault_observers.get(name), f"{name}.")
         self._diagnosis = Diagnosis(fault_observer_from(self.settings.values()))
         warm_up(self._diagnosis.law, FaultObserverInputs(level_sample(), np.zeros(3)))
@@ -79,6 +80,8 @@ class FaultObserverNode(GraphNode):
         if not self.lockstep:
             self.reads("gyro/kept", self._on_gyro_kept, decode=vector_of)
             self.reads("fault/kept", self._on_status_kept)
+        self._estimate: FaultEstimate | None = None  # the last
+        self._alarms: tuple[bool, ...] = (False, False, False)  # axes that are faulty
         self.diagnostics.report("observer", OK, name)
         self.ready()
 
@@ -134,7 +137,31 @@ class FaultObserverNode(GraphNode):
         self._publish_corrected(self._imu(stamp_ns, estimate.corrected))  # first, as others wait for it
         self._publish_estimate(self._earth(stamp_ns, estimate.fault))
         self._publish_status(self._status(stamp_ns, estimate))
+        self._note(estimate)
         self.sampled(stamp_ns)
+
+    def _note(self, estimate: FaultEstimate) -> None:
+        self._estimate = estimate
+        alarms = tuple(state in ALARMS for state in estimate.state.tolist())
+        if alarms != self._alarms:
+            self._alarms = alarms
+            self.diagnostics.changed = True
+
+    def report(self) -> None:
+        """Report the fault of each axis of the attitude, if anybody looks for it."""
+        if self._estimate is None or self._observer == "none":
+            return
+        fault, std_dev, states, ages, _ = self._estimate
+        for axis, size, deviation, state, age in zip(
+            AXES, fault.tolist(), std_dev.tolist(), states.tolist(), ages.tolist(), strict=True
+        ):
+            values = {"size_deg": f"{math.degrees(size):.3f}"}
+            if deviation >= 0.0:
+                values["sigma_deg"] = f"{math.degrees(deviation):.3f}"
+            if age >= 0.0:
+                values["age_s"] = f"{age:.2f}"
+            level = OK if state in (STARTING, HEALTHY) else WARN
+            self.diagnostics.report(f"attitude fault {axis}", level, FAULT_STATE_NAMES[state], **values)
 
 
 def _is_finite(estimate: FaultEstimate) -> bool:

@@ -18,6 +18,10 @@ PERIOD_NS = 4_000_000
 OUTPUTS = ("imu/corrected", "fault/estimate", "fault/status")
 
 
+def values_of(status):
+    return {pair.key: pair.value for pair in status.values}
+
+
 class Observer:
     """An observer with the sources it reads and all that comes out of it."""
 
@@ -247,6 +251,29 @@ def test_diagnostics_name_the_observer(bench):
         "vehicle",
     )
     assert "fault_observer: connections" in status
+
+
+def test_diagnostics_tell_the_fault_of_each_axis(lockstep_bench):
+    observer = Observer(lockstep_bench, observer="supervised")
+    for k in range(1300):  # of which two seconds to get ready
+        observer.step(0.02 if k >= 700 else 0.0, 0.0, 0.0)
+    roll, pitch = (f"fault_observer: attitude fault {axis}" for axis in ("roll", "pitch"))
+    lockstep_bench.until(lambda: observer.status[roll].message == "faulty")
+    lockstep_bench.until(lambda: float(values_of(observer.status[roll])["age_s"]) > 1.0)
+    values = values_of(observer.status[roll])
+    assert observer.status[roll].level == DiagnosticStatus.WARN
+    assert float(values["size_deg"]) == pytest.approx(math.degrees(0.02), abs=0.1)
+    assert 0.0 < float(values["sigma_deg"]) < 0.5
+    assert observer.status[pitch].level == DiagnosticStatus.OK
+    assert "age_s" not in values_of(observer.status[pitch])
+
+
+def test_without_diagnosis_no_axis_is_called_healthy(lockstep_bench):
+    observer = Observer(lockstep_bench, observer="none")
+    for _ in range(300):
+        observer.step()
+    lockstep_bench.until(lambda: "fault_observer: timing" in observer.status)
+    assert not [name for name in observer.status if "attitude fault" in name]
 
 
 def test_imu_is_read_best_effort_in_real_time(bench):

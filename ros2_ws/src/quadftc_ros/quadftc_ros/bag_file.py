@@ -17,6 +17,7 @@ from typing import TypeAlias
 from mcap.writer import CompressionType, Writer
 
 from quadftc_ros.bag_format import BagSummary, TopicRecord, bag_information, metadata_file
+from quadftc_ros.chunk_index import frugal
 
 COMPRESSIONS = {
     "zstd": CompressionType.ZSTD,
@@ -80,6 +81,7 @@ class BagFile:
         self._open_size = 0
         never = 2**63  # bytes; chunks are closed by flush alone, so that it is known where the last one ends
         self._writer = Writer(self._output, never, COMPRESSIONS[compression])  # type: ignore[arg-type]
+        self._indices = frugal(self._writer, self.directory)
         self._writer.start("ros2", library="quadftc")
         self._writer.add_metadata(
             "rosbag2", {"serialized_metadata": bag_information(self._summary(self._kept))}
@@ -139,6 +141,7 @@ class BagFile:
             "rosbag2", {"serialized_metadata": bag_information(self._summary(self._kept))}
         )
         self._writer.finish()
+        self._indices.close()
         self.sync()
         self._output.close()
 
@@ -149,6 +152,7 @@ class BagFile:
         """
         size, counts, self._span = self._kept
         self.counts = {topic.name: counts.get(topic.name, 0) for topic in self._topics}
+        self._indices.close()
         with suppress(OSError):
             self._output.truncate(size)
         with suppress(OSError):

@@ -15,14 +15,12 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
 from quadftc_model.samples import AttitudeReference, ControllerOutput, FaultEstimate, ImuSample
-
-BASE_FRAME = "base_link"  # body, FLU (REP-103)
-IMU_FRAME = "imu_link"  # the IMU, aligned with the body (REP-145)
-EARTH_FRAME = "map"  # ENU (REP-105)
+from quadftc_ros.topics import BASE_FRAME, EARTH_FRAME, IMU_FRAME
 
 NANOSECONDS = 1_000_000_000  # per second
 END_NS = 2**31 * NANOSECONDS  # ns; where the stamps end that a message can have
 ABSURD = 1e6  # in rad, rad/s, rad/s², N m and m/s² alike: no number that can be meant is so large
+PLAIN = (b"\x00\x00", b"\x00\x01")  # encapsulation of plain CDR, big and little endian
 STAMP_END = 12  # bytes; of a serialised message, behind encapsulation and stamp
 ABSENT = -1.0  # element 0 of a covariance: the channel is not in this sample (REP-145)
 
@@ -47,6 +45,21 @@ def leading_stamp_ns(cdr_bytes: bytes) -> int:
         raise ValueError(f"no stamp in {len(cdr_bytes)} bytes")
     sec, nanosec = struct.unpack_from("<iI" if cdr_bytes[1] else ">iI", cdr_bytes, 4)
     return sec * NANOSECONDS + nanosec
+
+
+def leading_frame(cdr_bytes: bytes) -> str:
+    """Return the frame of the header that a serialised message, in plain CDR, begins with.
+
+    Raises
+    ------
+    ValueError
+        If it has none.
+    """
+    try:
+        (length,) = struct.unpack_from("<I" if cdr_bytes[1] else ">I", cdr_bytes, STAMP_END)
+    except (struct.error, IndexError):
+        raise ValueError(f"no frame in {len(cdr_bytes)} bytes") from None
+    return cdr_bytes[STAMP_END + 4 :][: max(0, length - 1)].decode(errors="replace")
 
 
 def time_message(stamp_ns: int) -> Time:

@@ -91,7 +91,7 @@ class Diagnostics:
         """Publish all statuses now [stamp in ns; 0: before the flight]."""
         self._due_ns = stamp_ns + NANOSECONDS if stamp_ns else 0
         self._refresh()
-        level, words = (WARN, "samples were rejected") if self._counted else (OK, "all used")
+        level, words = (WARN, "some were rejected or doubtful") if self._counted else (OK, "all used")
         self.report("samples", level, words, **self._counts)
         self.changed = self._counted = False
         message = DiagnosticArray(status=[self._statuses[part] for part in sorted(self._statuses)])

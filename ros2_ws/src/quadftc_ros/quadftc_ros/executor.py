@@ -30,7 +30,7 @@ LAUNCHER = (
 )
 NEAR = 100_000  # ns; an executor that sleeps may wake so late
 MAX_WORDS = 1000  # characters of what is said about a wrong parameter
-POLL = 0.2  # s; EventsExecutor.spin() without a timeout busy-loops in Jazzy 7.1, so it is called in slices
+POLL = 0.25  # s; EventsExecutor.spin() without a timeout busy-loops in Jazzy 7.1, so it is called in slices
 
 
 def make_executor(kind: str = "events", context: Any = None) -> Any:
@@ -50,7 +50,8 @@ class Slice:
     """A time in which an executor serves its nodes: many callbacks in one call, unlike ``spin_once``.
 
     As long as there is something to do, EventsExecutor takes no notice of a timeout: a callback that comes
-    often has to call :meth:`look`.
+    often has to call :meth:`look`. Slices are long, as each leaks 32 bytes with the rclpy of the wheels
+    (7.1.5, made with pybind11 3): a function object that is not freed.
     """
 
     def __init__(self, executor: Any) -> None:
@@ -73,8 +74,6 @@ class Slice:
 class Paced(Protocol):
     """Who has something to do at times of its own."""
 
-    on_due: Callable[[], None]  # to be called when it is due earlier than it was
-
     @property
     def due_ns(self) -> int:
         """When, by the monotonic clock [ns]."""
@@ -88,43 +87,35 @@ class Paced(Protocol):
 class Pace:
     """Real time: an executor serves its nodes, and in between some of them act when they are due.
 
-    A timer of rclpy would do it, too, but wakes another thread first, and leaves out what it is late for.
+    A timer of rclpy would do it, too, but wakes another thread first, and leaves out what it is late for. The
+    executor is called for each callback anew, as the wheels' ``spin_until_future_complete`` leaks (`Slice`).
 
     Parameters
     ----------
     executor
         As of `make_executor`.
     paced : sequence of Paced
+        Who is late gives the nodes time before it is due again.
     poll : bool
         Look for work again and again while there is none, so that the processor stays awake.
     """
 
     def __init__(self, executor: Any, paced: Sequence[Paced], poll: bool) -> None:
         self._executor, self._paced, self._poll = executor, paced, poll
-        self._over: Future = Future()
-        for each in paced:
-            each.on_due = self.look_again
-
-    def look_again(self) -> None:
-        """Find out anew what is due first, as soon as the nodes have been served."""
-        if not self._over.done():
-            self._over.set_result(None)
 
     def spin(self, duration: float) -> None:
         """Serve and act for a time [s]."""
-        serve, now_ns = self._executor.spin_until_future_complete, time.monotonic_ns
+        serve, now_ns = self._executor.spin_once, time.monotonic_ns
         end_ns = now_ns() + round(duration * NANOSECONDS)
         while (now := now_ns()) < end_ns:
             first = min(self._paced, key=_due)
             if (rest := min(first.due_ns, end_ns) - now) > NEAR:
-                self._over = Future()
-                serve(self._over, timeout_sec=0.0 if self._poll else (rest - NEAR) / NANOSECONDS)
+                serve(timeout_sec=0.0 if self._poll else (rest - NEAR) / NANOSECONDS)
                 continue
             while first.due_ns > now_ns() < end_ns:
                 pass  # an executor would wake too late
             if first.due_ns <= now_ns():
                 first.tick()
-            serve(Future(), timeout_sec=0.0)  # until all that follows has been done
 
 
 def _due(paced: Paced) -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,23 @@ from std_srvs.srv import Trigger
 
 from quadftc_model.parameters import parameter
 from quadftc_model.stepper import MAX_GAP
-from quadftc_ros.conversions import END_NS, NANOSECONDS, leading_stamp_ns, stamp_of
+from quadftc_ros.connections import missing_connections
+from quadftc_ros.conversions import (
+    END_NS,
+    NANOSECONDS,
+    PLAIN,
+    STAMP_END,
+    leading_frame,
+    leading_stamp_ns,
+    stamp_of,
+)
 from quadftc_ros.diagnostics import OK, WARN, Diagnostics
 from quadftc_ros.interfaces import load_message_class
 from quadftc_ros.parameters import NodeParameters
 from quadftc_ros.qos import service_profile, topic_profile
+from quadftc_ros.sample_timing import SampleTiming
 from quadftc_ros.tap import Tap, tapped
-from quadftc_ros.topics import TOPICS
+from quadftc_ros.topics import IMU, TOPICS
 from quadftc_ros.trace import MessageTrace, Note
 
 MODES = ("lockstep", "realtime")
@@ -72,7 +82,8 @@ class GraphNode(Node):
         self.mode: str = self.settings.values()["mode"]
         self._trace_file: str = self.settings.values()["trace"]
         self._trace = MessageTrace() if self._trace_file else None
-        self.diagnostics = Diagnostics(self, self.get_namespace().strip("/") or "vehicle", self.report, tap)
+        self.diagnostics = Diagnostics(self, self.get_namespace().strip("/") or "vehicle", self._refresh, tap)
+        self._timing = SampleTiming(clock=not self.lockstep)
         self.steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         # for time-outs: does not jump when the machine's clock is set, stands still with a paused simulation
         self.pace = self.get_clock() if self.get_parameter("use_sim_time").value else self.steady_clock
@@ -121,12 +132,14 @@ class GraphNode(Node):
         if decode is not None:
             self.reads_raw(topic, self.decoding(topic, callback, decode))
             return
-        note = self._note_of(topic)
+        note, fits = self._note_of(topic), self._frame_check(topic)
 
         def receive(message: Any) -> None:
             stamp_ns = stamp_of(message)
             if not 0 <= stamp_ns < END_NS:
                 self.diagnostics.count(f"{topic}: {NO_STAMP}")
+                return
+            if not fits(getattr(message, "header", message).frame_id):
                 return
             note(stamp_ns)
             callback(stamp_ns, message)
@@ -135,7 +148,9 @@ class GraphNode(Node):
 
     def reads_raw(self, topic: str, callback: Callable[[int, bytes], None]) -> None:
         """Subscribe to a topic that mostly tells the time only; ``callback(stamp_ns, serialised)``."""
-        note = self._note_of(topic)
+        note, fits = self._note_of(topic), self._frame_check(topic)
+        head = TOPICS[topic].frame.encode() + b"\0"
+        usual = slice(STAMP_END + 4, STAMP_END + 4 + len(head))
 
         def receive(data: bytes) -> None:
             try:
@@ -145,6 +160,8 @@ class GraphNode(Node):
                 return
             if not 0 <= stamp_ns < END_NS:
                 self.diagnostics.count(f"{topic}: {NO_STAMP}")
+                return
+            if data[usual] != head and data[:2] in PLAIN and not fits(leading_frame(data)):
                 return
             note(stamp_ns)
             callback(stamp_ns, data)
@@ -165,6 +182,24 @@ class GraphNode(Node):
                 callback(stamp_ns, value)
 
         return receive
+
+    def _frame_check(self, topic: str) -> Callable[[str], bool]:
+        """Return what says of a frame_id whether a message of a topic can be used; another is counted.
+
+        None at all, and that of a vehicle (``uav1/base_link``), are as good as that of the table. An IMU is
+        taken for one that is aligned with the body whatever its driver calls its frame.
+        """
+        row = TOPICS[topic]
+        is_imu = row.type_name == IMU
+
+        def fits(frame: str) -> bool:
+            if not frame or frame.rpartition("/")[2] == row.frame:
+                return True
+            used = ", used all the same" if is_imu else ""
+            self.diagnostics.count(f"{topic}: frame_id is not {row.frame}{used}")
+            return is_imu
+
+        return fits
 
     def _note_of(self, topic: str) -> Note:
         return _unnoted if self._trace is None else self._trace.taken(topic)
@@ -239,9 +274,13 @@ class GraphNode(Node):
         if self.lockstep:
             if not self._flying:  # when the nodes found each other differs from run to run
                 self.diagnostics.forget("connections")
+            self._timing.sampled(stamp_ns)
             self.diagnostics.tick(stamp_ns)
-        elif self.diagnostics.changed:
-            self.diagnostics.publish(self.now_ns())
+        else:
+            now_ns = self.now_ns()
+            self._timing.sampled(stamp_ns, now_ns)
+            if self.diagnostics.changed:
+                self.diagnostics.publish(now_ns)
         self._flying = True
 
     def now_ns(self) -> int:
@@ -249,7 +288,16 @@ class GraphNode(Node):
         return self.get_clock().now().nanoseconds
 
     def report(self) -> None:
-        """Report to the diagnostics before each of their messages; nodes with more to say extend it."""
+        """Report to the diagnostics before each of their messages, in nodes that have more to say."""
+
+    def _refresh(self) -> None:
+        """Report what every node does, and what this one has to say."""
+        timing = self._timing
+        if timing.began:
+            values = timing.values(0 if self.lockstep else self.now_ns())
+            level, words = (WARN, "no samples") if timing.idle else (OK, "samples come")
+            self.diagnostics.report("timing", level, words, **values)
+        self.report()
 
     def _beat(self) -> None:
         """Publish the diagnostics; in lock-step only before the flight (stamp 0), where `sampled` does."""
@@ -264,46 +312,6 @@ class GraphNode(Node):
 
 def _unnoted(stamp_ns: int) -> None:
     """Note nothing."""
-
-
-def missing_connections(node: str, counts: Mapping[str, int], recorders: int = 0) -> list[str]:
-    """Say what a node lacks to be part of a whole graph.
-
-    Parameters
-    ----------
-    node : str
-        Name of the node.
-    counts : mapping
-        As :meth:`GraphNode.connections` gives them.
-    recorders : int
-        Readers of every output besides those of the table.
-    """
-    missing: list[str] = []
-    for topic, count in counts.items():
-        row = TOPICS[topic]
-        if node in row.publishers:
-            wanted, kind = len(row.readers) + recorders, "readers"
-        else:
-            wanted, kind = len(row.publishers), "publishers"
-        if count < wanted:
-            missing.append(f"{topic}: {count} of {wanted} {kind}")
-    return missing
-
-
-def crowded_topics(count_publishers: Callable[[str], int]) -> list[str]:
-    """Say which topics have more publishers than one graph gives them: another graph is there, too.
-
-    Parameters
-    ----------
-    count_publishers : callable
-        That of a node in the namespace of the graph.
-    """
-    counts = {name: count_publishers(name) for name in TOPICS if not name.startswith("/")}
-    return [
-        f"{name} has {count} publishers"
-        for name, count in counts.items()
-        if TOPICS[name].publishers and count > len(TOPICS[name].publishers)
-    ]
 
 
 def wall_seconds() -> float:

@@ -22,6 +22,10 @@ CONTROL_STATUS = "quadftc_msgs/msg/ControlStatus"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 CLOCK = "rosgraph_msgs/msg/Clock"
 
+BASE_FRAME = "base_link"  # body, FLU (REP-103)
+IMU_FRAME = "imu_link"  # the IMU, aligned with the body (REP-145)
+EARTH_FRAME = "map"  # ENU (REP-105)
+
 
 @dataclass(frozen=True)
 class Topic:
@@ -38,6 +42,8 @@ class Topic:
     qos : str
         ``sensor``: best effort in real time; ``reliable``: in order, none lost; ``latched``: the last message
         also reaches a late reader; ``clock``: the clock of a simulation.
+    frame : str
+        Frame of its header; empty: it has none.
     """
 
     name: str
@@ -45,38 +51,49 @@ class Topic:
     publishers: tuple[str, ...]
     readers: tuple[str, ...]
     qos: QosClass
+    frame: str = ""
 
 
 NODES = ("plant", "fault_injector", "fault_observer", "disturbance_observer", "controller", "reference")
 
 _ROWS = (
-    Topic("plant/imu", IMU, ("plant",), ("fault_injector",), "sensor"),
-    Topic("imu/data", IMU, ("fault_injector",), ("fault_observer", "reference", "controller"), "sensor"),
-    Topic("imu/corrected", IMU, ("fault_observer",), ("disturbance_observer", "controller"), "sensor"),
-    Topic("fault/estimate", VECTOR, ("fault_observer",), (), "reliable"),
-    Topic("fault/status", FAULT_STATUS, ("fault_observer",), ("controller",), "reliable"),
-    Topic("disturbance/estimate", VECTOR, ("disturbance_observer",), ("controller",), "reliable"),
-    Topic("attitude/reference", REFERENCE, ("reference",), ("controller",), "reliable"),
-    Topic("attitude/setpoint", VECTOR, (), ("reference",), "reliable"),
+    Topic("plant/imu", IMU, ("plant",), ("fault_injector",), "sensor", IMU_FRAME),
+    Topic(
+        "imu/data",
+        IMU,
+        ("fault_injector",),
+        ("fault_observer", "reference", "controller"),
+        "sensor",
+        IMU_FRAME,
+    ),
+    Topic(
+        "imu/corrected", IMU, ("fault_observer",), ("disturbance_observer", "controller"), "sensor", IMU_FRAME
+    ),
+    Topic("fault/estimate", VECTOR, ("fault_observer",), (), "reliable", EARTH_FRAME),
+    Topic("fault/status", FAULT_STATUS, ("fault_observer",), ("controller",), "reliable", IMU_FRAME),
+    Topic("disturbance/estimate", VECTOR, ("disturbance_observer",), ("controller",), "reliable", BASE_FRAME),
+    Topic("attitude/reference", REFERENCE, ("reference",), ("controller",), "reliable", EARTH_FRAME),
+    Topic("attitude/setpoint", VECTOR, (), ("reference",), "reliable", EARTH_FRAME),
     Topic(
         "torque/command",
         VECTOR,
         ("controller",),
         ("plant", "fault_observer", "disturbance_observer"),
         "reliable",
+        BASE_FRAME,
     ),
-    Topic("control/status", CONTROL_STATUS, ("controller",), (), "reliable"),
+    Topic("control/status", CONTROL_STATUS, ("controller",), (), "reliable", BASE_FRAME),
     # real time: the last words of an observer that has fallen silent, for the one started in its place
-    Topic("fault/kept", FAULT_STATUS, ("controller",), ("fault_observer",), "latched"),
-    Topic("gyro/kept", VECTOR, ("controller",), ("fault_observer",), "latched"),
-    Topic("disturbance/kept", VECTOR, ("controller",), ("disturbance_observer",), "latched"),
-    Topic("plant/attitude", VECTOR, ("plant",), (), "reliable"),
-    Topic("plant/rate", VECTOR, ("plant",), (), "reliable"),
-    Topic("disturbance/applied", VECTOR, ("plant",), (), "reliable"),
-    Topic("fault/injected", VECTOR, ("fault_injector",), (), "reliable"),
-    Topic("fault/injected/gyro", VECTOR, ("fault_injector",), (), "reliable"),
-    Topic("fault/injected/accelerometer", VECTOR, ("fault_injector",), (), "reliable"),
-    Topic("fault/dropped", HEADER, ("fault_injector",), ("plant",), "reliable"),
+    Topic("fault/kept", FAULT_STATUS, ("controller",), ("fault_observer",), "latched", IMU_FRAME),
+    Topic("gyro/kept", VECTOR, ("controller",), ("fault_observer",), "latched", BASE_FRAME),
+    Topic("disturbance/kept", VECTOR, ("controller",), ("disturbance_observer",), "latched", BASE_FRAME),
+    Topic("plant/attitude", VECTOR, ("plant",), (), "reliable", EARTH_FRAME),
+    Topic("plant/rate", VECTOR, ("plant",), (), "reliable", BASE_FRAME),
+    Topic("disturbance/applied", VECTOR, ("plant",), (), "reliable", BASE_FRAME),
+    Topic("fault/injected", VECTOR, ("fault_injector",), (), "reliable", EARTH_FRAME),
+    Topic("fault/injected/gyro", VECTOR, ("fault_injector",), (), "reliable", IMU_FRAME),
+    Topic("fault/injected/accelerometer", VECTOR, ("fault_injector",), (), "reliable", IMU_FRAME),
+    Topic("fault/dropped", HEADER, ("fault_injector",), ("plant",), "reliable", IMU_FRAME),
     Topic("/diagnostics", DIAGNOSTICS, NODES, (), "reliable"),
     Topic("/clock", CLOCK, ("plant",), (), "clock"),  # read by whoever sets use_sim_time
 )

@@ -28,6 +28,7 @@ from quadftc_model.samples import (
 from quadftc_ros.conversions import (
     ABSENT,
     NANOSECONDS,
+    PLAIN,
     ControlStatusWriter,
     FaultStatusWriter,
     Floats,
@@ -40,7 +41,6 @@ FRAME_LENGTH = 12  # where the length of frame_id stands, behind encapsulation a
 FRAME = 16  # where frame_id begins
 ORIGIN = 4  # alignment counts from behind the encapsulation
 _UNKNOWN = (0.0,) * 8  # the rest of a covariance
-PLAIN = (b"\x00\x00", b"\x00\x01")  # CDR, big and little endian
 
 
 class Numbers:

@@ -1,13 +1,17 @@
 """What every node of the graph does: it is driven by stamps, resets, and tells of its connections."""
 
+import time
+
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
 
+from quadftc_ros.connections import crowded_topics, missing_connections
 from quadftc_ros.conversions import stamp_of
-from quadftc_ros.node import GraphNode, crowded_topics, missing_connections
-from quadftc_ros.testing import NodeBench, imu_message
+from quadftc_ros.node import GraphNode
+from quadftc_ros.testing import NodeBench, imu_message, vector_message
 from quadftc_ros.topics import TOPICS
+from quadftc_ros.wire import vector_of
 
 SECOND = 1_000_000_000  # ns
 
@@ -63,6 +67,74 @@ def test_reset_service_restarts(bench):
     answer = bench.call(Trigger, "fault_observer/reset")
     assert (answer.success, answer.message) == (True, "starts anew at the next sample")
     assert node.seen == ["restart"]
+
+
+def test_rate_is_told_by_the_stamps_in_lockstep(lockstep_bench):
+    status = lockstep_bench.watch_diagnostics()
+    driven(lockstep_bench, [SECOND + k * SECOND // 50 for k in range(120)])
+    lockstep_bench.until(lambda: status["fault_observer: timing"].values)
+    said = status["fault_observer: timing"]
+    assert (said.level, said.message) == (DiagnosticStatus.OK, "samples come")
+    assert {pair.key: pair.value for pair in said.values} == {"rate_hz": "50.0"}
+
+
+def test_rate_and_latency_are_told_in_real_time_and_that_samples_have_stopped(bench):
+    status = bench.watch_diagnostics()
+    bench.run(Counter)
+    send = bench.talk("imu/data")
+    bench.connect()
+    late_ns = SECOND // 5
+
+    def fly():
+        send(imu_message(time.time_ns() - late_ns))
+        timing = status.get("fault_observer: timing")
+        return timing is not None and len(timing.values) == 3
+
+    bench.until(fly)
+    values = {pair.key: float(pair.value) for pair in status["fault_observer: timing"].values}
+    assert values["rate_hz"] > 1.0
+    assert values["latency_max_ms"] >= values["latency_ms"] >= 200.0
+    bench.until(lambda: status["fault_observer: timing"].level == DiagnosticStatus.WARN)
+    said = status["fault_observer: timing"]
+    assert (said.message, said.values[0].value) == ("no samples", "0.0")
+
+
+class Follower(GraphNode):
+    """Notes the torques that it takes."""
+
+    def __init__(self, **kwargs):
+        super().__init__("plant", **kwargs)
+        self.seen = []
+        self.reads("torque/command", lambda stamp_ns, torque: self.seen.append(stamp_ns), decode=vector_of)
+        self.ready()
+
+
+@pytest.mark.parametrize("frame", ["", "base_link", "uav1/base_link"])
+def test_frame_of_the_table_of_any_vehicle_or_none_is_taken(bench, frame):
+    node, send = bench.run(Follower), bench.talk("torque/command")
+    bench.connect()
+    send(vector_message(SECOND, frame=frame))
+    bench.until(lambda: node.seen == [SECOND])
+    assert not node.diagnostics.counts
+
+
+def test_vector_in_another_frame_is_refused_and_counted(bench):
+    node, send = bench.run(Follower), bench.talk("torque/command")
+    bench.connect()
+    send(vector_message(SECOND, frame="map"))
+    send(vector_message(2 * SECOND, frame="base_link"))
+    bench.until(lambda: node.seen == [2 * SECOND])
+    assert node.diagnostics.counts == {"torque/command: frame_id is not base_link": 1}
+
+
+def test_imu_is_used_whatever_its_driver_calls_its_frame_and_that_is_counted(bench):
+    node, send = bench.run(Counter), bench.talk("imu/data")
+    bench.connect()
+    message = imu_message(SECOND)
+    message.header.frame_id = "fcu"
+    send(message)
+    bench.until(lambda: node.seen == [SECOND])
+    assert node.diagnostics.counts == {"imu/data: frame_id is not imu_link, used all the same": 1}
 
 
 @pytest.mark.parametrize("use_sim_time", [False, True])

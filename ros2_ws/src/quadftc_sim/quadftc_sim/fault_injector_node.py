@@ -19,10 +19,11 @@ from std_msgs.msg import Header
 
 from quadftc_model.parameters import parameter
 from quadftc_model.samples import ImuSample
-from quadftc_ros.conversions import EARTH_FRAME, IMU_FRAME, time_message
+from quadftc_ros.conversions import time_message
 from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
+from quadftc_ros.topics import EARTH_FRAME, IMU_FRAME
 from quadftc_ros.wire import ImuWire, VectorWire, imu_of
 from quadftc_sim.assembly import injector_from
 from quadftc_sim.injection import RESERVED, make_injection

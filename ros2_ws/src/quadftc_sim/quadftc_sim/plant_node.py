@@ -23,16 +23,12 @@ from std_srvs.srv import Trigger
 
 from quadftc_model.parameters import parameter
 from quadftc_model.stepper import MAX_GAP, seconds
-from quadftc_ros.conversions import (
-    BASE_FRAME,
-    EARTH_FRAME,
-    NANOSECONDS,
-    Floats,
-    is_finite,
-)
+from quadftc_ros.connections import missing_connections
+from quadftc_ros.conversions import NANOSECONDS, Floats, is_finite
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
-from quadftc_ros.node import GraphNode, missing_connections
+from quadftc_ros.node import GraphNode
+from quadftc_ros.topics import BASE_FRAME, EARTH_FRAME
 from quadftc_ros.wire import ImuWire, VectorWire, vector_of
 from quadftc_sim.assembly import EPOCH_NS, sample_count, simulator_from
 from quadftc_sim.plant import Plant
@@ -103,7 +99,6 @@ class PlantNode(GraphNode):
         self._flight = self._new_flight(EPOCH_NS)
         self._stamp_ns = EPOCH_NS  # of the last emission
         self._rests_until_ns = 0  # real time: does not emit before, however late
-        self.on_due: Callable[[], None] = _ignored
         self._unshown: Emission | None = None  # real time: whose truth is still to be published
         if self._values["autostart"]:
             self._waiting = self.create_timer(0.05, self._start_when_connected, clock=self.steady_clock)
@@ -148,7 +143,6 @@ class PlantNode(GraphNode):
             period = seconds(self._flight.period_ns)
             self._timer = self.create_timer(period, self._on_timer, clock=self.steady_clock)
         self._emit()
-        self.on_due()
 
     def tick(self) -> None:
         """Real time: emit the next sample; zero torque has acted if none has come for too long."""
@@ -282,10 +276,6 @@ class PlantNode(GraphNode):
         self.start()
         response.success, response.message = True, "started"
         return response
-
-
-def _ignored() -> None:
-    """Do nothing."""
 
 
 def main() -> None:

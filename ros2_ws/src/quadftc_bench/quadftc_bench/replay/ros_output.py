@@ -43,11 +43,11 @@ from quadftc_model.samples import ImuSample
 from quadftc_ros.bag_file import BagFile
 from quadftc_ros.bag_format import TopicRecord, offered_qos
 from quadftc_ros.cdr_padding import PaddingCleaner
-from quadftc_ros.conversions import ABSENT, EARTH_FRAME, IMU_FRAME, NANOSECONDS, ImuWriter, VectorWriter
+from quadftc_ros.conversions import ABSENT, NANOSECONDS, ImuWriter, VectorWriter
 from quadftc_ros.interfaces import load_interface
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.recorder_node import versions
-from quadftc_ros.topics import HEADER, TOPICS
+from quadftc_ros.topics import EARTH_FRAME, HEADER, IMU_FRAME, TOPICS
 
 CHUNK = 1024 * 1024  # bytes
 DIAGNOSING = 0.85  # share of the work; the rest is writing

@@ -15,18 +15,10 @@ from quadftc_bench.report import captions
 from quadftc_bench.report.comparison import has_observer
 from quadftc_bench.report.description import Figure
 from quadftc_bench.report.scene import UPPER, Scene, column_of, difference, known, spread, worth
-from quadftc_model.samples import FAULTY, HEALTHY, RECOVERING, STARTING, SUSPECT
+from quadftc_model.samples import FAULT_STATE_NAMES, FAULTY, RECOVERING, SUSPECT
 
 Floats = NDArray[np.float64]
 Item = TypeVar("Item", bound=Recorded)
-
-STATES = {
-    STARTING: "starting",
-    HEALTHY: "healthy",
-    SUSPECT: "suspect",
-    FAULTY: "faulty",
-    RECOVERING: "recovering",
-}  # as in quadftc_msgs/FaultStatus
 
 
 def fault_figure(scene: Scene[Item], axis: int) -> Figure | None:
@@ -64,7 +56,7 @@ def state_figure(scene: Scene[Item]) -> Figure | None:
             [scene.trace(run, _state(run, axis)) for run in runs],
             name,
             "",
-            ticks=tuple((float(state), word) for state, word in STATES.items()),
+            ticks=tuple((float(state), word) for state, word in enumerate(FAULT_STATE_NAMES)),
         )
         for axis, name in enumerate(AXES)
     ]

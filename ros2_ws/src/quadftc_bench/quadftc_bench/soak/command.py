@@ -109,6 +109,33 @@ def nodes(
     _finish(part.summary(done, seed), done, out)
 
 
+@app.command()
+def endurance(
+    mode: Annotated[str, typer.Option(help="lockstep or realtime.")] = "lockstep",
+    graph: Annotated[str, typer.Option(help="composed or processes.")] = "composed",
+    minutes: Annotated[float, typer.Option(min=0.1, help="How long.")] = 60.0,
+    rate: Annotated[float, typer.Option(min=10.0, help="Of the control [Hz].")] = 250.0,
+    length: Annotated[
+        float, typer.Option(min=10.0, help="Of a flight [s]; as many follow each other as fit.")
+    ] = 600.0,
+    out: OutOption = None,
+) -> None:
+    """Fly for long; tell whether memory, open files or the rate drift."""
+    from quadftc_bench.run import GRAPHS
+    from quadftc_bench.soak import endurance as part
+    from quadftc_ros.node import MODES
+
+    for name, value, known in (("mode", mode, MODES), ("graph", graph, GRAPHS)):
+        if value not in known:
+            raise ValueError(f"--{name}: no '{value}'; there are: {', '.join(known)}")
+    screen = console()
+    flown, grown = part.soak(
+        *(mode, graph, rate, length, minutes), lambda line: screen.print(line, markup=False, soft_wrap=True)
+    )
+    screen.print(part.table(grown))
+    _finish(part.summary(mode, graph, rate, flown, grown), flown, out)
+
+
 def _hit_recorders(hit: str, trials: int, seed: int, out: Path | None) -> None:
     from quadftc_bench.soak import recorder as part
     from quadftc_bench.soak.recorder_trial import Trial
