@@ -171,6 +171,7 @@ class Looks:
         self._seen: dict[str, list[tuple[float, float, int, int]]] = defaultdict(list)
 
     def look(self) -> None:
+        """Note how much each process has now."""
         now = time.monotonic() - self._begin
         for process in [self._root, *self._root.children(recursive=True)]:
             with suppress(psutil.Error), process.oneshot():  # it may have just ended
@@ -178,6 +179,7 @@ class Looks:
                 self._seen[self._name(process)].append(row)
 
     def growth(self) -> list[Growth]:
+        """By how much each has grown since the warm-up."""
         end = time.monotonic() - self._begin
         found = []
         for name, rows in self._seen.items():
