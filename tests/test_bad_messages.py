@@ -91,7 +91,8 @@ BAD_NUMBERS = st.sampled_from(
         0.5,
     ]
 )
-FRAMES = st.sampled_from(["", "map", "base_link", "imu_link", "x" * 300, "é/\n", "n" * 70_000])
+OWN = "own"  # stands for the frame of the topic
+FRAMES = st.sampled_from([*[OWN] * 5, "", "map", "base_link", "imu_link", "x" * 300, "é/\n", "n" * 70_000])
 STAMPS = st.one_of(
     st.integers(-5 * SECOND, 9 * SECOND // 10), st.sampled_from([*SPECIAL, "next", "next", "next"])
 )
@@ -121,12 +122,14 @@ def good(topic, stamp_ns):
     return message
 
 
-def spoilt(message, data):
-    """Put drawn numbers and a frame into a message."""
+def spoilt(topic, stamp_ns, data):
+    """A message with drawn numbers and a drawn frame."""
+    message = good(topic, stamp_ns)
     places = list(number_places(message))
     for index in data.draw(st.lists(st.integers(0, len(places) - 1), max_size=4)) if places else ():
         put_number(places[index], data.draw(BAD_NUMBERS))
-    getattr(message, "header", message).frame_id = data.draw(FRAMES)
+    frame = data.draw(FRAMES)
+    getattr(message, "header", message).frame_id = TOPICS[topic].frame if frame == OWN else frame
     return message
 
 
@@ -160,7 +163,7 @@ def test_node_lives_through_bad_messages_and_answers_good_ones(case, mode):
         for topic, stamp in data.draw(
             st.lists(st.tuples(st.sampled_from(sorted(wired.topics)), STAMPS), min_size=5, max_size=30)
         ):
-            message = spoilt(good(topic, now_ns), data)
+            message = spoilt(topic, now_ns, data)
             wired.feed(topic, set_bad_stamp(message, stamp, now_ns))
             now_ns += PERIOD_NS if stamp == "next" else 0
         check(wired, injects)
@@ -195,6 +198,21 @@ def test_bytes_that_are_no_message_are_counted(case):
                 assert wired.node.diagnostics.counts[f"{topic}: unreadable"] >= 3
             assert wired.node.diagnostics.counts.total() > before
         check(wired, node_class is FaultInjectorNode)
+
+
+@pytest.mark.parametrize("case", NODES)
+def test_frames_that_are_not_those_of_the_topic_are_counted(case):
+    node_class, parameters, driver, _ = NODES[case]
+    with Wired(node_class, "realtime", **parameters) as wired:
+        fly(wired, driver, 900 * SECOND, 3)
+        for topic in wired.topics:
+            message = good(topic, 901 * SECOND)
+            getattr(message, "header", message).frame_id = "elsewhere"
+            wired.feed(topic, message)
+            counted = [
+                name for name in wired.node.diagnostics.counts if name.startswith(f"{topic}: frame_id")
+            ]
+            assert len(counted) == 1
 
 
 @pytest.mark.parametrize("case", NODES)
@@ -309,7 +327,7 @@ def test_plant_flies_on_whatever_torque_comes(mode):
                 st.lists(st.tuples(st.sampled_from(sorted(wired.topics)), STAMPS), min_size=3, max_size=20)
             ):
                 awaited = wired.node._flight.awaited_ns or 0
-                wired.feed(topic, set_bad_stamp(spoilt(good(topic, awaited), data), stamp, awaited))
+                wired.feed(topic, set_bad_stamp(spoilt(topic, awaited, data), stamp, awaited))
                 if mode == "realtime":
                     wired.node.tick()
             wired.take()

@@ -155,7 +155,7 @@ class FaultObserverNode(GraphNode):
         for axis, size, deviation, state, age in zip(
             AXES, fault.tolist(), std_dev.tolist(), states.tolist(), ages.tolist(), strict=True
         ):
-            values = {"size_deg": f"{math.degrees(size):.3f}"}
+            values = {"size_deg": f"{round(math.degrees(size), 3) + 0.0:.3f}"}  # no -0.000
             if deviation >= 0.0:
                 values["sigma_deg"] = f"{math.degrees(deviation):.3f}"
             if age >= 0.0:
