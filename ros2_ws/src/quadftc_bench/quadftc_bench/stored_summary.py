@@ -70,6 +70,14 @@ def _no_number(text: str) -> float:
     raise ValueError(f"{text} is no number")
 
 
+def _is_near(stored: float, computed: float) -> bool:
+    """Whether two numbers differ by rounding only; an int may be beyond all floats."""
+    try:
+        return math.isclose(stored, computed, rel_tol=ROUNDING, abs_tol=1e-9)
+    except OverflowError:
+        return False
+
+
 def _differences(stored: Any, computed: Any, place: str) -> Iterator[str]:
     """Yield the dotted paths at which two summaries differ by more than rounding."""
     if isinstance(computed, dict) and isinstance(stored, dict):
@@ -84,7 +92,7 @@ def _differences(stored: Any, computed: Any, place: str) -> Iterator[str]:
         else:
             yield place
     elif isinstance(computed, float) and isinstance(stored, (int, float)):
-        if not math.isclose(stored, computed, rel_tol=ROUNDING, abs_tol=1e-9):
+        if not _is_near(stored, computed):
             yield place
     elif stored != computed:
         yield place

@@ -5,6 +5,7 @@ The short form of `scripts/soak fuzz`: the same inputs, drawn by Hypothesis.
 
 from __future__ import annotations
 
+import json
 import re
 from random import Random
 
@@ -93,6 +94,11 @@ def test_good_input_is_not_refused(name, seeds, sandbox):
         ),
         (["run", "s.yaml", "--set", "name=../../x"], "name: '../../x': expected letters, digits"),
         (["run", "s.yaml", "--set", "schemes.proposed.controller=../x"], "no controller"),
+        (["check", "s.yaml", "--set", "references.1.rise=1e308"], r"rise: 1e\+308 s: must be within"),
+        (
+            ["check", "s.yaml", "--set", "references.0.frequency=1e308"],
+            r"frequency: 1e\+308 rad/s: must",
+        ),
     ],
 )
 def test_argument_that_once_crashed_is_refused(seeds, sandbox, arguments, words):
@@ -133,6 +139,31 @@ def test_bag_with_a_time_that_is_none_is_read_up_to_there(seeds, sandbox, tmp_pa
     files = {"late.mcap": (tmp_path / "late.mcap").read_bytes()}
     code, _ = answer(sandbox, "bag", files, [command, "late.mcap"])
     assert code == (0 if command == "repair" else 2)
+
+
+def test_parameters_beside_a_bag_whose_names_are_numbers_make_no_sense(seeds, sandbox):
+    files = {f"bag/{name}": data for name, data in seeds.bag.items()}
+    files |= {
+        f"bag/{seeds.mcap}": seeds.loose,
+        "bag/parameters.yaml": b"/fault_observer:\n  ros__parameters: {1.5: 2.0}\n",
+    }
+    code, lines = answer(sandbox, "bag", files, ["replay", "bag", "--out", "out"])
+    assert (code, "parameters.yaml makes no sense" in lines[0]) == (2, True)
+
+
+def test_summary_with_a_number_beyond_all_floats_disagrees(seeds, sandbox):
+    files = {f"bag/{name}": data for name, data in seeds.bag.items()}
+    summary = json.loads(files["bag/summary.json"])
+    summary["metrics"]["tracking_rmse_deg"]["roll"] = 10**400
+    files["bag/summary.json"] = json.dumps(summary).encode()
+    answer(sandbox, "bag", files, ["check", "bag"])
+
+
+def test_bag_whose_topics_are_numbers_is_refused(seeds, sandbox):
+    files = {f"bag/{name}": data for name, data in seeds.sqlite.items()}
+    files["bag/metadata.yaml"] = files["bag/metadata.yaml"].replace(b"name: /imu/data", b"name: 1.5")
+    code, lines = answer(sandbox, "SQLite bag", files, ["replay", "bag", "--out", "out"])
+    assert (code, "topic 1.5: expected a name" in lines[0]) == (2, True)
 
 
 @pytest.mark.parametrize("number", ["1e300", "1e-320", "nan", "9" * 400])

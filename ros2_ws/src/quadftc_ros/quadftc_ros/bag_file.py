@@ -160,10 +160,6 @@ class BagFile:
         with suppress(OSError):
             self._write_metadata_file(self._kept)
 
-    def _add_information(self) -> None:
-        text = bag_information(self._summary(self._kept))
-        self._writer.add_metadata("rosbag2", {"serialized_metadata": text})
-
     def _summary(self, kept: _Kept) -> BagSummary:
         _, counts, span = kept
         topics = [(topic, counts.get(topic.name, 0)) for topic in tuple(self._topics)]

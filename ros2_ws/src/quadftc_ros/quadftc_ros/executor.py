@@ -79,6 +79,11 @@ class Paced(Protocol):
         """When, by the monotonic clock [ns]."""
         ...
 
+    @property
+    def unanswered(self) -> bool:
+        """Whether the nodes may still be busy with what it did last."""
+        ...
+
     def tick(self) -> None:
         """Do it."""
         ...
@@ -88,14 +93,14 @@ class Pace:
     """Real time: an executor serves its nodes, and in between some of them act when they are due.
 
     A timer of rclpy would do it, too, but wakes another thread first, and leaves out what it is late for. The
-    executor is called for each callback anew, as the wheels' ``spin_until_future_complete`` leaks (`Slice`).
+    executor is called for each callback anew, as the wheels' ``spin_until_future_complete`` leaks (`Slice`),
+    but before an act that comes while the nodes are busy with the last: then they get through with that.
 
     Parameters
     ----------
     executor
         As of `make_executor`.
     paced : sequence of Paced
-        Who is late gives the nodes time before it is due again.
     poll : bool
         Look for work again and again while there is none, so that the processor stays awake.
     """
@@ -115,6 +120,8 @@ class Pace:
             while first.due_ns > now_ns() < end_ns:
                 pass  # an executor would wake too late
             if first.due_ns <= now_ns():
+                if first.unanswered:  # who is late would otherwise act faster than the nodes can follow
+                    self._executor.spin_until_future_complete(Future(), timeout_sec=0.0)
                 first.tick()
 
 

@@ -135,6 +135,8 @@ class Clockwork:
         done = len(self.times)
         return self.begin_ns + (done + 1) * self.period_ns if done < self.left else sys.maxsize
 
+    unanswered = True
+
     def tick(self):
         self.times.append(time.monotonic_ns())
 

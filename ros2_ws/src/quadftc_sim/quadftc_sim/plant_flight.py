@@ -65,6 +65,11 @@ class PlantFlight:
         if self.torque_lost:
             self._torque = np.zeros(3)
 
+    @property
+    def unanswered(self) -> bool:
+        """Whether the torque of the last sample is missing, so that the next period is not flown yet."""
+        return self.awaited_ns is not None and self._ahead is None
+
     def fly_ahead(self) -> None:
         """Fly the next period already, under the last torque."""
         if self._ahead is None and not self.finished:

@@ -124,6 +124,11 @@ class PlantNode(GraphNode):
             return NEVER_NS
         return max(self._flight.due_ns, self._rests_until_ns)
 
+    @property
+    def unanswered(self) -> bool:
+        """Whether the torque of the last sample has not come."""
+        return self._flight.unanswered
+
     def start(self) -> None:
         """Begin the flight.
 

@@ -208,6 +208,7 @@ def _observer_parameters(bag: Bag, namespace: str) -> dict[str, Any] | None:
         nodes = cast("dict[str, Any]", yaml.safe_load(text))
         named = [node for node in nodes if str(node).rpartition("/")[2] == "fault_observer"]
         own = [node for node in named if node == f"{namespace}fault_observer"] or named
-        return dict(nodes[own[0]]["ros__parameters"]) if own else {}
+        found = dict(nodes[own[0]]["ros__parameters"]) if own else {}
+        return found if all(isinstance(name, str) for name in found) else None
     except NO_PARAMETERS:
         return None

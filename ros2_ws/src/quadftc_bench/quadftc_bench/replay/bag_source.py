@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Collection, Generator
 from pathlib import Path
+from typing import Any
 
 from mcap.records import Channel, Schema
 from rosbags.interfaces import ConnectionExtRosbag2, MessageDefinitionFormat
@@ -111,6 +112,10 @@ class _SqliteBag(Bag):
         """Open the bag; whatever the library finds wrong with it is one line."""
         try:
             with Reader(self.path) as reader:
+                if wrong := [
+                    name for name in reader.topics if not isinstance(name, str)
+                ]:  # as SQLite has no types
+                    raise BagError(f"{self.path}: topic {wrong[0]!r}: expected a name")
                 yield reader
         except BagError:
             raise

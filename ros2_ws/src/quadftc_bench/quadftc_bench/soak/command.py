@@ -18,6 +18,7 @@ from typing import Annotated, Any
 import typer
 
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+os.environ.setdefault("ROS_DOMAIN_ID", str(81 + os.getpid() % 21))  # away from those of the tests, and from 0
 
 from quadftc_bench.cli import guarded
 from quadftc_bench.commands import CHECK_FAILED, GOOD

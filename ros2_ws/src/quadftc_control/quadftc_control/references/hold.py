@@ -15,7 +15,9 @@ from quadftc_model.samples import AttitudeReference
 class Hold(Reference):
     """The same angles at all times."""
 
-    angles: tuple[float, ...] = parameter((0.0, 0.0, 0.0), unit="rad", doc="roll, pitch, yaw")
+    angles: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0), unit="rad", low=-100.0, high=100.0, doc="roll, pitch, yaw"
+    )
 
     def sample(self, time: Array) -> AttitudeReference:
         """Return the angles with zero rates."""

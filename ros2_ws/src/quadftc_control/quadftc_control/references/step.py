@@ -19,10 +19,12 @@ class Step(Reference):
     Angle, rate and acceleration are continuous.
     """
 
-    angles: tuple[float, ...] = parameter((0.0, 0.0, 0.0), unit="rad", doc="roll, pitch, yaw of the plateau")
+    angles: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0), unit="rad", low=-100.0, high=100.0, doc="roll, pitch, yaw of the plateau"
+    )
     start: float = parameter(0.0, unit="s", low=0.0, doc="begin of the rise, scenario time")
     stop: float = parameter(math.inf, unit="s", low=0.0, doc="begin of the fall, scenario time")
-    rise: float = parameter(2.0, unit="s", low=1e-3, doc="duration of rise and fall")
+    rise: float = parameter(2.0, unit="s", low=1e-3, high=1e6, doc="duration of rise and fall")
 
     def __post_init__(self) -> None:
         """Check the parameters."""
