@@ -112,9 +112,8 @@ class _SqliteBag(Bag):
         """Open the bag; whatever the library finds wrong with it is one line."""
         try:
             with Reader(self.path) as reader:
-                if wrong := [
-                    name for name in reader.topics if not isinstance(name, str)
-                ]:  # as SQLite has no types
+                names: list[Any] = list(reader.topics)  # as metadata.yaml has them
+                if wrong := [name for name in names if not isinstance(name, str)]:
                     raise BagError(f"{self.path}: topic {wrong[0]!r}: expected a name")
                 yield reader
         except BagError:
