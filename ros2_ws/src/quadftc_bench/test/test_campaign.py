@@ -108,6 +108,7 @@ def test_a_list_is_drawn_number_by_number():
         ({}, "expected one of uniform"),
         ({"uniform": [2.0, 1.0]}, "an empty range"),
         ({"uniform": [1.0, 1.0]}, "an empty range"),
+        ({"uniform": [-1e308, 1e308]}, "too large to draw from"),
         ({"uniform": [1.0]}, r"expected \[low, high\]"),
         ({"uniform": ["1 deg", "2 rad"]}, "expected one unit"),
         ({"uniform": [0.0, True]}, "expected a number"),

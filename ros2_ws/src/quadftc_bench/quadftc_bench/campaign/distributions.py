@@ -171,6 +171,8 @@ def _bounds(kind: str, raw: Any) -> tuple[tuple[float, float], str]:
         raise ValueError(f"normal: standard deviation {high:g}: must be positive")
     if kind != "normal" and not low < high:
         raise ValueError(f"{kind}: low {low:g}, high {high:g}: an empty range")
+    if not math.isfinite(high - low):
+        raise ValueError(f"{kind}: {names[0]} {low:g}, {names[1]} {high:g}: too large to draw from")
     if kind == "log_uniform" and not low > 0.0:
         raise ValueError(f"log_uniform: low {low:g}: must be positive")
     return (low, high), max(units, key=len)
