@@ -214,6 +214,8 @@ class PlantNode(GraphNode):
 
         Its clock and ours may drift apart, so that it does not come at the due time: half a period decides.
         """
+        if self._timer is None:  # it was due already when the flight was reset
+            return
         half = self._flight.period_ns // 2
         for _ in range(2):  # not more at a time, so that others get to work, too
             if time.monotonic_ns() + half >= self._flight.due_ns:
