@@ -20,7 +20,6 @@ if TYPE_CHECKING:  # reading bags takes libraries that the closed loop does with
 
 Floats = NDArray[np.float64]
 
-AXES = ("roll", "pitch", "yaw")
 VECTORS = (
     *("angles", "body_rate", "disturbance", "reference", "fault", "fault_estimate", "fault_std_dev"),
     *("disturbance_estimate", "torque", "error", "sliding_variable"),

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bench.diagnosis_metrics import FaultEvent, diagnosis_metrics, events_of_windows
-from quadftc_bench.flight import AXES, NO_STATE, VECTORS, Flight
+from quadftc_bench.flight import NO_STATE, VECTORS, Flight
 from quadftc_model.hints import nearest
 from quadftc_model.rotations import wrap
+from quadftc_model.samples import AXES
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

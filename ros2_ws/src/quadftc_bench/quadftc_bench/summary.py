@@ -6,9 +6,10 @@ import dataclasses
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, cast
 
-from quadftc_bench.flight import AXES, Flight
+from quadftc_bench.flight import Flight
 from quadftc_bench.metrics import flight_metrics, look_up
 from quadftc_bench.scenario.types import Check, Scenario, Scheme
+from quadftc_model.samples import AXES
 
 
 @dataclasses.dataclass(frozen=True)

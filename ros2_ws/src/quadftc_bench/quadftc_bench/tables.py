@@ -11,8 +11,8 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
-from quadftc_bench.flight import AXES
 from quadftc_bench.metrics import look_up
+from quadftc_model.samples import AXES
 
 # heading, metric (dotted path below "metrics"), factor, decimals; where there is no room, the last go first
 COLUMNS = (

@@ -12,7 +12,7 @@ from quadftc_bench.batch.engine import Engine
 from quadftc_bench.batch.outcome import fault_records, flight_record
 from quadftc_bench.batch.parts import flight_parts, structure_of, with_common_faults
 from quadftc_bench.closed_loop import fly
-from quadftc_bench.flight import AXES, VECTORS
+from quadftc_bench.flight import VECTORS
 from quadftc_bench.metrics import flight_metrics
 from quadftc_bench.scenario import (
     find_scenario,
@@ -25,7 +25,7 @@ from quadftc_bench.scenario import (
 from quadftc_bench.scenario.build import build_scenario
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
-from quadftc_model.samples import STARTING
+from quadftc_model.samples import AXES, STARTING
 from quadftc_sim.fault import faults as fault_kinds
 
 AGREE = 1e-9  # in SI

@@ -17,8 +17,8 @@ from quadftc_bench.campaign_report.detector import detector_of
 from quadftc_bench.campaign_report.ecdf import EVEN, TAIL, ecdf
 from quadftc_bench.campaign_report.heat_map import FEWEST, maps_of
 from quadftc_bench.campaign_report.results import results_of
-from quadftc_bench.flight import AXES
 from quadftc_bench.report import ReportError
+from quadftc_model.samples import AXES
 
 SCENARIO = """
 name: small

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from quadftc_bench.closed_loop import fly
-from quadftc_bench.flight import AXES, NO_STATE, Flight
+from quadftc_bench.flight import NO_STATE, Flight
 from quadftc_bench.scenario import (
     Scenario,
     find_scenario,
@@ -20,7 +20,7 @@ from quadftc_bench.scenario import (
     with_seed,
 )
 from quadftc_bench.summary import check_results, summary
-from quadftc_model.samples import HEALTHY
+from quadftc_model.samples import AXES, HEALTHY
 from quadftc_model.vehicle import load_vehicle
 from quadftc_sim.assembly import simulator_from
 

@@ -21,10 +21,10 @@ from quadftc_bench.diagnosis_metrics import (
     show_table,
 )
 from quadftc_bench.diagnosis_metrics.statistics import consistency_band, independent_samples
-from quadftc_bench.flight import AXES, NO_STATE, VECTORS, Flight
+from quadftc_bench.flight import NO_STATE, VECTORS, Flight
 from quadftc_bench.metrics import FaultWindow, flight_metrics, known_metrics, look_up
 from quadftc_bench.scenario import ScenarioError, parse_scenario
-from quadftc_model.samples import FAULTY, HEALTHY, RECOVERING, STARTING, SUSPECT
+from quadftc_model.samples import AXES, FAULTY, HEALTHY, RECOVERING, STARTING, SUSPECT
 
 DEG = math.pi / 180.0
 PERIOD = 0.01  # s

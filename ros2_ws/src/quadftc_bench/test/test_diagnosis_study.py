@@ -39,11 +39,11 @@ from quadftc_bench.diagnosis_study.settings import (
 )
 from quadftc_bench.diagnosis_study.store import FILE, Store
 from quadftc_bench.diagnosis_study.variants import variants_of
-from quadftc_bench.flight import AXES, VECTORS, Flight
+from quadftc_bench.flight import VECTORS, Flight
 from quadftc_bench.replay.bag_input import IMU
 from quadftc_bench.replay.observer import choose_observer
 from quadftc_bench.replay.overlay import faults_from
-from quadftc_model.samples import FAULTY
+from quadftc_model.samples import AXES, FAULTY
 from quadftc_ros.bag_writer import BagWriter
 from quadftc_ros.conversions import set_stamp
 from quadftc_sim.sensors import GRADES, ImuSensor

@@ -7,10 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from quadftc_bench.flight import AXES, VECTORS, Flight
+from quadftc_bench.flight import VECTORS, Flight
 from quadftc_bench.metrics import FaultWindow, flight_metrics, known_metrics, look_up
 from quadftc_bench.scenario.types import Check
 from quadftc_bench.summary import check_results
+from quadftc_model.samples import AXES
 
 DEG = math.pi / 180.0
 WINDOW = FaultWindow(1.0, 3.0, ("roll",))

@@ -16,13 +16,14 @@ from std_msgs.msg import Header
 
 from quadftc_bench.bags import Bag, read_bag
 from quadftc_bench.closed_loop import fly
-from quadftc_bench.flight import AXES, Flight
+from quadftc_bench.flight import Flight
 from quadftc_bench.recorded_run import RecordedRun
 from quadftc_bench.report.comparison import compare
 from quadftc_bench.report.drift import measure_drift
 from quadftc_bench.report.real_sensors import beyond_the_paper
 from quadftc_bench.scenario import Scenario, node_parameters, parse_scenario
 from quadftc_bench.summary import summary
+from quadftc_model.samples import AXES
 from quadftc_ros.bag_writer import BagWriter
 
 BIAS_DEG = np.array([0.5, -0.3, 0.2])  # deg/s

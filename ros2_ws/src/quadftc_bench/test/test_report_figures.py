@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 
 from quadftc_bench.closed_loop import fly
-from quadftc_bench.flight import AXES, Flight
+from quadftc_bench.flight import Flight
 from quadftc_bench.metrics import flight_metrics
 from quadftc_bench.recorded_run import RecordedRun
 from quadftc_bench.report.comparison import Comparison, compare
 from quadftc_bench.report.description import Figure, Panel, Shade
 from quadftc_bench.report.figures import figures
 from quadftc_bench.scenario import Scenario, node_parameters, parse_scenario
+from quadftc_model.samples import AXES
 
 TEXT = """
 name: small

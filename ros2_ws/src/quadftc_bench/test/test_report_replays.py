@@ -13,7 +13,7 @@ import pytest
 from quadftc_bench.bags import Bag
 from quadftc_bench.closed_loop import fly
 from quadftc_bench.diagnosis_metrics import FaultEvent, fault_events
-from quadftc_bench.flight import AXES, NO_STATE, VECTORS, Flight, Reading
+from quadftc_bench.flight import NO_STATE, VECTORS, Flight, Reading
 from quadftc_bench.metrics import FaultWindow
 from quadftc_bench.recorded_replay import RecordedReplay
 from quadftc_bench.recorded_run import RecordedRun
@@ -28,7 +28,7 @@ from quadftc_bench.report.replay_page import pooled, replay_sections
 from quadftc_bench.report.replay_statements import replay_statements
 from quadftc_bench.scenario import node_parameters, parse_scenario
 from quadftc_bench.summary import summary
-from quadftc_model.samples import FAULTY, HEALTHY, STARTING
+from quadftc_model.samples import AXES, FAULTY, HEALTHY, STARTING
 
 PERIOD = 0.01  # s
 COUNT = 1000

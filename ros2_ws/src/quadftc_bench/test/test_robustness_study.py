@@ -9,11 +9,11 @@ import pytest
 
 from quadftc_bench.campaign.document import load_campaign
 from quadftc_bench.campaign.flights import flight
-from quadftc_bench.flight import AXES
 from quadftc_bench.robustness_study.cells import faults_of, typical
 from quadftc_bench.robustness_study.command import publish
 from quadftc_bench.robustness_study.studies import SIZED, SIZES, STUDIES, VARIANTS
 from quadftc_bench.robustness_study.tables import size_tables, study_tables
+from quadftc_model.samples import AXES
 
 ROOT = Path(__file__).resolve().parents[4]
 OBSERVERS = {"proposed": "sliding_mode", "supervised": "supervised", "conventional": "none"}

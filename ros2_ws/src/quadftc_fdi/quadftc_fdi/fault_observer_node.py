@@ -24,6 +24,7 @@ from quadftc_fdi.fault_observer import LastWords, fault_observers
 from quadftc_fdi.handover import Handover
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import (
+    AXES,
     FAULT_STATE_NAMES,
     FAULTY,
     HEALTHY,
@@ -44,7 +45,6 @@ from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import EARTH_FRAME
 from quadftc_ros.wire import FaultStatusWire, ImuWire, VectorWire, imu_of, vector_of
 
-AXES = ("roll", "pitch", "yaw")
 ALARMS = (FAULTY, RECOVERING)  # told at once; a suspicion may come and go with every sample
 
 

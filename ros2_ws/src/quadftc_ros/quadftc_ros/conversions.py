@@ -21,7 +21,8 @@ NANOSECONDS = 1_000_000_000  # per second
 END_NS = 2**31 * NANOSECONDS  # ns; where the stamps end that a message can have
 ABSURD = 1e6  # in rad, rad/s, rad/s², N m and m/s² alike: no number that can be meant is so large
 PLAIN = (b"\x00\x00", b"\x00\x01")  # encapsulation of plain CDR, big and little endian
-STAMP_END = 12  # bytes; of a serialised message, behind encapsulation and stamp
+STAMP_END = 12  # bytes; of a serialised message, behind encapsulation and stamp: the length of frame_id
+FRAME = 16  # where frame_id begins
 ABSENT = -1.0  # element 0 of a covariance: the channel is not in this sample (REP-145)
 
 Floats = NDArray[np.float64]
@@ -59,7 +60,7 @@ def leading_frame(cdr_bytes: bytes) -> str:
         (length,) = struct.unpack_from("<I" if cdr_bytes[1] else ">I", cdr_bytes, STAMP_END)
     except (struct.error, IndexError):
         raise ValueError(f"no frame in {len(cdr_bytes)} bytes") from None
-    return cdr_bytes[STAMP_END + 4 :][: max(0, length - 1)].decode(errors="replace")
+    return cdr_bytes[FRAME:][: max(0, length - 1)].decode(errors="replace")
 
 
 def time_message(stamp_ns: int) -> Time:

@@ -20,9 +20,9 @@ from quadftc_model.stepper import MAX_GAP
 from quadftc_ros.connections import missing_connections
 from quadftc_ros.conversions import (
     END_NS,
+    FRAME,
     NANOSECONDS,
     PLAIN,
-    STAMP_END,
     leading_frame,
     leading_stamp_ns,
     stamp_of,
@@ -150,7 +150,7 @@ class GraphNode(Node):
         """Subscribe to a topic that mostly tells the time only; ``callback(stamp_ns, serialised)``."""
         note, fits = self._note_of(topic), self._frame_check(topic)
         head = TOPICS[topic].frame.encode() + b"\0"
-        usual = slice(STAMP_END + 4, STAMP_END + 4 + len(head))
+        usual = slice(FRAME, FRAME + len(head))
 
         def receive(data: bytes) -> None:
             try:

@@ -27,8 +27,10 @@ from quadftc_model.samples import (
 )
 from quadftc_ros.conversions import (
     ABSENT,
+    FRAME,
     NANOSECONDS,
     PLAIN,
+    STAMP_END,
     ControlStatusWriter,
     FaultStatusWriter,
     Floats,
@@ -37,8 +39,6 @@ from quadftc_ros.conversions import (
     VectorWriter,
 )
 
-FRAME_LENGTH = 12  # where the length of frame_id stands, behind encapsulation and stamp
-FRAME = 16  # where frame_id begins
 ORIGIN = 4  # alignment counts from behind the encapsulation
 _UNKNOWN = (0.0,) * 8  # the rest of a covariance
 
@@ -71,7 +71,7 @@ class Numbers:
             data = serialize_message(_whole(data, self._class))
         little = data[1]
         try:
-            (length,) = self._lengths[little].unpack_from(data, FRAME_LENGTH)
+            (length,) = self._lengths[little].unpack_from(data, STAMP_END)
             start = ORIGIN + (FRAME + length - ORIGIN + 7) // 8 * 8
             return self._layouts[little].unpack_from(data, start)
         except struct.error:
@@ -130,7 +130,7 @@ def fault_states_of(data: bytes) -> tuple[int, ...]:
     if data[:2] not in PLAIN:
         return tuple(_whole(data, FaultStatus).state.tolist())
     try:
-        (length,) = struct.unpack_from("<I" if data[1] else ">I", data, FRAME_LENGTH)
+        (length,) = struct.unpack_from("<I" if data[1] else ">I", data, STAMP_END)
         return struct.unpack_from("3B", data, FRAME + length)
     except struct.error:
         raise ValueError(f"not a FaultStatus: {len(data)} bytes") from None
@@ -156,7 +156,7 @@ class _Template:
     def __init__(self, message: Any) -> None:
         self.data = bytearray(serialize_message(message))
         self.order = "<" if self.data[1] else ">"
-        (length,) = struct.unpack_from(f"{self.order}I", self.data, FRAME_LENGTH)
+        (length,) = struct.unpack_from(f"{self.order}I", self.data, STAMP_END)
         self.end = FRAME + length  # of the header
         self._stamp = struct.Struct(f"{self.order}iI").pack_into
 

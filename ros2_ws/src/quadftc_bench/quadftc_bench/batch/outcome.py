@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from quadftc_bench.batch.flown import Outcome
 from quadftc_bench.diagnosis_metrics import FaultEvent
-from quadftc_bench.flight import AXES
+from quadftc_model.samples import AXES
 
 Record = dict[str, Any]
 Floats = NDArray[np.float64]

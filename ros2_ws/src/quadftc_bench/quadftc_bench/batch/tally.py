@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from quadftc_bench.batch.loop import Row
 from quadftc_bench.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG, GRACE_TIME, FaultEvent
-from quadftc_bench.flight import AXES
 from quadftc_model.arrays import Array, namespace
 from quadftc_model.rotations import wrap
-from quadftc_model.samples import FAULTY, HEALTHY, RECOVERING, SUSPECT
+from quadftc_model.samples import AXES, FAULTY, HEALTHY, RECOVERING, SUSPECT
 
 Floats = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from quadftc_bench.campaign_report.results import Side, known, numbers
 from quadftc_bench.diagnosis_metrics.roc import Roc, roc
-from quadftc_bench.flight import AXES
+from quadftc_model.samples import AXES
 
 Floats = NDArray[np.float64]
 

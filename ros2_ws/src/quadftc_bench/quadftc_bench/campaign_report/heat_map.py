@@ -13,8 +13,8 @@ from quadftc_bench.campaign.document import Campaign
 from quadftc_bench.campaign.summary import whole_flights
 from quadftc_bench.campaign_report.bins import BinAxis, bin_axis, bins_for, can_be_divided
 from quadftc_bench.campaign_report.results import Results
-from quadftc_bench.flight import AXES
 from quadftc_bench.report.metric_kinds import EVENT, Kind, kind_of
+from quadftc_model.samples import AXES
 
 Floats = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from quadftc_bench.campaign.document import Campaign
 from quadftc_bench.campaign.summary import whole_flights
-from quadftc_bench.flight import AXES
 from quadftc_bench.recorded import NO_OBSERVER
 from quadftc_bench.report.wording import counted, listing
+from quadftc_model.samples import AXES
 
 Floats = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadftc_bench.campaign_report.results import Results, Side, numbers
-from quadftc_bench.flight import AXES
 from quadftc_bench.report.templating import NOTHING
 from quadftc_bench.report.wording import short
+from quadftc_model.samples import AXES
 
 MIDDLE, HIGH, LARGEST = ("median", "q50"), ("95 %", "q95"), ("largest", "max")
 HOUR = 3600.0  # s

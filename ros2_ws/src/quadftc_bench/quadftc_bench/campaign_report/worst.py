@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from quadftc_bench.campaign.document import Campaign
 from quadftc_bench.campaign_report.flown import unit, value_text
 from quadftc_bench.campaign_report.results import Results, Side, numbers
-from quadftc_bench.flight import AXES
 from quadftc_bench.report.templating import NOTHING
 from quadftc_bench.report.wording import period, short
+from quadftc_model.samples import AXES
 
 Floats = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ from rich.box import SIMPLE_HEAD
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from quadftc_bench.flight import AXES
 from quadftc_bench.replay.plan import ReplayOptions
 from quadftc_bench.tables import console
+from quadftc_model.samples import AXES
 
 COLUMNS = {"always": "", "while faulty": "_inside", "while healthy": "_outside"}  # heading, end of the metric
 

@@ -8,9 +8,9 @@ import functools
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_bench.flight import AXES, NO_STATE, Flight
+from quadftc_bench.flight import NO_STATE, Flight
 from quadftc_model.rotations import wrap
-from quadftc_model.samples import FAULTY, HEALTHY, RECOVERING, STARTING, SUSPECT
+from quadftc_model.samples import AXES, FAULTY, HEALTHY, RECOVERING, STARTING, SUSPECT
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 
 Floats = NDArray[np.float64]

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
-from quadftc_bench.flight import AXES
+from quadftc_model.samples import AXES
 
 if TYPE_CHECKING:  # a scenario takes these events for its checks
     from quadftc_bench.scenario import Fault

@@ -17,7 +17,7 @@ from quadftc_bench.diagnosis_metrics.statistics import (
     number,
     rms,
 )
-from quadftc_bench.flight import AXES
+from quadftc_model.samples import AXES
 
 ESTIMATE_THRESHOLD_DEG = 0.3  # deg; an estimate of this size says fault: 3 sigma of the attitude of mems
 COVERAGE_SIGMAS = 2.0  # standard deviations; 95.4 % of the errors of a consistent estimate are within

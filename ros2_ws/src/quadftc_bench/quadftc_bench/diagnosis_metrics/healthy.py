@@ -12,7 +12,7 @@ from quadftc_bench.diagnosis_metrics.columns import Columns, Mask
 from quadftc_bench.diagnosis_metrics.events import FaultEvent
 from quadftc_bench.diagnosis_metrics.faults import ESTIMATE_THRESHOLD_DEG
 from quadftc_bench.diagnosis_metrics.statistics import number
-from quadftc_bench.flight import AXES
+from quadftc_model.samples import AXES
 
 GRACE_TIME = 5.0  # s; after the end of a fault, to find out that it is over: neither healthy nor faulty
 SECONDS_PER_HOUR = 3600.0

@@ -16,7 +16,7 @@ from quadftc_bench.diagnosis_metrics.columns import Columns, Mask
 from quadftc_bench.diagnosis_metrics.events import FaultEvent
 from quadftc_bench.diagnosis_metrics.healthy import Truth
 from quadftc_bench.diagnosis_metrics.statistics import number
-from quadftc_bench.flight import AXES
+from quadftc_model.samples import AXES
 
 NO_AXIS = "none"  # the row of the time without a fault, the column of the time in which nothing is declared
 TIME = "time"  # the column of the time of a row

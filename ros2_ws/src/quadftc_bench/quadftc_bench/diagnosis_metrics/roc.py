@@ -24,7 +24,8 @@ from quadftc_bench.diagnosis_metrics.events import FaultEvent
 from quadftc_bench.diagnosis_metrics.faults import has_size
 from quadftc_bench.diagnosis_metrics.healthy import truth
 from quadftc_bench.diagnosis_metrics.pooling import pool
-from quadftc_bench.flight import AXES, Flight
+from quadftc_bench.flight import Flight
+from quadftc_model.samples import AXES
 
 Floats = NDArray[np.float64]
 Score = Callable[[Flight], Floats]  # (n, 3); NaN where there is none

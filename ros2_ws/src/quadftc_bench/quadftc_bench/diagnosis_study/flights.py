@@ -27,11 +27,10 @@ from quadftc_bench.diagnosis_study.settings import (
     Ranges,
     Setting,
 )
-from quadftc_bench.flight import AXES
 from quadftc_bench.replay.bag_input import recording_from_bag
 from quadftc_bench.replay.recording import Recording
 from quadftc_model.rotations import body_rates, quaternion_from_euler
-from quadftc_model.samples import ImuSample
+from quadftc_model.samples import AXES, ImuSample
 from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count
 from quadftc_sim.sensors import DRAWS, GRADES, ImuSensor
 

@@ -15,12 +15,13 @@ from quadftc_bench.diagnosis_metrics.healthy import truth
 from quadftc_bench.diagnosis_metrics.roc import estimate_over_std_dev, estimate_size
 from quadftc_bench.diagnosis_study.flights import DrawnFault, FlightPlan, prepare
 from quadftc_bench.diagnosis_study.settings import DURATION, WINDOWS, Variant
-from quadftc_bench.flight import AXES, Flight
+from quadftc_bench.flight import Flight
 from quadftc_bench.replay.diagnose import diagnose, flight_of
 from quadftc_bench.replay.observer import choose_observer
 from quadftc_bench.replay.overlay import faults_from, injector_of
 from quadftc_bench.replay.recording import Recording
 from quadftc_bench.replay.results import replay_events
+from quadftc_model.samples import AXES
 
 Floats = NDArray[np.float64]
 Record = dict[str, Any]

@@ -10,7 +10,7 @@ from quadftc_bench.diagnosis_study.criteria import Criteria, criteria_of
 from quadftc_bench.diagnosis_study.results import BOUNDED
 from quadftc_bench.diagnosis_study.settings import Setting, setting_of
 from quadftc_bench.diagnosis_study.variants import ISOLATED
-from quadftc_bench.flight import AXES
+from quadftc_model.samples import AXES
 
 Json = Mapping[str, Any]
 Values = tuple[float | None, ...]

@@ -8,11 +8,11 @@ import numpy as np
 
 from quadftc_bench.bags import Bag
 from quadftc_bench.diagnosis_metrics import FaultEvent, events_of_windows
-from quadftc_bench.flight import AXES
 from quadftc_bench.metrics import FaultWindow
 from quadftc_bench.replay.recording import Floats, Stamps
 from quadftc_bench.run_origin import SCENARIO, attached_text
 from quadftc_bench.scenario import Scenario, ScenarioError, parse_scenario
+from quadftc_model.samples import AXES
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 
 TRUTH = {

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from quadftc_bench.flight import AXES
 from quadftc_bench.metrics import FaultWindow
 from quadftc_bench.scenario import Fault
 from quadftc_bench.scenario.document import Document, Problem, read_document
 from quadftc_bench.scenario.parts import PartBuilder
 from quadftc_bench.scenario.schema import ScenarioShape, shape_of
 from quadftc_model.hints import nearest
+from quadftc_model.samples import AXES
 from quadftc_model.spec import parse_spec
 from quadftc_sim.assembly import injection_from
 from quadftc_sim.injection import RESERVED, FaultInjector, Injection

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from quadftc_bench.flight import AXES
 from quadftc_bench.metrics import SETTLED_ERROR_DEG, SETTLING_TIME
 from quadftc_bench.recorded_run import RecordedRun
 from quadftc_bench.report.evidence import (
@@ -32,6 +31,7 @@ from quadftc_bench.report.measures import (
     tracking_error_deg,
 )
 from quadftc_bench.report.wording import listing, quantity, spread, worst_text
+from quadftc_model.samples import AXES
 
 TRACKING_DEG = 0.1  # deg; our bound for "follows the reference"
 ROLL_RESPONSE_DEG = (-1.1, -0.9)  # deg; the paper's -1 deg, within 10 % (ours)

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bench.diagnosis_metrics.columns import Columns
-from quadftc_bench.flight import AXES, NO_STATE
+from quadftc_bench.flight import NO_STATE
 from quadftc_bench.recorded import Recorded
 from quadftc_bench.report import captions
 from quadftc_bench.report.comparison import has_observer
 from quadftc_bench.report.description import Figure
 from quadftc_bench.report.scene import UPPER, Scene, column_of, difference, known, spread, worth
-from quadftc_model.samples import FAULT_STATE_NAMES, FAULTY, RECOVERING, SUSPECT
+from quadftc_model.samples import AXES, FAULT_STATE_NAMES, FAULTY, RECOVERING, SUSPECT
 
 Floats = NDArray[np.float64]
 Item = TypeVar("Item", bound=Recorded)

@@ -19,9 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bench.bags import BagError
-from quadftc_bench.flight import AXES, Flight
+from quadftc_bench.flight import Flight
 from quadftc_bench.recorded_run import RecordedRun
 from quadftc_model.rotations import euler_rates, wrap
+from quadftc_model.samples import AXES
 
 Floats = NDArray[np.float64]
 

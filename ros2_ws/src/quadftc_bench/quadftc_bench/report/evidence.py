@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from quadftc_bench.flight import AXES
 from quadftc_bench.recorded_run import RecordedRun
 from quadftc_bench.report.comparison import Comparison
+from quadftc_model.samples import AXES
 
 SCENARIOS = ("paper_faults", "paper_constant_disturbance", "paper_varying_disturbance")
 FAULTS, CONSTANT, VARYING = SCENARIOS

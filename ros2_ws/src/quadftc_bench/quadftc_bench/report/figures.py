@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_bench.flight import AXES
 from quadftc_bench.recorded import NO_OBSERVER
 from quadftc_bench.recorded_run import RecordedRun
 from quadftc_bench.report import captions
@@ -29,6 +28,7 @@ from quadftc_bench.report.comparison import Comparison
 from quadftc_bench.report.description import Band, Figure, Panel
 from quadftc_bench.report.diagnosis_figures import fault_figure, state_figure
 from quadftc_bench.report.scene import UPPER, Scene, column_of, difference, known, worth
+from quadftc_model.samples import AXES
 
 Floats = NDArray[np.float64]
 FlightScene = Scene[RecordedRun]

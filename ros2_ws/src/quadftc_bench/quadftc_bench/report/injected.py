@@ -8,11 +8,12 @@ from typing import Any, cast
 
 import numpy as np
 
-from quadftc_bench.flight import AXES, Flight
+from quadftc_bench.flight import Flight
 from quadftc_bench.recorded_run import RecordedRun
 from quadftc_bench.report.wording import each_axis, listing, period, plain
 from quadftc_bench.scenario import Fault, Part, Scenario
 from quadftc_model.parameters import Parameter, parameters_of
+from quadftc_model.samples import AXES
 from quadftc_sim.injection import CHANNEL_UNITS
 
 _READINGS = {

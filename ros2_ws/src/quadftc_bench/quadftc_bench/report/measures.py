@@ -8,10 +8,11 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_bench.flight import AXES, Flight
+from quadftc_bench.flight import Flight
 from quadftc_bench.metrics import look_up
 from quadftc_bench.recorded import Recorded
 from quadftc_model.rotations import wrap
+from quadftc_model.samples import AXES
 
 Floats = NDArray[np.float64]
 Values = dict[str, float | None]  # by axis

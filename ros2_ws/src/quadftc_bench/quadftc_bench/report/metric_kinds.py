@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any, cast
 
 from quadftc_bench.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG
-from quadftc_bench.flight import AXES
 from quadftc_bench.recorded import Recorded
 from quadftc_bench.report.measures import metric
 from quadftc_bench.report.wording import period
+from quadftc_model.samples import AXES
 
 SETTLING = "fault_estimate_settling_s"
 

@@ -9,7 +9,6 @@ from collections.abc import Iterable, Mapping, Sequence
 import jinja2
 from plotly.offline import get_plotlyjs
 
-from quadftc_bench.flight import AXES
 from quadftc_bench.report.comparison import Comparison, has_observer
 from quadftc_bench.report.drawing import Drawing, drawings
 from quadftc_bench.report.figures import figures
@@ -30,6 +29,7 @@ from quadftc_bench.report.replay_page import (
 from quadftc_bench.report.statements import Paragraph, statements
 from quadftc_bench.report.templating import environment
 from quadftc_bench.report.wording import counted, listing
+from quadftc_model.samples import AXES
 
 KEY_METRICS = (
     ("tracking_rmse_deg", "tracking RMSE [deg]"),

@@ -8,12 +8,12 @@ import json
 from collections.abc import Iterable, Sequence
 from typing import Any, cast
 
-from quadftc_bench.flight import AXES
 from quadftc_bench.recorded import Recorded
 from quadftc_bench.recorded_replay import RecordedReplay
 from quadftc_bench.recorded_run import RecordedRun
 from quadftc_bench.report.metrics_table import Cell, MetricsTable, Row
 from quadftc_bench.report.wording import plain
+from quadftc_model.samples import AXES
 
 NOTHING = "–"  # there is no such thing in this run
 WINDOWS = ("Fault window", "Diagnosis of")  # sections that begin so go into a table of their own

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
-from quadftc_bench.flight import AXES
 from quadftc_bench.recorded_run import RecordedRun
 from quadftc_bench.report.comparison import Comparison, has_observer
 from quadftc_bench.report.drift import AxisDrift, Drift, measure_drift
@@ -25,6 +24,7 @@ from quadftc_bench.report.wording import (
     spread,
 )
 from quadftc_model.parameters import parameters_of
+from quadftc_model.samples import AXES
 from quadftc_sim.sensors import ImuSensor
 
 TITLE = "What the paper does not say"

@@ -18,7 +18,7 @@ import dataclasses
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_bench.flight import AXES, Reading
+from quadftc_bench.flight import Reading
 from quadftc_bench.recorded_replay import RecordedReplay
 from quadftc_bench.report import captions
 from quadftc_bench.report.comparison import ReplayComparison
@@ -26,6 +26,7 @@ from quadftc_bench.report.description import Figure, Panel, Trace
 from quadftc_bench.report.diagnosis_figures import fault_figure, state_figure
 from quadftc_bench.report.scene import UPPER, Scene, known, worth
 from quadftc_model.rotations import wrap
+from quadftc_model.samples import AXES
 
 Floats = NDArray[np.float64]
 ReplayScene = Scene[RecordedReplay]

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 
 from quadftc_bench.diagnosis_metrics import pool, show_row
 from quadftc_bench.diagnosis_metrics.show import HEADINGS
-from quadftc_bench.flight import AXES
 from quadftc_bench.recorded_replay import RecordedReplay
 from quadftc_bench.report.comparison import ReplayComparison, has_observer
 from quadftc_bench.report.drawing import Drawing, drawings
@@ -18,6 +17,7 @@ from quadftc_bench.report.page_tables import Fact, Group, metric_groups, paramet
 from quadftc_bench.report.replay_figures import replay_figures
 from quadftc_bench.report.replay_statements import replay_statements
 from quadftc_bench.report.statements import Paragraph
+from quadftc_model.samples import AXES
 
 OVERVIEW = tuple(HEADINGS[1:])  # columns of the table of all replays, behind the name
 CONFUSION = "diagnosis.confusion_single_s"

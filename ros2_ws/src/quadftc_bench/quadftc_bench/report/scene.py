@@ -12,13 +12,13 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_bench.flight import AXES
 from quadftc_bench.recorded import Recorded
 from quadftc_bench.report.comparison import SideBySide
 from quadftc_bench.report.description import Envelope, Figure, Panel, Trace
 from quadftc_bench.report.timeline import marks, shades
 from quadftc_bench.report.wording import plain
 from quadftc_model.rotations import wrap
+from quadftc_model.samples import AXES
 
 Floats = NDArray[np.float64]
 Item = TypeVar("Item", bound=Recorded)

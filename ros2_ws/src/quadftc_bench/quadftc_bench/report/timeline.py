@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from quadftc_bench.diagnosis_metrics import FaultEvent
-from quadftc_bench.flight import AXES
 from quadftc_bench.report.description import Mark, Shade
 from quadftc_bench.scenario import Fault, Part
+from quadftc_model.samples import AXES
 
 FAULT_WINDOW = "fault window"  # of the attitude; windows on other channels are named by channel and kind
 ONSET, ON_OFF = "disturbance onset", "disturbance on, off"

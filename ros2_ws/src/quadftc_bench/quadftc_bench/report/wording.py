@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from quadftc_bench.flight import AXES
+from quadftc_model.samples import AXES
 
 NO_VALUE = "no value"
 DIGITS = 3  # significant

@@ -13,8 +13,8 @@ import polars as pl
 from quadftc_bench.campaign.summary import whole_flights
 from quadftc_bench.campaign_report.results import has_observer
 from quadftc_bench.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG
-from quadftc_bench.flight import AXES
 from quadftc_bench.recorded import NO_OBSERVER
+from quadftc_model.samples import AXES
 
 WITHOUT_DETECTOR = ("sliding_mode",)  # its states say nothing: the size of its estimate is taken
 ESTIMATED_BY = {"fault_estimate_rmse_deg": "observer", "disturbance_estimate_rmse": "disturbance_observer"}

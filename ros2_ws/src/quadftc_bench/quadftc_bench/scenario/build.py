@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, cast
 
-from quadftc_bench.flight import AXES
 from quadftc_bench.metrics import known_metrics, look_up
 from quadftc_bench.scenario.document import Document, Keys, Problem
 from quadftc_bench.scenario.parts import PartBuilder
@@ -18,6 +17,7 @@ from quadftc_control.controller import controllers
 from quadftc_control.reference import references
 from quadftc_fdi.disturbance_observer import disturbance_observers
 from quadftc_fdi.fault_observer import fault_observers
+from quadftc_model.samples import AXES
 from quadftc_model.units import quantity
 from quadftc_model.vehicle import Vehicle
 from quadftc_sim.disturbance import disturbances

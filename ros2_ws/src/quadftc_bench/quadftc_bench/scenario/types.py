@@ -9,10 +9,10 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from quadftc_bench.diagnosis_metrics import FaultEvent, fault_events
-from quadftc_bench.flight import AXES
 from quadftc_bench.metrics import FaultWindow
 from quadftc_bench.scenario.document import Document, ScenarioError
 from quadftc_model.hints import nearest
+from quadftc_model.samples import AXES
 from quadftc_model.spec import format_spec
 from quadftc_sim.injection import Injection
 from quadftc_sim.plant import Plant

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bench.batch.tally import Sums
-from quadftc_bench.flight import AXES
+from quadftc_model.samples import AXES
 
 Floats = NDArray[np.float64]
 

@@ -14,11 +14,11 @@ from ruamel.yaml import YAML
 
 from quadftc_bench.campaign.document import Campaign
 from quadftc_bench.campaign.errors import CampaignError
-from quadftc_bench.flight import AXES
 from quadftc_bench.scenario import Scenario
 from quadftc_bench.scenario.gains import ROLES, grade_of
 from quadftc_bench.tune.cost import Cost, values_of
 from quadftc_bench.tune.gains import Gains
+from quadftc_model.samples import AXES
 
 Floats = NDArray[np.float64]
 
