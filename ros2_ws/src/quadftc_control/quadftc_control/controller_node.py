@@ -38,6 +38,7 @@ from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import StampJoin
 from quadftc_ros.node import GraphNode, wall_seconds
+from quadftc_ros.reception import decoding
 from quadftc_ros.topics import BASE_FRAME
 from quadftc_ros.wire import ControlStatusWire, VectorWire, fault_states_of, imu_of, reference_in, vector_of
 
@@ -92,7 +93,7 @@ class ControllerNode(GraphNode):
         self.reads("disturbance/estimate", self._on_disturbance, decode=vector_of)
         self.reads_raw("imu/data", self._on_raw)
         self.reads_raw("fault/status", self._keeper.status)
-        self._on_fallback = self.decoding("imu/data", self._on_uncorrected, imu_of)
+        self._on_fallback = decoding("imu/data", self._on_uncorrected, imu_of, self.diagnostics.count)
         self._watched_ns, self._silent_since_ns = 0, 0
         self._missing = 0.0  # share of the disturbance estimate that is missing
         self._trusted, self._estimate = False, (0, np.zeros(3))  # whether it is; the last, with its stamp

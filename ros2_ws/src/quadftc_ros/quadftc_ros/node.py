@@ -18,26 +18,18 @@ from std_srvs.srv import Trigger
 from quadftc_model.parameters import parameter
 from quadftc_model.stepper import MAX_GAP
 from quadftc_ros.connections import missing_connections
-from quadftc_ros.conversions import (
-    END_NS,
-    FRAME,
-    NANOSECONDS,
-    PLAIN,
-    leading_frame,
-    leading_stamp_ns,
-    stamp_of,
-)
+from quadftc_ros.conversions import NANOSECONDS, leading_stamp_ns, stamp_of
 from quadftc_ros.diagnostics import OK, WARN, Diagnostics
 from quadftc_ros.interfaces import load_message_class
 from quadftc_ros.parameters import NodeParameters
 from quadftc_ros.qos import service_profile, topic_profile
+from quadftc_ros.reception import decoding, of_bytes, of_messages
 from quadftc_ros.sample_timing import SampleTiming
 from quadftc_ros.tap import Tap, tapped
-from quadftc_ros.topics import IMU, TOPICS
+from quadftc_ros.topics import TOPICS
 from quadftc_ros.trace import MessageTrace, Note
 
 MODES = ("lockstep", "realtime")
-NO_STAMP = "stamp is no time"  # negative, or so late that no message can have it
 HEARTBEAT = {"realtime": 1.0, "lockstep": 0.2}  # s; in lock-step only before the flight
 
 
@@ -130,76 +122,15 @@ class GraphNode(Node):
         be decoded is counted.
         """
         if decode is not None:
-            self.reads_raw(topic, self.decoding(topic, callback, decode))
+            self.reads_raw(topic, decoding(topic, callback, decode, self.diagnostics.count))
             return
-        note, fits = self._note_of(topic), self._frame_check(topic)
-
-        def receive(message: Any) -> None:
-            stamp_ns = stamp_of(message)
-            if not 0 <= stamp_ns < END_NS:
-                self.diagnostics.count(f"{topic}: {NO_STAMP}")
-                return
-            if not fits(getattr(message, "header", message).frame_id):
-                return
-            note(stamp_ns)
-            callback(stamp_ns, message)
-
+        receive = of_messages(topic, callback, self.diagnostics.count, self._note_of(topic))
         self._subscribe(topic, receive, raw=False)
 
     def reads_raw(self, topic: str, callback: Callable[[int, bytes], None]) -> None:
         """Subscribe to a topic that mostly tells the time only; ``callback(stamp_ns, serialised)``."""
-        note, fits = self._note_of(topic), self._frame_check(topic)
-        head = TOPICS[topic].frame.encode() + b"\0"
-        usual = slice(FRAME, FRAME + len(head))
-
-        def receive(data: bytes) -> None:
-            try:
-                stamp_ns = leading_stamp_ns(data)
-            except ValueError:
-                self.diagnostics.count(f"{topic}: unreadable")
-                return
-            if not 0 <= stamp_ns < END_NS:
-                self.diagnostics.count(f"{topic}: {NO_STAMP}")
-                return
-            if data[usual] != head and data[:2] in PLAIN and not fits(leading_frame(data)):
-                return
-            note(stamp_ns)
-            callback(stamp_ns, data)
-
+        receive = of_bytes(topic, callback, self.diagnostics.count, self._note_of(topic))
         self._subscribe(topic, receive, raw=True)
-
-    def decoding(
-        self, topic: str, callback: Callable[[int, Any], None], decode: Callable[[bytes], Any]
-    ) -> Callable[[int, bytes], None]:
-        """Return ``callback`` for serialised messages; what cannot be decoded is counted."""
-
-        def receive(stamp_ns: int, data: bytes) -> None:
-            try:
-                value = decode(data)
-            except ValueError:
-                self.diagnostics.count(f"{topic}: unreadable")
-            else:
-                callback(stamp_ns, value)
-
-        return receive
-
-    def _frame_check(self, topic: str) -> Callable[[str], bool]:
-        """Return what says of a frame_id whether a message of a topic can be used; another is counted.
-
-        None at all, and that of a vehicle (``uav1/base_link``), are as good as that of the table. An IMU is
-        taken for one that is aligned with the body whatever its driver calls its frame.
-        """
-        row = TOPICS[topic]
-        is_imu = row.type_name == IMU
-
-        def fits(frame: str) -> bool:
-            if not frame or frame.rpartition("/")[2] == row.frame:
-                return True
-            used = ", used all the same" if is_imu else ""
-            self.diagnostics.count(f"{topic}: frame_id is not {row.frame}{used}")
-            return is_imu
-
-        return fits
 
     def _note_of(self, topic: str) -> Note:
         return _unnoted if self._trace is None else self._trace.taken(topic)

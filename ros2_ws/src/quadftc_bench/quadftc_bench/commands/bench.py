@@ -32,7 +32,6 @@ from quadftc_ros.scheduling import Scheduling
 
 SCENARIO = "mems_faults"
 NO_DELAY = "sensors.delay=0"  # the modelled delay of the sensor is no latency of the graph
-SHOWN = ("p50", "p90", "p99", "p99.9", "max")
 
 
 class Executor(str, enum.Enum):
@@ -80,6 +79,7 @@ def latency(
 ) -> None:
     """From the stamp of an IMU sample to its torque, stage by stage, in real time."""
     from quadftc_bench.bench.latency import LatencyOptions, measure_latency
+    from quadftc_bench.bench.latency_table import counts_line, latency_table, usage_line
 
     if wait is None:
         wait = Wait.sleep if graph is Graph.processes or realtime_priority else Wait.poll
@@ -102,10 +102,10 @@ def latency(
     screen = console()
     for each in rate:
         of_rate = [item for item in results if item["rate"] == each]
-        screen.print(_latency_table(of_rate))
+        screen.print(latency_table(of_rate))
         for item in of_rate:
-            screen.print(_counts_line(item))
-        screen.print(_usage_line(of_rate), soft_wrap=True)
+            screen.print(counts_line(item))
+        screen.print(usage_line(of_rate), soft_wrap=True)
     _write(out, "latency", results)
     raise typer.Exit(GOOD)
 
@@ -121,6 +121,7 @@ def lockstep(
 ) -> None:
     """How many times real time the graph flies in lock-step, beside the closed loop without ROS."""
     from quadftc_bench.bench.lockstep import forms, measure_lockstep
+    from quadftc_bench.bench.lockstep_table import lockstep_table
 
     results: list[dict[str, Any]] = []
     with StopSignals() as stop, _bars() as bars:
@@ -137,7 +138,7 @@ def lockstep(
                     results.append(found)
                     bars.advance(bar)
                     bars.refresh()
-    console().print(_lockstep_table(results))
+    console().print(lockstep_table(results))
     _write(out, "lockstep", results)
     raise typer.Exit(GOOD)
 
@@ -225,71 +226,6 @@ def _follower(bars: Progress, bar: Any, stopped: Callable[[], bool]) -> Callable
         return not stopped()
 
     return follow
-
-
-def _latency_table(results: list[dict[str, Any]]) -> Table:
-    """Stages of one rate; of several runs, the medians."""
-    first = results[0]
-    what = f"{first['graph']}, {first['executor']}" if first["graph"] == "composed" else first["graph"]
-    table = Table(
-        "stage", box=SIMPLE_HEAD, title=f"{first['rate']:g} Hz, {what}, {first['observer']}: latency [us]"
-    )
-    for name in SHOWN:
-        table.add_column(name, justify="right")
-    for stage in first["stages"]:
-        rows = [item["stages"][stage] for item in results if stage in item["stages"]]
-        table.add_row(stage, *(f"{_median([row[name] for row in rows]):.0f}" for name in SHOWN))
-    return table
-
-
-def _counts_line(result: dict[str, Any]) -> str:
-    """What became of the samples and messages of one run."""
-    words = f"{result['samples']} samples, {result['missed']} missed, {result['late']} late"
-    words += f"; {sum(result['lost'].values())} messages lost"
-    if (recorded := result.get("recorded")) is not None:
-        words += (
-            f"; {recorded['stored']} recorded, {recorded['dropped']} dropped, {recorded['missing']} missing"
-        )
-    return words
-
-
-def _usage_line(results: list[dict[str, Any]]) -> str:
-    """Processor time by process and thread, and memory; medians of the runs."""
-    words: list[str] = []
-    for name, used in results[0]["usage"].items():
-        runs = [result["usage"][name] for result in results]
-        shares = {
-            thread: _median([run["cpu_share"].get(thread, 0.0) for run in runs])
-            for thread in used["cpu_share"]
-        }
-        threads = ", ".join(
-            f"{thread} {100.0 * share:.0f} %" for thread, share in shares.items() if share > 5e-3
-        )
-        words.append(f"{name}: {threads}; {_median([run['memory_mib'] for run in runs]):.0f} MiB")
-    return "processor time and memory: " + " | ".join(words)
-
-
-def _lockstep_table(results: list[dict[str, Any]]) -> Table:
-    title = f"lock-step, {results[0]['observer']}"
-    table = Table("rate [Hz]", "vehicles", "form", box=SIMPLE_HEAD, title=title)
-    for heading in ("times real time", "one sample [us]", "of the closed loop"):
-        table.add_column(heading, justify="right")
-    for rate, count in dict.fromkeys((item["rate"], item["vehicles"]) for item in results):
-        rows = [item for item in results if (item["rate"], item["vehicles"]) == (rate, count)]
-        alone = _median([row["sample_us"] for row in rows if "without ROS" in row["form"]])
-        for form in dict.fromkeys(row["form"] for row in rows):
-            of_form = [row for row in rows if row["form"] == form]
-            sample = _median([row["sample_us"] for row in of_form])
-            factor = _median([row["real_time_factor"] for row in of_form])
-            table.add_row(
-                f"{rate:g}", f"{count}", form, f"{factor:.2f}", f"{sample:.0f}", f"{sample / alone:.2f}"
-            )
-    return table
-
-
-def _median(values: list[float]) -> float:
-    ordered = sorted(values)
-    return ordered[len(ordered) // 2]
 
 
 def _write(out: Path | None, kind: str, results: list[dict[str, Any]]) -> None:
