@@ -271,6 +271,30 @@ def test_bag_is_replaced_only_by_force(originals, tmp_path):
     assert numbers_in_whole(bag) == numbers_in_whole(out)
 
 
+def test_bag_that_is_being_recorded_is_copied_but_not_replaced(tmp_path):
+    bag = tmp_path / "bag"
+    interface = load_interface(VECTOR)
+    recorder = BagFile(bag, {}, {}, "zstd", CHUNK)
+    recorder.add_topic(
+        TopicRecord(TOPICS[0], VECTOR, interface.type_hash, offered_qos(QoSProfile(depth=7))), interface.text
+    )
+    try:
+        recorder.write(1, 1, 1, serialize_message(Vector3Stamped()))
+        recorder.flush()
+        for changes in ({"force": True}, {"out": bag, "force": True}):
+            with pytest.raises(BagError, match="still being recorded"):
+                repair(bag, **changes)
+        result = CliRunner().invoke(app, ["repair", str(bag)])
+        assert result.exit_code == 0
+        assert "still being recorded" in result.output
+        recorder.write(1, 2, 2, serialize_message(Vector3Stamped()))
+    finally:
+        recorder.close()
+    for path, messages in ((tmp_path / "bag-repaired", 1), (bag, 2)):
+        done = repair(path)  # nobody writes to it now, and nothing is wrong
+        assert (done.out, done.recorded, done.found.messages) == (None, False, messages)
+
+
 def test_full_disk_while_repairing_is_one_line_and_leaves_nothing(originals, tmp_path, monkeypatch):
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")

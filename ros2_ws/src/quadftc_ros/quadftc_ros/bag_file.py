@@ -8,6 +8,7 @@ power cut.
 
 from __future__ import annotations
 
+import fcntl
 import os
 from collections.abc import Mapping
 from contextlib import suppress
@@ -182,11 +183,34 @@ class BagFile:
             raise
 
 
+def is_being_written(path: Path) -> bool:
+    """Return whether a process of this machine has the file of a bag open as a `BagFile`.
+
+    Raises
+    ------
+    OSError
+        If it cannot be opened.
+    """
+    with path.open("rb") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:  # a file system without locks
+            return False
+    return False
+
+
 class _Output:
-    """A new file without a buffer, so that an error leaves nothing behind that would be written later."""
+    """A new file without a buffer, so that an error leaves nothing behind that would be written later.
+
+    It is locked for as long as it is open, which ends with the process.
+    """
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._position = 0
 
     def write(self, data: bytes) -> int:

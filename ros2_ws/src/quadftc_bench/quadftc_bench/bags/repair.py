@@ -19,7 +19,7 @@ from ruamel.yaml import YAML, YAMLError
 
 from quadftc_bench.bags.directory import BagError, bag_information
 from quadftc_bench.bags.salvage import Survey, survey, walk
-from quadftc_ros.bag_file import BagFile
+from quadftc_ros.bag_file import BagFile, is_being_written
 from quadftc_ros.bag_format import TopicRecord
 
 CHUNK = 1024 * 1024  # bytes
@@ -44,11 +44,14 @@ class Repair:
         The bag that was written; None if nothing was wrong.
     complaint : str
         What was wrong with ``metadata.yaml``; empty if nothing was.
+    recorded : bool
+        Whether the bag was still being recorded: it goes on after what was read.
     """
 
     found: Survey
     out: Path | None
     complaint: str
+    recorded: bool = False
 
 
 def repair(path: Path, out: Path | None = None, force: bool = False) -> Repair:
@@ -67,14 +70,18 @@ def repair(path: Path, out: Path | None = None, force: bool = False) -> Repair:
     Raises
     ------
     BagError
-        If it is no bag, there is nothing in it to be read, or the new one cannot be written; one line.
+        If it is no bag, there is nothing in it to be read, it is to be replaced while it is being recorded,
+        or the new one cannot be written; one line.
     """
     file = _storage_file(path)
+    recorded = _is_recorded(file)
     found = survey(file)
     complaint = _complaint(path, found) if path.is_dir() else ""
     if out is None and found.is_whole and not complaint:
         return Repair(found, None, complaint)
     target = _target(path, out, force)
+    if recorded and target in (path.resolve(), file.resolve().parent):
+        raise BagError(f"{path}: is still being recorded; end that before the bag is replaced")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".repair_", dir=target.parent) as folder:
@@ -85,7 +92,7 @@ def repair(path: Path, out: Path | None = None, force: bool = False) -> Repair:
             _put(made, target)
     except OSError as error:
         raise BagError(f"{target}: {error.strerror or error}") from None
-    return Repair(found, target, complaint)
+    return Repair(found, target, complaint, recorded)
 
 
 def _storage_file(path: Path) -> Path:
@@ -104,6 +111,14 @@ def _storage_file(path: Path) -> Path:
         names = ", ".join(file.name for file in files)
         raise BagError(f"{path}: {len(files)} .mcap files ({names}); repair one at a time, by its path")
     return files[0]
+
+
+def _is_recorded(file: Path) -> bool:
+    """Return whether somebody is writing to a file of a bag."""
+    try:
+        return file.is_file() and is_being_written(file)
+    except OSError as error:
+        raise BagError(f"{file}: {error.strerror}") from None
 
 
 def _target(path: Path, out: Path | None, force: bool) -> Path:

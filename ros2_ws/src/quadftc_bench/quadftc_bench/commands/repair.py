@@ -72,6 +72,8 @@ def _lines(done: Repair) -> Iterator[str]:
         yield "made anew: the index of the file"
     if done.complaint:
         yield f"made anew: metadata.yaml ({done.complaint})"
+    if done.recorded:
+        yield "still being recorded: what comes after this is in the bag only"
     yield f"repaired bag: {done.out}"
 
 
