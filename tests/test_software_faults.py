@@ -12,7 +12,15 @@ import numpy as np
 import pytest
 
 from quadftc_bench.scenario import node_parameters
-from quadftc_bench.soak.node_flight import DISTURBANCE, KILL, SENSOR_FAULT, STOP, Hit, scenario_of
+from quadftc_bench.soak.node_flight import (
+    CHANGING_FAULT,
+    DISTURBANCE,
+    KILL,
+    SENSOR_FAULT,
+    STOP,
+    Hit,
+    scenario_of,
+)
 from quadftc_bench.soak.node_judgement import BACK, LARGEST, WITHIN, Trial
 from quadftc_bench.soak.nodes import ALL, flights_of, flown, summary, table
 from quadftc_control.controller_node import ControllerNode
@@ -35,7 +43,7 @@ NODES = {
 def test_flight_goes_on_when_nodes_are_killed_and_stopped():
     """Observers killed, while a sensor fault acts and in a disturbance; a controller stopped."""
     hits = [
-        Hit("fault_observer", KILL, SENSOR_FAULT),
+        Hit("fault_observer", KILL, CHANGING_FAULT),
         Hit("disturbance_observer", KILL, DISTURBANCE),
         Hit("controller", STOP, SENSOR_FAULT),
     ]

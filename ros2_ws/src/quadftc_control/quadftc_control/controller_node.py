@@ -19,12 +19,13 @@ import numpy as np
 
 from quadftc_control.assembly import controller_from
 from quadftc_control.controller import controllers
-from quadftc_control.degraded import InputMonitor, Mode, Patience
+from quadftc_control.degraded import HeldTorque, InputMonitor, Mode, Patience
 from quadftc_control.keeper import Keeper
 from quadftc_control.transfer import Transfer
 from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import (
+    ALARMS,
     AttitudeReference,
     ControllerInputs,
     ControllerOutput,
@@ -33,14 +34,22 @@ from quadftc_model.samples import (
     sanitised,
 )
 from quadftc_model.stepper import Stepper, seconds, warm_up
-from quadftc_ros.conversions import Floats, is_finite
+from quadftc_ros.conversions import Floats, is_finite, revise_status
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import StampJoin
 from quadftc_ros.node import GraphNode, wall_seconds
 from quadftc_ros.reception import decoding
 from quadftc_ros.topics import BASE_FRAME
-from quadftc_ros.wire import ControlStatusWire, VectorWire, fault_states_of, imu_of, reference_in, vector_of
+from quadftc_ros.wire import (
+    ControlStatusWire,
+    VectorWire,
+    fault_states_of,
+    fault_status_of,
+    imu_of,
+    reference_in,
+    vector_of,
+)
 
 REFERENCE_AGE = 0.5  # s; real time: age from which a reference is reported as stopped
 WATCH_PERIOD = 0.02  # s; real time: how often the controller looks whether samples still come
@@ -49,7 +58,7 @@ _REPORTS = {
     Mode.FULL: (OK, "full"),
     Mode.NO_DIAGNOSIS: (WARN, "no diagnosis: on imu/data, as imu/corrected is missing"),
     Mode.NO_DISTURBANCE_ESTIMATE: (WARN, "no disturbance estimate: the switching gain takes over"),
-    Mode.HOLD: (WARN, "hold: no IMU, the last torque is held"),
+    Mode.HOLD: (WARN, "hold: no IMU, the torque is held"),
     Mode.OFF: (ERROR, "off: no IMU, zero torque"),
 }
 
@@ -78,7 +87,8 @@ class ControllerNode(GraphNode):
         warm_up(self._law, ControllerInputs(level_sample(), still, np.zeros(3)))
         patience = build_prefixed(Patience, values, "patience")
         self._monitor, self._transfer = InputMonitor(patience), Transfer(patience)
-        self._keeper = Keeper(imu_of, fault_states_of)
+        self._keeper = Keeper(imu_of, fault_states_of, fault_status_of)
+        self._words: Any = None  # the last fault/status of an observer that is silent, if it helps
         self.settings.on_change(self._rebuilt)
         self._publish_torque = self.publishes("torque/command")
         self._publish_status = self.publishes("control/status")
@@ -87,6 +97,7 @@ class ControllerNode(GraphNode):
         self._reference_ns = 0
         self._mode: Mode | None = None
         self._torque, self._stamp_ns = np.zeros(3), 0  # last command [N m] and its stamp [ns]
+        self._held = HeldTorque()
         self._join = StampJoin(("imu", "reference", "disturbance"), self._on_all)
         self.driven_by("imu/corrected", self._on_corrected, restart=self._restart, decode=imu_of)
         self.reads("attitude/reference", self._on_reference, decode=reference_in)
@@ -166,12 +177,23 @@ class ControllerNode(GraphNode):
             self.diagnostics.count("imu/data: no attitude")
 
     def _keep_diagnosis(self) -> None:
-        """Publish what a fault observer that is started again needs to go on."""
-        words = self._keeper.last_words()
+        """Publish what a fault observer that is started again needs to go on, and do without one."""
+        words, self._words = self._keeper.last_words(), None
+        self._transfer.expect(None, False)
         if words is not None:
-            status, stamp_ns, correction = words
+            self._words, stamp_ns, correction = words
+            self._transfer.expect(correction, bool(np.isin(self._words.state, ALARMS).any()))
             self._keep_gyro(self._body(stamp_ns, correction))
-            self._keep_status(status)
+            self._keep_status(self._words)
+
+    def _keep_fault(self, stamp_ns: int, read: ImuSample, flown: ImuSample) -> None:
+        """Publish what the fault has become, as far as that shows without a diagnosis."""
+        if self._words is None or not self._transfer.known:
+            return
+        fault = self._keeper.fault(stamp_ns, read, flown)
+        if fault is not None:
+            revise_status(self._words, stamp_ns, fault, self._monitor.patience.jump)
+            self._keep_status(self._words)
 
     def _on_all(
         self, stamp_ns: int, imu: ImuSample, reference: AttitudeReference, disturbance: Floats
@@ -197,8 +219,10 @@ class ControllerNode(GraphNode):
         if self._missing != 1.0 - share:
             self._missing = 1.0 - share
             self._stepper.law = self._law.without_estimate(self._missing)
-        imu = self._transfer.used(stamp_ns, imu, mode is Mode.NO_DIAGNOSIS)
-        self._control(stamp_ns, ControllerInputs(imu, self._reference, disturbance), mode)
+        flown = self._transfer.used(stamp_ns, imu, mode is Mode.NO_DIAGNOSIS)
+        if mode is Mode.NO_DIAGNOSIS:
+            self._keep_fault(stamp_ns, imu, flown)
+        self._control(stamp_ns, ControllerInputs(flown, self._reference, disturbance), mode)
 
     def _control(self, stamp_ns: int, inputs: ControllerInputs, mode: Mode) -> None:
         begin = wall_seconds()
@@ -209,6 +233,7 @@ class ControllerNode(GraphNode):
             self.diagnostics.count("the controller gave no number: the last torque is held")
             self._stepper.reset()
             output = _nothing_but(self._torque)
+        self._held.add(stamp_ns, output.torque)
         self._say(stamp_ns, output, mode, wall_seconds() - begin)
 
     def _say(self, stamp_ns: int, output: ControllerOutput, mode: Mode, compute_time: float) -> None:
@@ -241,8 +266,8 @@ class ControllerNode(GraphNode):
         mode = self._monitor.silence(seconds(now_ns - self._silent_since_ns))
         if mode is Mode.FULL or not self._stamp_ns:
             return
-        torque = self._torque if mode is Mode.HOLD else np.zeros(3)
-        self._say(self._stamp_ns, _nothing_but(torque), mode, 0.0)
+        torque = self._held.mean if mode is Mode.HOLD else None
+        self._say(self._stamp_ns, _nothing_but(np.zeros(3) if torque is None else torque), mode, 0.0)
 
 
 def _nothing_but(torque: Floats) -> ControllerOutput:

@@ -3,7 +3,7 @@
 * no diagnosis: ``corrected_samples`` imu/data came in a row, but no imu/corrected, or none younger than
   ``corrected_age``; until ``return_samples`` came in time, and the observer says that it has started.
 * no disturbance estimate: it is older than ``disturbance_age``; until it was not for ``return_samples``.
-* hold: no IMU for the time ``hold``; until the next sample.
+* hold: no IMU for the time ``hold``; until the next sample. The torque is the mean of those before.
 * off: no IMU for the time ``off``; until ``return_samples`` came, none of them ``hold`` after the last.
 
 Pure bookkeeping of stamps and times; the node acts on it. What changes with a mode changes gradually:
@@ -23,6 +23,7 @@ from quadftc_model.parameters import check, parameter
 from quadftc_model.stepper import seconds
 
 MOST_SAMPLES = 1000  # that any count of samples may be
+MEMORY = 0.2  # s; time constant of the torque that is held
 
 
 class Mode(enum.IntEnum):
@@ -31,7 +32,7 @@ class Mode(enum.IntEnum):
     FULL = 0
     NO_DIAGNOSIS = 1  # on imu/data: imu/corrected is missing
     NO_DISTURBANCE_ESTIMATE = 2  # the disturbance estimate is missing: the switching gain takes over
-    HOLD = 3  # no IMU: the last torque is held
+    HOLD = 3  # no IMU: the torque is held
     OFF = 4  # no IMU for long: zero torque
 
 
@@ -55,10 +56,13 @@ class Patience:
         doc="how long imu/corrected that is back may wait for its observer",
     )
     correction_hold: float = parameter(
-        1.0, unit="s", low=0.0, doc="how long the last known fault stays taken off imu/data"
+        5.0,
+        unit="s",
+        low=0.0,
+        doc="without diagnosis: how long the body rate alone serves if the attitude was faulty",
     )
     correction_fade: float = parameter(
-        2.0, unit="s", low=1e-3, doc="time in which it is given up afterwards, as it may have ended"
+        2.0, unit="s", low=1e-3, doc="time in which that is given up afterwards, as the body rate drifts"
     )
     jump: float = parameter(
         math.radians(1.0),
@@ -79,6 +83,26 @@ class Patience:
         check(self)
         if self.off < self.hold:
             raise ValueError(f"off = {self.off:g} s: must not be less than hold = {self.hold:g} s")
+
+
+class HeldTorque:
+    """Mean torque of the last samples: what a vehicle needs that stays as it is.
+
+    The torque of a single sample is mostly noise, which would turn the vehicle.
+    """
+
+    def __init__(self) -> None:
+        self.mean: NDArray[np.float64] | None = None  # (3,) [N m]; None before the first
+        self._stamp_ns = 0
+
+    def add(self, stamp_ns: int, torque: NDArray[np.float64]) -> None:
+        """Note the torque (3,) [N m] of a sample [ns]; what is older than a gap does not count."""
+        elapsed = seconds(stamp_ns - self._stamp_ns)
+        self._stamp_ns = stamp_ns
+        if self.mean is None or not 0.0 < elapsed <= MEMORY:
+            self.mean = torque
+        else:
+            self.mean = self.mean + -math.expm1(-elapsed / MEMORY) * (torque - self.mean)
 
 
 class InputMonitor:

@@ -3,24 +3,29 @@
 A node that dies takes its state with it, and what it has published for late readers, too. The controller
 hears both observers in any case. When one of them falls silent, it publishes once, for late readers:
 
-* ``fault/kept``: the last fault/status;
+* ``fault/kept``: the last fault/status, and, as long as the controller knows by how much imu/data is off
+  without it, that fault in its place, again and again: a fault may change meanwhile;
 * ``gyro/kept``: what imu/corrected last added to the body rate of imu/data [rad/s], minus the gyro bias;
 * ``disturbance/kept``: the last disturbance/estimate.
 
-The stamps are those of the samples they belong to.
+The stamps are those of the last samples that were diagnosed, whatever comes later.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from quadftc_model.rotations import euler_from_quaternion, wrap
 from quadftc_model.samples import STARTING, ImuSample
+from quadftc_model.stepper import seconds
 
 DEPTH = 64  # samples of imu/data of which imu/corrected may still come
+PERIOD = 0.05  # s; over which a fault is averaged when it is seen without diagnosis
 
 
 class Keeper:
@@ -32,12 +37,19 @@ class Keeper:
         Sample of a serialised imu/data.
     states : callable
         State of each axis, of a serialised fault/status.
+    message : callable
+        Message of a serialised fault/status.
     """
 
     def __init__(
-        self, decode: Callable[[bytes], ImuSample], states: Callable[[bytes], tuple[int, ...]]
+        self,
+        decode: Callable[[bytes], ImuSample],
+        states: Callable[[bytes], tuple[int, ...]],
+        message: Callable[[bytes], Any],
     ) -> None:
-        self._decode, self._states = decode, states
+        self._decode, self._states, self._message = decode, states, message
+        self._faults: list[NDArray[np.float64]] = []
+        self._since_ns = 0
         self._raws: deque[tuple[int, bytes]] = deque(maxlen=DEPTH)
         self._newest: tuple[int, ImuSample] | None = None
         self._status: bytes | None = None
@@ -64,8 +76,29 @@ class Keeper:
         except ValueError:
             return True
 
-    def last_words(self) -> tuple[bytes, int, NDArray[np.float64]] | None:
-        """Return the last status (serialised), a stamp [ns] and the correction of the gyro [rad/s] (3,).
+    def fault(self, stamp_ns: int, read: ImuSample, flown: ImuSample) -> NDArray[np.float64] | None:
+        """Note a sample of imu/data [stamp in ns] and what is flown on in its place.
+
+        Returns
+        -------
+        array (3,) or None
+            Every `PERIOD`: by how much imu/data was off, on average [rad].
+        """
+        angles = euler_from_quaternion(read.q_xyzw) - euler_from_quaternion(flown.q_xyzw)
+        elapsed = seconds(stamp_ns - self._since_ns)
+        if elapsed > 2.0 * PERIOD:
+            self._faults.clear()
+        if not self._faults:
+            self._since_ns, elapsed = stamp_ns, 0.0
+        self._faults.append(wrap(angles))
+        if elapsed < PERIOD:
+            return None
+        mean = np.mean(self._faults, axis=0)
+        self._faults.clear()
+        return mean
+
+    def last_words(self) -> tuple[Any, int, NDArray[np.float64]] | None:
+        """Return the last status (message), a stamp [ns] and the correction of the gyro [rad/s] (3,).
 
         None as long as there is none that would help: nothing has been heard, or the observer was starting.
         """
@@ -76,9 +109,9 @@ class Keeper:
         if data is None:
             return None
         try:
-            raw = self._decode(data)
+            raw, status = self._decode(data), self._message(self._status)
         except ValueError:
             return None
         known = raw.rate_valid and corrected.rate_valid
         correction = corrected.body_rate - raw.body_rate if known else np.zeros(3)
-        return (self._status, stamp_ns, correction) if np.all(np.isfinite(correction)) else None
+        return (status, stamp_ns, correction) if np.all(np.isfinite(correction)) else None

@@ -5,10 +5,15 @@ new source differ by a rotation delta (and their body rates by omega_o). From th
 
     q_used = q * exp(w delta / 2),   omega_used = omega + w omega_o
 
-with w = 1 at first. Towards imu/data, delta is the fault as it was last known: it is held for some time,
-as faults mostly last, then given up, as they end. Should imu/data make a step meanwhile that the body rate
-does not explain, then a fault has begun or ended, and delta is found anew. Towards imu/corrected, delta is
-what has come of all that, and is given up at once.
+with w = 1 at first. Towards imu/data:
+
+* where the attitude was faulty, delta is found anew at every sample, so that the body rate alone, less its
+  bias as last known, carries the attitude on, whatever becomes of the fault;
+* where it was not, delta stays, and is found anew should imu/data make a step that the body rate does not
+  explain: then a fault has begun or ended.
+
+That goes on for some time, in which a new observer can come. Then delta is given up, as errors of the body
+rate add up, and faults end. Towards imu/corrected, delta is what has come of all that, given up at once.
 """
 
 from __future__ import annotations
@@ -48,7 +53,20 @@ class Transfer:
         self._used: ImuSample | None = None
         self._stamp_ns = self._since_ns = 0
         self._turn, self._rate = np.zeros(3), np.zeros(3)
-        self._blending = False
+        self._blending = self._reckoning = False
+        self.expect(None, False)
+
+    def expect(self, rate_correction: NDArray[np.float64] | None, faulty: bool) -> None:
+        """Say what is known of imu/data, before it is used in place of imu/corrected.
+
+        Parameters
+        ----------
+        rate_correction : array (3,) or None
+            What the diagnosis has last added to its body rate [rad/s]; None if that is not known.
+        faulty : bool
+            Whether its attitude was faulty.
+        """
+        self._rate_correction, self._faulty = rate_correction, faulty
 
     def used(self, stamp_ns: int, sample: ImuSample, raw: bool) -> ImuSample:
         """Return the sample to fly on.
@@ -66,17 +84,31 @@ class Transfer:
         if before is None or not 0.0 < elapsed <= LONGEST:
             self._blending = False
         elif raw != self._raw:
-            both = before.rate_valid and sample.rate_valid
-            self._rate = before.body_rate - sample.body_rate if both else np.zeros(3)
+            self._rate = self._rate_between(sample, before, raw)
             self._begin(stamp_ns, _turn_between(sample, before, elapsed))
+            self._reckoning = raw and self._faulty
+        elif raw and self._reckoning and sample.rate_valid and self._weight(stamp_ns) == 1.0:
+            self._turn = _turn_between(sample, before, elapsed)
         elif raw:
             turn = _turn_between(self._shifted(stamp_ns, sample), before, elapsed)
             if math.sqrt(turn.dot(turn)) > self.patience.jump:
                 self._rate = self._rate * self._weight(stamp_ns)
                 self._begin(stamp_ns, _turn_between(sample, before, elapsed))
+                self._reckoning = False  # so that it ends, however often the sensor jumps
         self._raw, self._stamp_ns = raw, stamp_ns
         self._used = self._shifted(stamp_ns, sample)
         return self._used
+
+    @property
+    def known(self) -> bool:
+        """Whether imu/data is used, and all it is off by taken off."""
+        return bool(self._raw) and self._weight(self._stamp_ns) == 1.0
+
+    def _rate_between(self, sample: ImuSample, before: ImuSample, raw: bool) -> NDArray[np.float64]:
+        if raw and self._rate_correction is not None:
+            return self._rate_correction
+        both = before.rate_valid and sample.rate_valid
+        return before.body_rate - sample.body_rate if both else np.zeros(3)
 
     def _begin(self, stamp_ns: int, turn: NDArray[np.float64]) -> None:
         self._turn, self._since_ns, self._blending = turn, stamp_ns, True

@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from quadftc_msgs.msg import ControlStatus, FaultStatus
+from rcl_interfaces.srv import GetParameters
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from quadftc_control.controller import Controller, controllers
 from quadftc_control.controller_node import ControllerNode
+from quadftc_control.degraded import HeldTorque
 from quadftc_model.samples import FAULTY, HEALTHY, AttitudeReference, ControllerOutput
 from quadftc_model.vehicle import load_vehicle
 from quadftc_ros.conversions import ReferenceWriter, stamp_of, time_message
@@ -35,14 +38,14 @@ class Pilot:
         self.status = bench.watch_diagnostics()
         bench.connect()
         self.sent, self.waited = 0, 0
-        self.angles = TILT
+        self.angles, self.rates = TILT, (0.0, 0.0, 0.0)
 
     def message(self, topic, angles, stamp_ns):
         if topic == "attitude/reference":
             return ReferenceWriter()(stamp_ns, AttitudeReference(*(np.zeros(3),) * 3))
         if topic == "disturbance/estimate":
             return vector_message(stamp_ns)
-        return imu_message(stamp_ns, angles)
+        return imu_message(stamp_ns, angles, self.rates)
 
     def publish(self, *topics, angles=None):
         """Send what belongs to the next sample on some topics."""
@@ -200,14 +203,30 @@ def test_last_words_of_an_observer_are_kept_for_the_next(bench):
     pilot.send["imu/corrected"](imu_message(last_ns, (0.0, 0.0, 0.0), (0.01, 0.0, 0.0)))
     pilot.sent += 1
     pilot.served()
-    bench.call(Trigger, "controller/reset")  # so that all has been heard
-    for _ in range(50):
-        pilot.publish("imu/data")
+    bench.call(GetParameters, "controller/get_parameters")  # so that all has been heard
+
+    def fly_without_diagnosis():
+        for _ in range(10):
+            pilot.publish("imu/data")
+            pilot.publish("imu/data")
+            pilot.publish("imu/data")
+            pilot.step("imu/data")
+
+    pilot.rates = (0.01, 0.0, 0.0)  # all of it bias
+    fly_without_diagnosis()
     bench.until(lambda: all(kept.values()))
-    assert kept["fault/kept"] == [said]
+    assert kept["fault/kept"][0] == said
     assert stamp_of(kept["gyro/kept"][0]) == last_ns
     assert values(kept["gyro/kept"][0]) == pytest.approx([-0.01, 0.0, 0.0])
     assert values(kept["disturbance/kept"][0]) == [0.7, 0.0, 0.0]
+    # what the fault has become meanwhile shows in the attitude, as the vehicle does not turn
+    changed = pilot.angles = (TILT[0] + 0.1, TILT[1], TILT[2] + 0.05)
+    fly_without_diagnosis()
+    bench.until(lambda: kept["fault/kept"][-1].estimate.x == pytest.approx(changed[0], abs=2e-3))
+    last = kept["fault/kept"][-1]
+    assert last.header == said.header
+    assert last.state.tolist() == [FAULTY, HEALTHY, FAULTY]
+    assert stamp_of(Header(stamp=last.onset[2])) > last_ns
 
 
 def test_disturbance_estimate_that_stops_fades_and_is_told(bench):
@@ -233,12 +252,14 @@ def test_holds_then_gives_up_when_the_imu_stops_and_returns(bench):
     pilot = Pilot(bench, **{"patience.hold": 0.1, "patience.off": 1.5})
     pilot.prime()
     pilot.step()
-    last = values(pilot.torques[-1])
-    assert last != [0.0, 0.0, 0.0]
+    mean = HeldTorque()
+    for message in pilot.torques:
+        mean.add(stamp_of(message), np.array(values(message)))
+    assert mean.mean[0] != 0.0
     bench.until(lambda: pilot.mode() == ControlStatus.MODE_OFF and values(pilot.torques[-1]) == [0.0] * 3)
     assert ControlStatus.MODE_HOLD in {state.mode for state in pilot.states}
     index = [values(message) for message in pilot.torques].index([0.0, 0.0, 0.0])
-    assert values(pilot.torques[index - 1]) == last  # held until then
+    assert values(pilot.torques[index - 1]) == pytest.approx(mean.mean)  # held until then
     said = pilot.until_status("mode", DiagnosticStatus.ERROR)
     assert said.message == "off: no IMU, zero torque"
     pilot.prime()

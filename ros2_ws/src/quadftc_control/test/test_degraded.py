@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from quadftc_control.degraded import InputMonitor, Mode, Patience
+from quadftc_control.degraded import HeldTorque, InputMonitor, Mode, Patience
 
 ESTIMATE = np.array([1.0, -2.0, 0.5])
 SECOND = 1_000_000_000  # ns
@@ -133,3 +133,16 @@ def test_silence_of_the_imu_ends_in_hold_and_then_off(monitor, silence, mode):
 def test_patience_that_gives_up_before_it_holds_is_refused():
     with pytest.raises(ValueError, match=r"off = 0.05 s: must not be less than hold = 0.1 s"):
         Patience(hold=0.1, off=0.05)
+
+
+def test_torque_that_is_held_is_that_of_the_last_samples_without_their_noise():
+    held, noise = HeldTorque(), np.random.default_rng(4)
+    assert held.mean is None
+    for k in range(500):
+        held.add(1 + k * PERIOD, np.array([3.0, 0.0, 0.0]))
+    for k in range(500, 1000):
+        held.add(1 + k * PERIOD, np.array([1.0, -2.0, 0.5]) + noise.standard_normal(3))
+    np.testing.assert_allclose(held.mean, [1.0, -2.0, 0.5], atol=0.5)
+    after_gap = np.array([0.0, 7.0, 0.0])
+    held.add(1 + 2000 * PERIOD, after_gap)
+    np.testing.assert_array_equal(held.mean, after_gap)

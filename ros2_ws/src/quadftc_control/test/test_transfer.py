@@ -7,6 +7,7 @@ from quadftc_control.controllers.ismc import Ismc
 from quadftc_control.degraded import InputMonitor, Patience
 from quadftc_control.transfer import TORQUE_JUMP, Transfer, rotation_vector
 from quadftc_model.rotations import (
+    body_rates,
     euler_from_quaternion,
     quaternion_from_euler,
     quaternion_from_rotation_vector,
@@ -32,7 +33,7 @@ def flight(disturbance, estimated=True):
     Returns the torques and the true angles, (N, 3) each.
     """
     vehicle = load_vehicle("qball_x4")
-    patience = Patience()
+    patience = Patience(correction_hold=1.0)
     law = Ismc(vehicle=vehicle)
     stepper, transfer, monitor = Stepper(law), Transfer(patience), InputMonitor(patience)
     still = AttitudeReference(*(np.zeros(3),) * 3)
@@ -76,6 +77,43 @@ def test_fault_that_ends_or_begins_meanwhile_is_noticed_by_its_step(begins):
     for k in range(1, 400):
         used = transfer.used(1 + k * PERIOD_NS, before if k < 200 else after, raw=True)
         np.testing.assert_allclose(euler_from_quaternion(used.q_xyzw), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("faulty", [True, False])
+def test_attitude_that_was_faulty_is_carried_on_by_the_body_rate(faulty):
+    patience = Patience(correction_hold=4.0, correction_fade=1.0)
+    transfer = Transfer(patience)
+    swing = np.radians([8.0, -5.0, 3.0])  # of a vehicle that moves
+    far, off = [], []
+    for k in range(1600):
+        time = k * DT
+        angles, rates = swing * np.sin(time), swing * np.cos(time)
+        fault = FAULT * (1.0 + np.sin(2.0 * time))  # by up to 6 deg/s
+        truth = sample(angles, body_rates(angles, rates))
+        raw = sample(angles + fault, truth.body_rate + BIAS)
+        lost = k >= 250
+        if k == 250:
+            transfer.expect(-BIAS, faulty)
+        used = transfer.used(1 + k * PERIOD_NS, raw if lost else truth, raw=lost)
+        error = euler_from_quaternion(used.q_xyzw) - angles
+        far.append(np.max(np.abs(error)))
+        off.append(np.max(np.abs(error - fault)))
+        if lost:
+            assert transfer.known == (250 <= k <= 250 + 4.0 / DT)
+    held, given_up = slice(250, 250 + round(4.0 / DT)), slice(250 + round(5.0 / DT), None)
+    assert (np.degrees(np.max(far[held])) < 0.1) == faulty
+    assert np.max(off[given_up]) < 1e-12
+
+
+def test_sensor_that_jumps_all_the_time_does_not_keep_the_attitude_on_the_body_rate_for_ever():
+    transfer = Transfer(Patience(correction_hold=0.5, correction_fade=0.1))
+    level, drift = sample(np.zeros(3), np.zeros(3)), np.radians([1.0, 0.0, 0.0])  # rad/s
+    transfer.used(1, level, raw=False)
+    transfer.expect(np.zeros(3), True)
+    for k in range(1, 2500):
+        shaken = sample(FAULT * (k // 50 % 2), drift)
+        used = transfer.used(1 + k * PERIOD_NS, shaken, raw=True)
+    assert abs(np.degrees(euler_from_quaternion(used.q_xyzw)[0])) < 3.0  # and not the 10 deg of the rate
 
 
 def test_without_a_transfer_samples_are_used_as_they_are():

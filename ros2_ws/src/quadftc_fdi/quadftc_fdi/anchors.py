@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_fdi.error_transition import SIZE, Transition
-from quadftc_fdi.inertial_filter import MEASURED, FilterState, shifted
+from quadftc_fdi.inertial_filter import MEASURED, FilterState, bias_variance, shifted
 from quadftc_model.arrays import Array, any_of, changed_where, namespace, product
 
 OLD, YOUNG = 3, 4  # columns of the residuals; those before are of the filter itself
@@ -56,9 +56,15 @@ def own_variances(P: Array, anchors: Anchors, H: Array) -> Array:
 
 
 def returned(
-    estimate: FilterState, anchors: Anchors, residuals: Array, own: Array, back: Array, far: Array
+    estimate: FilterState,
+    anchors: Anchors,
+    residuals: Array,
+    own: Array,
+    back: Array,
+    far: Array,
+    known: float,
 ) -> tuple[FilterState, Array, Array]:
-    """Go back to an anchor.
+    """Go back to an anchor, unless it is of the time when the gyro bias was still unknown, and now it is not.
 
     Parameters
     ----------
@@ -70,6 +76,8 @@ def returned(
         Of `own_variances`.
     back, far : array (..., 3) bool
         Axes that ask to go back, and to the old anchor; else to the young one: less is lost.
+    known : float
+        Standard deviation up to which a gyro bias is known [rad/s].
 
     Returns
     -------
@@ -78,7 +86,9 @@ def returned(
     xp = namespace(back)
 
     def gone() -> tuple[FilterState, Array, Array]:
-        returns, to_old = any_of(back), any_of(far)
+        most = xp.maximum(known**2, 2.0 * bias_variance(estimate.P))
+        old_knows, young_knows = (bias_variance(anchors.P[..., k, :, :]) <= most for k in (0, 1))
+        returns, to_old = any_of(back) & young_knows, any_of(far) & old_knows
 
         def chosen(now: Array, young: Array, old: Array) -> Array:
             extra = (None,) * (now.ndim - returns.ndim)

@@ -24,11 +24,10 @@ from quadftc_fdi.fault_observer import LastWords, fault_observers
 from quadftc_fdi.handover import Handover
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import (
+    ALARMS,
     AXES,
     FAULT_STATE_NAMES,
-    FAULTY,
     HEALTHY,
-    RECOVERING,
     STARTING,
     FaultEstimate,
     FaultObserverInputs,
@@ -44,8 +43,6 @@ from quadftc_ros.join import TorqueGate
 from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import EARTH_FRAME
 from quadftc_ros.wire import FaultStatusWire, ImuWire, VectorWire, imu_of, vector_of
-
-ALARMS = (FAULTY, RECOVERING)  # told at once; a suspicion may come and go with every sample
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,7 +139,7 @@ class FaultObserverNode(GraphNode):
 
     def _note(self, estimate: FaultEstimate) -> None:
         self._estimate = estimate
-        alarms = tuple(state in ALARMS for state in estimate.state.tolist())
+        alarms = tuple(state in ALARMS for state in estimate.state.tolist())  # suspicions come and go
         if alarms != self._alarms:
             self._alarms = alarms
             self.diagnostics.changed = True
@@ -175,7 +172,7 @@ def _last_words(status: Any, gyro_correction: Floats, stamp_ns: int) -> LastWord
     words = LastWords(
         fault=array_of(status.estimate),
         std_dev=array_of(status.std_dev),
-        faulty=np.isin(status.state, (FAULTY, RECOVERING)),
+        faulty=np.isin(status.state, ALARMS),
         since=np.array([seconds(max(0, stamp_ns - time_ns)) if time_ns else 0.0 for time_ns in onset]),
         gyro_correction=gyro_correction,
     )

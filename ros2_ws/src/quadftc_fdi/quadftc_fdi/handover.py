@@ -16,7 +16,7 @@ class Handover:
 
     def __init__(self) -> None:
         self._first_ns = self._newest_ns = self._words_ns = 0
-        self._waiting = False
+        self._waiting = self._done = False
 
     def heard(self, stamp_ns: int) -> None:
         """Note that last words have come, of a stamp [ns]."""
@@ -25,7 +25,7 @@ class Handover:
     def sampled(self, stamp_ns: int) -> None:
         """Note a sample [ns]; after a gap over which nothing can be carried it is the first again."""
         if not self._first_ns or abs(seconds(stamp_ns - self._newest_ns)) > MAX_GAP:
-            self._first_ns = stamp_ns
+            self._first_ns, self._done = stamp_ns, False
         self._newest_ns = stamp_ns
 
     def forget(self) -> None:
@@ -34,8 +34,9 @@ class Handover:
 
     def due(self) -> bool:
         """Whether to use the last words at the sample noted; afterwards, call `forget_words`."""
-        return self._waiting and 0.0 < seconds(self._first_ns - self._words_ns) <= LONGEST
+        begun_later = 0.0 < seconds(self._first_ns - self._words_ns) <= LONGEST
+        return self._waiting and not self._done and begun_later
 
     def forget_words(self) -> None:
-        """They were used."""
-        self._waiting = False
+        """They were used: what comes of the same loss later is not."""
+        self._waiting, self._done = False, True

@@ -111,6 +111,8 @@ def test_last_words_are_used_once_by_who_began_after_them():
     assert handover.due()
     handover.forget_words()
     assert not handover.due()
+    handover.heard(FIRST_NS - 2_999_000_000)  # of the same loss
+    assert not handover.due()
     handover.heard(FIRST_NS + PERIOD_NS)  # its own
     handover.sampled(FIRST_NS + 10 * PERIOD_NS)
     assert not handover.due()

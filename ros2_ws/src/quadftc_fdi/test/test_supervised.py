@@ -106,6 +106,15 @@ def test_a_fault_is_detected_on_its_axis_alone_estimated_and_over(faults, kind, 
     assert not faulty[time > 27.0].any()
 
 
+@pytest.mark.parametrize("start", [3.5, 5.0])
+def test_a_slow_fault_soon_after_the_start_does_not_cost_what_is_known_of_the_gyro(start):
+    """Going back to a state of the time when its bias was unknown would let the attitude drift away."""
+    fault = a_fault(times(start + 8.0), SHAPES["ramp"][0], axis=1, start=start, stop=start + 6.0)
+    flights = Diagnosed(fault, seed=5)
+    assert np.all(flights.faulty.any(axis=0)[:, 1])
+    assert np.max(np.abs(flights.attitude - flights.angles)[flights.time > start]) < 0.75 * DEG
+
+
 def test_the_attitude_stays_right_through_steps_on_all_axes_at_once():
     time = times(24.0)
     fault = a_fault(time, SHAPES["step"][0]) + 4.0 * DEG * ((time >= 14.0) & (time < 22.0))[:, None, None]

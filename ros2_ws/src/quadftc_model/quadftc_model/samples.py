@@ -21,6 +21,7 @@ STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901
 AXES = ("roll", "pitch", "yaw")  # of what has three elements in attitude
 
 STARTING, HEALTHY, SUSPECT, FAULTY, RECOVERING = range(5)  # fault states, as in quadftc_msgs/FaultStatus
+ALARMS = (FAULTY, RECOVERING)  # a fault is confirmed, and not known to be gone
 FAULT_STATE_NAMES = ("starting", "healthy", "suspect", "faulty", "recovering")
 
 

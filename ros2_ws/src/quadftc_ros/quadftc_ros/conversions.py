@@ -14,7 +14,14 @@ from quadftc_msgs.msg import ControlStatus, FaultStatus
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
-from quadftc_model.samples import AttitudeReference, ControllerOutput, FaultEstimate, ImuSample
+from quadftc_model.samples import (
+    ALARMS,
+    FAULTY,
+    AttitudeReference,
+    ControllerOutput,
+    FaultEstimate,
+    ImuSample,
+)
 from quadftc_ros.topics import BASE_FRAME, EARTH_FRAME, IMU_FRAME
 
 NANOSECONDS = 1_000_000_000  # per second
@@ -196,6 +203,18 @@ class FaultStatusWriter:
             ]
         self._has_onset = has_onset
         return message
+
+
+def revise_status(message: FaultStatus, stamp_ns: int, fault: Floats, certain: float) -> None:
+    """Put another fault (3,) [rad] into a status whose observer is gone; the header stays as it is.
+
+    An axis that is off by more than ``certain`` [rad] counts as faulty, if it did not, since ``stamp_ns``.
+    """
+    fill_vector(message.estimate, fault)
+    for axis in np.flatnonzero((np.abs(fault) > certain) & ~np.isin(message.state, ALARMS)).tolist():
+        states: Any = message.state
+        onsets: Any = message.onset
+        states[axis], onsets[axis] = FAULTY, time_message(stamp_ns)
 
 
 class ControlStatusWriter:

@@ -136,6 +136,17 @@ def fault_states_of(data: bytes) -> tuple[int, ...]:
         raise ValueError(f"not a FaultStatus: {len(data)} bytes") from None
 
 
+def fault_status_of(data: bytes) -> FaultStatus:
+    """Message of a serialised FaultStatus.
+
+    Raises
+    ------
+    ValueError
+        If it is none.
+    """
+    return _whole(data, FaultStatus)
+
+
 def _whole(data: bytes, message_class: type) -> Any:
     """Message of bytes that may be in any encoding."""
     try:

@@ -85,7 +85,7 @@ def fuzz(
 
 @app.command()
 def nodes(
-    trials: TrialsOption = 34,
+    trials: TrialsOption = 51,
     seed: SeedOption = 1,
     only: Annotated[str, typer.Option(help="Only what has this in its name: node, action, stress.")] = "",
     keep: Annotated[Path | None, typer.Option(metavar="DIR", help="Keep bags of flights gone wrong.")] = None,

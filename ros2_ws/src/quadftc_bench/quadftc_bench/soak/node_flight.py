@@ -28,8 +28,15 @@ from quadftc_ros.scheduling import ORDINARY, Scheduling, SchedulingError, schedu
 KILL, STOP, STALL = "killed (SIGKILL)", "stopped for 0.5 s", "stalled 20 ms, ten times"
 LOSE, HOLD_BACK = "5 % of all messages lost", "5 % of all messages 20 ms late"
 ACTIONS = (KILL, STOP, STALL)
-SENSOR_FAULT, DISTURBANCE = "sensor fault", "disturbance"
-STRESSES = (SENSOR_FAULT, DISTURBANCE)
+SENSOR_FAULT, CHANGING_FAULT, DISTURBANCE = "sensor fault", "changing fault", "disturbance"
+FAULTS = {
+    SENSOR_FAULT: ("kind: bias, axes: roll, value: 2 deg", "kind: bias, axes: pitch, value: -3 deg"),
+    CHANGING_FAULT: (
+        "kind: sine, axes: roll, amplitude: 3 deg, frequency: 0.8 rad/s",
+        "kind: drift, axes: pitch, rate: -0.3 deg/s",
+    ),
+}
+STRESSES = (*FAULTS, DISTURBANCE)
 NODES = ("fault_observer", "disturbance_observer", "controller", "reference", "fault_injector")
 NETWORK = "all"
 RELAYED = (
@@ -71,7 +78,7 @@ class Hit:
     action : str
         `KILL`, `STOP` or `STALL`; `LOSE` or `HOLD_BACK` of the network, one of them in a flight at most.
     stress : str
-        What acts meanwhile: `SENSOR_FAULT` or `DISTURBANCE`.
+        What acts meanwhile, one of `STRESSES`.
     """
 
     node: str
@@ -105,11 +112,8 @@ def scenario_of(hits: Sequence[Hit], seed: int) -> Scenario:
     faults, disturbances = [], []
     for k, hit in enumerate(hits):
         times = f"start: {START + WINDOW * k:g} s, stop: {START + WINDOW * k + ACTS:g} s"
-        if hit.stress == SENSOR_FAULT:
-            faults += [
-                f"  - {{kind: bias, channel: attitude, axes: roll, value: 2 deg, {times}}}",
-                f"  - {{kind: bias, channel: attitude, axes: pitch, value: -3 deg, {times}}}",
-            ]
+        if hit.stress in FAULTS:
+            faults += [f"  - {{{fault}, channel: attitude, {times}}}" for fault in FAULTS[hit.stress]]
         else:
             amplitude = "[0.05 N m, 0.04 N m, 0.015 N m]"
             disturbances.append(f"  - {{kind: constant, amplitude: {amplitude}, {times}}}")

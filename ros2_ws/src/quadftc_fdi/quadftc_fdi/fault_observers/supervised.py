@@ -214,7 +214,7 @@ class Supervised(FaultObserver):
         )
         late = found.alarm & ~found.sudden
         estimate, residual, own = returned(
-            estimate, anchors, sample.residuals, sample.sizes.own, late, found.slow
+            estimate, anchors, sample.residuals, sample.sizes.own, late, found.slow, STARTED
         )
         faulty = state.faulty | found.alarm
         bias = bias_variance(estimate.P)
