@@ -34,7 +34,7 @@ from quadftc_model.samples import (
     sanitised,
 )
 from quadftc_model.stepper import Stepper, seconds, warm_up
-from quadftc_ros.conversions import Floats, is_finite, revise_status
+from quadftc_ros.conversions import Floats, array_of, is_finite, revise_status
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import StampJoin
@@ -166,7 +166,7 @@ class ControllerNode(GraphNode):
         had_diagnosis = not self._monitor.undiagnosed
         if self._monitor.use_raw(stamp_ns):
             if had_diagnosis:
-                self._keep_diagnosis()
+                self._keep_diagnosis(stamp_ns)
             self._on_fallback(stamp_ns, data)
 
     def _on_uncorrected(self, stamp_ns: int, imu: ImuSample) -> None:
@@ -176,14 +176,15 @@ class ControllerNode(GraphNode):
         else:
             self.diagnostics.count("imu/data: no attitude")
 
-    def _keep_diagnosis(self) -> None:
+    def _keep_diagnosis(self, stamp_ns: int) -> None:
         """Publish what a fault observer that is started again needs to go on, and do without one."""
-        words, self._words = self._keeper.last_words(), None
-        self._transfer.expect(None, False)
+        words, self._words = self._keeper.last_words(stamp_ns), None
+        self._transfer.expect(None, None)
         if words is not None:
-            self._words, stamp_ns, correction = words
-            self._transfer.expect(correction, bool(np.isin(self._words.state, ALARMS).any()))
-            self._keep_gyro(self._body(stamp_ns, correction))
+            self._words, last_ns, correction = words
+            fault = array_of(self._words.estimate) * np.isin(self._words.state, ALARMS)
+            self._transfer.expect(correction, fault if fault.any() and is_finite(fault) else None)
+            self._keep_gyro(self._body(last_ns, correction))
             self._keep_status(self._words)
 
     def _keep_fault(self, stamp_ns: int, read: ImuSample, flown: ImuSample) -> None:

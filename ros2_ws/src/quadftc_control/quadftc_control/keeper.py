@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from quadftc_model.rotations import euler_from_quaternion, wrap
 from quadftc_model.samples import STARTING, ImuSample
-from quadftc_model.stepper import seconds
+from quadftc_model.stepper import MAX_GAP, seconds
 
 DEPTH = 64  # samples of imu/data of which imu/corrected may still come
 PERIOD = 0.05  # s; over which a fault is averaged when it is seen without diagnosis
@@ -97,14 +97,17 @@ class Keeper:
         self._faults.clear()
         return mean
 
-    def last_words(self) -> tuple[Any, int, NDArray[np.float64]] | None:
-        """Return the last status (message), a stamp [ns] and the correction of the gyro [rad/s] (3,).
+    def last_words(self, now_ns: int) -> tuple[Any, int, NDArray[np.float64]] | None:
+        """Return the last status (message), its stamp [ns] and the correction of the gyro [rad/s] (3,).
 
-        None as long as there is none that would help: nothing has been heard, or the observer was starting.
+        None if there is none that would help at a sample of imu/data [stamp in ns]: nothing has been heard,
+        the observer was starting, or there was no imu/data for so long that all laws start anew.
         """
         if self._status is None or self._newest is None or self.starting:
             return None
         stamp_ns, corrected = self._newest
+        if seconds(now_ns - stamp_ns) > MAX_GAP:
+            return None
         data = next((data for each_ns, data in self._raws if each_ns == stamp_ns), None)
         if data is None:
             return None

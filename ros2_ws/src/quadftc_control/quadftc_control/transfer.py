@@ -1,18 +1,19 @@
 """Going over from one IMU to another without a jump: what the controller flies on is continuous.
 
 At the sample from which another source is used, the attitude used so far, turned on by the body rate, and the
-new source differ by a rotation delta (and their body rates by omega_o). From then on
+new source differ by a rotation delta, and their body rates by omega_o. From then on
 
-    q_used = q * exp(w delta / 2),   omega_used = omega + w omega_o
+    q_used = q * exp(w delta / 2),   omega_used = omega + w_o omega_o
 
-with w = 1 at first. Towards imu/data:
+with w = 1 at first. Towards imu/data, omega_o is what the diagnosis had last added to it (minus the gyro
+bias), and stays, w_o = 1. As to delta,
 
-* where the attitude was faulty, delta is found anew at every sample, so that the body rate alone, less its
-  bias as last known, carries the attitude on, whatever becomes of the fault;
-* where it was not, delta stays, and is found anew should imu/data make a step that the body rate does not
-  explain: then a fault has begun or ended.
+* where the attitude was faulty, it is found anew at every sample, so that the body rate alone carries the
+  attitude on, whatever becomes of the fault; after a gap in imu/data it begins with the fault as last known;
+* where it was not, it is given up at once, and found anew should imu/data make a step that the body rate does
+  not explain: then a fault has begun.
 
-That goes on for some time, in which a new observer can come. Then delta is given up, as errors of the body
+A fault is taken off so for some time, in which a new observer can come, then given up, as errors of the body
 rate add up, and faults end. Towards imu/corrected, delta is what has come of all that, given up at once.
 """
 
@@ -24,14 +25,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_control.degraded import Patience
-from quadftc_model.rotations import normalise, quaternion_from_rotation_vector, quaternion_product
+from quadftc_model.rotations import (
+    euler_from_quaternion,
+    normalise,
+    quaternion_from_euler,
+    quaternion_from_rotation_vector,
+    quaternion_product,
+)
 from quadftc_model.samples import ImuSample
-from quadftc_model.stepper import seconds
+from quadftc_model.stepper import MAX_GAP, seconds
 
 # Share of the authority of an axis by which the torque may change from sample to sample because a node was
 # lost or came back, beyond what it changes by otherwise; held by tests.
 TORQUE_JUMP = 0.10
-LONGEST = 0.1  # s; over a longer gap there is nothing to go on from
+LONGEST = 0.1  # s; over a longer gap the body rate carries nothing on
 _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
@@ -53,20 +60,20 @@ class Transfer:
         self._used: ImuSample | None = None
         self._stamp_ns = self._since_ns = 0
         self._turn, self._rate = np.zeros(3), np.zeros(3)
-        self._blending = self._reckoning = False
-        self.expect(None, False)
+        self._blending = self._held = self._reckoning = self._rate_stays = False
+        self.expect(None, None)
 
-    def expect(self, rate_correction: NDArray[np.float64] | None, faulty: bool) -> None:
+    def expect(self, rate_correction: NDArray[np.float64] | None, fault: NDArray[np.float64] | None) -> None:
         """Say what is known of imu/data, before it is used in place of imu/corrected.
 
         Parameters
         ----------
         rate_correction : array (3,) or None
             What the diagnosis has last added to its body rate [rad/s]; None if that is not known.
-        faulty : bool
-            Whether its attitude was faulty.
+        fault : array (3,) or None
+            Fault of its attitude, as last known [rad]; None if there was none.
         """
-        self._rate_correction, self._faulty = rate_correction, faulty
+        self._rate_correction, self._fault = rate_correction, fault
 
     def used(self, stamp_ns: int, sample: ImuSample, raw: bool) -> ImuSample:
         """Return the sample to fly on.
@@ -80,56 +87,81 @@ class Transfer:
         raw : bool
             Whether it is of imu/data, else of imu/corrected.
         """
-        before, elapsed = self._used, seconds(stamp_ns - self._stamp_ns)
-        if before is None or not 0.0 < elapsed <= LONGEST:
-            self._blending = False
-        elif raw != self._raw:
-            self._rate = self._rate_between(sample, before, raw)
-            self._begin(stamp_ns, _turn_between(sample, before, elapsed))
-            self._reckoning = raw and self._faulty
-        elif raw and self._reckoning and sample.rate_valid and self._weight(stamp_ns) == 1.0:
-            self._turn = _turn_between(sample, before, elapsed)
+        elapsed = seconds(stamp_ns - self._stamp_ns)
+        before = self._used if 0.0 < elapsed <= LONGEST else None
+        if raw != self._raw:
+            self._change(stamp_ns, sample, before, elapsed, raw)
+        elif before is None:
+            self._blending &= raw and 0.0 < elapsed <= MAX_GAP
         elif raw:
-            turn = _turn_between(self._shifted(stamp_ns, sample), before, elapsed)
-            if math.sqrt(turn.dot(turn)) > self.patience.jump:
-                self._rate = self._rate * self._weight(stamp_ns)
-                self._begin(stamp_ns, _turn_between(sample, before, elapsed))
-                self._reckoning = False  # so that it ends, however often the sensor jumps
+            self._watch(stamp_ns, sample, before, elapsed)
         self._raw, self._stamp_ns = raw, stamp_ns
         self._used = self._shifted(stamp_ns, sample)
         return self._used
 
     @property
     def known(self) -> bool:
-        """Whether imu/data is used, and all it is off by taken off."""
-        return bool(self._raw) and self._weight(self._stamp_ns) == 1.0
+        """Whether a fault of imu/data is taken off now, all of it."""
+        return bool(self._raw) and self._held and self._weight(self._stamp_ns) == 1.0
 
-    def _rate_between(self, sample: ImuSample, before: ImuSample, raw: bool) -> NDArray[np.float64]:
+    def _change(
+        self, stamp_ns: int, sample: ImuSample, before: ImuSample | None, elapsed: float, raw: bool
+    ) -> None:
+        """Begin with another source."""
+        self._reckoning = raw and self._fault is not None
+        self._rate_stays = raw and self._rate_correction is not None
         if raw and self._rate_correction is not None:
-            return self._rate_correction
-        both = before.rate_valid and sample.rate_valid
-        return before.body_rate - sample.body_rate if both else np.zeros(3)
+            self._rate = self._rate_correction
+        elif before is not None and before.rate_valid and sample.rate_valid:
+            self._rate = before.body_rate - sample.body_rate
+        else:
+            self._rate = np.zeros(3)
+        if before is not None:
+            self._begin(stamp_ns, _turn_between(sample, before, elapsed), held=self._reckoning)
+        elif raw and self._fault is not None:
+            self._begin(stamp_ns, _turn_of(sample, self._fault), held=True)
+        else:
+            self._blending = False
 
-    def _begin(self, stamp_ns: int, turn: NDArray[np.float64]) -> None:
-        self._turn, self._since_ns, self._blending = turn, stamp_ns, True
+    def _watch(self, stamp_ns: int, sample: ImuSample, before: ImuSample, elapsed: float) -> None:
+        """Find anew by what imu/data is off."""
+        if self._reckoning and sample.rate_valid and self._weight(stamp_ns) == 1.0:
+            self._turn = _turn_between(sample, before, elapsed)
+            return
+        turn = _turn_between(self._shifted(stamp_ns, sample), before, elapsed)
+        if math.sqrt(turn.dot(turn)) > self.patience.jump:
+            if not self._rate_stays:
+                self._rate = self._rate * max(0.0, self._weight(stamp_ns))
+            self._begin(stamp_ns, _turn_between(sample, before, elapsed), held=True)
+            self._reckoning = False  # so that it ends, however often the sensor jumps
+
+    def _begin(self, stamp_ns: int, turn: NDArray[np.float64], held: bool) -> None:
+        self._turn, self._since_ns, self._blending, self._held = turn, stamp_ns, True, held
 
     def _shifted(self, stamp_ns: int, sample: ImuSample) -> ImuSample:
-        weight = self._weight(stamp_ns)
-        if weight <= 0.0:
+        weight = max(0.0, self._weight(stamp_ns))
+        if weight > 0.0:
+            turn = quaternion_from_rotation_vector(weight * self._turn)
+            sample = sample._replace(q_xyzw=normalise(quaternion_product(sample.q_xyzw, turn)))
+        else:
             self._blending = False
-            return sample
-        turn = quaternion_from_rotation_vector(weight * self._turn)
-        q_xyzw = normalise(quaternion_product(sample.q_xyzw, turn))
-        return sample._replace(q_xyzw=q_xyzw, body_rate=sample.body_rate + weight * self._rate)
+        share = 1.0 if self._rate_stays else weight
+        return sample._replace(body_rate=sample.body_rate + share * self._rate) if share else sample
 
     def _weight(self, stamp_ns: int) -> float:
         """Return w at a stamp [ns]; not positive once the difference is given up."""
         if not self._blending:
             return 0.0
         elapsed = seconds(stamp_ns - self._since_ns)
-        if self._raw:
+        if self._held:
             return min(1.0, 1.0 - (elapsed - self.patience.correction_hold) / self.patience.correction_fade)
         return 1.0 - elapsed / self.patience.blend
+
+
+def _turn_of(sample: ImuSample, fault: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotation vector [rad] (3,) from a sample to what it would be without a fault (3,) [rad]."""
+    right = quaternion_from_euler(euler_from_quaternion(sample.q_xyzw) - fault)
+    return rotation_vector(quaternion_product(sample.q_xyzw * _CONJUGATE, right))
 
 
 def _turn_between(sample: ImuSample, before: ImuSample, elapsed: float) -> NDArray[np.float64]:

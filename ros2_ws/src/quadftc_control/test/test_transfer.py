@@ -42,6 +42,8 @@ def flight(disturbance, estimated=True):
         stamp_ns = 1_000_000_000 + k * PERIOD_NS
         raw = LOST <= k < BACK
         read = sample(angles + FAULT * raw, rate + BIAS * raw)
+        if k == LOST:
+            transfer.expect(-BIAS, FAULT)
         if not raw or estimated:
             monitor.estimated(stamp_ns, disturbance)
         used = transfer.used(stamp_ns, read, raw)
@@ -74,6 +76,7 @@ def test_fault_that_ends_or_begins_meanwhile_is_noticed_by_its_step(begins):
     level, off = sample(np.zeros(3), np.zeros(3)), sample(FAULT, np.zeros(3))
     before, after = (level, off) if begins else (off, level)
     transfer.used(1, level, raw=False)
+    transfer.expect(np.zeros(3), None if begins else FAULT)
     for k in range(1, 400):
         used = transfer.used(1 + k * PERIOD_NS, before if k < 200 else after, raw=True)
         np.testing.assert_allclose(euler_from_quaternion(used.q_xyzw), 0.0, atol=1e-12)
@@ -93,13 +96,14 @@ def test_attitude_that_was_faulty_is_carried_on_by_the_body_rate(faulty):
         raw = sample(angles + fault, truth.body_rate + BIAS)
         lost = k >= 250
         if k == 250:
-            transfer.expect(-BIAS, faulty)
+            transfer.expect(-BIAS, FAULT if faulty else None)
         used = transfer.used(1 + k * PERIOD_NS, raw if lost else truth, raw=lost)
         error = euler_from_quaternion(used.q_xyzw) - angles
         far.append(np.max(np.abs(error)))
         off.append(np.max(np.abs(error - fault)))
         if lost:
-            assert transfer.known == (250 <= k <= 250 + 4.0 / DT)
+            assert transfer.known == (faulty and k <= 250 + 4.0 / DT)
+        np.testing.assert_allclose(used.body_rate, truth.body_rate, atol=1e-12)
     held, given_up = slice(250, 250 + round(4.0 / DT)), slice(250 + round(5.0 / DT), None)
     assert (np.degrees(np.max(far[held])) < 0.1) == faulty
     assert np.max(off[given_up]) < 1e-12
@@ -109,7 +113,7 @@ def test_sensor_that_jumps_all_the_time_does_not_keep_the_attitude_on_the_body_r
     transfer = Transfer(Patience(correction_hold=0.5, correction_fade=0.1))
     level, drift = sample(np.zeros(3), np.zeros(3)), np.radians([1.0, 0.0, 0.0])  # rad/s
     transfer.used(1, level, raw=False)
-    transfer.expect(np.zeros(3), True)
+    transfer.expect(np.zeros(3), FAULT)
     for k in range(1, 2500):
         shaken = sample(FAULT * (k // 50 % 2), drift)
         used = transfer.used(1 + k * PERIOD_NS, shaken, raw=True)
@@ -127,6 +131,7 @@ def test_weight_is_held_fades_and_ends():
     transfer = Transfer(Patience(correction_hold=1.0, correction_fade=2.0))
     good, bad = sample(np.zeros(3), np.zeros(3)), sample(FAULT, np.zeros(3))
     transfer.used(1, good, raw=False)
+    transfer.expect(None, FAULT)
     seen = {}
     for k in range(1, 1000):
         used = transfer.used(1 + k * PERIOD_NS, bad, raw=True)
@@ -142,6 +147,30 @@ def test_after_a_long_silence_the_sample_is_taken_as_it_is():
     transfer.used(1, sample(np.zeros(3), np.zeros(3)), raw=False)
     given = sample(FAULT, BIAS)
     assert transfer.used(200_000_001, given, raw=True) is given
+
+
+def test_after_a_gap_the_fault_as_last_known_is_taken_off():
+    transfer = Transfer(Patience())
+    transfer.used(1, sample(np.zeros(3), np.zeros(3)), raw=False)
+    transfer.expect(-BIAS, FAULT)
+    angles = np.radians([1.0, 2.0, -3.0])  # to which it has turned in the gap
+    for k in range(10):
+        used = transfer.used(500_000_001 + k * PERIOD_NS, sample(angles + FAULT, BIAS), raw=True)
+        np.testing.assert_allclose(euler_from_quaternion(used.q_xyzw), angles, atol=1e-12)
+        np.testing.assert_allclose(used.body_rate, 0.0, atol=1e-12)
+
+
+def test_imu_that_was_healthy_is_used_as_it_is_at_once_but_for_its_gyro_bias():
+    transfer = Transfer(Patience(blend=0.2))
+    transfer.used(1, sample(np.zeros(3), np.zeros(3)), raw=False)
+    transfer.expect(-BIAS, None)
+    off = np.radians([0.3, -0.2, 0.1])  # by noise
+    seen = [transfer.used(1 + k * PERIOD_NS, sample(off, BIAS), raw=True) for k in range(1, 500)]
+    angles = np.array([euler_from_quaternion(each.q_xyzw) for each in seen])
+    np.testing.assert_allclose(angles[0], 0.0, atol=1e-12)
+    assert np.max(np.abs(np.diff(angles, axis=0))) < np.max(np.abs(off)) / 40
+    np.testing.assert_allclose(angles[60:], np.tile(off, (439, 1)), atol=1e-12)
+    np.testing.assert_allclose([each.body_rate for each in seen], 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 3.0])

@@ -170,6 +170,27 @@ def test_missing_attitudes_are_bridged():
     assert np.all(np.isfinite(flown.estimate))
 
 
+def test_missing_samples_in_a_tumble_raise_no_alarm():
+    """What the body rate was in between is a guess, and far off."""
+    rng = np.random.default_rng(3)
+    time = np.concatenate([times(0.4), 0.6 + times(2.0), 2.9 + times(2.0)])
+    size, w = np.array([1.2, 0.4, 1.0]), np.array([2.5, 3.5, 2.0])
+    angles = size * np.sin(w * time[:, None])
+    rates = np.array([0.01, -0.01, 0.01]) + body_rates(angles, size * w * np.cos(w * time[:, None]))
+    attitude = quaternion_product(
+        quaternion_from_euler(angles),
+        quaternion_from_rotation_vector(0.1 * DEG * rng.standard_normal(angles.shape)),
+    )
+    observer, state, zeros, there = Supervised(vehicle=QBALL, **SIMULATED), None, np.zeros(3), np.bool_(True)
+    seen: set[int] = set()
+    for k, dt in enumerate(np.diff(time, prepend=time[0])):
+        inputs = FaultObserverInputs(ImuSample(attitude[k], rates[k], zeros, there, there, there), zeros)
+        state = observer.init(inputs) if state is None else state
+        state, estimate = observer.step(state, inputs, float(dt))
+        seen |= set(estimate.state.tolist())
+    assert seen <= {STARTING, HEALTHY}
+
+
 def test_a_fault_from_the_start_does_not_lock_it_out():
     """Taken for the attitude; at its end it looks like a new fault, which stands still and is given up."""
     time = times(30.0)

@@ -30,12 +30,12 @@ SILENT = 0.2  # s; a topic that has a gap as long had lost its node
 AWAKE = 0.02  # s; between two torques of a controller that runs
 TIMEOUT, NOTICE = 0.5, 0.5  # s; of torques and of the IMU, and for it to be said
 FLOWN = (Mode.FULL, Mode.NO_DIAGNOSIS, Mode.NO_DISTURBANCE_ESTIMATE)
-OUTPUTS = {
-    "fault_observer": "imu/corrected",
-    "disturbance_observer": "disturbance/estimate",
-    "controller": "torque/command",
-    "reference": "attitude/reference",
-    "fault_injector": "imu/data",
+OUTPUTS = {  # by which a node is heard; others may hear it before the recorder does, and answer
+    "fault_observer": ("imu/corrected",),
+    "disturbance_observer": ("disturbance/estimate",),
+    "controller": ("control/status",),
+    "reference": ("attitude/reference",),
+    "fault_injector": ("imu/data", "imu/corrected"),
 }
 NANOSECONDS = 1e9
 
@@ -128,9 +128,8 @@ class Judge:
 
     def _back(self, node: str, begin_ns: int, until_ns: int) -> tuple[float, float]:
         """When a killed node was heard again [ns], and how long it was away [s]."""
-        times = self._bag.series(OUTPUTS[node]).log_time_ns
-        if node == "controller":  # which the plant hears; others are silent without torques, or not
-            times = self._bag.series("control/status").log_time_ns
+        heard = OUTPUTS[node]
+        times = np.sort(np.concatenate([self._bag.series(topic).log_time_ns for topic in heard]))
         times = times[times >= begin_ns]
         times = np.concatenate([[begin_ns], times])
         gaps = np.flatnonzero(np.diff(times) > SILENT * NANOSECONDS)

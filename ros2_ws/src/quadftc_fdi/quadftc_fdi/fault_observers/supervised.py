@@ -83,6 +83,9 @@ MOVED = 8.0  # s; how long it counts as moving afterwards (time constant)
 FADING = (
     2.0  # s; in which a gyro bias just found leaves the corrected rate: at once, it would jolt the flight
 )
+# s; over a longer one, what the rate was between its two samples is guessed, and what is off by that is not
+# averaged with what follows
+GAP = 0.03
 SHOWN = 0.3  # 1; share of the recovery time from which an axis is shown as recovering
 # what a wrong rotation has made wrong: itself, the bias by as much at a rate of 0.1 rad/s, the alignment
 DOUBTED = np.diag([1.0] * 3 + [0.1**2] * 3 + [1.0] * 9 + [0.0])
@@ -236,7 +239,7 @@ class Supervised(FaultObserver):
         used = valid & ~faulty & ~found.suspect
         estimate, dx = updated(estimate, sample.H, residual, variance, used)
         anchors, rolled = renewed(anchors, estimate.P, dx, anew, any_of(found.suspect), dt, self.anchor_age)
-        tests = begun_anew(tests, rolled, faulty | again | anew)
+        tests = begun_anew(tests, rolled, faulty | again | anew | (dt > GAP))
         starting = bias > STARTED**2
         raw = xp.where(starting, state.raw, state.raw * exp(-dt / FADING))
         new = SupervisedState(estimate, anchors, gyro, activity, motion, tests, faulty, track, raw)
@@ -247,6 +250,8 @@ class Supervised(FaultObserver):
     ) -> tuple[FilterState, Anchors]:
         """Filter and anchors, turned by the gyro to the sample."""
         walk = (self.gyro_noise**2 + (self.gyro_moving * norm(gyro)) ** 2) * dt
+        guessed = 0.5 * norm(gyro - state.gyro) + 0.1 * norm(gyro)  # how far off the rate may be in a gap
+        walk = walk + (dt > GAP) * (guessed * dt) ** 2
         shift = self.gyro_bias_walk**2 * dt + self.gyro_shift**2 * abs(motion - state.motion)
         noise = process_noise(walk, shift)
         estimate, F = propagated(state.filter, 0.5 * (gyro + state.gyro), noise, dt)
