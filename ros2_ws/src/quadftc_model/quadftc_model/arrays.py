@@ -109,12 +109,14 @@ def any_of(mask: Array) -> Array:
     return mask.any(axis=-1, keepdims=True)
 
 
-def changed_where(mask: Array, change: Callable[[], T], unchanged: T) -> T:
+def changed_where(mask: Array | bool, change: Callable[[], T], unchanged: T) -> T:
     """Return ``change()``, which must equal ``unchanged`` if ``mask`` is false everywhere.
 
     Then NumPy saves the work: most of the time nothing happens. Other libraries, whose masks may have no
     values yet, always do it.
     """
+    if isinstance(mask, bool):
+        return change() if mask else unchanged
     if is_single(mask):
         return change() if True in mask.tolist() else unchanged
     if isinstance(mask, (np.ndarray, np.bool_)) and not mask.any():  # pyright: ignore[reportUnknownMemberType]

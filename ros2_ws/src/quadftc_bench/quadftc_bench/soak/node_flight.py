@@ -31,9 +31,11 @@ ACTIONS = (KILL, STOP, STALL)
 SENSOR_FAULT, CHANGING_FAULT, DISTURBANCE = "sensor fault", "changing fault", "disturbance"
 FAULTS = {
     SENSOR_FAULT: ("kind: bias, axes: roll, value: 2 deg", "kind: bias, axes: pitch, value: -3 deg"),
-    CHANGING_FAULT: (
-        "kind: sine, axes: roll, amplitude: 3 deg, frequency: 0.8 rad/s",
-        "kind: drift, axes: pitch, rate: -0.3 deg/s",
+    CHANGING_FAULT: (  # by steps, that it is found at once: how soon is not the question here
+        "kind: bias, axes: roll, value: 2 deg",
+        "kind: sine, axes: roll, amplitude: 1.5 deg, frequency: 1 rad/s",
+        "kind: bias, axes: pitch, value: -2 deg",
+        "kind: drift, axes: pitch, rate: -0.2 deg/s",
     ),
 }
 STRESSES = (*FAULTS, DISTURBANCE)

@@ -250,10 +250,14 @@ class Supervised(FaultObserver):
     ) -> tuple[FilterState, Anchors]:
         """Filter and anchors, turned by the gyro to the sample."""
         walk = (self.gyro_noise**2 + (self.gyro_moving * norm(gyro)) ** 2) * dt
-        guessed = 0.5 * norm(gyro - state.gyro) + 0.1 * norm(gyro)  # how far off the rate may be in a gap
-        walk = walk + (dt > GAP) * (guessed * dt) ** 2
+
+        def guessed() -> Array:  # how far off the rate may be in a gap
+            off = 0.5 * norm(gyro - state.gyro) + 0.1 * norm(gyro)
+            return walk + (dt > GAP) * (off * dt) ** 2
+
+        walked = changed_where(dt > GAP, guessed, walk)
         shift = self.gyro_bias_walk**2 * dt + self.gyro_shift**2 * abs(motion - state.motion)
-        noise = process_noise(walk, shift)
+        noise = process_noise(walked, shift)
         estimate, F = propagated(state.filter, 0.5 * (gyro + state.gyro), noise, dt)
         return estimate, carried(state.anchors, F, noise)
 
