@@ -1,7 +1,7 @@
 """What the controller keeps for observers that die: their last words, for those started in their place.
 
 A node that dies takes its state with it, and what it has published for late readers, too. The controller
-hears both observers in any case. When one of them falls silent, it publishes once, for late readers:
+hears both observers in any case. When one of them falls silent, it publishes, for late readers:
 
 * ``fault/kept``: the last fault/status, and, as long as the controller knows by how much imu/data is off
   without it, that fault in its place, again and again: a fault may change meanwhile;

@@ -83,9 +83,9 @@ MOVED = 8.0  # s; how long it counts as moving afterwards (time constant)
 FADING = (
     2.0  # s; in which a gyro bias just found leaves the corrected rate: at once, it would jolt the flight
 )
-# s; over a longer one, what the rate was between its two samples is guessed, and what is off by that is not
+# s; longer than the period of any IMU: what the rate was in it is guessed, and what is off by that is not
 # averaged with what follows
-GAP = 0.03
+GAP = 0.15
 SHOWN = 0.3  # 1; share of the recovery time from which an axis is shown as recovering
 # what a wrong rotation has made wrong: itself, the bias by as much at a rate of 0.1 rad/s, the alignment
 DOUBTED = np.diag([1.0] * 3 + [0.1**2] * 3 + [1.0] * 9 + [0.0])
