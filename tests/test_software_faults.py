@@ -41,7 +41,7 @@ NODES = {
 
 
 def test_flight_goes_on_when_nodes_are_killed_and_stopped():
-    """Observers killed, while a sensor fault acts and in a disturbance; a controller stopped."""
+    """Observers killed, while a sensor fault changes and in a disturbance; a controller stopped."""
     hits = [
         Hit("fault_observer", KILL, CHANGING_FAULT),
         Hit("disturbance_observer", KILL, DISTURBANCE),

@@ -267,8 +267,8 @@ class ControllerNode(GraphNode):
         mode = self._monitor.silence(seconds(now_ns - self._silent_since_ns))
         if mode is Mode.FULL or not self._stamp_ns:
             return
-        torque = self._held.mean if mode is Mode.HOLD else None
-        self._say(self._stamp_ns, _nothing_but(np.zeros(3) if torque is None else torque), mode, 0.0)
+        torque = self._held.mean if mode is Mode.HOLD else np.zeros(3)
+        self._say(self._stamp_ns, _nothing_but(torque), mode, 0.0)
 
 
 def _nothing_but(torque: Floats) -> ControllerOutput:

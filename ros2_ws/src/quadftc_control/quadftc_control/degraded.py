@@ -92,17 +92,15 @@ class HeldTorque:
     """
 
     def __init__(self) -> None:
-        self.mean: NDArray[np.float64] | None = None  # (3,) [N m]; None before the first
+        self.mean = np.zeros(3)  # [N m]
         self._stamp_ns = 0
 
     def add(self, stamp_ns: int, torque: NDArray[np.float64]) -> None:
         """Note the torque (3,) [N m] of a sample [ns]; what is older than a gap does not count."""
         elapsed = seconds(stamp_ns - self._stamp_ns)
         self._stamp_ns = stamp_ns
-        if self.mean is None or not 0.0 < elapsed <= MEMORY:
-            self.mean = torque
-        else:
-            self.mean = self.mean + -math.expm1(-elapsed / MEMORY) * (torque - self.mean)
+        share = -math.expm1(-elapsed / MEMORY) if 0.0 < elapsed <= MEMORY else 1.0
+        self.mean = self.mean + share * (torque - self.mean)
 
 
 class InputMonitor:

@@ -113,7 +113,7 @@ def changed_where(mask: Array | bool, change: Callable[[], T], unchanged: T) -> 
     """Return ``change()``, which must equal ``unchanged`` if ``mask`` is false everywhere.
 
     Then NumPy saves the work: most of the time nothing happens. Other libraries, whose masks may have no
-    values yet, always do it.
+    values yet, always do it. ``mask`` is an array (..., n), or one bool for all.
     """
     if isinstance(mask, bool):
         return change() if mask else unchanged
