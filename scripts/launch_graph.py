@@ -72,8 +72,8 @@ def node_parameters_of(options: argparse.Namespace) -> dict[str, dict[str, Any]]
     ValueError
         If file or scenario are wrong.
     """
-    from quadftc_bench.graph_plan import parameters_from_file
-    from quadftc_bench.scenario import find_scenario, load_scenario, node_parameters
+    from quadftc_flight.graph.plan import parameters_from_file
+    from quadftc_flight.scenario import find_scenario, load_scenario, node_parameters
 
     if options.scenario:
         loaded = load_scenario(find_scenario(options.scenario), gains=options.gains)
@@ -96,8 +96,8 @@ def reach() -> str:
 
 def launch(options: argparse.Namespace) -> int:
     """Run the graph; return the exit code."""
-    from quadftc_bench.graph_plan import GraphError, GraphPlan, check_respawn, check_scheduling
-    from quadftc_bench.run import GRAPHS
+    from quadftc_flight.graph.plan import GraphError, GraphPlan, check_respawn, check_scheduling
+    from quadftc_flight.runs import GRAPHS
     from quadftc_ros.executor import StopSignals
     from quadftc_ros.scheduling import Scheduling
 
@@ -137,7 +137,7 @@ def main() -> int:
         os.environ[RANGE] = "SUBNET"
     else:
         os.environ.setdefault(RANGE, "LOCALHOST")
-    if importlib.util.find_spec("quadftc_bench") is None:
+    if importlib.util.find_spec("quadftc_cli") is None:
         arguments = ["bash", "-c", ENTER, "bash", str(ROOT), str(Path(__file__).resolve()), *sys.argv[1:]]
         os.execvp("bash", arguments)
     try:

@@ -12,7 +12,7 @@ SCENARIOS = Path(__file__).parent / "scenarios"
 @pytest.fixture(scope="session")
 def busy_scenario():
     """Two seconds in which everything happens at once: noise, a late sensor, every fault, dropouts."""
-    from quadftc_bench.scenario import load_scenario
+    from quadftc_flight.scenario import load_scenario
 
     return load_scenario(SCENARIOS / "busy.yaml")
 
@@ -20,7 +20,7 @@ def busy_scenario():
 @pytest.fixture(scope="session")
 def fly_graph(tmp_path_factory):
     """Fly a scenario through the real graph, once for each set of arguments; return its run directory."""
-    from quadftc_bench.run import RunOptions, prepare, run, run_name
+    from quadftc_flight.runs import RunOptions, prepare, run, run_name
 
     flown = {}
 
@@ -40,8 +40,8 @@ def fly_graph(tmp_path_factory):
 @pytest.fixture(scope="session")
 def replay_run(tmp_path_factory):
     """Replay a run, with a fault overlaid; return the directory of the replay."""
-    from quadftc_bench.replay import ReplayOptions
-    from quadftc_bench.replay.ros_output import replay
+    from quadftc_replay import ReplayOptions
+    from quadftc_replay.ros_output import replay
 
     def replayed(run, fault, **options):
         out = tmp_path_factory.mktemp("replayed")

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from quadftc_msgs.srv import ClearFault, InjectFault
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from quadftc_bags.interfaces import load_message_class
 from quadftc_control.controller import controllers
 from quadftc_control.controller_node import ControllerNode
 from quadftc_control.reference_node import ReferenceNode
@@ -27,8 +27,8 @@ from quadftc_fdi.disturbance_observer import disturbance_observers
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_fdi.fault_observer_node import FaultObserverNode
+from quadftc_msgs.srv import ClearFault, InjectFault
 from quadftc_ros.conversions import set_stamp, stamp_of
-from quadftc_ros.interfaces import load_message_class
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.testing import imu_message
 from quadftc_ros.testing_wired import (

@@ -10,7 +10,7 @@ import yaml
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from quadftc_bench.bags import read_bag
+from quadftc_bags.bag import read_bag
 from quadftc_ros.topics import TOPICS
 
 SAMPLES = 500  # of the busy scenario: 2 s at 250 Hz

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from quadftc_bench.process_graph import executable_path
-from quadftc_bench.scenario import load_scenario
+from quadftc_flight.graph.processes import executable_path
+from quadftc_flight.scenario import load_scenario
 
 SHORT = """\
 name: short
@@ -37,7 +37,7 @@ def run(tmp_path_factory, fly_graph):
 
 
 def check(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [str(executable_path("quadftc_bench", "quadftc")), "check", *map(str, arguments)]
+    command = [str(executable_path("quadftc_cli", "quadftc")), "check", *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert "Traceback" not in done.stderr
     return done

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from quadftc_bench.bags import read_bag
-from quadftc_bench.process_graph import executable_path
+from quadftc_bags.bag import read_bag
+from quadftc_flight.graph.processes import executable_path
 
 SCENARIO = """\
 name: tiny
@@ -50,7 +50,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def quadftc(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [str(executable_path("quadftc_bench", "quadftc")), *arguments]
+    command = [str(executable_path("quadftc_cli", "quadftc")), *arguments]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
     assert "Traceback" not in done.stderr
     return done
@@ -149,7 +149,7 @@ def test_force_replaces_only_runs(folder: Path):
 
 
 def test_interrupted_run_leaves_a_bag_that_can_be_read(folder: Path):
-    command = [str(executable_path("quadftc_bench", "quadftc")), "run", "tiny.yaml", "--out", "out"]
+    command = [str(executable_path("quadftc_cli", "quadftc")), "run", "tiny.yaml", "--out", "out"]
     process = subprocess.Popen(
         [*command, "--set", "duration=600 s"],
         cwd=folder,
@@ -200,7 +200,7 @@ def test_play_publishes_the_bag(folder: Path):
 def test_run_on_a_full_disk_flies_on_and_ends_with_what_is_there(folder: Path):
     """No file may grow beyond 100 kB, which is what a disk that is full looks like to the one that writes."""
     limit = "import os, resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000));"
-    tool = str(executable_path("quadftc_bench", "quadftc"))
+    tool = str(executable_path("quadftc_cli", "quadftc"))
     command = [sys.executable, "-c", f"{limit} os.execv(sys.argv[1], sys.argv[1:])", tool]
     arguments = ["run", "tiny.yaml", "--set", "duration=3 s", "--out", "out"]
     done = subprocess.run(

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from quadftc_bench.graph_plan import EXECUTABLES
-from quadftc_bench.process_graph import executable_path
+from quadftc_flight.graph.plan import EXECUTABLES
+from quadftc_flight.graph.processes import executable_path
 from quadftc_ros.testing import NodeBench
 from quadftc_ros.topics import TOPICS
 

@@ -7,13 +7,13 @@ import signal
 
 import numpy as np
 import pytest
+
+from quadftc_bags.bag import read_bag
+from quadftc_flight.graph.plan import GraphPlan
+from quadftc_flight.graph.processes import ProcessGraph
+from quadftc_flight.scenario import find_scenario, load_scenario, node_parameters, with_duration
 from quadftc_msgs.msg import ControlStatus
 from quadftc_msgs.srv import InjectFault
-
-from quadftc_bench.bags import read_bag
-from quadftc_bench.graph_plan import GraphPlan
-from quadftc_bench.process_graph import ProcessGraph
-from quadftc_bench.scenario import find_scenario, load_scenario, node_parameters, with_duration
 from quadftc_ros.scheduling import Scheduling
 from quadftc_ros.testing import NodeBench
 

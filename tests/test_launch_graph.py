@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from quadftc_bench.bags import read_bag
-from quadftc_bench.graph_plan import EXECUTABLES, GraphPlan, parameters_from_file
-from quadftc_bench.process_graph import executable_path
-from quadftc_bench.scenario import load_scenario, node_parameters
+from quadftc_bags.bag import read_bag
+from quadftc_flight.graph.plan import EXECUTABLES, GraphPlan, parameters_from_file
+from quadftc_flight.graph.processes import executable_path
+from quadftc_flight.scenario import load_scenario, node_parameters
 from quadftc_ros.testing import NodeBench
 
 SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "launch_graph.py"

@@ -11,12 +11,15 @@ import random
 
 import pytest
 
-from quadftc_bench.graph_plan import GraphError
-from quadftc_bench.run import RunOptions, run
-from quadftc_bench.scenario import find_scenario, load_scenario, with_duration
-from quadftc_bench.soak.command import app
-from quadftc_bench.soak.recorder import ALLOWED, passed
-from quadftc_bench.soak.recorder_trial import (
+from quadftc_flight.graph.plan import GraphError
+from quadftc_flight.runs import RunOptions, run
+from quadftc_flight.scenario import find_scenario, load_scenario, with_duration
+from quadftc_ros.diagnostics import ERROR, OK, WARN
+from quadftc_ros.recorder_node import RecorderNode
+from quadftc_ros.testing import NodeBench
+from quadftc_tools.soak.command import app
+from quadftc_tools.soak.recorder import ALLOWED, passed
+from quadftc_tools.soak.recorder_trial import (
     COMPOSED,
     COMPOSED_LOCKSTEP,
     DISK_FULL,
@@ -26,9 +29,6 @@ from quadftc_bench.soak.recorder_trial import (
     Trial,
     try_recorder,
 )
-from quadftc_ros.diagnostics import ERROR, OK, WARN
-from quadftc_ros.recorder_node import RecorderNode
-from quadftc_ros.testing import NodeBench
 
 
 @pytest.mark.parametrize(

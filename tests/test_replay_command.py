@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from quadftc_bench.bags import read_bag
-from quadftc_bench.process_graph import executable_path
-from quadftc_bench.scenario import parse_scenario
+from quadftc_bags.bag import read_bag
+from quadftc_flight.graph.processes import executable_path
+from quadftc_flight.scenario import parse_scenario
 
 REPEATED = ("imu/corrected", "fault/estimate", "fault/status", "torque/command")
 TUNED = """
@@ -29,7 +29,7 @@ schemes:
 
 
 def quadftc_replay(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [str(executable_path("quadftc_bench", "quadftc")), "replay", *map(str, arguments)]
+    command = [str(executable_path("quadftc_cli", "quadftc")), "replay", *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert "Traceback" not in done.stderr
     return done

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from quadftc_bench.process_graph import executable_path
+from quadftc_flight.graph.processes import executable_path
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def report(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 
 
 def quadftc(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [str(executable_path("quadftc_bench", "quadftc")), *map(str, arguments)]
+    command = [str(executable_path("quadftc_cli", "quadftc")), *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert "Traceback" not in done.stderr
     return done
@@ -136,7 +136,7 @@ def test_directory_as_the_place_of_the_page_is_refused(runs: Path, tmp_path: Pat
 
 
 def test_command_starts_without_the_libraries_that_draw():
-    code = "import sys, quadftc_bench.cli; print(*{'plotly', 'matplotlib', 'jinja2'} & set(sys.modules))"
+    code = "import sys, quadftc_cli.main; print(*{'plotly', 'matplotlib', 'jinja2'} & set(sys.modules))"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True
     )

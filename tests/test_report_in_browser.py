@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from quadftc_bench.metrics import look_up
-from quadftc_bench.report import write_report
-from quadftc_bench.scenario import parse_scenario
+from quadftc_flight.metrics import look_up
+from quadftc_flight.scenario import parse_scenario
+from quadftc_report.report import write_report
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 ARGUMENTS = (

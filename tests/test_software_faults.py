@@ -11,8 +11,15 @@ import random
 import numpy as np
 import pytest
 
-from quadftc_bench.scenario import node_parameters
-from quadftc_bench.soak.node_flight import (
+from quadftc_control.controller_node import ControllerNode
+from quadftc_control.reference_node import ReferenceNode
+from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
+from quadftc_fdi.fault_observer_node import FaultObserverNode
+from quadftc_flight.scenario import node_parameters
+from quadftc_model.rotations import wrap
+from quadftc_ros.conversions import ImuWriter, reference_of, stamp_of
+from quadftc_sim.assembly import injector_from, simulator_from
+from quadftc_tools.soak.node_flight import (
     CHANGING_FAULT,
     DISTURBANCE,
     KILL,
@@ -21,15 +28,8 @@ from quadftc_bench.soak.node_flight import (
     Hit,
     scenario_of,
 )
-from quadftc_bench.soak.node_judgement import BACK, LARGEST, WITHIN, Trial
-from quadftc_bench.soak.nodes import ALL, flights_of, flown, summary, table
-from quadftc_control.controller_node import ControllerNode
-from quadftc_control.reference_node import ReferenceNode
-from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
-from quadftc_fdi.fault_observer_node import FaultObserverNode
-from quadftc_model.rotations import wrap
-from quadftc_ros.conversions import ImuWriter, reference_of, stamp_of
-from quadftc_sim.assembly import injector_from, simulator_from
+from quadftc_tools.soak.node_judgement import BACK, LARGEST, WITHIN, Trial
+from quadftc_tools.soak.nodes import ALL, flights_of, flown, summary, table
 
 RATE = 250  # Hz
 NODES = {

@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from quadftc_bench.closed_loop import fly
-from quadftc_bench.scenario import find_scenario, load_scenario, node_parameters, with_duration
 from quadftc_fdi.fault_observers.sliding_mode import SlidingMode
+from quadftc_flight.closed_loop import fly
+from quadftc_flight.scenario import find_scenario, load_scenario, node_parameters, with_duration
 from quadftc_model.samples import FaultObserverInputs, ImuSample
 from quadftc_model.vehicle import load_vehicle
 from quadftc_sim.sensors import GRADES

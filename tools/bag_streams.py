@@ -1,8 +1,8 @@
 """Print one hash for the streams of each bag: ``python tools/bag_streams.py RUN_DIRECTORY...``.
 
-A hash covers every topic, log time and payload, topic by topic. The compute time of ``control/status`` (its last
-8 bytes) is left out: it is the only field in which two lock-step flights of one scenario differ. Two versions of
-the code fly a scenario alike exactly when they print the same hash for it.
+A hash covers every topic, log time and payload, topic by topic. The compute time of ``control/status``
+(its last 8 bytes) is left out: no other field differs between two lock-step flights of one scenario. Two
+versions of the code fly a scenario alike exactly when they print the same hash for it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ COMPUTE_TIME_BYTES = 8  # a float64, the last field of quadftc_msgs/ControlStatu
 
 
 def stream_hash(bag: Path) -> str:
-    """Return the SHA-256 of the streams of a rosbag2 directory, whatever the order of the messages in the file."""
+    """Return the SHA-256 of a rosbag2 directory's streams, whatever the order of messages in the file."""
     streams: dict[str, hashlib._Hash] = {}
     for path in sorted(bag.glob("*.mcap")):
         with path.open("rb") as file:

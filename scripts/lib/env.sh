@@ -16,7 +16,8 @@ quadftc_enter() {
       quadftc_leave_other_ros PYTHONPATH
       quadftc_leave_other_ros LD_LIBRARY_PATH
       . "$exports"
-      PATH="$root/ros2_ws/install/quadftc_bench/lib/quadftc_bench:$PATH"
+      PATH="$root/ros2_ws/install/quadftc_cli/lib/quadftc_cli:$PATH"
+      PYTHONPATH="$root/tools:$PYTHONPATH"  # not installed: benchmarks, studies, long tests
       ;;
   esac
   export COLCON_DEFAULTS_FILE="$root/.venv/colcon_defaults.yaml"

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from quadftc_ros.interfaces import load_message_class
+from quadftc_bags.interfaces import load_message_class
 from quadftc_ros.topics import NODES, TOPICS
 
 PACKAGE = Path(__file__).parents[1]

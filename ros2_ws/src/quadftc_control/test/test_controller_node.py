@@ -7,7 +7,6 @@ import uuid
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from quadftc_msgs.msg import ControlStatus, FaultStatus
 from rcl_interfaces.srv import GetParameters
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
@@ -17,6 +16,7 @@ from quadftc_control.controller_node import ControllerNode
 from quadftc_control.degraded import HeldTorque
 from quadftc_model.samples import FAULTY, HEALTHY, AttitudeReference, ControllerOutput
 from quadftc_model.vehicle import load_vehicle
+from quadftc_msgs.msg import ControlStatus, FaultStatus
 from quadftc_ros.conversions import ReferenceWriter, stamp_of, time_message
 from quadftc_ros.testing import imu_message, vector_message
 

@@ -7,11 +7,11 @@ import dataclasses
 from typing import Any
 
 from quadftc_model.arrays import Array
-from quadftc_model.conditions import Circumstances, Condition, unknown_theory
 from quadftc_model.parameters import check
 from quadftc_model.registry import Registry
 from quadftc_model.samples import DisturbanceObserverInputs
 from quadftc_model.vehicle import Vehicle
+from quadftc_theory.conditions import Circumstances, Condition, unknown_theory
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

@@ -7,12 +7,12 @@ import dataclasses
 from typing import Any, NamedTuple
 
 from quadftc_model.arrays import Array
-from quadftc_model.conditions import Circumstances, Condition, Trace, unknown_theory
 from quadftc_model.parameters import check
 from quadftc_model.registry import Registry
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs
 from quadftc_model.vehicle import Vehicle
+from quadftc_theory.conditions import Circumstances, Condition, Trace, unknown_theory
 
 
 class LastWords(NamedTuple):

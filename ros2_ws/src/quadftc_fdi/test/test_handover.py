@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from quadftc_msgs.msg import FaultStatus
 
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.disturbance_observers.exosystem import Exosystem
@@ -21,6 +20,7 @@ from quadftc_model.samples import (
 )
 from quadftc_model.stepper import Stepper
 from quadftc_model.vehicle import load_vehicle
+from quadftc_msgs.msg import FaultStatus
 from quadftc_ros.conversions import time_message
 from quadftc_ros.testing import imu_message, vector_message
 

@@ -9,8 +9,6 @@ import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Vector3, Vector3Stamped
 from numpy.typing import NDArray
-from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
-from quadftc_msgs.msg import ControlStatus, FaultStatus
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
@@ -22,6 +20,8 @@ from quadftc_model.samples import (
     FaultEstimate,
     ImuSample,
 )
+from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
+from quadftc_msgs.msg import ControlStatus, FaultStatus
 from quadftc_ros.topics import BASE_FRAME, EARTH_FRAME, IMU_FRAME
 
 NANOSECONDS = 1_000_000_000  # per second

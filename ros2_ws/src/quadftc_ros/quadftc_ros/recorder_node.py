@@ -23,14 +23,14 @@ from typing import Any
 from rclpy.qos import QoSProfile
 from rclpy.utilities import get_rmw_implementation_identifier
 
+from quadftc_bags.bag_file import COMPRESSIONS
+from quadftc_bags.interfaces import load_message_class
+from quadftc_bags.writer import BagStatus, BagWriter, Input
+from quadftc_bags.writer_process import BagProcess
 from quadftc_model.parameters import parameter
-from quadftc_ros.bag_file import COMPRESSIONS
-from quadftc_ros.bag_process import BagProcess
-from quadftc_ros.bag_writer import BagStatus, BagWriter, Input
 from quadftc_ros.conversions import END_NS, leading_stamp_ns
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
-from quadftc_ros.interfaces import load_message_class
 from quadftc_ros.node import GraphNode
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.tap import Take

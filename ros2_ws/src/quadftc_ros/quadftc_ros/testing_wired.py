@@ -12,8 +12,8 @@ from rclpy.context import Context
 from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message, serialize_message
 
+from quadftc_bags.interfaces import load_message_class
 from quadftc_ros.conversions import END_NS, NANOSECONDS
-from quadftc_ros.interfaces import load_message_class
 from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import TOPICS
 

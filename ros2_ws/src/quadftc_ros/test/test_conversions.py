@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
 from quadftc_model.samples import AttitudeReference, ImuSample
+from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
 from quadftc_ros.conversions import (
     ABSURD,
     ImuWriter,

@@ -19,10 +19,10 @@ from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
 
+from quadftc_bags.interfaces import load_message_class
 from quadftc_ros.conversions import leading_stamp_ns
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import make_executor
-from quadftc_ros.interfaces import load_message_class
 from quadftc_ros.node import GraphNode
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.recorder_node import RecorderNode

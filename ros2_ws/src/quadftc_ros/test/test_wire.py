@@ -10,18 +10,12 @@ from geometry_msgs.msg import Vector3Stamped
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu
 
-from quadftc_model.samples import (
-    AttitudeReference,
-    ControllerOutput,
-    FaultEstimate,
-    ImuSample,
-    level_sample,
-)
-from quadftc_ros.cdr_padding import PaddingCleaner
+from quadftc_bags.cdr_padding import PaddingCleaner
+from quadftc_model.samples import AttitudeReference, ControllerOutput, FaultEstimate, ImuSample, level_sample
+from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
 from quadftc_ros.conversions import (
     ControlStatusWriter,
     FaultStatusWriter,

@@ -14,11 +14,11 @@ import dataclasses
 import sys
 from typing import Any
 
-from quadftc_msgs.srv import ClearFault, InjectFault
 from std_msgs.msg import Header
 
 from quadftc_model.parameters import parameter
 from quadftc_model.samples import ImuSample
+from quadftc_msgs.srv import ClearFault, InjectFault
 from quadftc_ros.conversions import time_message
 from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.executor import run_node

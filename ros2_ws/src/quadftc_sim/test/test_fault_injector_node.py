@@ -6,9 +6,9 @@ import re
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from quadftc_msgs.srv import ClearFault, InjectFault
 from std_srvs.srv import Trigger
 
+from quadftc_msgs.srv import ClearFault, InjectFault
 from quadftc_ros.conversions import imu_sample, stamp_of
 from quadftc_ros.testing import imu_message
 from quadftc_sim.fault_injector_node import FaultInjectorNode

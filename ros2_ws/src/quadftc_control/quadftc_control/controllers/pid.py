@@ -13,13 +13,13 @@ import dataclasses
 from typing import NamedTuple
 
 from quadftc_control.controller import Controller, anti_windup, limited, register
-from quadftc_control.controller_conditions import authority_condition
 from quadftc_control.sliding_surface import tracking
 from quadftc_model.arrays import Array, namespace
-from quadftc_model.conditions import Circumstances, Condition
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import body_rates
 from quadftc_model.samples import ControllerInputs, ControllerOutput
+from quadftc_theory.conditions import Circumstances, Condition
+from quadftc_theory.controller_conditions import authority_condition
 
 
 class PidState(NamedTuple):

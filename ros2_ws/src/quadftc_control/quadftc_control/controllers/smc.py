@@ -13,18 +13,18 @@ import dataclasses
 from typing import Any
 
 from quadftc_control.controller import Controller, limited, register
-from quadftc_control.controller_conditions import (
+from quadftc_control.sliding_surface import sat, torque_for, tracking
+from quadftc_model.arrays import namespace
+from quadftc_model.parameters import parameter
+from quadftc_model.samples import ControllerInputs, ControllerOutput
+from quadftc_theory.conditions import Circumstances, Condition, Trace
+from quadftc_theory.controller_conditions import (
     authority_condition,
     layer_condition,
     sliding_mode_along,
     surface_condition,
     switching_gain_condition,
 )
-from quadftc_control.sliding_surface import sat, torque_for, tracking
-from quadftc_model.arrays import namespace
-from quadftc_model.conditions import Circumstances, Condition, Trace
-from quadftc_model.parameters import parameter
-from quadftc_model.samples import ControllerInputs, ControllerOutput
 
 
 @register("smc")

@@ -27,13 +27,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_fdi.disturbance_conditions import exosystem_conditions
 from quadftc_fdi.disturbance_observer import DisturbanceObserver, register
 from quadftc_model.arrays import Array, exp, namespace
-from quadftc_model.conditions import Circumstances, Condition
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.samples import DisturbanceObserverInputs
+from quadftc_theory.conditions import Circumstances, Condition
+from quadftc_theory.disturbance_conditions import exosystem_conditions
 
 Matrix = NDArray[np.float64]
 

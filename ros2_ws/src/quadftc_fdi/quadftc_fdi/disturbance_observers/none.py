@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from quadftc_fdi.disturbance_conditions import disturbance_bounded
 from quadftc_fdi.disturbance_observer import DisturbanceObserver, register
 from quadftc_model.arrays import Array, namespace
-from quadftc_model.conditions import Circumstances, Condition
 from quadftc_model.samples import DisturbanceObserverInputs
+from quadftc_theory.conditions import Circumstances, Condition
+from quadftc_theory.disturbance_conditions import disturbance_bounded
 
 
 @register("none")

@@ -38,16 +38,16 @@ import dataclasses
 import math
 from typing import NamedTuple
 
-from quadftc_fdi.baseline_conditions import edwards_spurgeon_conditions
 from quadftc_fdi.dead_reckoning import comparable, dead_reckoned
 from quadftc_fdi.fault_observer import FaultObserver, register
 from quadftc_fdi.fault_observers.sliding_mode import implicit_injection
 from quadftc_fdi.level_detection import Detection, detect, fault_state, onset_age, undetected
 from quadftc_model.arrays import Array, exp, namespace
-from quadftc_model.conditions import Circumstances, Condition
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs
+from quadftc_theory.baseline_conditions import edwards_spurgeon_conditions
+from quadftc_theory.conditions import Circumstances, Condition
 
 DEG = math.pi / 180.0
 

@@ -7,8 +7,8 @@ import math
 
 from quadftc_fdi.fault_observer import FaultObserver, register
 from quadftc_model.arrays import Array, namespace
-from quadftc_model.conditions import Circumstances, Condition, Verdict
 from quadftc_model.samples import HEALTHY, FaultEstimate, FaultObserverInputs, ImuSample
+from quadftc_theory.conditions import Circumstances, Condition, Verdict
 
 
 @register("none")

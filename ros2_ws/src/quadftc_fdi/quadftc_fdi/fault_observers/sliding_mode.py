@@ -39,14 +39,14 @@ import math
 from typing import NamedTuple
 
 from quadftc_fdi.fault_observer import FaultObserver, register
-from quadftc_fdi.lyapunov import sliding_mode_along
-from quadftc_fdi.sliding_mode_conditions import gain_margins, sliding_mode_conditions
 from quadftc_model.arrays import Array, is_single, namespace, norm
-from quadftc_model.conditions import Circumstances, Condition, Trace
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import euler_from_quaternion, euler_rates, quaternion_from_euler, wrap
 from quadftc_model.samples import HEALTHY, FaultEstimate, FaultObserverInputs
+from quadftc_theory.conditions import Circumstances, Condition, Trace
+from quadftc_theory.lyapunov import sliding_mode_along
+from quadftc_theory.sliding_mode_conditions import gain_margins, sliding_mode_conditions
 
 
 class SlidingModeState(NamedTuple):

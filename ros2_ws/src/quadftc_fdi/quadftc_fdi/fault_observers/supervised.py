@@ -60,7 +60,6 @@ from quadftc_fdi.supervision import (
     weights,
 )
 from quadftc_model.arrays import Array, any_of, changed_where, exp, namespace, norm, product
-from quadftc_model.conditions import Circumstances, Condition, Verdict
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, wrap
 from quadftc_model.samples import (
@@ -72,6 +71,7 @@ from quadftc_model.samples import (
     FaultEstimate,
     FaultObserverInputs,
 )
+from quadftc_theory.conditions import Circumstances, Condition, Verdict
 
 DEG = math.pi / 180.0
 UNKNOWN = 10.0  # 1; standard deviations of the attitude's noise: as good as nothing known

@@ -39,11 +39,9 @@ import dataclasses
 import math
 from typing import NamedTuple
 
-from quadftc_fdi.baseline_conditions import threshold_conditions
 from quadftc_fdi.dead_reckoning import comparable, dead_reckoned
 from quadftc_fdi.fault_observer import FaultObserver, register
 from quadftc_model.arrays import Array, namespace
-from quadftc_model.conditions import Circumstances, Condition
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import (
@@ -55,6 +53,8 @@ from quadftc_model.samples import (
     FaultObserverInputs,
     ImuSample,
 )
+from quadftc_theory.baseline_conditions import threshold_conditions
+from quadftc_theory.conditions import Circumstances, Condition
 
 DEG = math.pi / 180.0
 

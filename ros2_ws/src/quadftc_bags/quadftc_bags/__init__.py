@@ -1,0 +1,1 @@
+"""Bags: rosbag2 MCAP bags written, read, repaired and played."""

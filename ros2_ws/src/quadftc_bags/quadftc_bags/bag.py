@@ -1,0 +1,279 @@
+"""Reading bags: any rosbag2 MCAP bag, whole topics as NumPy arrays.
+
+>>> bag = read_bag("out/paper_faults-proposed")
+>>> imu = bag.series("imu/data")
+>>> imu.stamp_ns, imu["angular_velocity"]   # (n,), (n, 3)
+
+`quadftc_bags.cdr` says how the fields of a message become arrays.
+"""
+
+from __future__ import annotations
+
+import os
+from array import array
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.records import Attachment, Channel, Metadata, Schema
+from numpy.typing import NDArray
+from rosbags.typesys import get_types_from_idl, get_types_from_msg
+
+from quadftc_bags.cdr import Arrays, decode
+from quadftc_bags.directory import BagError, storage_files
+from quadftc_bags.mcap_records import CutShortError, NotMcapError, Record, read_records
+
+__all__ = ["Bag", "BagError", "Series", "TopicInfo", "read_bag"]
+
+
+@dataclass(frozen=True)
+class TopicInfo:
+    """A topic of a bag: full name, type, number of messages, offered quality of service (a YAML list)."""
+
+    name: str
+    type_name: str
+    count: int
+    qos: str
+
+
+@dataclass(frozen=True)
+class Series:
+    """All messages of one topic, in the order of log time.
+
+    Parameters
+    ----------
+    topic, type_name : str
+        Full name and message type.
+    stamp_ns : array of int64, shape (n,)
+        The stamp each message begins with [ns]; the log time if it has none.
+    log_time_ns, publish_time_ns : array of int64, shape (n,)
+        When it was recorded and published [ns].
+    fields : mapping of str to array
+        Each field over all messages, shape (n, ...), SI units as in the message; also by ``series[name]``.
+    """
+
+    topic: str
+    type_name: str
+    stamp_ns: NDArray[np.int64]
+    log_time_ns: NDArray[np.int64]
+    publish_time_ns: NDArray[np.int64]
+    fields: Mapping[str, NDArray[Any]]
+
+    def __len__(self) -> int:
+        return len(self.log_time_ns)
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        try:
+            return self.fields[name]
+        except KeyError:
+            known = ", ".join(self.fields) or "none, as there is no message"
+            raise BagError(f"topic '{self.topic}' has no field '{name}'; fields: {known}") from None
+
+
+@dataclass
+class _Topic:
+    """What is gathered of a topic while reading."""
+
+    type_name: str
+    encoding: str
+    definition: Schema
+    qos: str
+    data: bytearray = field(default_factory=bytearray)
+    sizes: array[int] = field(default_factory=lambda: array("q"))
+    log_times: array[int] = field(default_factory=lambda: array("q"))
+    publish_times: array[int] = field(default_factory=lambda: array("q"))
+
+    def add(self, log_time: int, publish_time: int, data: memoryview) -> None:
+        self.data += data
+        self.sizes.append(len(data))
+        self.log_times.append(log_time)
+        self.publish_times.append(publish_time)
+
+
+class Bag:
+    """A bag in memory; made by `read_bag`.
+
+    Attributes
+    ----------
+    path : Path
+        The bag's directory or file.
+    truncated : bool
+        The recording was cut short (killed recorder, full disk): everything up to the cut is here.
+    attachments : dict of str to bytes
+        Files stored in the bag, by name.
+    metadata : dict of str to dict of str to str
+        Metadata records, by name; ``rosbag2`` is rosbag2's own, ``quadftc`` tells what recorded the bag.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.truncated = False
+        self.attachments: dict[str, bytes] = {}
+        self.metadata: dict[str, dict[str, str]] = {}
+        self._topics: dict[str, _Topic] = {}
+
+    @property
+    def topics(self) -> dict[str, TopicInfo]:
+        """The topics, by full name."""
+        return {
+            name: TopicInfo(name, topic.type_name, len(topic.sizes), topic.qos)
+            for name, topic in self._topics.items()
+        }
+
+    @property
+    def remedy(self) -> str:
+        """What to do about a bag that was cut short, to be said behind what is wrong; else empty."""
+        return f"; to make it whole, run quadftc repair {self.path}" if self.truncated else ""
+
+    def resolve(self, topic: str) -> str:
+        """Return a topic's full name: as given, with a leading slash, or in the only namespace that has it.
+
+        Raises
+        ------
+        BagError
+            If no topic or more than one fits.
+        """
+        short = topic.strip("/")
+        if topic in self._topics:
+            return topic
+        for name in self._topics:
+            if name.strip("/") == short:
+                return name
+        names = [name for name in self._topics if name.endswith("/" + short)]
+        if len(names) == 1:
+            return names[0]
+        there = ", ".join(sorted(names or self._topics)) or "none"
+        problem = "is in more than one namespace" if names else "is not in the bag"
+        raise BagError(f"{self.path}: topic '{topic}' {problem}; topics there: {there}")
+
+    def series(self, topic: str) -> Series:
+        """Return all messages of a topic as arrays; for the name see `resolve`.
+
+        Raises
+        ------
+        BagError
+            If the topic is not there or its messages cannot be decoded.
+        """
+        name = self.resolve(topic)
+        gathered = self._topics[name]
+        log_time = np.array(gathered.log_times, np.int64)
+        publish_time = np.array(gathered.publish_times, np.int64)
+        fields = self._decode(name, gathered)
+        if len(log_time) and bool(np.any(np.diff(log_time) < 0)):
+            order = np.argsort(log_time, kind="stable")
+            log_time, publish_time = log_time[order], publish_time[order]
+            fields = {key: values[order] for key, values in fields.items()}
+        stamp = next(iter(fields.items()), ("", log_time))
+        stamp_ns = stamp[1] if stamp[0].endswith("_ns") and stamp[1].ndim == 1 else log_time
+        return Series(name, gathered.type_name, stamp_ns, log_time, publish_time, fields)
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[tuple[str, int, bytes]]:
+        """Yield (full name, log time [ns], serialised message) in the order of log time; default: all topics.
+
+        Raises
+        ------
+        BagError
+            If one of the topics is not there.
+        """
+        names = list(self._topics) if topics is None else [self.resolve(topic) for topic in topics]
+        chosen = [self._topics[name] for name in names]
+        times = np.concatenate([np.array(t.log_times, np.int64) for t in chosen]) if chosen else np.empty(0)
+        which = np.repeat(np.arange(len(chosen)), [len(t.sizes) for t in chosen])
+        ends = [np.cumsum(np.array(t.sizes, np.int64)) for t in chosen]
+        starts = np.concatenate([[0], np.cumsum([len(t.sizes) for t in chosen])])
+        for row in np.argsort(times, kind="stable").tolist():
+            topic = int(which[row])
+            number = row - int(starts[topic])
+            end = int(ends[topic][number])
+            data = bytes(chosen[topic].data[end - chosen[topic].sizes[number] : end])
+            yield names[topic], int(times[row]), data
+
+    def _decode(self, name: str, topic: _Topic) -> Arrays:
+        text = topic.definition.data.decode("utf-8", "replace")
+        try:
+            if topic.encoding != "cdr":
+                raise ValueError(f"message encoding '{topic.encoding}', expected cdr")
+            if topic.definition.encoding == "ros2idl":
+                types = get_types_from_idl(text)
+            else:
+                types = get_types_from_msg(text, topic.type_name)
+            return decode(types, topic.type_name, bytes(topic.data), topic.sizes)
+        except Exception as error:  # whatever the libraries find wrong with the definition or a message
+            words = " ".join(str(error).split()) or type(error).__name__
+            raise BagError(f"{self.path}: topic '{name}' cannot be decoded: {words}") from error
+
+    def load(self, path: Path, wanted: Collection[str] | None) -> None:
+        """Add the contents of one MCAP file, those of the wanted topics; `read_bag` does it.
+
+        Raises
+        ------
+        BagError
+            If the file cannot be read or is not MCAP.
+        """
+        schemas: dict[int, Schema] = {}
+        channels: dict[int, _Topic] = {}
+
+        def add_message(channel: int, log_time: int, publish_time: int, data: memoryview) -> None:
+            topic = channels.get(channel)
+            if topic is not None:
+                topic.add(log_time, publish_time, data)
+
+        try:
+            with path.open("rb") as stream:
+                for record in read_records(stream, add_message):
+                    if isinstance(record, Schema):
+                        schemas[record.id] = record
+                    elif isinstance(record, Channel):
+                        if record.id not in channels and _is_wanted(record.topic, wanted):
+                            channels[record.id] = self._topic(record, schemas)
+                    else:
+                        self._keep(record)
+        except NotMcapError:
+            raise BagError(f"{path}: not an MCAP file") from None
+        except OSError as error:
+            raise BagError(f"{path}: {error.strerror or error}") from error
+        except CutShortError:
+            self.truncated = True
+
+    def _keep(self, record: Record) -> None:
+        if isinstance(record, Attachment):
+            self.attachments[record.name] = record.data
+        elif isinstance(record, Metadata):
+            self.metadata[record.name] = record.metadata
+
+    def _topic(self, channel: Channel, schemas: Mapping[int, Schema]) -> _Topic:
+        schema = schemas.get(channel.schema_id) or Schema(0, b"", "", "unknown")
+        qos = channel.metadata.get("offered_qos_profiles", "")
+        topic = _Topic(schema.name, channel.message_encoding, schema, qos)
+        present = self._topics.setdefault(channel.topic, topic)
+        if present.type_name != topic.type_name:
+            types = f"{present.type_name} and {topic.type_name}"
+            raise BagError(f"{self.path}: topic '{channel.topic}' has two types, {types}")
+        return present
+
+
+def read_bag(path: str | os.PathLike[str], topics: Collection[str] | None = None) -> Bag:
+    """Read a bag.
+
+    Parameters
+    ----------
+    path : path
+        A rosbag2 directory or an ``.mcap`` file.
+    topics : collection of str, optional
+        Keep only these (full, relative or short names), to save memory; default: all.
+
+    Raises
+    ------
+    BagError
+        If there is no such bag, it is empty, it is not MCAP, or its metadata makes no sense.
+    """
+    bag = Bag(Path(path))
+    for file in storage_files(bag.path):
+        bag.load(file, topics)
+    return bag
+
+
+def _is_wanted(topic: str, wanted: Collection[str] | None) -> bool:
+    return wanted is None or any(f"/{topic.strip('/')}".endswith(f"/{name.strip('/')}") for name in wanted)

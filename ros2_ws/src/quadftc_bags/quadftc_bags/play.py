@@ -1,0 +1,152 @@
+# pyright: basic
+"""Publish a bag on the live graph, as serialised bytes, with the recorded timing and quality of service."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Collection, Mapping
+
+import rclpy
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.utilities import ok, try_shutdown
+from ruamel.yaml import YAML, YAMLError
+
+from quadftc_bags.bag import Bag, BagError, read_bag
+from quadftc_bags.interfaces import load_message_class
+
+LAST_MESSAGES = Duration(seconds=1)  # what reliable readers get to fetch the last messages
+DEEPEST = 100_000  # messages; a recorded depth beyond makes no sense
+LONGEST_SLEEP = 0.1  # s, between two looks at whether to go on
+
+
+def play(
+    path: str | os.PathLike[str],
+    rate: float = 1.0,
+    *,
+    loop: bool = False,
+    topics: Collection[str] | None = None,
+    delay: float = 0.0,
+    context: Context | None = None,
+) -> int:
+    """Publish a bag until its end, or until Ctrl-C or the shutdown of the context.
+
+    Stamps inside the messages stay as recorded. Nothing waits for readers: who is not there misses messages.
+
+    Parameters
+    ----------
+    path : path
+        A rosbag2 directory or an ``.mcap`` file.
+    rate : float
+        Speed, as a multiple of the recorded one; > 0.
+    loop : bool
+        Begin again at the end; stamps then go back, too.
+    topics : collection of str, optional
+        Publish only these; default: all.
+    delay : float
+        Time between the creation of the publishers and the first message [s].
+    context : rclpy.context.Context, optional
+        Default: the default context, which is initialised and shut down here unless it is in use.
+
+    Returns
+    -------
+    int
+        Number of messages published.
+
+    Raises
+    ------
+    ValueError
+        If the rate is not positive, or the bag cannot be read (`BagError`) or holds a type not installed.
+    """
+    if not rate > 0.0:
+        raise ValueError(f"rate: {rate}, expected > 0")
+    bag = read_bag(path, topics)
+    if not bag.topics:
+        raise BagError(f"{bag.path}: nothing to play")
+    owned = context is None and not ok()
+    if owned:
+        rclpy.init()
+    node = None
+    try:
+        node = Node("player", context=context, start_parameter_services=False)
+        return _Player(node, bag, rate).run(loop, delay)
+    finally:
+        if node is not None:
+            node.destroy_node()
+        if owned:
+            try_shutdown()
+
+
+def profile_from_record(text: str) -> QoSProfile:
+    """Return the recorded quality of service (a YAML list); what rosbag2 could not know is reliable."""
+    try:
+        entries = YAML(typ="safe").load(text) or [{}]
+        entry: Mapping[str, object] = dict(entries[0])
+    except (YAMLError, LookupError, TypeError, ValueError, RecursionError):
+        entry = {}
+    best_effort = entry.get("reliability") in ("best_effort", 2)
+    latched = entry.get("durability") in ("transient_local", 1)
+    keep_all = entry.get("history") in ("keep_all", 2)
+    depth = entry.get("depth")
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_ALL if keep_all else HistoryPolicy.KEEP_LAST,
+        depth=depth if isinstance(depth, int) and 0 < depth <= DEEPEST else 10,
+        reliability=ReliabilityPolicy.BEST_EFFORT if best_effort else ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+class _Player:
+    """Publishers for a bag's topics, and the clock that drives them."""
+
+    def __init__(self, node: Node, bag: Bag, rate: float) -> None:
+        self._context = node.context
+        self._bag = bag
+        self._rate = rate
+        self._published = 0
+        try:
+            self._publishers: dict[str, Publisher] = {
+                name: node.create_publisher(
+                    load_message_class(topic.type_name), name, profile_from_record(topic.qos)
+                )
+                for name, topic in bag.topics.items()
+            }
+        except NameValidationException as error:
+            raise BagError(f"{bag.path}: {' '.join(str(error).split())}") from None
+
+    def run(self, loop: bool, delay: float) -> int:
+        """Publish; return how many messages."""
+        try:
+            self._wait_until(time.monotonic() + delay)
+            while self._play_once() and loop:
+                pass
+            if self._context.ok():
+                for publisher in self._publishers.values():
+                    publisher.wait_for_all_acked(LAST_MESSAGES)
+        except (KeyboardInterrupt, ExternalShutdownException):
+            pass
+        return self._published
+
+    def _play_once(self) -> bool:
+        """Publish the bag once; return whether the end was reached and there was anything."""
+        start = time.monotonic()
+        first_ns = None
+        for name, log_time_ns, data in self._bag.messages():
+            first_ns = log_time_ns if first_ns is None else first_ns
+            if not self._wait_until(start + (log_time_ns - first_ns) * 1e-9 / self._rate):
+                return False
+            self._publishers[name].publish(data)
+            self._published += 1
+        return first_ns is not None
+
+    def _wait_until(self, due: float) -> bool:
+        """Sleep until a time of the monotonic clock; return whether the context is still alive."""
+        while (rest := due - time.monotonic()) > 0.0 and self._context.ok():
+            time.sleep(min(rest, LONGEST_SLEEP))
+        return self._context.ok()

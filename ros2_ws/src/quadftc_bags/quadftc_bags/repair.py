@@ -1,0 +1,239 @@
+"""Repairing a bag: what can be read of it, written anew, whole, with the metadata that rosbag2 wants.
+
+What a killed recorder or a full disk leaves is a file without index whose last chunk may be cut, and metadata
+that are older than the file. A chunk that is cut or whose sum is wrong is left out: no message is guessed.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from mcap.records import Attachment, Channel, Metadata, Schema
+from ruamel.yaml import YAML, YAMLError
+
+from quadftc_bags.bag_file import BagFile, is_being_written
+from quadftc_bags.bag_format import TopicRecord
+from quadftc_bags.directory import BagError, bag_information
+from quadftc_bags.salvage import Survey, survey, walk
+
+CHUNK = 1024 * 1024  # bytes
+OWN_RECORDS = ("rosbag2", "quadftc")  # metadata records that the new file gets anyway
+_WORDS = {  # of rmw, as recorded before ROS 2 Jazzy: numbers
+    "history": ("system_default", "keep_last", "keep_all", "unknown"),
+    "reliability": ("system_default", "reliable", "best_effort", "unknown", "best_available"),
+    "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
+    "liveliness": ("system_default", "automatic", "unknown", "manual_by_topic", "unknown", "best_available"),
+}
+
+
+@dataclass(frozen=True)
+class Repair:
+    """What became of a bag.
+
+    Parameters
+    ----------
+    found : Survey
+        What was read, and what could not be.
+    out : Path or None
+        The bag that was written; None if nothing was wrong.
+    complaint : str
+        What was wrong with ``metadata.yaml``; empty if nothing was.
+    recorded : bool
+        Whether the bag was still being recorded: it goes on after what was read.
+    """
+
+    found: Survey
+    out: Path | None
+    complaint: str
+    recorded: bool = False
+
+
+def repair(path: Path, out: Path | None = None, force: bool = False) -> Repair:
+    """Write a bag anew that can be read whole.
+
+    Parameters
+    ----------
+    path : Path
+        Directory of a bag of one MCAP file, or the file.
+    out : Path, optional
+        Directory of the new bag. Without it a bag that is whole is left as it is; of others the new one is
+        ``<bag>-repaired`` beside it, or with ``force`` takes its place.
+    force : bool
+        Replace what is there.
+
+    Raises
+    ------
+    BagError
+        If it is no bag, there is nothing in it to be read, it is to be replaced while it is being recorded,
+        or the new one cannot be written; one line.
+    """
+    file = _storage_file(path)
+    recorded = _is_recorded(file)
+    found = survey(file)
+    complaint = _complaint(path, found) if path.is_dir() else ""
+    if out is None and found.is_whole and not complaint:
+        return Repair(found, None, complaint)
+    target = _target(path, out, force)
+    if recorded and target in (path.resolve(), file.resolve().parent):
+        raise BagError(f"{path}: is still being recorded; end that before the bag is replaced")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".repair_", dir=target.parent) as folder:
+            made = Path(folder, target.name)
+            _write(found, made)
+            if path.is_dir():
+                _copy_notes(path, made)
+            _put(made, target)
+    except OSError as error:
+        raise BagError(f"{target}: {error.strerror or error}") from None
+    return Repair(found, target, complaint, recorded)
+
+
+def _storage_file(path: Path) -> Path:
+    """Return the one MCAP file of a bag."""
+    if not path.exists():
+        raise BagError(f"{path}: no such bag")
+    if not path.is_dir():
+        return path
+    try:
+        files = sorted(path.glob("*.mcap"))
+    except OSError as error:
+        raise BagError(f"{path}: {error.strerror}") from None
+    if not files:
+        raise BagError(f"{path}: no .mcap file in this directory; nothing to repair")
+    if len(files) > 1:
+        names = ", ".join(file.name for file in files)
+        raise BagError(f"{path}: {len(files)} .mcap files ({names}); repair one at a time, by its path")
+    return files[0]
+
+
+def _is_recorded(file: Path) -> bool:
+    """Return whether somebody is writing to a file of a bag."""
+    try:
+        return file.is_file() and is_being_written(file)
+    except OSError as error:
+        raise BagError(f"{file}: {error.strerror}") from None
+
+
+def _target(path: Path, out: Path | None, force: bool) -> Path:
+    """Return where the new bag goes."""
+    if out is None and force:
+        if path.is_dir():
+            return path.resolve()
+        raise BagError(f"{path}: --force without --out replaces a bag; give its directory, not its file")
+    if out is None:
+        bag = path.resolve() if path.is_dir() or not (path.parent / "metadata.yaml").exists() else path.parent
+        name = path.stem if path.is_file() else bag.name
+        out = bag.parent / f"{name}-repaired"
+    if not out.exists():
+        return out.resolve()
+    if not force:
+        raise BagError(f"{out}: exists; choose another --out, or --force to replace it")
+    if not (out / "metadata.yaml").is_file() or len(list(out.glob("*.mcap"))) > 1:
+        raise BagError(f"{out}: is no bag of one file; not replaced")
+    return out.resolve()
+
+
+def _put(made: Path, target: Path) -> None:
+    """Move the new bag to its place; of a bag that was there, what is not replaced or storage stays."""
+    if not target.exists():
+        made.rename(target)
+        return
+    old = set(target.glob("*.mcap"))
+    for file in sorted(
+        made.iterdir(), key=lambda file: file.name == "metadata.yaml"
+    ):  # which tells of the rest
+        file.replace(target / file.name)
+        old.discard(target / file.name)
+    for file in old:
+        file.unlink()
+
+
+def _copy_notes(bag: Path, made: Path) -> None:
+    """Copy the texts that lie beside a bag: scenario, parameters, summary."""
+    for file in (*bag.glob("*.yaml"), *bag.glob("*.json")):
+        if file.name != "metadata.yaml":
+            shutil.copyfile(file, made / file.name)
+
+
+def _write(found: Survey, directory: Path) -> None:
+    """Write what a survey found."""
+    custom = found.records.get("quadftc") or _custom_data(found.records.get("rosbag2", {}))
+    bag = BagFile(directory, found.attachments, custom, "zstd", CHUNK)
+    for name, entries in found.records.items():
+        if name not in OWN_RECORDS:
+            bag.add_record(name, entries)
+    numbers: dict[int, int] = {}  # of channels: there -> here
+    topics: dict[str, int] = {}
+
+    def on_topic(number: int, channel: Channel, schema: Schema) -> None:
+        if channel.topic not in topics:
+            qos = _in_words(channel.metadata.get("offered_qos_profiles", ""))
+            type_hash = channel.metadata.get("topic_type_hash", "")
+            text = schema.data.decode("utf-8", "replace")
+            bag.add_topic(TopicRecord(channel.topic, schema.name, type_hash, qos), text, schema.encoding)
+            topics[channel.topic] = len(topics) + 1
+        numbers[number] = topics[channel.topic]
+
+    def on_message(number: int, log_time_ns: int, publish_time_ns: int, data: memoryview) -> None:
+        bag.write(numbers[number], log_time_ns, publish_time_ns, bytes(data))
+
+    def on_record(record: Attachment | Metadata) -> None:
+        """Pass over what was written at the beginning."""
+
+    try:
+        walk(found, on_topic, on_message, on_record)
+        bag.close()
+    except BaseException:
+        bag.abandon()
+        raise
+
+
+def _custom_data(record: Mapping[str, str]) -> dict[str, str]:
+    """Return the user's own entries in rosbag2's metadata record."""
+    try:
+        data: Any = YAML(typ="safe").load(record.get("serialized_metadata", ""))  # pyright: ignore
+        custom: Any = data.get("custom_data") or {}
+        return {str(key): str(value) for key, value in cast("dict[Any, Any]", custom).items()}
+    except (YAMLError, AttributeError, TypeError, ValueError, RecursionError):
+        return {}
+
+
+def _in_words(qos: str) -> str:
+    """Return a quality of service with words where older versions of ROS 2 have numbers."""
+
+    def word(match: re.Match[str]) -> str:
+        words = _WORDS[match[2]]
+        number = int(match[3])
+        return f"{match[1]}{match[2]}: {words[number] if number < len(words) else 'unknown'}"
+
+    return re.sub(r"(?m)^([ -]*)(history|reliability|durability|liveliness): *(\d+) *$", word, qos)
+
+
+def _complaint(directory: Path, found: Survey) -> str:
+    """Say what ``metadata.yaml`` has wrong about the file; empty if nothing."""
+    file = directory / "metadata.yaml"
+    if not file.exists():
+        return "metadata.yaml is missing"
+    try:
+        told = bag_information(file)
+        counts = {
+            str(topic["topic_metadata"]["name"]): int(topic["message_count"])
+            for topic in told["topics_with_message_count"]
+        }
+        total, names = int(told["message_count"]), [Path(str(n)).name for n in told["relative_file_paths"]]
+    except (BagError, KeyError, TypeError, ValueError, AttributeError):
+        return "metadata.yaml cannot be read"
+    if names != [found.path.name]:
+        return f"metadata.yaml tells of other files: {', '.join(names) or 'none'}"
+    if total != found.messages:
+        return f"metadata.yaml tells of {total} messages, {found.messages} are there"
+    if counts != {name: tally.count for name, tally in found.topics.items()}:
+        return "metadata.yaml tells of other topics, or of other numbers of messages"
+    return ""

@@ -1,0 +1,23 @@
+"""Build script of quadftc_bags (ament_python)."""
+
+from setuptools import find_packages, setup
+
+PACKAGE = "quadftc_bags"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Bags: rosbag2 MCAP bags written, read, repaired and played.",
+    license="Apache-2.0",
+    maintainer="quadftc maintainers",
+    maintainer_email="maintainers@quadftc.example",
+    packages=find_packages(exclude=["test"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+    ],
+    python_requires=">=3.10",
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=True,
+)

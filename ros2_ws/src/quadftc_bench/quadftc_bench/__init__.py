@@ -1,1 +1,0 @@
-"""Scenario files, closed loop, bags, metrics and the ``quadftc`` command."""

@@ -1,1 +1,0 @@
-"""Campaigns: thousands of flights of a scenario whose values are drawn, on any number of cores."""

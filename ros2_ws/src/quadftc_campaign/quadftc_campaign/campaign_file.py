@@ -1,0 +1,257 @@
+"""A campaign file: what is flown, how often, and what is drawn.
+
+name: mems_robustness
+scenario: mems_faults              # by name, or a path relative to this file
+gains: qball_x4_mems               # tuned gains, if any: see quadftc_flight.scenario.gains
+set: [duration=60 s]               # values of the scenario that are the same in all flights
+flights: 1000
+seed: 1
+schemes: [supervised]              # of the scenario; or observers and controllers to cross:
+observers: [sliding_mode, supervised]
+controllers: [ismc, pid]
+vary:
+  faults.0.value: {uniform: [0.5 deg, 5 deg], sign: random}
+  rate: {grid: [125 Hz, 250 Hz]}
+report: {map: [faults.0.value, rate], metric: fault.estimate_rmse_deg}
+tune:                                    # for quadftc tune
+  gains: [controller.k_c1, controller.phi, disturbance_observer.bandwidth]
+  cost: {tracking_rmse_deg: 1, torque_total_variation: 0.1}  # weights, of metrics over their first values
+  flights: 32                            # of each step, in turn out of those of the campaign
+  steps: 30
+  rate: 0.05                             # of Adam, in the logarithm of a gain
+  held_out: 256                          # flights beyond those of the campaign, to judge by
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from quadftc_campaign.distributions import Distribution, distribution
+from quadftc_campaign.tune.cost import TERMS
+from quadftc_control.controller import controllers
+from quadftc_fdi.fault_observer import fault_observers
+from quadftc_flight.scenario import Scenario, ScenarioError, changed_document, find_scenario
+from quadftc_flight.scenario.build import build_scenario
+from quadftc_flight.scenario.schema import MAX_SEED, Name, problems_of
+from quadftc_flight.scenario.yaml_document import Document, Keys, Problem, read_document
+
+MAX_FLIGHTS = 10_000_000
+MAX_CELLS = 10_000
+RESERVED = ("seed", "schemes")  # each flight gets a seed of its own; what is compared is not drawn
+
+
+class _Shape(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class ReportShape(_Shape):
+    """What the report shows besides what it always shows."""
+
+    map: list[str] = Field(default=[], max_length=2)
+    metric: str = "fault.estimate_rmse_deg"
+
+
+class TuneShape(_Shape):
+    """What ``quadftc tune`` does with the campaign."""
+
+    gains: list[str] = Field(min_length=1)
+    cost: dict[str, float] = Field(min_length=1)
+    flights: int = Field(default=32, ge=1, le=MAX_FLIGHTS)
+    steps: int = Field(default=30, ge=1, le=10_000)
+    rate: float = Field(default=0.05, gt=0.0, le=1.0)
+    held_out: int = Field(default=256, ge=1, le=MAX_FLIGHTS)
+
+    @field_validator("cost")
+    @classmethod
+    def _known(cls, cost: dict[str, float]) -> dict[str, float]:
+        for name, weight in cost.items():
+            if name not in TERMS:
+                raise ValueError(f"no '{name}'; there are: {', '.join(TERMS)}")
+            if not 0.0 < weight < math.inf:
+                raise ValueError(f"{name} = {weight}: must be positive and finite")
+        return cost
+
+
+class CampaignShape(_Shape):
+    """The keys of a campaign file."""
+
+    name: Name | None = None
+    description: str = ""
+    scenario: str
+    gains: str = ""
+    set: list[str] = []
+    flights: int = Field(ge=1, le=MAX_FLIGHTS)
+    seed: int = Field(default=1, ge=0, le=MAX_SEED)
+    schemes: list[str] = []
+    observers: list[str] = []
+    controllers: list[str] = []
+    vary: dict[str, Any] = {}
+    precision: Literal["float64", "float32"] = "float64"
+    report: ReportShape = ReportShape()
+    tune: TuneShape | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Variant:
+    """What a flight is flown with: a scheme of the scenario, some of its parts replaced."""
+
+    name: str
+    scheme: str
+    observer: str | None  # None: the scheme's
+    controller: str | None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Campaign:
+    """A campaign, checked.
+
+    Parameters
+    ----------
+    base : Document
+        The scenario, with the values that all flights share.
+    vary : dict of str to Distribution
+        By the path of the value, such as ``faults.0.value``.
+    """
+
+    name: str
+    description: str
+    base: Document
+    flights: int
+    seed: int
+    variants: tuple[Variant, ...]
+    vary: dict[str, Distribution]
+    float32: bool
+    map: tuple[str, ...]
+    metric: str
+    tune: TuneShape | None
+    document: Document
+
+    @property
+    def cells(self) -> int:
+        """How many combinations the grids have."""
+        return math.prod(len(each.values) for each in self.vary.values() if each.is_grid)
+
+    def with_steps(self, steps: int) -> Campaign:
+        """The campaign with another number of steps of tuning."""
+        tune = self.tune and self.tune.model_copy(update={"steps": steps})
+        return dataclasses.replace(self, tune=tune)
+
+
+def load_campaign(path: Path, flights: int | None = None) -> Campaign:
+    """Load a campaign file.
+
+    Parameters
+    ----------
+    path : Path
+    flights : int, optional
+        In place of the file's number.
+
+    Raises
+    ------
+    ScenarioError
+        If anything is wrong with it: one line for each problem.
+    """
+    document = read_document(path)
+    if flights is not None:
+        document = document.replaced(("flights",), flights, f"flights {flights}")
+    try:
+        shape = CampaignShape.model_validate(document.data)
+    except ValidationError as error:
+        raise document.error(problems_of(error, _model_at)) from None
+    vary, problems = _distributions(shape)
+    base, scenario = _base(document, shape)
+    problems += _wrong_parts(shape, scenario)
+    campaign = Campaign(
+        name=shape.name or path.stem,
+        description=shape.description,
+        base=base,
+        flights=shape.flights,
+        seed=shape.seed,
+        variants=_variants(shape, scenario),
+        vary=vary,
+        float32=shape.precision == "float32",
+        map=tuple(shape.report.map),
+        metric=shape.report.metric,
+        tune=shape.tune,
+        document=document,
+    )
+    if campaign.cells > MAX_CELLS:
+        problems.append(Problem(("vary",), f"{campaign.cells} combinations of grids: at most {MAX_CELLS}"))
+    problems += _unknown_axes(campaign)
+    if problems:
+        raise document.error(problems)
+    return campaign
+
+
+def _model_at(path: Keys) -> type[BaseModel]:
+    return {"report": ReportShape, "tune": TuneShape}.get(str(path[0]) if path else "", CampaignShape)
+
+
+def _distributions(shape: CampaignShape) -> tuple[dict[str, Distribution], list[Problem]]:
+    found: dict[str, Distribution] = {}
+    problems: list[Problem] = []
+    for key, raw in shape.vary.items():
+        if key.split(".")[0] in RESERVED:
+            problems.append(Problem(("vary", key), f"'{key}' cannot vary: seeds are drawn, schemes crossed"))
+            continue
+        try:
+            found[key] = distribution(raw)
+        except ValueError as error:
+            problems.append(Problem(("vary", key), str(error)))
+    return found, problems
+
+
+def _base(document: Document, shape: CampaignShape) -> tuple[Document, Scenario]:
+    """The scenario that all flights are made of."""
+    beside = Path(document.source).parent / shape.scenario
+    try:
+        path = (
+            beside
+            if beside.suffix in (".yaml", ".yml") and beside.is_file()
+            else find_scenario(shape.scenario)
+        )
+        base = changed_document(path, shape.set, shape.gains)
+        return base, build_scenario(base)
+    except ScenarioError as error:
+        lines = str(error).splitlines()
+        raise document.error([Problem(("scenario",), line) for line in lines]) from None
+
+
+def _wrong_parts(shape: CampaignShape, scenario: Scenario) -> Iterator[Problem]:
+    lists = {
+        "schemes": (shape.schemes, tuple(scenario.schemes)),
+        "observers": (shape.observers, fault_observers.names()),
+        "controllers": (shape.controllers, controllers.names()),
+    }
+    for key, (given, known) in lists.items():
+        for index, name in enumerate(given):
+            if name not in known:
+                yield Problem((key, index), f"no '{name}'; there are: {', '.join(known)}")
+            elif name in given[:index]:
+                yield Problem((key, index), f"'{name}' is given twice")
+
+
+def _variants(shape: CampaignShape, scenario: Scenario) -> tuple[Variant, ...]:
+    """Schemes, crossed with observers and controllers where some are named."""
+    schemes = [name for name in shape.schemes if name in scenario.schemes] or [next(iter(scenario.schemes))]
+    observers: list[str | None] = [*shape.observers] or [None]
+    flown: list[str | None] = [*shape.controllers] or [None]
+    return tuple(
+        Variant("+".join(filter(None, (scheme, observer, controller))), scheme, observer, controller)
+        for scheme in schemes
+        for observer in observers
+        for controller in flown
+    )
+
+
+def _unknown_axes(campaign: Campaign) -> Iterator[Problem]:
+    for index, key in enumerate(campaign.map):
+        if key not in campaign.vary:
+            there = ", ".join(campaign.vary) or "nothing varies"
+            yield Problem(("report", "map", index), f"'{key}' does not vary; there are: {there}")

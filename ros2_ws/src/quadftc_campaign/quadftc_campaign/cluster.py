@@ -1,0 +1,149 @@
+# pyright: basic
+"""Chunks as tasks of Dask distributed: on the cores of this machine, or on a cluster that exists."""
+
+from __future__ import annotations
+
+import collections
+import contextlib
+import logging
+import os
+import sys
+from collections.abc import Callable, Generator, Iterator, Sequence
+from typing import Any
+
+from quadftc_campaign.errors import ClusterError
+
+RETRIES = 3  # of a chunk whose worker is lost
+TOPIC = "quadftc-samples"  # on which workers say how far they are
+NO_PROFILE = {"DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False"}  # a sampler that takes 3 % of a core
+TIMEOUT = 30.0  # s, to reach a scheduler
+
+
+@contextlib.contextmanager
+def cluster_client(address: str | None, workers: int) -> Generator[Any, None, None]:
+    """Connect to a scheduler, or start one with workers on this machine.
+
+    Parameters
+    ----------
+    address : str, optional
+        Such as ``tcp://10.0.0.1:8786``; None: start a cluster here.
+    workers : int
+        Processes to start here, each for one core.
+
+    Raises
+    ------
+    ClusterError
+        If there is no scheduler at the address, or it has no workers.
+    """
+    from distributed import Client, LocalCluster
+
+    if address is not None:
+        try:
+            client = Client(address, timeout=TIMEOUT, set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            raise ClusterError(f"scheduler {address}: {_first_line(error)}") from None
+        with client:
+            try:
+                client.wait_for_workers(1, timeout=TIMEOUT)
+            except TimeoutError:
+                raise ClusterError(f"scheduler {address}: no worker after {TIMEOUT:g} s") from None
+            yield client
+        return
+    with (
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",  # any free port: it cannot be left out
+            silence_logs=logging.ERROR,
+            env=_environment(),
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        yield client
+
+
+def devices(client: Any) -> str:
+    """Say what the workers compute on, such as ``2 x cpu``."""
+    found = collections.Counter(client.run(_device).values())
+    return ", ".join(f"{count} x {name}" for name, count in sorted(found.items()))
+
+
+def _device() -> str:
+    """In a worker."""
+    _prepare()
+    import jax
+
+    return jax.devices()[0].device_kind
+
+
+def run_tasks(
+    client: Any,
+    function: Callable[..., Any],
+    arguments: Sequence[tuple[Any, ...]],
+    progress: Callable[[int], None],
+) -> Iterator[tuple[int, Any]]:
+    """Call a function in the workers; return place and result of each call as it is done.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    function : callable
+        Its last argument is like ``progress``.
+    arguments : sequence of tuples
+        The others, of each call.
+    progress : callable
+        Called with the number of samples flown since the last call.
+
+    Raises
+    ------
+    ClusterError
+        If a call is lost with its worker again and again.
+    Exception
+        What a call raises.
+    """
+    from distributed import KilledWorker, as_completed
+
+    client.subscribe_topic(TOPIC, lambda event: progress(event[1]))
+    futures = {
+        client.submit(_called, function, each, retries=RETRIES, pure=False): place
+        for place, each in enumerate(arguments)
+    }
+    try:
+        for future in as_completed(futures, loop=client.loop):
+            try:
+                yield futures[future], future.result()
+            except KilledWorker as error:
+                raise ClusterError(f"chunk {futures[future]}: {_first_line(error)}") from None
+            future.release()
+    finally:
+        client.cancel(list(futures))
+        client.unsubscribe_topic(TOPIC)
+
+
+def _called(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+    """A task, in a worker."""
+    from distributed import get_worker
+
+    _prepare()
+    worker = get_worker()
+    return function(*arguments, lambda samples: worker.log_event(TOPIC, samples))
+
+
+def _prepare() -> None:
+    """Set what JAX reads when it is imported: in workers that others have started, it is not set yet."""
+    from quadftc_campaign.batch.environment import environment
+
+    if "jax" not in sys.modules:
+        os.environ.update(environment())
+
+
+def _environment() -> dict[str, str]:
+    from quadftc_campaign.batch.environment import environment
+
+    path = os.environ.get("PYTHONPATH")
+    return environment() | NO_PROFILE | ({} if path is None else {"PYTHONPATH": path})
+
+
+def _first_line(error: BaseException) -> str:
+    return str(error).strip().splitlines()[0] if str(error).strip() else type(error).__name__

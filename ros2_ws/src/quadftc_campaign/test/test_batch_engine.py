@@ -1,0 +1,303 @@
+"""The batch engine flies what the closed loop flies, and its tally says what the metrics say."""
+
+import dataclasses
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from quadftc_campaign.batch.engine import Engine
+from quadftc_campaign.batch.outcome import fault_records, flight_record
+from quadftc_campaign.batch.parts import flight_parts, structure_of, with_common_faults
+from quadftc_control.controller import controllers
+from quadftc_fdi.fault_observer import fault_observers
+from quadftc_flight.closed_loop import fly
+from quadftc_flight.flight import VECTORS
+from quadftc_flight.metrics import flight_metrics
+from quadftc_flight.scenario import (
+    find_scenario,
+    load_scenario,
+    node_parameters,
+    parse_scenario,
+    scenario_names,
+    with_seed,
+)
+from quadftc_flight.scenario.build import build_scenario
+from quadftc_model.samples import AXES, STARTING
+from quadftc_sim.fault import faults as fault_kinds
+
+AGREE = 1e-9  # in SI
+ROUNDED = {"fault_std_dev": 1e-8}  # the square root of a variance that may be zero to rounding
+
+
+def scheme_of(scenario):
+    return "supervised" if "supervised" in scenario.schemes else None
+
+
+def assert_same_flight(flight, expected, rtol=0.0):
+    for name in VECTORS:
+        bound = ROUNDED.get(name, AGREE)
+        np.testing.assert_allclose(
+            getattr(flight, name), getattr(expected, name), rtol=rtol, atol=bound, err_msg=name
+        )
+    for name in ("stamp_ns", "delivered", "fault_state", "saturated"):
+        np.testing.assert_array_equal(getattr(flight, name), getattr(expected, name), err_msg=name)
+    assert np.max(np.abs(flight.fault_onset_ns - expected.fault_onset_ns)) <= 1000  # ns
+
+
+def assert_same_metrics(outcome, flight, scenario, tolerance=1e-9):
+    expected = flight_metrics(flight, scenario.fault_windows, scenario.fault_events)
+    diagnosis = expected["diagnosis"]
+    for name, value in flight_record(outcome).items():
+        metric, _, axis = name.partition(".")
+        there = expected if metric in expected else diagnosis
+        if metric in ("finite", "healthy_estimate_max_deg"):
+            continue
+        wanted = there[metric][axis] if axis else there[metric]
+        assert value == pytest.approx(wanted, rel=1e-6, abs=tolerance), name
+    records = fault_records(outcome, scenario.fault_events)
+    assert len(records) == len(diagnosis["events"])
+    for record, wanted in zip(records, diagnosis["events"], strict=True):
+        for name, value in record.items():
+            if isinstance(value, str) or value is None:
+                assert value == wanted.get(name)
+            elif name in wanted:
+                assert value == pytest.approx(wanted[name], rel=1e-6, abs=tolerance), (name, record)
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_a_scenario_flies_as_in_the_closed_loop_to_its_end(name):
+    scenario = load_scenario(find_scenario(name))
+    parameters = node_parameters(scenario, scheme_of(scenario))
+    expected = fly(parameters)
+    parts = flight_parts(parameters)
+    (traced,) = Engine().trace([parts], [scenario.fault_events])
+    assert_same_flight(traced.flight, expected)
+    assert_same_metrics(traced.outcome, expected, scenario)
+
+
+BUSY = """
+duration: 4 s
+rate: 250 Hz
+seed: 3
+vehicle: crazyflie_2x
+plant: {motor_lag: false, substeps: 2}
+sensors: {grade: mems, delay: 2}
+references:
+  - {kind: step, angles: [5 deg, -4 deg, 10 deg], start: 0.5 s, stop: 2 s, rise: 0.5 s}
+disturbances:
+  - {kind: sine, amplitude: 0.0002, frequency: 3, start: 0.5 s}
+  - {kind: ramp, rate: 0.0001, start: 1 s, stop: 3 s}
+faults: []
+schemes:
+  tested: {observer: supervised, disturbance_observer: exosystem, controller: ismc}
+"""
+
+
+def busy(*faults, **parts):
+    """A short flight with something of everything."""
+    scenario = parse_scenario(
+        BUSY, overrides=[f"schemes.tested.{role}={name}" for role, name in parts.items()]
+    )
+    document = scenario.document.replaced(("faults",), [dict(fault) for fault in faults], "test")
+    return build_scenario(document)
+
+
+def trace_of(scenario):
+    parts = flight_parts(node_parameters(scenario))
+    return Engine().trace([parts], [scenario.fault_events])[0]
+
+
+def assert_flies_alike(scenario):
+    """Relative to what is there: some of these flights are wild."""
+    expected = fly(node_parameters(scenario))
+    traced = trace_of(scenario)
+    assert_same_flight(traced.flight, expected, rtol=1e-7)
+    assert_same_metrics(traced.outcome, expected, scenario)
+    return expected
+
+
+@pytest.mark.parametrize("name", [name for name in fault_observers.names() if name != "supervised"])
+def test_every_fault_observer_flies_alike(name):
+    assert_flies_alike(busy({"kind": "bias", "value": 0.03, "start": 1.0, "stop": 2.0}, observer=name))
+
+
+@pytest.mark.parametrize("name", [name for name in controllers.names() if name != "ismc"])
+def test_every_controller_flies_alike(name):
+    assert_flies_alike(busy(observer="none", controller=name))
+
+
+def with_plant(scenario, **options):
+    return build_scenario(scenario.document.replaced(("plant",), options, "test"))
+
+
+def test_a_flight_alone_is_one_kernel_and_says_what_the_metrics_say():
+    """Without a trace; the loop over its samples is compiled as a whole."""
+    scenario = busy({"kind": "bias", "value": 0.03, "start": 1.0, "stop": 2.0})
+    parameters = node_parameters(scenario)
+    parts, events, engine = [flight_parts(parameters)], [scenario.fault_events], Engine()
+    compiled, *_ = next(engine._tasks(parts, events))
+    texts = []
+
+    def fly_as_compiled(*arguments):
+        made = stretch.lower(*arguments).compile()
+        texts.append(made.as_text())
+        return made(*arguments)
+
+    stretch, compiled.fly = compiled.fly, fly_as_compiled
+    (outcome,) = engine.fly(parts, events)
+    assert len(texts) == 2
+    assert all('xla_cpu_small_call="true"' in text for text in texts)
+    assert_same_metrics(outcome, fly(parameters), scenario)
+
+
+def test_rotors_that_lag_fly_alike():
+    assert_flies_alike(with_plant(busy(observer="none", controller="pid"), motor_lag=True))
+
+
+def test_a_vehicle_that_differs_from_its_model_flies_alike():
+    factor = [0.8, 1.3, 1.1]
+    expected = assert_flies_alike(
+        with_plant(busy(observer="none"), motor_lag=True, motor_bandwidth=40.0, inertia_factor=factor)
+    )
+    nominal = fly(node_parameters(busy(observer="none")))
+    there = nominal.disturbance != 0.0
+    ratio = expected.disturbance[there] / nominal.disturbance[there]
+    np.testing.assert_allclose(ratio, 1.0 / np.broadcast_to(factor, there.shape)[there], rtol=1e-12)
+
+
+def test_vehicles_of_several_inertias_and_motors_are_one_structure():
+    """So a campaign over them compiles once."""
+    values = [(0.8, 0.0), (1.0, 60.0), (1.25, 20.0)]
+    batch = [
+        with_plant(busy(observer="none"), motor_lag=True, inertia_factor=factor, motor_bandwidth=bandwidth)
+        for factor, bandwidth in values
+    ]
+    parts = [flight_parts(node_parameters(scenario)) for scenario in batch]
+    assert len({structure_of(flight.loop) for flight in parts}) == 1
+    together = Engine().trace(parts, [scenario.fault_events for scenario in batch])
+    for scenario, traced in zip(batch, together, strict=True):
+        assert_same_flight(traced.flight, fly(node_parameters(scenario)))
+
+
+@pytest.mark.parametrize("model", ["ramp", "harmonic", "constant+harmonic"])
+def test_every_exosystem_flies_alike(model):
+    scenario = busy(observer="none", disturbance_observer=f"{{kind: exosystem, model: {model}}}")
+    assert_flies_alike(scenario)
+
+
+def test_every_fault_on_every_channel_flies_alike():
+    """Those of the attitude are in the scenario mems_catalogue."""
+    faults = [
+        {"kind": kind, "channel": channel, "start": 0.3 + 0.2 * index, "duration": 0.5, **parameters}
+        for channel, size in (("gyro", 0.02), ("accelerometer", 0.3))
+        for index, (kind, parameters) in enumerate(
+            [
+                ("bias", {"value": size}),
+                ("drift", {"rate": size}),
+                ("sine", {"amplitude": size}),
+                ("scale", {"factor": 0.1}),
+                ("stuck", {}),
+                ("delay", {"delay": 0.02}),
+                ("noise", {"sigma": size}),
+                ("spikes", {"amplitude": size, "rate": 20.0}),
+                ("nan", {}),
+                ("dropout", {"probability": 0.5}),
+            ]
+        )
+    ]
+    assert {fault["kind"] for fault in faults} == set(fault_kinds.names())
+    assert_flies_alike(busy(*faults, observer="threshold"))
+
+
+def test_a_flight_that_cannot_start_at_once_flies_alike():
+    expected = assert_flies_alike(
+        busy(
+            {"kind": "nan", "start": 0.0, "stop": 0.4},
+            {"kind": "dropout", "channel": "imu", "start": 0.0, "stop": 0.1},
+            {
+                "kind": "dropout",
+                "channel": "imu",
+                "start": 1.0,
+                "stop": 2.5,
+            },  # longer than anything is carried
+            {"kind": "dropout", "channel": "imu", "start": 3.0, "stop": 3.5, "probability": 0.7},
+            observer="sliding_mode",
+        )
+    )
+    assert np.any(expected.fault_state == STARTING)
+    assert not np.all(expected.delivered)
+
+
+def test_flights_of_one_batch_do_not_touch_each_other():
+    """Seeds, values and kinds of faults differ; lanes are filled up; each is as it would be alone."""
+    batch = [
+        with_seed(
+            busy({"kind": "bias", "value": 0.01 * (index + 1), "start": 1.0}, observer="threshold"), index
+        )
+        for index in range(4)
+    ]
+    batch.append(busy({"kind": "sine", "amplitude": 0.03, "start": 0.5}, observer="threshold"))
+    batch.append(busy(observer="threshold"))
+    parts = [flight_parts(node_parameters(scenario)) for scenario in batch]
+    engine = Engine(lanes=4)
+    together = engine.trace(parts, [scenario.fault_events for scenario in batch])
+    assert len({structure_of(flight.loop) for flight in with_common_faults(parts)}) == 1
+    for scenario, traced in zip(batch, together, strict=True):
+        expected = fly(node_parameters(scenario))
+        assert_same_flight(traced.flight, expected)
+        assert_same_metrics(traced.outcome, expected, scenario)
+
+
+SINGLE = """
+import json, sys
+from quadftc_campaign.batch.engine import Engine
+from quadftc_campaign.batch.outcome import flight_record
+from quadftc_campaign.batch.parts import flight_parts
+parameters = json.load(sys.stdin)
+(outcome,) = Engine(float32=True).fly([flight_parts(parameters)], [()])
+print(json.dumps(flight_record(outcome)))
+"""
+
+
+def test_single_precision_is_near_double():
+    """In a process of its own, as one process has one precision."""
+    scenario = busy({"kind": "bias", "value": 0.03, "start": 1.0, "stop": 2.0})
+    parameters = node_parameters(scenario)
+    (double,) = Engine().fly([flight_parts(parameters)], [()])
+    run = subprocess.run(
+        [sys.executable, "-c", SINGLE],
+        input=json.dumps(parameters),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    one, other = json.loads(run.stdout), flight_record(double)
+    for axis in AXES:
+        name = f"tracking_rmse_deg.{axis}"
+        assert one[name] == pytest.approx(other[name], rel=1e-2)
+        assert one[name] != other[name]
+    with pytest.raises(ValueError, match="this process computes in float64"):
+        Engine(float32=True)
+
+
+def test_a_part_that_asks_for_its_numbers_is_refused_by_name():
+    scenario = busy(observer="none")
+    parts = [flight_parts(node_parameters(with_seed(scenario, seed))) for seed in range(2)]
+
+    @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+    class Branching(type(parts[0].loop.controller)):
+        def step(self, state, inputs, dt):
+            if inputs.imu.body_rate[0] > 0.0:
+                return super().step(state, inputs, dt)
+            return super().step(state, inputs, dt)
+
+    branching = Branching(vehicle=parts[0].loop.controller.vehicle)
+    wrong = [
+        dataclasses.replace(flight, loop=dataclasses.replace(flight.loop, controller=branching))
+        for flight in parts
+    ]
+    with pytest.raises(ValueError, match=r"controller \(Branching\).*cannot be flown in a batch"):
+        Engine().fly(wrong, [(), ()])

@@ -1,0 +1,356 @@
+"""Campaigns: what is drawn, what is refused, and that the results do not depend on how they were flown."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from quadftc_campaign.campaign_file import load_campaign
+from quadftc_campaign.cluster import cluster_client, run_tasks
+from quadftc_campaign.distributions import distribution, plain
+from quadftc_campaign.errors import CampaignError, ClusterError
+from quadftc_campaign.flights import drawn
+from quadftc_campaign.flying import CampaignRun, flight_scenario, variant_of
+from quadftc_campaign.table import table_of
+from quadftc_campaign.work import chunks_of, fly_chunk
+from quadftc_flight.closed_loop import fly
+from quadftc_flight.metrics import flight_metrics
+from quadftc_flight.scenario import ScenarioError, node_parameters
+
+BASE = """
+duration: 1 s
+rate: 250 Hz
+vehicle: qball_x4
+sensors: {grade: mems}
+faults:
+  - {kind: bias, axes: roll, value: 1 deg, start: 0.1 s, stop: 0.3 s}
+schemes:
+  plain: {controller: smc}
+"""
+CAMPAIGN = """
+name: short
+scenario: base.yaml
+set: [duration=0.4 s]
+flights: 12
+seed: 7
+schemes: [plain]
+controllers: [smc, pid]
+vary:
+  faults.0.start: {uniform: [0.1 s, 0.2 s]}
+  faults.0.value: {uniform: [1 deg, 5 deg], sign: random}
+  faults.0.axes: {choice: [roll, pitch]}
+  sensors.gyro_noise: {log_uniform: [0.001, 0.01]}
+  rate: {grid: [125 Hz, 250 Hz]}
+"""
+
+
+@pytest.fixture
+def campaign(tmp_path):
+    return written(tmp_path, CAMPAIGN)
+
+
+def written(tmp_path, text):
+    (tmp_path / "base.yaml").write_text(BASE)
+    path = tmp_path / "campaign.yaml"
+    path.write_text(text)
+    return load_campaign(path)
+
+
+@pytest.mark.parametrize(
+    ("raw", "low", "high"),
+    [
+        ({"uniform": [1.0, 3.0]}, 1.0, 3.0),
+        ({"log_uniform": ["0.1 s", "10 s"]}, 0.1, 10.0),
+        ({"uniform": ["1 deg", "2 deg"], "sign": "random"}, -2.0, 2.0),
+    ],
+)
+def test_what_is_drawn_lies_within_its_bounds(raw, low, high):
+    generator = np.random.default_rng(0)
+    values = np.array([plain(distribution(raw).draw(generator)) for _ in range(400)])
+    assert low <= values.min() < values.max() <= high
+    if "sign" in raw:
+        assert not np.any(np.abs(values) < 1.0)
+        assert abs(np.mean(values < 0.0) - 0.5) < 0.1
+
+
+def test_a_normal_distribution_has_its_moments_and_keeps_its_unit():
+    generator = np.random.default_rng(0)
+    raw = distribution({"normal": ["2 deg", "0.5 deg"]})
+    texts = [raw.draw(generator) for _ in range(2000)]
+    assert all(text.endswith(" deg") for text in texts)
+    values = np.array([plain(text) for text in texts])
+    assert abs(values.mean() - 2.0) < 0.05
+    assert abs(values.std() - 0.5) < 0.03
+
+
+def test_a_log_uniform_distribution_has_its_median_in_the_geometric_middle():
+    generator = np.random.default_rng(0)
+    values = [distribution({"log_uniform": [0.01, 100.0]}).draw(generator) for _ in range(2000)]
+    assert abs(np.median(np.log(values))) < 0.3
+
+
+def test_a_list_is_drawn_number_by_number():
+    drawn_list = distribution({"uniform": [0.0, 1.0], "size": 3}).draw(np.random.default_rng(0))
+    assert len(set(drawn_list)) == 3
+
+
+@pytest.mark.parametrize(
+    ("raw", "message"),
+    [
+        (3, "expected a distribution"),
+        ({}, "expected one of uniform"),
+        ({"uniform": [2.0, 1.0]}, "an empty range"),
+        ({"uniform": [1.0, 1.0]}, "an empty range"),
+        ({"uniform": [-1e308, 1e308]}, "too large to draw from"),
+        ({"uniform": [1.0]}, r"expected \[low, high\]"),
+        ({"uniform": ["1 deg", "2 rad"]}, "expected one unit"),
+        ({"uniform": [0.0, True]}, "expected a number"),
+        ({"log_uniform": [0.0, 1.0]}, "must be positive"),
+        ({"normal": [0.0, 0.0]}, "standard deviation 0: must be positive"),
+        ({"choice": []}, "at least one"),
+        ({"grid": 3}, "expected a list"),
+        ({"grid": [1, 2], "size": 2}, "size"),
+        ({"choice": [1, 2], "sign": "random"}, "sign: a choice has none"),
+        ({"uniform": [0.0, 1.0], "sign": "up"}, "expected random"),
+        ({"unyform": [0.0, 1.0]}, "unknown key 'unyform'.*did you mean 'uniform'"),
+    ],
+)
+def test_a_distribution_that_is_none_is_refused(raw, message):
+    with pytest.raises(ValueError, match=message):
+        distribution(raw)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("flights: 12", "flights: 0"), r"campaign.yaml:\d+: flights: 0: "),
+        (("flights: 12", "flihgts: 12"), "flihgts: unknown key"),
+        (("scenario: base.yaml", "scenario: nothing_such"), "scenario: no scenario 'nothing_such'"),
+        (("controllers: [smc, pid]", "controllers: [smc, pdi]"), r"controllers\[1\]: no 'pdi'"),
+        (("schemes: [plain]", "schemes: [plein]"), r"schemes\[0\]: no 'plein'"),
+        (
+            ("uniform: [1 deg, 5 deg]", "uniform: [5 deg, 1 deg]"),
+            r"uniform: low 5, high 1: an empty range",
+        ),
+        (("rate: {grid", "seed: {grid"), "'seed' cannot vary"),
+        (("vary:", "report: {map: [duration]}\nvary:"), r"report.map\[0\]: 'duration' does not vary"),
+    ],
+)
+def test_a_campaign_file_that_is_wrong_is_refused(tmp_path, change, message):
+    text = CAMPAIGN.replace(*change)
+    with pytest.raises(ScenarioError, match=message):
+        written(tmp_path, text)
+
+
+def test_a_path_that_leads_nowhere_is_refused_before_anything_flies(tmp_path):
+    text = CAMPAIGN.replace("faults.0.value", "faults.5.value")
+    with pytest.raises(ScenarioError, match=r"flight 0: .*faults.*there are: 0 to 0"):
+        CampaignRun(written(tmp_path, text), tmp_path / "out").open(resume=False)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_flight_depends_on_its_number_alone(campaign, tmp_path):
+    (tmp_path / "more").mkdir()
+    more = written(
+        tmp_path / "more",
+        CAMPAIGN.replace("flights: 12", "flights: 40").replace(
+            "  rate:", "  faults.0.stop: {uniform: [0.3 s, 0.35 s]}\n  rate:"
+        ),
+    )
+    for number in range(12):
+        values, others = drawn(campaign, number), drawn(more, number)
+        assert {path: others[path] for path in values} == values
+    assert len({drawn(campaign, number)["seed"] for number in range(12)}) == 12
+
+
+def test_grids_are_gone_through_in_turn_and_chunks_have_one_structure(campaign):
+    assert [drawn(campaign, number)["rate"] for number in range(4)] == ["125 Hz", "250 Hz"] * 2
+    chunks = chunks_of(campaign, size=4)
+    assert sorted(number for chunk in chunks for number in chunk) == list(range(12))
+    assert all(len({drawn(campaign, number)["rate"] for number in chunk}) == 1 for chunk in chunks)
+
+
+def test_grids_of_numbers_share_their_chunks(tmp_path):
+    """So that nothing is compiled for each value; a switch has chunks of its own."""
+    grids = """  plant.inertia_factor: {grid: [0.8, 1.0, 1.25]}
+  plant.motor_lag: {grid: [false, true]}
+"""
+    campaign = written(tmp_path, CAMPAIGN.replace("  rate: {grid: [125 Hz, 250 Hz]}\n", grids))
+    chunks = chunks_of(campaign, size=4)
+    assert sorted(len(chunk) for chunk in chunks) == [3, 3, 3, 3]
+    for chunk in chunks:
+        values = [drawn(campaign, number) for number in chunk]
+        assert len({value["plant.motor_lag"] for value in values}) == 1
+        assert {value["plant.inertia_factor"] for value in values} == {0.8, 1.0, 1.25}
+
+
+def test_a_row_says_what_the_flight_alone_says(campaign):
+    rows = table_of(fly_chunk(campaign, chunks_of(campaign)[1]))
+    for number in (1, 11):
+        for variant in campaign.variants:
+            scenario = flight_scenario(campaign, number, variant)
+            flown = fly(node_parameters(scenario, variant.scheme))
+            metrics = flight_metrics(flown, scenario.fault_windows, scenario.fault_events)
+            (row,) = rows.filter(flight=number, variant=variant.name).to_dicts()
+            assert row["tracking_rmse_deg.pitch"] == pytest.approx(
+                metrics["tracking_rmse_deg"]["pitch"], rel=1e-9
+            )
+            (event,) = metrics["diagnosis"]["events"]
+            assert row["fault.axis"] == event["axis"]
+            assert row["fault.tracking_rmse_deg"] == pytest.approx(event["tracking_rmse_deg"], rel=1e-9)
+            assert row["faults.0.value"] == pytest.approx(
+                plain(drawn(campaign, number)["faults.0.value"]), rel=1e-15
+            )
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_results_are_the_same_whatever_the_number_of_workers(campaign, tmp_path, workers):
+    """And as in this process, without any."""
+    run = CampaignRun(campaign, tmp_path / "out", size=3)
+    extent = run.open(resume=False)
+    assert (extent.chunks, extent.missing) == (8, 8)  # of two variants
+    seen = []
+    run.fly(None, workers, seen.append)
+    frame, summary = run.finish()
+    alone = table_of([row for chunk in chunks_of(campaign, 3) for row in fly_chunk(campaign, chunk)])
+    assert frame.equals(alone.sort("flight", "variant", "fault"))
+    assert json.loads((tmp_path / "out" / "summary.json").read_text()) == json.loads(json.dumps(summary))
+    assert sum(seen) <= extent.samples
+
+
+def test_a_worker_that_is_killed_in_the_middle_loses_nothing(campaign):
+    chunks = chunks_of(campaign, size=2)
+    expected = {place: fly_chunk(campaign, chunk) for place, chunk in enumerate(chunks)}
+    killed = threading.Event()
+    with cluster_client(None, 2) as client:
+        pids = client.run(os.getpid)
+        assert len(set(pids.values())) == 2
+        victim = sorted(pids.values())[0]
+
+        def kill_once(samples):
+            if not killed.is_set():
+                killed.set()
+                os.kill(victim, signal.SIGKILL)
+
+        found = dict(run_tasks(client, fly_chunk, [(campaign, each) for each in chunks], kill_once))
+        assert victim not in client.run(os.getpid).values()
+    assert killed.is_set()
+    assert found == expected
+
+
+@pytest.fixture
+def cluster(tmp_path):
+    """Address of a scheduler, and two workers, started as one starts them on a cluster."""
+    file = tmp_path / "scheduler.json"
+    common = ["--scheduler-file", str(file), "--no-dashboard"]
+    with contextlib.ExitStack() as stack:
+
+        def start(*arguments):
+            process = subprocess.Popen(
+                [sys.executable, "-m", "distributed.cli.dask_" + arguments[0], *arguments[1:], *common],
+                stderr=subprocess.DEVNULL,
+                cwd=tmp_path,
+            )
+            stack.callback(process.wait, 30)
+            stack.callback(process.kill)
+            return process
+
+        start("scheduler", "--host", "127.0.0.1", "--port", "0")
+        until = time.monotonic() + 60.0
+        while not file.exists() or not file.read_text():
+            assert time.monotonic() < until, "no scheduler"
+            time.sleep(0.1)
+        workers = [start("worker", "--nthreads", "1", "--no-nanny", "--host", "127.0.0.1") for _ in range(2)]
+        yield json.loads(file.read_text())["address"], workers
+
+
+def test_a_cluster_that_exists_flies_the_same_with_a_worker_killed(campaign, tmp_path, cluster):
+    """Workers started by hand: one is killed in the middle, the other does its chunks again."""
+    address, workers = cluster
+    run = CampaignRun(campaign, tmp_path / "out", size=2)
+    run.open(resume=False)
+    killed = threading.Event()
+
+    def kill_once(samples):
+        if not killed.is_set():
+            killed.set()
+            workers[0].kill()
+
+    said = []
+    run.fly(address, 1, kill_once, said.append)
+    frame, _ = run.finish()
+    alone = table_of([row for chunk in chunks_of(campaign, 2) for row in fly_chunk(campaign, chunk)])
+    assert killed.is_set()
+    assert frame.equals(alone.sort("flight", "variant", "fault"))
+    assert said
+    assert "cpu" in said[0]
+
+
+def test_a_campaign_goes_on_where_it_was_and_ends_the_same(campaign, tmp_path):
+    whole = CampaignRun(campaign, tmp_path / "whole", size=3)
+    whole.open(resume=False)
+    whole.fly(None, 1, lambda samples: None)
+    expected, _ = whole.finish()
+    chunks = sorted((tmp_path / "whole" / "chunks").iterdir())
+    broken = tmp_path / "broken"
+    CampaignRun(campaign, broken, size=3).open(resume=False)
+    for path in chunks[:2]:
+        (broken / "chunks" / path.name).write_bytes(path.read_bytes())
+    (broken / "chunks" / ".00002.parquet.part").write_bytes(b"half")  # what a kill leaves
+    again = CampaignRun(campaign, broken, size=3)
+    assert again.open(resume=True).missing == 6
+    again.fly(None, 1, lambda samples: None)
+    frame, _ = again.finish()
+    assert frame.equals(expected)
+    for name in ("summary.json", "flights.parquet"):
+        assert (broken / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+
+
+def test_a_directory_with_another_campaign_is_left_alone(campaign, tmp_path):
+    out = tmp_path / "out"
+    CampaignRun(campaign, out).open(resume=False)
+    with pytest.raises(CampaignError, match="--resume goes on"):
+        CampaignRun(campaign, out).open(resume=False)
+    other = written(tmp_path, CAMPAIGN.replace("seed: 7", "seed: 8"))
+    with pytest.raises(CampaignError, match=r"another campaign \(seed differ\)"):
+        CampaignRun(other, out).open(resume=True)
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.txt").write_text("mine")
+    with pytest.raises(CampaignError, match="is not empty"):
+        CampaignRun(campaign, tmp_path / "full").open(resume=False)
+
+
+def test_a_full_disk_is_said_in_one_line(campaign, tmp_path, monkeypatch):
+    run = CampaignRun(campaign, tmp_path / "out", size=6)
+    run.open(resume=False)
+
+    def full(descriptor):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(CampaignError, match=r"chunks.*No space left on device.*--resume goes on"):
+        run.fly(None, 1, lambda samples: None)
+    assert not list((tmp_path / "out" / "chunks").iterdir())
+
+
+def test_a_variant_or_flight_that_is_not_there_is_refused(campaign):
+    with pytest.raises(CampaignError, match="no variant 'x'; there are: plain\\+smc"):
+        variant_of(campaign, "x")
+    with pytest.raises(CampaignError, match="no flight 12; there are 0 to 11"):
+        flight_scenario(campaign, 12, campaign.variants[0])
+
+
+def test_a_scheduler_that_is_not_there_is_said_in_one_line(monkeypatch):
+    monkeypatch.setattr("quadftc_campaign.cluster.TIMEOUT", 0.3)
+    with (
+        pytest.raises(ClusterError, match=r"scheduler tcp://127.0.0.1:1: "),
+        cluster_client("tcp://127.0.0.1:1", 1),
+    ):
+        pass

@@ -1,0 +1,79 @@
+# pyright: basic
+"""The derivative of a flight against differences of flights."""
+
+import numpy as np
+import pytest
+
+from quadftc_campaign.batch.engine import Engine
+from quadftc_campaign.batch.parts import FlightParts, flight_parts
+from quadftc_flight.diagnosis_metrics import FaultEvent
+from quadftc_flight.scenario import find_scenario, load_scenario, node_parameters
+
+FREE = ("controller.k_c1", "controller.phi", "disturbance_observer.bandwidth")
+
+
+def built(scheme: str, **gains: object) -> tuple[FlightParts, tuple[FaultEvent, ...]]:
+    """A flight of 8 s with a fault from the 3rd to the 5th."""
+    values = [f"schemes.{scheme}.{name.replace('__', '.')}={value}" for name, value in gains.items()]
+    scenario = load_scenario(
+        find_scenario("mems_faults"),
+        [
+            "duration=8 s",
+            "faults=[{kind: bias, channel: attitude, axes: roll, value: 1 deg, start: 3 s, stop: 5 s}]",
+            "references=[{kind: sine, amplitude: 4 deg, frequency: 0.8, start: 1 s}]",
+            f"schemes.{scheme}.checks=[]",
+            *values,
+        ],
+    )
+    return flight_parts(node_parameters(scenario, scheme)), scenario.fault_events
+
+
+@pytest.fixture(scope="module")
+def engine() -> Engine:
+    """One that compiles a scheme once."""
+    return Engine(lanes=8, free=FREE)
+
+
+def test_slopes_are_those_of_differences(engine: Engine) -> None:
+    """Gains of the controller and of the disturbance observer, on axes of their own and together."""
+    scheme = "supervised"
+    base = {
+        "controller__k_c1": [16.0, 16.0, 9.0],
+        "controller__phi": [0.1, 0.1, 0.1],
+        "disturbance_observer__bandwidth": 10.0,
+    }
+    steps = {
+        "controller__k_c1": (np.array([0.0, 1.0, 0.5]), 1e-4),
+        "controller__phi": (np.array([1.0, 0.0, 0.0]), 1e-6),
+        "disturbance_observer__bandwidth": (np.array(1.0), 1e-4),
+    }
+    parts, events = built(scheme, **base)
+    still = {name.replace("__", "."): np.zeros_like(direction) for name, (direction, _) in steps.items()}
+    directions = [{**still, name.replace("__", "."): way} for name, (way, _) in steps.items()]
+    found = engine.slopes([parts] * 3, [events] * 3, directions)
+    moved = [
+        built(scheme, **{**base, name: (np.array(base[name]) + sign * size * way).tolist()})[0]
+        for name, (way, size) in steps.items()
+        for sign in (-1, 1)
+    ]
+    flown = engine.fly(moved, [events] * 6)
+    for place, (_, size) in enumerate(steps.values()):
+        before, after = flown[2 * place].sums, flown[2 * place + 1].sums
+        for kind in ("tracking", "estimate", "disturbance", "torque", "variation", "delivered"):
+            difference = (getattr(after, kind) - getattr(before, kind)) / (2.0 * size)
+            slope = getattr(found[place].slope, kind)
+            np.testing.assert_allclose(
+                slope, difference, rtol=1e-5, atol=1e-7 * (1.0 + np.max(np.abs(difference)))
+            )
+        assert np.any(found[place].slope.variation != 0.0)
+    np.testing.assert_array_equal(
+        found[0].outcome.sums.tracking, found[1].outcome.sums.tracking
+    )  # the flight does not depend on the direction
+
+
+def test_a_free_number_is_compiled_once(engine: Engine) -> None:
+    """Other gains, same compiled flight."""
+    engine.fly(*([each] for each in built("conventional")))
+    there = len(engine._compiled)
+    engine.fly(*([each] for each in built("conventional", controller__phi=[0.2, 0.2, 0.2])))
+    assert len(engine._compiled) == there

@@ -1,0 +1,199 @@
+# pyright: basic
+"""``quadftc campaign``."""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.progress import (
+    BarColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TaskID,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+from rich.text import Text
+
+from quadftc_campaign.errors import CampaignError
+from quadftc_cli.commands import GOOD, INTERRUPTED
+from quadftc_cli.commands.options import SchedulerOption, WorkersOption, workers_here
+from quadftc_cli.tables import console
+from quadftc_flight.runs import RunError, RunOptions, prepare, run_name
+from quadftc_flight.runs import run as run_scenario
+
+if TYPE_CHECKING:
+    from quadftc_campaign.campaign_file import Campaign
+
+SHOWN = (
+    ("tracking_rmse_deg", "tracking RMSE, worst axis"),
+    ("fault_estimate_rmse_deg", "estimate RMSE, worst axis"),
+)
+
+
+def campaign(
+    file: Annotated[Path, typer.Argument(help="Campaign file (see campaigns/).")],
+    out: Annotated[Path | None, typer.Option(help="Directory of the results; default: results/NAME.")] = None,
+    flights: Annotated[int | None, typer.Option(help="Number of flights in place of the file's.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with what is in the directory.")] = False,
+    scheduler: SchedulerOption = None,
+    workers: WorkersOption = None,
+    flight: Annotated[
+        list[int],
+        typer.Option(help="Fly this one alone, through the node graph, and write its bag; may be repeated."),
+    ] = [],  # noqa: B006
+    variant: Annotated[str | None, typer.Option(help="Of that flight; default: the first.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an earlier run of that flight.")] = False,
+) -> None:
+    """Fly a scenario thousands of times with drawn values; write table, summary and report."""
+    from quadftc_campaign.campaign_file import load_campaign  # with what it needs, half a second
+
+    loaded = load_campaign(file, flights)
+    directory = out or Path("results") / loaded.name
+    if flight:
+        raise typer.Exit(_fly_alone(loaded, flight, variant, directory, force))
+    if variant is not None:
+        raise CampaignError("--variant: is for --flight; a campaign flies all variants")
+    raise typer.Exit(_fly_all(loaded, file, directory, resume, scheduler, workers))
+
+
+def _fly_alone(loaded: Campaign, numbers: list[int], name: str | None, directory: Path, force: bool) -> int:
+    """Fly chosen flights as ``quadftc run`` would."""
+    from quadftc_campaign.flying import flight_scenario, variant_of
+
+    chosen = variant_of(loaded, name)
+    scenarios = [flight_scenario(loaded, number, chosen) for number in dict.fromkeys(numbers)]
+    jobs = [(scenario, scenario.scheme(chosen.scheme)) for scenario in scenarios]
+    runs = directory / "runs"
+    prepare(runs, [run_name(*job) for job in jobs], force)
+    screen = console()
+    results: list[dict[str, Any]] = []
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), console=screen
+    ) as bars:
+        for job in jobs:
+            bar = bars.add_task(run_name(*job), total=1.0)
+            result = run_scenario(*job, runs, RunOptions(), functools.partial(_follow, bars, bar))
+            if result is None:
+                raise RunError(f"{runs}: the flight ended early")
+            results.append(result)
+    for job, result in zip(jobs, results, strict=True):
+        screen.print(_flight_table(result))
+        screen.print(f"bag and summary: {runs / run_name(*job)}")
+    return GOOD
+
+
+def _follow(bars: Progress, bar: TaskID, share: float) -> bool:
+    bars.update(bar, completed=share)
+    return True
+
+
+def _flight_table(result: dict[str, Any]) -> Table:
+    table = Table("metric", "roll", "pitch", "yaw", title=f"{result['name']}, {result['scheme']}")
+    for name, _ in SHOWN:
+        values = result["metrics"][name]
+        table.add_row(name, *("-" if values[axis] is None else f"{values[axis]:.6g}" for axis in values))
+    return table
+
+
+def _fly_all(
+    loaded: Campaign, file: Path, directory: Path, resume: bool, scheduler: str | None, workers: int | None
+) -> int:
+    cores = workers_here(workers, scheduler)
+    from quadftc_campaign.flying import CampaignRun
+    from quadftc_report.campaign.report import write_campaign_report
+
+    screen = console()
+    flown = CampaignRun(loaded, directory)
+    extent = flown.open(resume)
+    where = scheduler or f"{min(cores, max(extent.missing, 1))} of {len(os.sched_getaffinity(0))} cores here"
+    screen.print(
+        f"{loaded.name}: {loaded.flights} flights x {len(loaded.variants)} variants, "
+        f"{'float32' if loaded.float32 else 'float64'}, on {where}; "
+        f"{extent.missing} of {extent.chunks} chunks to fly"
+    )
+    columns = (
+        TextColumn("flying"),
+        BarColumn(),
+        TaskProgressColumn(),
+        _Rate(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    started = time.monotonic()
+    try:
+        with Progress(*columns, console=screen, disable=extent.missing == 0) as bars:
+            bar = bars.add_task("", total=max(extent.samples, 1))
+            flown.fly(
+                scheduler,
+                cores,
+                lambda samples: bars.advance(bar, samples),
+                lambda devices: bars.console.print(f"computed on {devices}"),
+            )
+            bars.update(bar, completed=max(extent.samples, 1))
+    except KeyboardInterrupt:
+        screen.print(f"interrupted; --resume goes on with what is in {directory}")
+        return INTERRUPTED
+    seconds = time.monotonic() - started
+    frame, summary = flown.finish()
+    report = write_campaign_report(loaded, frame, summary, directory, str(file))
+    if extent.missing:
+        screen.print(
+            f"{extent.samples:.3g} closed-loop steps in {seconds:.1f} s: "
+            f"{extent.samples / seconds:.3g} a second"
+        )
+    screen.print(_table(summary))
+    screen.print(f"{frame.height} rows: {directory / 'flights.parquet'}")
+    screen.print(f"numbers: {directory / 'summary.json'}; report: {report}")
+    return GOOD
+
+
+class _Rate(ProgressColumn):
+    """Samples a second."""
+
+    def render(self, task: Task) -> Text:
+        speed = task.finished_speed or task.speed
+        return Text("" if not speed else f"{speed / 1e6:.2f} M steps/s")
+
+
+def _table(summary: dict[str, Any]) -> Table:
+    """Median and 95 % quantile of the worst axis, and what became of the faults."""
+    table = Table(
+        "variant",
+        "flights",
+        *(f"{words}: median / 95 %" for _, words in SHOWN),
+        "faults missed",
+        "delay: median / 95 %",
+    )
+    for name, each in summary["variants"].items():
+        faults = each["faults"].get("all", {})
+        delay = faults.get("metrics", {}).get("fault.detection_delay_s", {})
+        table.add_row(
+            name,
+            str(each["flights"]),
+            *(_pair(_worst(each["metrics"], metric), "deg") for metric, _ in SHOWN),
+            f"{faults['missed']} of {faults['judged']}" if faults else "-",
+            _pair(delay, "s"),
+        )
+    return table
+
+
+def _worst(metrics: dict[str, Any], name: str) -> dict[str, Any]:
+    axes = [metrics[f"{name}.{axis}"] for axis in ("roll", "pitch", "yaw")]
+    return max(axes, key=lambda each: each.get("q50", -math.inf))
+
+
+def _pair(values: dict[str, Any], unit: str) -> str:
+    if not values.get("count"):
+        return "-"
+    return f"{values['q50']:.3g} / {values['q95']:.3g} {unit}"

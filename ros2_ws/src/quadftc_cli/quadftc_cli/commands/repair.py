@@ -1,0 +1,96 @@
+# pyright: basic
+"""``quadftc repair``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from quadftc_bags.mcap_records import Damage
+from quadftc_bags.repair import Repair
+from quadftc_bags.repair import repair as repair_bag
+from quadftc_bags.salvage import Survey
+from quadftc_cli.tables import console
+
+
+def repair(
+    bag: Annotated[
+        Path, typer.Argument(metavar="BAG", help="A rosbag2 directory of one .mcap file, or the file.")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="The repaired bag; default: BAG-repaired, beside BAG.")
+    ] = None,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace DIR if it is there; without --out, replace BAG.")
+    ] = False,
+) -> None:
+    """Make a bag that can be read whole of one that was cut short: killed recorder, full disk, power cut.
+
+    Says what was kept and what was lost. A bag with which nothing is wrong is left as it is.
+    """
+    done = repair_bag(bag, out, force)
+    screen = console()
+    screen.print(_table(done.found))
+    for line in _lines(done):
+        screen.print(line, markup=False, soft_wrap=True)
+
+
+def _table(found: Survey) -> Table:
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    table.add_column("topic", no_wrap=True)
+    table.add_column("type", no_wrap=True)
+    table.add_column("messages", justify="right")
+    table.add_column("last \\[s]", justify="right", no_wrap=True)
+    start_ns = _start_ns(found)
+    for name, tally in sorted(found.topics.items()):
+        last = _seconds(tally.last_ns - start_ns) if tally.count else "-"
+        table.add_row(name, tally.type_name, str(tally.count), last)
+    return table
+
+
+def _lines(done: Repair) -> Iterator[str]:
+    """Say what was kept and lost, and where the new bag is."""
+    found = done.found
+    start_ns, last_ns = _start_ns(found), max(tally.last_ns for tally in found.topics.values())
+    span = f", {_seconds(last_ns - start_ns)} s, last stamp {last_ns} ns" if found.messages else ""
+    if done.out is None:
+        yield f"{found.path}: whole: {found.messages} messages{span}; nothing to repair"
+        return
+    yield f"kept: {found.messages} messages on {len(found.topics)} topics{span}"
+    for damage in found.damages:
+        yield _lost(damage, start_ns)
+    if found.unknown:
+        yield f"left out: {found.unknown} messages whose topic is not known"
+    for topic, reason in found.refused.items():
+        yield f"left out: topic '{topic}': {reason}"
+    if not found.is_indexed and not found.damages:
+        yield "made anew: the index of the file"
+    if done.complaint:
+        yield f"made anew: metadata.yaml ({done.complaint})"
+    if done.recorded:
+        yield "still being recorded: what comes after this is in the bag only"
+    yield f"repaired bag: {done.out}"
+
+
+def _lost(damage: Damage, start_ns: int) -> str:
+    kind = "cut off at the end" if damage.is_end else "damaged"
+    what = ""
+    if damage.is_index:
+        what = ": of the index, no message"
+    elif damage.span_ns is not None:
+        first, last = (_seconds(each - start_ns) for each in damage.span_ns)
+        what = f": a chunk of messages from {first} s to {last} s"
+    return f"lost: {damage.size} bytes, {kind}, at byte {damage.offset}{what}"
+
+
+def _start_ns(found: Survey) -> int:
+    return min((tally.first_ns for tally in found.topics.values() if tally.count), default=0)
+
+
+def _seconds(time_ns: int) -> str:
+    return f"{time_ns * 1e-9:.3f}"

@@ -1,0 +1,112 @@
+# pyright: basic
+"""``quadftc replay``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from quadftc_cli.tables import console
+from quadftc_model.samples import AXES
+from quadftc_replay.plan import ReplayOptions
+
+COLUMNS = {"always": "", "while faulty": "_inside", "while healthy": "_outside"}  # heading, end of the metric
+
+
+def replay(
+    bag: Annotated[
+        Path,
+        typer.Argument(
+            metavar="BAG", help="A rosbag2 directory, an .mcap or .db3 file, or a PX4 log (.ulg)."
+        ),
+    ],
+    topic: Annotated[
+        str, typer.Option(help="Topic of the IMU; default: the only one there is, or imu/data.")
+    ] = "",
+    observer: Annotated[
+        str, typer.Option(help="Fault observer; default: the recorded one with its parameters.")
+    ] = "",
+    set_: Annotated[
+        list[str], typer.Option("--set", help="Parameter of the observer: observer.L1=0.1.")
+    ] = [],  # noqa: B006
+    vehicle: Annotated[
+        str, typer.Option(help="Vehicle, by name or TOML file; default: the recorded one, or qball_x4.")
+    ] = "",
+    fault: Annotated[
+        list[str],
+        typer.Option(
+            metavar="SPEC",
+            help="Overlay a fault: 'bias axis=roll value=3deg start=60s stop=80s'; may be repeated.",
+        ),
+    ] = [],  # noqa: B006
+    faults: Annotated[
+        list[Path],
+        typer.Option(metavar="FILE.yaml", help="Overlay the faults of a file: the key faults of a scenario."),
+    ] = [],  # noqa: B006
+    seed: Annotated[int, typer.Option(help="Seed of random faults.")] = 0,
+    skip_backwards: Annotated[
+        bool, typer.Option("--skip-backwards", help="Leave out samples whose stamp goes back.")
+    ] = False,
+    out: Annotated[Path, typer.Option(help="Directory of the replays.", metavar="DIR")] = Path("results"),
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace an earlier replay of the same name.")
+    ] = False,
+) -> None:
+    """Run a recorded IMU through the diagnosis, offline, with faults overlaid if asked; write a bag.
+
+    Beside the bag, summary.json says how good the estimates are.
+    """
+    from quadftc_replay.ros_output import replay as replay_recording
+
+    options = ReplayOptions(
+        topic=topic,
+        observer=observer,
+        settings=tuple(set_),
+        vehicle=vehicle,
+        faults=tuple(fault),
+        fault_files=tuple(faults),
+        seed=seed,
+        skip_backwards=skip_backwards,
+    )
+    screen = console()
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bars:
+        bar = bars.add_task(bag.resolve().name, total=1.0)
+        summary = replay_recording(bag, options, out, force, lambda share: bars.update(bar, completed=share))
+    for line in summary["warnings"]:
+        console(stderr=True).print(f"warning: {line}", markup=False, soft_wrap=True)
+    screen.print(_headline(summary), markup=False, soft_wrap=True)
+    screen.print(_table(summary["metrics"]))
+    screen.print(f"bag and summary: {out / summary['bag']}", markup=False, soft_wrap=True)
+
+
+def _headline(summary: Mapping[str, Any]) -> str:
+    return (
+        f"{summary['name']}: {summary['samples']} samples of {summary['topic']},"
+        f" {summary['duration']:.1f} s at {summary['rate']:.1f} Hz,"
+        f" {summary['real_time_factor']:.1f} x real time; truth: {summary['truth']}"
+    )
+
+
+def _table(metrics: Mapping[str, Any]) -> Table:
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, title="error of the fault estimate, RMS / max \\[deg]")
+    table.add_column("axis")
+    for heading in COLUMNS:
+        table.add_column(heading, justify="right", no_wrap=True)
+    for axis in AXES:
+        pairs = [
+            [_number(metrics[f"fault_estimate_{kind}{end}_deg"][axis]) for kind in ("rmse", "max")]
+            for end in COLUMNS.values()
+        ]
+        table.add_row(axis, *(" / ".join(pair) for pair in pairs))
+    return table
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"

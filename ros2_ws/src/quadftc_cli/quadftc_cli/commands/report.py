@@ -1,0 +1,54 @@
+# pyright: basic
+"""``quadftc report``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+from quadftc_cli.tables import console
+
+
+def report(
+    bags: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="BAG|DIR",
+            help="Runs and replays (rosbag2 directories, .mcap files), or directories of such.",
+        ),
+    ],
+    out: Annotated[
+        Path, typer.Option(help="The HTML file; an earlier one is replaced.", metavar="FILE.html")
+    ] = Path("report.html"),
+    figures: Annotated[
+        bool, typer.Option(help="Write the figures as PNG and PDF, too, into a directory beside the page.")
+    ] = True,
+) -> None:
+    """Compare recorded runs and replays: one HTML page with figures and metrics, side by side.
+
+    Runs of one scenario share figures and tables, with checks and what they say of the paper; so do replays
+    of one recording. The page needs no network.
+    """
+    from quadftc_report.report import write_report
+    from quadftc_report.wording import counted, listing
+
+    screen = console()
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bars:
+        bar = bars.add_task("report", total=1.0)
+        written = write_report(
+            bags,
+            out,
+            with_figures=figures,
+            progress=lambda what, share: bars.update(bar, description=what, completed=share),
+        )
+    for line in written.warnings:
+        console(stderr=True).print(f"warning: {line}", markup=False, soft_wrap=True)
+    pairs = ((len(written.runs), "run"), (len(written.replays), "replay"))
+    counts = listing([counted(number, what) for number, what in pairs if number])
+    screen.print(f"report on {counts}: {written.page}", markup=False, soft_wrap=True)
+    if written.figures is not None:
+        screen.print(f"figures (PNG, PDF): {written.figures}", markup=False, soft_wrap=True)

@@ -1,0 +1,105 @@
+# pyright: basic
+"""``quadftc tune``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+from quadftc_campaign.errors import CampaignError
+from quadftc_cli.commands import CHECK_FAILED, GOOD, INTERRUPTED
+from quadftc_cli.commands.options import SchedulerOption, WorkersOption, workers_here
+from quadftc_cli.tables import console
+
+if TYPE_CHECKING:
+    from quadftc_campaign.tune.tuning import Tuned
+
+
+def tune(
+    file: Annotated[Path, typer.Argument(help="Campaign file with a key 'tune' (see campaigns/).")],
+    out: Annotated[Path | None, typer.Option(help="File for the gains; default: gains/NAME.yaml.")] = None,
+    steps: Annotated[int | None, typer.Option(help="Steps of the search in place of the file's.")] = None,
+    scheduler: SchedulerOption = None,
+    workers: WorkersOption = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+) -> None:
+    """Tune gains by gradients through the closed loop; judge them on other flights."""
+    from quadftc_campaign.campaign_file import load_campaign  # with what it needs, half a second
+    from quadftc_campaign.tune.tuning import checked, write
+    from quadftc_campaign.tune.tuning import tune as tuned_for
+
+    cores = workers_here(workers, scheduler)
+    loaded = load_campaign(file)
+    start = checked(loaded)
+    if steps is not None and loaded.tune is not None:
+        if steps < 1:
+            raise CampaignError(f"--steps {steps}: must be positive")
+        loaded = loaded.with_steps(steps)
+    path = out or Path("gains") / f"{loaded.name}.yaml"
+    if path.exists() and not force:
+        raise CampaignError(f"{path}: exists; --force replaces it")
+    screen = console()
+    screen.print(
+        f"{loaded.name}: {len(start.logarithms)} numbers in {', '.join(start.names)}; "
+        f"scheme {loaded.variants[0].scheme}",
+        markup=False,
+        soft_wrap=True,
+    )
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    try:
+        with Progress(*columns, TimeRemainingColumn(), console=screen) as bars:
+            bar = bars.add_task("tuning", total=loaded.tune.steps if loaded.tune else 1)
+            found = tuned_for(
+                loaded,
+                scheduler,
+                cores,
+                lambda step: bars.update(bar, advance=1, description=f"cost {step.cost:.4f}"),
+            )
+    except KeyboardInterrupt:
+        screen.print("interrupted; nothing is written")
+        raise typer.Exit(INTERRUPTED) from None
+    _show(found)
+    if not found.after.cost < found.before.cost or found.after.crashed > found.before.crashed:
+        screen.print("[red]no better[/]: nothing is written")
+        raise typer.Exit(CHECK_FAILED)
+    write(found, loaded, path)
+    screen.print(f"gains: {path}")
+    raise typer.Exit(GOOD)
+
+
+def _show(found: Tuned) -> None:
+    """Print gains, and flights not used for tuning, before and after."""
+    screen = console()
+    gains = Table("gain", "before", "after")
+    for name, before in found.start.plain().items():
+        gains.add_row(name, _shown(before), _shown(found.gains.plain()[name]))
+    screen.print(gains)
+    held = Table("flights not used for it: mean", "before", "after", "change")
+    pairs = {name: (found.before.metrics[name], found.after.metrics[name]) for name in found.before.metrics}
+    for name, (before, after) in {"cost": (found.before.cost, found.after.cost), **pairs}.items():
+        held.add_row(name, f"{before:.4g}", f"{after:.4g}", f"{100.0 * (after / before - 1.0):+.1f} %")
+    for name in ("missed", "false_alarms", "crashed"):
+        held.add_row(
+            name.replace("_", " "), str(getattr(found.before, name)), str(getattr(found.after, name))
+        )
+    screen.print(held)
+    if found.failing:
+        screen.print(f"conditions that failed before are not asked for: {'; '.join(sorted(found.failing))}")
+    else:
+        screen.print("quadftc check: every condition that the scheme needs holds, as before")
+
+
+def _shown(value: float | list[float]) -> str:
+    numbers = value if isinstance(value, list) else [value]
+    return ", ".join(f"{number:.4g}" for number in numbers)

@@ -1,0 +1,109 @@
+# pyright: basic
+"""The ``quadftc`` command.
+
+Exit codes: 0 good, 1 a check of a scenario or a condition of the theory failed, 2 bad input, 3 graph,
+recording or software failed, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import sys
+import traceback
+from importlib.metadata import entry_points
+
+import typer
+from rich.console import Console
+
+# this machine only, unless asked otherwise; read when ROS starts, so before any of its modules
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+from quadftc_bags.bag import BagError
+from quadftc_campaign.errors import CampaignError
+from quadftc_cli.commands import BAD_INPUT, GOOD, INTERNAL, INTERRUPTED
+from quadftc_cli.tables import console
+from quadftc_flight.graph.plan import GraphError
+from quadftc_flight.runs import RunError
+from quadftc_flight.scenario import ScenarioError
+
+MAX_LINES, MAX_LINE = 11, 1200  # of what is said about a bad input; characters
+PATHS_FAULT = (
+    *(errno.ENOENT, errno.EACCES, errno.EPERM, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG),
+    *(errno.ELOOP, errno.EROFS, errno.EINVAL),
+)  # errors of the system that say that a path was bad input
+
+app = typer.Typer(
+    add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
+)
+
+
+@app.callback()
+def _root() -> None:
+    """Fault-tolerant attitude control for multirotors: fly scenarios, record, judge."""
+
+
+for entry in entry_points(group="quadftc.commands"):
+    loaded = entry.load()
+    if isinstance(loaded, typer.Typer):
+        app.add_typer(loaded, name=entry.name)
+    else:
+        app.command(entry.name)(loaded)
+
+
+def main() -> None:
+    """Run the command; turn every error into a line and an exit code."""
+    sys.exit(_guarded(sys.argv[1:]))
+
+
+def _guarded(arguments: list[str]) -> int:
+    return guarded(app, arguments)
+
+
+def guarded(command: typer.Typer, arguments: list[str]) -> int:
+    """Run a command; turn every error into a line, and return the exit code."""
+    screen = console(stderr=True)
+    try:
+        result = command(arguments or ["--help"], standalone_mode=False)
+        return result if isinstance(result, int) else GOOD
+    except typer.TyperException as error:
+        _refuse(screen, error.format_message() if hasattr(error, "format_message") else str(error))
+        return BAD_INPUT
+    except (ScenarioError, BagError, RunError, CampaignError, ValueError) as error:
+        _refuse(screen, str(error))
+        return BAD_INPUT
+    except (KeyboardInterrupt, typer.Abort):
+        return INTERRUPTED
+    except GraphError as error:
+        screen.print(f"error: {error}", markup=False, soft_wrap=True)
+        return INTERNAL
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno in PATHS_FAULT:
+            _refuse(screen, f"{error.filename or 'a file'}: {error.strerror}")
+            return BAD_INPUT
+        screen.print(
+            _shortened(f"internal error: {type(error).__name__}: {error}"), markup=False, soft_wrap=True
+        )
+        if os.environ.get("QUADFTC_DEBUG"):
+            traceback.print_exc()
+        else:
+            screen.print("set QUADFTC_DEBUG=1 to see where", markup=False)
+        return INTERNAL
+
+
+def _refuse(screen: Console, words: str) -> None:
+    """Say what is wrong with the input, on a line for each problem."""
+    lines = words.splitlines() or ["bad input"]
+    for line in lines[:MAX_LINES]:
+        screen.print(_shortened(f"error: {line}"), markup=False, soft_wrap=True)
+    if len(lines) > MAX_LINES:
+        screen.print(f"error: and {len(lines) - MAX_LINES} more lines", markup=False)
+
+
+def _shortened(line: str) -> str:
+    """Leave out the middle of what is too long to be read."""
+    return line if len(line) <= MAX_LINE else f"{line[: MAX_LINE // 2]} [...] {line[-MAX_LINE // 2 :]}"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Scenarios, the closed loop without ROS, the node graph, metrics and runs."""

@@ -1,0 +1,141 @@
+# pyright: basic
+"""Receiver operating characteristic: what a threshold on a score costs in false alarms, and what it finds.
+
+>>> flights = [(flight, scenario.fault_events)]
+>>> curve = detection_roc(flights, estimate_over_std_dev, within=0.5)
+>>> curve.area, curve.probability_at(0.005)
+
+The score is what a detector would hold against a threshold. For an observer whose estimate is zero until its
+own detector says fault, a score made of the estimate says nothing of that detector's threshold: fly it with
+several thresholds and take the `operating_point` of each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from sklearn.metrics import auc, roc_curve
+
+from quadftc_flight.diagnosis_metrics.columns import Columns
+from quadftc_flight.diagnosis_metrics.events import FaultEvent
+from quadftc_flight.diagnosis_metrics.faults import has_size
+from quadftc_flight.diagnosis_metrics.healthy import truth
+from quadftc_flight.diagnosis_metrics.pooling import pool
+from quadftc_flight.flight import Flight
+from quadftc_model.samples import AXES
+
+Floats = NDArray[np.float64]
+Score = Callable[[Flight], Floats]  # (n, 3); NaN where there is none
+
+
+class Roc(NamedTuple):
+    """The curve, from the highest threshold to the lowest; each array (m,)."""
+
+    threshold: Floats  # a score of this or more says fault; the first is infinite
+    false_alarm_share: Floats  # share of what is healthy that is said to be faulty
+    detection_probability: Floats  # share of what is faulty that is said to be
+    area: float  # under the curve; 0.5: guessing, 1: some threshold makes no mistake
+
+    def probability_at(self, false_alarm_share: float) -> float:
+        """Return the largest detection probability at no more than a share of false alarms."""
+        last = int(np.searchsorted(self.false_alarm_share, false_alarm_share, side="right")) - 1
+        return float(self.detection_probability[max(last, 0)])
+
+
+class OperatingPoint(NamedTuple):
+    """What a detector as it stands costs and finds; None where there is nothing to judge it by."""
+
+    false_alarm_share: float | None  # of the healthy time of all axes
+    detection_probability: float | None  # share of the faults that are found in time
+
+
+def operating_point(diagnoses: Iterable[Mapping[str, Any]], within: float) -> OperatingPoint:
+    """Return the point of the curve at which a detector works, by what its states say.
+
+    Parameters
+    ----------
+    diagnoses : iterable of mapping
+        ``summary["metrics"]["diagnosis"]`` of each flight.
+    within : float
+        Longest delay that counts [s]; an axis that was declared faulty before the onset does not.
+    """
+    flights = list(diagnoses)
+    judged = [event for flight in flights for event in flight["events"] if event["detected"] is not None]
+    delays = [event["detection_delay_s"] for event in judged]
+    found = sum(delay is not None and delay <= within for delay in delays)
+    share = pool(flights)["total_false_alarm_share"]
+    return OperatingPoint(share, found / len(judged) if judged else None)
+
+
+def roc(score: ArrayLike, faulty: ArrayLike) -> Roc:
+    """Return the curve of scores (n,) of which it is known whether they come from a fault (n,).
+
+    Raises
+    ------
+    ValueError
+        If a score is no number, or there are none of faults, or none of what is healthy.
+    """
+    scores, labels = np.asarray(score, np.float64), np.asarray(faulty, np.bool_)
+    if scores.shape != labels.shape or scores.ndim != 1:
+        raise ValueError(
+            f"score and faulty: shapes {scores.shape} and {labels.shape}: expected one shape (n,)"
+        )
+    if not np.isfinite(scores).all():
+        raise ValueError("score: holds NaN or infinity; leave out what has no score")
+    if labels.all() or not labels.any():
+        missing = "healthy" if labels.all() and len(labels) else "faulty"
+        raise ValueError(f"faulty: no {missing} score among {len(labels)}; a curve needs both")
+    false_alarms, detections, thresholds = roc_curve(labels, scores)
+    return Roc(thresholds, false_alarms, detections, float(auc(false_alarms, detections)))
+
+
+def detection_roc(flights: Iterable[tuple[Flight, Sequence[FaultEvent]]], score: Score, within: float) -> Roc:
+    """Return the curve of a score: healthy samples against faults that are found within a delay.
+
+    A fault is found if its axis' score reaches the threshold within ``within`` [s] of the onset, and before
+    its end. Healthy is an axis as for the false-alarm share of `diagnosis_metrics`: outside faults and the
+    grace after them.
+
+    Parameters
+    ----------
+    flights : iterable of (Flight, events)
+    score : callable
+        Such as `estimate_size`.
+    within : float
+        Longest delay that counts [s].
+
+    Raises
+    ------
+    ValueError
+        If no fault, or no healthy sample, has a score.
+    """
+    parts: list[tuple[Floats, bool]] = []
+    for flight, events in flights:
+        columns, scores = Columns(flight), score(flight)
+        healthy = truth(columns, events, [True] * len(events)).healthy
+        parts.extend((_finite(scores[healthy[:, axis], axis]), False) for axis in range(len(AXES)))
+        for event in (event for event in events if has_size(columns, event)):
+            rows = columns.rows(event.start, min(event.start + within, event.stop))
+            known = _finite(scores[rows, AXES.index(event.axis)])
+            parts.append((known.max(keepdims=True) if len(known) else known, True))
+    values = np.concatenate([values for values, _ in parts]) if parts else np.empty(0)
+    labels = np.repeat([faulty for _, faulty in parts], [len(values) for values, _ in parts])
+    return roc(values, labels)
+
+
+def estimate_size(flight: Flight) -> Floats:
+    """Size of the fault estimate [rad] (n, 3)."""
+    return np.abs(flight.fault_estimate)
+
+
+def estimate_over_std_dev(flight: Flight) -> Floats:
+    """Size of the fault estimate over its standard deviation [1] (n, 3); NaN where there is none."""
+    given = flight.fault_std_dev > 0.0
+    return np.where(given, np.abs(flight.fault_estimate) / np.where(given, flight.fault_std_dev, 1.0), np.nan)
+
+
+def _finite(values: Floats) -> Floats:
+    return values[np.isfinite(values)]

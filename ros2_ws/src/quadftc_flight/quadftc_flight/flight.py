@@ -1,0 +1,180 @@
+"""A flight as arrays: what was true, estimated and commanded, a row for each stamp of the IMU.
+
+A `Flight` comes from the closed loop without ROS or, by `flight_from_bag`, from the recording of a graph. In
+lock-step both give the same arrays, bit for bit.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_model.rotations import euler_from_quaternion
+from quadftc_model.stepper import NANOSECONDS_PER_SECOND
+
+if TYPE_CHECKING:  # reading bags takes libraries that the closed loop does without
+    from quadftc_bags.bag import Bag
+
+Floats = NDArray[np.float64]
+
+VECTORS = (
+    *("angles", "body_rate", "disturbance", "reference", "fault", "fault_estimate", "fault_std_dev"),
+    *("disturbance_estimate", "torque", "error", "sliding_variable"),
+)  # columns of a flight with three numbers
+NO_STATE = 255  # fault state of a row without diagnosis
+ABSENT = -1.0  # element 0 of a covariance: the channel is not in this sample (REP-145)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Flight:
+    """One row for each IMU sample that was taken, in the order of the stamps.
+
+    What is unknown in a row is NaN (``fault_state``: ``NO_STATE``; ``fault_onset_ns``: 0; ``saturated``:
+    False). In the row of a withheld sample this is all but the motion and the disturbance; in a bag, every
+    message that is missing.
+    """
+
+    stamp_ns: NDArray[np.int64]  # (n,) when the sample was taken
+    time: Floats  # (n,) scenario time [s]: since the first sample
+    delivered: NDArray[np.bool_]  # (n,) False: the sample was withheld (dropout)
+    angles: Floats  # (n, 3) true Euler angles [rad]
+    body_rate: Floats  # (n, 3) true [rad/s]
+    reference: Floats  # (n, 3) Euler angles [rad]
+    fault: Floats  # (n, 3) true fault of the attitude [rad]
+    fault_estimate: Floats  # (n, 3) [rad]
+    fault_std_dev: Floats  # (n, 3) [rad]; -1: this observer gives none
+    fault_state: NDArray[np.uint8]  # (n, 3) as in quadftc_msgs/FaultStatus
+    fault_onset_ns: NDArray[np.int64]  # (n, 3) stamp of the onset of the present fault; 0: none
+    disturbance: Floats  # (n, 3) true, as an angular acceleration [rad/s²]
+    disturbance_estimate: Floats  # (n, 3) [rad/s²]
+    torque: Floats  # (n, 3) command [N m]
+    error: Floats  # (n, 3) attitude minus reference as the controller saw it [rad]
+    sliding_variable: Floats  # (n, 3) [rad/s]
+    saturated: NDArray[np.bool_]  # (n, 3) whether the torque was cut
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+
+def onset_ns(stamp_ns: int | NDArray[np.int64], onset_age: Floats) -> NDArray[np.int64]:
+    """Stamp of the onset of a fault as quadftc_msgs/FaultStatus says it, 0 without one: by its age [s]."""
+    there = onset_age >= 0.0  # false for NaN
+    age_ns = np.round(np.where(there, onset_age, 0.0) * NANOSECONDS_PER_SECOND).astype(np.int64)
+    return np.where(there, stamp_ns - age_ns, 0)
+
+
+def flight_from_bag(bag: Bag) -> Flight:
+    """Join the topics of a recorded flight by stamp.
+
+    The rows are the stamps of ``imu/data`` and ``fault/dropped``. A topic that is missing leaves its columns
+    unknown.
+
+    Raises
+    ------
+    BagError
+        If the bag holds no IMU sample, or a topic cannot be decoded.
+    """
+    from quadftc_bags.bag import BagError
+
+    delivered_ns = _stamps(bag, "imu/data")
+    stamp_ns = np.union1d(delivered_ns, _stamps(bag, "fault/dropped"))
+    if len(stamp_ns) == 0:
+        raise BagError(f"{bag.path}: no message on imu/data")
+    join = _Join(bag, stamp_ns, np.isin(stamp_ns, delivered_ns))
+    return Flight(
+        stamp_ns=stamp_ns,
+        time=(stamp_ns - stamp_ns[0]) / NANOSECONDS_PER_SECOND,
+        delivered=join.delivered,
+        angles=join.truth("plant/attitude", "vector"),
+        body_rate=join.truth("plant/rate", "vector"),
+        reference=join.vectors("attitude/reference", "angles"),
+        fault=join.vectors("fault/injected", "vector"),
+        fault_estimate=join.vectors("fault/estimate", "vector"),
+        fault_std_dev=join.vectors("fault/status", "std_dev"),
+        fault_state=join.column("fault/status", "state", np.full(3, NO_STATE, np.uint8)),
+        fault_onset_ns=join.column("fault/status", "onset_ns", np.zeros(3, np.int64)),
+        disturbance=join.truth("disturbance/applied", "vector"),
+        disturbance_estimate=join.vectors("disturbance/estimate", "vector"),
+        torque=join.vectors("torque/command", "vector"),
+        error=join.vectors("control/status", "error"),
+        sliding_variable=join.vectors("control/status", "sliding_variable"),
+        saturated=join.column("control/status", "saturated", np.zeros(3, np.bool_)),
+    )
+
+
+class Reading(NamedTuple):
+    """What an IMU said in the rows of a flight; NaN where it said nothing."""
+
+    angles: Floats  # (n, 3) Euler angles [rad]
+    body_rate: Floats  # (n, 3) [rad/s]
+
+
+def reading_from_bag(bag: Bag, topic: str, stamp_ns: NDArray[np.int64]) -> Reading:
+    """Join the samples of an IMU by stamp.
+
+    Parameters
+    ----------
+    bag : Bag
+    topic : str
+        Of type sensor_msgs/Imu; if it is not there, nothing was said.
+    stamp_ns : array (n,)
+        The rows of the flight.
+
+    Raises
+    ------
+    BagError
+        If the topic cannot be decoded.
+    """
+    join = _Join(bag, stamp_ns, np.ones(len(stamp_ns), np.bool_))
+    nothing = np.full(9, np.nan)
+    q_xyzw = join.column(topic, "orientation_xyzw", nothing[:4])
+    angles = np.asarray(euler_from_quaternion(q_xyzw))
+    body_rate = join.vectors(topic, "angular_velocity")
+    for values, field in ((angles, "orientation_covariance"), (body_rate, "angular_velocity_covariance")):
+        values[join.column(topic, field, nothing)[:, 0] == ABSENT] = np.nan
+    return Reading(angles, body_rate)
+
+
+class _Join:
+    """Columns of a bag on the rows of a flight; of several messages with one stamp, the first counts."""
+
+    def __init__(self, bag: Bag, stamp_ns: NDArray[np.int64], delivered: NDArray[np.bool_]) -> None:
+        self._bag = bag
+        self._stamp_ns = stamp_ns
+        self.delivered = delivered
+
+    def column(self, topic: str, field: str, unknown: NDArray[Any]) -> NDArray[Any]:
+        """A field (n, k) of the samples delivered; ``unknown`` (k,) elsewhere."""
+        return self._column(topic, field, unknown, self.delivered)
+
+    def vectors(self, topic: str, field: str) -> Floats:
+        """A vector (n, 3) of the samples delivered; NaN elsewhere."""
+        return self._column(topic, field, np.full(3, np.nan), self.delivered)
+
+    def truth(self, topic: str, field: str) -> Floats:
+        """A vector (n, 3) of every sample, whether delivered or withheld."""
+        return self._column(topic, field, np.full(3, np.nan), np.ones(len(self._stamp_ns), np.bool_))
+
+    def _column(self, topic: str, field: str, unknown: NDArray[Any], rows: NDArray[np.bool_]) -> NDArray[Any]:
+        column = np.tile(unknown, (len(self._stamp_ns), 1))
+        if not _has(self._bag, topic):
+            return column
+        series = self._bag.series(topic)
+        stamps, first = np.unique(series.stamp_ns, return_index=True)
+        _, here, there = np.intersect1d(self._stamp_ns, stamps, assume_unique=True, return_indices=True)
+        if len(here) == 0:
+            return column
+        column[here] = series[field][first[there]]
+        return np.where(rows[:, None], column, unknown)
+
+
+def _stamps(bag: Bag, topic: str) -> NDArray[np.int64]:
+    return np.unique(bag.series(topic).stamp_ns) if _has(bag, topic) else np.empty(0, np.int64)
+
+
+def _has(bag: Bag, topic: str) -> bool:
+    """Whether there is a message on a topic."""
+    return any(f"/{name.strip('/')}".endswith(f"/{topic}") and bag.topics[name].count for name in bag.topics)

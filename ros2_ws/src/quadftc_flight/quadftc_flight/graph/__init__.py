@@ -1,0 +1,1 @@
+"""The node graph: its plan, in one process or a process for each node."""

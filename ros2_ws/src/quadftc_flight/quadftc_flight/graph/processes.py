@@ -1,0 +1,308 @@
+# pyright: basic
+"""The graph as processes: one for each node, as ``ros2 run`` starts it; the recorder is in this one."""
+
+from __future__ import annotations
+
+import dataclasses
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
+
+from quadftc_flight.graph.draining import drain
+from quadftc_flight.graph.plan import (
+    ALONE,
+    CONNECT_TIMEOUT,
+    EXECUTABLES,
+    SLICE,
+    STALL_TIMEOUT,
+    GraphError,
+    GraphPlan,
+    Progress,
+    always,
+)
+from quadftc_flight.graph.respawn import MOST_DEATHS, Respawn
+from quadftc_ros.children import Children
+from quadftc_ros.connections import crowded_topics, missing_connections
+from quadftc_ros.conversions import time_message
+from quadftc_ros.diagnostics import WARN
+from quadftc_ros.executor import Slice, make_executor
+from quadftc_ros.qos import topic_profile
+from quadftc_ros.recorder_node import RecorderNode
+from quadftc_ros.scheduling import Scheduling, SchedulingError, scheduled
+
+CALM = {"lockstep": 0.0, "realtime": 0.5}  # s; between the last match and the flight
+
+
+def executable_path(package: str, executable: str) -> Path:
+    """Path of an installed executable, which is what ``ros2 run`` would start.
+
+    Raises
+    ------
+    GraphError
+        If the package or the executable is not installed.
+    """
+    try:
+        path = Path(get_package_prefix(package), "lib", package, executable)
+    except PackageNotFoundError:
+        raise GraphError(f"package {package} is not installed; run scripts/setup") from None
+    if not path.is_file():
+        raise GraphError(f"{path} is missing; run scripts/setup")
+    return path
+
+
+class ProcessGraph:
+    """The nodes of a plan as processes; a context manager. It ends only what it started, and all of that.
+
+    Nothing outlives it: should this process be killed, the nodes notice and stop by themselves.
+
+    Raises
+    ------
+    ValueError
+        If the namespace is wrong, or the bag cannot be made.
+    GraphError
+        If a node is not installed, or the machine does not allow the scheduling.
+    """
+
+    def __init__(self, plan: GraphPlan) -> None:
+        self.plan = plan
+        self.children = Children()
+        self.recorder: RecorderNode | None = None
+        self.exit_code = 0  # the worst of the processes, once they were stopped
+        self._counts: dict[str, dict[str, int]] = {}
+        self._calm: float | None = None  # when the processes have got to rest
+        self._flying = self._finished = False
+        self._samples = self._heard = 0
+        self._folder = tempfile.TemporaryDirectory(prefix="quadftc_")
+        self._node: Node | None = None
+        self._respawn = Respawn()
+        # the recorder gives way to the nodes, and to nobody else
+        self._scheduling = Scheduling(priority=max(0, plan.scheduling.priority - 1))
+        self._context = Context()
+        self._context.init()
+        self._executor = make_executor("events", self._context)
+        self._slice = Slice(self._executor)
+        try:
+            with scheduled(self._scheduling):
+                self._watch_and_record()
+            with scheduled(plan.scheduling):  # which the processes inherit
+                self._started = self._commands()
+                self.children.start(self._started)
+        except SchedulingError as error:
+            self.close()
+            raise GraphError(str(error)) from None
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> ProcessGraph:
+        """Return the graph."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the graph."""
+        self.close()
+
+    def run(self, progress: Progress = always) -> float:
+        """Fly until the plant's duration is over; return the wall time of the flight [s].
+
+        Parameters
+        ----------
+        progress : callable
+            Called with the number of samples so far, often; the flight ends early when it returns False.
+
+        Raises
+        ------
+        GraphError
+            If the nodes do not find each other, one of them ends, or the flight stalls.
+        """
+        if not self.wait_until_connected(progress):
+            return 0.0
+        with scheduled(self._scheduling):
+            return self._fly(progress)
+
+    def _fly(self, progress: Progress) -> float:
+        begin = moved = time.monotonic()
+        self._flying = True
+        self._begin_flight()
+        seen = (0, 0)
+        while not self._finished:
+            self._slice.spin(SLICE)
+            self._check_alive()
+            if not progress(self._samples):
+                return time.monotonic() - begin
+            now = time.monotonic()
+            if (news := (self._heard, self._received())) != seen:
+                seen, moved = news, now
+            elif now - moved > STALL_TIMEOUT:
+                raise GraphError(f"the flight stalled: not a word from the nodes for {STALL_TIMEOUT:g} s")
+        wall = time.monotonic() - begin
+        if self.recorder is not None:
+            drain(self._received, self._slice.spin, self.plan.mode)
+        return wall
+
+    def wait_until_connected(self, progress: Progress = always) -> bool:
+        """Wait until every node is matched with every other; return False if ``progress(0)`` did so before.
+
+        Raises
+        ------
+        GraphError
+            If they do not find each other, one of them ends, or another graph is there, too.
+        """
+        assert self._node is not None
+        end = time.monotonic() + CONNECT_TIMEOUT
+        while (missing := self._missing()) or not self._starter.service_is_ready():
+            self._check_alive()
+            if time.monotonic() > end:
+                lack = "; ".join(missing) or "no service plant/start"
+                raise GraphError(f"not connected after {CONNECT_TIMEOUT:g} s: {lack}")
+            if not progress(0):
+                return False
+            self._slice.spin(0.1)
+        if crowd := crowded_topics(self._node.count_publishers):
+            raise GraphError(f"{crowd[0]}: {ALONE}")
+        return True if self._calm is not None else self._calm_down(progress)
+
+    def _calm_down(self, progress: Progress) -> bool:
+        """Real time: let the processes finish with discovery, which goes on for services and parameters."""
+        self._calm = time.monotonic() + CALM[self.plan.mode]
+        while time.monotonic() < self._calm:
+            self._check_alive()
+            if not progress(0):
+                return False
+            self._slice.spin(0.1)
+        return True
+
+    def close(self) -> None:
+        """End the processes, close the bag."""
+        try:
+            self.exit_code = self.children.stop()
+        finally:
+            if self.recorder is not None:
+                self.recorder.finish()
+            self._executor.shutdown()
+            for node in (self.recorder, self._node):
+                if node is not None:
+                    node.destroy_node()
+            self.recorder = self._node = None
+            self._context.try_shutdown()
+            self._folder.cleanup()
+
+    def _watch_and_record(self) -> None:
+        plan = self.plan
+        common: dict[str, Any] = {
+            "context": self._context,
+            "namespace": plan.namespace or None,
+            "use_global_arguments": False,
+        }
+        self._node = Node("launch_graph", **common)
+        prefix = self._node.get_namespace().strip("/")
+        self._names = {
+            f"{prefix}/{name}".lstrip("/"): name for name in EXECUTABLES
+        }  # as /diagnostics has them
+        self._node.create_subscription(
+            DiagnosticArray, "/diagnostics", self._on_diagnostics, topic_profile("reliable", plan.mode)
+        )
+        self._report = self._node.create_publisher(
+            DiagnosticArray, "/diagnostics", topic_profile("reliable", plan.mode)
+        )
+        self._starter = self._node.create_client(Trigger, "plant/start")
+        self._executor.add_node(self._node)
+        if plan.bag is not None:
+            overrides = [Parameter(name, value=value) for name, value in plan.recorder_parameters().items()]
+            self.recorder = RecorderNode(parameter_overrides=overrides, **common)
+            self._executor.add_node(self.recorder)
+
+    def _commands(self) -> dict[str, list[str]]:
+        file = Path(self._folder.name, "parameters.yaml")
+        file.write_text(self.plan.parameter_file(), encoding="utf-8")
+        arguments = ["--ros-args", "--params-file", str(file)]
+        if self.plan.namespace:
+            arguments += ["-r", f"__ns:=/{self.plan.namespace.strip('/')}"]
+        return {
+            name: [str(executable_path(*row)), *arguments, *_remappings(self.plan.remapped.get(name, {}))]
+            for name, row in EXECUTABLES.items()
+        }
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            node, _, part = status.name.partition(": ")
+            name = self._names.get(node)
+            if name is None:
+                continue
+            self._heard += 1
+            if part == "connections":
+                self._counts[name] = {pair.key: int(pair.value) for pair in status.values}
+            elif name == "plant" and part == "flight":
+                self._finished = status.message == "finished"
+                self._samples = int({pair.key: pair.value for pair in status.values}["samples"])
+
+    def _missing(self) -> list[str]:
+        recorders = 0 if self.recorder is None else 1
+        missing = [f"{name}: no word from it" for name in EXECUTABLES if name not in self._counts]
+        return missing + [
+            f"{name}: {lack}"
+            for name, counts in self._counts.items()
+            for lack in missing_connections(name, counts, recorders)
+        ]
+
+    def _received(self) -> int:
+        return 0 if self.recorder is None else self.recorder.received
+
+    def _begin_flight(self) -> None:
+        future = self._starter.call_async(Trigger.Request())
+        end = time.monotonic() + CONNECT_TIMEOUT
+        while not future.done():
+            self._slice.spin(0.05)
+            self._check_alive()
+            if time.monotonic() > end:
+                raise GraphError("plant/start did not answer")
+        answer = future.result()
+        if answer is None or not answer.success:
+            raise GraphError(f"plant/start: {answer.message if answer is not None else 'no answer'}")
+
+    @property
+    def restarts(self) -> dict[str, int]:
+        """How often each node was started again."""
+        return dict(self._respawn.restarts)
+
+    def _check_alive(self) -> None:
+        for name, code in self.children.ended().items():
+            if not (self.plan.respawn and self._flying) or name == "plant":
+                raise GraphError(f"node {name} ended with exit code {code}")
+            known = self._respawn.waits(name)
+            delay = self._respawn.died(name, time.monotonic())
+            if delay is None:
+                raise GraphError(f"node {name} died {MOST_DEATHS + 1} times: exit code {code}")
+            if not known:
+                self._warn(f"node {name} ended with exit code {code}: starts again in {delay:g} s")
+            elif delay == 0.0:
+                count = self._respawn.started(name)
+                # starting takes a core for seconds, which the nodes that fly must not miss
+                low = dataclasses.replace(self.plan.scheduling, priority=self._scheduling.priority)
+                with scheduled(low):
+                    self.children.start({name: self._started[name]})
+                self._warn(f"node {name} is started again, for the {count}. time")
+
+    def _warn(self, words: str) -> None:
+        """Say what became of a node, in the log and on /diagnostics."""
+        assert self._node is not None
+        self._node.get_logger().warning(words)
+        message = DiagnosticArray()
+        message.header.stamp = time_message(self._node.get_clock().now().nanoseconds)
+        counts = [KeyValue(key=name, value=str(count)) for name, count in self.restarts.items()]
+        name = f"{self._node.get_fully_qualified_name().lstrip('/')}: restarts"
+        message.status = [DiagnosticStatus(name=name, level=WARN, message=words, values=counts)]
+        self._report.publish(message)
+
+
+def _remappings(topics: Mapping[str, str]) -> list[str]:
+    return [word for topic, other in topics.items() for word in ("-r", f"{topic}:={other}")]

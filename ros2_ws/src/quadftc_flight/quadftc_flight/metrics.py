@@ -1,0 +1,211 @@
+"""What a flight was worth: tracking, fault estimation, effort. Numbers for `summary.json`.
+
+Errors are wrapped into [-pi, pi]. Rows in which one side is unknown (a sample withheld, a fault that is no
+number) do not count; where no row counts, the metric is None.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_flight.diagnosis_metrics import FaultEvent, diagnosis_metrics, events_of_windows
+from quadftc_flight.flight import NO_STATE, VECTORS, Flight
+from quadftc_model.hints import nearest
+from quadftc_model.rotations import wrap
+from quadftc_model.samples import AXES
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+PerAxis = dict[str, float | None]
+
+SETTLING_TIME = 0.2  # s; how long after an onset or an end the estimate may be off
+SETTLED_ERROR_DEG = 0.05  # deg; the estimate has settled when its error stays below
+
+
+class FaultWindow(NamedTuple):
+    """When the attitude is faulty by schedule."""
+
+    start: float  # [s]
+    stop: float  # [s]
+    axes: tuple[str, ...]
+
+
+def flight_metrics(
+    flight: Flight, windows: Sequence[FaultWindow], events: Sequence[FaultEvent] | None = None
+) -> dict[str, Any]:
+    """Compute every metric.
+
+    Parameters
+    ----------
+    flight : Flight
+    windows : sequence of FaultWindow
+        When the attitude is faulty; the metrics inside and outside fault windows divide the time by them.
+    events : sequence of FaultEvent, optional
+        The faults that the diagnosis is judged by; default: those of the windows, of a kind not known.
+
+    Returns
+    -------
+    dict
+        Ready for JSON: numbers, None, mappings of axes, ``fault_windows``, a list of such, and ``diagnosis``
+        as `diagnosis_metrics` gives it.
+    """
+    time = flight.time
+    tracking = np.degrees(wrap(flight.angles - flight.reference))
+    estimate = np.degrees(wrap(flight.fault_estimate - flight.fault))
+    inside = _within(time, [(window.start, window.stop) for window in windows])
+    moments = sorted({moment for window in windows for moment in (window.start, window.stop)})
+    settled = ~_within(time, [(moment, moment + SETTLING_TIME) for moment in moments])
+    return {
+        "tracking_rmse_deg": _rms(tracking),
+        "tracking_max_deg": _max(tracking),
+        "fault_max_deg": _max(np.degrees(flight.fault)),
+        "fault_estimate_rmse_deg": _rms(estimate),
+        "fault_estimate_max_deg": _max(estimate),
+        "fault_estimate_rmse_inside_deg": _rms(estimate[inside]),
+        "fault_estimate_max_inside_deg": _max(estimate[inside]),
+        "fault_estimate_rmse_outside_deg": _rms(estimate[~inside]),
+        "fault_estimate_max_outside_deg": _max(estimate[~inside]),
+        "fault_estimate_max_settled_deg": _max(estimate[settled]),
+        "fault_windows": [_window(window, time, tracking, estimate) for window in windows],
+        "disturbance_estimate_rmse": _rms(flight.disturbance_estimate - flight.disturbance),
+        **_effort(flight),
+        "max_tilt_deg": _number(_largest(_tilt_deg(flight.angles))),
+        "diagnosis": diagnosis_metrics(flight, events_of_windows(windows) if events is None else events),
+    }
+
+
+def known_metrics(window_count: int, events: Sequence[FaultEvent] = ()) -> dict[str, Any]:
+    """Return the metrics of a flight with that many fault windows and these events, for their names.
+
+    They have no values but what is counted without a flight.
+    """
+    unknown = np.full((2, 3), np.nan)
+    nowhere = Flight(
+        stamp_ns=np.arange(2),
+        time=np.array([-2.0, -1.0]),
+        delivered=np.zeros(2, np.bool_),
+        fault_state=np.full((2, 3), NO_STATE, np.uint8),
+        fault_onset_ns=np.zeros((2, 3), np.int64),
+        saturated=np.zeros((2, 3), np.bool_),
+        **dict.fromkeys(VECTORS, unknown),
+    )
+    return flight_metrics(nowhere, [FaultWindow(0.0, 1.0, AXES)] * window_count, events)
+
+
+def look_up(metrics: Any, path: str) -> Any:
+    """Return the metric of a dotted path, such as ``fault_windows.0.tracking_mean_deg.roll``.
+
+    Raises
+    ------
+    KeyError
+        If there is none; its argument is the part of the path that is not there, and what there is instead.
+    """
+    place = metrics
+    for word in path.split("."):
+        names = dict(_entries(place))
+        if word not in names:
+            there = ", ".join(names) or "nothing more"
+            raise KeyError(f"no metric '{path}': no '{word}'{nearest(word, names)}; there is: {there}")
+        place = names[word]
+    return place
+
+
+def _entries(place: Any) -> Iterator[tuple[str, Any]]:
+    if isinstance(place, dict):
+        yield from cast("dict[str, Any]", place).items()
+    elif isinstance(place, list):
+        yield from ((str(index), item) for index, item in enumerate(cast("list[Any]", place)))
+
+
+def _window(window: FaultWindow, time: Floats, tracking: Floats, estimate: Floats) -> dict[str, Any]:
+    rows = _within(time, [(window.start, window.stop)])
+    return {
+        "start": window.start,
+        "stop": window.stop,
+        "axes": list(window.axes),
+        "tracking_mean_deg": _mean(tracking[rows]),
+        "tracking_rmse_deg": _rms(tracking[rows]),
+        "tracking_max_deg": _max(tracking[rows]),
+        "fault_estimate_rmse_deg": _rms(estimate[rows]),
+        "fault_estimate_max_deg": _max(estimate[rows]),
+        "fault_estimate_settling_s": _settling(time[rows] - window.start, estimate[rows]),
+    }
+
+
+def _effort(flight: Flight) -> dict[str, Any]:
+    """Torque: root mean square [N m], total variation a second (chattering) [N m/s], share of cut samples."""
+    known = np.all(np.isfinite(flight.torque), axis=1)
+    torque, duration = flight.torque[known], _span(flight.time)
+    variation = (
+        np.sum(np.abs(np.diff(torque, axis=0)), axis=0) / duration if len(torque) and duration > 0.0 else None
+    )
+    share = np.mean(flight.saturated[known], axis=0) if len(torque) else None
+    return {
+        "torque_rms": _rms(torque),
+        "torque_total_variation": _per_axis(variation),
+        "saturation_share": _per_axis(share),
+    }
+
+
+def _settling(elapsed: Floats, error_deg: Floats) -> PerAxis:
+    """Time since the onset [s] from which the error stays small until the window's end; None: never."""
+    settling: PerAxis = {}
+    for axis, name in enumerate(AXES):
+        known = np.isfinite(error_deg[:, axis])
+        moments, large = elapsed[known], np.abs(error_deg[known, axis]) >= SETTLED_ERROR_DEG
+        last_large = int(np.flatnonzero(large)[-1]) if large.any() else -1
+        settling[name] = float(moments[last_large + 1]) if last_large + 1 < len(moments) else None
+    return settling
+
+
+def _within(time: Floats, intervals: Sequence[tuple[float, float]]) -> Mask:
+    mask = np.zeros(len(time), np.bool_)
+    for start, stop in intervals:
+        mask |= (start <= time) & (time < stop)
+    return mask
+
+
+def _tilt_deg(angles: Floats) -> Floats:
+    """Angle between the body's z axis and the vertical [deg] (n,)."""
+    cosine = np.cos(angles[:, 0]) * np.cos(angles[:, 1])
+    return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
+
+
+def _span(time: Floats) -> float:
+    return float(time[-1] - time[0]) if len(time) else 0.0
+
+
+def _rms(values: Floats) -> PerAxis:
+    return {name: _number(None if not len(v) else np.sqrt(np.mean(v * v))) for name, v in _known(values)}
+
+
+def _max(values: Floats) -> PerAxis:
+    return {name: _number(_largest(v)) for name, v in _known(values)}
+
+
+def _mean(values: Floats) -> PerAxis:
+    return {name: _number(None if not len(v) else np.mean(v)) for name, v in _known(values)}
+
+
+def _known(values: Floats) -> Iterator[tuple[str, Floats]]:
+    """The finite values of each axis."""
+    for axis, name in enumerate(AXES):
+        column = values[:, axis]
+        yield name, column[np.isfinite(column)]
+
+
+def _largest(values: Floats) -> Any:
+    known = np.abs(values[np.isfinite(values)])
+    return np.max(known) if len(known) else None
+
+
+def _per_axis(values: Any) -> PerAxis:
+    return {name: None if values is None else _number(values[axis]) for axis, name in enumerate(AXES)}
+
+
+def _number(value: Any) -> float | None:
+    return None if value is None or not np.isfinite(value) else float(value)

@@ -1,0 +1,228 @@
+# pyright: basic
+"""Flying a scenario through the real node graph: one bag and one summary for each run.
+
+Not pure: starts the graph, writes files.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import yaml
+from rclpy.exceptions import InvalidNamespaceException
+from rclpy.validate_namespace import validate_namespace
+
+from quadftc_bags.bag import read_bag
+from quadftc_bags.writer import BagStatus
+from quadftc_flight.flight import flight_from_bag
+from quadftc_flight.graph.composed import ComposedGraph
+from quadftc_flight.graph.plan import GraphError, GraphPlan, check_scheduling
+from quadftc_flight.graph.processes import ProcessGraph
+from quadftc_flight.scenario import Scenario, Scheme, node_parameters
+from quadftc_flight.summary import summary
+from quadftc_ros.recorder_node import versions
+from quadftc_ros.scheduling import ORDINARY, Scheduling
+from quadftc_sim.assembly import sample_count
+
+GRAPHS = {"composed": ComposedGraph, "processes": ProcessGraph}
+SUMMARY = "summary.json"
+
+Progress = Callable[[float], bool]
+
+
+class RunError(Exception):
+    """A run that cannot be made with this input; the message says why."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RunOptions:
+    """How to fly.
+
+    Parameters
+    ----------
+    graph : str
+        ``composed`` or ``processes``.
+    mode : str
+        ``lockstep`` or ``realtime``.
+    namespace : str
+        Of the vehicle; empty: none.
+    force : bool
+        Replace an earlier run of the same name.
+    scheduling : Scheduling
+        In real time: how to share the machine.
+
+    Raises
+    ------
+    ValueError
+        If the scheduling does not suit graph or mode, or ROS has no such namespace.
+    """
+
+    graph: str = "composed"
+    mode: str = "lockstep"
+    namespace: str = ""
+    force: bool = False
+    scheduling: Scheduling = ORDINARY
+
+    def __post_init__(self) -> None:
+        check_scheduling(self.scheduling, self.mode, self.graph)
+        check_namespace(self.namespace)
+
+
+def check_namespace(namespace: str) -> None:
+    """Refuse what ROS does not take for a namespace.
+
+    Raises
+    ------
+    ValueError
+        Saying why.
+    """
+    try:
+        validate_namespace(f"/{namespace.strip('/')}")
+    except (InvalidNamespaceException, TypeError) as error:  # the latter: no text that can be encoded
+        words = str(error).split(": ", 1)[-1].splitlines()[0].rstrip(":")
+        words = words if isinstance(error, InvalidNamespaceException) else "is no text"
+        raise ValueError(f"namespace = {namespace!r}: {words}") from None
+
+
+def run_name(scenario: Scenario, scheme: Scheme) -> str:
+    """Name of a run, of its directory and of its bag."""
+    return f"{scenario.name}-{scheme.name}"
+
+
+def prepare(out: Path, names: list[str], force: bool) -> None:
+    """Make room for runs in ``out``.
+
+    Raises
+    ------
+    RunError
+        If a run is there already and not to be replaced, or something else has its name.
+    """
+    for name in names:
+        directory = out / name
+        if not directory.exists():
+            continue
+        if not force:
+            raise RunError(
+                f"{directory}: exists; choose another --out, or --force to replace the earlier run"
+            )
+        if not (directory / "metadata.yaml").is_file():
+            raise RunError(f"{directory}: is no earlier run; not replaced")
+        shutil.rmtree(directory)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunError(f"{out}: {error.strerror}") from None
+
+
+def run(
+    scenario: Scenario, scheme: Scheme, out: Path, options: RunOptions, progress: Progress
+) -> dict[str, Any] | None:
+    """Fly one scheme of a scenario; return the summary that is written beside the bag, None if ended early.
+
+    Parameters
+    ----------
+    scenario, scheme : Scenario, Scheme
+    out : Path
+        Directory of all runs.
+    options : RunOptions
+    progress : callable
+        Called with the share of the flight that is over; the flight ends early when it returns False.
+
+    Raises
+    ------
+    GraphError
+        If the graph does not start or stalls, messages were lost on the way to the bag, or the recording
+        stopped, as on a full disk: then after the flight, and the bag can be read up to there.
+    """
+    bag = out / run_name(scenario, scheme)
+    with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
+        files = (Path(folder, "scenario.yaml"), Path(folder, "parameters.yaml"))
+        plan = GraphPlan(
+            node_parameters(scenario, scheme),
+            options.mode,
+            options.namespace,
+            bag,
+            files,
+            scheduling=options.scheduling,
+        )
+        files[0].write_text(yaml.safe_dump(scenario.raw, sort_keys=False, width=120), encoding="utf-8")
+        files[1].write_text(plan.parameter_file(), encoding="utf-8")
+        wall_time, status = _fly(plan, options.graph, scenario.duration * scenario.rate, progress)
+        if status.error is not None:
+            raise GraphError(_stopped(bag, status))
+        for file in files:
+            _write(bag / file.name, file.read_text(encoding="utf-8"))
+    if wall_time is None:
+        return None
+    flight = flight_from_bag(read_bag(bag))
+    wanted = sample_count(scenario.duration, scenario.rate) - scenario.sensor.delay
+    if options.mode == "lockstep" and len(flight) != wanted:
+        raise GraphError(f"{bag}: {wanted} samples were flown, but {len(flight)} recorded")
+    result = summary(flight, scenario, scheme, wall_time)
+    result["mode"], result["graph"], result["bag"] = options.mode, options.graph, bag.name
+    result["recorded"] = {"messages": sum(status.counts.values()), "dropped": dict(status.dropped)}
+    result["versions"] = {**versions(), **_commit()}
+    _write(bag / SUMMARY, json.dumps(result, indent=2, allow_nan=False) + "\n")
+    if status.dropped:
+        lost = ", ".join(f"{topic} {count}" for topic, count in sorted(status.dropped.items()))
+        raise GraphError(f"{bag}: messages were lost on the way to the bag, as the writer was behind: {lost}")
+    return result
+
+
+def _write(file: Path, text: str) -> None:
+    """Write a file beside the bag, or none."""
+    try:
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        with suppress(OSError):
+            file.unlink()
+        raise GraphError(f"{file}: {error.strerror}; the bag is whole") from None
+
+
+def _stopped(bag: Path, status: BagStatus) -> str:
+    """Say what became of a recording that stopped."""
+    kept = f"{sum(status.counts.values())} messages are in the bag, {status.lost} are lost"
+    return f"{status.error}: the recording stopped, the flight went on; {kept}; run quadftc repair {bag}"
+
+
+def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> tuple[float | None, BagStatus]:
+    """Fly and record; return the wall time [s], None if ``progress`` ended the flight, and the recording."""
+    going_on = True
+
+    def follow(count: int) -> bool:
+        nonlocal going_on
+        going_on = progress(min(1.0, count / samples))
+        return going_on
+
+    with GRAPHS[kind](plan) as graph:
+        wall_time = graph.run(follow)
+        recorder = graph.recorder
+        assert recorder is not None  # the plan has a bag
+        status = recorder.finish()
+    return (wall_time if going_on else None), status
+
+
+def _commit() -> dict[str, str]:
+    """The commit of the source tree this code runs from, if it is one."""
+    command = [
+        "git",
+        "-C",
+        str(Path(__file__).resolve().parent),
+        "describe",
+        "--always",
+        "--dirty",
+        "--abbrev=12",
+    ]
+    try:
+        found = subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return {}
+    return {"commit": found.stdout.strip()} if found.returncode == 0 else {}

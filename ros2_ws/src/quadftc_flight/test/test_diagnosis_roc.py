@@ -1,0 +1,129 @@
+"""Receiver operating characteristics with known answers."""
+
+import dataclasses
+from statistics import NormalDist
+
+import numpy as np
+import pytest
+
+from quadftc_flight.diagnosis_metrics import GRACE_TIME, FaultEvent, diagnosis_metrics
+from quadftc_flight.diagnosis_metrics.roc import (
+    detection_roc,
+    estimate_over_std_dev,
+    estimate_size,
+    operating_point,
+    roc,
+)
+from quadftc_flight.flight import VECTORS, Flight
+from quadftc_model.samples import FAULTY
+
+NORMAL = NormalDist()
+ROLL = FaultEvent("roll", "step", 10.0, 20.0)
+
+
+def still() -> Flight:
+    """30 s at 10 Hz, nothing estimated."""
+    stamp_ns = np.arange(1, 301) * 100_000_000
+    return Flight(
+        stamp_ns=stamp_ns,
+        time=(stamp_ns - stamp_ns[0]) / 1e9,
+        delivered=np.ones(300, np.bool_),
+        fault_state=np.ones((300, 3), np.uint8),
+        fault_onset_ns=np.zeros((300, 3), np.int64),
+        saturated=np.zeros((300, 3), np.bool_),
+        **{name: np.zeros((300, 3)) for name in VECTORS},
+    )
+
+
+def faulty() -> Flight:
+    flight = still()
+    fault = np.zeros((300, 3))
+    fault[100:200, 0] = 0.02
+    return dataclasses.replace(flight, fault=fault)
+
+
+def test_curve_of_two_gaussians_is_the_one_of_theory():
+    rng = np.random.default_rng(1)
+    distance, count = 1.5, 20_000
+    labels = rng.random(2 * count) < 0.5
+    curve = roc(rng.standard_normal(2 * count) + distance * labels, labels)
+    assert curve.area == pytest.approx(NORMAL.cdf(distance / 2**0.5), abs=0.01)
+    for share in (0.01, 0.1, 0.5):
+        expected = NORMAL.cdf(distance + NORMAL.inv_cdf(share))
+        assert curve.probability_at(share) == pytest.approx(expected, abs=0.02)
+
+
+def test_score_that_separates_has_area_one_and_guessing_one_half():
+    perfect = roc([0.1, 0.2, 0.9, 1.0], [False, False, True, True])
+    assert (perfect.area, perfect.probability_at(0.0)) == (1.0, 1.0)
+    assert roc([0.3, 0.3, 0.3, 0.3], [False, True, False, True]).area == 0.5
+    assert roc([0.9, 0.1], [False, True]).area == 0.0
+
+
+@pytest.mark.parametrize(
+    ("score", "labels", "message"),
+    [
+        ([1.0, np.nan], [True, False], "NaN"),
+        ([1.0, 2.0], [True, True], "no healthy score among 2"),
+        ([1.0, 2.0], [False, False], "no faulty score among 2"),
+        ([], [], "no faulty score among 0"),
+        ([1.0, 2.0], [True], r"shapes \(2,\) and \(1,\)"),
+    ],
+)
+def test_scores_that_give_no_curve_are_refused(score, labels, message):
+    with pytest.raises(ValueError, match=message):
+        roc(score, labels)
+
+
+def test_fault_counts_as_found_by_its_largest_score_within_the_delay():
+    flight = faulty()
+    estimate = np.zeros((300, 3))
+    estimate[:, 1] = 0.005  # always wrong by this much
+    estimate[120:200, 0] = 0.02  # 2 s after the onset
+    flight = dataclasses.replace(flight, fault_estimate=estimate)
+    in_time = detection_roc([(flight, [ROLL])], estimate_size, within=2.5)
+    assert (in_time.area, in_time.probability_at(0.0)) == (1.0, 1.0)
+    too_late = detection_roc([(flight, [ROLL])], estimate_size, within=1.0)
+    assert too_late.probability_at(0.0) == 0.0
+    assert too_late.area < 0.5
+
+
+def test_healthy_is_what_is_outside_faults_and_their_grace():
+    flight = faulty()
+    after = np.zeros((300, 3))
+    after[150:160, 0] = 0.02
+    after[200 : 200 + round(10 * GRACE_TIME), 0] = -0.02  # let go within the grace
+    score = dataclasses.replace(flight, fault_estimate=after)
+    assert detection_roc([(score, [ROLL])], estimate_size, within=9.0).probability_at(0.0) == 1.0
+
+
+def test_score_is_the_estimate_over_the_deviation_that_is_given():
+    flight = faulty()
+    std_dev = np.full((300, 3), 0.01)
+    std_dev[:, 2] = -1.0  # none on yaw
+    estimate = np.full((300, 3), -0.03)
+    score = estimate_over_std_dev(dataclasses.replace(flight, fault_estimate=estimate, fault_std_dev=std_dev))
+    np.testing.assert_allclose(score[:, :2], 3.0)
+    assert np.isnan(score[:, 2]).all()
+
+
+def test_operating_point_counts_what_is_found_in_time_and_time_of_false_alarms():
+    state = np.ones((300, 3), np.uint8)
+    state[115:200, 0] = FAULTY  # 1.5 s after the onset
+    state[0:30, 1] = FAULTY  # 3 s of healthy time
+    flight = dataclasses.replace(faulty(), fault_state=state)
+    late = [diagnosis_metrics(flight, [ROLL])]
+    healthy = 90.0 - 10.0 - GRACE_TIME
+    assert operating_point(late, within=1.5) == pytest.approx((3.0 / healthy, 1.0))
+    assert operating_point(late, within=1.4) == pytest.approx((3.0 / healthy, 0.0))
+    missed = [diagnosis_metrics(faulty(), [ROLL])]
+    assert operating_point(late + missed, within=2.0) == pytest.approx((1.5 / healthy, 0.5))
+    state[50:115, 0] = FAULTY  # before the onset already
+    always = dataclasses.replace(flight, fault_state=state)
+    assert operating_point([diagnosis_metrics(always, [ROLL])], within=2.0).detection_probability == 0.0
+    assert operating_point([], within=1.0) == (None, None)
+
+
+def test_fault_of_size_zero_is_no_fault_to_be_found():
+    with pytest.raises(ValueError, match="no faulty score"):
+        detection_roc([(still(), [ROLL])], estimate_size, within=1.0)

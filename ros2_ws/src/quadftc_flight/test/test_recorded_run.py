@@ -1,0 +1,293 @@
+"""Reading a run back: whole it is what was flown; damaged, foreign or incomplete it says so in one line."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Vector3, Vector3Stamped
+from mcap.writer import Writer
+from rclpy.qos import QoSProfile
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import Imu
+from std_msgs.msg import Header
+
+from quadftc_bags.bag import BagError
+from quadftc_bags.writer import BagWriter
+from quadftc_flight.closed_loop import fly
+from quadftc_flight.flight import VECTORS, Flight
+from quadftc_flight.recorded_run import find_runs, read_run
+from quadftc_flight.scenario import Scenario, node_parameters, parse_scenario
+from quadftc_flight.summary import summary
+from quadftc_msgs.msg import AttitudeReference, ControlStatus, FaultStatus
+
+TEXT = """
+name: short
+duration: 1 s
+rate: 100 Hz
+vehicle: qball_x4
+references: [{kind: step, angles: [5 deg, 0, 0], start: 0.1, stop: 0.6}]
+faults: [{kind: bias, axes: roll, value: 1 deg, start: 0.3, stop: 0.7}]
+schemes:
+  first:
+    {observer: sliding_mode, disturbance_observer: exosystem, controller: ismc,
+     checks: [{metric: tracking_rmse_deg, below: 5}]}
+  second: {controller: smc}
+"""
+VECTOR_TOPICS = {
+    "plant/attitude": "angles",
+    "plant/rate": "body_rate",
+    "disturbance/applied": "disturbance",
+    "fault/injected": "fault",
+    "fault/estimate": "fault_estimate",
+    "disturbance/estimate": "disturbance_estimate",
+    "torque/command": "torque",
+}
+OTHER_TOPICS = {
+    "imu/data": "sensor_msgs/msg/Imu",
+    "fault/status": "quadftc_msgs/msg/FaultStatus",
+    "attitude/reference": "quadftc_msgs/msg/AttitudeReference",
+    "control/status": "quadftc_msgs/msg/ControlStatus",
+}
+
+
+def xyz(row) -> Vector3:
+    return Vector3(x=row[0], y=row[1], z=row[2])
+
+
+def messages(flight: Flight, row: int):
+    header = Header(
+        stamp=Time(sec=int(flight.stamp_ns[row] // 10**9), nanosec=int(flight.stamp_ns[row] % 10**9))
+    )
+    for topic, name in VECTOR_TOPICS.items():
+        yield topic, Vector3Stamped(header=header, vector=xyz(getattr(flight, name)[row]))
+    yield "imu/data", Imu(header=header, angular_velocity=xyz(flight.body_rate[row]))
+    state, std_dev = flight.fault_state[row], xyz(flight.fault_std_dev[row])
+    yield "fault/status", FaultStatus(header=header, state=state, std_dev=std_dev)
+    yield "attitude/reference", AttitudeReference(header=header, angles=xyz(flight.reference[row]))
+    cut = flight.saturated[row].tolist()
+    yield "control/status", ControlStatus(header=header, error=xyz(flight.error[row]), saturated=cut)
+
+
+def record(directory: Path, scenario: Scenario, scheme: str, flight: Flight, leave_out=()) -> Path:
+    """Write the bag of a run, its attachments and its summary, as `quadftc run` does."""
+    parameters = node_parameters(scenario, scheme)
+    files = {
+        "scenario.yaml": yaml.safe_dump(scenario.raw),
+        "parameters.yaml": yaml.safe_dump({f"/{n}": {"ros__parameters": v} for n, v in parameters.items()}),
+    }
+    attachments = {name: text.encode() for name, text in files.items() if name not in leave_out}
+    with BagWriter(directory, attachments, {"quadftc": "0.1.0", "mode": "lockstep"}, lockstep=True) as writer:
+        topics = {**dict.fromkeys(VECTOR_TOPICS, "geometry_msgs/msg/Vector3Stamped"), **OTHER_TOPICS}
+        for topic, type_name in topics.items():
+            writer.add_topic(f"/{topic}", type_name, QoSProfile(depth=10))
+        for row in range(len(flight)):
+            for topic, message in messages(flight, row):
+                if topic not in leave_out:
+                    stamp = int(flight.stamp_ns[row])
+                    writer.write(f"/{topic}", serialize_message(message), stamp, stamp)
+    result = summary(flight, scenario, scenario.scheme(scheme), 0.5)
+    result["versions"] = {"quadftc": "0.1.0", "commit": "abc"}
+    (directory / "summary.json").write_text(json.dumps(result))
+    return directory
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return parse_scenario(TEXT)
+
+
+@pytest.fixture(scope="module")
+def flight(scenario) -> Flight:
+    return fly(node_parameters(scenario, "first"))
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory, scenario, flight) -> Path:
+    return record(tmp_path_factory.mktemp("runs") / "short-first", scenario, "first", flight)
+
+
+@pytest.fixture
+def run(tmp_path, recorded) -> Path:
+    """A copy of a run, to be damaged."""
+    return Path(shutil.copytree(recorded, tmp_path / "short-first"))
+
+
+def bag_file(run: Path) -> Path:
+    return run / "short-first_0.mcap"
+
+
+def cut(run: Path, share: float) -> None:
+    data = bag_file(run).read_bytes()
+    bag_file(run).write_bytes(data[: int(share * len(data))])
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(BagError) as caught:
+        read_run(path)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_whole_run_comes_back_as_it_was_flown(recorded, scenario, flight):
+    found = read_run(recorded)
+    assert found.warnings == ()
+    assert found.is_whole
+    assert (found.name, found.scheme.name, found.duration) == ("short-first", "first", 1.0)
+    assert found.scenario.raw == scenario.raw
+    assert found.parameters == node_parameters(scenario, "first")
+    assert found.summary == json.loads((recorded / "summary.json").read_text())
+    assert found.versions == {"quadftc": "0.1.0", "commit": "abc"}
+    for name in VECTORS:
+        if name != "sliding_variable":  # not recorded here
+            assert np.array_equal(getattr(found.flight, name), getattr(flight, name)), name
+
+
+def test_run_is_read_from_its_file_too(recorded):
+    found = read_run(recorded / "short-first_0.mcap")
+    assert (found.name, found.scheme.name, found.warnings) == ("short-first", "first", ())
+
+
+def test_run_cut_in_the_middle_is_read_up_to_the_cut(run, flight):
+    cut(run, 0.5)
+    found = read_run(run)
+    end = found.duration
+    assert 0.2 < end < 0.8
+    (warning,) = found.warnings
+    assert warning.startswith(f"{run}: cut short at {end:.1f} s of 1 s; read up to there")
+    assert warning.endswith(f"run quadftc repair {run}")
+    assert found.summary["samples"] == len(found.flight) < len(flight)
+    assert (found.summary["checks"], found.summary["passed"]) == ([], None)
+    assert np.array_equal(found.flight.angles, flight.angles[: len(found.flight)])
+    json.dumps(found.summary, allow_nan=False)
+
+
+def test_run_cut_before_its_first_message_is_refused(run):
+    cut(run, 0.05)
+    assert "cut short before it holds a run: missing" in refusal(run)
+    assert refusal(run).endswith(f"run quadftc repair {run}")
+    bag_file(run).write_bytes(b"")
+    assert refusal(run) == f"{bag_file(run)}: empty file"
+
+
+def test_run_damaged_inside_is_read_up_to_the_damage(run):
+    data = bytearray(bag_file(run).read_bytes())
+    middle = len(data) // 2
+    data[middle : middle + 64] = np.random.default_rng(1).bytes(64)
+    bag_file(run).write_bytes(data)
+    found = read_run(run)
+    assert not found.is_whole
+    assert "read up to there" in found.warnings[0]
+
+
+def test_attachments_lost_are_taken_from_beside_the_bag(tmp_path, scenario, flight):
+    lost = ("scenario.yaml", "parameters.yaml")
+    run = record(tmp_path / "short-first", scenario, "first", flight, leave_out=lost)
+    assert "missing scenario.yaml (attached to the bag, or beside it)" in refusal(run)
+    (run / "scenario.yaml").write_text(TEXT)
+    found = read_run(run)
+    assert found.scheme.name == "first"
+    assert found.parameters["controller"]["controller"] == "ismc"
+    (warning,) = found.warnings
+    assert warning == f"{run}: parameters.yaml is missing; took the parameters that the scenario gives"
+
+
+def test_scheme_is_told_by_the_parameters_and_not_by_the_name(run):
+    renamed = run.rename(run.parent / "short-second")
+    assert read_run(renamed).scheme.name == "first"
+
+
+def test_scheme_that_nothing_tells_is_asked_for(tmp_path, scenario, flight):
+    run = record(tmp_path / "mine", scenario, "first", flight, leave_out=("parameters.yaml",))
+    (run / "summary.json").unlink()
+    assert "which of the schemes first, second was flown is not known" in refusal(run)
+
+
+def test_summary_that_is_missing_or_broken_is_computed(run):
+    whole = read_run(run).summary
+    for text, word in (
+        ("{", "broken"),
+        ('{"samples": NaN}', "broken"),
+        ("[]", "no mapping"),
+        (None, "missing"),
+    ):
+        (run / "summary.json").unlink(missing_ok=True)
+        if text is not None:
+            (run / "summary.json").write_text(text)
+        found = read_run(run)
+        assert len(found.warnings) == 1
+        assert f"summary.json: {word}" in found.warnings[0]
+        assert found.summary["metrics"] == whole["metrics"]
+
+
+def test_summary_that_disagrees_with_the_bag_does_not_count(run):
+    stored = json.loads((run / "summary.json").read_text())
+    true = stored["metrics"]["tracking_rmse_deg"]["roll"]
+    stored["metrics"]["tracking_rmse_deg"]["roll"] = true + 1e-3
+    (run / "summary.json").write_text(json.dumps(stored))
+    found = read_run(run)
+    assert "disagrees with the bag, whose numbers count: metrics.tracking_rmse_deg.roll" in found.warnings[0]
+    assert found.summary["metrics"]["tracking_rmse_deg"]["roll"] == pytest.approx(true, rel=1e-12)
+    assert found.summary["wall_time_s"] == 0.5
+
+
+def test_missing_topics_are_named(tmp_path, scenario, flight):
+    needed = record(tmp_path / "a-first", scenario, "first", flight, leave_out=("plant/attitude", "imu/data"))
+    assert (
+        "no run or replay of quadftc: missing messages on imu/data, plant/attitude; topics with"
+        in refusal(needed)
+    )
+    wanted = record(tmp_path / "b-first", scenario, "first", flight, leave_out=("torque/command",))
+    found = read_run(wanted)
+    assert "no message on torque/command; their numbers are missing" in found.warnings[0]
+    assert found.summary["metrics"]["torque_rms"]["roll"] is None
+
+
+def test_foreign_bag_is_refused_with_what_it_lacks(tmp_path):
+    path = tmp_path / "foreign.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        schema = writer.register_schema("std_msgs/msg/Header", "ros2msg", b"uint32 seq\n")
+        writer.add_message(writer.register_channel("/camera", "cdr", schema), 0, b"\0\1\0\0\0\0\0\0", 0)
+        writer.finish()
+    text = refusal(path)
+    assert "no run or replay of quadftc: missing scenario.yaml" in text
+    assert "messages on imu/data, plant/attitude, attitude/reference" in text
+    assert text.endswith("topics with messages there: /camera")
+
+
+def test_what_is_no_bag_is_refused_in_one_line(tmp_path):
+    (tmp_path / "noise.mcap").write_bytes(np.random.default_rng(2).bytes(1000))
+    assert refusal(tmp_path / "noise.mcap").endswith("noise.mcap: not an MCAP file")
+    assert refusal(tmp_path / "nothing").endswith("nothing: no such bag")
+
+
+def test_flight_that_was_ended_early_is_no_whole_one(tmp_path, scenario, flight):
+    rows = {field.name: getattr(flight, field.name)[:60] for field in dataclasses.fields(Flight)}
+    found = read_run(record(tmp_path / "short-first", scenario, "first", Flight(**rows)))
+    assert found.warnings == (f"{found.path}: flight ended early, at 0.6 s of 1 s; read up to there",)
+
+
+def test_runs_are_found_by_name_and_once(tmp_path, recorded):
+    for name in ("b", "a", "c"):
+        shutil.copytree(recorded, tmp_path / name)
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "report.html").write_text("")
+    assert find_runs([tmp_path / "c", tmp_path]) == [tmp_path / name for name in ("c", "a", "b")]
+    assert find_runs([tmp_path / "a" / "short-first_0.mcap"]) == [tmp_path / "a" / "short-first_0.mcap"]
+
+
+@pytest.mark.parametrize("name", ["notes", "none"])
+def test_place_without_runs_is_refused(tmp_path, name):
+    (tmp_path / "notes").mkdir()
+    with pytest.raises(BagError, match=f"{name}: no (run in this directory|such file or directory)"):
+        find_runs([tmp_path / name])
+    with pytest.raises(BagError, match="no runs given"):
+        find_runs([])

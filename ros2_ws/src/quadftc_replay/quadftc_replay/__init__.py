@@ -1,0 +1,1 @@
+"""Recorded IMU samples through the diagnosis."""

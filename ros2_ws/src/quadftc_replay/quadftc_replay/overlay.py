@@ -1,0 +1,111 @@
+"""Faults that are put on a recording: from the command line, and from a YAML file.
+
+The file holds the key ``faults`` of a scenario file, or is one; its other keys are passed over. Times count
+from the first sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from quadftc_flight.metrics import FaultWindow
+from quadftc_flight.scenario import Fault
+from quadftc_flight.scenario.parts import PartBuilder
+from quadftc_flight.scenario.schema import ScenarioShape, shape_of
+from quadftc_flight.scenario.yaml_document import Document, Problem, read_document
+from quadftc_model.hints import nearest
+from quadftc_model.samples import AXES
+from quadftc_model.spec import parse_spec
+from quadftc_sim.assembly import injection_from
+from quadftc_sim.injection import RESERVED, FaultInjector, Injection
+
+
+def faults_from(files: Iterable[Path], specs: Iterable[str]) -> tuple[Fault, ...]:
+    """Build the faults of the files, and behind them those of the specifications.
+
+    Parameters
+    ----------
+    files : iterable of Path
+    specs : iterable of str
+        Such as ``bias axis=roll value=3deg start=60s stop=80s``.
+
+    Raises
+    ------
+    ValueError
+        If one is wrong; the message says which, and what was expected.
+    """
+    return (*(fault for file in files for fault in _faults_of(file)), *(_fault_of(spec) for spec in specs))
+
+
+def require_within(faults: Sequence[Fault], duration: float, where: str) -> None:
+    """Refuse a fault that would not act.
+
+    Raises
+    ------
+    ValueError
+        If one starts behind the end of the recording [s].
+    """
+    for fault in faults:
+        if fault.injection.start >= duration:
+            raise ValueError(
+                f"fault '{fault.spec}': start = {fault.injection.start:g} s: must be before the end of"
+                f" {where}, {duration:.3f} s"
+            )
+
+
+def injector_of(faults: Iterable[Fault], seed: int) -> FaultInjector:
+    """Return the injector that puts these faults on the samples."""
+    injector = FaultInjector(seed)
+    for fault in faults:
+        injector.add(fault.injection)
+    return injector
+
+
+def attitude_windows(faults: Iterable[Fault], duration: float) -> list[FaultWindow]:
+    """When these faults are on the attitude [s]."""
+    return [
+        FaultWindow(fault.injection.start, min(fault.injection.stop, duration), fault.axes)
+        for fault in faults
+        if fault.injection.channel == "attitude"
+    ]
+
+
+def merged_windows(windows: Iterable[FaultWindow]) -> tuple[FaultWindow, ...]:
+    """Windows in the order of time; those of the same times are one."""
+    axes: dict[tuple[float, float], set[str]] = {}
+    for start, stop, names in windows:
+        axes.setdefault((start, stop), set()).update(names)
+    return tuple(
+        FaultWindow(start, stop, tuple(axis for axis in AXES if axis in axes[start, stop]))
+        for start, stop in sorted(axes)
+    )
+
+
+def _fault_of(spec: str) -> Fault:
+    injection: Injection = injection_from(spec)
+    return Fault(injection, tuple(name for name in parse_spec(spec).values if name not in RESERVED))
+
+
+def _faults_of(file: Path) -> tuple[Fault, ...]:
+    document = read_document(file)
+    builder = PartBuilder(None)
+    faults = builder.faults(document.data.get("faults"))
+    problems = [*_misshapen(document), *builder.problems]
+    if problems:
+        raise document.error(problems)
+    return faults
+
+
+def _misshapen(document: Document) -> Iterable[Problem]:
+    known = list(ScenarioShape.model_fields)
+    if not document.data.get("faults"):
+        yield Problem((), "no faults; expected the key 'faults' with a list, as in a scenario file")
+    for key in document.data:
+        if key not in known:
+            yield Problem(
+                (key,), f"unknown key{nearest(key, known)}; expected 'faults', as in a scenario file"
+            )
+    for problem in shape_of(document.data)[1]:
+        if problem.path[:1] == ("faults",):
+            yield problem

@@ -1,0 +1,220 @@
+"""A recording of an IMU as arrays, wherever it comes from, and the clean-up that every recording gets."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_bags.bag import BagError
+from quadftc_flight.diagnosis_metrics import FaultEvent
+from quadftc_flight.metrics import FaultWindow
+from quadftc_model.samples import ImuSample, sanitised
+from quadftc_model.stepper import MAX_GAP, NANOSECONDS_PER_SECOND
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+class Passenger(NamedTuple):
+    """Recorded messages that go into the new bag as they are."""
+
+    type_name: str
+    stamp_ns: Stamps  # (n,)
+    messages: list[bytes]  # serialised, n
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Recording:
+    """The samples of one IMU in the order of their stamps, and what is known beside them.
+
+    Parameters
+    ----------
+    name : str
+        Of the bag or log.
+    path : Path
+    topic : str
+        Full name of the topic that the samples are from.
+    namespace : str
+        Of the vehicle, with its slashes: ``/`` or ``/name/``.
+    stamp_ns : array (n,)
+        Strictly increasing [ns].
+    imu : ImuSample
+        Leading axis n; what cannot be used is marked as absent.
+    torque : array (n, 3)
+        Torque that acted since the sample before [N m]; zero where none was recorded.
+    torque_topic : str, optional
+    faults : mapping
+        Channel to the recorded true fault (n, 3); NaN where it is unknown, no entry where it is not recorded.
+    fault_windows : tuple of FaultWindow
+        When the attitude is faulty by what was recorded.
+    fault_events : tuple of FaultEvent
+        The same axis by axis, with the kind of fault.
+    observer : mapping, optional
+        Parameters of the node that diagnosed these samples first; empty: not known; None: they make no sense.
+    passengers : mapping
+        Topic, relative to the namespace, to what is passed on.
+    rejected : mapping
+        Reason to the number of samples left out.
+    warnings : tuple of str
+        One line each.
+    """
+
+    name: str
+    path: Path
+    topic: str
+    namespace: str
+    stamp_ns: Stamps
+    imu: ImuSample
+    torque: Floats
+    torque_topic: str | None = None
+    faults: Mapping[str, Floats] = dataclasses.field(default_factory=dict[str, Floats])
+    fault_windows: tuple[FaultWindow, ...] = ()
+    fault_events: tuple[FaultEvent, ...] = ()
+    observer: Mapping[str, Any] | None = dataclasses.field(default_factory=dict[str, Any])
+    passengers: Mapping[str, Passenger] = dataclasses.field(default_factory=dict[str, Passenger])
+    rejected: Mapping[str, int] = dataclasses.field(default_factory=dict[str, int])
+    warnings: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.stamp_ns)
+
+    @property
+    def time(self) -> Floats:
+        """Time of each sample since the first [s] (n,)."""
+        return (self.stamp_ns - self.stamp_ns[0]) / NANOSECONDS_PER_SECOND
+
+    @property
+    def duration(self) -> float:
+        """Time from the first sample to the end of the last sample's period [s]."""
+        return float(self.time[-1]) + 1.0 / self.rate
+
+    @property
+    def rate(self) -> float:
+        """One over the median time between two samples [Hz]."""
+        return NANOSECONDS_PER_SECOND / float(np.median(np.diff(self.stamp_ns)))
+
+
+class Kept(NamedTuple):
+    """The samples of a recording that have a good stamp."""
+
+    rows: NDArray[np.intp]  # which of the recorded samples
+    stamp_ns: Stamps  # strictly increasing
+    rejected: dict[str, int]
+    warnings: list[str]
+
+
+def keep_good_stamps(stamp_ns: Stamps, log_time_ns: Stamps | None, where: str, skip_backwards: bool) -> Kept:
+    """Leave out samples whose stamp is not set, is repeated or (if asked) goes back.
+
+    Where no stamp is set at all, the time of recording takes its place.
+
+    Parameters
+    ----------
+    stamp_ns, log_time_ns : array (n,)
+        In the order of recording; None: no time of recording.
+    where : str
+        Names the file and topic in errors.
+    skip_backwards : bool
+        Leave out samples whose stamp goes back, as the graph does, instead of refusing the recording.
+
+    Raises
+    ------
+    BagError
+        If stamps go back, or fewer than two good samples are there.
+    """
+    rejected: dict[str, int] = {}
+    warnings: list[str] = []
+    if log_time_ns is not None and not np.any(stamp_ns):
+        warnings.append(f"{where}: no stamp is set; the time of recording took their place")
+        stamp_ns = log_time_ns
+    rows = np.flatnonzero(_is_set(stamp_ns))
+    if len(rows) < len(stamp_ns):
+        rejected["stamp not set"] = len(stamp_ns) - len(rows)
+    stamps = stamp_ns[rows]
+    before = np.maximum.accumulate(np.concatenate([[np.iinfo(np.int64).min], stamps]))[:-1]
+    back, repeated = stamps < before, stamps == before
+    if back.any():
+        if not skip_backwards:
+            raise BagError(f"{where}: {_first_step_back(stamps, rows)}")
+        rejected["stamp went back"] = int(back.sum())
+    if repeated.any():
+        rejected["stamp repeated"] = int(repeated.sum())
+    rows, stamps = rows[stamps > before], stamps[stamps > before]
+    if len(rows) < 2:
+        raise BagError(f"{where}: {len(rows)} samples with a good stamp; expected at least 2")
+    total = sum(rejected.values())
+    if total:
+        reasons = ", ".join(f"{reason}: {count}" for reason, count in rejected.items())
+        warnings.append(f"{where}: {total} of {len(stamp_ns)} samples left out ({reasons})")
+    return Kept(rows, stamps, rejected, warnings)
+
+
+def cleaned(imu: ImuSample, stamp_ns: Stamps, where: str) -> tuple[ImuSample, list[str]]:
+    """Mark as absent what cannot be used; return the samples and warnings about absences and gaps.
+
+    Raises
+    ------
+    BagError
+        If no sample has both attitude and body rate.
+    """
+    clean = sanitised(imu)
+    warnings: list[str] = []
+    for words, field, given, valid in (
+        ("attitude", "orientation", imu.attitude_valid, clean.attitude_valid),
+        ("body rate", "angular_velocity", imu.rate_valid, clean.rate_valid),
+    ):
+        absent, unusable = int((~given).sum()), int((given & ~valid).sum())
+        details = f"{absent} marked absent, {unusable} zero, not of unit length or not finite"
+        if field == "angular_velocity":
+            details = f"{absent} marked absent, {unusable} not finite"
+        if not valid.any():
+            raise BagError(f"{where}: no sample has a usable {words} ({details}); a diagnosis needs both")
+        if not valid.all():
+            warnings.append(
+                f"{where}: {absent + unusable} of {len(valid)} samples without {words} ({details}); bridged"
+            )
+    if not np.any(clean.attitude_valid & clean.rate_valid):
+        raise BagError(f"{where}: no sample has both attitude and body rate; a diagnosis needs both to start")
+    gaps = int(np.sum(np.diff(stamp_ns) > MAX_GAP * NANOSECONDS_PER_SECOND))
+    if gaps:
+        warnings.append(
+            f"{where}: gaps of more than {MAX_GAP:g} s: {gaps}; the diagnosis starts anew behind each"
+        )
+    return clean, warnings
+
+
+def torque_before(stamp_ns: Stamps, command_ns: Stamps, command: Floats) -> Floats:
+    """Torque that acted before each sample (n, 3): the last finite command with an earlier stamp, else zero.
+
+    In a recording of the graph in lock-step that is the command of the sample before.
+    """
+    good = np.all(np.isfinite(command), axis=1)
+    order = np.argsort(command_ns[good], kind="stable")
+    stamps, torques = command_ns[good][order], command[good][order]
+    last = np.searchsorted(stamps, stamp_ns, side="left") - 1
+    if not len(stamps):
+        return np.zeros((len(stamp_ns), 3))
+    return np.where(last[:, None] < 0, 0.0, torques[np.maximum(last, 0)])
+
+
+def _is_set(stamp_ns: Stamps) -> NDArray[np.bool_]:
+    """Which stamps are set: zero is none, unless the clock plainly began there."""
+    others = stamp_ns[stamp_ns != 0]
+    began = len(others) and others.min() <= MAX_GAP * NANOSECONDS_PER_SECOND
+    return np.ones(len(stamp_ns), np.bool_) if began else stamp_ns != 0
+
+
+def _first_step_back(stamps: Stamps, rows: NDArray[np.intp]) -> str:
+    steps = np.flatnonzero(np.diff(stamps) < 0)
+    first = int(steps[0])
+    more = f" (and {len(steps) - 1} more times)" if len(steps) > 1 else ""
+    size = (stamps[first] - stamps[first + 1]) / NANOSECONDS_PER_SECOND
+    return (
+        f"time goes back by {size:.6g} s at message {int(rows[first + 1]) + 1}{more}; expected stamps that"
+        " increase; --skip-backwards leaves such samples out, as the graph does"
+    )

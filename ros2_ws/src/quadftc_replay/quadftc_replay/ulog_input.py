@@ -1,0 +1,195 @@
+# pyright: basic
+"""A recording from a PX4 log (ULog).
+
+| in the log | in the sample |
+|---|---|
+| ``sensor_combined.gyro_rad``, else ``vehicle_angular_velocity.xyz`` | body rate; gives the stamps |
+| ``vehicle_attitude.q`` | attitude |
+| ``sensor_combined.accelerometer_m_s2``, else ``vehicle_acceleration.xyz`` | specific force |
+
+The gyro drives the diagnosis, as in an IMU: PX4 logs it at 100-250 Hz by default, and the attitude at 20 Hz.
+Each attitude belongs to the gyro sample nearest in time, and is carried there, over less than one period of
+the gyro, by the body rate; the samples between have none (``orientation_covariance[0] = -1`` in a message),
+which observers bridge. Of attitudes faster than the gyro, the nearest are taken.
+
+Stamps are those of the sensor sample (``timestamp_sample`` where there is one), since the system's start. The
+log has torques only without a unit, so the torque is zero. The attitude is PX4's own estimate, to which this
+gyro has contributed; where its estimator resets it, it jumps, and a warning says when.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_bags.bag import BagError
+from quadftc_model.rotations import quaternion_from_rotation_vector, quaternion_product
+from quadftc_model.samples import ImuSample
+from quadftc_model.stepper import NANOSECONDS_PER_SECOND
+from quadftc_replay.px4_frames import enu_flu_from_ned_frd, flu_from_frd
+from quadftc_replay.recording import Recording, Stamps, cleaned, keep_good_stamps
+
+Floats = NDArray[np.float64]
+Dataset = Mapping[str, NDArray]  # field, elements as name[k] -> (n,)
+
+ATTITUDE = "vehicle_attitude"
+GYROS = {
+    "sensor_combined": "gyro_rad",
+    "vehicle_angular_velocity": "xyz",
+}  # topic -> field; the first is taken
+FORCES = {"sensor_combined": "accelerometer_m_s2", "vehicle_acceleration": "xyz"}
+INVALID_TIME = 0x7FFFFFFF  # sensor_combined.accelerometer_timestamp_relative: no accelerometer in this sample
+SHOWN = 5  # resets in one warning
+
+
+def is_ulog(path: Path) -> bool:
+    """Whether a file is meant as a PX4 log, by its name."""
+    return path.suffix.lower() in (".ulg", ".ulog") and not path.is_dir()
+
+
+def recording_from_ulog(path: Path, topic: str = "", skip_backwards: bool = False) -> Recording:
+    """Read the attitude and the gyro of a PX4 log.
+
+    Parameters
+    ----------
+    path : Path
+    topic : str
+        Of the gyro; empty: the first of `GYROS` that is there.
+    skip_backwards : bool
+        Leave out samples whose stamp goes back, instead of refusing the log.
+
+    Raises
+    ------
+    BagError
+        If it is no ULog, or one of the topics or fields is missing; one line.
+    """
+    data, corrupt = _read(path)
+    name = _gyro_topic(data, topic, path)
+    gyro, where = data[name], f"{path}: {name}"
+    kept = keep_good_stamps(_stamps(gyro), None, where, skip_backwards)
+    rate = flu_from_frd(_columns(gyro, GYROS[name], 3, where)[kept.rows])
+    q_xyzw, attitude_valid = _attitudes(data[ATTITUDE], kept.stamp_ns, rate, f"{path}: {ATTITUDE}")
+    force, force_valid = _forces(data, kept.stamp_ns, path)
+    imu = ImuSample(q_xyzw, rate, force, attitude_valid, np.ones(len(rate), np.bool_), force_valid)
+    samples, absences = cleaned(imu, kept.stamp_ns, where)
+    damage = [f"{path}: damaged; read what makes sense"] if corrupt else []
+    return Recording(
+        name=path.stem,
+        path=path,
+        topic=name,
+        namespace="/",
+        stamp_ns=kept.stamp_ns,
+        imu=samples,
+        torque=np.zeros((len(rate), 3)),
+        rejected=kept.rejected,
+        warnings=(*damage, *kept.warnings, *absences, *_resets(data[ATTITUDE], kept.stamp_ns, path)),
+    )
+
+
+def _read(path: Path) -> tuple[dict[str, Dataset], bool]:
+    """Read the first instance of each topic needed; and whether the log is damaged."""
+    from pyulog import ULog  # takes its time, and is needed here only
+
+    names = [ATTITUDE, *GYROS, *FORCES]
+    try:
+        with path.open("rb") as stream, contextlib.redirect_stdout(io.StringIO()):  # the library prints
+            log = ULog(stream, names)
+    except OSError as error:
+        raise BagError(f"{path}: {error.strerror or error}") from None
+    except Exception as error:  # whatever the library makes of bytes that are no log
+        raise BagError(f"{path}: not a PX4 log (ULog): {error}") from None
+    filled = [each for each in log.data_list if each.multi_id == 0 and len(each.data.get("timestamp", ()))]
+    return {each.name: each.data for each in filled}, log.file_corruption
+
+
+def _gyro_topic(data: Mapping[str, Dataset], wanted: str, path: Path) -> str:
+    there = ", ".join(data) or "none"
+    if wanted and wanted not in GYROS:
+        raise BagError(f"{path}: topic '{wanted}': of a PX4 log, expected one of {', '.join(GYROS)}")
+    names = [wanted] if wanted else list(GYROS)
+    found = next((name for name in names if name in data), None)
+    missing = [ATTITUDE] if ATTITUDE not in data else []
+    if found is None:
+        missing.append(" or ".join(names))
+    if found is None or missing:
+        raise BagError(
+            f"{path}: no data of {' and '.join(missing)}; of the topics that count there are: {there}"
+        )
+    return found
+
+
+def _stamps(data: Dataset) -> Stamps:
+    """Time of each sample [ns] (n,)."""
+    micro = data["timestamp"].astype(np.int64)
+    if "timestamp_sample" in data:
+        sampled = data["timestamp_sample"].astype(np.int64)
+        micro = np.where(sampled > 0, sampled, micro)
+    return micro * 1000
+
+
+def _columns(data: Dataset, field: str, width: int, where: str) -> Floats:
+    """Field with ``width`` elements (n, width)."""
+    try:
+        return np.stack([data[f"{field}[{k}]"].astype(np.float64) for k in range(width)], axis=-1)
+    except KeyError as error:
+        raise BagError(f"{where}: no field {error}; fields: {', '.join(data)}") from None
+
+
+def _attitudes(data: Dataset, stamp_ns: Stamps, rate: Floats, where: str) -> tuple[Floats, NDArray[np.bool_]]:
+    """Attitude of each gyro sample (n, 4), and where there is one (n,)."""
+    attitude = enu_flu_from_ned_frd(_columns(data, "q", 4, where))
+    stamps = _stamps(data)
+    chosen = nearest_rows(stamp_ns, stamps)
+    there = chosen >= 0
+    elapsed = np.where(there, stamp_ns - stamps[chosen], 0) / NANOSECONDS_PER_SECOND
+    turn = quaternion_from_rotation_vector(np.nan_to_num(rate) * elapsed[:, None])
+    carried = quaternion_product(attitude[chosen], turn)
+    return np.where(there[:, None], carried, 0.0), there
+
+
+def nearest_rows(stamp_ns: Stamps, others_ns: Stamps) -> NDArray[np.intp]:
+    """For each stamp, the row of the other stamp that belongs to it; -1: none.
+
+    Each of the others belongs to the stamp nearest to it, if that is less than a median period away; of
+    several that belong to one stamp, the nearest is taken.
+    """
+    after = np.clip(np.searchsorted(stamp_ns, others_ns), 1, len(stamp_ns) - 1)
+    is_earlier = others_ns - stamp_ns[after - 1] <= stamp_ns[after] - others_ns
+    nearest = np.where(is_earlier, after - 1, after)
+    distance = np.abs(stamp_ns[nearest] - others_ns)
+    near = np.flatnonzero(distance < np.median(np.diff(stamp_ns)))
+    order = near[np.argsort(-distance[near], kind="stable")]  # the nearest comes last, and stays
+    rows = np.full(len(stamp_ns), -1)
+    rows[nearest[order]] = order
+    return rows
+
+
+def _forces(data: Mapping[str, Dataset], stamp_ns: Stamps, path: Path) -> tuple[Floats, NDArray[np.bool_]]:
+    """Specific force of each sample (n, 3): the latest that was measured; and where there is one (n,)."""
+    name = next((name for name in FORCES if name in data), None)
+    if name is None:
+        return np.zeros((len(stamp_ns), 3)), np.zeros(len(stamp_ns), np.bool_)
+    force = flu_from_frd(_columns(data[name], FORCES[name], 3, f"{path}: {name}"))
+    last = np.searchsorted(_stamps(data[name]), stamp_ns, side="right") - 1
+    valid = last >= 0
+    relative = data[name].get("accelerometer_timestamp_relative")
+    if relative is not None:
+        valid &= relative[last] != INVALID_TIME
+    return np.where(valid[:, None], force[last], 0.0), valid
+
+
+def _resets(data: Dataset, stamp_ns: Stamps, path: Path) -> list[str]:
+    """Warn of the times at which PX4's estimator has reset the attitude."""
+    if "quat_reset_counter" not in data:
+        return []
+    rows = np.flatnonzero(np.diff(data["quat_reset_counter"].astype(np.int64)) != 0) + 1
+    times = (_stamps(data)[rows] - stamp_ns[0]) / NANOSECONDS_PER_SECOND
+    if not len(rows):
+        return []
+    shown = ", ".join(f"{time:.2f} s" for time in times[:SHOWN]) + (", ..." if len(times) > SHOWN else "")
+    return [f"{path}: the estimator of PX4 has reset the attitude {len(rows)} times, at {shown}: no fault"]

@@ -1,0 +1,221 @@
+"""PX4 logs: frames, which attitude belongs to which gyro sample, and what is refused."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadftc_bags.bag import BagError
+from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, quaternion_rate
+from quadftc_replay.plan import ReplayOptions, plan_replay
+from quadftc_replay.px4_frames import enu_flu_from_ned_frd, flu_from_frd
+from quadftc_replay.ulog_input import nearest_rows, recording_from_ulog
+
+GYRO_PERIOD_US = 5000  # 200 Hz
+ATTITUDE_EVERY = 10  # gyro samples
+COUNT = 400
+BOOT_US = 3_000_000
+GRAVITY = 9.81
+
+FORMATS = {
+    "vehicle_attitude": "uint64_t timestamp;uint64_t timestamp_sample;float[4] q;uint8_t quat_reset_counter;",
+    "sensor_combined": "uint64_t timestamp;float[3] gyro_rad;int32_t accelerometer_timestamp_relative;"
+    "float[3] accelerometer_m_s2;",
+    "vehicle_angular_velocity": "uint64_t timestamp;uint64_t timestamp_sample;float[3] xyz;",
+}
+PACKING = {"vehicle_attitude": "<QQ4fB", "sensor_combined": "<Q3fi3f", "vehicle_angular_velocity": "<QQ3f"}
+
+
+def message(kind: str, body: bytes) -> bytes:
+    return struct.pack("<HB", len(body), ord(kind)) + body
+
+
+def write_ulog(path: Path, topics: dict[str, list[tuple]]) -> Path:
+    """Write a log by the description of the format: header, flags, formats, subscriptions, data."""
+    parts = [b"ULog\x01\x12\x35\x01", struct.pack("<Q", BOOT_US), message("B", bytes(40))]
+    parts += [message("F", f"{name}:{FORMATS[name]}".encode()) for name in topics]
+    parts += [message("A", struct.pack("<BH", 0, k) + name.encode()) for k, name in enumerate(topics)]
+    for number, (name, rows) in enumerate(topics.items()):
+        for row in rows:
+            parts.append(message("D", struct.pack("<H", number) + struct.pack(PACKING[name], *row)))
+    path.write_bytes(b"".join(parts))
+    return path
+
+
+def frd(vector) -> list[float]:
+    return [vector[0], -vector[1], -vector[2]]
+
+
+def ned_wxyz(angles) -> list[float]:
+    """PX4's quaternion of an attitude given as ROS's Euler angles [rad]."""
+    roll, pitch, yaw = angles
+    x, y, z, w = quaternion_from_euler(np.array([roll, -pitch, np.pi / 2 - yaw])).tolist()
+    return [w, x, y, z]
+
+
+def angles_at(time: float) -> np.ndarray:
+    return np.array([0.3 * np.sin(3.0 * time), 0.2 * np.sin(2.0 * time), 0.4 + 0.5 * time])
+
+
+def rate_at(time: float) -> np.ndarray:
+    """Body rate, by differences of the quaternion: q' = q (omega, 0) / 2 is linear in omega."""
+    step = 1e-5
+    before, q, after = (quaternion_from_euler(angles_at(time + shift)) for shift in (-step, 0.0, step))
+    columns = np.stack([quaternion_rate(q, unit) for unit in np.eye(3)], axis=-1)
+    return 4.0 * columns.T @ ((after - before) / (2.0 * step))
+
+
+def flight(attitude_lag_us: int = 0) -> dict[str, list[tuple]]:
+    """A turning flight; attitudes are sampled late by ``attitude_lag_us``, and published another ms later."""
+    attitudes, gyros = [], []
+    for k in range(COUNT):
+        stamp = BOOT_US + k * GYRO_PERIOD_US
+        rate = frd(rate_at(1e-6 * stamp))
+        gyros.append((stamp, *rate, 0, 0.0, 0.0, -GRAVITY))
+        if k % ATTITUDE_EVERY == 0:
+            sampled = stamp + attitude_lag_us
+            attitudes.append((sampled + 1000, sampled, *ned_wxyz(angles_at(1e-6 * sampled)), 0))
+    return {"vehicle_attitude": attitudes, "sensor_combined": gyros}
+
+
+def test_level_and_facing_north_is_yaw_of_90_degrees():
+    q = enu_flu_from_ned_frd(np.array([1.0, 0.0, 0.0, 0.0]))
+    np.testing.assert_allclose(euler_from_quaternion(q), [0.0, 0.0, np.pi / 2], atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("px4_axis", "expected"),
+    [
+        (0, [0.3, 0.0, np.pi / 2]),  # right wing down is a positive roll in both
+        (1, [0.0, -0.3, np.pi / 2]),  # nose up is a positive pitch there, a negative one here
+        (2, [0.0, 0.0, np.pi / 2 - 0.3]),  # clockwise there, counterclockwise here
+    ],
+)
+def test_turn_about_one_axis_keeps_its_meaning(px4_axis, expected):
+    angles = np.zeros(3)
+    angles[px4_axis] = 0.3
+    x, y, z, w = quaternion_from_euler(angles)
+    found = euler_from_quaternion(enu_flu_from_ned_frd(np.array([w, x, y, z])))
+    np.testing.assert_allclose(found, expected, atol=1e-15)
+
+
+def matrix(q_xyzw) -> np.ndarray:
+    """Rotation matrix of a quaternion."""
+    x, y, z, w = q_xyzw
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + 2.0 * w * K + 2.0 * K @ K
+
+
+def test_a_body_vector_points_the_same_way_in_both_worlds():
+    rng = np.random.default_rng(0)
+    q_wxyz = rng.standard_normal(4)
+    q_wxyz /= np.linalg.norm(q_wxyz)
+    v_frd = rng.standard_normal(3)
+    north, east, down = matrix(np.roll(q_wxyz, -1)) @ v_frd
+    found = matrix(enu_flu_from_ned_frd(q_wxyz)) @ flu_from_frd(v_frd)
+    np.testing.assert_allclose(found, [east, north, -down], atol=1e-12)
+
+
+def test_gyro_drives_and_each_attitude_belongs_to_its_sample(tmp_path):
+    recording = recording_from_ulog(write_ulog(tmp_path / "log.ulg", flight()))
+    assert recording.rate == pytest.approx(200.0)
+    assert len(recording) == COUNT
+    rows = np.flatnonzero(recording.imu.attitude_valid)
+    assert rows.tolist() == list(range(0, COUNT, ATTITUDE_EVERY))
+    times = 1e-9 * recording.stamp_ns
+    expected = np.array([angles_at(time) for time in times[rows]])
+    np.testing.assert_allclose(euler_from_quaternion(recording.imu.q_xyzw[rows]), expected, atol=1e-6)
+    np.testing.assert_allclose(recording.imu.body_rate, [rate_at(time) for time in times], atol=1e-6)
+    np.testing.assert_allclose(
+        recording.imu.specific_force, np.tile([0.0, 0.0, GRAVITY], (COUNT, 1)), rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize("lag_us", [-2000, 2400])
+def test_attitude_between_two_samples_is_carried_to_the_nearer(tmp_path, lag_us):
+    recording = recording_from_ulog(write_ulog(tmp_path / "log.ulg", flight(lag_us)))
+    rows = np.flatnonzero(recording.imu.attitude_valid)
+    assert rows.tolist() == list(range(0, COUNT, ATTITUDE_EVERY))
+    expected = np.array([angles_at(1e-9 * stamp) for stamp in recording.stamp_ns[rows]])
+    error = np.abs(euler_from_quaternion(recording.imu.q_xyzw[rows]) - expected)
+    assert error.max() < 5e-5  # the turn over the lag is up to 2e-3 rad
+
+
+def test_of_faster_attitudes_the_nearest_is_taken_and_in_a_gap_none():
+    gyro = np.array([0, 10, 20, 30, 130, 140])
+    attitude = np.array([1, 4, 9, 12, 19, 24, 80, 139])
+    assert nearest_rows(gyro, attitude).tolist() == [0, 2, 4, -1, -1, 7]
+
+
+def test_angular_velocity_serves_where_there_is_no_sensor_combined(tmp_path):
+    topics = flight()
+    combined = topics.pop("sensor_combined")
+    topics["vehicle_angular_velocity"] = [(row[0] + 700, row[0], *row[1:4]) for row in combined]
+    recording = recording_from_ulog(write_ulog(tmp_path / "log.ulg", topics))
+    assert recording.topic == "vehicle_angular_velocity"
+    assert recording.stamp_ns[0] == 1000 * BOOT_US  # when it was sampled
+    assert not recording.imu.force_valid.any()
+    assert recording.imu.attitude_valid.sum() == COUNT // ATTITUDE_EVERY
+
+
+def test_reset_of_the_estimator_is_reported(tmp_path):
+    topics = flight()
+    topics["vehicle_attitude"] = [
+        (*row[:-1], int(k >= 20)) for k, row in enumerate(topics["vehicle_attitude"])
+    ]
+    warnings = recording_from_ulog(write_ulog(tmp_path / "log.ulg", topics)).warnings
+    assert "has reset the attitude 1 times, at 1.00 s: no fault" in warnings[-1]
+
+
+def test_log_is_replayed_with_an_overlaid_fault(tmp_path):
+    path = write_ulog(tmp_path / "log.ulg", flight())
+    plan = plan_replay(path, ReplayOptions(observer="none", faults=("bias axis=yaw value=5deg start=1s",)))
+    metrics = plan.summary(plan.diagnose())["metrics"]
+    assert metrics["fault_estimate_rmse_inside_deg"]["yaw"] == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize(
+    ("left", "topic", "words"),
+    [
+        (
+            ["sensor_combined"],
+            "",
+            "no data of vehicle_attitude; of the topics that count there are: sensor_c",
+        ),
+        (["vehicle_attitude"], "", "no data of sensor_combined or vehicle_angular_velocity; of the"),
+        (
+            [],
+            "",
+            "no data of vehicle_attitude and sensor_combined or vehicle_angular_velocity; of the topics",
+        ),
+        (
+            ["vehicle_attitude", "sensor_combined"],
+            "imu/data",
+            "'imu/data': of a PX4 log, expected one of sensor",
+        ),
+    ],
+)
+def test_log_without_a_topic_is_refused(tmp_path, left, topic, words):
+    topics = {name: rows for name, rows in flight().items() if name in left}
+    with pytest.raises(BagError) as caught:
+        recording_from_ulog(write_ulog(tmp_path / "log.ulg", topics), topic)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"ULog", b"no log at all, but long enough for a header"])
+def test_other_file_is_refused(tmp_path, content):
+    path = tmp_path / "log.ulg"
+    path.write_bytes(content)
+    with pytest.raises(BagError, match="not a PX4 log") as caught:
+        plan_replay(path, ReplayOptions())
+    assert "\n" not in str(caught.value)
+
+
+def test_log_cut_short_is_read_up_to_the_cut(tmp_path):
+    path = write_ulog(tmp_path / "log.ulg", flight())
+    path.write_bytes(path.read_bytes()[:-5000])
+    assert 100 < len(recording_from_ulog(path)) < COUNT

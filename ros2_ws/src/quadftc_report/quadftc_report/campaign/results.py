@@ -1,0 +1,158 @@
+"""What a campaign gave, variant by variant."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from quadftc_campaign.campaign_file import Campaign
+from quadftc_campaign.quantiles import whole_flights
+from quadftc_flight.recorded import NO_OBSERVER
+from quadftc_model.samples import AXES
+from quadftc_report.wording import counted, listing
+
+Floats = NDArray[np.float64]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Side:
+    """What one variant gave.
+
+    Parameters
+    ----------
+    name : str
+    rows : polars.DataFrame
+        Its rows of the table.
+    summary : mapping
+        Its part of the summary.
+    role, rank
+        How its lines look (`quadftc_report.style.line_style`).
+    """
+
+    name: str
+    rows: pl.DataFrame
+    summary: Mapping[str, Any]
+    role: str
+    rank: int
+
+    @functools.cached_property
+    def flights(self) -> pl.DataFrame:
+        """One row for each flight."""
+        return whole_flights(self.rows)
+
+    @functools.cached_property
+    def faults(self) -> pl.DataFrame:
+        """One row for each fault."""
+        return self.rows.filter(pl.col("fault").is_not_null())
+
+    @property
+    def title(self) -> str:
+        """What to call it in a sentence."""
+        return f"'{self.name}'"
+
+    @property
+    def has_observer(self) -> bool:
+        """Whether sensor faults are estimated at all."""
+        return has_observer(self.rows)
+
+    @functools.cached_property
+    def worst_tracking(self) -> Floats:
+        """Tracking RMSE of the worst axis of each flight [deg]; infinite if it did not stay finite."""
+        axes = np.stack([numbers(self.flights, f"tracking_rmse_deg.{axis}") for axis in AXES])
+        worst = np.max(np.where(np.isnan(axes), -np.inf, axes), axis=0)
+        worst[np.isneginf(worst)] = np.nan
+        return np.where(_stayed_finite(self.flights), worst, np.inf)
+
+    @functools.cached_property
+    def estimate_errors(self) -> Floats:
+        """RMSE of the estimate of each fault [deg]; infinite if the flight did not stay finite."""
+        errors = numbers(self.faults, "fault.estimate_rmse_deg")
+        return np.where(_stayed_finite(self.faults), errors, np.inf)
+
+    @functools.cached_property
+    def detection_delays(self) -> Floats:
+        """Delay of each fault that a detector can find [s]; infinite if it was not found after its onset."""
+        found = numbers(self.faults, "fault.detected")
+        delays = numbers(self.faults, "fault.detection_delay_s")[~np.isnan(found)]
+        return np.where(np.isnan(delays), np.inf, delays)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Results:
+    """What a campaign gave."""
+
+    campaign: Campaign
+    frame: pl.DataFrame
+    summary: Mapping[str, Any]
+    sides: tuple[Side, ...]  # of each variant, in the order of the campaign
+
+    @property
+    def with_observer(self) -> tuple[Side, ...]:
+        """Those that estimate sensor faults."""
+        return tuple(side for side in self.sides if side.has_observer)
+
+    @property
+    def without_observer(self) -> tuple[Side, ...]:
+        """Those that do not."""
+        return tuple(side for side in self.sides if not side.has_observer)
+
+    @property
+    def kinds(self) -> list[str]:
+        """Kinds of fault that were flown; at the end, all together. Empty: no flight had a fault."""
+        found = {kind for side in self.sides for kind in side.summary["faults"]}
+        return [*sorted(found - {"all"}), *(["all"] if found else [])]
+
+
+def results_of(campaign: Campaign, frame: pl.DataFrame, summary: Mapping[str, Any]) -> Results:
+    """Divide the table of a campaign among its variants."""
+    parts = {variant.name: frame.filter(pl.col("variant") == variant.name) for variant in campaign.variants}
+    proposed = next((name for name, rows in parts.items() if has_observer(rows)), None)
+    compared = [name for name in parts if name != proposed]
+    sides = (
+        Side(name, rows, summary["variants"][name], "proposed", 0)
+        if name == proposed
+        else Side(name, rows, summary["variants"][name], "compared", compared.index(name))
+        for name, rows in parts.items()
+    )
+    return Results(campaign, frame, summary, tuple(sides))
+
+
+def has_observer(rows: pl.DataFrame) -> bool:
+    """Whether what was flown estimates sensor faults."""
+    return bool((rows["observer"] != NO_OBSERVER).any())
+
+
+def numbers(frame: pl.DataFrame, name: str) -> Floats:
+    """Return a column as numbers (n,); NaN where there is no value, or no such column."""
+    if name not in frame.columns:
+        return np.full(frame.height, np.nan)
+    return np.array(frame[name].cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy(), np.float64)
+
+
+def known(values: Floats) -> Floats:
+    """Return the values that are finite."""
+    return values[np.isfinite(values)]
+
+
+def counts_text(counts: Mapping[str, int], thing: str) -> str:
+    """Write how many of a thing each variant has: ``600 flights of each variant``."""
+    if len(counts) == 1:
+        return counted(next(iter(counts.values())), thing)
+    if len(set(counts.values())) == 1:
+        return f"{counted(next(iter(counts.values())), thing)} of each variant"
+    return listing([f"{counted(count, thing)} of '{name}'" for name, count in counts.items()])
+
+
+def titles(sides: Iterable[Side]) -> str:
+    """Write which variants: ``'a', 'b' and 'c'``."""
+    return listing([side.title for side in sides])
+
+
+def _stayed_finite(rows: pl.DataFrame) -> NDArray[np.bool_]:
+    return np.array(rows["finite"].fill_null(False).to_numpy(), np.bool_)

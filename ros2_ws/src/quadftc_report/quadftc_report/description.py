@@ -1,0 +1,102 @@
+"""What a figure consists of, whoever draws it: traces, areas, windows, moments and bands, in panels."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+TICK_MARGIN = 0.4  # on both ends of a scale of words
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Trace:
+    """A line. ``role`` and ``rank`` say how it looks (:func:`quadftc_report.style.line_style`)."""
+
+    name: str
+    role: str  # truth, reference, proposed or compared
+    t: Floats  # (n,) [s]
+    y: Floats  # (n,) in the panel's unit; NaN: a gap
+    rank: int = 0  # which of the compared runs
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Envelope:
+    """An area around a line: where what it estimates is likely to be."""
+
+    name: str
+    role: str
+    t: Floats  # (n,) [s]
+    low: Floats  # (n,) in the panel's unit; NaN: a gap
+    high: Floats
+    rank: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Shade:
+    """A window of time, such as that of a fault."""
+
+    start: float  # [s]
+    stop: float  # [s]
+    label: str
+    rank: int = 0  # which kind of window; 0: faults of the attitude
+
+
+@dataclasses.dataclass(frozen=True)
+class Mark:
+    """A moment."""
+
+    time: float  # [s]
+    label: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Band:
+    """A range of values that holds at any time: a run's boundary layer; the authority (role ``limit``)."""
+
+    low: float
+    high: float
+    label: str
+    role: str
+    rank: int = 0
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Panel:
+    """One pair of axes; the time axis is that of the figure."""
+
+    title: str  # short: what tells it from the other panels of its figure
+    y_label: str  # without the unit
+    unit: str
+    traces: tuple[Trace, ...]
+    shades: tuple[Shade, ...] = ()
+    marks: tuple[Mark, ...] = ()
+    bands: tuple[Band, ...] = ()
+    envelopes: tuple[Envelope, ...] = ()
+    ticks: tuple[tuple[float, str], ...] = ()  # values of a scale of words, and the words
+    height: float = 1.0  # in relation to the other panels
+
+    def axis_label(self, gap: str = " ") -> str:
+        """The label of the y axis with its unit, if it has one."""
+        return f"{self.y_label}{gap}[{self.unit}]" if self.unit else self.y_label
+
+    @property
+    def tick_span(self) -> tuple[float, float]:
+        """What the axis of a scale of words shows: all of them, with a margin."""
+        values = [value for value, _ in self.ticks]
+        return min(values) - TICK_MARGIN, max(values) + TICK_MARGIN
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Figure:
+    """Panels above each other, over one time axis."""
+
+    key: str  # unique in a report, fit for a file's name
+    title: str
+    caption: str  # one sentence
+    panels: tuple[Panel, ...]
+    span: tuple[float, float]  # what the time axis shows [s]
+    paper_figures: tuple[int, ...] = ()  # those of the paper that show the same

@@ -1,0 +1,182 @@
+# pyright: basic
+"""Figures for print: PNG and PDF, one column wide, the same bytes from the same data."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure as Canvas
+from matplotlib.font_manager import FontProperties
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.textpath import text_to_path
+from matplotlib.ticker import MaxNLocator
+
+from quadftc_report.decimation import decimate, drawn
+from quadftc_report.description import Band, Figure, Panel
+from quadftc_report.style import GREY, line_style, shade_colour
+
+WIDTH = 3.5  # in; one column of a journal
+PANEL_HEIGHT = 0.95  # in; of a panel of height 1
+FRAME = 0.5  # in; time axis and margins
+ROW = 0.125  # in; of the legend
+LETTER = 0.06  # in; width of a letter of a label
+DPI = 300
+LINE_WIDTH = 0.9  # pt
+FILL = 0.18  # opacity of areas
+HANDLE = 2.2  # times the font size; sample of a line in the legend
+STYLE: dict[str, Any] = {
+    "font.family": "DejaVu Sans",  # comes with Matplotlib: the same everywhere
+    "font.size": 8.0,
+    "axes.labelsize": 8.0,
+    "axes.linewidth": 0.6,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "xtick.direction": "in",
+    "ytick.direction": "in",
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "legend.fontsize": 7.0,
+    "axes.grid": True,
+    "grid.color": "#d9d9d9",
+    "grid.linewidth": 0.4,
+    "axes.axisbelow": True,
+    "axes.xmargin": 0.0,
+    "axes.unicode_minus": True,
+    "axes.formatter.useoffset": False,
+    "pdf.fonttype": 42,  # TrueType: text stays text
+    "path.simplify": False,  # what is drawn was chosen already
+}
+
+
+def save_figure(figure: Figure, directory: Path) -> list[Path]:
+    """Draw a figure and write it as ``<key>.png`` (300 dpi) and ``<key>.pdf``.
+
+    Parameters
+    ----------
+    figure : Figure
+    directory : Path
+        Made if it does not exist.
+
+    Returns
+    -------
+    list of Path
+        The files: PNG, PDF.
+
+    Raises
+    ------
+    OSError
+        If they cannot be written.
+    """
+    directory = Path(directory)
+    directory.mkdir(parents=True, exist_ok=True)
+    png, pdf = directory / f"{figure.key}.png", directory / f"{figure.key}.pdf"
+    with mpl.rc_context(cast("Any", {**mpl.rcParamsDefault, **STYLE})):
+        canvas = draw(figure)
+        about = {"Title": figure.title}
+        canvas.savefig(png, dpi=DPI, metadata={**about, "Description": figure.caption, "Software": None})
+        canvas.set_layout_engine("none")  # it is laid out: both files alike
+        dates = {"CreationDate": None, "ModDate": None}
+        canvas.savefig(pdf, metadata={**about, "Subject": figure.caption, **dates})
+    return [png, pdf]
+
+
+def draw(figure: Figure) -> Canvas:
+    """Draw a figure, in the style that is in force."""
+    heights = [panel.height for panel in figure.panels]
+    canvas = Canvas(layout=ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.03, hspace=0.02))
+    FigureCanvasAgg(canvas)
+    axes = canvas.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
+    texts = [(panel, panel.axis_label()) for panel in figure.panels]
+    one_line = all(LETTER * len(text) <= 0.9 * PANEL_HEIGHT * panel.height for panel, text in texts)
+    gap = " " if one_line else "\n"
+    entries: dict[str, Any] = {}
+    for ax, panel in zip(axes, figure.panels, strict=True):
+        ax.set_ylabel(panel.axis_label(gap))
+        for label, handle in _panel(ax, panel):
+            entries.setdefault(label, handle)
+    axes[0].set_xlim(*figure.span)
+    axes[-1].set_xlabel("time [s]")
+    axes[-1].xaxis.set_major_locator(MaxNLocator(nbins=8, steps=[1, 2, 5, 10]))
+    canvas.align_ylabels(axes)
+    rows = _legend(canvas, entries)
+    canvas.set_size_inches(WIDTH, FRAME + ROW * rows + PANEL_HEIGHT * sum(heights))
+    return canvas
+
+
+def _panel(ax: Any, panel: Panel) -> Iterator[tuple[str, Any]]:
+    """Draw a panel; yield its entries in the legend."""
+    if panel.ticks:
+        ax.set_yticks(*zip(*panel.ticks, strict=True))
+        ax.set_ylim(panel.tick_span)
+    else:
+        ax.yaxis.set_major_locator(MaxNLocator(nbins=round(5 * panel.height), steps=[1, 2, 5, 10]))
+    for trace in panel.traces:
+        t, y = decimate(trace.t, trace.y)
+        yield trace.name, ax.plot(t, y, **_line(trace.role, trace.rank))[0]
+    for area in panel.envelopes:
+        chosen = drawn(area.t, np.stack([area.low, area.high], axis=1))
+        style = line_style(area.role, area.rank)
+        fill = {"color": style.colour, "alpha": FILL, "linewidth": 0.0, "zorder": 1.5}
+        yield (
+            area.name,
+            ax.fill_between(area.t[chosen], area.low[chosen], area.high[chosen], **fill),
+        )
+    for band in panel.bands:
+        yield band.label, _band(ax, band)
+    for shade in panel.shades:
+        fill = {"color": shade_colour(shade.rank), "linewidth": 0.0, "zorder": 0.5}
+        yield shade.label, ax.axvspan(shade.start, shade.stop, **fill)
+    for mark in panel.marks:
+        line = ax.axvline(mark.time, color=GREY, linewidth=0.8, dashes=(1.0, 1.5), zorder=1.8)
+        yield mark.label, line
+
+
+def _band(ax: Any, band: Band) -> Any:
+    """Edges of a range of values: thin lines in the look of its run."""
+    look = {**_line(band.role, band.rank), "linewidth": 0.6 * LINE_WIDTH, "zorder": 1.9}
+    ax.axhline(band.low, **look)
+    return ax.axhline(band.high, **look)
+
+
+def _line(role: str, rank: int) -> dict[str, Any]:
+    """Arguments of Matplotlib for the look of a line."""
+    style = line_style(role, rank)
+    look: dict[str, Any] = {"color": style.colour, "linewidth": LINE_WIDTH * style.width}
+    if style.dashes:
+        look["dashes"] = style.dashes
+    return {**look, "zorder": 2.0 + style.layer * 1e-3}
+
+
+def _legend(canvas: Canvas, entries: dict[str, Any]) -> int:
+    """Put the legend above the panels, row by row, in as many columns as fit; return the number of rows."""
+    labels = list(entries)
+    columns = next(count for count in range(len(labels), 0, -1) if count == 1 or _fit(labels, count))
+    order = [label for column in range(columns) for label in labels[column::columns]]
+    canvas.legend(
+        [entries[label] for label in order],
+        order,
+        loc="outside upper center",
+        ncols=columns,
+        frameon=False,
+        borderpad=0.0,
+        borderaxespad=0.4,
+        handlelength=HANDLE,
+        handletextpad=0.4,
+        columnspacing=1.0,
+        labelspacing=0.25,
+    )
+    return -(-len(labels) // columns)
+
+
+def _fit(labels: list[str], columns: int) -> bool:
+    """Whether a legend of so many columns is as narrow as the figure."""
+    size = STYLE["legend.fontsize"]
+    font = FontProperties(family=STYLE["font.family"], size=size)
+    widths = [text_to_path.get_text_width_height_descent(label, font, ismath=False)[0] for label in labels]
+    text = sum(max(widths[column::columns]) for column in range(columns))
+    return text + columns * (HANDLE + 0.4 + 1.0) * size <= 72.0 * (WIDTH - 0.1)

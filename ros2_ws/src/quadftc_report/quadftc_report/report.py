@@ -1,0 +1,169 @@
+"""The report: recorded runs and replays side by side, as one HTML file and as figures for print.
+
+>>> write_report([Path("results/demo")], Path("report.html"))
+
+Importing this package is quick; what draws and renders is loaded when a report is written.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from quadftc_bags.bag import read_bag
+from quadftc_flight.recorded_run import RecordedRun, find_runs, run_from_bag
+from quadftc_replay.recorded_replay import RecordedReplay, replay_from_bag
+from quadftc_replay.replay_origin import is_replay
+
+if TYPE_CHECKING:
+    from quadftc_report.drawing import Drawing
+
+__all__ = ["ReportError", "ReportFiles", "write_report"]
+
+SUFFIXES = (".html", ".htm")
+READING = 0.3  # share of the work; the rest is drawing
+
+Progress = Callable[[str, float], None]
+Item = TypeVar("Item")
+
+
+class ReportError(ValueError):
+    """A report that cannot be written; one line that says why."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ReportFiles:
+    """What was written.
+
+    Parameters
+    ----------
+    page : Path
+        The HTML file.
+    figures : Path, optional
+        The directory of the figures for print; None: none were asked for.
+    runs, replays : tuple of str
+        Names of the flown runs and of the replays in the report.
+    warnings : tuple of str
+        One line each; they are on the page, too.
+    """
+
+    page: Path
+    figures: Path | None
+    runs: tuple[str, ...]
+    replays: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def write_report(
+    paths: Sequence[Path],
+    out: Path,
+    *,
+    with_figures: bool = True,
+    progress: Progress = lambda _what, _share: None,
+) -> ReportFiles:
+    """Write the report on recorded runs and replays.
+
+    The page needs no other file and no network. The same figures are written as PNG and PDF into a directory
+    beside it. Nothing is in its place before all is written.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Runs and replays, or directories of such.
+    out : Path
+        The HTML file; an earlier one is replaced.
+    with_figures : bool
+        Whether to write the figures for print.
+    progress : callable
+        Called with what is being done, and the share of the work that is done.
+
+    Raises
+    ------
+    BagError
+        If a path holds neither run nor replay, or one that cannot be read.
+    ReportError
+        If the report cannot be written where it is asked for.
+    """
+    folder = out.parent / f"{out.stem}_figures"
+    _check_place(out, folder)
+    found = find_runs(paths)
+    read = [_read(path) for path in _followed(found, str, progress, 0.0, READING)]
+    runs = [each for each in read if isinstance(each, RecordedRun)]
+    replays = [each for each in read if isinstance(each, RecordedReplay)]
+    warnings = tuple(line for each in read for line in each.warnings)
+
+    from quadftc_report.comparison import compare, compare_replays
+    from quadftc_report.page import render, sections
+    from quadftc_report.replay_page import replay_sections
+
+    place = folder.name if with_figures else None
+    parts = sections(compare(runs), place)
+    replayed = replay_sections(compare_replays(replays, [part.comparison.key for part in parts]), place)
+    drawings = [drawing for part in (*parts, *replayed) for drawing in part.drawings]
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{out.stem}_", dir=out.parent) as name:
+            made = Path(name)
+            (made / out.name).write_text(render(parts, warnings, replayed), encoding="utf-8")
+            if with_figures:
+                _draw(drawings, made / folder.name, progress)
+                _move_all(made / folder.name, folder)
+            (made / out.name).replace(out)
+    except OSError as error:
+        raise ReportError(f"{out}: cannot be written: {error.strerror or error}") from None
+    return ReportFiles(
+        page=out,
+        figures=folder if with_figures else None,
+        runs=tuple(run.name for run in runs),
+        replays=tuple(replay.name for replay in replays),
+        warnings=warnings,
+    )
+
+
+def _read(path: Path) -> RecordedRun | RecordedReplay:
+    bag = read_bag(path)
+    return replay_from_bag(bag) if is_replay(bag) else run_from_bag(bag)
+
+
+def _check_place(out: Path, folder: Path) -> None:
+    """Refuse a place before any work is done."""
+    if out.is_dir():
+        raise ReportError(f"{out}: is a directory; expected the name of a file in it, such as report.html")
+    if out.suffix.lower() not in SUFFIXES:
+        raise ReportError(f"{out}: expected a name that ends in .html")
+    if folder.exists() and not folder.is_dir():
+        raise ReportError(f"{folder}: is in the way; the figures go into a directory of that name")
+    above = next(place for place in (out.parent, *out.absolute().parents) if place.exists())
+    if not above.is_dir():
+        raise ReportError(f"{out}: {above} is not a directory")
+    for place in (above, *(each for each in (folder, out) if each.exists())):
+        if not os.access(place, os.W_OK):
+            raise ReportError(f"{place}: may not be written to")
+
+
+def _draw(drawings: Sequence[Drawing], folder: Path, progress: Progress) -> None:
+    from quadftc_report.draw_matplotlib import save_figure
+
+    folder.mkdir()
+    for drawing in _followed(drawings, lambda each: each.figure.key, progress, READING, 1.0):
+        save_figure(drawing.figure, folder)
+
+
+def _move_all(source: Path, target: Path) -> None:
+    """Put files into a directory; others that are there stay."""
+    target.mkdir(exist_ok=True)
+    for file in source.iterdir():
+        file.replace(target / file.name)
+
+
+def _followed(
+    items: Sequence[Item], name: Callable[[Item], str], progress: Progress, start: float, stop: float
+) -> Iterator[Item]:
+    """Yield items, and say before each what is being done."""
+    for index, item in enumerate(items):
+        progress(name(item), start + (stop - start) * index / len(items))
+        yield item

@@ -1,0 +1,24 @@
+"""Build script of quadftc_report (ament_python)."""
+
+from setuptools import find_packages, setup
+
+PACKAGE = "quadftc_report"
+
+setup(
+    name=PACKAGE,
+    version="0.1.0",
+    description="Reports: figures and pages of flights, replays and campaigns.",
+    license="Apache-2.0",
+    maintainer="quadftc maintainers",
+    maintainer_email="maintainers@quadftc.example",
+    packages=find_packages(exclude=["test"]),
+    package_data={"quadftc_report": ["templates/*"], "quadftc_report.campaign": ["templates/*"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
+        (f"share/{PACKAGE}", ["package.xml"]),
+    ],
+    python_requires=">=3.10",
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=True,
+)

@@ -1,0 +1,265 @@
+"""The report of a campaign: numbers as worked out by hand, a page that is whole, whatever is missing."""
+
+import json
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from quadftc_campaign.campaign_file import load_campaign
+from quadftc_campaign.quantiles import summary_of
+from quadftc_campaign.table import table_of
+from quadftc_model.samples import AXES
+from quadftc_report.campaign.bins import bin_axis
+from quadftc_report.campaign.detector import detector_of
+from quadftc_report.campaign.ecdf import EVEN, TAIL, ecdf
+from quadftc_report.campaign.heat_map import FEWEST, maps_of
+from quadftc_report.campaign.report import write_campaign_report
+from quadftc_report.campaign.results import results_of
+from quadftc_report.report import ReportError
+
+SCENARIO = """
+name: small
+duration: 2 s
+rate: 100 Hz
+vehicle: qball_x4
+references: [{kind: step, angles: [5 deg, 0, 10 deg], rise: 1}]
+faults: [{kind: bias, axes: roll, value: 1 deg, start: 1, stop: 1.5}]
+schemes:
+  watched: {observer: sliding_mode, disturbance_observer: exosystem, controller: ismc}
+  plain: {observer: none, controller: smc}
+"""
+VALUE, RATE = "faults.0.value", "rate"
+VARY = f"vary: {{{VALUE}: {{uniform: [1 deg, 5 deg]}}, {RATE}: {{grid: [100 Hz, 50 Hz]}}}}"
+BOTH = "schemes: [watched, plain]"
+PER_AXIS = ("tracking_rmse_deg", "fault_estimate_rmse_deg", "torque_total_variation", "saturation_share")
+VOID = {"meta", "link", "wbr"}
+
+
+@pytest.fixture
+def load(tmp_path):
+    """Load a campaign whose file holds some lines."""
+
+    def made(*lines, flights=12):
+        (tmp_path / "small.yaml").write_text(SCENARIO)
+        file = tmp_path / "camp.yaml"
+        file.write_text("\n".join(["scenario: small.yaml", f"flights: {flights}", *lines]))
+        return load_campaign(file)
+
+    return made
+
+
+def row(flight, variant, observer, **values):
+    """A row as the campaign writes it; all numbers of a kind are alike where a test does not say more."""
+    found = {"flight": flight, "variant": variant, "observer": observer, "controller": "any", "seed": flight}
+    found |= {f"{name}.{axis}": 0.5 for name in PER_AXIS for axis in AXES}
+    found |= {f"healthy_time_s.{axis}": 3600.0 for axis in AXES}
+    found |= {f"false_alarms.{axis}": 0.0 for axis in AXES}
+    found |= {f"healthy_estimate_max_deg.{axis}": 0.0 for axis in AXES}
+    return found | {"finite": True, "fault": None} | values
+
+
+def fault(kind="step", **values):
+    """The columns of a fault."""
+    found = {"axis": "roll", "kind": kind, "start": 1.0, "stop": 1.5, "detected": True}
+    found |= {"detection_delay_s": 0.1, "estimate_rmse_deg": 0.2, "estimate_peak_deg": 2.0}
+    found |= {"already_declared": False, "tracking_rmse_deg": 0.3}
+    return {"fault": 0, **{f"fault.{name}": value for name, value in (found | values).items()}}
+
+
+def flown(count=12):
+    """Flights of two variants: one that finds every fault, one without an observer."""
+    rows = []
+    for flight in range(count):
+        drawn = {VALUE: 1.0 + 4.0 * flight / count, RATE: (100.0, 50.0)[flight % 2]}
+        error = 0.1 * (flight + 1)
+        rows.append(row(flight, "watched", "sliding_mode", **drawn, **fault(estimate_rmse_deg=error)))
+        missed = fault(detected=False, detection_delay_s=None, estimate_rmse_deg=3.0, estimate_peak_deg=0.0)
+        rows.append(row(flight, "plain", "none", **drawn, **missed, **{"tracking_rmse_deg.yaw": 2.0}))
+    return rows
+
+
+def written(campaign, rows, directory):
+    frame = table_of(rows)
+    if "fault.detected" in frame.columns:
+        frame = frame.with_columns(pl.col("fault.detected").cast(pl.Boolean))
+    path = write_campaign_report(campaign, frame, summary_of(campaign, frame), directory, "my camp.yaml")
+    text = path.read_text(encoding="utf-8")
+    return text, Page(text)
+
+
+class Page(HTMLParser):
+    """The text of a page, its figures, its commands; every element must be closed."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.texts, self.specs, self.commands = [], [], {}, []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    @property
+    def text(self):
+        return " ".join(" ".join(self.texts).split())
+
+    def handle_starttag(self, tag, attrs):
+        if tag not in VOID:
+            self.open.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop()[0] == tag
+
+    def handle_data(self, data):
+        tag, attrs = self.open[-1] if self.open else ("", {})
+        if attrs.get("type") == "application/json":
+            self.specs[attrs["id"]] = json.loads(data)
+        elif tag not in ("script", "style"):
+            self.texts.append(data)
+        if tag == "code" and data.startswith("scripts/"):
+            self.commands.append(data)
+
+
+def test_distribution_counts_what_has_no_value_and_leaves_out_what_is_unknown():
+    found = ecdf(np.array([3.0, np.inf, 1.0, np.nan, 2.0]))
+    assert found.values.tolist() == [1.0, 2.0, 3.0]
+    assert found.shares.tolist() == [0.25, 0.5, 0.75]
+    assert (found.total, found.final) == (4, 0.75)
+
+
+def test_distribution_of_many_values_keeps_few_points_and_both_ends():
+    values = np.random.default_rng(1).permutation(100_000) + 1.0
+    found = ecdf(values)
+    assert len(found.values) <= EVEN + TAIL
+    assert (found.values[0], found.values[-1], found.final) == (1.0, 100_000.0, 1.0)
+    np.testing.assert_allclose(found.shares, found.values / 100_000, atol=1e-12)
+
+
+def test_detection_by_level_against_hand_computed_shares(load):
+    """Faults score 4 and 2, healthy axes 3, 1 and four times 0: 11 of 12 pairs are in order."""
+    calm = [{"roll": 3.0, "pitch": 1.0, "yaw": 0.0}, dict.fromkeys(AXES, 0.0)]
+    rows = [
+        row(
+            flight,
+            "watched",
+            "sliding_mode",
+            **fault(estimate_peak_deg=peak, detected=peak > 3.0),
+            **{f"healthy_estimate_max_deg.{axis}": value for axis, value in scores.items()},
+            **{"false_alarms.roll": float(flight)},
+        )
+        for flight, (peak, scores) in enumerate(zip((4.0, 2.0), calm, strict=True))
+    ]
+    campaign, frame = load(flights=2), table_of(rows)
+    found = detector_of(results_of(campaign, frame, summary_of(campaign, frame)).sides[0])
+    corners = zip(
+        found.curve.threshold, found.curve.false_alarm_share, found.curve.detection_probability, strict=True
+    )
+    assert (4.0, 0.0, 0.5) in [tuple(corner) for corner in corners]
+    assert found.curve.area == pytest.approx(11 / 12)
+    assert (found.faults, found.healthy, found.silent) == (2, 6, 4 / 8)
+    assert found.point == (1 / 6, 1 / 2)
+
+
+def test_map_over_two_lists_against_hand_computed_medians(load):
+    vary = f"vary: {{{VALUE}: {{choice: [1 deg, 2 deg]}}, {RATE}: {{grid: [100 Hz, 50 Hz]}}}}"
+    campaign = load(vary, flights=20)
+    rows = []
+    for flight in range(19):  # so that one cell has too few
+        drawn = {VALUE: 1.0 + flight % 2, RATE: 100.0 if flight < 10 else 50.0}
+        rows.append(row(flight, "watched", "sliding_mode", **drawn, **fault(estimate_rmse_deg=float(flight))))
+    frame = table_of(rows)
+    maps = maps_of(results_of(campaign, frame, summary_of(campaign, frame)))
+    assert (maps.x.path, maps.x.unit, maps.x.names) == (VALUE, "deg", ("1", "2"))
+    assert (maps.y.path, maps.y.unit, maps.y.names) == (RATE, "Hz", ("50", "100"))
+    np.testing.assert_array_equal(maps.cells["watched"].medians, [[14.0, np.nan], [4.0, 5.0]])
+    assert maps.cells["watched"].flights.tolist() == [[5, 4], [5, 5]]
+    assert FEWEST == 5
+    assert maps.span == (4.0, 14.0)
+
+
+def test_range_is_divided_into_parts_with_as_many_flights(load):
+    campaign = load(VARY)
+    frame = pl.DataFrame({VALUE: [1.0, 1.1, 1.2, 1.3, 2.0, 3.0, 4.0, 5.0, None]})
+    axis = bin_axis(frame, VALUE, campaign.vary[VALUE], 4)
+    assert np.bincount(axis.bins[:-1]).tolist() == [2, 2, 2, 2]
+    assert axis.bins[-1] == -1
+    assert [text for _, text in axis.ticks][0::4] == ["1", "5"]
+
+
+def test_page_tells_every_variant_and_how_to_fly_the_worst_again(load, tmp_path):
+    text, page = written(load(BOTH, VARY, flights=24), flown(24), tmp_path)
+    assert (
+        "'watched' finds 24 of 24 faults, the median one after 100 ms, with no false alarm in 72 h"
+        in page.text
+    )
+    assert "'plain' has no fault observer" in page.text
+    assert "'watched' tracks better than 'plain' in 24 of 24 flights" in page.text
+    names = {trace["name"] for trace in page.specs["spec-ecdf-tracking"]["data"]}
+    assert names == {"watched", "plain"}
+    assert {"spec-ecdf-estimate", "spec-ecdf-delay", "spec-roc", "spec-map-0", "spec-map-1"} <= set(
+        page.specs
+    )
+    again = f"scripts/quadftc campaign 'my camp.yaml' --out {tmp_path} --flight 23 --variant watched"
+    assert again in page.commands
+    assert "24 flights of each variant" in page.text
+    assert "http" not in text.partition("<script>")[0].replace("http-equiv", "")
+
+
+def test_command_names_the_number_of_flights_where_it_is_not_the_files(load, tmp_path):
+    load(VARY, flights=3)
+    campaign = load_campaign(tmp_path / "camp.yaml", flights=12)
+    _, page = written(campaign, [each for each in flown() if each["variant"] == "watched"], tmp_path)
+    assert any("'my camp.yaml' --flights 12 --out" in command for command in page.commands)
+
+
+@pytest.mark.parametrize("count", [1, 12])
+def test_page_of_flights_without_faults_and_without_draws(load, tmp_path, count):
+    rows = [row(flight, "watched", "sliding_mode") for flight in range(count)]
+    _, page = written(load(flights=count), rows, tmp_path)
+    assert "No flight had a sensor fault." in page.text
+    assert set(page.specs) == {"spec-ecdf-tracking"}
+
+
+def test_page_of_one_flight_with_a_fault_that_nothing_is_known_of(load, tmp_path):
+    names = ("detected", "detection_delay_s", "estimate_rmse_deg", "estimate_peak_deg", "tracking_rmse_deg")
+    unknown = fault(**dict.fromkeys(names))
+    rows = [row(0, "watched", "sliding_mode", **unknown, **{VALUE: 2.0, RATE: 100.0})]
+    _, page = written(load(VARY, flights=1), rows, tmp_path)
+    assert set(page.specs) == {"spec-ecdf-tracking"}
+    assert "No map" in page.text
+
+
+def test_flights_that_did_not_stay_finite_are_told_first(load, tmp_path):
+    rows = flown()
+    broken = {f"tracking_rmse_deg.{axis}": None for axis in AXES}
+    rows[0] |= {"finite": False, "fault.estimate_rmse_deg": float("nan"), **broken}
+    _, page = written(load(BOTH, VARY), rows, tmp_path)
+    assert "1 of 12 flights of 'watched' did NOT stay finite" in page.text
+    assert "'watched' tracks better than 'plain' in 11 of 12 flights" in page.text
+    curve = next(each for each in page.specs["spec-ecdf-tracking"]["data"] if each["name"] == "watched")
+    assert len(curve["customdata"]) == 11 + 2  # below the first, and on to the right at 11/12
+    assert page.commands[0].endswith("--flight 0 --variant watched")
+
+
+def test_observer_that_finds_nothing_has_a_flat_curve(load, tmp_path):
+    rows = [each for each in flown() if each["variant"] == "watched"]
+    rows += [each | {"variant": "plain"} | fault(detected=False, detection_delay_s=None) for each in rows]
+    _, page = written(load(BOTH, VARY), rows, tmp_path)
+    curve = next(each for each in page.specs["spec-ecdf-delay"]["data"] if each["name"] == "plain")
+    assert len(curve["customdata"]) == 2
+    assert "12 faults of 'plain'" in page.text
+
+
+def test_markup_in_names_and_descriptions_is_escaped(load, tmp_path):
+    evil = "</script><script>alert(1)</script>"
+    campaign = load(f"description: '{evil}'", f"vary: {{name: {{choice: ['{evil}', b]}}}}")
+    rows = [each | {"name": evil} for each in flown() if each["variant"] == "watched"]
+    text, page = written(campaign, rows, tmp_path)
+    assert evil not in text
+    assert evil in page.text
+
+
+def test_place_that_cannot_be_written_is_an_error_of_one_line(load, tmp_path):
+    with pytest.raises(ReportError, match=r"report\.html: cannot be written"):
+        written(load(BOTH, VARY), flown(), Path(tmp_path, "missing"))

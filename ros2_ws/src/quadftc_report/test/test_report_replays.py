@@ -1,0 +1,355 @@
+"""Replays in the report: grouped, drawn and told from their numbers, beside flights and without."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadftc_bags.bag import Bag
+from quadftc_flight.closed_loop import fly
+from quadftc_flight.diagnosis_metrics import FaultEvent, fault_events
+from quadftc_flight.flight import NO_STATE, VECTORS, Flight, Reading
+from quadftc_flight.metrics import FaultWindow
+from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.scenario import node_parameters, parse_scenario
+from quadftc_flight.summary import summary
+from quadftc_model.samples import AXES, FAULTY, HEALTHY, STARTING
+from quadftc_replay.overlay import faults_from
+from quadftc_replay.recorded_replay import RecordedReplay
+from quadftc_replay.replay_origin import ReplayOrigin
+from quadftc_replay.results import replay_metrics
+from quadftc_report.comparison import compare, compare_replays
+from quadftc_report.description import Figure, Panel
+from quadftc_report.page import render, sections
+from quadftc_report.replay_figures import replay_figures
+from quadftc_report.replay_page import pooled, replay_sections
+from quadftc_report.replay_statements import replay_statements
+
+PERIOD = 0.01  # s
+COUNT = 1000
+SPECS = (
+    "bias axis=roll value=3deg start=4s stop=6s",
+    "noise channel=gyro axis=yaw sigma=1deg/s start=2s stop=3s",
+)
+SCENARIO = """
+name: small
+duration: 1 s
+rate: 100 Hz
+vehicle: qball_x4
+schemes: {conventional: {controller: smc}}
+"""
+
+
+def columns(*rows: tuple[int, slice, float]) -> np.ndarray:
+    """Zeros (n, 3) but for a value on an axis in some rows."""
+    found = np.zeros((COUNT, 3))
+    for axis, part, value in rows:
+        found[part, axis] = value
+    return found
+
+
+def made_replay(
+    observer: str = "watchful", name: str = "", specs=SPECS, recording: str = "garden walk", **changes
+) -> RecordedReplay:
+    """A replay as if read from a bag: the bias is found 0.5 s after its onset, to half a degree."""
+    faults = faults_from((), specs)
+    events = fault_events(faults, COUNT * PERIOD)
+    windows = tuple(FaultWindow(event.start, event.stop, (event.axis,)) for event in events)
+    stamp_ns = 10**9 + 10**7 * np.arange(COUNT)
+    found = 0 if observer == "none" else 1
+    state = np.full((COUNT, 3), HEALTHY, np.uint8)
+    state[:50], state[450:600, 0] = STARTING, FAULTY if found else HEALTHY
+    unknown = np.full((COUNT, 3), np.nan)
+    flight = Flight(
+        **{
+            **dict.fromkeys(VECTORS, unknown),
+            "stamp_ns": stamp_ns,
+            "time": PERIOD * np.arange(COUNT),
+            "delivered": np.ones(COUNT, np.bool_),
+            "fault": columns((0, slice(400, 600), np.radians(3.0))) if events else columns(),
+            "fault_estimate": found * columns((0, slice(450, 600), np.radians(2.5))),
+            "fault_std_dev": np.full((COUNT, 3), np.radians(0.3) if found else -1.0),
+            "fault_state": state,
+            "fault_onset_ns": np.zeros((COUNT, 3), np.int64),
+            "saturated": np.zeros((COUNT, 3), np.bool_),
+            **changes,
+        }
+    )
+    measured = Reading(flight.fault + 0.2, columns() + 0.1)
+    measured.angles[700:720] = np.nan
+    parameters = {"vehicle": "qball_x4", "observer": observer}
+    origin = ReplayOrigin(
+        recording=recording,
+        topic="/imu/data",
+        observer=observer,
+        faults=faults,
+        seed=0,
+        truth="overlaid faults" if faults else "no fault: the recording counts as healthy",
+        torque="zero: none recorded",
+        duration=COUNT * PERIOD,
+        samples=COUNT,
+        left_out={"stamp repeated": 7},
+        fault_windows=windows,
+        fault_events=events,
+        parameters={"fault_observer": parameters},
+    )
+    return RecordedReplay(
+        name=name or f"{recording}-{observer}",
+        path=Path(name or observer),
+        bag=Bag(Path(observer)),
+        parameters=origin.parameters,
+        flight=flight,
+        summary={
+            "rate": 1.0 / PERIOD,
+            "parameters": parameters,
+            "samples": COUNT,
+            "samples_withheld": int((~flight.delivered).sum()),
+            "metrics": replay_metrics(flight, windows, events),
+        },
+        versions={"quadftc": "1.2.3"},
+        origin=origin,
+        measured=measured,
+        corrected=Reading(measured.angles - flight.fault_estimate, measured.body_rate - 0.01 * found),
+    )
+
+
+@functools.cache
+def flown() -> RecordedRun:
+    scenario = parse_scenario(SCENARIO)
+    chosen = scenario.scheme()
+    flight = fly(node_parameters(scenario, chosen))
+    return RecordedRun(
+        name="small-conventional",
+        path=Path("small-conventional"),
+        bag=Bag(Path("small")),
+        scenario=scenario,
+        scheme=chosen,
+        parameters={},
+        flight=flight,
+        summary=summary(flight, scenario, chosen, None),
+        versions={"quadftc": "1.2.3"},
+    )
+
+
+def described(*replays: RecordedReplay) -> dict[str, Figure]:
+    (comparison,) = compare_replays(replays)
+    return {figure.key.removeprefix(f"{comparison.key}-"): figure for figure in replay_figures(comparison)}
+
+
+def lines(panel: Panel) -> dict[str, np.ndarray]:
+    return {trace.name: trace.y for trace in panel.traces}
+
+
+def told(*replays: RecordedReplay) -> dict[str, str]:
+    (comparison,) = compare_replays(replays)
+    return {item.key: item.text for item in replay_statements(comparison)}
+
+
+PAIR = ("watchful", "none")
+
+
+def test_replays_are_compared_where_only_their_observers_differ():
+    healthy = made_replay(specs=())
+    elsewhere = made_replay(recording="garden/walk")
+    none, watchful = made_replay("none"), made_replay()
+    first, second, third = compare_replays([none, healthy, elsewhere, watchful], taken=["replay-garden_walk"])
+    assert first.runs == (watchful, none)  # the one that estimates comes first
+    assert (second.runs, third.runs) == ((healthy,), (elsewhere,))
+    assert [each.key for each in (first, second, third)] == [
+        f"replay-garden_walk-{number}" for number in (2, 3, 4)
+    ]
+    again = made_replay(name="tuned")
+    (both,) = compare_replays([watchful, again])
+    assert [both.label(run) for run in both.runs] == ["watchful", "tuned"]
+    assert both.full_title(again) == "'tuned' (watchful)"
+
+
+def test_recordings_of_one_name_are_told_apart_by_their_stamps():
+    later = made_replay(stamp_ns=10**12 + 10**7 * np.arange(COUNT))
+    assert len(compare_replays([made_replay(), later])) == 2
+
+
+def test_every_figure_of_two_replays_is_there_in_order():
+    assert list(described(*map(made_replay, PAIR))) == [
+        *(f"attitude-{axis}" for axis in AXES),
+        *("fault-roll", "state", "gyro", "gyro_correction"),
+    ]
+
+
+def test_attitude_figure_shows_measured_faultless_and_corrected_angle():
+    replay = made_replay()
+    upper, lower = described(replay, made_replay("none"))["attitude-roll"].panels
+    shown = lines(upper)
+    assert list(shown) == ["without the fault", "measured", "watchful", "none"]
+    assert np.array_equal(shown["measured"], np.degrees(replay.measured.angles[:, 0]), equal_nan=True)
+    there = ~np.isnan(shown["measured"])
+    assert np.flatnonzero(~there).tolist() == list(range(700, 720))
+    assert shown["without the fault"][there] == pytest.approx(np.degrees(0.2))
+    errors = lines(lower)
+    assert errors["measured"][450] == errors["none"][450] == pytest.approx(3.0)
+    assert errors["watchful"][450] == pytest.approx(0.5)
+    assert [(shade.label, shade.start, shade.stop) for shade in upper.shades] == [("fault window", 4.0, 6.0)]
+
+
+def test_attitude_without_fault_is_drawn_once():
+    figure = described(made_replay())["attitude-yaw"]
+    assert list(lines(figure.panels[0])) == ["measured", "watchful"]
+    assert [(shade.label, shade.start) for shade in figure.panels[0].shades] == [("gyro noise", 2.0)]
+    assert figure.caption.endswith("off the angle without the fault by 0 deg RMS, 0 deg at most.")
+
+
+def test_state_figure_shows_states_by_their_names_and_gaps_without_one():
+    state = np.full((COUNT, 3), HEALTHY, np.uint8)
+    state[450:600, 0], state[800:] = FAULTY, NO_STATE
+    figure = described(made_replay(fault_state=state))["state"]
+    roll, pitch, _ = figure.panels
+    assert dict(roll.ticks)[float(lines(roll)["watchful"][500])] == "faulty"
+    assert dict(pitch.ticks)[float(lines(pitch)["watchful"][500])] == "healthy"
+    assert np.isnan(lines(roll)["watchful"][800:]).all()
+    assert "for 1.5, 0, 0 s" in figure.caption
+
+
+def test_observer_that_never_doubts_has_no_state_figure():
+    assert "state" not in described(made_replay("none"))
+
+
+def test_correction_of_the_gyro_is_that_of_the_observers_that_correct():
+    found = described(*map(made_replay, PAIR))
+    (line,) = found["gyro_correction"].panels[0].traces
+    assert line.name == "watchful"
+    assert line.y == pytest.approx(np.degrees(-0.01))
+    assert "-0.573, -0.573, -0.573 deg/s" in found["gyro_correction"].caption
+    assert "gyro_correction" not in described(made_replay("none"))
+
+
+def test_what_was_not_recorded_has_no_figure():
+    nothing = Reading(np.full((COUNT, 3), np.nan), np.full((COUNT, 3), np.nan))
+    replay = dataclasses.replace(made_replay(), measured=nothing, corrected=nothing)
+    assert list(described(replay)) == ["fault-roll", "state"]
+
+
+def test_replay_that_was_cut_is_drawn_to_its_end_and_named():
+    whole = made_replay()
+    rows = {field.name: getattr(whole.flight, field.name)[:500] for field in dataclasses.fields(Flight)}
+    cut = dataclasses.replace(
+        made_replay("none"),
+        flight=Flight(**rows),
+        measured=Reading(*(values[:500] for values in whole.measured)),
+        corrected=Reading(*(values[:500] for values in whole.corrected)),
+    )
+    figure = described(whole, cut)["attitude-roll"]
+    assert (figure.span, len(lines(figure.panels[0])["none"])) == ((0.0, 10.0), 500)
+    assert figure.caption.endswith("none ends at 4.99 s.")
+
+
+def test_statements_tell_what_was_replayed_and_what_is_missing():
+    delivered = np.ones(COUNT, np.bool_)
+    delivered[100:130] = False
+    text = told(made_replay(delivered=delivered), made_replay("none"))
+    assert "1000 samples of /imu/data of the recording 'garden walk', 10 s at 100 Hz." in text["replayed"]
+    assert "through the fault observers 'watchful' and 'none'. No torque was recorded" in text["replayed"]
+    assert "these were left out: 7 (stamp repeated)." in text["samples"]
+    assert "An overlaid fault withheld 30 of the samples." in text["samples"]
+    assert "20 samples came without a usable attitude, for at most 200 ms at a stretch." in text["samples"]
+    assert "From 4 to 6 s the attitude reading is faulty: bias of 3 deg on roll." in text["injected"]
+    assert "From 2 to 3 s the gyro is faulty: noise of 1 deg/s on yaw." in text["injected"]
+
+
+def test_statements_tell_what_the_observers_made_of_it():
+    text = told(*map(made_replay, PAIR))
+    assert "'watchful' detects the only fault. The detection delay is at most 500 ms" in text["detection"]
+    assert "'none'" not in text["detection"]
+    assert "the RMSE in the fault windows is 1.56 (roll), 0 (pitch), 0 deg (yaw)" in text["estimate"]
+    assert "'none' estimates no fault, so that its error is the fault." in text["estimate"]
+
+
+def test_replay_says_nothing_of_tracking_checks_or_the_paper():
+    words = " ".join(told(*map(made_replay, PAIR)).values()).lower()
+    for word in ("track", "check", "paper", "controller", "reference"):
+        assert word not in words
+
+
+def test_faults_of_the_recording_are_told_with_their_kind():
+    replay = made_replay(specs=())
+    event = FaultEvent("pitch", "sine", 1.0, 2.0)
+    origin = replay.origin._replace(truth="recorded faults", fault_events=(event,))
+    text = told(dataclasses.replace(replay, origin=origin))["injected"]
+    assert "No fault was overlaid." in text
+    assert "the attitude is faulty by: sine on pitch from 1 to 2 s." in text
+
+
+class Page(HTMLParser):
+    """What a page links to and names, and its text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.cells: list[dict[str, str | None]] = []
+        self.words: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        found = dict(attrs)
+        self.ids += [found["id"]] if "id" in found else []
+        self.links += [found["href"][1:]] if found.get("href", "").startswith("#") else []
+        self.cells += [found] if "data-metric" in found else []
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+
+def page_of(*replays: RecordedReplay, runs=()) -> Page:
+    parts = sections(compare(runs), None)
+    taken = [part.comparison.key for part in parts]
+    return Page(render(parts, [], replay_sections(compare_replays(replays, taken), None)))
+
+
+def test_page_of_replays_alone_has_no_word_of_flights():
+    page = page_of(*map(made_replay, PAIR))
+    assert "2 replays of 1 recording" in page.text
+    assert len(page.ids) == len(set(page.ids))
+    assert set(page.links) <= set(page.ids)
+    assert "summary" not in page.ids
+    for word in ("Wang", "checks", "Scenario as flown"):
+        assert word not in page.text
+
+
+def test_page_of_flights_and_replays_has_both():
+    page = page_of(*map(made_replay, PAIR), made_replay(specs=()), runs=[flown()])
+    assert "1 recorded run of 1 scenario and 3 replays of 2 recordings" in page.text
+    assert len(page.ids) == len(set(page.ids))
+    assert set(page.links) <= set(page.ids)
+    assert {"summary", "small", "replays", "replay-garden_walk", "replay-garden_walk-2"} <= set(page.ids)
+
+
+def test_page_has_the_confusion_matrix_with_full_values():
+    shown = {
+        (cell["data-run"], cell["data-metric"]): cell["data-value"]
+        for cell in page_of(*map(made_replay, PAIR)).cells
+    }
+    matrix = made_replay().summary["metrics"]["diagnosis"]["confusion_single_s"]
+    assert matrix["roll"]["roll"] == pytest.approx(1.5)
+    for row, entries in matrix.items():
+        for column, value in entries.items():
+            key = ("garden walk-watchful", f"diagnosis.confusion_single_s.{row}.{column}")
+            assert shown[key] == repr(value)
+
+
+def test_observer_on_several_recordings_has_a_line_for_all_faults():
+    again = made_replay(name="again")
+    replays = [made_replay(), again, made_replay(recording="street"), made_replay("none")]
+    (line,) = pooled(compare_replays(replays))
+    assert (line.name, line.cells[:2]) == ("watchful, 2 replays", ("2", "0"))
+    other = made_replay(recording="street")
+    other.summary["parameters"]["threshold"] = 1.0
+    assert pooled(compare_replays([made_replay(), other])) == []

@@ -1,0 +1,1 @@
+"""Where the theory holds: conditions per law, isolability, check."""

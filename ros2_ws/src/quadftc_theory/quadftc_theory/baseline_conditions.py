@@ -1,0 +1,128 @@
+"""Where the baseline fault observers hold: augmented_kalman, edwards_spurgeon, threshold."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from quadftc_fdi.dead_reckoning import MAX_PITCH
+from quadftc_theory.conditions import Circumstances, Condition, Verdict, verdict
+from quadftc_theory.sliding_mode_conditions import NEGLIGIBLE_DRIFT, NEGLIGIBLE_LEAK
+
+if TYPE_CHECKING:
+    from quadftc_fdi.fault_observers.augmented_kalman import AugmentedKalman
+    from quadftc_fdi.fault_observers.edwards_spurgeon import EdwardsSpurgeon
+    from quadftc_fdi.fault_observers.threshold import Threshold
+
+DEG = math.pi / 180.0
+
+
+def augmented_kalman_conditions(observer: AugmentedKalman, given: Circumstances) -> list[Condition]:
+    """Judge the filter's noise model against the noise given; the start and the zeros at s = 0."""
+    attitude, walk = given.attitude_noise.value, given.gyro_noise.value
+    bias = given.gyro_bias.value
+    covered = (
+        attitude <= observer.attitude_noise
+        and walk <= observer.gyro_noise
+        and bias <= 2.0 * observer.gyro_bias
+    )
+    text = (
+        f"attitude {attitude / DEG:.3g} of {observer.attitude_noise / DEG:.3g} deg, angle random walk "
+        f"{walk / DEG:.3g} of {observer.gyro_noise / DEG:.3g} deg/sqrt(s), gyro bias up to "
+        f"{bias / DEG:.3g} of 2 x {observer.gyro_bias / DEG:.3g} deg/s; attitude errors must be white"
+    )
+    floor = walk * math.sqrt(given.duration)
+    zeros = (
+        "the fault must be 0 at the first sample: the zeros at s = 0 keep what is wrong then; the angle "
+        f"random walk adds {floor / DEG:.3g} deg in {given.duration:.3g} s"
+    )
+    return [
+        _faultless_gyro(given),
+        Condition("noise within the filter's model", verdict(covered), text),
+        Condition("healthy start", Verdict.DEPENDS, zeros, {"floor": floor}, needed=False),
+        _pitch(given),
+    ]
+
+
+def edwards_spurgeon_conditions(observer: EdwardsSpurgeon, given: Circumstances) -> list[Condition]:
+    """Judge the reach of nu, and what the zeros at s = 0 do: leak and drift."""
+    size, duration = given.fault.value, given.duration
+    share = -math.expm1(-observer.leak * given.fault_length.value)
+    each = -math.expm1(-observer.leak * duration) / observer.leak if observer.leak > 0.0 else duration
+    error = each * given.gyro_bias.value
+    poles = f"e: -{observer.a_s:.3g} 1/s; angle error on the surface: -{observer.leak:.3g} 1/s"
+    return [
+        _faultless_gyro(given),
+        Condition(
+            "observer's poles",
+            verdict(observer.leak > 0.0),
+            poles,
+            {"poles": [-observer.a_s, -observer.leak]},
+        ),
+        Condition(
+            "rho > a_f |f_s|",
+            verdict(observer.rho > observer.a_f * size),
+            f"reaches {observer.rho / observer.a_f / DEG:.3g} deg; |f_s| up to {size / DEG:.3g} deg "
+            f"({given.fault.origin})",
+            {"reach": observer.rho / observer.a_f, "fault": size},
+        ),
+        Condition(
+            "leak of the fault estimate",
+            Verdict.PASS if share <= NEGLIGIBLE_LEAK else Verdict.DEPENDS,
+            f"of a constant fault of {given.fault_length.value:.3g} s, {100.0 * share:.2g} % leak away",
+            {"share": share},
+            needed=False,
+        ),
+        Condition(
+            "drift by a gyro bias",
+            verdict(error <= NEGLIGIBLE_DRIFT),
+            f"{error / DEG:.3g} deg after {duration:.3g} s with {given.gyro_bias.value / DEG:.3g} deg/s",
+            {"per_bias": each, "error": error},
+        ),
+        _pitch(given),
+    ]
+
+
+def threshold_conditions(observer: Threshold, given: Circumstances) -> list[Condition]:
+    """Say whether the faults given are above the thresholds, and how far the dead reckoning drifts."""
+    size, growth = given.fault.value, given.fault_growth.value
+    found = size > observer.angle_threshold and growth > observer.rate_threshold
+    slowest = "" if math.isinf(growth) else f", slowest {growth / DEG:.3g} deg/s"
+    text = (
+        f"finds a step or ramp of more than {observer.angle_threshold / DEG:.3g} deg, faster than "
+        f"{observer.rate_threshold / DEG:.3g} deg/s; here up to {size / DEG:.3g} deg{slowest}"
+    )
+    outcome = Verdict.PASS if found or size == 0.0 else Verdict.FAIL
+    drifted = given.gyro_bias.value * min(given.fault_length.value, observer.patience)
+    return [
+        _faultless_gyro(given),
+        Condition("faults above the thresholds", outcome, text, {"fault": size}, needed=False),
+        Condition(
+            "gyro bias below rate_threshold",
+            verdict(given.gyro_bias.value < observer.rate_threshold),
+            f"{given.gyro_bias.value / DEG:.3g} deg/s; above it, every axis is faulty",
+            {"gyro_bias": given.gyro_bias.value},
+        ),
+        Condition(
+            "recovery within recovery_angle",
+            verdict(drifted < observer.recovery_angle),
+            f"the residual has drifted by {drifted / DEG:.3g} deg at the end of the longest fault; recovers "
+            f"below {observer.recovery_angle / DEG:.3g} deg, else after {observer.patience:.3g} s",
+            {"drift": drifted},
+            needed=False,
+        ),
+        _pitch(given),
+    ]
+
+
+def _faultless_gyro(given: Circumstances) -> Condition:
+    faulty = "gyro" in given.faulty_channels
+    text = "a fault on it is taken for a fault of the attitude" if faulty else "no fault on it"
+    return Condition("gyro without fault", verdict(not faulty), text)
+
+
+def _pitch(given: Circumstances) -> Condition:
+    steep = given.tilt.value + given.fault.value
+    text = f"up to {steep / DEG:.3g} deg with the fault; beyond {MAX_PITCH / DEG:.3g} deg it dead-reckons"
+    outcome = Verdict.PASS if steep < MAX_PITCH else Verdict.DEPENDS
+    return Condition("pitch away from 90 deg", outcome, text, {"tilt": steep}, needed=False)

@@ -1,0 +1,151 @@
+"""The conditions of a whole scheme, in sections, and the verdict."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any, cast
+
+import numpy as np
+
+from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.scenario.types import Scenario, Scheme
+from quadftc_model.vehicle import load_vehicle
+from quadftc_theory.circumstances import circumstances, circumstances_of_run
+from quadftc_theory.conditions import Circumstances, Condition, Trace
+from quadftc_theory.linear_form import attitude_model
+from quadftc_theory.structure_conditions import structure_conditions
+
+
+@dataclasses.dataclass(frozen=True)
+class Section:
+    """Conditions that belong together."""
+
+    title: str
+    conditions: tuple[Condition, ...]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class CheckReport:
+    """What was found.
+
+    Parameters
+    ----------
+    scenario, scheme : str
+    bag : str, optional
+        Of the recorded run.
+    sections : tuple of Section
+    given : Circumstances
+        The bounds that were used.
+    """
+
+    scenario: str
+    scheme: str
+    bag: str | None
+    sections: tuple[Section, ...]
+    given: Circumstances
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing fails that the scheme needs."""
+        return not any(item.failed for section in self.sections for item in section.conditions)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Ready for JSON: no NaN, no infinity."""
+        return cast(
+            "dict[str, Any]",
+            _plain(
+                {
+                    "scenario": self.scenario,
+                    "scheme": self.scheme,
+                    "bag": self.bag,
+                    "passed": self.passed,
+                    "sections": [
+                        {
+                            "title": section.title,
+                            "conditions": [dataclasses.asdict(item) for item in section.conditions],
+                        }
+                        for section in self.sections
+                    ],
+                    "bounds": {name: dataclasses.asdict(bound) for name, bound in self.given.bounds.items()},
+                }
+            ),
+        )
+
+
+def check_scenario(scenario: Scenario, scheme: Scheme, output: str = "imu") -> CheckReport:
+    """Judge a scheme in a scenario, without flying it.
+
+    Parameters
+    ----------
+    scenario, scheme : Scenario, Scheme
+    output : str
+        Output of the model (6) that is judged: ``imu``, or ``angles`` as in the paper.
+
+    Raises
+    ------
+    ValueError
+        If there is no such output.
+    """
+    return _check(scenario, scheme, circumstances(scenario, scheme), output)
+
+
+def check_run(run: RecordedRun, output: str = "imu") -> CheckReport:
+    """Judge the scheme of a recorded run: with the bounds of the recording, and along it."""
+    given = circumstances_of_run(run)
+    report = _check(run.scenario, run.scheme, given, output)
+    trace = _trace(run)
+    found = (
+        *run.scheme.observer.law.conditions_along(trace, given),
+        *run.scheme.controller.law.conditions_along(trace, given),
+    )
+    along = (Section("along the recorded run", found),) if found else ()
+    return dataclasses.replace(report, bag=str(run.path), sections=report.sections + along)
+
+
+def _check(scenario: Scenario, scheme: Scheme, given: Circumstances, output: str) -> CheckReport:
+    observer, disturbance, controller = scheme.observer, scheme.disturbance_observer, scheme.controller
+    inertia = load_vehicle(scenario.vehicle).inertia
+    sections = [
+        Section(f"fault observer: {observer.kind}", tuple(observer.law.conditions(given))),
+        Section(f"disturbance observer: {disturbance.kind}", tuple(disturbance.law.conditions(given))),
+        Section(f"controller: {controller.kind}", tuple(controller.law.conditions(given))),
+    ]
+    if output != "imu" or observer.kind != "none":
+        asked = output != "imu"
+        title = "the paper's own set-up, y = (roll, pitch, yaw), q = 3" + ("" if asked else "; not used here")
+        model = attitude_model(inertia, output if asked else "angles")
+        sections.append(Section(title, tuple(structure_conditions(model, needed=asked))))
+    return CheckReport(scenario.name, scheme.name, None, tuple(sections), given)
+
+
+def _trace(run: RecordedRun) -> Trace:
+    """The delivered samples of a run."""
+    imu, flight = run.bag.series("imu/data"), run.flight
+    stamps, first = np.unique(imu.stamp_ns, return_index=True)
+    _, here, there = np.intersect1d(stamps, flight.stamp_ns, assume_unique=True, return_indices=True)
+    rows = first[here]
+    attitude, gyro = imu["orientation_xyzw"][rows].copy(), imu["angular_velocity"][rows].copy()
+    attitude[imu["orientation_covariance"][rows][:, 0] == -1.0] = np.nan  # absent, by REP-145
+    gyro[imu["angular_velocity_covariance"][rows][:, 0] == -1.0] = np.nan
+    return Trace(
+        stamp_ns=flight.stamp_ns[there],
+        q_xyzw=attitude,
+        gyro=gyro,
+        torque=flight.torque[there],
+        angles=flight.angles[there],
+        body_rate=flight.body_rate[there],
+        sliding_variable=flight.sliding_variable[there],
+        saturated=flight.saturated[there],
+    )
+
+
+def _plain(value: Any) -> Any:
+    """Numbers that JSON has; None for what is not finite."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in cast("dict[str, Any]", value).items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in cast("list[Any]", value)]
+    if isinstance(value, np.generic):
+        value = cast("np.generic[Any]", value).item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,148 @@
+"""The bounds that conditions are held against: from a scenario as it is written, or from a recorded run."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_control.reference import combined
+from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.scenario.types import Scenario, Scheme
+from quadftc_model.rotations import body_rates, quaternion_from_euler
+from quadftc_model.samples import AttitudeReference, ImuSample
+from quadftc_sim.assembly import period_ns, sample_count
+from quadftc_sim.injection import FaultInjector
+from quadftc_theory.conditions import Bound, Circumstances, Series
+from quadftc_theory.disturbance_conditions import estimation_error
+
+Floats = NDArray[np.float64]
+
+FAULT_RATE = 50.0  # Hz; at which the scheduled faults are looked at
+GROWN = 0.99  # 1; share of its peak at which a fault counts as grown
+REFERENCE = "given: as on the reference"
+
+
+def circumstances(scenario: Scenario, scheme: Scheme) -> Circumstances:
+    """Bounds from the scenario: its faults, disturbances and sensors; motion as on its reference."""
+    vehicle = scenario.plant.vehicle
+    dt = period_ns(scenario.rate) / 1e9
+    time = dt * np.arange(sample_count(scenario.duration, scenario.rate), dtype=np.float64)
+    motion = _motion(scenario, time)
+    rates: Floats = body_rates(motion.angles, motion.rates)
+    disturbance = _disturbance(scenario, time, rates)
+    generator = np.random.default_rng(scenario.seed)
+    noise: Floats = scenario.sensor.gyro_noise / math.sqrt(dt) * generator.standard_normal(rates.shape)
+    error = estimation_error(scheme.disturbance_observer.law, disturbance, noise, dt)
+    fault, growth, length = _attitude_faults(scenario)
+    sensor = scenario.sensor
+    return Circumstances(
+        vehicle=vehicle,
+        dt=dt,
+        duration=scenario.duration,
+        faulty_channels=tuple(sorted({fault.injection.channel for fault in scenario.faults})),
+        tilt=Bound(float(np.max(np.abs(motion.angles[:, :2]))), "rad", REFERENCE),
+        body_rate=Bound(_largest_norm(rates), "rad/s", REFERENCE),
+        acceleration=Bound(
+            tuple(np.max(np.abs(motion.accelerations), axis=0).tolist()), "rad/s^2", REFERENCE
+        ),
+        fault=Bound(fault, "rad", "given: scheduled faults"),
+        fault_growth=Bound(growth, "rad/s", "given: scheduled faults"),
+        fault_length=Bound(length, "s", "given: scheduled faults"),
+        gyro_bias=Bound(sensor.gyro_bias, "rad/s", "given: sensor"),
+        gyro_noise=Bound(sensor.gyro_noise, "rad/sqrt(s)", "given: sensor"),
+        attitude_noise=Bound(sensor.attitude_noise, "rad", "given: sensor"),
+        disturbance=Series(disturbance, "rad/s^2", "given: disturbances, and drag on the reference"),
+        disturbance_error=Series(error, "rad/s^2", "computed: observer run on that disturbance"),
+    )
+
+
+def circumstances_of_run(run: RecordedRun) -> Circumstances:
+    """Bounds from a recorded run, where the bag has the truth; from its scenario where it has not."""
+    planned, flight = circumstances(run.scenario, run.scheme), run.flight
+    origin = "trace"
+    drag = planned.vehicle.rotational_drag / run.scenario.plant.inertia * flight.body_rate
+    disturbance = flight.disturbance - drag
+    known = np.all(np.isfinite(disturbance), axis=1)
+    both = known & np.all(np.isfinite(flight.disturbance_estimate), axis=1)
+    changes: dict[str, Bound | Series] = {}
+    if np.any(np.isfinite(flight.angles)):
+        tilt = float(np.nanmax(np.abs(flight.angles[:, :2])))
+        changes["tilt"] = Bound(tilt, "rad", origin)
+    if np.any(np.isfinite(flight.body_rate)):
+        changes["body_rate"] = Bound(_largest_norm(flight.body_rate), "rad/s", origin)
+        changes["gyro_bias"] = _gyro_bias(run) or planned.gyro_bias
+    if np.any(np.isfinite(flight.fault)):
+        changes["fault"] = Bound(_largest_norm(flight.fault), "rad", origin)
+    if known.any():
+        changes["disturbance"] = Series(disturbance[known], "rad/s^2", f"{origin}, drag included")
+    if both.any():
+        error = (disturbance - flight.disturbance_estimate)[both]
+        changes["disturbance_error"] = Series(error, "rad/s^2", origin)
+    return dataclasses.replace(planned, **changes)  # pyright: ignore[reportArgumentType]
+
+
+def _motion(scenario: Scenario, time: Floats) -> AttitudeReference:
+    """The reference at every time, (n, 3) each."""
+    found = combined([part.law for part in scenario.references], time[:, None])
+    return AttitudeReference(*(np.broadcast_to(each, (len(time), 3)) for each in found))
+
+
+def _disturbance(scenario: Scenario, time: Floats, rates: Floats) -> Floats:
+    """Lumped disturbance d of (36) (n, 3) [rad/s²]: torques of the scenario, and the drag f leaves out.
+
+    What a wrong model of the inertia adds depends on the torque, and is not in it.
+    """
+    torque = np.zeros((len(time), 3))
+    for part in scenario.disturbances:
+        torque += np.array([part.law.torque(np.float64(moment)) for moment in time])
+    return (torque - scenario.plant.vehicle.rotational_drag * rates) / scenario.plant.inertia
+
+
+def _attitude_faults(scenario: Scenario) -> tuple[float, float, float]:
+    """Largest norm of the attitude fault [rad], slowest growth to a peak [rad/s], longest fault [s]."""
+    injector = FaultInjector(scenario.seed)
+    for fault in scenario.faults:
+        injector.add(fault.injection)
+    count = sample_count(scenario.duration, FAULT_RATE)
+    step_ns = period_ns(FAULT_RATE)
+    time = np.arange(count, dtype=np.float64) * (step_ns / 1e9)
+    motion = _motion(scenario, time)
+    zeros, there = np.zeros(3), np.asarray(True)
+    found = np.zeros((count, 3))
+    for k, q in enumerate(quaternion_from_euler(motion.angles)):
+        injected = injector.apply(k * step_ns, ImuSample(q, zeros, zeros, there, there, there))
+        found[k] = injected.attitude
+    size = np.abs(np.nan_to_num(found))
+    growth, length = math.inf, 0.0
+    for window in scenario.fault_windows:
+        rows = (window.start <= time) & (time < window.stop)
+        length = max(length, window.stop - window.start)
+        for column in size[rows].T:
+            if len(column) and column.max() > 0.0:
+                grown = int(np.argmax(column >= GROWN * column.max()))
+                elapsed = max(float(time[rows][grown]) - window.start, 1.0 / scenario.rate)
+                growth = min(growth, float(column[grown]) / elapsed)
+    return _largest_norm(np.nan_to_num(found)), growth, length
+
+
+def _gyro_bias(run: RecordedRun) -> Bound | None:
+    """Mean of gyro minus true rate [rad/s], the largest axis; None without a gyro."""
+    series = run.bag.series("imu/data")
+    common, first, second = np.intersect1d(series.stamp_ns, run.flight.stamp_ns, return_indices=True)
+    error = series["angular_velocity"][first] - run.flight.body_rate[second]
+    error = error[np.all(np.isfinite(error), axis=1)]
+    if len(common) == 0 or len(error) == 0:
+        return None
+    mean = np.mean(error, axis=0)
+    # a mean of noise is not a bias: count it only where it stands out of its own scatter
+    scatter = 5.0 * np.std(error, axis=0) / math.sqrt(len(error))
+    return Bound(float(np.max(np.where(np.abs(mean) > scatter, np.abs(mean), 0.0))), "rad/s", "trace")
+
+
+def _largest_norm(vectors: Floats) -> float:
+    norms = np.linalg.norm(vectors, axis=1)
+    norms = norms[np.isfinite(norms)]
+    return float(np.max(norms)) if len(norms) else 0.0

@@ -1,0 +1,89 @@
+"""Where the assumptions of Wang, Huang and Zhang (2021) on disturbances hold, (42)-(44), and D_e."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_fdi.disturbance_observer import DisturbanceObserver
+from quadftc_model.samples import DisturbanceObserverInputs
+from quadftc_theory.conditions import Circumstances, Condition, Verdict, per_axis, verdict
+
+Floats = NDArray[np.float64]
+
+FOLLOWED = 0.01  # 1; share of the disturbance that the error may settle at and still count as followed
+
+
+def estimation_error(observer: DisturbanceObserver, disturbance: Floats, noise: Floats, dt: float) -> Floats:
+    """Run an observer on a disturbance and return d - d^ (44), (n, 3) [rad/s²].
+
+    Each axis turns alone and without torque, so that its rate is the integral of its disturbance.
+
+    Parameters
+    ----------
+    disturbance : array (n, 3)
+        d over time [rad/s²], piecewise linear between the samples.
+    noise : array (n, 3)
+        Noise of the gyro [rad/s].
+    dt : float
+        Sampling period [s].
+    """
+    steps = 0.5 * dt * (disturbance[1:] + disturbance[:-1])
+    rates = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]) + noise
+    there, still = np.ones(3, np.bool_), np.zeros((3, 3))
+    estimate = np.empty_like(disturbance)
+    state = observer.init(DisturbanceObserverInputs(np.diag(rates[0]), there, still))
+    for k, rate in enumerate(rates):
+        inputs = DisturbanceObserverInputs(np.diag(rate), there, still)
+        state, found = observer.step(state, inputs, dt if k else 0.0)
+        estimate[k] = np.diagonal(found)
+    return disturbance - estimate
+
+
+def exosystem_conditions(poles: Floats, model: str, given: Circumstances) -> list[Condition]:
+    """Judge (42)-(44) for an observer with these poles [rad/s] of A_d - lambda C_d."""
+    return [
+        Condition(
+            "A_d - lambda C_d Hurwitz",
+            verdict(bool(np.all(poles.real < 0.0))),
+            f"poles at {', '.join(f'{pole:.4g}' for pole in sorted(set(np.round(poles.real, 6))))} rad/s",
+            {"poles": [[float(pole.real), float(pole.imag)] for pole in poles]},
+        ),
+        disturbance_bounded(given),
+        *_followed(model, given),
+    ]
+
+
+def disturbance_bounded(given: Circumstances) -> Condition:
+    """Assumption 4."""
+    return Condition(
+        "Assumption 4: |d| <= D_d",
+        verdict(bool(np.all(np.isfinite(given.disturbance.peak)))),
+        f"D_d = {per_axis(given.disturbance.peak)} rad/s² ({given.disturbance.origin})",
+        {"D_d": given.disturbance.peak.tolist()},
+    )
+
+
+def _followed(model: str, given: Circumstances) -> list[Condition]:
+    """Assumption 5, d of the exosystem: whether the error vanishes; Assumption 6, its bound D_e."""
+    error = given.disturbance_error
+    largest, typical = error.peak, np.median(np.abs(error.values), axis=0)
+    size = given.disturbance.peak
+    quiet = bool(np.all(typical <= FOLLOWED * np.maximum(size, 1e-12) + 1e-9))
+    text = f"exosystem '{model}': error of the estimate below {per_axis(typical, 2)} rad/s² half of the time"
+    text += "" if quiet else ", not 0: the disturbance is not of this exosystem, the estimate lags"
+    return [
+        Condition(
+            "Assumption 5: d of the exosystem (42)",
+            Verdict.PASS if quiet else Verdict.DEPENDS,
+            text,
+            {"median_error": typical.tolist()},
+            needed=False,
+        ),
+        Condition(
+            "Assumption 6: |d - d^| <= D_e",
+            verdict(bool(np.all(np.isfinite(largest)))),
+            f"D_e = {per_axis(largest)} rad/s² at worst ({error.origin})",
+            {"D_e": largest.tolist()},
+        ),
+    ]

@@ -1,0 +1,256 @@
+# pyright: basic
+"""Which faults can be detected and told apart at all, whatever the algorithm.
+
+Three questions on the same equations, each sharper than the one before:
+
+* Structural: by which unknown is in which equation alone (Dulmage-Mendelsohn decomposition; Krysander, Frisk
+  (2008), "Sensor placement for fault diagnosis", IEEE Trans. SMC A 38(6); causality: Frisk et al. (2012),
+  "Diagnosability analysis considering causal interpretations for differential constraints", IEEE Trans. SMC A
+  42(5)), with the library faultdiagnosistoolbox (Frisk, Krysander, Jung (2017), IFAC World Congress). Right
+  for almost all values of the coefficients, and so the best case.
+* Rank: with this vehicle's coefficients, is there a residual of the linear model, N(s) H(s) = 0, that
+  responds to fault i and not to fault j?
+* Strong (Chen, Patton (1999), "Robust model-based fault diagnosis for dynamic systems"; Nyberg (2002),
+  "Criterions for detectability and strong detectability of faults in linear systems", Int. J. Control 75(7)):
+  does such a residual also stay away from zero while fault i is constant, N(0) F_i != 0?
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import null_space
+from scipy.sparse.csgraph import connected_components
+
+from quadftc_model.vehicle import Vehicle
+from quadftc_theory.structural_model import Assumptions, LinearModel
+from quadftc_theory.vehicle_equations import vehicle_model
+
+CAUSALITIES = {"mixed": "mixed", "integral": "int", "derivative": "der"}  # ours: the library's
+GENERIC_S = 0.6180339887 + 0.4142135624j  # 1/s; no pole or zero of a model is there
+RANK_TOLERANCE = 1e-9  # 1; of singular values, relative to the largest
+RESPONSE_TOLERANCE = 1e-7  # 1; a residual's response to a fault of size 1 below it is rounding
+
+_DERIVATIVE, _DERIVED = 3, 2  # codes of the library for x' and x in the constraint between them
+
+Mask = NDArray[np.bool_]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class IsolabilityResult:
+    """Which faults can be detected, and which told apart from which.
+
+    In each matrix (n, n), entry (i, j) says whether fault i can be told apart from fault j: there is a
+    residual that responds to i and is blind to j. The diagonal is False.
+    """
+
+    name: str  # the vehicle and its sensors
+    causality: str  # how differential constraints may be used: mixed, integral or derivative
+    assumptions: Mapping[str, Any]  # empty for a model that is no vehicle's
+    faults: tuple[str, ...]
+    detectable: Mask  # (n,) structurally
+    isolable: Mask  # (n, n) structurally
+    rank_detectable: Mask  # (n,) with the coefficients of the linear model
+    rank_isolable: Mask  # (n, n)
+    strongly_detectable: Mask  # (n,) also while the fault is constant
+    strongly_isolable: Mask  # (n, n)
+
+    @property
+    def undetectable(self) -> tuple[str, ...]:
+        """Faults that nothing responds to."""
+        seen = self.detectable & self.rank_detectable
+        return tuple(fault for fault, is_seen in zip(self.faults, seen, strict=True) if not is_seen)
+
+    @property
+    def transient(self) -> tuple[str, ...]:
+        """Faults that are detected while they change only (weakly detectable)."""
+        seen = self.detectable & self.rank_detectable & ~self.strongly_detectable
+        return tuple(fault for fault, is_seen in zip(self.faults, seen, strict=True) if is_seen)
+
+    @property
+    def groups(self) -> tuple[tuple[str, ...], ...]:
+        """Sets of detectable faults of which neither of two can be told apart from the other.
+
+        Faults that are alone in their set are left out.
+        """
+        seen = self.detectable & self.rank_detectable
+        confused = ~(self.isolable & self.rank_isolable) & np.outer(seen, seen)
+        count, labels = connected_components(confused & confused.T, directed=False)
+        members = [tuple(self.faults[i] for i in np.flatnonzero(labels == label)) for label in range(count)]
+        return tuple(group for group in members if len(group) > 1)
+
+    @property
+    def cancelled(self) -> tuple[tuple[str, str], ...]:
+        """Pairs (i, j) told apart by the structure but not with this vehicle's coefficients, which cancel."""
+        pairs = np.argwhere(self.isolable & ~self.rank_isolable)
+        return tuple((self.faults[i], self.faults[j]) for i, j in pairs)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything as lists, strings and truth values, for JSON."""
+        masks = {
+            field.name: getattr(self, field.name).tolist()
+            for field in dataclasses.fields(self)
+            if field.name.endswith(("detectable", "isolable"))
+        }
+        return {
+            "name": self.name,
+            "causality": self.causality,
+            "assumptions": dict(self.assumptions),
+            "faults": list(self.faults),
+            **masks,
+            "undetectable": list(self.undetectable),
+            "transient": list(self.transient),
+            "groups": [list(group) for group in self.groups],
+            "cancelled": [list(pair) for pair in self.cancelled],
+        }
+
+
+def analyse(
+    vehicle: Vehicle, assumptions: Assumptions | None = None, causality: str = "mixed"
+) -> IsolabilityResult:
+    """Analyse a vehicle with its sensors. The first call takes seconds: it imports the library.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        Its inertia, drag and mixer set the coefficients.
+    assumptions : Assumptions, optional
+        Sensors, motion, what is known and what disturbs.
+    causality : str
+        ``mixed``, ``integral`` or ``derivative``: whether residuals may integrate and differentiate.
+
+    Raises
+    ------
+    ValueError
+        If the causality is none of these.
+    """
+    assumptions = Assumptions() if assumptions is None else assumptions
+    described = dataclasses.asdict(assumptions) | {"sensor_set": list(assumptions.sensor_set)}
+    return dataclasses.replace(
+        analyse_model(vehicle_model(vehicle, assumptions), causality), assumptions=described
+    )
+
+
+def analyse_model(model: LinearModel, causality: str = "mixed") -> IsolabilityResult:
+    """Analyse any model; see :func:`analyse`."""
+    if causality not in CAUSALITIES:
+        raise ValueError(f"causality = {causality!r}: expected one of {', '.join(CAUSALITIES)}")
+    detectable, isolable = structural_isolability(model, causality)
+    rank_detectable, rank_isolable = rank_isolability(model)
+    strongly_detectable, strongly_isolable = strong_isolability(model)
+    return IsolabilityResult(
+        name=model.name,
+        causality=causality,
+        assumptions={},
+        faults=model.faults,
+        detectable=detectable,
+        isolable=isolable,
+        rank_detectable=rank_detectable,
+        rank_isolable=rank_isolable,
+        strongly_detectable=strongly_detectable & detectable,
+        strongly_isolable=strongly_isolable & isolable,
+    )
+
+
+def structure(model: LinearModel) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Incidence matrices of unknowns, faults and known signals, as the library codes them.
+
+    The unknowns are states, derivatives of states, others; an equation x' = dx/dt for each state comes last.
+    """
+    count = len(model.states)
+    constraints = np.hstack([_DERIVED * np.eye(count), _DERIVATIVE * np.eye(count)])
+    own = np.hstack([model.A, model.E, model.B]) != 0.0
+    unknowns = np.zeros((len(own) + count, own.shape[1]), dtype=np.int64)
+    unknowns[: len(own)] = own
+    unknowns[len(own) :, : 2 * count] = constraints
+
+    def padded(matrix: NDArray[np.float64]) -> NDArray[np.int64]:
+        return np.vstack([matrix != 0.0, np.zeros((count, matrix.shape[1]))]).astype(np.int64)
+
+    return unknowns, padded(model.F), padded(model.K)
+
+
+def structural_isolability(model: LinearModel, causality: str) -> tuple[Mask, Mask]:
+    """Detectable faults (n,) and isolability (n, n), by structural analysis."""
+    # imported here: it takes seconds
+    from faultdiagnosistoolbox import DiagnosisModel
+
+    unknowns, faults, known = structure(model)
+    names = list(model.faults)
+    library_model = DiagnosisModel(
+        {"type": "MatrixStruc", "X": unknowns, "F": faults, "Z": known, "f": names}, name=model.name
+    )
+    found, _ = library_model.DetectabilityAnalysis(causality=CAUSALITIES[causality])
+    not_isolable = library_model.IsolabilityAnalysis(causality=CAUSALITIES[causality])
+    return np.array([name in found for name in names], dtype=np.bool_), np.asarray(not_isolable) == 0
+
+
+def rank_isolability(model: LinearModel) -> tuple[Mask, Mask]:
+    """Detectable faults (n,) and isolability (n, n) of the linear model, at a generic s.
+
+    Fault i is told apart from j if rank [H F_j F_i] > rank [H F_j], with H(s) the coefficients of the
+    unknowns: there is a row N(s) with N H = 0, N F_j = 0, N F_i != 0.
+    """
+    constant, linear, faults = _scaled(model)
+    return _responses(constant + GENERIC_S * linear, faults, faults)
+
+
+def strong_isolability(model: LinearModel) -> tuple[Mask, Mask]:
+    """Strongly detectable faults (n,) and strong isolability (n, n) of the linear model.
+
+    There is a polynomial row N(s) with N(s) H(s) = 0, N(s) F_j = 0 for all s, and N(0) F_i != 0. The
+    coefficients of N, up to the number of states, which bounds the degrees of a minimal basis, are put into
+    one row; the conditions are then linear equations (a parity space). A rank test at s = 0 alone would take
+    the equation of a mode at s = 0 that no sensor sees for a residual.
+    """
+    constant, linear, faults = _scaled(model)
+    powers = np.eye(len(model.states) + 1)
+    empty = np.zeros((len(powers), 1))
+    unknowns = np.kron(np.hstack([powers, empty]), constant) + np.kron(np.hstack([empty, powers]), linear)
+    return _responses(unknowns, np.kron(powers, faults), faults)
+
+
+def _scaled(model: LinearModel) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """H0, H1 of H(s) = H0 + H1 s over the unknowns (states, others), and F, scaled.
+
+    Equations, units of the unknowns and unit of time are scaled so that the logarithms of all coefficients
+    are as near zero as can be in least squares (Curtis, Reid (1972), "On the automatic scaling of matrices
+    for Gaussian elimination"). Ranks stay as they are, but rounding no longer hides them, as it would with
+    an inertia of 1e-5 kg m².
+    """
+    constant = np.hstack([model.A, model.B])
+    linear = np.hstack([model.E, np.zeros_like(model.B)])
+    equations, unknowns = constant.shape
+    power, row, column = np.nonzero(np.stack([constant, linear]))
+    count = np.arange(len(row))
+    logarithms = np.zeros((len(row), equations + unknowns + 1))
+    logarithms[count, row] = logarithms[count, equations + column] = 1.0
+    logarithms[:, -1] = power
+    size = np.log(np.abs(np.stack([constant, linear])[power, row, column]))
+    scale = np.exp(-np.linalg.lstsq(logarithms, size, rcond=None)[0])
+    factor = np.outer(scale[:equations], scale[equations:-1])
+    return constant * factor, linear * factor * scale[-1], np.where(model.F != 0.0, 1.0, 0.0)
+
+
+def _responses(
+    unknowns: NDArray[Any], blocks: NDArray[Any], faults: NDArray[np.float64]
+) -> tuple[Mask, Mask]:
+    """Whether rows N with N unknowns = 0, and for isolability N blocks_j = 0, respond to each fault.
+
+    The response is that of the first entries of N, as many as ``faults`` has rows. Every ``n``-th column of
+    ``blocks`` belongs to one of the n faults.
+    """
+    equations, count = faults.shape
+
+    def responds(blind_to: NDArray[Any]) -> Mask:
+        # N is a row, its transpose in the null space; the conjugate matters for a complex s only
+        basis = null_space(blind_to.T, rcond=RANK_TOLERANCE)[:equations]
+        return np.linalg.norm(basis.T @ faults, axis=0) > RESPONSE_TOLERANCE
+
+    detectable = responds(unknowns)
+    told_apart = [responds(np.hstack([unknowns, blocks[:, j::count]])) for j in range(count)]
+    return detectable, np.stack(told_apart, axis=1)

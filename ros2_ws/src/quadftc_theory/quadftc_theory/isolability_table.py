@@ -1,0 +1,94 @@
+"""The isolability matrix on the screen: a table, and what it says in lines."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from quadftc_theory.isolability import IsolabilityResult
+
+LASTING, CHANGING, NEVER, CANCELLED, ITSELF = "●", "○", "·", "!", ""
+
+LEGEND = (
+    f"{LASTING} also while the fault is constant   {CHANGING} only while it changes   {NEVER} never   "
+    f"{CANCELLED} by structure, but this vehicle's coefficients cancel"
+)
+
+_WORDS = {
+    "motion": {"hover": "in hover", "turn": "in a steady turn"},
+    "actuators": {
+        "axes": "torques commanded",
+        "rotors": "rotors commanded",
+        "unknown": "torques not known",
+    },
+    "disturbances": {
+        "faults": "disturbances to be told apart too",
+        "unknown_inputs": "blind to disturbances",
+        "absent": "no disturbances",
+    },
+    "air": {"still": "still air", "wind": "unknown wind", "no_drag": "no drag"},
+}
+
+
+def isolability_table(result: IsolabilityResult) -> Table:
+    """Table with a row for each fault: whether it is seen, and told apart from the fault of each column.
+
+    Columns carry the numbers of the rows, so that 16 faults fit on a screen of 80 characters. The marks are
+    those of `LEGEND`.
+    """
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=0)
+    table.add_column("", justify="right", no_wrap=True)
+    table.add_column("fault", no_wrap=True)
+    table.add_column("seen", justify="center", no_wrap=True)
+    for number in range(1, len(result.faults) + 1):
+        table.add_column(str(number), justify="right", no_wrap=True)
+    for row, fault in enumerate(result.faults):
+        seen = _mark(
+            bool(result.detectable[row]),
+            bool(result.rank_detectable[row]),
+            bool(result.strongly_detectable[row]),
+        )
+        told_apart = [
+            ITSELF
+            if column == row
+            else _mark(
+                bool(result.isolable[row, column]),
+                bool(result.rank_isolable[row, column]),
+                bool(result.strongly_isolable[row, column]),
+            )
+            for column in range(len(result.faults))
+        ]
+        table.add_row(str(row + 1), fault, seen, *told_apart)
+    return table
+
+
+def isolability_lines(result: IsolabilityResult) -> list[str]:
+    """What was assumed, and what the matrix says, in lines of plain text."""
+    assumed = [words[result.assumptions[key]] for key, words in _WORDS.items() if key in result.assumptions]
+    lines = [f"{result.name}: {', '.join([*assumed, f'{result.causality} causality'])}"]
+    for meaning, items in (
+        ("cannot be detected", result.undetectable),
+        ("detected only while they change", result.transient),
+        ("cannot be told apart", [" / ".join(group) for group in result.groups]),
+        ("told apart by structure only, coefficients cancel", _pairs(result.cancelled)),
+    ):
+        if items:
+            lines.append(f"{meaning}: {', '.join(items)}")
+    if not result.undetectable and not result.groups:
+        lines.append("every fault can be told apart from every other")
+    return lines
+
+
+def _mark(structure: bool, rank: bool, strong: bool) -> str:
+    if not structure:
+        return NEVER
+    if not rank:
+        return CANCELLED
+    return LASTING if strong else CHANGING
+
+
+def _pairs(pairs: Sequence[tuple[str, str]]) -> list[str]:
+    """Each pair once, whichever way round it comes."""
+    return [f"{first} / {second}" for first, second in dict.fromkeys(tuple(sorted(pair)) for pair in pairs)]

@@ -1,0 +1,1 @@
+"""Tools beside the product, run from a clone: benchmarks, long tests of the software, studies."""

@@ -1,0 +1,175 @@
+# pyright: basic
+"""``scripts/soak PART``: each part injects one kind of fault into the software, many times.
+
+Exit codes as of ``quadftc``: 1 if what was required did not hold in some trial. A new part is a module with
+what it does and how it shows it, and a function here.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+os.environ.setdefault("ROS_DOMAIN_ID", str(81 + os.getpid() % 21))  # away from those of the tests, and from 0
+
+from quadftc_cli.commands import CHECK_FAILED, GOOD
+from quadftc_cli.main import guarded
+from quadftc_cli.tables import console
+
+app = typer.Typer(
+    add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
+)
+
+TrialsOption = Annotated[int, typer.Option(min=1, help="How many.")]
+SeedOption = Annotated[int, typer.Option(help="Of the random times.")]
+OutOption = Annotated[Path | None, typer.Option(metavar="FILE.json", help="Write every trial there.")]
+
+
+@app.callback()
+def _root() -> None:
+    """Long tests of the software itself: one fault, injected many times, and the worst that came of it."""
+
+
+@app.command()
+def recorder(trials: TrialsOption = 50, seed: SeedOption = 1, out: OutOption = None) -> None:
+    """Kill recorders at random times; repair their bags; tell how much was lost."""
+    from quadftc_tools.soak.recorder_trial import KILLED
+
+    _hit_recorders(KILLED, trials, seed, out)
+
+
+@app.command()
+def disk(trials: TrialsOption = 20, seed: SeedOption = 1, out: OutOption = None) -> None:
+    """Let disks be full at random times of flights, which are to go on; repair the bags."""
+    from quadftc_tools.soak.recorder_trial import DISK_FULL
+
+    _hit_recorders(DISK_FULL, trials, seed, out)
+
+
+@app.command()
+def fuzz(
+    minutes: Annotated[float, typer.Option(min=0.0, help="How long.")] = 10.0,
+    seed: Annotated[int, typer.Option(help="Of the inputs.")] = 1,
+    target: Annotated[list[str], typer.Option(help="Only this; may be repeated.")] = [],  # noqa: B006
+    crashes: Annotated[
+        Path, typer.Option(metavar="DIR", help="Inputs that were answered wrongly; tried again first.")
+    ] = Path("results/fuzz"),
+    out: OutOption = None,
+) -> None:
+    """Feed every command and file bad input; keep what is not answered in a line and an exit code."""
+    from quadftc_tools.soak import fuzz as part
+    from quadftc_tools.soak.fuzz_targets import TARGETS
+
+    for name in target:
+        if name not in TARGETS:
+            raise ValueError(f"--target: no '{name}'; there are: {', '.join(TARGETS)}")
+    screen = console()
+    found = part.Fuzzing(
+        crashes.resolve(),
+        target or list(TARGETS),
+        seed,
+        lambda line: screen.print(line, markup=False, soft_wrap=True),
+    )
+    done = found.run(60.0 * minutes)
+    screen.print(part.table(done))
+    _finish(part.summary(done, seed, minutes), done, out)
+
+
+@app.command()
+def nodes(
+    trials: TrialsOption = 51,
+    seed: SeedOption = 1,
+    only: Annotated[str, typer.Option(help="Only what has this in its name: node, action, stress.")] = "",
+    keep: Annotated[Path | None, typer.Option(metavar="DIR", help="Keep bags of flights gone wrong.")] = None,
+    out: OutOption = None,
+) -> None:
+    """Kill, stop and slow nodes in flight, lose and delay messages; tell how the vehicle took it."""
+    from quadftc_tools.soak import nodes as part
+
+    screen = console()
+
+    def follow(trial: part.Trial) -> None:
+        screen.print(
+            f"{trial.node} {trial.action} during {trial.stress}: off by {trial.largest:.2f} deg, away"
+            f" {trial.away:.1f} s, back within {trial.returned:.2f} s, torque jumped by"
+            f" {100.0 * trial.jump:.1f} %: {'void: ' * trial.void}{trial.wrong or 'good'}",
+            markup=False,
+            soft_wrap=True,
+        )
+
+    done = part.soak(trials, seed, only, keep, follow)
+    screen.print(part.table(done))
+    _finish(part.summary(done, seed), done, out)
+
+
+@app.command()
+def endurance(
+    mode: Annotated[str, typer.Option(help="lockstep or realtime.")] = "lockstep",
+    graph: Annotated[str, typer.Option(help="composed or processes.")] = "composed",
+    minutes: Annotated[float, typer.Option(min=0.1, help="How long.")] = 60.0,
+    rate: Annotated[float, typer.Option(min=10.0, help="Of the control [Hz].")] = 250.0,
+    length: Annotated[
+        float, typer.Option(min=10.0, help="Of a flight [s]; as many follow each other as fit.")
+    ] = 600.0,
+    out: OutOption = None,
+) -> None:
+    """Fly for long; tell whether memory, open files or the rate drift."""
+    from quadftc_flight.runs import GRAPHS
+    from quadftc_ros.node import MODES
+    from quadftc_tools.soak import endurance as part
+
+    for name, value, known in (("mode", mode, MODES), ("graph", graph, GRAPHS)):
+        if value not in known:
+            raise ValueError(f"--{name}: no '{value}'; there are: {', '.join(known)}")
+    screen = console()
+    flown, grown = part.soak(
+        *(mode, graph, rate, length, minutes), lambda line: screen.print(line, markup=False, soft_wrap=True)
+    )
+    screen.print(part.table(grown))
+    _finish(part.summary(mode, graph, rate, flown, grown), flown, out)
+
+
+def _hit_recorders(hit: str, trials: int, seed: int, out: Path | None) -> None:
+    from quadftc_tools.soak import recorder as part
+    from quadftc_tools.soak.recorder_trial import Trial
+
+    screen = console()
+
+    def follow(trial: Trial) -> None:
+        verdict = trial.wrong or ("good" if part.passed(trial) else "too much is lost")
+        screen.print(
+            f"{trial.form}: {hit} after {trial.after:.2f} s, lost {trial.lost:.3f} s"
+            f" ({trial.lost_stamps:.3f} s of stamps), {trial.messages} messages read: {verdict}",
+            markup=False,
+            soft_wrap=True,
+        )
+
+    done = part.soak(hit, trials, seed, follow)
+    screen.print(part.table(hit, done))
+    _finish(part.summary(hit, done, seed), done, out)
+
+
+def _finish(summary: dict[str, Any], trials: Sequence[Any], out: Path | None) -> None:
+    """Write the results if asked to, and end with the exit code."""
+    if out is not None:
+        rows = {**summary, "each": [dataclasses.asdict(trial) for trial in trials]}
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(json.dumps(rows, indent=2) + "\n", encoding="utf-8")
+    raise typer.Exit(GOOD if summary["passed"] else CHECK_FAILED)
+
+
+def main() -> None:
+    """Run the command; turn every error into a line and an exit code."""
+    sys.exit(guarded(app, sys.argv[1:]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,103 @@
+# pyright: basic
+"""Flies again and again, in one process; tells on stdout how far it is, one JSON object a line.
+
+``python3 -m quadftc_tools.soak.endurance_flight MODE GRAPH RATE LENGTH MINUTES FOLDER``. Every flight is
+recorded to ``FOLDER/NUMBER``; in lock-step the time may cut the last.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+from quadftc_flight.graph.plan import GraphPlan
+from quadftc_flight.runs import GRAPHS
+from quadftc_flight.scenario import Scenario, node_parameters, parse_scenario
+from quadftc_ros.scheduling import ORDINARY
+from quadftc_tools.soak.node_flight import best_scheduling
+
+TOLD_EVERY = 5.0  # s
+CYCLE, REST = 60.0, 5.0  # s; in each of which both faults act and end, once the gyro bias is learned
+
+BASE = """
+name: soak_endurance
+description: Long flights with a sensor fault and a disturbance in every minute
+vehicle: qball_x4
+sensors: {grade: mems}
+references:
+  - {kind: sine, amplitude: [3 deg, 2 deg, 5 deg], frequency: [0.7 rad/s, 0.9 rad/s, 0.5 rad/s]}
+schemes:
+  supervised: {observer: supervised, disturbance_observer: exosystem, controller: ismc}
+"""
+
+
+def scenario_of(rate: float, length: float, seed: int) -> Scenario:
+    """Flight of a length [s] at a rate [Hz]."""
+    lines = [BASE, f"rate: {rate:g} Hz", f"duration: {length:g} s", f"seed: {seed}"]
+    faults, disturbances = [], []
+    for cycle in range(int(length // CYCLE)):
+        begin = REST + CYCLE * cycle
+        faults += [
+            f"  - {{kind: bias, channel: attitude, axes: roll, value: 2 deg, start: {begin + 5.0:g} s,"
+            f" stop: {begin + 25.0:g} s}}",
+            f"  - {{kind: bias, channel: attitude, axes: pitch, value: -3 deg, start: {begin + 10.0:g} s,"
+            f" stop: {begin + 30.0:g} s}}",
+        ]
+        disturbances.append(
+            f"  - {{kind: constant, amplitude: [0.05 N m, 0.04 N m, 0.015 N m], start: {begin + 35.0:g} s,"
+            f" stop: {begin + 50.0:g} s}}"
+        )
+    lines += ["faults:", *faults] if faults else ["faults: []"]
+    lines += ["disturbances:", *disturbances] if disturbances else ["disturbances: []"]
+    return parse_scenario("\n".join(lines) + "\n")
+
+
+def fly(mode: str, kind: str, rate: float, length: float, minutes: float, folder: Path) -> None:
+    """Fly until the time is over; a flight in real time to its end."""
+    end = time.monotonic() + 60.0 * minutes
+    scheduling = best_scheduling() if mode == "realtime" else ORDINARY
+    number = 0
+    while time.monotonic() < end:
+        number += 1
+        parameters = node_parameters(scenario_of(rate, length, number))
+        plan = GraphPlan(parameters, mode, bag=folder / str(number), scheduling=scheduling)
+        told = 0.0
+        _tell(flight=number)
+
+        def follow(samples: int) -> bool:
+            nonlocal told
+            now = time.monotonic()
+            if now - told >= TOLD_EVERY:
+                told = now
+                _tell(samples=samples)
+            return mode == "realtime" or now < end
+
+        with GRAPHS[kind](plan) as graph:
+            wall = graph.run(follow)
+            recorder = graph.recorder
+            assert recorder is not None
+            status = recorder.finish()
+        cut = mode == "lockstep" and time.monotonic() >= end
+        _tell(
+            flown=number,
+            wall_s=wall,
+            cut=cut,
+            dropped=sum(status.dropped.values()) + status.lost,
+        )
+
+
+def _tell(**what: object) -> None:
+    sys.stdout.write(json.dumps(what) + "\n")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    """Fly as the arguments say."""
+    mode, kind, rate, length, minutes, folder = sys.argv[1:]
+    fly(mode, kind, float(rate), float(length), float(minutes), Path(folder))
+
+
+if __name__ == "__main__":
+    main()

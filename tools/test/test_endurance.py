@@ -1,0 +1,53 @@
+"""Long flights: a process that grows is found out, and the flights are whole."""
+
+import subprocess
+import sys
+import time
+
+import pytest
+
+from quadftc_flight.scenario import ScenarioError
+from quadftc_tools.soak import endurance
+from quadftc_tools.soak.endurance import Looks, soak, summary
+
+GROWING = """
+import time
+kept, files = [], []
+while True:
+    kept.append(bytearray(200_000))
+    files.append(open("/dev/null"))
+    time.sleep(0.01)
+"""
+RESTING = "import time; time.sleep(60)"
+
+
+@pytest.mark.parametrize(("program", "grows"), [(GROWING, True), (RESTING, False)])
+def test_process_that_grows_is_found_out(program, grows):
+    with subprocess.Popen([sys.executable, "-c", program]) as process:
+        try:
+            looks = Looks(process.pid)
+            for _ in range(20):
+                time.sleep(0.05)
+                looks.look()
+        finally:
+            process.kill()
+    (found,) = looks.growth()
+    assert found.name == "graph"
+    assert (found.slope > 1000.0) == grows  # MB/h
+    assert (found.files_slope > 1000.0) == grows
+
+
+def test_flights_follow_each_other_and_are_judged(monkeypatch):
+    monkeypatch.setattr(endurance, "LOOK", 0.1)
+    lines = []
+    flown, grown = soak("lockstep", "composed", 100.0, 10.0, 0.15, lines.append)
+    assert len(flown) == len(lines) >= 1
+    assert all((each.samples, each.missing) == (999, 0) and 0.0 < each.largest < 5.0 for each in flown)
+    assert {each.name for each in grown} >= {"graph"}
+    found = summary("lockstep", "composed", 100.0, flown, grown)
+    assert (found["flights"], found["missing"]) == (len(flown), 0)
+
+
+def test_flights_that_cannot_be_are_refused():
+    with pytest.raises(ScenarioError, match="rate"):
+        soak("lockstep", "composed", 1e9, 10.0, 0.1, print)

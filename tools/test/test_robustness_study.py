@@ -1,0 +1,141 @@
+"""The studies of robustness: numbers worked out by hand on a table that is made up; their campaigns load."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from quadftc_campaign.campaign_file import load_campaign
+from quadftc_campaign.flights import flight
+from quadftc_model.samples import AXES
+from quadftc_tools.robustness_study.cells import faults_of, typical
+from quadftc_tools.robustness_study.command import publish
+from quadftc_tools.robustness_study.studies import SIZED, SIZES, STUDIES, VARIANTS
+from quadftc_tools.robustness_study.tables import size_tables, study_tables
+
+ROOT = Path(__file__).resolve().parents[4]
+OBSERVERS = {"proposed": "sliding_mode", "supervised": "supervised", "conventional": "none"}
+
+
+def rows(flight_number, variant, error, **values):
+    """Three faults of a flight, one of each kind; the worst axis is yaw."""
+    common = {"flight": flight_number, "variant": variant, "observer": OBSERVERS[variant], "finite": True}
+    common["disturbance_observer"] = "none" if variant == "conventional" else "exosystem"
+    for name in ("tracking_rmse_deg", "fault_estimate_rmse_deg", "disturbance_estimate_rmse"):
+        common |= {f"{name}.{axis}": error * share for axis, share in zip(AXES, (0.1, 0.5, 1.0), strict=True)}
+    common |= {f"torque_total_variation.{axis}": 1.0 for axis in AXES}
+    common |= {f"tracking_max_deg.{axis}": 2.0 * error for axis in AXES}
+    common |= {f"false_alarms.{axis}": 0.0 for axis in AXES}
+    common |= {f"healthy_estimate_max_deg.{axis}": 0.1 for axis in AXES}
+    for number, kind in enumerate(("step", "sine", "ramp")):
+        fault = {"fault": number, "fault.kind": kind, "fault.detected": True, "fault.detection_delay_s": 0.1}
+        fault |= {"fault.above_threshold_delay_s": 0.2, "fault.estimate_rmse_deg": error}
+        yield common | fault | {"fault.tracking_rmse_deg": 2.0 * error} | values
+
+
+def table(count=21, **values):
+    return [
+        row
+        for number in range(count)
+        for variant in OBSERVERS
+        for row in rows(number, variant, 0.1 * (number + 1), **values)
+    ]
+
+
+def of(frame, variant):
+    return frame.filter(pl.col("variant") == variant)
+
+
+def test_worst_axis_of_each_flight_is_taken_median_and_95_percent():
+    frame = of(pl.DataFrame(table()), "supervised")
+    assert typical(frame, "tracking_rmse_deg") == pytest.approx((1.1, 2.0))
+
+
+def test_a_vehicle_that_is_lost_is_worse_than_any_number():
+    frame = pl.DataFrame(table(3))
+    lost = frame.with_columns(
+        pl.when(pl.col("flight") == 0).then(91.0).otherwise(1.0).alias("tracking_max_deg.roll")
+    )
+    assert typical(of(lost, "supervised"), "tracking_rmse_deg") == (pytest.approx(0.3), math.inf)
+
+
+def test_what_nothing_estimates_has_no_error():
+    frame = of(pl.DataFrame(table()), "conventional")
+    assert typical(frame, "fault_estimate_rmse_deg") is None
+    assert typical(frame, "disturbance_estimate_rmse") is None
+    assert faults_of(frame) is None
+
+
+def test_faults_without_a_delay_are_missed_and_alarms_are_counted_by_flight():
+    frame = pl.DataFrame(table(4)).with_columns(
+        pl.when(pl.col("fault") == 0).then(None).otherwise(0.1).alias("fault.detection_delay_s"),
+        pl.when(pl.col("flight") == 1).then(2.0).otherwise(0.0).alias("false_alarms.yaw"),
+        pl.when(pl.col("flight") < 2).then(5.0).otherwise(0.1).alias("healthy_estimate_max_deg.roll"),
+    )
+    assert faults_of(of(frame, "supervised")) == pytest.approx((1 / 3, 0.25))
+    assert faults_of(of(frame, "proposed")) == pytest.approx((0.0, 0.5))  # by the size of its estimate
+
+
+def test_tables_have_a_row_for_each_cell_and_grade():
+    study = STUDIES[0]
+    frame = pl.DataFrame(
+        [
+            row
+            for grade in ("mems", "ideal")
+            for value in (1.3, 0.7)
+            for row in table(3, **{study.path: value, "sensors.grade": grade})
+        ]
+    )
+    lines = study_tables(study, frame)["inertia-tracking"].splitlines()
+    assert [line.split(" | ")[0] for line in lines[2:]] == [
+        "| ideal sensors, 0.7",
+        "| ideal sensors, 1.3",
+        "| MEMS IMU, 0.7",
+        "| MEMS IMU, 1.3",
+    ]
+    assert lines[2].endswith("| 0.20 / 0.30 | 0.20 / 0.30 | 0.20 / 0.30 |")
+
+
+def test_document_gets_its_tables_and_figures(tmp_path):
+    draw = np.random.default_rng(0)
+    frames = {
+        study.name: pl.DataFrame([row for value in (1.0, 2.0) for row in table(3, **{study.path: value})])
+        for study in STUDIES
+    }
+    sizes = {
+        sized.path: draw.choice([-1.0, 1.0], 99 * 9) * draw.uniform(sized.edges[0], sized.edges[-1], 99 * 9)
+        for sized in SIZED
+    }
+    frames[SIZES] = pl.DataFrame(table(99)).with_columns(
+        pl.Series(name, each) for name, each in sizes.items()
+    )
+    tables = size_tables(frames[SIZES])
+    for study in STUDIES:
+        tables |= study_tables(study, frames[study.name])
+    marks = [f"<!-- table: {name} -->\n<!-- end -->\n" for name in tables]
+    (tmp_path / "robustness.md").write_text("".join(marks))
+    files = publish(frames, tmp_path)
+    text = (tmp_path / "robustness.md").read_text()
+    assert all(made in text for made in tables.values())
+    assert len(files) == 2 + len(STUDIES)
+    assert all(path.stat().st_size > 0 for path in files)
+
+
+@pytest.mark.parametrize("name", [*(study.name for study in STUDIES), SIZES])
+def test_campaigns_of_the_studies_vary_what_the_tables_show(name):
+    campaign = load_campaign(ROOT / "campaigns" / f"study_{name}.yaml")
+    assert campaign.name == f"study_{name}"
+    assert tuple(variant.name for variant in campaign.variants) == VARIANTS
+    shown = [study.path for study in STUDIES if study.name == name] or [sized.path for sized in SIZED]
+    assert set(shown) <= set(campaign.vary)
+    for variant in campaign.variants:
+        assert len(flight(campaign, 0, variant).events) == 3
+
+
+def test_document_has_a_place_for_every_table():
+    text = (ROOT / "docs" / "robustness.md").read_text(encoding="utf-8")
+    keys = [f"{study.name}-{shown.key}" for study in STUDIES for shown in study.shown]
+    keys += [*(f"{study.name}-faults" for study in STUDIES), f"{SIZES}-estimate", f"{SIZES}-missed"]
+    assert [key for key in keys if f"<!-- table: {key} -->" not in text] == []
