@@ -40,7 +40,7 @@ def fly_graph(tmp_path_factory):
 @pytest.fixture(scope="session")
 def replay_run(tmp_path_factory):
     """Replay a run, with a fault overlaid; return the directory of the replay."""
-    from quadftc_replay import ReplayOptions
+    from quadftc_replay.plan import ReplayOptions
     from quadftc_replay.ros_output import replay
 
     def replayed(run, fault, **options):
