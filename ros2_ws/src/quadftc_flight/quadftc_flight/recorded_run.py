@@ -18,11 +18,18 @@ from quadftc_bags.bag import Bag, BagError, read_bag
 from quadftc_flight.diagnosis_metrics import FaultEvent
 from quadftc_flight.flight import Flight, flight_from_bag
 from quadftc_flight.recorded import Recorded, topics_text, versions_of, without_messages
-from quadftc_flight.run_origin import SCENARIO, SUMMARY, attached_text, beside, read_origin, run_name
+from quadftc_flight.run_origin import (
+    SCENARIO,
+    SUMMARY,
+    attached_text,
+    beside,
+    is_replay,
+    read_origin,
+    run_name,
+)
 from quadftc_flight.scenario import Fault, Part, Scenario, Scheme
 from quadftc_flight.stored_summary import partial_summary, read_summary, whole_summary
 from quadftc_flight.summary import summary
-from quadftc_replay.replay_origin import is_replay
 
 NEEDED = ("imu/data", "plant/attitude", "attitude/reference")  # topics; without one there is nothing to say
 WANTED = (

@@ -62,6 +62,11 @@ def attached_text(bag: Bag, name: str) -> str | None:
         raise BagError(f"{bag.path}: {name} cannot be read: {error}") from None
 
 
+def is_replay(bag: Bag) -> bool:
+    """Whether a bag, or a file beside it, says that it is a replay of a recording, not a flight."""
+    return attached_text(bag, DESCRIPTION) is not None
+
+
 def read_origin(bag: Bag, stored: Mapping[str, Any]) -> Origin:
     """Find out what was flown; parameters that are lost are compiled from the scenario, with a warning.
 

@@ -100,11 +100,6 @@ class _Description(_Shape):
     fault_events: list[_Event]
 
 
-def is_replay(bag: Bag) -> bool:
-    """Whether a bag, or a file beside it, says that it is a replay."""
-    return attached_text(bag, DESCRIPTION) is not None
-
-
 def read_replay_origin(bag: Bag) -> ReplayOrigin:
     """Read what was replayed.
 

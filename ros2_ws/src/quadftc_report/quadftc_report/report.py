@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, TypeVar
 
 from quadftc_bags.bag import read_bag
 from quadftc_flight.recorded_run import RecordedRun, find_runs, run_from_bag
+from quadftc_flight.run_origin import is_replay
 from quadftc_replay.recorded_replay import RecordedReplay, replay_from_bag
-from quadftc_replay.replay_origin import is_replay
 
 if TYPE_CHECKING:
     from quadftc_report.drawing import Drawing
