@@ -85,8 +85,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture
 def bench() -> Iterator[Any]:
-    """A bench for nodes in real time, see `quadftc_ros.testing`."""
-    from quadftc_ros.testing import NodeBench
+    """A bench for nodes in real time, see `node_bench`."""
+    from node_bench import NodeBench
 
     with NodeBench("realtime") as made:
         yield made
@@ -95,7 +95,7 @@ def bench() -> Iterator[Any]:
 @pytest.fixture
 def lockstep_bench() -> Iterator[Any]:
     """A bench for nodes in lock-step."""
-    from quadftc_ros.testing import NodeBench
+    from node_bench import NodeBench
 
     with NodeBench("lockstep") as made:
         yield made

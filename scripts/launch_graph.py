@@ -59,7 +59,7 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser.add_argument(
         "--wait", choices=("sleep", "poll"), default="sleep", help="between samples; poll takes a whole core"
     )
-    parser.add_argument("--realtime-priority", type=int, default=0, help="of SCHED_FIFO, if permitted")
+    parser.add_argument("--realtime-priority", type=int, default=0, help="of SCHED_RR, if permitted")
     parser.add_argument("--core", type=int, action="append", default=[], help="processor core to run on")
     return parser.parse_args(arguments)
 

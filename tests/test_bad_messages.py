@@ -19,6 +19,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from node_bench import imu_message
 from quadftc_bags.interfaces import load_message_class
 from quadftc_control.controller import controllers
 from quadftc_control.controller_node import ControllerNode
@@ -30,8 +31,11 @@ from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_msgs.srv import ClearFault, InjectFault
 from quadftc_ros.conversions import set_stamp, stamp_of
 from quadftc_ros.recorder_node import RecorderNode
-from quadftc_ros.testing import imu_message
-from quadftc_ros.testing_wired import (
+from quadftc_ros.topics import TOPICS
+from quadftc_sim.fault import faults
+from quadftc_sim.fault_injector_node import FaultInjectorNode
+from quadftc_sim.plant_node import PlantNode
+from wired_node import (
     NO_MESSAGES,
     PERIOD_NS,
     SPECIAL,
@@ -41,10 +45,6 @@ from quadftc_ros.testing_wired import (
     put_number,
     set_bad_stamp,
 )
-from quadftc_ros.topics import TOPICS
-from quadftc_sim.fault import faults
-from quadftc_sim.fault_injector_node import FaultInjectorNode
-from quadftc_sim.plant_node import PlantNode
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numbers that overflow on the way
 

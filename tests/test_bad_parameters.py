@@ -20,9 +20,9 @@ from quadftc_fdi.disturbance_observer import disturbance_observers
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_fdi.fault_observer_node import FaultObserverNode
-from quadftc_ros.testing_wired import Wired
 from quadftc_sim.fault_injector_node import FaultInjectorNode
 from quadftc_sim.plant_node import PlantNode
+from wired_node import Wired
 
 NODES = {
     "plant": (PlantNode, {"autostart": False}),

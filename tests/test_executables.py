@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from node_bench import NodeBench
 from quadftc_flight.graph.plan import EXECUTABLES
 from quadftc_flight.graph.processes import executable_path
-from quadftc_ros.testing import NodeBench
 from quadftc_ros.topics import TOPICS
 
 END = 30.0  # s; for a process to end on its own

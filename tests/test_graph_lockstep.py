@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from std_srvs.srv import Trigger
 
+from node_bench import NodeBench
 from quadftc_bags.bag import read_bag
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import Flight, flight_from_bag
 from quadftc_flight.graph.composed import ComposedGraph
 from quadftc_flight.graph.plan import GraphPlan
 from quadftc_flight.scenario import find_scenario, load_scenario, node_parameters, with_duration
-from quadftc_ros.testing import NodeBench
 
 # the step, the disturbance and the faults of a paper's scenario within the first seconds
 SOONER = (

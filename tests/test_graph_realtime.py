@@ -8,6 +8,7 @@ import signal
 import numpy as np
 import pytest
 
+from node_bench import NodeBench
 from quadftc_bags.bag import read_bag
 from quadftc_flight.graph.plan import GraphPlan
 from quadftc_flight.graph.processes import ProcessGraph
@@ -15,7 +16,6 @@ from quadftc_flight.scenario import find_scenario, load_scenario, node_parameter
 from quadftc_msgs.msg import ControlStatus
 from quadftc_msgs.srv import InjectFault
 from quadftc_ros.scheduling import Scheduling
-from quadftc_ros.testing import NodeBench
 
 DURATION = 2.0  # s
 RATE = 250  # Hz

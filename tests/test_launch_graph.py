@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pytest
 
+from node_bench import NodeBench
 from quadftc_bags.bag import read_bag
 from quadftc_flight.graph.plan import EXECUTABLES, GraphPlan, parameters_from_file
 from quadftc_flight.graph.processes import executable_path
 from quadftc_flight.scenario import load_scenario, node_parameters
-from quadftc_ros.testing import NodeBench
 
 SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "launch_graph.py"
 BUSY = Path(__file__).parent / "scenarios" / "busy.yaml"

@@ -11,12 +11,12 @@ import random
 
 import pytest
 
+from node_bench import NodeBench
 from quadftc_flight.graph.plan import GraphError
 from quadftc_flight.runs import RunOptions, run
 from quadftc_flight.scenario import find_scenario, load_scenario, with_duration
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.recorder_node import RecorderNode
-from quadftc_ros.testing import NodeBench
 from quadftc_tools.soak.command import app
 from quadftc_tools.soak.recorder import ALLOWED, passed
 from quadftc_tools.soak.recorder_trial import (

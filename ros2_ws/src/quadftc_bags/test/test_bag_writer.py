@@ -231,7 +231,7 @@ import json, resource, sys, time
 from pathlib import Path
 sys.path.insert(0, {here!r})
 from test_bag_writer import VECTOR, vector
-from quadftc_ros.{module} import {kind}
+from quadftc_bags.{module} import {kind}
 from rclpy.qos import QoSProfile
 errors = []
 resource.setrlimit(resource.RLIMIT_FSIZE, (700_000, 700_000))

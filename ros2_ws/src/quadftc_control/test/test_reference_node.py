@@ -7,9 +7,9 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
 
+from node_bench import imu_message, vector_message
 from quadftc_control.reference_node import ReferenceNode
 from quadftc_ros.conversions import reference_of, stamp_of
-from quadftc_ros.testing import imu_message, vector_message
 
 FIRST_NS = 1_000_000_000
 PERIOD_NS = 10_000_000

@@ -7,9 +7,9 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
 
+from node_bench import imu_message, vector_message
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_ros.conversions import stamp_of
-from quadftc_ros.testing import imu_message, vector_message
 
 FIRST_NS = 1_000_000_000
 PERIOD_NS = 4_000_000

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from node_bench import imu_message, vector_message
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.disturbance_observers.exosystem import Exosystem
 from quadftc_fdi.fault_observer import LastWords, fault_observers
@@ -22,7 +23,6 @@ from quadftc_model.stepper import Stepper
 from quadftc_model.vehicle import load_vehicle
 from quadftc_msgs.msg import FaultStatus
 from quadftc_ros.conversions import time_message
-from quadftc_ros.testing import imu_message, vector_message
 
 DEG = np.pi / 180.0
 DT, PERIOD_NS, FIRST_NS = 0.004, 4_000_000, 10_000_000_000

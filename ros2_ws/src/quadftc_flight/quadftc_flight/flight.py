@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_model.rotations import euler_from_quaternion
+from quadftc_model.samples import ABSENT
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 
 if TYPE_CHECKING:  # reading bags takes libraries that the closed loop does without
@@ -25,7 +26,6 @@ VECTORS = (
     *("disturbance_estimate", "torque", "error", "sliding_variable"),
 )  # columns of a flight with three numbers
 NO_STATE = 255  # fault state of a row without diagnosis
-ABSENT = -1.0  # element 0 of a covariance: the channel is not in this sample (REP-145)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

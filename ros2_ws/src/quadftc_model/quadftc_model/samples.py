@@ -18,6 +18,8 @@ MAX_BODY_RATE = 100.0  # rad/s, sum over the axes; MEMS gyros end at 70 (4000 de
 
 STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901
 
+ABSENT = -1.0  # element 0 of a covariance of sensor_msgs/Imu: the sample lacks this channel (REP-145)
+
 AXES = ("roll", "pitch", "yaw")  # of what has three elements in attitude
 
 STARTING, HEALTHY, SUSPECT, FAULTY, RECOVERING = range(5)  # fault states, as in quadftc_msgs/FaultStatus

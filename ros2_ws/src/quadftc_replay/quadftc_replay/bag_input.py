@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from quadftc_bags.bag import Bag, BagError, Series, TopicInfo
 from quadftc_bags.source import bag_topics, open_bag
 from quadftc_flight.run_origin import NO_PARAMETERS, PARAMETERS, attached_text, run_name
-from quadftc_model.samples import ImuSample
+from quadftc_model.samples import ABSENT, ImuSample
 from quadftc_replay.bag_truth import DROPPED, TRUTH, fault_windows, recorded_events, recorded_faults
 from quadftc_replay.recording import Passenger, Recording, cleaned, keep_good_stamps, torque_before
 
@@ -37,7 +37,6 @@ _FIELDS = {
     "body_rate": ("angular_velocity", "angular_velocity_covariance"),
     "specific_force": ("linear_acceleration", "linear_acceleration_covariance"),
 }
-_ABSENT = -1.0  # element 0 of a covariance: the channel is not in this sample (REP-145)
 
 
 def recording_from_bag(path: Path, topic: str = "", skip_backwards: bool = False) -> Recording:
@@ -124,7 +123,7 @@ def choose_imu(topics: Mapping[str, TopicInfo], wanted: str, path: Path) -> str:
 def _samples(series: Series, rows: NDArray[np.intp]) -> ImuSample:
     """Samples of IMU messages; absent channels are marked by covariance element 0 as REP-145 says."""
     values = {part: series[field][rows] for part, (field, _) in _FIELDS.items()}
-    valid = [series[covariance][rows, 0] != _ABSENT for _, covariance in _FIELDS.values()]
+    valid = [series[covariance][rows, 0] != ABSENT for _, covariance in _FIELDS.values()]
     return ImuSample(**values, attitude_valid=valid[0], rate_valid=valid[1], force_valid=valid[2])
 
 

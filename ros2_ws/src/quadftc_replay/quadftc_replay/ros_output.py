@@ -37,14 +37,14 @@ from quadftc_bags.cdr_padding import PaddingCleaner
 from quadftc_bags.interfaces import load_interface
 from quadftc_flight.run_origin import DESCRIPTION, PARAMETERS, SUMMARY
 from quadftc_flight.runs import RunError, prepare
-from quadftc_model.samples import ImuSample
+from quadftc_model.samples import ABSENT, ImuSample
 from quadftc_msgs.msg import FaultStatus
 from quadftc_replay.bag_truth import DROPPED, TRUTH
 from quadftc_replay.diagnose import Diagnosed, true_fault
 from quadftc_replay.plan import YAML_WIDTH, Replay, ReplayOptions, plan_replay
 from quadftc_replay.recording import Passenger, Stamps
 from quadftc_replay.results import replay_events, replay_windows, truth_text
-from quadftc_ros.conversions import ABSENT, NANOSECONDS, ImuWriter, VectorWriter
+from quadftc_ros.conversions import NANOSECONDS, ImuWriter, VectorWriter
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.recorder_node import versions
 from quadftc_ros.topics import EARTH_FRAME, HEADER, IMU_FRAME, TOPICS

@@ -13,6 +13,7 @@ from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
 from quadftc_model.samples import (
+    ABSENT,
     ALARMS,
     FAULTY,
     AttitudeReference,
@@ -30,7 +31,6 @@ ABSURD = 1e6  # in rad, rad/s, rad/s², N m and m/s² alike: no number that can 
 PLAIN = (b"\x00\x00", b"\x00\x01")  # encapsulation of plain CDR, big and little endian
 STAMP_END = 12  # bytes; of a serialised message, behind encapsulation and stamp: the length of frame_id
 FRAME = 16  # where frame_id begins
-ABSENT = -1.0  # element 0 of a covariance: the channel is not in this sample (REP-145)
 
 Floats = NDArray[np.float64]
 

@@ -16,11 +16,17 @@ from geometry_msgs.msg import Vector3Stamped
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu
 
-from quadftc_model.samples import AttitudeReference, ControllerOutput, FaultEstimate, ImuSample, level_sample
+from quadftc_model.samples import (
+    ABSENT,
+    AttitudeReference,
+    ControllerOutput,
+    FaultEstimate,
+    ImuSample,
+    level_sample,
+)
 from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
 from quadftc_msgs.msg import FaultStatus
 from quadftc_ros.conversions import (
-    ABSENT,
     FRAME,
     NANOSECONDS,
     PLAIN,

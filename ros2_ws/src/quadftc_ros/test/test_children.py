@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from node_bench import PATIENCE
 from quadftc_ros.children import Children
-from quadftc_ros.testing import PATIENCE
 
 # says that it runs by making a file, after being deaf for a moment as one that is still importing
 GOOD = """

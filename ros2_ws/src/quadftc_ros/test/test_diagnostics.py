@@ -4,10 +4,10 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 
+from node_bench import NodeBench
 from quadftc_ros.conversions import stamp_of
 from quadftc_ros.diagnostics import OK, WARN, Diagnostics
 from quadftc_ros.qos import topic_profile
-from quadftc_ros.testing import NodeBench
 
 SECOND = 1_000_000_000  # ns
 PERIOD = SECOND // 100

@@ -9,8 +9,8 @@ import time
 import pytest
 from rclpy.executors import SingleThreadedExecutor
 
+from node_bench import PATIENCE
 from quadftc_ros.executor import LAUNCHER, Pace, StopSignals, make_executor
-from quadftc_ros.testing import PATIENCE
 
 NODE = """
 import sys, time

@@ -6,10 +6,10 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
 
+from node_bench import NodeBench, imu_message, vector_message
 from quadftc_ros.connections import crowded_topics, missing_connections
 from quadftc_ros.conversions import stamp_of
 from quadftc_ros.node import GraphNode
-from quadftc_ros.testing import NodeBench, imu_message, vector_message
 from quadftc_ros.topics import TOPICS
 from quadftc_ros.wire import vector_of
 

@@ -8,9 +8,9 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
 
+from node_bench import imu_message
 from quadftc_msgs.srv import ClearFault, InjectFault
 from quadftc_ros.conversions import imu_sample, stamp_of
-from quadftc_ros.testing import imu_message
 from quadftc_sim.fault_injector_node import FaultInjectorNode
 
 FIRST_NS = 1_000_000_000

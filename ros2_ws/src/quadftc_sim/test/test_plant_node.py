@@ -10,8 +10,8 @@ from rclpy.qos import ReliabilityPolicy
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from node_bench import vector_message
 from quadftc_ros.conversions import stamp_of, time_message
-from quadftc_ros.testing import vector_message
 from quadftc_sim.plant_flight import NEVER_NS
 from quadftc_sim.plant_node import PlantNode
 

@@ -67,7 +67,7 @@ WaitOption = Annotated[
 PriorityOption = Annotated[
     int,
     typer.Option(
-        "--realtime-priority", metavar="1-99", help="Real time: priority of SCHED_FIFO, if permitted."
+        "--realtime-priority", metavar="1-99", help="Real time: priority of SCHED_RR, if permitted."
     ),
 ]
 CoreOption = Annotated[list[int], typer.Option(help="Real time: processor core to run on; may be repeated.")]
