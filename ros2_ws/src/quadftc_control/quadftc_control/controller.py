@@ -12,7 +12,6 @@ from quadftc_model.registry import Registry
 from quadftc_model.rotors import attainable
 from quadftc_model.samples import ControllerInputs, ControllerOutput
 from quadftc_model.vehicle import Vehicle
-from quadftc_theory.conditions import Circumstances, Condition, Trace, unknown_theory
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -42,14 +41,6 @@ class Controller(abc.ABC):
         Continuous in ``missing``, and with 0 this law. By default it is this law always.
         """
         return self
-
-    def conditions(self, given: Circumstances) -> list[Condition]:
-        """Judge what the controller's theory asks for."""
-        return unknown_theory(type(self).__name__)
-
-    def conditions_along(self, trace: Trace, given: Circumstances) -> list[Condition]:
-        """Judge the controller's Lyapunov function along a recorded run; none by default."""
-        return []
 
 
 def limited(vehicle: Vehicle, torque: Array) -> tuple[Array, Array]:

@@ -11,7 +11,6 @@ from quadftc_model.parameters import check
 from quadftc_model.registry import Registry
 from quadftc_model.samples import DisturbanceObserverInputs
 from quadftc_model.vehicle import Vehicle
-from quadftc_theory.conditions import Circumstances, Condition, unknown_theory
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -38,10 +37,6 @@ class DisturbanceObserver(abc.ABC):
     @abc.abstractmethod
     def step(self, state: Any, inputs: DisturbanceObserverInputs, dt: float) -> tuple[Any, Array]:
         """Advance by ``dt`` [s] to a sample (0 at the first one); return the estimate (..., 3) [rad/s²]."""
-
-    def conditions(self, given: Circumstances) -> list[Condition]:
-        """Judge what the observer's theory asks for."""
-        return unknown_theory(type(self).__name__)
 
 
 disturbance_observers: Registry[Any] = Registry(

@@ -12,7 +12,6 @@ from quadftc_model.registry import Registry
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs
 from quadftc_model.vehicle import Vehicle
-from quadftc_theory.conditions import Circumstances, Condition, Trace, unknown_theory
 
 
 class LastWords(NamedTuple):
@@ -54,14 +53,6 @@ class FaultObserver(abc.ABC):
     @abc.abstractmethod
     def step(self, state: Any, inputs: FaultObserverInputs, dt: float) -> tuple[Any, FaultEstimate]:
         """Advance by ``dt`` [s] to a sample; 0 at the first one."""
-
-    def conditions(self, given: Circumstances) -> list[Condition]:
-        """Judge what the observer's theory asks for."""
-        return unknown_theory(type(self).__name__)
-
-    def conditions_along(self, trace: Trace, given: Circumstances) -> list[Condition]:
-        """Judge the observer's Lyapunov functions along a recorded run; none by default."""
-        return []
 
 
 def without_fault(inputs: FaultObserverInputs, fault: Array) -> FaultObserverInputs:

@@ -1,22 +1,43 @@
-"""Where the baseline fault observers hold: augmented_kalman, edwards_spurgeon, threshold."""
+"""Where the other fault observers hold: supervised, augmented_kalman, edwards_spurgeon, threshold, none."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from quadftc_fdi.dead_reckoning import MAX_PITCH
-from quadftc_theory.conditions import Circumstances, Condition, Verdict, verdict
+from quadftc_fdi.fault_observers.augmented_kalman import AugmentedKalman
+from quadftc_fdi.fault_observers.edwards_spurgeon import EdwardsSpurgeon
+from quadftc_fdi.fault_observers.none import NoDiagnosis
+from quadftc_fdi.fault_observers.supervised import Supervised
+from quadftc_fdi.fault_observers.threshold import Threshold
+from quadftc_theory.conditions import Circumstances, Condition, Verdict, conditions_of, verdict
 from quadftc_theory.sliding_mode_conditions import NEGLIGIBLE_DRIFT, NEGLIGIBLE_LEAK
-
-if TYPE_CHECKING:
-    from quadftc_fdi.fault_observers.augmented_kalman import AugmentedKalman
-    from quadftc_fdi.fault_observers.edwards_spurgeon import EdwardsSpurgeon
-    from quadftc_fdi.fault_observers.threshold import Threshold
 
 DEG = math.pi / 180.0
 
 
+@conditions_of(NoDiagnosis)
+def no_diagnosis_conditions(observer: NoDiagnosis, given: Circumstances) -> list[Condition]:
+    """Say what an undiagnosed fault does: the attitude settles where the sensor reads the reference."""
+    size = math.degrees(given.fault.value)
+    text = f"none: the attitude follows a fault f to -f; here up to {size:.3g} deg ({given.fault.origin})"
+    outcome = Verdict.DEPENDS if size > 0.0 else Verdict.PASS
+    return [Condition("fault tolerance", outcome, text, {"fault": given.fault.value}, needed=False)]
+
+
+@conditions_of(Supervised)
+def supervised_conditions(observer: Supervised, given: Circumstances) -> list[Condition]:
+    """Judge what it asks for: a gyro without faults, and no attitude fault at the first sample."""
+    faulty = "gyro" in given.faulty_channels
+    text = "the scenario puts a fault on it" if faulty else "its bias, scale and delay are estimated"
+    start = "a fault that is there at the first sample is taken for the attitude"
+    return [
+        Condition("gyro without fault", verdict(not faulty), text),
+        Condition("healthy start", Verdict.DEPENDS, start, needed=False),
+    ]
+
+
+@conditions_of(AugmentedKalman)
 def augmented_kalman_conditions(observer: AugmentedKalman, given: Circumstances) -> list[Condition]:
     """Judge the filter's noise model against the noise given; the start and the zeros at s = 0."""
     attitude, walk = given.attitude_noise.value, given.gyro_noise.value
@@ -44,6 +65,7 @@ def augmented_kalman_conditions(observer: AugmentedKalman, given: Circumstances)
     ]
 
 
+@conditions_of(EdwardsSpurgeon)
 def edwards_spurgeon_conditions(observer: EdwardsSpurgeon, given: Circumstances) -> list[Condition]:
     """Judge the reach of nu, and what the zeros at s = 0 do: leak and drift."""
     size, duration = given.fault.value, given.duration
@@ -83,6 +105,7 @@ def edwards_spurgeon_conditions(observer: EdwardsSpurgeon, given: Circumstances)
     ]
 
 
+@conditions_of(Threshold)
 def threshold_conditions(observer: Threshold, given: Circumstances) -> list[Condition]:
     """Say whether the faults given are above the thresholds, and how far the dead reckoning drifts."""
     size, growth = given.fault.value, given.fault_growth.value

@@ -12,7 +12,7 @@ from quadftc_flight.recorded_run import RecordedRun
 from quadftc_flight.scenario.types import Scenario, Scheme
 from quadftc_model.vehicle import load_vehicle
 from quadftc_theory.circumstances import circumstances, circumstances_of_run
-from quadftc_theory.conditions import Circumstances, Condition, Trace
+from quadftc_theory.conditions import Circumstances, Condition, Trace, judge, judge_along
 from quadftc_theory.linear_form import attitude_model
 from quadftc_theory.structure_conditions import structure_conditions
 
@@ -96,8 +96,8 @@ def check_run(run: RecordedRun, output: str = "imu") -> CheckReport:
     report = _check(run.scenario, run.scheme, given, output)
     trace = _trace(run)
     found = (
-        *run.scheme.observer.law.conditions_along(trace, given),
-        *run.scheme.controller.law.conditions_along(trace, given),
+        *judge_along(run.scheme.observer.law, trace, given),
+        *judge_along(run.scheme.controller.law, trace, given),
     )
     along = (Section("along the recorded run", found),) if found else ()
     return dataclasses.replace(report, bag=str(run.path), sections=report.sections + along)
@@ -107,9 +107,9 @@ def _check(scenario: Scenario, scheme: Scheme, given: Circumstances, output: str
     observer, disturbance, controller = scheme.observer, scheme.disturbance_observer, scheme.controller
     inertia = load_vehicle(scenario.vehicle).inertia
     sections = [
-        Section(f"fault observer: {observer.kind}", tuple(observer.law.conditions(given))),
-        Section(f"disturbance observer: {disturbance.kind}", tuple(disturbance.law.conditions(given))),
-        Section(f"controller: {controller.kind}", tuple(controller.law.conditions(given))),
+        Section(f"fault observer: {observer.kind}", tuple(judge(observer.law, given))),
+        Section(f"disturbance observer: {disturbance.kind}", tuple(judge(disturbance.law, given))),
+        Section(f"controller: {controller.kind}", tuple(judge(controller.law, given))),
     ]
     if output != "imu" or observer.kind != "none":
         asked = output != "imu"

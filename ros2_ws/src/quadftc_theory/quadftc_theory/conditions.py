@@ -1,12 +1,20 @@
 """Conditions of the theory: what a theorem asks for, whether it holds in a given situation, and by how much.
 
-A component says under which conditions its theorems hold (``conditions``); ``quadftc check`` asks for them.
+No law knows its theory: conditions are registered for the class of a law, and hold for its subclasses, too.
+
+    @conditions_of(MyObserver)
+    def my_conditions(observer: MyObserver, given: Circumstances) -> list[Condition]: ...
+
+Another package names the module that does so in its entry-point group ``quadftc.conditions``.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import enum
+import functools
+import importlib
+import importlib.metadata
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -16,6 +24,11 @@ from numpy.typing import NDArray
 from quadftc_model.vehicle import Vehicle
 
 Floats = NDArray[np.float64]
+
+_GROUP = "quadftc.conditions"  # entry points: a name of its own -> a module that registers conditions
+_OWN = (
+    *("sliding_mode_conditions", "baseline_conditions", "disturbance_conditions", "controller_conditions"),
+)
 
 
 class Verdict(str, enum.Enum):
@@ -58,12 +71,6 @@ class Condition:
 def verdict(holds: bool) -> Verdict:
     """PASS or FAIL."""
     return Verdict.PASS if holds else Verdict.FAIL
-
-
-def unknown_theory(kind: str) -> list[Condition]:
-    """Return the one condition of a component that brings no theory along."""
-    text = f"{kind} states no conditions; define conditions() in its class to have them judged"
-    return [Condition("theory", Verdict.DEPENDS, text, needed=False)]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -203,3 +210,41 @@ def falls(
 def per_axis(values: Iterable[float], digits: int = 3) -> str:
     """Numbers of roll, pitch and yaw as ``1.2/1.2/0.4``."""
     return "/".join(f"{value:.{digits}g}" for value in values)
+
+
+@functools.singledispatch
+def _judge(law: object, given: Circumstances) -> list[Condition]:
+    """The one condition of a law for which none are registered."""
+    text = f"no conditions are registered for {type(law).__name__}; @conditions_of does so"
+    return [Condition("theory", Verdict.DEPENDS, text, needed=False)]
+
+
+@functools.singledispatch
+def _judge_along(law: object, trace: Trace, given: Circumstances) -> list[Condition]:
+    """Most laws have no Lyapunov function here."""
+    return []
+
+
+conditions_of = _judge.register  #: decorates a function of (law, circumstances) for the class of a law
+conditions_along_of = _judge_along.register  #: decorates a function of (law, trace, circumstances)
+
+
+def judge(law: object, given: Circumstances) -> list[Condition]:
+    """Judge what the theory of a law asks for."""
+    load_conditions()
+    return _judge(law, given)
+
+
+def judge_along(law: object, trace: Trace, given: Circumstances) -> list[Condition]:
+    """Judge the Lyapunov functions of a law along a recorded run."""
+    load_conditions()
+    return _judge_along(law, trace, given)
+
+
+@functools.cache
+def load_conditions() -> None:
+    """Import what registers conditions, here and in other packages."""
+    for name in _OWN:
+        importlib.import_module(f"quadftc_theory.{name}")
+    for entry in importlib.metadata.entry_points(group=_GROUP):
+        entry.load()

@@ -7,12 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from quadftc_control.controllers.ismc import Ismc
+from quadftc_control.controllers.pid import Pid
+from quadftc_control.controllers.smc import Smc
 from quadftc_theory.conditions import (
     Circumstances,
     Condition,
     Series,
     Trace,
     Verdict,
+    conditions_along_of,
+    conditions_of,
     falls,
     per_axis,
     verdict,
@@ -20,9 +25,47 @@ from quadftc_theory.conditions import (
 
 Floats = NDArray[np.float64]
 
-BRIEF = (
-    0.01  # 1; share of the time for which a gain may be too small and Theorem 2 still hold but for a while
-)
+BRIEF = 0.01  # 1; share of the time for which a gain may be too small and Theorem 2 still hold otherwise
+
+
+@conditions_of(Ismc)
+def ismc_conditions(controller: Ismc, given: Circumstances) -> list[Condition]:
+    """Judge the conditions of Theorem 2."""
+    return [
+        surface_condition(controller.k_c1, controller.k_c2),
+        switching_gain_condition(controller.k_c3, given.disturbance_error, given.dt, "D_e"),
+        layer_condition(controller.k_c3, controller.phi, given.dt),
+        authority_condition(controller.k_c3, given),
+    ]
+
+
+@conditions_along_of(Ismc)
+def ismc_conditions_along(controller: Ismc, trace: Trace, given: Circumstances) -> list[Condition]:
+    """Judge (47)."""
+    return [sliding_mode_along(controller.k_c3, controller.phi, given.disturbance_error.peak, trace)]
+
+
+@conditions_of(Smc)
+def smc_conditions(controller: Smc, given: Circumstances) -> list[Condition]:
+    """Judge the conditions of Theorem 2 with nothing estimated: the whole disturbance is the error."""
+    return [
+        surface_condition(None, controller.k_c2),
+        switching_gain_condition(controller.k_c3, given.disturbance, given.dt, "D_d"),
+        layer_condition(controller.k_c3, controller.phi, given.dt),
+        authority_condition(controller.k_c3, given),
+    ]
+
+
+@conditions_along_of(Smc)
+def smc_conditions_along(controller: Smc, trace: Trace, given: Circumstances) -> list[Condition]:
+    """Judge (47)."""
+    return [sliding_mode_along(controller.k_c3, controller.phi, given.disturbance.peak, trace)]
+
+
+@conditions_of(Pid)
+def pid_conditions(controller: Pid, given: Circumstances) -> list[Condition]:
+    """Judge the authority; there is no theorem on this loop here."""
+    return [authority_condition((0.0, 0.0, 0.0), given)]
 
 
 def surface_condition(k_c1: Sequence[float] | None, k_c2: Sequence[float]) -> Condition:

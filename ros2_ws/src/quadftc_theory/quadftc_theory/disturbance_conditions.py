@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_fdi.disturbance_observer import DisturbanceObserver
+from quadftc_fdi.disturbance_observers.exosystem import Exosystem
+from quadftc_fdi.disturbance_observers.none import NoDisturbanceObserver
 from quadftc_model.samples import DisturbanceObserverInputs
-from quadftc_theory.conditions import Circumstances, Condition, Verdict, per_axis, verdict
+from quadftc_theory.conditions import Circumstances, Condition, Verdict, conditions_of, per_axis, verdict
 
 Floats = NDArray[np.float64]
 
@@ -40,21 +42,29 @@ def estimation_error(observer: DisturbanceObserver, disturbance: Floats, noise: 
     return disturbance - estimate
 
 
-def exosystem_conditions(poles: Floats, model: str, given: Circumstances) -> list[Condition]:
-    """Judge (42)-(44) for an observer with these poles [rad/s] of A_d - lambda C_d."""
+@conditions_of(Exosystem)
+def exosystem_conditions(observer: Exosystem, given: Circumstances) -> list[Condition]:
+    """Judge (42)-(44) at the sampling period given."""
+    poles: NDArray[np.complex128] = observer.poles(given.dt).astype(np.complex128)
     return [
         Condition(
             "A_d - lambda C_d Hurwitz",
             verdict(bool(np.all(poles.real < 0.0))),
-            f"poles at {', '.join(f'{pole:.4g}' for pole in sorted(set(np.round(poles.real, 6))))} rad/s",
+            f"poles at {', '.join(f'{pole:.4g}' for pole in np.unique(np.round(poles.real, 6)))} rad/s",
             {"poles": [[float(pole.real), float(pole.imag)] for pole in poles]},
         ),
-        disturbance_bounded(given),
-        *_followed(model, given),
+        _bounded(given),
+        *_followed(observer.model, given),
     ]
 
 
-def disturbance_bounded(given: Circumstances) -> Condition:
+@conditions_of(NoDisturbanceObserver)
+def bounded_disturbance(observer: NoDisturbanceObserver, given: Circumstances) -> list[Condition]:
+    """Judge what is left without an estimate: that the disturbance is bounded."""
+    return [_bounded(given)]
+
+
+def _bounded(given: Circumstances) -> Condition:
     """Assumption 4."""
     return Condition(
         "Assumption 4: |d| <= D_d",

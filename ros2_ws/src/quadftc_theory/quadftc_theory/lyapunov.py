@@ -9,19 +9,15 @@ P-bar solves the Lyapunov equation of A-bar - L-bar C-bar with Q = I. Why V2 nee
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_continuous_lyapunov  # pyright: ignore[reportUnknownVariableType]
 
+from quadftc_fdi.fault_observers.sliding_mode import SlidingMode
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import FaultObserverInputs, ImuSample, sanitised
 from quadftc_model.stepper import Stepper
 from quadftc_theory.conditions import Condition, Trace, falls
-
-if TYPE_CHECKING:
-    from quadftc_fdi.fault_observers.sliding_mode import SlidingMode
 
 Floats = NDArray[np.float64]
 

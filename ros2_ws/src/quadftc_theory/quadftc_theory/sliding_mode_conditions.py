@@ -8,18 +8,24 @@ docs/theory.md derives the formulas.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from quadftc_theory.conditions import Circumstances, Condition, Verdict, verdict
+from quadftc_fdi.fault_observers.sliding_mode import SlidingMode
+from quadftc_theory.conditions import (
+    Circumstances,
+    Condition,
+    Trace,
+    Verdict,
+    conditions_along_of,
+    conditions_of,
+    verdict,
+)
 from quadftc_theory.decoupling import augment, decouple
 from quadftc_theory.linear_form import attitude_model
 from quadftc_theory.linear_systems import stable
+from quadftc_theory.lyapunov import sliding_mode_along
 from quadftc_theory.structure_conditions import structure_conditions
-
-if TYPE_CHECKING:
-    from quadftc_fdi.fault_observers.sliding_mode import SlidingMode
 
 DEG = math.pi / 180.0
 HEALTHY_TIME = 20.0  # s; over which a gyro bias can be averaged before a fault comes
@@ -28,6 +34,7 @@ NEGLIGIBLE_LEAK = 0.01  # 1; share of a fault that may leak away unnoticed while
 NEGLIGIBLE_DRIFT = 0.05 * DEG  # rad; error of the estimate that counts as none (docs/theory.md)
 
 
+@conditions_of(SlidingMode)
 def sliding_mode_conditions(observer: SlidingMode, given: Circumstances) -> list[Condition]:
     """Judge the observer in the circumstances given."""
     model = attitude_model(observer.vehicle.inertia)
@@ -42,6 +49,12 @@ def sliding_mode_conditions(observer: SlidingMode, given: Circumstances) -> list
         _drift(observer, given),
         _smallest_ramp(given),
     ]
+
+
+@conditions_along_of(SlidingMode)
+def lyapunov_conditions(observer: SlidingMode, trace: Trace, given: Circumstances) -> list[Condition]:
+    """Judge (35) along a recorded run."""
+    return sliding_mode_along(observer, trace, *gain_margins(observer, given))
 
 
 def leak_time_constant(observer: SlidingMode, fault: float = 0.0) -> float:

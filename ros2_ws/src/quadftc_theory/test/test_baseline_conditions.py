@@ -8,7 +8,7 @@ import pytest
 
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_model.vehicle import load_vehicle
-from quadftc_theory.conditions import Bound, Circumstances, Series, Verdict
+from quadftc_theory.conditions import Bound, Circumstances, Series, Verdict, judge
 
 DEG = math.pi / 180.0
 QBALL = load_vehicle("qball_x4")
@@ -64,11 +64,11 @@ MEMS = Circumstances(
 )
 def test_limits_are_judged(name, condition, changes, verdict):
     observer = fault_observers.get(name)(vehicle=QBALL)
-    found = observer.conditions(dataclasses.replace(MEMS, **changes))
+    found = judge(observer, dataclasses.replace(MEMS, **changes))
     assert next(item for item in found if item.name.startswith(condition)).verdict == verdict
 
 
 def test_drift_of_edwards_spurgeon_is_bias_times_time_less_the_leak():
     observer = fault_observers.get("edwards_spurgeon")(vehicle=QBALL, leak=0.05)
-    found = next(item for item in observer.conditions(MEMS) if item.name.startswith("drift"))
+    found = next(item for item in judge(observer, MEMS) if item.name.startswith("drift"))
     assert found.numbers["error"] == pytest.approx(1.0 * DEG * (1.0 - math.exp(-4.0)) / 0.05)

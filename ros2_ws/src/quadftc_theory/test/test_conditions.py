@@ -1,6 +1,7 @@
 """The conditions of the observers: their numbers against independent ones, and what breaks them."""
 
 import dataclasses
+import importlib.metadata
 import math
 
 import numpy as np
@@ -12,7 +13,19 @@ from quadftc_fdi.fault_observer import fault_observers
 from quadftc_fdi.fault_observers.sliding_mode import SlidingMode
 from quadftc_model.rotations import euler_rates
 from quadftc_model.vehicle import load_vehicle
-from quadftc_theory.conditions import Bound, Circumstances, Series, Trace, Verdict, falls
+from quadftc_theory.conditions import (
+    Bound,
+    Circumstances,
+    Condition,
+    Series,
+    Trace,
+    Verdict,
+    conditions_of,
+    falls,
+    judge,
+    judge_along,
+    load_conditions,
+)
 from quadftc_theory.disturbance_conditions import estimation_error
 from quadftc_theory.sliding_mode_conditions import (
     drift,
@@ -60,9 +73,29 @@ def named(conditions, start):
 @pytest.mark.parametrize("registry", [fault_observers, disturbance_observers], ids=["fault", "disturbance"])
 def test_every_observer_says_where_its_theory_holds(registry):
     for name in registry.names():
-        for item in registry.get(name)(vehicle=QBALL).conditions(circumstances()):
+        for item in judge(registry.get(name)(vehicle=QBALL), circumstances()):
             assert item.text, name
             assert not item.failed, (name, item)
+
+
+class Borrowed(SlidingMode):
+    """A law of somebody else."""
+
+
+def test_a_law_without_conditions_says_so_and_one_of_another_package_brings_its_own(monkeypatch):
+    (item,) = judge(object(), circumstances())
+    assert (item.name, item.verdict, item.needed) == ("theory", Verdict.DEPENDS, False)
+    assert "no conditions are registered for object" in item.text
+
+    class Entry:
+        def load(self):
+            conditions_of(Borrowed)(lambda law, given: [Condition("theirs", Verdict.PASS, "holds")])
+
+    inherited = judge(Borrowed(vehicle=QBALL), circumstances())
+    assert len(inherited) == len(judge(SlidingMode(vehicle=QBALL), circumstances()))
+    monkeypatch.setattr(importlib.metadata, "entry_points", lambda group: [Entry()])
+    load_conditions.cache_clear()
+    assert [item.name for item in judge(Borrowed(vehicle=QBALL), circumstances())] == ["theirs"]
 
 
 @pytest.mark.parametrize(
@@ -79,14 +112,14 @@ def test_every_observer_says_where_its_theory_holds(registry):
     ],
 )
 def test_a_condition_that_does_not_hold_fails_the_scheme(changes, gains, name):
-    found = named(SlidingMode(vehicle=QBALL, **gains).conditions(circumstances(**changes)), name)
+    found = named(judge(SlidingMode(vehicle=QBALL, **gains), circumstances(**changes)), name)
     assert found.failed, found
 
 
 def test_a_gyro_bias_eats_the_margin_of_29():
     observer = SlidingMode(vehicle=QBALL)
     bias = 0.011  # rad/s: 0.11 rad after 10 s, epsilon_2 is 0.1
-    found = named(observer.conditions(circumstances(gyro_bias=Bound(bias, "rad/s", "given"))), "(29)")
+    found = named(judge(observer, circumstances(gyro_bias=Bound(bias, "rad/s", "given"))), "(29)")
     assert found.numbers["state_error"] == pytest.approx(bias * 10.0, rel=1e-3)
     assert found.numbers["eta_2"] == pytest.approx(-0.01, rel=0.02)
     assert found.failed
@@ -94,7 +127,7 @@ def test_a_gyro_bias_eats_the_margin_of_29():
 
 def test_a_leak_that_eats_the_fault_is_reported():
     leaky = SlidingMode(vehicle=QBALL, L1=100.0)
-    found = named(leaky.conditions(circumstances()), "leak")
+    found = named(judge(leaky, circumstances()), "leak")
     assert found.verdict is Verdict.DEPENDS
     assert found.numbers["time_constant"] == pytest.approx((1.0 + 0.6 / 1e-3) / 100.0)
 
@@ -161,7 +194,7 @@ def test_assumption_5_passes_for_the_exosystem_that_makes_the_disturbance(model,
     observer = Exosystem(vehicle=QBALL, model=model, frequency=2.0)
     wave = np.sin(2.0 * TIME)[:, None] * np.ones(3)
     error = estimation_error(observer, wave, QUIET, DT)
-    assert named(observer.conditions(circumstances(wave, error)), "Assumption 5").verdict is verdict
+    assert named(judge(observer, circumstances(wave, error)), "Assumption 5").verdict is verdict
 
 
 STAMPS = (TIME * 1e9).round().astype(np.int64)
@@ -209,7 +242,7 @@ def test_v2_stays_in_its_layer_under_a_small_fault_and_leaves_it_under_one_above
     observer = SlidingMode(vehicle=QBALL)
     for size, inside in ((0.05, True), (0.7, False)):
         trace = still_trace(np.where(TIME > 2.0, size, 0.0))
-        found = named(observer.conditions_along(trace, circumstances()), "(35): V2")
+        found = named(judge_along(observer, trace, circumstances()), "(35): V2")
         assert (found.numbers["share_outside"] == 0.0) is inside
         # |e3| = delta f / (rho - f) where rho = epsilon_s + epsilon_2 is above f
         if inside:
@@ -218,5 +251,5 @@ def test_v2_stays_in_its_layer_under_a_small_fault_and_leaves_it_under_one_above
 
 def test_a_gyro_bias_shows_as_the_error_of_the_angle_along_the_run():
     observer = SlidingMode(vehicle=QBALL)
-    found = named(observer.conditions_along(still_trace(0.0 * TIME, 0.01), circumstances()), "(35): V2")
+    found = named(judge_along(observer, still_trace(0.0 * TIME, 0.01), circumstances()), "(35): V2")
     assert found.numbers["largest_z2_deg"] == pytest.approx(math.degrees(0.01 * TIME[-1]), rel=0.02)

@@ -7,7 +7,7 @@ from quadftc_control.controller import controllers
 from quadftc_control.controllers.ismc import Ismc
 from quadftc_control.controllers.smc import Smc
 from quadftc_model.vehicle import load_vehicle
-from quadftc_theory.conditions import Bound, Circumstances, Series, Trace, Verdict
+from quadftc_theory.conditions import Bound, Circumstances, Series, Trace, Verdict, judge, judge_along
 
 QBALL = load_vehicle("qball_x4")
 DT = 0.004
@@ -44,7 +44,7 @@ def named(conditions, start):
 
 def test_every_controller_holds_in_calm_air():
     for name in controllers.names():
-        found = controllers.get(name)(vehicle=QBALL).conditions(circumstances())
+        found = judge(controllers.get(name)(vehicle=QBALL), circumstances())
         assert found, name
         assert not any(item.failed for item in found), name
 
@@ -56,7 +56,7 @@ def test_every_controller_holds_in_calm_air():
 def test_the_switching_gain_must_exceed_the_estimation_error(rows, verdict):
     error = QUIET.copy()
     error[rows, 1] = 2.5  # k_c3 is 2
-    found = named(Ismc(vehicle=QBALL).conditions(circumstances(error=error)), "Theorem 2")
+    found = named(judge(Ismc(vehicle=QBALL), circumstances(error=error)), "Theorem 2")
     assert found.verdict is verdict
     assert found.numbers["time_short"] == pytest.approx(DT * len(error[rows]))
     assert found.numbers["eta"][0] == 2.0
@@ -64,7 +64,7 @@ def test_the_switching_gain_must_exceed_the_estimation_error(rows, verdict):
 
 def test_the_controller_without_observer_is_held_against_the_whole_disturbance():
     found = named(
-        Smc(vehicle=QBALL).conditions(circumstances(disturbance=QUIET + np.array([0.0, 0.0, 4.5]))),
+        judge(Smc(vehicle=QBALL), circumstances(disturbance=QUIET + np.array([0.0, 0.0, 4.5]))),
         "Theorem 2",
     )
     assert found.verdict is Verdict.FAIL
@@ -72,7 +72,7 @@ def test_the_controller_without_observer_is_held_against_the_whole_disturbance()
 
 
 def test_a_boundary_layer_too_thin_for_the_sampling_fails():
-    found = named(Ismc(vehicle=QBALL, phi=(0.1, 0.1, 0.0019)).conditions(circumstances()), "(41)")
+    found = named(judge(Ismc(vehicle=QBALL, phi=(0.1, 0.1, 0.0019)), circumstances()), "(41)")
     assert found.failed  # 1 / 0.0019 = 526 1/s, the limit at 250 Hz is 500
 
 
@@ -82,14 +82,14 @@ def test_a_boundary_layer_too_thin_for_the_sampling_fails():
 def test_authority_is_held_against_disturbance_reference_and_switching(size, verdict):
     # 1.2 N m / 0.03 kg m² = 40 rad/s², less 0.1 for the reference, less k_c3 = 2
     found = named(
-        Ismc(vehicle=QBALL).conditions(circumstances(disturbance=QUIET + np.array([size, 0.0, 0.0]))),
+        judge(Ismc(vehicle=QBALL), circumstances(disturbance=QUIET + np.array([size, 0.0, 0.0]))),
         "authority",
     )
     assert found.verdict is verdict
 
 
 def test_a_surface_without_spring_is_not_stable():
-    assert named(Ismc(vehicle=QBALL, k_c1=(16.0, 0.0, 9.0)).conditions(circumstances()), "motion").failed
+    assert named(judge(Ismc(vehicle=QBALL, k_c1=(16.0, 0.0, 9.0)), circumstances()), "motion").failed
 
 
 def trace(S):
@@ -111,6 +111,6 @@ def test_s_has_to_come_back_at_eta_outside_its_layer(slope, verdict):
     error = QUIET + np.array([0.5, 0.0, 0.0])  # eta = 1.5 rad/s²
     S = QUIET.copy()
     S[:, 0] = np.maximum(3.0 + slope * TIME, 0.05)
-    (found,) = Ismc(vehicle=QBALL).conditions_along(trace(S), circumstances(error=error))
+    (found,) = judge_along(Ismc(vehicle=QBALL), trace(S), circumstances(error=error))
     assert found.verdict is verdict
     assert found.numbers["share_outside"] > 0.0

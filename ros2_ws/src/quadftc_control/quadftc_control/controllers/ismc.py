@@ -28,14 +28,6 @@ from quadftc_control.sliding_surface import sat, torque_for, tracking
 from quadftc_model.arrays import Array, clip, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.samples import ControllerInputs, ControllerOutput
-from quadftc_theory.conditions import Circumstances, Condition, Trace
-from quadftc_theory.controller_conditions import (
-    authority_condition,
-    layer_condition,
-    sliding_mode_along,
-    surface_condition,
-    switching_gain_condition,
-)
 
 
 class IsmcState(NamedTuple):
@@ -77,19 +69,6 @@ class Ismc(Controller):
         gain = with_one + missing * (np.maximum(self.k_c3_alone, with_one) - with_one)
         factor = np.where(with_one > 0.0, gain / np.where(with_one > 0.0, with_one, 1.0), 1.0)
         return dataclasses.replace(self, k_c3=tuple(gain.tolist()), phi=tuple((factor * self.phi).tolist()))
-
-    def conditions(self, given: Circumstances) -> list[Condition]:
-        """Judge the conditions of Theorem 2."""
-        return [
-            surface_condition(self.k_c1, self.k_c2),
-            switching_gain_condition(self.k_c3, given.disturbance_error, given.dt, "D_e"),
-            layer_condition(self.k_c3, self.phi, given.dt),
-            authority_condition(self.k_c3, given),
-        ]
-
-    def conditions_along(self, trace: Trace, given: Circumstances) -> list[Condition]:
-        """Judge (47) along a recorded run."""
-        return [sliding_mode_along(self.k_c3, self.phi, given.disturbance_error.peak, trace)]
 
     def init(self, inputs: ControllerInputs) -> IsmcState:
         """Start on the sliding surface: S(t0) = 0."""

@@ -18,8 +18,6 @@ from quadftc_model.arrays import Array, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import body_rates
 from quadftc_model.samples import ControllerInputs, ControllerOutput
-from quadftc_theory.conditions import Circumstances, Condition
-from quadftc_theory.controller_conditions import authority_condition
 
 
 class PidState(NamedTuple):
@@ -43,10 +41,6 @@ class Pid(Controller):
     cutoff: float = parameter(
         190.0, unit="rad/s", low=1e-3, doc="low-pass of the rate before its derivative (30 Hz)"
     )
-
-    def conditions(self, given: Circumstances) -> list[Condition]:
-        """Judge the authority; there is no theorem on this loop here."""
-        return [authority_condition((0.0, 0.0, 0.0), given)]
 
     def init(self, inputs: ControllerInputs) -> PidState:
         """Start with the integral at zero."""

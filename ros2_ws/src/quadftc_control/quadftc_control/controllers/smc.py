@@ -17,14 +17,6 @@ from quadftc_control.sliding_surface import sat, torque_for, tracking
 from quadftc_model.arrays import namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.samples import ControllerInputs, ControllerOutput
-from quadftc_theory.conditions import Circumstances, Condition, Trace
-from quadftc_theory.controller_conditions import (
-    authority_condition,
-    layer_condition,
-    sliding_mode_along,
-    surface_condition,
-    switching_gain_condition,
-)
 
 
 @register("smc")
@@ -40,19 +32,6 @@ class Smc(Controller):
         doc="switching gain, above the bound D_d of the disturbance",
     )
     phi: tuple[float, ...] = parameter((0.5, 0.5, 0.5), unit="rad/s", low=1e-9, doc="Phi of (41)")
-
-    def conditions(self, given: Circumstances) -> list[Condition]:
-        """Judge the conditions of Theorem 2 with nothing estimated: the whole disturbance is the error."""
-        return [
-            surface_condition(None, self.k_c2),
-            switching_gain_condition(self.k_c3, given.disturbance, given.dt, "D_d"),
-            layer_condition(self.k_c3, self.phi, given.dt),
-            authority_condition(self.k_c3, given),
-        ]
-
-    def conditions_along(self, trace: Trace, given: Circumstances) -> list[Condition]:
-        """Judge (47) along a recorded run."""
-        return [sliding_mode_along(self.k_c3, self.phi, given.disturbance.peak, trace)]
 
     def init(self, inputs: ControllerInputs) -> tuple[()]:
         """Return no state."""

@@ -32,8 +32,6 @@ from quadftc_model.arrays import Array, exp, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.samples import DisturbanceObserverInputs
-from quadftc_theory.conditions import Circumstances, Condition
-from quadftc_theory.disturbance_conditions import exosystem_conditions
 
 Matrix = NDArray[np.float64]
 
@@ -92,10 +90,6 @@ class Exosystem(DisturbanceObserver):
         nu = xp.where(state.started[..., None], x2 - predicted, 0.0)
         zeta = state.zeta @ Phi.T + nu[..., None] * gain
         return ExosystemState(zeta, x2, state.started | inputs.rate_valid), zeta @ self.C_d
-
-    def conditions(self, given: Circumstances) -> list[Condition]:
-        """Judge (42)-(44) at the sampling period given."""
-        return exosystem_conditions(self.poles(given.dt), self.model, given)
 
     def poles(self, dt: float) -> Matrix:
         """Poles (n,) [rad/s] of the observer stepped by ``dt`` [s]: log of the eigenvalues over dt."""

@@ -8,18 +8,12 @@ from typing import Any
 from quadftc_fdi.disturbance_observer import DisturbanceObserver, register
 from quadftc_model.arrays import Array, namespace
 from quadftc_model.samples import DisturbanceObserverInputs
-from quadftc_theory.conditions import Circumstances, Condition
-from quadftc_theory.disturbance_conditions import disturbance_bounded
 
 
 @register("none")
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class NoDisturbanceObserver(DisturbanceObserver):
     """Says zero."""
-
-    def conditions(self, given: Circumstances) -> list[Condition]:
-        """Judge what is left without an estimate: that the disturbance is bounded."""
-        return [disturbance_bounded(given)]
 
     def init(self, inputs: DisturbanceObserverInputs) -> tuple[()]:
         """Return no state."""

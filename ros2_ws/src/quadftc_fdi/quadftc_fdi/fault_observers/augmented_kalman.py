@@ -48,8 +48,6 @@ from quadftc_model.arrays import Array, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs
-from quadftc_theory.baseline_conditions import augmented_kalman_conditions
-from quadftc_theory.conditions import Circumstances, Condition
 
 DEG = math.pi / 180.0
 WINDOWS = (0.0, 0.03, 0.3, 1.5)  # s; T_j, the first is one sample
@@ -105,10 +103,6 @@ class AugmentedKalman(FaultObserver):
     detection_level: float = parameter(4.0, unit="1", low=0.0, doc="|f_s^| / std_dev that is a fault")
     recovery_level: float = parameter(2.5, unit="1", low=0.0, doc="|f_s^| / std_dev that is none")
     recovery_time: float = parameter(1.0, unit="s", low=0.0, doc="how long it must be none to end the fault")
-
-    def conditions(self, given: Circumstances) -> list[Condition]:
-        """Judge the filter's model, and say what it leaves out."""
-        return augmented_kalman_conditions(self, given)
 
     def init(self, inputs: FaultObserverInputs) -> AugmentedKalmanState:
         """Start on the measurement: the sensor counts as healthy at the first sample."""

@@ -46,8 +46,6 @@ from quadftc_model.arrays import Array, exp, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs
-from quadftc_theory.baseline_conditions import edwards_spurgeon_conditions
-from quadftc_theory.conditions import Circumstances, Condition
 
 DEG = math.pi / 180.0
 
@@ -79,10 +77,6 @@ class EdwardsSpurgeon(FaultObserver):
     detection_level: float = parameter(0.3 * DEG, unit="rad", low=1e-9, doc="|f_s^| that is a fault")
     recovery_level: float = parameter(0.15 * DEG, unit="rad", low=1e-9, doc="|f_s^| that is none")
     recovery_time: float = parameter(1.0, unit="s", low=0.0, doc="how long it must be none to end the fault")
-
-    def conditions(self, given: Circumstances) -> list[Condition]:
-        """Judge reachability, and what the zeros at s = 0 do."""
-        return edwards_spurgeon_conditions(self, given)
 
     def init(self, inputs: FaultObserverInputs) -> EdwardsSpurgeonState:
         """Start on the measurement: the sensor counts as healthy at the first sample."""

@@ -3,25 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
 from quadftc_fdi.fault_observer import FaultObserver, register
 from quadftc_model.arrays import Array, namespace
 from quadftc_model.samples import HEALTHY, FaultEstimate, FaultObserverInputs, ImuSample
-from quadftc_theory.conditions import Circumstances, Condition, Verdict
 
 
 @register("none")
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class NoDiagnosis(FaultObserver):
     """Passes the sample on; a channel that is missing keeps its last value."""
-
-    def conditions(self, given: Circumstances) -> list[Condition]:
-        """Say what an undiagnosed fault does: the attitude settles where the sensor reads the reference."""
-        size = math.degrees(given.fault.value)
-        text = f"none: the attitude follows a fault f to -f; here up to {size:.3g} deg ({given.fault.origin})"
-        outcome = Verdict.DEPENDS if size > 0.0 else Verdict.PASS
-        return [Condition("fault tolerance", outcome, text, {"fault": given.fault.value}, needed=False)]
 
     def init(self, inputs: FaultObserverInputs) -> ImuSample:
         """Remember the first sample."""

@@ -44,9 +44,6 @@ from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import euler_from_quaternion, euler_rates, quaternion_from_euler, wrap
 from quadftc_model.samples import HEALTHY, FaultEstimate, FaultObserverInputs
-from quadftc_theory.conditions import Circumstances, Condition, Trace
-from quadftc_theory.lyapunov import sliding_mode_along
-from quadftc_theory.sliding_mode_conditions import gain_margins, sliding_mode_conditions
 
 
 class SlidingModeState(NamedTuple):
@@ -90,14 +87,6 @@ class SlidingMode(FaultObserver):
     def p1(self) -> float:
         """P1 = p1 I, the Lyapunov matrix of A1s."""
         return self.q1 / (2.0 * self.a1)
-
-    def conditions(self, given: Circumstances) -> list[Condition]:
-        """Judge the conditions of Theorem 1, and of what it leaves out."""
-        return sliding_mode_conditions(self, given)
-
-    def conditions_along(self, trace: Trace, given: Circumstances) -> list[Condition]:
-        """Judge (35) along a recorded run."""
-        return sliding_mode_along(self, trace, *gain_margins(self, given))
 
     def init(self, inputs: FaultObserverInputs) -> SlidingModeState:
         """Start on the measurement: the sensor counts as healthy at the first sample."""

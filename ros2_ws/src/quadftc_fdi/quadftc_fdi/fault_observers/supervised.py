@@ -71,7 +71,6 @@ from quadftc_model.samples import (
     FaultEstimate,
     FaultObserverInputs,
 )
-from quadftc_theory.conditions import Circumstances, Condition, Verdict
 
 DEG = math.pi / 180.0
 UNKNOWN = 10.0  # 1; standard deviations of the attitude's noise: as good as nothing known
@@ -140,23 +139,6 @@ class Supervised(FaultObserver):
     tracking: float = parameter(0.06, unit="s", low=1e-3, doc="averaging time of the estimate of a fault")
     recovery: float = parameter(0.6, unit="s", low=0.0, doc="how long a faulty axis must look healthy")
     patience: float = parameter(120.0, unit="s", low=1.0, doc="after which a fault that stands still ends")
-
-    def conditions(self, given: Circumstances) -> list[Condition]:
-        """Judge what it asks for: a gyro without faults, and attitudes away from 90 deg of pitch."""
-        gyro = "gyro" in given.faulty_channels
-        return [
-            Condition(
-                "gyro without fault",
-                Verdict.FAIL if gyro else Verdict.PASS,
-                "the scenario puts a fault on it" if gyro else "its bias, scale and delay are estimated",
-            ),
-            Condition(
-                "healthy start",
-                Verdict.DEPENDS,
-                "a fault that is there at the first sample is taken for the attitude",
-                needed=False,
-            ),
-        ]
 
     def init(self, inputs: FaultObserverInputs) -> SupervisedState:
         """Start on the measurement, with the gyro unknown but for its data sheet."""

@@ -53,8 +53,6 @@ from quadftc_model.samples import (
     FaultObserverInputs,
     ImuSample,
 )
-from quadftc_theory.baseline_conditions import threshold_conditions
-from quadftc_theory.conditions import Circumstances, Condition
 
 DEG = math.pi / 180.0
 
@@ -89,10 +87,6 @@ class Threshold(FaultObserver):
     recovery_angle: float = parameter(2.0 * DEG, unit="rad", low=0.0, doc="residual that is no fault")
     recovery_time: float = parameter(1.0, unit="s", low=0.0, doc="how long it must be none to end the fault")
     patience: float = parameter(30.0, unit="s", low=0.0, doc="longest dead reckoning")
-
-    def conditions(self, given: Circumstances) -> list[Condition]:
-        """Say which faults are found, and how far the dead reckoning drifts."""
-        return threshold_conditions(self, given)
 
     def init(self, inputs: FaultObserverInputs) -> ThresholdState:
         """Start on the measurement: the sensor counts as healthy at the first sample."""
