@@ -14,8 +14,8 @@ from sensor_msgs.msg import Imu
 
 from quadftc_bags.bag import BagError
 from quadftc_bags.writer import BagWriter
-from quadftc_flight.diagnosis_metrics import FaultEvent
 from quadftc_flight.diagnosis_metrics.roc import detection_roc, estimate_size
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import VECTORS, Flight
 from quadftc_model.samples import AXES, FAULTY
 from quadftc_replay.bag_input import IMU

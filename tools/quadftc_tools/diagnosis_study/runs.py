@@ -8,11 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_flight.diagnosis_metrics import FaultEvent, diagnosis_metrics
+from quadftc_flight.diagnosis_metrics import diagnosis_metrics
 from quadftc_flight.diagnosis_metrics.columns import Columns
 from quadftc_flight.diagnosis_metrics.faults import has_size
 from quadftc_flight.diagnosis_metrics.healthy import truth
 from quadftc_flight.diagnosis_metrics.roc import estimate_over_std_dev, estimate_size
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import Flight
 from quadftc_model.samples import AXES
 from quadftc_replay.diagnose import diagnose, flight_of

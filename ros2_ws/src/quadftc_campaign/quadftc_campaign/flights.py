@@ -11,7 +11,7 @@ import numpy as np
 from quadftc_campaign.batch.parts import FlightParts, flight_parts
 from quadftc_campaign.campaign_file import Campaign, Variant
 from quadftc_campaign.distributions import Value
-from quadftc_flight.diagnosis_metrics import FaultEvent
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.scenario import Scenario, ScenarioError, node_parameters
 from quadftc_flight.scenario.build import build_scenario
 from quadftc_flight.scenario.overrides import with_values

@@ -6,7 +6,7 @@ import pytest
 
 from quadftc_campaign.batch.engine import Engine
 from quadftc_campaign.batch.parts import FlightParts, flight_parts
-from quadftc_flight.diagnosis_metrics import FaultEvent
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.scenario import find_scenario, load_scenario, node_parameters
 
 FREE = ("controller.k_c1", "controller.phi", "disturbance_observer.bandwidth")

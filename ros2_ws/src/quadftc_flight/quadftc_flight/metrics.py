@@ -7,12 +7,13 @@ number) do not count; where no row counts, the metric is None.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_flight.diagnosis_metrics import FaultEvent, diagnosis_metrics, events_of_windows
+from quadftc_flight.diagnosis_metrics import diagnosis_metrics
+from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, events_of_windows
 from quadftc_flight.flight import NO_STATE, VECTORS, Flight
 from quadftc_model.hints import nearest
 from quadftc_model.rotations import wrap
@@ -24,14 +25,6 @@ PerAxis = dict[str, float | None]
 
 SETTLING_TIME = 0.2  # s; how long after an onset or an end the estimate may be off
 SETTLED_ERROR_DEG = 0.05  # deg; the estimate has settled when its error stays below
-
-
-class FaultWindow(NamedTuple):
-    """When the attitude is faulty by schedule."""
-
-    start: float  # [s]
-    stop: float  # [s]
-    axes: tuple[str, ...]
 
 
 def flight_metrics(

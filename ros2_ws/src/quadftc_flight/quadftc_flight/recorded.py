@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from quadftc_bags.bag import Bag
-from quadftc_flight.diagnosis_metrics import FaultEvent
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import Flight
 from quadftc_flight.scenario import Fault, Part
 

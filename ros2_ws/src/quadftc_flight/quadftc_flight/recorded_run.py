@@ -15,7 +15,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from quadftc_bags.bag import Bag, BagError, read_bag
-from quadftc_flight.diagnosis_metrics import FaultEvent
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import Flight, flight_from_bag
 from quadftc_flight.recorded import Recorded, topics_text, versions_of, without_messages
 from quadftc_flight.run_origin import (

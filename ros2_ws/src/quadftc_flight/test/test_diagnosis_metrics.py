@@ -11,18 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from quadftc_flight.diagnosis_metrics import (
-    GRACE_TIME,
-    FaultEvent,
-    diagnosis_metrics,
-    events_of_windows,
-    pool,
-    show_row,
-    show_table,
-)
+from quadftc_flight.diagnosis_metrics import GRACE_TIME, diagnosis_metrics, pool, show_row, show_table
 from quadftc_flight.diagnosis_metrics.statistics import consistency_band, independent_samples
+from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, events_of_windows
 from quadftc_flight.flight import NO_STATE, VECTORS, Flight
-from quadftc_flight.metrics import FaultWindow, flight_metrics, known_metrics, look_up
+from quadftc_flight.metrics import flight_metrics, known_metrics, look_up
 from quadftc_flight.scenario import ScenarioError, parse_scenario
 from quadftc_model.samples import AXES, FAULTY, HEALTHY, RECOVERING, STARTING, SUSPECT
 

@@ -6,7 +6,7 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from quadftc_flight.diagnosis_metrics import GRACE_TIME, FaultEvent, diagnosis_metrics
+from quadftc_flight.diagnosis_metrics import GRACE_TIME, diagnosis_metrics
 from quadftc_flight.diagnosis_metrics.roc import (
     detection_roc,
     estimate_over_std_dev,
@@ -14,6 +14,7 @@ from quadftc_flight.diagnosis_metrics.roc import (
     operating_point,
     roc,
 )
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import VECTORS, Flight
 from quadftc_model.samples import FAULTY
 

@@ -7,8 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from quadftc_flight.fault_schedule import FaultWindow
 from quadftc_flight.flight import VECTORS, Flight
-from quadftc_flight.metrics import FaultWindow, flight_metrics, known_metrics, look_up
+from quadftc_flight.metrics import flight_metrics, known_metrics, look_up
 from quadftc_flight.scenario.types import Check
 from quadftc_flight.summary import check_results
 from quadftc_model.samples import AXES

@@ -9,13 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from quadftc_flight.metrics import FaultWindow
 from quadftc_flight.scenario import Fault
 from quadftc_flight.scenario.parts import PartBuilder
 from quadftc_flight.scenario.schema import ScenarioShape, shape_of
 from quadftc_flight.scenario.yaml_document import Document, Problem, read_document
 from quadftc_model.hints import nearest
-from quadftc_model.samples import AXES
 from quadftc_model.spec import parse_spec
 from quadftc_sim.assembly import injection_from
 from quadftc_sim.injection import RESERVED, FaultInjector, Injection
@@ -60,26 +58,6 @@ def injector_of(faults: Iterable[Fault], seed: int) -> FaultInjector:
     for fault in faults:
         injector.add(fault.injection)
     return injector
-
-
-def attitude_windows(faults: Iterable[Fault], duration: float) -> list[FaultWindow]:
-    """When these faults are on the attitude [s]."""
-    return [
-        FaultWindow(fault.injection.start, min(fault.injection.stop, duration), fault.axes)
-        for fault in faults
-        if fault.injection.channel == "attitude"
-    ]
-
-
-def merged_windows(windows: Iterable[FaultWindow]) -> tuple[FaultWindow, ...]:
-    """Windows in the order of time; those of the same times are one."""
-    axes: dict[tuple[float, float], set[str]] = {}
-    for start, stop, names in windows:
-        axes.setdefault((start, stop), set()).update(names)
-    return tuple(
-        FaultWindow(start, stop, tuple(axis for axis in AXES if axis in axes[start, stop]))
-        for start, stop in sorted(axes)
-    )
 
 
 def _fault_of(spec: str) -> Fault:

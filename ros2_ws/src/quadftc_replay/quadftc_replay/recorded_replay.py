@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from quadftc_bags.bag import Bag, BagError
-from quadftc_flight.diagnosis_metrics import FaultEvent
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import Flight, Reading, flight_from_bag, reading_from_bag
 from quadftc_flight.recorded import NO_OBSERVER, Recorded, topics_text, versions_of, without_messages
 from quadftc_flight.run_origin import SUMMARY, beside, run_name

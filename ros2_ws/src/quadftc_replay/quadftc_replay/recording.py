@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
-from quadftc_flight.diagnosis_metrics import FaultEvent
-from quadftc_flight.metrics import FaultWindow
+from quadftc_flight.fault_schedule import FaultEvent, FaultWindow
 from quadftc_model.samples import ImuSample, sanitised
 from quadftc_model.stepper import MAX_GAP, NANOSECONDS_PER_SECOND
 

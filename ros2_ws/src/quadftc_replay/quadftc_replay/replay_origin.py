@@ -8,8 +8,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from quadftc_bags.bag import Bag, BagError
-from quadftc_flight.diagnosis_metrics import FaultEvent
-from quadftc_flight.metrics import FaultWindow
+from quadftc_flight.fault_schedule import FaultEvent, FaultWindow
 from quadftc_flight.run_origin import (
     DESCRIPTION,
     NO_PARAMETERS,

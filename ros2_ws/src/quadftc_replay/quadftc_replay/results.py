@@ -5,13 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from quadftc_flight.diagnosis_metrics import FaultEvent, events_of_windows, fault_events, joined_events
+from quadftc_flight.fault_schedule import (
+    FaultEvent,
+    FaultWindow,
+    events_of_windows,
+    fault_events,
+    fault_windows,
+    joined_events,
+    merged_windows,
+)
 from quadftc_flight.flight import Flight
-from quadftc_flight.metrics import FaultWindow, flight_metrics
+from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.scenario import Fault
 from quadftc_replay.diagnose import Diagnosed, flight_of
 from quadftc_replay.observer import ChosenObserver
-from quadftc_replay.overlay import attitude_windows, merged_windows
 from quadftc_replay.recording import Recording
 
 DIAGNOSIS = ("fault_", "diagnosis")  # how the metrics begin that make sense without a closed loop
@@ -19,7 +26,7 @@ DIAGNOSIS = ("fault_", "diagnosis")  # how the metrics begin that make sense wit
 
 def replay_windows(recording: Recording, faults: Sequence[Fault]) -> tuple[FaultWindow, ...]:
     """When the attitude is faulty, by what was recorded and by what was overlaid."""
-    return merged_windows([*recording.fault_windows, *attitude_windows(faults, recording.duration)])
+    return merged_windows([*recording.fault_windows, *fault_windows(faults, recording.duration)])
 
 
 def replay_events(recording: Recording, faults: Sequence[Fault]) -> tuple[FaultEvent, ...]:

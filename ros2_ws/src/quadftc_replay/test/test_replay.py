@@ -18,8 +18,8 @@ from quadftc_bags.cdr_padding import PaddingCleaner
 from quadftc_bags.interfaces import load_interface
 from quadftc_bags.writer import BagWriter
 from quadftc_fdi.fault_observers.none import NoDiagnosis
+from quadftc_flight.fault_schedule import FaultWindow
 from quadftc_flight.flight import Flight, flight_from_bag
-from quadftc_flight.metrics import FaultWindow
 from quadftc_flight.runs import RunError
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import STARTING, ImuSample

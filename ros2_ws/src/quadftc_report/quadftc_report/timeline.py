@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_flight.diagnosis_metrics import FaultEvent
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.scenario import Fault, Part
 from quadftc_model.samples import AXES
 from quadftc_report.description import Mark, Shade

@@ -12,9 +12,8 @@ import pytest
 
 from quadftc_bags.bag import Bag
 from quadftc_flight.closed_loop import fly
-from quadftc_flight.diagnosis_metrics import FaultEvent, fault_events
+from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, fault_events
 from quadftc_flight.flight import NO_STATE, VECTORS, Flight, Reading
-from quadftc_flight.metrics import FaultWindow
 from quadftc_flight.recorded_run import RecordedRun
 from quadftc_flight.scenario import node_parameters, parse_scenario
 from quadftc_flight.summary import summary

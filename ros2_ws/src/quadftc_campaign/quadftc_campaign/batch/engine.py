@@ -26,7 +26,7 @@ from quadftc_campaign.batch.session import settle_precision
 from quadftc_campaign.batch.slopes import SlopeFlight, slope_of_sums
 from quadftc_campaign.batch.tally import Schedule, Sums, most_events, schedule_of
 from quadftc_campaign.batch.trace import flight_of
-from quadftc_flight.diagnosis_metrics import FaultEvent
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import Flight
 from quadftc_sim.assembly import EPOCH_NS
 

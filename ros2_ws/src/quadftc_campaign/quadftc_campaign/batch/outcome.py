@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_campaign.batch.flown import Outcome
-from quadftc_flight.diagnosis_metrics import FaultEvent
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_model.samples import AXES
 
 Record = dict[str, Any]

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_campaign.batch.loop import Row
-from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG, GRACE_TIME, FaultEvent
+from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG, GRACE_TIME
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_model.arrays import Array, namespace
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES, FAULTY, HEALTHY, RECOVERING, SUSPECT

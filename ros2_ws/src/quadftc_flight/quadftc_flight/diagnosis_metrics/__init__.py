@@ -14,22 +14,18 @@ from collections.abc import Sequence
 from typing import Any
 
 from quadftc_flight.diagnosis_metrics.columns import Columns
-from quadftc_flight.diagnosis_metrics.events import FaultEvent, events_of_windows, fault_events, joined_events
 from quadftc_flight.diagnosis_metrics.faults import ESTIMATE_THRESHOLD_DEG, fault_record
 from quadftc_flight.diagnosis_metrics.healthy import GRACE_TIME, alarm_metrics, estimate_alarm_metrics, truth
 from quadftc_flight.diagnosis_metrics.isolation import isolation_metrics
 from quadftc_flight.diagnosis_metrics.pooling import estimate_fault_metrics, fault_metrics, pool
 from quadftc_flight.diagnosis_metrics.show import show_row, show_table
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import Flight
 
 __all__ = [
     "ESTIMATE_THRESHOLD_DEG",
     "GRACE_TIME",
-    "FaultEvent",
     "diagnosis_metrics",
-    "events_of_windows",
-    "fault_events",
-    "joined_events",
     "pool",
     "show_row",
     "show_table",
@@ -43,7 +39,7 @@ def diagnosis_metrics(flight: Flight, events: Sequence[FaultEvent]) -> dict[str,
     ----------
     flight : Flight
     events : sequence of FaultEvent
-        As `fault_events` gives them: of one axis, none overlaps another.
+        As `quadftc_flight.fault_schedule.fault_events` gives them: of one axis, none overlaps another.
 
     Returns
     -------

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadftc_flight.diagnosis_metrics.columns import Columns, Floats, Mask
-from quadftc_flight.diagnosis_metrics.events import FaultEvent
 from quadftc_flight.diagnosis_metrics.statistics import (
     consistency_band,
     finite,
@@ -17,6 +16,7 @@ from quadftc_flight.diagnosis_metrics.statistics import (
     number,
     rms,
 )
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_model.samples import AXES
 
 ESTIMATE_THRESHOLD_DEG = 0.3  # deg; an estimate of this size says fault: 3 sigma of the attitude of mems

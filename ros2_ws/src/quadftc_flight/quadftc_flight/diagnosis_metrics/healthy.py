@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from quadftc_flight.diagnosis_metrics.columns import Columns, Mask
-from quadftc_flight.diagnosis_metrics.events import FaultEvent
 from quadftc_flight.diagnosis_metrics.faults import ESTIMATE_THRESHOLD_DEG
 from quadftc_flight.diagnosis_metrics.statistics import number
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_model.samples import AXES
 
 GRACE_TIME = 5.0  # s; after the end of a fault, to find out that it is over: neither healthy nor faulty

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from quadftc_flight.diagnosis_metrics.columns import Columns, Mask
-from quadftc_flight.diagnosis_metrics.events import FaultEvent
 from quadftc_flight.diagnosis_metrics.healthy import Truth
 from quadftc_flight.diagnosis_metrics.statistics import number
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_model.samples import AXES
 
 NO_AXIS = "none"  # the row of the time without a fault, the column of the time in which nothing is declared

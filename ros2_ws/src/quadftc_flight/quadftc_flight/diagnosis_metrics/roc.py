@@ -20,10 +20,10 @@ from numpy.typing import ArrayLike, NDArray
 from sklearn.metrics import auc, roc_curve
 
 from quadftc_flight.diagnosis_metrics.columns import Columns
-from quadftc_flight.diagnosis_metrics.events import FaultEvent
 from quadftc_flight.diagnosis_metrics.faults import has_size
 from quadftc_flight.diagnosis_metrics.healthy import truth
 from quadftc_flight.diagnosis_metrics.pooling import pool
+from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import Flight
 from quadftc_model.samples import AXES
 

@@ -8,8 +8,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, cast
 
-from quadftc_flight.diagnosis_metrics import FaultEvent, fault_events
-from quadftc_flight.metrics import FaultWindow
+from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, fault_events, fault_windows
 from quadftc_flight.scenario.yaml_document import Document, ScenarioError
 from quadftc_model.hints import nearest
 from quadftc_model.samples import AXES
@@ -137,15 +136,7 @@ class Scenario:
     @property
     def fault_windows(self) -> tuple[FaultWindow, ...]:
         """When the attitude is faulty by schedule: every distinct pair of start and stop [s], in order."""
-        axes: dict[tuple[float, float], set[str]] = {}
-        for fault in self.faults:
-            if fault.injection.channel == "attitude":
-                window = (fault.injection.start, min(fault.injection.stop, self.duration))
-                axes.setdefault(window, set()).update(fault.axes)
-        return tuple(
-            FaultWindow(start, stop, tuple(axis for axis in AXES if axis in axes[start, stop]))
-            for start, stop in sorted(axes)
-        )
+        return fault_windows(self.faults, self.duration)
 
     @property
     def fault_events(self) -> tuple[FaultEvent, ...]:

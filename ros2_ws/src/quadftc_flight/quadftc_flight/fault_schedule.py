@@ -1,18 +1,40 @@
-"""The faults that a diagnosis is judged by: on which axis of the attitude, of which kind, and when."""
+"""When the attitude is faulty by schedule, on which axes, and with which kind of fault."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from quadftc_model.samples import AXES
 
-if TYPE_CHECKING:  # a scenario takes these events for its checks
-    from quadftc_flight.scenario import Fault
+if TYPE_CHECKING:
+    from quadftc_sim.injection import Injection
 
 KINDS = {"bias": "step", "drift": "ramp"}  # fault of the catalogue -> word of the field, if it differs
 UNKNOWN_KIND = "fault"  # of a fault of which only the time is known
+
+
+class Scheduled(Protocol):
+    """A scheduled fault, as a scenario has it."""
+
+    @property
+    def injection(self) -> Injection:
+        """Which fault acts on which channel, and when."""
+        ...
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The axes it acts on, named roll, pitch, yaw on every channel."""
+        ...
+
+
+class FaultWindow(NamedTuple):
+    """When the attitude is faulty by schedule."""
+
+    start: float  # [s]
+    stop: float  # [s]
+    axes: tuple[str, ...]
 
 
 class FaultEvent(NamedTuple):
@@ -24,12 +46,32 @@ class FaultEvent(NamedTuple):
     stop: float  # [s]; the first moment without the fault
 
 
-def fault_events(faults: Iterable[Fault], duration: float) -> tuple[FaultEvent, ...]:
+def fault_windows(faults: Iterable[Scheduled], duration: float) -> tuple[FaultWindow, ...]:
+    """Return every distinct pair of start and stop [s] of faults of the attitude, in the order of time."""
+    return merged_windows(
+        FaultWindow(fault.injection.start, min(fault.injection.stop, duration), fault.axes)
+        for fault in faults
+        if fault.injection.channel == "attitude"
+    )
+
+
+def merged_windows(windows: Iterable[FaultWindow]) -> tuple[FaultWindow, ...]:
+    """Return windows in the order of time; those of the same times become one."""
+    axes: dict[tuple[float, float], set[str]] = {}
+    for start, stop, names in windows:
+        axes.setdefault((start, stop), set()).update(names)
+    return tuple(
+        FaultWindow(start, stop, tuple(axis for axis in AXES if axis in axes[start, stop]))
+        for start, stop in sorted(axes)
+    )
+
+
+def fault_events(faults: Iterable[Scheduled], duration: float) -> tuple[FaultEvent, ...]:
     """Return the events of scheduled faults.
 
     Parameters
     ----------
-    faults : iterable of Fault
+    faults : iterable of Scheduled
         Those on other channels than the attitude do not count.
     duration : float
         Of the flight [s]; what begins later does not count, what ends later is cut.
