@@ -19,6 +19,7 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from message_objects import set_stamp
 from node_bench import imu_message
 from quadftc_bags.interfaces import load_message_class
 from quadftc_control.controller import controllers
@@ -29,7 +30,7 @@ from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_msgs.srv import ClearFault, InjectFault
-from quadftc_ros.conversions import set_stamp, stamp_of
+from quadftc_ros.conversions import stamp_of
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.topics import TOPICS
 from quadftc_sim.fault import faults

@@ -11,13 +11,14 @@ import random
 import numpy as np
 import pytest
 
+from message_objects import ImuWriter, reference_of
 from quadftc_control.controller_node import ControllerNode
 from quadftc_control.reference_node import ReferenceNode
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_flight.scenario import node_parameters
 from quadftc_model.rotations import wrap
-from quadftc_ros.conversions import ImuWriter, reference_of, stamp_of
+from quadftc_ros.conversions import stamp_of
 from quadftc_sim.assembly import injector_from, simulator_from
 from quadftc_tools.soak.node_flight import (
     CHANGING_FAULT,

@@ -20,10 +20,10 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Imu
 
+from message_objects import ImuWriter, VectorWriter
 from quadftc_bags.interfaces import load_message_class
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.samples import ImuSample
-from quadftc_ros.conversions import ImuWriter, VectorWriter
 from quadftc_ros.executor import make_executor
 from quadftc_ros.qos import service_profile, topic_profile
 from quadftc_ros.topics import TOPICS

@@ -12,6 +12,7 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu
 
+from message_objects import set_stamp
 from quadftc_bags.bag import BagError
 from quadftc_bags.writer import BagWriter
 from quadftc_flight.diagnosis_metrics.roc import detection_roc, estimate_size
@@ -21,7 +22,6 @@ from quadftc_model.samples import AXES, FAULTY
 from quadftc_replay.bag_input import IMU
 from quadftc_replay.observer import choose_observer
 from quadftc_replay.overlay import faults_from
-from quadftc_ros.conversions import set_stamp
 from quadftc_sim.sensors import GRADES, ImuSensor
 from quadftc_tools.diagnosis_study import campaign, command
 from quadftc_tools.diagnosis_study.bound import AVERAGING, attitude_std_dev, fault_bound

@@ -4,7 +4,7 @@
 >>> imu = bag.series("imu/data")
 >>> imu.stamp_ns, imu["angular_velocity"]   # (n,), (n, 3)
 
-`quadftc_bags.cdr` says how the fields of a message become arrays.
+`quadftc_bags.cdr.arrays` says how the fields of a message become arrays.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from numpy.typing import NDArray
 from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
-from quadftc_bags.cdr import Arrays, decode
+from quadftc_bags.cdr.arrays import Arrays, decode_topic
 from quadftc_bags.directory import BagError, storage_files
 from quadftc_bags.mcap_records import CutShortError, NotMcapError, Record, read_records
 
@@ -199,7 +199,7 @@ class Bag:
                 types = get_types_from_idl(text)
             else:
                 types = get_types_from_msg(text, topic.type_name)
-            return decode(types, topic.type_name, bytes(topic.data), topic.sizes)
+            return decode_topic(types, topic.type_name, bytes(topic.data), topic.sizes)
         except Exception as error:  # whatever the libraries find wrong with the definition or a message
             words = " ".join(str(error).split()) or type(error).__name__
             raise BagError(f"{self.path}: topic '{name}' cannot be decoded: {words}") from error

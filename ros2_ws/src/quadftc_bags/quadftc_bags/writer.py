@@ -34,7 +34,7 @@ from rclpy.qos import QoSProfile
 from quadftc_bags.bag_file import BagFile
 from quadftc_bags.bag_format import TopicRecord, offered_qos
 from quadftc_bags.bag_order import HeldMessages, Message
-from quadftc_bags.cdr_padding import PaddingCleaner
+from quadftc_bags.cdr.padding import PaddingCleaner
 from quadftc_bags.disk_sync import DiskSync
 from quadftc_bags.interfaces import load_interface
 

@@ -11,6 +11,7 @@ from rcl_interfaces.srv import GetParameters
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
+from message_objects import ReferenceWriter
 from node_bench import imu_message, vector_message
 from quadftc_control.controller import Controller, controllers
 from quadftc_control.controller_node import ControllerNode
@@ -18,7 +19,7 @@ from quadftc_control.degraded import HeldTorque
 from quadftc_model.samples import FAULTY, HEALTHY, AttitudeReference, ControllerOutput
 from quadftc_model.vehicle import load_vehicle
 from quadftc_msgs.msg import ControlStatus, FaultStatus
-from quadftc_ros.conversions import ReferenceWriter, stamp_of, time_message
+from quadftc_ros.conversions import stamp_of, time_message
 
 FIRST_NS = 1_000_000_000
 PERIOD_NS = 4_000_000

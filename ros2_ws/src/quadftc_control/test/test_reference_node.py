@@ -7,9 +7,10 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
 
+from message_objects import reference_of
 from node_bench import imu_message, vector_message
 from quadftc_control.reference_node import ReferenceNode
-from quadftc_ros.conversions import reference_of, stamp_of
+from quadftc_ros.conversions import stamp_of
 
 FIRST_NS = 1_000_000_000
 PERIOD_NS = 10_000_000

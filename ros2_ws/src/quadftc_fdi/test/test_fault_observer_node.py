@@ -8,10 +8,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import ReliabilityPolicy
 from std_srvs.srv import Trigger
 
+from message_objects import FaultStatusWriter, imu_sample
 from node_bench import imu_message, vector_message
 from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_model.samples import FAULTY, HEALTHY, FaultEstimate
-from quadftc_ros.conversions import FaultStatusWriter, imu_sample, stamp_of
+from quadftc_ros.conversions import stamp_of
 
 FIRST_NS = 1_000_000_000
 PERIOD_NS = 4_000_000

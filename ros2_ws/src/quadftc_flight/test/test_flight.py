@@ -11,6 +11,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
+from message_objects import FaultStatusWriter
 from quadftc_bags.bag import BagError, read_bag
 from quadftc_bags.writer import BagWriter
 from quadftc_flight.closed_loop import fly
@@ -18,7 +19,6 @@ from quadftc_flight.flight import Flight, flight_from_bag, onset_ns
 from quadftc_flight.scenario import node_parameters, parse_scenario
 from quadftc_model.samples import FaultEstimate
 from quadftc_msgs.msg import AttitudeReference, ControlStatus, FaultStatus
-from quadftc_ros.conversions import FaultStatusWriter
 
 TYPES = {
     "imu/data": "sensor_msgs/msg/Imu",

@@ -25,15 +25,17 @@ from typing import Any
 
 import numpy as np
 import yaml
+from geometry_msgs.msg import Vector3Stamped
 from numpy.typing import NDArray
 from rclpy.serialization import serialize_message
+from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
 from quadftc_bags.bag import BagError
 from quadftc_bags.bag_file import BagFile
 from quadftc_bags.bag_format import TopicRecord, offered_qos
-from quadftc_bags.cdr_encoding import encode
-from quadftc_bags.cdr_padding import PaddingCleaner
+from quadftc_bags.cdr.arrays import encode_topic
+from quadftc_bags.cdr.padding import PaddingCleaner
 from quadftc_bags.interfaces import load_interface
 from quadftc_flight.run_origin import DESCRIPTION, PARAMETERS, SUMMARY
 from quadftc_flight.runs import RunError, prepare
@@ -44,7 +46,7 @@ from quadftc_replay.diagnose import Diagnosed, true_fault
 from quadftc_replay.plan import YAML_WIDTH, Replay, ReplayOptions, plan_replay
 from quadftc_replay.recording import Passenger, Stamps
 from quadftc_replay.results import replay_events, replay_windows, truth_text
-from quadftc_ros.conversions import NANOSECONDS, ImuWriter, VectorWriter
+from quadftc_ros.conversions import NANOSECONDS
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.recorder_node import versions
 from quadftc_ros.topics import EARTH_FRAME, HEADER, IMU_FRAME, TOPICS
@@ -222,7 +224,7 @@ def _taken(samples: ImuSample, rows: NDArray[np.bool_]) -> ImuSample:
 
 
 def _imus(stamp_ns: Stamps, samples: ImuSample) -> Passenger:
-    template = serialize_message(ImuWriter()(0, ImuSample(*(column[0] for column in samples))))
+    template = serialize_message(Imu(header=Header(frame_id=IMU_FRAME)))
     covariances = np.zeros((3, len(stamp_ns), 9))
     for covariance, valid in zip(
         covariances, (samples.attitude_valid, samples.rate_valid, samples.force_valid), strict=True
@@ -240,7 +242,7 @@ def _imus(stamp_ns: Stamps, samples: ImuSample) -> Passenger:
 
 
 def _vectors(frame: str, stamp_ns: Stamps, values: NDArray[np.float64]) -> Passenger:
-    template = serialize_message(VectorWriter(frame)(0, np.zeros(3)))
+    template = serialize_message(Vector3Stamped(header=Header(frame_id=frame)))
     return _encoded("geometry_msgs/msg/Vector3Stamped", template, stamp_ns, {"vector": values})
 
 
@@ -263,5 +265,5 @@ def _encoded(
 ) -> Passenger:
     clean = PaddingCleaner(type_name).clean(template)
     definition = load_interface(type_name).text
-    messages = encode(type_name, definition, clean, {"stamp_ns": stamp_ns, **columns})
+    messages = encode_topic(type_name, definition, clean, {"stamp_ns": stamp_ns, **columns})
     return Passenger(type_name, stamp_ns, messages)

@@ -12,6 +12,7 @@ import pytest
 import yaml
 from rclpy.serialization import serialize_message
 
+from message_objects import ImuWriter
 from quadftc_bags.bag import BagError, read_bag
 from quadftc_bags.writer import BagWriter
 from quadftc_flight.flight import Flight
@@ -23,7 +24,6 @@ from quadftc_replay.diagnose import flight_of
 from quadftc_replay.plan import ReplayOptions, plan_replay
 from quadftc_replay.recorded_replay import RecordedReplay, replay_from_bag
 from quadftc_replay.ros_output import replay
-from quadftc_ros.conversions import ImuWriter
 from quadftc_ros.qos import topic_profile
 
 PERIOD_NS, START_NS, COUNT = 10_000_000, 7_000_000_000, 3000

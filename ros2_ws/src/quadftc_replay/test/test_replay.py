@@ -12,9 +12,10 @@ import yaml
 from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
 
+from message_objects import ImuWriter
 from quadftc_bags.bag import BagError, read_bag
-from quadftc_bags.cdr_encoding import encode
-from quadftc_bags.cdr_padding import PaddingCleaner
+from quadftc_bags.cdr.arrays import encode_topic
+from quadftc_bags.cdr.padding import PaddingCleaner
 from quadftc_bags.interfaces import load_interface
 from quadftc_bags.writer import BagWriter
 from quadftc_fdi.fault_observers.none import NoDiagnosis
@@ -31,7 +32,7 @@ from quadftc_replay.plan import Replay, ReplayOptions, plan_replay
 from quadftc_replay.recording import Recording, cleaned
 from quadftc_replay.results import replay_events, replay_windows
 from quadftc_replay.ros_output import replay
-from quadftc_ros.conversions import ImuWriter, time_message
+from quadftc_ros.conversions import time_message
 from quadftc_ros.qos import topic_profile
 
 PERIOD_NS = 4_000_000
@@ -353,5 +354,6 @@ def test_encoded_messages_are_those_of_ros():
     columns |= {"estimate": vectors[0], "std_dev": vectors[1]}
     text = load_interface("quadftc_msgs/msg/FaultStatus").text
     assert (
-        encode("quadftc_msgs/msg/FaultStatus", text, clean(serialize_message(template)), columns) == expected
+        encode_topic("quadftc_msgs/msg/FaultStatus", text, clean(serialize_message(template)), columns)
+        == expected
     )

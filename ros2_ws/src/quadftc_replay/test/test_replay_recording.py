@@ -15,12 +15,12 @@ from rosbags.typesys import Stores, get_typestore
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
+from message_objects import set_stamp
 from quadftc_bags.bag import BagError
 from quadftc_bags.writer import BagWriter
 from quadftc_replay.bag_input import IMU, VECTOR, recording_from_bag
 from quadftc_replay.bag_truth import windows_of
 from quadftc_replay.recording import keep_good_stamps, torque_before
-from quadftc_ros.conversions import set_stamp
 from quadftc_ros.join import TorqueGate
 
 PERIOD_NS = 10_000_000

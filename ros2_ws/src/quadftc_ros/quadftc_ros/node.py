@@ -15,11 +15,12 @@ from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
+from quadftc_bags.cdr.message import leading_stamp_ns
 from quadftc_bags.interfaces import load_message_class
 from quadftc_model.parameters import parameter
 from quadftc_model.stepper import MAX_GAP
 from quadftc_ros.connections import missing_connections
-from quadftc_ros.conversions import NANOSECONDS, leading_stamp_ns, stamp_of
+from quadftc_ros.conversions import NANOSECONDS, stamp_of
 from quadftc_ros.diagnostics import OK, WARN, Diagnostics
 from quadftc_ros.parameters import NodeParameters
 from quadftc_ros.qos import service_profile, topic_profile

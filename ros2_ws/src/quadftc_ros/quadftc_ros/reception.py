@@ -6,7 +6,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from quadftc_ros.conversions import END_NS, FRAME, PLAIN, leading_frame, leading_stamp_ns, stamp_of
+from quadftc_bags.cdr.layout import FRAME, PLAIN
+from quadftc_bags.cdr.message import leading_frame, leading_stamp_ns
+from quadftc_ros.conversions import END_NS, stamp_of
 from quadftc_ros.topics import IMU, TOPICS
 from quadftc_ros.trace import Note
 

@@ -24,11 +24,12 @@ from rclpy.qos import QoSProfile
 from rclpy.utilities import get_rmw_implementation_identifier
 
 from quadftc_bags.bag_file import COMPRESSIONS
+from quadftc_bags.cdr.message import leading_stamp_ns
 from quadftc_bags.interfaces import load_message_class
 from quadftc_bags.writer import BagStatus, BagWriter, Input
 from quadftc_bags.writer_process import BagProcess
 from quadftc_model.parameters import parameter
-from quadftc_ros.conversions import END_NS, leading_stamp_ns
+from quadftc_ros.conversions import END_NS
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode

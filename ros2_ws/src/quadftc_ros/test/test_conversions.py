@@ -11,22 +11,11 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
+from message_objects import ImuWriter, ReferenceWriter, VectorWriter, imu_sample, reference_of, set_stamp
+from quadftc_bags.cdr.message import leading_stamp_ns
 from quadftc_model.samples import AttitudeReference, ImuSample
 from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
-from quadftc_ros.conversions import (
-    ABSURD,
-    ImuWriter,
-    ReferenceWriter,
-    VectorWriter,
-    array_of,
-    imu_sample,
-    is_finite,
-    leading_stamp_ns,
-    reference_of,
-    set_stamp,
-    stamp_of,
-    time_message,
-)
+from quadftc_ros.conversions import ABSURD, array_of, is_finite, stamp_of, time_message
 
 STAMPS = st.integers(0, 2**31 * 10**9 - 1)
 VECTORS = arrays(np.float64, 3, elements=st.floats())

@@ -19,8 +19,8 @@ from rclpy.serialization import serialize_message
 from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
 
+from quadftc_bags.cdr.message import leading_stamp_ns
 from quadftc_bags.interfaces import load_message_class
-from quadftc_ros.conversions import leading_stamp_ns
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import make_executor
 from quadftc_ros.node import GraphNode

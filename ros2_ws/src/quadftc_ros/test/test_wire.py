@@ -13,19 +13,19 @@ from hypothesis.extra.numpy import arrays
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu
 
-from quadftc_bags.cdr_padding import PaddingCleaner
-from quadftc_model.samples import AttitudeReference, ControllerOutput, FaultEstimate, ImuSample, level_sample
-from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
-from quadftc_ros.conversions import (
+from message_objects import (
     ControlStatusWriter,
     FaultStatusWriter,
     ImuWriter,
     ReferenceWriter,
     VectorWriter,
-    array_of,
     imu_sample,
     reference_of,
 )
+from quadftc_bags.cdr.padding import PaddingCleaner
+from quadftc_model.samples import AttitudeReference, ControllerOutput, FaultEstimate, ImuSample, level_sample
+from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
+from quadftc_ros.conversions import array_of
 from quadftc_ros.wire import (
     ControlStatusWire,
     FaultStatusWire,

@@ -8,9 +8,10 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
 
+from message_objects import imu_sample
 from node_bench import imu_message
 from quadftc_msgs.srv import ClearFault, InjectFault
-from quadftc_ros.conversions import imu_sample, stamp_of
+from quadftc_ros.conversions import stamp_of
 from quadftc_sim.fault_injector_node import FaultInjectorNode
 
 FIRST_NS = 1_000_000_000
