@@ -258,7 +258,7 @@ def test_digest_covers_observer_faults_and_metrics_but_no_other_observer():
     modules = closure((RUNS, "quadftc_fdi.fault_observers.threshold"))
     assert {"quadftc_fdi.fault_observers.threshold", "quadftc_fdi.dead_reckoning"} <= modules
     assert {
-        "quadftc_flight.diagnosis_metrics.faults",
+        "quadftc_flight.diagnosis_metrics.verdicts",
         "quadftc_sim.sensors",
         "quadftc_model.rotations",
     } <= modules

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_flight.diagnosis_metrics import pool
+from quadftc_flight.diagnosis_metrics.columns import median, number, percentile_95
 from quadftc_flight.diagnosis_metrics.roc import operating_point
-from quadftc_flight.diagnosis_metrics.statistics import median, number, percentile_95
 from quadftc_tools.diagnosis_study.bound import fault_bound
 from quadftc_tools.diagnosis_study.campaign import Study, stored
 from quadftc_tools.diagnosis_study.flights import study_sensor

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from quadftc_flight.diagnosis_metrics import diagnosis_metrics
 from quadftc_flight.diagnosis_metrics.columns import Columns
-from quadftc_flight.diagnosis_metrics.faults import has_size
-from quadftc_flight.diagnosis_metrics.healthy import truth
 from quadftc_flight.diagnosis_metrics.roc import estimate_over_std_dev, estimate_size
+from quadftc_flight.diagnosis_metrics.verdicts import has_size, truth
 from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import Flight
 from quadftc_model.samples import AXES

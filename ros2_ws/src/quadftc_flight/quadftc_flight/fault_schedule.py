@@ -1,4 +1,4 @@
-"""When the attitude is faulty by schedule, on which axes, and with which kind of fault."""
+"""When which axis of the attitude is faulty by schedule: the truth that metrics judge a flight by."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ KINDS = {"bias": "step", "drift": "ramp"}  # fault of the catalogue -> word of t
 UNKNOWN_KIND = "fault"  # of a fault of which only the time is known
 
 
-class Scheduled(Protocol):
-    """A scheduled fault, as a scenario has it."""
+class ScheduledFault(Protocol):
+    """A fault of a scenario, as far as its schedule goes."""
 
     @property
     def injection(self) -> Injection:
-        """Which fault acts on which channel, and when."""
+        """The law, with its start and stop."""
         ...
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """The axes it acts on, named roll, pitch, yaw on every channel."""
+        """The axes it is on."""
         ...
 
 
 class FaultWindow(NamedTuple):
-    """When the attitude is faulty by schedule."""
+    """When the attitude is faulty."""
 
     start: float  # [s]
-    stop: float  # [s]
+    stop: float  # [s]; the first moment without the fault
     axes: tuple[str, ...]
 
 
@@ -46,17 +46,17 @@ class FaultEvent(NamedTuple):
     stop: float  # [s]; the first moment without the fault
 
 
-def fault_windows(faults: Iterable[Scheduled], duration: float) -> tuple[FaultWindow, ...]:
-    """Return every distinct pair of start and stop [s] of faults of the attitude, in the order of time."""
-    return merged_windows(
+def fault_windows(faults: Iterable[ScheduledFault], duration: float) -> tuple[FaultWindow, ...]:
+    """Return the windows of the faults on the attitude, in a flight of that duration [s]."""
+    return merge_windows(
         FaultWindow(fault.injection.start, min(fault.injection.stop, duration), fault.axes)
         for fault in faults
         if fault.injection.channel == "attitude"
     )
 
 
-def merged_windows(windows: Iterable[FaultWindow]) -> tuple[FaultWindow, ...]:
-    """Return windows in the order of time; those of the same times become one."""
+def merge_windows(windows: Iterable[FaultWindow]) -> tuple[FaultWindow, ...]:
+    """Return the windows in the order of time; those of the same times become one."""
     axes: dict[tuple[float, float], set[str]] = {}
     for start, stop, names in windows:
         axes.setdefault((start, stop), set()).update(names)
@@ -66,51 +66,39 @@ def merged_windows(windows: Iterable[FaultWindow]) -> tuple[FaultWindow, ...]:
     )
 
 
-def fault_events(faults: Iterable[Scheduled], duration: float) -> tuple[FaultEvent, ...]:
-    """Return the events of scheduled faults.
+def fault_events(faults: Iterable[ScheduledFault], duration: float) -> tuple[FaultEvent, ...]:
+    """Return the events of the faults on the attitude, in a flight of that duration [s].
 
-    Parameters
-    ----------
-    faults : iterable of Scheduled
-        Those on other channels than the attitude do not count.
-    duration : float
-        Of the flight [s]; what begins later does not count, what ends later is cut.
-
-    Returns
-    -------
-    tuple of FaultEvent
-        In the order of time. Faults of one axis that overlap are one event.
+    What begins later does not count, what ends later is cut.
     """
     injections = [(fault.axes, fault.injection) for fault in faults]
-    return joined_events(
-        FaultEvent(
-            axis, KINDS.get(injection.kind, injection.kind), injection.start, min(injection.stop, duration)
-        )
-        for axes, injection in injections
-        if injection.channel == "attitude" and injection.start < duration
+    return merge_events(
+        FaultEvent(axis, KINDS.get(item.kind, item.kind), item.start, min(item.stop, duration))
+        for axes, item in injections
+        if item.channel == "attitude" and item.start < duration
         for axis in axes
     )
 
 
-def events_of_windows(windows: Iterable[tuple[float, float, Iterable[str]]]) -> tuple[FaultEvent, ...]:
-    """Return the events of windows (start [s], stop [s], axes) whose kind of fault is not known."""
-    return joined_events(
+def events_of_windows(windows: Iterable[FaultWindow]) -> tuple[FaultEvent, ...]:
+    """Return the events of windows whose kind of fault is not known."""
+    return merge_events(
         FaultEvent(axis, UNKNOWN_KIND, start, stop) for start, stop, axes in windows for axis in axes
     )
 
 
-def joined_events(events: Iterable[FaultEvent]) -> tuple[FaultEvent, ...]:
-    """Return the events in the order of time; those of one axis that overlap are one."""
-    found: list[FaultEvent] = []
+def merge_events(events: Iterable[FaultEvent]) -> tuple[FaultEvent, ...]:
+    """Return the events in the order of time; those of one axis that overlap become one."""
+    merged: list[FaultEvent] = []
     ordered = sorted(events, key=lambda event: (AXES.index(event.axis), event.start))
     for _, group in itertools.groupby(ordered, key=lambda event: event.axis):
         first, *others = group
-        found.append(first)
+        merged.append(first)
         for event in others:
-            last = found[-1]
+            last = merged[-1]
             if event.start < last.stop:
                 kinds = dict.fromkeys([*last.kind.split("+"), event.kind])
-                found[-1] = last._replace(kind="+".join(kinds), stop=max(last.stop, event.stop))
+                merged[-1] = last._replace(kind="+".join(kinds), stop=max(last.stop, event.stop))
             else:
-                found.append(event)
-    return tuple(sorted(found, key=lambda event: (event.start, AXES.index(event.axis))))
+                merged.append(event)
+    return tuple(sorted(merged, key=lambda event: (event.start, AXES.index(event.axis))))

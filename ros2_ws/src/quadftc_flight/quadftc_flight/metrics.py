@@ -1,7 +1,7 @@
 """What a flight was worth: tracking, fault estimation, effort. Numbers for `summary.json`.
 
-Errors are wrapped into [-pi, pi]. Rows in which one side is unknown (a sample withheld, a fault that is no
-number) do not count; where no row counts, the metric is None.
+Errors are wrapped into [-pi, pi]. Rows in which one side is unknown (a sample withheld, a non-finite fault)
+do not count; where no row counts, the metric is None.
 """
 
 from __future__ import annotations
@@ -10,17 +10,15 @@ from collections.abc import Iterator, Sequence
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from quadftc_flight.diagnosis_metrics import diagnosis_metrics
+from quadftc_flight.diagnosis_metrics.columns import Figure, Floats, Mask, largest, mean, number, rms
+from quadftc_flight.diagnosis_metrics.verdicts import diagnosis_metrics
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, events_of_windows
 from quadftc_flight.flight import NO_STATE, VECTORS, Flight
 from quadftc_model.hints import nearest
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES
 
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 PerAxis = dict[str, float | None]
 
 SETTLING_TIME = 0.2  # s; how long after an onset or an end the estimate may be off
@@ -53,20 +51,20 @@ def flight_metrics(
     moments = sorted({moment for window in windows for moment in (window.start, window.stop)})
     settled = ~_within(time, [(moment, moment + SETTLING_TIME) for moment in moments])
     return {
-        "tracking_rmse_deg": _rms(tracking),
-        "tracking_max_deg": _max(tracking),
-        "fault_max_deg": _max(np.degrees(flight.fault)),
-        "fault_estimate_rmse_deg": _rms(estimate),
-        "fault_estimate_max_deg": _max(estimate),
-        "fault_estimate_rmse_inside_deg": _rms(estimate[inside]),
-        "fault_estimate_max_inside_deg": _max(estimate[inside]),
-        "fault_estimate_rmse_outside_deg": _rms(estimate[~inside]),
-        "fault_estimate_max_outside_deg": _max(estimate[~inside]),
-        "fault_estimate_max_settled_deg": _max(estimate[settled]),
+        "tracking_rmse_deg": _per_axis(rms, tracking),
+        "tracking_max_deg": _per_axis(largest, tracking),
+        "fault_max_deg": _per_axis(largest, np.degrees(flight.fault)),
+        "fault_estimate_rmse_deg": _per_axis(rms, estimate),
+        "fault_estimate_max_deg": _per_axis(largest, estimate),
+        "fault_estimate_rmse_inside_deg": _per_axis(rms, estimate[inside]),
+        "fault_estimate_max_inside_deg": _per_axis(largest, estimate[inside]),
+        "fault_estimate_rmse_outside_deg": _per_axis(rms, estimate[~inside]),
+        "fault_estimate_max_outside_deg": _per_axis(largest, estimate[~inside]),
+        "fault_estimate_max_settled_deg": _per_axis(largest, estimate[settled]),
         "fault_windows": [_window(window, time, tracking, estimate) for window in windows],
-        "disturbance_estimate_rmse": _rms(flight.disturbance_estimate - flight.disturbance),
+        "disturbance_estimate_rmse": _per_axis(rms, flight.disturbance_estimate - flight.disturbance),
         **_effort(flight),
-        "max_tilt_deg": _number(_largest(_tilt_deg(flight.angles))),
+        "max_tilt_deg": largest(_tilt_deg(flight.angles)),
         "diagnosis": diagnosis_metrics(flight, events_of_windows(windows) if events is None else events),
     }
 
@@ -120,11 +118,11 @@ def _window(window: FaultWindow, time: Floats, tracking: Floats, estimate: Float
         "start": window.start,
         "stop": window.stop,
         "axes": list(window.axes),
-        "tracking_mean_deg": _mean(tracking[rows]),
-        "tracking_rmse_deg": _rms(tracking[rows]),
-        "tracking_max_deg": _max(tracking[rows]),
-        "fault_estimate_rmse_deg": _rms(estimate[rows]),
-        "fault_estimate_max_deg": _max(estimate[rows]),
+        "tracking_mean_deg": _per_axis(mean, tracking[rows]),
+        "tracking_rmse_deg": _per_axis(rms, tracking[rows]),
+        "tracking_max_deg": _per_axis(largest, tracking[rows]),
+        "fault_estimate_rmse_deg": _per_axis(rms, estimate[rows]),
+        "fault_estimate_max_deg": _per_axis(largest, estimate[rows]),
         "fault_estimate_settling_s": _settling(time[rows] - window.start, estimate[rows]),
     }
 
@@ -132,15 +130,14 @@ def _window(window: FaultWindow, time: Floats, tracking: Floats, estimate: Float
 def _effort(flight: Flight) -> dict[str, Any]:
     """Torque: root mean square [N m], total variation a second (chattering) [N m/s], share of cut samples."""
     known = np.all(np.isfinite(flight.torque), axis=1)
-    torque, duration = flight.torque[known], _span(flight.time)
-    variation = (
-        np.sum(np.abs(np.diff(torque, axis=0)), axis=0) / duration if len(torque) and duration > 0.0 else None
-    )
-    share = np.mean(flight.saturated[known], axis=0) if len(torque) else None
+    torque = flight.torque[known]
+    duration = float(flight.time[-1] - flight.time[0]) if len(flight) else 0.0
+    is_long = len(torque) and duration > 0.0
+    variation = np.sum(np.abs(np.diff(torque, axis=0)), axis=0) / duration if is_long else [None] * 3
     return {
-        "torque_rms": _rms(torque),
-        "torque_total_variation": _per_axis(variation),
-        "saturation_share": _per_axis(share),
+        "torque_rms": _per_axis(rms, torque),
+        "torque_total_variation": dict(zip(AXES, map(number, variation), strict=True)),
+        "saturation_share": _per_axis(mean, flight.saturated[known].astype(np.float64)),
     }
 
 
@@ -168,37 +165,5 @@ def _tilt_deg(angles: Floats) -> Floats:
     return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def _span(time: Floats) -> float:
-    return float(time[-1] - time[0]) if len(time) else 0.0
-
-
-def _rms(values: Floats) -> PerAxis:
-    return {name: _number(None if not len(v) else np.sqrt(np.mean(v * v))) for name, v in _known(values)}
-
-
-def _max(values: Floats) -> PerAxis:
-    return {name: _number(_largest(v)) for name, v in _known(values)}
-
-
-def _mean(values: Floats) -> PerAxis:
-    return {name: _number(None if not len(v) else np.mean(v)) for name, v in _known(values)}
-
-
-def _known(values: Floats) -> Iterator[tuple[str, Floats]]:
-    """The finite values of each axis."""
-    for axis, name in enumerate(AXES):
-        column = values[:, axis]
-        yield name, column[np.isfinite(column)]
-
-
-def _largest(values: Floats) -> Any:
-    known = np.abs(values[np.isfinite(values)])
-    return np.max(known) if len(known) else None
-
-
-def _per_axis(values: Any) -> PerAxis:
-    return {name: None if values is None else _number(values[axis]) for axis, name in enumerate(AXES)}
-
-
-def _number(value: Any) -> float | None:
-    return None if value is None or not np.isfinite(value) else float(value)
+def _per_axis(figure: Figure, values: Floats) -> PerAxis:
+    return {name: figure(values[:, axis]) for axis, name in enumerate(AXES)}

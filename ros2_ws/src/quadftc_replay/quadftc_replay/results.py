@@ -11,8 +11,8 @@ from quadftc_flight.fault_schedule import (
     events_of_windows,
     fault_events,
     fault_windows,
-    joined_events,
-    merged_windows,
+    merge_events,
+    merge_windows,
 )
 from quadftc_flight.flight import Flight
 from quadftc_flight.metrics import flight_metrics
@@ -26,13 +26,13 @@ DIAGNOSIS = ("fault_", "diagnosis")  # how the metrics begin that make sense wit
 
 def replay_windows(recording: Recording, faults: Sequence[Fault]) -> tuple[FaultWindow, ...]:
     """When the attitude is faulty, by what was recorded and by what was overlaid."""
-    return merged_windows([*recording.fault_windows, *fault_windows(faults, recording.duration)])
+    return merge_windows([*recording.fault_windows, *fault_windows(faults, recording.duration)])
 
 
 def replay_events(recording: Recording, faults: Sequence[Fault]) -> tuple[FaultEvent, ...]:
     """Faults of the attitude axis by axis, by what was recorded and by what was overlaid."""
     recorded = recording.fault_events or events_of_windows(recording.fault_windows)
-    return joined_events([*recorded, *fault_events(faults, recording.duration)])
+    return merge_events([*recorded, *fault_events(faults, recording.duration)])
 
 
 def replay_metrics(

@@ -6,8 +6,8 @@ import dataclasses
 import json
 from collections.abc import Mapping, Sequence
 
-from quadftc_flight.diagnosis_metrics import pool, show_row
-from quadftc_flight.diagnosis_metrics.show import HEADINGS
+from quadftc_flight.diagnosis_metrics import pool
+from quadftc_flight.diagnosis_metrics.fault_statistics import HEADINGS, show_row
 from quadftc_model.samples import AXES
 from quadftc_replay.recorded_replay import RecordedReplay
 from quadftc_report.comparison import ReplayComparison, has_observer

@@ -1,103 +1,119 @@
-"""What a flight says of the diagnosis, as columns of three axes in degrees and seconds."""
+"""A flight as its diagnosis sees it, columns of three axes in degrees and seconds; and figures of samples."""
 
 from __future__ import annotations
 
-import dataclasses
-import functools
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from quadftc_flight.flight import NO_STATE, Flight
 from quadftc_model.rotations import wrap
-from quadftc_model.samples import AXES, FAULTY, HEALTHY, RECOVERING, STARTING, SUSPECT
+from quadftc_model.samples import FAULTY, HEALTHY, RECOVERING, SUSPECT
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Figure = Callable[[ArrayLike], float | None]  # of samples; None: no sample is finite
+
+CONFIDENCE = 0.95  # probability that the band holds the statistic of a consistent estimate
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
 class Columns:
-    """Columns of a flight; NaN where a number is not known.
+    """Columns of a flight; NaN where a number is not known."""
 
-    An axis is *declared* faulty in the states FAULTY and RECOVERING, *trusted* in HEALTHY and SUSPECT, and
-    neither in STARTING.
-    """
-
-    flight: Flight
-
-    @property
-    def time(self) -> Floats:
-        """Scenario time [s] (n,)."""
-        return self.flight.time
-
-    @functools.cached_property
-    def period(self) -> float:
-        """The time that a row stands for: the median time between two [s]; NaN of less than two rows."""
-        if len(self.time) < 2:
-            return np.nan
-        return float(np.median(np.diff(self.flight.stamp_ns))) / NANOSECONDS_PER_SECOND
-
-    @functools.cached_property
-    def known(self) -> Mask:
-        """Whether there is a state (n, 3)."""
-        return self.flight.fault_state != NO_STATE
-
-    @functools.cached_property
-    def declared(self) -> Mask:
-        """Whether the axis is declared faulty (n, 3)."""
-        return (self.flight.fault_state == FAULTY) | (self.flight.fault_state == RECOVERING)
-
-    @functools.cached_property
-    def trusted(self) -> Mask:
-        """Whether the sensor is believed (n, 3)."""
-        return (self.flight.fault_state == HEALTHY) | (self.flight.fault_state == SUSPECT)
-
-    @property
-    def starting_share(self) -> dict[str, float | None]:
-        """Share of the samples of each axis in which the diagnosis has not begun yet."""
-        starting = self.flight.fault_state == STARTING
-        counts = zip(
-            AXES, np.sum(starting, axis=0).tolist(), np.sum(self.known, axis=0).tolist(), strict=True
-        )
-        return {axis: part / whole if whole else None for axis, part, whole in counts}
-
-    @functools.cached_property
-    def fault(self) -> Floats:
-        """True fault [deg] (n, 3)."""
-        return np.degrees(self.flight.fault)
-
-    @functools.cached_property
-    def estimate(self) -> Floats:
-        """Estimated fault [deg] (n, 3)."""
-        return np.degrees(self.flight.fault_estimate)
-
-    @functools.cached_property
-    def error(self) -> Floats:
-        """Estimated less true fault [deg] (n, 3), wrapped."""
-        return np.degrees(wrap(self.flight.fault_estimate - self.flight.fault))
-
-    @functools.cached_property
-    def normalised(self) -> Floats:
-        """Error over the standard deviation that the observer gives [1] (n, 3); NaN where it gives none."""
-        std_dev = np.degrees(self.flight.fault_std_dev)
+    def __init__(self, flight: Flight) -> None:
+        state, std_dev = flight.fault_state, np.degrees(flight.fault_std_dev)
+        gaps_ns, first_ns = np.diff(flight.stamp_ns), flight.stamp_ns[0] if len(flight) else 0
+        self.time: Float[Floats, " n"] = flight.time  # scenario time [s]
+        # what a row stands for: the median time between two [s]; NaN of less than two rows
+        self.period = float(np.median(gaps_ns)) / NANOSECONDS_PER_SECOND if len(gaps_ns) else np.nan
+        # the states: whether there is one, whether it says faulty, whether the sensor is believed
+        self.known: Bool[Mask, "n 3"] = state != NO_STATE
+        self.declared: Bool[Mask, "n 3"] = (state == FAULTY) | (state == RECOVERING)
+        self.trusted: Bool[Mask, "n 3"] = (state == HEALTHY) | (state == SUSPECT)
+        # true and estimated fault [deg], and what is between them, over the std dev of the observer, too [1]
+        self.fault: Float[Floats, "n 3"] = np.degrees(flight.fault)
+        self.estimate: Float[Floats, "n 3"] = np.degrees(flight.fault_estimate)
+        self.error: Float[Floats, "n 3"] = np.degrees(wrap(flight.fault_estimate - flight.fault))
         given = std_dev > 0.0  # false for NaN, too
-        return np.where(given, self.error / np.where(given, std_dev, 1.0), np.nan)
-
-    @functools.cached_property
-    def tracking(self) -> Floats:
-        """True angle less reference [deg] (n, 3), wrapped."""
-        return np.degrees(wrap(self.flight.angles - self.flight.reference))
-
-    @functools.cached_property
-    def onset(self) -> Floats:
-        """When the present fault began, as the observer says [s] (n, 3); NaN: it says of none."""
-        onset_ns = self.flight.fault_onset_ns
-        first_ns = self.flight.stamp_ns[0] if len(self.time) else 0
-        return np.where(onset_ns > 0, (onset_ns - first_ns) / NANOSECONDS_PER_SECOND, np.nan)
+        self.normalised: Float[Floats, "n 3"] = np.where(
+            given, self.error / np.where(given, std_dev, 1.0), np.nan
+        )
+        # true angle less reference [deg]
+        self.tracking: Float[Floats, "n 3"] = np.degrees(wrap(flight.angles - flight.reference))
+        # when the present fault began, as the observer says [s]; NaN: it reports none
+        self.onset: Float[Floats, "n 3"] = np.where(
+            flight.fault_onset_ns > 0, (flight.fault_onset_ns - first_ns) / NANOSECONDS_PER_SECOND, np.nan
+        )
 
     def rows(self, start: float, stop: float) -> slice:
         """Return the rows with start <= time < stop."""
         first, last = np.searchsorted(self.time, (start, stop), side="left").tolist()
         return slice(first, max(first, last))
+
+
+def number(value: Any) -> float | None:
+    """Return a number that JSON can hold; None for NaN and infinity."""
+    return None if value is None or not np.isfinite(value) else float(value)
+
+
+def finite(values: Floats) -> Floats:
+    """Return those that are finite."""
+    return values[np.isfinite(values)]
+
+
+def _figure(compute: Callable[[Floats], Any]) -> Figure:
+    """Return a figure of the finite samples."""
+
+    def figure(values: ArrayLike) -> float | None:
+        known = finite(np.asarray(values, np.float64))
+        return number(compute(known)) if len(known) else None
+
+    return figure
+
+
+rms = _figure(lambda values: np.sqrt(np.mean(values * values)))
+largest = _figure(lambda values: np.max(np.abs(values)))
+mean = _figure(np.mean)
+median = _figure(np.median)
+median_size = _figure(lambda values: np.median(np.abs(values)))
+percentile_95 = _figure(lambda values: np.percentile(values, 95.0))  # interpolated
+
+
+def independent_samples(normalised: Float[Floats, " n"]) -> float:
+    r"""Return the number nu of independent samples that tell as much about a mean square as these.
+
+        nu = n / (1 + 2 sum_k (1 - k/n) rho_k^2),    k = 1, 2, ... until rho_k <= 0
+
+    with rho_k the autocorrelation about zero (a consistent error has mean zero). The mean square of a
+    Gaussian sequence has the variance 2 sigma^4 / nu (Bayley and Hammersley 1946). White noise has nu = n, an
+    error that stays the same nu = 1.
+    """
+    count = len(normalised)
+    size = 1 << (2 * count - 1).bit_length()
+    spectrum = np.fft.rfft(normalised, size)
+    covariance = np.fft.irfft(spectrum.real**2 + spectrum.imag**2, size)[:count]
+    if covariance[0] <= 0.0:
+        return float(count)
+    rho = covariance[1:] / covariance[0]  # times (1 - k/n), as the sum has n - k terms
+    negative = np.flatnonzero(rho <= 0.0)
+    rho = rho[: int(negative[0])] if len(negative) else rho
+    weights = 1.0 - np.arange(1, len(rho) + 1) / count
+    return float(count / (1.0 + 2.0 * np.sum(rho**2 / weights)))
+
+
+def consistency_band(samples: float) -> tuple[float, float]:
+    """Return where a mean of squares of so many independent standard normal samples is in 95 % of all cases.
+
+    Quantiles of the chi-square distribution with that many degrees of freedom, over their number.
+    """
+    from scipy.special import gammaincinv  # pyright: ignore[reportMissingTypeStubs, reportUnknownVariableType]
+
+    tail = 0.5 * (1.0 - CONFIDENCE)
+    low, high = (2.0 * float(gammaincinv(0.5 * samples, p)) / samples for p in (tail, 1.0 - tail))
+    return low, high

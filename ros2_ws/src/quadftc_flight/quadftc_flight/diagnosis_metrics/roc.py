@@ -1,12 +1,8 @@
 # pyright: basic
 """Receiver operating characteristic: what a threshold on a score costs in false alarms, and what it finds.
 
->>> flights = [(flight, scenario.fault_events)]
->>> curve = detection_roc(flights, estimate_over_std_dev, within=0.5)
->>> curve.area, curve.probability_at(0.005)
-
 The score is what a detector would hold against a threshold. For an observer whose estimate is zero until its
-own detector says fault, a score made of the estimate says nothing of that detector's threshold: fly it with
+detector says fault, a score made of the estimate says nothing of that detector's threshold: fly it with
 several thresholds and take the `operating_point` of each.
 """
 
@@ -16,18 +12,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from sklearn.metrics import auc, roc_curve
 
-from quadftc_flight.diagnosis_metrics.columns import Columns
-from quadftc_flight.diagnosis_metrics.faults import has_size
-from quadftc_flight.diagnosis_metrics.healthy import truth
-from quadftc_flight.diagnosis_metrics.pooling import pool
+from quadftc_flight.diagnosis_metrics.columns import Columns, Floats, finite
+from quadftc_flight.diagnosis_metrics.fault_statistics import pool
+from quadftc_flight.diagnosis_metrics.verdicts import has_size, truth
 from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import Flight
 from quadftc_model.samples import AXES
 
-Floats = NDArray[np.float64]
 Score = Callable[[Flight], Floats]  # (n, 3); NaN where there is none
 
 
@@ -76,7 +70,7 @@ def roc(score: ArrayLike, faulty: ArrayLike) -> Roc:
     Raises
     ------
     ValueError
-        If a score is no number, or there are none of faults, or none of what is healthy.
+        If a score is not finite, or there are none of faults, or none of what is healthy.
     """
     scores, labels = np.asarray(score, np.float64), np.asarray(faulty, np.bool_)
     if scores.shape != labels.shape or scores.ndim != 1:
@@ -93,37 +87,31 @@ def roc(score: ArrayLike, faulty: ArrayLike) -> Roc:
 
 
 def detection_roc(flights: Iterable[tuple[Flight, Sequence[FaultEvent]]], score: Score, within: float) -> Roc:
-    """Return the curve of a score: healthy samples against faults that are found within a delay.
+    """Return the curve of a score: healthy samples against faults that are found within a delay [s].
 
-    A fault is found if its axis' score reaches the threshold within ``within`` [s] of the onset, and before
-    its end. Healthy is an axis as for the false-alarm share of `diagnosis_metrics`: outside faults and the
-    grace after them.
-
-    Parameters
-    ----------
-    flights : iterable of (Flight, events)
-    score : callable
-        Such as `estimate_size`.
-    within : float
-        Longest delay that counts [s].
-
-    Raises
-    ------
-    ValueError
-        If no fault, or no healthy sample, has a score.
+    For the arguments see `detection_scores`; if there are no scores of one of the two, ValueError is raised.
     """
-    parts: list[tuple[Floats, bool]] = []
-    for flight, events in flights:
-        columns, scores = Columns(flight), score(flight)
-        healthy = truth(columns, events, [True] * len(events)).healthy
-        parts.extend((_finite(scores[healthy[:, axis], axis]), False) for axis in range(len(AXES)))
-        for event in (event for event in events if has_size(columns, event)):
-            rows = columns.rows(event.start, min(event.start + within, event.stop))
-            known = _finite(scores[rows, AXES.index(event.axis)])
-            parts.append((known.max(keepdims=True) if len(known) else known, True))
-    values = np.concatenate([values for values, _ in parts]) if parts else np.empty(0)
-    labels = np.repeat([faulty for _, faulty in parts], [len(values) for values, _ in parts])
-    return roc(values, labels)
+    parts = [detection_scores(flight, events, score, within) for flight, events in flights]
+    values = [np.concatenate([part[side] for part in parts]) for side in (0, 1)]
+    return roc(np.concatenate(values), np.repeat([False, True], [len(side) for side in values]))
+
+
+def detection_scores(
+    flight: Flight, events: Sequence[FaultEvent], score: Score, within: float
+) -> tuple[Floats, Floats]:
+    """Return the scores (n,) of all healthy samples, and the highest score (m,) of each fault.
+
+    A fault has a size, and a score within ``within`` [s] of its onset and before its end. Healthy is an axis
+    as for the false-alarm share of `diagnosis_metrics`: outside faults and the grace after them.
+    """
+    columns, scores = Columns(flight), score(flight)
+    healthy = finite(scores[truth(columns, events, [True] * len(events)).healthy])
+    highest: list[float] = []
+    for event in (event for event in events if has_size(columns, event)):
+        rows = columns.rows(event.start, min(event.start + within, event.stop))
+        values = finite(scores[rows, AXES.index(event.axis)])
+        highest.extend(values.max(keepdims=True) if len(values) else ())
+    return healthy, np.asarray(highest, np.float64)
 
 
 def estimate_size(flight: Flight) -> Floats:
@@ -135,7 +123,3 @@ def estimate_over_std_dev(flight: Flight) -> Floats:
     """Size of the fault estimate over its standard deviation [1] (n, 3); NaN where there is none."""
     given = flight.fault_std_dev > 0.0
     return np.where(given, np.abs(flight.fault_estimate) / np.where(given, flight.fault_std_dev, 1.0), np.nan)
-
-
-def _finite(values: Floats) -> Floats:
-    return values[np.isfinite(values)]

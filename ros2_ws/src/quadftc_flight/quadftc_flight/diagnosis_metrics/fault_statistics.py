@@ -1,0 +1,234 @@
+"""The figures of many faults, of one flight or of many: medians, maxima and counts, by kind of fault.
+
+>>> pooled = pool(summary["metrics"]["diagnosis"] for summary in summaries)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, cast
+
+from quadftc_flight.diagnosis_metrics.columns import (
+    Figure,
+    consistency_band,
+    largest,
+    mean,
+    median,
+    median_size,
+    number,
+    percentile_95,
+)
+
+Record = Mapping[str, Any]
+PerAxis = dict[str, Any]
+
+ESTIMATE_THRESHOLD_DEG = 0.3  # deg; an estimate of this size says fault: 3 sigma of the attitude of mems
+ALL = "all"  # beside the kinds: faults of every kind
+SECONDS_PER_HOUR = 3600.0
+ALARMS = ("healthy_time_s", "false_alarms", "false_alarm_time_s", "late_recovery_time_s")
+
+_ESTIMATE_ALARMS = ("healthy_time_s", "false_alarm_time_s")
+_ISOLATION = ("isolation_tested_s", "isolation_correct_s")
+_CONFUSIONS = ("confusion_single_s", "confusion_any_s", "confusion_by_kind_s")
+
+_FIGURES: dict[str, tuple[str, Figure]] = {
+    "delay_median_s": ("detection_delay_s", median),
+    "delay_max_s": ("detection_delay_s", largest),
+    "onset_error_median_s": ("onset_error_s", median_size),
+    "recovery_delay_median_s": ("recovery_delay_s", median),
+    "recovery_delay_max_s": ("recovery_delay_s", largest),
+    "estimate_rmse_median_deg": ("estimate_rmse_deg", median),
+    "estimate_rmse_p95_deg": ("estimate_rmse_deg", percentile_95),
+    "estimate_rmse_detected_median_deg": ("estimate_rmse_detected_deg", median),
+    "estimate_rmse_detected_p95_deg": ("estimate_rmse_detected_deg", percentile_95),
+    "estimate_bias_mean_deg": ("estimate_bias_deg", mean),
+    "estimate_max_deg": ("estimate_max_deg", largest),
+    "tracking_rmse_median_deg": ("tracking_rmse_deg", median),
+    "tracking_rmse_p95_deg": ("tracking_rmse_deg", percentile_95),
+    "coverage_2_sigma": ("coverage_2_sigma", mean),
+    "nees": ("nees", mean),
+}  # metric by kind -> what it is made of, and how
+_ESTIMATE_FIGURES: dict[str, tuple[str, Figure]] = {
+    "delay_median_s": ("above_threshold_delay_s", median),
+    "delay_max_s": ("above_threshold_delay_s", largest),
+}
+
+
+def fault_metrics(records: Sequence[Record]) -> dict[str, Any]:
+    """Sum up the records of faults; those that cannot be judged do not count.
+
+    Delays are those of the faults that were found. The band of the mean NEES takes each fault for one
+    independent sample: the error made in telling a fault from the attitude stays in the estimate until the
+    sensor is trusted again.
+    """
+    judged, by_kind = _groups(records, "detected")
+    groups = {ALL: judged, **by_kind}
+    nees_counts = {kind: len(_values(members, "nees")) for kind, members in groups.items()}
+    bands = {kind: consistency_band(n) if n else (None, None) for kind, n in nees_counts.items()}
+    return {
+        "fault_count": len(judged),
+        "missed": _count(judged, "detected", False),
+        "already_declared": _count(judged, "already_declared", True),
+        "not_recovered": _count(judged, "recovered", False),
+        "fault_count_by_kind": {kind: len(members) for kind, members in by_kind.items()},
+        "missed_by_kind": {kind: _count(members, "detected", False) for kind, members in by_kind.items()},
+        **_figures(groups, _FIGURES),
+        "nees_low": {kind: low for kind, (low, _) in bands.items()},
+        "nees_high": {kind: high for kind, (_, high) in bands.items()},
+    }
+
+
+def estimate_fault_metrics(records: Sequence[Record]) -> dict[str, Any]:
+    """Sum up what the size of the estimate, without any state, says of faults."""
+    judged, by_kind = _groups(records, "above_threshold")
+    return {
+        "threshold_deg": ESTIMATE_THRESHOLD_DEG,
+        "missed": _count(judged, "above_threshold", False),
+        "already_above": _count(judged, "above_threshold_already", True),
+        **_figures({ALL: judged, **by_kind}, _ESTIMATE_FIGURES),
+    }
+
+
+def with_shares(totals: Mapping[str, PerAxis]) -> dict[str, Any]:
+    """Relate times [s] and counts to the healthy time: of each axis, and (``total_``) of all axes."""
+    healthy = totals["healthy_time_s"]
+    hours = {axis: None if time is None else time / SECONDS_PER_HOUR for axis, time in healthy.items()}
+    result: dict[str, Any] = {}
+    for name, values in totals.items():
+        result[name] = values
+        if name == "false_alarms":
+            result["total_false_alarms"] = _total(list(values.values()))
+            result.update(_related("false_alarms_per_hour", values, hours))
+        elif name != "healthy_time_s":
+            result.update(_related(name.replace("_time_s", "_share"), values, healthy))
+    return result
+
+
+def accuracy(correct: float | None, tested: float | None) -> float | None:
+    """Return a ratio, such as the isolation accuracy; None where it was not put to the test."""
+    return number(correct / tested) if correct is not None and tested else None
+
+
+def pool(diagnoses: Iterable[Record]) -> dict[str, Any]:
+    """Sum up the diagnosis of many flights.
+
+    Parameters
+    ----------
+    diagnoses : iterable of mapping
+        ``summary["metrics"]["diagnosis"]`` of each flight.
+
+    Returns
+    -------
+    dict
+        As of one flight, without ``events`` and ``starting_share``; with the number of ``flights``.
+    """
+    flights = list(diagnoses)
+    records = [record for flight in flights for record in flight["events"]]
+    tested, correct = (_total([flight[name] for flight in flights]) for name in _ISOLATION)
+    by_estimate = [flight["by_estimate"] for flight in flights]
+    return {
+        "flights": len(flights),
+        **fault_metrics(records),
+        **with_shares(_sums(flights, ALARMS)),
+        "isolation_tested_s": tested,
+        "isolation_correct_s": correct,
+        "isolation_accuracy": accuracy(correct, tested),
+        **_sums(flights, _CONFUSIONS),
+        "by_estimate": {
+            **estimate_fault_metrics(records),
+            **with_shares(_sums(by_estimate, _ESTIMATE_ALARMS)),
+        },
+    }
+
+
+def _groups(records: Sequence[Record], verdict: str) -> tuple[list[Record], dict[str, list[Record]]]:
+    """Records that have a verdict: all, and by kind; a kind without any is there, too."""
+    judged = [record for record in records if record[verdict] is not None]
+    kinds = dict.fromkeys(str(record["kind"]) for record in records)
+    return judged, {kind: [record for record in judged if record["kind"] == kind] for kind in kinds}
+
+
+def _figures(
+    groups: Mapping[str, Sequence[Record]], figures: Mapping[str, tuple[str, Figure]]
+) -> dict[str, dict[str, float | None]]:
+    return {
+        name: {kind: figure(_values(members, field)) for kind, members in groups.items()}
+        for name, (field, figure) in figures.items()
+    }
+
+
+def _values(records: Iterable[Record], field: str) -> list[float]:
+    return [float(record[field]) for record in records if record[field] is not None]
+
+
+def _count(records: Sequence[Record], field: str, value: bool) -> int | None:
+    """How many of the records have a value; None if there is none that could."""
+    found = [record[field] for record in records if record[field] is not None]
+    return sum(each is value for each in found) if found else None
+
+
+def _related(name: str, parts: PerAxis, wholes: PerAxis) -> dict[str, Any]:
+    """Ratios of each axis, and of the sums over the axes."""
+    total = accuracy(_total(list(parts.values())), _total(list(wholes.values())))
+    return {name: {axis: accuracy(parts[axis], wholes[axis]) for axis in wholes}, f"total_{name}": total}
+
+
+def _sums(parts: Sequence[Record], names: Iterable[str]) -> dict[str, Any]:
+    return {name: _total([part[name] for part in parts]) or {} for name in names}
+
+
+def _total(parts: Sequence[Any]) -> Any:
+    """Sum of numbers, or of mappings of such entry by entry; None counts as nothing."""
+    there = [part for part in parts if part is not None]
+    if not there:
+        return None
+    if not isinstance(there[0], Mapping):
+        return sum(there)
+    entries = [cast("Record", part) for part in there]
+    keys = dict.fromkeys(key for part in entries for key in part)
+    return {key: _total([part.get(key) for part in entries]) for key in keys}
+
+
+HEADINGS = (
+    *("", "faults", "missed", "delay, step (max)", "delay, ramp (median)", "delay, sine (median)"),
+    *("estimate RMSE per fault, median / 95 %", "false alarms"),
+)  # of a table of pools
+NOTHING = "-"
+
+
+def show_row(pooled: Record) -> tuple[str, ...]:
+    """Write one pool for people, in the order of ``HEADINGS`` behind the name."""
+    rmse = (pooled[name].get("all") for name in ("estimate_rmse_median_deg", "estimate_rmse_p95_deg"))
+    missed, already = pooled["missed"], pooled["already_declared"]
+    declared_before = f" ({already} declared before the onset)" if already else ""
+    return (
+        str(pooled["fault_count"]),
+        NOTHING if missed is None else f"{missed}{declared_before}",
+        _show_time(pooled["delay_max_s"].get("step")),
+        _show_time(pooled["delay_median_s"].get("ramp")),
+        _show_time(pooled["delay_median_s"].get("sine")),
+        f"{' / '.join(map(_show_number, rmse))} deg",
+        _show_alarms(pooled),
+    )
+
+
+def _show_alarms(pooled: Record) -> str:
+    count, share, rate = (
+        pooled[f"total_{name}"] for name in ("false_alarms", "false_alarm_share", "false_alarms_per_hour")
+    )
+    if count is None or share is None or rate is None:
+        return NOTHING
+    if count == 0:
+        left_over = f"; {_show_number(100.0 * share)} % of healthy time left over from faults"
+        return f"none{left_over if share else ''}"
+    return f"{count}, {_show_number(rate)} an hour, {_show_number(100.0 * share)} % of healthy time"
+
+
+def _show_time(value: float | None) -> str:
+    if value is None:
+        return NOTHING
+    return f"{_show_number(value)} s" if value >= 1.0 else f"{_show_number(1e3 * value)} ms"
+
+
+def _show_number(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:.3g}"

@@ -1,0 +1,315 @@
+"""The diagnosis of one flight judged: each fault, the healthy time, and which axis is blamed.
+
+A row stands for the median time between two. Rows without a state do not count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from quadftc_flight.diagnosis_metrics.columns import (
+    Columns,
+    Floats,
+    Mask,
+    consistency_band,
+    finite,
+    independent_samples,
+    largest,
+    mean,
+    number,
+    rms,
+)
+from quadftc_flight.diagnosis_metrics.fault_statistics import (
+    ALARMS,
+    ESTIMATE_THRESHOLD_DEG,
+    accuracy,
+    estimate_fault_metrics,
+    fault_metrics,
+    with_shares,
+)
+from quadftc_flight.fault_schedule import FaultEvent
+from quadftc_flight.flight import Flight
+from quadftc_model.samples import AXES, STARTING
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool
+
+COVERAGE_SIGMAS = 2.0  # standard deviations; 95.4 % of the errors of a consistent estimate are within
+GRACE_TIME = 5.0  # s; after the end of a fault, to find out that it is over: neither healthy nor faulty
+NO_AXIS = "none"  # the row of the time without a fault, the column of the time in which nothing is declared
+TIME = "time"  # the column of the time of a row
+
+Record = dict[str, Any]
+Matrix = dict[str, dict[str, float | None]]
+
+
+class Detection(NamedTuple):
+    """When a detector says fault; all None where it cannot be judged."""
+
+    detected: bool | None = None  # in some sample of the fault
+    already: bool | None = None  # in the last sample before it: this is no detection of this fault
+    time: float | None = None  # of the first sample that says so [s]; None: missed, or said already
+
+
+class Truth(NamedTuple):
+    """Which axes are faulty, and which are healthy; in the grace after a fault, neither."""
+
+    faulty: Bool[Mask, "n 3"]
+    healthy: Bool[Mask, "n 3"]
+
+
+def diagnosis_metrics(flight: Flight, events: Sequence[FaultEvent]) -> dict[str, Any]:
+    """Judge the diagnosis of a flight.
+
+    Parameters
+    ----------
+    flight : Flight
+    events : sequence of FaultEvent
+        Of one axis, none overlaps another.
+
+    Returns
+    -------
+    dict
+        Ready for JSON. ``events`` holds a record of each fault; the metrics of all faults have a value for
+        each kind of fault and for ``all``; those of healthy time and isolation a value for each axis.
+    """
+    columns = Columns(flight)
+    records = [_judge_fault(columns, event, _next_start(event, events)) for event in events]
+    by_state = truth(columns, events, [record["detected"] is not None for record in records])
+    by_estimate = truth(columns, events, [record["above_threshold"] is not None for record in records])
+    alarms = [_alarms(columns, by_state.healthy, axis) for axis in range(len(AXES))]
+    large = [_large_estimates(columns, by_estimate.healthy, axis) for axis in range(len(AXES))]
+    counts = np.sum(flight.fault_state == STARTING, axis=0), np.sum(columns.known, axis=0)
+    shares = [int(part) / int(whole) if whole else None for part, whole in zip(*counts, strict=True)]
+    return {
+        **fault_metrics(records),
+        **with_shares(_by_axis(alarms)),
+        **_isolation(columns, by_state, events),
+        "by_estimate": {**estimate_fault_metrics(records), **with_shares(_by_axis(large))},
+        "starting_share": dict(zip(AXES, shares, strict=True)),
+        "events": records,
+    }
+
+
+def has_size(columns: Columns, event: FaultEvent) -> bool:
+    """Return whether a fault changes the reading; where the truth was not recorded, the schedule counts."""
+    fault = columns.fault[:, AXES.index(event.axis)]
+    inside = finite(fault[columns.rows(event.start, event.stop)])
+    return bool(np.any(inside != 0.0)) if len(inside) else not np.isfinite(fault).any()
+
+
+def truth(columns: Columns, events: Sequence[FaultEvent], judged: Sequence[bool]) -> Truth:
+    """Divide the time of each axis; in an event that is not ``judged`` it is neither faulty nor healthy."""
+    faulty = np.zeros((len(columns.time), len(AXES)), np.bool_)
+    doubtful = np.zeros_like(faulty)
+    for event, counts in zip(events, judged, strict=True):
+        axis = AXES.index(event.axis)
+        doubtful[columns.rows(event.start, event.stop + GRACE_TIME), axis] = True
+        if counts:
+            faulty[columns.rows(event.start, event.stop), axis] = True
+    return Truth(faulty, ~faulty & ~doubtful)
+
+
+def _next_start(event: FaultEvent, events: Sequence[FaultEvent]) -> float:
+    """When the next fault on the axis of an event begins [s]."""
+    starts = [other.start for other in events if other.axis == event.axis and other.start >= event.stop]
+    return min(starts, default=math.inf)
+
+
+def _judge_fault(columns: Columns, event: FaultEvent, following: float) -> Record:
+    """Judge one fault; the next one of its axis begins at ``following`` [s].
+
+    ``detected`` is None where there is nothing to detect: the flight ends before, the state is not known, or
+    the fault leaves the reading as it is (a channel that is absent, a scale factor of zero).
+    """
+    axis, rows = AXES.index(event.axis), columns.rows(event.start, event.stop)
+    sized = has_size(columns, event)
+    known, estimate = columns.known[:, axis], columns.estimate[:, axis]
+    by_state = _detect(columns.time, known, columns.declared[:, axis], event, sized)
+    above = np.abs(estimate) >= ESTIMATE_THRESHOLD_DEG  # false for NaN
+    by_estimate = _detect(columns.time, np.isfinite(estimate), above, event, sized)
+    said = columns.declared[rows, axis][known[rows]]
+    begins = int(said[0]) + int(np.sum(said[1:] & ~said[:-1])) if len(said) else None
+    return {
+        **event._asdict(),
+        "fault_max_deg": largest(columns.fault[rows, axis]),
+        "detected": by_state.detected,
+        "already_declared": by_state.already,
+        "detection_delay_s": _since(by_state.time, event.start),
+        "onset_error_s": _onset_error(columns, axis, by_state.time, event.start),
+        "declared_share": mean(said),
+        "declarations": begins,
+        **_recovery(columns, axis, event, following, by_state),
+        "above_threshold": by_estimate.detected,
+        "above_threshold_already": by_estimate.already,
+        "above_threshold_delay_s": _since(by_estimate.time, event.start),
+        **_estimate_errors(columns, axis, rows),
+        "tracking_rmse_deg": rms(columns.tracking[rows, axis]),
+    }
+
+
+def _detect(time: Floats, known: Mask, says: Mask, event: FaultEvent, sized: bool) -> Detection:
+    """Find the first known sample of an event in which a detector says fault (n,)."""
+    inside = known & (event.start <= time) & (time < event.stop)
+    if not sized or not inside.any():
+        return Detection()
+    before = np.flatnonzero(known & (time < event.start))
+    already = bool(len(before) and says[before[-1]])
+    hits = np.flatnonzero(inside & says)
+    return Detection(bool(len(hits)), already, float(time[hits[0]]) if len(hits) and not already else None)
+
+
+def _since(moment: float | None, start: float) -> float | None:
+    return None if moment is None else number(moment - start)
+
+
+def _onset_error(columns: Columns, axis: int, detection: float | None, start: float) -> float | None:
+    """Onset as the observer says it at the detection, less the true one [s]."""
+    if detection is None:
+        return None
+    return number(columns.onset[int(np.searchsorted(columns.time, detection)), axis] - start)
+
+
+def _recovery(
+    columns: Columns, axis: int, event: FaultEvent, following: float, detection: Detection
+) -> Record:
+    """When the sensor is trusted again, after a fault that was found."""
+    rows = columns.rows(event.stop, following)
+    known = columns.known[rows, axis]
+    if not detection.detected or not known.any():
+        return {"recovered": None, "recovery_delay_s": None}
+    hits = np.flatnonzero(columns.trusted[rows, axis] & known)
+    moment = float(columns.time[rows][hits[0]]) if len(hits) else None
+    return {"recovered": moment is not None, "recovery_delay_s": _since(moment, event.stop)}
+
+
+def _estimate_errors(columns: Columns, axis: int, rows: slice) -> Record:
+    """Errors of the estimate during the whole fault, and (*detected*) while the axis is declared faulty."""
+    error, declared = columns.error[rows, axis], columns.declared[rows, axis]
+    return {
+        "estimate_rmse_deg": rms(error),
+        "estimate_bias_deg": mean(error),
+        "estimate_max_deg": largest(error),
+        "estimate_rmse_detected_deg": rms(error[declared]),
+        "estimate_max_detected_deg": largest(error[declared]),
+        **_consistency(finite(columns.normalised[rows, axis][declared])),
+    }
+
+
+def _consistency(normalised: Floats) -> Record:
+    """NEES with its band, and how often the error is within two standard deviations."""
+    if not len(normalised):
+        return dict.fromkeys(("nees", "nees_samples", "nees_low", "nees_high", "coverage_2_sigma"))
+    samples = independent_samples(normalised)
+    low, high = consistency_band(samples)
+    return {
+        "nees": number(np.mean(normalised**2)),
+        "nees_samples": number(samples),
+        "nees_low": number(low),
+        "nees_high": number(high),
+        "coverage_2_sigma": number(np.mean(np.abs(normalised) <= COVERAGE_SIGMAS)),
+    }
+
+
+def _alarms(columns: Columns, is_healthy: Mask, axis: int) -> Record:
+    """What the states say of an axis that is healthy: false alarms, and what is left over from faults."""
+    known = columns.known[:, axis]
+    if not known.any():
+        return dict.fromkeys(ALARMS)
+    declared, healthy = columns.declared[known, axis], is_healthy[known, axis]
+    begins = declared & ~np.concatenate([[False], declared[:-1]])
+    # whether the last declaration before or at a row began in healthy time
+    last_begin = np.maximum.accumulate(np.where(begins, np.arange(len(begins)), 0))
+    wrong = declared & healthy
+    values = (
+        _seconds(columns, healthy),
+        int(np.sum(begins & healthy)),
+        _seconds(columns, wrong),
+        _seconds(columns, wrong & ~healthy[last_begin]),
+    )
+    return dict(zip(ALARMS, values, strict=True))
+
+
+def _large_estimates(columns: Columns, is_healthy: Mask, axis: int) -> Record:
+    """How long the estimate of an axis that is healthy is as large as a fault."""
+    size = np.abs(finite(columns.estimate[is_healthy[:, axis], axis]))
+    return {
+        "healthy_time_s": number(len(size) * columns.period),
+        "false_alarm_time_s": _seconds(columns, size >= ESTIMATE_THRESHOLD_DEG),
+    }
+
+
+def _by_axis(values: Sequence[Record]) -> dict[str, Record]:
+    """Turn the metrics of each axis into the axes of each metric."""
+    return {name: {axis: each[name] for axis, each in zip(AXES, values, strict=True)} for name in values[0]}
+
+
+def _seconds(columns: Columns, mask: Mask) -> float | None:
+    """Time of the rows of a mask [s]."""
+    return number(np.sum(mask) * columns.period)
+
+
+def _isolation(columns: Columns, true: Truth, events: Sequence[FaultEvent]) -> dict[str, Any]:
+    """Hold what is declared against what is faulty, in seconds: confusion matrices, isolation accuracy.
+
+    Rows of the matrices are the truth, columns what is declared. Several axes may be declared at once, so the
+    entries of a row may add up to more than its time, ``time``. The time in which an axis is in the grace
+    after a fault does not count.
+
+    ``confusion_single_s``: where no other axis is faulty; ``confusion_any_s``: whatever the others are;
+    ``confusion_by_kind_s``: whether the faulty axis itself, a healthy one (other), or none is declared;
+    ``isolation_tested_s``: how long something is declared while some axes are faulty and others are healthy;
+    ``isolation_correct_s``: how long of it no healthy axis is; ``isolation_accuracy``: the share.
+    """
+    counted = np.all(columns.known & (true.faulty | true.healthy), axis=1)
+    declared, faulty = columns.declared & counted[:, None], true.faulty & counted[:, None]
+    wrong = np.any(declared & ~faulty, axis=1)
+    tested = np.any(declared, axis=1) & np.any(faulty, axis=1) & ~np.all(faulty, axis=1)
+    total, correct = _seconds(columns, tested), _seconds(columns, tested & ~wrong)
+    faulty_axes = np.sum(faulty, axis=1)
+    single: Matrix = {NO_AXIS: _confusion_row(columns, declared, counted & (faulty_axes == 0))}
+    every: Matrix = {}
+    for axis, name in enumerate(AXES):
+        single[name] = _confusion_row(columns, declared, faulty[:, axis] & (faulty_axes == 1))
+        every[name] = _confusion_row(columns, declared, faulty[:, axis])
+    return {
+        "isolation_tested_s": total,
+        "isolation_correct_s": correct,
+        "isolation_accuracy": accuracy(correct, total),
+        "confusion_single_s": single,
+        "confusion_any_s": every,
+        "confusion_by_kind_s": _confusion_by_kind(columns, declared, faulty, wrong, events),
+    }
+
+
+def _confusion_row(columns: Columns, declared: Mask, rows: Mask) -> dict[str, float | None]:
+    there = declared[rows]
+    counts = {
+        **{name: np.sum(there[:, axis]) for axis, name in enumerate(AXES)},
+        NO_AXIS: np.sum(~np.any(there, axis=1)),
+        TIME: len(there),
+    }
+    return {name: number(count * columns.period) for name, count in counts.items()}
+
+
+def _confusion_by_kind(
+    columns: Columns, declared: Mask, faulty: Mask, wrong: Mask, events: Sequence[FaultEvent]
+) -> Matrix:
+    """Confusion by kind of fault; ``declared`` and ``faulty`` hold the rows that count."""
+    counts: dict[str, dict[str, int]] = {}
+    for event in events:
+        axis, rows = AXES.index(event.axis), columns.rows(event.start, event.stop)
+        there = faulty[rows, axis]
+        own, other = declared[rows, axis] & there, wrong[rows] & there
+        nothing = there & ~np.any(declared[rows], axis=1)
+        line = counts.setdefault(event.kind, {"own": 0, "other": 0, NO_AXIS: 0, TIME: 0})
+        for name, mask in zip(line, (own, other, nothing, there), strict=True):
+            line[name] += int(np.sum(mask))
+    return {
+        kind: {name: number(count * columns.period) for name, count in line.items()}
+        for kind, line in counts.items()
+    }
