@@ -12,9 +12,11 @@ import os
 import sys
 import traceback
 from importlib.metadata import entry_points
+from typing import Any
 
 import typer
 from rich.console import Console
+from typer.core import TyperGroup
 
 # this machine only, unless asked otherwise; read when ROS starts, so before any of its modules
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
@@ -33,22 +35,42 @@ PATHS_FAULT = (
     *(errno.ELOOP, errno.EROFS, errno.EINVAL),
 )  # errors of the system that say that a path was bad input
 
+SUBCOMMANDS = "quadftc.commands"  # entry points: functions, or a typer.Typer with commands of its own
+
+
+class Subcommands(TyperGroup):
+    """The subcommands of all installed packages; only the one that is called is imported."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return their names."""
+        return sorted({entry.name for entry in entry_points(group=SUBCOMMANDS)})
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return one by its name, None if there is none."""
+        for entry in entry_points(group=SUBCOMMANDS, name=cmd_name):
+            found = entry.load()
+            if not isinstance(found, typer.Typer):
+                single = typer.Typer(add_completion=False, rich_markup_mode=None)
+                single.command(cmd_name)(found)
+                found = single
+            command = typer.main.get_command(found)
+            command.name = cmd_name
+            return command
+        return None
+
+
 app = typer.Typer(
-    add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
+    cls=Subcommands,
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
 )
 
 
 @app.callback()
 def _root() -> None:
     """Fault-tolerant attitude control for multirotors: fly scenarios, record, judge."""
-
-
-for entry in entry_points(group="quadftc.commands"):
-    loaded = entry.load()
-    if isinstance(loaded, typer.Typer):
-        app.add_typer(loaded, name=entry.name)
-    else:
-        app.command(entry.name)(loaded)
 
 
 def main() -> None:

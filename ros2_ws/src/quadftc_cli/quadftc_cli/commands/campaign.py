@@ -7,27 +7,17 @@ import functools
 import math
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.progress import (
-    BarColumn,
-    Progress,
-    ProgressColumn,
-    Task,
-    TaskID,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
-from rich.text import Text
 
 from quadftc_campaign.errors import CampaignError
 from quadftc_cli.commands import GOOD, INTERRUPTED
 from quadftc_cli.commands.options import SchedulerOption, WorkersOption, workers_here
+from quadftc_cli.progress import Bars, Update
 from quadftc_cli.tables import console
 from quadftc_flight.runs import RunError, RunOptions, prepare, run_name
 from quadftc_flight.runs import run as run_scenario
@@ -78,12 +68,10 @@ def _fly_alone(loaded: Campaign, numbers: list[int], name: str | None, directory
     prepare(runs, [run_name(*job) for job in jobs], force)
     screen = console()
     results: list[dict[str, Any]] = []
-    with Progress(
-        TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), console=screen
-    ) as bars:
+    with Bars(screen) as bars:
         for job in jobs:
-            bar = bars.add_task(run_name(*job), total=1.0)
-            result = run_scenario(*job, runs, RunOptions(), functools.partial(_follow, bars, bar))
+            update = bars.add(run_name(*job))
+            result = run_scenario(*job, runs, RunOptions(), functools.partial(_follow, update))
             if result is None:
                 raise RunError(f"{runs}: the flight ended early")
             results.append(result)
@@ -93,8 +81,8 @@ def _fly_alone(loaded: Campaign, numbers: list[int], name: str | None, directory
     return GOOD
 
 
-def _follow(bars: Progress, bar: TaskID, share: float) -> bool:
-    bars.update(bar, completed=share)
+def _follow(update: Update, share: float) -> bool:
+    update(share)
     return True
 
 
@@ -122,25 +110,15 @@ def _fly_all(
         f"{'float32' if loaded.float32 else 'float64'}, on {where}; "
         f"{extent.missing} of {extent.chunks} chunks to fly"
     )
-    columns = (
-        TextColumn("flying"),
-        BarColumn(),
-        TaskProgressColumn(),
-        _Rate(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
     started = time.monotonic()
     try:
-        with Progress(*columns, console=screen, disable=extent.missing == 0) as bars:
-            bar = bars.add_task("", total=max(extent.samples, 1))
+        with Bars(screen) as bars:
             flown.fly(
                 scheduler,
                 cores,
-                lambda samples: bars.advance(bar, samples),
-                lambda devices: bars.console.print(f"computed on {devices}"),
+                _advance(bars.add("flying"), extent.samples, started),
+                lambda devices: screen.print(f"computed on {devices}"),
             )
-            bars.update(bar, completed=max(extent.samples, 1))
     except KeyboardInterrupt:
         screen.print(f"interrupted; --resume goes on with what is in {directory}")
         return INTERRUPTED
@@ -158,12 +136,17 @@ def _fly_all(
     return GOOD
 
 
-class _Rate(ProgressColumn):
-    """Samples a second."""
+def _advance(update: Update, total: int, started: float) -> Callable[[int], None]:
+    """Return what counts samples flown and shows their share and rate."""
+    flown = 0
 
-    def render(self, task: Task) -> Text:
-        speed = task.finished_speed or task.speed
-        return Text("" if not speed else f"{speed / 1e6:.2f} M steps/s")
+    def advance(samples: int) -> None:
+        nonlocal flown
+        flown += samples
+        rate = flown / (time.monotonic() - started)
+        update(flown / max(total, 1), f"{rate / 1e6:.2f} M steps/s")
+
+    return advance
 
 
 def _table(summary: dict[str, Any]) -> Table:

@@ -1,18 +1,120 @@
-"""``quadftc list``."""
+"""``quadftc list``: observers, controllers, faults... with their parameters, from the registries."""
 
 from __future__ import annotations
 
-from typing import Annotated
+import inspect
+from collections.abc import Callable
+from typing import Annotated, Any
 
 import typer
+from rich.table import Table
 
-from quadftc_cli.catalogue import catalogue_table, kinds
 from quadftc_cli.tables import console
+from quadftc_control.controller import controllers
+from quadftc_control.reference import references
+from quadftc_fdi.disturbance_observer import disturbance_observers
+from quadftc_fdi.fault_observer import fault_observers
+from quadftc_flight.scenario import ScenarioError, find_scenario, load_scenario, scenario_names
+from quadftc_model.parameters import Parameter, parameters_of
+from quadftc_model.registry import Registry
+from quadftc_model.vehicle import load_vehicle, vehicle_names
+from quadftc_sim.disturbance import disturbances
+from quadftc_sim.fault import faults
+
+REGISTRIES: dict[str, Registry[Any]] = {
+    "observers": fault_observers,
+    "disturbance_observers": disturbance_observers,
+    "controllers": controllers,
+    "references": references,
+    "faults": faults,
+    "disturbances": disturbances,
+}
 
 
-def list_(
-    kind: Annotated[str, typer.Argument(help=" | ".join(kinds()) + "; default: all")] = "",
-) -> None:
+KINDS = (*REGISTRIES, "vehicles", "scenarios")
+
+
+def list_(kind: Annotated[str, typer.Argument(help=" | ".join(KINDS) + "; default: all")] = "") -> None:
     """Show what there is, with parameters, units and defaults."""
-    for each in [kind] if kind else kinds():
+    for each in [kind] if kind else KINDS:
         console().print(catalogue_table(each))
+
+
+def catalogue_table(kind: str) -> Table:
+    """Table of everything of one kind.
+
+    Raises
+    ------
+    ValueError
+        If there is no such kind.
+    """
+    tables: dict[str, Callable[[], Table]] = {"vehicles": _vehicles, "scenarios": _scenarios}
+    if kind in REGISTRIES:
+        return _components(kind, REGISTRIES[kind])
+    if kind not in tables:
+        raise ValueError(f"list: no '{kind}'; there are: {', '.join(KINDS)}")
+    return tables[kind]()
+
+
+def _components(kind: str, registry: Registry[Any]) -> Table:
+    table = _table(kind, "name", "what it is", "parameter", "default", "unit", "meaning")
+    for name in registry.names():
+        component = registry.get(name)
+        rows = parameters_of(component)
+        summary = (inspect.getdoc(component) or "").partition("\n")[0]
+        table.add_row(f"[bold]{name}[/]", summary, *(_cells(rows[0]) if rows else ("",) * 4))
+        for row in rows[1:]:
+            table.add_row("", "", *_cells(row))
+        table.add_section()
+    return table
+
+
+def _cells(row: Parameter) -> tuple[str, str, str, str]:
+    default = row.default
+    if isinstance(default, tuple):
+        text = f"{default[0]:g}" if len(set(default)) == 1 else ", ".join(f"{value:g}" for value in default)
+    else:
+        text = f"{default:g}" if type(default) is float else str(default)
+    unit = {"1": "", "{channel}": "as channel", "{channel_rate}": "channel/s"}.get(row.unit, row.unit)
+    choices = f" ({', '.join(row.choices)})" if row.choices else ""
+    return row.name, text, unit, row.doc + choices
+
+
+def _vehicles() -> Table:
+    table = _table("vehicles", "name", "what it is", "inertia [kg m²]", "authority [N m]", "rotors")
+    for name in vehicle_names():
+        vehicle = load_vehicle(name)
+        table.add_row(
+            f"[bold]{name}[/]",
+            vehicle.description,
+            ", ".join(f"{value:.3g}" for value in vehicle.inertia),
+            ", ".join(f"{value:.3g}" for value in vehicle.authority),
+            str(len(vehicle.rotors.positions)),
+        )
+    return table
+
+
+def _scenarios() -> Table:
+    table = _table("scenarios", "name", "duration", "rate", "vehicle", "schemes", "what it is")
+    for name in scenario_names():
+        try:
+            found = load_scenario(find_scenario(name))
+        except ScenarioError as error:
+            table.add_row(f"[bold]{name}[/]", "", "", "", "", f"[red]{str(error).partition(chr(10))[0]}[/]")
+            continue
+        table.add_row(
+            f"[bold]{name}[/]",
+            f"{found.duration:g} s",
+            f"{found.rate:g} Hz",
+            found.vehicle,
+            ", ".join(found.schemes),
+            " ".join(found.description.split()),
+        )
+    return table
+
+
+def _table(title: str, *headings: str) -> Table:
+    table = Table(title=title.replace("_", " "), title_justify="left")
+    for heading in headings:
+        table.add_column(heading, vertical="top")
+    return table

@@ -9,9 +9,9 @@ from typing import Annotated, Any
 
 import typer
 from rich.box import SIMPLE_HEAD
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from quadftc_cli.progress import Bars
 from quadftc_cli.tables import console
 from quadftc_model.samples import AXES
 from quadftc_replay.plan import ReplayOptions
@@ -75,10 +75,8 @@ def replay(
         skip_backwards=skip_backwards,
     )
     screen = console()
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bars:
-        bar = bars.add_task(bag.resolve().name, total=1.0)
-        summary = replay_recording(bag, options, out, force, lambda share: bars.update(bar, completed=share))
+    with Bars(screen) as bars:
+        summary = replay_recording(bag, options, out, force, bars.add(bag.resolve().name))
     for line in summary["warnings"]:
         console(stderr=True).print(f"warning: {line}", markup=False, soft_wrap=True)
     screen.print(_headline(summary), markup=False, soft_wrap=True)

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
+from quadftc_cli.progress import Bars
 from quadftc_cli.tables import console
 
 
@@ -36,14 +36,10 @@ def report(
     from quadftc_report.wording import counted, listing
 
     screen = console()
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=screen, transient=True, disable=not screen.is_terminal) as bars:
-        bar = bars.add_task("report", total=1.0)
+    with Bars(screen) as bars:
+        update = bars.add("report")
         written = write_report(
-            bags,
-            out,
-            with_figures=figures,
-            progress=lambda what, share: bars.update(bar, description=what, completed=share),
+            bags, out, with_figures=figures, progress=lambda what, share: update(share, what)
         )
     for line in written.warnings:
         console(stderr=True).print(f"warning: {line}", markup=False, soft_wrap=True)

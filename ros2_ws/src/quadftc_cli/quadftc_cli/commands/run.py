@@ -4,23 +4,16 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable
+import functools
+import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskID,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
 from quadftc_cli.commands import CHECK_FAILED, GOOD, INTERRUPTED
 from quadftc_cli.commands.options import GainsOption
+from quadftc_cli.progress import Bars
 from quadftc_cli.tables import console, failed_checks, run_table
 from quadftc_flight.runs import RunError, RunOptions, prepare, run_name
 from quadftc_flight.runs import run as run_scenario
@@ -33,10 +26,9 @@ from quadftc_flight.scenario import (
     with_disturbance_observer,
     with_observer,
 )
+from quadftc_flight.side_by_side import run_side_by_side
 from quadftc_ros.executor import StopSignals
 from quadftc_ros.scheduling import Scheduling
-
-STRIDE = 0.005  # share of a flight between two looks of the progress bar
 
 
 class Graph(str, enum.Enum):
@@ -101,12 +93,15 @@ def run(
     realtime_priority: PriorityOption = 0,
     core: CoreOption = [],  # noqa: B006
     force: Annotated[bool, typer.Option("--force", help="Replace earlier runs of the same name.")] = False,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Lock-step flights side by side; default: one for each core.")
+    ] = None,
 ) -> None:
     """Fly scenarios through the node graph; write a bag and a summary for each run."""
     overrides = [*set_, *([f"rate={rate}"] if rate else []), *([f"seed={seed}"] if seed else [])]
     scheduling = Scheduling(wait.value, realtime_priority, tuple(core))
     options = RunOptions(graph.value, mode.value, namespace, force, scheduling)
-    jobs: list[tuple[Scenario, Scheme]] = []
+    flights: list[tuple[Scenario, Scheme]] = []
     for name in scenarios:
         loaded = load_scenario(find_scenario(name), overrides, gains)
         for change, kind in (
@@ -116,53 +111,39 @@ def run(
         ):
             loaded = change(loaded, kind) if kind else loaded
         chosen = list(loaded.schemes) if scheme == "all" else [loaded.scheme(scheme or None).name]
-        jobs += [(loaded, loaded.scheme(each)) for each in chosen]
-    names = [run_name(*job) for job in jobs]
+        flights += [(loaded, loaded.scheme(each)) for each in chosen]
+    names = [run_name(*job) for job in flights]
     if len(set(names)) < len(names):
         raise RunError(
             f"{next(n for n in names if names.count(n) > 1)}: asked for twice; give scenarios other names"
         )
     prepare(out, names, force)
-    raise typer.Exit(_run_all(jobs, out, options))
+    workers = 1 if mode is Mode.realtime else min(jobs or len(os.sched_getaffinity(0)), len(flights))
+    raise typer.Exit(_run_all(flights, out, options, workers))
 
 
-def _run_all(jobs: list[tuple[Scenario, Scheme]], out: Path, options: RunOptions) -> int:
+def _run_all(jobs: list[tuple[Scenario, Scheme]], out: Path, options: RunOptions, workers: int) -> int:
     screen = console()
-    summaries: list[dict[str, Any]] = []
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    # what draws a moving bar would take the interpreter from a flight in real time, for milliseconds
-    still = options.mode == "realtime"
-    with StopSignals() as stop, Progress(*columns, console=screen, auto_refresh=not still) as bars:
-        for scenario, scheme in jobs:
-            bar = bars.add_task(run_name(scenario, scheme), total=1.0)
-            result = run_scenario(scenario, scheme, out, options, _follower(bars, bar, stop))
-            if result is None:
-                screen.print(f"interrupted; what was flown is in {out / run_name(scenario, scheme)}")
-                return INTERRUPTED
-            bars.update(bar, completed=1.0, refresh=still)
-            summaries.append(result)
+    with StopSignals() as stop, Bars(screen, still=options.mode == "realtime") as bars:
+        updates = [bars.add(run_name(*job)) for job in jobs]
+
+        def follow(number: int, share: float) -> bool:
+            updates[number](share)
+            return not stop.requested
+
+        if workers > 1:
+            results = run_side_by_side(jobs, out, options, workers, follow)
+        else:
+            results = [
+                run_scenario(*job, out, options, functools.partial(follow, number))
+                for number, job in enumerate(jobs)
+            ]
+    if stop.requested:
+        screen.print(f"interrupted; what was flown is in {out}")
+        return INTERRUPTED
+    summaries = [result for result in results if result is not None]
     screen.print(run_table(summaries, screen))
     for line in failed_checks(summaries):
         screen.print(f"[red]FAILED[/] {line}")
     screen.print(f"bags and summaries: {out}")
     return GOOD if all(item["passed"] for item in summaries) else CHECK_FAILED
-
-
-def _follower(bars: Progress, bar: TaskID, stop: StopSignals) -> Callable[[float], bool]:
-    """Return what moves a bar, in strides, as it is called for every message, until a signal comes."""
-    shown = 0.0
-
-    def follow(share: float) -> bool:
-        nonlocal shown
-        if share - shown > STRIDE:
-            bars.update(bar, completed=share)
-            shown = share
-        return not stop.requested
-
-    return follow

@@ -3,23 +3,17 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
 
 from quadftc_campaign.errors import CampaignError
 from quadftc_cli.commands import CHECK_FAILED, GOOD, INTERRUPTED
 from quadftc_cli.commands.options import SchedulerOption, WorkersOption, workers_here
+from quadftc_cli.progress import Bars
 from quadftc_cli.tables import console
 
 if TYPE_CHECKING:
@@ -56,15 +50,13 @@ def tune(
         markup=False,
         soft_wrap=True,
     )
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    total = loaded.tune.steps if loaded.tune else 1
     try:
-        with Progress(*columns, TimeRemainingColumn(), console=screen) as bars:
-            bar = bars.add_task("tuning", total=loaded.tune.steps if loaded.tune else 1)
+        with Bars(screen) as bars:
+            update = bars.add("tuning")
+            done = itertools.count(1)
             found = tuned_for(
-                loaded,
-                scheduler,
-                cores,
-                lambda step: bars.update(bar, advance=1, description=f"cost {step.cost:.4f}"),
+                loaded, scheduler, cores, lambda step: update(next(done) / total, f"cost {step.cost:.4f}")
             )
     except KeyboardInterrupt:
         screen.print("interrupted; nothing is written")
