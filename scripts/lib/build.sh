@@ -50,6 +50,11 @@ write_exports() {
   mv "$EXPORTS.new" "$EXPORTS"
 }
 
+build_packages() {
+  (enter_ros && cd "$WORKSPACE" && COLCON_DEFAULTS_FILE="$VENV/colcon_defaults.yaml" \
+    python -m colcon --log-base log build --base-paths src --event-handlers console_direct- console_cohesion+)
+}
+
 build_workspace() {
   local log="$LOG_DIR/build.log" inputs
   inputs="$(build_inputs)"
@@ -61,9 +66,7 @@ build_workspace() {
   rm -f "$BUILD_STAMP" "$WORKSPACE/build/.quadftc-environment"
   say "building ros2_ws (half a minute)"
   write_colcon_defaults
-  if ! (enter_ros && cd "$WORKSPACE" && COLCON_DEFAULTS_FILE="$VENV/colcon_defaults.yaml" \
-    python -m colcon --log-base log build --base-paths src --event-handlers console_direct- console_cohesion+ \
-    >"$log" 2>&1); then
+  if ! with_progress "$log" '^Finished <<<' "packages built" build_packages; then
     tail -n 30 "$log" >&2
     if grep -q "No space left on device" "$log"; then die 2 "the disk is full: make room"; fi
     die 3 "the build failed (whole log: $log)"

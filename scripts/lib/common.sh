@@ -11,6 +11,21 @@ APT_ROS="${QUADFTC_ROS:-/opt/ros/jazzy}"  # where apt puts ROS 2; QUADFTC_ROS=no
 
 say() { printf 'setup: %s\n' "$*" >&2; }
 
+# with_progress LOG PATTERN WORDS COMMAND...: runs a command with its output in LOG; says every 10 s how many of its
+# lines match PATTERN.
+with_progress() {
+  local log=$1 pattern=$2 words=$3 teller code=0
+  shift 3
+  while sleep 10 >/dev/null 2>&1 9>&- && kill -0 $$ 2>/dev/null; do
+    say "$(grep -cE "$pattern" "$log") $words ($SECONDS s)"
+  done &
+  teller=$!
+  "$@" >"$log" 2>&1 || code=$?
+  kill "$teller" 2>/dev/null || true
+  wait "$teller" 2>/dev/null || true
+  return "$code"
+}
+
 die() { # die EXIT_CODE MESSAGE...
   local code=$1
   shift

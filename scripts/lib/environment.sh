@@ -60,8 +60,9 @@ explain_pip_failure() {
 
 run_pip() {
   local log="$LOG_DIR/pip.log"
-  if ! "$VENV/bin/python" -m pip install --disable-pip-version-check --no-input --progress-bar off --no-compile \
-    --require-hashes --no-deps "$@" >"$log" 2>&1; then
+  if ! with_progress "$log" '^Collecting ' "packages fetched" \
+    "$VENV/bin/python" -m pip install --disable-pip-version-check --no-input --progress-bar off --no-compile \
+    --require-hashes --no-deps "$@"; then
     die 2 "$(explain_pip_failure "$log") (details: $log)"
   fi
 }
