@@ -59,7 +59,8 @@ class BareLoop:
         return self._cast((plant, controller, output.torque)), ()
 
     def _inputs(self, plant: Any, angles: Any) -> ControllerInputs:
-        zeros, there = jnp.zeros_like(angles), jnp.asarray(True)
+        zeros: Any = jnp.zeros_like(angles)
+        there: Any = jnp.asarray(True)
         imu = ImuSample(plant.q_xyzw, plant.body_rate, zeros, there, there, there)
         return ControllerInputs(imu, AttitudeReference(angles, zeros, zeros), zeros)
 

@@ -74,9 +74,11 @@ class Avionics:
         disturbance = self._disturbance_observer.step(
             stamp_ns, DisturbanceObserverInputs(corrected.body_rate, corrected.rate_valid, self.torque)
         )
+        if disturbance is None:
+            return None
         reference = self._reference.at(stamp_ns)
         output = self._controller.step(stamp_ns, ControllerInputs(corrected, reference, disturbance))
-        if disturbance is None or output is None:
+        if output is None:
             return None
         self.torque = output.torque
         return Reaction(estimate, disturbance, reference, output)

@@ -4,13 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
-# The laws are generic over the array library, which has no common static type: arrays (..., 3) and the like.
-Array = Any
 T = TypeVar("T")
+Array = Any  # of any array library and shape; prefer the types with a shape
+
+# Shapes for signatures. A type checker takes every array for NumPy's; arrays of JAX come in the same places.
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float, UInt8
+
+    AnyArray = np.ndarray[Any, np.dtype[Any]]
+    Scalar = Float[AnyArray, "*batch"] | float
+    Column = Float[AnyArray, "*batch 1"]
+    Vector = Float[AnyArray, "*batch 3"]
+    Quaternion = Float[AnyArray, "*batch 4"]  # x, y, z, w
+    Components = Float[AnyArray, "*batch n"]
+    Matrix = Float[AnyArray, "*batch n m"]
+    Flag = Bool[Any, "*batch"]  # np.bool_ for one vehicle, which NumPy does not type as an array
+    Mask = Bool[AnyArray, "*batch 3"]
+    States = UInt8[AnyArray, "*batch 3"]
+else:  # importing jaxtyping would cost every node its start-up time
+    AnyArray = Scalar = Column = Vector = Quaternion = Components = Matrix = Flag = Mask = States = Any
 
 
 def namespace(array: Array) -> Any:
@@ -30,7 +46,7 @@ def is_single(vector: Array) -> bool:
     return isinstance(vector, np.ndarray) and vector.ndim == 1  # pyright: ignore[reportUnknownMemberType]
 
 
-def components(vector: Array) -> Any:
+def components(vector: Components) -> Any:
     """Return the components along the last axis, (..., n) -> n times (...).
 
     Those of a single NumPy vector are Python floats: the same numbers, and many times faster to calculate
@@ -41,14 +57,14 @@ def components(vector: Array) -> Any:
     return tuple(vector[..., index] for index in range(vector.shape[-1]))  # pyright: ignore
 
 
-def stacked(parts: Sequence[Array]) -> Array:
+def stacked(parts: Sequence[Scalar]) -> Components:
     """Join components along a new last axis, the inverse of :func:`components`."""
     if isinstance(parts[0], float):
         return np.array(parts)
     return namespace(parts[0]).stack(parts, axis=-1)
 
 
-def norm(vector: Array) -> Array:
+def norm(vector: Components) -> Column:
     """Euclidean norm over the last axis, kept as an axis of length 1: (..., n) -> (..., 1).
 
     Its derivative at zero, where it has none, is 0, not NaN.
@@ -94,7 +110,7 @@ def product(a: Array, b: Array, terms: Sequence[int] | None = None) -> Array:
     return sum(parts[1:], parts[0])
 
 
-def clip(x: Array, low: Array, high: Array) -> Array:
+def clip(x: Array, low: Scalar, high: Scalar) -> Array:
     """Hold ``x``, an array or a float, within two bounds."""
     if isinstance(x, float):
         return min(max(x, low), high)

@@ -6,12 +6,12 @@ leaves two of them undivided).
 
 from __future__ import annotations
 
-from quadftc_model.arrays import Array, components, stacked
+from quadftc_model.arrays import Components, Scalar, Vector, components, stacked
 from quadftc_model.rotors import propeller_speeds
 from quadftc_model.vehicle import Vehicle
 
 
-def gyroscopic_acceleration(inertia: Array, body_rate: Array) -> Array:
+def gyroscopic_acceleration(inertia: Vector, body_rate: Vector) -> Vector:
     """Acceleration by the body's own rotation, -J^-1 (omega x J omega) [rad/s²] (..., 3).
 
     It is D f(x) of (6), and f(x2) of (36).
@@ -28,7 +28,7 @@ def gyroscopic_acceleration(inertia: Array, body_rate: Array) -> Array:
     return stacked([(jy - jz) / jx * q * r, (jz - jx) / jy * p * r, (jx - jy) / jz * p * q])
 
 
-def propeller_momentum(vehicle: Vehicle, commands: Array) -> Array:
+def propeller_momentum(vehicle: Vehicle, commands: Components) -> Scalar:
     """Angular momentum of the propellers about their common axis [N m s] (...), of rotor commands (..., n).
 
     The sum of the second term of (2). It takes each rotor's sign from the sense in which it spins; the
@@ -39,15 +39,15 @@ def propeller_momentum(vehicle: Vehicle, commands: Array) -> Array:
     return rotors.rotor_inertia * (propeller_speeds(vehicle, commands) @ rotors.spin_sign)
 
 
-def propeller_torque(body_rate: Array, momentum: Array) -> Array:
+def propeller_torque(body_rate: Vector, momentum: Scalar) -> Vector:
     """Gyroscopic torque [N m] (..., 3) of propellers of a momentum [N m s] (...): second term of (2)."""
     p, q, _ = components(body_rate)
     return stacked([-q * momentum, p * momentum, 0.0 * momentum])
 
 
 def angular_acceleration(
-    vehicle: Vehicle, body_rate: Array, torque: Array, momentum: Array, inertia: Array | None = None
-) -> Array:
+    vehicle: Vehicle, body_rate: Vector, torque: Vector, momentum: Scalar, inertia: Vector | None = None
+) -> Vector:
     """Angular acceleration [rad/s²] (..., 3), body frame: (1) with the torques of (2) and a disturbance.
 
     The drag acts on the body rate. The paper's (2) writes Euler angle rates, the same under its (5); those

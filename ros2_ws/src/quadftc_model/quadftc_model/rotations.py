@@ -10,18 +10,28 @@ import math
 
 import numpy as np
 
-from quadftc_model.arrays import Array, components, is_single, namespace, norm, stacked
+from quadftc_model.arrays import (
+    AnyArray,
+    Quaternion,
+    Scalar,
+    Vector,
+    components,
+    is_single,
+    namespace,
+    norm,
+    stacked,
+)
 
 MIN_COS_PITCH = 1e-6  # 1; the Euler rates of (4) are bounded by this close to +-90 deg of pitch
 
 
-def wrap(angle: Array) -> Array:
+def wrap(angle: AnyArray) -> AnyArray:
     """Wrap angles [rad] into [-pi, pi]; angles inside already are returned unchanged, bit for bit."""
     xp = namespace(angle)
     return angle - 2.0 * math.pi * xp.rint(angle / (2.0 * math.pi))
 
 
-def quaternion_from_euler(angles: Array) -> Array:
+def quaternion_from_euler(angles: Vector) -> Quaternion:
     """Unit quaternion q_xyzw (..., 4) of the Euler angles [rad] (..., 3): R = Rz(yaw) Ry(pitch) Rx(roll)."""
     xp = namespace(angles)
     half = 0.5 * angles
@@ -37,7 +47,7 @@ def quaternion_from_euler(angles: Array) -> Array:
     )
 
 
-def euler_from_quaternion(q_xyzw: Array) -> Array:
+def euler_from_quaternion(q_xyzw: Quaternion) -> Vector:
     """Euler angles [rad] (..., 3) of unit quaternions (..., 4).
 
     Roll and yaw are within [-pi, pi], pitch within [-pi/2, pi/2].
@@ -62,7 +72,7 @@ def euler_from_quaternion(q_xyzw: Array) -> Array:
     )
 
 
-def quaternion_product(p_xyzw: Array, q_xyzw: Array) -> Array:
+def quaternion_product(p_xyzw: Quaternion, q_xyzw: Quaternion) -> Quaternion:
     """Hamilton product p q (..., 4): first the rotation q, then p."""
     px, py, pz, pw = components(p_xyzw)
     qx, qy, qz, qw = components(q_xyzw)
@@ -76,7 +86,7 @@ def quaternion_product(p_xyzw: Array, q_xyzw: Array) -> Array:
     )
 
 
-def quaternion_rate(q_xyzw: Array, body_rate: Array) -> Array:
+def quaternion_rate(q_xyzw: Quaternion, body_rate: Vector) -> Quaternion:
     """Time derivative (..., 4) of a quaternion at body rate [rad/s] (..., 3): q' = q (omega, 0) / 2."""
     x, y, z, w = components(q_xyzw)
     p, q, r = components(body_rate)
@@ -85,7 +95,7 @@ def quaternion_rate(q_xyzw: Array, body_rate: Array) -> Array:
     )
 
 
-def quaternion_from_rotation_vector(rotation_vector: Array) -> Array:
+def quaternion_from_rotation_vector(rotation_vector: Vector) -> Quaternion:
     """Unit quaternion (..., 4) of a rotation vector [rad] (..., 3); exactly (0, 0, 0, 1) for zero."""
     if is_single(rotation_vector):
         x, y, z = rotation_vector.tolist()
@@ -102,7 +112,7 @@ def quaternion_from_rotation_vector(rotation_vector: Array) -> Array:
     return xp.concatenate([0.5 * rotation_vector * xp.where(zero, 1.0, xp.sin(safe) / safe), cosine], axis=-1)
 
 
-def normalise(q_xyzw: Array) -> Array:
+def normalise(q_xyzw: Quaternion) -> Quaternion:
     """Quaternion (..., 4) scaled to unit length; it must not be zero."""
     if is_single(q_xyzw):
         x, y, z, w = q_xyzw.tolist()
@@ -111,13 +121,13 @@ def normalise(q_xyzw: Array) -> Array:
     return q_xyzw / norm(q_xyzw)
 
 
-def earth_z_in_body(q_xyzw: Array) -> Array:
+def earth_z_in_body(q_xyzw: Quaternion) -> Vector:
     """The earth's vertical in body axes (..., 3): the third row of the rotation matrix body to earth."""
     x, y, z, w = components(q_xyzw)
     return stacked([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)])
 
 
-def euler_rates(angles: Array, body_rate: Array) -> Array:
+def euler_rates(angles: Vector, body_rate: Vector) -> Vector:
     """Euler angle rates [rad/s] (..., 3) of a body rate [rad/s] (..., 3): (4) of Wang et al. (2021).
 
     Finite at every attitude: the cosine of pitch is kept ``MIN_COS_PITCH`` away from zero.
@@ -129,7 +139,7 @@ def euler_rates(angles: Array, body_rate: Array) -> Array:
     return stacked([p + s_theta * psi_dot, c_phi * q - s_phi * r, psi_dot])
 
 
-def body_rates(angles: Array, angle_rates: Array) -> Array:
+def body_rates(angles: Vector, angle_rates: Vector) -> Vector:
     """Body rate [rad/s] (..., 3) of Euler angle rates (..., 3): the inverse of :func:`euler_rates`."""
     xp = namespace(angles)
     (c_phi, c_theta, _), (s_phi, s_theta, _) = components(xp.cos(angles)), components(xp.sin(angles))
@@ -144,7 +154,7 @@ def body_rates(angles: Array, angle_rates: Array) -> Array:
     )
 
 
-def body_acceleration(angles: Array, angle_rates: Array, angle_accelerations: Array) -> Array:
+def body_acceleration(angles: Vector, angle_rates: Vector, angle_accelerations: Vector) -> Vector:
     """Angular acceleration in body axes [rad/s²] (..., 3): the time derivative of :func:`body_rates`."""
     xp = namespace(angles)
     (c_phi, c_theta, _), (s_phi, s_theta, _) = components(xp.cos(angles)), components(xp.sin(angles))
@@ -159,7 +169,7 @@ def body_acceleration(angles: Array, angle_rates: Array, angle_accelerations: Ar
     return body_rates(angles, angle_accelerations) + convective
 
 
-def _away_from_zero(cosine: Array) -> Array:
+def _away_from_zero(cosine: Scalar) -> Scalar:
     if isinstance(cosine, float):
         return (-1.0 if cosine < 0.0 else 1.0) * max(abs(cosine), MIN_COS_PITCH)
     xp = namespace(cosine)

@@ -6,23 +6,23 @@ and with it the body torque (y F, -x F, reaction torque).
 
 from __future__ import annotations
 
-from quadftc_model.arrays import Array, changed_where, clip, namespace
+from quadftc_model.arrays import Components, Vector, changed_where, clip, namespace
 from quadftc_model.vehicle import Vehicle
 
 
-def torque_from_commands(vehicle: Vehicle, commands: Array) -> Array:
+def torque_from_commands(vehicle: Vehicle, commands: Components) -> Vector:
     """Body torque [N m] (..., 3) of the rotor commands (..., n): the first term of (2)."""
     return commands @ vehicle.mixer.T
 
 
-def commands_from_torque(vehicle: Vehicle, torque: Array) -> Array:
+def commands_from_torque(vehicle: Vehicle, torque: Vector) -> Components:
     """Rotor commands (..., n) for a body torque [N m] (..., 3), around the trim, clipped to their limits."""
     rotors = vehicle.rotors
     commands = rotors.command_trim + torque @ vehicle.allocation.T
     return clip(commands, rotors.command_min, rotors.command_max)
 
 
-def attainable(vehicle: Vehicle, torque: Array) -> Array:
+def attainable(vehicle: Vehicle, torque: Vector) -> Vector:
     """Torque [N m] (..., 3) that the rotors can really give, nearest in the sense of flying: tilt before yaw.
 
     Each axis is held within its authority; then roll and pitch are scaled together into the rotors' room
@@ -34,7 +34,7 @@ def attainable(vehicle: Vehicle, torque: Array) -> Array:
     tilt, yaw = limited[..., :2] @ allocation[:2], limited[..., 2:] * allocation[2]
     room = vehicle.command_room
 
-    def scaled() -> Array:
+    def scaled() -> Vector:
         tilt_scale = _scale(room, abs(tilt).max(axis=-1, keepdims=True))
         kept = tilt * tilt_scale
         left = room - xp.where(yaw > 0.0, kept, -kept)
@@ -44,7 +44,7 @@ def attainable(vehicle: Vehicle, torque: Array) -> Array:
     return changed_where(abs(tilt) + abs(yaw) > room, scaled, limited)
 
 
-def propeller_speeds(vehicle: Vehicle, commands: Array) -> Array:
+def propeller_speeds(vehicle: Vehicle, commands: Components) -> Components:
     """Speed [rad/s] (..., n) of each propeller, unsigned, from its thrust: F = k Omega²."""
     xp = namespace(commands)
     rotors = vehicle.rotors
@@ -52,7 +52,7 @@ def propeller_speeds(vehicle: Vehicle, commands: Array) -> Array:
     return xp.sqrt(thrust / rotors.thrust_coefficient)
 
 
-def _scale(room: Array, wanted: Array) -> Array:
+def _scale(room: Components | float, wanted: Components) -> Components:
     """Factor within [0, 1] that brings ``wanted`` into ``room``; exactly 1 when it fits (to rounding)."""
     xp = namespace(wanted)
     room = xp.maximum(room, 0.0)  # rounding may leave it below zero

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import Array, components, is_single, namespace
+from quadftc_model.arrays import Flag, Mask, Quaternion, States, Vector, components, is_single, namespace
 
 UNIT_NORM_TOLERANCE = 1e-2  # 1; a quaternion further from unit length is no attitude
 
@@ -30,12 +30,12 @@ FAULT_STATE_NAMES = ("starting", "healthy", "suspect", "faulty", "recovering")
 class ImuSample(NamedTuple):
     """One sample of the IMU message: attitude, body rate, specific force, and which of them are there."""
 
-    q_xyzw: Array  # (..., 4) attitude, body to earth
-    body_rate: Array  # (..., 3) [rad/s], body frame
-    specific_force: Array  # (..., 3) [m/s²], body frame, +g along z at rest
-    attitude_valid: Array  # (...,) bool
-    rate_valid: Array  # (...,) bool
-    force_valid: Array  # (...,) bool
+    q_xyzw: Quaternion  # attitude, body to earth
+    body_rate: Vector  # [rad/s], body frame
+    specific_force: Vector  # [m/s²], body frame, +g along z at rest
+    attitude_valid: Flag
+    rate_valid: Flag
+    force_valid: Flag
 
 
 def level_sample() -> ImuSample:
@@ -48,34 +48,34 @@ def level_sample() -> ImuSample:
 class AttitudeReference(NamedTuple):
     """Where the attitude shall be: Euler angles (Z-Y-X) with their first and second time derivatives."""
 
-    angles: Array  # (..., 3) [rad]
-    rates: Array  # (..., 3) [rad/s]
-    accelerations: Array  # (..., 3) [rad/s²]
+    angles: Vector  # [rad]
+    rates: Vector  # [rad/s]
+    accelerations: Vector  # [rad/s²]
 
 
 class FaultObserverInputs(NamedTuple):
     """What a fault observer sees: the sample, and the torque that acted since the sample before."""
 
     imu: ImuSample
-    torque: Array  # (..., 3) [N m]
+    torque: Vector  # [N m]
 
 
 class FaultEstimate(NamedTuple):
     """What a fault observer says."""
 
-    fault: Array  # (..., 3) attitude fault, roll, pitch, yaw [rad]
-    std_dev: Array  # (..., 3) its standard deviation [rad]; -1: the observer gives none
-    state: Array  # (..., 3) uint8: STARTING ... RECOVERING
-    onset_age: Array  # (..., 3) time since the onset of the present fault [s]; -1: no fault
+    fault: Vector  # attitude fault, roll, pitch, yaw [rad]
+    std_dev: Vector  # its standard deviation [rad]; -1: the observer gives none
+    state: States  # STARTING ... RECOVERING
+    onset_age: Vector  # time since the onset of the present fault [s]; -1: no fault
     corrected: ImuSample  # the sample as the controller shall see it
 
 
 class DisturbanceObserverInputs(NamedTuple):
     """What a disturbance observer sees: body rate now, and the torque that acted since the sample before."""
 
-    body_rate: Array  # (..., 3) [rad/s]
-    rate_valid: Array  # (...,) bool
-    torque: Array  # (..., 3) [N m]
+    body_rate: Vector  # [rad/s]
+    rate_valid: Flag
+    torque: Vector  # [N m]
 
 
 class ControllerInputs(NamedTuple):
@@ -83,16 +83,16 @@ class ControllerInputs(NamedTuple):
 
     imu: ImuSample
     reference: AttitudeReference
-    disturbance: Array  # (..., 3) estimate of d in (36) [rad/s²]
+    disturbance: Vector  # estimate of d in (36) [rad/s²]
 
 
 class ControllerOutput(NamedTuple):
     """What a controller says: a torque that the rotors can give, and how it came about."""
 
-    torque: Array  # (..., 3) [N m]
-    error: Array  # (..., 3) attitude minus reference, Euler angles [rad]
-    sliding_variable: Array  # (..., 3) S of (38) [rad/s]; zero where the controller has none
-    saturated: Array  # (..., 3) bool: the law asked for more than the rotors can give
+    torque: Vector  # [N m]
+    error: Vector  # attitude minus reference, Euler angles [rad]
+    sliding_variable: Vector  # S of (38) [rad/s]; zero where the controller has none
+    saturated: Mask  # the law asked for more than the rotors can give
 
 
 def sanitised(sample: ImuSample) -> ImuSample:
@@ -132,6 +132,6 @@ def _all_good(sample: ImuSample) -> bool:
     return unit and turning <= MAX_BODY_RATE and force < math.inf  # false for NaN, too
 
 
-def _finite(vector: Array) -> Array:
+def _finite(vector: Vector) -> Flag:
     """Whether every component of (..., 3) is finite."""
     return namespace(vector).isfinite(sum(abs(x) for x in components(vector)))
