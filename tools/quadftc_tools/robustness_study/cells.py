@@ -12,7 +12,7 @@ import polars as pl
 
 from quadftc_campaign.quantiles import whole_flights
 from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG
-from quadftc_flight.recorded import NO_OBSERVER
+from quadftc_flight.run_directory import NO_OBSERVER
 from quadftc_model.samples import AXES
 from quadftc_report.campaign.results import has_observer
 

@@ -97,7 +97,7 @@ def look_up(metrics: Any, path: str) -> Any:
     """
     place = metrics
     for word in path.split("."):
-        names = dict(_entries(place))
+        names = dict(entries(place))
         if word not in names:
             there = ", ".join(names) or "nothing more"
             raise KeyError(f"no metric '{path}': no '{word}'{nearest(word, names)}; there is: {there}")
@@ -105,7 +105,8 @@ def look_up(metrics: Any, path: str) -> Any:
     return place
 
 
-def _entries(place: Any) -> Iterator[tuple[str, Any]]:
+def entries(place: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the words that a path may go on with, and what they lead to."""
     if isinstance(place, dict):
         yield from cast("dict[str, Any]", place).items()
     elif isinstance(place, list):

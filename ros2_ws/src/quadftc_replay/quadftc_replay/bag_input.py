@@ -16,7 +16,12 @@ from numpy.typing import NDArray
 
 from quadftc_bags.bag import Bag, BagError, Series, TopicInfo
 from quadftc_bags.source import bag_topics, open_bag
-from quadftc_flight.run_origin import NO_PARAMETERS, PARAMETERS, attached_text, run_name
+from quadftc_flight.run_directory import (
+    NO_PARAMETERS,
+    PARAMETERS,
+    attached_text,
+    run_name,
+)
 from quadftc_model.samples import ABSENT, ImuSample
 from quadftc_replay.bag_truth import DROPPED, TRUTH, fault_windows, recorded_events, recorded_faults
 from quadftc_replay.recording import Passenger, Recording, cleaned, keep_good_stamps, torque_before

@@ -8,7 +8,7 @@ import numpy as np
 
 from quadftc_bags.bag import Bag
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, events_of_windows
-from quadftc_flight.run_origin import SCENARIO, attached_text
+from quadftc_flight.run_directory import SCENARIO, attached_text
 from quadftc_flight.scenario import Scenario, ScenarioError, parse_scenario
 from quadftc_model.samples import AXES
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND

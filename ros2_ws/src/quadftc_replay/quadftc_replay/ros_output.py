@@ -37,7 +37,7 @@ from quadftc_bags.bag_format import TopicRecord, offered_qos
 from quadftc_bags.cdr.arrays import encode_topic
 from quadftc_bags.cdr.padding import PaddingCleaner
 from quadftc_bags.interfaces import load_interface
-from quadftc_flight.run_origin import DESCRIPTION, PARAMETERS, SUMMARY
+from quadftc_flight.run_directory import DESCRIPTION, PARAMETERS, SUMMARY
 from quadftc_flight.runs import RunError, prepare
 from quadftc_model.samples import ABSENT, ImuSample
 from quadftc_msgs.msg import FaultStatus

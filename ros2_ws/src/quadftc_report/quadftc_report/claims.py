@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from quadftc_flight.metrics import SETTLED_ERROR_DEG, SETTLING_TIME
-from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.run_directory import RecordedRun
 from quadftc_model.samples import AXES
 from quadftc_report.evidence import (
     CONSTANT,

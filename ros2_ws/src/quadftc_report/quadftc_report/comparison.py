@@ -8,10 +8,9 @@ import re
 from collections.abc import Callable, Collection, Iterable
 from typing import Generic, TypeVar
 
-from quadftc_flight.recorded import NO_OBSERVER, Recorded
-from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.run_directory import NO_OBSERVER, RecordedRun
 from quadftc_flight.scenario import Scenario
-from quadftc_replay.recorded_replay import RecordedReplay
+from quadftc_replay.replay_directory import Recorded, RecordedReplay
 from quadftc_sim.sensors import ImuSensor
 
 Item_co = TypeVar("Item_co", bound=Recorded, covariant=True)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, cast
 
 from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG, GRACE_TIME
-from quadftc_flight.recorded import Recorded
+from quadftc_replay.replay_directory import Recorded
 from quadftc_report.comparison import SideBySide, has_observer
 from quadftc_report.measures import metric
 from quadftc_report.wording import duration, listing, period, plain, sentence

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from quadftc_flight.diagnosis_metrics.columns import Columns
 from quadftc_flight.flight import NO_STATE
-from quadftc_flight.recorded import Recorded
 from quadftc_model.samples import AXES, FAULT_STATE_NAMES, FAULTY, RECOVERING, SUSPECT
+from quadftc_replay.replay_directory import Recorded
 from quadftc_report import captions
 from quadftc_report.comparison import has_observer
 from quadftc_report.description import Figure

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
 from quadftc_flight.flight import Flight
-from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.run_directory import RecordedRun
 from quadftc_model.rotations import euler_rates, wrap
 from quadftc_model.samples import AXES
 

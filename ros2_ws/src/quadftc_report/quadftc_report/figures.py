@@ -21,8 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_flight.recorded import NO_OBSERVER
-from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.run_directory import NO_OBSERVER, RecordedRun
 from quadftc_model.samples import AXES
 from quadftc_report import captions
 from quadftc_report.comparison import Comparison

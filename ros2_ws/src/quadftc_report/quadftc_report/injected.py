@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from quadftc_flight.flight import Flight
-from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Fault, Part, Scenario
 from quadftc_model.parameters import Parameter, parameters_of
 from quadftc_model.samples import AXES

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from quadftc_flight.flight import Flight
 from quadftc_flight.metrics import look_up
-from quadftc_flight.recorded import Recorded
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES
+from quadftc_replay.replay_directory import Recorded
 
 Floats = NDArray[np.float64]
 Values = dict[str, float | None]  # by axis

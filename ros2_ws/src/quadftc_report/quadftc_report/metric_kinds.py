@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any, cast
 
 from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG
-from quadftc_flight.recorded import Recorded
 from quadftc_model.samples import AXES
+from quadftc_replay.replay_directory import Recorded
 from quadftc_report.measures import metric
 from quadftc_report.wording import period
 

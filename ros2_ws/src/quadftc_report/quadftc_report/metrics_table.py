@@ -13,7 +13,8 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
-from quadftc_flight.recorded import NO_OBSERVER, Recorded
+from quadftc_flight.run_directory import NO_OBSERVER
+from quadftc_replay.replay_directory import Recorded
 from quadftc_report.comparison import SideBySide, has_observer
 from quadftc_report.measures import metric
 from quadftc_report.metric_kinds import (

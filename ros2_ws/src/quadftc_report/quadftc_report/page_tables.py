@@ -8,10 +8,9 @@ import json
 from collections.abc import Iterable, Sequence
 from typing import Any, cast
 
-from quadftc_flight.recorded import Recorded
-from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.run_directory import RecordedRun
 from quadftc_model.samples import AXES
-from quadftc_replay.recorded_replay import RecordedReplay
+from quadftc_replay.replay_directory import Recorded, RecordedReplay
 from quadftc_report.metrics_table import Cell, MetricsTable, Row
 from quadftc_report.wording import plain
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from quadftc_flight.fault_schedule import FaultWindow
 from quadftc_flight.metrics import SETTLED_ERROR_DEG, SETTLING_TIME
-from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.run_directory import RecordedRun
 from quadftc_report.comparison import Comparison, has_observer
 from quadftc_report.measures import axis_metric, complete, mean_between, percent, ratios
 from quadftc_report.wording import (

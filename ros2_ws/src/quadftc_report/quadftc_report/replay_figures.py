@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from quadftc_flight.flight import Reading
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES
-from quadftc_replay.recorded_replay import RecordedReplay
+from quadftc_replay.replay_directory import RecordedReplay
 from quadftc_report import captions
 from quadftc_report.comparison import ReplayComparison
 from quadftc_report.description import Figure, Panel, Trace

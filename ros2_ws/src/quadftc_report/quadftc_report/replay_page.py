@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from quadftc_flight.diagnosis_metrics import pool
 from quadftc_flight.diagnosis_metrics.fault_statistics import HEADINGS, show_row
 from quadftc_model.samples import AXES
-from quadftc_replay.recorded_replay import RecordedReplay
+from quadftc_replay.replay_directory import RecordedReplay
 from quadftc_report.comparison import ReplayComparison, has_observer
 from quadftc_report.drawing import Drawing, drawings
 from quadftc_report.measures import metric

@@ -8,7 +8,7 @@ import numpy as np
 
 from quadftc_flight.flight import Floats
 from quadftc_model.stepper import MAX_GAP
-from quadftc_replay.recorded_replay import RecordedReplay
+from quadftc_replay.replay_directory import RecordedReplay
 from quadftc_report.comparison import ReplayComparison, has_observer
 from quadftc_report.detection import SHOWN, detection_sentences
 from quadftc_report.injected import faults_text

@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from quadftc_bags.bag import read_bag
-from quadftc_flight.recorded_run import RecordedRun, find_runs, run_from_bag
-from quadftc_flight.run_origin import is_replay
-from quadftc_replay.recorded_replay import RecordedReplay, replay_from_bag
+from quadftc_flight.run_directory import RecordedRun, find_runs, is_replay, run_from_bag
+from quadftc_replay.replay_directory import RecordedReplay, replay_from_bag
 
 if TYPE_CHECKING:
     from quadftc_report.drawing import Drawing

@@ -12,9 +12,9 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_flight.recorded import Recorded
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES
+from quadftc_replay.replay_directory import Recorded
 from quadftc_report.comparison import SideBySide
 from quadftc_report.description import Envelope, Figure, Panel, Trace
 from quadftc_report.timeline import marks, shades

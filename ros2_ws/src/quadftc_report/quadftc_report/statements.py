@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadftc_flight.recorded import Recorded
+from quadftc_replay.replay_directory import Recorded
 from quadftc_report.comparison import Comparison, SideBySide
 from quadftc_report.detection import detection_sentences
 from quadftc_report.injected import disturbances_text, faults_text, largest_disturbance, stray_fault

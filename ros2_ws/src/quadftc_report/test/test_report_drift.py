@@ -18,7 +18,7 @@ from quadftc_bags.bag import Bag, read_bag
 from quadftc_bags.writer import BagWriter
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import Flight
-from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, node_parameters, parse_scenario
 from quadftc_flight.summary import summary
 from quadftc_model.samples import AXES

@@ -11,7 +11,7 @@ import pytest
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import Flight
 from quadftc_flight.metrics import flight_metrics
-from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, node_parameters, parse_scenario
 from quadftc_model.samples import AXES
 from quadftc_report.comparison import Comparison, compare

@@ -11,7 +11,7 @@ import pytest
 
 from quadftc_bags.bag import Bag, BagError
 from quadftc_flight.closed_loop import fly
-from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import node_parameters, parse_scenario
 from quadftc_flight.summary import summary
 from quadftc_report.comparison import compare

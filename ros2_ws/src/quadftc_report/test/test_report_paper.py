@@ -11,7 +11,7 @@ import pytest
 from quadftc_bags.bag import Bag
 from quadftc_flight.flight import VECTORS, Flight
 from quadftc_flight.metrics import look_up
-from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, find_scenario, load_scenario
 from quadftc_flight.summary import summary
 from quadftc_report.comparison import Comparison, compare

@@ -14,14 +14,12 @@ from quadftc_bags.bag import Bag
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, fault_events
 from quadftc_flight.flight import NO_STATE, VECTORS, Flight, Reading
-from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import node_parameters, parse_scenario
 from quadftc_flight.summary import summary
 from quadftc_model.samples import AXES, FAULTY, HEALTHY, STARTING
 from quadftc_replay.overlay import faults_from
-from quadftc_replay.recorded_replay import RecordedReplay
-from quadftc_replay.replay_origin import ReplayOrigin
-from quadftc_replay.results import replay_metrics
+from quadftc_replay.replay_directory import RecordedReplay, ReplayOrigin, replay_metrics
 from quadftc_report.comparison import compare, compare_replays
 from quadftc_report.description import Figure, Panel
 from quadftc_report.page import render, sections

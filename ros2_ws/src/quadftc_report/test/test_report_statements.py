@@ -14,7 +14,7 @@ from quadftc_bags.bag import Bag
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import VECTORS, Flight
 from quadftc_flight.metrics import look_up
-from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, node_parameters, parse_scenario
 from quadftc_flight.summary import summary
 from quadftc_model import samples

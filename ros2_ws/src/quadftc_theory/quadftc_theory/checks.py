@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario.types import Scenario, Scheme
 from quadftc_model.vehicle import load_vehicle
 from quadftc_theory.circumstances import circumstances, circumstances_of_run

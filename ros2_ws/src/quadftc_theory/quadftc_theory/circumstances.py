@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_control.reference import combined
-from quadftc_flight.recorded_run import RecordedRun
+from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario.types import Scenario, Scheme
 from quadftc_model.rotations import body_rates, quaternion_from_euler
 from quadftc_model.samples import AttitudeReference, ImuSample

@@ -14,7 +14,7 @@ from quadftc_bags.bag import BagError
 from quadftc_cli.commands import CHECK_FAILED, GOOD
 from quadftc_cli.commands.options import GainsOption
 from quadftc_cli.tables import console
-from quadftc_flight.recorded_run import read_run
+from quadftc_flight.run_directory import read_run
 from quadftc_flight.scenario import (
     Scenario,
     find_scenario,

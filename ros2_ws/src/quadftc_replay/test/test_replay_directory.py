@@ -16,13 +16,12 @@ from message_objects import ImuWriter
 from quadftc_bags.bag import BagError, read_bag
 from quadftc_bags.writer import BagWriter
 from quadftc_flight.flight import Flight
-from quadftc_flight.recorded_run import read_run
-from quadftc_flight.run_origin import is_replay
+from quadftc_flight.run_directory import is_replay, read_run
 from quadftc_model.rotations import body_rates, quaternion_from_euler
 from quadftc_model.samples import ImuSample
 from quadftc_replay.diagnose import flight_of
 from quadftc_replay.plan import ReplayOptions, plan_replay
-from quadftc_replay.recorded_replay import RecordedReplay, replay_from_bag
+from quadftc_replay.replay_directory import RecordedReplay, replay_from_bag
 from quadftc_replay.ros_output import replay
 from quadftc_ros.qos import topic_profile
 

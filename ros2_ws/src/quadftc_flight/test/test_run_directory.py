@@ -22,7 +22,7 @@ from quadftc_bags.bag import BagError
 from quadftc_bags.writer import BagWriter
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import VECTORS, Flight
-from quadftc_flight.recorded_run import find_runs, read_run
+from quadftc_flight.run_directory import find_runs, read_run
 from quadftc_flight.scenario import Scenario, node_parameters, parse_scenario
 from quadftc_flight.summary import summary
 from quadftc_msgs.msg import AttitudeReference, ControlStatus, FaultStatus

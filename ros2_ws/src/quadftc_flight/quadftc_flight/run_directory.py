@@ -1,0 +1,360 @@
+"""The directory of a run: bag, scenario, parameters, flight and summary, checked against each other.
+
+>>> for path in find_runs([Path("results")]):
+...     run = read_run(path)
+...     print(run.name, run.summary["metrics"]["tracking_rmse_deg"]["roll"])
+
+A bag that was cut short is read up to the cut. `RunDirectory.warnings` says what was not as it should be.
+The directory of a replay holds the same, but for a scenario: `quadftc_replay.replay_directory`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import yaml
+
+from quadftc_bags.bag import Bag, BagError, read_bag
+from quadftc_flight.fault_schedule import FaultEvent
+from quadftc_flight.flight import Flight, flight_from_bag
+from quadftc_flight.scenario import (
+    Fault,
+    Part,
+    Scenario,
+    ScenarioError,
+    Scheme,
+    node_parameters,
+    parse_scenario,
+)
+from quadftc_flight.summary import compare_summaries, partial_summary, read_summary, summary
+
+SCENARIO, PARAMETERS, SUMMARY = "scenario.yaml", "parameters.yaml", "summary.json"
+DESCRIPTION = "replay.yaml"  # in place of the scenario: what was replayed
+NO_OBSERVER = "none"  # kind of an observer that takes its sensor as it is
+NEEDED = ("imu/data", "plant/attitude", "attitude/reference")  # topics; without one there is nothing to say
+WANTED = (
+    *("plant/rate", "fault/injected", "fault/estimate", "fault/status", "disturbance/applied"),
+    *("disturbance/estimate", "torque/command", "control/status"),
+)  # topics; without one its numbers are missing
+END_SLACK = 0.02  # s; what may be missing at the end of a flight in real time
+
+# what `parse_parameters` raises for a text that is no ROS parameter file
+NO_PARAMETERS = (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError, RecursionError)
+
+_ROLES = {
+    "observer": ("fault_observer", "observer"),
+    "disturbance_observer": ("disturbance_observer", "observer"),
+    "controller": ("controller", "controller"),
+}  # part of a scheme -> node, and the parameter that names the component
+
+Parameters = dict[str, dict[str, Any]]  # node, without its namespace, to its parameters
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class RunDirectory:
+    """What a run or a replay leaves behind."""
+
+    name: str  # of its directory, or of its file
+    path: Path  # as it was given
+    bag: Bag
+    parameters: Parameters
+    flight: Flight
+    summary: dict[str, Any]  # as in summary.json; of a recording that ends early it is about what is there
+    versions: dict[str, str]  # what it was made with
+    warnings: tuple[str, ...] = ()  # one line each
+
+    @property
+    def own_name(self) -> str:
+        """What tells it from another with the same label."""
+        return self.name
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class RecordedRun(RunDirectory):
+    """What is known of one run; in its summary no check counts if the flight ends early."""
+
+    scenario: Scenario  # from the bag, or from the file beside it
+    scheme: Scheme  # the one that was flown
+
+    @property
+    def observer(self) -> str:
+        """Name of the fault observer."""
+        return self.scheme.observer.kind
+
+    @property
+    def disturbance_observer(self) -> str:
+        """Name of the disturbance observer."""
+        return self.scheme.disturbance_observer.kind
+
+    @property
+    def label(self) -> str:
+        """What tells it from those that it is compared with: its scheme."""
+        return self.scheme.name
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """Faults of the scenario, on any channel."""
+        return self.scenario.faults
+
+    @property
+    def fault_events(self) -> tuple[FaultEvent, ...]:
+        """When which axis of the attitude is faulty."""
+        return self.scenario.fault_events
+
+    @property
+    def disturbances(self) -> tuple[Part, ...]:
+        """Disturbances of the scenario."""
+        return self.scenario.disturbances
+
+    @property
+    def duration(self) -> float:
+        """How much of the flight was recorded [s]."""
+        return min(self.scenario.duration, _recorded_time(self.flight, self.scenario))
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the flight was recorded to its end."""
+        return _is_whole(self.flight, self.scenario)
+
+
+def find_runs(paths: Sequence[Path]) -> list[Path]:
+    """Find runs: each path is a run (directory or ``.mcap`` file), or a directory of run directories.
+
+    Those of one directory come in the order of their names; what else is in it is passed over. No run comes
+    twice. A path that does not exist or holds no run raises BagError.
+    """
+    if not paths:
+        raise BagError("no runs given; expected bags, or directories of bags")
+    found: dict[Path, Path] = {}
+    for path in map(Path, paths):
+        for run in _runs_at(path):
+            found.setdefault(run.resolve(), run)
+    return list(found.values())
+
+
+def read_run(path: Path) -> RecordedRun:
+    """Read one run and check its parts against each other.
+
+    Parameters
+    ----------
+    path : Path
+        Directory of the run, or its ``.mcap`` file; scenario, parameters and summary may lie beside it.
+
+    Raises
+    ------
+    BagError
+        If it is no bag, not one of this software's, or holds too little to be judged; one line.
+    """
+    return run_from_bag(read_bag(path))
+
+
+def run_from_bag(bag: Bag) -> RecordedRun:
+    """Make sense of the bag of a run; see `read_run`."""
+    _require_run(bag)
+    stored = read_summary(beside(bag.path, SUMMARY))
+    name, warnings = run_name(bag.path), list[str]()
+    # what was flown: parameters that are lost are compiled from the scenario
+    parameters = _read_parameters(bag, warnings)
+    scenario = _read_scenario(bag, parameters)
+    scheme = _find_scheme(scenario, parameters, (str(stored.data.get("scheme", "")), name), bag.path)
+    if "name" not in scenario.raw:  # then it was the file's
+        scenario = dataclasses.replace(scenario, name=name.removesuffix(f"-{scheme.name}"))
+    if not parameters:
+        parameters = {node: dict(values) for node, values in node_parameters(scenario, scheme).items()}
+    # the flight, and what the summary beside the bag says of it
+    flight = flight_from_bag(bag)
+    warnings += _shortcomings(bag, flight, scenario)
+    if _is_whole(flight, scenario):
+        result, wrong = compare_summaries(summary(flight, scenario, scheme, None), stored, bag.path)
+        warnings += wrong
+    else:
+        result = partial_summary(flight, scenario, scheme, stored.data)
+    return RecordedRun(
+        name=name,
+        path=bag.path,
+        bag=bag,
+        scenario=scenario,
+        scheme=scheme,
+        parameters=parameters,
+        flight=flight,
+        summary=result,
+        versions=versions_of(stored.data, bag),
+        warnings=tuple(warnings),
+    )
+
+
+def run_name(path: Path) -> str:
+    """Name of a run: its directory's, or its file's."""
+    return path.stem.removesuffix("_0") if path.is_file() else path.resolve().name
+
+
+def beside(path: Path, name: str) -> Path:
+    """Return the file of that name beside a bag (directory or file)."""
+    return (path if path.is_dir() else path.parent) / name
+
+
+def attached_text(bag: Bag, name: str) -> str | None:
+    """Return an attachment, else the file beside the bag; None if there is neither.
+
+    If it cannot be read, BagError is raised.
+    """
+    file = beside(bag.path, name)
+    try:
+        data = bag.attachments.get(name) or (file.read_bytes() if file.is_file() else b"")
+        return data.decode("utf-8") or None
+    except (OSError, UnicodeDecodeError) as error:
+        raise BagError(f"{bag.path}: {name} cannot be read: {error}") from None
+
+
+def is_replay(bag: Bag) -> bool:
+    """Whether a bag, or a file beside it, says that it is a replay of a recording, not a flight."""
+    return attached_text(bag, DESCRIPTION) is not None
+
+
+def parse_parameters(text: str) -> Parameters:
+    """Read a ROS parameter file; raises one of `NO_PARAMETERS` if it is none."""
+    data: Any = yaml.safe_load(text)
+    return {
+        str(node).rpartition("/")[2]: dict(entry["ros__parameters"])
+        for node, entry in cast("dict[str, Any]", data).items()
+    }
+
+
+def without_messages(bag: Bag, topics: Iterable[str]) -> list[str]:
+    """Return those of the topics, relative to a namespace, that have no message."""
+    full = [f"/{name.strip('/')}" for name, topic in bag.topics.items() if topic.count]
+    return [topic for topic in topics if not any(name.endswith(f"/{topic}") for name in full)]
+
+
+def topics_text(bag: Bag) -> str:
+    """List the topics that have messages."""
+    return ", ".join(sorted(name for name, topic in bag.topics.items() if topic.count)) or "none"
+
+
+def versions_of(stored: Mapping[str, Any], bag: Bag) -> dict[str, str]:
+    """Return what a recording was made with: by its summary, else by the bag."""
+    given: Any = stored.get("versions")
+    if not isinstance(given, dict):
+        given = bag.metadata.get("quadftc", {})
+    return {str(key): str(value) for key, value in cast("dict[Any, Any]", given).items() if key != "mode"}
+
+
+def _runs_at(path: Path) -> list[Path]:
+    if not path.exists():
+        raise BagError(f"{path}: no such file or directory")
+    if path.is_file() or _is_run(path):
+        return [path]
+    try:
+        runs = [entry for entry in sorted(path.iterdir()) if entry.is_dir() and _is_run(entry)]
+    except OSError as error:
+        raise BagError(f"{path}: {error.strerror}") from None
+    if not runs:
+        raise BagError(
+            f"{path}: no run in this directory; expected metadata.yaml and an .mcap file, here or one below"
+        )
+    return runs
+
+
+def _is_run(directory: Path) -> bool:
+    return (directory / "metadata.yaml").is_file() or any(directory.glob("*.mcap"))
+
+
+def _require_run(bag: Bag) -> None:
+    """Refuse a bag that lacks what every run has."""
+    if is_replay(bag):
+        raise BagError(
+            f"{bag.path}: a replay of a recording; expected a flight, which has a scenario and a controller"
+        )
+    topics = without_messages(bag, NEEDED)
+    missing = [f"messages on {', '.join(topics)}"] if topics else []
+    if attached_text(bag, SCENARIO) is None:
+        missing.insert(0, f"{SCENARIO} (attached to the bag, or beside it)")
+    if missing:
+        what = "cut short before it holds a run" if bag.truncated else "no run or replay of quadftc"
+        raise BagError(
+            f"{bag.path}: {what}: missing {' and '.join(missing)}; topics with messages there:"
+            f" {topics_text(bag)}{bag.remedy}"
+        )
+
+
+def _read_parameters(bag: Bag, warnings: list[str]) -> Parameters:
+    text, problem = attached_text(bag, PARAMETERS), "is missing"
+    try:
+        if text is not None:
+            return parse_parameters(text)
+    except NO_PARAMETERS:
+        problem = "makes no sense"
+    warnings.append(f"{bag.path}: {PARAMETERS} {problem}; took the parameters that the scenario gives")
+    return {}
+
+
+def _read_scenario(bag: Bag, parameters: Parameters) -> Scenario:
+    """Parse the scenario; a vehicle's file, which it names from where it lay, is found by the parameters."""
+    vehicle = parameters.get("plant", {}).get("vehicle")
+    overrides = [f"vehicle={vehicle}"] if isinstance(vehicle, str) and vehicle.endswith(".toml") else []
+    try:
+        return parse_scenario(attached_text(bag, SCENARIO) or "", str(bag.path / SCENARIO), overrides)
+    except ScenarioError as error:
+        first, *others = str(error).splitlines()
+        raise BagError(f"{first} (and {len(others)} more)" if others else first) from None
+
+
+def _find_scheme(scenario: Scenario, parameters: Parameters, names: tuple[str, str], path: Path) -> Scheme:
+    """Tell which scheme was flown: the parameters name its components; the summary or the run names it."""
+    fitting = [scheme for scheme in scenario.schemes.values() if _kinds_fit(scheme, parameters)]
+    if not fitting:
+        raise BagError(f"{path}: {PARAMETERS} fits none of the schemes {', '.join(scenario.schemes)}")
+    by_summary, by_run = names
+    for narrower in (
+        [scheme for scheme in fitting if parameters and _values_fit(scenario, scheme, parameters)],
+        [scheme for scheme in fitting if scheme.name == by_summary],
+        [scheme for scheme in fitting if by_run.endswith(f"-{scheme.name}")],
+    ):
+        fitting = [scheme for scheme in fitting if scheme in narrower] or fitting
+    if len(fitting) > 1:
+        raise BagError(
+            f"{path}: which of the schemes {', '.join(scheme.name for scheme in fitting)} was flown is not"
+            f" known; expected {PARAMETERS}, 'scheme' in {SUMMARY}, or a name that ends with it"
+        )
+    return fitting[0]
+
+
+def _kinds_fit(scheme: Scheme, parameters: Parameters) -> bool:
+    return all(
+        parameters.get(node, {}).get(selector, getattr(scheme, role).kind) == getattr(scheme, role).kind
+        for role, (node, selector) in _ROLES.items()
+    )
+
+
+def _values_fit(scenario: Scenario, scheme: Scheme, parameters: Parameters) -> bool:
+    compiled = node_parameters(scenario, scheme)
+    return all(
+        parameters.get(node, {}).get(name, value) == value
+        for node, _ in _ROLES.values()
+        for name, value in compiled[node].items()
+    )
+
+
+def _recorded_time(flight: Flight, scenario: Scenario) -> float:
+    """How long the recorded flight is [s]; the samples still on their way at its end count as recorded."""
+    return float(flight.time[-1]) + (1 + scenario.sensor.delay) / scenario.rate
+
+
+def _is_whole(flight: Flight, scenario: Scenario) -> bool:
+    return _recorded_time(flight, scenario) > scenario.duration - END_SLACK
+
+
+def _shortcomings(bag: Bag, flight: Flight, scenario: Scenario) -> Iterator[str]:
+    """What the recording lacks."""
+    end = f"{min(_recorded_time(flight, scenario), scenario.duration):.1f} s of {scenario.duration:g} s"
+    if not _is_whole(flight, scenario):
+        what = "cut short" if bag.truncated else "flight ended early,"
+        yield f"{bag.path}: {what} at {end}; read up to there{bag.remedy}"
+    elif bag.truncated:
+        yield f"{bag.path}: cut short behind the end of the flight; {end} are there{bag.remedy}"
+    missing = without_messages(bag, WANTED)
+    if missing:
+        yield f"{bag.path}: no message on {', '.join(missing)}; their numbers are missing"

@@ -1,0 +1,305 @@
+"""The directory of a replay: bag, what was replayed, estimates and summary, checked against each other.
+
+A replay has no scenario, no reference and no controller: what there is to say is about the diagnosis.
+Directories of flights: `quadftc_flight.run_directory`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from quadftc_bags.bag import Bag, BagError
+from quadftc_flight.fault_schedule import FaultEvent, FaultWindow
+from quadftc_flight.flight import Flight, Reading, flight_from_bag, reading_from_bag
+from quadftc_flight.metrics import flight_metrics
+from quadftc_flight.run_directory import (
+    DESCRIPTION,
+    NO_OBSERVER,
+    NO_PARAMETERS,
+    PARAMETERS,
+    SUMMARY,
+    Parameters,
+    RecordedRun,
+    RunDirectory,
+    attached_text,
+    beside,
+    parse_parameters,
+    run_name,
+    topics_text,
+    versions_of,
+    without_messages,
+)
+from quadftc_flight.scenario import Fault, Part
+from quadftc_flight.summary import compare_summaries, read_summary
+from quadftc_model.stepper import NANOSECONDS_PER_SECOND
+from quadftc_replay.overlay import faults_from
+
+NEEDED = ("imu/data", "fault/injected", "fault/estimate", "fault/status")  # topics
+WANTED = ("imu/corrected",)  # topics; without one its figures are missing
+MIN_SAMPLES = 2  # as many as a recording that is replayed has
+DIAGNOSIS = ("fault_", "diagnosis")  # how the metrics begin that make sense without a closed loop
+YAML_WIDTH = 120  # characters
+
+Axis = Literal["roll", "pitch", "yaw"]
+Count = Annotated[int, Field(ge=0)]
+Time = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+
+class ReplayOrigin(NamedTuple):
+    """What was replayed, and through which observer."""
+
+    recording: str  # its name
+    topic: str  # full name of that of its IMU
+    observer: str
+    faults: tuple[Fault, ...]  # overlaid
+    seed: int  # of the overlaid faults
+    truth: str  # what the estimates are compared with, in words
+    torque: str  # which one the observer was told, in words
+    duration: float  # of the recording [s]
+    samples: int  # that were replayed, withheld ones among them
+    left_out: dict[str, int]  # reason to the number of recorded samples that were not replayed
+    fault_windows: tuple[FaultWindow, ...]  # when the attitude is faulty, recorded and overlaid
+    fault_events: tuple[FaultEvent, ...]  # the same axis by axis, with the kind of fault
+    parameters: Parameters
+
+    def description(self) -> str:
+        """Write it as YAML, to be attached to the bag; the parameters stand in the parameter file."""
+        content = {
+            **{name: getattr(self, name) for name in ("recording", "topic", "observer")},
+            "faults": [fault.spec for fault in self.faults],
+            **{name: getattr(self, name) for name in ("seed", "torque", "truth", "duration", "samples")},
+            "samples_left_out": dict(self.left_out),
+            "fault_windows": [{**window._asdict(), "axes": [*window.axes]} for window in self.fault_windows],
+            "fault_events": [event._asdict() for event in self.fault_events],
+        }
+        return yaml.safe_dump(content, sort_keys=False, width=YAML_WIDTH)
+
+
+class _Shape(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True)
+
+
+class _Window(_Shape):
+    start: Time
+    stop: Time
+    axes: list[Axis]
+
+
+class _Event(_Shape):
+    axis: Axis
+    kind: str
+    start: Time
+    stop: Time
+
+
+class _Description(_Shape):
+    recording: str
+    topic: str
+    observer: str
+    faults: list[str]
+    seed: int
+    truth: str
+    torque: str
+    duration: Time
+    samples: Count
+    samples_left_out: dict[str, Count]
+    fault_windows: list[_Window]
+    fault_events: list[_Event]
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class RecordedReplay(RunDirectory):
+    """What is known of one replay."""
+
+    origin: ReplayOrigin
+    measured: Reading  # what the observer saw, overlaid faults included; a row for each of the flight
+    corrected: Reading  # what it passed on
+
+    disturbance_observer: ClassVar[str] = NO_OBSERVER
+    disturbances: ClassVar[tuple[Part, ...]] = ()  # none is known
+
+    @property
+    def observer(self) -> str:
+        """Name of the fault observer."""
+        return self.origin.observer
+
+    @property
+    def label(self) -> str:
+        """What tells it from those that it is compared with: its observer."""
+        return self.origin.observer
+
+    @property
+    def own_name(self) -> str:
+        """Its name, without that of the recording."""
+        return self.name.removeprefix(f"{self.origin.recording}-")
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """Faults that were overlaid."""
+        return self.origin.faults
+
+    @property
+    def fault_events(self) -> tuple[FaultEvent, ...]:
+        """When which axis of the attitude is faulty, by what was recorded and by what was overlaid."""
+        return self.origin.fault_events
+
+    @property
+    def duration(self) -> float:
+        """How much of the replay is there [s]."""
+        return self.origin.duration if self.is_whole else float(self.flight.time[-1])
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether every sample that was replayed is there."""
+        return len(self.flight) >= self.origin.samples
+
+
+Recorded = RecordedRun | RecordedReplay
+
+
+def replay_from_bag(bag: Bag) -> RecordedReplay:
+    """Make sense of the bag of a replay, and hold the summary beside it against it.
+
+    If it is none, or holds too little to be judged, BagError is raised; one line.
+    """
+    origin = _read_origin(bag)
+    _require_replay(bag)
+    stored = read_summary(beside(bag.path, SUMMARY))
+    flight = flight_from_bag(bag)
+    if len(flight) < MIN_SAMPLES:
+        raise BagError(f"{bag.path}: a replay of {len(flight)} samples; expected at least {MIN_SAMPLES}")
+    replay = RecordedReplay(
+        name=run_name(bag.path),
+        path=bag.path,
+        bag=bag,
+        parameters=origin.parameters,
+        flight=flight,
+        summary={},
+        versions=versions_of(stored.data, bag),
+        origin=origin,
+        measured=reading_from_bag(bag, "imu/data", flight.stamp_ns),
+        corrected=reading_from_bag(bag, "imu/corrected", flight.stamp_ns),
+    )
+    warnings = [*_shortcomings(replay)]
+    summary = replay_summary(origin, flight)
+    if replay.is_whole:
+        summary, wrong = compare_summaries(summary, stored, bag.path)
+        warnings += wrong
+    return dataclasses.replace(replay, summary=summary, warnings=tuple(warnings))
+
+
+def replay_summary(origin: ReplayOrigin, flight: Flight) -> dict[str, Any]:
+    """Summarise a replay, ready for JSON; of one that was cut short, what is there."""
+    observer = origin.parameters.get("fault_observer", {})
+    duration, events = origin.duration, list(origin.fault_events)
+    if len(flight) < origin.samples:
+        duration = float(flight.time[-1])
+        events = [
+            event._replace(stop=min(event.stop, duration)) for event in events if event.start < duration
+        ]
+    return {
+        "recording": origin.recording,
+        "topic": origin.topic,
+        "observer": origin.observer,
+        "vehicle": observer.get("vehicle"),
+        "parameters": dict(observer),
+        "faults": [fault.spec for fault in origin.faults],
+        "seed": origin.seed,
+        "truth": origin.truth,
+        "torque": origin.torque,
+        "rate": sampling_rate(flight.stamp_ns),
+        "duration": duration,
+        "samples": len(flight),
+        "samples_left_out": dict(origin.left_out),
+        "samples_withheld": int((~flight.delivered).sum()),
+        "metrics": replay_metrics(flight, origin.fault_windows, events),
+    }
+
+
+def replay_metrics(
+    flight: Flight, windows: Sequence[FaultWindow], events: Sequence[FaultEvent]
+) -> dict[str, Any]:
+    """Metrics of the diagnosis, as `flight_metrics` gives them; what takes a closed loop is None or gone."""
+    found = flight_metrics(flight, windows, events)
+    metrics = {name: value for name, value in found.items() if name.startswith(DIAGNOSIS)}
+    metrics["fault_windows"] = [
+        {name: value for name, value in window.items() if not name.startswith("tracking_")}
+        for window in found["fault_windows"]
+    ]
+    return metrics
+
+
+def sampling_rate(stamp_ns: NDArray[np.int64]) -> float:
+    """One over the median time between two samples [Hz]."""
+    return NANOSECONDS_PER_SECOND / float(np.median(np.diff(stamp_ns)))
+
+
+def _read_origin(bag: Bag) -> ReplayOrigin:
+    """Read what was replayed."""
+    given = _read_description(bag)
+    try:
+        faults = faults_from((), given.faults)
+    except ValueError as error:
+        raise BagError(f"{bag.path}: {DESCRIPTION}: {error}") from None
+    plain = given.model_dump(exclude={"faults", "samples_left_out", "fault_windows", "fault_events"})
+    windows = [FaultWindow(item.start, item.stop, tuple(item.axes)) for item in given.fault_windows]
+    return ReplayOrigin(
+        **plain,
+        faults=faults,
+        left_out=given.samples_left_out,
+        fault_windows=tuple(windows),
+        fault_events=tuple(FaultEvent(**item.model_dump()) for item in given.fault_events),
+        parameters=_read_parameters(bag),
+    )
+
+
+def _read_description(bag: Bag) -> _Description:
+    try:
+        data: Any = yaml.safe_load(attached_text(bag, DESCRIPTION) or "")
+        return _Description.model_validate(data)
+    except (yaml.YAMLError, RecursionError):
+        raise BagError(f"{bag.path}: {DESCRIPTION} is no YAML") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"])) or "the file"
+        raise BagError(f"{bag.path}: {DESCRIPTION}: {place}: {first['msg']}") from None
+
+
+def _read_parameters(bag: Bag) -> Parameters:
+    text = attached_text(bag, PARAMETERS)
+    if text is None:
+        raise BagError(f"{bag.path}: a replay without {PARAMETERS} (attached to the bag, or beside it)")
+    try:
+        return parse_parameters(text)
+    except NO_PARAMETERS:
+        raise BagError(f"{bag.path}: {PARAMETERS} makes no sense; expected a ROS parameter file") from None
+
+
+def _require_replay(bag: Bag) -> None:
+    missing = without_messages(bag, NEEDED)
+    if missing:
+        what = "cut short before its first estimate" if bag.truncated else "without its data"
+        raise BagError(
+            f"{bag.path}: a replay {what}: missing messages on {', '.join(missing)}; topics with messages"
+            f" there: {topics_text(bag)}{bag.remedy}"
+        )
+
+
+def _shortcomings(replay: RecordedReplay) -> Iterator[str]:
+    """What the bag lacks."""
+    whole = f"{replay.origin.duration:.1f} s"
+    if not replay.is_whole:
+        end = f"{replay.duration:.1f} s of {whole}"
+        yield f"{replay.path}: cut short at {end}; read up to there{replay.bag.remedy}"
+    elif replay.bag.truncated:
+        yield f"{replay.path}: cut short behind the last sample; {whole} are there{replay.bag.remedy}"
+    missing = without_messages(replay.bag, WANTED)
+    if missing:
+        yield f"{replay.path}: no message on {', '.join(missing)}; their figures are missing"
