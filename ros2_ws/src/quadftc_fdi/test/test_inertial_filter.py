@@ -1,20 +1,20 @@
-"""The filter of attitude and gyro errors: it finds them and is consistent; its matrices are derivatives."""
+"""The inertial filter finds the gyro's errors and is consistent; its matrices are derivatives."""
 
 import math
 
 import numpy as np
 
-from quadftc_fdi.inertial_filter import (
-    SIZE,
+from quadftc_fdi.supervision.error_transition import SIZE
+from quadftc_fdi.supervision.inertial_filter import (
+    apply_correction,
+    correct,
+    estimate_rate,
     euler_matrix,
-    initial,
     measurement_matrix,
-    predicted_angles,
+    predict,
+    predict_angles,
     process_noise,
-    propagated,
-    rate,
-    shifted,
-    updated,
+    start_filter,
 )
 from quadftc_model.rotations import (
     euler_from_quaternion,
@@ -34,14 +34,14 @@ NOISE = process_noise(np.array([(0.007 * DEG) ** 2 * DT]), np.array([0.0]))
 def some_state(seed=0):
     rng = np.random.default_rng(seed)
     q = quaternion_from_euler(np.array([0.3, -0.4, 1.0]))
-    return initial(q, START)._replace(x=0.05 * rng.normal(size=13)), rng.normal(size=3)
+    return start_filter(q, START)._replace(x=0.05 * rng.normal(size=13)), rng.normal(size=3)
 
 
 def test_the_transition_is_the_derivative_of_the_propagation():
     state, gyro = some_state()
-    after, F = propagated(state, gyro, np.zeros((SIZE, SIZE)), DT)
+    after, F = predict(state, gyro, np.zeros((SIZE, SIZE)), DT)
     for column, step in enumerate(1e-6 * np.eye(SIZE)):
-        moved, _ = propagated(shifted(state, step), gyro, np.zeros((SIZE, SIZE)), DT)
+        moved, _ = predict(apply_correction(state, step), gyro, np.zeros((SIZE, SIZE)), DT)
         turn = quaternion_product(after.q_xyzw * [-1, -1, -1, 1], moved.q_xyzw)
         found = np.concatenate([2.0 * turn[:3], moved.x - after.x]) / 1e-6
         np.testing.assert_allclose(
@@ -55,13 +55,13 @@ def test_the_measurement_matrix_is_the_derivative_of_the_prediction():
 
     def reading(at):
         angles = euler_from_quaternion(at.q_xyzw)
-        return predicted_angles(at, angles, measurement_matrix(angles, rate(at.x, gyro)))
+        return predict_angles(at, angles, measurement_matrix(angles, estimate_rate(at.x, gyro)))
 
     angles = euler_from_quaternion(state.q_xyzw)
-    H = measurement_matrix(angles, rate(state.x, gyro))
+    H = measurement_matrix(angles, estimate_rate(state.x, gyro))
     for column, step in enumerate(1e-6 * np.eye(SIZE)):
         np.testing.assert_allclose(
-            (reading(shifted(state, step)) - reading(state)) / 1e-6, H[:, column], atol=1e-4
+            (reading(apply_correction(state, step)) - reading(state)) / 1e-6, H[:, column], atol=1e-4
         )
 
 
@@ -81,23 +81,23 @@ def flown(flights, seconds, seed):
     w, phase = rng.uniform(0.5, 3.0, (flights, 3)), rng.uniform(0.0, 6.0, (flights, 3))
     q = quaternion_from_euler(np.zeros((flights, 3)))
     noisy = quaternion_product(q, quaternion_from_rotation_vector(0.1 * DEG * rng.normal(size=(flights, 3))))
-    state = initial(noisy, START)
+    state = start_filter(noisy, START)
     everything = np.ones((flights, 3), bool)
     for k in range(round(seconds / DT)):
         omega = 0.5 * np.sin(w * k * DT + phase)
         q = quaternion_product(q, quaternion_from_rotation_vector(omega * DT))
         walk = 0.007 * DEG / math.sqrt(DT) * rng.normal(size=(flights, 3))
         gyro = np.linalg.solve(np.eye(3) + M, (omega + bias)[..., None])[..., 0] + walk
-        state, _ = propagated(state, gyro, NOISE, DT)
+        state, _ = predict(state, gyro, NOISE, DT)
         angles = euler_from_quaternion(state.q_xyzw)
-        H = measurement_matrix(angles, rate(state.x, gyro))
+        H = measurement_matrix(angles, estimate_rate(state.x, gyro))
         late = quaternion_product(q, quaternion_from_rotation_vector(-omega * tau))
         read = quaternion_product(
             late, quaternion_from_rotation_vector(0.1 * DEG * rng.normal(size=(flights, 3)))
         )
-        residual = wrap(euler_from_quaternion(read) - predicted_angles(state, angles, H))
+        residual = wrap(euler_from_quaternion(read) - predict_angles(state, angles, H))
         variance = (0.1 * DEG) ** 2 * np.sum(H[..., :3] ** 2, axis=-1)
-        state, _ = updated(state, H, residual, variance, everything)
+        state, _ = correct(state, H, residual, variance, everything)
     turn = quaternion_product(state.q_xyzw * [-1, -1, -1, 1], q)
     wrong = np.concatenate([2.0 * turn[:, :3], truth[:, 3:] - state.x], axis=1)
     return wrong, state.P
@@ -118,6 +118,6 @@ def test_bias_scale_alignment_and_delay_are_found_with_an_honest_covariance():
 def test_an_axis_that_is_left_out_is_not_corrected():
     state, gyro = some_state()
     angles = euler_from_quaternion(state.q_xyzw)
-    H = measurement_matrix(angles, rate(state.x, gyro))
-    _, dx = updated(state, H, np.array([1.0, 0.0, 0.0]), np.full(3, 1e-6), np.array([False, True, True]))
+    H = measurement_matrix(angles, estimate_rate(state.x, gyro))
+    _, dx = correct(state, H, np.array([1.0, 0.0, 0.0]), np.full(3, 1e-6), np.array([False, True, True]))
     np.testing.assert_array_equal(dx, 0.0)

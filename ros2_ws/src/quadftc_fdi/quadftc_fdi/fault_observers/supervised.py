@@ -1,23 +1,27 @@
 r"""Supervised diagnosis: learn the gyro while the attitude is healthy, fly on the gyro while it is not.
 
-What the paper's observer lacks on a real gyro (docs/theory.md, sections 4 and 8) is a knowledge of the gyro's
-bias. Here a Kalman filter (`quadftc_fdi.inertial_filter`) estimates bias, scale, alignment and delay of the
-gyro against the attitude of the healthy axes. Tests (`quadftc_fdi.supervision`) watch its residuals:
+The paper's observer does not know the bias of a real gyro (docs/theory.md, sections 4 and 8). Here a Kalman
+filter estimates bias, scale, alignment and delay of the gyro against the attitude of the healthy axes. Tests
+watch its residuals. docs/supervised.md explains the whole; the parts are in `quadftc_fdi.supervision`:
 
-    STARTING -> HEALTHY <-> SUSPECT -> FAULTY <-> RECOVERING -> HEALTHY
+    inertial_filter, error_transition   predict by the gyro, correct by the healthy axes
+    anchors                             earlier states of the filter, to which it goes back
+    residual_tests                      collect evidence, declare faults
+    fault_track, recovery               follow the fault, judge when the axis is trusted again
 
-* SUSPECT: a test is above its level of suspicion. The axis is not used to correct the filter.
-* FAULTY: a test is above its threshold. Unless the fault came suddenly, what the filter has taken from it is
-  undone: it goes back to an anchor (`quadftc_fdi.anchors`), a state of at most ``anchor_age`` ago that has
-  run on the gyro since. From then on the axis is dead-reckoned; measured minus dead-reckoned angle is the
-  fault, the filter's covariance its uncertainty.
-* RECOVERING: the fault is within what dead reckoning knows, and stands still; after ``recovery`` seconds the
-  axis is trusted again, after several times that if the fault never visibly moved. A fault that stands
-  still for ``patience`` seconds is taken for an error of ours.
+States of an axis: STARTING -> HEALTHY <-> SUSPECT -> FAULTY <-> RECOVERING -> HEALTHY
 
-The defaults are for a MEMS IMU on a vehicle that moves, with an attitude that wanders (optical markers, a
-filter), and a gyro whose bias changes a little when it starts to move. A simulated sensor without such errors
-is described by ``wander = wander_moving = gyro_moving = gyro_shift = 0``.
+* SUSPECT: a test is above its level of suspicion. The axis does not correct the filter.
+* FAULTY: a test is above its threshold. Unless the fault was sudden, the filter goes back to an anchor, at
+  most ``anchor_age`` old. From now on the gyro carries the angle on: measured minus predicted angle is the
+  fault, and the filter's covariance its uncertainty.
+* RECOVERING: the fault is within the uncertainty of dead reckoning, and stands still. After ``recovery``
+  seconds the axis is trusted again; after several times that if the fault never visibly moved. A fault that
+  stands still for ``patience`` seconds is taken for an error of the observer.
+
+The defaults are for a MEMS IMU on a vehicle that moves, with an attitude that wanders (optical markers, an
+attitude filter), and a gyro whose bias changes a little in motion. A simulated sensor without such errors
+has ``wander = wander_moving = gyro_moving = gyro_shift = 0``.
 """
 
 from __future__ import annotations
@@ -29,37 +33,50 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_fdi.anchors import Anchors, anchored, carried, own_variances, renewed, returned
 from quadftc_fdi.dead_reckoning import comparable
 from quadftc_fdi.fault_observer import FaultObserver, LastWords, register, without_fault
-from quadftc_fdi.inertial_filter import (
-    MEASURED,
+from quadftc_fdi.supervision.anchors import (
+    Anchors,
+    all_residuals,
+    go_back_to_anchor,
+    predict_anchors,
+    predicted_variances,
+    set_anchors,
+    update_anchors,
+)
+from quadftc_fdi.supervision.fault_track import (
+    Track,
+    TrackerGains,
+    clear_healthy,
+    start_track,
+    track_fault,
+    track_variance,
+    tracker_gains,
+)
+from quadftc_fdi.supervision.inertial_filter import (
     ROTATION,
     FilterState,
     bias_variance,
-    initial,
+    correct,
+    estimate_rate,
     measurement_matrix,
-    predicted_angles,
+    predict,
+    predict_angles,
     process_noise,
-    propagated,
-    rate,
-    updated,
+    start_filter,
 )
-from quadftc_fdi.supervision import (
-    Settings,
-    Sizes,
-    Tests,
-    Track,
-    Weights,
-    begun_anew,
-    recovered,
-    spread_of,
-    tested,
-    track_of,
-    tracked,
-    weights,
+from quadftc_fdi.supervision.recovery import Recovery, judge_recovery
+from quadftc_fdi.supervision.residual_tests import (
+    Evidence,
+    ResidualVariances,
+    averaging_weights,
+    collect_evidence,
+    declare_faults,
+    healthy_spread,
+    start_evidence,
+    update_evidence,
 )
-from quadftc_model.arrays import Array, any_of, changed_where, exp, namespace, norm, product
+from quadftc_model.arrays import Array, any_of, changed_where, exp, namespace, norm
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, wrap
 from quadftc_model.samples import (
@@ -76,18 +93,13 @@ DEG = math.pi / 180.0
 UNKNOWN = 10.0  # 1; standard deviations of the attitude's noise: as good as nothing known
 STARTED = 0.1 * DEG  # rad/s; the gyro bias is known to this when the observer has started
 KEPT = 0.05 * DEG  # rad/s; a gyro bias taken over from an observer that has died is known to this
-RESTING = 0.1  # rad/s; below, a vehicle rests
-MOVING = 0.35  # rad/s; from here on a vehicle moves, as far as the sensor's slow error goes
+RESTING, MOVING = 0.1, 0.35  # rad/s; a vehicle rests below, and moves above, as far as slow errors go
 MOVED = 8.0  # s; how long it counts as moving afterwards (time constant)
-FADING = (
-    2.0  # s; in which a gyro bias just found leaves the corrected rate: at once, it would jolt the flight
-)
-# s; longer than the period of any IMU: what the rate was in it is guessed, and what is off by that is not
-# averaged with what follows
-GAP = 0.15
+FADING = 2.0  # s; in which a new gyro bias leaves the corrected rate: at once, it would jolt the flight
+GAP = 0.15  # s; longer than the period of any IMU: the rate in a gap is a guess
 SHOWN = 0.3  # 1; share of the recovery time from which an axis is shown as recovering
-# what a wrong rotation has made wrong: itself, the bias by as much at a rate of 0.1 rad/s, the alignment
-DOUBTED = np.diag([1.0] * 3 + [0.1**2] * 3 + [1.0] * 9 + [0.0])
+# covariance of what a wrong rotation has spoiled: itself, the bias (at 0.1 rad/s), the alignment
+SPOILED = np.diag([1.0] * 3 + [0.1**2] * 3 + [1.0] * 9 + [0.0])
 
 
 class SupervisedState(NamedTuple):
@@ -98,19 +110,19 @@ class SupervisedState(NamedTuple):
     gyro: Array  # (..., 3) [rad/s]
     activity: Array  # (..., 1) decaying maximum of the body rate [rad/s]
     motion: Array  # (..., 1) rest 0, motion 1
-    tests: Tests
+    evidence: Evidence
     faulty: Array  # (..., 3) bool
     track: Track
     raw: Array  # (..., 1) share of the gyro as it is in the corrected body rate
 
 
-class _Sample(NamedTuple):
-    """A sample against the filter, propagated to it."""
+class _Comparison(NamedTuple):
+    """A measured attitude against the predicted one."""
 
     H: Array  # (..., 3, 16)
     residuals: Array  # (..., 3, 5) [rad]
-    sizes: Sizes
-    comparable: Array  # (..., 1) bool: away from 90 deg of pitch
+    variances: ResidualVariances
+    comparable: Array  # (..., 1) bool: both are away from 90 deg of pitch
 
 
 @register("supervised")
@@ -143,39 +155,41 @@ class Supervised(FaultObserver):
     def init(self, inputs: FaultObserverInputs) -> SupervisedState:
         """Start on the measurement, with the gyro unknown but for its data sheet."""
         imu = inputs.imu
-        xp = namespace(imu.body_rate)
-        start = initial(imu.q_xyzw, self._start())
-        zeros = xp.zeros_like(imu.body_rate)
-        batch = zeros.shape[:-1]
-        tests = Tests(xp.zeros((*batch, 3, 5)), xp.ones((*batch, 3, 5)), xp.zeros((*batch, 3, 2)), zeros)
-        track = Track(zeros, zeros, zeros, zeros, xp.zeros((*batch, 3, 2)), zeros, zeros)
-        rest = xp.zeros((*batch, 1))
-        anchors = anchored(start.P)
+        estimate = start_filter(imu.q_xyzw, self._initial_std_devs())
+        zeros = namespace(imu.body_rate).zeros_like(imu.body_rate)
+        rest = namespace(imu.body_rate).zeros((*zeros.shape[:-1], 1))
         return SupervisedState(
-            start, anchors, imu.body_rate, rest, rest, tests, zeros > 1.0, track, rest + 1.0
+            filter=estimate,
+            anchors=set_anchors(estimate.P),
+            gyro=imu.body_rate,
+            activity=rest,
+            motion=rest,
+            evidence=start_evidence(zeros),
+            faulty=zeros > 1.0,
+            track=start_track(zeros),
+            raw=rest + 1.0,
         )
 
     def resumed(self, inputs: FaultObserverInputs, last: LastWords) -> SupervisedState:
-        """Go on with the gyro bias as it was, and with faulty axes at what is left without their fault."""
+        """Resume with the gyro bias as it was, and with the faults taken off the faulty axes."""
         xp = namespace(inputs.imu.body_rate)
         faulty = xp.asarray(last.faulty)
         fault = last.fault * faulty
         fresh = self.init(without_fault(inputs, fault))
-        deviations = xp.zeros((*fault.shape[:-1], 16)) + self._start()
+        # the angles of faulty axes are known as well as their faults, the bias better than at a start
+        std_devs = xp.zeros((*fault.shape[:-1], 16)) + self._initial_std_devs()
         known = xp.sqrt(xp.maximum(last.std_dev, 0.0) ** 2 + self.attitude_noise**2)
-        rotation = xp.where(faulty, known, deviations[..., ROTATION])
-        bias = xp.zeros_like(fault) + KEPT
-        deviations = xp.concatenate([rotation, bias, deviations[..., 6:]], axis=-1)
+        rotation = xp.where(faulty, known, std_devs[..., ROTATION])
+        std_devs = xp.concatenate([rotation, xp.zeros_like(fault) + KEPT, std_devs[..., 6:]], axis=-1)
+        P = std_devs[..., None] ** 2 * np.eye(16)
         x = xp.concatenate([-last.gyro_correction, fresh.filter.x[..., 3:]], axis=-1)
-        P = deviations[..., None] ** 2 * np.eye(16)
-        track = fresh.track._replace(
-            fault=fault, means=xp.stack([fault, fault], axis=-1), since=last.since * faulty
-        )
         return fresh._replace(
             filter=fresh.filter._replace(x=x, P=P),
-            anchors=anchored(P),
+            anchors=set_anchors(P),
             faulty=faulty,
-            track=track,
+            track=fresh.track._replace(
+                fault=fault, means=xp.stack([fault, fault], axis=-1), age=last.since * faulty
+            ),
             raw=fresh.raw * 0.0,
         )
 
@@ -185,126 +199,137 @@ class Supervised(FaultObserver):
         """Advance by ``dt`` [s] to the sample."""
         imu = inputs.imu
         xp = namespace(imu.body_rate)
-        w = weights(dt, self.wander_memory, self.tracking)
-        settings = Settings(self.threshold, self.learning, self.recovery, self.patience)
+        weights, gains = averaging_weights(dt, self.wander_memory), tracker_gains(dt, self.tracking)
+
+        # 1. Predict: the gyro carries filter and anchors to this sample. An absent gyro keeps its last value.
         gyro = xp.where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
-        omega = rate(state.filter.x, gyro)
+        omega = estimate_rate(state.filter.x, gyro)
         activity = xp.maximum(norm(omega), state.activity * exp(-dt / MOVED))
         motion = ((activity - RESTING) / (MOVING - RESTING)).clip(0.0, 1.0)
-        estimate, anchors = self._propagated(state, gyro, motion, dt)
-        sample = self._compared(estimate, anchors, imu.q_xyzw, omega, motion)
-        valid = imu.attitude_valid[..., None] & sample.comparable
-        tests, found = tested(
-            state.tests, sample.residuals, sample.sizes, ~state.faulty & valid, w, dt, settings
+        estimate, anchors = self._predict(state, gyro, motion, dt)
+
+        # 2. Test the residuals of the trusted axes.
+        sample = self._compare(estimate, anchors, imu.q_xyzw, omega, motion)
+        variances, valid = sample.variances, imu.attitude_valid[..., None] & sample.comparable
+        trusted = ~state.faulty & valid
+        evidence, scores = collect_evidence(
+            state.evidence, sample.residuals, variances, trusted, weights, dt, self.threshold, self.learning
         )
-        late = found.alarm & ~found.sudden
-        estimate, residual, own = returned(
-            estimate, anchors, sample.residuals, sample.sizes.own, late, found.slow, STARTED
+
+        # 3. Declare faults, and go back to an anchor where one was found late: what it has taught the filter
+        # is false.
+        found = declare_faults(scores, evidence.suspicion, trusted, self.threshold)
+        faulty, late = state.faulty | found.alarm, found.alarm & ~found.sudden
+        estimate, residual, predicted = go_back_to_anchor(
+            estimate, anchors, sample.residuals, variances.predicted, late, found.creeping, STARTED
         )
-        faulty = state.faulty | found.alarm
+
+        # 4. Track the faults, and judge which axes are trusted again.
         bias = bias_variance(estimate.P)
 
-        def watched_faults() -> tuple[Track, Array, Array]:
-            track = tracked(state.track, residual, sample.sizes, found.alarm, valid, w, dt)
-            since = xp.where(found.alarm, tests.suspicion, state.track.since + dt)
-            spread = spread_of(sample.sizes, tests.learned, w)
-            track, again, given_up = recovered(
-                track._replace(since=since), faulty, own, spread, bias, settings, dt
+        def follow_faults() -> Recovery:
+            track = track_fault(
+                state.track, residual, variances, found.alarm, evidence.suspicion, valid, gains, dt
             )
-            return track_of(track, faulty & ~again), again, given_up
+            spread = healthy_spread(variances, evidence.learned, weights)
+            judged = judge_recovery(track, faulty, predicted, spread, bias, self.recovery, self.patience, dt)
+            return judged._replace(track=clear_healthy(judged.track, faulty & ~judged.trusted))
 
-        track, again, given_up = changed_where(faulty, watched_faults, (state.track, faulty, faulty))
-        faulty = faulty & ~again
-        estimate = changed_where(given_up, lambda: _doubted(estimate, residual * given_up), estimate)
-        anew = any_of(late | given_up)
-        variance = sample.sizes.noise + sample.sizes.slow * w.white_equivalent
-        used = valid & ~faulty & ~found.suspect
-        estimate, dx = updated(estimate, sample.H, residual, variance, used)
-        anchors, rolled = renewed(anchors, estimate.P, dx, anew, any_of(found.suspect), dt, self.anchor_age)
-        tests = begun_anew(tests, rolled, faulty | again | anew | (dt > GAP))
+        track, recovered, outlasted = changed_where(
+            faulty, follow_faults, Recovery(state.track, faulty, faulty)
+        )
+        faulty = faulty & ~recovered
+
+        # 5. Correct the filter by the axes that are neither faulty nor suspect. Where a fault has outlasted
+        # our patience, the filter was wrong: its rotation becomes uncertain, and the sensor is believed.
+        estimate = changed_where(outlasted, lambda: _doubt(estimate, residual * outlasted), estimate)
+        variance = variances.noise + variances.slow * weights.white_equivalent
+        used = valid & ~faulty & ~scores.suspect
+        estimate, dx = correct(estimate, sample.H, residual, variance, used)
+
+        # 6. Renew the anchors; restart the tests where what they remember no longer counts.
+        restart = any_of(late | outlasted)
+        anchors, promoted = update_anchors(
+            anchors, estimate.P, dx, restart, any_of(scores.suspect), dt, self.anchor_age
+        )
+        evidence = update_evidence(evidence, promoted, faulty | recovered | restart | (dt > GAP))
+
         starting = bias > STARTED**2
         raw = xp.where(starting, state.raw, state.raw * exp(-dt / FADING))
-        new = SupervisedState(estimate, anchors, gyro, activity, motion, tests, faulty, track, raw)
-        return new, self._report(new, found.suspect, starting, own, sample.sizes, w, inputs)
+        new = SupervisedState(estimate, anchors, gyro, activity, motion, evidence, faulty, track, raw)
+        return new, self._report(new, scores.suspect, starting, predicted, variances, gains, inputs)
 
-    def _propagated(
+    def _initial_std_devs(self) -> NDArray[np.float64]:
+        """Standard deviations (16,) of the error state before the first measurement."""
+        attitude = UNKNOWN * max(self.attitude_noise, self.wander)
+        parts = ([attitude] * 3, [self.gyro_bias] * 3, [self.gyro_scale] * 9, [self.delay])
+        return np.concatenate([np.asarray(part) for part in parts])
+
+    def _predict(
         self, state: SupervisedState, gyro: Array, motion: Array, dt: float
     ) -> tuple[FilterState, Anchors]:
-        """Filter and anchors, turned by the gyro to the sample."""
+        """Carry filter and anchors to the sample by the mean of two gyro samples."""
         walk = (self.gyro_noise**2 + (self.gyro_moving * norm(gyro)) ** 2) * dt
 
-        def guessed() -> Array:  # how far off the rate may be in a gap
+        def widen() -> Array:  # by how far off the rate may be in a gap
             off = 0.5 * norm(gyro - state.gyro) + 0.1 * norm(gyro)
             return walk + (dt > GAP) * (off * dt) ** 2
 
-        walked = changed_where(dt > GAP, guessed, walk)
-        shift = self.gyro_bias_walk**2 * dt + self.gyro_shift**2 * abs(motion - state.motion)
-        noise = process_noise(walked, shift)
-        estimate, F = propagated(state.filter, 0.5 * (gyro + state.gyro), noise, dt)
-        return estimate, carried(state.anchors, F, noise)
+        rotation = changed_where(dt > GAP, widen, walk)
+        bias = self.gyro_bias_walk**2 * dt + self.gyro_shift**2 * abs(motion - state.motion)
+        Q = process_noise(rotation, bias)
+        estimate, F = predict(state.filter, 0.5 * (gyro + state.gyro), Q, dt)
+        return estimate, predict_anchors(state.anchors, F, Q)
 
-    def _compared(
+    def _compare(
         self, estimate: FilterState, anchors: Anchors, q_xyzw: Array, omega: Array, motion: Array
-    ) -> _Sample:
-        """Residuals of filter and anchors, and how large they may be."""
-        angles = euler_from_quaternion(estimate.q_xyzw)
+    ) -> _Comparison:
+        """Residuals of filter and anchors, and how large healthy ones are."""
+        angles, measured = euler_from_quaternion(estimate.q_xyzw), euler_from_quaternion(q_xyzw)
         H = measurement_matrix(angles, omega)
-        measured = euler_from_quaternion(q_xyzw)
-        residual = wrap(measured - predicted_angles(estimate, angles, H))
-        residuals = residual[..., None] + product(H, anchors.ahead, MEASURED)
+        residual = wrap(measured - predict_angles(estimate, angles, H))
         slow = self.wander + (self.wander_moving - self.wander) * motion
         noise = self.attitude_noise**2 * (H[..., ROTATION] ** 2).sum(axis=-1)
-        sizes = Sizes(noise, slow**2 + 0.0 * noise, own_variances(estimate.P, anchors, H))
-        return _Sample(H, residuals, sizes, comparable(angles, measured))
+        predicted = predicted_variances(estimate.P, anchors, H)
+        variances = ResidualVariances(noise, slow**2 + 0.0 * noise, predicted)
+        return _Comparison(H, all_residuals(residual, anchors, H), variances, comparable(angles, measured))
 
     def _report(
         self,
         state: SupervisedState,
         suspect: Array,
         starting: Array,
-        own: Array,
-        sizes: Sizes,
-        w: Weights,
+        predicted: Array,
+        variances: ResidualVariances,
+        gains: TrackerGains,
         inputs: FaultObserverInputs,
     ) -> FaultEstimate:
         imu, faulty, track = inputs.imu, state.faulty, state.track
         xp = namespace(imu.body_rate)
-        omega = rate(state.filter.x, state.gyro)
+        omega = estimate_rate(state.filter.x, state.gyro)
         corrected = imu._replace(
             q_xyzw=state.filter.q_xyzw,
             body_rate=omega + state.raw * (state.gyro - omega),
             attitude_valid=imu.attitude_valid | True,
         )
         trusted = xp.where(starting, STARTING, xp.where(suspect, SUSPECT, HEALTHY)).astype(xp.uint8)
-        own = xp.maximum(own, 0.0)
+        predicted = xp.maximum(predicted, 0.0)
 
-        def of_faults() -> tuple[Array, Array, Array]:
+        def report_faults() -> tuple[Array, Array, Array]:
             out = xp.where(track.calm > SHOWN * self.recovery, RECOVERING, FAULTY)
-            passed = xp.maximum(w.passed, 1.0 / (track.count + 1.0))
-            noise = (sizes.noise + sizes.slow) * passed
-            return (
-                xp.where(faulty, out, trusted).astype(xp.uint8),
-                own + faulty * noise,
-                xp.where(faulty, track.since, -1.0),
-            )
+            states = xp.where(faulty, out, trusted).astype(xp.uint8)
+            variance = predicted + faulty * track_variance(track, variances, gains)
+            return states, variance, xp.where(faulty, track.age, -1.0)
 
-        states, variance, age = changed_where(faulty, of_faults, (trusted, own, faulty - 1.0))
+        none = (trusted, predicted, faulty - 1.0)
+        states, variance, age = changed_where(faulty, report_faults, none)
         return FaultEstimate(track.fault, xp.sqrt(variance), states, age, corrected)
 
-    def _start(self) -> NDArray[np.float64]:
-        """Standard deviations of the error state at the start (16,).
 
-        The first step takes the attitude of the start as a measurement, so before it nothing is known of it.
-        """
-        attitude = UNKNOWN * max(self.attitude_noise, self.wander)
-        parts = ([attitude] * 3, [self.gyro_bias] * 3, [self.gyro_scale] * 9, [self.delay])
-        return np.concatenate([np.asarray(part) for part in parts])
+def _doubt(estimate: FilterState, residual: Array) -> FilterState:
+    """Make the rotation uncertain by a residual (..., 3) [rad], and the gyro's errors with it.
 
-
-def _doubted(estimate: FilterState, residual: Array) -> FilterState:
-    """The filter with its rotation in doubt by a residual (..., 3) that is to be believed.
-
-    And with it what it knows of the gyro: as long as the rotation was wrong, so were the axes.
+    As long as the rotation was wrong, so were the axes in which the filter learned them.
     """
-    doubt = namespace(residual).sum(residual**2, axis=-1)
-    return estimate._replace(P=estimate.P + doubt[..., None, None] * DOUBTED)
+    size = namespace(residual).sum(residual**2, axis=-1)
+    return estimate._replace(P=estimate.P + size[..., None, None] * SPOILED)

@@ -1,0 +1,1 @@
+"""Parts of the observer ``supervised``: filter, anchors, residual tests, tracked fault, recovery."""

@@ -1,0 +1,166 @@
+"""Anchors: two earlier states of the filter that have run on the gyro alone since.
+
+A fault so slow that the filter follows it shows in the residuals of an anchor. When it is found, the filter
+goes back to an anchor, and so forgets what the fault has taught it. Each time the younger anchor reaches half
+the greatest age it replaces the older, and a new one is set: memory and work of a step are constant.
+
+An anchor is stored as the corrections c (16) that the filter has received since. They follow the transition
+of the error state, so nothing is computed twice:
+
+    c <- F c + dx,   P_anchor <- F P_anchor F' + Q,   residual of the anchor = residual of the filter + H c
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from quadftc_fdi.supervision.error_transition import SIZE, Transition
+from quadftc_fdi.supervision.inertial_filter import MEASURED, FilterState, apply_correction, bias_variance
+from quadftc_model.arrays import Array, any_of, changed_where, namespace, product
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+OLD, YOUNG = 3, 4  # columns of the residuals; the three before are of the filter itself
+IS_ANCHOR = np.array([0.0, 0.0, 0.0, 1.0, 1.0])
+# x @ PROMOTION: the column of the young anchor moves to the old one, and starts at zero
+PROMOTION = np.array(
+    [[1.0, 0, 0, 0, 0], [0, 1.0, 0, 0, 0], [0, 0, 1.0, 0, 0], [0, 0, 0, 0, 0], [0, 0, 0, 1.0, 0]]
+)
+
+
+class Anchors(NamedTuple):
+    """Two earlier states of the filter, relative to it."""
+
+    corrections: Float[Array, "*batch 16 5"]  # of the filter since; the first three columns are zero
+    P: Float[Array, "*batch 2 16 16"]  # covariance now, the older anchor first
+    age: Float[Array, "*batch 1"]  # of the younger [s]
+
+
+def set_anchors(P: Float[Array, "*batch 16 16"]) -> Anchors:
+    """Set both at the present state of a filter with covariance P."""
+    xp = namespace(P)
+    batch = P.shape[:-2]
+    return Anchors(xp.zeros((*batch, SIZE, 5)), xp.stack([P, P], axis=-3), xp.zeros((*batch, 1)))
+
+
+def predict_anchors(anchors: Anchors, F: Transition, Q: Float[Array, "*batch 16 16"]) -> Anchors:
+    """Take a step with the transition and the noise of the filter."""
+    xp = namespace(Q)
+    P = xp.stack([F.around(anchors.P[..., each, :, :]) + Q for each in (0, 1)], axis=-3)
+    return anchors._replace(corrections=F.of(anchors.corrections), P=P)
+
+
+def all_residuals(
+    residual: Float[Array, "*batch 3"], anchors: Anchors, H: Float[Array, "*batch 3 16"]
+) -> Float[Array, "*batch 3 5"]:
+    """Residuals [rad] of the filter (three times), the old and the young anchor."""
+    return residual[..., None] + product(H, anchors.corrections, MEASURED)
+
+
+def predicted_variances(
+    P: Float[Array, "*batch 16 16"], anchors: Anchors, H: Float[Array, "*batch 3 16"]
+) -> Float[Array, "*batch 3 3"]:
+    """Variance (..., angle, source) of the angles [rad²] that filter, old and young anchor predict."""
+    covariances = namespace(P).concatenate([P[..., None, :, :], anchors.P], axis=-3)
+    each = H[..., None, :, :]
+    return (product(each, covariances, MEASURED) * each).sum(axis=-1).swapaxes(-1, -2)
+
+
+def go_back_to_anchor(
+    estimate: FilterState,
+    anchors: Anchors,
+    residuals: Float[Array, "*batch 3 5"],
+    variances: Float[Array, "*batch 3 3"],
+    back: Bool[Array, "*batch 3"],
+    far: Bool[Array, "*batch 3"],
+    known: float,
+) -> tuple[FilterState, Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
+    """Go back to an anchor where an axis asks for it.
+
+    But not to one from before the gyro bias was known, if it is known now: forgetting it costs more than the
+    fault has done.
+
+    Parameters
+    ----------
+    estimate : FilterState
+    anchors : Anchors
+    residuals : array (..., 3, 5)
+        Of `all_residuals` [rad].
+    variances : array (..., 3, 3)
+        Of `predicted_variances` [rad²].
+    back, far : array (..., 3) bool
+        Axes that ask to go back, and those that need the old anchor; with the young one less is lost.
+    known : float
+        Standard deviation at which a gyro bias counts as known [rad/s].
+
+    Returns
+    -------
+    FilterState, its residual (..., 3) [rad], and the variance (..., 3) of its predicted angles [rad²].
+    """
+    xp = namespace(back)
+
+    def go_back() -> tuple[FilterState, Array, Array]:
+        # which anchor: a bias may be known half as well, in variance, as now
+        limit = xp.maximum(known**2, 2.0 * bias_variance(estimate.P))
+        old_knows, young_knows = (bias_variance(anchors.P[..., k, :, :]) <= limit for k in (0, 1))
+        returns, to_old = any_of(back) & young_knows, any_of(far) & old_knows
+
+        def choose(now: Array, young: Array, old: Array) -> Array:
+            extra = (None,) * (now.ndim - returns.ndim)
+            return xp.where(returns[(..., *extra)], xp.where(to_old[(..., *extra)], old, young), now)
+
+        # take back the corrections since then; covariance, residual and variance are those of the anchor
+        c = anchors.corrections
+        dx = choose(xp.zeros_like(c[..., 0]), c[..., YOUNG], c[..., OLD])
+        P = choose(estimate.P, anchors.P[..., 1, :, :], anchors.P[..., 0, :, :])
+        residual = choose(residuals[..., 0], residuals[..., YOUNG], residuals[..., OLD])
+        variance = choose(variances[..., 0], variances[..., 2], variances[..., 1])
+        return apply_correction(estimate._replace(P=P), -dx), residual, variance
+
+    return changed_where(back, go_back, (estimate, residuals[..., 0], variances[..., 0]))
+
+
+def update_anchors(
+    anchors: Anchors,
+    P: Float[Array, "*batch 16 16"],
+    dx: Float[Array, "*batch 16"],
+    restart: Bool[Array, "*batch 1"],
+    hold: Bool[Array, "*batch 1"],
+    dt: float,
+    greatest_age: float,
+) -> tuple[Anchors, Bool[Array, "*batch 1"]]:
+    """Note a correction of the filter; promote the young anchor when it is half of ``greatest_age`` [s] old.
+
+    Parameters
+    ----------
+    anchors : Anchors
+    P, dx : array (..., 16, 16), (..., 16)
+        Covariance of the filter now, and its correction.
+    restart, hold : array (..., 1) bool
+        Where both anchors move to the present state; where none is given up, as it may be needed soon.
+    dt, greatest_age : float
+        [s].
+
+    Returns
+    -------
+    Anchors, and where (..., 1) the young one has become the old one.
+    """
+    xp = namespace(dx)
+    age = (anchors.age + dt) * ~restart
+    promoted = (age > 0.5 * greatest_age) & ~hold
+    kept = Anchors(anchors.corrections + dx[..., None] * IS_ANCHOR, anchors.P, age * ~promoted)
+
+    def replace() -> Anchors:
+        now = P[..., None, :, :]
+        covariance = xp.where(restart[..., None, None], now, kept.P)
+        next_ones = xp.concatenate([covariance[..., 1:, :, :], now], axis=-3)
+        corrections = kept.corrections * ~restart[..., None]
+        return kept._replace(
+            corrections=xp.where(promoted[..., None], corrections @ PROMOTION, corrections),
+            P=xp.where(promoted[..., None, None], next_ones, covariance),
+        )
+
+    return changed_where(restart | promoted, replace, kept), promoted

@@ -1,0 +1,138 @@
+r"""The tracked fault of each faulty axis: an alpha-beta filter that restarts at every jump.
+
+With f the fault, v its slope, r the residual (measured minus predicted angle) and n samples since a jump:
+
+    f^ = f + v dt,   e = r - f^,   f <- f^ + max(alpha, 1 / (n + 1)) e,   v <- v + (beta / dt) e
+
+White noise of r comes through with the share (2 alpha² + 2 beta - 3 alpha beta) / (alpha (4 - 2 alpha -
+beta)) of its variance, beta = alpha² / (2 - alpha) (Blair 1993).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_fdi.caching import cache_numbers
+from quadftc_fdi.supervision.residual_tests import ResidualVariances
+from quadftc_model.arrays import Array, namespace
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+AVERAGES = np.array([0.15, 0.6])  # s; two averages of a fault, whose difference shows that it moves
+JUMPS = 25.0  # 1; squared standard deviations beyond which a fault jumps
+
+
+class Track(NamedTuple):
+    """The fault of each axis while it is faulty, all zero otherwise."""
+
+    fault: Float[Array, "*batch 3"]  # [rad]
+    slope: Float[Array, "*batch 3"]  # [rad/s]
+    count: Float[Array, "*batch 3"]  # samples since the last jump
+    moved: Float[Array, "*batch 3"]  # 1: it has jumped, or visibly moved, since it was found
+    means: Float[Array, "*batch 3 2"]  # two averages of it [rad]
+    age: Float[Array, "*batch 3"]  # time since the onset [s]
+    calm: Float[Array, "*batch 3"]  # how long the axis has looked healthy again [s]
+
+
+class TrackerGains(NamedTuple):
+    """Gains of one step."""
+
+    mean: NDArray[np.float64]  # (2,) of a sample in the two averages
+    alpha: float  # of a sample in the fault
+    beta_dt: float  # [1/s] in its slope: beta / dt
+    noise: float  # share of white noise in the variance of the fault
+    settled: float  # samples after a jump before the slope moves
+
+
+@cache_numbers
+def tracker_gains(dt: float, tracking: float) -> TrackerGains:
+    """Gains for a step ``dt`` and an averaging time [s]."""
+    starts = isinstance(dt, float) and dt == 0.0
+    alpha = 1.4 * dt / (tracking + dt)
+    beta = alpha**2 / (2.0 - alpha)
+    noise = (2.0 * alpha**2 + 2.0 * beta - 3.0 * alpha * beta) / (4.0 - 2.0 * alpha - beta)
+    return TrackerGains(
+        mean=dt / (AVERAGES + dt),
+        alpha=alpha,
+        beta_dt=0.0 if starts else beta / dt,
+        noise=1.0 if starts else noise / alpha,
+        settled=math.inf if starts else 1.4 / alpha,
+    )
+
+
+def start_track(like: Float[Array, "*batch 3"]) -> Track:
+    """Return a track without faults."""
+    xp = namespace(like)
+    zeros = xp.zeros_like(like)
+    return Track(zeros, zeros, zeros, zeros, xp.zeros((*like.shape, 2)), zeros, zeros)
+
+
+def track_fault(
+    track: Track,
+    residual: Float[Array, "*batch 3"],
+    variances: ResidualVariances,
+    alarm: Bool[Array, "*batch 3"],
+    suspicion: Float[Array, "*batch 3"],
+    valid: Bool[Array, "*batch 3"],
+    gains: TrackerGains,
+    dt: float,
+) -> Track:
+    """Follow the residual [rad] of the faulty axes.
+
+    Parameters
+    ----------
+    track : Track
+    residual : array (..., 3)
+    variances : ResidualVariances
+    alarm : array (..., 3) bool
+        Axes declared faulty at this sample, where the track starts.
+    suspicion : array (..., 3)
+        How long they were suspect by then: the age of the fault [s].
+    valid : array (..., 3) bool
+        Axes measured in this sample.
+    gains : TrackerGains
+    dt : float
+        [s]
+    """
+    xp = namespace(residual)
+    expected = track.fault + track.slope * dt
+    error = residual - expected
+    jump = alarm | (error**2 > JUMPS * (variances.noise + variances.slow))
+    # right after a jump the fault is the mean of the samples since, and the slope waits
+    count = (track.count + 1.0) * ~jump
+    alpha = xp.maximum(gains.alpha, 1.0 / (count + 1.0)) * valid
+    means = track.means + valid[..., None] * gains.mean * (residual[..., None] - track.means)
+    return track._replace(
+        fault=expected + alpha * error,
+        slope=(track.slope + gains.beta_dt * valid * error) * (count > gains.settled),
+        count=count,
+        moved=xp.maximum(track.moved, 1.0 * jump) * ~alarm,
+        means=xp.where(jump[..., None], residual[..., None], means),
+        age=xp.where(alarm, suspicion, track.age + dt),
+    )
+
+
+def clear_healthy(track: Track, faulty: Bool[Array, "*batch 3"]) -> Track:
+    """Set the track of all axes that are not faulty to zero."""
+    return Track(
+        fault=track.fault * faulty,
+        slope=track.slope * faulty,
+        count=track.count * faulty,
+        moved=track.moved * faulty,
+        means=track.means * faulty[..., None],
+        age=track.age * faulty,
+        calm=track.calm * faulty,
+    )
+
+
+def track_variance(
+    track: Track, variances: ResidualVariances, gains: TrackerGains
+) -> Float[Array, "*batch 3"]:
+    """Variance [rad²] that the sensor's own noise gives the tracked fault."""
+    share = namespace(track.count).maximum(gains.noise, 1.0 / (track.count + 1.0))
+    return (variances.noise + variances.slow) * share

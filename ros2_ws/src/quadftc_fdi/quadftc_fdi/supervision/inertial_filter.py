@@ -1,0 +1,203 @@
+"""Error-state Kalman filter of an IMU with an attitude sensor (Lefferts, Markley and Shuster 1982).
+
+    omega = (I + M) g - b,   q' = q (omega, 0) / 2          g: gyro, b: its bias, M: scale and alignment
+    h = x1(q) - E(x1) omega tau + noise                      Euler angles, sampled tau before the gyro
+
+The error state has 16 elements: rotation delta in body axes, b (3), M (9, by rows), tau (1). The attitude
+itself is a quaternion, so only the Euler angles of the measurement are singular.
+
+    delta' = -omega x delta + delta_M g - delta_b            error_transition.py
+    predict   P <- F P F' + Q
+    correct   S = H P H' + R,   K = P H' S^-1,   dx = K (h - h^),   P <- P - K S K'
+              H = E [I, 0, 0, -omega]
+
+Each axis of the measurement is used or left out by itself. An axis that is left out runs on the gyro alone,
+and P says how uncertain that is. Arrays have any leading axes; no branch depends on data.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_fdi.supervision.error_transition import BIAS, DELAY, ROTATION, SIZE, Transition, transition
+from quadftc_model.arrays import Array, components, is_single, namespace, product, stacked
+from quadftc_model.rotations import (
+    MIN_COS_PITCH,
+    normalise,
+    quaternion_from_rotation_vector,
+    quaternion_product,
+)
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+
+MEASURED = (0, 1, 2, DELAY)  # columns of H that are not zero
+LEFT_OUT = 1e6  # rad²; variance of a measurement that is left out
+
+
+class FilterState(NamedTuple):
+    """Estimate and covariance."""
+
+    q_xyzw: Float[Array, "*batch 4"]
+    x: Float[Array, "*batch 13"]  # b [rad/s], M by rows [1], tau [s]
+    P: Float[Array, "*batch 16 16"]  # covariance of the error state
+
+
+def start_filter(q_xyzw: Float[Array, "*batch 4"], std_devs: NDArray[np.float64]) -> FilterState:
+    """Start at an attitude, with standard deviations (16,) of the error state."""
+    xp = namespace(q_xyzw)
+    batch = q_xyzw.shape[:-1]
+    return FilterState(
+        q_xyzw, xp.zeros((*batch, SIZE - 3)), xp.zeros((*batch, SIZE, SIZE)) + np.diag(std_devs**2)
+    )
+
+
+def estimate_rate(x: Float[Array, "*batch 13"], gyro: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+    """Body rate omega = (I + M) g - b [rad/s] of a gyro sample."""
+    if is_single(x):
+        return gyro + x[3:12].reshape(3, 3).dot(gyro) - x[:3]
+    M = x[..., 3:12].reshape(*x.shape[:-1], 3, 3)
+    return gyro + product(M, gyro[..., None])[..., 0] - x[..., :3]
+
+
+def predict(
+    state: FilterState, gyro: Float[Array, "*batch 3"], Q: Float[Array, "*batch 16 16"], dt: float
+) -> tuple[FilterState, Transition]:
+    """Turn by a gyro sample [rad/s], the mean over the step ``dt`` [s]; return the transition F, too."""
+    omega = estimate_rate(state.x, gyro)
+    q = normalise(quaternion_product(state.q_xyzw, quaternion_from_rotation_vector(omega * dt)))
+    F = transition(omega, gyro, dt)
+    return FilterState(q, state.x, F.around(state.P) + Q), F
+
+
+def process_noise(
+    rotation: Float[Array, "*batch 1"], bias: Float[Array, "*batch 1"]
+) -> Float[Array, "*batch 16 16"]:
+    """Covariance Q that a step adds, of the variances of rotation and bias of each axis."""
+    diagonal = rotation * _ROTATION_NOISE + bias * _BIAS_NOISE
+    return diagonal.reshape(*rotation.shape[:-1], SIZE, SIZE)
+
+
+def bias_variance(P: Float[Array, "*batch 16 16"]) -> Float[Array, "*batch 1"]:
+    """Largest variance of the gyro bias [rad²/s²] over the axes."""
+    diagonal = P.reshape(*P.shape[:-2], SIZE * SIZE)[..., :: SIZE + 1]
+    if is_single(diagonal):
+        return np.array([max(diagonal[BIAS].tolist())])
+    return diagonal[..., BIAS].max(axis=-1, keepdims=True)
+
+
+def apply_correction(state: FilterState, dx: Float[Array, "*batch 16"]) -> FilterState:
+    """Shift the estimate by a correction of the error state; the covariance stays."""
+    turn = quaternion_from_rotation_vector(dx[..., ROTATION])
+    return FilterState(normalise(quaternion_product(state.q_xyzw, turn)), state.x + dx[..., 3:], state.P)
+
+
+def predict_angles(
+    state: FilterState, angles: Float[Array, "*batch 3"], H: Float[Array, "*batch 3 16"]
+) -> Float[Array, "*batch 3"]:
+    """Euler angles h^ that the attitude sensor should read: those of ``tau`` ago."""
+    return angles + H[..., DELAY] * state.x[..., 12:13]
+
+
+def measurement_matrix(
+    angles: Float[Array, "*batch 3"], omega: Float[Array, "*batch 3"]
+) -> Float[Array, "*batch 3 16"]:
+    """H = E [I, 0, 0, -omega] at Euler angles and body rate."""
+    E = euler_matrix(angles)
+    if is_single(omega):
+        return E @ (omega @ _DELAYED + _DIRECT).reshape(3, SIZE)
+    xp = namespace(omega)
+    unseen = xp.zeros((*omega.shape[:-1], 3, DELAY - 3))
+    return xp.concatenate([E, unseen.astype(E.dtype), -product(E, omega[..., None])], axis=-1)
+
+
+def euler_matrix(angles: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
+    """E of (4), x1' = E(x1) omega, with the cosine of pitch kept away from zero."""
+    xp = namespace(angles)
+    (s_phi, s_theta, _), (c_phi, c_theta, _) = components(xp.sin(angles)), components(xp.cos(angles))
+    if isinstance(c_theta, float):
+        one, zero = 1.0, 0.0
+        secant = 1.0 / math.copysign(max(abs(c_theta), MIN_COS_PITCH), c_theta)
+    else:
+        one, zero = xp.ones_like(s_phi), xp.zeros_like(s_phi)
+        secant = xp.where(c_theta < 0.0, -1.0, 1.0) / xp.maximum(xp.abs(c_theta), MIN_COS_PITCH)
+    tangent = s_theta * secant
+    rows = [
+        [one, s_phi * tangent, c_phi * tangent],
+        [zero, c_phi, -s_phi],
+        [zero, s_phi * secant, c_phi * secant],
+    ]
+    if is_single(angles):
+        return np.array(rows)
+    return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def correct(
+    state: FilterState,
+    H: Float[Array, "*batch 3 16"],
+    residual: Float[Array, "*batch 3"],
+    variance: Float[Array, "*batch 3"],
+    used: Bool[Array, "*batch 3"],
+) -> tuple[FilterState, Float[Array, "*batch 16"]]:
+    """Correct by the axes of a measurement that are used; return the correction dx, too.
+
+    Parameters
+    ----------
+    state : FilterState
+    H : array (..., 3, 16)
+    residual : array (..., 3)
+        h - h^ [rad].
+    variance : array (..., 3)
+        Diagonal of R [rad²].
+    used : array (..., 3) bool
+    """
+    xp = namespace(residual)
+    PH = product(state.P, H.swapaxes(-1, -2), MEASURED)
+    S = product(H, PH, MEASURED) + xp.where(used, variance, LEFT_OUT)[..., None] * _AXES
+    # With S = L L' and W = P H' L'^-1: K = W L^-1, and K S K' = W W' is symmetric to the last bit.
+    L_inverse_T = _inverse_cholesky_T(S)
+    W = product(PH, L_inverse_T)
+    white = product(L_inverse_T.swapaxes(-1, -2), xp.where(used, residual, 0.0)[..., None])
+    dx = product(W, white)[..., 0]
+    P = state.P - product(W, W.swapaxes(-1, -2))
+    return apply_correction(state._replace(P=P), dx), dx
+
+
+def _inverse_cholesky_T(S: Array) -> Array:
+    """L'^-1 (..., 3, 3) of the Cholesky factor L of a symmetric positive definite matrix (..., 3, 3)."""
+    a, _, _, b, d, _, c, e, f = components(S.reshape(*S.shape[:-2], 9))
+    sqrt = math.sqrt if isinstance(a, float) else namespace(S).sqrt
+    i00 = 1.0 / sqrt(a)
+    l10, l20 = b * i00, c * i00
+    i11 = 1.0 / sqrt(d - l10 * l10)
+    l21 = (e - l20 * l10) * i11
+    i22 = 1.0 / sqrt(f - l20 * l20 - l21 * l21)
+    i10 = -l10 * i00 * i11
+    i20, i21 = -(l20 * i00 + l21 * i10) * i22, -l21 * i11 * i22
+    zero = 0.0 * a
+    return stacked([i00, i10, i20, zero, i11, i21, zero, zero, i22]).reshape(S.shape)
+
+
+def _measurement() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """[I, 0, 0, -omega] as omega @ (3, 48) + (48,)."""
+    direct, delayed = np.zeros((3, SIZE)), np.zeros((3, 3, SIZE))
+    direct[:, ROTATION] = np.eye(3)
+    for i in range(3):
+        delayed[i, i, SIZE - 1] = -1.0
+    return direct.ravel(), delayed.reshape(3, -1)
+
+
+def _unit_noise(elements: slice) -> NDArray[np.float64]:
+    """Covariance of the error (256,) with variance 1 of some elements."""
+    variances = np.zeros(SIZE)
+    variances[elements] = 1.0
+    return np.diag(variances).ravel()
+
+
+_AXES = np.eye(3)
+_ROTATION_NOISE, _BIAS_NOISE = _unit_noise(ROTATION), _unit_noise(BIAS)
+_DIRECT, _DELAYED = _measurement()
