@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,12 +11,19 @@ from std_srvs.srv import Trigger
 
 from node_bench import NodeBench
 from quadftc_bags.bag import read_bag
+from quadftc_control.controller import controllers
+from quadftc_control.controllers.ismc import Ismc
+from quadftc_fdi.disturbance_observer import disturbance_observers
+from quadftc_fdi.disturbance_observers.exosystem import Exosystem
+from quadftc_fdi.fault_observer import fault_observers
+from quadftc_fdi.fault_observers.sliding_mode import SlidingMode
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import Flight, flight_from_bag
 from quadftc_flight.graph.composed import ComposedGraph
 from quadftc_flight.graph.plan import GraphPlan
 from quadftc_flight.scenario import find_scenario, load_scenario, node_parameters, with_duration
 
+SCENARIOS = Path(__file__).parent / "scenarios"
 # the step, the disturbance and the faults of a paper's scenario within the first seconds
 SOONER = (
     "references.0.start=0.5 s",
@@ -63,6 +71,61 @@ def test_graph_equals_the_closed_loop_on_the_paper_s_scenario(fly_graph, scheme)
     assert np.degrees(flight.fault[-1, 0]) == pytest.approx(1.0)
     assert np.all(np.max(np.abs(flight.angles), axis=0) > np.radians(3.0))  # it went somewhere
     assert_equal_bit_for_bit(flight, fly(node_parameters(scenario, scheme)))
+
+
+@fault_observers.register("runaway")
+class RunawayObserver(SlidingMode):
+    """Its estimate, and then its body rate, grow beyond all bounds until it restarts."""
+
+    def init(self, inputs):
+        return super().init(inputs), 1.0
+
+    def step(self, state, inputs, dt):
+        law_state, growth = state
+        law_state, estimate = super().step(law_state, inputs, dt)
+        corrected, fault = estimate.corrected, estimate.fault
+        fast = corrected._replace(body_rate=corrected.body_rate + 1e-4 * (growth - 1.0))
+        return (law_state, 1.2 * growth), estimate._replace(
+            fault=fault + 1e-3 * (growth - 1.0), corrected=fast
+        )
+
+
+@disturbance_observers.register("runaway")
+class RunawayDisturbanceObserver(Exosystem):
+    """Its estimate grows from 1 to beyond 1e6 rad/s², and is NaN now and then, until it restarts."""
+
+    def init(self, inputs):
+        return super().init(inputs), 1.0
+
+    def step(self, state, inputs, dt):
+        law_state, growth = state
+        law_state, estimate = super().step(law_state, inputs, dt)
+        return (law_state, 1.3 * growth), estimate + (growth if inputs.rate_valid else np.nan)
+
+
+@controllers.register("runaway")
+class RunawayController(Ismc):
+    """Its sliding variable grows beyond all bounds until it restarts."""
+
+    def init(self, inputs):
+        return super().init(inputs), 1.0
+
+    def step(self, state, inputs, dt):
+        law_state, growth = state
+        law_state, output = super().step(law_state, inputs, dt)
+        return (law_state, 1.3 * growth), output._replace(sliding_variable=output.sliding_variable * growth)
+
+
+def test_graph_equals_the_closed_loop_when_laws_give_what_cannot_be_used(fly_graph):
+    runaway = [f"schemes.proposed.{role}=runaway" for role in ("observer", "disturbance_observer")]
+    scenario = load_scenario(SCENARIOS / "busy.yaml", [*runaway, "schemes.proposed.controller=runaway"])
+    directory, _ = fly_graph(with_duration(scenario, 1.9), "proposed")
+    flight = flight_from_bag(read_bag(directory))
+    for column in (flight.fault_estimate, flight.disturbance_estimate, flight.sliding_variable):
+        sizes = np.max(np.abs(column[flight.delivered]), axis=1)
+        assert 1e4 < np.max(sizes) < 1e6  # it ran away, and was stopped:
+        assert np.any((sizes[:-1] > 1e4) & (sizes[1:] == 0.0))
+    assert_equal_bit_for_bit(flight, fly(node_parameters(with_duration(scenario, 1.9), "proposed")))
 
 
 def test_two_runs_give_the_same_messages(fly_graph, busy_scenario):

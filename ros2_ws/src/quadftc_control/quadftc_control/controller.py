@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+from collections.abc import Callable
 from typing import Any
+
+import numpy as np
 
 from quadftc_model.arrays import Array, namespace
 from quadftc_model.parameters import check
 from quadftc_model.registry import Registry
 from quadftc_model.rotors import attainable
-from quadftc_model.samples import ControllerInputs, ControllerOutput
+from quadftc_model.samples import ControllerInputs, ControllerOutput, is_usable
+from quadftc_model.stepper import Stepper
 from quadftc_model.vehicle import Vehicle
 
 
@@ -41,6 +45,23 @@ class Controller(abc.ABC):
         Continuous in ``missing``, and with 0 this law. By default it is this law always.
         """
         return self
+
+
+def stepper_of(
+    law: Controller, last_torque: Callable[[], Array]
+) -> Stepper[ControllerInputs, ControllerOutput]:
+    """Run a controller on a stream: an output that cannot be used holds the last torque, and restarts it."""
+
+    def guard(_: ControllerInputs, output: ControllerOutput) -> ControllerOutput:
+        usable = is_usable(output.torque, output.error, output.sliding_variable)
+        return output if usable else nothing_but(last_torque())
+
+    return Stepper(law, guard)
+
+
+def nothing_but(torque: Array) -> ControllerOutput:
+    """Return a torque (3,) [N m] as the output of no law."""
+    return ControllerOutput(torque, np.zeros(3), np.zeros(3), np.zeros(3, dtype=bool))
 
 
 def limited(vehicle: Vehicle, torque: Array) -> tuple[Array, Array]:

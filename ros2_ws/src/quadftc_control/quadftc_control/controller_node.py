@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from quadftc_control.assembly import controller_from
-from quadftc_control.controller import controllers
+from quadftc_control.controller import controllers, nothing_but, stepper_of
 from quadftc_control.degraded import HeldTorque, InputMonitor, Mode, Patience
 from quadftc_control.keeper import Keeper
 from quadftc_control.transfer import Transfer
@@ -30,11 +30,12 @@ from quadftc_model.samples import (
     ControllerInputs,
     ControllerOutput,
     ImuSample,
+    is_usable,
     level_sample,
     sanitised,
 )
-from quadftc_model.stepper import Stepper, seconds, warm_up
-from quadftc_ros.conversions import Floats, array_of, is_finite, revise_status
+from quadftc_model.stepper import seconds, warm_up
+from quadftc_ros.conversions import Floats, array_of, revise_status
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import StampJoin
@@ -82,7 +83,7 @@ class ControllerNode(GraphNode):
         self.settings.declare(Patience, "patience.")
         values = self.settings.values()
         self._law = controller_from(values)  # for when there is a disturbance estimate
-        self._stepper: Stepper[ControllerInputs, ControllerOutput] = Stepper(self._law)
+        self._stepper = stepper_of(self._law, lambda: self._torque)
         still = AttitudeReference(np.zeros(3), np.zeros(3), np.zeros(3))
         warm_up(self._law, ControllerInputs(level_sample(), still, np.zeros(3)))
         patience = build_prefixed(Patience, values, "patience")
@@ -129,7 +130,7 @@ class ControllerNode(GraphNode):
         self._transfer.reset()
 
     def _on_reference(self, stamp_ns: int, reference: AttitudeReference) -> None:
-        if all(is_finite(part) for part in reference):
+        if is_usable(*reference):
             self._reference, self._reference_ns = reference, stamp_ns
         else:
             self.diagnostics.count("attitude/reference: not finite")
@@ -137,7 +138,7 @@ class ControllerNode(GraphNode):
             self._join.put("reference", stamp_ns, self._reference)
 
     def _on_disturbance(self, stamp_ns: int, disturbance: Floats) -> None:
-        if is_finite(disturbance):
+        if is_usable(disturbance):
             self._monitor.estimated(stamp_ns, disturbance)
             self._estimate = stamp_ns, disturbance
         else:
@@ -183,7 +184,7 @@ class ControllerNode(GraphNode):
         if words is not None:
             self._words, last_ns, correction = words
             fault = array_of(self._words.estimate) * np.isin(self._words.state, ALARMS)
-            self._transfer.expect(correction, fault if fault.any() and is_finite(fault) else None)
+            self._transfer.expect(correction, fault if fault.any() and is_usable(fault) else None)
             self._keep_gyro(self._body(last_ns, correction))
             self._keep_status(self._words)
 
@@ -209,7 +210,7 @@ class ControllerNode(GraphNode):
         if not self._stepper.timing(stamp_ns).accepted:
             return  # repeated: imu/corrected of a sample that imu/data has served already
         if self._mode is Mode.OFF and not self._monitor.is_back(stamp_ns):
-            self._say(stamp_ns, _nothing_but(np.zeros(3)), Mode.OFF, 0.0)
+            self._say(stamp_ns, nothing_but(np.zeros(3)), Mode.OFF, 0.0)
             return
         disturbance, share, trusted = self._monitor.disturbance_at(stamp_ns)
         if not trusted:
@@ -226,14 +227,12 @@ class ControllerNode(GraphNode):
         self._control(stamp_ns, ControllerInputs(flown, self._reference, disturbance), mode)
 
     def _control(self, stamp_ns: int, inputs: ControllerInputs, mode: Mode) -> None:
-        begin = wall_seconds()
+        begin, replaced = wall_seconds(), self._stepper.replaced
         output = self._stepper.step(stamp_ns, inputs)
         if output is None:
             return
-        if not all(map(is_finite, (output.torque, output.error, output.sliding_variable))):
+        if self._stepper.replaced > replaced:
             self.diagnostics.count("the controller gave no number: the last torque is held")
-            self._stepper.reset()
-            output = _nothing_but(self._torque)
         self._held.add(stamp_ns, output.torque)
         self._say(stamp_ns, output, mode, wall_seconds() - begin)
 
@@ -268,12 +267,7 @@ class ControllerNode(GraphNode):
         if mode is Mode.FULL or not self._stamp_ns:
             return
         torque = self._held.mean if mode is Mode.HOLD else np.zeros(3)
-        self._say(self._stamp_ns, _nothing_but(torque), mode, 0.0)
-
-
-def _nothing_but(torque: Floats) -> ControllerOutput:
-    """The output when no law has spoken."""
-    return ControllerOutput(torque, np.zeros(3), np.zeros(3), np.zeros(3, dtype=bool))
+        self._say(self._stamp_ns, nothing_but(torque), mode, 0.0)
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from quadftc_model.arrays import Array, clip
 from quadftc_model.parameters import check
 from quadftc_model.registry import Registry
-from quadftc_model.samples import AttitudeReference
+from quadftc_model.samples import AttitudeReference, is_usable
 from quadftc_model.stepper import seconds
 
 
@@ -60,14 +60,21 @@ register = references.register
 
 
 class ReferenceGenerator:
-    """The reference of a scenario on a stream of stamps; the first stamp is scenario time 0."""
+    """The reference of a scenario on a stream of stamps; the first stamp is scenario time 0.
+
+    A reference that cannot be used, such as one with absurd accelerations, is replaced by the last one.
+    """
 
     def __init__(self, parts: Sequence[Reference]) -> None:
         self.parts = tuple(parts)
+        self._last = combined((), 0.0)
         self._epoch_ns: int | None = None
 
     def at(self, stamp_ns: int) -> AttitudeReference:
         """Return the reference at a stamp [ns]."""
         if self._epoch_ns is None:
             self._epoch_ns = stamp_ns
-        return combined(self.parts, seconds(stamp_ns - self._epoch_ns))
+        reference = combined(self.parts, seconds(stamp_ns - self._epoch_ns))
+        if is_usable(*reference):
+            self._last = reference
+        return self._last

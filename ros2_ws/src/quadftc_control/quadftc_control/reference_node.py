@@ -20,9 +20,9 @@ from quadftc_control.assembly import reference_from
 from quadftc_control.setpoint import SetpointFilter
 from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import Value, parameter
-from quadftc_model.samples import AttitudeReference
+from quadftc_model.samples import AttitudeReference, is_usable
 from quadftc_model.stepper import Stepper, warm_up
-from quadftc_ros.conversions import Floats, is_finite
+from quadftc_ros.conversions import Floats
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
@@ -76,7 +76,7 @@ class ReferenceNode(GraphNode):
         self._setpoint = np.zeros(3)
 
     def _on_setpoint(self, stamp_ns: int, setpoint: Floats) -> None:
-        if not is_finite(setpoint) or np.any(np.abs(setpoint[:2]) > MAX_TILT):
+        if not is_usable(setpoint) or np.any(np.abs(setpoint[:2]) > MAX_TILT):
             self.diagnostics.count("attitude/setpoint is not finite or beyond 80 deg of tilt")
             return
         self._setpoint = setpoint

@@ -6,19 +6,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_fdi.fault_observer import FaultObserver, LastWords
-from quadftc_model.samples import STARTING, FaultEstimate, FaultObserverInputs, ImuSample, sanitised
+from quadftc_model.samples import (
+    STARTING,
+    FaultEstimate,
+    FaultObserverInputs,
+    ImuSample,
+    is_usable,
+    sanitised,
+)
 from quadftc_model.stepper import Stepper, Timing
 
 
 class Diagnosis:
     """A fault observer on a stream.
 
-    It starts, and starts anew after a gap, at the first sample that has both attitude and rate. Every later
-    sample with a new stamp gives an estimate and a corrected sample, whatever is wrong with it.
+    It starts at the first sample that has both attitude and rate, and restarts so after a gap and after an
+    estimate that cannot be used. Every later sample with a new stamp gives an estimate and a corrected
+    sample, whatever is wrong with it.
     """
 
     def __init__(self, law: FaultObserver) -> None:
-        self._stepper: Stepper[FaultObserverInputs, FaultEstimate] = Stepper(law)
+        self._stepper: Stepper[FaultObserverInputs, FaultEstimate] = Stepper(law, _usable_estimate)
 
     @property
     def stamp_ns(self) -> int | None:
@@ -34,8 +42,13 @@ class Diagnosis:
     def law(self, law: FaultObserver) -> None:
         self._stepper.law = law
 
+    @property
+    def replaced(self) -> int:
+        """How many estimates so far could not be used."""
+        return self._stepper.replaced
+
     def reset(self) -> None:
-        """Start anew at the next sample."""
+        """Restart at the next sample."""
         self._stepper.reset()
 
     def resume(
@@ -71,6 +84,18 @@ class Diagnosis:
         starts = self._stepper.timing(stamp_ns) in (Timing.FIRST, Timing.RESTART)
         if starts and not (clean.attitude_valid and clean.rate_valid):
             self._stepper.reset()
-            zeros, unknown = np.zeros(3), np.full(3, -1.0)
-            return FaultEstimate(zeros, unknown, np.full(3, STARTING, np.uint8), unknown, clean)
+            return _starting_estimate(clean)
         return self._stepper.step(stamp_ns, FaultObserverInputs(clean, torque))
+
+
+def _usable_estimate(inputs: FaultObserverInputs, estimate: FaultEstimate) -> FaultEstimate:
+    corrected = estimate.corrected
+    if is_usable(estimate.fault, corrected.q_xyzw, corrected.body_rate):
+        return estimate
+    return _starting_estimate(inputs.imu)
+
+
+def _starting_estimate(clean: ImuSample) -> FaultEstimate:
+    """What is said before the observer has started: no fault is known, the sample passes as it is."""
+    unknown = np.full(3, -1.0)
+    return FaultEstimate(np.zeros(3), unknown, np.full(3, STARTING, np.uint8), unknown, clean)

@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 
 from quadftc_fdi.assembly import disturbance_observer_from
-from quadftc_fdi.disturbance_observer import DisturbanceObserver, disturbance_observers
+from quadftc_fdi.disturbance_observer import DisturbanceObserver, disturbance_observers, inputs_of, stepper_of
 from quadftc_fdi.handover import Handover
 from quadftc_model.arrays import Array
 from quadftc_model.parameters import Value, parameter
-from quadftc_model.samples import DisturbanceObserverInputs, ImuSample, sanitised
-from quadftc_model.stepper import Stepper, warm_up
-from quadftc_ros.conversions import Floats, is_finite
+from quadftc_model.samples import DisturbanceObserverInputs, ImuSample, is_usable
+from quadftc_model.stepper import warm_up
+from quadftc_ros.conversions import Floats
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import TorqueGate
@@ -50,7 +50,7 @@ class DisturbanceObserverNode(GraphNode):
         self.settings.declare(disturbance_observers.get(name), f"{name}.")
         law = disturbance_observer_from(self.settings.values())
         self._law: DisturbanceObserver = law
-        self._stepper: Stepper[DisturbanceObserverInputs, Array] = Stepper(law)
+        self._stepper = stepper_of(law)
         warm_up(law, DisturbanceObserverInputs(np.zeros(3), np.bool_(True), np.zeros(3)))
         self.settings.on_change(self._rebuilt)
         self._publish = self.publishes("disturbance/estimate")
@@ -77,7 +77,7 @@ class DisturbanceObserverNode(GraphNode):
         self._handover.forget()
 
     def _on_kept(self, stamp_ns: int, estimate: Floats) -> None:
-        if is_finite(estimate):
+        if is_usable(estimate):
             self._estimate_kept = estimate
             self._handover.heard(stamp_ns)
 
@@ -95,18 +95,15 @@ class DisturbanceObserverNode(GraphNode):
             self.diagnostics.count("torque/command: not finite")
 
     def _on_sample(self, stamp_ns: int, received: ImuSample, torque: Floats) -> None:
-        sample = sanitised(received)
-        inputs = DisturbanceObserverInputs(sample.body_rate, sample.rate_valid, torque)
+        inputs, replaced = inputs_of(received, torque), self._stepper.replaced
         estimate = self._stepped(stamp_ns, inputs)
         if estimate is None:
             self.diagnostics.count("imu/corrected: stamp repeated or went back")
             return
-        if not sample.rate_valid:
+        if not inputs.rate_valid:
             self.diagnostics.count("imu/corrected: body rate absent or unusable")
-        if not is_finite(estimate):
+        if self._stepper.replaced > replaced:
             self.diagnostics.count("the observer gave no number: it starts anew")
-            self._stepper.reset()
-            estimate = np.zeros(3)
         self._publish(self._body(stamp_ns, estimate))
         self.sampled(stamp_ns)
 

@@ -36,7 +36,7 @@ from quadftc_model.samples import (
     sanitised,
 )
 from quadftc_model.stepper import seconds, warm_up
-from quadftc_ros.conversions import Floats, array_of, is_finite, stamp_of
+from quadftc_ros.conversions import Floats, array_of, stamp_of
 from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import TorqueGate
@@ -119,14 +119,13 @@ class FaultObserverNode(GraphNode):
             self.diagnostics.count("torque/command: not finite")
 
     def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats) -> None:
+        replaced = self._diagnosis.replaced
         estimate = self._diagnosed(stamp_ns, sample, torque)
         if estimate is None:
             self.diagnostics.count("imu/data: stamp repeated or went back")
             return
-        if not _is_finite(estimate):
+        if self._diagnosis.replaced > replaced:
             self.diagnostics.count("the observer gave no number: it starts anew")
-            self._diagnosis.reset()
-            estimate = _no_estimate(sample)
         if not estimate.corrected.rate_valid:
             self.diagnostics.count("imu/data: body rate absent or unusable")
         if not sanitised(sample).attitude_valid:
@@ -161,11 +160,6 @@ class FaultObserverNode(GraphNode):
             self.diagnostics.report(f"attitude fault {axis}", level, FAULT_STATE_NAMES[state], **values)
 
 
-def _is_finite(estimate: FaultEstimate) -> bool:
-    corrected = estimate.corrected
-    return is_finite(estimate.fault) and is_finite(corrected.q_xyzw) and is_finite(corrected.body_rate)
-
-
 def _last_words(status: Any, gyro_correction: Floats, stamp_ns: int) -> LastWords | None:
     """What fault/kept and gyro/kept say at a sample [ns]; None if it is not finite."""
     onset = np.array([stamp_of(Header(stamp=time)) for time in status.onset])
@@ -177,11 +171,6 @@ def _last_words(status: Any, gyro_correction: Floats, stamp_ns: int) -> LastWord
         gyro_correction=gyro_correction,
     )
     return words if all(np.all(np.isfinite(part)) for part in words) else None
-
-
-def _no_estimate(sample: ImuSample) -> FaultEstimate:
-    unknown = np.full(3, -1.0)
-    return FaultEstimate(np.zeros(3), unknown, np.full(3, STARTING, np.uint8), unknown, sanitised(sample))
 
 
 def main() -> None:

@@ -9,12 +9,14 @@ nodes in lock-step, so that both fly the same flight, bit for bit:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from quadftc_control import controller
 from quadftc_control.assembly import controller_from, reference_from
+from quadftc_fdi import disturbance_observer
 from quadftc_fdi.assembly import disturbance_observer_from, fault_observer_from
 from quadftc_fdi.diagnosis import Diagnosis
 from quadftc_flight.flight import NO_STATE, VECTORS, Flight, onset_ns
@@ -23,10 +25,9 @@ from quadftc_model.samples import (
     AttitudeReference,
     ControllerInputs,
     ControllerOutput,
-    DisturbanceObserverInputs,
     FaultEstimate,
 )
-from quadftc_model.stepper import NANOSECONDS_PER_SECOND, Stepper
+from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_sim.assembly import EPOCH_NS, injector_from, sample_count, simulator_from
 from quadftc_sim.injection import Injected
 from quadftc_sim.simulator import Emission
@@ -54,12 +55,12 @@ class Avionics:
 
     def __init__(self, parameters: Mapping[str, NodeParameters]) -> None:
         self._diagnosis = Diagnosis(fault_observer_from(parameters["fault_observer"]))
-        self._disturbance_observer = Stepper[DisturbanceObserverInputs, Any](
+        self._disturbance_observer = disturbance_observer.stepper_of(
             disturbance_observer_from(parameters["disturbance_observer"])
         )
         self._reference = reference_from(parameters["reference"])
-        self._controller = Stepper[ControllerInputs, ControllerOutput](
-            controller_from(parameters["controller"])
+        self._controller = controller.stepper_of(
+            controller_from(parameters["controller"]), lambda: self.torque
         )
         self.torque: Floats = np.zeros(3)  # command of the last sample [N m]
 
@@ -72,7 +73,7 @@ class Avionics:
             return None
         corrected = estimate.corrected
         disturbance = self._disturbance_observer.step(
-            stamp_ns, DisturbanceObserverInputs(corrected.body_rate, corrected.rate_valid, self.torque)
+            stamp_ns, disturbance_observer.inputs_of(corrected, self.torque)
         )
         if disturbance is None:
             return None

@@ -16,6 +16,8 @@ UNIT_NORM_TOLERANCE = 1e-2  # 1; a quaternion further from unit length is no att
 
 MAX_BODY_RATE = 100.0  # rad/s, sum over the axes; MEMS gyros end at 70 (4000 deg/s): more is no body rate
 
+UNUSABLE = 1e6  # in rad, rad/s, rad/s², N m and m/s² alike: no estimate or command can mean so much
+
 STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901
 
 ABSENT = -1.0  # element 0 of a covariance of sensor_msgs/Imu: the sample lacks this channel (REP-145)
@@ -93,6 +95,14 @@ class ControllerOutput(NamedTuple):
     error: Vector  # attitude minus reference, Euler angles [rad]
     sliding_variable: Vector  # S of (38) [rad/s]; zero where the controller has none
     saturated: Mask  # the law asked for more than the rotors can give
+
+
+def is_usable(*vectors: Vector | Quaternion) -> bool:
+    """Whether every number of small NumPy vectors (n,) is finite and less than `UNUSABLE` in size.
+
+    The one rule for what a law says of a single vehicle: larger numbers overflow in the laws behind it.
+    """
+    return all(-UNUSABLE < x < UNUSABLE for vector in vectors for x in vector.tolist())  # false for NaN
 
 
 def sanitised(sample: ImuSample) -> ImuSample:

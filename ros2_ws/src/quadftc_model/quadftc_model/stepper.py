@@ -7,6 +7,7 @@ stamp, a stamp that goes back, and a gap alike.
 from __future__ import annotations
 
 import enum
+from collections.abc import Callable
 from typing import Any, Generic, Protocol, TypeVar
 
 In_contra = TypeVar("In_contra", contravariant=True)
@@ -62,13 +63,23 @@ class Stepper(Generic[In, Out]):
     Parameters
     ----------
     law : Law
+    guard : callable, optional
+        Gets inputs and output of each step. It returns the output, or another in place of one that cannot be
+        used; then the law restarts at the next sample.
     max_gap : float
         The longest time between two samples over which the state is carried [s].
     """
 
-    def __init__(self, law: Law[In, Out], max_gap: float = MAX_GAP) -> None:
+    def __init__(
+        self,
+        law: Law[In, Out],
+        guard: Callable[[In, Out], Out] | None = None,
+        max_gap: float = MAX_GAP,
+    ) -> None:
         self.law = law
+        self.guard = guard
         self.max_gap = max_gap
+        self.replaced = 0  # outputs so far that could not be used
         self.reset()
 
     def reset(self) -> None:
@@ -78,9 +89,8 @@ class Stepper(Generic[In, Out]):
 
     def resume(self, stamp_ns: int, inputs: In, state: Any) -> Out:
         """Go on at a sample [ns] from a state given: it is the first, but not from nothing."""
-        self.state, output = self.law.step(state, inputs, 0.0)
-        self.stamp_ns = stamp_ns
-        return output
+        self.state = state
+        return self._step(stamp_ns, inputs, 0.0)
 
     def timing(self, stamp_ns: int) -> Timing:
         """Say what a sample of this stamp [ns] would be."""
@@ -111,6 +121,15 @@ class Stepper(Generic[In, Out]):
             dt = seconds(stamp_ns - self.stamp_ns)
         else:
             self.state = self.law.init(inputs)
+        return self._step(stamp_ns, inputs, dt)
+
+    def _step(self, stamp_ns: int, inputs: In, dt: float) -> Out:
         self.state, output = self.law.step(self.state, inputs, dt)
         self.stamp_ns = stamp_ns
-        return output
+        if self.guard is None:
+            return output
+        used = self.guard(inputs, output)
+        if used is not output:
+            self.replaced += 1
+            self.reset()
+        return used

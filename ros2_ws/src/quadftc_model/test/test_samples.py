@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from quadftc_model.rotations import quaternion_from_euler
-from quadftc_model.samples import ImuSample, sanitised
+from quadftc_model.samples import UNUSABLE, ImuSample, is_usable, sanitised
 
 TRUE = np.bool_(True)
 CHANNELS = {"q_xyzw": "attitude_valid", "body_rate": "rate_valid", "specific_force": "force_valid"}
@@ -48,3 +51,9 @@ def test_batch_is_cleaned_vehicle_by_vehicle():
     good, bad = sample(), sample()._replace(body_rate=np.array([np.nan, 0.0, 0.0]))
     batch = ImuSample(*(np.stack(pair) for pair in zip(good, bad, strict=True)))
     assert sanitised(batch).rate_valid.tolist() == [True, False]
+
+
+@given(arrays(np.float64, 3, elements=st.one_of(st.floats(), st.floats(-2e6, 2e6))))
+def test_a_vector_is_usable_if_it_is_finite_and_not_absurd(vector):
+    assert is_usable(vector) == bool(np.all(np.isfinite(vector)) and np.max(np.abs(vector)) < UNUSABLE)
+    assert is_usable(np.zeros(3), vector) == is_usable(vector)

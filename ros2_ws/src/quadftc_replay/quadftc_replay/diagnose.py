@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -13,7 +12,7 @@ from quadftc_fdi.diagnosis import Diagnosis
 from quadftc_fdi.fault_observer import FaultObserver
 from quadftc_flight.flight import NO_STATE, VECTORS, Flight, onset_ns
 from quadftc_model.rotations import wrap
-from quadftc_model.samples import STARTING, FaultEstimate, ImuSample, sanitised
+from quadftc_model.samples import FaultEstimate, ImuSample
 from quadftc_replay.recording import Floats, Recording
 from quadftc_sim.injection import FaultInjector, Injected
 
@@ -40,7 +39,7 @@ class Diagnosed:
     corrected : ImuSample
         Leading axis n.
     no_number : int
-        Samples at which the observer gave no number and began anew.
+        Samples with an estimate that could not be used; the observer restarted after each.
     """
 
     delivered: NDArray[np.bool_]
@@ -76,13 +75,10 @@ def diagnose(
         if injected.sample is not None:
             estimate = diagnosis.step(stamp_ns, injected.sample, recording.torque[row])
             assert estimate is not None  # stamps increase
-            if not _is_finite(estimate):
-                diagnosis.reset()
-                estimate = log.no_estimate(injected.sample)
             log.estimate(row, estimate)
         if progress is not None and row % STRIDE == 0:
             progress(row / len(stamps))
-    return log.diagnosed()
+    return log.diagnosed(diagnosis.replaced)
 
 
 def flight_of(recording: Recording, diagnosed: Diagnosed) -> Flight:
@@ -122,7 +118,6 @@ class _Log:
         self._seen, self._corrected = _no_samples(count), _no_samples(count)
         self._fault, self._std_dev, self._age = (np.full((count, 3), np.nan) for _ in range(3))
         self._state = np.full((count, 3), NO_STATE, np.uint8)
-        self._no_number = 0
 
     def injected(self, row: int, injected: Injected) -> None:
         self._delivered[row] = injected.sample is not None
@@ -131,18 +126,12 @@ class _Log:
         if injected.sample is not None:
             _set_row(self._seen, row, injected.sample)
 
-    def no_estimate(self, sample: ImuSample) -> FaultEstimate:
-        """What stands for an estimate that is no number, as in the node of the graph."""
-        self._no_number += 1
-        unknown = np.full(3, -1.0)
-        return FaultEstimate(np.zeros(3), unknown, np.full(3, STARTING, np.uint8), unknown, sanitised(sample))
-
     def estimate(self, row: int, estimate: FaultEstimate) -> None:
         self._fault[row], self._std_dev[row] = estimate.fault, estimate.std_dev
         self._state[row], self._age[row] = estimate.state, estimate.onset_age
         _set_row(self._corrected, row, estimate.corrected)
 
-    def diagnosed(self) -> Diagnosed:
+    def diagnosed(self, no_number: int) -> Diagnosed:
         return Diagnosed(
             delivered=self._delivered,
             seen=self._seen,
@@ -152,7 +141,7 @@ class _Log:
             state=self._state,
             onset_age=self._age,
             corrected=self._corrected,
-            no_number=self._no_number,
+            no_number=no_number,
         )
 
 
@@ -168,10 +157,3 @@ def _row_of(samples: ImuSample, row: int) -> ImuSample:
 def _set_row(samples: ImuSample, row: int, sample: ImuSample) -> None:
     for column, value in zip(samples, sample, strict=True):
         column[row] = value
-
-
-def _is_finite(estimate: FaultEstimate) -> bool:
-    """Whether an estimate can be passed on, by the same rule as in the node of the graph."""
-    corrected = estimate.corrected
-    parts = (estimate.fault, corrected.q_xyzw, corrected.body_rate)
-    return all(math.isfinite(number) for part in parts for number in part.tolist())

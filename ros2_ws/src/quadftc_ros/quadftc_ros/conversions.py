@@ -15,7 +15,6 @@ from quadftc_model.samples import ALARMS, FAULTY
 from quadftc_msgs.msg import FaultStatus
 
 END_NS = 2**31 * NANOSECONDS  # ns; where the stamps end that a message can have
-ABSURD = 1e6  # in rad, rad/s, rad/s², N m and m/s² alike: no meant number is so large
 
 Floats = NDArray[np.float64]
 
@@ -35,11 +34,6 @@ def time_message(stamp_ns: int) -> Time:
 def array_of(vector: Vector3) -> Floats:
     """Array (3,) of a vector message."""
     return np.array((vector.x, vector.y, vector.z))
-
-
-def is_finite(array: Floats) -> bool:
-    """Whether every number of a small array is finite, and none so large that it overflows somewhere."""
-    return all(-ABSURD < x < ABSURD for x in array.tolist())  # false for NaN, too
 
 
 def fill_vector(vector: Vector3, array: Floats) -> None:

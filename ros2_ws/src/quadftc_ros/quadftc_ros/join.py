@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_ros.conversions import Floats, is_finite
+from quadftc_model.samples import is_usable
+from quadftc_ros.conversions import Floats
 
 DEPTH = 64  # samples that may be incomplete at a time; older ones are given up
 
@@ -94,7 +95,7 @@ class TorqueGate:
 
     def put_torque(self, stamp_ns: int, torque: Floats) -> bool:
         """Add a command [stamp in ns, N m (3,)]; return whether it was finite."""
-        finite = is_finite(torque)
+        finite = is_usable(torque)
         if finite:
             self._torque = torque
         self._torque_stamp_ns = stamp_ns

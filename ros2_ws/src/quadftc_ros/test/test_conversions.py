@@ -1,7 +1,5 @@
 """Messages and arrays: there and back without loss, absent channels as REP-145 marks them."""
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,7 +13,7 @@ from message_objects import ImuWriter, ReferenceWriter, VectorWriter, imu_sample
 from quadftc_bags.cdr.message import leading_stamp_ns
 from quadftc_model.samples import AttitudeReference, ImuSample
 from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
-from quadftc_ros.conversions import ABSURD, array_of, is_finite, stamp_of, time_message
+from quadftc_ros.conversions import array_of, stamp_of, time_message
 
 STAMPS = st.integers(0, 2**31 * 10**9 - 1)
 VECTORS = arrays(np.float64, 3, elements=st.floats())
@@ -69,14 +67,7 @@ def test_reference_survives_the_wire_bit_for_bit(stamp_ns, angles, rates, accele
 
 
 @given(VECTORS)
-def test_vector_survives_and_is_usable_if_finite_and_not_absurd(vector):
+def test_vector_survives(vector):
     message = VectorWriter("base_link")(1, vector)
     np.testing.assert_array_equal(array_of(message.vector), vector)
     assert message.header.frame_id == "base_link"
-    assert is_finite(vector) == bool(np.all(np.isfinite(vector)) and np.max(np.abs(vector)) < ABSURD)
-
-
-def test_numbers_that_overflow_in_a_law_count_as_none():
-    assert is_finite(np.full(3, 9e5))
-    assert not is_finite(np.array([0.0, 1e308, 0.0]))
-    assert not is_finite(np.array([math.inf, -math.inf, 0.0]))

@@ -22,9 +22,10 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from quadftc_model.parameters import parameter
+from quadftc_model.samples import is_usable
 from quadftc_model.stepper import MAX_GAP, seconds
 from quadftc_ros.connections import missing_connections
-from quadftc_ros.conversions import NANOSECONDS, Floats, is_finite
+from quadftc_ros.conversions import NANOSECONDS, Floats
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
@@ -193,7 +194,7 @@ class PlantNode(GraphNode):
 
     def _on_torque(self, stamp_ns: int, torque: Floats) -> None:
         flight = self._flight
-        if is_finite(torque):
+        if is_usable(torque):
             flight.command(torque)
         else:
             self.diagnostics.count("torque/command: not finite")
