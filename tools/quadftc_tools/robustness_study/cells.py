@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import polars as pl
 
-from quadftc_campaign.quantiles import whole_flights
+from quadftc_campaign.table import whole_flights
 from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG
 from quadftc_flight.run_directory import NO_OBSERVER
 from quadftc_model.samples import AXES

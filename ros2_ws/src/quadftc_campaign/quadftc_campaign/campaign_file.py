@@ -4,13 +4,21 @@ name: mems_robustness
 scenario: mems_faults              # by name, or a path relative to this file
 gains: qball_x4_mems               # tuned gains, if any: see quadftc_flight.scenario.gains
 set: [duration=60 s]               # values of the scenario that are the same in all flights
+source: {kind: loop}               # loop: the closed loop. Or the fault observer alone, on IMU samples
+                                   # with the faults of the scenario (quadftc_campaign.open_loop):
+                                   #   motion: simulated along the references of the scenario
+                                   #   recordings: of the rosbag2 bags in `directory`; flights are of each
+                                   # delay: {uniform: [0 s, 10 s]}   by which all faults come later
 flights: 1000
 seed: 1
-schemes: [supervised]              # of the scenario; or observers and controllers to cross:
-observers: [sliding_mode, supervised]
+schemes: [supervised]              # of the scenario, or all; or observers and controllers to cross:
+observers: [sliding_mode, supervised]    # or all: every registered fault observer
+parameters: {supervised: {wander: 0 deg}}            # of observers named there, beside the scenario's
+levels: {supervised: {threshold: [3, 8]}}            # more variants: supervised@3, supervised@8
 controllers: [ismc, pid]
 vary:
   faults.0.value: {uniform: [0.5 deg, 5 deg], sign: random}
+  faults.*.start: {uniform: [10 s, 20 s]}            # of each fault
   rate: {grid: [125 Hz, 250 Hz]}
 report: {map: [faults.0.value, rate], metric: fault.estimate_rmse_deg}
 tune:                                    # for quadftc tune
@@ -36,6 +44,7 @@ from quadftc_campaign.distributions import Distribution, distribution
 from quadftc_campaign.tune.cost import TERMS
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
+from quadftc_flight.run_directory import NO_OBSERVER
 from quadftc_flight.scenario import Scenario, ScenarioError, changed_document, find_scenario
 from quadftc_flight.scenario.build import build_scenario
 from quadftc_flight.scenario.schema import MAX_SEED, Name, problems_of
@@ -43,11 +52,20 @@ from quadftc_flight.scenario.yaml_document import Document, Keys, Problem, read_
 
 MAX_FLIGHTS = 10_000_000
 MAX_CELLS = 10_000
-RESERVED = ("seed", "schemes")  # each flight gets a seed of its own; what is compared is not drawn
+RESERVED = ("seed", "schemes")  # each flight draws its seed; the schemes are compared, not drawn
+ALL = "all"
 
 
 class _Shape(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+
+class SourceShape(_Shape):
+    """Where the flights come from."""
+
+    kind: Literal["loop", "motion", "recordings"] = "loop"
+    directory: str = ""
+    delay: Any = None
 
 
 class ReportShape(_Shape):
@@ -86,10 +104,13 @@ class CampaignShape(_Shape):
     scenario: str
     gains: str = ""
     set: list[str] = []
+    source: SourceShape = SourceShape()
     flights: int = Field(ge=1, le=MAX_FLIGHTS)
     seed: int = Field(default=1, ge=0, le=MAX_SEED)
-    schemes: list[str] = []
-    observers: list[str] = []
+    schemes: list[str] | Literal["all"] = []
+    observers: list[str] | Literal["all"] = []
+    parameters: dict[str, dict[str, Any]] = {}
+    levels: dict[str, dict[str, list[float]]] = {}
     controllers: list[str] = []
     vary: dict[str, Any] = {}
     precision: Literal["float64", "float32"] = "float64"
@@ -105,6 +126,21 @@ class Variant:
     scheme: str
     observer: str | None  # None: the scheme's
     controller: str | None
+    parameters: tuple[tuple[str, Any], ...] = ()  # of the observer
+
+
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """Where the flights come from: the closed loop, samples along a motion, or recordings."""
+
+    kind: str = "loop"
+    recordings: tuple[Path, ...] = ()  # flight k is on recording k modulo their number
+    delay: Distribution | None = None  # [s]; of all faults of a flight
+
+    @property
+    def is_loop(self) -> bool:
+        """Whether the flights are those of the closed loop."""
+        return self.kind == "loop"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -122,6 +158,7 @@ class Campaign:
     name: str
     description: str
     base: Document
+    source: Source
     flights: int
     seed: int
     variants: tuple[Variant, ...]
@@ -138,12 +175,12 @@ class Campaign:
         return math.prod(len(each.values) for each in self.vary.values() if each.is_grid)
 
     def with_steps(self, steps: int) -> Campaign:
-        """The campaign with another number of steps of tuning."""
+        """Return the campaign with another number of steps of tuning."""
         tune = self.tune and self.tune.model_copy(update={"steps": steps})
         return dataclasses.replace(self, tune=tune)
 
 
-def load_campaign(path: Path, flights: int | None = None) -> Campaign:
+def load_campaign(path: Path, flights: int | None = None, recordings: Path | None = None) -> Campaign:
     """Load a campaign file.
 
     Parameters
@@ -151,6 +188,8 @@ def load_campaign(path: Path, flights: int | None = None) -> Campaign:
     path : Path
     flights : int, optional
         In place of the file's number.
+    recordings : Path, optional
+        In place of the directory of the file's source.
 
     Raises
     ------
@@ -164,14 +203,16 @@ def load_campaign(path: Path, flights: int | None = None) -> Campaign:
         shape = CampaignShape.model_validate(document.data)
     except ValidationError as error:
         raise document.error(problems_of(error, _model_at)) from None
-    vary, problems = _distributions(shape)
     base, scenario = _base(document, shape)
+    vary, problems = _distributions(shape, base)
     problems += _wrong_parts(shape, scenario)
+    source = _source(document, shape, recordings, problems)
     campaign = Campaign(
         name=shape.name or path.stem,
         description=shape.description,
         base=base,
-        flights=shape.flights,
+        source=source,
+        flights=shape.flights * max(len(source.recordings), 1),
         seed=shape.seed,
         variants=_variants(shape, scenario),
         vary=vary,
@@ -190,10 +231,11 @@ def load_campaign(path: Path, flights: int | None = None) -> Campaign:
 
 
 def _model_at(path: Keys) -> type[BaseModel]:
-    return {"report": ReportShape, "tune": TuneShape}.get(str(path[0]) if path else "", CampaignShape)
+    models = {"report": ReportShape, "tune": TuneShape, "source": SourceShape}
+    return models.get(str(path[0]) if path else "", CampaignShape)
 
 
-def _distributions(shape: CampaignShape) -> tuple[dict[str, Distribution], list[Problem]]:
+def _distributions(shape: CampaignShape, base: Document) -> tuple[dict[str, Distribution], list[Problem]]:
     found: dict[str, Distribution] = {}
     problems: list[Problem] = []
     for key, raw in shape.vary.items():
@@ -201,21 +243,29 @@ def _distributions(shape: CampaignShape) -> tuple[dict[str, Distribution], list[
             problems.append(Problem(("vary", key), f"'{key}' cannot vary: seeds are drawn, schemes crossed"))
             continue
         try:
-            found[key] = distribution(raw)
+            found |= dict.fromkeys(_paths(key, base), distribution(raw))
         except ValueError as error:
             problems.append(Problem(("vary", key), str(error)))
     return found, problems
 
 
+def _paths(key: str, base: Document) -> list[str]:
+    """The paths that a key stands for: ``faults.*.value`` is one for each fault of the scenario."""
+    first, star, rest = key.partition(".*")
+    if not star:
+        return [key]
+    items = base.data.get(first)
+    if not isinstance(items, list):
+        raise ValueError(f"'{first}' is no list of the scenario")
+    return [f"{first}.{index}{rest}" for index in range(len(items))]  # pyright: ignore[reportUnknownArgumentType]
+
+
 def _base(document: Document, shape: CampaignShape) -> tuple[Document, Scenario]:
     """The scenario that all flights are made of."""
     beside = Path(document.source).parent / shape.scenario
+    is_file = beside.suffix in (".yaml", ".yml") and beside.is_file()
     try:
-        path = (
-            beside
-            if beside.suffix in (".yaml", ".yml") and beside.is_file()
-            else find_scenario(shape.scenario)
-        )
+        path = beside if is_file else find_scenario(shape.scenario)
         base = changed_document(path, shape.set, shape.gains)
         return base, build_scenario(base)
     except ScenarioError as error:
@@ -223,31 +273,76 @@ def _base(document: Document, shape: CampaignShape) -> tuple[Document, Scenario]
         raise document.error([Problem(("scenario",), line) for line in lines]) from None
 
 
+def _source(
+    document: Document, shape: CampaignShape, recordings: Path | None, problems: list[Problem]
+) -> Source:
+    given, delay = shape.source, None
+    if given.delay is not None:
+        try:
+            delay = distribution(given.delay)
+        except ValueError as error:
+            problems.append(Problem(("source", "delay"), str(error)))
+    if given.kind != "recordings":
+        return Source(given.kind, delay=delay)
+    directory = recordings or Path(document.source).parent / given.directory
+    found = bags_in(directory) if recordings or given.directory else ()
+    if not found:
+        said = f"{directory}: holds no bag" if recordings or given.directory else "no directory is named"
+        problems.append(Problem(("source", "directory"), f"{said}; expected rosbag2 bags (--recordings)"))
+    return Source(given.kind, found, delay)
+
+
+def bags_in(directory: Path) -> tuple[Path, ...]:
+    """Return the bags in a directory, or the directory if it is one; empty: there is none."""
+    if (directory / "metadata.yaml").is_file():
+        return (directory,)
+    return tuple(sorted(path.parent for path in directory.glob("*/metadata.yaml")))
+
+
 def _wrong_parts(shape: CampaignShape, scenario: Scenario) -> Iterator[Problem]:
     lists = {
         "schemes": (shape.schemes, tuple(scenario.schemes)),
         "observers": (shape.observers, fault_observers.names()),
         "controllers": (shape.controllers, controllers.names()),
+        "parameters": (list(shape.parameters), fault_observers.names()),
+        "levels": (list(shape.levels), fault_observers.names()),
     }
     for key, (given, known) in lists.items():
-        for index, name in enumerate(given):
+        for index, name in enumerate(given if given != ALL else ()):
             if name not in known:
-                yield Problem((key, index), f"no '{name}'; there are: {', '.join(known)}")
+                place = (key, index) if isinstance(getattr(shape, key), list) else (key, name)
+                yield Problem(place, f"no '{name}'; there are: {', '.join(known)}")
             elif name in given[:index]:
                 yield Problem((key, index), f"'{name}' is given twice")
 
 
 def _variants(shape: CampaignShape, scenario: Scenario) -> tuple[Variant, ...]:
     """Schemes, crossed with observers and controllers where some are named."""
-    schemes = [name for name in shape.schemes if name in scenario.schemes] or [next(iter(scenario.schemes))]
-    observers: list[str | None] = [*shape.observers] or [None]
-    flown: list[str | None] = [*shape.controllers] or [None]
+    given = list(scenario.schemes) if shape.schemes == ALL else shape.schemes
+    schemes = [name for name in given if name in scenario.schemes] or [next(iter(scenario.schemes))]
+    named = _all_observers() if shape.observers == ALL else shape.observers
+    observers = [(name, name, shape.parameters.get(name, {})) for name in named]
+    observers += [
+        (f"{name}@{value:g}", name, {**shape.parameters.get(name, {}), parameter: value})
+        for name, swept in shape.levels.items()
+        for parameter, values in swept.items()
+        for value in values
+    ]
+    own_scheme = len(schemes) > 1 or shape.source.kind == "loop" or not observers
     return tuple(
-        Variant("+".join(filter(None, (scheme, observer, controller))), scheme, observer, controller)
+        Variant(
+            "+".join(filter(None, (scheme if own_scheme else None, name, controller))),
+            *(scheme, observer, controller),
+            tuple(parameters.items()),
+        )
         for scheme in schemes
-        for observer in observers
-        for controller in flown
+        for name, observer, parameters in observers or [(None, None, {})]
+        for controller in shape.controllers or [None]
     )
+
+
+def _all_observers() -> list[str]:
+    return [name for name in fault_observers.names() if name != NO_OBSERVER]
 
 
 def _unknown_axes(campaign: Campaign) -> Iterator[Problem]:

@@ -7,7 +7,9 @@
     grid: [100 Hz, 250 Hz]           all, in turn; several grids are crossed
 
 A value has the unit that the bounds have. ``size`` draws a list of so many, ``sign: random`` turns every
-other value round.
+other value round. A choice may be a component whose parameters are drawn in their turn:
+
+    choice: [{kind: bias, value: {uniform: [1 deg, 3 deg]}}, {kind: drift, rate: {uniform: [...]}}]
 """
 
 from __future__ import annotations
@@ -21,11 +23,13 @@ from typing import Any, cast
 import numpy as np
 
 from quadftc_model.hints import nearest
+from quadftc_model.spec import format_spec
 
 Value = Any  # what may stand in a scenario: a number, a text, a list, a component
 
 CONTINUOUS = ("uniform", "log_uniform", "normal")
 DISCRETE = ("choice", "grid")
+KINDS = (*CONTINUOUS, *DISCRETE)
 _NUMBER = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$")
 _MAX_SIZE = 16
 
@@ -62,14 +66,10 @@ class Distribution:
         return self.kind == "grid"
 
     def draw(self, generator: np.random.Generator) -> Value:
-        """Draw a value as it stands in a scenario.
-
-        Parameters
-        ----------
-        generator : numpy.random.Generator
-        """
+        """Draw a value as it stands in a scenario."""
         if self.values:
-            drawn = [self.values[int(generator.integers(len(self.values)))] for _ in range(self.size or 1)]
+            choices = (int(generator.integers(len(self.values))) for _ in range(self.size or 1))
+            drawn = [_settle(self.values[choice], generator) for choice in choices]
         else:
             drawn = [self._with_unit(number) for number in self._numbers(generator)]
         return drawn if self.size else drawn[0]
@@ -97,18 +97,17 @@ def distribution(raw: Any) -> Distribution:
     Raises
     ------
     ValueError
-        If it is none; the message says what was expected.
+        If it is wrong; the message says what was expected.
     """
     if not isinstance(raw, Mapping):
         raise ValueError(f"{raw!r}: expected a distribution, such as {{uniform: [0.5 deg, 5 deg]}}")
     given = cast("Mapping[Any, Any]", raw)
-    known = (*CONTINUOUS, *DISCRETE)
-    kinds = [key for key in given if key in known]
     for key in given:
-        if key not in (*known, "size", "sign"):
-            raise ValueError(f"unknown key '{key}'{nearest(str(key), (*known, 'size', 'sign'))}")
+        if key not in (*KINDS, "size", "sign"):
+            raise ValueError(f"unknown key '{key}'{nearest(str(key), (*KINDS, 'size', 'sign'))}")
+    kinds = [key for key in given if key in KINDS]
     if len(kinds) != 1:
-        raise ValueError(f"expected one of {', '.join(known)}")
+        raise ValueError(f"expected one of {', '.join(KINDS)}")
     kind = kinds[0]
     size = _size(given, kind)
     if kind in DISCRETE:
@@ -123,19 +122,33 @@ def distribution(raw: Any) -> Distribution:
 
 
 def plain(value: Value) -> Any:
-    """A value as it is reported: a number without its unit, a text, or a text of the list."""
+    """Return a value as it is reported: a number without its unit, or a text."""
     if isinstance(value, str):
         match = _NUMBER.match(value)
         return float(match[1]) if match else value
     if isinstance(value, (bool, int, float)):
         return value
+    if isinstance(value, Mapping):
+        component = dict(cast("Mapping[str, Any]", value))
+        return format_spec(str(component.pop("kind", "")), component)
     return str(value)
 
 
 def unit_of(value: Value) -> str:
-    """The unit with which a value is written."""
+    """Return the unit with which a value is written."""
     match = _NUMBER.match(value) if isinstance(value, str) else None
     return match[2] if match else ""
+
+
+def _settle(value: Value, generator: np.random.Generator) -> Value:
+    """A choice, with what is to be drawn inside it drawn."""
+    if not isinstance(value, Mapping):
+        return value
+    component = cast("Mapping[str, Any]", value)
+    return {
+        key: each.draw(generator) if isinstance(each, Distribution) else each
+        for key, each in component.items()
+    }
 
 
 def _size(given: Mapping[Any, Any], kind: str) -> int:
@@ -148,7 +161,16 @@ def _size(given: Mapping[Any, Any], kind: str) -> int:
 def _values(kind: str, raw: Any) -> tuple[Value, ...]:
     if not isinstance(raw, list) or not raw:
         raise ValueError(f"{kind}: {raw!r}: expected a list of values, at least one")
-    return tuple(cast("list[Any]", raw))
+    values = cast("list[Any]", raw)
+    return tuple(values if kind == "grid" else map(_component, values))
+
+
+def _component(value: Value) -> Value:
+    """A choice; in a component, mappings are distributions."""
+    if not isinstance(value, Mapping):
+        return value
+    given = cast("Mapping[str, Any]", value)
+    return {key: distribution(each) if isinstance(each, Mapping) else each for key, each in given.items()}
 
 
 def _bounds(kind: str, raw: Any) -> tuple[tuple[float, float], str]:
@@ -163,8 +185,8 @@ def _bounds(kind: str, raw: Any) -> tuple[tuple[float, float], str]:
             raise ValueError(f"{kind}: {name} {each!r}: expected a number, with its unit if it has one")
         numbers.append(float(match[1]))
         units.append(match[2])
-    zero_without = [unit for number, unit in zip(numbers, units, strict=True) if unit or number != 0.0]
-    if len(set(zero_without)) > 1:
+    needed = {unit for number, unit in zip(numbers, units, strict=True) if unit or number != 0.0}
+    if len(needed) > 1:
         raise ValueError(f"{kind}: {names[0]} in '{units[0]}', {names[1]} in '{units[1]}': expected one unit")
     low, high = numbers
     if kind == "normal" and not high > 0.0:

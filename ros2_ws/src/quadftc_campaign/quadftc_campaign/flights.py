@@ -1,22 +1,27 @@
-"""Flight k of a campaign: its values drawn, its scenario, and what the batch engine flies."""
+"""Flight k of a campaign: its drawn values, its scenario, and what the batch engine flies."""
 
 from __future__ import annotations
 
 import copy
+import dataclasses
 import zlib
+from collections.abc import Mapping
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from quadftc_campaign.batch.parts import FlightParts, flight_parts
+from quadftc_campaign.batch.parts import FlightParts, Loop, Seeds
 from quadftc_campaign.campaign_file import Campaign, Variant
 from quadftc_campaign.distributions import Value
+from quadftc_campaign.errors import CampaignError
 from quadftc_flight.fault_schedule import FaultEvent
-from quadftc_flight.scenario import Scenario, ScenarioError, node_parameters
+from quadftc_flight.scenario import Scenario, ScenarioError
 from quadftc_flight.scenario.build import build_scenario
 from quadftc_flight.scenario.overrides import with_values
 from quadftc_flight.scenario.schema import MAX_SEED
 from quadftc_flight.scenario.yaml_document import Document
+from quadftc_sim.assembly import period_ns, sample_count
+from quadftc_sim.injection import RESERVED
 
 SEED = "seed"
 
@@ -30,7 +35,7 @@ class Flight(NamedTuple):
 
 
 def drawn(campaign: Campaign, number: int) -> dict[str, Value]:
-    """Values of flight ``number`` (from 0), by path, and its seed.
+    """Draw the values of flight ``number`` (from 0), by path, and its seed.
 
     A value depends on the campaign's seed, the flight's number and the path of the value alone, so that
     neither another value nor more flights change it.
@@ -42,20 +47,25 @@ def drawn(campaign: Campaign, number: int) -> dict[str, Value]:
             found[path] = each.values[cell % len(each.values)]
             cell //= len(each.values)
         else:
-            found[path] = each.draw(_generator(campaign, number, path))
-    found[SEED] = int(_generator(campaign, number, SEED).integers(MAX_SEED))
+            found[path] = each.draw(generator_of(campaign, number, path))
+    found[SEED] = int(generator_of(campaign, number, SEED).integers(MAX_SEED))
     return found
 
 
+def generator_of(campaign: Campaign, number: int, path: str) -> np.random.Generator:
+    """Return the random numbers of one value of a flight."""
+    return np.random.default_rng([campaign.seed, number, zlib.crc32(path.encode())])
+
+
 def flight_document(campaign: Campaign, number: int, variant: Variant) -> Document:
-    """The scenario of flight ``number``, with the scheme of a variant alone."""
-    values = dict(drawn(campaign, number))
+    """Return the scenario of flight ``number``, with the scheme of a variant alone."""
+    values = {path: _scheduled(campaign, path, value) for path, value in drawn(campaign, number).items()}
     document = with_values(campaign.base, values, f"flight {number}")
     scheme = copy.deepcopy(document.data["schemes"][variant.scheme])
     if variant.observer is not None:
-        scheme["observer"] = _replaced(scheme.get("observer"), variant.observer)
+        scheme["observer"] = _replaced(scheme.get("observer"), variant.observer, dict(variant.parameters))
     if variant.controller is not None:
-        scheme["controller"] = _replaced(scheme.get("controller"), variant.controller)
+        scheme["controller"] = _replaced(scheme.get("controller"), variant.controller, {})
     scheme["checks"] = []
     document.data["schemes"] = {variant.scheme: scheme}
     document.data["name"] = flight_name(campaign, number)
@@ -67,29 +77,64 @@ def flight_name(campaign: Campaign, number: int) -> str:
     return f"{campaign.name[:48]}_flight_{number}"
 
 
-def flight(campaign: Campaign, number: int, variant: Variant) -> Flight:
-    """Build flight ``number`` with a variant.
+def flight_scenario(campaign: Campaign, number: int, variant: Variant) -> Scenario:
+    """Build the scenario of flight ``number``.
 
     Raises
     ------
+    CampaignError
+        If the campaign has no such flight.
     ScenarioError
-        If the values drawn make no scenario; the message says of which flight.
+        If the drawn values make no scenario; the message names the flight.
     """
+    if not 0 <= number < campaign.flights:
+        last = campaign.flights - 1
+        raise CampaignError(f"{campaign.document.source}: no flight {number}; there are 0 to {last}")
     try:
-        scenario = build_scenario(flight_document(campaign, number, variant))
-        parts = flight_parts(node_parameters(scenario, variant.scheme))
+        return build_scenario(flight_document(campaign, number, variant))
     except ScenarioError as error:
-        raise ScenarioError(
-            "\n".join(f"flight {number}: {line}" for line in str(error).splitlines())
-        ) from None
-    return Flight(scenario, parts, scenario.fault_events)
+        lines = (f"flight {number}: {line}" for line in str(error).splitlines())
+        raise ScenarioError("\n".join(lines)) from None
 
 
-def _replaced(given: Any, kind: str) -> Any:
-    """A part by its name; with the parameters given if it is the one that was there."""
+def flight(campaign: Campaign, number: int, variant: Variant) -> Flight:
+    """Build flight ``number`` with a variant, for the batch engine; errors as in `flight_scenario`."""
+    scenario = flight_scenario(campaign, number, variant)
+    return Flight(scenario, parts_of(scenario, variant.scheme), scenario.fault_events)
+
+
+def parts_of(scenario: Scenario, scheme: str | None = None) -> FlightParts:
+    """Return what acts in a flight of a scenario with one of its schemes (the first by default)."""
+    chosen = scenario.scheme(scheme)
+    disturbances = tuple(part.law for part in scenario.disturbances)
+    loop = Loop(
+        plant=dataclasses.replace(scenario.plant, disturbances=disturbances),
+        sensor=scenario.sensor,
+        injections=tuple(fault.injection for fault in scenario.faults),
+        observer=chosen.observer.law,
+        disturbance_observer=chosen.disturbance_observer.law,
+        controller=chosen.controller.law,
+        references=tuple(part.law for part in scenario.references),
+        period_ns=period_ns(scenario.rate),
+        count=sample_count(scenario.duration, scenario.rate),
+    )
+    return FlightParts(loop, Seeds(scenario.seed, scenario.seed, tuple(range(1, len(scenario.faults) + 1))))
+
+
+def _scheduled(campaign: Campaign, path: str, value: Value) -> Value:
+    """A drawn component; a fault keeps the axes and times of the one in its place, unless they are drawn."""
+    place, _, index = path.partition(".")
+    if place != "faults" or not index.isdecimal() or not isinstance(value, dict):
+        return value
+    there: list[dict[str, Any]] = campaign.base.data[place]
+    kept = there[int(index)] if int(index) < len(there) else {}
+    return {**{key: each for key, each in kept.items() if key in RESERVED}, **cast("dict[str, Any]", value)}
+
+
+def _replaced(given: Any, kind: str, parameters: Mapping[str, Any]) -> Any:
+    """A part by its name; with the parameters that the scenario gives if it is the one that was there."""
     there: Any = cast("dict[str, Any]", given).get("kind") if isinstance(given, dict) else given
-    return cast("Any", given) if there == kind else kind
-
-
-def _generator(campaign: Campaign, number: int, path: str) -> np.random.Generator:
-    return np.random.default_rng([campaign.seed, number, zlib.crc32(path.encode())])
+    if not parameters:
+        return cast("Any", given) if there == kind else kind
+    own = cast("dict[str, Any]", given) if there == kind and isinstance(given, dict) else {"kind": kind}
+    return {**own, **parameters}

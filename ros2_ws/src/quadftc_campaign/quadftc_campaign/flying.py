@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+import functools
+import itertools
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import polars as pl
 
+from quadftc_campaign.batch.parts import structure_of
 from quadftc_campaign.campaign_file import Campaign, Variant
 from quadftc_campaign.cluster import cluster_client, devices, run_tasks
+from quadftc_campaign.distributions import plain
 from quadftc_campaign.errors import CampaignError
-from quadftc_campaign.flights import flight, flight_document
-from quadftc_campaign.quantiles import summary_of
+from quadftc_campaign.flights import Flight, drawn, flight
 from quadftc_campaign.store import Store
-from quadftc_campaign.table import table_of
-from quadftc_campaign.work import FLIGHTS_A_CHUNK, chunks_of, fly_chunk
-from quadftc_flight.scenario import Scenario
-from quadftc_flight.scenario.build import build_scenario
+from quadftc_campaign.table import Row, Rows, summary_of, table_of
+
+FLIGHTS_A_CHUNK = 256  # what a kill loses at most, of each worker; as many as are flown together
+OPEN_FLIGHTS_A_CHUNK = 4  # without the batch engine a flight takes seconds
+
+Progress = Callable[[int], None]  # called with the number of samples flown since the last call
 
 
 class Extent(NamedTuple):
@@ -37,17 +42,9 @@ class Chunk(NamedTuple):
 
 
 class CampaignRun:
-    """A campaign in a directory.
+    """A campaign in a directory; ``size`` is the number of flights of a chunk, which has one variant."""
 
-    Parameters
-    ----------
-    campaign : Campaign
-    directory : Path
-    size : int
-        Flights of a chunk, which has one variant.
-    """
-
-    def __init__(self, campaign: Campaign, directory: Path, size: int = FLIGHTS_A_CHUNK) -> None:
+    def __init__(self, campaign: Campaign, directory: Path, size: int | None = None) -> None:
         self.campaign = campaign
         pieces = chunks_of(campaign, size)
         self._chunks = [Chunk(numbers, variant) for variant in campaign.variants for numbers in pieces]
@@ -67,14 +64,13 @@ class CampaignRun:
             flight(self.campaign, chunk.numbers[0], chunk.variant)
         self._store.open(resume)
         missing = self._store.missing
-        samples = sum(self._samples(place) for place in missing)
-        return Extent(len(self._chunks), len(missing), samples)
+        return Extent(len(self._chunks), len(missing), sum(self._samples(place) for place in missing))
 
     def fly(
         self,
         address: str | None,
         workers: int,
-        progress: Callable[[int], None],
+        progress: Progress,
         told: Callable[[str], None] = lambda devices: None,
     ) -> None:
         """Fly the chunks that are missing.
@@ -86,7 +82,6 @@ class CampaignRun:
         workers : int
             How many to start here.
         progress : callable
-            Called with the number of samples flown since the last call.
         told : callable
             Called with what it is computed on, in words.
 
@@ -98,25 +93,15 @@ class CampaignRun:
         missing = self._store.missing
         if not missing:
             return
-        each = {
-            variant: dataclasses.replace(self.campaign, variants=(variant,))
-            for variant in self.campaign.variants
-        }
         chunks = [self._chunks[place] for place in missing]
-        tasks = [(each[chunk.variant], chunk.numbers) for chunk in chunks]
+        tasks = [(_with_variant(self.campaign, chunk.variant), chunk.numbers) for chunk in chunks]
         with cluster_client(address, min(workers, len(missing))) as client:
             told(devices(client))
             for index, rows in run_tasks(client, fly_chunk, tasks, progress):
                 self._store.add(missing[index], table_of(rows))
 
     def finish(self) -> tuple[pl.DataFrame, dict[str, Any]]:
-        """Join the chunks, and summarise; both are written.
-
-        Raises
-        ------
-        CampaignError
-            If something cannot be read or written.
-        """
+        """Join the chunks, and summarise; both are written, or it is a `CampaignError`."""
         frame = self._store.finish()
         summary = summary_of(self.campaign, frame)
         self._store.summarise(summary)
@@ -144,18 +129,102 @@ def variant_of(campaign: Campaign, name: str | None) -> Variant:
     raise CampaignError(f"{campaign.document.source}: no variant '{name}'; there are: {there}")
 
 
-def flight_scenario(campaign: Campaign, number: int, variant: Variant) -> Scenario:
-    """The scenario of one flight, as any other.
+def chunks_of(campaign: Campaign, size: int | None = None) -> list[list[int]]:
+    """Divide the flights into chunks of about equal size, each with flights of one structure.
+
+    What changes the structure (`quadftc_campaign.batch.parts`) from one combination of the grids to another,
+    such as the rate, keeps them apart. Others, such as inertias, are mixed: nothing is compiled for each.
+    Structures take turns, so that workers compile one each and not the same one at the same time.
 
     Raises
     ------
-    CampaignError
-        If the campaign has no such flight.
     ScenarioError
-        If the values drawn make no scenario.
+        If the values of a combination make no scenario.
     """
-    if not 0 <= number < campaign.flights:
-        raise CampaignError(
-            f"{campaign.document.source}: no flight {number}; there are 0 to {campaign.flights - 1}"
-        )
-    return build_scenario(flight_document(campaign, number, variant))
+    cells, is_loop = campaign.cells, campaign.source.is_loop
+    size = size or (FLIGHTS_A_CHUNK if is_loop else OPEN_FLIGHTS_A_CHUNK)
+    groups: dict[Any, list[int]] = {}
+    for cell in range(min(cells, campaign.flights)):
+        structure = None
+        if is_loop and cells > 1:
+            structure = structure_of(flight(campaign, cell, campaign.variants[0]).parts.loop)
+        groups.setdefault(structure, []).extend(range(cell, campaign.flights, cells))
+    turns = itertools.zip_longest(*(_pieces(sorted(numbers), size) for numbers in groups.values()))
+    return [chunk for turn in turns for chunk in turn if chunk is not None]
+
+
+def fly_chunk(campaign: Campaign, numbers: Sequence[int], progress: Progress = lambda samples: None) -> Rows:
+    """Fly some flights of a campaign with all its variants, in the process that is told to.
+
+    Returns
+    -------
+    list of dict
+        One row for each flight, variant and fault; see `quadftc_campaign.table`.
+
+    Raises
+    ------
+    ScenarioError
+        If the drawn values make no scenario.
+    ValueError
+        If a part cannot be flown in a batch.
+    """
+    fly = _fly_loop if campaign.source.is_loop else _fly_open
+    return [row for variant in campaign.variants for row in fly(campaign, numbers, variant, progress)]
+
+
+def _fly_open(campaign: Campaign, numbers: Sequence[int], variant: Variant, progress: Progress) -> Rows:
+    from quadftc_campaign.open_loop import fly_open
+
+    return fly_open(campaign, numbers, variant, progress)
+
+
+def _fly_loop(campaign: Campaign, numbers: Sequence[int], variant: Variant, progress: Progress) -> Rows:
+    from quadftc_campaign.batch.engine import lanes_for
+
+    engine = _engine(campaign.float32, lanes_for(len(numbers)))
+    flights = [flight(campaign, number, variant) for number in numbers]
+    outcomes = engine.fly([each.parts for each in flights], [each.events for each in flights], progress)
+    flown = zip(numbers, flights, outcomes, strict=True)
+    return [row for one in flown for row in _rows(campaign, variant, *one)]
+
+
+def _rows(campaign: Campaign, variant: Variant, number: int, one: Flight, outcome: Any) -> Rows:
+    from quadftc_campaign.batch.outcome import fault_records, flight_record
+
+    scheme = one.scenario.scheme(variant.scheme)
+    common: Row = {
+        "flight": number,
+        "variant": variant.name,
+        "observer": scheme.observer.kind,
+        "disturbance_observer": scheme.disturbance_observer.kind,
+        "controller": scheme.controller.kind,
+        **{path: plain(value) for path, value in drawn(campaign, number).items()},
+        **flight_record(outcome),
+    }
+    records = fault_records(outcome, one.events)
+    if not records:
+        return [{**common, "fault": None}]
+    return [
+        {**common, "fault": index, **{f"fault.{name}": value for name, value in record.items()}}
+        for index, record in enumerate(records)
+    ]
+
+
+def _pieces(numbers: list[int], size: int) -> list[list[int]]:
+    count = -(-len(numbers) // size)
+    edges = [len(numbers) * place // count for place in range(count + 1)]
+    return [numbers[low:high] for low, high in itertools.pairwise(edges)]
+
+
+def _with_variant(campaign: Campaign, variant: Variant) -> Campaign:
+    return dataclasses.replace(campaign, variants=(variant,))
+
+
+@functools.cache
+def _engine(float32: bool, lanes: int) -> Any:
+    """The engine of this process; it keeps what it has compiled."""
+    from quadftc_campaign.batch.engine import Engine
+    from quadftc_campaign.batch.session import keep_compiled
+
+    keep_compiled()
+    return Engine(float32, lanes)

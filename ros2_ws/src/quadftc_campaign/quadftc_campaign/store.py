@@ -10,27 +10,22 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from pathlib import Path
 from typing import Any, cast
 
+import polars as pl
+
 from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.errors import CampaignError
-from quadftc_campaign.table import joined, write_table
+from quadftc_campaign.table import ORDER
 
 MANIFEST, CHUNKS, FLIGHTS, SUMMARY = "campaign.json", "chunks", "flights.parquet", "summary.json"
 FORMAT = 2
 
 
 class Store:
-    """The directory of a campaign.
-
-    Parameters
-    ----------
-    directory : Path
-    campaign : Campaign
-    chunks : int
-        How many there are.
-    """
+    """The directory of a campaign that is divided into some number of chunks."""
 
     def __init__(self, directory: Path, campaign: Campaign, chunks: int) -> None:
         self.directory = directory
@@ -80,18 +75,12 @@ class Store:
         """Chunks that are not there yet."""
         return [place for place in range(self._chunks) if not self._path(place).is_file()]
 
-    def add(self, place: int, frame: Any) -> None:
-        """Write a chunk.
-
-        Raises
-        ------
-        CampaignError
-            If it cannot be written, as when the disk is full.
-        """
+    def add(self, place: int, frame: pl.DataFrame) -> None:
+        """Write a chunk; a `CampaignError` if it cannot be written, as when the disk is full."""
         self._write(frame, self._path(place))
 
-    def finish(self) -> Any:
-        """Join all chunks; return the table that is written.
+    def finish(self) -> pl.DataFrame:
+        """Join all chunks in the order of the flights; return the table that is written.
 
         Raises
         ------
@@ -99,7 +88,8 @@ class Store:
             If it cannot be written, or a chunk cannot be read.
         """
         try:
-            frame = joined(self._path(place) for place in range(self._chunks))
+            frames = [pl.read_parquet(self._path(place)) for place in range(self._chunks)]
+            frame = pl.concat(frames, how="diagonal_relaxed").sort(ORDER, nulls_last=True)
         except Exception as error:
             raise CampaignError(f"{self.directory / CHUNKS}: {error}") from None
         self._write(frame, self.directory / FLIGHTS)
@@ -113,13 +103,21 @@ class Store:
         except OSError as error:
             raise CampaignError(f"{path}: {error.strerror}") from None
 
-    def _write(self, frame: Any, path: Path) -> None:
+    def _write(self, frame: pl.DataFrame, path: Path) -> None:
+        """Write a table as Parquet, all of it or nothing."""
+        part = path.with_name(f".{path.name}.part")
         try:
-            write_table(frame, path)
+            with part.open("wb") as file:
+                frame.write_parquet(file, compression="zstd", statistics=True)
+                file.flush()
+                os.fsync(file.fileno())
+            part.replace(path)
         except OSError as error:
             raise CampaignError(
                 f"{path}: {error.strerror or error}; when it can be written, --resume goes on"
             ) from None
+        finally:
+            part.unlink(missing_ok=True)
 
     def _path(self, place: int) -> Path:
         return self.directory / CHUNKS / f"{place:05d}.parquet"
@@ -128,6 +126,7 @@ class Store:
 def manifest(campaign: Campaign, chunks: int) -> dict[str, Any]:
     """What a campaign is made of, ready for JSON."""
     base = json.dumps(campaign.base.data, sort_keys=True, default=str)
+    source = campaign.source
     return {
         "format": FORMAT,
         "name": campaign.name,
@@ -138,4 +137,11 @@ def manifest(campaign: Campaign, chunks: int) -> dict[str, Any]:
         "precision": "float32" if campaign.float32 else "float64",
         "scenario": hashlib.sha256(base.encode()).hexdigest(),
         "chunks": chunks,
-    }
+    } | (
+        {}
+        if source.is_loop
+        else {
+            "source": [source.kind, repr(source.delay), *(bag.name for bag in source.recordings)],
+            "parameters": [[list(pair) for pair in variant.parameters] for variant in campaign.variants],
+        }
+    )

@@ -1,4 +1,4 @@
-"""The table of a campaign: one row for each flight, variant and fault.
+"""The table of a campaign, one row for each flight, variant and fault; and its quantiles.
 
 | columns | what |
 |---|---|
@@ -12,12 +12,14 @@
 
 from __future__ import annotations
 
-import os
+import math
 from collections.abc import Iterable
-from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import polars as pl
+
+if TYPE_CHECKING:
+    from quadftc_campaign.campaign_file import Campaign
 
 Row = dict[str, Any]
 Rows = list[Row]
@@ -25,6 +27,9 @@ Rows = list[Row]
 ORDER = ("flight", "variant", "fault")
 FLAGS = ("finite", "fault.detected", "fault.already_declared", "fault.recovered", "fault.above_threshold")
 WHOLE = ("flight", "seed", "fault")  # columns of whole numbers
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
+NOT_METRICS = ("flight", "variant", "observer", "disturbance_observer", "controller", "seed", "fault")
+TIMES = ("fault.start", "fault.stop")
 
 
 def table_of(rows: Rows) -> pl.DataFrame:
@@ -39,26 +44,74 @@ def table_of(rows: Rows) -> pl.DataFrame:
     return frame.cast(types)  # pyright: ignore[reportArgumentType]
 
 
-def write_table(frame: pl.DataFrame, path: Path) -> None:
-    """Write a table as Parquet, all of it or nothing.
+def whole_flights(frame: pl.DataFrame) -> pl.DataFrame:
+    """Return one row for each flight and variant."""
+    return frame.unique(["flight", "variant"], keep="first", maintain_order=True)
 
-    Raises
-    ------
-    OSError
-        If it cannot be written.
+
+def summary_of(campaign: Campaign, frame: pl.DataFrame) -> dict[str, Any]:
+    """Summarise the table of a campaign, ready for JSON.
+
+    The same for the same table: it says nothing of when or where it was flown.
     """
-    part = path.with_name(f".{path.name}.part")
-    try:
-        with part.open("wb") as file:
-            frame.write_parquet(file, compression="zstd", statistics=True)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-    finally:
-        part.unlink(missing_ok=True)
+    return {
+        "name": campaign.name,
+        "description": campaign.description,
+        "flights": campaign.flights,
+        "seed": campaign.seed,
+        "precision": "float32" if campaign.float32 else "float64",
+        "varied": {path: each.unit for path, each in campaign.vary.items()},
+        "variants": {
+            variant.name: _variant(campaign, frame.filter(pl.col("variant") == variant.name))
+            for variant in campaign.variants
+        },
+    }
 
 
-def joined(paths: Iterable[Path]) -> pl.DataFrame:
-    """Join the tables of chunks, in the order of the flights."""
-    frames = [pl.read_parquet(path) for path in paths]
-    return pl.concat(frames, how="diagonal_relaxed").sort(ORDER, nulls_last=True)
+def quantiles(frame: pl.DataFrame, names: Iterable[str]) -> dict[str, Any]:
+    """Quantiles, mean and extremes of columns; null where no row has a value."""
+    found: dict[str, Any] = {}
+    for name in names:
+        column = frame[name].drop_nulls().drop_nans()
+        values: dict[str, Any] = {"count": len(column)}
+        if len(column):
+            values |= {"mean": column.mean(), "min": column.min(), "max": column.max()}
+            values |= {f"q{100 * q:g}": column.quantile(q, "linear") for q in QUANTILES}
+        found[name] = {
+            key: None if isinstance(v, float) and not math.isfinite(v) else v for key, v in values.items()
+        }
+    return found
+
+
+def _variant(campaign: Campaign, frame: pl.DataFrame) -> dict[str, Any]:
+    flights = whole_flights(frame)
+    faults = frame.filter(pl.col("fault").is_not_null())
+    kinds: list[str] = faults["fault.kind"].unique().sort().to_list() if "fault.kind" in frame.columns else []
+    left_out = {*NOT_METRICS, *campaign.vary}
+    whole = [name for name in _numbers(frame, faults=False) if name not in left_out]
+    return {
+        "flights": flights.height,
+        "not_finite": int((~flights["finite"]).sum()),
+        "metrics": quantiles(flights, whole),
+        "faults": {
+            kind: _faults(faults if kind == "all" else faults.filter(pl.col("fault.kind") == kind))
+            for kind in (*kinds, "all")
+            if kinds
+        },
+    }
+
+
+def _faults(frame: pl.DataFrame) -> dict[str, Any]:
+    names = [name for name in _numbers(frame, faults=True) if name not in TIMES]
+    return {
+        "count": frame.height,
+        "judged": int(frame["fault.detected"].is_not_null().sum()),
+        "missed": int((frame["fault.detected"] == False).sum()),  # noqa: E712
+        "metrics": quantiles(frame, names),
+    }
+
+
+def _numbers(frame: pl.DataFrame, faults: bool) -> list[str]:
+    """Names of the columns of numbers: those of faults, or the others."""
+    names = (name for name, kind in frame.schema.items() if kind.is_numeric())
+    return [name for name in names if name.startswith("fault.") == faults]

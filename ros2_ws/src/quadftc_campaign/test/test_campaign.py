@@ -16,10 +16,9 @@ from quadftc_campaign.campaign_file import load_campaign
 from quadftc_campaign.cluster import cluster_client, run_tasks
 from quadftc_campaign.distributions import distribution, plain
 from quadftc_campaign.errors import CampaignError, ClusterError
-from quadftc_campaign.flights import drawn
-from quadftc_campaign.flying import CampaignRun, flight_scenario, variant_of
+from quadftc_campaign.flights import drawn, flight_scenario
+from quadftc_campaign.flying import CampaignRun, chunks_of, fly_chunk, variant_of
 from quadftc_campaign.table import table_of
-from quadftc_campaign.work import chunks_of, fly_chunk
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.scenario import ScenarioError, node_parameters

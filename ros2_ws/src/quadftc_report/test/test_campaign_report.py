@@ -9,8 +9,7 @@ import polars as pl
 import pytest
 
 from quadftc_campaign.campaign_file import load_campaign
-from quadftc_campaign.quantiles import summary_of
-from quadftc_campaign.table import table_of
+from quadftc_campaign.table import summary_of, table_of
 from quadftc_model.samples import AXES
 from quadftc_report.campaign.bins import bin_axis
 from quadftc_report.campaign.detector import detector_of

@@ -12,13 +12,13 @@ import numpy as np
 from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.cluster import cluster_client, run_tasks
 from quadftc_campaign.errors import CampaignError
+from quadftc_campaign.flying import FLIGHTS_A_CHUNK, fly_chunk
 from quadftc_campaign.table import Rows, table_of
 from quadftc_campaign.tune.cost import Cost
 from quadftc_campaign.tune.result import Judged, gains_document, judged, write_gains
 from quadftc_campaign.tune.search import Search, Step
 from quadftc_campaign.tune.searched_gains import Gains, gains_of, with_gains
 from quadftc_campaign.tune.slopes_work import Sensitivity, flights_together, sensitivity
-from quadftc_campaign.work import FLIGHTS_A_CHUNK, fly_chunk
 from quadftc_flight.scenario.build import build_scenario
 
 

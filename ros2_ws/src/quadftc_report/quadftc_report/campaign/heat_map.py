@@ -10,7 +10,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from quadftc_campaign.campaign_file import Campaign
-from quadftc_campaign.quantiles import whole_flights
+from quadftc_campaign.table import whole_flights
 from quadftc_model.samples import AXES
 from quadftc_report.campaign.bins import BinAxis, bin_axis, bins_for, can_be_divided
 from quadftc_report.campaign.results import Results

@@ -33,7 +33,7 @@ def write_campaign_report(
     frame : polars.DataFrame
         Its table (`quadftc_campaign.table`).
     summary : dict
-        Of that table (`quadftc_campaign.quantiles.summary_of`).
+        Of that table (`quadftc_campaign.table.summary_of`).
     directory : Path
         Of the campaign; an earlier report in it is replaced.
     command_file : str

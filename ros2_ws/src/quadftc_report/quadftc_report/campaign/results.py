@@ -12,7 +12,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from quadftc_campaign.campaign_file import Campaign
-from quadftc_campaign.quantiles import whole_flights
+from quadftc_campaign.table import whole_flights
 from quadftc_flight.run_directory import NO_OBSERVER
 from quadftc_model.samples import AXES
 from quadftc_report.wording import counted, listing

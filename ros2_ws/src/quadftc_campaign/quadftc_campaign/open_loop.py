@@ -1,0 +1,228 @@
+"""Flights without a control loop: IMU samples with faults on them, through a fault observer alone.
+
+The samples are simulated, or those of a recording whose IMU is healthy. A simulated vehicle follows the
+references of its scenario exactly, seen by the IMU of the scenario. Nothing acts on the vehicle that an
+observer could know, so the torque is zero. The faults are those of the scenario; on a recording that is too
+short for one of them, this one is left out.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
+
+import numpy as np
+
+from quadftc_campaign.campaign_file import Campaign, Variant
+from quadftc_campaign.distributions import plain
+from quadftc_campaign.flights import drawn, flight_scenario, generator_of
+from quadftc_campaign.table import Row, Rows
+from quadftc_control.reference import combined
+from quadftc_flight.diagnosis_metrics import GRACE_TIME
+from quadftc_flight.diagnosis_metrics.columns import Columns
+from quadftc_flight.diagnosis_metrics.roc import detection_scores, estimate_over_std_dev, estimate_size
+from quadftc_flight.fault_schedule import FaultEvent
+from quadftc_flight.flight import Flight
+from quadftc_flight.metrics import flight_metrics
+from quadftc_flight.scenario import Fault, Scenario
+from quadftc_model.rotations import body_rates, quaternion_from_euler
+from quadftc_model.samples import AXES, ImuSample
+from quadftc_model.units import quantity
+from quadftc_replay.bag_input import recording_from_bag
+from quadftc_replay.diagnose import diagnose, flight_of
+from quadftc_replay.overlay import injector_of
+from quadftc_replay.recording import Recording
+from quadftc_replay.results import replay_events
+from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count
+from quadftc_sim.sensors import DRAWS
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy.typing import NDArray
+
+DELAY = "source.delay"
+AGES = (0.1, 0.2, 0.5, 1.0, 2.0, 3.5, 5.0, 7.5, 10.0, 12.5, 15.0, 17.5, 20.0)  # s since the onset
+WITHIN = 5.0  # s; a fault that is found later does not count in the ROC
+SIZES = np.radians(np.geomspace(0.02, 50.0, 86))  # rad; levels for the size of an estimate
+RATIOS = np.geomspace(0.5, 500.0, 76)  # 1; levels for its size over its standard deviation
+LOOP_METRICS = ("tracking_rmse_deg", "tracking_max_deg")  # no value here, but the reader looks for them
+WHOLE_METRICS = (*LOOP_METRICS, "fault_estimate_rmse_deg", "fault_estimate_max_deg")
+
+
+class OpenFlight(NamedTuple):
+    """Samples without faults, and the faults to put on them."""
+
+    recording: Recording
+    faults: tuple[Fault, ...]
+    delay: float  # [s], by which the faults come later than in the scenario
+
+
+def fly_open(
+    campaign: Campaign, numbers: Sequence[int], variant: Variant, progress: Callable[[int], None]
+) -> Rows:
+    """Diagnose some flights of a campaign with a variant: one row for each flight and fault."""
+    rows: Rows = []
+    for number in numbers:
+        scenario = flight_scenario(campaign, number, variant)
+        open_flight = prepare(campaign, number, scenario)
+        flight, events = run_observer(open_flight, scenario, variant)
+        values = {path: plain(value) for path, value in drawn(campaign, number).items()}
+        common: Row = {
+            "flight": number,
+            "variant": variant.name,
+            "observer": scenario.scheme(variant.scheme).observer.kind,
+            "disturbance_observer": "none",
+            "controller": "none",
+            **values,
+            DELAY: open_flight.delay,
+            "recording": open_flight.recording.name,
+        }
+        rows += judge(flight, events, open_flight.faults, common)
+        progress(len(open_flight.recording))
+    return rows
+
+
+def prepare(campaign: Campaign, number: int, scenario: Scenario) -> OpenFlight:
+    """Return the samples and the faults of flight ``number``, whose scenario is given."""
+    source, delay = campaign.source, 0.0
+    if source.delay is not None:
+        delay = quantity(source.delay.draw(generator_of(campaign, number, DELAY)), "s")
+    if not source.recordings:
+        return OpenFlight(simulate(scenario), _delayed(scenario.faults, delay, scenario.duration), delay)
+    recording = _read(source.recordings[number % len(source.recordings)])
+    return OpenFlight(recording, _delayed(scenario.faults, delay, recording.duration - GRACE_TIME), delay)
+
+
+def run_observer(
+    open_flight: OpenFlight, scenario: Scenario, variant: Variant
+) -> tuple[Flight, tuple[FaultEvent, ...]]:
+    """Put the faults on the samples and diagnose them; return what came out, and the faults axis by axis."""
+    recording, faults, _ = open_flight
+    law = scenario.scheme(variant.scheme).observer.law
+    flight = flight_of(recording, diagnose(recording, law, injector_of(faults, scenario.seed)))
+    return flight, replay_events(recording, faults)
+
+
+def simulate(scenario: Scenario) -> Recording:
+    """Simulate the healthy IMU of a vehicle that follows the references exactly, sample by sample."""
+    count, dt = sample_count(scenario.duration, scenario.rate), 1.0 / scenario.rate
+    time = np.arange(count, dtype=np.float64)[:, None] * dt
+    motion = combined([part.law for part in scenario.references], time)
+    angles, rates = (np.broadcast_to(each, (count, len(AXES))) for each in (motion.angles, motion.rates))
+    q_xyzw, body_rate = quaternion_from_euler(angles), body_rates(angles, rates)
+    generator, sensor = np.random.default_rng(scenario.seed), dataclasses.replace(scenario.sensor, delay=0)
+    state = sensor.init(sensor.turn_on_bias(generator.uniform(-1.0, 1.0, len(AXES))))
+    draws = generator.standard_normal((count, *DRAWS))
+    samples: list[ImuSample] = []
+    for row in range(count):
+        state, sample = sensor.step(state, q_xyzw[row], body_rate[row], draws[row], dt)
+        if sample is not None:
+            samples.append(sample)
+    return Recording(
+        name="simulated",
+        path=Path("simulated"),
+        topic="/imu/data",
+        namespace="/",
+        stamp_ns=EPOCH_NS + period_ns(scenario.rate) * np.arange(count, dtype=np.int64),
+        imu=ImuSample(*(np.stack(column) for column in zip(*samples, strict=True))),
+        torque=np.zeros((count, len(AXES))),
+    )
+
+
+def judge(flight: Flight, events: Sequence[FaultEvent], faults: Sequence[Fault], common: Row) -> Rows:
+    """Return the rows of a flight: what all share, and the metrics of each fault."""
+    metrics = flight_metrics(flight, (), events)
+    diagnosis: dict[str, Any] = metrics["diagnosis"]
+    records: list[Row] = diagnosis.pop("events")
+    whole: Row = {
+        **common,
+        "finite": bool(np.isfinite(flight.fault_estimate[flight.delivered]).all()),
+        **flatten({name: metrics[name] for name in WHOLE_METRICS}),
+        **flatten(diagnosis),
+        **score_counts(flight, events),
+    }
+    if not records:
+        return [{**whole, "fault": None}]
+    specs = {(axis, fault.injection.start): fault.spec for fault in faults for axis in fault.axes}
+    found: Rows = []
+    for index, (event, record) in enumerate(zip(events, records, strict=True)):
+        own = {**record, "spec": specs.get((event.axis, event.start)), **error_profile(flight, event)}
+        found.append({**whole, "fault": index, **{f"fault.{name}": each for name, each in own.items()}})
+    return found
+
+
+def error_profile(flight: Flight, event: FaultEvent) -> dict[str, list[float | None]]:
+    """Error and reported standard deviation [deg] at `AGES`; None while the axis is not declared faulty."""
+    columns, axis = Columns(flight), AXES.index(event.axis)
+    rows = columns.rows(event.start, event.stop)
+    if rows.stop == rows.start:
+        return {"errors_deg": [None] * len(AGES), "std_devs_deg": [None] * len(AGES)}
+    at = columns.time.searchsorted(event.start + np.asarray(AGES) - 1e-9)
+    at = np.minimum(at, rows.stop - 1)
+    declared, std_dev = columns.declared[at, axis], np.degrees(flight.fault_std_dev[at, axis])
+    return {
+        "errors_deg": _where(declared, columns.error[at, axis]),
+        "std_devs_deg": _where(declared & (std_dev > 0.0), std_dev),
+    }
+
+
+def score_counts(
+    flight: Flight, events: Sequence[FaultEvent], levels: Float[NDArray[Any], " m"] | None = None
+) -> Row:
+    """Count what each level of a detector of the estimate would say; the counts of several flights add up.
+
+    The level is one of the size of the estimate [rad], or, where the observer gives a standard deviation, of
+    the size over it [1].
+
+    Returns
+    -------
+    dict
+        ``roc.levels`` (m,); ``roc.alarms``: healthy samples at or above each, of ``roc.healthy``;
+        ``roc.found``: faults at or above each within `WITHIN` of the onset, of ``roc.faults``.
+    """
+    by_ratio = bool((flight.fault_std_dev > 0.0).any())
+    score = estimate_over_std_dev if by_ratio else estimate_size
+    if levels is None:
+        levels = RATIOS if by_ratio else SIZES
+    healthy, tops = map(np.sort, detection_scores(flight, events, score, WITHIN))
+    return {
+        "roc.levels": levels.tolist(),
+        "roc.alarms": (len(healthy) - np.searchsorted(healthy, levels, side="left")).tolist(),
+        "roc.healthy": len(healthy),
+        "roc.found": (len(tops) - np.searchsorted(tops, levels, side="left")).tolist(),
+        "roc.faults": len(tops),
+    }
+
+
+def flatten(nested: Mapping[str, Any], prefix: str = "") -> Row:
+    """Return nested mappings as one, with dotted names."""
+    flat: Row = {}
+    for name, value in nested.items():
+        if isinstance(value, Mapping):
+            flat |= flatten(cast("Mapping[str, Any]", value), f"{prefix}{name}.")
+        else:
+            flat[f"{prefix}{name}"] = value
+    return flat
+
+
+def _delayed(faults: Sequence[Fault], delay: float, end: float) -> tuple[Fault, ...]:
+    """The faults, later by a delay [s]; only those that are over before the end [s]."""
+    shifted = (
+        dataclasses.replace(one, start=round(one.start + delay, 9), stop=round(one.stop + delay, 9))
+        for one in (fault.injection for fault in faults)
+    )
+    pairs = zip(faults, shifted, strict=True)
+    return tuple(Fault(injection, fault.given) for fault, injection in pairs if injection.stop <= end)
+
+
+def _where(there: NDArray[np.bool_], values: Float[NDArray[Any], " n"]) -> list[float | None]:
+    known = (there & np.isfinite(values)).tolist()
+    return [value if good else None for value, good in zip(values.tolist(), known, strict=True)]
+
+
+@functools.lru_cache(maxsize=2)
+def _read(bag: Path) -> Recording:
+    return recording_from_bag(bag)
