@@ -1,4 +1,4 @@
-"""Reading bags: any rosbag2 MCAP bag, whole topics as NumPy arrays.
+"""Reading bags: any rosbag2 bag (MCAP or SQLite), whole topics as NumPy arrays.
 
 >>> bag = read_bag("out/paper_faults-proposed")
 >>> imu = bag.series("imu/data")
@@ -22,10 +22,18 @@ from numpy.typing import NDArray
 from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
 from quadftc_bags.cdr.arrays import Arrays, decode_topic
-from quadftc_bags.directory import BagError, storage_files
-from quadftc_bags.mcap_records import CutShortError, NotMcapError, Record, read_records
+from quadftc_bags.storage import (
+    BagError,
+    CutShortError,
+    Record,
+    is_sqlite,
+    open_sqlite,
+    read_records,
+    read_sqlite,
+    storage_files,
+)
 
-__all__ = ["Bag", "BagError", "Series", "TopicInfo", "read_bag"]
+__all__ = ["Bag", "BagError", "Series", "TopicInfo", "bag_topics", "read_bag"]
 
 
 @dataclass(frozen=True)
@@ -80,12 +88,16 @@ class _Topic:
     encoding: str
     definition: Schema
     qos: str
+    count: int = 0
     data: bytearray = field(default_factory=bytearray)
     sizes: array[int] = field(default_factory=lambda: array("q"))
     log_times: array[int] = field(default_factory=lambda: array("q"))
     publish_times: array[int] = field(default_factory=lambda: array("q"))
 
-    def add(self, log_time: int, publish_time: int, data: memoryview) -> None:
+    def add(self, log_time: int, publish_time: int, data: memoryview, *, keep: bool) -> None:
+        self.count += 1
+        if not keep:
+            return
         self.data += data
         self.sizes.append(len(data))
         self.log_times.append(log_time)
@@ -118,7 +130,7 @@ class Bag:
     def topics(self) -> dict[str, TopicInfo]:
         """The topics, by full name."""
         return {
-            name: TopicInfo(name, topic.type_name, len(topic.sizes), topic.qos)
+            name: TopicInfo(name, topic.type_name, topic.count, topic.qos)
             for name, topic in self._topics.items()
         }
 
@@ -204,36 +216,27 @@ class Bag:
             words = " ".join(str(error).split()) or type(error).__name__
             raise BagError(f"{self.path}: topic '{name}' cannot be decoded: {words}") from error
 
-    def load(self, path: Path, wanted: Collection[str] | None) -> None:
-        """Add the contents of one MCAP file, those of the wanted topics; `read_bag` does it.
-
-        Raises
-        ------
-        BagError
-            If the file cannot be read or is not MCAP.
-        """
+    def load(self, file: Path, wanted: Collection[str] | None, keep: bool = True) -> None:
+        """Add the wanted topics of one file, without ``keep`` only their counts; `read_bag` does it."""
         schemas: dict[int, Schema] = {}
         channels: dict[int, _Topic] = {}
 
-        def add_message(channel: int, log_time: int, publish_time: int, data: memoryview) -> None:
-            topic = channels.get(channel)
-            if topic is not None:
-                topic.add(log_time, publish_time, data)
+        def is_wanted(topic: str) -> bool:
+            return wanted is None or any(_ends_with(topic, name) for name in wanted)
 
+        records = read_sqlite(file, is_wanted) if is_sqlite(file) else read_records(file)
         try:
-            with path.open("rb") as stream:
-                for record in read_records(stream, add_message):
-                    if isinstance(record, Schema):
-                        schemas[record.id] = record
-                    elif isinstance(record, Channel):
-                        if record.id not in channels and _is_wanted(record.topic, wanted):
-                            channels[record.id] = self._topic(record, schemas)
-                    else:
-                        self._keep(record)
-        except NotMcapError:
-            raise BagError(f"{path}: not an MCAP file") from None
-        except OSError as error:
-            raise BagError(f"{path}: {error.strerror or error}") from error
+            for record in records:
+                if isinstance(record, tuple):
+                    if topic := channels.get(record[0]):
+                        topic.add(*record[1:], keep=keep)
+                elif isinstance(record, Schema):
+                    schemas[record.id] = record
+                elif isinstance(record, Channel):
+                    if record.id not in channels and is_wanted(record.topic):
+                        channels[record.id] = self._topic(record, schemas)
+                else:
+                    self._keep(record)
         except CutShortError:
             self.truncated = True
 
@@ -260,14 +263,14 @@ def read_bag(path: str | os.PathLike[str], topics: Collection[str] | None = None
     Parameters
     ----------
     path : path
-        A rosbag2 directory or an ``.mcap`` file.
+        A rosbag2 directory, an ``.mcap`` or a ``.db3`` file.
     topics : collection of str, optional
         Keep only these (full, relative or short names), to save memory; default: all.
 
     Raises
     ------
     BagError
-        If there is no such bag, it is empty, it is not MCAP, or its metadata makes no sense.
+        If there is no such bag, it is empty or no bag, or its metadata makes no sense.
     """
     bag = Bag(Path(path))
     for file in storage_files(bag.path):
@@ -275,5 +278,19 @@ def read_bag(path: str | os.PathLike[str], topics: Collection[str] | None = None
     return bag
 
 
-def _is_wanted(topic: str, wanted: Collection[str] | None) -> bool:
-    return wanted is None or any(f"/{topic.strip('/')}".endswith(f"/{name.strip('/')}") for name in wanted)
+def bag_topics(path: Path) -> dict[str, TopicInfo]:
+    """List the topics of a bag, with the number of their messages, without keeping any message."""
+    if is_sqlite(path):
+        with open_sqlite(path) as reader:
+            return {
+                name: TopicInfo(name, topic.msgtype or "", topic.msgcount, "")
+                for name, topic in reader.topics.items()
+            }
+    bag = Bag(path)
+    for file in storage_files(path):
+        bag.load(file, None, keep=False)
+    return bag.topics
+
+
+def _ends_with(topic: str, name: str) -> bool:
+    return f"/{topic.strip('/')}".endswith(f"/{name.strip('/')}")

@@ -1,30 +1,28 @@
+# pyright: basic
 """One rosbag2 directory being written: ``metadata.yaml`` and one MCAP file, as rosbag2 Jazzy writes them.
 
-Everything here happens in the caller's thread; `quadftc_bags.writer` puts it into a thread of its own.
-Only ``sync``, which takes as long as the disk does, may run in another one meanwhile.
-After ``flush`` a killed process loses nothing written before, after a ``sync`` that follows neither does a
-power cut.
+Everything here happens in the caller's thread; only ``sync``, which waits for the disk, may run in another.
+After ``flush`` a killed process loses nothing written before; after a ``sync`` that follows, nor does a power
+cut.
 """
 
 from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Mapping
+import tempfile
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, BinaryIO, TypeAlias
 
+from mcap.data_stream import RecordBuilder
+from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, Writer
 
-from quadftc_bags.bag_format import BagSummary, TopicRecord, bag_information, metadata_file
-from quadftc_bags.chunk_index import frugal
+from quadftc_bags.bag_format import COMPRESSIONS, BagSummary, TopicRecord, bag_information, metadata_file
 
-COMPRESSIONS = {
-    "zstd": CompressionType.ZSTD,
-    "lz4": CompressionType.LZ4,
-    "none": CompressionType.NONE,
-}
+KEPT_BY_WRITER = "_Writer__chunk_indices"  # private list of the library's writer
 _Kept: TypeAlias = "tuple[int, dict[str, int], tuple[int, int] | None]"  # bytes, messages by topic, log times
 _MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json", ".txt": "text/plain"}
 
@@ -81,8 +79,8 @@ class BagFile:
         self._chunk_size = chunk_size
         self._open_size = 0
         never = 2**63  # bytes; chunks are closed by flush alone, so that it is known where the last one ends
-        self._writer = Writer(self._output, never, COMPRESSIONS[compression])  # type: ignore[arg-type]
-        self._indices = frugal(self._writer, self.directory)
+        self._writer = Writer(self._output, never, CompressionType[compression.upper()])  # type: ignore[arg-type]
+        self._indices = keep_indices_in_file(self._writer, self.directory)
         self._writer.start("ros2", library="quadftc")
         self._writer.add_metadata(
             "rosbag2", {"serialized_metadata": bag_information(self._summary(self._kept))}
@@ -235,3 +233,49 @@ class _Output:
 
     def close(self) -> None:
         os.close(self._descriptor)
+
+
+class ChunkIndices:
+    """The index of the chunks, kept in a nameless file in a directory; it takes the place of a list.
+
+    The library's writer keeps 1.5 kB for each chunk until the file is finished: 20 MB an hour, as chunks are
+    closed four times a second. Every method raises OSError if the file cannot be written.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._file: BinaryIO = tempfile.TemporaryFile(dir=directory, buffering=0)  # noqa: SIM115
+
+    def append(self, index: ChunkIndex) -> None:
+        """Keep one entry, serialised."""
+        builder = RecordBuilder()
+        index.write(builder)
+        rest = memoryview(builder.end())
+        while rest:
+            rest = rest[self._file.write(rest) :]
+
+    def __iter__(self) -> Iterator[ChunkIndices]:
+        """Yield one object whose `write` writes all entries."""
+        yield self
+
+    def write(self, builder: RecordBuilder) -> None:
+        """Write all entries, in order."""
+        self._file.seek(0)
+        while data := self._file.read(1 << 20):
+            builder.write(data)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._file.close()
+
+
+def keep_indices_in_file(writer: Writer, directory: Path) -> ChunkIndices:
+    """Let a new writer keep the index of its chunks in a file; return it, to be closed.
+
+    Raises RuntimeError if the writer of this version of the library has no such index.
+    """
+    kept: Any = getattr(writer, KEPT_BY_WRITER, None)
+    if kept != []:
+        raise RuntimeError(f"mcap.writer.Writer has no {KEPT_BY_WRITER}")
+    indices = ChunkIndices(directory)
+    setattr(writer, KEPT_BY_WRITER, indices)
+    return indices

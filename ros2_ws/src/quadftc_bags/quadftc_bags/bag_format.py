@@ -11,6 +11,7 @@ from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 
 VERSION = 9
+COMPRESSIONS = ("zstd", "lz4", "none")  # of the chunks of a bag
 _NO_HASH = "''"  # of bags that older versions recorded
 NEVER_NS = 2**63 - 1  # rosbag2: start of an empty bag, and "infinite" as a duration
 

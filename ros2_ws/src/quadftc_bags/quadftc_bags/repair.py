@@ -14,13 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.records import Channel
 from ruamel.yaml import YAML, YAMLError
 
 from quadftc_bags.bag_file import BagFile, is_being_written
 from quadftc_bags.bag_format import TopicRecord
-from quadftc_bags.directory import BagError, bag_information
-from quadftc_bags.salvage import Survey, survey, walk
+from quadftc_bags.salvage import Survey, survey
+from quadftc_bags.storage import BagError, Damage, bag_information, read_records
 
 CHUNK = 1024 * 1024  # bytes
 OWN_RECORDS = ("rosbag2", "quadftc")  # metadata records that the new file gets anyway
@@ -171,28 +171,29 @@ def _write(found: Survey, directory: Path) -> None:
             bag.add_record(name, entries)
     numbers: dict[int, int] = {}  # of channels: there -> here
     topics: dict[str, int] = {}
-
-    def on_topic(number: int, channel: Channel, schema: Schema) -> None:
-        if channel.topic not in topics:
-            qos = _in_words(channel.metadata.get("offered_qos_profiles", ""))
-            type_hash = channel.metadata.get("topic_type_hash", "")
-            text = schema.data.decode("utf-8", "replace")
-            bag.add_topic(TopicRecord(channel.topic, schema.name, type_hash, qos), text, schema.encoding)
-            topics[channel.topic] = len(topics) + 1
-        numbers[number] = topics[channel.topic]
-
-    def on_message(number: int, log_time_ns: int, publish_time_ns: int, data: memoryview) -> None:
-        bag.write(numbers[number], log_time_ns, publish_time_ns, bytes(data))
-
-    def on_record(record: Attachment | Metadata) -> None:
-        """Pass over what was written at the beginning."""
-
     try:
-        walk(found, on_topic, on_message, on_record)
+        for record in read_records(found.path, _pass_over):
+            if isinstance(record, tuple) and record[0] in numbers:
+                number, log_time_ns, publish_time_ns, data = record
+                bag.write(numbers[number], log_time_ns, publish_time_ns, bytes(data))
+            if not isinstance(record, Channel) or record.id in numbers or record.id not in found.channels:
+                continue
+            channel, schema = found.channels[record.id]
+            if channel.topic not in topics:
+                qos = _in_words(channel.metadata.get("offered_qos_profiles", ""))
+                type_hash = channel.metadata.get("topic_type_hash", "")
+                text = schema.data.decode("utf-8", "replace")
+                bag.add_topic(TopicRecord(channel.topic, schema.name, type_hash, qos), text, schema.encoding)
+                topics[channel.topic] = len(topics) + 1
+            numbers[record.id] = topics[channel.topic]
         bag.close()
     except BaseException:
         bag.abandon()
         raise
+
+
+def _pass_over(damage: Damage) -> None:
+    """Pass over what the survey has found damaged."""
 
 
 def _custom_data(record: Mapping[str, str]) -> dict[str, str]:

@@ -28,15 +28,17 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from rclpy.qos import QoSProfile
 
-from quadftc_bags.bag_file import BagFile
 from quadftc_bags.bag_format import TopicRecord, offered_qos
 from quadftc_bags.bag_order import HeldMessages, Message
 from quadftc_bags.cdr.padding import PaddingCleaner
-from quadftc_bags.disk_sync import DiskSync
 from quadftc_bags.interfaces import load_interface
+
+if TYPE_CHECKING:
+    from quadftc_bags.bag_file import BagFile
 
 FLUSH_PERIOD = 0.25  # s, wall time: everything older is with the operating system
 SYNC_PERIOD = 0.5  # s, wall time between two times at which the disk is to take it
@@ -113,6 +115,8 @@ class BagWriter:
         queue_size: int = 65536,
         on_error: Callable[[str], None] | None = None,
     ) -> None:
+        from quadftc_bags.bag_file import BagFile
+
         if queue_size < 1:
             raise ValueError(f"queue_size: {queue_size} messages, expected at least 1")
         chunk_size = LOCKSTEP_CHUNK if lockstep else REALTIME_CHUNK
@@ -124,7 +128,7 @@ class BagWriter:
         self._channels: dict[str, int] = {}
         self._queue: deque[Message | Command | _Flush] = deque()
         self._held = HeldMessages() if lockstep else None
-        self._disk = DiskSync(self._file)
+        self._disk = _DiskSync(self._file)
         self._cleaners: list[PaddingCleaner] = []  # by channel number - 1
         self._dropped: dict[str, int] = {}
         self._taken = 0  # messages that have left the queue
@@ -331,3 +335,34 @@ class _Flush(threading.Event):
     """A request to bring everything to the disk; set when it was dealt with."""
 
     stored = False
+
+
+class _DiskSync:
+    """Runs `BagFile.sync` in a thread, one at a time, so that a slow disk does not hold up the writing."""
+
+    def __init__(self, file: BagFile) -> None:
+        self._file = file
+        self._thread: threading.Thread | None = None
+        self._error: Exception | None = None
+
+    def begin(self) -> None:
+        """Begin a sync unless the last one still runs; raises what went wrong the last time."""
+        if self._thread is None or not self._thread.is_alive():
+            self.wait()
+            self._thread = threading.Thread(target=self._run, name="bag_sync", daemon=True)
+            self._thread.start()
+
+    def wait(self) -> None:
+        """Wait for the sync that runs, if any; raises as `begin`."""
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
+
+    def _run(self) -> None:
+        try:
+            self._file.sync()
+        except Exception as error:  # for whoever asks next
+            self._error = error

@@ -2,32 +2,47 @@
 
 A thread that writes takes the interpreter from the thread that flies, several hundred times a second. So
 `BagProcess` has the interface of `BagWriter`, which does the work in the other process. The two talk through
-a pair of sockets; `quadftc_bags.writer_server` is what runs on the other side.
+a pair of sockets. The other process (`serve`) ends when it is told to close the bag, or when the one that
+flies has ended, in whatever way. It looks now and then for what has come instead of waiting for it: to wake
+another process takes longer than to hand over what there is.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import os
+import pickle
 import select
+import signal
+import struct
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from multiprocessing.connection import Pipe
+from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
+from typing import Any
 
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from quadftc_bags.interfaces import load_interface
-from quadftc_bags.writer import BagStatus, Input
-from quadftc_bags.writer_server import MESSAGE, MESSAGES
+from quadftc_bags.writer import BagStatus, BagWriter, Input
 
 BATCH = 32  # messages handed over at a time; the socket holds many of these, so that nobody waits
 PATIENCE = 60.0  # s, wall time for the other process to take a batch in lock-step, and to end a recording
 ENDED = "the process that writes it has ended"
 SILENT = "the process that writes it does not answer"
+MESSAGES = b"M"  # what a batch begins with; all else is a pickle, which begins with another byte
+MESSAGE = struct.Struct(
+    "=IIqq"
+)  # in a batch: number of the topic, size, log and publish time; then the bytes
+REST = 0.005  # s, between two looks at what has come
+REPORT_PERIOD = 0.5  # s, wall time between two reports of how the recording stands
+NICENESS = 10  # the one that flies comes first
+SWITCH_INTERVAL = (
+    1e-4  # s; in the other process the thread that receives must not wait for the one that writes
+)
 
 
 class BagProcess:
@@ -70,7 +85,7 @@ class BagProcess:
         self._silent = False  # it was given up
         self._connection, theirs = Pipe()
         with theirs:
-            command = [sys.executable, "-m", "quadftc_bags.writer_server", str(theirs.fileno())]
+            command = [sys.executable, "-m", "quadftc_bags.writer_process", str(theirs.fileno())]
             # in a session of its own: Ctrl-C in the terminal is for the process that flies
             self._process = subprocess.Popen(command, pass_fds=[theirs.fileno()], start_new_session=True)
         self._writable = select.poll()
@@ -241,3 +256,79 @@ class BagProcess:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+
+def serve(connection: Connection) -> None:
+    """Write the bag that the first message describes, until told to close it or the other side has ended."""
+    try:
+        directory, attachments, metadata, compression, lockstep, queue_size = connection.recv()
+        options = {"lockstep": lockstep, "queue_size": queue_size}
+        writer = BagWriter(directory, attachments, metadata, compression, **options)
+    except EOFError:
+        return
+    except (ValueError, OSError) as error:
+        connection.send(error)
+        return
+    with writer, suppress(EOFError, OSError):  # of the connection: the bag is closed then, too
+        connection.send(writer.path)
+        _Server(connection, writer).serve()
+
+
+class _Server:
+    """Takes what the other process sends, and reports how the recording stands."""
+
+    def __init__(self, connection: Connection, writer: BagWriter) -> None:
+        self._connection = connection
+        self._writer = writer
+        self._inputs: list[Input] = []
+
+    def serve(self) -> None:
+        due = 0.0
+        while not self._writer.closed:
+            while not self._writer.closed and self._connection.poll(0.0):
+                self._take(self._connection.recv_bytes())
+            time.sleep(REST)
+            if (now := time.monotonic()) >= due:
+                self._connection.send(("status", self._writer.status))
+                due = now + REPORT_PERIOD
+
+    def _take(self, data: bytes) -> None:
+        if not data.startswith(MESSAGES):
+            self._do(pickle.loads(data))
+            return
+        position, end = len(MESSAGES), len(data)
+        while position < end:
+            number, size, log_time_ns, publish_time_ns = MESSAGE.unpack_from(data, position)
+            position += MESSAGE.size
+            self._inputs[number](data[position : position + size], log_time_ns, publish_time_ns)
+            position += size
+
+    def _do(self, item: Any) -> None:
+        match item:
+            case ("topic", topic, type_name, depth, reliability, durability):
+                qos = QoSProfile(
+                    depth=depth,
+                    reliability=ReliabilityPolicy(reliability),
+                    durability=DurabilityPolicy(durability),
+                )
+                self._writer.add_topic(topic, type_name, qos)
+                self._inputs.append(self._writer.input(topic))
+            case ("flush", timeout):
+                flushed = self._writer.flush(timeout)
+                self._connection.send(("flushed" if flushed else "not flushed", self._writer.status))
+            case _:
+                self._connection.send(("closed", self._writer.close()))
+
+
+def main() -> None:
+    """Serve the process that started this one, on the descriptor that it gave."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # the bag is closed when the other process says so, or ends
+    os.nice(NICENESS)
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    with Connection(int(sys.argv[1])) as connection:
+        serve(connection)
+
+
+if __name__ == "__main__":
+    main()

@@ -24,7 +24,7 @@ from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
 
-from quadftc_bags import writer_process as bag_process
+from quadftc_bags import writer_process
 from quadftc_bags.bag_file import BagFile
 from quadftc_bags.interfaces import load_interface, load_message_class
 from quadftc_bags.writer import FLUSH_PERIOD, BagWriter
@@ -341,8 +341,9 @@ def test_process_that_ends_stops_the_recording_not_the_caller(tmp_path):
 
 def test_process_closes_the_bag_when_the_one_that_flies_is_killed(tmp_path):
     code = CHILD.format(here=str(Path(__file__).parent)).replace("time.sleep(0.001)", "")
-    code = code.replace("bag_writer", "bag_process").replace("test_bag_process", "test_bag_writer")
-    code = code.replace("BagWriter", "BagProcess")
+    code = code.replace("quadftc_bags.writer", "quadftc_bags.writer_process").replace(
+        "BagWriter", "BagProcess"
+    )
     arguments = [sys.executable, "-c", code, str(tmp_path / "run"), "False"]
     with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as child:
         written = [int(child.stdout.readline()) for _ in range(3 * BATCH)]
@@ -382,7 +383,7 @@ def test_process_drops_and_counts_in_real_time_when_the_other_is_slow(tmp_path):
 
 @pytest.mark.parametrize("lockstep", [False, True])
 def test_process_that_hangs_is_given_up_and_the_caller_goes_on(tmp_path, monkeypatch, lockstep):
-    monkeypatch.setattr(bag_process, "PATIENCE", 0.5)
+    monkeypatch.setattr(writer_process, "PATIENCE", 0.5)
     errors: list[str] = []
     writer = BagProcess(tmp_path / "run", lockstep=lockstep, on_error=errors.append)
     writer.add_topic("/plant/rate", VECTOR, QoSProfile(depth=1))

@@ -345,7 +345,7 @@ def test_split_bag_is_read_in_the_order_of_its_metadata(tmp_path):
         (
             {"metadata.yaml": "rosbag2_bagfile_information: {relative_file_paths: [b.db3]}", "b.db3": "x"},
             ".",
-            "b.db3 is not MCAP",
+            "not a bag that can be read",
         ),
         (
             {"metadata.yaml": "rosbag2_bagfile_information: {compression_mode: FILE}"},

@@ -14,8 +14,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from quadftc_bags.bag import Bag, BagError, Series, TopicInfo
-from quadftc_bags.source import bag_topics, open_bag
+from quadftc_bags.bag import Bag, BagError, Series, TopicInfo, bag_topics, read_bag
 from quadftc_flight.run_directory import (
     NO_PARAMETERS,
     PARAMETERS,
@@ -66,7 +65,7 @@ def recording_from_bag(path: Path, topic: str = "", skip_backwards: bool = False
     namespace = _namespace(name)
     torque_topic = _torque_topic(topics, name, namespace)
     wanted = [name, *([torque_topic] if torque_topic else []), *_truth_topics(topics, name, namespace)]
-    bag = open_bag(path, wanted)
+    bag = read_bag(path, wanted)
     imu, where = bag.series(name), f"{path}: {name}"
     kept = keep_good_stamps(imu.stamp_ns, imu.log_time_ns, where, skip_backwards)
     samples, absences = cleaned(_samples(imu, kept.rows), kept.stamp_ns, where)

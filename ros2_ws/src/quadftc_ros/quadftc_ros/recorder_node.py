@@ -23,7 +23,7 @@ from typing import Any
 from rclpy.qos import QoSProfile
 from rclpy.utilities import get_rmw_implementation_identifier
 
-from quadftc_bags.bag_file import COMPRESSIONS
+from quadftc_bags.bag_format import COMPRESSIONS
 from quadftc_bags.cdr.message import leading_stamp_ns
 from quadftc_bags.interfaces import load_message_class
 from quadftc_bags.writer import BagStatus, BagWriter, Input
@@ -47,7 +47,7 @@ class RecorderParameters:
     """Parameters of the recorder, beside the lists ``topics`` and ``attachments``."""
 
     directory: str = parameter("", doc="directory of the bag to write; must not exist")
-    compression: str = parameter("zstd", choices=tuple(COMPRESSIONS), doc="compression of the bag's chunks")
+    compression: str = parameter("zstd", choices=COMPRESSIONS, doc="compression of the bag's chunks")
 
 
 class RecorderNode(GraphNode):

@@ -1,0 +1,276 @@
+"""The files of a bag and the records in them: MCAP, and SQLite (.db3) as older ROS 2 writes it.
+
+MCAP is read in file order, without its index, so that a file that was cut short can be read.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import struct
+from collections.abc import Callable, Generator, Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, TypeAlias, cast
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
+from mcap.stream_reader import get_chunk_data_stream
+from mcap.writer import MCAP0_MAGIC
+from ruamel.yaml import YAML, YAMLError
+
+if TYPE_CHECKING:
+    from rosbags.rosbag2 import Reader
+
+Message: TypeAlias = tuple[int, int, int, memoryview]  # channel, log time, publish time [ns], data
+Record: TypeAlias = Header | Schema | Channel | Attachment | Metadata | Message
+
+_NONE = 0  # no opcode; zeros fill a file that lost its end with the power
+_HEAD = struct.Struct("<BQ")  # opcode, length of what follows
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+_LATEST = 2**63 - 1  # ns; a later time is damage
+_CHUNK_SPAN = struct.Struct("<QQ")  # first and last log time, with which a chunk begins
+_READERS: dict[int, Callable[[ReadDataStream], Record]] = {
+    Opcode.HEADER: Header.read,
+    Opcode.SCHEMA: Schema.read,
+    Opcode.CHANNEL: Channel.read,
+    Opcode.ATTACHMENT: Attachment.read,
+    Opcode.METADATA: Metadata.read,
+}
+_DAMAGE = (McapError, struct.error, zstandard.ZstdError, RuntimeError, UnicodeDecodeError, ValueError)
+
+
+class BagError(ValueError):
+    """A bag that cannot be read, or does not hold what was asked for; the text is one line."""
+
+
+class CutShortError(ValueError):
+    """The file ends, or stops making sense, before its footer."""
+
+
+class Damage(NamedTuple):
+    """A part of a file that cannot be read.
+
+    Parameters
+    ----------
+    offset, size : int
+        Where it begins, and its length [bytes].
+    is_end : bool
+        The file ends with it.
+    is_index : bool
+        It lies behind the messages: none is lost with it.
+    span_ns : tuple of int, optional
+        First and last log time of a chunk [ns], as far as its beginning is there.
+    """
+
+    offset: int
+    size: int
+    is_end: bool
+    is_index: bool
+    span_ns: tuple[int, int] | None
+
+
+OnDamage = Callable[[Damage], None]
+
+
+def storage_files(path: Path) -> list[Path]:
+    """Return the files of a bag (directory or file) in their order; of a SQLite bag, the bag itself.
+
+    Raises
+    ------
+    BagError
+        If there are none, or one is missing or empty.
+    """
+    if not path.exists():
+        raise BagError(f"{path}: no such bag")
+    if path.is_file():
+        check_size(path)
+        return [path]
+    if is_sqlite(path):
+        return [path]
+    information = bag_information(path / "metadata.yaml")
+    mode = str(information.get("compression_mode") or "").lower()
+    if mode not in ("", "none", "storage"):
+        raise BagError(f"{path}: compressed by {mode}; unpack it with 'ros2 bag convert'")
+    names = cast("list[Any]", information.get("relative_file_paths") or [])
+    files = [path / Path(str(name)).name for name in names] or sorted(path.glob("*.mcap"))
+    if not files:
+        raise BagError(f"{path}: no bag in this directory (neither metadata.yaml nor an .mcap file)")
+    for file in files:
+        if not file.is_file():
+            raise BagError(
+                f"{path}: metadata.yaml names {file.name}, which is missing; run quadftc repair {path}"
+            )
+        if file.suffix != ".mcap":
+            raise BagError(f"{path}: {file.name} is not MCAP; convert the bag with 'ros2 bag convert'")
+        check_size(file)
+    return files
+
+
+def check_size(file: Path) -> int:
+    """Return the size of a file [bytes]; BagError if it is empty."""
+    try:
+        size = file.stat().st_size
+    except OSError as error:
+        raise BagError(f"{file}: {error.strerror}") from None
+    if size == 0:
+        raise BagError(f"{file}: empty file")
+    return size
+
+
+def bag_information(path: Path) -> dict[str, Any]:
+    """Return what ``metadata.yaml`` says; nothing if it is missing, BagError if it makes no sense."""
+    if not path.exists():
+        return {}
+    try:
+        content: Any = YAML(typ="safe").load(path.read_text("utf-8"))  # pyright: ignore
+        return dict(content["rosbag2_bagfile_information"])
+    except (OSError, YAMLError, UnicodeDecodeError, KeyError, TypeError, ValueError, RecursionError) as error:
+        what = f"not the metadata of a bag ({type(error).__name__})"
+        raise BagError(f"{path}: {what}; run quadftc repair {path.parent}") from error
+
+
+def is_sqlite(path: Path) -> bool:
+    """Whether a bag (directory or file) is stored in SQLite."""
+    if path.is_dir():
+        return any(path.glob("*.db3*")) and not any(path.glob("*.mcap"))
+    return path.suffix == ".db3"
+
+
+def read_records(path: Path, on_damage: OnDamage | None = None) -> Iterator[Record]:
+    """Yield the records of an MCAP file; a message is a plain tuple.
+
+    A chunk's records come where the chunk stands. Indexes and statistics are passed over. With ``on_damage``
+    a chunk with a wrong checksum and a missing end are reported to it, and passed over, too.
+
+    Raises
+    ------
+    BagError
+        If the file cannot be read or is not MCAP.
+    CutShortError
+        Without ``on_damage``, when the rest of the file is missing or damaged; all that came before is good.
+    """
+    try:
+        with path.open("rb") as stream:
+            if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+                raise BagError(f"{path}: not an MCAP file")
+            yield from _read_file(stream, on_damage)
+    except OSError as error:
+        raise BagError(f"{path}: {error.strerror or error}") from error
+
+
+def _read_file(stream: BinaryIO, on_damage: OnDamage | None) -> Iterator[Record]:
+    size = os.fstat(stream.fileno()).st_size
+    is_index = False
+    while True:
+        offset = stream.tell()
+        head = stream.read(_HEAD.size)
+        opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (_NONE, 0)
+        if opcode == Opcode.FOOTER:
+            return
+        if opcode == _NONE or length > size - stream.tell():
+            span_ns = _chunk_span(opcode, stream.read(_CHUNK_SPAN.size))
+            _report(Damage(offset, size - offset, True, is_index, span_ns), on_damage)
+            return
+        if opcode != Opcode.CHUNK and opcode != Opcode.MESSAGE and opcode not in _READERS:
+            stream.seek(length, os.SEEK_CUR)
+            is_index = is_index or opcode == Opcode.DATA_END
+            continue
+        body = stream.read(length)
+        try:
+            yield from _read_sequence(_chunk_data(body) if opcode == Opcode.CHUNK else head + body)
+        except CutShortError:
+            span_ns = _chunk_span(opcode, body)
+            _report(Damage(offset, _HEAD.size + length, False, is_index, span_ns), on_damage)
+
+
+def _report(damage: Damage, on_damage: OnDamage | None) -> None:
+    if on_damage is None:
+        raise CutShortError
+    on_damage(damage)
+
+
+def _chunk_span(opcode: int, body: bytes) -> tuple[int, int] | None:
+    """First and last log time of a chunk [ns]."""
+    if opcode != Opcode.CHUNK or len(body) < _CHUNK_SPAN.size:
+        return None
+    first, last = _CHUNK_SPAN.unpack_from(body)
+    return (first, last) if 0 < first <= last else None
+
+
+def _read_sequence(data: bytes) -> Iterator[Record]:
+    """Read records that stand one after the other in memory."""
+    view = memoryview(data)
+    position = 0
+    try:
+        while position < len(data):
+            opcode, length = _HEAD.unpack_from(data, position)
+            start = position + _HEAD.size
+            position = start + length
+            if position > len(data):
+                raise CutShortError
+            if opcode == Opcode.MESSAGE:
+                channel, _, log_time, publish_time = _MESSAGE.unpack_from(data, start)
+                if log_time > _LATEST or publish_time > _LATEST:
+                    raise CutShortError
+                yield channel, log_time, publish_time, view[start + _MESSAGE.size : position]
+            elif opcode in _READERS:
+                yield _READERS[opcode](ReadDataStream(BytesIO(view[start:position])))
+    except _DAMAGE as error:
+        raise CutShortError from error
+
+
+def _chunk_data(body: bytes) -> bytes:
+    """Return the records inside a chunk, after checking their sum."""
+    try:
+        chunk = Chunk.read(ReadDataStream(BytesIO(body)))
+        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+        return stream.read(size)
+    except _DAMAGE as error:
+        raise CutShortError from error
+
+
+@contextlib.contextmanager
+def open_sqlite(path: Path) -> Generator[Reader, None, None]:
+    """Open a SQLite bag; BagError, in one line, for whatever the library finds wrong with it."""
+    from rosbags.rosbag2 import Reader
+
+    try:
+        with Reader(path) as reader:
+            names: list[Any] = list(reader.topics)  # as metadata.yaml has them
+            if wrong := [name for name in names if not isinstance(name, str)]:
+                raise BagError(f"{path}: topic {wrong[0]!r}: expected a name")
+            yield reader
+    except BagError:
+        raise
+    except Exception as error:  # of the library, of SQLite, of the file system
+        words = " ".join(str(error).split()) or type(error).__name__
+        raise BagError(f"{path}: not a bag that can be read: {words}") from None
+
+
+def read_sqlite(path: Path, is_wanted: Callable[[str], bool]) -> Iterator[Record]:
+    """Yield the schemas and channels of the wanted topics as `read_records` does, then their messages."""
+    with open_sqlite(path) as reader:
+        chosen = [each for each in reader.connections if is_wanted(each.topic)]
+        for each in chosen:
+            yield _sqlite_schema(each)
+            yield Channel(each.id, each.topic, "cdr", {}, each.id)
+        for connection, log_time, data in reader.messages(chosen) if chosen else ():
+            yield connection.id, log_time, log_time, memoryview(data)
+
+
+def _sqlite_schema(connection: Any) -> Schema:
+    """Return the stored definition of a type; where none is stored, the one that ROS 2 Jazzy has."""
+    from rosbags.interfaces import MessageDefinitionFormat
+    from rosbags.typesys import Stores, get_typestore
+
+    number, name, definition = connection.id, connection.msgtype, connection.msgdef
+    if definition.format is MessageDefinitionFormat.IDL:
+        return Schema(number, definition.data.encode(), "ros2idl", name)
+    text = definition.data
+    if definition.format is MessageDefinitionFormat.NONE:
+        text = get_typestore(Stores.ROS2_JAZZY).generate_msgdef(name, ros_version=2)[0]
+    return Schema(number, text.encode(), "ros2msg", name)
