@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 
 from quadftc_bags.bag import Bag, read_bag
-from quadftc_control.degraded import Mode
+from quadftc_control.input_monitor import Mode
 from quadftc_control.transfer import TORQUE_JUMP
 from quadftc_model.rotations import wrap
 from quadftc_model.vehicle import load_vehicle

@@ -24,7 +24,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_control.degraded import Patience
+from quadftc_control.input_monitor import Patience
 from quadftc_model.rotations import (
     euler_from_quaternion,
     normalise,

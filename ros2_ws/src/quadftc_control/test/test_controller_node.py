@@ -15,7 +15,7 @@ from message_objects import ReferenceWriter
 from node_bench import imu_message, vector_message
 from quadftc_control.controller import Controller, controllers
 from quadftc_control.controller_node import ControllerNode
-from quadftc_control.degraded import HeldTorque
+from quadftc_control.input_monitor import HeldTorque
 from quadftc_model.samples import FAULTY, HEALTHY, AttitudeReference, ControllerOutput
 from quadftc_model.vehicle import load_vehicle
 from quadftc_msgs.msg import ControlStatus, FaultStatus

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from quadftc_control.controllers.ismc import Ismc
-from quadftc_control.degraded import InputMonitor, Patience
+from quadftc_control.input_monitor import InputMonitor, Patience
 from quadftc_control.transfer import TORQUE_JUMP, Transfer, rotation_vector
 from quadftc_model.rotations import (
     body_rates,

@@ -1,4 +1,4 @@
-"""What a controller does when its inputs go missing: which IMU it believes, and when it gives up.
+"""Which inputs of the controller are there: what it flies on, and when it gives up.
 
 * no diagnosis: ``corrected_samples`` imu/data came in a row, but no imu/corrected, or none younger than
   ``corrected_age``; until ``return_samples`` came in time, and the observer says that it has started.
@@ -6,8 +6,7 @@
 * hold: no IMU for the time ``hold``; until the next sample. The torque is the mean of those before.
 * off: no IMU for the time ``off``; until ``return_samples`` came, none of them ``hold`` after the last.
 
-Pure bookkeeping of stamps and times; the node acts on it. What changes with a mode changes gradually:
-`quadftc_control.transfer`.
+Counts samples and compares stamps; `quadftc_control.flight_manager` acts on it.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from quadftc_control.degraded import HeldTorque, InputMonitor, Mode, Patience
+from quadftc_control.input_monitor import HeldTorque, InputMonitor, Mode, Patience
 
 ESTIMATE = np.array([1.0, -2.0, 0.5])
 SECOND = 1_000_000_000  # ns

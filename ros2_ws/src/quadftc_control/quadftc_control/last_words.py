@@ -1,21 +1,20 @@
-"""What the controller keeps for observers that die: their last words, for those started in their place.
+"""The last words of both observers, kept for observers that restart.
 
-A node that dies takes its state with it, and what it has published for late readers, too. The controller
-hears both observers in any case. When one of them falls silent, it publishes, for late readers:
+An observer that dies loses its state, and what it published for late readers. The controller hears both
+observers. When one falls silent, the controller publishes for late readers:
 
-* ``fault/kept``: the last fault/status, and, as long as the controller knows by how much imu/data is off
-  without it, that fault in its place, again and again: a fault may change meanwhile;
+* ``fault/kept``: the last fault/status. While the controller knows by how much imu/data is off without it,
+  that fault replaces the old one 20 times a second, because a fault may change;
 * ``gyro/kept``: what imu/corrected last added to the body rate of imu/data [rad/s], minus the gyro bias;
 * ``disturbance/kept``: the last disturbance/estimate.
 
-The stamps are those of the last samples that were diagnosed, whatever comes later.
+The stamps are those of the last samples that were diagnosed.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,55 +27,71 @@ DEPTH = 64  # samples of imu/data of which imu/corrected may still come
 PERIOD = 0.05  # s; over which a fault is averaged when it is seen without diagnosis
 
 
-class Keeper:
-    """The last words of both observers.
+class StatusReader(Protocol):
+    """Reads serialised messages that are mostly kept unread; raises ValueError for what is none."""
+
+    def imu(self, data: bytes) -> ImuSample:
+        """Return the sample of imu/data."""
+        ...
+
+    def states(self, data: bytes) -> tuple[int, ...]:
+        """Return the state of each axis of fault/status."""
+        ...
+
+    def status(self, data: bytes) -> Any:
+        """Return the message of fault/status."""
+        ...
+
+    def faulty_part(self, status: Any) -> NDArray[np.float64]:
+        """Return the estimate (3,) [rad] of a status message, zero on axes without an alarm."""
+        ...
+
+    def revise(self, status: Any, stamp_ns: int, fault: NDArray[np.float64], certain: float) -> None:
+        """Put another fault (3,) [rad] into a status message; beyond ``certain`` [rad] an axis is faulty."""
+        ...
+
+
+class LastWords:
+    """What both observers said last.
 
     Parameters
     ----------
-    decode : callable
-        Sample of a serialised imu/data.
-    states : callable
-        State of each axis, of a serialised fault/status.
-    message : callable
-        Message of a serialised fault/status.
+    reader : StatusReader
     """
 
-    def __init__(
-        self,
-        decode: Callable[[bytes], ImuSample],
-        states: Callable[[bytes], tuple[int, ...]],
-        message: Callable[[bytes], Any],
-    ) -> None:
-        self._decode, self._states, self._message = decode, states, message
+    def __init__(self, reader: StatusReader) -> None:
+        self._reader = reader
         self._faults: list[NDArray[np.float64]] = []
         self._since_ns = 0
         self._raws: deque[tuple[int, bytes]] = deque(maxlen=DEPTH)
         self._newest: tuple[int, ImuSample] | None = None
         self._status: bytes | None = None
 
-    def raw(self, stamp_ns: int, data: bytes) -> None:
+    def note_raw(self, stamp_ns: int, data: bytes) -> None:
         """Note imu/data [stamp in ns], serialised."""
         self._raws.append((stamp_ns, data))
 
-    def corrected(self, stamp_ns: int, imu: ImuSample) -> None:
+    def note_corrected(self, stamp_ns: int, imu: ImuSample) -> None:
         """Note imu/corrected that is in use [stamp in ns]."""
         self._newest = stamp_ns, imu
 
-    def status(self, stamp_ns: int, data: bytes) -> None:
-        """Note fault/status [stamp in ns], serialised."""
+    def note_status(self, data: bytes) -> None:
+        """Note fault/status, serialised."""
         self._status = data
 
     @property
     def starting(self) -> bool:
-        """Whether the fault observer says that it has not converged on some axis, or nothing readable."""
+        """Whether the fault observer says that an axis has not converged, or nothing readable."""
         if self._status is None:
             return False
         try:
-            return STARTING in self._states(self._status)
+            return STARTING in self._reader.states(self._status)
         except ValueError:
             return True
 
-    def fault(self, stamp_ns: int, read: ImuSample, flown: ImuSample) -> NDArray[np.float64] | None:
+    def average_fault(
+        self, stamp_ns: int, read: ImuSample, flown: ImuSample
+    ) -> NDArray[np.float64] | None:
         """Note a sample of imu/data [stamp in ns] and what is flown on in its place.
 
         Returns
@@ -97,11 +112,11 @@ class Keeper:
         self._faults.clear()
         return mean
 
-    def last_words(self, now_ns: int) -> tuple[Any, int, NDArray[np.float64]] | None:
+    def recall(self, now_ns: int) -> tuple[Any, int, NDArray[np.float64]] | None:
         """Return the last status (message), its stamp [ns] and the correction of the gyro [rad/s] (3,).
 
-        None if there is none that would help at a sample of imu/data [stamp in ns]: nothing has been heard,
-        the observer was starting, or there was no imu/data for so long that all laws start anew.
+        None if nothing helps at a sample of imu/data [stamp in ns]: nothing was heard, the observer was
+        starting, or imu/data was missing for so long that all laws restart.
         """
         if self._status is None or self._newest is None or self.starting:
             return None
@@ -112,7 +127,7 @@ class Keeper:
         if data is None:
             return None
         try:
-            raw, status = self._decode(data), self._message(self._status)
+            raw, status = self._reader.imu(data), self._reader.status(self._status)
         except ValueError:
             return None
         known = raw.rate_valid and corrected.rate_valid

@@ -1,0 +1,221 @@
+"""What the controller decides in flight: which IMU it flies on, what it commands, what it keeps for others.
+
+The order of a step, for each sample that comes:
+
+1. `InputMonitor` says which IMU is used and whether the disturbance estimate is trusted (the mode);
+2. `Transfer` makes the change from one IMU to another continuous;
+3. the control law gives the torque;
+4. `LastWords` keeps what both observers said last, for observers that restart.
+
+Pure: samples and stamps come in, a `Command` comes out, and `kept` collects what is to be published beside it.
+The node `quadftc_control.controller_node` connects this to topics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_control.controller import Controller, nothing_but, stepper_of
+from quadftc_control.input_monitor import HeldTorque, InputMonitor, Mode, Patience
+from quadftc_control.last_words import LastWords, StatusReader
+from quadftc_control.transfer import Transfer
+from quadftc_model.samples import (
+    AttitudeReference,
+    ControllerInputs,
+    ControllerOutput,
+    ImuSample,
+    is_usable,
+    sanitised,
+)
+from quadftc_model.stepper import seconds
+
+Vector = NDArray[np.float64]
+
+
+class Command(NamedTuple):
+    """What the controller commands for a sample."""
+
+    stamp_ns: int
+    output: ControllerOutput
+    mode: Mode
+
+
+class Kept(NamedTuple):
+    """Something to publish for observers that restart; ``what`` is fault, gyro or disturbance."""
+
+    what: str
+    stamp_ns: int
+    value: Any  # a status message for fault, else an array (3,)
+
+
+class FlightManager:
+    """Flies one vehicle on whatever comes.
+
+    Parameters
+    ----------
+    law : Controller
+        For when there is a disturbance estimate.
+    patience : Patience
+    reader : StatusReader
+        Reads the serialised messages that are only kept.
+    count : callable
+        Gets the reason when an input or output cannot be used.
+    """
+
+    def __init__(
+        self, law: Controller, patience: Patience, reader: StatusReader, count: Callable[[str], None]
+    ) -> None:
+        self._law, self._count, self._reader = law, count, reader
+        self._torque = np.zeros(3)  # last command [N m]
+        self._stepper = stepper_of(law, lambda: self._torque)
+        self._monitor, self._transfer = InputMonitor(patience), Transfer(patience)
+        self._last_words = LastWords(reader)
+        self._held = HeldTorque()
+        self._status: Any = None  # last status of an observer that is silent, if it helps one that restarts
+        self._mode: Mode | None = None
+        self._stamp_ns = 0  # of the last command
+        self._watched_ns, self._silent_since_ns = 0, 0
+        self._missing = 0.0  # share of the disturbance estimate that is missing
+        self._trusted, self._estimate = False, (0, np.zeros(3))  # the last estimate, with its stamp
+        self.reference: AttitudeReference | None = None
+        self.reference_ns = 0
+        self.kept: list[Kept] = []  # to be published, oldest first; whoever publishes it clears it
+
+    def configure(self, law: Controller, patience: Patience) -> None:
+        """Change parameters in flight."""
+        self._law, self._stepper.law = law, law.without_estimate(self._missing)
+        self._monitor.patience = self._transfer.patience = patience
+
+    def restart(self) -> None:
+        """Take the next sample for the first of a flight."""
+        self._stepper.reset()
+        self._transfer.reset()
+
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the last command [ns]; 0 before the first."""
+        return self._stamp_ns
+
+    def take_reference(self, stamp_ns: int, reference: AttitudeReference) -> AttitudeReference | None:
+        """Note a reference; return the last usable one."""
+        if is_usable(*reference):
+            self.reference, self.reference_ns = reference, stamp_ns
+        else:
+            self._count("attitude/reference: not finite")
+        return self.reference
+
+    def take_disturbance(self, stamp_ns: int, disturbance: Vector) -> Vector:
+        """Note a disturbance estimate (3,) [rad/s²]; return it, or zero if it cannot be used."""
+        if not is_usable(disturbance):
+            self._count("disturbance/estimate: not finite")
+            return np.zeros(3)
+        self._monitor.estimated(stamp_ns, disturbance)
+        self._estimate = stamp_ns, disturbance
+        return disturbance
+
+    def take_status(self, stamp_ns: int, data: bytes) -> None:
+        """Note fault/status, serialised."""
+        self._last_words.note_status(data)
+
+    def take_corrected(self, stamp_ns: int, imu: ImuSample) -> Command | None:
+        """Fly on a sample of imu/corrected, unless it is late or its observer is not trusted yet."""
+        clean = sanitised(imu)
+        if not clean.attitude_valid:
+            self._count("imu/corrected: no attitude")
+        elif self._monitor.is_late(stamp_ns):
+            self._count("imu/corrected: late")
+        elif self._monitor.use_corrected(stamp_ns, self._monitor.undiagnosed and self._last_words.starting):
+            self._last_words.note_corrected(stamp_ns, clean)
+            return self._fly_on(stamp_ns, clean, Mode.FULL)
+        return None
+
+    def needs_raw(self, stamp_ns: int, data: bytes) -> bool:
+        """Note imu/data, serialised; return whether to fly on it: pass it to `take_raw`, then."""
+        self._last_words.note_raw(stamp_ns, data)
+        had_diagnosis = not self._monitor.undiagnosed
+        needed = self._monitor.use_raw(stamp_ns)
+        if needed and had_diagnosis:
+            self._lose_diagnosis(stamp_ns)
+        return needed
+
+    def take_raw(self, stamp_ns: int, imu: ImuSample) -> Command | None:
+        """Fly on a sample of imu/data, without diagnosis."""
+        clean = sanitised(imu)
+        if not clean.attitude_valid:
+            self._count("imu/data: no attitude")
+            return None
+        return self._fly_on(stamp_ns, clean, Mode.NO_DIAGNOSIS)
+
+    def watch(self, now_ns: int) -> Command | None:
+        """Act when samples have stopped coming, by a clock [ns]: hold the torque, later command zero."""
+        if self._stamp_ns != self._watched_ns:
+            self._watched_ns, self._silent_since_ns = self._stamp_ns, now_ns
+        mode = self._monitor.silence(seconds(now_ns - self._silent_since_ns))
+        if mode is Mode.FULL or not self._stamp_ns:
+            return None
+        torque = self._held.mean if mode is Mode.HOLD else np.zeros(3)
+        return self._command(self._stamp_ns, nothing_but(torque), mode)
+
+    def fly(self, stamp_ns: int, inputs: ControllerInputs, mode: Mode = Mode.FULL) -> Command | None:
+        """Step the law; None for a stamp that is refused (repeated, or earlier than the last)."""
+        replaced = self._stepper.replaced
+        output = self._stepper.step(stamp_ns, inputs)
+        if output is None:
+            return None
+        if self._stepper.replaced > replaced:
+            self._count("the controller gave no number: the last torque is held")
+        self._held.add(stamp_ns, output.torque)
+        return self._command(stamp_ns, output, mode)
+
+    def _fly_on(self, stamp_ns: int, imu: ImuSample, mode: Mode) -> Command | None:
+        """Fly on a clean sample, with the latest of all else."""
+        if self.reference is None:
+            self._count("no attitude/reference yet")
+            return None
+        if not self._stepper.timing(stamp_ns).accepted:
+            return None  # repeated: imu/corrected of a sample that imu/data has served already
+        if self._mode is Mode.OFF and not self._monitor.is_back(stamp_ns):
+            return self._command(stamp_ns, nothing_but(np.zeros(3)), Mode.OFF)
+        # The disturbance estimate fades when it gets old; the switching gain takes over its share.
+        disturbance, share, trusted = self._monitor.disturbance_at(stamp_ns)
+        if not trusted:
+            mode = Mode.NO_DISTURBANCE_ESTIMATE if mode is Mode.FULL else mode
+            if self._trusted:
+                self.kept.append(Kept("disturbance", *self._estimate))
+        self._trusted = trusted
+        if self._missing != 1.0 - share:
+            self._missing = 1.0 - share
+            self._stepper.law = self._law.without_estimate(self._missing)
+        # What is flown on goes over from one IMU to the other without a jump.
+        flown = self._transfer.used(stamp_ns, imu, mode is Mode.NO_DIAGNOSIS)
+        if mode is Mode.NO_DIAGNOSIS:
+            self._keep_fault(stamp_ns, imu, flown)
+        return self.fly(stamp_ns, ControllerInputs(flown, self.reference, disturbance), mode)
+
+    def _lose_diagnosis(self, stamp_ns: int) -> None:
+        """Keep what a fault observer that restarts needs, and tell the transfer what is known of imu/data."""
+        words, self._status = self._last_words.recall(stamp_ns), None
+        self._transfer.expect(None, None)
+        if words is None:
+            return
+        self._status, last_ns, correction = words
+        fault = self._reader.faulty_part(self._status)
+        self._transfer.expect(correction, fault if fault.any() and is_usable(fault) else None)
+        self.kept += [Kept("gyro", last_ns, correction), Kept("fault", last_ns, self._status)]
+
+    def _keep_fault(self, stamp_ns: int, read: ImuSample, flown: ImuSample) -> None:
+        """Keep what the fault has become, as far as that shows without a diagnosis."""
+        if self._status is None or not self._transfer.known:
+            return
+        fault = self._last_words.average_fault(stamp_ns, read, flown)
+        if fault is not None:
+            self._reader.revise(self._status, stamp_ns, fault, self._monitor.patience.jump)
+            self.kept.append(Kept("fault", stamp_ns, self._status))
+
+    def _command(self, stamp_ns: int, output: ControllerOutput, mode: Mode) -> Command:
+        self._torque, self._stamp_ns, self._mode = output.torque, stamp_ns, mode
+        return Command(stamp_ns, output, mode)
