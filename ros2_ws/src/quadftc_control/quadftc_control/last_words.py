@@ -89,9 +89,7 @@ class LastWords:
         except ValueError:
             return True
 
-    def average_fault(
-        self, stamp_ns: int, read: ImuSample, flown: ImuSample
-    ) -> NDArray[np.float64] | None:
+    def average_fault(self, stamp_ns: int, read: ImuSample, flown: ImuSample) -> NDArray[np.float64] | None:
         """Note a sample of imu/data [stamp in ns] and what is flown on in its place.
 
         Returns

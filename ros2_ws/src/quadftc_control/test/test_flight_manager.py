@@ -1,0 +1,126 @@
+"""The flight manager: what is flown on and what is kept, input by input, without ROS."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from quadftc_control.controller import controllers
+from quadftc_control.flight_manager import FlightManager
+from quadftc_control.input_monitor import Mode, Patience
+from quadftc_model.rotations import quaternion_from_euler
+from quadftc_model.samples import AttitudeReference, level_sample
+from quadftc_model.vehicle import load_vehicle
+
+PERIOD_NS = 4_000_000
+FAULT = np.array([0.05, 0.0, 0.0])
+BIAS = np.array([0.0, 0.01, 0.0])
+
+
+class Reader:
+    """Messages as Python objects: a sample for imu/data, a list [fault] for fault/status."""
+
+    def __init__(self, state=1):
+        self.state = state
+
+    def imu(self, data):
+        return data
+
+    def states(self, data):
+        return (self.state,) * 3
+
+    def status(self, data):
+        return list(data)
+
+    def faulty_part(self, status):
+        return status[0]
+
+    def revise(self, status, stamp_ns, fault, certain):
+        status[0] = fault
+
+
+class Flight:
+    """A manager with samples to feed it; imu/data is off by a fault and a gyro bias."""
+
+    def __init__(self, **patience):
+        law = controllers.get("ismc")(vehicle=load_vehicle("qball_x4"))
+        self.counted = []
+        self.manager = FlightManager(law, Patience(**patience), Reader(), self.counted.append)
+        self.stamp_ns = 0
+        self.healthy = level_sample()
+        self.raw = level_sample()._replace(q_xyzw=quaternion_from_euler(FAULT), body_rate=BIAS)
+
+    def next(self, corrected=True, disturbance=True):
+        """Feed one sample; return the command, or None."""
+        manager = self.manager
+        self.stamp_ns += PERIOD_NS
+        zeros = np.zeros(3)
+        manager.take_reference(self.stamp_ns, AttitudeReference(zeros, zeros, zeros))
+        manager.take_status(self.stamp_ns, [FAULT])
+        if disturbance:
+            manager.take_disturbance(self.stamp_ns, np.array([1.0, 2.0, 3.0]))
+        command = manager.take_raw(self.stamp_ns, self.raw) if self._needs_raw() else None
+        return manager.take_corrected(self.stamp_ns, self.healthy) if corrected else command
+
+    def _needs_raw(self):
+        return self.manager.needs_raw(self.stamp_ns, self.raw)
+
+
+@pytest.fixture
+def flight():
+    started = Flight()
+    for _ in range(30):
+        assert started.next().mode is Mode.FULL
+    return started
+
+
+def test_third_sample_without_corrected_imu_is_flown_on_the_raw_one(flight):
+    modes = [command and command.mode for command in (flight.next(corrected=False) for _ in range(4))]
+    assert modes == [None, None, Mode.NO_DIAGNOSIS, Mode.NO_DIAGNOSIS]
+
+
+def test_lost_diagnosis_is_kept_with_gyro_bias_and_fault_and_the_fault_is_taken_off(flight):
+    for _ in range(3):
+        command = flight.next(corrected=False)
+    gyro, fault = flight.manager.kept
+    assert (gyro.what, fault.what) == ("gyro", "fault")
+    assert gyro.stamp_ns == fault.stamp_ns == 30 * PERIOD_NS
+    np.testing.assert_allclose(gyro.value, -BIAS)
+    assert np.max(np.abs(command.output.error)) < 1e-3  # not 0.05 rad, the fault of imu/data
+
+
+def test_while_the_fault_is_taken_off_its_size_is_published_twenty_times_a_second(flight):
+    for _ in range(3):
+        flight.next(corrected=False)
+    flight.manager.kept.clear()
+    for _ in range(50):  # 0.2 s
+        flight.next(corrected=False)
+    assert [kept.what for kept in flight.manager.kept] in (["fault"] * 3, ["fault"] * 4)
+    np.testing.assert_allclose(flight.manager.kept[-1].value[0], FAULT, atol=1e-3)
+
+
+def test_old_disturbance_estimate_is_kept_once_and_the_mode_says_so(flight):
+    modes = {flight.next(disturbance=False).mode for _ in range(20)}
+    assert modes == {Mode.FULL, Mode.NO_DISTURBANCE_ESTIMATE}
+    (kept,) = flight.manager.kept
+    assert (kept.what, kept.stamp_ns) == ("disturbance", 30 * PERIOD_NS)
+    np.testing.assert_array_equal(kept.value, [1.0, 2.0, 3.0])
+
+
+def test_silence_holds_the_torque_then_commands_zero(flight):
+    flight.manager.watch(0)
+    assert flight.manager.watch(50_000_000) is None
+    assert flight.manager.watch(200_000_000).mode is Mode.HOLD
+    off = flight.manager.watch(600_000_000)
+    assert off.mode is Mode.OFF
+    assert not off.output.torque.any()
+    assert flight.next().mode is Mode.OFF  # one sample is not enough to fly again
+
+
+@pytest.mark.parametrize("size", [np.nan, np.inf, 2e6])
+def test_unusable_inputs_are_counted_and_not_used(flight, size):
+    bad = np.full(3, size)
+    before = flight.manager.reference
+    assert flight.manager.take_reference(0, AttitudeReference(bad, bad, bad)) is before
+    assert not flight.manager.take_disturbance(0, bad).any()
+    assert len(flight.counted) == 2
