@@ -7,8 +7,8 @@ The order of a step, for each sample that comes:
 3. the control law gives the torque;
 4. `LastWords` keeps what both observers said last, for observers that restart.
 
-Pure: samples and stamps come in, a `Command` comes out, and `kept` collects what is to be published beside it.
-The node `quadftc_control.controller_node` connects this to topics.
+Pure: samples and stamps come in, a `Command` comes out, and `kept` collects what is published beside it. The
+node `quadftc_control.controller_node` connects this to topics.
 """
 
 from __future__ import annotations

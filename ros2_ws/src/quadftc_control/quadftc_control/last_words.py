@@ -46,7 +46,7 @@ class StatusReader(Protocol):
         """Return the estimate (3,) [rad] of a status message, zero on axes without an alarm."""
         ...
 
-    def revise(self, status: Any, stamp_ns: int, fault: NDArray[np.float64], certain: float) -> None:
+    def revise(self, status: Any, /, stamp_ns: int, fault: NDArray[np.float64], certain: float) -> None:
         """Put another fault (3,) [rad] into a status message; beyond ``certain`` [rad] an axis is faulty."""
         ...
 

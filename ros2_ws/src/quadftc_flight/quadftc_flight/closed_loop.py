@@ -29,7 +29,7 @@ from quadftc_model.samples import (
 )
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_sim.assembly import EPOCH_NS, injector_from, sample_count, simulator_from
-from quadftc_sim.injection import Injected
+from quadftc_sim.injector import Injected
 from quadftc_sim.simulator import Emission
 
 Floats = NDArray[np.float64]

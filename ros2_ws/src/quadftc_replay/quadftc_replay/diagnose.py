@@ -14,7 +14,7 @@ from quadftc_flight.flight import NO_STATE, VECTORS, Flight, onset_ns
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import FaultEstimate, ImuSample
 from quadftc_replay.recording import Floats, Recording
-from quadftc_sim.injection import FaultInjector, Injected
+from quadftc_sim.injector import FaultInjector, Injected
 
 Progress = Callable[[float], None]  # called with the share of the samples that are done
 STRIDE = 256  # samples between two calls

@@ -16,7 +16,8 @@ from quadftc_flight.scenario.yaml_document import Document, Problem, read_docume
 from quadftc_model.hints import nearest
 from quadftc_model.spec import parse_spec
 from quadftc_sim.assembly import injection_from
-from quadftc_sim.injection import RESERVED, FaultInjector, Injection
+from quadftc_sim.injection import RESERVED, Injection
+from quadftc_sim.injector import FaultInjector
 
 
 def faults_from(files: Iterable[Path], specs: Iterable[str]) -> tuple[Fault, ...]:

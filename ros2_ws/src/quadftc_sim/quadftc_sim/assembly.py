@@ -12,7 +12,8 @@ from quadftc_model.assembly import NodeParameters, build_named, build_prefixed, 
 from quadftc_model.parameters import build
 from quadftc_model.spec import parse_spec
 from quadftc_sim.disturbance import Disturbance, disturbances
-from quadftc_sim.injection import FaultInjector, Injection, make_injection
+from quadftc_sim.injection import Injection, make_injection
+from quadftc_sim.injector import FaultInjector
 from quadftc_sim.plant import Plant
 from quadftc_sim.sensors import ImuSensor
 from quadftc_sim.simulator import Simulator

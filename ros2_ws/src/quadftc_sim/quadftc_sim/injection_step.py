@@ -1,7 +1,6 @@
-"""Fault injection as a pure step with explicit state, for many flights at once.
+"""Fault injection as a pure step with explicit state, for one vehicle or many flights at once.
 
-The same faults act in the same order as in :class:`quadftc_sim.injection.FaultInjector`, which serves one
-vehicle, takes injections at run time and leaves out what does not act now.
+`quadftc_sim.injector.FaultInjector` runs it for one vehicle whose injections come and go.
 """
 
 from __future__ import annotations
@@ -31,10 +30,13 @@ class InjectionState(NamedTuple):
 
 
 class Faulty(NamedTuple):
-    """A sample with its faults."""
+    """A sample with its faults, and the truth about them; NaN where a channel is not a number."""
 
     sample: ImuSample
-    attitude: Array  # (..., 3) true fault of the attitude [rad]; NaN where the channel is no number
+    present: Array  # (...,) bool; False: the sample is withheld
+    attitude: Array  # (..., 3) true fault of the attitude [rad]
+    gyro: Array  # (..., 3) [rad/s]
+    accelerometer: Array  # (..., 3) [m/s²]
 
 
 def begin(injections: Sequence[Injection], sample: ImuSample) -> tuple[InjectionState, ...]:
@@ -59,7 +61,7 @@ def inject(
     Parameters
     ----------
     injections, states : sequences
-        Injections on the channel ``imu`` are left out: whether a sample is withheld depends on no flight.
+        They act in their order.
     sample : ImuSample
     time, dt : array (...,), float
         Scenario time and time since the sample before [s].
@@ -68,23 +70,28 @@ def inject(
     """
     xp = namespace(sample.q_xyzw)
     angles = euler_from_quaternion(sample.q_xyzw)
-    values = {"attitude": angles, "gyro": sample.body_rate, "accelerometer": sample.specific_force}
+    values = {
+        "attitude": angles,
+        "gyro": sample.body_rate,
+        "accelerometer": sample.specific_force,
+        "imu": xp.zeros_like(sample.body_rate),
+    }
     there = {
         "attitude": sample.attitude_valid,
         "gyro": sample.rate_valid,
         "accelerometer": sample.force_valid,
+        "imu": xp.ones_like(sample.rate_valid),
     }
-    turned = xp.zeros_like(sample.attitude_valid)
+    turned = xp.zeros_like(sample.attitude_valid)  # whether a fault acts on the attitude
+    time = xp.asarray(time)
     new_states: list[InjectionState] = []
     for injection, state, draw in zip(injections, states, draws, strict=True):
         channel = injection.channel
-        if channel == "imu":
-            new_states.append(state)
-            continue
         healthy = values[channel]
         zeros = xp.zeros_like(healthy)
         inputs = FaultInputs(healthy, time - injection.start, *(draw or (zeros, zeros)))
         acts = (injection.start <= time) & (time < injection.stop)
+        # A fault with a memory, such as a delay, sees the samples before its onset too.
         runs = acts | (time < injection.start) if injection.law.has_memory else acts
         before = chosen(state.begun, state.fault, injection.law.init(healthy))
         after, output = injection.law.step(before, inputs, dt)
@@ -92,6 +99,7 @@ def inject(
         values[channel] = xp.where(acts[..., None] & injection.mask, output.value, healthy)
         there[channel] = there[channel] & (output.valid | ~acts)
         turned = turned | acts if channel == "attitude" else turned
+    # An attitude without a fault is kept as it is: a detour by Euler angles would round it.
     faulty = ImuSample(
         xp.where(turned[..., None], quaternion_from_euler(values["attitude"]), sample.q_xyzw),
         values["gyro"],
@@ -100,8 +108,13 @@ def inject(
         there["gyro"],
         there["accelerometer"],
     )
-    fault = xp.where(turned[..., None], wrap(values["attitude"] - angles), 0.0)
-    return tuple(new_states), Faulty(faulty, fault)
+    return tuple(new_states), Faulty(
+        faulty,
+        there["imu"],
+        xp.where(turned[..., None], wrap(values["attitude"] - angles), 0.0),
+        values["gyro"] - sample.body_rate,
+        values["accelerometer"] - sample.specific_force,
+    )
 
 
 def _healthy(channel: str, sample: ImuSample) -> Array:
@@ -109,4 +122,6 @@ def _healthy(channel: str, sample: ImuSample) -> Array:
         return sample.body_rate
     if channel == "accelerometer":
         return sample.specific_force
+    if channel == "imu":
+        return namespace(sample.body_rate).zeros_like(sample.body_rate)
     return euler_from_quaternion(sample.q_xyzw)

@@ -8,7 +8,8 @@ import pytest
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import ImuSample
 from quadftc_sim.fault import faults
-from quadftc_sim.injection import AXES, CHANNEL_UNITS, FaultInjector, make_injection
+from quadftc_sim.injection import AXES, CHANNEL_UNITS, make_injection
+from quadftc_sim.injector import FaultInjector
 
 EPOCH = 1_000_000_000  # ns
 ANGLES, RATE, FORCE = np.array([0.1, -0.2, 0.3]), np.array([0.4, 0.5, -0.6]), np.array([0.7, 0.8, 9.8])

@@ -14,7 +14,7 @@ from quadftc_flight.scenario.types import Scenario, Scheme
 from quadftc_model.rotations import body_rates, quaternion_from_euler
 from quadftc_model.samples import AttitudeReference, ImuSample
 from quadftc_sim.assembly import period_ns, sample_count
-from quadftc_sim.injection import FaultInjector
+from quadftc_sim.injector import FaultInjector
 from quadftc_theory.conditions import Bound, Circumstances, Series
 from quadftc_theory.disturbance_conditions import estimation_error
 
