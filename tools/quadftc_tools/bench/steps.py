@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_fdi.assembly import fault_observer_from
-from quadftc_fdi.fault_observer import fault_observers
+from quadftc_fdi.fault_observer import fault_observer_from, fault_observers
 from quadftc_model.samples import FaultObserverInputs, ImuSample
 from quadftc_tools.diagnosis_study.flights import simulated
 from quadftc_tools.diagnosis_study.settings import RATE

@@ -1,12 +1,18 @@
-"""Diagnosis of one vehicle's stream of IMU samples: cleaning, the start, and the fault observer."""
+"""Diagnosis of one vehicle's stream of IMU samples: cleaning, start, resumption, and the fault observer."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
 import numpy as np
-from numpy.typing import NDArray
 
 from quadftc_fdi.fault_observer import FaultObserver, LastWords
+from quadftc_fdi.handover import Handover
+from quadftc_model.arrays import Mask, Vector
 from quadftc_model.samples import (
+    AXES,
     STARTING,
     FaultEstimate,
     FaultObserverInputs,
@@ -14,7 +20,23 @@ from quadftc_model.samples import (
     is_usable,
     sanitised,
 )
-from quadftc_model.stepper import Stepper, Timing
+from quadftc_model.stepper import Stepper, Timing, seconds
+
+
+class KeptDiagnosis(NamedTuple):
+    """The last words of a diagnosis that has died, as others have received them."""
+
+    fault: Vector  # [rad]
+    std_dev: Vector  # [rad]
+    faulty: Mask
+    onset_ns: Sequence[int]  # of each axis [ns]; 0: none
+    gyro_correction: Vector  # [rad/s]
+
+    def at(self, stamp_ns: int) -> LastWords | None:
+        """Return what an observer resumes from at a sample [ns]; None if it is not finite."""
+        ages = [seconds(max(0, stamp_ns - onset)) if onset else 0.0 for onset in self.onset_ns]
+        words = LastWords(self.fault, self.std_dev, self.faulty, np.array(ages), self.gyro_correction)
+        return words if all(np.all(np.isfinite(part)) for part in words) else None
 
 
 class Diagnosis:
@@ -27,6 +49,8 @@ class Diagnosis:
 
     def __init__(self, law: FaultObserver) -> None:
         self._stepper: Stepper[FaultObserverInputs, FaultEstimate] = Stepper(law, _usable_estimate)
+        self._handover = Handover[KeptDiagnosis]()
+        self.resumed = 0  # how often it resumed where another one had died
 
     @property
     def stamp_ns(self) -> int | None:
@@ -47,28 +71,16 @@ class Diagnosis:
         """How many estimates so far could not be used."""
         return self._stepper.replaced
 
-    def reset(self) -> None:
-        """Restart at the next sample."""
+    def restart(self) -> None:
+        """Start at the next sample, without state and last words."""
         self._stepper.reset()
+        self._handover.restart()
 
-    def resume(
-        self, stamp_ns: int, sample: ImuSample, torque: NDArray[np.float64], last: LastWords
-    ) -> FaultEstimate | None:
-        """Diagnose a sample from what another diagnosis has left; None if it needs another sample for that.
+    def offer(self, stamp_ns: int, kept: KeptDiagnosis) -> None:
+        """Offer the last words [stamp in ns] of a diagnosis that has died, to resume from if it has."""
+        self._handover.offer(stamp_ns, kept)
 
-        Parameters
-        ----------
-        stamp_ns, sample, torque
-            As of `step`.
-        last : LastWords
-        """
-        clean = sanitised(sample)
-        if not (clean.attitude_valid and clean.rate_valid and self._stepper.timing(stamp_ns).accepted):
-            return None
-        inputs = FaultObserverInputs(clean, torque)
-        return self._stepper.resume(stamp_ns, inputs, self.law.resumed(inputs, last))
-
-    def step(self, stamp_ns: int, sample: ImuSample, torque: NDArray[np.float64]) -> FaultEstimate | None:
+    def step(self, stamp_ns: int, sample: ImuSample, torque: Vector) -> FaultEstimate | None:
         """Diagnose a sample; None if its stamp is repeated or went back.
 
         Parameters
@@ -81,11 +93,33 @@ class Diagnosis:
             Torque that acted since the sample before [N m].
         """
         clean = sanitised(sample)
-        starts = self._stepper.timing(stamp_ns) in (Timing.FIRST, Timing.RESTART)
-        if starts and not (clean.attitude_valid and clean.rate_valid):
+        inputs = FaultObserverInputs(clean, torque)
+        kept, timing = self._handover.words_for(stamp_ns), self._stepper.timing(stamp_ns)
+        complete = clean.attitude_valid and clean.rate_valid
+        if kept is not None:
+            last = kept.at(stamp_ns)
+            resumes = last is not None and complete and timing.accepted
+            if resumes or last is None:
+                self._handover.close()
+            if last is not None and resumes:
+                self.resumed += 1
+                return self._stepper.resume(stamp_ns, inputs, self.law.resumed(inputs, last))
+        if timing in (Timing.FIRST, Timing.RESTART) and not complete:
             self._stepper.reset()
             return _starting_estimate(clean)
-        return self._stepper.step(stamp_ns, FaultObserverInputs(clean, torque))
+        return self._stepper.step(stamp_ns, inputs)
+
+
+def describe_axes(estimate: FaultEstimate) -> Iterator[tuple[str, int, dict[str, str]]]:
+    """Return name, fault state and values for people of each axis of an estimate."""
+    columns = (each.tolist() for each in estimate[:4])
+    for axis, size, std_dev, state, age in zip(AXES, *columns, strict=True):
+        values = {"size_deg": f"{round(math.degrees(size), 3) + 0.0:.3f}"}  # no -0.000
+        if std_dev >= 0.0:
+            values["sigma_deg"] = f"{math.degrees(std_dev):.3f}"
+        if age >= 0.0:
+            values["age_s"] = f"{age:.2f}"
+        yield axis, state, values
 
 
 def _usable_estimate(inputs: FaultObserverInputs, estimate: FaultEstimate) -> FaultEstimate:
@@ -96,6 +130,6 @@ def _usable_estimate(inputs: FaultObserverInputs, estimate: FaultEstimate) -> Fa
 
 
 def _starting_estimate(clean: ImuSample) -> FaultEstimate:
-    """What is said before the observer has started: no fault is known, the sample passes as it is."""
+    """Return the estimate before the observer has started: no fault is known, the sample passes."""
     unknown = np.full(3, -1.0)
     return FaultEstimate(np.zeros(3), unknown, np.full(3, STARTING, np.uint8), unknown, clean)

@@ -1,4 +1,4 @@
-"""The interface of disturbance observers and their registry."""
+"""The interface of disturbance observers, their registry, and how one runs on a stream of samples."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_model.arrays import Array
+from quadftc_fdi.handover import Handover
+from quadftc_model.arrays import Vector
+from quadftc_model.assembly import NodeParameters, component_from, vehicle_from
 from quadftc_model.parameters import check
 from quadftc_model.registry import Registry
 from quadftc_model.samples import DisturbanceObserverInputs, ImuSample, is_usable, sanitised
@@ -30,30 +32,69 @@ class DisturbanceObserver(abc.ABC):
     def init(self, inputs: DisturbanceObserverInputs) -> Any:
         """Return the state at the first sample."""
 
-    def resumed(self, inputs: DisturbanceObserverInputs, estimate: Array) -> Any:
-        """Return the state with which to go on where another one has left off, at ``estimate`` [rad/s²].
-
-        By default it starts anew.
-        """
+    def resumed(self, inputs: DisturbanceObserverInputs, estimate: Vector) -> Any:
+        """Return the state that resumes from the last estimate [rad/s²] of another; by default a new one."""
         return self.init(inputs)
 
     @abc.abstractmethod
-    def step(self, state: Any, inputs: DisturbanceObserverInputs, dt: float) -> tuple[Any, Array]:
-        """Advance by ``dt`` [s] to a sample (0 at the first one); return the estimate (..., 3) [rad/s²]."""
+    def step(self, state: Any, inputs: DisturbanceObserverInputs, dt: float) -> tuple[Any, Vector]:
+        """Advance by ``dt`` [s] to a sample (0 at the first one); return the estimate [rad/s²]."""
 
 
-def stepper_of(law: DisturbanceObserver) -> Stepper[DisturbanceObserverInputs, Array]:
-    """Run a disturbance observer on a stream: an estimate that cannot be used is zero, and restarts it."""
-    return Stepper(law, lambda _, estimate: estimate if is_usable(estimate) else np.zeros(3))
+class DisturbanceEstimation:
+    """A disturbance observer on a stream. An estimate that cannot be used becomes zero and restarts it."""
 
+    def __init__(self, law: DisturbanceObserver) -> None:
+        self._law = law
+        self._stepper: Stepper[DisturbanceObserverInputs, Vector] = Stepper(
+            law, lambda _, estimate: estimate if is_usable(estimate) else np.zeros(3)
+        )
+        self._handover = Handover[Vector]()
+        self.resumed = 0  # how often it resumed where another one had died
 
-def inputs_of(corrected: ImuSample, torque: Array) -> DisturbanceObserverInputs:
-    """Inputs of a disturbance observer, of a corrected sample and the torque that acted before it [N m]."""
-    clean = sanitised(corrected)
-    return DisturbanceObserverInputs(clean.body_rate, clean.rate_valid, torque)
+    @property
+    def replaced(self) -> int:
+        """How many estimates so far could not be used."""
+        return self._stepper.replaced
+
+    def exchange(self, law: DisturbanceObserver) -> None:
+        """Go on with another observer and the state of the old."""
+        self._law = self._stepper.law = law
+
+    def restart(self) -> None:
+        """Start at the next sample, without state and last words."""
+        self._stepper.reset()
+        self._handover.restart()
+
+    def offer(self, stamp_ns: int, estimate: Vector) -> None:
+        """Offer the last estimate [rad/s², stamp in ns] of an observer that has died, to resume from."""
+        if is_usable(estimate):
+            self._handover.offer(stamp_ns, estimate)
+
+    def step(self, stamp_ns: int, corrected: ImuSample, torque: Vector) -> Vector | None:
+        """Return the estimate [rad/s²] at a corrected sample; None if its stamp is repeated or went back.
+
+        ``torque`` [N m] is the one that acted since the sample before.
+        """
+        clean = sanitised(corrected)
+        inputs = DisturbanceObserverInputs(clean.body_rate, clean.rate_valid, torque)
+        last = self._handover.words_for(stamp_ns)
+        if last is not None and inputs.rate_valid and self._stepper.timing(stamp_ns).accepted:
+            self._handover.close()
+            self.resumed += 1
+            return self._stepper.resume(stamp_ns, inputs, self._law.resumed(inputs, last))
+        return self._stepper.step(stamp_ns, inputs)
 
 
 disturbance_observers: Registry[Any] = Registry(
     "disturbance observer", "quadftc_fdi.disturbance_observers", "quadftc.disturbance_observers"
 )
 register = disturbance_observers.register
+
+
+def disturbance_observer_from(parameters: NodeParameters) -> DisturbanceObserver:
+    """Build the observer from the parameters of its node; ValueError names the one that is wrong.
+
+    They are vehicle, observer (its name), and ``<observer>.<parameter>``. Others are ignored.
+    """
+    return component_from(disturbance_observers, parameters, "observer", vehicle=vehicle_from(parameters))

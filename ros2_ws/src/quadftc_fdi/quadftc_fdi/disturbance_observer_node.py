@@ -1,8 +1,8 @@
 # pyright: basic
 """The disturbance observer node: estimates the disturbance as an angular acceleration.
 
-Inputs: imu/corrected, torque/command; in real time disturbance/kept: started again in flight, it goes on
-from the estimate that the one before has left.
+Inputs: imu/corrected, torque/command; in real time disturbance/kept: restarted in flight, the node resumes
+from the last estimate of the one before.
 Outputs: disturbance/estimate [rad/s²].
 Services: ~/reset (std_srvs/Trigger). A sample whose stamp repeats or goes back is refused and counted.
 """
@@ -16,12 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_fdi.assembly import disturbance_observer_from
-from quadftc_fdi.disturbance_observer import DisturbanceObserver, disturbance_observers, inputs_of, stepper_of
-from quadftc_fdi.handover import Handover
-from quadftc_model.arrays import Array
+from quadftc_fdi.disturbance_observer import (
+    DisturbanceEstimation,
+    disturbance_observer_from,
+    disturbance_observers,
+)
 from quadftc_model.parameters import Value, parameter
-from quadftc_model.samples import DisturbanceObserverInputs, ImuSample, is_usable
+from quadftc_model.samples import DisturbanceObserverInputs, ImuSample, sanitised
 from quadftc_model.stepper import warm_up
 from quadftc_ros.conversions import Floats
 from quadftc_ros.diagnostics import OK
@@ -49,61 +50,39 @@ class DisturbanceObserverNode(GraphNode):
         name = self.settings.values()["observer"]
         self.settings.declare(disturbance_observers.get(name), f"{name}.")
         law = disturbance_observer_from(self.settings.values())
-        self._law: DisturbanceObserver = law
-        self._stepper = stepper_of(law)
+        self._estimation = DisturbanceEstimation(law)
         warm_up(law, DisturbanceObserverInputs(np.zeros(3), np.bool_(True), np.zeros(3)))
-        self.settings.on_change(self._rebuilt)
-        self._publish = self.publishes("disturbance/estimate")
-        self._body = VectorWire(BASE_FRAME)
+        self.settings.on_change(self._rebuild)
+        self._publish, self._body = self.publishes("disturbance/estimate"), VectorWire(BASE_FRAME)
         self._gate = TorqueGate(self.mode, self._on_sample)
-        self.driven_by("imu/corrected", self._gate.put_sample, restart=self._restart, decode=imu_of)
+        restart = self._estimation.restart
+        self.driven_by("imu/corrected", self._gate.put_sample, restart=restart, decode=imu_of)
         self.reads("torque/command", self._on_torque, decode=vector_of)
-        self._handover, self._estimate_kept = Handover(), np.zeros(3)
         if not self.lockstep:
-            self.reads("disturbance/kept", self._on_kept, decode=vector_of)
+            self.reads("disturbance/kept", self._estimation.offer, decode=vector_of)
         self.diagnostics.report("observer", OK, name)
         self.ready()
 
-    def _rebuilt(self, values: Mapping[str, Value]) -> Callable[[], None]:
+    def _rebuild(self, values: Mapping[str, Value]) -> Callable[[], None]:
         law = disturbance_observer_from(values)
-
-        def apply() -> None:
-            self._law = self._stepper.law = law
-
-        return apply
-
-    def _restart(self) -> None:
-        self._stepper.reset()
-        self._handover.forget()
-
-    def _on_kept(self, stamp_ns: int, estimate: Floats) -> None:
-        if is_usable(estimate):
-            self._estimate_kept = estimate
-            self._handover.heard(stamp_ns)
-
-    def _stepped(self, stamp_ns: int, inputs: DisturbanceObserverInputs) -> Array | None:
-        self._handover.sampled(stamp_ns)
-        if self._handover.due() and inputs.rate_valid and self._stepper.timing(stamp_ns).accepted:
-            self._handover.forget_words()
-            self.get_logger().info("goes on from where a disturbance observer has left off")
-            state = self._law.resumed(inputs, self._estimate_kept)
-            return self._stepper.resume(stamp_ns, inputs, state)
-        return self._stepper.step(stamp_ns, inputs)
+        return lambda: self._estimation.exchange(law)
 
     def _on_torque(self, stamp_ns: int, torque: Floats) -> None:
         if not self._gate.put_torque(stamp_ns, torque):
             self.diagnostics.count("torque/command: not finite")
 
-    def _on_sample(self, stamp_ns: int, received: ImuSample, torque: Floats) -> None:
-        inputs, replaced = inputs_of(received, torque), self._stepper.replaced
-        estimate = self._stepped(stamp_ns, inputs)
+    def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats) -> None:
+        replaced, resumed = self._estimation.replaced, self._estimation.resumed
+        estimate = self._estimation.step(stamp_ns, sample, torque)
         if estimate is None:
             self.diagnostics.count("imu/corrected: stamp repeated or went back")
             return
-        if not inputs.rate_valid:
+        if self._estimation.resumed > resumed:
+            self.get_logger().info("resumes from the last estimate of a disturbance observer")
+        if not sanitised(sample).rate_valid:
             self.diagnostics.count("imu/corrected: body rate absent or unusable")
-        if self._stepper.replaced > replaced:
-            self.diagnostics.count("the observer gave no number: it starts anew")
+        if self._estimation.replaced > replaced:
+            self.diagnostics.count("the estimate was unusable: the observer restarts")
         self._publish(self._body(stamp_ns, estimate))
         self.sampled(stamp_ns)
 

@@ -1,4 +1,4 @@
-"""The interface of fault observers and their registry."""
+"""The interface of fault observers, and their registry."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import abc
 import dataclasses
 from typing import Any, NamedTuple
 
-from quadftc_model.arrays import Array
+from quadftc_model.arrays import Mask, Vector
+from quadftc_model.assembly import NodeParameters, component_from, vehicle_from
 from quadftc_model.parameters import check
 from quadftc_model.registry import Registry
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
@@ -17,19 +18,19 @@ from quadftc_model.vehicle import Vehicle
 class LastWords(NamedTuple):
     """What an observer knew that has died, as far as others have heard it."""
 
-    fault: Array  # (..., 3) attitude fault [rad]
-    std_dev: Array  # (..., 3) its standard deviation [rad]; -1: not known
-    faulty: Array  # (..., 3) bool: a fault was confirmed and had not ended
-    since: Array  # (..., 3) time since its onset, now [s]; 0 where there was none
-    gyro_correction: Array  # (..., 3) what it added to the gyro [rad/s]: minus the bias
+    fault: Vector  # attitude fault [rad]
+    std_dev: Vector  # its standard deviation [rad]; -1: not known
+    faulty: Mask  # a fault was confirmed and had not ended
+    since: Vector  # time since its onset, now [s]; 0 where there was none
+    gyro_correction: Vector  # what it added to the gyro [rad/s]: minus the bias
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class FaultObserver(abc.ABC):
     """Base of all fault observers: from IMU samples and torques to an estimate of the attitude fault.
 
-    ``init`` and ``step`` take arrays with any leading axes; a sample whose attitude or rate is marked invalid
-    is bridged.
+    ``init`` and ``step`` take arrays with any leading axes. They bridge a sample whose attitude or rate is
+    marked invalid.
     """
 
     vehicle: Vehicle
@@ -43,10 +44,9 @@ class FaultObserver(abc.ABC):
         """Return the state at the first sample."""
 
     def resumed(self, inputs: FaultObserverInputs, last: LastWords) -> Any:
-        """Return the state with which to go on at a sample where another one of this kind has left off.
+        """Return the state that resumes at a sample where another observer of this kind has died.
 
-        The fault that was there is taken to be there still; by default the observer starts at the attitude
-        without it.
+        Its fault is assumed to last; by default the observer starts at the attitude without it.
         """
         return self.init(without_fault(inputs, last.fault))
 
@@ -55,8 +55,8 @@ class FaultObserver(abc.ABC):
         """Advance by ``dt`` [s] to a sample; 0 at the first one."""
 
 
-def without_fault(inputs: FaultObserverInputs, fault: Array) -> FaultObserverInputs:
-    """Inputs whose attitude is what the sensor would read without a fault (..., 3) [rad]."""
+def without_fault(inputs: FaultObserverInputs, fault: Vector) -> FaultObserverInputs:
+    """Inputs with the attitude that the sensor would read without a fault [rad]."""
     angles = euler_from_quaternion(inputs.imu.q_xyzw) - fault
     return inputs._replace(imu=inputs.imu._replace(q_xyzw=quaternion_from_euler(angles)))
 
@@ -65,3 +65,11 @@ fault_observers: Registry[Any] = Registry(
     "fault observer", "quadftc_fdi.fault_observers", "quadftc.fault_observers"
 )
 register = fault_observers.register
+
+
+def fault_observer_from(parameters: NodeParameters) -> FaultObserver:
+    """Build the observer from the parameters of its node; ValueError names the one that is wrong.
+
+    They are vehicle, observer (its name), and ``<observer>.<parameter>``. Others are ignored.
+    """
+    return component_from(fault_observers, parameters, "observer", vehicle=vehicle_from(parameters))

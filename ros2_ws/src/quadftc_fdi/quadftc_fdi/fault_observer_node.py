@@ -2,7 +2,7 @@
 """The fault observer node: estimates the attitude fault and publishes the corrected IMU.
 
 Inputs: imu/data; torque/command (observer (16) of the paper needs the torque that acted). In real time
-fault/kept and gyro/kept: started again in flight, it goes on from where the one before has left off.
+fault/kept and gyro/kept: restarted in flight, the node resumes where the one before has died.
 Outputs: imu/corrected, fault/estimate, fault/status.
 Services: ~/reset (std_srvs/Trigger). A sample whose stamp repeats or goes back is refused and counted.
 """
@@ -10,7 +10,6 @@ Services: ~/reset (std_srvs/Trigger). A sample whose stamp repeats or goes back 
 from __future__ import annotations
 
 import dataclasses
-import math
 import sys
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -18,14 +17,11 @@ from typing import Any
 import numpy as np
 from std_msgs.msg import Header
 
-from quadftc_fdi.assembly import fault_observer_from
-from quadftc_fdi.diagnosis import Diagnosis
-from quadftc_fdi.fault_observer import LastWords, fault_observers
-from quadftc_fdi.handover import Handover
+from quadftc_fdi.diagnosis import Diagnosis, KeptDiagnosis, describe_axes
+from quadftc_fdi.fault_observer import fault_observer_from, fault_observers
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import (
     ALARMS,
-    AXES,
     FAULT_STATE_NAMES,
     HEALTHY,
     STARTING,
@@ -35,7 +31,7 @@ from quadftc_model.samples import (
     level_sample,
     sanitised,
 )
-from quadftc_model.stepper import seconds, warm_up
+from quadftc_model.stepper import warm_up
 from quadftc_ros.conversions import Floats, array_of, stamp_of
 from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.executor import run_node
@@ -63,15 +59,14 @@ class FaultObserverNode(GraphNode):
         self.settings.declare(fault_observers.get(name), f"{name}.")
         self._diagnosis = Diagnosis(fault_observer_from(self.settings.values()))
         warm_up(self._diagnosis.law, FaultObserverInputs(level_sample(), np.zeros(3)))
-        self.settings.on_change(self._rebuilt)
-        self._publish_corrected = self.publishes("imu/corrected")
-        self._publish_estimate = self.publishes("fault/estimate")
-        self._publish_status = self.publishes("fault/status")
-        self._imu, self._earth, self._status = ImuWire(), VectorWire(EARTH_FRAME), FaultStatusWire()
+        self.settings.on_change(self._rebuild)
+        self._publish_corrected, self._imu = self.publishes("imu/corrected"), ImuWire()
+        self._publish_estimate, self._earth = self.publishes("fault/estimate"), VectorWire(EARTH_FRAME)
+        self._publish_status, self._status = self.publishes("fault/status"), FaultStatusWire()
         self._gate = TorqueGate(self.mode, self._on_sample)
-        self.driven_by("imu/data", self._gate.put_sample, restart=self._restart, decode=imu_of)
+        restart = self._diagnosis.restart
+        self.driven_by("imu/data", self._gate.put_sample, restart=restart, decode=imu_of)
         self.reads("torque/command", self._on_torque, decode=vector_of)
-        self._handover = Handover()
         self._gyro_kept: Floats | None = None
         self._status_kept: Any = None
         if not self.lockstep:
@@ -82,57 +77,53 @@ class FaultObserverNode(GraphNode):
         self.diagnostics.report("observer", OK, name)
         self.ready()
 
-    def _rebuilt(self, values: Mapping[str, Value]) -> Callable[[], None]:
+    def _rebuild(self, values: Mapping[str, Value]) -> Callable[[], None]:
         law = fault_observer_from(values)
         return lambda: setattr(self._diagnosis, "law", law)
 
-    def _restart(self) -> None:
-        self._diagnosis.reset()
-        self._handover.forget()
-
     def _on_gyro_kept(self, stamp_ns: int, correction: Floats) -> None:
         self._gyro_kept = correction
-        self._kept(stamp_ns)
+        self._offer(stamp_ns)
 
     def _on_status_kept(self, stamp_ns: int, status: Any) -> None:
         self._status_kept = status
-        self._kept(stamp_ns)
+        self._offer(stamp_ns)
 
-    def _kept(self, stamp_ns: int) -> None:
-        if self._gyro_kept is not None and self._status_kept is not None:
-            self._handover.heard(stamp_ns)
-
-    def _diagnosed(self, stamp_ns: int, sample: ImuSample, torque: Floats) -> FaultEstimate | None:
-        self._handover.sampled(stamp_ns)
-        if self._handover.due() and self._gyro_kept is not None:
-            last = _last_words(self._status_kept, self._gyro_kept, stamp_ns)
-            estimate = None if last is None else self._diagnosis.resume(stamp_ns, sample, torque, last)
-            if estimate is not None or last is None:
-                self._handover.forget_words()
-            if estimate is not None:
-                self.get_logger().info("goes on from where a fault observer has left off")
-                return estimate
-        return self._diagnosis.step(stamp_ns, sample, torque)
+    def _offer(self, stamp_ns: int) -> None:
+        status = self._status_kept
+        if self._gyro_kept is None or status is None:
+            return
+        kept = KeptDiagnosis(
+            fault=array_of(status.estimate),
+            std_dev=array_of(status.std_dev),
+            faulty=np.isin(status.state, ALARMS),
+            onset_ns=[stamp_of(Header(stamp=time)) for time in status.onset],
+            gyro_correction=self._gyro_kept,
+        )
+        self._diagnosis.offer(stamp_ns, kept)
 
     def _on_torque(self, stamp_ns: int, torque: Floats) -> None:
         if not self._gate.put_torque(stamp_ns, torque):
             self.diagnostics.count("torque/command: not finite")
 
     def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats) -> None:
-        replaced = self._diagnosis.replaced
-        estimate = self._diagnosed(stamp_ns, sample, torque)
+        replaced, resumed = self._diagnosis.replaced, self._diagnosis.resumed
+        estimate = self._diagnosis.step(stamp_ns, sample, torque)
         if estimate is None:
             self.diagnostics.count("imu/data: stamp repeated or went back")
             return
+        # others wait for the corrected sample: publish it first
+        self._publish_corrected(self._imu(stamp_ns, estimate.corrected))
+        self._publish_estimate(self._earth(stamp_ns, estimate.fault))
+        self._publish_status(self._status(stamp_ns, estimate))
+        if self._diagnosis.resumed > resumed:
+            self.get_logger().info("resumes where a fault observer has died")
         if self._diagnosis.replaced > replaced:
-            self.diagnostics.count("the observer gave no number: it starts anew")
+            self.diagnostics.count("the estimate was unusable: the observer restarts")
         if not estimate.corrected.rate_valid:
             self.diagnostics.count("imu/data: body rate absent or unusable")
         if not sanitised(sample).attitude_valid:
             self.diagnostics.count("imu/data: attitude absent or unusable")
-        self._publish_corrected(self._imu(stamp_ns, estimate.corrected))  # first, as others wait for it
-        self._publish_estimate(self._earth(stamp_ns, estimate.fault))
-        self._publish_status(self._status(stamp_ns, estimate))
         self._note(estimate)
         self.sampled(stamp_ns)
 
@@ -147,30 +138,9 @@ class FaultObserverNode(GraphNode):
         """Report the fault of each axis of the attitude, if anybody looks for it."""
         if self._estimate is None or self._observer == "none":
             return
-        fault, std_dev, states, ages, _ = self._estimate
-        for axis, size, deviation, state, age in zip(
-            AXES, fault.tolist(), std_dev.tolist(), states.tolist(), ages.tolist(), strict=True
-        ):
-            values = {"size_deg": f"{round(math.degrees(size), 3) + 0.0:.3f}"}  # no -0.000
-            if deviation >= 0.0:
-                values["sigma_deg"] = f"{math.degrees(deviation):.3f}"
-            if age >= 0.0:
-                values["age_s"] = f"{age:.2f}"
+        for axis, state, values in describe_axes(self._estimate):
             level = OK if state in (STARTING, HEALTHY) else WARN
             self.diagnostics.report(f"attitude fault {axis}", level, FAULT_STATE_NAMES[state], **values)
-
-
-def _last_words(status: Any, gyro_correction: Floats, stamp_ns: int) -> LastWords | None:
-    """What fault/kept and gyro/kept say at a sample [ns]; None if it is not finite."""
-    onset = np.array([stamp_of(Header(stamp=time)) for time in status.onset])
-    words = LastWords(
-        fault=array_of(status.estimate),
-        std_dev=array_of(status.std_dev),
-        faulty=np.isin(status.state, ALARMS),
-        since=np.array([seconds(max(0, stamp_ns - time_ns)) if time_ns else 0.0 for time_ns in onset]),
-        gyro_correction=gyro_correction,
-    )
-    return words if all(np.all(np.isfinite(part)) for part in words) else None
 
 
 def main() -> None:

@@ -68,7 +68,7 @@ def test_not_a_number_does_not_reach_the_corrected_sample(diagnosis, channel):
 
 def test_reset_starts_anew_at_the_next_sample(diagnosis):
     diagnosis.step(START, sample(), NO_TORQUE)
-    diagnosis.reset()
+    diagnosis.restart()
     turned = sample(q_xyzw=quaternion_from_euler(ANGLES + 0.5))
     np.testing.assert_allclose(diagnosis.step(START + PERIOD, turned, NO_TORQUE).fault, 0.0, atol=1e-12)
 

@@ -1,9 +1,10 @@
-"""An observer that is started again in flight goes on from where the one before has left off."""
+"""An observer that is restarted in flight resumes where the one before has died."""
 
 import numpy as np
 import pytest
 
 from node_bench import imu_message, vector_message
+from quadftc_fdi.diagnosis import Diagnosis, KeptDiagnosis
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.disturbance_observers.exosystem import Exosystem
 from quadftc_fdi.fault_observer import LastWords, fault_observers
@@ -105,26 +106,44 @@ def test_disturbance_observer_goes_on_from_the_estimate(model):
 
 def test_last_words_are_used_once_by_who_began_after_them():
     handover = Handover()
-    handover.sampled(FIRST_NS)
-    assert not handover.due()
-    handover.heard(FIRST_NS - 3_000_000_000)
-    assert handover.due()
-    handover.forget_words()
-    assert not handover.due()
-    handover.heard(FIRST_NS - 2_999_000_000)  # of the same loss
-    assert not handover.due()
-    handover.heard(FIRST_NS + PERIOD_NS)  # its own
-    handover.sampled(FIRST_NS + 10 * PERIOD_NS)
-    assert not handover.due()
-    handover.sampled(FIRST_NS + 2_000_000_000)  # begins anew, after a gap
-    assert handover.due()
+    assert handover.words_for(FIRST_NS) is None
+    handover.offer(FIRST_NS - 3_000_000_000, "words")
+    assert handover.words_for(FIRST_NS + PERIOD_NS) == "words"
+    handover.close()
+    assert handover.words_for(FIRST_NS + 2 * PERIOD_NS) is None
+    handover.offer(FIRST_NS - 2_999_000_000, "of the same loss")
+    assert handover.words_for(FIRST_NS + 3 * PERIOD_NS) is None
+    handover.offer(FIRST_NS + PERIOD_NS, "its own")
+    assert handover.words_for(FIRST_NS + 10 * PERIOD_NS) is None
+    assert handover.words_for(FIRST_NS + 2_000_000_000) == "its own"  # after a gap it begins after them
 
 
 def test_old_words_are_not_used():
     handover = Handover()
-    handover.heard(FIRST_NS - round((LONGEST + 0.1) * 1e9))
-    handover.sampled(FIRST_NS)
-    assert not handover.due()
+    handover.offer(FIRST_NS - round((LONGEST + 0.1) * 1e9), "words")
+    assert handover.words_for(FIRST_NS) is None
+
+
+KEPT = KeptDiagnosis(WORDS.fault, WORDS.std_dev, WORDS.faulty, (FIRST_NS - 4_000_000_000, 0, 0), -BIAS)
+
+
+def test_diagnosis_resumes_at_the_first_complete_sample_after_the_words():
+    diagnosis, samples = Diagnosis(Supervised(vehicle=QBALL, **SIMULATED)), resting()
+    diagnosis.offer(FIRST_NS - 1_000_000_000, KEPT)
+    blind = level_sample()._replace(attitude_valid=np.bool_(False))
+    estimate = diagnosis.step(FIRST_NS, blind, np.zeros(3))
+    assert (diagnosis.resumed, estimate.state.tolist()) == (0, [STARTING] * 3)
+    estimate = diagnosis.step(FIRST_NS + PERIOD_NS, next(samples).imu, np.zeros(3))
+    assert (diagnosis.resumed, estimate.state[0]) == (1, FAULTY)
+    assert estimate.onset_age[0] == pytest.approx(4.0 + DT)
+
+
+def test_words_that_are_not_finite_are_dropped():
+    diagnosis, samples = Diagnosis(Supervised(vehicle=QBALL, **SIMULATED)), resting()
+    diagnosis.offer(FIRST_NS - 1_000_000_000, KEPT._replace(gyro_correction=np.full(3, np.nan)))
+    for k in range(3):
+        estimate = diagnosis.step(FIRST_NS + k * PERIOD_NS, next(samples).imu, np.zeros(3))
+    assert (diagnosis.resumed, estimate.state.tolist()) == (0, [STARTING] * 3)
 
 
 def test_fault_observer_node_takes_over(bench):

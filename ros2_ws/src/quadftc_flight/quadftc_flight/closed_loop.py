@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from quadftc_control import controller
 from quadftc_control.assembly import controller_from, reference_from
-from quadftc_fdi import disturbance_observer
-from quadftc_fdi.assembly import disturbance_observer_from, fault_observer_from
 from quadftc_fdi.diagnosis import Diagnosis
+from quadftc_fdi.disturbance_observer import DisturbanceEstimation, disturbance_observer_from
+from quadftc_fdi.fault_observer import fault_observer_from
 from quadftc_flight.flight import NO_STATE, VECTORS, Flight, onset_ns
 from quadftc_model.assembly import NodeParameters, get
 from quadftc_model.samples import (
@@ -55,7 +55,7 @@ class Avionics:
 
     def __init__(self, parameters: Mapping[str, NodeParameters]) -> None:
         self._diagnosis = Diagnosis(fault_observer_from(parameters["fault_observer"]))
-        self._disturbance_observer = disturbance_observer.stepper_of(
+        self._disturbance_observer = DisturbanceEstimation(
             disturbance_observer_from(parameters["disturbance_observer"])
         )
         self._reference = reference_from(parameters["reference"])
@@ -72,9 +72,7 @@ class Avionics:
         if estimate is None:
             return None
         corrected = estimate.corrected
-        disturbance = self._disturbance_observer.step(
-            stamp_ns, disturbance_observer.inputs_of(corrected, self.torque)
-        )
+        disturbance = self._disturbance_observer.step(stamp_ns, corrected, self.torque)
         if disturbance is None:
             return None
         reference = self._reference.at(stamp_ns)

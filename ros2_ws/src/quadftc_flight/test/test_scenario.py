@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from quadftc_control.assembly import controller_from, reference_from
-from quadftc_fdi.assembly import disturbance_observer_from, fault_observer_from
+from quadftc_fdi.disturbance_observer import disturbance_observer_from
+from quadftc_fdi.fault_observer import fault_observer_from
 from quadftc_flight.closed_loop import Avionics
 from quadftc_flight.scenario import (
     Scenario,

@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from quadftc_bags.bag import BagError
-from quadftc_fdi.assembly import fault_observer_from
-from quadftc_fdi.fault_observer import FaultObserver, fault_observers
+from quadftc_fdi.fault_observer import FaultObserver, fault_observer_from, fault_observers
 from quadftc_flight.scenario.overrides import parse_value
 from quadftc_model.assembly import get, node_values
 from quadftc_replay.recording import Recording

@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from quadftc_control.assembly import controller_from, reference_from
 from quadftc_control.controller import Controller
 from quadftc_control.reference import Reference
-from quadftc_fdi.assembly import disturbance_observer_from, fault_observer_from
-from quadftc_fdi.disturbance_observer import DisturbanceObserver
-from quadftc_fdi.fault_observer import FaultObserver
+from quadftc_fdi.disturbance_observer import DisturbanceObserver, disturbance_observer_from
+from quadftc_fdi.fault_observer import FaultObserver, fault_observer_from
 from quadftc_model.assembly import NodeParameters, get
 from quadftc_sim.assembly import injector_from, sample_count, simulator_from
 from quadftc_sim.injection import Injection
