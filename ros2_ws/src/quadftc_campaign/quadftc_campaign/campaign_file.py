@@ -2,7 +2,7 @@
 
 name: mems_robustness
 scenario: mems_faults              # by name, or a path relative to this file
-gains: qball_x4_mems               # tuned gains, if any: see quadftc_flight.scenario.gains
+gains: qball_x4_mems               # tuned gains, if any: see quadftc_flight.scenario.files
 set: [duration=60 s]               # values of the scenario that are the same in all flights
 source: {kind: loop}               # loop: the closed loop. Or the fault observer alone, on IMU samples
                                    # with the faults of the scenario (quadftc_campaign.open_loop):
@@ -45,10 +45,20 @@ from quadftc_campaign.tune.cost import TERMS
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_flight.run_directory import NO_OBSERVER
-from quadftc_flight.scenario import Scenario, ScenarioError, changed_document, find_scenario
-from quadftc_flight.scenario.build import build_scenario
-from quadftc_flight.scenario.schema import MAX_SEED, Name, problems_of
-from quadftc_flight.scenario.yaml_document import Document, Keys, Problem, read_document
+from quadftc_flight.scenario import (
+    MAX_SEED,
+    Document,
+    Keys,
+    Name,
+    Problem,
+    Scenario,
+    ScenarioError,
+    build_scenario,
+    changed_document,
+    find_scenario,
+    problems_of,
+    read_document,
+)
 
 MAX_FLIGHTS = 10_000_000
 MAX_CELLS = 10_000

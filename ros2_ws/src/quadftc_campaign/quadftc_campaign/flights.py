@@ -15,11 +15,7 @@ from quadftc_campaign.campaign_file import Campaign, Variant
 from quadftc_campaign.distributions import Value
 from quadftc_campaign.errors import CampaignError
 from quadftc_flight.fault_schedule import FaultEvent
-from quadftc_flight.scenario import Scenario, ScenarioError
-from quadftc_flight.scenario.build import build_scenario
-from quadftc_flight.scenario.overrides import with_values
-from quadftc_flight.scenario.schema import MAX_SEED
-from quadftc_flight.scenario.yaml_document import Document
+from quadftc_flight.scenario import MAX_SEED, Document, Scenario, ScenarioError, build_scenario, with_values
 from quadftc_sim.assembly import period_ns, sample_count
 from quadftc_sim.injection import RESERVED
 

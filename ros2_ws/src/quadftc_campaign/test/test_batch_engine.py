@@ -17,6 +17,7 @@ from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import VECTORS
 from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.scenario import (
+    build_scenario,
     find_scenario,
     load_scenario,
     node_parameters,
@@ -24,7 +25,6 @@ from quadftc_flight.scenario import (
     scenario_names,
     with_seed,
 )
-from quadftc_flight.scenario.build import build_scenario
 from quadftc_model.samples import AXES, STARTING
 from quadftc_sim.fault import faults as fault_kinds
 

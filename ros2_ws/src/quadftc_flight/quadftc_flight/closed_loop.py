@@ -89,7 +89,7 @@ def fly(parameters: Mapping[str, NodeParameters], epoch_ns: int = EPOCH_NS) -> F
     Parameters
     ----------
     parameters : mapping
-        Node name to parameters, as :mod:`quadftc_flight.scenario.node_parameters` compiles them.
+        Node name to parameters, as :mod:`quadftc_flight.scenario.model` compiles them.
     epoch_ns : int
         Stamp of the first sample [ns].
 

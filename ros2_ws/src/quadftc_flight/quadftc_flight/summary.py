@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, cast
 
 from quadftc_flight.flight import Flight
 from quadftc_flight.metrics import entries, flight_metrics, look_up
-from quadftc_flight.scenario.types import Check, Scenario, Scheme
+from quadftc_flight.scenario import Check, Scenario, Scheme
 from quadftc_model.samples import AXES
 
 ROUNDING = 1e-6  # relative; the same metrics on another processor differ by less

@@ -10,7 +10,7 @@ import pytest
 from quadftc_flight.fault_schedule import FaultWindow
 from quadftc_flight.flight import VECTORS, Flight
 from quadftc_flight.metrics import flight_metrics, known_metrics, look_up
-from quadftc_flight.scenario.types import Check
+from quadftc_flight.scenario import Check
 from quadftc_flight.summary import check_results
 from quadftc_model.samples import AXES
 
@@ -165,15 +165,17 @@ def test_a_check_holds_on_every_axis_unless_one_is_named():
     summary = {
         "metrics": {"tracking_rmse_deg": {"roll": 0.05, "pitch": 0.2, "yaw": None}, "max_tilt_deg": 5.0}
     }
-    results = check_results(summary, [Check("tracking_rmse_deg", None, None, 0.1)])
+    results = check_results(summary, [Check(metric="tracking_rmse_deg", below=0.1)])
     assert [(result.axis, result.value, result.passed) for result in results] == [
         ("roll", 0.05, True),
         ("pitch", 0.2, False),
         ("yaw", None, False),  # what has no value fails
     ]
     assert str(results[1]) == "FAILED: tracking_rmse_deg (pitch): 0.2, required below 0.1"
-    (single,) = check_results(summary, [Check("tracking_rmse_deg", "roll", 0.01, 0.1)])
+    (single,) = check_results(
+        summary, [Check(metric="tracking_rmse_deg", axis="roll", above=0.01, below=0.1)]
+    )
     assert single.passed
     assert single.bound == "between 0.01 and 0.1"
-    (scalar,) = check_results(summary, [Check("max_tilt_deg", None, 5.0, None)])
+    (scalar,) = check_results(summary, [Check(metric="max_tilt_deg", above=5.0)])
     assert not scalar.passed  # bounds are exclusive

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from quadftc_bags.bag import BagError
 from quadftc_fdi.fault_observer import FaultObserver, fault_observer_from, fault_observers
-from quadftc_flight.scenario.overrides import parse_value
+from quadftc_flight.scenario import parse_value
 from quadftc_model.assembly import get, node_values
 from quadftc_replay.recording import Recording
 

@@ -9,10 +9,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from quadftc_flight.scenario import Fault
-from quadftc_flight.scenario.parts import PartBuilder
-from quadftc_flight.scenario.schema import ScenarioShape, shape_of
-from quadftc_flight.scenario.yaml_document import Document, Problem, read_document
+from pydantic import BaseModel, ValidationError
+
+from quadftc_flight.scenario import (
+    Fault,
+    Problem,
+    Scenario,
+    ScheduledFault,
+    Setting,
+    keys_of,
+    problems_of,
+    read_document,
+)
 from quadftc_model.hints import nearest
 from quadftc_model.spec import parse_spec
 from quadftc_sim.assembly import injection_from
@@ -66,25 +74,25 @@ def _fault_of(spec: str) -> Fault:
     return Fault(injection, tuple(name for name in parse_spec(spec).values if name not in RESERVED))
 
 
+class _FaultsFile(BaseModel):
+    faults: tuple[ScheduledFault, ...] = ()
+
+
 def _faults_of(file: Path) -> tuple[Fault, ...]:
-    document = read_document(file)
-    builder = PartBuilder(None)
-    faults = builder.faults(document.data.get("faults"))
-    problems = [*_misshapen(document), *builder.problems]
+    document, known = read_document(file), keys_of(Scenario)
+    problems = [
+        Problem((key,), f"unknown key{nearest(key, known)}; expected 'faults', as in a scenario file")
+        for key in document.data
+        if key not in known
+    ]
+    if not document.data.get("faults"):
+        problems.append(
+            Problem((), "no faults; expected the key 'faults' with a list, as in a scenario file")
+        )
+    try:
+        faults = _FaultsFile.model_validate(document.data, context=Setting(document)).faults
+    except ValidationError as error:
+        raise document.error([*problems, *problems_of(error, lambda _: Scenario)]) from None
     if problems:
         raise document.error(problems)
     return faults
-
-
-def _misshapen(document: Document) -> Iterable[Problem]:
-    known = list(ScenarioShape.model_fields)
-    if not document.data.get("faults"):
-        yield Problem((), "no faults; expected the key 'faults' with a list, as in a scenario file")
-    for key in document.data:
-        if key not in known:
-            yield Problem(
-                (key,), f"unknown key{nearest(key, known)}; expected 'faults', as in a scenario file"
-            )
-    for problem in shape_of(document.data)[1]:
-        if problem.path[:1] == ("faults",):
-            yield problem

@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from quadftc_flight.run_directory import RecordedRun
-from quadftc_flight.scenario.types import Scenario, Scheme
+from quadftc_flight.scenario import Scenario, Scheme
 from quadftc_model.vehicle import load_vehicle
 from quadftc_theory.circumstances import circumstances, circumstances_of_run
 from quadftc_theory.conditions import Circumstances, Condition, Trace, judge, judge_along

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from quadftc_control.reference import combined
 from quadftc_flight.run_directory import RecordedRun
-from quadftc_flight.scenario.types import Scenario, Scheme
+from quadftc_flight.scenario import Scenario, Scheme
 from quadftc_model.rotations import body_rates, quaternion_from_euler
 from quadftc_model.samples import AttitudeReference, ImuSample
 from quadftc_sim.assembly import period_ns, sample_count

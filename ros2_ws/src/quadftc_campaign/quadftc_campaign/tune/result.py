@@ -16,8 +16,7 @@ from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.errors import CampaignError
 from quadftc_campaign.tune.cost import Cost, values_of
 from quadftc_campaign.tune.searched_gains import Gains
-from quadftc_flight.scenario import Scenario
-from quadftc_flight.scenario.gains import ROLES, grade_of
+from quadftc_flight.scenario import ROLES, Scenario, grade_of
 from quadftc_model.samples import AXES
 
 Floats = NDArray[np.float64]
@@ -51,7 +50,7 @@ def judged(frame: pl.DataFrame, cost: Cost) -> Judged:
 
 
 def gains_document(scenario: Scenario, scheme: str, gains: Gains) -> dict[str, Any]:
-    """What the file of the gains holds: see `quadftc_flight.scenario.gains`."""
+    """What the file of the gains holds: see `quadftc_flight.scenario.files`."""
     parts: dict[str, dict[str, Any]] = {}
     for name, value in gains.plain().items():
         role, _, parameter = name.partition(".")

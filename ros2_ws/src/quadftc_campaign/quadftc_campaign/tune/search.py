@@ -14,8 +14,7 @@ from quadftc_campaign.errors import CampaignError
 from quadftc_campaign.tune.cost import Cost, cost_from
 from quadftc_campaign.tune.searched_gains import Gains, with_gains
 from quadftc_campaign.tune.slopes_work import Sensitivity
-from quadftc_flight.scenario import ScenarioError
-from quadftc_flight.scenario.build import build_scenario
+from quadftc_flight.scenario import ScenarioError, build_scenario
 from quadftc_theory.checks import check_scenario
 
 Floats = NDArray[np.float64]

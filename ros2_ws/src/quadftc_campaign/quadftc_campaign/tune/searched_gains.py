@@ -12,10 +12,7 @@ from numpy.typing import NDArray
 from quadftc_campaign.batch.parts import numbers_of
 from quadftc_campaign.campaign_file import Campaign, Variant
 from quadftc_campaign.flights import flight
-from quadftc_flight.scenario.gains import ROLES
-from quadftc_flight.scenario.overrides import with_values
-from quadftc_flight.scenario.types import Part, Scheme
-from quadftc_flight.scenario.yaml_document import Problem
+from quadftc_flight.scenario import ROLES, Part, Problem, Scheme, with_values
 from quadftc_model.parameters import parameters_of
 
 Floats = NDArray[np.float64]

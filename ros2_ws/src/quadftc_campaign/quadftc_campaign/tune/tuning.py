@@ -19,7 +19,7 @@ from quadftc_campaign.tune.result import Judged, gains_document, judged, write_g
 from quadftc_campaign.tune.search import Search, Step
 from quadftc_campaign.tune.searched_gains import Gains, gains_of, with_gains
 from quadftc_campaign.tune.slopes_work import Sensitivity, flights_together, sensitivity
-from quadftc_flight.scenario.build import build_scenario
+from quadftc_flight.scenario import build_scenario
 
 
 class Tuned(NamedTuple):

@@ -11,26 +11,66 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from quadftc_flight.scenario.build import build_scenario
-from quadftc_flight.scenario.gains import find_gains, with_gains_of
-from quadftc_flight.scenario.lookup import find_file, folders_named, names_in
-from quadftc_flight.scenario.node_parameters import node_parameters
-from quadftc_flight.scenario.overrides import overridden
-from quadftc_flight.scenario.types import Check, Fault, Part, Scenario, Scheme
-from quadftc_flight.scenario.yaml_document import Document, Keys, ScenarioError, parse_document, read_document
+from quadftc_flight.scenario.components import Fault, Part, Setting
+from quadftc_flight.scenario.document import (
+    ROLES,
+    Document,
+    Keys,
+    Problem,
+    ScenarioError,
+    overridden,
+    parse_document,
+    parse_value,
+    read_document,
+    with_values,
+)
+from quadftc_flight.scenario.files import (
+    find_gains,
+    find_scenario,
+    grade_of,
+    scenario_directories,
+    scenario_names,
+    with_gains_of,
+)
+from quadftc_flight.scenario.model import (
+    MAX_SEED,
+    Check,
+    Name,
+    Scenario,
+    ScheduledFault,
+    Scheme,
+    build_scenario,
+    keys_of,
+    node_parameters,
+    problems_of,
+)
 
 __all__ = [
+    "MAX_SEED",
+    "ROLES",
     "Check",
+    "Document",
     "Fault",
+    "Keys",
+    "Name",
     "Part",
+    "Problem",
     "Scenario",
     "ScenarioError",
+    "ScheduledFault",
     "Scheme",
+    "Setting",
+    "build_scenario",
     "changed_document",
     "find_scenario",
+    "grade_of",
+    "keys_of",
     "load_scenario",
     "node_parameters",
     "parse_scenario",
+    "parse_value",
+    "problems_of",
+    "read_document",
     "scenario_directories",
     "scenario_names",
     "with_controller",
@@ -39,9 +79,8 @@ __all__ = [
     "with_observer",
     "with_rate",
     "with_seed",
+    "with_values",
 ]
-
-SEARCH_PATH = "QUADFTC_SCENARIO_PATH"  # environment variable: directories, separated as in PATH
 
 
 def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = (), gains: str = "") -> Scenario:
@@ -53,7 +92,7 @@ def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = (), g
     overrides : sequence of str
         Values to put in place of the file's: ``seed=3``, ``faults.0.value=2 deg``.
     gains : str
-        Name or path of a file of tuned gains (`quadftc_flight.scenario.gains`); overrides come after them.
+        Name or path of a file of tuned gains (`quadftc_flight.scenario.files`); overrides come after them.
 
     Raises
     ------
@@ -74,29 +113,6 @@ def changed_document(path: Path, overrides: Sequence[str], gains: str = "") -> D
 def parse_scenario(text: str, source: str = "scenario.yaml", overrides: Sequence[str] = ()) -> Scenario:
     """Load a scenario from YAML text, as `load_scenario` does from a file; ``source`` is named in errors."""
     return build_scenario(overridden(parse_document(text, source), overrides))
-
-
-def find_scenario(name_or_path: str) -> Path:
-    """Find a scenario file: by its path, or by its name in one of the `scenario_directories`.
-
-    Raises
-    ------
-    ScenarioError
-        If there is none.
-    """
-    advice = f"give a path, or set {SEARCH_PATH}"
-    return find_file(name_or_path, scenario_directories(), "scenario", advice)
-
-
-def scenario_names() -> tuple[str, ...]:
-    """Return the names of all scenarios that can be found without a path, sorted."""
-    return names_in(scenario_directories())
-
-
-def scenario_directories() -> tuple[Path, ...]:
-    """Return where scenarios are looked for: $QUADFTC_SCENARIO_PATH, ./scenarios, the repository's."""
-    given = [Path(part) for part in os.environ.get(SEARCH_PATH, "").split(os.pathsep) if part]
-    return (*given, *folders_named("scenarios"))
 
 
 def with_rate(scenario: Scenario, rate: float | str) -> Scenario:

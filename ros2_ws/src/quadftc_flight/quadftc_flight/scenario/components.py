@@ -1,0 +1,293 @@
+"""The components that a scenario names: built from what the file says, each mistake reported at its key."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+from pydantic import ValidationError, ValidationInfo
+from pydantic_core import InitErrorDetails, PydanticCustomError
+
+from quadftc_flight.scenario.document import Document
+from quadftc_model.hints import nearest
+from quadftc_model.parameters import build, convert, parameters_of
+from quadftc_model.registry import Registry
+from quadftc_model.samples import AXES
+from quadftc_model.spec import format_spec
+from quadftc_model.vehicle import Vehicle, load_vehicle
+from quadftc_sim.fault import faults
+from quadftc_sim.injection import CHANNEL_UNITS, RESERVED, Injection, make_injection
+from quadftc_sim.plant import Plant
+from quadftc_sim.sensors import GRADES, ImuSensor
+
+T = TypeVar("T")
+
+_LEADING_NAME = re.compile(r"(\w+)(?:: | = )(.*)", re.DOTALL)  # how parameter errors begin
+# what a component may raise on input that it did not foresee, those from outside this repository included
+_REFUSALS = (ValueError, TypeError, ArithmeticError)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Part:
+    """A component: its name, the component itself, and which of its parameters the file gives."""
+
+    kind: str
+    law: Any = dataclasses.field(repr=False)
+    given: tuple[str, ...]
+
+    @property
+    def spec(self) -> str:
+        """The specification, in SI, from which the same component can be built."""
+        return format_spec(self.kind, _given_values(self.law, self.given))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Fault:
+    """A scheduled fault, and which parameters of its law the file gives."""
+
+    injection: Injection
+    given: tuple[str, ...]
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The axes it is on, named as roll, pitch, yaw on every channel."""
+        return tuple(name for name, acts in zip(AXES, self.injection.mask, strict=True) if acts)
+
+    @property
+    def spec(self) -> str:
+        """The specification, in SI, from which the same injection can be made."""
+        injection = self.injection
+        values: dict[str, Any] = {"channel": injection.channel}
+        if len(self.axes) < len(AXES):
+            values["axes"] = self.axes
+        values["start"] = injection.start
+        if math.isfinite(injection.stop):
+            values["stop"] = injection.stop
+        return format_spec(injection.kind, {**values, **_given_values(injection.law, self.given)})
+
+
+def _given_values(law: Any, given: Sequence[str]) -> dict[str, Any]:
+    """Values of the parameters given; one number stands for a vector of equal numbers."""
+    values: dict[str, Any] = {name: getattr(law, name) for name in given}
+    for name, value in values.items():
+        if isinstance(value, tuple) and len(set(cast("tuple[Any, ...]", value))) == 1:
+            values[name] = value[0]
+    return values
+
+
+@dataclasses.dataclass
+class Setting:
+    """What is known of a flight before its components are built: the context of the validation.
+
+    Parameters
+    ----------
+    document : Document, optional
+        The scenario file; a path of a vehicle is relative to its directory.
+    duration : float
+        Of the flight [s]; what starts or stops later is wrong.
+    vehicle : Vehicle, optional
+        None: it could not be loaded; then nothing is built that depends on it.
+    """
+
+    document: Document | None = None
+    duration: float = math.inf
+    vehicle: Vehicle | None = None
+
+
+class _Mistakes:
+    """Collects all that is wrong with one component."""
+
+    def __init__(self) -> None:
+        self._found: list[InitErrorDetails] = []
+
+    def add(self, text: str, *keys: str) -> None:
+        error = PydanticCustomError("component", "{text}", {"text": text})
+        self._found.append(InitErrorDetails(type=error, loc=keys, input=None))
+
+    def refuse(self, error: Exception, values: Mapping[str, Any]) -> None:
+        """Add what a component says; where it begins with a parameter's name, at that key."""
+        match = _LEADING_NAME.match(str(error))
+        if match and (match[1] in values or match[1] in RESERVED):
+            self.add(match[2], match[1])
+        else:
+            self.add(str(error))
+
+    def stop_if_any(self) -> None:
+        if self._found:
+            raise ValidationError.from_exception_data("component", self._found)
+
+    def build(self, make: Callable[[Mapping[str, Any]], T], values: Mapping[str, Any]) -> T:
+        """Call ``make`` with the values if all is well so far; its refusal is the last mistake."""
+        self.stop_if_any()
+        try:
+            return make(values)
+        except _REFUSALS as error:
+            self.refuse(error, values)
+        self.stop_if_any()
+        raise AssertionError
+
+    def convert(
+        self, component: type, raw: Mapping[str, Any], units: Mapping[str, str] | None, also: Sequence[str]
+    ) -> dict[str, Any]:
+        """Convert each parameter by itself, so that all that are wrong are found; return the good ones."""
+        specs = {spec.name: spec for spec in parameters_of(component)}
+        known = [*also, *specs]
+        values: dict[str, Any] = {}
+        for name, value in raw.items():
+            if name not in specs:
+                self.add(f"unknown key{nearest(name, known)}; known: {', '.join(known)}", name)
+            elif not _is_plain(value):
+                self.add(
+                    f"{shown(value)}: expected a number, a text, true or false, or a list of numbers", name
+                )
+            else:
+                try:
+                    values[name] = convert(specs[name], value, units)
+                except _REFUSALS as error:
+                    self.refuse(error, {name: value})
+        return values
+
+    def check_times(self, values: Mapping[str, Any], end: float) -> None:
+        """Refuse times that the flight does not reach."""
+        start = float(values.get("start", 0.0))
+        if start >= end:
+            self.add(f"{start:g} s: must be before the end of the flight, {end:g} s", "start")
+            return
+        for name in ("stop", "duration"):
+            stop = float(values.get(name, math.inf))
+            if math.isfinite(stop) and stop > end:
+                self.add(f"stops at {stop:g} s, beyond the end of the flight, {end:g} s", name)
+            elif stop <= start:
+                self.add(f"{stop:g} s: must be later than start = {start:g} s", name)
+
+    def check_schedule(self, schedule: Mapping[str, Any]) -> None:
+        """Refuse keys of a schedule whose values are of the wrong type."""
+        for name, value in schedule.items():
+            if name in ("axes", "axis"):
+                names = cast("list[Any]", value) if isinstance(value, list) else [value]
+                good = all(isinstance(item, str) for item in names)
+                wanted = "an axis or a list of axes: roll, pitch, yaw or x, y, z"
+            elif name == "channel":
+                good, wanted = isinstance(value, str), f"one of {', '.join(CHANNEL_UNITS)}"
+            else:
+                good = isinstance(value, (int, float, str)) and not isinstance(value, bool)
+                wanted = "a time, such as '20 s'"
+            if not good:
+                self.add(f"{shown(value)}: expected {wanted}", name)
+
+
+def load_vehicle_of(name: str, info: ValidationInfo) -> str:
+    """Load the vehicle into the context; return its name, or the absolute path of its file."""
+    setting, mistakes = cast("Setting", info.context), _Mistakes()
+    folder = Path(setting.document.source if setting.document else "").parent
+    full = str(folder.resolve() / name) if name.endswith(".toml") else name
+    try:
+        setting.vehicle = load_vehicle(full)
+    except _REFUSALS as error:
+        mistakes.add(str(error))
+    except OSError as error:
+        mistakes.add(f"{shown(name)}: {error.strerror}")
+    mistakes.stop_if_any()
+    return full
+
+
+def build_plant(raw: Any, info: ValidationInfo) -> Plant | None:
+    """Build the plant, without its disturbances; None without a vehicle."""
+    mistakes = _Mistakes()
+    given = mistakes.convert(Plant, _mapping(raw, "a mapping"), None, ())
+    vehicle = cast("Setting", info.context).vehicle
+    mistakes.stop_if_any()
+    if vehicle is None:
+        return None
+    return mistakes.build(lambda values: build(Plant, values, vehicle=vehicle), given)
+
+
+def build_sensor(raw: Any) -> ImuSensor:
+    """Build the IMU: a grade, with single parameters changed."""
+    mistakes, values = _Mistakes(), _mapping(raw, "a mapping")
+    grade = values.pop("grade", "ideal")
+    if not isinstance(grade, str) or grade not in GRADES:
+        mistakes.add(f"{grade!r}: expected one of {', '.join(GRADES)}", "grade")
+    given = mistakes.convert(ImuSensor, values, None, ("grade",))
+    mistakes.stop_if_any()
+    return mistakes.build(lambda values: build(ImuSensor, values), {**GRADES[grade], **given})
+
+
+def part_builder(
+    registry: Registry[Any], *, of_vehicle: bool
+) -> Callable[[Any, ValidationInfo], Part | None]:
+    """Return what builds a component of a registry.
+
+    One that depends on the vehicle may be given by its name alone; without a vehicle it is None.
+    """
+
+    def build_part(raw: Any, info: ValidationInfo) -> Part | None:
+        setting, mistakes = cast("Setting", info.context), _Mistakes()
+        values = _mapping({"kind": raw} if of_vehicle and isinstance(raw, str) else raw)
+        kind, component = _registered(registry, values, mistakes)
+        given = mistakes.convert(component, values, None, ("kind",))
+        mistakes.stop_if_any()
+        if of_vehicle and setting.vehicle is None:
+            return None
+        context: dict[str, Any] = {"vehicle": setting.vehicle} if of_vehicle else {}
+        law = mistakes.build(lambda values: build(component, values, **context), given)
+        mistakes.check_times(given, setting.duration)
+        mistakes.stop_if_any()
+        return Part(kind, law, tuple(given))
+
+    return build_part
+
+
+def build_fault(raw: Any, info: ValidationInfo) -> Fault:
+    """Build a scheduled fault."""
+    mistakes, given = _Mistakes(), _mapping(raw)
+    kind, law = _registered(faults, given, mistakes)
+    own = {name: value for name, value in given.items() if name not in RESERVED}
+    schedule = {name: value for name, value in given.items() if name in RESERVED}
+    channel = schedule.get("channel", law.channels[0])
+    if isinstance(channel, str) and channel in law.channels:  # else there is no telling the units
+        own = mistakes.convert(law, own, CHANNEL_UNITS[channel], ("kind", *RESERVED))
+    mistakes.check_schedule(schedule)
+    injection = mistakes.build(lambda values: make_injection(kind, values), {**schedule, **own})
+    times = {"start": injection.start, "stop" if "stop" in schedule else "duration": injection.stop}
+    mistakes.check_times(times, cast("Setting", info.context).duration)
+    mistakes.stop_if_any()
+    return Fault(injection, tuple(own))
+
+
+def _registered(registry: Registry[Any], values: dict[str, Any], mistakes: _Mistakes) -> tuple[str, Any]:
+    """Take the kind out of the values; return it and the class that has this name."""
+    component: Any = None
+    kind = values.pop("kind", None)
+    if kind is None:
+        mistakes.add("missing key", "kind")
+    elif not isinstance(kind, str):
+        mistakes.add(f"{shown(kind)}: expected a text", "kind")
+    else:
+        try:
+            component = registry.get(kind)
+        except _REFUSALS as error:
+            mistakes.add(str(error), "kind")
+    mistakes.stop_if_any()
+    return str(kind), component
+
+
+def _mapping(raw: Any, expected: str = "a mapping with 'kind'") -> dict[str, Any]:
+    if not isinstance(raw, dict):
+        raise ValueError(f"{shown(raw)}: expected {expected}")
+    return dict(cast("dict[str, Any]", raw))
+
+
+def _is_plain(value: Any) -> bool:
+    parts = cast("list[Any]", value) if isinstance(value, list) else [value]
+    return all(isinstance(part, (bool, int, float, str)) for part in parts)
+
+
+def shown(value: Any) -> str:
+    """Write a value for a message, at most 60 characters."""
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

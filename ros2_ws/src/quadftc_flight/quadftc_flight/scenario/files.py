@@ -1,0 +1,163 @@
+"""Scenarios and tuned gains: files found by name or given by path; and gains put into a scenario.
+
+``quadftc tune`` writes files of gains:
+
+    vehicle: qball_x4
+    grade: mems
+    disturbance_observer: {kind: exosystem, bandwidth: 9.1}
+    controller: {kind: ismc, k_c1: [14.6, 17.1, 9.9]}
+
+A scheme takes the gains of those of its parts that are of the kind the file names. So one file serves all
+schemes of a scenario.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, cast
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from quadftc_flight.scenario.document import ROLES, Document, Keys, Problem, ScenarioError, read_document
+from quadftc_flight.scenario.model import problems_of
+from quadftc_model.hints import nearest
+
+SEARCH_PATH = "QUADFTC_SCENARIO_PATH"  # environment variable: directories, separated as in PATH
+
+
+def find_scenario(name_or_path: str) -> Path:
+    """Find a scenario file: by its path, or by its name in one of the `scenario_directories`.
+
+    Raises
+    ------
+    ScenarioError
+        If there is none.
+    """
+    advice = f"give a path, or set {SEARCH_PATH}"
+    return _find_file(name_or_path, scenario_directories(), "scenario", advice)
+
+
+def scenario_names() -> tuple[str, ...]:
+    """Return the names of all scenarios that can be found without a path, sorted."""
+    return _names_in(scenario_directories())
+
+
+def scenario_directories() -> tuple[Path, ...]:
+    """Return where scenarios are looked for: $QUADFTC_SCENARIO_PATH, ./scenarios, the repository's."""
+    given = [Path(part) for part in os.environ.get(SEARCH_PATH, "").split(os.pathsep) if part]
+    return (*given, *_folders_named("scenarios"))
+
+
+def _find_file(name_or_path: str, folders: Sequence[Path], what: str, advice: str = "give a path") -> Path:
+    """Find a YAML file by its path, or by its name in one of some folders; messages call it ``what``."""
+    path = Path(name_or_path)
+    if path.suffix in (".yaml", ".yml") or path.name != name_or_path:
+        if path.is_file():
+            return path
+        raise ScenarioError(f"{path}: no such file")
+    for folder in folders:
+        candidate = folder / f"{name_or_path}.yaml"
+        if candidate.is_file():
+            return _short(candidate)
+    names = _names_in(folders)
+    there = ", ".join(names) or f"none; {advice}"
+    raise ScenarioError(f"no {what} '{name_or_path}'{nearest(name_or_path, names)}; there are: {there}")
+
+
+def _names_in(folders: Sequence[Path]) -> tuple[str, ...]:
+    """Return the names of all files that can be found without a path, sorted."""
+    return tuple(sorted({file.stem for folder in folders for file in folder.glob("*.yaml")}))
+
+
+def _folders_named(name: str) -> tuple[Path, ...]:
+    """Return a folder in the working directory, and the repository's, if there is one."""
+    above = (parent / name for parent in Path(__file__).resolve().parents)
+    own = next((folder for folder in above if any(folder.glob("*.yaml"))), None)
+    return (Path(name), *(() if own is None else (own,)))
+
+
+def _short(path: Path) -> Path:
+    """The path as one would type it, if it is below the working directory."""
+    try:
+        return path.resolve().relative_to(Path.cwd())
+    except ValueError:
+        return path
+
+
+class _PartGains(BaseModel):
+    model_config = ConfigDict(extra="allow", frozen=True)
+    kind: str
+
+
+class _GainsFile(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    vehicle: str
+    grade: str
+    observer: _PartGains | None = None
+    disturbance_observer: _PartGains | None = None
+    controller: _PartGains | None = None
+
+
+def find_gains(name_or_path: str) -> Path:
+    """Find a file of gains: by its path, or by its name in ./gains or the repository's.
+
+    Raises
+    ------
+    ScenarioError
+        If there is none.
+    """
+    return _find_file(name_or_path, _folders_named("gains"), "gains")
+
+
+def with_gains_of(document: Document, path: Path) -> Document:
+    """Put the gains of a file into all schemes of a scenario.
+
+    Raises
+    ------
+    ScenarioError
+        If the file is wrong, is for another vehicle or other sensors, or fits no part of any scheme.
+    """
+    file = read_document(path)
+    try:
+        gains = _GainsFile.model_validate(file.data)
+    except ValidationError as error:
+        raise file.error(problems_of(error, lambda _: _GainsFile)) from None
+    problems = [
+        Problem((key,), f"'{wanted}': {document.source} has '{there}'")
+        for key, wanted, there in (
+            ("vehicle", gains.vehicle, document.data.get("vehicle")),
+            ("grade", gains.grade, grade_of(document)),
+        )
+        if wanted != there
+    ]
+    changes = _changes(document, gains)
+    if not changes and not problems:
+        problems.append(Problem((), f"no scheme of {document.source} has a part of these kinds"))
+    if problems:
+        raise file.error(problems)
+    for place, part in changes.items():
+        document = document.replaced(place, part, f"gains {path}")
+    return document
+
+
+def _changes(document: Document, gains: _GainsFile) -> dict[Keys, dict[str, Any]]:
+    found: dict[Keys, dict[str, Any]] = {}
+    schemes: Any = document.data.get("schemes")
+    for name, scheme in cast("dict[str, Any]", schemes if isinstance(schemes, dict) else {}).items():
+        for role in ROLES:
+            part: _PartGains | None = getattr(gains, role)
+            raw: Any = cast("dict[str, Any]", scheme).get(role) if isinstance(scheme, dict) else None
+            given = cast("dict[str, Any]", raw if isinstance(raw, dict) else {"kind": raw})
+            if part is not None and given.get("kind") == part.kind:
+                found["schemes", name, role] = {**given, **(part.model_extra or {})}
+    return found
+
+
+def grade_of(document: Document) -> str:
+    """The grade of the sensors, as the scenario names it."""
+    sensors: Any = document.data.get("sensors")
+    return (
+        str(cast("dict[str, Any]", sensors).get("grade", "ideal")) if isinstance(sensors, dict) else "ideal"
+    )

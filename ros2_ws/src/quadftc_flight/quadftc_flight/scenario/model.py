@@ -1,0 +1,354 @@
+"""A scenario: the keys of its file, their types and ranges; and the experiment that is built of them.
+
+Pydantic checks the shape and calls `quadftc_flight.scenario.components` for what stands there.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal, cast
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    PrivateAttr,
+    StringConstraints,
+    ValidationError,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    model_validator,
+)
+
+from quadftc_control.controller import controllers
+from quadftc_control.reference import references
+from quadftc_fdi.disturbance_observer import disturbance_observers
+from quadftc_fdi.fault_observer import fault_observers
+from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, fault_events, fault_windows
+from quadftc_flight.metrics import known_metrics, look_up
+from quadftc_flight.scenario.components import (
+    Fault,
+    Part,
+    Setting,
+    build_fault,
+    build_plant,
+    build_sensor,
+    load_vehicle_of,
+    part_builder,
+    shown,
+)
+from quadftc_flight.scenario.document import Document, Keys, Problem, ScenarioError
+from quadftc_model.assembly import NodeValue, node_values
+from quadftc_model.hints import nearest
+from quadftc_model.samples import AXES
+from quadftc_model.units import quantity
+from quadftc_sim.disturbance import disturbances
+from quadftc_sim.plant import Plant
+from quadftc_sim.sensors import ImuSensor
+
+MAX_SEED = 2**31 - 1
+LAG_A_STEP = 2.0  # 1; motor bandwidth times integration step; from 2.78 on Runge-Kutta of order 4 is unstable
+
+
+def _within(unit: str, low: float, high: float) -> BeforeValidator:
+    def check(raw: Any) -> float:
+        if not isinstance(raw, (int, float, str)):
+            raise ValueError(f"{raw!r}: expected a number in {unit}")
+        value = quantity(raw, unit)
+        if not low <= value <= high:
+            raise ValueError(f"{value:g} {unit}: must be within [{low:g}, {high:g}] {unit}")
+        return value
+
+    return BeforeValidator(check)
+
+
+def _remember_duration(duration: float, info: ValidationInfo) -> float:
+    cast("Setting", info.context).duration = duration
+    return duration
+
+
+def _name_or_stem(raw: Any, check: ValidatorFunctionWrapHandler, info: ValidationInfo) -> str:
+    """Without a name the scenario has that of its file."""
+    document = cast("Setting", info.context).document
+    return (
+        check(raw) if raw is not None or document is None else re.sub(r"\W", "_", Path(document.source).stem)
+    )
+
+
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
+Duration = Annotated[float, _within("s", 0.1, 3600.0), AfterValidator(_remember_duration)]
+Rate = Annotated[float, _within("Hz", 10.0, 4000.0)]
+Bound = Annotated[float, Field(allow_inf_nan=False)]
+Observer = Annotated[Part, PlainValidator(part_builder(fault_observers, of_vehicle=True))]
+DisturbanceObserver = Annotated[Part, PlainValidator(part_builder(disturbance_observers, of_vehicle=True))]
+Controller = Annotated[Part, PlainValidator(part_builder(controllers, of_vehicle=True))]
+Reference = Annotated[Part, PlainValidator(part_builder(references, of_vehicle=False))]
+Disturbance = Annotated[Part, PlainValidator(part_builder(disturbances, of_vehicle=False))]
+ScheduledFault = Annotated[Fault, PlainValidator(build_fault)]
+
+
+class _Shape(BaseModel):
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, validate_default=True, arbitrary_types_allowed=True
+    )
+
+
+class Check(_Shape):
+    """A bound on a metric of ``summary["metrics"]``; without an axis it holds for each.
+
+    Parameters
+    ----------
+    metric : str
+        Dotted path.
+    axis : str, optional
+    above, below : float, optional
+        Bounds, exclusive; at least one is given.
+    """
+
+    metric: str
+    axis: Literal["roll", "pitch", "yaw"] | None = None
+    above: Bound | None = None
+    below: Bound | None = None
+
+    @model_validator(mode="after")
+    def _bounded(self) -> Check:
+        if self.above is None and self.below is None:
+            raise ValueError("expected 'above' or 'below', or both")
+        if self.above is not None and self.below is not None and self.above >= self.below:
+            raise ValueError(f"above = {self.above:g}: must be less than below = {self.below:g}")
+        return self
+
+
+class Scheme(_Shape):
+    """Two observers and a controller, and what is required of them."""
+
+    observer: Observer = cast("Part", "none")
+    disturbance_observer: DisturbanceObserver = cast("Part", "none")
+    controller: Controller
+    checks: tuple[Check, ...] = Field(default=(), strict=False)
+    _name: str = PrivateAttr("")
+
+    @property
+    def name(self) -> str:
+        """The key in the file."""
+        return self._name
+
+
+class Scenario(_Shape):
+    """One experiment: a vehicle, its sensors, what happens to it, and the schemes that shall cope with it."""
+
+    name: Annotated[Name, WrapValidator(_name_or_stem)] = cast("str", None)
+    description: str = ""
+    duration: Duration  # [s]
+    rate: Rate  # [Hz]
+    seed: int = Field(default=0, ge=0, le=MAX_SEED)
+    vehicle: Annotated[str, AfterValidator(load_vehicle_of)]  # name, or absolute path of a TOML file
+    plant: Annotated[Plant, PlainValidator(build_plant)] = cast("Plant", {})  # without the disturbances
+    sensor: Annotated[ImuSensor, PlainValidator(build_sensor)] = Field(
+        default=cast("ImuSensor", {}), alias="sensors"
+    )
+    references: tuple[Reference, ...] = Field(default=(), strict=False)
+    disturbances: tuple[Disturbance, ...] = Field(default=(), strict=False)
+    faults: tuple[ScheduledFault, ...] = Field(default=(), strict=False)
+    schemes: dict[Name, Scheme] = Field(min_length=1)  # the first is the default
+    _document: Document = PrivateAttr()
+
+    def model_post_init(self, context: Any, /) -> None:
+        """Keep the document, and tell the schemes their names."""
+        self._document = context.document
+        for name, scheme in self.schemes.items():
+            scheme._name = name  # pyright: ignore[reportPrivateUsage]
+
+    @property
+    def document(self) -> Document:
+        """The file, with overrides applied."""
+        return self._document
+
+    @property
+    def text(self) -> str:
+        """The text of the scenario file, without overrides."""
+        return self.document.text
+
+    @property
+    def raw(self) -> dict[str, Any]:
+        """The scenario as plain data, overrides applied."""
+        return copy.deepcopy(self.document.data)
+
+    def scheme(self, name: str | None = None) -> Scheme:
+        """Return a scheme by name; the first by default.
+
+        Raises
+        ------
+        ScenarioError
+            If there is none of that name.
+        """
+        if name is None:
+            return next(iter(self.schemes.values()))
+        if name not in self.schemes:
+            there = ", ".join(self.schemes)
+            raise ScenarioError(
+                f"{self.document.source}: no scheme '{name}'{nearest(name, self.schemes)}; there are: {there}"
+            )
+        return self.schemes[name]
+
+    @property
+    def fault_windows(self) -> tuple[FaultWindow, ...]:
+        """When the attitude is faulty by schedule: every distinct pair of start and stop [s], in order."""
+        return fault_windows(self.faults, self.duration)
+
+    @property
+    def fault_events(self) -> tuple[FaultEvent, ...]:
+        """The scheduled faults of the attitude, axis by axis, with their kind."""
+        return fault_events(self.faults, self.duration)
+
+
+def build_scenario(document: Document) -> Scenario:
+    """Check a document and build everything in it.
+
+    Raises
+    ------
+    ScenarioError
+        If anything is wrong: one line for each problem.
+    """
+    try:
+        scenario = Scenario.model_validate(document.data, context=Setting(document))
+    except ValidationError as error:
+        raise document.error(problems_of(error, _model_at)) from None
+    problems = [*_unstable_lag(scenario), *_wrong_checks(scenario)]
+    if problems:
+        raise document.error(problems)
+    return scenario
+
+
+def _unstable_lag(scenario: Scenario) -> Iterator[Problem]:
+    """Refuse a motor lag that is too fast to be integrated at the rate."""
+    plant, rate = scenario.plant, scenario.rate
+    steps = 1.0 / (rate * plant.motor_time_constant)
+    needed = math.ceil(steps / LAG_A_STEP)
+    if plant.motor_lag and plant.substeps < needed:
+        lag = f"{steps * rate:.4g} rad/s of motor lag at {rate:g} Hz"
+        yield Problem(("plant", "substeps"), f"{plant.substeps}: {lag} need {needed} at least")
+
+
+def _wrong_checks(scenario: Scenario) -> Iterator[Problem]:
+    """Find the checks on metrics that no flight of this scenario has."""
+    if not any(scheme.checks for scheme in scenario.schemes.values()):
+        return
+    metrics = known_metrics(len(scenario.fault_windows), scenario.fault_events)
+    for name, scheme in scenario.schemes.items():
+        for index, check in enumerate(scheme.checks):
+            path: Keys = ("schemes", name, "checks", index)
+            try:
+                found = look_up(metrics, check.metric)
+            except KeyError as error:
+                yield Problem((*path, "metric"), str(error.args[0]))
+                continue
+            has_axes = isinstance(found, dict) and set(cast("dict[str, Any]", found)) == set(AXES)
+            if check.axis is not None and not has_axes:
+                yield Problem((*path, "axis"), f"'{check.metric}' has no axes")
+            elif not has_axes and found is not None and not isinstance(found, (int, float)):
+                yield Problem((*path, "metric"), f"'{check.metric}' is no number")
+
+
+def _model_at(path: Keys) -> type[BaseModel]:
+    match path:
+        case ("schemes", _):
+            return Scheme
+        case ("schemes", _, "checks", _):
+            return Check
+        case _:
+            return Scenario
+
+
+def keys_of(model: type[BaseModel]) -> list[str]:
+    """Return the keys that a mapping of a file may have."""
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+_EXPECTED = {
+    "string_type": "a text",
+    "int_type": "a whole number",
+    "float_type": "a number",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "a mapping",
+    "model_type": "a mapping with 'kind'",
+    "finite_number": "a finite number",
+    "string_pattern_mismatch": "letters, digits, '_' and '-', at most 64",
+    "too_short": "at least one scheme",
+    "literal_error": "one of roll, pitch, yaw",
+}
+
+
+def problems_of(error: ValidationError, model_at: Callable[[Keys], type[BaseModel]]) -> list[Problem]:
+    """Return what a model found wrong with a document; ``model_at`` gives the model that is at some keys."""
+    return [_problem(dict(details), model_at) for details in error.errors()]
+
+
+def _problem(details: dict[str, Any], model_at: Callable[[Keys], type[BaseModel]]) -> Problem:
+    path: Keys = tuple(key for key in details["loc"] if key != "[key]")
+    kind = str(details["type"])
+    if kind == "extra_forbidden":
+        known = keys_of(model_at(path[:-1]))
+        return Problem(path, f"unknown key{nearest(str(path[-1]), known)}; known: {', '.join(known)}")
+    if kind == "missing":
+        return Problem(path, "missing key")
+    if kind == "component":
+        return Problem(path, details["ctx"]["text"])
+    if kind == "value_error":
+        return Problem(path, str(details["ctx"]["error"]))
+    expected = _EXPECTED.get(kind)
+    wrong = f"expected {expected}" if expected else details["msg"].replace("Input should be", "must be")
+    return Problem(path, f"{shown(details['input'])}: {wrong}")
+
+
+def node_parameters(
+    scenario: Scenario, scheme: Scheme | str | None = None
+) -> dict[str, dict[str, NodeValue]]:
+    """Return the parameters of each node of the graph, for a scheme of a scenario (the first by default).
+
+    | node | parameters |
+    |---|---|
+    | plant | vehicle, rate [Hz], duration [s], seed, <parameter>, disturbances, imu.<parameter> |
+    | fault_injector | seed, faults |
+    | fault_observer, disturbance_observer | vehicle, observer, <observer>.<parameter> |
+    | controller | vehicle, controller, <controller>.<parameter> |
+    | reference | references |
+
+    Lists of components are lists of specifications (`quadftc_model.spec`) in SI, as ROS parameters have no
+    other form. Of plant, observers and controllers every parameter is there, defaults included.
+
+    Raises
+    ------
+    ScenarioError
+        If the scenario has no scheme of that name.
+    """
+    chosen = scheme if isinstance(scheme, Scheme) else scenario.scheme(scheme)
+
+    def with_vehicle(selector: str, part: Part) -> dict[str, NodeValue]:
+        return {"vehicle": scenario.vehicle, selector: part.kind, **node_values(part.law, part.kind)}
+
+    return {
+        "plant": {
+            "vehicle": scenario.vehicle,
+            "rate": scenario.rate,
+            "duration": scenario.duration,
+            "seed": scenario.seed,
+            **node_values(scenario.plant, ""),
+            "disturbances": [part.spec for part in scenario.disturbances],
+            **node_values(scenario.sensor, "imu"),
+        },
+        "fault_injector": {"seed": scenario.seed, "faults": [fault.spec for fault in scenario.faults]},
+        "fault_observer": with_vehicle("observer", chosen.observer),
+        "disturbance_observer": with_vehicle("observer", chosen.disturbance_observer),
+        "controller": with_vehicle("controller", chosen.controller),
+        "reference": {"references": [part.spec for part in scenario.references]},
+    }
