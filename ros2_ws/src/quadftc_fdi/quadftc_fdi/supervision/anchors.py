@@ -16,9 +16,19 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quadftc_fdi.supervision.error_transition import SIZE, Transition
+from quadftc_fdi.supervision.error_transition import SIZE, Covariance, Transition
 from quadftc_fdi.supervision.inertial_filter import MEASURED, FilterState, apply_correction, bias_variance
-from quadftc_model.arrays import Array, any_of, changed_where, namespace, product
+from quadftc_model.arrays import (
+    AnyArray,
+    Array,
+    Column,
+    Mask,
+    Vector,
+    any_of,
+    changed_where,
+    namespace,
+    product,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -34,19 +44,19 @@ PROMOTION = np.array(
 class Anchors(NamedTuple):
     """Two earlier states of the filter, relative to it."""
 
-    corrections: Float[Array, "*batch 16 5"]  # of the filter since; the first three columns are zero
-    P: Float[Array, "*batch 2 16 16"]  # covariance now, the older anchor first
-    age: Float[Array, "*batch 1"]  # of the younger [s]
+    corrections: Float[AnyArray, "*batch 16 5"]  # of the filter since; the first three columns are zero
+    P: Float[AnyArray, "*batch 2 16 16"]  # covariance now, the older anchor first
+    age: Column  # of the younger [s]
 
 
-def set_anchors(P: Float[Array, "*batch 16 16"]) -> Anchors:
+def set_anchors(P: Covariance) -> Anchors:
     """Set both at the present state of a filter with covariance P."""
     xp = namespace(P)
     batch = P.shape[:-2]
     return Anchors(xp.zeros((*batch, SIZE, 5)), xp.stack([P, P], axis=-3), xp.zeros((*batch, 1)))
 
 
-def predict_anchors(anchors: Anchors, F: Transition, Q: Float[Array, "*batch 16 16"]) -> Anchors:
+def predict_anchors(anchors: Anchors, F: Transition, Q: Covariance) -> Anchors:
     """Take a step with the transition and the noise of the filter."""
     xp = namespace(Q)
     P = xp.stack([F.around(anchors.P[..., each, :, :]) + Q for each in (0, 1)], axis=-3)
@@ -54,15 +64,15 @@ def predict_anchors(anchors: Anchors, F: Transition, Q: Float[Array, "*batch 16 
 
 
 def all_residuals(
-    residual: Float[Array, "*batch 3"], anchors: Anchors, H: Float[Array, "*batch 3 16"]
-) -> Float[Array, "*batch 3 5"]:
+    residual: Vector, anchors: Anchors, H: Float[AnyArray, "*batch 3 16"]
+) -> Float[AnyArray, "*batch 3 5"]:
     """Residuals [rad] of the filter (three times), the old and the young anchor."""
     return residual[..., None] + product(H, anchors.corrections, MEASURED)
 
 
 def predicted_variances(
-    P: Float[Array, "*batch 16 16"], anchors: Anchors, H: Float[Array, "*batch 3 16"]
-) -> Float[Array, "*batch 3 3"]:
+    P: Covariance, anchors: Anchors, H: Float[AnyArray, "*batch 3 16"]
+) -> Float[AnyArray, "*batch 3 3"]:
     """Variance (..., angle, source) of the angles [rad²] that filter, old and young anchor predict."""
     covariances = namespace(P).concatenate([P[..., None, :, :], anchors.P], axis=-3)
     each = H[..., None, :, :]
@@ -72,12 +82,12 @@ def predicted_variances(
 def go_back_to_anchor(
     estimate: FilterState,
     anchors: Anchors,
-    residuals: Float[Array, "*batch 3 5"],
-    variances: Float[Array, "*batch 3 3"],
-    back: Bool[Array, "*batch 3"],
-    far: Bool[Array, "*batch 3"],
+    residuals: Float[AnyArray, "*batch 3 5"],
+    variances: Float[AnyArray, "*batch 3 3"],
+    back: Mask,
+    far: Mask,
     known: float,
-) -> tuple[FilterState, Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
+) -> tuple[FilterState, Vector, Vector]:
     """Go back to an anchor where an axis asks for it.
 
     But not to one from before the gyro bias was known, if it is known now: forgetting it costs more than the
@@ -125,13 +135,13 @@ def go_back_to_anchor(
 
 def update_anchors(
     anchors: Anchors,
-    P: Float[Array, "*batch 16 16"],
-    dx: Float[Array, "*batch 16"],
-    restart: Bool[Array, "*batch 1"],
-    hold: Bool[Array, "*batch 1"],
+    P: Covariance,
+    dx: Float[AnyArray, "*batch 16"],
+    restart: Bool[AnyArray, "*batch 1"],
+    hold: Bool[AnyArray, "*batch 1"],
     dt: float,
     greatest_age: float,
-) -> tuple[Anchors, Bool[Array, "*batch 1"]]:
+) -> tuple[Anchors, Bool[AnyArray, "*batch 1"]]:
     """Note a correction of the filter; promote the young anchor when it is half of ``greatest_age`` [s] old.
 
     Parameters

@@ -14,10 +14,15 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_model.arrays import Array, components, is_single, namespace, product
+from quadftc_model.arrays import AnyArray, Array, Vector, components, is_single, namespace, product
 
 if TYPE_CHECKING:
     from jaxtyping import Float
+
+    ErrorColumns = Float[AnyArray, "*batch 16 n"]
+    Covariance = Float[AnyArray, "*batch 16 16"]  # of the error state
+else:
+    ErrorColumns = Covariance = Array
 
 SIZE = 16  # of the error state
 ROTATION, BIAS, DELAY = slice(0, 3), slice(3, 6), 15
@@ -26,16 +31,16 @@ ROTATION, BIAS, DELAY = slice(0, 3), slice(3, 6), 15
 class Transition(Protocol):
     """The transition F of the error."""
 
-    def of(self, x: Float[Array, "*batch 16 n"]) -> Float[Array, "*batch 16 n"]:
+    def of(self, x: ErrorColumns) -> ErrorColumns:
         """F x."""
         ...
 
-    def around(self, P: Float[Array, "*batch 16 16"]) -> Float[Array, "*batch 16 16"]:
+    def around(self, P: Covariance) -> Covariance:
         """F P F', symmetric."""
         ...
 
 
-def transition(omega: Float[Array, "*batch 3"], gyro: Float[Array, "*batch 3"], dt: float) -> Transition:
+def transition(omega: Vector, gyro: Vector, dt: float) -> Transition:
     """Transition over ``dt`` [s] at a body rate and a gyro sample [rad/s]."""
     if is_single(omega):
         moving = np.concatenate([omega, gyro]) * dt

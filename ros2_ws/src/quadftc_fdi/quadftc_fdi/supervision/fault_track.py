@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from quadftc_fdi.caching import cache_numbers
 from quadftc_fdi.supervision.residual_tests import ResidualVariances
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import AnyArray, Mask, Vector, namespace
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Float
 
 AVERAGES = np.array([0.15, 0.6])  # s; two averages of a fault, whose difference shows that it moves
 JUMPS = 25.0  # 1; squared standard deviations beyond which a fault jumps
@@ -30,13 +30,13 @@ JUMPS = 25.0  # 1; squared standard deviations beyond which a fault jumps
 class Track(NamedTuple):
     """The fault of each axis while it is faulty, all zero otherwise."""
 
-    fault: Float[Array, "*batch 3"]  # [rad]
-    slope: Float[Array, "*batch 3"]  # [rad/s]
-    count: Float[Array, "*batch 3"]  # samples since the last jump
-    moved: Float[Array, "*batch 3"]  # 1: it has jumped, or visibly moved, since it was found
-    means: Float[Array, "*batch 3 2"]  # two averages of it [rad]
-    age: Float[Array, "*batch 3"]  # time since the onset [s]
-    calm: Float[Array, "*batch 3"]  # how long the axis has looked healthy again [s]
+    fault: Vector  # [rad]
+    slope: Vector  # [rad/s]
+    samples: Vector  # since the last jump
+    moved: Vector  # 1: it has jumped, or visibly moved, since it was found
+    means: Float[AnyArray, "*batch 3 2"]  # two averages of it [rad]
+    age: Vector  # time since the onset [s]
+    calm: Vector  # how long the axis has looked healthy again [s]
 
 
 class TrackerGains(NamedTuple):
@@ -65,7 +65,7 @@ def tracker_gains(dt: float, tracking: float) -> TrackerGains:
     )
 
 
-def start_track(like: Float[Array, "*batch 3"]) -> Track:
+def start_track(like: Vector) -> Track:
     """Return a track without faults."""
     xp = namespace(like)
     zeros = xp.zeros_like(like)
@@ -74,11 +74,11 @@ def start_track(like: Float[Array, "*batch 3"]) -> Track:
 
 def track_fault(
     track: Track,
-    residual: Float[Array, "*batch 3"],
+    residual: Vector,
     variances: ResidualVariances,
-    alarm: Bool[Array, "*batch 3"],
-    suspicion: Float[Array, "*batch 3"],
-    valid: Bool[Array, "*batch 3"],
+    alarm: Mask,
+    suspicion: Vector,
+    valid: Mask,
     gains: TrackerGains,
     dt: float,
 ) -> Track:
@@ -104,25 +104,25 @@ def track_fault(
     error = residual - expected
     jump = alarm | (error**2 > JUMPS * (variances.noise + variances.slow))
     # right after a jump the fault is the mean of the samples since, and the slope waits
-    count = (track.count + 1.0) * ~jump
-    alpha = xp.maximum(gains.alpha, 1.0 / (count + 1.0)) * valid
+    samples = (track.samples + 1.0) * ~jump
+    alpha = xp.maximum(gains.alpha, 1.0 / (samples + 1.0)) * valid
     means = track.means + valid[..., None] * gains.mean * (residual[..., None] - track.means)
     return track._replace(
         fault=expected + alpha * error,
-        slope=(track.slope + gains.beta_dt * valid * error) * (count > gains.settled),
-        count=count,
+        slope=(track.slope + gains.beta_dt * valid * error) * (samples > gains.settled),
+        samples=samples,
         moved=xp.maximum(track.moved, 1.0 * jump) * ~alarm,
         means=xp.where(jump[..., None], residual[..., None], means),
         age=xp.where(alarm, suspicion, track.age + dt),
     )
 
 
-def clear_healthy(track: Track, faulty: Bool[Array, "*batch 3"]) -> Track:
+def clear_healthy(track: Track, faulty: Mask) -> Track:
     """Set the track of all axes that are not faulty to zero."""
     return Track(
         fault=track.fault * faulty,
         slope=track.slope * faulty,
-        count=track.count * faulty,
+        samples=track.samples * faulty,
         moved=track.moved * faulty,
         means=track.means * faulty[..., None],
         age=track.age * faulty,
@@ -130,9 +130,7 @@ def clear_healthy(track: Track, faulty: Bool[Array, "*batch 3"]) -> Track:
     )
 
 
-def track_variance(
-    track: Track, variances: ResidualVariances, gains: TrackerGains
-) -> Float[Array, "*batch 3"]:
+def track_variance(track: Track, variances: ResidualVariances, gains: TrackerGains) -> Vector:
     """Variance [rad²] that the sensor's own noise gives the tracked fault."""
-    share = namespace(track.count).maximum(gains.noise, 1.0 / (track.count + 1.0))
+    share = namespace(track.samples).maximum(gains.noise, 1.0 / (track.samples + 1.0))
     return (variances.noise + variances.slow) * share

@@ -23,8 +23,28 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_fdi.supervision.error_transition import BIAS, DELAY, ROTATION, SIZE, Transition, transition
-from quadftc_model.arrays import Array, components, is_single, namespace, product, stacked
+from quadftc_fdi.supervision.error_transition import (
+    BIAS,
+    DELAY,
+    ROTATION,
+    SIZE,
+    Covariance,
+    Transition,
+    transition,
+)
+from quadftc_model.arrays import (
+    AnyArray,
+    Array,
+    Column,
+    Mask,
+    Quaternion,
+    Vector,
+    components,
+    is_single,
+    namespace,
+    product,
+    stacked,
+)
 from quadftc_model.rotations import (
     MIN_COS_PITCH,
     normalise,
@@ -33,7 +53,7 @@ from quadftc_model.rotations import (
 )
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Float
 
 MEASURED = (0, 1, 2, DELAY)  # columns of H that are not zero
 LEFT_OUT = 1e6  # rad²; variance of a measurement that is left out
@@ -42,12 +62,12 @@ LEFT_OUT = 1e6  # rad²; variance of a measurement that is left out
 class FilterState(NamedTuple):
     """Estimate and covariance."""
 
-    q_xyzw: Float[Array, "*batch 4"]
-    x: Float[Array, "*batch 13"]  # b [rad/s], M by rows [1], tau [s]
-    P: Float[Array, "*batch 16 16"]  # covariance of the error state
+    q_xyzw: Quaternion
+    x: Float[AnyArray, "*batch 13"]  # b [rad/s], M by rows [1], tau [s]
+    P: Covariance  # covariance of the error state
 
 
-def start_filter(q_xyzw: Float[Array, "*batch 4"], std_devs: NDArray[np.float64]) -> FilterState:
+def start_filter(q_xyzw: Quaternion, std_devs: NDArray[np.float64]) -> FilterState:
     """Start at an attitude, with standard deviations (16,) of the error state."""
     xp = namespace(q_xyzw)
     batch = q_xyzw.shape[:-1]
@@ -56,7 +76,7 @@ def start_filter(q_xyzw: Float[Array, "*batch 4"], std_devs: NDArray[np.float64]
     )
 
 
-def estimate_rate(x: Float[Array, "*batch 13"], gyro: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
+def estimate_rate(x: Float[AnyArray, "*batch 13"], gyro: Vector) -> Vector:
     """Body rate omega = (I + M) g - b [rad/s] of a gyro sample."""
     if is_single(x):
         return gyro + x[3:12].reshape(3, 3).dot(gyro) - x[:3]
@@ -64,9 +84,7 @@ def estimate_rate(x: Float[Array, "*batch 13"], gyro: Float[Array, "*batch 3"]) 
     return gyro + product(M, gyro[..., None])[..., 0] - x[..., :3]
 
 
-def predict(
-    state: FilterState, gyro: Float[Array, "*batch 3"], Q: Float[Array, "*batch 16 16"], dt: float
-) -> tuple[FilterState, Transition]:
+def predict(state: FilterState, gyro: Vector, Q: Covariance, dt: float) -> tuple[FilterState, Transition]:
     """Turn by a gyro sample [rad/s], the mean over the step ``dt`` [s]; return the transition F, too."""
     omega = estimate_rate(state.x, gyro)
     q = normalise(quaternion_product(state.q_xyzw, quaternion_from_rotation_vector(omega * dt)))
@@ -74,15 +92,13 @@ def predict(
     return FilterState(q, state.x, F.around(state.P) + Q), F
 
 
-def process_noise(
-    rotation: Float[Array, "*batch 1"], bias: Float[Array, "*batch 1"]
-) -> Float[Array, "*batch 16 16"]:
+def process_noise(rotation: Column, bias: Column) -> Covariance:
     """Covariance Q that a step adds, of the variances of rotation and bias of each axis."""
     diagonal = rotation * _ROTATION_NOISE + bias * _BIAS_NOISE
     return diagonal.reshape(*rotation.shape[:-1], SIZE, SIZE)
 
 
-def bias_variance(P: Float[Array, "*batch 16 16"]) -> Float[Array, "*batch 1"]:
+def bias_variance(P: Covariance) -> Column:
     """Largest variance of the gyro bias [rad²/s²] over the axes."""
     diagonal = P.reshape(*P.shape[:-2], SIZE * SIZE)[..., :: SIZE + 1]
     if is_single(diagonal):
@@ -90,22 +106,18 @@ def bias_variance(P: Float[Array, "*batch 16 16"]) -> Float[Array, "*batch 1"]:
     return diagonal[..., BIAS].max(axis=-1, keepdims=True)
 
 
-def apply_correction(state: FilterState, dx: Float[Array, "*batch 16"]) -> FilterState:
+def apply_correction(state: FilterState, dx: Float[AnyArray, "*batch 16"]) -> FilterState:
     """Shift the estimate by a correction of the error state; the covariance stays."""
     turn = quaternion_from_rotation_vector(dx[..., ROTATION])
     return FilterState(normalise(quaternion_product(state.q_xyzw, turn)), state.x + dx[..., 3:], state.P)
 
 
-def predict_angles(
-    state: FilterState, angles: Float[Array, "*batch 3"], H: Float[Array, "*batch 3 16"]
-) -> Float[Array, "*batch 3"]:
+def predict_angles(state: FilterState, angles: Vector, H: Float[AnyArray, "*batch 3 16"]) -> Vector:
     """Euler angles h^ that the attitude sensor should read: those of ``tau`` ago."""
     return angles + H[..., DELAY] * state.x[..., 12:13]
 
 
-def measurement_matrix(
-    angles: Float[Array, "*batch 3"], omega: Float[Array, "*batch 3"]
-) -> Float[Array, "*batch 3 16"]:
+def measurement_matrix(angles: Vector, omega: Vector) -> Float[AnyArray, "*batch 3 16"]:
     """H = E [I, 0, 0, -omega] at Euler angles and body rate."""
     E = euler_matrix(angles)
     if is_single(omega):
@@ -115,7 +127,7 @@ def measurement_matrix(
     return xp.concatenate([E, unseen.astype(E.dtype), -product(E, omega[..., None])], axis=-1)
 
 
-def euler_matrix(angles: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]:
+def euler_matrix(angles: Vector) -> Float[AnyArray, "*batch 3 3"]:
     """E of (4), x1' = E(x1) omega, with the cosine of pitch kept away from zero."""
     xp = namespace(angles)
     (s_phi, s_theta, _), (c_phi, c_theta, _) = components(xp.sin(angles)), components(xp.cos(angles))
@@ -138,11 +150,11 @@ def euler_matrix(angles: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3 3"]
 
 def correct(
     state: FilterState,
-    H: Float[Array, "*batch 3 16"],
-    residual: Float[Array, "*batch 3"],
-    variance: Float[Array, "*batch 3"],
-    used: Bool[Array, "*batch 3"],
-) -> tuple[FilterState, Float[Array, "*batch 16"]]:
+    H: Float[AnyArray, "*batch 3 16"],
+    residual: Vector,
+    variance: Vector,
+    used: Mask,
+) -> tuple[FilterState, Float[AnyArray, "*batch 16"]]:
     """Correct by the axes of a measurement that are used; return the correction dx, too.
 
     Parameters

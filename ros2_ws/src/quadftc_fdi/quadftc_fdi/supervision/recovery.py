@@ -10,10 +10,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from quadftc_fdi.supervision.fault_track import AVERAGES, JUMPS, Track
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Column, Mask, Vector, namespace
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    pass
 
 AGREES, STANDS = 16.0, 9.0  # 1; squared standard deviations
 GRADUAL = 6.0  # 1; how many times as long a fault that never visibly moved must look healthy
@@ -24,16 +24,16 @@ class Recovery(NamedTuple):
     """What is judged of each axis."""
 
     track: Track
-    trusted: Bool[Array, "*batch 3"]  # the axis is trusted again
-    outlasted: Bool[Array, "*batch 3"]  # trusted although the fault is there: it outlasted our patience
+    trusted: Mask  # the axis is trusted again
+    outlasted: Mask  # trusted although the fault is there: it outlasted our patience
 
 
 def judge_recovery(
     track: Track,
-    faulty: Bool[Array, "*batch 3"],
-    predicted: Float[Array, "*batch 3"],
-    spread: Float[Array, "*batch 3"],
-    bias_variance: Float[Array, "*batch 1"],
+    faulty: Mask,
+    predicted: Vector,
+    spread: Vector,
+    bias_variance: Column,
     recovery: float,
     patience: float,
     dt: float,
@@ -63,7 +63,7 @@ def judge_recovery(
     # Does it agree with zero, as far as dead reckoning knows?
     agrees = short**2 < AGREES * (predicted + spread)
     # Soon after a jump both averages are near their first value, and say nothing.
-    known = (track.age > AVERAGES[1]) & (track.count * dt > AVERAGES[1])
+    known = (track.age > AVERAGES[1]) & (track.samples * dt > AVERAGES[1])
     outlasted = (track.age > patience) & (xp.abs(motion) < ALMOST_STILL)
     calm = (track.calm + dt) * (faulty & known & ((still & agrees) | outlasted))
     trusted = calm > recovery * xp.where(outlasted | (moved > 0.0), 1.0, GRADUAL)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from quadftc_fdi.caching import cache_numbers
 from quadftc_fdi.supervision.anchors import OLD, PROMOTION, YOUNG
-from quadftc_model.arrays import Array, any_of, changed_where, namespace
+from quadftc_model.arrays import AnyArray, Mask, Vector, any_of, changed_where, namespace
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -43,34 +43,34 @@ BOTH_WAYS = np.array([1.0, -1.0])
 class ResidualVariances(NamedTuple):
     """Variances of a healthy residual [rad²]."""
 
-    noise: Float[Array, "*batch 3"]  # white noise of one sample
-    slow: Float[Array, "*batch 3"]  # the slow error
-    predicted: Float[Array, "*batch 3 3"]  # angle predicted by filter, old and young anchor
+    noise: Vector  # white noise of one sample
+    slow: Vector  # the slow error
+    predicted: Float[AnyArray, "*batch 3 3"]  # angle predicted by filter, old and young anchor
 
 
 class Evidence(NamedTuple):
     """What the tests remember."""
 
-    means: Float[Array, "*batch 3 5"]  # averages of the residuals [rad]
-    learned: Float[Array, "*batch 3 5"]  # squares of the averages over what the model says [1]
-    sums: Float[Array, "*batch 3 2"]  # cumulative sums, upwards and downwards [1]
-    suspicion: Float[Array, "*batch 3"]  # how long an axis has been suspect [s]
+    means: Float[AnyArray, "*batch 3 5"]  # averages of the residuals [rad]
+    learned: Float[AnyArray, "*batch 3 5"]  # squares of the averages over what the model says [1]
+    sums: Float[AnyArray, "*batch 3 2"]  # cumulative sums, upwards and downwards [1]
+    suspicion: Vector  # how long an axis has been suspect [s]
 
 
 class Scores(NamedTuple):
     """How far each axis is from healthy (..., 3)."""
 
-    mean: Float[Array, "*batch 3"]  # largest squared average, in variances
-    sum: Float[Array, "*batch 3"]  # larger cumulative sum
-    suspect: Bool[Array, "*batch 3"]  # the axis may become faulty: its measurement is not used
+    mean: Vector  # largest squared average, in variances
+    sum: Vector  # larger cumulative sum
+    suspect: Mask  # the axis may become faulty: its measurement is not used
 
 
 class Findings(NamedTuple):
     """Faults declared at this sample (..., 3) bool."""
 
-    alarm: Array  # an axis trusted so far is faulty
-    sudden: Array  # by the cumulative sum alone, and within SUDDEN of the first suspicion
-    creeping: Array  # by an average, so the fault has been there for some time
+    alarm: Mask  # an axis trusted so far is faulty
+    sudden: Mask  # by the cumulative sum alone, and within SUDDEN of the first suspicion
+    creeping: Mask  # by an average, so the fault has been there for some time
 
 
 class AveragingWeights(NamedTuple):
@@ -95,7 +95,7 @@ def averaging_weights(dt: float, memory: float) -> AveragingWeights:
     )
 
 
-def start_evidence(like: Float[Array, "*batch 3"]) -> Evidence:
+def start_evidence(like: Vector) -> Evidence:
     """Return evidence of nothing."""
     xp, batch = namespace(like), like.shape[:-1]
     zeros = xp.zeros_like(like)
@@ -104,9 +104,9 @@ def start_evidence(like: Float[Array, "*batch 3"]) -> Evidence:
 
 def collect_evidence(
     evidence: Evidence,
-    residuals: Float[Array, "*batch 3 5"],
+    residuals: Float[AnyArray, "*batch 3 5"],
     variances: ResidualVariances,
-    trusted: Bool[Array, "*batch 3"],
+    trusted: Mask,
     weights: AveragingWeights,
     dt: float,
     threshold: float,
@@ -153,8 +153,8 @@ def collect_evidence(
 
 def declare_faults(
     scores: Scores,
-    suspicion: Float[Array, "*batch 3"],
-    trusted: Bool[Array, "*batch 3"],
+    suspicion: Vector,
+    trusted: Mask,
     threshold: float,
 ) -> Findings:
     """Declare the axes faulty whose score is above the threshold, given how long [s] they were suspect."""
@@ -172,9 +172,7 @@ def declare_faults(
     return changed_where(scores.suspect, declare, Findings(none, none, none))
 
 
-def update_evidence(
-    evidence: Evidence, promoted: Bool[Array, "*batch 1"], restart: Bool[Array, "*batch 3"]
-) -> Evidence:
+def update_evidence(evidence: Evidence, promoted: Bool[AnyArray, "*batch 1"], restart: Mask) -> Evidence:
     """Forget the evidence on axes that restart; follow the anchors where the young one became the old one."""
     xp = namespace(restart)
 
@@ -187,8 +185,8 @@ def update_evidence(
 
 
 def healthy_spread(
-    variances: ResidualVariances, learned: Float[Array, "*batch 3 5"], weights: AveragingWeights
-) -> Float[Array, "*batch 3"]:
+    variances: ResidualVariances, learned: Float[AnyArray, "*batch 3 5"], weights: AveragingWeights
+) -> Vector:
     """Variance [rad²] of a healthy average over 0.15 s, the error of the prediction left out."""
     xp = namespace(learned)
     noise, slow = weights.variance[0, 1], weights.variance[1, 1]
