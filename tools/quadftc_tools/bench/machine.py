@@ -11,7 +11,7 @@ from typing import Any
 
 import psutil
 
-from quadftc_ros.recorder_node import versions
+from quadftc_ros.versions import versions
 
 MEBIBYTE = 2**20
 MAIN = "main"  # name of the thread that a process began with

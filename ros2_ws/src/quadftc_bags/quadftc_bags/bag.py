@@ -142,10 +142,7 @@ class Bag:
     def resolve(self, topic: str) -> str:
         """Return a topic's full name: as given, with a leading slash, or in the only namespace that has it.
 
-        Raises
-        ------
-        BagError
-            If no topic or more than one fits.
+        Raises BagError if no topic or more than one fits.
         """
         short = topic.strip("/")
         if topic in self._topics:
@@ -163,10 +160,7 @@ class Bag:
     def series(self, topic: str) -> Series:
         """Return all messages of a topic as arrays; for the name see `resolve`.
 
-        Raises
-        ------
-        BagError
-            If the topic is not there or its messages cannot be decoded.
+        Raises BagError if the topic is not there or its messages cannot be decoded.
         """
         name = self.resolve(topic)
         gathered = self._topics[name]
@@ -184,10 +178,7 @@ class Bag:
     def messages(self, topics: Collection[str] | None = None) -> Iterator[tuple[str, int, bytes]]:
         """Yield (full name, log time [ns], serialised message) in the order of log time; default: all topics.
 
-        Raises
-        ------
-        BagError
-            If one of the topics is not there.
+        Raises BagError if one of the topics is not there.
         """
         names = list(self._topics) if topics is None else [self.resolve(topic) for topic in topics]
         chosen = [self._topics[name] for name in names]
@@ -267,10 +258,7 @@ def read_bag(path: str | os.PathLike[str], topics: Collection[str] | None = None
     topics : collection of str, optional
         Keep only these (full, relative or short names), to save memory; default: all.
 
-    Raises
-    ------
-    BagError
-        If there is no such bag, it is empty or no bag, or its metadata makes no sense.
+    Raises BagError if there is no such bag, it is empty or no bag, or its metadata makes no sense.
     """
     bag = Bag(Path(path))
     for file in storage_files(bag.path):

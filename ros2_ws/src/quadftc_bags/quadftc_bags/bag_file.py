@@ -43,14 +43,8 @@ class BagFile:
     chunk_size : int
         A chunk with this much in messages is closed [bytes].
 
-    Raises
-    ------
-    FileExistsError
-        If the directory exists.
-    ValueError
-        If the compression is unknown.
-    OSError
-        If the directory cannot be written; the same from every other method.
+    Raises FileExistsError if the directory exists; ValueError if the compression is unknown; OSError if the
+    directory cannot be written; the same from every other method.
     """
 
     def __init__(
@@ -184,10 +178,7 @@ class BagFile:
 def is_being_written(path: Path) -> bool:
     """Return whether a process of this machine has the file of a bag open as a `BagFile`.
 
-    Raises
-    ------
-    OSError
-        If it cannot be opened.
+    Raises OSError if it cannot be opened.
     """
     with path.open("rb") as stream:
         try:

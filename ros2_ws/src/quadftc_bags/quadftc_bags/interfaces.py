@@ -38,10 +38,7 @@ class Interface:
 def load_interface(type_name: str) -> Interface:
     """Read a message type's definition and hash from the installed packages.
 
-    Raises
-    ------
-    ValueError
-        If the name is not ``package/msg/Name`` or no such type is installed.
+    Raises ValueError if the name is not ``package/msg/Name`` or no such type is installed.
     """
     package, name = split_type(type_name)
     text = "".join(_definitions(f"{package}/{name}", seen=set()))
@@ -53,10 +50,7 @@ def load_interface(type_name: str) -> Interface:
 def load_message_class(type_name: str) -> type:
     """Import the Python class of a message type.
 
-    Raises
-    ------
-    ValueError
-        If the name is not ``package/msg/Name`` or no such type is installed.
+    Raises ValueError if the name is not ``package/msg/Name`` or no such type is installed.
     """
     package, name = split_type(type_name)
     try:
@@ -68,10 +62,7 @@ def load_message_class(type_name: str) -> type:
 def split_type(type_name: str) -> tuple[str, str]:
     """Split ``package/msg/Name`` into package and name.
 
-    Raises
-    ------
-    ValueError
-        If the name has another form.
+    Raises ValueError if the name has another form.
     """
     parts = type_name.split("/")
     if len(parts) != 3 or parts[1] != "msg" or not all(parts):

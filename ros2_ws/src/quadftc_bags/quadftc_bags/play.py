@@ -59,10 +59,8 @@ def play(
     int
         Number of messages published.
 
-    Raises
-    ------
-    ValueError
-        If the rate is not positive, or the bag cannot be read (`BagError`) or holds a type not installed.
+    Raises ValueError if the rate is not positive, or the bag cannot be read (`BagError`) or holds a type not
+    installed.
     """
     if not rate > 0.0:
         raise ValueError(f"rate: {rate}, expected > 0")

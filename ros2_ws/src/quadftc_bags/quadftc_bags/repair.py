@@ -67,11 +67,8 @@ def repair(path: Path, out: Path | None = None, force: bool = False) -> Repair:
     force : bool
         Replace what is there.
 
-    Raises
-    ------
-    BagError
-        If it is no bag, there is nothing in it to be read, it is to be replaced while it is being recorded,
-        or the new one cannot be written; one line.
+    Raises BagError if it is no bag, there is nothing in it to be read, it is to be replaced while it is being
+    recorded, or the new one cannot be written.
     """
     file = _storage_file(path)
     recorded = _is_recorded(file)

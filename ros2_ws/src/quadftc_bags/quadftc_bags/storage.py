@@ -79,10 +79,7 @@ OnDamage = Callable[[Damage], None]
 def storage_files(path: Path) -> list[Path]:
     """Return the files of a bag (directory or file) in their order; of a SQLite bag, the bag itself.
 
-    Raises
-    ------
-    BagError
-        If there are none, or one is missing or empty.
+    Raises BagError if there are none, or one is missing or empty.
     """
     if not path.exists():
         raise BagError(f"{path}: no such bag")
@@ -146,12 +143,8 @@ def read_records(path: Path, on_damage: OnDamage | None = None) -> Iterator[Reco
     A chunk's records come where the chunk stands. Indexes and statistics are passed over. With ``on_damage``
     a chunk with a wrong checksum and a missing end are reported to it, and passed over, too.
 
-    Raises
-    ------
-    BagError
-        If the file cannot be read or is not MCAP.
-    CutShortError
-        Without ``on_damage``, when the rest of the file is missing or damaged; all that came before is good.
+    Raises BagError if the file cannot be read or is not MCAP; CutShortError: Without ``on_damage``, when the
+    rest of the file is missing or damaged; all that came before is good.
     """
     try:
         with path.open("rb") as stream:

@@ -94,14 +94,9 @@ class BagWriter:
     on_error : callable or None
         Called once, from the writing thread, with the text of the error that stopped the recording.
 
-    Raises
-    ------
-    FileExistsError
-        If the directory exists.
-    ValueError
-        If the compression is unknown or the queue holds no message.
-    OSError
-        If the directory cannot be written. Later errors are never raised: see ``status``.
+    Raises FileExistsError if the directory exists; ValueError if the compression is unknown or the queue
+    holds no message; OSError if the directory cannot be written. Later errors are never raised: see
+    ``status``.
     """
 
     def __init__(
@@ -113,7 +108,7 @@ class BagWriter:
         *,
         lockstep: bool = False,
         queue_size: int = 65536,
-        on_error: Callable[[str], None] | None = None,
+        on_error: Callable[[str], object] | None = None,
     ) -> None:
         from quadftc_bags.bag_file import BagFile
 
@@ -141,10 +136,7 @@ class BagWriter:
     def add_topic(self, topic: str, type_name: str, qos: QoSProfile) -> None:
         """Declare a topic; ``qos`` is what its publisher offers.
 
-        Raises
-        ------
-        ValueError
-            If the topic is there already or the type is not installed.
+        Raises ValueError if the topic is there already or the type is not installed.
         """
         if topic in self._channels:
             raise ValueError(f"topic '{topic}': in the bag already")
@@ -160,10 +152,7 @@ class BagWriter:
 
         It returns whether the message was accepted, and never raises for the disk's sake.
 
-        Raises
-        ------
-        KeyError
-            If the topic has not been added.
+        Raises KeyError if the topic has not been added.
         """
         channel, queue = self._channels[topic], self._queue
 

@@ -55,10 +55,8 @@ class BagProcess:
     on_error : callable or None
         Called once, from the thread that writes, with the text of the error that stopped the recording.
 
-    Raises
-    ------
-    FileExistsError, ValueError, OSError
-        As of `BagWriter`; an OSError, too, if the other process does not start.
+    Raises FileExistsError, ValueError, OSError: As of `BagWriter`; an OSError, too, if the other process does
+    not start.
     """
 
     def __init__(
@@ -70,7 +68,7 @@ class BagProcess:
         *,
         lockstep: bool = False,
         queue_size: int = 65536,
-        on_error: Callable[[str], None] | None = None,
+        on_error: Callable[[str], object] | None = None,
     ) -> None:
         self._lockstep = lockstep
         self._queue_size = queue_size

@@ -31,8 +31,8 @@ from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import StampJoin
 from quadftc_ros.node import GraphNode, wall_seconds
-from quadftc_ros.reception import decoding
 from quadftc_ros.topics import BASE_FRAME
+from quadftc_ros.transport import decoding
 from quadftc_ros.wire import (
     ControlStatusWire,
     VectorWire,

@@ -28,8 +28,8 @@ from quadftc_flight.graph.plan import GraphError, GraphPlan, check_scheduling
 from quadftc_flight.graph.processes import ProcessGraph
 from quadftc_flight.scenario import Scenario, Scheme, node_parameters
 from quadftc_flight.summary import summary
-from quadftc_ros.recorder_node import versions
 from quadftc_ros.scheduling import ORDINARY, Scheduling
+from quadftc_ros.versions import versions
 from quadftc_sim.assembly import sample_count
 
 GRAPHS = {"composed": ComposedGraph, "processes": ProcessGraph}

@@ -48,8 +48,8 @@ from quadftc_replay.recording import Passenger, Stamps
 from quadftc_replay.results import replay_events, replay_windows, truth_text
 from quadftc_ros.conversions import NANOSECONDS
 from quadftc_ros.qos import topic_profile
-from quadftc_ros.recorder_node import versions
 from quadftc_ros.topics import EARTH_FRAME, HEADER, IMU_FRAME, TOPICS
+from quadftc_ros.versions import versions
 
 CHUNK = 1024 * 1024  # bytes
 DIAGNOSING = 0.85  # share of the work; the rest is writing

@@ -36,10 +36,7 @@ POLL = 0.25  # s; EventsExecutor.spin() without a timeout busy-loops in Jazzy 7.
 def make_executor(kind: str = "events", context: Any = None) -> Any:
     """Make an executor: ``events`` (fast) or ``single`` (rclpy's default).
 
-    Raises
-    ------
-    ValueError
-        If the kind is neither.
+    Raises ValueError if the kind is neither.
     """
     if kind not in EXECUTORS:
         raise ValueError(f"executor = {kind!r}: expected one of {', '.join(EXECUTORS)}")

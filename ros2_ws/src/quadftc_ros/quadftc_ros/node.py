@@ -19,16 +19,13 @@ from quadftc_bags.cdr.message import leading_stamp_ns
 from quadftc_bags.interfaces import load_message_class
 from quadftc_model.parameters import parameter
 from quadftc_model.stepper import MAX_GAP
-from quadftc_ros.connections import missing_connections
 from quadftc_ros.conversions import NANOSECONDS, stamp_of
-from quadftc_ros.diagnostics import OK, WARN, Diagnostics
+from quadftc_ros.diagnostics import OK, WARN, Diagnostics, SampleTiming
 from quadftc_ros.parameters import NodeParameters
 from quadftc_ros.qos import service_profile, topic_profile
-from quadftc_ros.reception import decoding, of_bytes, of_messages
-from quadftc_ros.sample_timing import SampleTiming
-from quadftc_ros.tap import Tap, tapped
-from quadftc_ros.topics import TOPICS
+from quadftc_ros.topics import TOPICS, missing_connections
 from quadftc_ros.trace import MessageTrace, Note
+from quadftc_ros.transport import Tap, decoding, of_bytes, of_messages, tapped
 
 MODES = ("lockstep", "realtime")
 HEARTBEAT = {"realtime": 1.0, "lockstep": 0.2}  # s; in lock-step only before the flight
@@ -61,10 +58,7 @@ class GraphNode(Node):
     **kwargs
         Those of ``rclpy.node.Node`` (``context``, ``namespace``, ``parameter_overrides``...).
 
-    Raises
-    ------
-    ValueError
-        If a parameter is wrong.
+    Raises ValueError if a parameter is wrong.
     """
 
     def __init__(self, name: str, tap: Tap | None = None, **kwargs: Any) -> None:

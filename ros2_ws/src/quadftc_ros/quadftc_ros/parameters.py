@@ -66,10 +66,8 @@ class NodeParameters:
     def declare(self, component: type, prefix: str = "", read_only: bool = False) -> None:
         """Declare every parameter of a dataclass, its name behind ``prefix``.
 
-        Raises
-        ------
-        ValueError
-            If a value given at the start is of the wrong type or out of bounds; names the parameter.
+        Raises ValueError if a value given at the start is of the wrong type or out of bounds; names the
+        parameter.
         """
         for own in parameters_of(component):
             spec = dataclasses.replace(own, name=prefix + own.name)
@@ -81,10 +79,7 @@ class NodeParameters:
     def declare_list(self, name: str, doc: str) -> None:
         """Declare a list of texts, empty by default; it is read once, at the start.
 
-        Raises
-        ------
-        ValueError
-            If something else was given at the start.
+        Raises ValueError if something else was given at the start.
         """
         given = self._given.get(name)
         if given is not None and given.type_ != RosParameter.Type.STRING_ARRAY:

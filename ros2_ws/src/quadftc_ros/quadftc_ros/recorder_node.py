@@ -4,16 +4,12 @@ Subscriptions: the topics of `quadftc_ros.topics.TOPICS`, as serialised bytes; i
 nodes none, as these hand over what they publish. Publications: /diagnostics.
 
 The stored log time is in real time when the message was received; in lock-step it is the message's own stamp,
-so that two runs give the same bag. What is sent in lock-step before the flight has no stamp yet and is not
-stored: how much of it there is depends on how fast the processes start.
+so that two runs give the same bag. `quadftc_ros.recorder` decides what is stored.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import importlib.metadata
-import os
-import platform
 import sys
 import time
 from functools import partial
@@ -21,24 +17,24 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.qos import QoSProfile
-from rclpy.utilities import get_rmw_implementation_identifier
 
 from quadftc_bags.bag_format import COMPRESSIONS
-from quadftc_bags.cdr.message import leading_stamp_ns
 from quadftc_bags.interfaces import load_message_class
 from quadftc_bags.writer import BagStatus, BagWriter, Input
 from quadftc_bags.writer_process import BagProcess
 from quadftc_model.parameters import parameter
-from quadftc_ros.conversions import END_NS
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
 from quadftc_ros.qos import topic_profile
-from quadftc_ros.tap import Take
-from quadftc_ros.topics import TOPICS, Topic
+from quadftc_ros.recorder import StampedMessages, choose_topics, judge, read_attachments
+from quadftc_ros.topics import Topic
+from quadftc_ros.transport import Take
+from quadftc_ros.versions import versions
 
 RECEIVE_DEPTH = {"lockstep": 10000, "realtime": 1000}  # messages per topic that may wait for this node
 CHECK_PERIOD = 1.0  # s, between two looks at how the recording stands
+LEVELS = {"ok": OK, "warn": WARN, "error": ERROR}
 HAND_OVER_PERIOD = 0.25  # s, for which a message may wait for others to go to the other process with it
 
 
@@ -53,35 +49,22 @@ class RecorderParameters:
 class RecorderNode(GraphNode):
     """Record topics from construction until `finish`, or until the node is destroyed.
 
-    Parameters
-    ----------
-    subscribes : bool
-        Else it gets its messages from nodes in the same process, by its `tap`.
-    **kwargs
-        Those of ``rclpy.node.Node`` (``context``, ``namespace``, ``parameter_overrides``...).
-
-    Raises
-    ------
-    ValueError
-        If a parameter is wrong: the directory exists or cannot be made, a topic is not in the table, an
-        attachment cannot be read.
+    Unless it ``subscribes``, nodes in the same process give it their messages by its `tap`. A wrong parameter
+    is a ValueError: the directory exists or cannot be made, a topic is unknown, an attachment unreadable.
     """
 
     def __init__(self, *, subscribes: bool = True, **kwargs: Any) -> None:
         super().__init__("recorder", None if subscribes else self._tap_of_its_own, **kwargs)
         self.settings.declare(RecorderParameters, read_only=True)
-        self.settings.declare_list(
-            "topics", "topics to record, as named in the table of the graph; empty: all"
-        )
+        self.settings.declare_list("topics", "topics to record, as named in the table; empty: all")
         self.settings.declare_list("attachments", "paths of files to store inside the bag")
         values = self.settings.values()
-        rows = _checked_topics(values["topics"] or list(TOPICS))
-        classes = [load_message_class(row.type_name) for row in rows]
-        self._newest_ns = 0
+        rows = [(row, load_message_class(row.type_name)) for row in choose_topics(values["topics"])]
+        self._stamped = StampedMessages()
         self.received = 0  # messages so far, stored or still waiting to be
         self._writer = self._open(values, BagWriter if subscribes else BagProcess)
         self._takes: dict[str, Take] = {}
-        for row, message_class in zip(rows, classes, strict=True):
+        for row, message_class in rows:
             self._record(row, message_class, subscribes)
         self.flush()  # it takes time to get ready for the topics, which is not to be that of the flight
         self.create_timer(CHECK_PERIOD, self._check)
@@ -126,11 +109,11 @@ class RecorderNode(GraphNode):
         try:
             return kind(
                 values["directory"],
-                _read_attachments([Path(path) for path in values["attachments"]]),
+                read_attachments([Path(path) for path in values["attachments"]]),
                 {"mode": self.mode, **versions()},
                 values["compression"],
                 lockstep=self.lockstep,
-                on_error=self._stopped,
+                on_error=lambda error: self.get_logger().error(f"recording has stopped: {error}"),
             )
         except OSError as error:
             raise ValueError(f"directory = '{values['directory']}': {error}") from error
@@ -140,8 +123,9 @@ class RecorderNode(GraphNode):
         return self._takes.get(topic)
 
     def _tap_of_its_own(self, topic: str) -> Take:
-        def take(data: bytes) -> None:  # known only when the bag has been made
-            self._takes.get(topic, _leave)(data)
+        def take(data: bytes) -> None:
+            if record := self._takes.get(topic):  # known only when the bag has been made
+                record(data)
 
         return take
 
@@ -153,23 +137,17 @@ class RecorderNode(GraphNode):
         )
         name = self.resolve_topic_name(row.name)
         self._writer.add_topic(name, row.type_name, offered)
-        take = partial(
-            self._take_by_stamp if self.lockstep else self._take_by_clock, self._writer.input(name)
-        )
-        self._takes[name] = take
+        take_timed = self._take_by_stamp if self.lockstep else self._take_by_clock
+        self._takes[name] = take = partial(take_timed, self._writer.input(name))
         if subscribes:
             self.create_subscription(message_class, row.name, take, wanted, raw=True)
 
     def _take_by_stamp(self, write: Input, data: bytes) -> None:
-        try:
-            stamp_ns = leading_stamp_ns(data)
-        except ValueError:
-            stamp_ns = END_NS
-        if not 0 <= stamp_ns < END_NS:
+        stamp_ns = self._stamped.log_time_ns(data)
+        if stamp_ns is None:
             self.diagnostics.count("messages without a stamp, not recorded")
         elif stamp_ns:
             self._flying = True
-            self._newest_ns = stamp_ns
             self.received += 1
             write(data, stamp_ns, stamp_ns)
 
@@ -178,57 +156,12 @@ class RecorderNode(GraphNode):
         self.received += 1
         write(data, now_ns, now_ns)
 
-    def _stopped(self, error: str) -> None:
-        self.get_logger().error(f"recording has stopped: {error}")
-
     def _check(self) -> None:
         """Report how the recording stands; in lock-step, where all goes by samples, only what is wrong."""
-        status = self.status
-        dropped = sum(status.dropped.values())
-        level, message = OK, "recording"
-        if status.error is not None:
-            level, message = ERROR, f"recording has stopped: {status.error}"
-        elif dropped:
-            level, message = WARN, "messages were dropped"
-        stored = sum(status.counts.values())
-        self.diagnostics.report("bag", level, message, stored=stored, dropped=dropped, lost=status.lost)
-        if self.lockstep and level != OK and self.diagnostics.changed:
-            self.diagnostics.publish(self._newest_ns)
-
-
-def _leave(data: bytes) -> None:
-    """Take nothing."""
-
-
-def versions() -> dict[str, str]:
-    """Return what recorded this bag: versions of this software and of what it stands on."""
-    return {
-        "quadftc": importlib.metadata.version("quadftc-ros"),
-        "ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
-        "rmw_implementation": get_rmw_implementation_identifier(),
-        "python": platform.python_version(),
-        "mcap": importlib.metadata.version("mcap"),
-        "numpy": importlib.metadata.version("numpy"),
-    }
-
-
-def _checked_topics(names: list[str]) -> list[Topic]:
-    unknown = sorted(set(names) - set(TOPICS))
-    if unknown:
-        raise ValueError(f"topics: unknown {', '.join(unknown)}; known are {', '.join(TOPICS)}")
-    return [TOPICS[name] for name in dict.fromkeys(names)]
-
-
-def _read_attachments(paths: list[Path]) -> dict[str, bytes]:
-    attachments: dict[str, bytes] = {}
-    for path in paths:
-        if path.name in attachments:
-            raise ValueError(f"attachments: two files are named {path.name}")
-        try:
-            attachments[path.name] = path.read_bytes()
-        except OSError as error:
-            raise ValueError(f"attachments: {path}: {error.strerror}") from error
-    return attachments
+        level, message, values = judge(self.status)
+        self.diagnostics.report("bag", LEVELS[level], message, **values)
+        if self.lockstep and level != "ok" and self.diagnostics.changed:
+            self.diagnostics.publish(self._stamped.newest_ns)
 
 
 def main() -> int:

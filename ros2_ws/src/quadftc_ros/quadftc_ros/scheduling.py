@@ -34,10 +34,7 @@ class Scheduling:
     cores : tuple of int
         Where to run; empty: anywhere.
 
-    Raises
-    ------
-    ValueError
-        If a value is out of range, or they exclude each other.
+    Raises ValueError if a value is out of range, or they exclude each other.
     """
 
     wait: str = "sleep"
@@ -66,10 +63,7 @@ ORDINARY = Scheduling()
 def scheduled(scheduling: Scheduling) -> Generator[None, None, None]:
     """Context in which this thread, and processes it starts, run as asked.
 
-    Raises
-    ------
-    SchedulingError
-        If the machine does not allow it.
+    Raises SchedulingError if the machine does not allow it.
     """
     with contextlib.ExitStack() as undo:
         if scheduling.wait == "poll":

@@ -6,7 +6,7 @@ with a stamp, which equals the stamp of the IMU sample it belongs to.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
@@ -99,3 +99,33 @@ _ROWS = (
 )
 
 TOPICS: Mapping[str, Topic] = MappingProxyType({row.name: row for row in _ROWS})
+
+
+def missing_connections(node: str, counts: Mapping[str, int], recorders: int = 0) -> list[str]:
+    """Say which connections a node lacks to be part of a whole graph.
+
+    ``counts`` are those of `GraphNode.connections`; ``recorders`` read every output besides the table.
+    """
+    missing: list[str] = []
+    for topic, count in counts.items():
+        row = TOPICS[topic]
+        if node in row.publishers:
+            wanted, kind = len(row.readers) + recorders, "readers"
+        else:
+            wanted, kind = len(row.publishers), "publishers"
+        if count < wanted:
+            missing.append(f"{topic}: {count} of {wanted} {kind}")
+    return missing
+
+
+def crowded_topics(count_publishers: Callable[[str], int]) -> list[str]:
+    """Say which topics have more publishers than one graph gives them: another graph is there, too.
+
+    ``count_publishers`` is that of a node in the namespace of the graph.
+    """
+    counts = {name: count_publishers(name) for name in TOPICS if not name.startswith("/")}
+    return [
+        f"{name} has {count} publishers"
+        for name, count in counts.items()
+        if TOPICS[name].publishers and count > len(TOPICS[name].publishers)
+    ]

@@ -37,10 +37,7 @@ class MessageTrace:
     def save(self, path: Path) -> None:
         """Write the times as a NumPy archive, see :func:`load_trace`.
 
-        Raises
-        ------
-        OSError
-            If it cannot be written.
+        Raises OSError if it cannot be written.
         """
         rows = {f"taken {topic}": row.noted() for topic, row in self._taken.items()}
         rows.update((f"given {topic}", row.noted()) for topic, row in self._given.items())

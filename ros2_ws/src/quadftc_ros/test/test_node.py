@@ -7,10 +7,9 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from std_srvs.srv import Trigger
 
 from node_bench import NodeBench, imu_message, vector_message
-from quadftc_ros.connections import crowded_topics, missing_connections
 from quadftc_ros.conversions import stamp_of
 from quadftc_ros.node import GraphNode
-from quadftc_ros.topics import TOPICS
+from quadftc_ros.topics import TOPICS, crowded_topics, missing_connections
 from quadftc_ros.wire import vector_of
 
 SECOND = 1_000_000_000  # ns

@@ -24,12 +24,11 @@ from std_srvs.srv import Trigger
 from quadftc_model.parameters import parameter
 from quadftc_model.samples import is_usable
 from quadftc_model.stepper import MAX_GAP, seconds
-from quadftc_ros.connections import missing_connections
 from quadftc_ros.conversions import NANOSECONDS, Floats
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
-from quadftc_ros.topics import BASE_FRAME, EARTH_FRAME
+from quadftc_ros.topics import BASE_FRAME, EARTH_FRAME, missing_connections
 from quadftc_ros.wire import ImuWire, VectorWire, vector_of
 from quadftc_sim.assembly import EPOCH_NS, sample_count, simulator_from
 from quadftc_sim.plant import Plant

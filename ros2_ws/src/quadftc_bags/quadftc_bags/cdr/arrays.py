@@ -47,10 +47,7 @@ def decode_topic(types: Typesdict, type_name: str, data: bytes, sizes: Sequence[
     sizes : sequence of int
         Their lengths [bytes].
 
-    Raises
-    ------
-    ValueError
-        If a message does not fit its type.
+    Raises ValueError if a message does not fit its type.
     """
     leaves = find_leaves(_stored_fields(types), type_name) if sizes else ()
     if not leaves:
@@ -79,10 +76,7 @@ def encode_topic(
     columns : mapping
         Field, named as in the module's table, to its values over all messages (n, ...).
 
-    Raises
-    ------
-    ValueError
-        If the messages cannot have a common layout, or a column does not fit its field.
+    Raises ValueError if the messages cannot have a common layout, or a column does not fit its field.
     """
     types = get_types_from_msg(definition, type_name)
     layout = _common_layout(find_leaves(_stored_fields(types), type_name), template)

@@ -97,10 +97,7 @@ def byte_order(data: bytes) -> Literal["<", ">"]:
 def installed_fields(type_name: str) -> list[Field]:
     """Return the fields of an installed message type.
 
-    Raises
-    ------
-    ValueError
-        If the type is not installed, or has a field that has no known layout (``wstring``).
+    Raises ValueError if the type is not installed, or has a field that has no known layout (``wstring``).
     """
     message_class: Any = load_message_class(type_name)
     types: dict[str, str] = message_class.get_fields_and_field_types()

@@ -17,10 +17,7 @@ class PaddingCleaner:
     type_name : str
         ``package/msg/Name``.
 
-    Raises
-    ------
-    ValueError
-        If the type is not installed, or has a field that has no known layout (``wstring``).
+    Raises ValueError if the type is not installed, or has a field that has no known layout (``wstring``).
     """
 
     def __init__(self, type_name: str) -> None:

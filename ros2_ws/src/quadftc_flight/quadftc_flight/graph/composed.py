@@ -26,11 +26,11 @@ from quadftc_flight.graph.plan import (
     Progress,
     always,
 )
-from quadftc_ros.connections import crowded_topics, missing_connections
 from quadftc_ros.executor import Pace, Slice, make_executor, settled_memory
 from quadftc_ros.node import GraphNode
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.scheduling import SchedulingError, scheduled
+from quadftc_ros.topics import crowded_topics, missing_connections
 from quadftc_sim.fault_injector_node import FaultInjectorNode
 from quadftc_sim.plant_node import PlantNode
 

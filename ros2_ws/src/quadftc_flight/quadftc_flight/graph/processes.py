@@ -31,13 +31,13 @@ from quadftc_flight.graph.plan import (
 )
 from quadftc_flight.graph.respawn import MOST_DEATHS, Respawn
 from quadftc_ros.children import Children
-from quadftc_ros.connections import crowded_topics, missing_connections
 from quadftc_ros.conversions import time_message
 from quadftc_ros.diagnostics import WARN
 from quadftc_ros.executor import Slice, make_executor
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.scheduling import Scheduling, SchedulingError, scheduled
+from quadftc_ros.topics import crowded_topics, missing_connections
 
 CALM = {"lockstep": 0.0, "realtime": 0.5}  # s; between the last match and the flight
 

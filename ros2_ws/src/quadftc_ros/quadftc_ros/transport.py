@@ -1,10 +1,16 @@
 # pyright: basic
-"""What a node takes of a topic: messages that have a time, in the frame of the topic. Others are counted."""
+"""Between rclpy and a node's callbacks: usable messages come in, others are counted; a tap copies what goes.
+
+A message is usable if its stamp is a time and its frame is that of its topic.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any
+
+from rclpy.publisher import Publisher
+from rclpy.serialization import serialize_message
 
 from quadftc_bags.cdr.layout import FRAME, PLAIN
 from quadftc_bags.cdr.message import leading_frame, leading_stamp_ns
@@ -15,6 +21,26 @@ from quadftc_ros.trace import Note
 NO_STAMP = "stamp is no time"  # negative, or so late that no message can have it
 
 Count = Callable[[str], None]  # gets the reason why a message is refused
+Take = Callable[[bytes], None]  # gets a message in CDR
+Tap = Callable[[str], Take | None]  # full name of a topic -> what gets its messages, if anything does
+
+
+def tapped(publisher: Publisher, tap: Tap | None) -> Callable[[Any], None]:
+    """Return the ``publish`` of a publisher, which gives a copy to the tap, if there is one.
+
+    The message is serialised once, for both.
+    """
+    send = publisher.publish
+    take = None if tap is None else tap(publisher.topic_name)
+    if take is None:
+        return send
+
+    def publish(message: Any) -> None:
+        data = message if isinstance(message, bytes) else serialize_message(message)
+        send(data)
+        take(data)
+
+    return publish
 
 
 def of_messages(

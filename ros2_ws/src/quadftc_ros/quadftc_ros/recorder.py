@@ -1,0 +1,66 @@
+"""What the recorder decides: which topics and files, under which time, and whether all is well."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from quadftc_bags.cdr.message import leading_stamp_ns
+from quadftc_ros.conversions import END_NS
+from quadftc_ros.topics import TOPICS, Topic
+
+if TYPE_CHECKING:
+    from quadftc_bags.writer import BagStatus
+
+
+class StampedMessages:
+    """Decides which messages of a lock-step graph are stored: those of the flight, under their stamps.
+
+    Before the flight the stamp is zero. How many such messages there are depends on how fast the processes
+    start, so they are left out.
+    """
+
+    def __init__(self) -> None:
+        self.newest_ns = 0
+
+    def log_time_ns(self, data: bytes) -> int | None:
+        """Return the log time of a serialised message [ns]; 0: before the flight; None: it has no stamp."""
+        try:
+            stamp_ns = leading_stamp_ns(data)
+        except ValueError:
+            return None
+        if not 0 <= stamp_ns < END_NS:
+            return None
+        self.newest_ns = stamp_ns or self.newest_ns
+        return stamp_ns
+
+
+def judge(status: BagStatus) -> tuple[Literal["ok", "warn", "error"], str, Mapping[str, int]]:
+    """Return level, message and values of the diagnostics of a recording."""
+    dropped = sum(status.dropped.values())
+    values = {"stored": sum(status.counts.values()), "dropped": dropped, "lost": status.lost}
+    if status.error is not None:
+        return "error", f"recording has stopped: {status.error}", values
+    return ("warn", "messages were dropped", values) if dropped else ("ok", "recording", values)
+
+
+def choose_topics(names: Sequence[str]) -> list[Topic]:
+    """Return rows of the table by name, all of them for no name; ValueError for an unknown name."""
+    unknown = sorted(set(names) - set(TOPICS))
+    if unknown:
+        raise ValueError(f"topics: unknown {', '.join(unknown)}; known are {', '.join(TOPICS)}")
+    return [TOPICS[name] for name in dict.fromkeys(names or TOPICS)]
+
+
+def read_attachments(paths: Sequence[Path]) -> dict[str, bytes]:
+    """Return the contents of files by name; ValueError for a name that comes twice or an unreadable file."""
+    attachments: dict[str, bytes] = {}
+    for path in paths:
+        if path.name in attachments:
+            raise ValueError(f"attachments: two files are named {path.name}")
+        try:
+            attachments[path.name] = path.read_bytes()
+        except OSError as error:
+            raise ValueError(f"attachments: {path}: {error.strerror}") from error
+    return attachments

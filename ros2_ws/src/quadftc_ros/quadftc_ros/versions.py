@@ -1,0 +1,23 @@
+# pyright: basic
+"""The versions that a bag or a summary states."""
+
+from __future__ import annotations
+
+import os
+import platform
+
+from rclpy.utilities import get_rmw_implementation_identifier
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of this software and of what it stands on."""
+    from importlib.metadata import version  # takes long to import
+
+    return {
+        "quadftc": version("quadftc-ros"),
+        "ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
+        "rmw_implementation": get_rmw_implementation_identifier(),
+        "python": platform.python_version(),
+        "mcap": version("mcap"),
+        "numpy": version("numpy"),
+    }

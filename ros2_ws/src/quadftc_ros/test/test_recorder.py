@@ -1,0 +1,49 @@
+"""What the recorder decides, without a node."""
+
+import numpy as np
+import pytest
+from rclpy.serialization import serialize_message
+
+from message_objects import VectorWriter
+from quadftc_bags.writer import BagStatus
+from quadftc_ros.recorder import StampedMessages, choose_topics, judge, read_attachments
+from quadftc_ros.topics import TOPICS
+
+
+def test_lockstep_stores_by_stamp_and_leaves_out_what_has_none():
+    stamped = StampedMessages()
+    data = serialize_message(VectorWriter("map")(5, np.zeros(3)))
+    assert (stamped.log_time_ns(data), stamped.newest_ns) == (5, 5)
+    before = serialize_message(VectorWriter("map")(0, np.zeros(3)))
+    assert (stamped.log_time_ns(before), stamped.newest_ns) == (0, 5)
+    assert stamped.log_time_ns(b"") is None
+    assert stamped.log_time_ns(b"\0\1\0\0" + b"\xff" * 4 + bytes(4)) is None  # negative
+
+
+@pytest.mark.parametrize(
+    ("status", "level", "message"),
+    [
+        (BagStatus({"/a": 3}, {}, 0, None), "ok", "recording"),
+        (BagStatus({"/a": 3}, {"/a": 1}, 0, None), "warn", "messages were dropped"),
+        (BagStatus({"/a": 3}, {"/a": 1}, 2, "full"), "error", "recording has stopped: full"),
+    ],
+)
+def test_error_outranks_dropped_messages(status, level, message):
+    assert judge(status)[:2] == (level, message)
+    assert judge(status)[2] == {"stored": 3, "dropped": sum(status.dropped.values()), "lost": status.lost}
+
+
+def test_topics_are_chosen_once_each_and_all_by_default():
+    assert choose_topics([]) == list(TOPICS.values())
+    assert choose_topics(["/clock", "plant/imu", "/clock"]) == [TOPICS["/clock"], TOPICS["plant/imu"]]
+    with pytest.raises(ValueError, match="topics: unknown imu/date; known are plant/imu"):
+        choose_topics(["imu/date"])
+
+
+def test_attachments_of_one_name_are_refused(tmp_path):
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "x.yaml").write_text(folder)
+    assert read_attachments([tmp_path / "a/x.yaml"]) == {"x.yaml": b"a"}
+    with pytest.raises(ValueError, match=r"two files are named x\.yaml"):
+        read_attachments([tmp_path / "a/x.yaml", tmp_path / "b/x.yaml"])
