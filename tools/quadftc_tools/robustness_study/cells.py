@@ -14,7 +14,7 @@ from quadftc_campaign.table import whole_flights
 from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG
 from quadftc_flight.run_directory import NO_OBSERVER
 from quadftc_model.samples import AXES
-from quadftc_report.campaign.results import has_observer
+from quadftc_report.campaign_results import has_observer
 
 WITHOUT_DETECTOR = ("sliding_mode",)  # its states say nothing: the size of its estimate is taken
 ESTIMATED_BY = {"fault_estimate_rmse_deg": "observer", "disturbance_estimate_rmse": "disturbance_observer"}

@@ -1,12 +1,12 @@
-"""Which samples of a series to draw: few enough for a browser, and nothing that can be seen is lost.
+"""Which samples of a series to draw: few enough for a browser, and every visible feature stays.
 
-What is measured is never decimated, only what is drawn. The samples drawn are samples of the series:
+Metrics are never computed from decimated samples. The samples drawn are samples of the series:
 
 1. the ends, both edges of every gap (NaN), and the smallest and the largest sample of each of a few hundred
-   stretches of time (MinMax, by tsdownsample), so every extreme is there;
-2. then, again and again, the sample that is farthest from the line drawn so far, between any two neighbours:
-   both sides of a step, the bends of a transient. It ends when the line is nowhere off by more than
-   ``TOLERANCE`` of the range, or when ``LIMIT`` samples are drawn.
+   stretches of time (MinMax, by tsdownsample);
+2. then, repeatedly, the sample farthest from the line drawn so far, between any two neighbours: both sides of
+   a step, the bends of a transient. It ends when the line is nowhere off by more than ``TOLERANCE`` of the
+   range, or when ``LIMIT`` samples are drawn.
 """
 
 from __future__ import annotations
@@ -25,55 +25,33 @@ STRETCHES = 300  # of time, each with its extremes
 TOLERANCE = 1e-3  # of the range; a fifth of a pixel in a panel of 200
 
 
-def decimate(t: Floats, y: Floats, limit: int = LIMIT) -> tuple[Floats, Floats]:
-    """Choose the samples of a series that are drawn.
+def choose_samples(t: Floats, *series: Floats, limit: int = LIMIT) -> Indices:
+    """Choose the samples that are drawn of one or more series.
 
     Parameters
     ----------
     t : array (n,)
         Time, rising.
-    y : array (n,)
-        NaN is a gap.
+    series : arrays (n,)
+        A gap is where any of them is NaN.
     limit : int
         How many samples to draw; ends, extremes and gaps are kept even if they are more.
 
     Returns
     -------
-    t, y : arrays (m,)
-        Samples of the series in their order, one NaN for each gap; the series itself if it is short enough.
-    """
-    if len(y) <= limit:
-        return t, y
-    chosen = drawn(t, y[:, None], limit)
-    return t[chosen], y[chosen]
-
-
-def drawn(t: Floats, columns: Floats, limit: int = LIMIT) -> Indices:
-    """Choose the samples that are drawn of one or more series with the same times.
-
-    Parameters
-    ----------
-    t : array (n,)
-        Time, rising.
-    columns : array (n, k)
-        A sample is missing (a gap) where any of them is not a number.
-    limit : int
-        How many samples to draw.
-
-    Returns
-    -------
     array (m,)
-        Rising indices; of each gap, the first sample.
+        Rising indices, one for each gap; all of them if the series is short enough.
     """
-    if len(columns) <= limit:
-        return np.arange(len(columns))
+    if len(t) <= limit:
+        return np.arange(len(t))
+    columns = np.stack(series, axis=1)
     known = np.flatnonzero(np.all(np.isfinite(columns), axis=1))
     if len(known) == 0:
         return known
     gap = np.flatnonzero(np.diff(known) > 1)  # each lies behind known[gap]
-    times, values = t[known], columns[known]
+    values = columns[known]
     start = np.concatenate([[0, len(known) - 1], gap, gap + 1, *map(_extremes, values.T)])
-    chosen = _refined(times, values, np.unique(start).astype(np.intp), limit - len(gap))
+    chosen = _refine(t[known], values, np.unique(start).astype(np.intp), limit - len(gap))
     return np.sort(np.concatenate([known[chosen], known[gap] + 1]))
 
 
@@ -86,27 +64,20 @@ def _extremes(values: Floats) -> Indices:
     return np.asarray(downsampler.downsample(np.ascontiguousarray(values), n_out=count), np.intp)
 
 
-def _refined(times: Floats, values: Floats, chosen: Indices, limit: int) -> Indices:
+def _refine(times: Floats, values: Floats, chosen: Indices, limit: int) -> Indices:
     """Add the samples farthest from the line through those chosen, until it is good or long enough."""
     span = np.ptp(values, axis=0)
     scaled = values / np.where(span > 0.0, span, 1.0)
     while len(chosen) < limit:
         lines: list[Floats] = [np.interp(times, times[chosen], column[chosen]) for column in scaled.T]
-        error = np.max(np.abs(scaled - np.stack(lines, axis=1)), axis=1)
-        worst = _worst(error, chosen)
+        error = np.max(np.abs(scaled - np.stack(lines, axis=1)), axis=1)[: chosen[-1]]
+        # The first sample with the largest error between each two neighbours that were chosen
+        which = np.repeat(np.arange(len(chosen) - 1), np.diff(chosen))
+        hits = np.flatnonzero(error == np.maximum.reduceat(error, chosen[:-1])[which])
+        worst = hits[np.unique(which[hits], return_index=True)[1]]
         worst = worst[error[worst] > TOLERANCE]
         if len(worst) == 0:
             break
         largest_first = worst[np.argsort(-error[worst], kind="stable")]
         chosen = np.union1d(chosen, largest_first[: limit - len(chosen)])
     return chosen
-
-
-def _worst(error: Floats, chosen: Indices) -> Indices:
-    """The sample with the largest error between each two neighbours that were chosen."""
-    edges = chosen[:-1]
-    largest = np.maximum.reduceat(error[: chosen[-1]], edges)
-    which = np.repeat(np.arange(len(edges)), np.diff(chosen))
-    hits = np.flatnonzero(error[: chosen[-1]] == largest[which])
-    _, first = np.unique(which[hits], return_index=True)
-    return hits[first]

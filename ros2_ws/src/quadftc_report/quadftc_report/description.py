@@ -1,4 +1,4 @@
-"""What a figure consists of, whoever draws it: traces, areas, windows, moments and bands, in panels."""
+"""A figure over time, whoever draws it: panels of traces, areas, windows, moments and bands."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TICK_MARGIN = 0.4  # on both ends of a scale of words
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Trace:
-    """A line. ``role`` and ``rank`` say how it looks (:func:`quadftc_report.style.line_style`)."""
+    """A line. ``role`` and ``rank`` choose its look (`quadftc_report.style.line_style`)."""
 
     name: str
     role: str  # truth, reference, proposed or compared
@@ -25,7 +25,7 @@ class Trace:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Envelope:
-    """An area around a line: where what it estimates is likely to be."""
+    """An area around a line: two standard deviations either side, say."""
 
     name: str
     role: str
@@ -68,7 +68,7 @@ class Band:
 class Panel:
     """One pair of axes; the time axis is that of the figure."""
 
-    title: str  # short: what tells it from the other panels of its figure
+    title: str  # short, for the hover text
     y_label: str  # without the unit
     unit: str
     traces: tuple[Trace, ...]
@@ -85,7 +85,7 @@ class Panel:
 
     @property
     def tick_span(self) -> tuple[float, float]:
-        """What the axis of a scale of words shows: all of them, with a margin."""
+        """Range of the axis of a scale of words."""
         values = [value for value, _ in self.ticks]
         return min(values) - TICK_MARGIN, max(values) + TICK_MARGIN
 

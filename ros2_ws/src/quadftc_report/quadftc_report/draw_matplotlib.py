@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, cast
 
 import matplotlib as mpl
-import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Canvas
 from matplotlib.font_manager import FontProperties
@@ -16,7 +15,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.textpath import text_to_path
 from matplotlib.ticker import MaxNLocator
 
-from quadftc_report.decimation import decimate, drawn
+from quadftc_report.decimation import choose_samples
 from quadftc_report.description import Band, Figure, Panel
 from quadftc_report.style import GREY, line_style, shade_colour
 
@@ -54,23 +53,9 @@ STYLE: dict[str, Any] = {
 
 
 def save_figure(figure: Figure, directory: Path) -> list[Path]:
-    """Draw a figure and write it as ``<key>.png`` (300 dpi) and ``<key>.pdf``.
+    """Draw a figure and write it as ``<key>.png`` (300 dpi) and ``<key>.pdf`` into a directory.
 
-    Parameters
-    ----------
-    figure : Figure
-    directory : Path
-        Made if it does not exist.
-
-    Returns
-    -------
-    list of Path
-        The files: PNG, PDF.
-
-    Raises
-    ------
-    OSError
-        If they cannot be written.
+    Returns the paths of both files.
     """
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
@@ -86,7 +71,7 @@ def save_figure(figure: Figure, directory: Path) -> list[Path]:
 
 
 def draw(figure: Figure) -> Canvas:
-    """Draw a figure, in the style that is in force."""
+    """Draw a figure, in the style in force."""
     heights = [panel.height for panel in figure.panels]
     canvas = Canvas(layout=ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.03, hspace=0.02))
     FigureCanvasAgg(canvas)
@@ -116,16 +101,14 @@ def _panel(ax: Any, panel: Panel) -> Iterator[tuple[str, Any]]:
     else:
         ax.yaxis.set_major_locator(MaxNLocator(nbins=round(5 * panel.height), steps=[1, 2, 5, 10]))
     for trace in panel.traces:
-        t, y = decimate(trace.t, trace.y)
-        yield trace.name, ax.plot(t, y, **_line(trace.role, trace.rank))[0]
+        chosen = choose_samples(trace.t, trace.y)
+        yield trace.name, ax.plot(trace.t[chosen], trace.y[chosen], **_line(trace.role, trace.rank))[0]
     for area in panel.envelopes:
-        chosen = drawn(area.t, np.stack([area.low, area.high], axis=1))
-        style = line_style(area.role, area.rank)
-        fill = {"color": style.colour, "alpha": FILL, "linewidth": 0.0, "zorder": 1.5}
-        yield (
-            area.name,
-            ax.fill_between(area.t[chosen], area.low[chosen], area.high[chosen], **fill),
+        t, low, high = (
+            each[choose_samples(area.t, area.low, area.high)] for each in (area.t, area.low, area.high)
         )
+        colour = line_style(area.role, area.rank).colour
+        yield area.name, ax.fill_between(t, low, high, color=colour, alpha=FILL, linewidth=0.0, zorder=1.5)
     for band in panel.bands:
         yield band.label, _band(ax, band)
     for shade in panel.shades:

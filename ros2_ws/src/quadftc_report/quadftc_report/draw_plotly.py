@@ -1,7 +1,7 @@
 # pyright: basic
 """Figures for the screen, by Plotly: zoom, hover, a legend that switches runs off.
 
-All panels of a figure share one time axis, ``xaxis``: to link the figures of a page, link that.
+All panels of a figure over time share one time axis, ``xaxis``: to link the figures of a page, link that.
 Samples are stored as 32-bit numbers, which Plotly writes as base64: half the size of the digits.
 """
 
@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from numpy.typing import NDArray
 
-from quadftc_report.decimation import decimate, drawn
+from quadftc_report.decimation import choose_samples
 from quadftc_report.description import Band, Envelope, Figure, Panel, Trace
 from quadftc_report.style import GREY, line_style, shade_colour
 
@@ -24,8 +23,9 @@ GAP = 22  # px; between panels
 LINE_WIDTH = 1.5  # px
 SCREEN = 1.8  # dashes are longer on the screen than on paper, which is finer
 FILL = 0.18  # opacity of areas
+TOP = 52  # px; of it, with one row of the legend
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
-
+LINES: dict[str, Any] = {"showline": True, "linecolor": "#9a9a9a", "mirror": "all", "zeroline": False}
 CONFIG: dict[str, Any] = {
     "displaylogo": False,
     "responsive": True,
@@ -34,101 +34,83 @@ CONFIG: dict[str, Any] = {
 }
 
 
-def plotly_config(figure: Figure) -> dict[str, Any]:
-    """Return the ``config`` to draw a figure with: it resets on a double click, and saves under its key."""
-    return config_of(figure.key)
+def spec_of(drawing: go.Figure, key: str) -> dict[str, Any]:
+    """Return data, layout and config of a drawing that is saved under a key."""
+    image = {"filename": key, "format": "svg"}
+    return {**drawing.to_dict(), "config": {**CONFIG, "toImageButtonOptions": image}}
 
 
-def config_of(key: str) -> dict[str, Any]:
-    """Return the ``config`` of a figure that is saved under a key."""
-    return {**CONFIG, "toImageButtonOptions": {"filename": key, "format": "svg"}}
+def figure_spec(figure: Figure) -> dict[str, Any]:
+    """Return data, layout and config of a figure over time."""
+    return spec_of(plotly_figure(figure), figure.key)
 
 
-def plotly_figure(figure: Figure) -> go.Figure:
-    """Draw a figure, without its title and caption, which belong to the page around it.
-
-    Its height is fixed, its width that of its place. The panels have ``yaxis``, ``yaxis2`` and so on.
-    """
-    heights = [PANEL_HEIGHT * panel.height for panel in figure.panels]
-    total = sum(heights) + GAP * (len(heights) - 1)
-    drawing = go.Figure(layout=_layout(figure, total))
-    top = total
-    shown: set[str] = set()
-    for number, (panel, height) in enumerate(zip(figure.panels, heights, strict=True), 1):
-        axis = f"y{number if number > 1 else ''}"
-        drawing.update_layout(
-            {f"yaxis{axis[1:]}": _y_axis(panel, ((top - height) / total, top / total))},
-        )
-        for item in _traces(panel, figure.span):
-            name = item["name"]
-            drawing.add_trace(go.Scatter(**item, yaxis=axis, legendgroup=name, showlegend=name not in shown))
-            shown.add(name)
-        for item in _shapes(panel):
-            name = item["name"]
-            drawing.add_shape(
-                **item, yref=f"{axis} domain", y0=0, y1=1, legendgroup=name, showlegend=name not in shown
-            )
-            shown.add(name)
-        top -= height + GAP
-    drawing.update_layout(xaxis={"anchor": f"y{len(heights) if len(heights) > 1 else ''}"})
+def empty_figure(height: float, top: float, **layout: Any) -> go.Figure:
+    """Return a figure without lines; its width is that of its place."""
+    common = {
+        "template": "plotly_white",
+        "height": height,
+        "margin": {"l": 72, "r": 16, "t": top, "b": 48},
+        "font": {"family": FONT, "size": 13},
+        "hoverlabel": {"namelength": -1},
+        "dragmode": "zoom",
+        "legend": {"orientation": "h", "x": 0.0, "xanchor": "left", "y": 1.02, "yanchor": "bottom"},
+    }
+    drawing = go.Figure(layout=common)
+    drawing.update_layout(layout)
+    drawing.update_layout(legend_bgcolor="rgba(0,0,0,0)")
     return drawing
 
 
-def _layout(figure: Figure, height: float) -> dict[str, Any]:
-    return {
-        "template": "plotly_white",
-        "height": height + FRAME,
-        "margin": {"l": 72, "r": 16, "t": 52, "b": 48},
-        "font": {"family": FONT, "size": 13},
-        "hovermode": "x unified",
-        "hoversubplots": "axis",
-        "hoverdistance": 40,
-        "hoverlabel": {"namelength": -1},
-        "dragmode": "zoom",
-        "uirevision": figure.key,
-        "legend": {
-            "orientation": "h",
-            "x": 0.0,
-            "xanchor": "left",
-            "y": 1.0 + 6.0 / height,
-            "yanchor": "bottom",
-            "bgcolor": "rgba(0,0,0,0)",
-        },
-        "xaxis": {
-            "title": {"text": "time [s]", "standoff": 8},
-            "range": list(figure.span),
-            "unifiedhovertitle": {"text": "%{x:.3f} s"},
-            **LINES,
-        },
-    }
+def axis(title: str, **others: Any) -> dict[str, Any]:
+    """Return the look of an axis."""
+    return {"title": {"text": title, "standoff": 7}, **LINES, **others}
 
 
-LINES: dict[str, Any] = {
-    "showline": True,
-    "linecolor": "#9a9a9a",
-    "mirror": "all",
-    "zeroline": False,
-}
+def plotly_figure(figure: Figure) -> go.Figure:
+    """Draw a figure without its title and caption; the panels have ``yaxis``, ``yaxis2`` and so on."""
+    heights = [PANEL_HEIGHT * panel.height for panel in figure.panels]
+    total = sum(heights) + GAP * (len(heights) - 1)
+    last = f"y{len(heights) if len(heights) > 1 else ''}"
+    hover = {"unifiedhovertitle": {"text": "%{x:.3f} s"}}
+    drawing = empty_figure(
+        total + FRAME,
+        TOP,
+        hovermode="x unified",
+        hoversubplots="axis",
+        hoverdistance=40,
+        uirevision=figure.key,
+        legend_y=1.0 + 6.0 / total,
+        xaxis=axis("time [s]", range=list(figure.span), anchor=last, **hover),
+    )
+    top = total
+    shown: set[str] = set()
+    for number, (panel, height) in enumerate(zip(figure.panels, heights, strict=True), 1):
+        suffix = str(number) if number > 1 else ""
+        domain = [max((top - height) / total, 0.0), min(top / total, 1.0)]
+        drawing.update_layout({f"yaxis{suffix}": _y_axis(panel, domain)})
+        for item in _traces(panel, figure.span):
+            drawing.add_trace(go.Scatter(**item, yaxis=f"y{suffix}", **_legend(item["name"], shown)))
+        for item in _shapes(panel):
+            place = {"yref": f"y{suffix} domain", "y0": 0, "y1": 1}
+            drawing.add_shape(**item, **place, **_legend(item["name"], shown))
+        top -= height + GAP
+    return drawing
 
 
-def _y_axis(panel: Panel, domain: tuple[float, float]) -> dict[str, Any]:
-    return {
-        "title": {"text": panel.axis_label(), "standoff": 6},
-        "domain": [max(domain[0], 0.0), min(domain[1], 1.0)],
-        "anchor": "x",
-        "nticks": 7,
-        "minexponent": 5,
-        **LINES,
-        **_ticks(panel),
-    }
+def _legend(name: str, shown: set[str]) -> dict[str, Any]:
+    """Every name is in the legend once, and switches all that bear it."""
+    first = name not in shown
+    shown.add(name)
+    return {"legendgroup": name, "showlegend": first}
 
 
-def _ticks(panel: Panel) -> dict[str, Any]:
-    """A scale of words in place of numbers, if the panel has one."""
-    if not panel.ticks:
-        return {}
-    values, words = zip(*panel.ticks, strict=True)
-    return {"tickvals": values, "ticktext": words, "range": list(panel.tick_span)}
+def _y_axis(panel: Panel, domain: list[float]) -> dict[str, Any]:
+    words = {}
+    if panel.ticks:
+        values, texts = zip(*panel.ticks, strict=True)
+        words = {"tickvals": values, "ticktext": texts, "range": list(panel.tick_span)}
+    return axis(panel.axis_label(), domain=domain, anchor="x", nticks=7, minexponent=5, **words)
 
 
 def _traces(panel: Panel, span: tuple[float, float]) -> Iterator[dict[str, Any]]:
@@ -142,53 +124,48 @@ def _traces(panel: Panel, span: tuple[float, float]) -> Iterator[dict[str, Any]]
 
 
 def _trace(trace: Trace, panel: Panel) -> dict[str, Any]:
-    t, y = decimate(trace.t, trace.y)
+    chosen = choose_samples(trace.t, trace.y)
+    y = trace.y[chosen]
     words = dict(panel.ticks)
     shown = "%{text}" if words else f"%{{y:.4~g}} {panel.unit}"
     return {
         "name": trace.name,
-        "x": t.astype(np.float32),
+        "x": trace.t[chosen].astype(np.float32),
         "y": y.astype(np.float32),
         **({"text": [words.get(value, "") for value in y.tolist()]} if words else {}),
         "hovertemplate": f"{panel.title}, {trace.name}: {shown}<extra></extra>",
-        **look(trace.role, trace.rank),
+        **line_look(trace.role, trace.rank),
     }
 
 
 def _area(area: Envelope) -> dict[str, Any]:
-    """An area as one closed line for each stretch without gap."""
-    chosen = drawn(area.t, np.stack([area.low, area.high], axis=1))
-    known = np.isfinite(area.low[chosen]) & np.isfinite(area.high[chosen])
-    outline = [_outline(area, part) for part in _stretches(chosen, known)]
-    x, y = (np.concatenate(side) for side in zip(*outline, strict=True)) if outline else ([], [])
-    colour = line_style(area.role, area.rank).colour
+    """An area as one closed outline for each stretch without gap: forth above, back below, and a NaN."""
+    chosen = choose_samples(area.t, area.low, area.high)
+    t, low, high = area.t[chosen], area.low[chosen], area.high[chosen]
+    gaps = np.flatnonzero(~np.isfinite(low + high))
+    stretches = [part[np.isfinite((low + high)[part])] for part in np.split(np.arange(len(t)), gaps)]
+    outlines = [
+        (np.r_[t[part], t[part][::-1], np.nan], np.r_[high[part], low[part][::-1], np.nan])
+        for part in stretches
+        if len(part)
+    ]
+    x, y = (np.concatenate(side) for side in zip(*outlines, strict=True)) if outlines else ([], [])
+    red, green, blue = bytes.fromhex(line_style(area.role, area.rank).colour[1:])
     return {
         "name": area.name,
         "x": np.asarray(x, np.float32),
         "y": np.asarray(y, np.float32),
         "mode": "none",
         "fill": "toself",
-        "fillcolor": _faded(colour),
+        "fillcolor": f"rgba({red},{green},{blue},{FILL})",
         "hoverinfo": "skip",
         "zorder": 0,
     }
 
 
-def _stretches(chosen: NDArray[np.intp], known: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
-    """The known ones among the samples chosen, split at the gaps."""
-    parts = np.split(chosen, np.flatnonzero(~known))
-    return [part for part in (p[np.isin(p, chosen[known])] for p in parts) if len(part)]
-
-
-def _outline(area: Envelope, part: NDArray[np.intp]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Forth along the upper edge, back along the lower, and a gap."""
-    t, low, high = area.t[part], area.low[part], area.high[part]
-    return np.concatenate([t, t[::-1], [np.nan]]), np.concatenate([high, low[::-1], [np.nan]])
-
-
 def _band(band: Band, span: tuple[float, float]) -> dict[str, Any]:
     """Both edges of a range of values."""
-    thin = look(band.role, band.rank)
+    thin = line_look(band.role, band.rank)
     thin["line"]["width"] = 0.7 * LINE_WIDTH
     return {
         "name": band.label,
@@ -203,26 +180,14 @@ def _band(band: Band, span: tuple[float, float]) -> dict[str, Any]:
 def _shapes(panel: Panel) -> Iterator[dict[str, Any]]:
     """Windows and moments, as high as the panel."""
     for shade in panel.shades:
-        yield {
-            "type": "rect",
-            "name": shade.label,
-            "x0": shade.start,
-            "x1": shade.stop,
-            "fillcolor": shade_colour(shade.rank),
-            "line": {"width": 0},
-            "layer": "below",
-        }
+        fill = {"fillcolor": shade_colour(shade.rank), "line": {"width": 0}, "layer": "below"}
+        yield {"type": "rect", "name": shade.label, "x0": shade.start, "x1": shade.stop, **fill}
     for mark in panel.marks:
-        yield {
-            "type": "line",
-            "name": mark.label,
-            "x0": mark.time,
-            "x1": mark.time,
-            "line": {"color": GREY, "width": 1.2, "dash": "dot"},
-        }
+        dots = {"color": GREY, "width": 1.2, "dash": "dot"}
+        yield {"type": "line", "name": mark.label, "x0": mark.time, "x1": mark.time, "line": dots}
 
 
-def look(role: str, rank: int) -> dict[str, Any]:
+def line_look(role: str, rank: int) -> dict[str, Any]:
     """Return the attributes of Plotly for the look of a line; see `quadftc_report.style.line_style`."""
     style = line_style(role, rank)
     width = LINE_WIDTH * style.width
@@ -232,8 +197,3 @@ def look(role: str, rank: int) -> dict[str, Any]:
         "line": {"color": style.colour, "width": width, "dash": dash, "simplify": False},
         "zorder": style.layer,
     }
-
-
-def _faded(colour: str) -> str:
-    red, green, blue = (int(colour[place : place + 2], 16) for place in (1, 3, 5))
-    return f"rgba({red},{green},{blue},{FILL})"

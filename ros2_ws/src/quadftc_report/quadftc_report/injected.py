@@ -1,112 +1,80 @@
-"""What was done to the vehicle in a scenario, in words: faults and disturbances with kind, size and time."""
+"""The faults and disturbances of a recording as lines of a small table: when, where, what."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
 
-from quadftc_flight.flight import Flight
-from quadftc_flight.run_directory import RecordedRun
-from quadftc_flight.scenario import Fault, Part, Scenario
-from quadftc_model.parameters import Parameter, parameters_of
+from quadftc_flight.scenario import Fault
+from quadftc_model.parameters import parameters_of
 from quadftc_model.samples import AXES
-from quadftc_report.wording import each_axis, listing, period, plain
+from quadftc_replay.replay_directory import Recorded
+from quadftc_report.wording import listing, period, plain
 from quadftc_sim.injection import CHANNEL_UNITS
 
-_READINGS = {
-    "attitude": "the attitude reading",
-    "gyro": "the gyro",
-    "accelerometer": "the accelerometer",
-    "imu": "the whole IMU",
-}
-_IN_DEGREES = {"rad": "deg", "rad/s^2": "deg/s^2"}  # angular frequencies stay in rad/s
-_SCHEDULE = ("start", "stop")
-_STRAY = 1e-6  # rad; a fault outside its schedule that is larger was injected by hand
+Injection = tuple[str, str, str]
 
 
-def faults_text(faults: Sequence[Fault], duration: float, until: float) -> str:
-    """Tell the faults that begin before ``until`` [s], in a flight of that duration [s]; empty: none."""
-    groups: dict[tuple[float, float, str], list[Fault]] = {}
-    for fault in faults:
-        injection = fault.injection
-        if injection.start < until:
-            groups.setdefault((injection.start, injection.stop, injection.channel), []).append(fault)
-    parts = [
-        f"{period(start, _end(stop, duration))} {_READINGS.get(channel, channel)} is faulty: "
-        + "; ".join(_fault(fault) for fault in group)
-        for (start, stop, channel), group in sorted(groups.items(), key=lambda item: item[0])
-    ]
-    return ". ".join(f"{part[0].upper()}{part[1:]}" for part in parts)
+def list_injections(run: Recorded) -> list[Injection]:
+    """Return the faults and disturbances that begin before the recording ends: when, where, what.
+
+    Faults of the attitude outside the schedule come last: those of a recording, those injected by hand.
+    """
+    end = run.duration
+    faults = sorted(run.faults, key=lambda fault: fault.injection.start)
+    lines = [_fault(fault, end) for fault in faults if fault.injection.start < end]
+    for part in run.disturbances:
+        if part.law.start < end:
+            what = _describe(part.kind, part.law, part.given, AXES, {})
+            lines.append((_when(part.law.start, part.law.stop, end), "torque", what))
+    scheduled = {(fault.injection.start, axis) for fault in faults for axis in fault.axes}
+    for event in run.fault_events:
+        if event.start < end and (event.start, event.axis) not in scheduled:
+            when = _when(event.start, event.stop, end)
+            lines.append((when, f"attitude: {event.axis}", f"{event.kind}, in the recording"))
+    inside = [(run.flight.time >= event.start) & (run.flight.time < event.stop) for event in run.fault_events]
+    stray = np.abs(run.flight.fault[~np.any([*inside, np.zeros(len(run.flight), np.bool_)], axis=0)])
+    largest = math.degrees(np.max(stray, initial=0.0, where=np.isfinite(stray)))
+    if largest > 1e-6:
+        lines.append(("outside the schedule", "attitude", f"up to {plain(largest)} deg"))
+    return lines
 
 
-def disturbances_text(scenario: Scenario, until: float) -> str:
-    """Tell the disturbance torques that begin before ``until`` [s]; empty if there is none."""
-    parts: list[str] = []
-    for part in scenario.disturbances:
-        start, stop = float(getattr(part.law, "start", 0.0)), float(getattr(part.law, "stop", math.inf))
-        if start < until:
-            torque = _law(part, AXES, {}).replace(part.kind, f"{part.kind} torque", 1)
-            parts.append(f"{period(start, _end(stop, scenario.duration))}: {torque}")
-    return "; ".join(parts)
+def _when(start: float, stop: float, end: float) -> str:
+    return period(start, math.inf if stop >= end else stop).removeprefix("from ")
 
 
-def largest_disturbance(run: RecordedRun) -> dict[str, float]:
-    """Return the largest recorded disturbance of each axis, as a torque [N m]; empty if none is known."""
-    sizes = np.abs(run.flight.disturbance * run.scenario.plant.inertia)
-    if not np.isfinite(sizes).any():
-        return {}
-    return {axis: float(size) for axis, size in zip(AXES, np.nanmax(sizes, axis=0), strict=True)}
+def _fault(fault: Fault, end: float) -> Injection:
+    injection = fault.injection
+    whole = injection.law.whole_channel or len(fault.axes) == len(AXES)
+    units = CHANNEL_UNITS[injection.channel]
+    what = _describe(injection.kind, injection.law, fault.given, fault.axes, units)
+    where = f"{injection.channel}: {'all axes' if whole else listing(fault.axes)}"
+    return _when(injection.start, injection.stop, end), where, what
 
 
-def stray_fault(flight: Flight, scenario: Scenario) -> float | None:
-    """Return the largest recorded fault of the attitude [rad] outside every scheduled one, if any."""
-    outside = np.ones(len(flight), np.bool_)
-    for window in scenario.fault_windows:
-        outside &= (flight.time < window.start) | (flight.time >= window.stop)
-    sizes = np.abs(flight.fault[outside])
-    sizes = sizes[np.isfinite(sizes)]
-    return float(sizes.max()) if len(sizes) and sizes.max() > _STRAY else None
+def _describe(
+    kind: str, law: Any, given: Sequence[str], axes: Sequence[str], units: Mapping[str, str]
+) -> str:
+    """``bias: value 1 deg``; ``sine: amplitude 2 deg, frequency 0.6 rad/s``."""
+    texts: list[str] = []
+    for spec in parameters_of(law.__class__):
+        if spec.name in given and spec.name not in ("start", "stop"):
+            unit = spec.unit.format(**units) if units else spec.unit
+            angle = "{" in spec.unit and unit.startswith("rad")  # frequencies stay in rad/s
+            scale = math.degrees(1.0) if angle else 1.0
+            unit = unit.replace("rad", "deg", 1) if angle else unit.removesuffix("1")
+            value = _value(getattr(law, spec.name), scale, axes)
+            texts.append(f"{spec.name.replace('_', ' ')} {value} {unit}".rstrip())
+    return ": ".join(filter(None, [kind, ", ".join(texts)]))
 
 
-def _end(stop: float, duration: float) -> float:
-    return math.inf if stop >= duration else stop
-
-
-def _fault(fault: Fault) -> str:
-    units = CHANNEL_UNITS[fault.injection.channel]
-    words = _law(Part(fault.injection.kind, fault.injection.law, fault.given), fault.axes, units)
-    if fault.injection.law.whole_channel or len(fault.axes) == len(AXES):
-        return words
-    return f"{words} on {listing(fault.axes)}"
-
-
-def _law(part: Part, axes: Sequence[str], units: dict[str, str]) -> str:
-    """``bias of 1 deg``; ``sine of amplitude 2 deg and frequency 0.6 rad/s``."""
-    law: Any = part.law
-    specs = {spec.name: spec for spec in parameters_of(law.__class__)}
-    given = [name for name in part.given if name in specs and name not in _SCHEDULE]
-    values = [(name, _value(specs[name], getattr(part.law, name), axes, units)) for name in given]
-    if not values:
-        return part.kind
-    if len(values) == 1:
-        return f"{part.kind} of {values[0][1]}"
-    return f"{part.kind} of " + listing([f"{name.replace('_', ' ')} {text}" for name, text in values])
-
-
-def _value(spec: Parameter, value: Any, axes: Sequence[str], units: dict[str, str]) -> str:
-    unit = spec.unit.format(**units) if units else spec.unit
-    scale = 1.0
-    if unit in _IN_DEGREES or (unit == "rad/s" and "{" in spec.unit):
-        scale, unit = 180.0 / math.pi, _IN_DEGREES.get(unit, "deg/s")
-    unit = "" if unit == "1" else unit
-    if not isinstance(value, tuple):
-        return f"{plain(scale * value)} {unit}".rstrip() if isinstance(value, (int, float)) else str(value)
-    numbers = cast("tuple[float, ...]", value)
-    chosen = {axis: scale * float(number) for axis, number in zip(AXES, numbers, strict=True)}
-    chosen = {axis: chosen[axis] for axis in axes}
-    if len(set(chosen.values())) == 1:
-        return f"{plain(next(iter(chosen.values())))} {unit}".rstrip()
-    return each_axis(chosen, unit)
+def _value(value: Any, scale: float, axes: Sequence[str]) -> str:
+    if isinstance(value, tuple):
+        given = zip(AXES, cast("tuple[float, ...]", value), strict=True)
+        numbers = [plain(scale * number) for axis, number in given if axis in axes]
+        return numbers[0] if len(set(numbers)) == 1 else f"({', '.join(numbers)})"
+    return plain(scale * value) if isinstance(value, (int, float)) else str(value)

@@ -1,8 +1,9 @@
-"""The report: recorded runs and replays side by side, as one HTML file and as figures for print.
+"""Reports as one HTML file: recorded runs and replays side by side, or the flights of a campaign.
 
 >>> write_report([Path("results/demo")], Path("report.html"))
+>>> write_campaign_report(campaign, frame, summary, Path("results/demo"), "campaigns/demo.yaml")
 
-Importing this package is quick; what draws and renders is loaded when a report is written.
+The libraries that draw and render are loaded when a report is written.
 """
 
 from __future__ import annotations
@@ -12,16 +13,19 @@ import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from quadftc_bags.bag import read_bag
 from quadftc_flight.run_directory import RecordedRun, find_runs, is_replay, run_from_bag
 from quadftc_replay.replay_directory import RecordedReplay, replay_from_bag
 
 if TYPE_CHECKING:
-    from quadftc_report.drawing import Drawing
+    import polars as pl
 
-__all__ = ["ReportError", "ReportFiles", "write_report"]
+    from quadftc_campaign.campaign_file import Campaign
+    from quadftc_report.description import Figure
+
+__all__ = ["ReportError", "ReportFiles", "write_campaign_report", "write_report"]
 
 SUFFIXES = (".html", ".htm")
 READING = 0.3  # share of the work; the rest is drawing
@@ -64,21 +68,21 @@ def write_report(
     with_figures: bool = True,
     progress: Progress = lambda _what, _share: None,
 ) -> ReportFiles:
-    """Write the report on recorded runs and replays.
+    """Write the report on recorded runs and replays: a page that needs no other file and no network.
 
-    The page needs no other file and no network. The same figures are written as PNG and PDF into a directory
-    beside it. Nothing is in its place before all is written.
+    The figures are also written as PNG and PDF into a directory beside it. Nothing is replaced before all is
+    written.
 
     Parameters
     ----------
     paths : sequence of Path
         Runs and replays, or directories of such.
     out : Path
-        The HTML file; an earlier one is replaced.
+        The HTML file.
     with_figures : bool
         Whether to write the figures for print.
     progress : callable
-        Called with what is being done, and the share of the work that is done.
+        Called with the current task, and the share of the work that is done.
 
     Raises
     ------
@@ -90,26 +94,25 @@ def write_report(
     folder = out.parent / f"{out.stem}_figures"
     _check_place(out, folder)
     found = find_runs(paths)
-    read = [_read(path) for path in _followed(found, str, progress, 0.0, READING)]
+    read = [_read(path) for path in _announce(found, str, progress, 0.0, READING)]
     runs = [each for each in read if isinstance(each, RecordedRun)]
     replays = [each for each in read if isinstance(each, RecordedReplay)]
     warnings = tuple(line for each in read for line in each.warnings)
 
-    from quadftc_report.comparison import compare, compare_replays
-    from quadftc_report.page import render, sections
-    from quadftc_report.replay_page import replay_sections
+    from quadftc_report.comparison import compare
+    from quadftc_report.page import flight_sections, render, replay_sections
 
     place = folder.name if with_figures else None
-    parts = sections(compare(runs), place)
-    replayed = replay_sections(compare_replays(replays, [part.comparison.key for part in parts]), place)
-    drawings = [drawing for part in (*parts, *replayed) for drawing in part.drawings]
+    parts = flight_sections(compare(runs))
+    replayed = replay_sections(compare(replays, [part.key for part in parts]))
+    figures = [figure for part in (*parts, *replayed) for figure in part.figures]
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{out.stem}_", dir=out.parent) as name:
             made = Path(name)
-            (made / out.name).write_text(render(parts, warnings, replayed), encoding="utf-8")
+            (made / out.name).write_text(render(parts, warnings, replayed, place), encoding="utf-8")
             if with_figures:
-                _draw(drawings, made / folder.name, progress)
+                _draw(figures, made / folder.name, progress)
                 _move_all(made / folder.name, folder)
             (made / out.name).replace(out)
     except OSError as error:
@@ -121,6 +124,42 @@ def write_report(
         replays=tuple(replay.name for replay in replays),
         warnings=warnings,
     )
+
+
+def write_campaign_report(
+    campaign: Campaign, frame: pl.DataFrame, summary: dict[str, Any], directory: Path, command_file: str
+) -> Path:
+    """Write ``DIRECTORY/report.html`` on a campaign and return its path; it needs no network.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    frame : polars.DataFrame
+        Its table (`quadftc_campaign.table`).
+    summary : dict
+        Of that table (`quadftc_campaign.table.summary_of`).
+    directory : Path
+        Of the campaign.
+    command_file : str
+        The campaign file as the user names it, for the commands that fly a flight again.
+
+    Raises
+    ------
+    ReportError
+        If the report cannot be written.
+    """
+    from quadftc_report.campaign_page import render_campaign
+    from quadftc_report.campaign_results import results_of
+
+    text = render_campaign(results_of(campaign, frame, summary), directory, command_file)
+    path, part = directory / "report.html", directory / ".report.html.part"
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise ReportError(f"{path}: cannot be written: {error.strerror or error}") from None
+    return path
 
 
 def _read(path: Path) -> RecordedRun | RecordedReplay:
@@ -144,12 +183,12 @@ def _check_place(out: Path, folder: Path) -> None:
             raise ReportError(f"{place}: may not be written to")
 
 
-def _draw(drawings: Sequence[Drawing], folder: Path, progress: Progress) -> None:
+def _draw(figures: Sequence[Figure], folder: Path, progress: Progress) -> None:
     from quadftc_report.draw_matplotlib import save_figure
 
     folder.mkdir()
-    for drawing in _followed(drawings, lambda each: each.figure.key, progress, READING, 1.0):
-        save_figure(drawing.figure, folder)
+    for figure in _announce(figures, lambda each: each.key, progress, READING, 1.0):
+        save_figure(figure, folder)
 
 
 def _move_all(source: Path, target: Path) -> None:
@@ -159,10 +198,10 @@ def _move_all(source: Path, target: Path) -> None:
         file.replace(target / file.name)
 
 
-def _followed(
+def _announce(
     items: Sequence[Item], name: Callable[[Item], str], progress: Progress, start: float, stop: float
 ) -> Iterator[Item]:
-    """Yield items, and say before each what is being done."""
+    """Yield items, and report the progress before each."""
     for index, item in enumerate(items):
         progress(name(item), start + (stop - start) * index / len(items))
         yield item

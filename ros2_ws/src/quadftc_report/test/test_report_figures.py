@@ -10,13 +10,12 @@ import pytest
 
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import Flight
-from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, node_parameters, parse_scenario
 from quadftc_model.samples import AXES
 from quadftc_report.comparison import Comparison, compare
 from quadftc_report.description import Figure, Panel, Shade
-from quadftc_report.figures import figures
+from quadftc_report.figures import flight_figures
 
 TEXT = """
 name: small
@@ -64,7 +63,7 @@ def comparison(*names: str, overrides: tuple[str, ...] = ()) -> Comparison:
 
 
 def described(of: Comparison) -> dict[str, Figure]:
-    return {figure.key.removeprefix(f"{of.key}-"): figure for figure in figures(of)}
+    return {figure.key.removeprefix(f"{of.key}-"): figure for figure in flight_figures(of)}
 
 
 def changed(run: RecordedRun, **columns: np.ndarray) -> RecordedRun:
@@ -138,22 +137,6 @@ def test_fault_on_another_channel_has_a_window_of_its_own():
 def test_disturbance_that_ends_is_marked_twice():
     found = described(comparison(*PAIR, overrides=("disturbances.0.stop=3",)))
     assert [mark.time for mark in found["disturbance"].panels[0].marks] == [0.5, 3.0]
-
-
-def test_caption_gives_the_numbers_of_the_summary():
-    found = described(comparison(*PAIR))
-    metrics = [flight_metrics(flown(name).flight, ()) for name in PAIR]
-    rms = [
-        f"{item['tracking_rmse_deg']['roll']:.3g} deg ({name})"
-        for name, item in zip(PAIR, metrics, strict=True)
-    ]
-    assert ", ".join(rms) in found["tracking-roll"].caption
-    assert f"{metrics[0]['fault_estimate_rmse_deg']['pitch']:.3g} deg RMS" in found["fault-pitch"].caption
-    assert "fault window, 1 to 3 s" in found["fault-roll"].caption
-
-
-def test_caption_of_an_axis_without_fault_says_so():
-    assert "(there is none)" in described(comparison(*PAIR))["fault-yaw"].caption
 
 
 def test_withheld_samples_are_gaps():
@@ -256,7 +239,7 @@ def test_figures_of_the_papers_scenarios_have_the_papers_numbers(name, numbers):
 
 
 def test_keys_are_unique_and_fit_for_files():
-    keys = [figure.key for figure in figures(comparison(*PAIR))]
+    keys = [figure.key for figure in flight_figures(comparison(*PAIR))]
     assert len(set(keys)) == len(keys)
     assert all(key.replace("-", "").replace("_", "").isalnum() for key in keys)
     assert all(axis in "".join(keys) for axis in AXES)

@@ -15,7 +15,7 @@ from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import node_parameters, parse_scenario
 from quadftc_flight.summary import summary
 from quadftc_report.comparison import compare
-from quadftc_report.page import render, sections
+from quadftc_report.page import flight_sections, render
 from quadftc_report.report import ReportError, write_report
 
 TEXT = """
@@ -94,7 +94,7 @@ class Page(HTMLParser):
 
 
 def page_of(*runs: RecordedRun, warnings=(), folder: str | None = "report_figures") -> Page:
-    return Page(render(sections(compare(runs), folder), warnings))
+    return Page(render(flight_sections(compare(runs)), warnings, [], folder))
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,11 @@ import pytest
 
 from quadftc_bags.bag import Bag
 from quadftc_flight.flight import VECTORS, Flight
-from quadftc_flight.metrics import look_up
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, find_scenario, load_scenario
 from quadftc_flight.summary import summary
 from quadftc_report.comparison import Comparison, compare
 from quadftc_report.paper import Verdict, judge
-from quadftc_report.statements import statements
 
 RATE = 20.0  # Hz
 TIME = np.arange(0, 80, 1 / RATE)
@@ -100,17 +98,6 @@ def test_flights_as_the_paper_tells_them_agree_with_every_claim(three, index):
     assert {item.claim.key: item.verdict for item in found if item.verdict is not Verdict.AGREES} == {}
 
 
-def test_every_number_of_a_verdict_is_in_the_summary_where_it_says(three):
-    traced = 0
-    for judged in three:
-        runs = {run.name: run for each in three for run in each.runs}
-        for number in (number for found in judge(judged, three) for number in found.numbers):
-            if number.path:
-                assert look_up(runs[number.run].summary["metrics"], number.path) == number.value
-                traced += 1
-    assert traced > 60
-
-
 WAVE = np.sin(40.0 * TIME)[:, None] * np.ones(3)
 
 
@@ -147,9 +134,6 @@ def test_claim_on_two_scenarios_needs_both_and_tells_which_is_worse(three):
     found = next(item for item in judge(weak, three) if item.claim.key == "conventional_more_affected")
     assert found.verdict is Verdict.DISAGREES
     assert "more on pitch only. The paper does not say how large its disturbances are" in found.reason
-    text = next(item.text for item in statements(weak, three) if item.key == "paper")
-    assert "4 agree and 1 disagrees" in text
-    assert "these runs DISAGREE" in text
 
 
 @pytest.mark.parametrize(
@@ -180,11 +164,11 @@ def test_disturbance_that_is_not_the_papers_gets_no_verdict():
 
 
 def test_run_that_was_cut_short_gets_no_verdict(three):
-    scenario = three[0].scenario
+    scenario = three[0].runs[0].scenario
     rows = {field.name: getattr(three[0].runs[1].flight, field.name) for field in dataclasses.fields(Flight)}
     short = Flight(**{name: column[:800] for name, column in rows.items()})
     runs = (three[0].runs[0], made_run(scenario, "conventional", short))
-    found = judge(Comparison(scenario, runs))
+    found = judge(Comparison(runs, NAMES[0]))
     assert found[0].verdict is Verdict.CANNOT_SAY
     assert "was recorded for 40.0 s of 80 s only" in found[0].reason
 

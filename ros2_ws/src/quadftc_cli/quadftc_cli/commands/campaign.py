@@ -100,7 +100,7 @@ def _fly_all(
 ) -> int:
     cores = workers_here(workers, scheduler)
     from quadftc_campaign.flying import CampaignRun
-    from quadftc_report.campaign.report import write_campaign_report
+    from quadftc_report.report import write_campaign_report
 
     screen = console()
     flown = CampaignRun(loaded, directory)

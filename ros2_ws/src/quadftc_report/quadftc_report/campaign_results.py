@@ -1,10 +1,10 @@
-"""What a campaign gave, variant by variant."""
+"""What each variant of a campaign gave, flight by flight and fault by fault."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,14 +15,14 @@ from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.table import whole_flights
 from quadftc_flight.run_directory import NO_OBSERVER
 from quadftc_model.samples import AXES
-from quadftc_report.wording import counted, listing
 
 Floats = NDArray[np.float64]
+HOUR = 3600.0  # s
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Side:
-    """What one variant gave.
+    """The results of one variant.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ class Side:
     summary : mapping
         Its part of the summary.
     role, rank
-        How its lines look (`quadftc_report.style.line_style`).
+        The look of its lines (`quadftc_report.style.line_style`).
     """
 
     name: str
@@ -53,12 +53,12 @@ class Side:
 
     @property
     def title(self) -> str:
-        """What to call it in a sentence."""
+        """Its name in a sentence."""
         return f"'{self.name}'"
 
     @property
     def has_observer(self) -> bool:
-        """Whether sensor faults are estimated at all."""
+        """Whether it estimates sensor faults."""
         return has_observer(self.rows)
 
     @functools.cached_property
@@ -82,29 +82,28 @@ class Side:
         delays = numbers(self.faults, "fault.detection_delay_s")[~np.isnan(found)]
         return np.where(np.isnan(delays), np.inf, delays)
 
+    def healthy_hours(self, axes: Sequence[str] = AXES) -> float:
+        """Return for how long the axes of all flights were healthy, together [h]."""
+        return sum(float(np.nansum(numbers(self.flights, f"healthy_time_s.{axis}"))) for axis in axes) / HOUR
+
+    def alarms_per_hour(self, axes: Sequence[str] = AXES) -> float | None:
+        """Return the false alarms in an hour of a healthy axis [1/h]; None: no axis was healthy."""
+        hours = self.healthy_hours(axes)
+        alarms = sum(float(np.nansum(numbers(self.flights, f"false_alarms.{axis}"))) for axis in axes)
+        return alarms / hours if hours > 0.0 else None
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Results:
-    """What a campaign gave."""
+    """The results of all variants, in the order of the campaign."""
 
     campaign: Campaign
     frame: pl.DataFrame
-    summary: Mapping[str, Any]
-    sides: tuple[Side, ...]  # of each variant, in the order of the campaign
-
-    @property
-    def with_observer(self) -> tuple[Side, ...]:
-        """Those that estimate sensor faults."""
-        return tuple(side for side in self.sides if side.has_observer)
-
-    @property
-    def without_observer(self) -> tuple[Side, ...]:
-        """Those that do not."""
-        return tuple(side for side in self.sides if not side.has_observer)
+    sides: tuple[Side, ...]
 
     @property
     def kinds(self) -> list[str]:
-        """Kinds of fault that were flown; at the end, all together. Empty: no flight had a fault."""
+        """Kinds of fault that were flown, then ``all`` of them; empty: no flight had a fault."""
         found = {kind for side in self.sides for kind in side.summary["faults"]}
         return [*sorted(found - {"all"}), *(["all"] if found else [])]
 
@@ -114,17 +113,16 @@ def results_of(campaign: Campaign, frame: pl.DataFrame, summary: Mapping[str, An
     parts = {variant.name: frame.filter(pl.col("variant") == variant.name) for variant in campaign.variants}
     proposed = next((name for name, rows in parts.items() if has_observer(rows)), None)
     compared = [name for name in parts if name != proposed]
+    looks = {name: ("compared", rank) for rank, name in enumerate(compared)}
     sides = (
-        Side(name, rows, summary["variants"][name], "proposed", 0)
-        if name == proposed
-        else Side(name, rows, summary["variants"][name], "compared", compared.index(name))
+        Side(name, rows, summary["variants"][name], *looks.get(name, ("proposed", 0)))
         for name, rows in parts.items()
     )
-    return Results(campaign, frame, summary, tuple(sides))
+    return Results(campaign, frame, tuple(sides))
 
 
 def has_observer(rows: pl.DataFrame) -> bool:
-    """Whether what was flown estimates sensor faults."""
+    """Whether any flight of these rows estimates sensor faults."""
     return bool((rows["observer"] != NO_OBSERVER).any())
 
 
@@ -138,20 +136,6 @@ def numbers(frame: pl.DataFrame, name: str) -> Floats:
 def known(values: Floats) -> Floats:
     """Return the values that are finite."""
     return values[np.isfinite(values)]
-
-
-def counts_text(counts: Mapping[str, int], thing: str) -> str:
-    """Write how many of a thing each variant has: ``600 flights of each variant``."""
-    if len(counts) == 1:
-        return counted(next(iter(counts.values())), thing)
-    if len(set(counts.values())) == 1:
-        return f"{counted(next(iter(counts.values())), thing)} of each variant"
-    return listing([f"{counted(count, thing)} of '{name}'" for name, count in counts.items()])
-
-
-def titles(sides: Iterable[Side]) -> str:
-    """Write which variants: ``'a', 'b' and 'c'``."""
-    return listing([side.title for side in sides])
 
 
 def _stayed_finite(rows: pl.DataFrame) -> NDArray[np.bool_]:

@@ -1,0 +1,302 @@
+"""Runs side by side: grouped, tabled and told in a sentence, whatever they are called and lack."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadftc_bags.bag import Bag
+from quadftc_flight.closed_loop import fly
+from quadftc_flight.flight import VECTORS, Flight
+from quadftc_flight.metrics import look_up
+from quadftc_flight.run_directory import RecordedRun
+from quadftc_flight.scenario import Scenario, node_parameters, parse_scenario
+from quadftc_flight.summary import summary
+from quadftc_model import samples
+from quadftc_report.comparison import Comparison, compare, is_ideal
+from quadftc_report.injected import list_injections
+from quadftc_report.metric_table import metric_tables
+from quadftc_report.run_sentences import judge_on_real_sensors, tell_run
+from quadftc_report.tables import Cell
+from quadftc_report.wording import each_axis, plain, quantity, short, spread
+
+TEXT = """
+name: side_by_side
+duration: 1 s
+rate: 100 Hz
+vehicle: qball_x4
+disturbances: [{kind: constant, amplitude: [0.1 N m, 0, 0], start: 0.2}]
+faults:
+  - {kind: bias, axes: [roll, yaw], value: 2 deg, start: 0.4, stop: 0.9}
+  - {kind: noise, channel: gyro, sigma: 0.1 deg/s, start: 0.8}
+schemes:
+  plain: {controller: smc, checks: [{metric: tracking_rmse_deg, axis: roll, below: 0.001}]}
+  my-fast_one:
+    {observer: sliding_mode, disturbance_observer: exosystem, controller: ismc,
+     checks: [{metric: tracking_rmse_deg, below: 9}]}
+  pid: {controller: pid}
+"""
+HEALTHY = "name: calm\nduration: 0.5 s\nrate: 100 Hz\nvehicle: qball_x4\nschemes: {only: {controller: smc}}\n"
+
+
+def made_run(scenario: Scenario, scheme: str, flight: Flight | None = None, **changes) -> RecordedRun:
+    chosen = scenario.scheme(scheme)
+    flown = flight or fly(node_parameters(scenario, scheme))
+    flown = dataclasses.replace(flown, **changes)
+    return RecordedRun(
+        name=f"{scenario.name}-{scheme}",
+        path=Path(scheme),
+        bag=Bag(Path(scheme)),
+        scenario=scenario,
+        scheme=chosen,
+        parameters={},
+        flight=flown,
+        summary=summary(flown, scenario, chosen, None),
+        versions={},
+    )
+
+
+def rows_until(flight: Flight, count: int) -> Flight:
+    return Flight(**{field.name: getattr(flight, field.name)[:count] for field in dataclasses.fields(Flight)})
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return parse_scenario(TEXT)
+
+
+@pytest.fixture(scope="module")
+def runs(scenario) -> dict[str, RecordedRun]:
+    return {scheme: made_run(scenario, scheme) for scheme in scenario.schemes}
+
+
+@pytest.fixture(scope="module")
+def three(runs) -> Comparison:
+    return compare(runs.values())[0]
+
+
+def told(comparison: Comparison) -> dict[str, str]:
+    return {run.scheme.name: tell_run(comparison, run) for run in comparison.runs}
+
+
+def tabled(comparison: Comparison) -> dict[tuple[str, str], dict[str, Cell]]:
+    """Path and axis of each number to its cells by run; with the section and the label."""
+    found = {}
+    for table in metric_tables(comparison, "flight"):
+        for group in table.groups:
+            for heading, *cells in group.rows:
+                for cell in cells:
+                    data = cell.data
+                    row = found.setdefault((data["metric"], data["axis"]), {"": (group.title, heading.text)})
+                    row[data["run"].removeprefix(f"{comparison.runs[0].scenario.name}-")] = cell
+    return found
+
+
+def texts(row: dict[str, Cell]) -> list[str]:
+    return [cell.text for name, cell in row.items() if name]
+
+
+def best(row: dict[str, Cell]) -> list[str]:
+    return [name for name, cell in row.items() if name and "best" in cell.look]
+
+
+def test_runs_are_compared_where_only_their_schemes_differ(runs, scenario):
+    other = parse_scenario(TEXT.replace("duration: 1 s", "duration: 2 s"))
+    first, second = compare([runs["plain"], made_run(other, "plain"), runs["my-fast_one"], runs["pid"]])
+    assert [run.scheme.name for run in first.runs] == ["my-fast_one", "plain", "pid"]
+    assert first.proposed is runs["my-fast_one"]
+    assert first.compared == (runs["plain"], runs["pid"])
+    assert (first.key, second.key) == ("side_by_side", "side_by_side-2")
+    assert second.proposed is None
+    assert is_ideal(first)
+    assert not is_ideal(compare([made_run(parse_scenario(TEXT + "sensors: {delay: 1}\n"), "plain")])[0])
+
+
+def test_runs_of_one_scheme_are_told_apart(runs):
+    again = dataclasses.replace(runs["plain"], name="side_by_side-plain-again")
+    both = Comparison((runs["plain"], again), "both")
+    assert [both.label(run) for run in both.runs] == ["side_by_side-plain", "side_by_side-plain-again"]
+
+
+def leaves(metrics, prefix="") -> set[str]:
+    """The paths of all numbers of a summary but the times, axes and kinds of its windows and faults."""
+    entries = metrics.items() if isinstance(metrics, dict) else enumerate(metrics)
+    found = set()
+    for name, value in entries:
+        path = f"{prefix}{name}"
+        if isinstance(value, (dict, list)) and name != "axes":
+            found |= leaves(value, f"{path}.")
+        elif name not in ("start", "stop", "axes", "axis", "kind"):
+            found.add(path)
+    return found
+
+
+def test_table_has_every_metric_of_every_run_by_its_path(three):
+    rows = tabled(three)
+    shown = {f"{path}.{axis}" if axis else path for path, axis in rows}
+    summaries = [run.summary["metrics"] for run in three.runs]
+    known = {
+        path for path in leaves(summaries[0]) if any(look_up(each, path) is not None for each in summaries)
+    }
+    assert known <= shown <= leaves(summaries[0])
+    assert {path for path in leaves(summaries[0]) if not path.startswith("diagnosis.")} <= shown
+    for (path, axis), row in rows.items():
+        for run in three.runs:
+            value = look_up(run.summary["metrics"], f"{path}.{axis}" if axis else path)
+            exact = "" if value is None else repr(float(value))
+            assert row[run.scheme.name].data["value"] == exact
+        assert row[""][0] != "Other"
+
+
+def test_table_marks_the_smallest_and_tells_changes_against_the_baseline(three):
+    rows = tabled(three)
+    row = rows["tracking_rmse_deg", "roll"]
+    values = {name: float(cell.data["value"]) for name, cell in row.items() if name}
+    assert best(row) == [min(values, key=values.get)] == ["my-fast_one"]
+    change = 100.0 * (values["my-fast_one"] / values["plain"] - 1.0)
+    assert (row["my-fast_one"].small, row["plain"].small) == (f"{plain(round(change, 1))} %", "")
+    assert best(rows["torque_rms", "roll"]) == []  # less torque is not better
+    settling = rows["fault_windows.0.fault_estimate_settling_s", "roll"]
+    assert texts(settling)[1:] == ["never", "never"]
+    first = settling["my-fast_one"]
+    assert float(first.text) == pytest.approx(1e3 * float(first.data["value"]))
+
+
+def faults_declared(run: RecordedRun, *rows: tuple[int, slice]) -> RecordedRun:
+    """The run with axes declared faulty in some rows of its flight."""
+    state = np.full((100, 3), samples.HEALTHY, np.uint8)
+    for axis, part in rows:
+        state[part, axis] = samples.FAULTY
+    return made_run(run.scenario, run.scheme.name, run.flight, fault_state=state)
+
+
+def test_table_says_of_each_fault_whether_and_when_it_was_detected(runs):
+    found = faults_declared(runs["my-fast_one"], (0, slice(45, 90)))
+    rows = tabled(Comparison((found, runs["plain"]), "two"))
+    section = "Diagnosis of the step on roll, from 0.4 to 0.9 s"
+    detected = rows["diagnosis.events.0.detected", ""]
+    assert (detected[""][0], texts(detected)) == (section, ["yes", "no"])
+    delay = rows["diagnosis.events.0.detection_delay_s", ""]
+    assert (texts(delay), delay[""][1]) == (["50", "–"], "detection delay [ms]")
+    assert best(delay) == ["my-fast_one"]
+    missed = rows["diagnosis.missed_by_kind.step", ""]
+    assert missed[""] == ("Diagnosis of faults by kind: step", "missed faults")
+    assert texts(missed) == ["1", "2"]
+    assert ("diagnosis.nees.all", "") not in rows  # nobody gives a standard deviation
+    sections = list(dict.fromkeys(row[""][0] for row in rows.values()))
+    assert sections.index("Healthy axes") < sections.index("Fault window 1, from 0.4 to 0.9 s")
+    assert sections[-1] == "Diagnosis of the step on yaw, from 0.4 to 0.9 s"
+
+
+def test_best_is_one_run_and_one_that_estimates(runs):
+    rows = tabled(Comparison((runs["my-fast_one"], runs["plain"]), "two"))
+    assert best(rows["fault_estimate_rmse_inside_deg", "roll"]) == ["my-fast_one"]
+    outside = rows["fault_estimate_rmse_outside_deg", "roll"]
+    assert outside["plain"].data["value"] == "0.0"  # right by estimating nothing
+    assert best(outside) == []
+    tied = tabled(Comparison((runs["plain"], dataclasses.replace(runs["plain"], name="again")), "tied"))
+    assert not any(best(row) for row in tied.values())
+
+
+def test_table_survives_zeros_and_missing_values(scenario, runs):
+    still = made_run(scenario, "plain", **{name: np.zeros((100, 3)) for name in VECTORS})
+    unknown = made_run(scenario, "my-fast_one", **{name: np.full((100, 3), np.nan) for name in VECTORS})
+    rows = tabled(Comparison((unknown, still, runs["pid"]), "three"))
+    row = rows["tracking_rmse_deg", "roll"]
+    assert texts(row)[:2] == ["–", "0"]
+    assert {cell.small for name, cell in row.items() if name} == {""}
+    assert best(row) == ["plain"]
+    assert texts(rows["fault_windows.0.fault_estimate_settling_s", "roll"])[0] == "–"
+
+
+def test_table_of_one_run_compares_nothing(runs):
+    rows = tabled(Comparison((runs["plain"],), "one"))
+    assert not any(best(row) or row["plain"].small for row in rows.values())
+
+
+def test_metric_that_is_not_known_comes_last_under_its_own_name(scenario, runs):
+    run = made_run(scenario, "plain", runs["plain"].flight)
+    run.summary["metrics"]["detection_delay_s"] = {"roll": 0.5, "pitch": None, "yaw": None}
+    group = metric_tables(Comparison((run,), "one"), "flight")[0].groups[-1]
+    assert (group.title, [row[0].text for row in group.rows]) == ("Other", ["detection delay [s]"])
+
+
+def test_injections_are_told_with_time_place_and_size(three, scenario, runs):
+    lines = list_injections(three.longest)
+    assert lines == [
+        ("0.4 to 0.9 s", "attitude: roll and yaw", "bias: value 2 deg"),
+        ("0.8 s on", "gyro: all axes", "noise: sigma 0.1 deg/s"),
+        ("0.2 s on", "torque", "constant: amplitude (0.1, 0, 0) N m"),
+    ]
+    fault = runs["plain"].flight.fault.copy()
+    fault[5] = np.radians(3.0)
+    by_hand = list_injections(made_run(scenario, "plain", runs["plain"].flight, fault=fault))
+    assert by_hand == [*lines, ("outside the schedule", "attitude", "up to 3 deg")]
+    assert list_injections(made_run(parse_scenario(HEALTHY), "only")) == []
+
+
+def test_sentence_tells_tracking_detection_estimate_and_checks(three, runs):
+    text = told(three)
+    for run in three.runs:
+        rmse = run.summary["metrics"]["tracking_rmse_deg"]["roll"]
+        assert f"tracks with an RMSE of {plain(rmse)} (roll)" in text[run.scheme.name]
+    assert text["my-fast_one"].startswith("'my-fast_one' (sliding_mode, exosystem, ismc) tracks")
+    assert (
+        "; declares none of 2 faults; estimates faults with a settled error of at most 0"
+        in text["my-fast_one"]
+    )
+    assert text["my-fast_one"].endswith("; passes 3 of 3 checks.")
+    assert text["plain"].endswith("; has no fault observer; passes 0 of 1 check.")
+    assert "check" not in text["pid"]
+
+
+def test_sentence_counts_faults_found_and_false_alarms(runs):
+    run = faults_declared(runs["my-fast_one"], (0, slice(45, 93)), (2, slice(42, 100)), (1, slice(10, 20)))
+    text = told(Comparison((run,), "one"))["my-fast_one"]
+    assert "detects 2 of 2 faults, the slowest after 50 ms, with 1 false alarm (2000 an hour)" in text
+    missed = faults_declared(runs["my-fast_one"], (0, slice(40, 90)))
+    assert "detects 1 of 2 faults" in told(Comparison((missed,), "one"))["my-fast_one"]
+    always = faults_declared(runs["my-fast_one"], (0, slice(0, 100)), (2, slice(0, 100)))
+    assert "detects 0 of 2 faults" in told(Comparison((always,), "one"))["my-fast_one"]
+
+
+def test_sentence_of_a_run_cut_short_says_how_much_there_is(scenario, runs):
+    part = made_run(scenario, "my-fast_one", rows_until(runs["my-fast_one"].flight, 30))
+    text = told(Comparison((part, runs["plain"]), "two"))["my-fast_one"]
+    assert "was recorded for 300 ms only; tracks" in text
+    assert "check" not in text
+    assert "no value" not in text
+
+
+@pytest.mark.parametrize(
+    ("error", "better", "words"),
+    [
+        ([1.0, 1.0, 1.0], False, "tracks WORSE than 'plain', which trusts its sensor."),
+        ([1e-6, 1e-6, 1e-6], True, "tracks better than 'plain'"),
+        ([1.0, 1e-6, 1e-6], None, "tracks worse on roll, better elsewhere, than 'plain'"),
+    ],
+)
+def test_verdict_on_real_sensors_compares_with_the_run_that_trusts_its_sensor(
+    scenario, runs, error, better, words
+):
+    plain_run = runs["plain"]
+    tilted = made_run(scenario, "plain", plain_run.flight, angles=plain_run.flight.reference + 0.1)
+    flight = runs["my-fast_one"].flight
+    mine = made_run(scenario, "my-fast_one", flight, angles=flight.reference + np.array(error))
+    (verdict,) = judge_on_real_sensors(Comparison((mine, tilted), "two"))
+    assert (verdict.better, words in verdict.text) == (better, True)
+    assert judge_on_real_sensors(Comparison((mine,), "one")) == []
+
+
+def test_numbers_have_three_digits_and_no_exponent():
+    assert [plain(value) for value in (0.000366123, -1.23456, 0.0, -0.0, 1e-5, 12345.6, 2.0)] == [
+        *("0.000366", "-1.23", "0", "0", "0.00001", "12300", "2"),
+    ]
+    assert short(1e-5) == "below 0.0001"
+    assert quantity(None, "deg") == "no value"
+    assert each_axis({"roll": 1.0, "pitch": None, "yaw": 2.0}, "deg") == "1 (roll), 2 deg (yaw)"
+    assert spread({"roll": 1.4, "pitch": 1.1, "yaw": 1.2}, "deg") == "1.1 (pitch) to 1.4 deg (roll)"
+    assert spread({"roll": 1.0, "pitch": 9.0, "yaw": 1.0}, "deg") == "1 (roll), 9 (pitch), 1 deg (yaw)"
