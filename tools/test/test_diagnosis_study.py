@@ -19,9 +19,9 @@ from quadftc_flight.diagnosis_metrics.roc import detection_roc, estimate_size
 from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import VECTORS, Flight
 from quadftc_model.samples import AXES, FAULTY
-from quadftc_replay.bag_input import IMU
-from quadftc_replay.observer import choose_observer
+from quadftc_replay.imu_from_bag import IMU
 from quadftc_replay.overlay import faults_from
+from quadftc_replay.plan import choose_observer
 from quadftc_sim.sensors import GRADES, ImuSensor
 from quadftc_tools.diagnosis_study import campaign, command
 from quadftc_tools.diagnosis_study.bound import AVERAGING, attitude_std_dev, fault_bound

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from quadftc_flight.diagnosis_metrics import GRACE_TIME
 from quadftc_model.rotations import body_rates, quaternion_from_euler
 from quadftc_model.samples import AXES, ImuSample
-from quadftc_replay.bag_input import recording_from_bag
-from quadftc_replay.recording import Recording
+from quadftc_replay.imu_from_bag import recording_from_bag
+from quadftc_replay.imu_recording import Recording
 from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count
 from quadftc_sim.sensors import DRAWS, GRADES, ImuSensor
 from quadftc_tools.diagnosis_study.settings import (

@@ -16,10 +16,9 @@ from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import Flight
 from quadftc_model.samples import AXES
 from quadftc_replay.diagnose import diagnose, flight_of
-from quadftc_replay.observer import choose_observer
-from quadftc_replay.overlay import faults_from, injector_of
-from quadftc_replay.recording import Recording
-from quadftc_replay.results import replay_events
+from quadftc_replay.imu_recording import Recording
+from quadftc_replay.overlay import faults_from, injector_of, replay_events
+from quadftc_replay.plan import choose_observer
 from quadftc_tools.diagnosis_study.flights import DrawnFault, FlightPlan, prepare
 from quadftc_tools.diagnosis_study.settings import DURATION, WINDOWS, Variant
 

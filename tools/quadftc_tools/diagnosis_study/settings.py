@@ -56,7 +56,7 @@ class Variant(NamedTuple):
 
     @property
     def settings(self) -> tuple[str, ...]:
-        """The parameters as `quadftc_replay.observer.choose_observer` takes them."""
+        """The parameters as `quadftc_replay.plan.choose_observer` takes them."""
         return tuple(f"observer.{name}={value!r}" for name, value in self.parameters)
 
 

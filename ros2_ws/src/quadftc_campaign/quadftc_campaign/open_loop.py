@@ -31,11 +31,10 @@ from quadftc_flight.scenario import Fault, Scenario
 from quadftc_model.rotations import body_rates, quaternion_from_euler
 from quadftc_model.samples import AXES, ImuSample
 from quadftc_model.units import quantity
-from quadftc_replay.bag_input import recording_from_bag
 from quadftc_replay.diagnose import diagnose, flight_of
-from quadftc_replay.overlay import injector_of
-from quadftc_replay.recording import Recording
-from quadftc_replay.results import replay_events
+from quadftc_replay.imu_from_bag import recording_from_bag
+from quadftc_replay.imu_recording import Recording
+from quadftc_replay.overlay import injector_of, replay_events
 from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count
 from quadftc_sim.sensors import DRAWS
 

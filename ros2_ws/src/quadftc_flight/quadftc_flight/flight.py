@@ -17,7 +17,7 @@ from quadftc_model.samples import ABSENT
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 
 if TYPE_CHECKING:  # reading bags takes libraries that the closed loop does without
-    from quadftc_bags.bag import Bag
+    from quadftc_bags.bag import Bag, Series
 
 Floats = NDArray[np.float64]
 
@@ -26,6 +26,29 @@ VECTORS = (
     *("disturbance_estimate", "torque", "error", "sliding_variable"),
 )  # columns of a flight with three numbers
 NO_STATE = 255  # fault state of a row without diagnosis
+
+_SOURCES = {
+    "angles": ("plant/attitude", "vector"),
+    "body_rate": ("plant/rate", "vector"),
+    "reference": ("attitude/reference", "angles"),
+    "fault": ("fault/injected", "vector"),
+    "fault_estimate": ("fault/estimate", "vector"),
+    "fault_std_dev": ("fault/status", "std_dev"),
+    "fault_state": ("fault/status", "state"),
+    "fault_onset_ns": ("fault/status", "onset_ns"),
+    "disturbance": ("disturbance/applied", "vector"),
+    "disturbance_estimate": ("disturbance/estimate", "vector"),
+    "torque": ("torque/command", "vector"),
+    "error": ("control/status", "error"),
+    "sliding_variable": ("control/status", "sliding_variable"),
+    "saturated": ("control/status", "saturated"),
+}  # column of a flight -> topic, field
+_KNOWN_WHEN_WITHHELD = {"angles", "body_rate", "disturbance"}
+_UNKNOWN = {
+    "fault_state": np.full(3, NO_STATE, np.uint8),
+    "fault_onset_ns": np.zeros(3, np.int64),
+    "saturated": np.zeros(3, np.bool_),
+}  # what stands where nothing is known; in other columns, NaN
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -70,12 +93,7 @@ def flight_from_bag(bag: Bag) -> Flight:
     """Join the topics of a recorded flight by stamp.
 
     The rows are the stamps of ``imu/data`` and ``fault/dropped``. A topic that is missing leaves its columns
-    unknown.
-
-    Raises
-    ------
-    BagError
-        If the bag holds no IMU sample, or a topic cannot be decoded.
+    unknown. If the bag holds no IMU sample, or a topic cannot be decoded, BagError is raised.
     """
     from quadftc_bags.bag import BagError
 
@@ -83,26 +101,15 @@ def flight_from_bag(bag: Bag) -> Flight:
     stamp_ns = np.union1d(delivered_ns, _stamps(bag, "fault/dropped"))
     if len(stamp_ns) == 0:
         raise BagError(f"{bag.path}: no message on imu/data")
-    join = _Join(bag, stamp_ns, np.isin(stamp_ns, delivered_ns))
-    return Flight(
-        stamp_ns=stamp_ns,
-        time=(stamp_ns - stamp_ns[0]) / NANOSECONDS_PER_SECOND,
-        delivered=join.delivered,
-        angles=join.truth("plant/attitude", "vector"),
-        body_rate=join.truth("plant/rate", "vector"),
-        reference=join.vectors("attitude/reference", "angles"),
-        fault=join.vectors("fault/injected", "vector"),
-        fault_estimate=join.vectors("fault/estimate", "vector"),
-        fault_std_dev=join.vectors("fault/status", "std_dev"),
-        fault_state=join.column("fault/status", "state", np.full(3, NO_STATE, np.uint8)),
-        fault_onset_ns=join.column("fault/status", "onset_ns", np.zeros(3, np.int64)),
-        disturbance=join.truth("disturbance/applied", "vector"),
-        disturbance_estimate=join.vectors("disturbance/estimate", "vector"),
-        torque=join.vectors("torque/command", "vector"),
-        error=join.vectors("control/status", "error"),
-        sliding_variable=join.vectors("control/status", "sliding_variable"),
-        saturated=join.column("control/status", "saturated", np.zeros(3, np.bool_)),
-    )
+    delivered = np.isin(stamp_ns, delivered_ns)
+    columns = {
+        name: _join_topic(bag, topic, field, stamp_ns, _UNKNOWN.get(name, np.full(3, np.nan)))
+        for name, (topic, field) in _SOURCES.items()
+    }
+    for name in columns.keys() - _KNOWN_WHEN_WITHHELD:
+        columns[name][~delivered] = _UNKNOWN.get(name, np.nan)
+    time = (stamp_ns - stamp_ns[0]) / NANOSECONDS_PER_SECOND
+    return Flight(stamp_ns=stamp_ns, time=time, delivered=delivered, **columns)
 
 
 class Reading(NamedTuple):
@@ -122,53 +129,36 @@ def reading_from_bag(bag: Bag, topic: str, stamp_ns: NDArray[np.int64]) -> Readi
         Of type sensor_msgs/Imu; if it is not there, nothing was said.
     stamp_ns : array (n,)
         The rows of the flight.
-
-    Raises
-    ------
-    BagError
-        If the topic cannot be decoded.
     """
-    join = _Join(bag, stamp_ns, np.ones(len(stamp_ns), np.bool_))
     nothing = np.full(9, np.nan)
-    q_xyzw = join.column(topic, "orientation_xyzw", nothing[:4])
-    angles = np.asarray(euler_from_quaternion(q_xyzw))
-    body_rate = join.vectors(topic, "angular_velocity")
+    angles = np.asarray(
+        euler_from_quaternion(_join_topic(bag, topic, "orientation_xyzw", stamp_ns, nothing[:4]))
+    )
+    body_rate = _join_topic(bag, topic, "angular_velocity", stamp_ns, nothing[:3])
     for values, field in ((angles, "orientation_covariance"), (body_rate, "angular_velocity_covariance")):
-        values[join.column(topic, field, nothing)[:, 0] == ABSENT] = np.nan
+        values[_join_topic(bag, topic, field, stamp_ns, nothing)[:, 0] == ABSENT] = np.nan
     return Reading(angles, body_rate)
 
 
-class _Join:
-    """Columns of a bag on the rows of a flight; of several messages with one stamp, the first counts."""
+def join_rows(series: Series, field: str, stamp_ns: NDArray[np.int64], unknown: NDArray[Any]) -> NDArray[Any]:
+    """Return a field (n, k) of the messages with these stamps (n,); ``unknown`` (k,) where there is none.
 
-    def __init__(self, bag: Bag, stamp_ns: NDArray[np.int64], delivered: NDArray[np.bool_]) -> None:
-        self._bag = bag
-        self._stamp_ns = stamp_ns
-        self.delivered = delivered
-
-    def column(self, topic: str, field: str, unknown: NDArray[Any]) -> NDArray[Any]:
-        """A field (n, k) of the samples delivered; ``unknown`` (k,) elsewhere."""
-        return self._column(topic, field, unknown, self.delivered)
-
-    def vectors(self, topic: str, field: str) -> Floats:
-        """A vector (n, 3) of the samples delivered; NaN elsewhere."""
-        return self._column(topic, field, np.full(3, np.nan), self.delivered)
-
-    def truth(self, topic: str, field: str) -> Floats:
-        """A vector (n, 3) of every sample, whether delivered or withheld."""
-        return self._column(topic, field, np.full(3, np.nan), np.ones(len(self._stamp_ns), np.bool_))
-
-    def _column(self, topic: str, field: str, unknown: NDArray[Any], rows: NDArray[np.bool_]) -> NDArray[Any]:
-        column = np.tile(unknown, (len(self._stamp_ns), 1))
-        if not _has(self._bag, topic):
-            return column
-        series = self._bag.series(topic)
-        stamps, first = np.unique(series.stamp_ns, return_index=True)
-        _, here, there = np.intersect1d(self._stamp_ns, stamps, assume_unique=True, return_indices=True)
-        if len(here) == 0:
-            return column
+    Of several messages with one stamp, the first counts.
+    """
+    column = np.tile(unknown, (len(stamp_ns), 1))
+    stamps, first = np.unique(series.stamp_ns, return_index=True)
+    _, here, there = np.intersect1d(stamp_ns, stamps, assume_unique=True, return_indices=True)
+    if len(here):
         column[here] = series[field][first[there]]
-        return np.where(rows[:, None], column, unknown)
+    return column
+
+
+def _join_topic(
+    bag: Bag, topic: str, field: str, stamp_ns: NDArray[np.int64], unknown: NDArray[Any]
+) -> NDArray[Any]:
+    if not _has(bag, topic):
+        return np.tile(unknown, (len(stamp_ns), 1))
+    return join_rows(bag.series(topic), field, stamp_ns, unknown)
 
 
 def _stamps(bag: Bag, topic: str) -> NDArray[np.int64]:

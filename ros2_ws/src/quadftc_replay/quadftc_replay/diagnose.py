@@ -13,8 +13,8 @@ from quadftc_fdi.fault_observer import FaultObserver
 from quadftc_flight.flight import NO_STATE, VECTORS, Flight, onset_ns
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import FaultEstimate, ImuSample
-from quadftc_replay.recording import Floats, Recording
-from quadftc_sim.injector import FaultInjector, Injected
+from quadftc_replay.imu_recording import Floats, Recording
+from quadftc_sim.injector import FaultInjector
 
 Progress = Callable[[float], None]  # called with the share of the samples that are done
 STRIDE = 256  # samples between two calls
@@ -22,35 +22,19 @@ STRIDE = 256  # samples between two calls
 CHANNELS = ("attitude", "gyro", "accelerometer")
 
 
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+@dataclasses.dataclass(eq=False, kw_only=True)
 class Diagnosed:
-    """What became of each sample of a recording; in the rows of withheld samples all is NaN, zero or absent.
+    """What became of each sample; in the rows of withheld samples all is NaN, zero or absent."""
 
-    Parameters
-    ----------
-    delivered : array (n,)
-        False: an overlaid fault withheld the sample.
-    seen : ImuSample
-        What the observer saw: the samples with the overlaid faults; leading axis n.
-    overlaid : mapping
-        Channel to the overlaid fault (n, 3), of withheld samples too.
-    fault, std_dev, state, onset_age : array (n, 3)
-        As in `FaultEstimate`.
-    corrected : ImuSample
-        Leading axis n.
-    no_number : int
-        Samples with an estimate that could not be used; the observer restarted after each.
-    """
-
-    delivered: NDArray[np.bool_]
-    seen: ImuSample
-    overlaid: dict[str, Floats]
-    fault: Floats
+    delivered: NDArray[np.bool_]  # (n,) False: an overlaid fault withheld the sample
+    seen: ImuSample  # what the observer saw: the samples with the overlaid faults; leading axis n
+    overlaid: dict[str, Floats]  # channel to the overlaid fault (n, 3), of withheld samples too
+    fault: Floats  # (n, 3), as the next three; see `FaultEstimate`
     std_dev: Floats
     state: NDArray[np.uint8]
     onset_age: Floats
-    corrected: ImuSample
-    no_number: int
+    corrected: ImuSample  # leading axis n
+    unusable: int = 0  # samples with an estimate that could not be used; the observer restarted after each
 
 
 def diagnose(
@@ -66,26 +50,30 @@ def diagnose(
         With the faults to overlay; used up afterwards.
     progress : callable, optional
     """
-    diagnosis = Diagnosis(law)
-    log = _Log(len(recording))
+    diagnosis, result = Diagnosis(law), _blank(len(recording))
     stamps = recording.stamp_ns.tolist()
     for row, stamp_ns in enumerate(stamps):
-        injected = injector.apply(stamp_ns, _row_of(recording.imu, row))
-        log.injected(row, injected)
+        # what the fault injector makes of the sample
+        injected = injector.apply(stamp_ns, ImuSample(*(column[row] for column in recording.imu)))
+        for channel in CHANNELS:
+            result.overlaid[channel][row] = getattr(injected, channel)
+        # what the observer makes of it, if it is not withheld
         if injected.sample is not None:
+            result.delivered[row] = True
+            _set_row(result.seen, row, injected.sample)
             estimate = diagnosis.step(stamp_ns, injected.sample, recording.torque[row])
             assert estimate is not None  # stamps increase
-            log.estimate(row, estimate)
+            _set_estimate(result, row, estimate)
         if progress is not None and row % STRIDE == 0:
             progress(row / len(stamps))
-    return log.diagnosed(diagnosis.replaced)
+    result.unusable = diagnosis.replaced
+    return result
 
 
 def flight_of(recording: Recording, diagnosed: Diagnosed) -> Flight:
     """Return the replayed flight: time, the true fault and what the observer said; all else is unknown."""
     rows = diagnosed.delivered
-    unknown = np.full((len(recording), 3), np.nan)
-    columns = dict.fromkeys(VECTORS, unknown)
+    columns = dict.fromkeys(VECTORS, np.full((len(recording), 3), np.nan))
     columns["fault"] = np.where(rows[:, None], true_fault(recording, diagnosed, "attitude"), np.nan)
     columns["fault_estimate"] = diagnosed.fault
     columns["fault_std_dev"] = diagnosed.std_dev
@@ -109,51 +97,30 @@ def true_fault(recording: Recording, diagnosed: Diagnosed, channel: str) -> Floa
     return wrap(total) if channel == "attitude" else total
 
 
-class _Log:
-    """Rows of what came out, while the samples go through."""
-
-    def __init__(self, count: int) -> None:
-        self._delivered = np.zeros(count, np.bool_)
-        self._overlaid = {channel: np.zeros((count, 3)) for channel in CHANNELS}
-        self._seen, self._corrected = _no_samples(count), _no_samples(count)
-        self._fault, self._std_dev, self._age = (np.full((count, 3), np.nan) for _ in range(3))
-        self._state = np.full((count, 3), NO_STATE, np.uint8)
-
-    def injected(self, row: int, injected: Injected) -> None:
-        self._delivered[row] = injected.sample is not None
-        for channel in CHANNELS:
-            self._overlaid[channel][row] = getattr(injected, channel)
-        if injected.sample is not None:
-            _set_row(self._seen, row, injected.sample)
-
-    def estimate(self, row: int, estimate: FaultEstimate) -> None:
-        self._fault[row], self._std_dev[row] = estimate.fault, estimate.std_dev
-        self._state[row], self._age[row] = estimate.state, estimate.onset_age
-        _set_row(self._corrected, row, estimate.corrected)
-
-    def diagnosed(self, no_number: int) -> Diagnosed:
-        return Diagnosed(
-            delivered=self._delivered,
-            seen=self._seen,
-            overlaid=self._overlaid,
-            fault=self._fault,
-            std_dev=self._std_dev,
-            state=self._state,
-            onset_age=self._age,
-            corrected=self._corrected,
-            no_number=no_number,
-        )
-
-
-def _no_samples(count: int) -> ImuSample:
-    missing = [np.zeros(count, np.bool_) for _ in range(3)]
-    return ImuSample(np.zeros((count, 4)), np.zeros((count, 3)), np.zeros((count, 3)), *missing)
-
-
-def _row_of(samples: ImuSample, row: int) -> ImuSample:
-    return ImuSample(*(column[row] for column in samples))
+def _blank(count: int) -> Diagnosed:
+    seen, corrected = (
+        ImuSample(*(np.zeros((count, n)) for n in (4, 3, 3)), *(np.zeros(count, np.bool_) for _ in range(3)))
+        for _ in range(2)
+    )
+    fault, std_dev, onset_age = (np.full((count, 3), np.nan) for _ in range(3))
+    return Diagnosed(
+        delivered=np.zeros(count, np.bool_),
+        seen=seen,
+        overlaid={channel: np.zeros((count, 3)) for channel in CHANNELS},
+        fault=fault,
+        std_dev=std_dev,
+        state=np.full((count, 3), NO_STATE, np.uint8),
+        onset_age=onset_age,
+        corrected=corrected,
+    )
 
 
 def _set_row(samples: ImuSample, row: int, sample: ImuSample) -> None:
     for column, value in zip(samples, sample, strict=True):
         column[row] = value
+
+
+def _set_estimate(result: Diagnosed, row: int, estimate: FaultEstimate) -> None:
+    result.fault[row], result.std_dev[row] = estimate.fault, estimate.std_dev
+    result.state[row], result.onset_age[row] = estimate.state, estimate.onset_age
+    _set_row(result.corrected, row, estimate.corrected)

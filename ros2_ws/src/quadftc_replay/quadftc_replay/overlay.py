@@ -11,6 +11,15 @@ from pathlib import Path
 
 from pydantic import BaseModel, ValidationError
 
+from quadftc_flight.fault_schedule import (
+    FaultEvent,
+    FaultWindow,
+    events_of_windows,
+    fault_events,
+    fault_windows,
+    merge_events,
+    merge_windows,
+)
 from quadftc_flight.scenario import (
     Fault,
     Problem,
@@ -23,13 +32,14 @@ from quadftc_flight.scenario import (
 )
 from quadftc_model.hints import nearest
 from quadftc_model.spec import parse_spec
+from quadftc_replay.imu_recording import Recording
 from quadftc_sim.assembly import injection_from
-from quadftc_sim.injection import RESERVED, Injection
+from quadftc_sim.injection import RESERVED
 from quadftc_sim.injector import FaultInjector
 
 
 def faults_from(files: Iterable[Path], specs: Iterable[str]) -> tuple[Fault, ...]:
-    """Build the faults of the files, and behind them those of the specifications.
+    """Build the faults of the files, and after them those of the specifications.
 
     Parameters
     ----------
@@ -46,13 +56,7 @@ def faults_from(files: Iterable[Path], specs: Iterable[str]) -> tuple[Fault, ...
 
 
 def require_within(faults: Sequence[Fault], duration: float, where: str) -> None:
-    """Refuse a fault that would not act.
-
-    Raises
-    ------
-    ValueError
-        If one starts behind the end of the recording [s].
-    """
+    """Refuse, with ValueError, a fault that starts after the end of the recording [s]: it would not act."""
     for fault in faults:
         if fault.injection.start >= duration:
             raise ValueError(
@@ -69,8 +73,25 @@ def injector_of(faults: Iterable[Fault], seed: int) -> FaultInjector:
     return injector
 
 
+def replay_windows(recording: Recording, faults: Sequence[Fault]) -> tuple[FaultWindow, ...]:
+    """When the attitude is faulty, by what was recorded and by what was overlaid."""
+    return merge_windows([*recording.fault_windows, *fault_windows(faults, recording.duration)])
+
+
+def replay_events(recording: Recording, faults: Sequence[Fault]) -> tuple[FaultEvent, ...]:
+    """Faults of the attitude axis by axis, by what was recorded and by what was overlaid."""
+    recorded = recording.fault_events or events_of_windows(recording.fault_windows)
+    return merge_events([*recorded, *fault_events(faults, recording.duration)])
+
+
+def truth_text(recording: Recording, faults: Sequence[Fault]) -> str:
+    """Tell what the estimates are compared with."""
+    parts = ["recorded"] * ("attitude" in recording.faults) + ["overlaid"] * bool(faults)
+    return f"{' and '.join(parts)} faults" if parts else "no fault: the recording counts as healthy"
+
+
 def _fault_of(spec: str) -> Fault:
-    injection: Injection = injection_from(spec)
+    injection = injection_from(spec)
     return Fault(injection, tuple(name for name in parse_spec(spec).values if name not in RESERVED))
 
 

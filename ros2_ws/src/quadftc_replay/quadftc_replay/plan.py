@@ -3,56 +3,56 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
 from quadftc_bags.bag import BagError
-from quadftc_flight.scenario import Fault
-from quadftc_replay.bag_input import recording_from_bag
-from quadftc_replay.diagnose import Diagnosed, Progress, diagnose
-from quadftc_replay.observer import ChosenObserver, choose_observer
-from quadftc_replay.overlay import faults_from, injector_of, require_within
-from quadftc_replay.recording import Recording
-from quadftc_replay.results import replay_name, replay_summary
-from quadftc_replay.ulog_input import is_ulog, recording_from_ulog
+from quadftc_fdi.fault_observer import FaultObserver, fault_observer_from, fault_observers
+from quadftc_flight.scenario import Fault, parse_value
+from quadftc_model.assembly import get, node_values
+from quadftc_replay.diagnose import Diagnosed, Progress, diagnose, flight_of
+from quadftc_replay.imu_from_bag import recording_from_bag
+from quadftc_replay.imu_from_ulog import is_ulog, recording_from_ulog
+from quadftc_replay.imu_recording import Recording
+from quadftc_replay.overlay import (
+    faults_from,
+    injector_of,
+    replay_events,
+    replay_windows,
+    require_within,
+    truth_text,
+)
+from quadftc_replay.replay_directory import YAML_WIDTH, ReplayOrigin, replay_summary
 
-YAML_WIDTH = 120  # characters
+DEFAULT_OBSERVER = "supervised"
+DEFAULT_VEHICLE = "qball_x4"
+PREFIX = "observer."  # of a parameter that is set
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class ReplayOptions:
-    """What to replay, and how.
+    """What to replay, and how."""
 
-    Parameters
-    ----------
-    topic : str
-        Of the IMU (of the gyro in a PX4 log); empty: see `recording_from_bag`.
-    observer : str
-        Empty: as recorded, see `choose_observer`.
-    settings : tuple of str
-        ``observer.<parameter>=value``.
-    vehicle : str
-        Empty: as recorded.
-    faults : tuple of str
-        Specifications of faults to overlay.
-    fault_files : tuple of Path
-        YAML files with such; they come first.
-    seed : int
-        Of the random faults.
-    skip_backwards : bool
-        Leave out samples whose stamp goes back, instead of refusing the recording.
-    """
+    topic: str = ""  # of the IMU (of the gyro in a PX4 log); empty: see `recording_from_bag`
+    observer: str = ""  # empty: as recorded, see `choose_observer`
+    settings: tuple[str, ...] = ()  # ``observer.<parameter>=value``
+    vehicle: str = ""  # empty: as recorded
+    faults: tuple[str, ...] = ()  # specifications of faults to overlay
+    fault_files: tuple[Path, ...] = ()  # YAML files with such; they come first
+    seed: int = 0  # of the random faults
+    skip_backwards: bool = False  # leave out samples whose stamp goes back, instead of refusing the recording
 
-    topic: str = ""
-    observer: str = ""
-    settings: tuple[str, ...] = ()
-    vehicle: str = ""
-    faults: tuple[str, ...] = ()
-    fault_files: tuple[Path, ...] = ()
-    seed: int = 0
-    skip_backwards: bool = False
+
+class ChosenObserver(NamedTuple):
+    """A fault observer, and the parameters of the node that would run it: all of them, in SI."""
+
+    name: str
+    law: FaultObserver
+    parameters: dict[str, Any]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -67,24 +67,58 @@ class Replay:
     @property
     def name(self) -> str:
         """Name of its directory and of its bag."""
-        return replay_name(self.recording, self.observer)
+        return f"{self.recording.name}-{self.observer.name}"
+
+    @property
+    def namespace(self) -> str:
+        """Of the vehicle, with its slashes."""
+        return f"/{self.recording.namespace.strip('/')}/".replace("//", "/")
+
+    @functools.cached_property
+    def origin(self) -> ReplayOrigin:
+        """What is replayed, as the bag will tell it."""
+        recording, specs = self.recording, [fault.spec for fault in self.faults]
+        return ReplayOrigin(
+            recording=recording.name,
+            topic=recording.topic,
+            observer=self.observer.name,
+            faults=self.faults,
+            seed=self.seed,
+            truth=truth_text(recording, self.faults),
+            torque=recording.torque_topic or "zero: none recorded",
+            duration=recording.duration,
+            samples=len(recording),
+            left_out=dict(recording.rejected),
+            fault_windows=replay_windows(recording, self.faults),
+            fault_events=replay_events(recording, self.faults),
+            parameters={
+                "fault_injector": {"seed": self.seed, **({"faults": specs} if specs else {})},
+                "fault_observer": self.observer.parameters,
+            },
+        )
 
     def diagnose(self, progress: Progress | None = None) -> Diagnosed:
         """Run it."""
         return diagnose(self.recording, self.observer.law, injector_of(self.faults, self.seed), progress)
 
     def summary(self, diagnosed: Diagnosed) -> dict[str, Any]:
-        """Summarise what came out."""
-        return replay_summary(self.recording, self.observer, self.faults, self.seed, diagnosed)
+        """Summarise what came out, ready for ``summary.json``; the caller adds versions and times."""
+        result, imu = replay_summary(self.origin, flight_of(self.recording, diagnosed)), self.recording.imu
+        metrics = result.pop("metrics")
+        return {
+            "name": self.name,
+            **result,
+            "samples_without_attitude": int((~imu.attitude_valid).sum()),
+            "samples_without_body_rate": int((~imu.rate_valid).sum()),
+            "samples_without_estimate": diagnosed.unusable,
+            "metrics": metrics,
+        }
 
     def parameter_file(self) -> str:
         """Parameters of the nodes that would do the same in the graph, as a ROS parameter file (YAML)."""
-        specs = [fault.spec for fault in self.faults]
-        injector = {"seed": self.seed, **({"faults": specs} if specs else {})}
-        prefix = f"/{self.recording.namespace.strip('/')}/".replace("//", "/")
         nodes = {
-            f"{prefix}fault_injector": {"ros__parameters": injector},
-            f"{prefix}fault_observer": {"ros__parameters": dict(self.observer.parameters)},
+            f"{self.namespace}{node}": {"ros__parameters": dict(values)}
+            for node, values in self.origin.parameters.items()
         }
         return yaml.safe_dump(nodes, sort_keys=False, default_flow_style=None, width=YAML_WIDTH)
 
@@ -113,3 +147,56 @@ def plan_replay(path: Path, options: ReplayOptions) -> Replay:
     require_within(faults, recording.duration, recording.name)
     observer = choose_observer(recording, options.observer, options.vehicle, options.settings)
     return Replay(recording=recording, observer=observer, faults=faults, seed=options.seed)
+
+
+def choose_observer(
+    recording: Recording, name: str = "", vehicle: str = "", settings: Sequence[str] = ()
+) -> ChosenObserver:
+    """Build the fault observer: the one asked for, or the one that diagnosed the recording.
+
+    Parameters
+    ----------
+    recording : Recording
+    name : str
+        Of the observer, which then has its defaults; empty: as in the recording, else `DEFAULT_OBSERVER`.
+    vehicle : str
+        Name, or path of a TOML file; empty: as in the recording, else `DEFAULT_VEHICLE`.
+    settings : sequence of str
+        ``observer.<parameter>=value``, with a unit if need be.
+
+    Raises
+    ------
+    ValueError
+        If there is no such observer or vehicle, or a parameter is wrong.
+    """
+    if recording.observer is None and not name:
+        raise BagError(f"{recording.path}: parameters.yaml makes no sense; choose with --observer")
+    recorded: Mapping[str, Any] = recording.observer or {}
+    parameters: dict[str, Any] = {
+        "vehicle": recorded.get("vehicle", DEFAULT_VEHICLE),
+        "observer": name or recorded.get("observer", DEFAULT_OBSERVER),
+    }
+    kind = get(parameters, "observer", str)
+    fault_observers.get(kind)
+    if vehicle:
+        parameters["vehicle"] = str(Path(vehicle).resolve()) if vehicle.endswith(".toml") else vehicle
+    if not name:
+        parameters |= {key: value for key, value in recorded.items() if key.startswith(f"{kind}.")}
+    for setting in settings:
+        parameters |= _parse_setting(kind, setting)
+    is_as_recorded = recorded and not (name or vehicle or settings)
+    try:
+        law = fault_observer_from(parameters)
+    except ValueError as error:
+        where = f"{recording.path}: parameters.yaml: " if is_as_recorded else ""
+        raise ValueError(f"{where}{error}") from None
+    full = {"vehicle": parameters["vehicle"], "observer": kind, **node_values(law, kind)}
+    return ChosenObserver(kind, law, full)
+
+
+def _parse_setting(kind: str, text: str) -> dict[str, Any]:
+    target, equals, value = text.partition("=")
+    parameter = target.strip().removeprefix(PREFIX)
+    if not equals or not target.strip().startswith(PREFIX) or not parameter:
+        raise ValueError(f"--set {text!r}: expected {PREFIX}<parameter>=value")
+    return {f"{kind}.{parameter}": parse_value(value, f"--set {text!r}")}

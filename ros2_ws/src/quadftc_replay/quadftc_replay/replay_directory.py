@@ -10,9 +10,7 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
-import numpy as np
 import yaml
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from quadftc_bags.bag import Bag, BagError
@@ -38,7 +36,7 @@ from quadftc_flight.run_directory import (
 )
 from quadftc_flight.scenario import Fault, Part
 from quadftc_flight.summary import compare_summaries, read_summary
-from quadftc_model.stepper import NANOSECONDS_PER_SECOND
+from quadftc_replay.imu_recording import sampling_rate
 from quadftc_replay.overlay import faults_from
 
 NEEDED = ("imu/data", "fault/injected", "fault/estimate", "fault/status")  # topics
@@ -234,11 +232,6 @@ def replay_metrics(
         for window in found["fault_windows"]
     ]
     return metrics
-
-
-def sampling_rate(stamp_ns: NDArray[np.int64]) -> float:
-    """One over the median time between two samples [Hz]."""
-    return NANOSECONDS_PER_SECOND / float(np.median(np.diff(stamp_ns)))
 
 
 def _read_origin(bag: Bag) -> ReplayOrigin:

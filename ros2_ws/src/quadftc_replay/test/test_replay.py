@@ -26,11 +26,9 @@ from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import STARTING, ImuSample
 from quadftc_msgs.msg import FaultStatus
 from quadftc_replay.diagnose import diagnose, flight_of, true_fault
-from quadftc_replay.observer import choose_observer
-from quadftc_replay.overlay import faults_from, injector_of
-from quadftc_replay.plan import Replay, ReplayOptions, plan_replay
-from quadftc_replay.recording import Recording, cleaned
-from quadftc_replay.results import replay_events, replay_windows
+from quadftc_replay.imu_recording import Recording, clean_samples
+from quadftc_replay.overlay import faults_from, injector_of, replay_events, replay_windows
+from quadftc_replay.plan import Replay, ReplayOptions, choose_observer, plan_replay
 from quadftc_replay.ros_output import replay
 from quadftc_ros.conversions import time_message
 from quadftc_ros.qos import topic_profile
@@ -61,7 +59,7 @@ def recording(imu: ImuSample | None = None, **known) -> Recording:
         topic="/imu/data",
         namespace="/",
         stamp_ns=stamps,
-        imu=cleaned(samples, stamps, "flight")[0],
+        imu=clean_samples(samples, stamps, "flight")[0],
         torque=np.zeros((len(stamps), 3)),
         **known,
     )
@@ -147,7 +145,7 @@ def test_observer_that_gives_no_number_is_started_anew_and_counted():
     source = recording()
     law = Broken(vehicle=choose_observer(source, "none").law.vehicle)
     diagnosed = diagnose(source, law, injector_of((), 0))
-    assert diagnosed.no_number == COUNT
+    assert diagnosed.unusable == COUNT
     assert np.all(diagnosed.state == STARTING)
     assert np.all(diagnosed.fault == 0.0)
 

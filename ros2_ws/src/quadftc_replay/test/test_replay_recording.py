@@ -18,9 +18,8 @@ from std_msgs.msg import Header
 from message_objects import set_stamp
 from quadftc_bags.bag import BagError
 from quadftc_bags.writer import BagWriter
-from quadftc_replay.bag_input import IMU, VECTOR, recording_from_bag
-from quadftc_replay.bag_truth import windows_of
-from quadftc_replay.recording import keep_good_stamps, torque_before
+from quadftc_replay.imu_from_bag import IMU, VECTOR, recording_from_bag, windows_of
+from quadftc_replay.imu_recording import keep_good_stamps, torque_before
 from quadftc_ros.join import TorqueGate
 
 PERIOD_NS = 10_000_000
@@ -173,7 +172,7 @@ def test_samples_that_go_back_are_left_out_if_asked(tmp_path):
     set_stamp(messages[12].header, START_NS)
     recording = recording_from_bag(imu_bag(tmp_path, messages), skip_backwards=True)
     assert recording.rejected == {"stamp went back": 1}
-    assert len(recording.passengers["plant/imu"].messages) == len(recording) == COUNT - 1
+    assert len(recording.passed_on["plant/imu"].messages) == len(recording) == COUNT - 1
     assert 0.01 * 12 not in recording.imu.body_rate[:, 0]
 
 

@@ -1,5 +1,5 @@
 # pyright: basic
-"""A recording from a PX4 log (ULog).
+"""The recording of an IMU from a PX4 log (ULog).
 
 | in the log | in the sample |
 |---|---|
@@ -15,12 +15,22 @@ which observers bridge. Of attitudes faster than the gyro, the nearest are taken
 Stamps are those of the sensor sample (``timestamp_sample`` where there is one), since the system's start. The
 log has torques only without a unit, so the torque is zero. The attitude is PX4's own estimate, to which this
 gyro has contributed; where its estimator resets it, it jumps, and a warning says when.
+
+PX4's frames are north-east-down and forward-right-down (FRD), those of ROS (REP-103, REP-147) east-north-up
+(ENU) and forward-left-up (FLU). Vectors in the body: (x, y, z) -> (x, -y, -z), half a turn about x; on the
+earth: (x, y, z) -> (y, x, -z), half a turn about (1, 1, 0). Attitudes, body to earth:
+
+    q_ENU_FLU = q_ENU_NED  q_NED_FRD  q_FRD_FLU
+
+In Euler angles: roll stays, pitch changes its sign, and yaw becomes pi/2 - yaw (from north clockwise to from
+east counterclockwise).
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -31,10 +41,8 @@ from quadftc_bags.bag import BagError
 from quadftc_model.rotations import quaternion_from_rotation_vector, quaternion_product
 from quadftc_model.samples import ImuSample
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
-from quadftc_replay.px4_frames import enu_flu_from_ned_frd, flu_from_frd
-from quadftc_replay.recording import Recording, Stamps, cleaned, keep_good_stamps
+from quadftc_replay.imu_recording import Floats, Recording, Stamps, clean_samples, keep_good_stamps
 
-Floats = NDArray[np.float64]
 Dataset = Mapping[str, NDArray]  # field, elements as name[k] -> (n,)
 
 ATTITUDE = "vehicle_attitude"
@@ -45,6 +53,9 @@ GYROS = {
 FORCES = {"sensor_combined": "accelerometer_m_s2", "vehicle_acceleration": "xyz"}
 INVALID_TIME = 0x7FFFFFFF  # sensor_combined.accelerometer_timestamp_relative: no accelerometer in this sample
 SHOWN = 5  # resets in one warning
+
+Q_ENU_NED = np.array([math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0])  # x, y, z, w
+Q_FRD_FLU = np.array([1.0, 0.0, 0.0, 0.0])  # x, y, z, w
 
 
 def is_ulog(path: Path) -> bool:
@@ -76,7 +87,7 @@ def recording_from_ulog(path: Path, topic: str = "", skip_backwards: bool = Fals
     q_xyzw, attitude_valid = _attitudes(data[ATTITUDE], kept.stamp_ns, rate, f"{path}: {ATTITUDE}")
     force, force_valid = _forces(data, kept.stamp_ns, path)
     imu = ImuSample(q_xyzw, rate, force, attitude_valid, np.ones(len(rate), np.bool_), force_valid)
-    samples, absences = cleaned(imu, kept.stamp_ns, where)
+    samples, absences = clean_samples(imu, kept.stamp_ns, where)
     damage = [f"{path}: damaged; read what makes sense"] if corrupt else []
     return Recording(
         name=path.stem,
@@ -89,6 +100,17 @@ def recording_from_ulog(path: Path, topic: str = "", skip_backwards: bool = Fals
         rejected=kept.rejected,
         warnings=(*damage, *kept.warnings, *absences, *_resets(data[ATTITUDE], kept.stamp_ns, path)),
     )
+
+
+def flu_from_frd(vector: Floats) -> Floats:
+    """Vector in FLU (..., 3) of one in FRD."""
+    return vector * np.array([1.0, -1.0, -1.0])
+
+
+def enu_flu_from_ned_frd(q_wxyz: Floats) -> Floats:
+    """Attitude q_xyzw (..., 4), FLU to ENU, of PX4's (..., 4): FRD to north-east-down, w first."""
+    q_xyzw = np.roll(np.asarray(q_wxyz, np.float64), -1, axis=-1)
+    return quaternion_product(quaternion_product(Q_ENU_NED, q_xyzw), Q_FRD_FLU)
 
 
 def _read(path: Path) -> tuple[dict[str, Dataset], bool]:
@@ -113,9 +135,7 @@ def _gyro_topic(data: Mapping[str, Dataset], wanted: str, path: Path) -> str:
         raise BagError(f"{path}: topic '{wanted}': of a PX4 log, expected one of {', '.join(GYROS)}")
     names = [wanted] if wanted else list(GYROS)
     found = next((name for name in names if name in data), None)
-    missing = [ATTITUDE] if ATTITUDE not in data else []
-    if found is None:
-        missing.append(" or ".join(names))
+    missing = [ATTITUDE] * (ATTITUDE not in data) + [" or ".join(names)] * (found is None)
     if found is None or missing:
         raise BagError(
             f"{path}: no data of {' and '.join(missing)}; of the topics that count there are: {there}"

@@ -1,4 +1,4 @@
-"""A recording from a rosbag2 bag: which of its topics is the IMU, and what else there is to know.
+"""The recording of an IMU from a rosbag2 bag: which topic it is, and what else the bag tells.
 
 The faults that a bag of ``quadftc run`` already has in its samples are part of the truth; so are its torque
 commands, which observers take as input.
@@ -6,34 +6,44 @@ commands, which observers take as input.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
 from quadftc_bags.bag import Bag, BagError, Series, TopicInfo, bag_topics, read_bag
-from quadftc_flight.run_directory import (
-    NO_PARAMETERS,
-    PARAMETERS,
-    attached_text,
-    run_name,
+from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, events_of_windows
+from quadftc_flight.flight import join_rows
+from quadftc_flight.run_directory import NO_PARAMETERS, PARAMETERS, SCENARIO, attached_text, run_name
+from quadftc_flight.scenario import Scenario, ScenarioError, parse_scenario
+from quadftc_model.samples import ABSENT, AXES, ImuSample
+from quadftc_model.stepper import NANOSECONDS_PER_SECOND
+from quadftc_replay.imu_recording import (
+    Floats,
+    Recording,
+    SerializedTopic,
+    Stamps,
+    clean_samples,
+    keep_good_stamps,
+    torque_before,
 )
-from quadftc_model.samples import ABSENT, ImuSample
-from quadftc_replay.bag_truth import DROPPED, TRUTH, fault_windows, recorded_events, recorded_faults
-from quadftc_replay.recording import Passenger, Recording, cleaned, keep_good_stamps, torque_before
 
 IMU = "sensor_msgs/msg/Imu"
 VECTOR = "geometry_msgs/msg/Vector3Stamped"
 HEADER = "std_msgs/msg/Header"
-DATA, UNTOUCHED, CORRECTED = (
-    "imu/data",
-    "plant/imu",
-    "imu/corrected",
-)  # behind the injector, before it, diagnosed
+# topics of an IMU: behind the fault injector, before it, corrected by the diagnosis
+DATA, UNTOUCHED, CORRECTED = "imu/data", "plant/imu", "imu/corrected"
 TORQUE = "torque/command"
+TRUTH = {
+    "attitude": "fault/injected",
+    "gyro": "fault/injected/gyro",
+    "accelerometer": "fault/injected/accelerometer",
+}  # channel -> topic of the true fault
+DROPPED = "fault/dropped"
+PAUSE = 1.0  # s; a fault that pauses for less is one fault
 SHOWN = 12  # topics in one line
 
 _FIELDS = {
@@ -41,6 +51,9 @@ _FIELDS = {
     "body_rate": ("angular_velocity", "angular_velocity_covariance"),
     "specific_force": ("linear_acceleration", "linear_acceleration_covariance"),
 }
+
+_Timed = TypeVar("_Timed", FaultWindow, FaultEvent)
+_Truth = tuple[dict[str, Floats], tuple[FaultWindow, ...], tuple[FaultEvent, ...]]
 
 
 def recording_from_bag(path: Path, topic: str = "", skip_backwards: bool = False) -> Recording:
@@ -60,23 +73,28 @@ def recording_from_bag(path: Path, topic: str = "", skip_backwards: bool = False
     BagError
         If there is no such topic, or it holds nothing that can be diagnosed; one line.
     """
+    # which topics belong to this IMU
     topics = bag_topics(path)
     name = choose_imu(topics, topic, path)
     namespace = _namespace(name)
     torque_topic = _torque_topic(topics, name, namespace)
     wanted = [name, *([torque_topic] if torque_topic else []), *_truth_topics(topics, name, namespace)]
+    # the samples
     bag = read_bag(path, wanted)
     imu, where = bag.series(name), f"{path}: {name}"
     kept = keep_good_stamps(imu.stamp_ns, imu.log_time_ns, where, skip_backwards)
-    samples, absences = cleaned(_samples(imu, kept.rows), kept.stamp_ns, where)
+    samples, absences = clean_samples(_samples(imu, kept.rows), kept.stamp_ns, where)
     messages = _messages(bag, name)
-    passengers = {UNTOUCHED: Passenger(IMU, kept.stamp_ns, [messages[row] for row in kept.rows.tolist()])}
+    passed_on = {
+        UNTOUCHED: SerializedTopic(IMU, kept.stamp_ns, [messages[row] for row in kept.rows.tolist()])
+    }
+    # the torque that acted
     torque = np.zeros((len(kept.rows), 3))
     if torque_topic:
         commands = bag.series(torque_topic)
         torque = torque_before(kept.stamp_ns, commands.stamp_ns, commands["vector"])
-        passengers[TORQUE] = Passenger(VECTOR, commands.stamp_ns, _messages(bag, torque_topic))
-    faults = recorded_faults(bag, wanted, namespace, kept.stamp_ns)
+        passed_on[TORQUE] = SerializedTopic(VECTOR, commands.stamp_ns, _messages(bag, torque_topic))
+    faults, windows, events = _read_truth(bag, wanted, namespace, kept.stamp_ns)
     cut = [f"{path}: cut short; read up to there{bag.remedy}"] if bag.truncated else []
     return Recording(
         name=run_name(path),
@@ -88,10 +106,10 @@ def recording_from_bag(path: Path, topic: str = "", skip_backwards: bool = False
         torque=torque,
         torque_topic=torque_topic,
         faults=faults,
-        fault_windows=fault_windows(bag, wanted, namespace, kept.stamp_ns, faults),
-        fault_events=recorded_events(bag, wanted, namespace, kept.stamp_ns, faults),
+        fault_windows=windows,
+        fault_events=events,
         observer=_observer_parameters(bag, namespace),
-        passengers=passengers,
+        passed_on=passed_on,
         rejected=kept.rejected,
         warnings=(*cut, *kept.warnings, *absences),
     )
@@ -100,13 +118,10 @@ def recording_from_bag(path: Path, topic: str = "", skip_backwards: bool = False
 def choose_imu(topics: Mapping[str, TopicInfo], wanted: str, path: Path) -> str:
     """Return the full name of the topic to replay.
 
-    Raises
-    ------
-    BagError
-        If there is none, it is empty or no IMU, or there are several and none was asked for.
+    If there is none, it is empty or no IMU, or there are several and none was asked for, BagError is raised.
     """
     if wanted:
-        name = _resolved(topics, wanted, path)
+        name = _full_name(topics, wanted, path)
         if topics[name].type_name != IMU:
             raise BagError(f"{path}: topic '{name}' is of type {topics[name].type_name}, expected {IMU}")
         if not topics[name].count:
@@ -115,13 +130,29 @@ def choose_imu(topics: Mapping[str, TopicInfo], wanted: str, path: Path) -> str:
     imus = [name for name, info in topics.items() if info.type_name == IMU]
     filled = [name for name in imus if topics[name].count]
     if not imus:
-        raise BagError(f"{path}: no topic of type {IMU}; topics there: {_listed(topics)}")
+        raise BagError(f"{path}: no topic of type {IMU}; topics there: {_list_topics(topics)}")
     if not filled:
         raise BagError(f"{path}: no message on {', '.join(imus)}")
     chosen = filled if len(filled) == 1 else [name for name in filled if _is(name, DATA)]
     if len(chosen) != 1:
         raise BagError(f"{path}: several IMUs, choose one with --topic: {', '.join(sorted(filled))}")
     return chosen[0]
+
+
+def windows_of(stamp_ns: Stamps, fault: Floats) -> tuple[FaultWindow, ...]:
+    """Return when a fault (n, 3) acts: a window for each time without a pause longer than ``PAUSE``."""
+    acts = fault != 0.0  # true for NaN, too
+    rows = np.flatnonzero(acts.any(axis=1))
+    if not len(rows):
+        return ()
+    time = (stamp_ns - stamp_ns[0]) / NANOSECONDS_PER_SECOND
+    breaks = np.flatnonzero(np.diff(time[rows]) > PAUSE) + 1
+    windows: list[FaultWindow] = []
+    for part in np.split(rows, breaks):
+        stop = time[min(int(part[-1]) + 1, len(time) - 1)]
+        axes = tuple(axis for axis, on in zip(AXES, acts[part].any(axis=0), strict=True) if on)
+        windows.append(FaultWindow(float(time[part[0]]), float(stop), axes))
+    return tuple(windows)
 
 
 def _samples(series: Series, rows: NDArray[np.intp]) -> ImuSample:
@@ -135,7 +166,7 @@ def _messages(bag: Bag, topic: str) -> list[bytes]:
     return [data for _, _, data in bag.messages([topic])]
 
 
-def _resolved(topics: Mapping[str, TopicInfo], wanted: str, path: Path) -> str:
+def _full_name(topics: Mapping[str, TopicInfo], wanted: str, path: Path) -> str:
     """Full name of a topic: as given, with or without its slash, or in the only namespace that has it."""
     exact = [name for name in topics if name == wanted] or [
         name for name in topics if name.strip("/") == wanted.strip("/")
@@ -144,11 +175,11 @@ def _resolved(topics: Mapping[str, TopicInfo], wanted: str, path: Path) -> str:
     if len(names) == 1:
         return names[0]
     problem = "is in more than one namespace" if names else "is not in the bag"
-    there = ", ".join(sorted(names)) if names else _listed(topics)
+    there = ", ".join(sorted(names)) if names else _list_topics(topics)
     raise BagError(f"{path}: topic '{wanted}' {problem}; topics there: {there}")
 
 
-def _listed(topics: Mapping[str, TopicInfo]) -> str:
+def _list_topics(topics: Mapping[str, TopicInfo]) -> str:
     words = [f"{name} ({info.type_name})" for name, info in sorted(topics.items())]
     more = f" and {len(words) - SHOWN} more" if len(words) > SHOWN else ""
     return (", ".join(words[:SHOWN]) or "none") + more
@@ -175,9 +206,8 @@ def _torque_topic(topics: Mapping[str, TopicInfo], imu: str, namespace: str) -> 
     there = [
         name for name, info in topics.items() if _is(name, TORQUE) and info.type_name == VECTOR and info.count
     ]
-    own = f"{namespace}{TORQUE}"
-    if own in there:
-        return own
+    if f"{namespace}{TORQUE}" in there:
+        return f"{namespace}{TORQUE}"
     return there[0] if len(there) == 1 and _graph_topic(imu) is None else None
 
 
@@ -188,6 +218,47 @@ def _truth_topics(topics: Mapping[str, TopicInfo], imu: str, namespace: str) -> 
     types = {f"{namespace}{topic}": VECTOR for topic in TRUTH.values()} | {f"{namespace}{DROPPED}": HEADER}
     there = {name: topics[name] for name in types if name in topics}
     return [name for name, info in there.items() if info.type_name == types[name] and info.count]
+
+
+def _read_truth(bag: Bag, topics: Collection[str], namespace: str, stamp_ns: Stamps) -> _Truth:
+    """Read the true faults on the rows of the samples, and when the attitude is faulty.
+
+    The schedule of the attached scenario says when, else the recorded fault. Times count from the first
+    sample; before it, samples were withheld.
+    """
+    faults = {
+        channel: join_rows(bag.series(f"{namespace}{topic}"), "vector", stamp_ns, np.full(3, np.nan))
+        for channel, topic in TRUTH.items()
+        if f"{namespace}{topic}" in topics
+    }
+    if "attitude" not in faults:
+        return faults, (), ()
+    scenario = _scenario(bag)
+    if scenario is None:
+        windows = windows_of(stamp_ns, faults["attitude"])
+        return faults, windows, events_of_windows(windows)
+    dropped, first_ns = f"{namespace}{DROPPED}", stamp_ns[0]
+    if dropped in topics:
+        first_ns = bag.series(dropped).stamp_ns.min()
+    late = max(0.0, float(int(stamp_ns[0]) - int(first_ns)) / NANOSECONDS_PER_SECOND)
+    return faults, _shift(scenario.fault_windows, late), _shift(scenario.fault_events, late)
+
+
+def _shift(items: tuple[_Timed, ...], late: float) -> tuple[_Timed, ...]:
+    """Count times from a moment that is that much later [s]."""
+    return tuple(
+        item._replace(start=max(0.0, item.start - late), stop=item.stop - late)
+        for item in items
+        if item.stop > late
+    )
+
+
+def _scenario(bag: Bag) -> Scenario | None:
+    text = attached_text(bag, SCENARIO)
+    try:
+        return None if text is None else parse_scenario(text, f"{bag.path}: {SCENARIO}")
+    except ScenarioError:
+        return None
 
 
 def _observer_parameters(bag: Bag, namespace: str) -> dict[str, Any] | None:

@@ -1,4 +1,7 @@
-"""A recording of an IMU as arrays, wherever it comes from, and the clean-up that every recording gets."""
+"""The samples of an IMU from a bag or a log as arrays on their own clock, and the clean-up that all get.
+
+What is missing in a sample is marked as absent; nothing is filled in.
+"""
 
 from __future__ import annotations
 
@@ -19,65 +22,38 @@ Floats = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 
 
-class Passenger(NamedTuple):
-    """Recorded messages that go into the new bag as they are."""
+class SerializedTopic(NamedTuple):
+    """Messages as they stand in a bag."""
 
     type_name: str
     stamp_ns: Stamps  # (n,)
-    messages: list[bytes]  # serialised, n
+    messages: list[bytes]  # n
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Recording:
-    """The samples of one IMU in the order of their stamps, and what is known beside them.
+    """The samples of one IMU in the order of their stamps, and what is known beside them."""
 
-    Parameters
-    ----------
-    name : str
-        Of the bag or log.
-    path : Path
-    topic : str
-        Full name of the topic that the samples are from.
-    namespace : str
-        Of the vehicle, with its slashes: ``/`` or ``/name/``.
-    stamp_ns : array (n,)
-        Strictly increasing [ns].
-    imu : ImuSample
-        Leading axis n; what cannot be used is marked as absent.
-    torque : array (n, 3)
-        Torque that acted since the sample before [N m]; zero where none was recorded.
-    torque_topic : str, optional
-    faults : mapping
-        Channel to the recorded true fault (n, 3); NaN where it is unknown, no entry where it is not recorded.
-    fault_windows : tuple of FaultWindow
-        When the attitude is faulty by what was recorded.
-    fault_events : tuple of FaultEvent
-        The same axis by axis, with the kind of fault.
-    observer : mapping, optional
-        Parameters of the node that diagnosed these samples first; empty: not known; None: they make no sense.
-    passengers : mapping
-        Topic, relative to the namespace, to what is passed on.
-    rejected : mapping
-        Reason to the number of samples left out.
-    warnings : tuple of str
-        One line each.
-    """
-
-    name: str
+    name: str  # of the bag or log
     path: Path
-    topic: str
-    namespace: str
-    stamp_ns: Stamps
-    imu: ImuSample
-    torque: Floats
+    topic: str  # full name of that of the samples
+    namespace: str  # of the vehicle, with its slashes: ``/`` or ``/name/``
+    stamp_ns: Stamps  # (n,) strictly increasing [ns]
+    imu: ImuSample  # leading axis n; what cannot be used is marked as absent
+    torque: Floats  # (n, 3) that acted since the sample before [N m]; zero where none was recorded
     torque_topic: str | None = None
+    # channel to the recorded true fault (n, 3); NaN where it is unknown, no entry where it is not recorded
     faults: Mapping[str, Floats] = dataclasses.field(default_factory=dict[str, Floats])
-    fault_windows: tuple[FaultWindow, ...] = ()
-    fault_events: tuple[FaultEvent, ...] = ()
+    fault_windows: tuple[FaultWindow, ...] = ()  # when the attitude is faulty by what was recorded
+    fault_events: tuple[FaultEvent, ...] = ()  # the same axis by axis, with the kind of fault
+    # parameters of the node that diagnosed these samples first; empty: not known; None: they make no sense
     observer: Mapping[str, Any] | None = dataclasses.field(default_factory=dict[str, Any])
-    passengers: Mapping[str, Passenger] = dataclasses.field(default_factory=dict[str, Passenger])
-    rejected: Mapping[str, int] = dataclasses.field(default_factory=dict[str, int])
-    warnings: tuple[str, ...] = ()
+    # topic, relative to the namespace, to what goes into the new bag as it is
+    passed_on: Mapping[str, SerializedTopic] = dataclasses.field(default_factory=dict[str, SerializedTopic])
+    rejected: Mapping[str, int] = dataclasses.field(
+        default_factory=dict[str, int]
+    )  # reason to samples left out
+    warnings: tuple[str, ...] = ()  # one line each
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
@@ -95,10 +71,15 @@ class Recording:
     @property
     def rate(self) -> float:
         """One over the median time between two samples [Hz]."""
-        return NANOSECONDS_PER_SECOND / float(np.median(np.diff(self.stamp_ns)))
+        return sampling_rate(self.stamp_ns)
 
 
-class Kept(NamedTuple):
+def sampling_rate(stamp_ns: Stamps) -> float:
+    """One over the median time between two samples [Hz]."""
+    return NANOSECONDS_PER_SECOND / float(np.median(np.diff(stamp_ns)))
+
+
+class KeptSamples(NamedTuple):
     """The samples of a recording that have a good stamp."""
 
     rows: NDArray[np.intp]  # which of the recorded samples
@@ -107,8 +88,10 @@ class Kept(NamedTuple):
     warnings: list[str]
 
 
-def keep_good_stamps(stamp_ns: Stamps, log_time_ns: Stamps | None, where: str, skip_backwards: bool) -> Kept:
-    """Leave out samples whose stamp is not set, is repeated or (if asked) goes back.
+def keep_good_stamps(
+    stamp_ns: Stamps, log_time_ns: Stamps | None, where: str, skip_backwards: bool
+) -> KeptSamples:
+    """Leave out samples whose stamp is not set, is repeated or (if asked, as the graph does) goes back.
 
     Where no stamp is set at all, the time of recording takes its place.
 
@@ -119,12 +102,7 @@ def keep_good_stamps(stamp_ns: Stamps, log_time_ns: Stamps | None, where: str, s
     where : str
         Names the file and topic in errors.
     skip_backwards : bool
-        Leave out samples whose stamp goes back, as the graph does, instead of refusing the recording.
-
-    Raises
-    ------
-    BagError
-        If stamps go back, or fewer than two good samples are there.
+        Leave out samples whose stamp goes back, instead of refusing the recording with BagError.
     """
     rejected: dict[str, int] = {}
     warnings: list[str] = []
@@ -150,27 +128,22 @@ def keep_good_stamps(stamp_ns: Stamps, log_time_ns: Stamps | None, where: str, s
     if total:
         reasons = ", ".join(f"{reason}: {count}" for reason, count in rejected.items())
         warnings.append(f"{where}: {total} of {len(stamp_ns)} samples left out ({reasons})")
-    return Kept(rows, stamps, rejected, warnings)
+    return KeptSamples(rows, stamps, rejected, warnings)
 
 
-def cleaned(imu: ImuSample, stamp_ns: Stamps, where: str) -> tuple[ImuSample, list[str]]:
+def clean_samples(imu: ImuSample, stamp_ns: Stamps, where: str) -> tuple[ImuSample, list[str]]:
     """Mark as absent what cannot be used; return the samples and warnings about absences and gaps.
 
-    Raises
-    ------
-    BagError
-        If no sample has both attitude and body rate.
+    If no sample has both attitude and body rate, BagError is raised.
     """
     clean = sanitised(imu)
     warnings: list[str] = []
-    for words, field, given, valid in (
-        ("attitude", "orientation", imu.attitude_valid, clean.attitude_valid),
-        ("body rate", "angular_velocity", imu.rate_valid, clean.rate_valid),
+    for words, wrong, given, valid in (
+        ("attitude", "zero, not of unit length or not finite", imu.attitude_valid, clean.attitude_valid),
+        ("body rate", "not finite", imu.rate_valid, clean.rate_valid),
     ):
         absent, unusable = int((~given).sum()), int((given & ~valid).sum())
-        details = f"{absent} marked absent, {unusable} zero, not of unit length or not finite"
-        if field == "angular_velocity":
-            details = f"{absent} marked absent, {unusable} not finite"
+        details = f"{absent} marked absent, {unusable} {wrong}"
         if not valid.any():
             raise BagError(f"{where}: no sample has a usable {words} ({details}); a diagnosis needs both")
         if not valid.all():
@@ -182,7 +155,7 @@ def cleaned(imu: ImuSample, stamp_ns: Stamps, where: str) -> tuple[ImuSample, li
     gaps = int(np.sum(np.diff(stamp_ns) > MAX_GAP * NANOSECONDS_PER_SECOND))
     if gaps:
         warnings.append(
-            f"{where}: gaps of more than {MAX_GAP:g} s: {gaps}; the diagnosis starts anew behind each"
+            f"{where}: gaps of more than {MAX_GAP:g} s: {gaps}; the diagnosis restarts after each"
         )
     return clean, warnings
 
