@@ -4,28 +4,28 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Mask, States, Vector, namespace
 from quadftc_model.samples import FAULTY, HEALTHY, RECOVERING, SUSPECT
 
 
 class Detection(NamedTuple):
-    """What is remembered of the level, each array (..., 3)."""
+    """What detection remembers of the level."""
 
-    detected: Array  # bool: the level has been high and not low again for long enough
-    low: Array  # bool: the level is low now
-    calm: Array  # how long it has been low while detected [s]
-    age: Array  # time since it was last low without a fault [s]
+    detected: Mask  # the level has been high and not low again for long enough
+    low: Mask  # the level is low now
+    calm: Vector  # how long it has been low while detected [s]
+    age: Vector  # time since it was last low without a fault [s]
 
 
-def undetected(like: Array) -> Detection:
-    """Return the start: nothing detected on the axes of an array (..., 3)."""
+def start_detection(like: Vector) -> Detection:
+    """Start with nothing detected on the axes of an array (..., 3)."""
     xp = namespace(like)
     zeros = xp.zeros_like(like)
     return Detection(zeros > 0.0, zeros == 0.0, zeros, zeros)
 
 
 def detect(
-    state: Detection, level: Array, high: float, low: float, recovery_time: float, dt: float
+    state: Detection, level: Vector, high: float, low: float, recovery_time: float, dt: float
 ) -> Detection:
     """Advance by ``dt`` [s] to a level (..., 3).
 
@@ -41,7 +41,7 @@ def detect(
     return Detection(detected, is_low, calm, age)
 
 
-def fault_state(state: Detection, suspect: Array) -> Array:
+def fault_state(state: Detection, suspect: Mask) -> States:
     """Fault states (..., 3) of quadftc_msgs/FaultStatus; ``suspect`` tells SUSPECT from HEALTHY."""
     xp = namespace(state.age)
     healthy = xp.where(suspect, SUSPECT, HEALTHY)
@@ -49,6 +49,6 @@ def fault_state(state: Detection, suspect: Array) -> Array:
     return xp.where(state.detected, faulty, healthy).astype(xp.uint8)
 
 
-def onset_age(state: Detection) -> Array:
+def onset_age(state: Detection) -> Vector:
     """Age of the present fault (..., 3) [s]; -1 without one."""
     return namespace(state.age).where(state.detected, state.age, -1.0)

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from quadftc_fdi.dead_reckoning import MAX_PITCH, comparable, dead_reckoned, kinematic_matrices
-from quadftc_fdi.fault_observers.augmented_kalman import AugmentedKalman
+from quadftc_fdi.dead_reckoning import MAX_PITCH, comparable, dead_reckon
+from quadftc_fdi.fault_observers.augmented_kalman import AugmentedKalman, kinematic_matrices
 from quadftc_fdi.fault_observers.edwards_spurgeon import EdwardsSpurgeon
 from quadftc_fdi.fault_observers.threshold import Threshold
 from quadftc_model.rotations import euler_rates, quaternion_from_euler
@@ -50,7 +50,7 @@ def test_dead_reckoning_is_of_order_2():
         q_xyzw = np.array([0.0, 0.0, 0.0, 1.0])
         for k in range(steps):
             start, end = (np.array([0.0, 0.0, (dt * (k + i)) ** 2]) for i in (0, 1))
-            q_xyzw = dead_reckoned(q_xyzw, start, end, dt)
+            q_xyzw = dead_reckon(q_xyzw, start, end, dt)
         return abs(2.0 * math.atan2(q_xyzw[2], q_xyzw[3]) - 1.0 / 3.0)
 
     assert error(20) / error(40) == pytest.approx(4.0, rel=0.01)

@@ -27,8 +27,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from quadftc_fdi.caching import cache_numbers
 from quadftc_fdi.disturbance_observer import DisturbanceObserver, register
-from quadftc_model.arrays import Array, exp, namespace
+from quadftc_model.arrays import Array, Flag, Scalar, Vector, exp, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.samples import DisturbanceObserverInputs
@@ -40,8 +41,8 @@ class ExosystemState(NamedTuple):
     """Observer state at the last sample."""
 
     zeta: Array  # (..., 3, n) estimate of the exosystem's state; its output is d^ [rad/s²]
-    x2: Array  # (..., 3) body rate, measured or, where the gyro was absent, predicted [rad/s]
-    started: Array  # (...,) bool: there has been a measured body rate
+    x2: Vector  # body rate, measured or, where the gyro was absent, predicted [rad/s]
+    started: Flag  # there has been a measured body rate
 
 
 @register("exosystem")
@@ -66,15 +67,15 @@ class Exosystem(DisturbanceObserver):
         zeta = xp.stack([xp.zeros_like(rate)] * len(self.C_d), axis=-1)
         return ExosystemState(zeta, rate, inputs.rate_valid)
 
-    def resumed(self, inputs: DisturbanceObserverInputs, estimate: Array) -> ExosystemState:
-        """Go on with all of the disturbance as the state that (42) puts out, of the first block."""
+    def resumed(self, inputs: DisturbanceObserverInputs, estimate: Vector) -> ExosystemState:
+        """Resume with the whole disturbance in the first block of (42)."""
         state = self.init(inputs)
         first = np.eye(len(self.C_d))[0]
         return state._replace(zeta=state.zeta + estimate[..., None] * first)
 
     def step(
         self, state: ExosystemState, inputs: DisturbanceObserverInputs, dt: float
-    ) -> tuple[ExosystemState, Array]:
+    ) -> tuple[ExosystemState, Vector]:
         """Advance by ``dt`` [s]; a sample without body rate is predicted, not corrected."""
         if isinstance(dt, float) and dt == 0.0:
             return state, state.zeta @ self.C_d
@@ -83,9 +84,11 @@ class Exosystem(DisturbanceObserver):
             state = state._replace(zeta=self.init(inputs).zeta)
         inertia = self.vehicle.inertia
         Phi, CdGamma, gain = _discretised(self.model, self.frequency, self.bandwidth, dt)
+        # predict x2 by the trapezoidal rule; without a body rate, f stays
         rate = xp.where(inputs.rate_valid[..., None], inputs.body_rate, state.x2)
         f = 0.5 * (gyroscopic_acceleration(inertia, state.x2) + gyroscopic_acceleration(inertia, rate))
         predicted = state.x2 + dt * (f + inputs.torque / inertia) + state.zeta @ CdGamma
+        # correct zeta by nu, once there has been a body rate to start from
         x2 = xp.where(inputs.rate_valid[..., None], rate, predicted)
         nu = xp.where(state.started[..., None], x2 - predicted, 0.0)
         zeta = state.zeta @ Phi.T + nu[..., None] * gain
@@ -110,13 +113,7 @@ class Exosystem(DisturbanceObserver):
 
 @functools.lru_cache(maxsize=256)
 def exosystem(model: str, frequency: float) -> tuple[Matrix, Matrix]:
-    """A_d (n, n) and C_d (n,) of (42) by name: blocks joined by ``+``.
-
-    Raises
-    ------
-    ValueError
-        If a block is not ``constant``, ``ramp`` or ``harmonic``.
-    """
+    """A_d (n, n) and C_d (n,) of (42) by name, blocks joined by ``+``; ValueError for an unknown block."""
     blocks = {
         "constant": np.zeros((1, 1)),
         "ramp": np.array([[0.0, 1.0], [0.0, 0.0]]),
@@ -140,19 +137,14 @@ def _output_of(model: str) -> Matrix:
     return _frozen(np.concatenate([np.eye(_SIZES[name])[0] for name in model.split("+")]))
 
 
-def _discretised(model: str, frequency: Array, bandwidth: Array, dt: Array) -> tuple[Array, Array, Array]:
-    """Phi (n, n), C_d Gamma (n,) and the gain l (n,) of a step, in closed form; those of numbers are kept."""
-    numbers = all(isinstance(each, float) for each in (frequency, bandwidth, dt))
-    of = _known_discretisation if numbers else _discretisation
-    return of(model, frequency, bandwidth, dt)
-
-
-def _discretisation(model: str, frequency: Array, bandwidth: Array, dt: Array) -> tuple[Array, Array, Array]:
+@cache_numbers
+def _discretised(model: str, frequency: Scalar, bandwidth: Scalar, dt: Scalar) -> tuple[Array, Array, Array]:
+    """Phi (n, n), C_d Gamma (n,) and the gain l (n,) of a step, in closed form."""
     xp = namespace(1.0 * frequency * bandwidth * dt)
     blocks = {name: _block(name, frequency, dt, xp) for name in model.split("+")}
     n, at = sum(_SIZES[name] for name in blocks), 0
     rows: list[Any] = []
-    for change, _ in blocks.values():  # of each row of Phi - I, zeros around the block
+    for change, _ in blocks.values():  # rows of Phi - I, with zeros around the block
         left, right = xp.zeros(at), xp.zeros(n - at - len(change))
         rows += [xp.concatenate([left, xp.stack([xp.asarray(x) for x in row]), right]) for row in change]
         at += len(change)
@@ -160,15 +152,6 @@ def _discretisation(model: str, frequency: Array, bandwidth: Array, dt: Array) -
     CdGamma = xp.stack([xp.asarray(x) for _, integral in blocks.values() for x in integral])
     gain = _gain(D, CdGamma / dt, (exp(-bandwidth * dt) - 1.0) / dt, xp)
     return xp.eye(n) + dt * D, CdGamma, gain
-
-
-@functools.lru_cache(maxsize=256)
-def _known_discretisation(
-    model: str, frequency: float, bandwidth: float, dt: float
-) -> tuple[Matrix, Matrix, Matrix]:
-    """Of numbers, of which a flight has few."""
-    Phi, CdGamma, gain = map(np.asarray, _discretisation(model, frequency, bandwidth, dt))
-    return _frozen(Phi), _frozen(CdGamma), _frozen(gain)
 
 
 def _block(name: str, frequency: Array, dt: Array, xp: Any) -> tuple[list[list[Array]], list[Array]]:

@@ -18,7 +18,7 @@ for slow faults) and v_ij its variance, S_ii the one of r_i itself:
     P_f,ii <- lambda_i P_f,ii,  (lambda_i - 1) P_f,ii = max over j of m_ij² - v_ij  where m_ij² > gate² v_ij
 
 and lambda_i = 1 where no mean is out of bounds. (With a gate of 1 noise alone keeps lambda above 1, and the
-gyro bias is hardly learnt.) The means begin anew after lambda > 1. On a faulty axis, and for ``alert_time``
+gyro bias is hardly learnt.) The means restart after lambda > 1. On a faulty axis, and for ``alert_time``
 after that, the random walk of f_s is ``faulty_walk``, so that f_s takes what changes, and not b.
 
 What it cannot do. x and f_s appear only as their sum, and both may be constant: the model has three
@@ -26,8 +26,8 @@ invariant zeros at s = 0. An angle error and a constant fault are told apart by 
 f_s(0) = 0 up to ``initial_fault``, below which std_dev never falls. So a fault that is there at the first
 sample is taken for attitude and stays so (in a turn, a wrong roll or pitch shows a little in the other axes);
 the angle random walk accumulates in x and, with the other sign, in f_s; and an error made in telling a fault
-from the attitude (at its onset, or by the error of b^ times its length) stays for ever: nothing in this
-filter trusts the sensor anew when the fault is gone. std_dev is the filter's own. Errors of the attitude that
+from the attitude (at its onset, or by the error of b^ times its length) stays for ever: this filter
+never trusts the sensor again after the fault. std_dev is the filter's own. Errors of the attitude that
 are not white are faults to it.
 
 The attitude is carried as a quaternion, on the mean of two gyro samples; only errors are Euler angles. Beyond
@@ -39,15 +39,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from quadftc_fdi.dead_reckoning import comparable, dead_reckoned, kinematic_matrices
+from quadftc_fdi.dead_reckoning import MAX_PITCH, comparable, dead_reckon
 from quadftc_fdi.fault_observer import FaultObserver, register
-from quadftc_fdi.level_detection import Detection, detect, fault_state, onset_age, undetected
-from quadftc_model.arrays import Array, namespace
+from quadftc_fdi.level_detection import Detection, detect, fault_state, onset_age, start_detection
+from quadftc_model.arrays import AnyArray, Array, Quaternion, Vector, components, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
 
 DEG = math.pi / 180.0
 WINDOWS = (0.0, 0.03, 0.3, 1.5)  # s; T_j, the first is one sample
@@ -57,13 +60,13 @@ UNKNOWN = 1.0  # rad; standard deviation of an angle that is absent at the first
 class AugmentedKalmanState(NamedTuple):
     """Filter state at the last sample. The errors in P: angles, gyro bias, fault."""
 
-    q_xyzw: Array  # (..., 4) attitude x^
-    gyro_bias: Array  # (..., 3) b^ [rad/s]
-    fault: Array  # (..., 3) f_s^ [rad]
-    P: Array  # (..., 9, 9) covariance [rad, rad/s, rad]
-    gyro: Array  # (..., 3) [rad/s]
-    means: Array  # (..., 3, 4) m_ij [rad]
-    alert: Array  # (..., 3) how long n_f is still that of a faulty axis [s]
+    q_xyzw: Quaternion  # attitude x^
+    gyro_bias: Vector  # b^ [rad/s]
+    fault: Vector  # f_s^ [rad]
+    P: Float[AnyArray, "*batch 9 9"]  # covariance [rad, rad/s, rad]
+    gyro: Vector  # [rad/s]
+    means: Float[AnyArray, "*batch 3 4"]  # m_ij [rad]
+    alert: Vector  # how long n_f is still that of a faulty axis [s]
     detection: Detection
 
 
@@ -120,7 +123,7 @@ class AugmentedKalman(FaultObserver):
             gyro=imu.body_rate,
             means=xp.stack([zeros] * len(WINDOWS), axis=-1),
             alert=zeros,
-            detection=undetected(zeros),
+            detection=start_detection(zeros),
         )
 
     def step(
@@ -129,19 +132,22 @@ class AugmentedKalman(FaultObserver):
         """Predict on the gyro over ``dt`` [s], adapt, and correct by the attitude."""
         imu = inputs.imu
         xp = namespace(imu.body_rate)
+        # predict by the gyro; an absent one keeps its last value
         gyro = xp.where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
         b = state.gyro_bias
-        q_xyzw = dead_reckoned(state.q_xyzw, state.gyro - b, gyro - b, dt)
+        q_xyzw = dead_reckon(state.q_xyzw, state.gyro - b, gyro - b, dt)
         x, y = euler_from_quaternion(q_xyzw), euler_from_quaternion(imu.q_xyzw)
         E, J = kinematic_matrices(x, gyro - b)
         EE = E @ xp.swapaxes(E, -1, -2)
         predicted = self._predicted(state.P, E, J, EE, imu.rate_valid, dt)
+        # innovation r and its covariance S; adapt the variance of the fault, then correct
         usable = imu.attitude_valid[..., None] & comparable(x, y) & (dt > 0.0)
         r = xp.where(usable, wrap(y - x - state.fault), 0.0)
         PH = predicted[..., :3] + predicted[..., 6:]  # P H', H = [I 0 I]
         S = PH[..., :3, :] + PH[..., 6:, :] + self.attitude_noise**2 * EE
         state, growth = self._adapted(state, r, xp.einsum("...ii->...i", S), usable, dt)
         correction, P = _corrected(predicted, PH, S, growth, r, usable)
+        # detect the fault by its size in standard deviations
         fault = wrap(state.fault + correction[..., 6:])
         std_dev = xp.sqrt(xp.einsum("...ii->...i", P)[..., 6:])
         level = xp.abs(fault) / std_dev
@@ -210,3 +216,26 @@ def _corrected(P: Array, PH: Array, S: Array, growth: Array, r: Array, usable: A
     growths = xp.concatenate([xp.zeros_like(growth), xp.zeros_like(growth), growth], axis=-1)
     after = P + growths[..., None] * xp.eye(9) - K @ xp.swapaxes(grown, -1, -2)
     return (K @ r[..., None])[..., 0], 0.5 * (after + xp.swapaxes(after, -1, -2))
+
+
+def kinematic_matrices(
+    angles: Vector, body_rate: Vector
+) -> tuple[Float[AnyArray, "*batch 3 3"], Float[AnyArray, "*batch 3 3"]]:
+    """E [1] of (4), x' = E(x) omega, and the Jacobian [1/s] of E(x) omega by x.
+
+    Pitch is kept within ``MAX_PITCH``, so that both are bounded.
+    """
+    xp = namespace(angles)
+    phi, theta, _ = components(xp.minimum(xp.maximum(angles, -MAX_PITCH), MAX_PITCH))
+    phi = components(angles)[0]
+    _, q, r = components(body_rate)
+    s, c, t, sec = xp.sin(phi), xp.cos(phi), xp.tan(theta), 1.0 / xp.cos(theta)
+    across = s * q + c * r  # cos(theta) psi'
+    theta_dot = c * q - s * r
+    one, zero = xp.ones_like(s), xp.zeros_like(s)
+    E = [one, s * t, c * t, zero, c, -s, zero, s * sec, c * sec]
+    d_phi = [t * theta_dot, -across, sec * theta_dot]
+    d_theta = [sec * sec * across, zero, sec * t * across]
+    J = [element for row in zip(d_phi, d_theta, [zero] * 3, strict=True) for element in row]
+    shape = (*angles.shape[:-1], 3, 3)
+    return xp.stack(E, axis=-1).reshape(shape), xp.stack(J, axis=-1).reshape(shape)

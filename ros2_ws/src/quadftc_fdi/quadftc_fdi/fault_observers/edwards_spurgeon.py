@@ -38,10 +38,10 @@ import dataclasses
 import math
 from typing import NamedTuple
 
-from quadftc_fdi.dead_reckoning import comparable, dead_reckoned
+from quadftc_fdi.dead_reckoning import comparable, dead_reckon
 from quadftc_fdi.fault_observer import FaultObserver, register
 from quadftc_fdi.fault_observers.sliding_mode import implicit_injection
-from quadftc_fdi.level_detection import Detection, detect, fault_state, onset_age, undetected
+from quadftc_fdi.level_detection import Detection, detect, fault_state, onset_age, start_detection
 from quadftc_model.arrays import Array, exp, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
@@ -82,7 +82,7 @@ class EdwardsSpurgeon(FaultObserver):
         """Start on the measurement: the sensor counts as healthy at the first sample."""
         imu = inputs.imu
         zeros = namespace(imu.body_rate).zeros_like(imu.body_rate)
-        return EdwardsSpurgeonState(imu.q_xyzw, zeros, zeros, imu.body_rate, undetected(zeros))
+        return EdwardsSpurgeonState(imu.q_xyzw, zeros, zeros, imu.body_rate, start_detection(zeros))
 
     def step(
         self, state: EdwardsSpurgeonState, inputs: FaultObserverInputs, dt: float
@@ -91,7 +91,7 @@ class EdwardsSpurgeon(FaultObserver):
         imu = inputs.imu
         xp = namespace(imu.body_rate)
         y2 = xp.where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
-        q_xyzw = dead_reckoned(state.q_xyzw, state.gyro, y2, dt)
+        q_xyzw = dead_reckon(state.q_xyzw, state.gyro, y2, dt)
         x = euler_from_quaternion(q_xyzw)
         y1 = euler_from_quaternion(imu.q_xyzw)
         usable = imu.attitude_valid[..., None] & comparable(x, y1)

@@ -39,7 +39,7 @@ import dataclasses
 import math
 from typing import NamedTuple
 
-from quadftc_fdi.dead_reckoning import comparable, dead_reckoned
+from quadftc_fdi.dead_reckoning import comparable, dead_reckon
 from quadftc_fdi.fault_observer import FaultObserver, register
 from quadftc_model.arrays import Array, namespace
 from quadftc_model.parameters import parameter
@@ -104,7 +104,7 @@ class Threshold(FaultObserver):
         xp = namespace(imu.body_rate)
         gyro = xp.where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
         y = euler_from_quaternion(imu.q_xyzw)
-        q_xyzw = dead_reckoned(state.q_xyzw, state.gyro, gyro, dt)
+        q_xyzw = dead_reckon(state.q_xyzw, state.gyro, gyro, dt)
         x = euler_from_quaternion(q_xyzw)
         usable = imu.attitude_valid[..., None] & comparable(x, y)
         g = dt / (self.filter_time + dt)
