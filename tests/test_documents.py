@@ -15,11 +15,10 @@ DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs
 FLY = """
 import numpy as np
 from quadftc_flight.closed_loop import fly
-from quadftc_flight.scenario import find_scenario, load_scenario, node_parameters
-from quadftc_flight.scenario import with_controller, with_duration
+from quadftc_flight.scenario import find_scenario, load_scenario, with_controller, with_duration
 
 scenario = with_duration(load_scenario(find_scenario("paper_faults")), 8.0)
-flight = fly(node_parameters(with_controller(scenario, "pd"), "proposed"))
+flight = fly(with_controller(scenario, "pd"), "proposed")
 print(np.degrees(np.abs(flight.angles - flight.reference)).max(), np.degrees(np.abs(flight.reference)).max())
 """
 

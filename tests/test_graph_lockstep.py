@@ -59,7 +59,7 @@ def test_graph_equals_the_closed_loop_when_everything_happens_at_once(fly_graph,
     flight = flight_from_bag(read_bag(directory))
     assert not flight.delivered.all()  # samples were withheld
     assert np.nanmax(np.abs(flight.fault)) > 0.01  # and the fault was there
-    assert_equal_bit_for_bit(flight, fly(node_parameters(busy_scenario, scheme)))
+    assert_equal_bit_for_bit(flight, fly(busy_scenario, scheme))
 
 
 @pytest.mark.parametrize("scheme", ["proposed", "conventional"])
@@ -70,7 +70,7 @@ def test_graph_equals_the_closed_loop_on_the_paper_s_scenario(fly_graph, scheme)
     assert len(flight) == 1500
     assert np.degrees(flight.fault[-1, 0]) == pytest.approx(1.0)
     assert np.all(np.max(np.abs(flight.angles), axis=0) > np.radians(3.0))  # it went somewhere
-    assert_equal_bit_for_bit(flight, fly(node_parameters(scenario, scheme)))
+    assert_equal_bit_for_bit(flight, fly(scenario, scheme))
 
 
 @fault_observers.register("runaway")
@@ -125,7 +125,7 @@ def test_graph_equals_the_closed_loop_when_laws_give_what_cannot_be_used(fly_gra
         sizes = np.max(np.abs(column[flight.delivered]), axis=1)
         assert 1e4 < np.max(sizes) < 1e6  # it ran away, and was stopped:
         assert np.any((sizes[:-1] > 1e4) & (sizes[1:] == 0.0))
-    assert_equal_bit_for_bit(flight, fly(node_parameters(with_duration(scenario, 1.9), "proposed")))
+    assert_equal_bit_for_bit(flight, fly(with_duration(scenario, 1.9), "proposed"))
 
 
 def test_two_runs_give_the_same_messages(fly_graph, busy_scenario):
@@ -160,7 +160,7 @@ def test_two_vehicles_fly_in_one_process_without_hearing_each_other(tmp_path, bu
         graph.run()
     for scheme in ("proposed", "conventional"):
         flight = flight_from_bag(read_bag(tmp_path / scheme))
-        assert_equal_bit_for_bit(flight, fly(node_parameters(busy_scenario, scheme)))
+        assert_equal_bit_for_bit(flight, fly(busy_scenario, scheme))
 
 
 def test_two_vehicles_in_one_namespace_are_refused(busy_scenario):
@@ -179,7 +179,7 @@ def test_reset_flies_the_same_flight_again_whenever_it_comes(busy_scenario):
         answer = client.call_async(Trigger.Request())
         while not (answer.done() and graph.plant.finished):
             graph.spin_once()
-        flown = fly(node_parameters(busy_scenario))
+        flown = fly(busy_scenario)
         wanted = flown.torque[flown.delivered]
         bench.until(lambda: len(torques) > len(wanted) + 50)
         bench.until(lambda: stamps_of(torques)[-1] == flown.stamp_ns[flown.delivered][-1])

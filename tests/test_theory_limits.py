@@ -7,7 +7,7 @@ import pytest
 
 from quadftc_fdi.fault_observers.sliding_mode import SlidingMode
 from quadftc_flight.closed_loop import fly
-from quadftc_flight.scenario import find_scenario, load_scenario, node_parameters, with_duration
+from quadftc_flight.scenario import find_scenario, load_scenario, with_duration
 from quadftc_model.samples import FaultObserverInputs, ImuSample
 from quadftc_model.vehicle import load_vehicle
 from quadftc_sim.sensors import GRADES
@@ -85,7 +85,7 @@ def test_adaptive_gain_grows_without_end_under_noise():
 
 def test_vehicle_follows_its_estimate_on_a_gyro_with_bias():
     scenario = with_duration(load_scenario(find_scenario("mems_faults")), 15.0)
-    flight = fly(node_parameters(scenario, "proposed"))
+    flight = fly(scenario, "proposed")
     late = flight.time > 13.0
     tracking = np.mean((flight.angles - flight.reference)[late], axis=0)
     estimate = np.mean((flight.fault_estimate - flight.fault)[late], axis=0)

@@ -14,9 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from quadftc_campaign.batch.flights_last import AllFlights
-from quadftc_campaign.batch.parts import Loop, flight_parts
+from quadftc_campaign.batch.parts import Loop
 from quadftc_campaign.batch.session import settle_precision
-from quadftc_flight.scenario import Scenario, node_parameters
+from quadftc_campaign.flights import parts_of
+from quadftc_flight.scenario import Scenario
 from quadftc_model.rotations import euler_from_quaternion
 from quadftc_model.samples import AttitudeReference, ControllerInputs, ImuSample
 from quadftc_model.stepper import seconds
@@ -71,8 +72,8 @@ class BareLoop:
 def bare_subject(scenario: Scenario, flights: int, float32: bool) -> Subject:
     """Build the loop for as many flights as wanted, each with an attitude of its own to hold."""
     dtype = np.dtype(np.float32 if float32 else np.float64)
-    scheme = scenario.schemes["conventional"]
-    loop = flight_parts(node_parameters(scenario, scheme)).loop
+    controller = scenario.scheme("conventional").controller.kind
+    loop = parts_of(scenario, "conventional").loop
     bare = BareLoop(loop, dtype)
     one = jax.ShapeDtypeStruct((3,), dtype)
     drawn = np.random.default_rng(0).uniform(-LARGEST_ANGLE, LARGEST_ANGLE, (3, flights))
@@ -97,7 +98,7 @@ def bare_subject(scenario: Scenario, flights: int, float32: bool) -> Subject:
             "by": f"quadftc, JAX {jax.__version__}, {jax.default_backend()}",
             "states": "attitude, body rate, rotor commands (11)",
             "integrator": f"RK4, {scenario.rate:g} Hz",
-            "control": f"attitude, {scheme.controller.kind}, rotor mixer with limits",
+            "control": f"attitude, {controller}, rotor mixer with limits",
             "sensors": "none",
         },
         run,

@@ -10,7 +10,6 @@ from quadftc_flight.scenario import (
     Scenario,
     find_scenario,
     load_scenario,
-    node_parameters,
     with_controller,
     with_duration,
     with_seed,
@@ -65,11 +64,11 @@ def _engine(job: Job, scenario: Scenario, scheme: str) -> Subject:
 
     from quadftc_campaign.batch import flown as flown_module
     from quadftc_campaign.batch.engine import Engine
-    from quadftc_campaign.batch.parts import flight_parts
+    from quadftc_campaign.flights import parts_of
 
     seeds = range(job["first_seed"], job["first_seed"] + job["flights"])
     scenarios = (with_seed(scenario, seed) for seed in seeds)
-    parts = [flight_parts(node_parameters(each, each.scheme(scheme))) for each in scenarios]
+    parts = [parts_of(each, scheme) for each in scenarios]
     events = [scenario.fault_events] * len(parts)
     drawing = _timed_supply(flown_module)
     engine = Engine(job["float32"])

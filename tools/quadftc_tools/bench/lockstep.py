@@ -62,7 +62,7 @@ def measure_lockstep(
     if form == ALONE:
         begin = time.monotonic()
         for _ in range(vehicles):
-            fly(parameters)
+            fly(scenario, scheme)
         wall_time = time.monotonic() - begin
     elif form == APART:
         wall_time = _wall_time_apart(parameters, vehicles)

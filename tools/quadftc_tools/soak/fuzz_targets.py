@@ -20,7 +20,7 @@ from quadftc_control.reference_node import ReferenceNode
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_flight.closed_loop import fly
-from quadftc_flight.scenario import load_scenario, node_parameters
+from quadftc_flight.scenario import load_scenario
 from quadftc_ros.executor import run_node
 from quadftc_sim.assembly import sample_count
 from quadftc_sim.fault_injector_node import FaultInjectorNode
@@ -113,10 +113,8 @@ def _fly(path: Path) -> None:
     """Fly the beginning of every scheme of a scenario; as long as the vehicle does, all is to be finite."""
     scenario = load_scenario(path)
     for scheme in scenario.schemes:
-        parameters = node_parameters(scenario, scheme)
         count = min(FLOWN, sample_count(scenario.duration, scenario.rate))
-        parameters["plant"]["duration"] = count / scenario.rate
-        flight = fly(parameters)
+        flight = fly(scenario.model_copy(update={"duration": count / scenario.rate}), scheme)
         sane = np.cumsum(~(np.abs(flight.body_rate).max(axis=1) < DIVERGED)) == 0
         rows = flight.delivered & sane
         for name in ("torque", "error", "fault_estimate", "disturbance_estimate", "sliding_variable"):

@@ -10,7 +10,8 @@ import pytest
 
 from quadftc_campaign.batch.engine import Engine
 from quadftc_campaign.batch.outcome import fault_records, flight_record
-from quadftc_campaign.batch.parts import flight_parts, structure_of, with_common_faults
+from quadftc_campaign.batch.parts import structure_of, with_common_faults
+from quadftc_campaign.flights import parts_of
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_flight.closed_loop import fly
@@ -20,7 +21,6 @@ from quadftc_flight.scenario import (
     build_scenario,
     find_scenario,
     load_scenario,
-    node_parameters,
     parse_scenario,
     scenario_names,
     with_seed,
@@ -70,9 +70,9 @@ def assert_same_metrics(outcome, flight, scenario, tolerance=1e-9):
 @pytest.mark.parametrize("name", scenario_names())
 def test_a_scenario_flies_as_in_the_closed_loop_to_its_end(name):
     scenario = load_scenario(find_scenario(name))
-    parameters = node_parameters(scenario, scheme_of(scenario))
-    expected = fly(parameters)
-    parts = flight_parts(parameters)
+    scheme = scheme_of(scenario)
+    expected = fly(scenario, scheme)
+    parts = parts_of(scenario, scheme)
     (traced,) = Engine().trace([parts], [scenario.fault_events])
     assert_same_flight(traced.flight, expected)
     assert_same_metrics(traced.outcome, expected, scenario)
@@ -106,13 +106,13 @@ def busy(*faults, **parts):
 
 
 def trace_of(scenario):
-    parts = flight_parts(node_parameters(scenario))
+    parts = parts_of(scenario)
     return Engine().trace([parts], [scenario.fault_events])[0]
 
 
 def assert_flies_alike(scenario):
     """Relative to what is there: some of these flights are wild."""
-    expected = fly(node_parameters(scenario))
+    expected = fly(scenario)
     traced = trace_of(scenario)
     assert_same_flight(traced.flight, expected, rtol=1e-7)
     assert_same_metrics(traced.outcome, expected, scenario)
@@ -136,8 +136,7 @@ def with_plant(scenario, **options):
 def test_a_flight_alone_is_one_kernel_and_says_what_the_metrics_say():
     """Without a trace; the loop over its samples is compiled as a whole."""
     scenario = busy({"kind": "bias", "value": 0.03, "start": 1.0, "stop": 2.0})
-    parameters = node_parameters(scenario)
-    parts, events, engine = [flight_parts(parameters)], [scenario.fault_events], Engine()
+    parts, events, engine = [parts_of(scenario)], [scenario.fault_events], Engine()
     compiled, *_ = next(engine._tasks(parts, events))
     texts = []
 
@@ -150,7 +149,7 @@ def test_a_flight_alone_is_one_kernel_and_says_what_the_metrics_say():
     (outcome,) = engine.fly(parts, events)
     assert len(texts) == 2
     assert all('xla_cpu_small_call="true"' in text for text in texts)
-    assert_same_metrics(outcome, fly(parameters), scenario)
+    assert_same_metrics(outcome, fly(scenario), scenario)
 
 
 def test_rotors_that_lag_fly_alike():
@@ -162,7 +161,7 @@ def test_a_vehicle_that_differs_from_its_model_flies_alike():
     expected = assert_flies_alike(
         with_plant(busy(observer="none"), motor_lag=True, motor_bandwidth=40.0, inertia_factor=factor)
     )
-    nominal = fly(node_parameters(busy(observer="none")))
+    nominal = fly(busy(observer="none"))
     there = nominal.disturbance != 0.0
     ratio = expected.disturbance[there] / nominal.disturbance[there]
     np.testing.assert_allclose(ratio, 1.0 / np.broadcast_to(factor, there.shape)[there], rtol=1e-12)
@@ -175,11 +174,11 @@ def test_vehicles_of_several_inertias_and_motors_are_one_structure():
         with_plant(busy(observer="none"), motor_lag=True, inertia_factor=factor, motor_bandwidth=bandwidth)
         for factor, bandwidth in values
     ]
-    parts = [flight_parts(node_parameters(scenario)) for scenario in batch]
+    parts = [parts_of(scenario) for scenario in batch]
     assert len({structure_of(flight.loop) for flight in parts}) == 1
     together = Engine().trace(parts, [scenario.fault_events for scenario in batch])
     for scenario, traced in zip(batch, together, strict=True):
-        assert_same_flight(traced.flight, fly(node_parameters(scenario)))
+        assert_same_flight(traced.flight, fly(scenario))
 
 
 @pytest.mark.parametrize("model", ["ramp", "harmonic", "constant+harmonic"])
@@ -241,12 +240,12 @@ def test_flights_of_one_batch_do_not_touch_each_other():
     ]
     batch.append(busy({"kind": "sine", "amplitude": 0.03, "start": 0.5}, observer="threshold"))
     batch.append(busy(observer="threshold"))
-    parts = [flight_parts(node_parameters(scenario)) for scenario in batch]
+    parts = [parts_of(scenario) for scenario in batch]
     engine = Engine(lanes=4)
     together = engine.trace(parts, [scenario.fault_events for scenario in batch])
     assert len({structure_of(flight.loop) for flight in with_common_faults(parts)}) == 1
     for scenario, traced in zip(batch, together, strict=True):
-        expected = fly(node_parameters(scenario))
+        expected = fly(scenario)
         assert_same_flight(traced.flight, expected)
         assert_same_metrics(traced.outcome, expected, scenario)
 
@@ -255,9 +254,10 @@ SINGLE = """
 import json, sys
 from quadftc_campaign.batch.engine import Engine
 from quadftc_campaign.batch.outcome import flight_record
-from quadftc_campaign.batch.parts import flight_parts
-parameters = json.load(sys.stdin)
-(outcome,) = Engine(float32=True).fly([flight_parts(parameters)], [()])
+from quadftc_campaign.flights import parts_of
+from quadftc_flight.scenario import parse_scenario
+scenario = parse_scenario(sys.stdin.read())
+(outcome,) = Engine(float32=True).fly([parts_of(scenario)], [()])
 print(json.dumps(flight_record(outcome)))
 """
 
@@ -265,11 +265,10 @@ print(json.dumps(flight_record(outcome)))
 def test_single_precision_is_near_double():
     """In a process of its own, as one process has one precision."""
     scenario = busy({"kind": "bias", "value": 0.03, "start": 1.0, "stop": 2.0})
-    parameters = node_parameters(scenario)
-    (double,) = Engine().fly([flight_parts(parameters)], [()])
+    (double,) = Engine().fly([parts_of(scenario)], [()])
     run = subprocess.run(
         [sys.executable, "-c", SINGLE],
-        input=json.dumps(parameters),
+        input=json.dumps(scenario.raw),
         capture_output=True,
         text=True,
         check=True,
@@ -285,7 +284,7 @@ def test_single_precision_is_near_double():
 
 def test_a_part_that_asks_for_its_numbers_is_refused_by_name():
     scenario = busy(observer="none")
-    parts = [flight_parts(node_parameters(with_seed(scenario, seed))) for seed in range(2)]
+    parts = [parts_of(with_seed(scenario, seed)) for seed in range(2)]
 
     @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
     class Branching(type(parts[0].loop.controller)):

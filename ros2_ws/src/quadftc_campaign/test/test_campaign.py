@@ -21,7 +21,7 @@ from quadftc_campaign.flying import CampaignRun, chunks_of, fly_chunk, variant_o
 from quadftc_campaign.table import table_of
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.metrics import flight_metrics
-from quadftc_flight.scenario import ScenarioError, node_parameters
+from quadftc_flight.scenario import ScenarioError
 
 BASE = """
 duration: 1 s
@@ -195,7 +195,7 @@ def test_a_row_says_what_the_flight_alone_says(campaign):
     for number in (1, 11):
         for variant in campaign.variants:
             scenario = flight_scenario(campaign, number, variant)
-            flown = fly(node_parameters(scenario, variant.scheme))
+            flown = fly(scenario, variant.scheme)
             metrics = flight_metrics(flown, scenario.fault_windows, scenario.fault_events)
             (row,) = rows.filter(flight=number, variant=variant.name).to_dicts()
             assert row["tracking_rmse_deg.pitch"] == pytest.approx(

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from quadftc_campaign.batch.engine import Engine
-from quadftc_campaign.batch.parts import FlightParts, flight_parts
+from quadftc_campaign.batch.parts import FlightParts
+from quadftc_campaign.flights import parts_of
 from quadftc_flight.fault_schedule import FaultEvent
-from quadftc_flight.scenario import find_scenario, load_scenario, node_parameters
+from quadftc_flight.scenario import find_scenario, load_scenario
 
 FREE = ("controller.k_c1", "controller.phi", "disturbance_observer.bandwidth")
 
@@ -25,7 +26,7 @@ def built(scheme: str, **gains: object) -> tuple[FlightParts, tuple[FaultEvent, 
             *values,
         ],
     )
-    return flight_parts(node_parameters(scenario, scheme)), scenario.fault_events
+    return parts_of(scenario, scheme), scenario.fault_events
 
 
 @pytest.fixture(scope="module")

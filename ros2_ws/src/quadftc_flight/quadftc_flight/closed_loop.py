@@ -1,26 +1,26 @@
 """The closed loop without ROS: plant, fault injector, observers, reference and controller, sample by sample.
 
-The parts are built from the parameters of the nodes, and called in the order in which the graph calls its
-nodes in lock-step, so that both fly the same flight, bit for bit:
+The parts are those of the scenario, and are called in the order in which the graph calls its nodes in
+lock-step. The nodes build the same parts from their parameters, so both fly the same flight, bit for bit:
 
     plant -> fault injector -> fault observer -> disturbance observer, reference -> controller -> plant
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import dataclasses
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_control import controller
-from quadftc_control.assembly import controller_from, reference_from
+from quadftc_control.reference import ReferenceGenerator
 from quadftc_fdi.diagnosis import Diagnosis
-from quadftc_fdi.disturbance_observer import DisturbanceEstimation, disturbance_observer_from
-from quadftc_fdi.fault_observer import fault_observer_from
+from quadftc_fdi.disturbance_observer import DisturbanceEstimation
 from quadftc_flight.flight import NO_STATE, VECTORS, Flight, onset_ns
-from quadftc_model.assembly import NodeParameters, get
+from quadftc_flight.scenario import Part, Scenario, Scheme
 from quadftc_model.samples import (
     AttitudeReference,
     ControllerInputs,
@@ -28,9 +28,9 @@ from quadftc_model.samples import (
     FaultEstimate,
 )
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
-from quadftc_sim.assembly import EPOCH_NS, injector_from, sample_count, simulator_from
-from quadftc_sim.injector import Injected
-from quadftc_sim.simulator import Emission
+from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count
+from quadftc_sim.injector import FaultInjector, Injected
+from quadftc_sim.simulator import Emission, Simulator
 
 Floats = NDArray[np.float64]
 
@@ -45,23 +45,13 @@ class Reaction(NamedTuple):
 
 
 class Avionics:
-    """Everything behind the IMU, for one vehicle: observers, reference, controller.
+    """Everything behind the IMU, for one vehicle: observers, reference, controller."""
 
-    Parameters
-    ----------
-    parameters : mapping
-        Node name to the parameters of that node.
-    """
-
-    def __init__(self, parameters: Mapping[str, NodeParameters]) -> None:
-        self._diagnosis = Diagnosis(fault_observer_from(parameters["fault_observer"]))
-        self._disturbance_observer = DisturbanceEstimation(
-            disturbance_observer_from(parameters["disturbance_observer"])
-        )
-        self._reference = reference_from(parameters["reference"])
-        self._controller = controller.stepper_of(
-            controller_from(parameters["controller"]), lambda: self.torque
-        )
+    def __init__(self, scheme: Scheme, references: Iterable[Part]) -> None:
+        self._diagnosis = Diagnosis(scheme.observer.law)
+        self._disturbance_observer = DisturbanceEstimation(scheme.disturbance_observer.law)
+        self._reference = ReferenceGenerator([part.law for part in references])
+        self._controller = controller.stepper_of(scheme.controller.law, lambda: self.torque)
         self.torque: Floats = np.zeros(3)  # command of the last sample [N m]
 
     def step(self, stamp_ns: int, injected: Injected) -> Reaction | None:
@@ -83,26 +73,29 @@ class Avionics:
         return Reaction(estimate, disturbance, reference, output)
 
 
-def fly(parameters: Mapping[str, NodeParameters], epoch_ns: int = EPOCH_NS) -> Flight:
-    """Fly a scenario.
+def simulator_of(scenario: Scenario, epoch_ns: int = EPOCH_NS) -> Simulator:
+    """Return the plant of a scenario, in its disturbances, with its IMU; the first stamp is ``epoch_ns``."""
+    plant = dataclasses.replace(
+        scenario.plant, disturbances=tuple(part.law for part in scenario.disturbances)
+    )
+    return Simulator(plant, scenario.sensor, period_ns(scenario.rate), epoch_ns, scenario.seed)
 
-    Parameters
-    ----------
-    parameters : mapping
-        Node name to parameters, as :mod:`quadftc_flight.scenario.model` compiles them.
-    epoch_ns : int
-        Stamp of the first sample [ns].
+
+def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = EPOCH_NS) -> Flight:
+    """Fly a scenario with one of its schemes (the first by default); the first stamp is ``epoch_ns`` [ns].
 
     Raises
     ------
-    ValueError
-        If a part cannot be built from its parameters.
+    ScenarioError
+        If the scenario has no scheme of that name.
     """
-    plant = parameters["plant"]
-    simulator = simulator_from(plant, epoch_ns)
-    injector = injector_from(parameters["fault_injector"])
-    avionics = Avionics(parameters)
-    log = _Log(sample_count(get(plant, "duration", float), get(plant, "rate", float)))
+    chosen = scheme if isinstance(scheme, Scheme) else scenario.scheme(scheme)
+    simulator = simulator_of(scenario, epoch_ns)
+    injector = FaultInjector(scenario.seed)
+    for fault in scenario.faults:
+        injector.add(fault.injection)
+    avionics = Avionics(chosen, scenario.references)
+    log = _Log(sample_count(scenario.duration, scenario.rate))
     emission = simulator.start()
     for index in range(log.count):
         if index > 0:

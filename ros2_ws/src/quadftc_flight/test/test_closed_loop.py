@@ -43,11 +43,11 @@ schemes: {only: {observer: sliding_mode, disturbance_observer: exosystem, contro
 def whole(name: str, scheme: str) -> tuple[Scenario, Flight]:
     """A scenario and its whole flight, flown once for all tests."""
     scenario = load_scenario(find_scenario(name))
-    return scenario, fly(node_parameters(scenario, scheme))
+    return scenario, fly(scenario, scheme)
 
 
 def short(*overrides: str) -> Flight:
-    return fly(node_parameters(parse_scenario(SHORT, overrides=overrides)))
+    return fly(parse_scenario(SHORT, overrides=overrides))
 
 
 def identical(one: Flight, other: Flight) -> bool:
@@ -72,7 +72,7 @@ def test_supervised_diagnosis_costs_nothing_without_faults():
     scenario = with_duration(load_scenario(find_scenario("mems_constant_disturbance"), ["faults=[]"]), 30.0)
 
     def tracking(flown: Scenario) -> np.ndarray:
-        flight = fly(node_parameters(flown, "supervised"))
+        flight = fly(flown, "supervised")
         error = (flight.angles - flight.reference)[flight.time > 15.0]
         return np.sqrt(np.nanmean(error**2, axis=0))
 
@@ -125,15 +125,13 @@ def test_conventional_control_leans_by_the_whole_fault():
 
 def test_two_flights_with_one_seed_are_identical():
     scenario = with_duration(load_scenario(find_scenario("mems_faults")), 2.0)
-    assert identical(fly(node_parameters(scenario)), fly(node_parameters(scenario)))
-    assert not identical(fly(node_parameters(scenario)), fly(node_parameters(with_seed(scenario, 2))))
+    assert identical(fly(scenario), fly(scenario))
+    assert not identical(fly(scenario), fly(with_seed(scenario, 2)))
 
 
 def test_the_beginning_of_a_flight_does_not_depend_on_its_end():
     _, flight = whole("paper_varying_disturbance", "proposed")
-    beginning = fly(
-        node_parameters(with_duration(load_scenario(find_scenario("paper_varying_disturbance")), 6.0))
-    )
+    beginning = fly(with_duration(load_scenario(find_scenario("paper_varying_disturbance")), 6.0))
     assert len(beginning) == 1500
     assert np.array_equal(beginning.angles, flight.angles[:1500])
     assert np.array_equal(beginning.torque, flight.torque[:1500])
@@ -206,7 +204,7 @@ def test_the_papers_observer_drifts_at_the_gyro_bias():
     # it integrates the gyro: a bias b looks to it like a fault that grows at -b, and the vehicle follows
     scenario = parse_scenario(SHORT, overrides=["sensors.grade=mems", "references=[]", "disturbances=[]"])
     parameters = node_parameters(scenario)
-    flight = fly(parameters)
+    flight = fly(scenario)
     bias = measured_gyro_bias(parameters["plant"])
     assert np.max(np.abs(bias)) > 0.2 * DEG
     error = flight.fault_estimate - flight.fault
@@ -224,7 +222,7 @@ def measured_gyro_bias(plant_parameters) -> np.ndarray:
 
 def test_the_mems_scenario_asks_more_than_the_papers_observer_can_give():
     scenario = load_scenario(find_scenario("mems_faults"))
-    flight = fly(node_parameters(with_duration(scenario, 15.0), "proposed"))  # before the first fault even
+    flight = fly(with_duration(scenario, 15.0), "proposed")  # before the first fault even
     verdict = check_results(
         summary(flight, scenario, scenario.scheme("proposed"), 1.0), scenario.scheme("proposed").checks
     )

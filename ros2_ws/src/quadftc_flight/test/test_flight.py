@@ -16,7 +16,7 @@ from quadftc_bags.bag import BagError, read_bag
 from quadftc_bags.writer import BagWriter
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import Flight, flight_from_bag, onset_ns
-from quadftc_flight.scenario import node_parameters, parse_scenario
+from quadftc_flight.scenario import parse_scenario
 from quadftc_model.samples import FaultEstimate
 from quadftc_msgs.msg import AttitudeReference, ControlStatus, FaultStatus
 
@@ -52,7 +52,7 @@ schemes: {only: {observer: sliding_mode, disturbance_observer: exosystem, contro
 
 @pytest.fixture(scope="module")
 def flown() -> Flight:
-    flight = fly(node_parameters(parse_scenario(TEXT)))
+    flight = fly(parse_scenario(TEXT))
     assert 0 < (~flight.delivered).sum() < len(flight)
     said = (flight.delivered & (flight.time > 0.6))[:, None] & np.array([True, False, True])
     onset = np.where(said, flight.stamp_ns[0] + np.array([500_000_000, 0, 570_000_001]), 0)

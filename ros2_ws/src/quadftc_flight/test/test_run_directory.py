@@ -105,7 +105,7 @@ def scenario() -> Scenario:
 
 @pytest.fixture(scope="module")
 def flight(scenario) -> Flight:
-    return fly(node_parameters(scenario, "first"))
+    return fly(scenario, "first")
 
 
 @pytest.fixture(scope="module")

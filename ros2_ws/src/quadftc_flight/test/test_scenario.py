@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from quadftc_control.assembly import controller_from, reference_from
 from quadftc_fdi.disturbance_observer import disturbance_observer_from
 from quadftc_fdi.fault_observer import fault_observer_from
-from quadftc_flight.closed_loop import Avionics
 from quadftc_flight.scenario import (
     Scenario,
     ScenarioError,
@@ -402,7 +401,10 @@ def accepted_or_refused(text: str, overrides=()) -> None:
             parameters = node_parameters(scenario, scheme)
             simulator_from(parameters["plant"])
             injector_from(parameters["fault_injector"])
-            Avionics(parameters)
+            disturbance_observer_from(parameters["disturbance_observer"])
+            fault_observer_from(parameters["fault_observer"])
+            controller_from(parameters["controller"])
+            reference_from(parameters["reference"])
 
 
 scalars = st.one_of(

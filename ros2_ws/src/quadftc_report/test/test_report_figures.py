@@ -11,7 +11,7 @@ import pytest
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import Flight
 from quadftc_flight.run_directory import RecordedRun
-from quadftc_flight.scenario import Scenario, node_parameters, parse_scenario
+from quadftc_flight.scenario import Scenario, parse_scenario
 from quadftc_model.samples import AXES
 from quadftc_report.comparison import Comparison, compare
 from quadftc_report.description import Figure, Panel, Shade
@@ -45,7 +45,7 @@ def recorded(scenario: Scenario, name: str, flight: Flight | None = None) -> Rec
         scenario=scenario,
         scheme=scheme,
         parameters={},
-        flight=flight or fly(node_parameters(scenario, scheme)),
+        flight=flight or fly(scenario, scheme),
         summary={},
         versions={},
     )

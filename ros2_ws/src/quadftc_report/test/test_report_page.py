@@ -46,7 +46,7 @@ def flown(scheme: str, *overrides: str) -> RecordedRun:
     scenario = parse_scenario(TEXT, overrides=overrides)
     chosen = scenario.scheme(scheme)
     parameters = node_parameters(scenario, chosen)
-    flight = fly(parameters)
+    flight = fly(scenario, chosen)
     return RecordedRun(
         name=f"{scenario.name}-{scheme}",
         path=Path("runs", f"{scenario.name}-{scheme}"),

@@ -15,7 +15,7 @@ from quadftc_flight.closed_loop import fly
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, fault_events
 from quadftc_flight.flight import NO_STATE, VECTORS, Flight, Reading
 from quadftc_flight.run_directory import RecordedRun
-from quadftc_flight.scenario import node_parameters, parse_scenario
+from quadftc_flight.scenario import parse_scenario
 from quadftc_flight.summary import summary
 from quadftc_model.samples import AXES, FAULTY, HEALTHY, STARTING
 from quadftc_replay.overlay import faults_from
@@ -119,7 +119,7 @@ def made_replay(
 def flown() -> RecordedRun:
     scenario = parse_scenario(SCENARIO)
     chosen = scenario.scheme()
-    flight = fly(node_parameters(scenario, chosen))
+    flight = fly(scenario, chosen)
     return RecordedRun(
         name="small-conventional",
         path=Path("small-conventional"),

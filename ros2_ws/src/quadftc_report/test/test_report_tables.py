@@ -13,7 +13,7 @@ from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import VECTORS, Flight
 from quadftc_flight.metrics import look_up
 from quadftc_flight.run_directory import RecordedRun
-from quadftc_flight.scenario import Scenario, node_parameters, parse_scenario
+from quadftc_flight.scenario import Scenario, parse_scenario
 from quadftc_flight.summary import summary
 from quadftc_model import samples
 from quadftc_report.comparison import Comparison, compare, is_ideal
@@ -44,7 +44,7 @@ HEALTHY = "name: calm\nduration: 0.5 s\nrate: 100 Hz\nvehicle: qball_x4\nschemes
 
 def made_run(scenario: Scenario, scheme: str, flight: Flight | None = None, **changes) -> RecordedRun:
     chosen = scenario.scheme(scheme)
-    flown = flight or fly(node_parameters(scenario, scheme))
+    flown = flight or fly(scenario, scheme)
     flown = dataclasses.replace(flown, **changes)
     return RecordedRun(
         name=f"{scenario.name}-{scheme}",

@@ -2,7 +2,7 @@
 """The batch engine: thousands of flights at once, compiled by JAX, what is kept of each a tally.
 
 >>> engine = Engine()
->>> outcomes = engine.fly([flight_parts(parameters)], [scenario.fault_events])
+>>> outcomes = engine.fly([parts_of(scenario)], [scenario.fault_events])
 
 One engine keeps one core busy; for more, start a process for each (`quadftc_campaign` does). JAX reads
 its settings when it is imported first: see `quadftc_campaign.batch.environment`.

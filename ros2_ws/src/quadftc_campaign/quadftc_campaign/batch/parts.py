@@ -18,13 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_control.assembly import controller_from, reference_from
 from quadftc_control.controller import Controller
 from quadftc_control.reference import Reference
-from quadftc_fdi.disturbance_observer import DisturbanceObserver, disturbance_observer_from
-from quadftc_fdi.fault_observer import FaultObserver, fault_observer_from
-from quadftc_model.assembly import NodeParameters, get
-from quadftc_sim.assembly import injector_from, sample_count, simulator_from
+from quadftc_fdi.disturbance_observer import DisturbanceObserver
+from quadftc_fdi.fault_observer import FaultObserver
 from quadftc_sim.injection import Injection
 from quadftc_sim.plant import Plant
 from quadftc_sim.sensors import ImuSensor
@@ -65,32 +62,6 @@ class FlightParts:
 
     loop: Loop
     seeds: Seeds
-
-
-def flight_parts(parameters: Mapping[str, NodeParameters]) -> FlightParts:
-    """Build the parts of a flight from the parameters of its nodes.
-
-    Raises
-    ------
-    ValueError
-        If a part cannot be built from its parameters.
-    """
-    plant, faults = parameters["plant"], parameters["fault_injector"]
-    simulator = simulator_from(plant)
-    injections = injector_from(faults).injections
-    loop = Loop(
-        plant=simulator.plant,
-        sensor=simulator.sensor,
-        injections=tuple(injections.values()),
-        observer=fault_observer_from(parameters["fault_observer"]),
-        disturbance_observer=disturbance_observer_from(parameters["disturbance_observer"]),
-        controller=controller_from(parameters["controller"]),
-        references=tuple(reference_from(parameters["reference"]).parts),
-        period_ns=simulator.period_ns,
-        count=sample_count(get(plant, "duration", float), get(plant, "rate", float)),
-    )
-    seeds = Seeds(get(plant, "seed", int), get(faults, "seed", int), tuple(injections))
-    return FlightParts(loop, seeds)
 
 
 def with_common_faults(flights: Sequence[FlightParts]) -> list[FlightParts]:
