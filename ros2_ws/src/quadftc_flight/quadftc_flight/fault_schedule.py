@@ -15,7 +15,7 @@ KINDS = {"bias": "step", "drift": "ramp"}  # fault of the catalogue -> word of t
 UNKNOWN_KIND = "fault"  # of a fault of which only the time is known
 
 
-class ScheduledFault(Protocol):
+class TimedFault(Protocol):
     """A fault of a scenario, as far as its schedule goes."""
 
     @property
@@ -46,7 +46,7 @@ class FaultEvent(NamedTuple):
     stop: float  # [s]; the first moment without the fault
 
 
-def fault_windows(faults: Iterable[ScheduledFault], duration: float) -> tuple[FaultWindow, ...]:
+def fault_windows(faults: Iterable[TimedFault], duration: float) -> tuple[FaultWindow, ...]:
     """Return the windows of the faults on the attitude, in a flight of that duration [s]."""
     return merge_windows(
         FaultWindow(fault.injection.start, min(fault.injection.stop, duration), fault.axes)
@@ -66,7 +66,7 @@ def merge_windows(windows: Iterable[FaultWindow]) -> tuple[FaultWindow, ...]:
     )
 
 
-def fault_events(faults: Iterable[ScheduledFault], duration: float) -> tuple[FaultEvent, ...]:
+def fault_events(faults: Iterable[TimedFault], duration: float) -> tuple[FaultEvent, ...]:
     """Return the events of the faults on the attitude, in a flight of that duration [s].
 
     What begins later does not count, what ends later is cut.
