@@ -1,24 +1,50 @@
 """The simulator and the fault injector from the parameters of their nodes.
 
-Parameters of the node ``plant``: vehicle, rate [Hz], seed, disturbances (list of specifications), those of
-:class:`quadftc_sim.plant.Plant` and ``imu.<parameter>`` for each parameter of the sensor.
-Parameters of the node ``fault_injector``: seed, faults (list of specifications).
-Other parameters are ignored.
+The node ``plant`` has those of `PlantParameters`, disturbances (list of specifications), those of
+:class:`quadftc_sim.plant.Plant` and ``imu.<parameter>`` for each parameter of the sensor. The node
+``fault_injector`` has those of `InjectorParameters` and faults (list of specifications). Others are ignored.
 """
 
 from __future__ import annotations
 
+import dataclasses
+
 from quadftc_model.assembly import NodeParameters, build_named, build_prefixed, get, texts, vehicle_from
-from quadftc_model.parameters import build
+from quadftc_model.parameters import build, parameter
 from quadftc_model.spec import parse_spec
 from quadftc_sim.disturbance import Disturbance, disturbances
 from quadftc_sim.injection import Injection, make_injection
 from quadftc_sim.injector import FaultInjector
 from quadftc_sim.plant import Plant
+from quadftc_sim.plant_flight import PlantFlight
 from quadftc_sim.sensors import ImuSensor
 from quadftc_sim.simulator import Simulator
 
 EPOCH_NS = 1_000_000_000  # ns; stamp of the first sample in lock-step, where 0 means "unset"
+
+
+@dataclasses.dataclass(frozen=True)
+class PlantParameters:
+    """Parameters of the node besides those of :class:`Plant` and, behind ``imu.``, :class:`ImuSensor`."""
+
+    vehicle: str = parameter("qball_x4", doc="name of a vehicle, or path of its TOML file")
+    rate: float = parameter(250.0, unit="Hz", low=10.0, high=4000.0, doc="control rate")
+    duration: float = parameter(0.0, unit="s", low=0.0, doc="length of the flight; 0: without end")
+    seed: int = parameter(0, low=0, doc="of the sensor's noise and bias")
+    autostart: bool = parameter(True, doc="start as soon as the graph is connected; else wait for ~/start")
+    torque_timeout: float = parameter(
+        0.5,
+        unit="s",
+        low=0.0,
+        doc="real time: zero torque when none has come for so long, as a motor controller does",
+    )
+
+
+@dataclasses.dataclass(frozen=True)
+class InjectorParameters:
+    """Parameters of the fault injector node."""
+
+    seed: int = parameter(0, low=0, doc="of the random faults (noise, spikes, dropout)")
 
 
 def period_ns(rate: float) -> int:
@@ -57,6 +83,13 @@ def simulator_from(parameters: NodeParameters, epoch_ns: int = EPOCH_NS) -> Simu
     return Simulator(
         plant, sensor, period_ns(get(parameters, "rate", float)), epoch_ns, get(parameters, "seed", int)
     )
+
+
+def flight_from(parameters: NodeParameters, epoch_ns: int, begin_ns: int) -> PlantFlight:
+    """Build a flight of the plant node: stamp of its first sample, and monotonic time of its begin [ns]."""
+    count = sample_count(get(parameters, "duration", float), get(parameters, "rate", float))
+    timeout = get(parameters, "torque_timeout", float)
+    return PlantFlight(simulator_from(parameters, epoch_ns), count, timeout, begin_ns)
 
 
 def injector_from(parameters: NodeParameters) -> FaultInjector:

@@ -10,13 +10,11 @@ the schedule begins anew with the next sample, faults injected by service are go
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from typing import Any
 
 from std_msgs.msg import Header
 
-from quadftc_model.parameters import parameter
 from quadftc_model.samples import ImuSample
 from quadftc_msgs.srv import ClearFault, InjectFault
 from quadftc_ros.conversions import time_message
@@ -25,17 +23,10 @@ from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import EARTH_FRAME, IMU_FRAME
 from quadftc_ros.wire import ImuWire, VectorWire, imu_of
-from quadftc_sim.assembly import injector_from
+from quadftc_sim.assembly import InjectorParameters, injector_from
 from quadftc_sim.injection import RESERVED, make_injection
 
 JUST_AFTER = 1e-9  # s, the resolution of stamps
-
-
-@dataclasses.dataclass(frozen=True)
-class InjectorParameters:
-    """Parameters of the fault injector node."""
-
-    seed: int = parameter(0, low=0, doc="of the random faults (noise, spikes, dropout)")
 
 
 class FaultInjectorNode(GraphNode):
