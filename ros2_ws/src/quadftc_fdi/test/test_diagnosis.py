@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from quadftc_fdi.diagnosis import Diagnosis
+from quadftc_fdi.diagnosis import Diagnosis, describe_axes
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
-from quadftc_model.samples import HEALTHY, STARTING, ImuSample
+from quadftc_model.samples import FAULTY, HEALTHY, STARTING, FaultEstimate, ImuSample
 from quadftc_model.vehicle import load_vehicle
 
 START, PERIOD = 1_000_000_000, 4_000_000  # ns
@@ -81,3 +81,18 @@ def test_new_law_goes_on_with_the_state_of_the_old(diagnosis):
     for index in range(100, 150):
         estimate = diagnosis.step(START + index * PERIOD, turned, NO_TORQUE)
     np.testing.assert_allclose(estimate.fault, 0.01, atol=1e-4)
+
+
+def test_axes_are_described_without_what_is_not_known():
+    estimate = FaultEstimate(
+        fault=np.array([np.radians(1.5), -1e-9, 0.0]),
+        std_dev=np.array([np.radians(0.1), -1.0, -1.0]),
+        state=np.array([FAULTY, HEALTHY, STARTING], np.uint8),
+        onset_age=np.array([2.5, -1.0, -1.0]),
+        corrected=sample(),
+    )
+    assert list(describe_axes(estimate)) == [
+        ("roll", FAULTY, {"size_deg": "1.500", "sigma_deg": "0.100", "age_s": "2.50"}),
+        ("pitch", HEALTHY, {"size_deg": "0.000"}),
+        ("yaw", STARTING, {"size_deg": "0.000"}),
+    ]

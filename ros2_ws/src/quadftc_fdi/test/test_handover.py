@@ -5,6 +5,7 @@ import pytest
 
 from node_bench import imu_message, vector_message
 from quadftc_fdi.diagnosis import Diagnosis, KeptDiagnosis
+from quadftc_fdi.disturbance_observer import DisturbanceEstimation
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.disturbance_observers.exosystem import Exosystem
 from quadftc_fdi.fault_observer import LastWords, fault_observers
@@ -144,6 +145,25 @@ def test_words_that_are_not_finite_are_dropped():
     for k in range(3):
         estimate = diagnosis.step(FIRST_NS + k * PERIOD_NS, next(samples).imu, np.zeros(3))
     assert (diagnosis.resumed, estimate.state.tolist()) == (0, [STARTING] * 3)
+
+
+def test_disturbance_estimation_resumes_once_at_a_sample_with_a_body_rate():
+    estimation = DisturbanceEstimation(Exosystem(vehicle=QBALL))
+    estimation.offer(FIRST_NS - 1_000_000_000, np.array([0.7, 0.0, 0.0]))
+    blind = level_sample()._replace(rate_valid=np.bool_(False))
+    estimation.step(FIRST_NS, blind, np.zeros(3))
+    assert estimation.resumed == 0
+    estimate = estimation.step(FIRST_NS + PERIOD_NS, level_sample(), np.zeros(3))
+    assert (estimation.resumed, estimate[0]) == (1, pytest.approx(0.7))
+    estimation.step(FIRST_NS + 2 * PERIOD_NS, level_sample(), np.zeros(3))
+    assert estimation.resumed == 1
+
+
+def test_an_unusable_last_estimate_is_ignored():
+    estimation = DisturbanceEstimation(Exosystem(vehicle=QBALL))
+    estimation.offer(FIRST_NS - 1_000_000_000, np.array([np.nan, 0.0, 0.0]))
+    np.testing.assert_array_equal(estimation.step(FIRST_NS, level_sample(), np.zeros(3)), 0.0)
+    assert estimation.resumed == 0
 
 
 def test_fault_observer_node_takes_over(bench):

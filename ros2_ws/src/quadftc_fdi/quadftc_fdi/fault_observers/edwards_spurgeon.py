@@ -42,7 +42,7 @@ from quadftc_fdi.dead_reckoning import comparable, dead_reckon
 from quadftc_fdi.fault_observer import FaultObserver, register
 from quadftc_fdi.fault_observers.sliding_mode import implicit_injection
 from quadftc_fdi.level_detection import Detection, detect, fault_state, onset_age, start_detection
-from quadftc_model.arrays import Array, exp, namespace
+from quadftc_model.arrays import Quaternion, Vector, exp, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs
@@ -53,10 +53,10 @@ DEG = math.pi / 180.0
 class EdwardsSpurgeonState(NamedTuple):
     """Observer state at the last sample."""
 
-    q_xyzw: Array  # (..., 4) attitude x^
-    e: Array  # (..., 3) z_f - z_f^ [rad]
-    fault: Array  # (..., 3) f_s^ [rad]
-    gyro: Array  # (..., 3) y2 [rad/s]
+    q_xyzw: Quaternion  # attitude x^
+    e: Vector  # z_f - z_f^ [rad]
+    fault: Vector  # f_s^ [rad]
+    gyro: Vector  # y2 [rad/s]
     detection: Detection
 
 
@@ -90,11 +90,13 @@ class EdwardsSpurgeon(FaultObserver):
         """Advance by ``dt`` [s] to the sample."""
         imu = inputs.imu
         xp = namespace(imu.body_rate)
+        # the kinematics run on the gyro; an absent gyro keeps its last value
         y2 = xp.where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
         q_xyzw = dead_reckon(state.q_xyzw, state.gyro, y2, dt)
         x = euler_from_quaternion(q_xyzw)
         y1 = euler_from_quaternion(imu.q_xyzw)
         usable = imu.attitude_valid[..., None] & comparable(x, y1)
+        # inject on the surface e = 0; the low pass of nu is the fault, its leak corrects x^
         innovation = xp.where(usable, wrap(y1 - x), state.fault)  # x - x^ + f_s
         c = state.e + dt * self.a_f * innovation
         e, nu = implicit_injection(c, self.a_s, self.rho, 0.0, dt)

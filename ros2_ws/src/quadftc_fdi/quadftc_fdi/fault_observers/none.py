@@ -1,4 +1,4 @@
-"""No diagnosis: the IMU is believed as it is. What flying without fault tolerance is compared with."""
+"""No diagnosis: the controller gets the IMU as it is. The comparison for fault-tolerant flight."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from quadftc_model.samples import HEALTHY, FaultEstimate, FaultObserverInputs, I
 @register("none")
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class NoDiagnosis(FaultObserver):
-    """Passes the sample on; a channel that is missing keeps its last value."""
+    """Passes the sample on; an absent channel keeps its last value."""
 
     def init(self, inputs: FaultObserverInputs) -> ImuSample:
         """Remember the first sample."""

@@ -39,7 +39,7 @@ import math
 from typing import NamedTuple
 
 from quadftc_fdi.fault_observer import FaultObserver, register
-from quadftc_model.arrays import Array, is_single, namespace, norm
+from quadftc_model.arrays import Array, Column, Vector, is_single, namespace, norm
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import euler_from_quaternion, euler_rates, quaternion_from_euler, wrap
@@ -49,15 +49,15 @@ from quadftc_model.samples import HEALTHY, FaultEstimate, FaultObserverInputs
 class SlidingModeState(NamedTuple):
     """Observer state at the last sample."""
 
-    z1: Array  # (..., 3) estimate of the body rate [rad/s]
-    z2: Array  # (..., 3) estimate of the angles [rad]
-    e3: Array  # (..., 3) h3 - h3^ [rad s]
-    k1: Array  # (..., 1) adaptive gain of (20)
-    k2: Array  # (..., 1) adaptive gain of (21)
-    v1: Array  # (..., 3) injection (18) [rad/s²]; its mean is the disturbance
-    v2: Array  # (..., 3) injection (26) [rad]: the fault estimate
-    innovation: Array  # (..., 3) h2 - z2^ [rad]
-    h1: Array  # (..., 3) gyro [rad/s]
+    z1: Vector  # estimate of the body rate [rad/s]
+    z2: Vector  # estimate of the angles [rad]
+    e3: Vector  # h3 - h3^ [rad s]
+    k1: Column  # adaptive gain of (20)
+    k2: Column  # adaptive gain of (21)
+    v1: Vector  # injection (18) [rad/s²]; its mean is the disturbance
+    v2: Vector  # injection (26) [rad]: the fault estimate
+    innovation: Vector  # h2 - z2^ [rad]
+    h1: Vector  # gyro [rad/s]
 
 
 @register("sliding_mode")
@@ -152,7 +152,9 @@ class SlidingMode(FaultObserver):
         return angles + 0.5 * dt * (slope + euler_rates(predicted, next_rate))
 
 
-def implicit_injection(c: Array, linear: Array, rho: float, delta: float, dt: float) -> tuple[Array, Array]:
+def implicit_injection(
+    c: Vector, linear: Array, rho: float, delta: float, dt: float
+) -> tuple[Vector, Vector]:
     """Solve e = c - dt (linear e + injection), injection = rho e / (|e| + delta); return both.
 
     With delta = 0 the injection is set-valued at e = 0: it then takes the value that keeps e there.
@@ -160,7 +162,7 @@ def implicit_injection(c: Array, linear: Array, rho: float, delta: float, dt: fl
     Parameters
     ----------
     c : array (..., 3)
-        The error that would be without injection.
+        The error without injection.
     linear : float or array (..., 1)
         Linear gain [1/s], not negative.
     rho, delta : float

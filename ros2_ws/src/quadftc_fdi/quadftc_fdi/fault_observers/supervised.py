@@ -76,7 +76,17 @@ from quadftc_fdi.supervision.residual_tests import (
     start_evidence,
     update_evidence,
 )
-from quadftc_model.arrays import Array, any_of, changed_where, exp, namespace, norm
+from quadftc_model.arrays import (
+    Array,
+    Column,
+    Mask,
+    Vector,
+    any_of,
+    changed_where,
+    exp,
+    namespace,
+    norm,
+)
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, wrap
 from quadftc_model.samples import (
@@ -107,13 +117,13 @@ class SupervisedState(NamedTuple):
 
     filter: FilterState
     anchors: Anchors
-    gyro: Array  # (..., 3) [rad/s]
-    activity: Array  # (..., 1) decaying maximum of the body rate [rad/s]
-    motion: Array  # (..., 1) rest 0, motion 1
+    gyro: Vector  # [rad/s]
+    activity: Column  # decaying maximum of the body rate [rad/s]
+    motion: Column  # rest 0, motion 1
     evidence: Evidence
-    faulty: Array  # (..., 3) bool
+    faulty: Mask
     track: Track
-    raw: Array  # (..., 1) share of the gyro as it is in the corrected body rate
+    raw: Column  # share of the gyro as it is in the corrected body rate
 
 
 class _Comparison(NamedTuple):

@@ -41,7 +41,7 @@ from typing import NamedTuple
 
 from quadftc_fdi.dead_reckoning import comparable, dead_reckon
 from quadftc_fdi.fault_observer import FaultObserver, register
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Array, Quaternion, States, Vector, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import (
@@ -60,14 +60,14 @@ DEG = math.pi / 180.0
 class ThresholdState(NamedTuple):
     """Observer state at the last sample."""
 
-    q_xyzw: Array  # (..., 4) x^
-    gyro: Array  # (..., 3) [rad/s]
-    residual: Array  # (..., 3) r^-, y - x^ after the pull [rad]
-    rho: Array  # (..., 3) T d [rad]
-    accumulated: Array  # (..., 3) a [rad]
-    state: Array  # (..., 3) uint8
-    age: Array  # (..., 3) time since a was last 0 [s]
-    calm: Array  # (..., 3) time since RECOVERING began [s]
+    q_xyzw: Quaternion  # x^
+    gyro: Vector  # [rad/s]
+    residual: Vector  # r^-, y - x^ after the pull [rad]
+    rho: Vector  # T d [rad]
+    accumulated: Vector  # a [rad]
+    state: States
+    age: Vector  # time since a was last 0 [s]
+    calm: Vector  # time since RECOVERING began [s]
 
 
 @register("threshold")
@@ -107,12 +107,14 @@ class Threshold(FaultObserver):
         q_xyzw = dead_reckon(state.q_xyzw, state.gyro, gyro, dt)
         x = euler_from_quaternion(q_xyzw)
         usable = imu.attitude_valid[..., None] & comparable(x, y)
+        # low pass of the inconsistency, and its sum beyond the threshold
         g = dt / (self.filter_time + dt)
         r = xp.where(usable, wrap(y - x), state.residual)
         rho = xp.where(usable, (1.0 - g) * (state.rho + wrap(r - state.residual)), state.rho)
         excess = (xp.abs(rho) / self.filter_time - self.rate_threshold) * dt
         a = xp.maximum(state.accumulated + xp.where(usable, excess, 0.0), 0.0)
-        state = self._switched(state, a, xp.abs(r), dt)
+        # switch, and pull x^ to y where nothing adds up
+        state = self._switch(state, a, xp.abs(r), dt)
         switched = state.state >= FAULTY
         pull = xp.where(usable & (state.state == HEALTHY), g * r, 0.0)
         state = state._replace(
@@ -124,7 +126,7 @@ class Threshold(FaultObserver):
         fault = xp.where(switched, r, 0.0)
         return state, self._estimate(state, imu, fault, xp.where(switched, x, y))
 
-    def _switched(self, state: ThresholdState, a: Array, residual: Array, dt: float) -> ThresholdState:
+    def _switch(self, state: ThresholdState, a: Array, residual: Array, dt: float) -> ThresholdState:
         """Take the transitions of the table, with the new a and |y - x^|, each (..., 3)."""
         xp = namespace(a)
         was_switched = state.state >= FAULTY
