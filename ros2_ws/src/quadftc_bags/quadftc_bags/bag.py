@@ -48,26 +48,14 @@ class TopicInfo:
 
 @dataclass(frozen=True)
 class Series:
-    """All messages of one topic, in the order of log time.
+    """All messages of one topic, in the order of log time; ``series[name]`` is one field over all of them."""
 
-    Parameters
-    ----------
-    topic, type_name : str
-        Full name and message type.
-    stamp_ns : array of int64, shape (n,)
-        The stamp each message begins with [ns]; the log time if it has none.
-    log_time_ns, publish_time_ns : array of int64, shape (n,)
-        When it was recorded and published [ns].
-    fields : mapping of str to array
-        Each field over all messages, shape (n, ...), SI units as in the message; also by ``series[name]``.
-    """
-
-    topic: str
+    topic: str  # full name
     type_name: str
-    stamp_ns: NDArray[np.int64]
-    log_time_ns: NDArray[np.int64]
-    publish_time_ns: NDArray[np.int64]
-    fields: Mapping[str, NDArray[Any]]
+    stamp_ns: NDArray[np.int64]  # (n,) the stamp each message begins with [ns]; the log time if it has none
+    log_time_ns: NDArray[np.int64]  # (n,) when it was recorded [ns]
+    publish_time_ns: NDArray[np.int64]  # (n,) [ns]
+    fields: Mapping[str, NDArray[Any]]  # (n, ...) each, units as in the message
 
     def __len__(self) -> int:
         return len(self.log_time_ns)

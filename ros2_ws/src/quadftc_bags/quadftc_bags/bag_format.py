@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
@@ -16,8 +16,7 @@ _NO_HASH = "''"  # of bags that older versions recorded
 NEVER_NS = 2**63 - 1  # rosbag2: start of an empty bag, and "infinite" as a duration
 
 
-@dataclass(frozen=True)
-class TopicRecord:
+class TopicRecord(NamedTuple):
     """A topic of a bag: name, type, type hash, and the offered quality of service as a YAML list."""
 
     name: str
@@ -26,29 +25,14 @@ class TopicRecord:
     qos: str
 
 
-@dataclass(frozen=True)
-class BagSummary:
-    """What ``metadata.yaml`` says of a bag of one file.
-
-    Parameters
-    ----------
-    file_name : str
-        Name of the storage file in the bag's directory.
-    topics : sequence of (TopicRecord, int)
-        Each topic with its number of messages.
-    start_ns, end_ns : int
-        First and last log time [ns]; ignored while there are no messages.
-    custom : mapping of str to str
-        The user's own entries.
-    ros_distro : str
-        The ROS distribution that records.
-    """
+class BagSummary(NamedTuple):
+    """What ``metadata.yaml`` says of a bag of one file."""
 
     file_name: str
-    topics: Sequence[tuple[TopicRecord, int]]
-    start_ns: int
+    topics: Sequence[tuple[TopicRecord, int]]  # each with its number of messages
+    start_ns: int  # first and last log time [ns]; ignored while there are no messages
     end_ns: int
-    custom: Mapping[str, str]
+    custom: Mapping[str, str]  # the user's own entries
     ros_distro: str
 
 

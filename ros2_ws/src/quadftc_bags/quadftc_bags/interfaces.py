@@ -5,8 +5,8 @@ from __future__ import annotations
 import importlib
 import json
 import re
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
@@ -16,23 +16,12 @@ _INTEGERS = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64
 _PRIMITIVES = {"bool", "byte", "char", "float32", "float64", "string", "wstring"} | _INTEGERS
 
 
-@dataclass(frozen=True)
-class Interface:
-    """A message type as a bag describes it.
+class Interface(NamedTuple):
+    """A message type as a bag describes it."""
 
-    Parameters
-    ----------
-    name : str
-        ``package/msg/Name``.
-    text : str
-        The definition followed by those of all types it uses (encoding ``ros2msg``).
-    type_hash : str
-        ``RIHS01_`` and 64 hexadecimal digits (REP-2016).
-    """
-
-    name: str
-    text: str
-    type_hash: str
+    name: str  # ``package/msg/Name``
+    text: str  # the definition followed by those of all types it uses (encoding ``ros2msg``)
+    type_hash: str  # ``RIHS01_`` and 64 hexadecimal digits (REP-2016)
 
 
 def load_interface(type_name: str) -> Interface:

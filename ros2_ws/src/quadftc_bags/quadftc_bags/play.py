@@ -35,14 +35,15 @@ def play(
     delay: float = 0.0,
     context: Context | None = None,
 ) -> int:
-    """Publish a bag until its end, or until Ctrl-C or the shutdown of the context.
+    """Publish a bag until its end, or until Ctrl-C or the shutdown of the context; return how many messages.
 
     Stamps inside the messages stay as recorded. Nothing waits for readers: who is not there misses messages.
+    ValueError for a rate that is not positive, a bag that cannot be read, or a type that is not installed.
 
     Parameters
     ----------
     path : path
-        A rosbag2 directory or an ``.mcap`` file.
+        A rosbag2 directory, an ``.mcap`` or a ``.db3`` file.
     rate : float
         Speed, as a multiple of the recorded one; > 0.
     loop : bool
@@ -53,14 +54,6 @@ def play(
         Time between the creation of the publishers and the first message [s].
     context : rclpy.context.Context, optional
         Default: the default context, which is initialised and shut down here unless it is in use.
-
-    Returns
-    -------
-    int
-        Number of messages published.
-
-    Raises ValueError if the rate is not positive, or the bag cannot be read (`BagError`) or holds a type not
-    installed.
     """
     if not rate > 0.0:
         raise ValueError(f"rate: {rate}, expected > 0")

@@ -34,24 +34,12 @@ _WORDS = {  # of rmw, as recorded before ROS 2 Jazzy: numbers
 
 @dataclass(frozen=True)
 class Repair:
-    """What became of a bag.
+    """What became of a bag."""
 
-    Parameters
-    ----------
-    found : Survey
-        What was read, and what could not be.
-    out : Path or None
-        The bag that was written; None if nothing was wrong.
-    complaint : str
-        What was wrong with ``metadata.yaml``; empty if nothing was.
-    recorded : bool
-        Whether the bag was still being recorded: it goes on after what was read.
-    """
-
-    found: Survey
-    out: Path | None
-    complaint: str
-    recorded: bool = False
+    found: Survey  # what was read, and what could not be
+    out: Path | None  # the bag that was written; None if nothing was wrong
+    complaint: str  # what was wrong with ``metadata.yaml``; empty if nothing was
+    recorded: bool = False  # the bag was still being recorded: it goes on after what was read
 
 
 def repair(path: Path, out: Path | None = None, force: bool = False) -> Repair:

@@ -32,36 +32,18 @@ class Tally:
 
 @dataclass
 class Survey:
-    """What a file of ``size`` bytes holds.
-
-    Parameters
-    ----------
-    topics : dict of str to Tally
-        Topics that can be read, by full name.
-    channels : dict of int to (Channel, Schema)
-        The channels of these topics.
-    damages : list of Damage
-        What cannot be read, in the order of the file.
-    refused : dict of str to str
-        Topics that no ROS 2 bag may have, with the reason.
-    unknown : int
-        Messages of a topic whose name is nowhere in the file, or that was refused.
-    is_indexed : bool
-        The file ends as it should, with an index.
-    attachments, records : dict
-        Attachments and metadata records; of several with one name the last.
-    """
+    """What a file holds, and what of it cannot be read."""
 
     path: Path
-    size: int
-    topics: dict[str, Tally] = field(default_factory=dict[str, Tally])
+    size: int  # bytes
+    topics: dict[str, Tally] = field(default_factory=dict[str, Tally])  # that can be read, by full name
     channels: dict[int, tuple[Channel, Schema]] = field(default_factory=dict[int, tuple[Channel, Schema]])
-    damages: list[Damage] = field(default_factory=list[Damage])
-    refused: dict[str, str] = field(default_factory=dict[str, str])
-    unknown: int = 0
-    is_indexed: bool = False
+    damages: list[Damage] = field(default_factory=list[Damage])  # in the order of the file
+    refused: dict[str, str] = field(default_factory=dict[str, str])  # topics unfit for ROS 2: the reason
+    unknown: int = 0  # messages of a topic that was refused, or whose name is nowhere in the file
+    is_indexed: bool = False  # the file ends as it should, with an index
     attachments: dict[str, bytes] = field(default_factory=dict[str, bytes])
-    records: dict[str, dict[str, str]] = field(default_factory=dict[str, dict[str, str]])
+    records: dict[str, dict[str, str]] = field(default_factory=dict[str, dict[str, str]])  # metadata records
 
     @property
     def messages(self) -> int:

@@ -52,25 +52,13 @@ class CutShortError(ValueError):
 
 
 class Damage(NamedTuple):
-    """A part of a file that cannot be read.
+    """A part of a file that cannot be read."""
 
-    Parameters
-    ----------
-    offset, size : int
-        Where it begins, and its length [bytes].
-    is_end : bool
-        The file ends with it.
-    is_index : bool
-        It lies behind the messages: none is lost with it.
-    span_ns : tuple of int, optional
-        First and last log time of a chunk [ns], as far as its beginning is there.
-    """
-
-    offset: int
+    offset: int  # where it begins, and its length [bytes]
     size: int
-    is_end: bool
-    is_index: bool
-    span_ns: tuple[int, int] | None
+    is_end: bool  # the file ends with it
+    is_index: bool  # it lies behind the messages: none is lost with it
+    span_ns: tuple[int, int] | None  # first and last log time of a chunk [ns], if its beginning is there
 
 
 OnDamage = Callable[[Damage], None]

@@ -54,24 +54,12 @@ Input = Callable[[bytes, int, int], bool]
 
 @dataclass(frozen=True)
 class BagStatus:
-    """How a recording stands.
+    """How a recording stands."""
 
-    Parameters
-    ----------
-    counts : mapping of str to int
-        Messages stored, by topic.
-    dropped : mapping of str to int
-        Messages refused because the queue was full or the writer closed, by topic; only topics with any.
-    lost : int
-        Messages accepted that could not be stored because of ``error``.
-    error : str or None
-        What stopped the recording (disk full, for instance).
-    """
-
-    counts: Mapping[str, int]
-    dropped: Mapping[str, int]
-    lost: int
-    error: str | None
+    counts: Mapping[str, int]  # messages stored, by topic
+    dropped: Mapping[str, int]  # refused, as the queue was full or the writer closed; topics with any
+    lost: int  # messages accepted that could not be stored because of ``error``
+    error: str | None  # what stopped the recording (disk full, for instance)
 
 
 class BagWriter:
@@ -79,14 +67,8 @@ class BagWriter:
 
     Parameters
     ----------
-    directory : path
-        The bag's directory; must not exist.
-    attachments : mapping of str to bytes
-        Files to store inside the bag, by name.
-    metadata : mapping of str to str
-        Entries of the bag's ``custom_data``.
-    compression : str
-        ``zstd``, ``lz4`` or ``none``.
+    directory, attachments, metadata, compression
+        As of `BagFile`.
     lockstep : bool
         See the module's text.
     queue_size : int

@@ -50,10 +50,7 @@ class Children:
     def stop(self, patience: float = PATIENCE) -> int:
         """Send SIGINT to each, wait up to ``patience`` [s], kill what does not listen.
 
-        Returns
-        -------
-        int
-            The worst exit code; 0 if all have ended well, or there are none.
+        Returns the worst exit code; 0 if all have ended well, or there are none.
         """
         processes = self._processes.values()
         try:

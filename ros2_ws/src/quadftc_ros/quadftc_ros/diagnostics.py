@@ -22,18 +22,9 @@ WINDOW_NS = 900_000_000  # ns; shorter ones say little: diagnostics come at once
 
 
 class Diagnostics:
-    """What a node reports of itself.
+    """What a node reports of itself; statuses are named ``<node>: <part>``, ``hardware_id`` is the vehicle.
 
-    Parameters
-    ----------
-    node : Node
-        Statuses are named ``<node>: <part>``.
-    hardware_id : str
-        The vehicle.
-    refresh : callable
-        Called before every message, to report what is too costly to report with every sample.
-    tap : callable, optional
-        As of `GraphNode`.
+    ``refresh`` is called before every message, to report what is too costly to report with every sample.
     """
 
     def __init__(
@@ -103,13 +94,8 @@ class Diagnostics:
 class SampleTiming:
     """Rate and latency of the samples of the last second, or since the diagnostics before if that is longer.
 
-    Latency is the age of a sample, by its stamp, when the node is done with it.
-
-    Parameters
-    ----------
-    clock : bool
-        Whether the samples come by a clock, that of `sampled` and `values`; otherwise rates count by the
-        stamps, and there is no latency.
+    Latency is the age of a sample, by its stamp, when the node is done with it. Without a ``clock``, that of
+    `sampled` and `values`, rates count by the stamps, and there is no latency.
     """
 
     def __init__(self, clock: bool) -> None:

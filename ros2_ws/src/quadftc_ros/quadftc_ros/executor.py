@@ -25,9 +25,7 @@ from quadftc_ros.conversions import NANOSECONDS
 
 EXECUTORS = ("events", "single")
 STOPPING = (signal.SIGINT, signal.SIGTERM)
-LAUNCHER = (
-    "QUADFTC_LAUNCHER"  # environment variable: process that started this one and must not die before it
-)
+LAUNCHER = "QUADFTC_LAUNCHER"  # environment variable: the process whose end ends this one
 NEAR = 100_000  # ns; an executor that sleeps may wake so late
 MAX_WORDS = 1000  # characters of what is said about a wrong parameter
 POLL = 0.25  # s; EventsExecutor.spin() without a timeout busy-loops in Jazzy 7.1, so it is called in slices
@@ -69,37 +67,24 @@ class Slice:
 
 
 class Paced(Protocol):
-    """Who has something to do at times of its own."""
+    """A node that acts at times of its own, by the monotonic clock."""
 
     @property
-    def due_ns(self) -> int:
-        """When, by the monotonic clock [ns]."""
-        ...
+    def due_ns(self) -> int: ...  # when it acts next [ns]  # noqa: D102
 
     @property
-    def unanswered(self) -> bool:
-        """Whether the nodes may still be busy with what it did last."""
-        ...
+    def unanswered(self) -> bool: ...  # the nodes may still be busy with its last act  # noqa: D102
 
-    def tick(self) -> None:
-        """Do it."""
-        ...
+    def tick(self) -> None: ...  # noqa: D102
 
 
 class Pace:
     """Real time: an executor serves its nodes, and in between some of them act when they are due.
 
-    A timer of rclpy would do it, too, but wakes another thread first, and leaves out what it is late for. The
-    executor is called for each callback anew, as the wheels' ``spin_until_future_complete`` leaks (`Slice`),
-    but before an act that comes while the nodes are busy with the last: then they get through with that.
-
-    Parameters
-    ----------
-    executor
-        As of `make_executor`.
-    paced : sequence of Paced
-    poll : bool
-        Look for work again and again while there is none, so that the processor stays awake.
+    A timer of rclpy wakes another thread first, and skips periods that it is late for. The executor is called
+    for each callback, as ``spin_until_future_complete`` of the wheels leaks (`Slice`). Before an act that
+    comes while the nodes are busy with the last one, they finish that one first. With ``poll`` the
+    executor looks for work again and again while there is none, so that the processor stays awake.
     """
 
     def __init__(self, executor: Any, paced: Sequence[Paced], poll: bool) -> None:
@@ -170,32 +155,21 @@ class StopSignals:
 def run_node(make: Callable[[], Node], paced: bool = False) -> int:
     """Run one node until Ctrl-C, SIGTERM, shutdown or the death of its launcher.
 
-    Parameters
-    ----------
-    make : callable
-        Makes the node; called after ``rclpy.init``.
-    paced : bool
-        Whether it is `Paced`.
-
-    Returns
-    -------
-    int
-        Exit code: 0, or 2 for wrong arguments or parameters.
+    ``make`` makes the node after ``rclpy.init``; ``paced`` says whether it is `Paced`. Returns the exit code:
+    0, or 2 for wrong arguments or parameters.
     """
     executor, node = None, None
     try:
         with StopSignals() as stop:
-            signal.pthread_sigmask(
-                signal.SIG_UNBLOCK, STOPPING
-            )  # a launcher blocks them until they can be handled
+            # a launcher blocks the signals until they can be handled
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
             try:
                 _initialise()
                 node = make()
             except (ValueError, ParameterException) as error:
                 words = " ".join(str(error).split())
-                sys.stderr.write(
-                    f"error: {words if len(words) <= MAX_WORDS else words[:MAX_WORDS] + '...'}\n"
-                )
+                words = words if len(words) <= MAX_WORDS else words[:MAX_WORDS] + "..."
+                sys.stderr.write(f"error: {words}\n")
                 return 2
             executor = make_executor()
             executor.add_node(node)

@@ -17,14 +17,8 @@ DEPTH = 64  # samples that may be incomplete at a time; older ones are given up
 class StampJoin:
     """Call back with one message of each input, all of the same stamp.
 
-    An input whose stamps go back has begun a new flight: what it left waiting of the old one is forgotten.
-
-    Parameters
-    ----------
-    inputs : sequence of str
-        Names of the inputs.
-    callback : callable
-        ``callback(stamp_ns, *messages)``, in the order of ``inputs``.
+    It calls ``callback(stamp_ns, *messages)``, in the order of the names in ``inputs``. An input whose stamps
+    go back has begun a new flight: what it left waiting of the old one is forgotten.
     """
 
     def __init__(self, inputs: Sequence[str], callback: Callable[..., None]) -> None:

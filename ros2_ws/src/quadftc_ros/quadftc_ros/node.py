@@ -46,19 +46,11 @@ class GraphParameters:
 
 
 class GraphNode(Node):
-    """Base of the graph's nodes.
+    """Base of the graph's nodes; its name is that of the table of topics.
 
-    Parameters
-    ----------
-    name : str
-        Name of the node, as in the table of topics.
-    tap : callable, optional
-        ``tap(topic)`` returns what gets a copy of all that the node publishes on a topic, serialised: a
-        recorder in the same process needs no subscriptions.
-    **kwargs
-        Those of ``rclpy.node.Node`` (``context``, ``namespace``, ``parameter_overrides``...).
-
-    Raises ValueError if a parameter is wrong.
+    ``tap(topic)`` returns what gets a serialised copy of what the node publishes on a topic: a recorder in
+    the same process needs no subscriptions. Other arguments are those of ``rclpy.node.Node``. A wrong
+    parameter is a ValueError.
     """
 
     def __init__(self, name: str, tap: Tap | None = None, **kwargs: Any) -> None:

@@ -50,12 +50,7 @@ def descriptor(spec: Parameter, read_only: bool = False) -> ParameterDescriptor:
 
 
 class NodeParameters:
-    """The parameters of a node, as one flat mapping of dotted names.
-
-    Parameters
-    ----------
-    node : Node
-    """
+    """The parameters of a node, as one flat mapping of dotted names."""
 
     def __init__(self, node: Node) -> None:
         self._node = node

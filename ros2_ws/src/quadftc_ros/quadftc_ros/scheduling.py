@@ -23,23 +23,11 @@ class SchedulingError(RuntimeError):
 
 @dataclasses.dataclass(frozen=True)
 class Scheduling:
-    """How a graph in real time shares the machine.
+    """How a graph in real time shares the machine; ValueError for values that it cannot have."""
 
-    Parameters
-    ----------
-    wait : str
-        Between samples: ``sleep``, or ``poll``, which keeps one core awake and therefore fast.
-    priority : int
-        Of SCHED_RR, 1 to 99; 0: like all others.
-    cores : tuple of int
-        Where to run; empty: anywhere.
-
-    Raises ValueError if a value is out of range, or they exclude each other.
-    """
-
-    wait: str = "sleep"
-    priority: int = 0
-    cores: tuple[int, ...] = ()
+    wait: str = "sleep"  # between samples; ``poll`` keeps one core awake and therefore fast
+    priority: int = 0  # of SCHED_RR, 1 to 99; 0: like all others
+    cores: tuple[int, ...] = ()  # where to run; empty: anywhere
 
     def __post_init__(self) -> None:
         low, high = PRIORITIES

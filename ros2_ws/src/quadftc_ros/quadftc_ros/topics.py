@@ -29,29 +29,14 @@ EARTH_FRAME = "map"  # ENU (REP-105)
 
 @dataclass(frozen=True)
 class Topic:
-    """One topic of the graph.
+    """One topic of the graph."""
 
-    Parameters
-    ----------
-    name : str
-        Relative to the vehicle's namespace, or absolute with a leading slash.
-    type_name : str
-        Message type, ``package/msg/Name``.
-    publishers, readers : tuple of str
-        Names of the nodes that publish and subscribe; the recorder, which may read anything, is not listed.
-    qos : str
-        ``sensor``: best effort in real time; ``reliable``: in order, none lost; ``latched``: the last message
-        also reaches a late reader; ``clock``: the clock of a simulation.
-    frame : str
-        Frame of its header; empty: it has none.
-    """
-
-    name: str
-    type_name: str
-    publishers: tuple[str, ...]
-    readers: tuple[str, ...]
-    qos: QosClass
-    frame: str = ""
+    name: str  # relative to the vehicle's namespace, or absolute with a leading slash
+    type_name: str  # ``package/msg/Name``
+    publishers: tuple[str, ...]  # names of the nodes
+    readers: tuple[str, ...]  # names of the nodes; the recorder, which may read anything, is not listed
+    qos: QosClass  # see `quadftc_ros.qos`
+    frame: str = ""  # of its header; empty: it has none
 
 
 NODES = ("plant", "fault_injector", "fault_observer", "disturbance_observer", "controller", "reference")

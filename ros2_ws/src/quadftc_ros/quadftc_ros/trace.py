@@ -18,8 +18,8 @@ Note = Callable[[int], None]  # gets the stamp of a message [ns]
 class MessageTrace:
     """Times at which a node takes and gives messages, topic by topic.
 
-    Two integers are noted for each message, in memory that is there already: that takes a few tenths of a
-    microsecond. Memory that grew with the flight would now and then take milliseconds.
+    A note takes a few tenths of a microsecond, in memory that is there already: memory that grew with the
+    flight would now and then take milliseconds.
     """
 
     def __init__(self) -> None:
@@ -45,12 +45,9 @@ class MessageTrace:
 
 
 def load_trace(path: Path) -> dict[str, NDArray[np.int64]]:
-    """Return what :meth:`MessageTrace.save` wrote.
+    """Return what `MessageTrace.save` wrote.
 
-    Returns
-    -------
-    dict
-        ``"taken <topic>"`` and ``"given <topic>"``: array (n, 2) of stamp and time [ns].
+    By ``"taken <topic>"`` and ``"given <topic>"``, an array (n, 2) of stamp and time [ns].
     """
     with np.load(path, allow_pickle=False) as archive:
         return {name: archive[name].astype(np.int64) for name in archive.files}
