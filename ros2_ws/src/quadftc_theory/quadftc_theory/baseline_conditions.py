@@ -10,10 +10,8 @@ from quadftc_fdi.fault_observers.edwards_spurgeon import EdwardsSpurgeon
 from quadftc_fdi.fault_observers.none import NoDiagnosis
 from quadftc_fdi.fault_observers.supervised import Supervised
 from quadftc_fdi.fault_observers.threshold import Threshold
-from quadftc_theory.conditions import Circumstances, Condition, Verdict, conditions_of, verdict
+from quadftc_theory.conditions import DEG, Circumstances, Condition, Verdict, conditions_of, verdict
 from quadftc_theory.sliding_mode_conditions import NEGLIGIBLE_DRIFT, NEGLIGIBLE_LEAK
-
-DEG = math.pi / 180.0
 
 
 @conditions_of(NoDiagnosis)
@@ -40,13 +38,9 @@ def supervised_conditions(observer: Supervised, given: Circumstances) -> list[Co
 @conditions_of(AugmentedKalman)
 def augmented_kalman_conditions(observer: AugmentedKalman, given: Circumstances) -> list[Condition]:
     """Judge the filter's noise model against the noise given; the start and the zeros at s = 0."""
-    attitude, walk = given.attitude_noise.value, given.gyro_noise.value
-    bias = given.gyro_bias.value
-    covered = (
-        attitude <= observer.attitude_noise
-        and walk <= observer.gyro_noise
-        and bias <= 2.0 * observer.gyro_bias
-    )
+    attitude, walk, bias = given.attitude_noise.value, given.gyro_noise.value, given.gyro_bias.value
+    within = attitude <= observer.attitude_noise and walk <= observer.gyro_noise
+    covered = within and bias <= 2.0 * observer.gyro_bias
     text = (
         f"attitude {attitude / DEG:.3g} of {observer.attitude_noise / DEG:.3g} deg, angle random walk "
         f"{walk / DEG:.3g} of {observer.gyro_noise / DEG:.3g} deg/sqrt(s), gyro bias up to "
@@ -68,39 +62,25 @@ def augmented_kalman_conditions(observer: AugmentedKalman, given: Circumstances)
 @conditions_of(EdwardsSpurgeon)
 def edwards_spurgeon_conditions(observer: EdwardsSpurgeon, given: Circumstances) -> list[Condition]:
     """Judge the reach of nu, and what the zeros at s = 0 do: leak and drift."""
-    size, duration = given.fault.value, given.duration
-    share = -math.expm1(-observer.leak * given.fault_length.value)
-    each = -math.expm1(-observer.leak * duration) / observer.leak if observer.leak > 0.0 else duration
-    error = each * given.gyro_bias.value
-    poles = f"e: -{observer.a_s:.3g} 1/s; angle error on the surface: -{observer.leak:.3g} 1/s"
+    size, length, duration = given.fault.value, given.fault_length.value, given.duration
+    leak, bias, reach = observer.leak, given.gyro_bias.value, observer.rho / observer.a_f
+    poles = f"e: -{observer.a_s:.3g} 1/s; angle error on the surface: -{leak:.3g} 1/s"
+    reached = f"reaches {reach / DEG:.3g} deg; |f_s| up to {size / DEG:.3g} deg ({given.fault.origin})"
+    share = -math.expm1(-leak * length)
+    leaked = f"of a constant fault of {length:.3g} s, {100.0 * share:.2g} % leak away"
+    leaks = Verdict.PASS if share <= NEGLIGIBLE_LEAK else Verdict.DEPENDS
+    each = -math.expm1(-leak * duration) / leak if leak > 0.0 else duration
+    error = each * bias
+    drifted = f"{error / DEG:.3g} deg after {duration:.3g} s with {bias / DEG:.3g} deg/s"
+    within = verdict(error <= NEGLIGIBLE_DRIFT)
+    at = {"poles": [-observer.a_s, -leak]}
+    holds = verdict(observer.rho > observer.a_f * size)
     return [
         _faultless_gyro(given),
-        Condition(
-            "observer's poles",
-            verdict(observer.leak > 0.0),
-            poles,
-            {"poles": [-observer.a_s, -observer.leak]},
-        ),
-        Condition(
-            "rho > a_f |f_s|",
-            verdict(observer.rho > observer.a_f * size),
-            f"reaches {observer.rho / observer.a_f / DEG:.3g} deg; |f_s| up to {size / DEG:.3g} deg "
-            f"({given.fault.origin})",
-            {"reach": observer.rho / observer.a_f, "fault": size},
-        ),
-        Condition(
-            "leak of the fault estimate",
-            Verdict.PASS if share <= NEGLIGIBLE_LEAK else Verdict.DEPENDS,
-            f"of a constant fault of {given.fault_length.value:.3g} s, {100.0 * share:.2g} % leak away",
-            {"share": share},
-            needed=False,
-        ),
-        Condition(
-            "drift by a gyro bias",
-            verdict(error <= NEGLIGIBLE_DRIFT),
-            f"{error / DEG:.3g} deg after {duration:.3g} s with {given.gyro_bias.value / DEG:.3g} deg/s",
-            {"per_bias": each, "error": error},
-        ),
+        Condition("observer's poles", verdict(leak > 0.0), poles, at),
+        Condition("rho > a_f |f_s|", holds, reached, {"reach": reach, "fault": size}),
+        Condition("leak of the fault estimate", leaks, leaked, {"share": share}, needed=False),
+        Condition("drift by a gyro bias", within, drifted, {"per_bias": each, "error": error}),
         _pitch(given),
     ]
 
@@ -108,32 +88,27 @@ def edwards_spurgeon_conditions(observer: EdwardsSpurgeon, given: Circumstances)
 @conditions_of(Threshold)
 def threshold_conditions(observer: Threshold, given: Circumstances) -> list[Condition]:
     """Say whether the faults given are above the thresholds, and how far the dead reckoning drifts."""
-    size, growth = given.fault.value, given.fault_growth.value
+    size, growth, bias = given.fault.value, given.fault_growth.value, given.gyro_bias.value
     found = size > observer.angle_threshold and growth > observer.rate_threshold
+    outcome = Verdict.PASS if found or size == 0.0 else Verdict.FAIL
     slowest = "" if math.isinf(growth) else f", slowest {growth / DEG:.3g} deg/s"
     text = (
         f"finds a step or ramp of more than {observer.angle_threshold / DEG:.3g} deg, faster than "
         f"{observer.rate_threshold / DEG:.3g} deg/s; here up to {size / DEG:.3g} deg{slowest}"
     )
-    outcome = Verdict.PASS if found or size == 0.0 else Verdict.FAIL
-    drifted = given.gyro_bias.value * min(given.fault_length.value, observer.patience)
+    below = verdict(bias < observer.rate_threshold)
+    biased = f"{bias / DEG:.3g} deg/s; above it, every axis is faulty"
+    drift = bias * min(given.fault_length.value, observer.patience)
+    within = verdict(drift < observer.recovery_angle)
+    drifted = (
+        f"the residual has drifted by {drift / DEG:.3g} deg at the end of the longest fault; recovers "
+        f"below {observer.recovery_angle / DEG:.3g} deg, else after {observer.patience:.3g} s"
+    )
     return [
         _faultless_gyro(given),
         Condition("faults above the thresholds", outcome, text, {"fault": size}, needed=False),
-        Condition(
-            "gyro bias below rate_threshold",
-            verdict(given.gyro_bias.value < observer.rate_threshold),
-            f"{given.gyro_bias.value / DEG:.3g} deg/s; above it, every axis is faulty",
-            {"gyro_bias": given.gyro_bias.value},
-        ),
-        Condition(
-            "recovery within recovery_angle",
-            verdict(drifted < observer.recovery_angle),
-            f"the residual has drifted by {drifted / DEG:.3g} deg at the end of the longest fault; recovers "
-            f"below {observer.recovery_angle / DEG:.3g} deg, else after {observer.patience:.3g} s",
-            {"drift": drifted},
-            needed=False,
-        ),
+        Condition("gyro bias below rate_threshold", below, biased, {"gyro_bias": bias}),
+        Condition("recovery within recovery_angle", within, drifted, {"drift": drift}, needed=False),
         _pitch(given),
     ]
 

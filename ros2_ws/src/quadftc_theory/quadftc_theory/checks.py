@@ -13,7 +13,7 @@ from quadftc_flight.scenario import Scenario, Scheme
 from quadftc_model.vehicle import load_vehicle
 from quadftc_theory.circumstances import circumstances, circumstances_of_run
 from quadftc_theory.conditions import Circumstances, Condition, Trace, judge, judge_along
-from quadftc_theory.linear_form import attitude_model
+from quadftc_theory.linear_model import attitude_model
 from quadftc_theory.structure_conditions import structure_conditions
 
 
@@ -27,23 +27,13 @@ class Section:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CheckReport:
-    """What was found.
-
-    Parameters
-    ----------
-    scenario, scheme : str
-    bag : str, optional
-        Of the recorded run.
-    sections : tuple of Section
-    given : Circumstances
-        The bounds that were used.
-    """
+    """What was found."""
 
     scenario: str
     scheme: str
-    bag: str | None
+    bag: str | None  # of the recorded run
     sections: tuple[Section, ...]
-    given: Circumstances
+    given: Circumstances  # the bounds that were used
 
     @property
     def passed(self) -> bool:
@@ -52,25 +42,15 @@ class CheckReport:
 
     def to_dict(self) -> dict[str, Any]:
         """Ready for JSON: no NaN, no infinity."""
-        return cast(
-            "dict[str, Any]",
-            _plain(
-                {
-                    "scenario": self.scenario,
-                    "scheme": self.scheme,
-                    "bag": self.bag,
-                    "passed": self.passed,
-                    "sections": [
-                        {
-                            "title": section.title,
-                            "conditions": [dataclasses.asdict(item) for item in section.conditions],
-                        }
-                        for section in self.sections
-                    ],
-                    "bounds": {name: dataclasses.asdict(bound) for name, bound in self.given.bounds.items()},
-                }
-            ),
-        )
+        found = {
+            "scenario": self.scenario,
+            "scheme": self.scheme,
+            "bag": self.bag,
+            "passed": self.passed,
+            "sections": [dataclasses.asdict(section) for section in self.sections],
+            "bounds": {name: dataclasses.asdict(bound) for name, bound in self.given.bounds.items()},
+        }
+        return cast("dict[str, Any]", _plain(found))
 
 
 def check_scenario(scenario: Scenario, scheme: Scheme, output: str = "imu") -> CheckReport:
@@ -81,11 +61,6 @@ def check_scenario(scenario: Scenario, scheme: Scheme, output: str = "imu") -> C
     scenario, scheme : Scenario, Scheme
     output : str
         Output of the model (6) that is judged: ``imu``, or ``angles`` as in the paper.
-
-    Raises
-    ------
-    ValueError
-        If there is no such output.
     """
     return _check(scenario, scheme, circumstances(scenario, scheme), output)
 
@@ -95,26 +70,25 @@ def check_run(run: RecordedRun, output: str = "imu") -> CheckReport:
     given = circumstances_of_run(run)
     report = _check(run.scenario, run.scheme, given, output)
     trace = _trace(run)
-    found = (
-        *judge_along(run.scheme.observer.law, trace, given),
-        *judge_along(run.scheme.controller.law, trace, given),
-    )
+    laws = (run.scheme.observer.law, run.scheme.controller.law)
+    found = tuple(item for law in laws for item in judge_along(law, trace, given))
     along = (Section("along the recorded run", found),) if found else ()
     return dataclasses.replace(report, bag=str(run.path), sections=report.sections + along)
 
 
 def _check(scenario: Scenario, scheme: Scheme, given: Circumstances, output: str) -> CheckReport:
-    observer, disturbance, controller = scheme.observer, scheme.disturbance_observer, scheme.controller
-    inertia = load_vehicle(scenario.vehicle).inertia
     sections = [
-        Section(f"fault observer: {observer.kind}", tuple(judge(observer.law, given))),
-        Section(f"disturbance observer: {disturbance.kind}", tuple(judge(disturbance.law, given))),
-        Section(f"controller: {controller.kind}", tuple(judge(controller.law, given))),
+        Section(f"{role}: {part.kind}", tuple(judge(part.law, given)))
+        for role, part in (
+            ("fault observer", scheme.observer),
+            ("disturbance observer", scheme.disturbance_observer),
+            ("controller", scheme.controller),
+        )
     ]
-    if output != "imu" or observer.kind != "none":
+    if output != "imu" or scheme.observer.kind != "none":
         asked = output != "imu"
         title = "the paper's own set-up, y = (roll, pitch, yaw), q = 3" + ("" if asked else "; not used here")
-        model = attitude_model(inertia, output if asked else "angles")
+        model = attitude_model(load_vehicle(scenario.vehicle).inertia, output if asked else "angles")
         sections.append(Section(title, tuple(structure_conditions(model, needed=asked))))
     return CheckReport(scenario.name, scheme.name, None, tuple(sections), given)
 

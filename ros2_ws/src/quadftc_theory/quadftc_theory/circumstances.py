@@ -6,7 +6,6 @@ import dataclasses
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from quadftc_control.reference import combined
 from quadftc_flight.run_directory import RecordedRun
@@ -15,10 +14,8 @@ from quadftc_model.rotations import body_rates, quaternion_from_euler
 from quadftc_model.samples import AttitudeReference, ImuSample
 from quadftc_sim.assembly import period_ns, sample_count
 from quadftc_sim.injector import FaultInjector
-from quadftc_theory.conditions import Bound, Circumstances, Series
+from quadftc_theory.conditions import Bound, Circumstances, Floats, Series
 from quadftc_theory.disturbance_conditions import estimation_error
-
-Floats = NDArray[np.float64]
 
 FAULT_RATE = 50.0  # Hz; at which the scheduled faults are looked at
 GROWN = 0.99  # 1; share of its peak at which a fault counts as grown
@@ -37,7 +34,7 @@ def circumstances(scenario: Scenario, scheme: Scheme) -> Circumstances:
     noise: Floats = scenario.sensor.gyro_noise / math.sqrt(dt) * generator.standard_normal(rates.shape)
     error = estimation_error(scheme.disturbance_observer.law, disturbance, noise, dt)
     fault, growth, length = _attitude_faults(scenario)
-    sensor = scenario.sensor
+    sensor, accelerations = scenario.sensor, np.max(np.abs(motion.accelerations), axis=0)
     return Circumstances(
         vehicle=vehicle,
         dt=dt,
@@ -45,9 +42,7 @@ def circumstances(scenario: Scenario, scheme: Scheme) -> Circumstances:
         faulty_channels=tuple(sorted({fault.injection.channel for fault in scenario.faults})),
         tilt=Bound(float(np.max(np.abs(motion.angles[:, :2]))), "rad", REFERENCE),
         body_rate=Bound(_largest_norm(rates), "rad/s", REFERENCE),
-        acceleration=Bound(
-            tuple(np.max(np.abs(motion.accelerations), axis=0).tolist()), "rad/s^2", REFERENCE
-        ),
+        acceleration=Bound(tuple(accelerations.tolist()), "rad/s^2", REFERENCE),
         fault=Bound(fault, "rad", "given: scheduled faults"),
         fault_growth=Bound(growth, "rad/s", "given: scheduled faults"),
         fault_length=Bound(length, "s", "given: scheduled faults"),

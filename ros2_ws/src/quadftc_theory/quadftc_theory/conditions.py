@@ -15,6 +15,7 @@ import enum
 import functools
 import importlib
 import importlib.metadata
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -24,11 +25,10 @@ from numpy.typing import NDArray
 from quadftc_model.vehicle import Vehicle
 
 Floats = NDArray[np.float64]
+DEG = math.pi / 180.0
 
 _GROUP = "quadftc.conditions"  # entry points: a name of its own -> a module that registers conditions
-_OWN = (
-    *("sliding_mode_conditions", "baseline_conditions", "disturbance_conditions", "controller_conditions"),
-)
+_OWN = ("sliding_mode_conditions", "baseline_conditions", "disturbance_conditions", "controller_conditions")
 
 
 class Verdict(str, enum.Enum):
@@ -41,26 +41,13 @@ class Verdict(str, enum.Enum):
 
 @dataclasses.dataclass(frozen=True)
 class Condition:
-    """A condition with its verdict.
+    """A condition with its verdict."""
 
-    Parameters
-    ----------
-    name : str
-        What is asked for, as the source calls it.
-    verdict : Verdict
-    text : str
-        In plain words, with numbers and units.
-    numbers : mapping
-        The numbers behind it, by name, in SI units.
-    needed : bool
-        Whether the scheme needs it: its FAIL is a FAIL of the whole.
-    """
-
-    name: str
+    name: str  # as the source calls it
     verdict: Verdict
-    text: str
-    numbers: Mapping[str, Any] = dataclasses.field(default_factory=dict[str, Any])
-    needed: bool = True
+    text: str  # in plain words, with numbers and units
+    numbers: Mapping[str, Any] = dataclasses.field(default_factory=dict[str, Any])  # SI units
+    needed: bool = True  # by the scheme: its FAIL is a FAIL of the whole
 
     @property
     def failed(self) -> bool:
@@ -75,37 +62,18 @@ def verdict(holds: bool) -> Verdict:
 
 @dataclasses.dataclass(frozen=True)
 class Bound:
-    """A bound that a condition uses, and where it comes from.
+    """A bound that a condition uses, and where it comes from."""
 
-    Parameters
-    ----------
-    value : float or tuple of float
-        In SI units; a tuple has one number for each axis.
-    unit : str
-    origin : str
-        ``given`` (by the scenario, the vehicle or the sensor), ``trace`` (computed from a recorded run) or
-        ``assumed``, and how.
-    """
-
-    value: Any
-    unit: str
-    origin: str
+    value: Any  # a float, or one for each axis
+    unit: str  # SI
+    origin: str  # given (by scenario, vehicle or sensor), trace (of a recorded run) or assumed, and how
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Series:
-    """A quantity over time, known at every sample.
+    """A quantity over time, known at every sample; unit and origin as of a `Bound`."""
 
-    Parameters
-    ----------
-    values : array (n, 3)
-        In SI units.
-    unit : str
-    origin : str
-        As of a `Bound`.
-    """
-
-    values: Floats
+    values: Floats  # (n, 3)
     unit: str
     origin: str
 
@@ -168,39 +136,32 @@ class Trace:
 
 
 def falls(
-    name: str,
-    values: Floats,
-    stamp_ns: NDArray[np.int64],
-    required: Floats,
-    outside: NDArray[np.bool_],
+    name: str, values: Floats, stamp_ns: NDArray[np.int64], required: Floats, outside: NDArray[np.bool_]
 ) -> Condition:
     """Judge a Lyapunov derivative along a run, outside the boundary layers only.
 
     Parameters
     ----------
-    name : str
     values : array (n,) or (n, k)
         The Lyapunov function of each sample; of k functions, each by itself.
     stamp_ns : array (n,)
         [ns].
-    required : array like values
-        The rate at which it has to fall at least, negative.
-    outside : array of bool, like values
-        Where the state is outside its boundary layer.
+    required, outside : array like values
+        The rate at which it has to fall at least, negative; and where the state is outside its layer.
     """
     elapsed = (np.diff(stamp_ns) / 1e9).reshape((-1,) + (1,) * (values.ndim - 1))
     slope = np.diff(values, axis=0) / elapsed
-    counted = outside[:-1] & np.isfinite(slope) & np.isfinite(required[:-1])
-    total, count = int(np.isfinite(slope).sum()), int(counted.sum())
-    share_outside = count / total if total else 0.0
-    if total == 0:
+    known = np.isfinite(slope)
+    counted = outside[:-1] & known & np.isfinite(required[:-1])
+    if not known.any():
         return Condition(name, Verdict.DEPENDS, "the bag lacks the truth that this needs", needed=False)
-    numbers: dict[str, Any] = {"share_outside": share_outside, "share_holding": None}
-    if count == 0:
+    share_outside = int(counted.sum()) / int(known.sum())
+    if not counted.any():
         text = "never outside the boundary layer: nothing has to fall"
+        numbers = {"share_outside": share_outside, "share_holding": None}
         return Condition(name, Verdict.PASS, text, numbers, needed=False)
     holding = float(np.mean(slope[counted] <= required[:-1][counted]))
-    numbers["share_holding"] = holding
+    numbers = {"share_outside": share_outside, "share_holding": holding}
     text = f"outside the boundary layer for {100.0 * share_outside:.3g} % of the run; falls fast enough in "
     text += f"{100.0 * holding:.4g} % of that"
     outcome = Verdict.PASS if holding == 1.0 else Verdict.DEPENDS if holding >= 0.95 else Verdict.FAIL

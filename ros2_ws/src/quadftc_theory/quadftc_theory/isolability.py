@@ -27,8 +27,7 @@ from scipy.linalg import null_space
 from scipy.sparse.csgraph import connected_components
 
 from quadftc_model.vehicle import Vehicle
-from quadftc_theory.structural_model import Assumptions, LinearModel
-from quadftc_theory.vehicle_equations import vehicle_model
+from quadftc_theory.vehicle_equations import Assumptions, LinearModel, vehicle_model
 
 CAUSALITIES = {"mixed": "mixed", "integral": "int", "derivative": "der"}  # ours: the library's
 GENERIC_S = 0.6180339887 + 0.4142135624j  # 1/s; no pole or zero of a model is there
@@ -62,25 +61,20 @@ class IsolabilityResult:
     @property
     def undetectable(self) -> tuple[str, ...]:
         """Faults that nothing responds to."""
-        seen = self.detectable & self.rank_detectable
-        return tuple(fault for fault, is_seen in zip(self.faults, seen, strict=True) if not is_seen)
+        return self._named(~(self.detectable & self.rank_detectable))
 
     @property
     def transient(self) -> tuple[str, ...]:
         """Faults that are detected while they change only (weakly detectable)."""
-        seen = self.detectable & self.rank_detectable & ~self.strongly_detectable
-        return tuple(fault for fault, is_seen in zip(self.faults, seen, strict=True) if is_seen)
+        return self._named(self.detectable & self.rank_detectable & ~self.strongly_detectable)
 
     @property
     def groups(self) -> tuple[tuple[str, ...], ...]:
-        """Sets of detectable faults of which neither of two can be told apart from the other.
-
-        Faults that are alone in their set are left out.
-        """
+        """Sets, of two or more, of detectable faults that cannot be told apart from each other."""
         seen = self.detectable & self.rank_detectable
         confused = ~(self.isolable & self.rank_isolable) & np.outer(seen, seen)
         count, labels = connected_components(confused & confused.T, directed=False)
-        members = [tuple(self.faults[i] for i in np.flatnonzero(labels == label)) for label in range(count)]
+        members = [self._named(labels == label) for label in range(count)]
         return tuple(group for group in members if len(group) > 1)
 
     @property
@@ -91,22 +85,22 @@ class IsolabilityResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as lists, strings and truth values, for JSON."""
-        masks = {
-            field.name: getattr(self, field.name).tolist()
-            for field in dataclasses.fields(self)
-            if field.name.endswith(("detectable", "isolable"))
-        }
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return {
-            "name": self.name,
-            "causality": self.causality,
+            **{
+                name: value.tolist() if isinstance(value, np.ndarray) else value
+                for name, value in fields.items()
+            },
             "assumptions": dict(self.assumptions),
             "faults": list(self.faults),
-            **masks,
             "undetectable": list(self.undetectable),
             "transient": list(self.transient),
             "groups": [list(group) for group in self.groups],
             "cancelled": [list(pair) for pair in self.cancelled],
         }
+
+    def _named(self, mask: Mask) -> tuple[str, ...]:
+        return tuple(self.faults[i] for i in np.flatnonzero(mask))
 
 
 def analyse(
@@ -122,17 +116,11 @@ def analyse(
         Sensors, motion, what is known and what disturbs.
     causality : str
         ``mixed``, ``integral`` or ``derivative``: whether residuals may integrate and differentiate.
-
-    Raises
-    ------
-    ValueError
-        If the causality is none of these.
     """
     assumptions = Assumptions() if assumptions is None else assumptions
     described = dataclasses.asdict(assumptions) | {"sensor_set": list(assumptions.sensor_set)}
-    return dataclasses.replace(
-        analyse_model(vehicle_model(vehicle, assumptions), causality), assumptions=described
-    )
+    result = analyse_model(vehicle_model(vehicle, assumptions), causality)
+    return dataclasses.replace(result, assumptions=described)
 
 
 def analyse_model(model: LinearModel, causality: str = "mixed") -> IsolabilityResult:
@@ -156,33 +144,24 @@ def analyse_model(model: LinearModel, causality: str = "mixed") -> IsolabilityRe
     )
 
 
-def structure(model: LinearModel) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Incidence matrices of unknowns, faults and known signals, as the library codes them.
+def structural_isolability(model: LinearModel, causality: str) -> tuple[Mask, Mask]:
+    """Detectable faults (n,) and isolability (n, n), by structural analysis."""
+    from faultdiagnosistoolbox import DiagnosisModel  # takes seconds
 
-    The unknowns are states, derivatives of states, others; an equation x' = dx/dt for each state comes last.
-    """
+    # unknowns: states, derivatives of states, others; an equation x' = dx/dt for each state comes last
     count = len(model.states)
-    constraints = np.hstack([_DERIVED * np.eye(count), _DERIVATIVE * np.eye(count)])
-    own = np.hstack([model.A, model.E, model.B]) != 0.0
-    unknowns = np.zeros((len(own) + count, own.shape[1]), dtype=np.int64)
-    unknowns[: len(own)] = own
-    unknowns[len(own) :, : 2 * count] = constraints
+    used = np.hstack([model.A, model.E, model.B]) != 0.0
+    constraints = np.zeros((count, used.shape[1]))
+    constraints[:, : 2 * count] = np.hstack([_DERIVED * np.eye(count), _DERIVATIVE * np.eye(count)])
 
     def padded(matrix: NDArray[np.float64]) -> NDArray[np.int64]:
         return np.vstack([matrix != 0.0, np.zeros((count, matrix.shape[1]))]).astype(np.int64)
 
-    return unknowns, padded(model.F), padded(model.K)
-
-
-def structural_isolability(model: LinearModel, causality: str) -> tuple[Mask, Mask]:
-    """Detectable faults (n,) and isolability (n, n), by structural analysis."""
-    # imported here: it takes seconds
-    from faultdiagnosistoolbox import DiagnosisModel
-
-    unknowns, faults, known = structure(model)
     names = list(model.faults)
+    unknowns = np.vstack([used, constraints]).astype(np.int64)
     library_model = DiagnosisModel(
-        {"type": "MatrixStruc", "X": unknowns, "F": faults, "Z": known, "f": names}, name=model.name
+        {"type": "MatrixStruc", "X": unknowns, "F": padded(model.F), "Z": padded(model.K), "f": names},
+        name=model.name,
     )
     found, _ = library_model.DetectabilityAnalysis(causality=CAUSALITIES[causality])
     not_isolable = library_model.IsolabilityAnalysis(causality=CAUSALITIES[causality])

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
+import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
@@ -18,11 +17,7 @@ LEGEND = (
 
 _WORDS = {
     "motion": {"hover": "in hover", "turn": "in a steady turn"},
-    "actuators": {
-        "axes": "torques commanded",
-        "rotors": "rotors commanded",
-        "unknown": "torques not known",
-    },
+    "actuators": {"axes": "torques commanded", "rotors": "rotors commanded", "unknown": "torques not known"},
     "disturbances": {
         "faults": "disturbances to be told apart too",
         "unknown_inputs": "blind to disturbances",
@@ -44,23 +39,11 @@ def isolability_table(result: IsolabilityResult) -> Table:
     table.add_column("seen", justify="center", no_wrap=True)
     for number in range(1, len(result.faults) + 1):
         table.add_column(str(number), justify="right", no_wrap=True)
-    for row, fault in enumerate(result.faults):
-        seen = _mark(
-            bool(result.detectable[row]),
-            bool(result.rank_detectable[row]),
-            bool(result.strongly_detectable[row]),
-        )
-        told_apart = [
-            ITSELF
-            if column == row
-            else _mark(
-                bool(result.isolable[row, column]),
-                bool(result.rank_isolable[row, column]),
-                bool(result.strongly_isolable[row, column]),
-            )
-            for column in range(len(result.faults))
-        ]
-        table.add_row(str(row + 1), fault, seen, *told_apart)
+    seen = zip(result.detectable, result.rank_detectable, result.strongly_detectable, strict=True)
+    pairs = np.stack([result.isolable, result.rank_isolable, result.strongly_isolable], axis=-1)
+    for row, (fault, answers) in enumerate(zip(result.faults, seen, strict=True)):
+        marks = [ITSELF if column == row else _mark(*each) for column, each in enumerate(pairs[row])]
+        table.add_row(str(row + 1), fault, _mark(*answers), *marks)
     return table
 
 
@@ -68,11 +51,12 @@ def isolability_lines(result: IsolabilityResult) -> list[str]:
     """What was assumed, and what the matrix says, in lines of plain text."""
     assumed = [words[result.assumptions[key]] for key, words in _WORDS.items() if key in result.assumptions]
     lines = [f"{result.name}: {', '.join([*assumed, f'{result.causality} causality'])}"]
+    pairs = [" / ".join(pair) for pair in dict.fromkeys(tuple(sorted(pair)) for pair in result.cancelled)]
     for meaning, items in (
         ("cannot be detected", result.undetectable),
         ("detected only while they change", result.transient),
         ("cannot be told apart", [" / ".join(group) for group in result.groups]),
-        ("told apart by structure only, coefficients cancel", _pairs(result.cancelled)),
+        ("told apart by structure only, coefficients cancel", pairs),
     ):
         if items:
             lines.append(f"{meaning}: {', '.join(items)}")
@@ -87,8 +71,3 @@ def _mark(structure: bool, rank: bool, strong: bool) -> str:
     if not rank:
         return CANCELLED
     return LASTING if strong else CHANGING
-
-
-def _pairs(pairs: Sequence[tuple[str, str]]) -> list[str]:
-    """Each pair once, whichever way round it comes."""
-    return [f"{first} / {second}" for first, second in dict.fromkeys(tuple(sorted(pair)) for pair in pairs)]

@@ -3,31 +3,43 @@
 Conditions on gains: A1s and A-bar - L-bar C-bar Hurwitz, (18), (26), (28), (29); and what the paper does not
 say: leak of the estimate, drift by a gyro bias, the smallest ramp that can be told from such a drift.
 docs/theory.md derives the formulas.
+
+Along a recorded run, the Lyapunov functions (30) against (35):
+
+    V1 = z1~' P1 z1~,      V1' <= -2 eta_1 |P1 z1~|
+    V2 = z-bar~' P-bar z-bar~,   V2' <= -2 eta_2 |P-bar z-bar~|
+
+The observer is run again on what it was given; z1~ and z-bar~ = (z2~, z3~) are against the truth of the bag.
+P-bar solves the Lyapunov equation of A-bar - L-bar C-bar with Q = I. Why V2 need not fall: docs/theory.md.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
+from scipy.linalg import solve_continuous_lyapunov  # pyright: ignore[reportUnknownVariableType]
 
 from quadftc_fdi.fault_observers.sliding_mode import SlidingMode
+from quadftc_model.rotations import wrap
+from quadftc_model.samples import FaultObserverInputs, ImuSample, sanitised
+from quadftc_model.stepper import Stepper
 from quadftc_theory.conditions import (
+    DEG,
     Circumstances,
     Condition,
+    Floats,
     Trace,
     Verdict,
     conditions_along_of,
     conditions_of,
+    falls,
     verdict,
 )
-from quadftc_theory.decoupling import augment, decouple
-from quadftc_theory.linear_form import attitude_model
-from quadftc_theory.linear_systems import stable
-from quadftc_theory.lyapunov import sliding_mode_along
+from quadftc_theory.linear_model import attitude_model, augment, decouple, stable
 from quadftc_theory.structure_conditions import structure_conditions
 
-DEG = math.pi / 180.0
 HEALTHY_TIME = 20.0  # s; over which a gyro bias can be averaged before a fault comes
 DETECTED = 2.33 + 3.29  # 1; standard deviations: missed once in 100 times, reported falsely once in 1000
 NEGLIGIBLE_LEAK = 0.01  # 1; share of a fault that may leak away unnoticed while it lasts
@@ -37,13 +49,11 @@ NEGLIGIBLE_DRIFT = 0.05 * DEG  # rad; error of the estimate that counts as none 
 @conditions_of(SlidingMode)
 def sliding_mode_conditions(observer: SlidingMode, given: Circumstances) -> list[Condition]:
     """Judge the observer in the circumstances given."""
-    model = attitude_model(observer.vehicle.inertia)
     return [
-        *structure_conditions(model),
+        *structure_conditions(attitude_model(observer.vehicle.inertia)),
         _faultless_rates(given),
         *_hurwitz(observer),
-        _fault_bound(observer, given),
-        _disturbance_bound(observer, given),
+        *_bounds(observer, given),
         *_gains(observer, given),
         _leak(observer, given),
         _drift(observer, given),
@@ -53,8 +63,49 @@ def sliding_mode_conditions(observer: SlidingMode, given: Circumstances) -> list
 
 @conditions_along_of(SlidingMode)
 def lyapunov_conditions(observer: SlidingMode, trace: Trace, given: Circumstances) -> list[Condition]:
-    """Judge (35) along a recorded run."""
-    return sliding_mode_along(observer, trace, *gain_margins(observer, given))
+    """Judge (35) at every sample of a run. Without a margin it promises nothing, and V may not rise."""
+    eta_1, eta_2 = gain_margins(observer, given)
+    z1, z2, e3 = _errors(observer, trace)
+    size_1, p1 = np.linalg.norm(z1, axis=1), observer.p1
+    one_step = float(np.median(np.diff(trace.stamp_ns))) / 1e9 * (observer.xi + observer.epsilon_1)
+    name = "(35): V1' <= -2 eta_1 |P1 z1~| along the run"
+    required = -2.0 * max(eta_1, 0.0) * p1 * size_1
+    first = falls(name, p1 * np.sum(z1 * z1, axis=1), trace.stamp_ns, required, size_1 > one_step)
+
+    # P-bar of one axis: (A-bar - L-bar C-bar)' P + P (A-bar - L-bar C-bar) = -I, the same on each
+    closed = np.array([[0.0, -observer.L1], [1.0, -observer.L2]])
+    P = np.asarray(solve_continuous_lyapunov(closed.T, -np.eye(2)), np.float64)
+    z_bar = np.stack([z2, e3], axis=1)  # (n, 2, 3)
+    P_z = np.einsum("ij,njk->nik", P, z_bar)
+    V2, size = np.sum(z_bar * P_z, axis=(1, 2)), np.linalg.norm(e3, axis=1)
+    name = "(35): V2' <= -2 eta_2 |P-bar z-bar~| along the run"
+    required = -2.0 * max(eta_2, 0.0) * np.sqrt(np.sum(P_z * P_z, axis=(1, 2)))
+    second = falls(name, V2, trace.stamp_ns, required, size > observer.delta)
+
+    largest = float(np.degrees(np.nanmax(np.abs(z2)))) if np.any(np.isfinite(z2)) else float("nan")
+    layers = float(np.max(size)) / observer.delta
+    text = f"{second.text}; |e3| up to {layers:.3g} delta, angle error up to {largest:.3g} deg"
+    numbers = {**second.numbers, "largest_e3": float(np.max(size)), "largest_z2_deg": largest}
+    return [first, dataclasses.replace(second, text=text, numbers=numbers)]
+
+
+def _errors(observer: SlidingMode, trace: Trace) -> tuple[Floats, Floats, Floats]:
+    """z1~, z2~ and h3 - h3^ (n, 3) of every sample."""
+    stepper = Stepper[FaultObserverInputs, object](observer)  # pyright: ignore[reportArgumentType]
+    count = len(trace.stamp_ns)
+    z1, z2, e3 = (np.full((count, 3), np.nan) for _ in range(3))
+    torque, there = np.zeros(3), np.asarray(True)
+    for k in range(count):
+        sample = sanitised(ImuSample(trace.q_xyzw[k], trace.gyro[k], np.zeros(3), there, there, there))
+        if stepper.step(int(trace.stamp_ns[k]), FaultObserverInputs(sample, torque)) is None:
+            continue
+        state = stepper.state
+        z1[k] = trace.body_rate[k] - state.z1
+        z2[k] = wrap(trace.angles[k] - state.z2)
+        e3[k] = state.e3
+        if np.all(np.isfinite(trace.torque[k])):
+            torque = trace.torque[k]
+    return z1, z2, e3
 
 
 def leak_time_constant(observer: SlidingMode, fault: float = 0.0) -> float:
@@ -92,64 +143,6 @@ def kinematic_lipschitz(tilt: float, body_rate: float) -> float:
     return body_rate * math.hypot(by_pitch, by_roll)
 
 
-def _faultless_rates(given: Circumstances) -> Condition:
-    """h1 of (12) is the gyro: it may carry neither a fault nor a bias."""
-    name = "(12): h1, the gyro, without fault and bias"
-    bias = given.gyro_bias.value
-    if "gyro" in given.faulty_channels:
-        text = "the scenario puts a fault on the gyro: z1 and z2 are both wrong"
-        return Condition(name, Verdict.FAIL, text)
-    text = f"gyro bias up to {bias / DEG:.3g} deg/s ({given.gyro_bias.origin}), no fault on the gyro"
-    return Condition(name, verdict(bias == 0.0), text, {"gyro_bias": bias})
-
-
-def _hurwitz(observer: SlidingMode) -> list[Condition]:
-    A1s = -observer.a1 * np.eye(3)
-    P1 = observer.p1 * np.eye(3)
-    residual = float(np.max(np.abs(A1s.T @ P1 + P1 @ A1s + observer.q1 * np.eye(3))))
-    system = augment(decouple(attitude_model(observer.vehicle.inertia)))
-    L = np.vstack([observer.L1 * np.eye(3), observer.L2 * np.eye(3)])
-    poles = np.linalg.eigvals(system.A - L @ system.C)
-    found = sorted({f"{pole:.3g}" if abs(pole.imag) > 1e-9 else f"{pole.real:.3g}" for pole in poles})
-    return [
-        Condition(
-            "A1s Hurwitz, P1 > 0",
-            verdict(stable(A1s) and observer.p1 > 0.0 and residual < 1e-9 * observer.q1),
-            f"poles at {-observer.a1:.3g} rad/s; P1 = {observer.p1:.3g} I solves its Lyapunov equation",
-            {"poles": [-observer.a1] * 3, "p1": observer.p1, "residual": residual},
-        ),
-        Condition(
-            "A-bar - L-bar C-bar Hurwitz",
-            verdict(stable(system.A - L @ system.C)),
-            f"poles at {', '.join(found)} rad/s (each three times)",
-            {"poles": [[pole.real, pole.imag] for pole in poles]},
-        ),
-    ]
-
-
-def _fault_bound(observer: SlidingMode, given: Circumstances) -> Condition:
-    size = given.fault.value
-    text = f"epsilon_s = {observer.epsilon_s / DEG:.3g} deg, "
-    text += f"|f_s| up to {size / DEG:.3g} deg ({given.fault.origin})"
-    return Condition(
-        "(9), (19): epsilon_s >= |f_s|",
-        verdict(observer.epsilon_s >= size),
-        text,
-        {"epsilon_s": observer.epsilon_s, "fault": size},
-    )
-
-
-def _disturbance_bound(observer: SlidingMode, given: Circumstances) -> Condition:
-    size = given.disturbance.norm
-    text = f"xi = {observer.xi:.3g} rad/s², |Delta_d| up to {size:.3g} rad/s² ({given.disturbance.origin})"
-    return Condition(
-        "(18): xi >= |Delta_d|",
-        verdict(observer.xi >= size),
-        text,
-        {"xi": observer.xi, "disturbance": size},
-    )
-
-
 def gain_margins(observer: SlidingMode, given: Circumstances) -> tuple[float, float]:
     """eta_1 [rad/s²] of (28) and eta_2 [rad] of (29); a negative one: the gain is too small.
 
@@ -160,9 +153,72 @@ def gain_margins(observer: SlidingMode, given: Circumstances) -> tuple[float, fl
     return observer.epsilon_1, observer.epsilon_2 - _state_error(observer, given)
 
 
+def smallest_ramp(given: Circumstances) -> float:
+    """Slowest ramp [rad/s] that any observer can tell from a gyro bias, (T18) of docs/theory.md.
+
+    The gyro bias is averaged over ``HEALTHY_TIME``, the ramp over the length of the longest fault.
+    """
+    walk = given.gyro_noise.value
+    length = given.fault_length.value or HEALTHY_TIME
+    if walk == 0.0:
+        return 0.0
+    memory = given.attitude_noise.value * math.sqrt(given.dt) / walk  # s
+    variance = sum(walk**2 / span * (1.0 + 2.0 * memory / span) for span in (HEALTHY_TIME, length))
+    return DETECTED * math.sqrt(variance)
+
+
+def _state_error(observer: SlidingMode, given: Circumstances) -> float:
+    """Error of the angles [rad] that the gyro bias has built up by the end."""
+    return given.gyro_bias.value * drift(observer, given.duration)
+
+
+def _faultless_rates(given: Circumstances) -> Condition:
+    """h1 of (12) is the gyro: it may carry neither a fault nor a bias."""
+    name = "(12): h1, the gyro, without fault and bias"
+    bias = given.gyro_bias.value
+    if "gyro" in given.faulty_channels:
+        return Condition(
+            name, Verdict.FAIL, "the scenario puts a fault on the gyro: z1 and z2 are both wrong"
+        )
+    text = f"gyro bias up to {bias / DEG:.3g} deg/s ({given.gyro_bias.origin}), no fault on the gyro"
+    return Condition(name, verdict(bias == 0.0), text, {"gyro_bias": bias})
+
+
+def _hurwitz(observer: SlidingMode) -> list[Condition]:
+    a1, p1, eye = observer.a1, observer.p1, np.eye(3)
+    residual = float(np.max(np.abs((observer.q1 - 2.0 * a1 * p1) * eye)))
+    holds = stable(-a1 * eye) and p1 > 0.0 and residual < 1e-9 * observer.q1
+    first = f"poles at {-a1:.3g} rad/s; P1 = {p1:.3g} I solves its Lyapunov equation"
+    system = augment(decouple(attitude_model(observer.vehicle.inertia)))
+    closed = system.A - np.vstack([observer.L1 * eye, observer.L2 * eye]) @ system.C
+    poles = np.linalg.eigvals(closed)
+    found = sorted({f"{pole:.3g}" if abs(pole.imag) > 1e-9 else f"{pole.real:.3g}" for pole in poles})
+    second = f"poles at {', '.join(found)} rad/s (each three times)"
+    pairs = {"poles": [[pole.real, pole.imag] for pole in poles]}
+    numbers = {"poles": [-a1] * 3, "p1": p1, "residual": residual}
+    return [
+        Condition("A1s Hurwitz, P1 > 0", verdict(holds), first, numbers),
+        Condition("A-bar - L-bar C-bar Hurwitz", verdict(stable(closed)), second, pairs),
+    ]
+
+
+def _bounds(observer: SlidingMode, given: Circumstances) -> list[Condition]:
+    fault, bound = given.fault.value, observer.epsilon_s
+    of_fault = f"epsilon_s = {bound / DEG:.3g} deg, |f_s| up to {fault / DEG:.3g} deg ({given.fault.origin})"
+    size, xi = given.disturbance.norm, observer.xi
+    of_size = f"xi = {xi:.3g} rad/s², |Delta_d| up to {size:.3g} rad/s² ({given.disturbance.origin})"
+    numbers = {"epsilon_s": bound, "fault": fault}
+    return [
+        Condition("(9), (19): epsilon_s >= |f_s|", verdict(bound >= fault), of_fault, numbers),
+        Condition("(18): xi >= |Delta_d|", verdict(xi >= size), of_size, {"xi": xi, "disturbance": size}),
+    ]
+
+
 def _gains(observer: SlidingMode, given: Circumstances) -> list[Condition]:
     eta_1, eta_2 = gain_margins(observer, given)
-    error, lipschitz = _state_error(observer, given), _lipschitz(observer, given)
+    error, lipschitz = _state_error(observer, given), 0.0
+    if observer.kinematics == "full":
+        lipschitz = kinematic_lipschitz(given.tilt.value, given.body_rate.value)
     text_28 = (
         f"epsilon_1 = {observer.epsilon_1:.3g} rad/s² > 0: A2-bar = 0 and f comes from the measured rate, so "
         f"the error of the angles does not enter; eta_1 = {eta_1:.3g} rad/s²"
@@ -179,17 +235,6 @@ def _gains(observer: SlidingMode, given: Circumstances) -> list[Condition]:
         Condition("(28): epsilon_1", verdict(eta_1 > 0.0), text_28, {"eta_1": eta_1}),
         Condition("(29), corrected: epsilon_2 > |z2~|", verdict(eta_2 > 0.0), text_29, numbers),
     ]
-
-
-def _lipschitz(observer: SlidingMode, given: Circumstances) -> float:
-    if observer.kinematics != "full":
-        return 0.0
-    return kinematic_lipschitz(given.tilt.value, given.body_rate.value)
-
-
-def _state_error(observer: SlidingMode, given: Circumstances) -> float:
-    """Error of the angles [rad] that the gyro bias has built up by the end."""
-    return given.gyro_bias.value * drift(observer, given.duration)
 
 
 def _leak(observer: SlidingMode, given: Circumstances) -> Condition:
@@ -212,27 +257,8 @@ def _drift(observer: SlidingMode, given: Circumstances) -> Condition:
         f"{each:.3g} deg after {given.duration:.3g} s for each deg/s of gyro bias; up to "
         f"{error / DEG:.3g} deg with {given.gyro_bias.value / DEG:.3g} deg/s"
     )
-    return Condition(
-        "drift by a gyro bias",
-        verdict(error <= NEGLIGIBLE_DRIFT),
-        text,
-        {"per_bias": each, "error": error},
-    )
-
-
-def smallest_ramp(given: Circumstances) -> float:
-    """Slowest ramp [rad/s] that any observer can tell from a gyro bias, (T18) of docs/theory.md.
-
-    The gyro bias is averaged over ``HEALTHY_TIME``, the ramp over the length of the longest fault.
-    """
-    walk = given.gyro_noise.value
-    length = given.fault_length.value or HEALTHY_TIME
-    if walk == 0.0:
-        return 0.0
-    memory = given.attitude_noise.value * math.sqrt(given.dt) / walk  # s
-    spans = (HEALTHY_TIME, length)
-    variance = sum(walk**2 / span * (1.0 + 2.0 * memory / span) for span in spans)
-    return DETECTED * math.sqrt(variance)
+    numbers = {"per_bias": each, "error": error}
+    return Condition("drift by a gyro bias", verdict(error <= NEGLIGIBLE_DRIFT), text, numbers)
 
 
 def _smallest_ramp(given: Circumstances) -> Condition:

@@ -1,5 +1,5 @@
 # pyright: basic
-"""The equations of a multirotor and its sensors, as :mod:`quadftc_theory.isolability` analyses them.
+"""The equations of a multirotor and its sensors for fault diagnosis: what is known, where faults come in.
 
 The unknowns are the state (angles, body rate, velocity), the torque, the thrust over mass, the specific force
 and what disturbs them; known are the outputs of the sensors and the commands. Every sensor axis and every
@@ -15,26 +15,18 @@ w:
 
 from __future__ import annotations
 
-import functools
+import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from quadftc_model.samples import STANDARD_GRAVITY
+from quadftc_model.samples import AXES, STANDARD_GRAVITY
 from quadftc_model.vehicle import Vehicle
-from quadftc_theory.structural_model import (
-    ANGLES,
-    EULER,
-    FORCE,
-    RATES,
-    SENSORS,
-    VELOCITY,
-    Assumptions,
-    LinearModel,
-    linearised,
-)
+
+COEFFICIENT_ZERO = 1e-12  # 1; a coefficient below it, among values of order 1, is rounding
 
 # 1/s, drag over mass along body x, y, z. Estimate for the Qball-X4 by the rotor coefficients in its TOML
 # file: 4 x 8.06e-5 N s²/(m rad) x 445 rad/s / 1.4 kg, and 4 x 0.16 N s/m / 1.4 kg. They are to be positive;
@@ -43,7 +35,136 @@ DRAG = (0.10, 0.10, 0.46)
 TURN_RATE = 0.6  # rad/s, of the steady turn
 TURN_ROLL, TURN_PITCH = 0.25, -0.15  # rad, in the steady turn
 
-TORQUE, WIND = ("tau_x", "tau_y", "tau_z"), ("w_x", "w_y", "w_z")
+ANGLES, RATES, BODY = ("phi", "theta", "psi"), ("p", "q", "r"), ("x", "y", "z")
+VELOCITY, FORCE, TORQUE, WIND = (tuple(f"{name}_{axis}" for axis in BODY) for name in ("v", "f", "tau", "w"))
+STATES = (*ANGLES, *RATES, *VELOCITY)
+
+#: Sensors by name: the label of each axis, and the unknown that it measures.
+SENSORS: Mapping[str, Mapping[str, str]] = {
+    "attitude": dict(zip(AXES, ANGLES, strict=True)),
+    "gyro": dict(zip(AXES, RATES, strict=True)),
+    "accelerometer": dict(zip(BODY, FORCE, strict=True)),
+    "second_attitude": dict(zip(AXES, ANGLES, strict=True)),
+    "second_gyro": dict(zip(AXES, RATES, strict=True)),
+    "heading": {"yaw": "psi"},
+    "velocity": dict(zip(BODY, VELOCITY, strict=True)),
+}
+
+_CHOICES = {
+    "motion": ("hover", "turn"),
+    "actuators": ("axes", "rotors", "unknown"),
+    "disturbances": ("faults", "unknown_inputs", "absent"),
+    "air": ("still", "wind", "no_drag"),
+}
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Assumptions:
+    """What is measured, what is known and what disturbs; ValueError if a name is unknown.
+
+    Parameters
+    ----------
+    sensor_set : sequence of str
+        Names out of `SENSORS`; kept in the order of that table.
+    motion : str
+        ``hover``: terms of second order vanish, the axes are decoupled. ``turn``: a steady banked turn, in
+        which attitude, rates and velocity are coupled.
+    actuators : str
+        ``axes``: the torque about each axis is commanded, and each can fail; the thrust is not known.
+        ``rotors``: the command of each rotor is known, and each can fail. ``unknown``: torques are not known.
+    disturbances : str
+        Torques about the body axes: ``faults`` to be told apart from all others, ``unknown_inputs`` that
+        every residual has to be blind to, or ``absent``.
+    air : str
+        ``still``: linear drag in still air. ``wind``: linear drag in an unknown wind on each axis.
+        ``no_drag``: the thrust is the only force besides the weight.
+    """
+
+    sensor_set: Sequence[str] = ("attitude", "gyro")
+    motion: str = "hover"
+    actuators: str = "axes"
+    disturbances: str = "faults"
+    air: str = "still"
+
+    def __post_init__(self) -> None:
+        """Check the names."""
+        given = [self.sensor_set] if isinstance(self.sensor_set, str) else list(self.sensor_set)
+        for name in given:
+            if name not in SENSORS:
+                raise ValueError(f"sensor_set: '{name}' is none of {', '.join(SENSORS)}")
+        if not given or len(set(given)) < len(given):
+            raise ValueError(f"sensor_set = {given}: expected at least one sensor, each once")
+        object.__setattr__(self, "sensor_set", tuple(name for name in SENSORS if name in given))
+        for field, choices in _CHOICES.items():
+            if getattr(self, field) not in choices:
+                raise ValueError(f"{field} = {getattr(self, field)!r}: expected one of {', '.join(choices)}")
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class LinearModel:
+    """Equations 0 = E x' + A x + B w + F f + K z, linear around one motion, and with that their structure.
+
+    The states x are the unknowns of which derivatives appear, w the other unknowns, f the faults and z the
+    known signals. A fault must be in exactly one equation, as the structural analysis asks: else ValueError.
+    """
+
+    name: str
+    states: tuple[str, ...]
+    unknowns: tuple[str, ...]
+    faults: tuple[str, ...]
+    known: tuple[str, ...]
+    E: NDArray[np.float64]  # (equations, states)
+    A: NDArray[np.float64]  # (equations, states)
+    B: NDArray[np.float64]  # (equations, unknowns)
+    F: NDArray[np.float64]  # (equations, faults)
+    K: NDArray[np.float64]  # (equations, known)
+
+    def __post_init__(self) -> None:
+        """Check the faults."""
+        for fault, count in zip(self.faults, np.count_nonzero(self.F, axis=0), strict=True):
+            if count != 1:
+                raise ValueError(f"{self.name}: fault '{fault}' is in {count} equations, expected 1")
+
+
+def linearised(
+    name: str,
+    equations: Sequence[Any],
+    *,
+    states: Sequence[str],
+    unknowns: Sequence[str],
+    faults: Sequence[str],
+    known: Sequence[str],
+    point: Mapping[str, float],
+) -> LinearModel:
+    """Linear model of symbolic equations around a point.
+
+    Parameters
+    ----------
+    name : str
+        What the model is of.
+    equations : sequence of sympy.Expr
+        Each is zero in the absence of faults; the derivative of state ``x`` is the symbol ``dx``.
+    states, unknowns, faults, known : sequence of str
+        Names of the symbols.
+    point : mapping of str to float
+        Values of all symbols that are left in the derivatives of the equations.
+    """
+    import sympy
+
+    values = {sympy.Symbol(symbol): value for symbol, value in point.items()}
+
+    def coefficients(names: Sequence[str]) -> NDArray[np.float64]:
+        if not names:
+            return np.zeros((len(equations), 0))
+        jacobian = sympy.Matrix(list(equations)).jacobian([sympy.Symbol(symbol) for symbol in names])
+        dense = np.array(jacobian.subs(values).tolist(), dtype=np.float64)
+        return np.where(np.abs(dense) < COEFFICIENT_ZERO, 0.0, dense)
+
+    named: dict[str, Any] = {"states": states, "unknowns": unknowns, "faults": faults, "known": known}
+    matrices = {"E": [f"d{state}" for state in states], "A": states, "B": unknowns, "F": faults, "K": known}
+    fields: dict[str, Any] = {field: tuple(names) for field, names in named.items()}
+    fields |= {field: coefficients(names) for field, names in matrices.items()}
+    return LinearModel(name=name, **fields)
 
 
 def vehicle_model(
@@ -53,20 +174,38 @@ def vehicle_model(
 
     The faults come in the order sensors, actuators, disturbances; each name is the part and the axis.
     """
-    builder = _Builder(vehicle, assumptions)
+    rotors = range(1, len(vehicle.rotors.positions) + 1)
+    commands = [f"c_{number}" for number in rotors] if assumptions.actuators == "rotors" else []
+    actuators = {
+        "axes": [f"actuator {axis}" for axis in AXES],
+        "rotors": [f"rotor {number}" for number in rotors],
+        "unknown": [],
+    }[assumptions.actuators]
+    disturbances = [f"disturbance {axis}" for axis in AXES]
+    role = assumptions.disturbances
+    sensors = {
+        f"{sensor.replace('_', ' ')} {axis}": measured
+        for sensor in assumptions.sensor_set
+        for axis, measured in SENSORS[sensor].items()
+    }
+    outputs = _vector([f"y {name}" for name in sensors])
     return linearised(
         f"{vehicle.name}, {'+'.join(assumptions.sensor_set)}",
         [
-            *builder.kinematics(),
-            *builder.rotation(),
-            *builder.translation(),
-            *builder.actuation(),
-            *builder.measurements(),
+            *_kinematics(),
+            *_rotation(vehicle, [] if role == "absent" else disturbances),
+            *_translation(assumptions.air),
+            *_actuation(vehicle, actuators, commands),
+            *(outputs - _vector(list(sensors.values())) - _vector(list(sensors))),
         ],
-        states=[*ANGLES, *RATES, *VELOCITY],
-        unknowns=builder.unknowns,
-        faults=builder.faults,
-        known=builder.known,
+        states=STATES,
+        unknowns=[
+            *(*TORQUE, "thrust", *FORCE, *commands),
+            *(WIND if assumptions.air == "wind" else ()),
+            *(disturbances if role == "unknown_inputs" else ()),
+        ],
+        faults=[*sensors, *actuators, *(disturbances if role == "faults" else ())],
+        known=[*(f"y {name}" for name in sensors), *(f"u {name}" for name in actuators)],
         point=motion_point(vehicle, assumptions) if point is None else point,
     )
 
@@ -85,7 +224,7 @@ def motion_point(vehicle: Vehicle, assumptions: Assumptions) -> dict[str, float]
     drag = np.diag(np.zeros(3) if assumptions.air == "no_drag" else DRAG)
     cross = np.array([[0.0, -rate[2], rate[1]], [rate[2], 0.0, -rate[0]], [-rate[1], rate[0], 0.0]])
     velocity = np.linalg.lstsq(drag + cross, thrust - STANDARD_GRAVITY * up, rcond=None)[0]
-    values = dict.fromkeys([f"d{name}" for name in (*ANGLES, *RATES, *VELOCITY)], 0.0)
+    values = dict.fromkeys([f"d{name}" for name in STATES], 0.0)
     values |= {"phi": phi, "theta": theta, "psi": 0.0, "dpsi": turn, "thrust": float(thrust[2])}
     for names, vector in (
         (RATES, rate),
@@ -98,114 +237,63 @@ def motion_point(vehicle: Vehicle, assumptions: Assumptions) -> dict[str, float]
     return values
 
 
-class _Builder:
-    """The symbolic equations of a vehicle; each is zero without faults."""
-
-    def __init__(self, vehicle: Vehicle, assumptions: Assumptions) -> None:
-        self._vehicle = vehicle
-        self._assumptions = assumptions
-        rotors = range(1, len(vehicle.rotors.positions) + 1) if assumptions.actuators == "rotors" else ()
-        axes = EULER if assumptions.actuators == "axes" else ()
-        self._rotor_commands = [f"c_{number}" for number in rotors]
-        self._actuators = [*(f"actuator {axis}" for axis in axes), *(f"rotor {number}" for number in rotors)]
-        self._disturbances = [f"disturbance {axis}" for axis in EULER]
-        self._sensors = {
-            f"{sensor.replace('_', ' ')} {axis}": measured
-            for sensor in assumptions.sensor_set
-            for axis, measured in SENSORS[sensor].items()
-        }
-
-    @functools.cached_property
-    def unknowns(self) -> list[str]:
-        """Unknowns of which no derivative appears."""
-        wind = WIND if self._assumptions.air == "wind" else ()
-        decoupled = self._disturbances if self._assumptions.disturbances == "unknown_inputs" else ()
-        return [*TORQUE, "thrust", *FORCE, *self._rotor_commands, *wind, *decoupled]
-
-    @functools.cached_property
-    def faults(self) -> list[str]:
-        """Faults, and disturbances that are to be told apart like them."""
-        told_apart = self._disturbances if self._assumptions.disturbances == "faults" else ()
-        return [*self._sensors, *self._actuators, *told_apart]
-
-    @functools.cached_property
-    def known(self) -> list[str]:
-        """Outputs of the sensors, and commands."""
-        return [*(f"y {name}" for name in self._sensors), *(f"u {name}" for name in self._actuators)]
-
-    def kinematics(self) -> list[Any]:
-        """(4): the Euler angle rates by the body rate."""
-        import sympy
-
-        phi, theta, p, q, r, *rates = _symbols(["phi", "theta", *RATES, *(f"d{name}" for name in ANGLES)])
-        across = (sympy.sin(phi) * q + sympy.cos(phi) * r) / sympy.cos(theta)
-        return [
-            rates[0] - (p + sympy.sin(theta) * across),
-            rates[1] - (sympy.cos(phi) * q - sympy.sin(phi) * r),
-            rates[2] - across,
-        ]
-
-    def rotation(self) -> list[Any]:
-        """(1), (2): the angular acceleration by torque, drag, the body's own rotation and the disturbance."""
-        omega, torque = _vector(RATES), _vector(TORQUE)
-        inertia, drag = self._vehicle.inertia.tolist(), self._vehicle.rotational_drag.tolist()
-        own = omega.cross(_diagonal(inertia) * omega)
-        total = torque - _diagonal(drag) * omega - own
-        acceleration = _diagonal(inertia).inv() * total
-        if self._assumptions.disturbances != "absent":
-            acceleration += _vector(self._disturbances)
-        return list(_vector([f"d{name}" for name in RATES]) - acceleration)
-
-    def translation(self) -> list[Any]:
-        """The velocity by the specific force, and the specific force by thrust and drag."""
-        import sympy
-
-        phi, theta, thrust = _symbols(["phi", "theta", "thrust"])
-        omega, velocity, force = _vector(RATES), _vector(VELOCITY), _vector(FORCE)
-        up = [-sympy.sin(theta), sympy.sin(phi) * sympy.cos(theta), sympy.cos(phi) * sympy.cos(theta)]
-        change = _vector([f"d{name}" for name in VELOCITY])
-        air = self._assumptions.air
-        speed = velocity - _vector(WIND) if air == "wind" else velocity
-        drag = _diagonal((0, 0, 0) if air == "no_drag" else DRAG)
-        return [
-            *(change - (force - omega.cross(velocity) - STANDARD_GRAVITY * sympy.Matrix(up))),
-            *(force - (sympy.Matrix([0, 0, thrust]) - drag * speed)),
-        ]
-
-    def actuation(self) -> list[Any]:
-        """The torques, and the thrust over mass where it is known, by the commands."""
-        import sympy
-
-        if not self._actuators:
-            return []
-        torque = _vector(TORQUE)
-        acting = _vector([f"u {name}" for name in self._actuators]) + _vector(self._actuators)
-        if not self._rotor_commands:
-            return list(torque - acting)
-        commands = _vector(self._rotor_commands)
-        thrust_row = np.full((1, len(commands)), self._vehicle.rotors.thrust_gain / self._vehicle.mass)
-        mixer = sympy.Matrix(np.vstack([self._vehicle.mixer, thrust_row]).tolist())
-        return [*(commands - acting), *(_vector([*TORQUE, "thrust"]) - mixer * commands)]
-
-    def measurements(self) -> list[Any]:
-        """Every sensor axis: output = unknown + fault."""
-        outputs = _vector([f"y {name}" for name in self._sensors])
-        return list(outputs - _vector(list(self._sensors.values())) - _vector(list(self._sensors)))
-
-
-def _symbols(names: Sequence[str]) -> list[Any]:
+def _kinematics() -> list[Any]:
+    """(4): the Euler angle rates by the body rate."""
     import sympy
 
-    return [sympy.Symbol(name) for name in names]
+    phi, theta, p, q, r, *rates = _vector(["phi", "theta", *RATES, *(f"d{name}" for name in ANGLES)])
+    across = (sympy.sin(phi) * q + sympy.cos(phi) * r) / sympy.cos(theta)
+    return [
+        rates[0] - (p + sympy.sin(theta) * across),
+        rates[1] - (sympy.cos(phi) * q - sympy.sin(phi) * r),
+        rates[2] - across,
+    ]
+
+
+def _rotation(vehicle: Vehicle, disturbances: Sequence[str]) -> list[Any]:
+    """(1), (2): the angular acceleration by torque, drag, the body's own rotation and the disturbance."""
+    import sympy
+
+    omega = _vector(RATES)
+    inertia, drag = sympy.diag(*vehicle.inertia.tolist()), sympy.diag(*vehicle.rotational_drag.tolist())
+    acceleration = inertia.inv() * (_vector(TORQUE) - drag * omega - omega.cross(inertia * omega))
+    if disturbances:
+        acceleration += _vector(disturbances)
+    return list(_vector([f"d{name}" for name in RATES]) - acceleration)
+
+
+def _translation(air: str) -> list[Any]:
+    """The velocity by the specific force, and the specific force by thrust and drag."""
+    import sympy
+
+    phi, theta, thrust = _vector(["phi", "theta", "thrust"])
+    omega, velocity, force = _vector(RATES), _vector(VELOCITY), _vector(FORCE)
+    up = [-sympy.sin(theta), sympy.sin(phi) * sympy.cos(theta), sympy.cos(phi) * sympy.cos(theta)]
+    speed = velocity - _vector(WIND) if air == "wind" else velocity
+    drag = sympy.diag(*((0, 0, 0) if air == "no_drag" else DRAG))
+    change = _vector([f"d{name}" for name in VELOCITY])
+    return [
+        *(change - (force - omega.cross(velocity) - STANDARD_GRAVITY * sympy.Matrix(up))),
+        *(force - (sympy.Matrix([0, 0, thrust]) - drag * speed)),
+    ]
+
+
+def _actuation(vehicle: Vehicle, actuators: Sequence[str], commands: Sequence[str]) -> list[Any]:
+    """The torques, and the thrust over mass where it is known, by the commands."""
+    import sympy
+
+    if not actuators:
+        return []
+    acting = _vector([f"u {name}" for name in actuators]) + _vector(actuators)
+    if not commands:
+        return list(_vector(TORQUE) - acting)
+    thrust_row = np.full((1, len(commands)), vehicle.rotors.thrust_gain / vehicle.mass)
+    mixer = sympy.Matrix(np.vstack([vehicle.mixer, thrust_row]).tolist())
+    given = _vector(commands)
+    return [*(given - acting), *(_vector([*TORQUE, "thrust"]) - mixer * given)]
 
 
 def _vector(names: Sequence[str]) -> Any:
     import sympy
 
-    return sympy.Matrix(_symbols(names))
-
-
-def _diagonal(values: Sequence[float]) -> Any:
-    import sympy
-
-    return sympy.diag(*values)
+    return sympy.Matrix([sympy.Symbol(name) for name in names])

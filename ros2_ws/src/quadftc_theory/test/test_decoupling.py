@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from quadftc_theory.decoupling import augment, decouple
-from quadftc_theory.linear_form import AffineModel, attitude_model
+from quadftc_theory.linear_model import AffineModel, attitude_model, augment, decouple
 
 INERTIA = np.array([0.03, 0.03, 0.04])
 

@@ -20,8 +20,15 @@ from quadftc_theory.isolability import (
     strong_isolability,
     structural_isolability,
 )
-from quadftc_theory.structural_model import SENSORS, Assumptions, linearised
-from quadftc_theory.vehicle_equations import STANDARD_GRAVITY, TURN_RATE, motion_point, vehicle_model
+from quadftc_theory.vehicle_equations import (
+    SENSORS,
+    STANDARD_GRAVITY,
+    TURN_RATE,
+    Assumptions,
+    linearised,
+    motion_point,
+    vehicle_model,
+)
 
 QBALL = load_vehicle("qball_x4")
 AXES = ("roll", "pitch", "yaw")

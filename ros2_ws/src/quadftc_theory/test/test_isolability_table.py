@@ -17,7 +17,7 @@ from quadftc_theory.isolability_table import (
     isolability_lines,
     isolability_table,
 )
-from quadftc_theory.structural_model import Assumptions
+from quadftc_theory.vehicle_equations import Assumptions
 
 SMALL = IsolabilityResult(
     name="made up",

@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 
 from quadftc_theory.conditions import Verdict
-from quadftc_theory.linear_form import AffineModel, attitude_model
-from quadftc_theory.linear_systems import invariant_zeros, stable, unobservable_modes, zero_directions
+from quadftc_theory.linear_model import (
+    AffineModel,
+    attitude_model,
+    invariant_zeros,
+    stable,
+    unobservable_modes,
+    zero_directions,
+)
 from quadftc_theory.structure_conditions import structure_conditions
 
 INERTIA = np.array([0.03, 0.03, 0.04])

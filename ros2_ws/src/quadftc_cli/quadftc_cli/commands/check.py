@@ -114,7 +114,7 @@ def _isolability(vehicle: str, sensors: str, as_json: bool) -> None:
     """Print the matrices: disturbances to be told apart, and disturbances that every residual is blind to."""
     from quadftc_theory.isolability import analyse
     from quadftc_theory.isolability_table import LEGEND, isolability_lines, isolability_table
-    from quadftc_theory.structural_model import Assumptions
+    from quadftc_theory.vehicle_equations import Assumptions
 
     names = tuple(name.strip() for name in sensors.split(",") if name.strip())
     results = [

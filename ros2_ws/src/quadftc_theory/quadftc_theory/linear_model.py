@@ -1,0 +1,220 @@
+# pyright: basic
+"""The affine model (6) of Wang, Huang and Zhang (2021), its zeros, and Lemma 1 for any choice of outputs.
+
+    (6)  x' = A x + D f(x) + B u + W Delta_d,   y = C x + F f_s,   x = [angles, body rate]
+
+The paper takes the angles alone as its output and leaves W open. Here W = [0; I]: disturbances are angular
+accelerations. With the output of an IMU message, y = [angles; body rate].
+
+Lemma 1 splits the model where disturbances and faults part:
+
+    (10)  z = T x,  h = S y
+    (11)  S C T^-1 = [C1 0; 0 C4],  S F = [0; F2],  T W = [W1; 0]
+
+The first part is moved by disturbances and measured without fault; the second is free of disturbances and
+measured with the faults. The paper states the lemma under Assumption 1, rank(C W) = rank(W). That is not
+enough: the rows S1 must be blind to F and still see all of C W, which asks for
+
+    rank [C W, F] = rank(W) + rank(F),
+
+and p - r >= q follows. Construction: N with N F = 0 (its rows span the left null space), S1 = (N C W)^+ N, S2
+the left null space of C W, T1 = S1 C, T2 the left null space of W. Then C1 = I, and W1 = I where W has full
+column rank (else a basis of its columns stands for W).
+
+Invariant zeros come from SLICOT (routine AB08ND, after Emami-Naeini and Van Dooren, 1982), which takes
+systems that are not square, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import eig, null_space, orth, qr
+
+Matrix = NDArray[np.float64]
+
+ANGLES = ("roll", "pitch", "yaw")
+OUTPUTS = {"angles": ANGLES, "imu": (*ANGLES, "p", "q", "r")}
+TOLERANCE = 1e-9  # relative to the largest singular value; matrices here are of order one
+
+
+class AffineModel(NamedTuple):
+    """The matrices of (6)."""
+
+    A: Matrix  # (n, n)
+    B: Matrix  # (n, m)
+    D: Matrix  # (n, s)
+    W: Matrix  # (n, r)
+    C: Matrix  # (p, n)
+    F: Matrix  # (p, q)
+    output_names: tuple[str, ...]  # (p,)
+    fault_names: tuple[str, ...]  # (q,)
+
+
+class Decoupled(NamedTuple):
+    """The blocks of (11)-(13)."""
+
+    T: Matrix  # (n, n)
+    S: Matrix  # (p, p)
+    A1: Matrix  # (r, r)
+    A2: Matrix  # (r, n - r)
+    A3: Matrix  # (n - r, r)
+    A4: Matrix  # (n - r, n - r)
+    B1: Matrix  # (r, m)
+    B2: Matrix  # (n - r, m)
+    D1: Matrix  # (r, s)
+    D2: Matrix  # (n - r, s)
+    C1: Matrix  # (r, r)
+    C4: Matrix  # (p - r, n - r)
+    F2: Matrix  # (p - r, q)
+    W1: Matrix  # (r, disturbances)
+    residual: float  # largest element of the blocks that (11) wants to be zero
+
+
+class Augmented(NamedTuple):
+    """The second part with z3 = int h2 as a state (14)."""
+
+    A: Matrix  # A-bar (n + p - 2 r, n + p - 2 r)
+    F: Matrix  # F-bar (..., q)
+    C: Matrix  # C-bar (p - r, ...)
+
+
+class Zeros(NamedTuple):
+    """Invariant zeros of (A, F, C)."""
+
+    values: NDArray[np.complex128]  # (k,) [rad/s]
+    normal_rank: int  # of the transfer matrix C (s I - A)^-1 F
+
+
+def attitude_model(inertia: Matrix, output: str = "imu", faulty: Sequence[str] = ANGLES) -> AffineModel:
+    """Return (6)-(7) for a vehicle; ValueError if there is no such output.
+
+    Parameters
+    ----------
+    inertia : array (3,)
+        Principal moments [kg m²].
+    output : str
+        ``imu``: angles and body rate; ``angles``: the angles alone, the paper's own choice.
+    faulty : sequence of str
+        The outputs with a fault: roll, pitch, yaw, p, q, r.
+    """
+    if output not in OUTPUTS:
+        raise ValueError(f"output = {output!r}: expected one of {', '.join(OUTPUTS)}")
+    names = OUTPUTS[output]
+    unknown = [name for name in faulty if name not in names]
+    if unknown:
+        raise ValueError(f"faulty = {unknown[0]!r}: the outputs are {', '.join(names)}")
+    zeros, eye = np.zeros((3, 3)), np.eye(3)
+    jx, jy, jz = inertia
+    gyroscopic = np.diag([(jy - jz) / jx, (jz - jx) / jy, (jx - jy) / jz])
+    return AffineModel(
+        A=np.block([[zeros, eye], [zeros, zeros]]),
+        B=np.vstack([zeros, np.diag(1.0 / np.asarray(inertia))]),
+        D=np.vstack([zeros, gyroscopic]),
+        W=np.vstack([zeros, eye]),
+        C=np.eye(6)[: len(names)],
+        F=np.eye(len(names))[:, [names.index(name) for name in faulty]],
+        output_names=names,
+        fault_names=tuple(faulty),
+    )
+
+
+def decouple(model: AffineModel) -> Decoupled:
+    """Compute the transformation of Lemma 1; ValueError, with the rank that fails, if there is none."""
+    A, B, D, W, C, F = model[:6]
+    r, q = rank(W), rank(F)
+    CW = C @ W
+    if rank(CW) < r:
+        raise ValueError(
+            f"rank(C W) = {rank(CW)} < rank(W) = {r}: outputs do not see every disturbance at once"
+        )
+    together = rank(np.hstack([CW, F]))
+    if together < r + q:
+        raise ValueError(
+            f"rank [C W, F] = {together} < rank(W) + rank(F) = {r + q}: a fault looks like a disturbance"
+        )
+    N = _left_null_space(F)
+    basis_of_W = _reduced(orth(W, rcond=TOLERANCE).T).T
+    S1 = np.linalg.pinv(N @ C @ basis_of_W) @ N
+    S = np.vstack([S1, _left_null_space(CW)])
+    T = np.vstack([S1 @ C, _left_null_space(W)])
+    T_inverse = np.linalg.inv(T)
+    TAT, TB, TD, TW = T @ A @ T_inverse, T @ B, T @ D, T @ W
+    SCT, SF = S @ C @ T_inverse, S @ F
+    zero = (SCT[:r, r:], SCT[r:, :r], SF[:r], TW[r:])
+    residual = max((float(np.max(np.abs(block))) for block in zero if block.size), default=0.0)
+    return Decoupled(
+        *(T, S, TAT[:r, :r], TAT[:r, r:], TAT[r:, :r], TAT[r:, r:], TB[:r], TB[r:], TD[:r], TD[r:]),
+        *(SCT[:r, :r], SCT[r:, r:], SF[r:], TW[:r], residual),
+    )
+
+
+def augment(parts: Decoupled) -> Augmented:
+    """Return the augmented system (14)."""
+    n2, m2 = len(parts.A4), len(parts.C4)
+    return Augmented(
+        A=np.block([[parts.A4, np.zeros((n2, m2))], [parts.C4, np.zeros((m2, m2))]]),
+        F=np.vstack([np.zeros((n2, parts.F2.shape[1])), parts.F2]),
+        C=np.hstack([np.zeros((m2, n2)), np.eye(m2)]),
+    )
+
+
+def rank(matrix: Matrix) -> int:
+    """Numerical rank; 0 for a matrix without rows or columns."""
+    if matrix.size == 0:
+        return 0
+    singular = np.linalg.svd(matrix, compute_uv=False)
+    return int(np.sum(singular > TOLERANCE * max(1.0, singular[0])))
+
+
+def stable(A: Matrix) -> bool:
+    """Whether A is Hurwitz: every eigenvalue in the open left half-plane."""
+    return bool(np.all(np.linalg.eigvals(A).real < -TOLERANCE))
+
+
+def unobservable_modes(A: Matrix, C: Matrix) -> Matrix:
+    """Eigenvalues of A that C does not see: rank [A - s I; C] < n (Popov, Belevitch, Hautus)."""
+    n = len(A)
+    return np.array([s for s in np.linalg.eigvals(A) if rank(np.vstack([A - s * np.eye(n), C])) < n])
+
+
+def invariant_zeros(A: Matrix, F: Matrix, C: Matrix) -> Zeros:
+    """Where the pencil [A - s I, F; C, 0] loses rank: inputs exp(s t) that leave no trace in the output.
+
+    Parameters
+    ----------
+    A, F, C : array (n, n), (n, q), (p, n)
+    """
+    from slycot import ab08nd  # a second to load
+
+    n, q, p = len(A), F.shape[1], len(C)
+    finite, normal_rank, _, _, _, _, _, _, pencil_a, pencil_b = ab08nd(n, q, p, A, F, C, np.zeros((p, q)))
+    values = eig(pencil_a[:finite, :finite], pencil_b[:finite, :finite], right=False)
+    return Zeros(np.sort_complex(np.asarray(values, np.complex128)), int(normal_rank))
+
+
+def zero_directions(A: Matrix, F: Matrix, C: Matrix, s: complex) -> Matrix:
+    """Inputs (k, q) of the zero directions at s: faults f exp(s t) with a state that hides them."""
+    n, q, p = len(A), F.shape[1], len(C)
+    pencil = np.block([[A - s * np.eye(n), F], [C, np.zeros((p, q))]])
+    return null_space(pencil, rcond=TOLERANCE)[n:].T
+
+
+def _left_null_space(matrix: Matrix) -> Matrix:
+    """Rows N (p - rank, p) with N matrix = 0, in a form with as many ones and zeros as can be."""
+    p, q = matrix.shape
+    return _reduced(np.eye(p) if q == 0 else null_space(matrix.T, rcond=TOLERANCE).T)
+
+
+def _reduced(rows: Matrix) -> Matrix:
+    """The same row space in reduced form, pivots chosen for a good condition."""
+    count = len(rows)
+    if count == 0:
+        return rows
+    pivots = np.sort(qr(rows, mode="economic", pivoting=True)[2][:count])
+    reduced = np.linalg.solve(rows[:, pivots], rows)
+    reduced[np.abs(reduced) < TOLERANCE] = 0.0
+    return np.asarray(reduced, np.float64)
