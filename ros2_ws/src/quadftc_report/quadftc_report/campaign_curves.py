@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,8 +20,7 @@ from quadftc_report.wording import counted, listing, plain, short
 HEIGHT = 380  # px
 LEGEND_ROW = 23  # px
 IN_A_ROW = 3  # entries of a legend, about
-EVEN, TAIL = 400, 100  # points of a distribution: all along, and besides towards the largest values
-POINTS = 500  # of a characteristic
+POINTS = 500  # of a curve
 RATIO = 8.0  # between the largest and the smallest value, from which on a scale is logarithmic
 BEYOND_ZERO = 2.0  # ratio of the smallest positive value to the lower end, where zero is drawn
 MARGIN = 0.04  # of the length of a scale, on both ends
@@ -43,37 +42,35 @@ class Scale(NamedTuple):
 
     low: float
     high: float
-    log: bool
+    log: bool = False
     zeros: bool = False
 
-    @property
-    def ticks(self) -> dict[str, Any]:
-        """Ticks of a logarithmic scale, for Plotly."""
-        first, last = math.log10(self.low), math.log10(self.high)
-        steps = (1.0, 2.0, 5.0) if last - first <= DECADES else (1.0,)
-        powers = range(math.floor(first), math.floor(last) + 1)
-        values = [step * 10.0**power for power in powers for step in steps]
-        values = [value for value in values if first <= math.log10(value) <= last] or [self.low, self.high]
-        texts = [plain(value) for value in values]
-        if self.zeros:
-            far = [value for value in values if value > BEYOND_ZERO * self.low]
-            values, texts = [self.low, *far], ["0", *map(plain, far)]
-        return {"tickvals": values, "ticktext": texts}
 
-
-def scale_of(parts: Iterable[Floats]) -> Scale:
-    """Return a scale for all values, which are finite and not negative."""
-    values = np.concatenate([*parts, np.empty(0)])
+def scale_of(values: Floats) -> Scale:
+    """Return a scale for values (n,), which are finite and not negative."""
     positive = values[values > 0.0]
     if not len(positive):
-        return Scale(0.0, 1.0, False)
+        return Scale(0.0, 1.0)
     low, high = float(positive.min()), float(positive.max())
     zeros = len(positive) < len(values)
     if high < RATIO * low:
         room = MARGIN * (high - low) or 0.5 * high
-        return Scale(0.0 if zeros else max(low - room, 0.0), high + room, False)
+        return Scale(0.0 if zeros else max(low - room, 0.0), high + room)
     room = (high / low) ** MARGIN
     return Scale(low / (BEYOND_ZERO if zeros else room), high * room, True, zeros)
+
+
+def log_ticks(scale: Scale) -> dict[str, Any]:
+    """Return the ticks of a logarithmic scale, for Plotly."""
+    first, last = math.log10(scale.low), math.log10(scale.high)
+    steps = (1.0, 2.0, 5.0) if last - first <= DECADES else (1.0,)
+    powers = range(math.floor(first), math.floor(last) + 1)
+    values = [step * 10.0**power for power in powers for step in steps]
+    values = [value for value in values if first <= math.log10(value) <= last] or [scale.low, scale.high]
+    if scale.zeros:
+        far = [value for value in values if value > BEYOND_ZERO * scale.low]
+        return {"tickvals": [scale.low, *far], "ticktext": ["0", *map(plain, far)]}
+    return {"tickvals": values, "ticktext": list(map(plain, values))}
 
 
 class Ecdf(NamedTuple):
@@ -90,19 +87,20 @@ class Ecdf(NamedTuple):
 
 
 def ecdf(values: Floats) -> Ecdf:
-    """Return the distribution of values (n,), thinned to ``EVEN + TAIL`` points.
+    """Return the distribution of values (n,), thinned to ``POINTS``.
 
     NaN is left out. Infinite values, such as the delay of a fault that was never found, keep the curve
     below 1.
     """
     given = values[~np.isnan(values)]
     ordered = np.sort(given[np.isfinite(given)])
-    count = len(ordered)
-    ranks: NDArray[np.intp] = np.arange(count)
-    if count > EVEN + TAIL:
-        even, tail = np.linspace(0, count - 1, EVEN), count - np.geomspace(1, count / EVEN, TAIL)
-        ranks = np.unique(np.rint(np.concatenate([even, tail])).astype(np.intp))
+    ranks = _thin(len(ordered))
     return Ecdf(ordered[ranks], (ranks + 1) / max(len(given), 1), len(given))
+
+
+def _thin(count: int) -> NDArray[np.intp]:
+    """Which of so many points of a curve are drawn."""
+    return np.unique(np.rint(np.linspace(0, count - 1, min(count, POINTS))).astype(np.intp))
 
 
 class Detector(NamedTuple):
@@ -117,7 +115,6 @@ class Detector(NamedTuple):
     faults: int  # scores of the curve
     healthy: int
     point: tuple[float, float] | None  # its own detector: share of healthy axes alarmed, of faults found
-    silent: float  # share of the scores that are exactly zero
 
 
 def detector_of(side: Side) -> Detector:
@@ -127,14 +124,13 @@ def detector_of(side: Side) -> Detector:
     scores = np.concatenate([peaks, calm])
     useful = len(peaks) > 0 and len(calm) > 0 and bool(np.any(scores > 0.0))
     curve = roc(scores, np.arange(len(scores)) < len(peaks)) if useful else None
-    silent = np.count_nonzero(scores == 0.0) / max(len(scores), 1)
     found = known(numbers(side.faults, "fault.detected"))
     healthy = [(numbers(side.flights, f"healthy_time_s.{axis}") > 0.0, axis) for axis in AXES]
     counts = [numbers(side.flights, f"false_alarms.{axis}")[there] for there, axis in healthy]
     alarms = known(np.concatenate(counts))
     says = len(found) and len(alarms) and (np.any(found) or np.any(alarms))
     point = (float(np.mean(alarms > 0.0)), float(np.mean(found))) if says else None
-    return Detector(curve, len(peaks), len(calm), point, silent)
+    return Detector(curve, len(peaks), len(calm), point)
 
 
 def distributions(results: Results) -> Iterator[Picture]:
@@ -168,10 +164,10 @@ def _distribution(
     ]
     if not any(len(curve.values) for _, curve in curves):
         return
-    scale = scale_of([curve.values for _, curve in curves])
+    scale = scale_of(np.concatenate([curve.values for _, curve in curves]))
     span = {"range": [scale.low, scale.high]}
     if scale.log:
-        span = {"type": "log", "range": np.log10([scale.low, scale.high]).tolist(), **scale.ticks}
+        span = {"type": "log", "range": np.log10([scale.low, scale.high]).tolist(), **log_ticks(scale)}
     drawing = variant_figure(len(curves), (f"{value} [{unit}]", f"share of the {thing}s"))
     drawing.update_layout(xaxis=span, yaxis={"range": [-0.02, 1.03], "tickformat": ".0%"})
     for side, curve in curves:
@@ -216,16 +212,11 @@ def characteristics(results: Results) -> Iterator[Picture]:
     for side, found in shown:
         _add_characteristic(drawing, side, found)
     faults = counts_text({side.name: found.faults for side, found in shown}, "fault")
-    silent = [
-        f"{plain(100.0 * found.silent)} % of {side.title}" for side, found in shown if found.silent > 0.0
-    ]
     caption = (
         "If an estimate of some size were an alarm: the share of the faults found over the share of the"
         f" healthy axes alarmed, for every size ({faults}). AUC: area under the curve; dotted: guessing."
         " Dots: the observers' own detectors."
     )
-    if silent:
-        caption += f" Largest estimates of exactly zero, which no size tells apart: {listing(silent)}."
     yield Picture("roc", "Detection by the size of the estimate", caption, {"": spec_of(drawing, "roc")})
 
 
@@ -233,8 +224,7 @@ def _add_characteristic(drawing: go.Figure, side: Side, found: Detector) -> None
     name, look = escaped(side.name), line_look(side.role, side.rank)
     curve = found.curve
     if curve is not None:
-        count = len(curve.threshold)
-        chosen = np.unique(np.rint(np.linspace(0, count - 1, min(count, POINTS))).astype(np.intp))
+        chosen = _thin(len(curve.threshold))
         drawing.add_scatter(
             x=curve.false_alarm_share[chosen].astype(np.float32),
             y=curve.detection_probability[chosen].astype(np.float32),

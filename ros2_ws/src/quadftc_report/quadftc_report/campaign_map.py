@@ -15,7 +15,15 @@ from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.distributions import Distribution, plain, unit_of
 from quadftc_campaign.table import whole_flights
 from quadftc_model.samples import AXES
-from quadftc_report.campaign_curves import RATIO, Picture, Scale, counts_text, escaped, variant_figure
+from quadftc_report.campaign_curves import (
+    RATIO,
+    Picture,
+    Scale,
+    counts_text,
+    escaped,
+    log_ticks,
+    variant_figure,
+)
 from quadftc_report.campaign_results import Floats, Results, numbers
 from quadftc_report.draw_plotly import spec_of
 from quadftc_report.metric_kinds import EVENT, Kind, kind_of
@@ -211,7 +219,7 @@ def _spec(key: str, maps: Maps, cells: Cells) -> dict[str, Any]:
     shown, edges = cells.medians, (low, high)
     if log:
         shown, edges = np.log10(np.maximum(shown, low)), (np.log10(low), np.log10(high))
-        ticks = Scale(low, high, log=True).ticks
+        ticks = log_ticks(Scale(low, high, log=True))
         bar |= {**ticks, "tickvals": np.log10(ticks["tickvals"]).tolist()}
     titles = [f"{axis.path} [{axis.unit}]" if axis.unit else axis.path for axis in (maps.x, maps.y)]
     drawing = variant_figure(0, (titles[0], titles[1]))

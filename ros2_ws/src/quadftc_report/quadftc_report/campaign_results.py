@@ -22,23 +22,12 @@ HOUR = 3600.0  # s
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Side:
-    """The results of one variant.
-
-    Parameters
-    ----------
-    name : str
-    rows : polars.DataFrame
-        Its rows of the table.
-    summary : mapping
-        Its part of the summary.
-    role, rank
-        The look of its lines (`quadftc_report.style.line_style`).
-    """
+    """The results of one variant."""
 
     name: str
-    rows: pl.DataFrame
-    summary: Mapping[str, Any]
-    role: str
+    rows: pl.DataFrame  # of the table
+    summary: Mapping[str, Any]  # its part
+    role: str  # look of its lines (`quadftc_report.style.line_style`)
     rank: int
 
     @functools.cached_property

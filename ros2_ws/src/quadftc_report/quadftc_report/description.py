@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ class Trace:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Envelope:
-    """An area around a line: two standard deviations either side, say."""
+    """An area around a line, such as two standard deviations either side."""
 
     name: str
     role: str
@@ -35,27 +36,24 @@ class Envelope:
     rank: int = 0
 
 
-@dataclasses.dataclass(frozen=True)
-class Shade:
-    """A window of time, such as that of a fault."""
+class Shade(NamedTuple):
+    """A window of time [s], such as that of a fault; ``rank``: its kind, 0 for faults of the attitude."""
 
-    start: float  # [s]
-    stop: float  # [s]
+    start: float
+    stop: float
     label: str
-    rank: int = 0  # which kind of window; 0: faults of the attitude
+    rank: int = 0
 
 
-@dataclasses.dataclass(frozen=True)
-class Mark:
-    """A moment."""
+class Mark(NamedTuple):
+    """A moment [s]."""
 
-    time: float  # [s]
+    time: float
     label: str
 
 
-@dataclasses.dataclass(frozen=True)
-class Band:
-    """A range of values that holds at any time: a run's boundary layer; the authority (role ``limit``)."""
+class Band(NamedTuple):
+    """A range of values at any time: the boundary layer of a run, or the authority (role ``limit``)."""
 
     low: float
     high: float
@@ -77,7 +75,7 @@ class Panel:
     bands: tuple[Band, ...] = ()
     envelopes: tuple[Envelope, ...] = ()
     ticks: tuple[tuple[float, str], ...] = ()  # values of a scale of words, and the words
-    height: float = 1.0  # in relation to the other panels
+    height: float = 1.0  # relative to the other panels
 
     def axis_label(self, gap: str = " ") -> str:
         """The label of the y axis with its unit, if it has one."""
@@ -98,5 +96,5 @@ class Figure:
     title: str
     caption: str  # one sentence
     panels: tuple[Panel, ...]
-    span: tuple[float, float]  # what the time axis shows [s]
+    span: tuple[float, float]  # of the time axis [s]
     paper_figures: tuple[int, ...] = ()  # those of the paper that show the same

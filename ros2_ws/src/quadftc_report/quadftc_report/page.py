@@ -43,40 +43,20 @@ VERDICT_LOOKS = {
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Section:
-    """Everything on the page about one scenario or recording.
-
-    Parameters
-    ----------
-    comparison : Comparison
-    title : str
-    figures : list of Figure
-        Described; ``figure_spec`` draws them for the page.
-    sentences : list of str
-        One for each run.
-    metrics : list of Table
-    injected : Table
-    setup : dict of str to Table
-        Folded away, by heading.
-    checks : Table
-        Of flights.
-    judgements : list of Judgement
-        Of the paper's claims.
-    sensor_verdicts : list of SensorVerdict
-        On sensors that are not ideal.
-    """
+    """Everything on the page about one scenario or recording."""
 
     comparison: Comparison[Any]
     title: str
     figures: list[Figure]
-    sentences: list[str]
+    sentences: list[str]  # one for each run
     metrics: list[Table]
     injected: Table
-    setup: dict[str, Table]
+    setup: dict[str, Table]  # by heading
     lead: str = ""
     scenario_text: str = ""
-    checks: Table | None = None
-    judgements: Sequence[Judgement] = ()
-    sensor_verdicts: Sequence[SensorVerdict] = ()
+    checks: Table | None = None  # of flights
+    judgements: Sequence[Judgement] = ()  # of the paper's claims
+    sensor_verdicts: Sequence[SensorVerdict] = ()  # where the sensors are not ideal
     ideal: bool = True
 
     @property

@@ -8,12 +8,11 @@ The libraries that draw and render are loaded when a report is written.
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from quadftc_bags.bag import read_bag
 from quadftc_flight.run_directory import RecordedRun, find_runs, is_replay, run_from_bag
@@ -38,27 +37,14 @@ class ReportError(ValueError):
     """A report that cannot be written; one line that says why."""
 
 
-@dataclasses.dataclass(frozen=True)
-class ReportFiles:
-    """What was written.
-
-    Parameters
-    ----------
-    page : Path
-        The HTML file.
-    figures : Path, optional
-        The directory of the figures for print; None: none were asked for.
-    runs, replays : tuple of str
-        Names of the flown runs and of the replays in the report.
-    warnings : tuple of str
-        One line each; they are on the page, too.
-    """
+class ReportFiles(NamedTuple):
+    """The files written, the names of the runs and replays in them, and the warnings on the page."""
 
     page: Path
-    figures: Path | None
+    figures: Path | None  # directory of the figures for print
     runs: tuple[str, ...]
     replays: tuple[str, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # one line each
 
 
 def write_report(
@@ -113,17 +99,14 @@ def write_report(
             (made / out.name).write_text(render(parts, warnings, replayed, place), encoding="utf-8")
             if with_figures:
                 _draw(figures, made / folder.name, progress)
-                _move_all(made / folder.name, folder)
+                folder.mkdir(exist_ok=True)
+                for file in (made / folder.name).iterdir():
+                    file.replace(folder / file.name)
             (made / out.name).replace(out)
     except OSError as error:
         raise ReportError(f"{out}: cannot be written: {error.strerror or error}") from None
-    return ReportFiles(
-        page=out,
-        figures=folder if with_figures else None,
-        runs=tuple(run.name for run in runs),
-        replays=tuple(replay.name for replay in replays),
-        warnings=warnings,
-    )
+    names = (tuple(each.name for each in group) for group in (runs, replays))
+    return ReportFiles(out, folder if with_figures else None, *names, warnings)
 
 
 def write_campaign_report(
@@ -189,13 +172,6 @@ def _draw(figures: Sequence[Figure], folder: Path, progress: Progress) -> None:
     folder.mkdir()
     for figure in _announce(figures, lambda each: each.key, progress, READING, 1.0):
         save_figure(figure, folder)
-
-
-def _move_all(source: Path, target: Path) -> None:
-    """Put files into a directory; others that are there stay."""
-    target.mkdir(exist_ok=True)
-    for file in source.iterdir():
-        file.replace(target / file.name)
 
 
 def _announce(

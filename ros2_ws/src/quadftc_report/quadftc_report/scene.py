@@ -155,7 +155,7 @@ def fault_shades(run: Recorded, axis: int, end: float) -> tuple[Shade, ...]:
         if start >= end:
             continue
         if last is not None and last.label == kind and start <= last.stop:
-            shades[-1] = dataclasses.replace(last, stop=max(last.stop, min(stop, end)))
+            shades[-1] = last._replace(stop=max(last.stop, min(stop, end)))
         else:
             shades.append(Shade(start, min(stop, end), kind, kinds.index(kind)))
     return tuple(shades)
