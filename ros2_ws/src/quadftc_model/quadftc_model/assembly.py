@@ -8,7 +8,8 @@ of the component carry its name as a prefix:
     exosystem.bandwidth: 10.0
 
 The ``assembly`` modules of quadftc_sim, quadftc_fdi and quadftc_control build their parts from such sets,
-in the ROS nodes and in the closed loop without ROS alike.
+in the ROS nodes and in the closed loop without ROS alike. What is missing, unknown or wrong is a ValueError
+that gives the full name of the parameter.
 """
 
 from __future__ import annotations
@@ -29,13 +30,7 @@ T = TypeVar("T")
 
 
 def get(parameters: NodeParameters, name: str, kind: type[T]) -> T:
-    """Return a parameter of type ``kind``; a whole number serves as a float.
-
-    Raises
-    ------
-    ValueError
-        If it is missing or of another type.
-    """
+    """Return a parameter of type ``kind``; a whole number serves as a float."""
     if name not in parameters:
         raise ValueError(f"{name}: missing parameter")
     value: Any = parameters[name]
@@ -47,13 +42,7 @@ def get(parameters: NodeParameters, name: str, kind: type[T]) -> T:
 
 
 def texts(parameters: NodeParameters, name: str) -> list[str]:
-    """Return a parameter that is a list of texts; empty if it is missing; empty texts are left out.
-
-    Raises
-    ------
-    ValueError
-        If it is no list of texts.
-    """
+    """Return a parameter that is a list of texts; empty if it is missing; empty texts are left out."""
     value: list[Any] | str = parameters.get(name) or []
     if isinstance(value, str) or not all(isinstance(item, str) for item in value):
         raise ValueError(f"{name} = {value!r}: expected a list of texts")
@@ -72,13 +61,7 @@ def _plain(value: Any) -> Any:
 
 
 def build_prefixed(component: type[T], parameters: NodeParameters, prefix: str, **context: Any) -> T:
-    """Build a component from the parameters named ``prefix.<name>``; what is missing keeps its default.
-
-    Raises
-    ------
-    ValueError
-        As :func:`quadftc_model.parameters.build`, with the full name of the parameter.
-    """
+    """Build a component from the parameters named ``prefix.<name>``; what is missing keeps its default."""
     try:
         return build(component, prefixed(parameters, prefix), **context)
     except ValueError as error:
@@ -86,37 +69,19 @@ def build_prefixed(component: type[T], parameters: NodeParameters, prefix: str, 
 
 
 def build_named(component: type[T], parameters: NodeParameters, **context: Any) -> T:
-    """Build a component from the parameters named as its own; what is missing keeps its default.
-
-    Raises
-    ------
-    ValueError
-        As :func:`quadftc_model.parameters.build`.
-    """
+    """Build a component from the parameters named as its own; what is missing keeps its default."""
     names = [spec.name for spec in parameters_of(component) if spec.name in parameters]
     return build(component, {name: _plain(parameters[name]) for name in names}, **context)
 
 
 def component_from(registry: Registry[T], parameters: NodeParameters, selector: str, **context: Any) -> T:
-    """Build the component that the parameter ``selector`` names, from the parameters prefixed with its name.
-
-    Raises
-    ------
-    ValueError
-        If there is no such component, or one of its parameters is unknown or wrong.
-    """
+    """Build the component that the parameter ``selector`` names, from those prefixed with its name."""
     name = get(parameters, selector, str)
     return build_prefixed(registry.get(name), parameters, name, **context)
 
 
 def vehicle_from(parameters: NodeParameters) -> Vehicle:
-    """Load the vehicle that the parameter ``vehicle`` names.
-
-    Raises
-    ------
-    ValueError
-        If there is none, or its file is wrong.
-    """
+    """Load the vehicle that the parameter ``vehicle`` names."""
     return load_vehicle(get(parameters, "vehicle", str))
 
 

@@ -1,6 +1,7 @@
 """Parameters of components: one frozen dataclass each; metadata gives a field's unit, range and meaning.
 
 The same metadata checks scenario files, declares ROS parameters and prints ``quadftc list``.
+A wrong value is a ValueError that names the parameter, the value and what was expected.
 """
 
 from __future__ import annotations
@@ -76,13 +77,7 @@ def parameters_of(component: type) -> tuple[Parameter, ...]:
 
 
 def check(instance: Any) -> None:
-    """Check every parameter of a dataclass instance against its bounds; for ``__post_init__``.
-
-    Raises
-    ------
-    ValueError
-        Naming the parameter, the value and what was expected.
-    """
+    """Check every parameter of a dataclass instance against its bounds; for ``__post_init__``."""
     for spec in parameters_of(instance.__class__):
         _check_bounds(spec, getattr(instance, spec.name))
 
@@ -102,11 +97,6 @@ def build(
         What stands for a unit in braces: ``{"channel": "rad"}``.
     **context
         Fields that are no parameters (the vehicle, say).
-
-    Raises
-    ------
-    ValueError
-        Unknown name, wrong type or unit, value out of bounds; the message names the parameter.
     """
     specs = {spec.name: spec for spec in parameters_of(component)}
     converted: dict[str, Any] = {}
@@ -120,13 +110,7 @@ def build(
 
 
 def convert(spec: Parameter, raw: Any, units: Mapping[str, str] | None = None) -> Value:
-    """Convert one raw value to the parameter's type and SI unit, and check it.
-
-    Raises
-    ------
-    ValueError
-        Naming the parameter, the value and what was expected.
-    """
+    """Convert one raw value to the parameter's type and SI unit, and check it."""
     unit = spec.unit.format_map(units or {}) if "{" in spec.unit and units else spec.unit
     if unit != spec.unit:
         spec = dataclasses.replace(spec, unit=unit)

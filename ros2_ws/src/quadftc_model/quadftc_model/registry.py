@@ -38,13 +38,7 @@ class Registry(Generic[T]):
         self._discovered = False
 
     def register(self, name: str) -> Callable[[type[T]], type[T]]:
-        """Class decorator that adds a component under ``name``.
-
-        Raises
-        ------
-        ValueError
-            If another class has the name already.
-        """
+        """Class decorator that adds a component under ``name``."""
 
         def add(component: type[T]) -> type[T]:
             present = self._components.get(name)
@@ -61,13 +55,7 @@ class Registry(Generic[T]):
         return tuple(sorted(self._components))
 
     def get(self, name: str) -> type[T]:
-        """Return the component's class.
-
-        Raises
-        ------
-        ValueError
-            If there is none of that name; the message lists those that there are.
-        """
+        """Return the component's class."""
         self._discover()
         component = self._components.get(name)
         if component is None:

@@ -18,13 +18,7 @@ class Spec(NamedTuple):
 
 
 def parse_spec(text: str) -> Spec:
-    """Parse one specification.
-
-    Raises
-    ------
-    ValueError
-        If the text is empty, a word is no ``key=value``, or a key comes twice.
-    """
+    """Parse one specification."""
     words = text.split()
     if not words or "=" in words[0]:
         raise ValueError(f"{text!r}: expected a name first, then key=value words")

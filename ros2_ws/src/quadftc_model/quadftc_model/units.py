@@ -44,11 +44,6 @@ def quantity(value: Any, unit: str) -> float:
         A number (SI already) or a text such as ``"1 deg"``, ``"20ms"``, ``"3"``.
     unit : str
         The SI unit wanted, one of this module's table; any other unit takes numbers and its own name only.
-
-    Raises
-    ------
-    ValueError
-        If the text is no number with a unit of this kind, or the number is NaN.
     """
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         number, spelling = float(value), ""

@@ -1,4 +1,7 @@
-"""Vehicles are data: one TOML file each, here or anywhere else, every number with its unit and source."""
+"""Vehicles are data: one TOML file each, here or anywhere else, every number with its unit and source.
+
+A wrong file is a ValueError that says which file and which key.
+"""
 
 from __future__ import annotations
 
@@ -46,13 +49,7 @@ class Rotors:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Vehicle:
-    """A multirotor: its rigid body and its rotors.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of its physical range or the arrays do not fit each other.
-    """
+    """A multirotor: its rigid body and its rotors."""
 
     name: str
     description: str
@@ -119,13 +116,7 @@ def vehicle_names() -> tuple[str, ...]:
 
 
 def load_vehicle(name: str) -> Vehicle:
-    """Load a vehicle by name, or from the path of a TOML file.
-
-    Raises
-    ------
-    ValueError
-        If there is no such vehicle, or the file is wrong; the message says which file and which key.
-    """
+    """Load a vehicle by name, or from the path of a TOML file."""
     path = _path_of(name)
     try:
         return _loaded(path, path.stat().st_mtime_ns)
