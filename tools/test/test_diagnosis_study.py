@@ -15,7 +15,7 @@ from sensor_msgs.msg import Imu
 from message_objects import set_stamp
 from quadftc_bags.bag import BagError
 from quadftc_bags.writer import BagWriter
-from quadftc_flight.diagnosis_metrics.roc import detection_roc, estimate_size
+from quadftc_flight.diagnosis_metrics.roc import detection_scores, estimate_size, roc
 from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import VECTORS, Flight
 from quadftc_model.samples import AXES, FAULTY
@@ -181,13 +181,14 @@ def flight_with(**columns) -> Flight:
     )
 
 
-def test_score_counts_are_the_curve_of_detection_roc():
+def test_score_counts_are_the_curve_of_the_scores():
     fault = np.zeros((3000, 3))
     fault[1000:2000] = (0.005, 0.02, 0.05)
     estimate = 0.01 * np.random.default_rng(4).standard_normal((3000, 3)) + 0.5 * fault
     flight = flight_with(fault=fault, fault_estimate=estimate)
     events = [FaultEvent(axis, "step", 10.0, 20.0) for axis in AXES]
-    curve = detection_roc([(flight, events)], estimate_size, within=0.05)
+    scores = detection_scores(flight, events, estimate_size, within=0.05)
+    curve = roc(np.concatenate(scores), np.repeat([False, True], [len(part) for part in scores]))
     counts = score_counts(flight, events, estimate_size, curve.threshold[:0:-1], within=0.05)
     assert len(counts["alarms"]) > 3
     assert counts["healthy"] == 3 * (3000 - 1000 - 500)  # but for the faults and the grace after them

@@ -100,7 +100,7 @@ def score_counts(
     levels: Floats,
     within: float = WITHIN,
 ) -> dict[str, Any]:
-    """Count what each level would say, as `detection_roc` does; the counts of several flights add up.
+    """Count what each level would say, of those of `detection_scores`; the counts of several flights add up.
 
     Returns
     -------

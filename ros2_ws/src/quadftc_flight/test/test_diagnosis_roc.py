@@ -8,7 +8,8 @@ import pytest
 
 from quadftc_flight.diagnosis_metrics import GRACE_TIME, diagnosis_metrics
 from quadftc_flight.diagnosis_metrics.roc import (
-    detection_roc,
+    Roc,
+    detection_scores,
     estimate_over_std_dev,
     estimate_size,
     operating_point,
@@ -41,6 +42,13 @@ def faulty() -> Flight:
     fault = np.zeros((300, 3))
     fault[100:200, 0] = 0.02
     return dataclasses.replace(flight, fault=fault)
+
+
+def detection_roc(flight: Flight, within: float) -> Roc:
+    """The curve of the size of the estimate: healthy samples against faults found within a delay."""
+    healthy, highest = detection_scores(flight, [ROLL], estimate_size, within)
+    labels = np.arange(len(healthy) + len(highest)) >= len(healthy)
+    return roc(np.concatenate([healthy, highest]), labels)
 
 
 def test_curve_of_two_gaussians_is_the_one_of_theory():
@@ -82,9 +90,9 @@ def test_fault_counts_as_found_by_its_largest_score_within_the_delay():
     estimate[:, 1] = 0.005  # always wrong by this much
     estimate[120:200, 0] = 0.02  # 2 s after the onset
     flight = dataclasses.replace(flight, fault_estimate=estimate)
-    in_time = detection_roc([(flight, [ROLL])], estimate_size, within=2.5)
+    in_time = detection_roc(flight, within=2.5)
     assert (in_time.area, in_time.probability_at(0.0)) == (1.0, 1.0)
-    too_late = detection_roc([(flight, [ROLL])], estimate_size, within=1.0)
+    too_late = detection_roc(flight, within=1.0)
     assert too_late.probability_at(0.0) == 0.0
     assert too_late.area < 0.5
 
@@ -95,7 +103,7 @@ def test_healthy_is_what_is_outside_faults_and_their_grace():
     after[150:160, 0] = 0.02
     after[200 : 200 + round(10 * GRACE_TIME), 0] = -0.02  # let go within the grace
     score = dataclasses.replace(flight, fault_estimate=after)
-    assert detection_roc([(score, [ROLL])], estimate_size, within=9.0).probability_at(0.0) == 1.0
+    assert detection_roc(score, within=9.0).probability_at(0.0) == 1.0
 
 
 def test_score_is_the_estimate_over_the_deviation_that_is_given():
@@ -127,4 +135,4 @@ def test_operating_point_counts_what_is_found_in_time_and_time_of_false_alarms()
 
 def test_fault_of_size_zero_is_no_fault_to_be_found():
     with pytest.raises(ValueError, match="no faulty score"):
-        detection_roc([(still(), [ROLL])], estimate_size, within=1.0)
+        detection_roc(still(), within=1.0)

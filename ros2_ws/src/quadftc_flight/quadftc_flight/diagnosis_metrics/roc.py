@@ -86,16 +86,6 @@ def roc(score: ArrayLike, faulty: ArrayLike) -> Roc:
     return Roc(thresholds, false_alarms, detections, float(auc(false_alarms, detections)))
 
 
-def detection_roc(flights: Iterable[tuple[Flight, Sequence[FaultEvent]]], score: Score, within: float) -> Roc:
-    """Return the curve of a score: healthy samples against faults that are found within a delay [s].
-
-    For the arguments see `detection_scores`; if there are no scores of one of the two, ValueError is raised.
-    """
-    parts = [detection_scores(flight, events, score, within) for flight, events in flights]
-    values = [np.concatenate([part[side] for part in parts]) for side in (0, 1)]
-    return roc(np.concatenate(values), np.repeat([False, True], [len(side) for side in values]))
-
-
 def detection_scores(
     flight: Flight, events: Sequence[FaultEvent], score: Score, within: float
 ) -> tuple[Floats, Floats]:
