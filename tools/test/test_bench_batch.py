@@ -8,12 +8,11 @@ import sys
 
 import pytest
 
-from quadftc_campaign.batch import flown
+from quadftc_campaign.batch import block
 from quadftc_cli.main import _guarded
 from quadftc_flight.scenario import find_scenario, load_scenario
-from quadftc_tools.bench.batch import OURS, Measurement, _summary, measure, measurements
-from quadftc_tools.bench.batch_bare import bare_subject
-from quadftc_tools.bench.batch_worker import bare_scenario, compressed, prepare
+from quadftc_tools.bench.batch import OURS, THEIRS, Measurement, _summary, measure, measurements
+from quadftc_tools.bench.batch_worker import bare_scenario, bare_subject, compressed, prepare
 
 SAMPLES = 50  # of 0.2 s
 JOB = {
@@ -27,7 +26,7 @@ JOB = {
 
 @pytest.fixture
 def _supply_is_put_back(monkeypatch):
-    monkeypatch.setattr(flown, "Supply", flown.Supply)  # the worker puts a timed one in its place
+    monkeypatch.setattr(block, "InputSource", block.InputSource)  # the worker puts a timed one in its place
 
 
 @pytest.mark.usefixtures("_supply_is_put_back")
@@ -76,7 +75,7 @@ def test_all_batch_sizes_are_flown_on_the_fewest_cores_and_the_largest_on_all():
 
 @pytest.mark.skipif(bool(importlib.util.find_spec("crazyflow")), reason="it is installed")
 def test_simulator_that_is_not_installed_gives_a_row_that_says_so():
-    what = Measurement("crazyflow", "quadftc_tools.bench.batch_crazyflow", 1, True, 1, {})
+    what = Measurement("crazyflow", THEIRS, 1, True, 1, {"simulator": "crazyflow", "steps_a_call": 1})
     row = measure(what, 1, sys.executable)
     assert row is not None
     assert row["absent"] == "crazyflow is not installed"
@@ -110,7 +109,7 @@ def test_benchmark_writes_what_it_measured(tmp_path, capfd, monkeypatch):
     written = json.loads((tmp_path / "batch.json").read_text(encoding="utf-8"))
     assert written["machine"]["cores"] >= 1
     rows = {row["name"]: row for row in written["results"]}
-    for name in ("conventional", "bare, in the engine", "bare"):
+    for name in ("conventional", "conventional, plain vmap", "bare, in the engine", "bare"):
         assert rows[name]["flights"] == 2
         assert rows[name]["precision"] == "float32"
         assert 0 < rows[name]["steps_per_second"]["median"] <= rows[name]["steps_per_second"]["best"]
@@ -120,6 +119,7 @@ def test_benchmark_writes_what_it_measured(tmp_path, capfd, monkeypatch):
     assert (tmp_path / "batch.png").stat().st_size > 5000
     printed = capfd.readouterr().out
     assert "load" in printed
+    assert "conventional, float32: the rewritten step is " in printed
     whole = rows["conventional, one whole flight"]
     assert whole["seconds"]["best"] == pytest.approx(20_000 / whole["steps_per_second"]["best"], rel=1e-3)
     assert f"conventional, one whole flight of 80 s, float32: {whole['seconds']['best']:.3f} s" in printed

@@ -25,8 +25,9 @@ OTHER_SCHEMES = ("proposed", "conventional")
 WHOLE, WHOLE_DURATION = "one whole flight", 80.0  # s
 BARE_ENGINE, BARE = "bare, in the engine", "bare"
 CRAZYFLOW, ROTORPY = "crazyflow", "RotorPy"
-LEAST = 0.5  # s; what takes less is flown several times over
-OURS = "quadftc_tools.bench.batch_worker"
+PLAIN_VMAP = "plain vmap"
+LEAST = 0.5  # s; a shorter run is repeated
+OURS, THEIRS = "quadftc_tools.bench.batch_worker", "quadftc_tools.bench.batch_others"
 NANOSECONDS = 1e9
 VERSION = "import sys; print(sys.version_info >= (3, 10))"
 PRECISIONS = {True: "float32", False: "float64"}
@@ -34,28 +35,14 @@ PRECISIONS = {True: "float32", False: "float64"}
 
 @dataclasses.dataclass(frozen=True)
 class Measurement:
-    """One row of the results.
-
-    Parameters
-    ----------
-    name : str
-    module : str
-        Of the worker.
-    flights : int
-        In each process.
-    float32 : bool
-    cores : int
-        So many processes.
-    job : mapping
-        What the worker wants to know besides.
-    """
+    """One row of the results."""
 
     name: str
-    module: str
-    flights: int
+    module: str  # of the worker
+    flights: int  # in each process
     float32: bool
-    cores: int
-    job: Mapping[str, Any]
+    cores: int  # a process on each
+    job: Mapping[str, Any]  # what else the worker has to know
 
     @property
     def title(self) -> str:
@@ -66,7 +53,7 @@ class Measurement:
 def measurements(
     flights: Sequence[int], float32: Sequence[bool], cores: Sequence[int], duration: float
 ) -> list[Measurement]:
-    """Everything that is measured: by the number of flights on the fewest cores, the most flights on all.
+    """Plan everything that is measured: all numbers of flights on the fewest cores, the most on all.
 
     Parameters
     ----------
@@ -81,31 +68,37 @@ def measurements(
     everywhere = [(count, fewest) for count in flights]
     everywhere += [(most, count) for count in cores if count != fewest]
     largest = [(most, count) for count in cores]
-    found: list[Measurement] = []
-
-    def ours(name: str, places: Sequence[tuple[int, int]], **job: Any) -> None:
-        job = {"duration": duration, **job}
-        found.extend(Measurement(name, OURS, n, single, c, job) for single in float32 for n, c in places)
-
-    def theirs(
-        name: str, module: str, places: Sequence[tuple[int, int]], single_precision: bool, **job: Any
-    ) -> None:
-        module = f"quadftc_tools.bench.{module}"
-        found.extend(Measurement(name, module, n, single_precision, c, job) for n, c in places)
-
-    ours(SCHEME, everywhere, task="engine", scenario=SCENARIO, scheme=SCHEME)
-    for scheme in OTHER_SCHEMES:
-        ours(scheme, largest[:1], task="engine", scenario=SCENARIO, scheme=scheme)
-    whole = {"task": "engine", "scenario": SCENARIO, "scheme": SCHEME, "duration": WHOLE_DURATION}
-    ours(f"{SCHEME}, {WHOLE}", [(1, fewest)], **whole)
-    ours(BARE_ENGINE, largest, task="bare engine")
-    ours(BARE, everywhere, task="bare")
-    theirs(CRAZYFLOW, "batch_crazyflow", everywhere, True, integrator="rk4", steps_a_call=500)
+    engine = {"task": "engine", "scenario": SCENARIO, "duration": duration}
+    both, single, double = tuple(float32), (True,), (False,)
     own_way = f"{CRAZYFLOW}, its own way"
-    theirs(own_way, "batch_crazyflow", largest[:1], True, integrator="euler", steps_a_call=1)
-    theirs(ROTORPY, "batch_rotorpy", everywhere, False, single=False)
-    theirs(f"{ROTORPY}, one drone", "batch_rotorpy", [(1, fewest)], False, single=True)
-    return found
+    crazyflow, rotorpy = {"simulator": "crazyflow"}, {"simulator": "rotorpy"}
+    rows: list[tuple[str, str, Sequence[tuple[int, int]], Sequence[bool], dict[str, Any]]] = [
+        (SCHEME, OURS, everywhere, both, {**engine, "scheme": SCHEME}),
+        *((each, OURS, largest[:1], both, {**engine, "scheme": each}) for each in OTHER_SCHEMES),
+        *(
+            (f"{each}, {PLAIN_VMAP}", OURS, largest[:1], both, {**engine, "scheme": each, "staged": False})
+            for each in (SCHEME, *OTHER_SCHEMES)
+        ),
+        (
+            f"{SCHEME}, {WHOLE}",
+            OURS,
+            [(1, fewest)],
+            both,
+            {**engine, "scheme": SCHEME, "duration": WHOLE_DURATION},
+        ),
+        (BARE_ENGINE, OURS, largest, both, {"task": "bare engine", "duration": duration}),
+        (BARE, OURS, everywhere, both, {"task": "bare", "duration": duration}),
+        (CRAZYFLOW, THEIRS, everywhere, single, {**crazyflow, "integrator": "rk4", "steps_a_call": 500}),
+        (own_way, THEIRS, largest[:1], single, {**crazyflow, "integrator": "euler", "steps_a_call": 1}),
+        (ROTORPY, THEIRS, everywhere, double, {**rotorpy, "single": False}),
+        (f"{ROTORPY}, one drone", THEIRS, [(1, fewest)], double, {**rotorpy, "single": True}),
+    ]
+    return [
+        Measurement(name, module, count, precision, core_count, job)
+        for name, module, places, precisions, job in rows
+        for precision in precisions
+        for count, core_count in places
+    ]
 
 
 def usable_cores() -> list[int]:
@@ -136,21 +129,20 @@ def python_of(others: str | None) -> str:
 def measure(
     what: Measurement, repeats: int, others: str, stopped: Callable[[], bool] = lambda: False
 ) -> dict[str, Any] | None:
-    """Measure; None if ``stopped`` said so.
+    """Measure; None if ``stopped``, asked between two repeats, says so.
 
     Parameters
     ----------
     what : Measurement
     repeats : int
     others : str
-        Python in which the other simulators are.
+        Python that has the other simulators.
     stopped : callable
-        Asked between two repeats.
 
     Returns
     -------
     dict
-        What was measured, with ``absent`` or ``failed`` where another simulator does not run.
+        The measured numbers; ``absent`` or ``failed`` where another simulator does not run.
 
     Raises
     ------

@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 Job = dict[str, Any]
 
 
-class Flown(NamedTuple):
-    """What a run was."""
+class Run(NamedTuple):
+    """One run of a subject."""
 
     steps: int  # of all flights together
     drawing: float = 0.0  # of its time, that in which random numbers were drawn [s]
@@ -41,7 +41,7 @@ class Subject:
     """
 
     what: dict[str, Any]
-    run: Callable[[], Flown]
+    run: Callable[[], Run]
 
 
 def serve(prepare: Callable[[Job], Subject]) -> None:
@@ -75,13 +75,13 @@ def _answers(subject: Subject, least: float) -> Any:
 
 def _timed(subject: Subject, times: int) -> dict[str, float]:
     begin = time.perf_counter()
-    flown = [subject.run() for _ in range(times)]
+    runs = [subject.run() for _ in range(times)]
     seconds = time.perf_counter() - begin
     return {
         "seconds": seconds,
         "runs": times,
-        "steps": sum(each.steps for each in flown),
-        "drawing": sum(each.drawing for each in flown),
+        "steps": sum(each.steps for each in runs),
+        "drawing": sum(each.drawing for each in runs),
     }
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import quadftc_tools
-from quadftc_campaign.batch.environment import environment
+from quadftc_campaign.batch.jax_settings import environment
 from quadftc_flight.runs import RunError
 
 # sys.path last, so that another Python keeps its own packages

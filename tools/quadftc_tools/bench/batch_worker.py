@@ -1,9 +1,10 @@
 # pyright: basic
-"""The batch engine in a process of its own: `python -m quadftc_tools.bench.batch_worker JOB`."""
+"""The batch engine in a process of its own, and the bare loop that other simulators measure."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 from quadftc_flight.scenario import (
@@ -14,23 +15,24 @@ from quadftc_flight.scenario import (
     with_duration,
     with_seed,
 )
-from quadftc_tools.bench.batch_child import Flown, Job, Subject, serve
+from quadftc_tools.bench.batch_child import Job, Run, Subject, serve
 
 BARE_SCENARIO, BARE_SCHEME, BARE_CONTROLLER = "paper_faults", "conventional", "pid"
+LARGEST_ANGLE = 0.1  # rad; of the attitudes that the bare loop holds, about each axis
+SETTLED = 5.0  # s; from then on the attitude must be there
+TOLERANCE = 1e-3  # rad
 
 
 def prepare(job: Job) -> Subject:
-    """Build what a job wants measured.
+    """Build the subject of a job.
 
     Parameters
     ----------
     job : dict
         ``task``: "engine" (``scenario``, ``scheme``), "bare engine" or "bare"; ``flights``, ``float32``,
-        ``duration`` [s], ``first_seed``.
+        ``duration`` [s], ``first_seed``; ``staged``: False for plain ``jax.vmap``.
     """
     if job["task"] == "bare":
-        from quadftc_tools.bench.batch_bare import bare_subject
-
         return bare_subject(bare_scenario(job["duration"], motor_lag=True), job["flights"], job["float32"])
     if job["task"] == "bare engine":
         return _engine(job, bare_scenario(job["duration"]), BARE_SCHEME)
@@ -38,7 +40,7 @@ def prepare(job: Job) -> Subject:
 
 
 def compressed(name: str, duration: float) -> Scenario:
-    """A scenario cut to ``duration`` [s], its faults at the same parts of it as in the whole."""
+    """Cut a scenario to ``duration`` [s], its faults at the same parts of it as in the whole."""
     path = find_scenario(name)
     whole = load_scenario(path)
     scale = duration / whole.duration
@@ -62,61 +64,123 @@ def bare_scenario(duration: float, motor_lag: bool = False) -> Scenario:
 def _engine(job: Job, scenario: Scenario, scheme: str) -> Subject:
     import jax
 
-    from quadftc_campaign.batch import flown as flown_module
     from quadftc_campaign.batch.engine import Engine
     from quadftc_campaign.flights import parts_of
 
     seeds = range(job["first_seed"], job["first_seed"] + job["flights"])
     scenarios = (with_seed(scenario, seed) for seed in seeds)
     parts = [parts_of(each, scheme) for each in scenarios]
-    events = [scenario.fault_events] * len(parts)
-    drawing = _timed_supply(flown_module)
-    engine = Engine(job["float32"])
+    drawing = _time_inputs()
+    engine = Engine(job["float32"], staged=job.get("staged"))
 
-    def run() -> Flown:
-        before, steps = drawing[0], 0
-
-        def count(samples: int) -> None:
-            nonlocal steps
-            steps += samples
-
-        outcomes = engine.fly(parts, events, count)
+    def run() -> Run:
+        before, samples = drawing[0], list[int]()
+        outcomes = engine.fly(parts, [scenario.fault_events] * len(parts), samples.append)
         if not all(bool(outcome.marks.finite) for outcome in outcomes):
-            raise ValueError("a flight has values that are no numbers")
-        return Flown(steps, drawing[0] - before)
+            raise ValueError("a flight has non-finite values")
+        return Run(sum(samples), drawing[0] - before)
 
     chosen = scenario.scheme(scheme)
     laws = (chosen.observer.kind, chosen.disturbance_observer.kind, chosen.controller.kind)
-    return Subject(
-        {
-            "by": f"quadftc, JAX {jax.__version__}, {engine.device}",
-            "states": "attitude and body rate (7), observers and controller",
-            "integrator": f"RK4, {scenario.rate:g} Hz",
-            "control": "fault observer {}, disturbance observer {}, controller {}".format(*laws),
-            "sensors": f"those of {scenario.name}, {len(scenario.faults)} sensor faults; metrics are kept",
-        },
-        run,
-    )
+    what = {
+        "by": f"quadftc, JAX {jax.__version__}, {engine.device}",
+        "states": "attitude and body rate (7), observers and controller",
+        "integrator": f"RK4, {scenario.rate:g} Hz",
+        "control": "fault observer {}, disturbance observer {}, controller {}".format(*laws),
+        "sensors": f"those of {scenario.name}, {len(scenario.faults)} sensor faults; metrics are kept",
+    }
+    return Subject(what, run)
 
 
-def _timed_supply(flown_module: Any) -> list[float]:
+def _time_inputs() -> list[float]:
     """Time the source of random numbers; the list's one number is the time spent in it so far [s]."""
+    from quadftc_campaign.batch import block
+
     spent = [0.0]
 
-    class TimedSupply(flown_module.Supply):
-        def __init__(self, *arguments: Any) -> None:
+    def timed(method: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
             begin = time.perf_counter()
-            super().__init__(*arguments)
-            spent[0] += time.perf_counter() - begin
+            try:
+                return method(*arguments, **options)
+            finally:
+                spent[0] += time.perf_counter() - begin
 
-        def next(self, *arguments: Any, **options: Any) -> Any:
-            begin = time.perf_counter()
-            found = super().next(*arguments, **options)
-            spent[0] += time.perf_counter() - begin
-            return found
+        return call
 
-    flown_module.Supply = TimedSupply
+    base = block.InputSource
+    methods = {"__init__": timed(base.__init__), "next": timed(base.next)}
+    block.InputSource = type("TimedInputSource", (base,), methods)
     return spent
+
+
+def bare_subject(scenario: Scenario, flights: int, float32: bool) -> Subject:
+    """Build plant and controller of many vehicles, closed over the true state.
+
+    No sensor, no fault, no observer, no random number, nothing kept but the state; each flight holds another
+    attitude.
+    """
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    from quadftc_campaign.batch.jax_settings import settle_precision
+    from quadftc_campaign.batch.staged_step import StagedStep
+    from quadftc_campaign.flights import parts_of
+    from quadftc_model.rotations import euler_from_quaternion
+    from quadftc_model.samples import AttitudeReference, ControllerInputs, ImuSample
+    from quadftc_model.stepper import seconds
+
+    settle_precision(float32)
+    dtype = np.dtype(np.float32 if float32 else np.float64)
+    controller_kind = scenario.scheme(BARE_SCHEME).controller.kind
+    loop = parts_of(scenario, BARE_SCHEME).loop
+    dt = seconds(loop.period_ns)
+
+    def control(plant: Any, angles: Any, state: Any = None) -> tuple[Any, Any, Any]:
+        zeros: Any = jnp.zeros_like(angles)
+        there: Any = jnp.asarray(True)
+        imu = ImuSample(plant.q_xyzw, plant.body_rate, zeros, there, there, there)
+        inputs, law = ControllerInputs(imu, AttitudeReference(angles, zeros, zeros), zeros), loop.controller
+        if state is None:
+            state, output = law.step(law.init(inputs), inputs, 0.0)
+        else:
+            state, output = law.step(state, inputs, dt)
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), (plant, state, output.torque))
+
+    def begin(angles: Any) -> Any:
+        level: Any = jnp.asarray([0.0, 0.0, 0.0, 1.0], dtype)
+        return control(loop.plant.init(level, jnp.zeros_like(angles)), angles)
+
+    def step(state: Any, angles: Any, _: tuple[()]) -> tuple[Any, tuple[()]]:
+        plant, controller, torque = state
+        return control(loop.plant.step(plant, torque, 0.0, dt), angles, controller), ()
+
+    one = jax.ShapeDtypeStruct((3,), dtype)
+    step_all = StagedStep(step, jax.eval_shape(begin, one), one, ())
+    drawn = np.random.default_rng(0).uniform(-LARGEST_ANGLE, LARGEST_ANGLE, (3, flights))
+    angles = jnp.asarray(drawn, dtype)
+    start = jax.jit(jax.vmap(begin, in_axes=-1, out_axes=-1))(angles)
+
+    @jax.jit
+    def fly(state: Any, angles: Any) -> Any:
+        return jax.lax.scan(lambda now, _: (step_all(now, angles, ())[0], None), state, length=loop.count)[0]
+
+    def run() -> Run:
+        plant, *_ = jax.block_until_ready(fly(start, angles))
+        error = euler_from_quaternion(np.moveaxis(np.asarray(plant.q_xyzw), 0, -1)) - drawn.T
+        if scenario.duration >= SETTLED and not float(np.abs(error).max()) < TOLERANCE:
+            raise ValueError("the attitude is not what it should be")
+        return Run(loop.count * flights)
+
+    what = {
+        "by": f"quadftc, JAX {jax.__version__}, {jax.default_backend()}",
+        "states": "attitude, body rate, rotor commands (11)",
+        "integrator": f"RK4, {scenario.rate:g} Hz",
+        "control": f"attitude, {controller_kind}, rotor mixer with limits",
+        "sensors": "none",
+    }
+    return Subject(what, run)
 
 
 if __name__ == "__main__":

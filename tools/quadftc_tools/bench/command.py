@@ -176,7 +176,7 @@ def batch(
 ) -> None:
     """Closed-loop steps per second of the batch engine, beside other simulators."""
     from quadftc_tools.bench.batch import measure, measurements, python_of, usable_cores
-    from quadftc_tools.bench.batch_table import batch_table, flight_lines, what_lines
+    from quadftc_tools.bench.batch_table import batch_table, flight_lines, ratio_lines, what_lines
 
     usable = len(usable_cores())
     if max(cores, default=1) > usable:
@@ -199,7 +199,7 @@ def batch(
         bars.refresh()
     screen = console()
     screen.print(batch_table(results))
-    for line in [*flight_lines(results), *what_lines(results)]:
+    for line in [*flight_lines(results), *ratio_lines(results), *what_lines(results)]:
         screen.print(line, markup=False, soft_wrap=True)
     _write(out, "batch", results)
     raise typer.Exit(GOOD)

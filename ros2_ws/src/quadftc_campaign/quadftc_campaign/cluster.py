@@ -132,14 +132,14 @@ def _called(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
 
 def _prepare() -> None:
     """Set what JAX reads when it is imported: in workers that others have started, it is not set yet."""
-    from quadftc_campaign.batch.environment import environment
+    from quadftc_campaign.batch.jax_settings import environment
 
     if "jax" not in sys.modules:
         os.environ.update(environment())
 
 
 def _environment() -> dict[str, str]:
-    from quadftc_campaign.batch.environment import environment
+    from quadftc_campaign.batch.jax_settings import environment
 
     path = os.environ.get("PYTHONPATH")
     return environment() | NO_PROFILE | ({} if path is None else {"PYTHONPATH": path})

@@ -189,7 +189,7 @@ def _fly_loop(campaign: Campaign, numbers: Sequence[int], variant: Variant, prog
 
 
 def _rows(campaign: Campaign, variant: Variant, number: int, one: Flight, outcome: Any) -> Rows:
-    from quadftc_campaign.batch.outcome import fault_records, flight_record
+    from quadftc_campaign.batch.tally import fault_records, flight_record
 
     scheme = one.scenario.scheme(variant.scheme)
     common: Row = {
@@ -224,7 +224,7 @@ def _with_variant(campaign: Campaign, variant: Variant) -> Campaign:
 def _engine(float32: bool, lanes: int) -> Any:
     """The engine of this process; it keeps what it has compiled."""
     from quadftc_campaign.batch.engine import Engine
-    from quadftc_campaign.batch.session import keep_compiled
+    from quadftc_campaign.batch.jax_settings import keep_compiled
 
     keep_compiled()
     return Engine(float32, lanes)

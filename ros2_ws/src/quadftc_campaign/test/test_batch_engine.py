@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from quadftc_campaign.batch.engine import Engine
-from quadftc_campaign.batch.outcome import fault_records, flight_record
 from quadftc_campaign.batch.parts import structure_of, with_common_faults
+from quadftc_campaign.batch.staged_step import StagedStep
+from quadftc_campaign.batch.tally import fault_records, flight_record
 from quadftc_campaign.flights import parts_of
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
@@ -105,15 +106,10 @@ def busy(*faults, **parts):
     return build_scenario(document)
 
 
-def trace_of(scenario):
-    parts = parts_of(scenario)
-    return Engine().trace([parts], [scenario.fault_events])[0]
-
-
-def assert_flies_alike(scenario):
+def assert_flies_alike(scenario, staged=None):
     """Relative to what is there: some of these flights are wild."""
     expected = fly(scenario)
-    traced = trace_of(scenario)
+    (traced,) = Engine(staged=staged).trace([parts_of(scenario)], [scenario.fault_events])
     assert_same_flight(traced.flight, expected, rtol=1e-7)
     assert_same_metrics(traced.outcome, expected, scenario)
     return expected
@@ -137,7 +133,7 @@ def test_a_flight_alone_is_one_kernel_and_says_what_the_metrics_say():
     """Without a trace; the loop over its samples is compiled as a whole."""
     scenario = busy({"kind": "bias", "value": 0.03, "start": 1.0, "stop": 2.0})
     parts, events, engine = [parts_of(scenario)], [scenario.fault_events], Engine()
-    compiled, *_ = next(engine._tasks(parts, events))
+    compiled = next(engine._blocks(parts, events)).compiled
     texts = []
 
     def fly_as_compiled(*arguments):
@@ -211,7 +207,8 @@ def test_every_fault_on_every_channel_flies_alike():
     assert_flies_alike(busy(*faults, observer="threshold"))
 
 
-def test_a_flight_that_cannot_start_at_once_flies_alike():
+@pytest.mark.parametrize("staged", [True, False])
+def test_a_flight_that_cannot_start_at_once_flies_alike(staged):
     expected = assert_flies_alike(
         busy(
             {"kind": "nan", "start": 0.0, "stop": 0.4},
@@ -224,10 +221,43 @@ def test_a_flight_that_cannot_start_at_once_flies_alike():
             },  # longer than anything is carried
             {"kind": "dropout", "channel": "imu", "start": 3.0, "stop": 3.5, "probability": 0.7},
             observer="sliding_mode",
-        )
+        ),
+        staged,
     )
     assert np.any(expected.fault_state == STARTING)
     assert not np.all(expected.delivered)
+
+
+def test_a_staged_step_is_the_vmapped_step():
+    """Products with constants, reductions, calls, a primitive without a rule, numbers that nothing needs."""
+    import jax
+    import jax.numpy as jnp
+
+    matrix = np.array([[0.0, 2.0, 0.0], [1.0, 0.0, -1.0]])
+
+    def step(state, inputs, common):
+        used, unused = state
+        dear = jnp.sin(jnp.exp(jnp.cos(used @ matrix.T * common).sum()))
+        order = jnp.sort(used * inputs["a"] + dear).cumsum()
+        table = jnp.stack([order, used, jnp.where(used > 0.0, dear, order)])
+        spread = table.max(axis=0) - table.min(axis=0)
+        return (spread @ table.T + dear**2, unused + inputs["b"]), (matrix @ table.T, (used > 0.0).any())
+
+    draws = np.random.default_rng(0).standard_normal
+    state, inputs = (draws((3, 7)), draws((2, 7))), {"a": draws((3, 7)), "b": draws((2, 7))}
+    arguments = (state, inputs, 0.3)
+    with jax.enable_x64(True):
+        one = jax.tree.map(lambda leaf: leaf[..., 0], (state, inputs))
+        staged = StagedStep(step, *one, 0.3, shown=lambda state: state[0])
+        expected = jax.vmap(step, in_axes=(-1, -1, None), out_axes=-1)(*arguments)
+        found = jax.jit(staged)(*arguments)
+    assert staged.needed == {"a": True, "b": False}
+    np.testing.assert_array_equal(found[0][1], state[1])  # nobody reads it: it stays
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12),
+        (found[0][0], found[1]),
+        (expected[0][0], expected[1]),
+    )
 
 
 def test_flights_of_one_batch_do_not_touch_each_other():
@@ -253,7 +283,8 @@ def test_flights_of_one_batch_do_not_touch_each_other():
 SINGLE = """
 import json, sys
 from quadftc_campaign.batch.engine import Engine
-from quadftc_campaign.batch.outcome import flight_record
+from quadftc_campaign.batch.staged_step import StagedStep
+from quadftc_campaign.batch.tally import flight_record
 from quadftc_campaign.flights import parts_of
 from quadftc_flight.scenario import parse_scenario
 scenario = parse_scenario(sys.stdin.read())

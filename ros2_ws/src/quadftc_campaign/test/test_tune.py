@@ -8,10 +8,8 @@ import pytest
 
 from quadftc_campaign.campaign_file import load_campaign
 from quadftc_campaign.errors import CampaignError
-from quadftc_campaign.tune.search import Search
-from quadftc_campaign.tune.searched_gains import directions, gains_of, with_gains
-from quadftc_campaign.tune.slopes_work import Sensitivity
-from quadftc_campaign.tune.tuning import checked, tune, write
+from quadftc_campaign.tune.sensitivity import Sensitivity, directions, gains_of, with_gains
+from quadftc_campaign.tune.tuning import Search, checked, tune, write
 from quadftc_cli.main import _guarded
 from quadftc_flight.scenario import ScenarioError, load_scenario
 

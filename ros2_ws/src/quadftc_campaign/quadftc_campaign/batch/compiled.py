@@ -1,5 +1,5 @@
 # pyright: basic
-"""A flight of one structure, compiled: the beginning, and stretches of samples, for many flights at once."""
+"""Flights of one structure, compiled: the first samples, then stretches of samples, many flights at once."""
 
 from __future__ import annotations
 
@@ -11,41 +11,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadftc_campaign.batch.flights_last import AllFlights
-from quadftc_campaign.batch.loop import ClosedLoop, Delivery, Given, LoopState, Row
+from quadftc_campaign.batch.inputs import is_random
+from quadftc_campaign.batch.loop_step import ClosedLoop, Delivery, LoopState, Row, StepInputs, Times
 from quadftc_campaign.batch.parts import Loop, in_precision, numbers_of, with_numbers
-from quadftc_campaign.batch.tally import Schedule, Tally, no_tally, tallied
+from quadftc_campaign.batch.staged_step import StagedStep
+from quadftc_campaign.batch.tally import Schedule, Tally, empty_tally, update_tally
 from quadftc_sim.injection_step import FaultDraws
 
 QUICK_TO_COMPILE = {"xla_backend_optimization_level": 0}  # the beginning runs once
-MAX_SETTLING = 3  # steps in which the parts of a state may still change
-DRAWN = ("attitude", "gyro", "accelerometer", "gyro bias")
+MAX_SETTLING = 3  # steps in which the structure of a state may still change
 
 
-class Times(NamedTuple):
-    """Scenario times of a sample, the same in all flights."""
-
-    before: Any  # of the sample before [s]
-    now: Any  # [s]
-    taken: Any  # of the sample that comes out of the IMU now [s]
-
-
-class Brought(NamedTuple):
-    """What is brought to a step for each flight."""
-
-    draws: tuple[Any, ...]  # four of (3,): see `Given`
-    faults: tuple[FaultDraws | None, ...]
-    delivery: Delivery | None
-
-
-class Own(NamedTuple):
-    """What a flight has of its own, from its beginning to its end."""
+class PerFlight(NamedTuple):
+    """Constants of a flight."""
 
     numbers: dict[str, Any]  # of its parts, by path
     schedule: Schedule
-    direction: dict[str, Any] | None = (
-        None  # in which some of them change, for `quadftc_campaign.batch.slopes`
-    )
+    direction: dict[str, Any] | None = None  # in which some numbers change, for slopes
 
 
 class Carried(NamedTuple):
@@ -57,7 +39,7 @@ class Carried(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Structure:
-    """What a compiled flight is compiled for.
+    """Everything that flights must share to fly together.
 
     Parameters
     ----------
@@ -69,19 +51,16 @@ class Structure:
         Faults of an axis, at most.
     late_start : bool
         Whether a fault may keep the diagnosis from beginning with the first sample.
-    loses : bool
-        Whether samples may be withheld.
     float32 : bool
         Single precision in place of double.
     tuned : tuple of str
-        Paths of the numbers whose change a flight is derived by; all of them vary.
+        Paths of the numbers whose change a flight is differentiated by; all of them vary.
     """
 
     loop: Loop
     varying: tuple[str, ...]
     events: int
     late_start: bool
-    loses: bool
     float32: bool
     tuned: tuple[str, ...] = ()
 
@@ -99,8 +78,8 @@ class CompiledFlight:
     structure : Structure
     traced : bool
         Whether to keep every row, for traces of chosen flights.
-    lanes_last : bool
-        Whether to use the form for CPUs of `quadftc_campaign.batch.flights_last`, or ``jax.vmap``.
+    staged : bool
+        Whether to rewrite the step for CPUs (`quadftc_campaign.batch.staged_step`), or to use ``jax.vmap``.
 
     Raises
     ------
@@ -108,120 +87,108 @@ class CompiledFlight:
         If a part cannot be compiled.
     """
 
-    def __init__(self, structure: Structure, traced: bool = False, lanes_last: bool = True) -> None:
+    def __init__(self, structure: Structure, traced: bool = False, staged: bool = True) -> None:
         self.structure = dataclasses.replace(structure, loop=in_precision(structure.loop, structure.dtype))
         self._traced = traced
-        brought, own, times = self._shapes()
-        delay = structure.loop.sensor.delay
-        # some states take on their final parts only after a few samples, such as those that remember some
+        inputs, per_flight, times = self._shapes()
+        bias = jax.ShapeDtypeStruct((3,), structure.dtype)
+        # the beginning takes samples until the state keeps its structure: some laws remember a few first
         for settling in range(MAX_SETTLING + 1):
-            self.first_samples = delay + 1 + settling  # that the beginning takes
-            many = [brought] * self.first_samples, [times] * self.first_samples
-            bias = jax.ShapeDtypeStruct((3,), structure.dtype)
-            state = jax.eval_shape(self._begin, bias, many[0], own, many[1])[0]
-            after = jax.eval_shape(self._step, state, (brought, own), times)[0]
+            self.first_samples = structure.loop.sensor.delay + 1 + settling
+            first = [(inputs, times)] * self.first_samples
+            state = jax.eval_shape(self._begin, bias, *zip(*first, strict=True), per_flight)[0]
+            after = jax.eval_shape(self._step, state, (inputs, per_flight), times)[0]
             if jax.tree.structure(state) == jax.tree.structure(after):
                 break
         else:
             raise ValueError(f"after {MAX_SETTLING} steps a state still gets more parts")
-        if lanes_last:
-            program = AllFlights(self._step, state, (brought, own), times, shown=self._shown)
-            self.needed: Brought = program.needed[0]
-            self._all = program
-        else:
-            self.needed = jax.tree.map(lambda _: True, brought)
-            self._all = jax.vmap(self._step, in_axes=(-1, -1, None), out_axes=-1)
-        begin = jax.vmap(self._begin, in_axes=(-1, -1, -1, None), out_axes=-1)
+        self.needed_draws: Sequence[bool] = [True] * len(inputs.draws)
+        self._step_all: Any = jax.vmap(self._step, in_axes=(-1, -1, None), out_axes=-1)
+        if staged:
+            self._step_all = StagedStep(self._step, state, (inputs, per_flight), times, self._shown)
+            self.needed_draws = self._step_all.needed[0].draws
+        begin = jax.vmap(self._begin, in_axes=(-1, -1, None, -1), out_axes=-1)
         self.begin = jax.jit(begin, compiler_options=QUICK_TO_COMPILE)
-        self.fly = jax.jit(self._stretch, donate_argnums=0)
+        self.fly = jax.jit(self._fly_stretch, donate_argnums=0)
 
     def _shown(self, carried: Any) -> Any:
-        """What is looked at in the end."""
+        """Select the part of a state that the engine reads in the end."""
         return carried.tally
 
     def _begin(
-        self, bias: Any, brought: Sequence[Brought], own: Own, times: Sequence[Times]
+        self, bias: Any, inputs: Sequence[StepInputs], times: Sequence[Times], per_flight: PerFlight
     ) -> tuple[Carried, list[Row]]:
         """Take the first samples of one flight."""
-        closed = self._closed(own)
-        given = [_given(*each) for each in zip(brought, times, strict=True)]
+        closed, schedule = self._closed_loop(per_flight), per_flight.schedule
+        given = list(zip(inputs, times, strict=True))
         first = self.structure.loop.sensor.delay + 1
         state, row = closed.begin(bias, given[:first])
-        rows = [row]
-        tally = tallied(no_tally(bias, self.structure.events), row, own.schedule)
+        rows, tally = [row], update_tally(empty_tally(bias, self.structure.events), row, schedule)
         for each in given[first:]:
-            state, row = closed.step(state, each)
-            tally = tallied(tally, row, own.schedule)
+            state, row = closed.step(state, *each)
+            tally = update_tally(tally, row, schedule)
             rows.append(row)
         return self._cast(Carried(state, tally)), rows if self._traced else []
 
-    def _step(self, state: Carried, inputs: tuple[Brought, Own], times: Times) -> tuple[Carried, Any]:
+    def _step(
+        self, state: Carried, inputs: tuple[StepInputs, PerFlight], times: Times
+    ) -> tuple[Carried, Any]:
         """Take a sample of one flight."""
-        brought, own = inputs
-        loop, row = self._closed(own).step(state.loop, _given(brought, times))
-        new = Carried(loop, tallied(state.tally, row, own.schedule))
+        step_inputs, per_flight = inputs
+        loop, row = self._closed_loop(per_flight).step(state.loop, step_inputs, times)
+        new = Carried(loop, update_tally(state.tally, row, per_flight.schedule))
         return self._cast(new), row if self._traced else ()
 
-    def _stretch(
-        self, state: Carried, brought: Brought, own: Own, times: Times, count: int
+    def _fly_stretch(
+        self, state: Carried, inputs: StepInputs, times: Times, per_flight: PerFlight, count: int
     ) -> tuple[Carried, Any]:
-        """Fly all flights over ``count`` samples, of which more may be brought, from sums of nothing."""
+        """Fly all flights over the first ``count`` samples of the inputs, with sums that begin at zero."""
         sums = jax.tree.map(jnp.zeros_like, state.tally.sums)
         start = state._replace(tally=state.tally._replace(sums=sums))
 
-        def body(carried: Carried, each: tuple[Brought, Times]) -> tuple[Carried, Any]:
-            return self._all(carried, (each[0], own), each[1])
+        def body(carried: Carried, each: tuple[StepInputs, Times]) -> tuple[Carried, Any]:
+            return self._step_all(carried, (each[0], per_flight), each[1])
 
         if self._traced:
-            return jax.lax.scan(body, start, (brought, times))
+            return jax.lax.scan(body, start, (inputs, times))
 
         def sample(index: Any, carried: Carried) -> Carried:
-            each = jax.tree.map(lambda all_of_it: all_of_it[index], (brought, times))
-            return body(carried, each)[0]
+            return body(carried, jax.tree.map(lambda samples: samples[index], (inputs, times)))[0]
 
         return jax.lax.fori_loop(0, count, sample, start), ()
 
-    def _closed(self, own: Own) -> ClosedLoop:
-        return ClosedLoop(with_numbers(self.structure.loop, own.numbers), self.structure.late_start)
+    def _closed_loop(self, per_flight: PerFlight) -> ClosedLoop:
+        loop = with_numbers(self.structure.loop, per_flight.numbers)
+        return ClosedLoop(loop, self.structure.late_start)
 
     def _cast(self, tree: Any) -> Any:
-        """Every float in the precision of the structure: a state must keep its types."""
-        dtype = self.structure.dtype
+        """Put every float in the precision of the structure: a state must keep its types."""
+        return jax.tree.map(lambda leaf: cast_float(jnp.asarray(leaf), self.structure.dtype), tree)
 
-        def cast(leaf: Any) -> Any:
-            array = jnp.asarray(leaf)
-            return array.astype(dtype) if jnp.issubdtype(array.dtype, jnp.floating) else array
-
-        return jax.tree.map(cast, tree)
-
-    def _shapes(self) -> tuple[Brought, Own, Times]:
-        """Shapes and types of what one flight is given."""
+    def _shapes(self) -> tuple[StepInputs, PerFlight, Times]:
+        """Shapes and types of the arguments of a step of one flight."""
         structure = self.structure
 
         def shape(*axes: int, dtype: Any = structure.dtype) -> jax.ShapeDtypeStruct:
             return jax.ShapeDtypeStruct(axes, dtype)
 
         one, flag, vector = shape(), shape(dtype=np.bool_), shape(3)
-        faults = tuple(
-            FaultDraws(vector, vector) if injection.law.is_random and injection.channel != "imu" else None
-            for injection in structure.loop.injections
-        )
-        delivery = Delivery(flag, one, flag, one) if structure.loses else None
-        numbers = numbers_of(structure.loop)
+        injections, numbers = structure.loop.injections, numbers_of(structure.loop)
+        faults = tuple(FaultDraws(vector, vector) if is_random(each) else None for each in injections)
+        loses = any(injection.channel == "imu" for injection in injections)
         varying = {
-            path: shape(*numbers[path].shape, dtype=_kind(numbers[path], structure.dtype))
+            path: shape(*numbers[path].shape, dtype=cast_float(numbers[path], structure.dtype).dtype)
             for path in structure.varying
         }
-        schedule = Schedule(*[shape(structure.events, 3)] * 3)
-        direction = {path: varying[path] for path in structure.tuned} or None
-        own = Own(varying, schedule, direction)
-        return Brought((vector,) * len(DRAWN), faults, delivery), own, Times(one, one, one)
+        per_flight = PerFlight(
+            varying,
+            Schedule(*[shape(structure.events, 3)] * 3),
+            {path: varying[path] for path in structure.tuned} or None,
+        )
+        delivery = Delivery(flag, one, flag, one) if loses else None
+        return StepInputs((vector,) * 4, faults, delivery), per_flight, Times(one, one, one)
 
 
-def _given(brought: Brought, times: Times) -> Given:
-    return Given(*times, brought.draws, brought.faults, brought.delivery)
-
-
-def _kind(array: Any, floats: np.dtype[Any]) -> np.dtype[Any]:
-    """Type in which an array is computed with: floats in the precision wanted."""
-    return floats if array.dtype.kind == "f" else array.dtype
+def cast_float(array: Any, dtype: np.dtype[Any]) -> Any:
+    """Return an array in another precision, if it is one of floats."""
+    return array.astype(dtype) if jnp.issubdtype(array.dtype, jnp.floating) else array

@@ -1,11 +1,11 @@
 # pyright: basic
-"""The batch engine: thousands of flights at once, compiled by JAX, what is kept of each a tally.
+"""The batch engine: thousands of flights at once, compiled by JAX; of each it keeps a tally.
 
 >>> engine = Engine()
 >>> outcomes = engine.fly([parts_of(scenario)], [scenario.fault_events])
 
-One engine keeps one core busy; for more, start a process for each (`quadftc_campaign` does). JAX reads
-its settings when it is imported first: see `quadftc_campaign.batch.environment`.
+One engine keeps one core busy; for more, start a process for each (`quadftc_campaign` does). JAX reads its
+settings on its first import: see `quadftc_campaign.batch.jax_settings`.
 """
 
 from __future__ import annotations
@@ -17,22 +17,30 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_campaign.batch.compiled import CompiledFlight, Own, Structure
-from quadftc_campaign.batch.flown import Outcome, doubled, flown, lane_of
-from quadftc_campaign.batch.loop import Row
-from quadftc_campaign.batch.parts import FlightParts, differing, numbers_of, structure_of, with_common_faults
-from quadftc_campaign.batch.refusal import UNTRACEABLE, refusal
-from quadftc_campaign.batch.session import settle_precision
+from quadftc_campaign.batch.block import fly_block, lane_of, to_float64
+from quadftc_campaign.batch.compiled import CompiledFlight, PerFlight, Structure
+from quadftc_campaign.batch.jax_settings import settle_precision
+from quadftc_campaign.batch.loop_step import Row
+from quadftc_campaign.batch.parts import (
+    FlightParts,
+    Loop,
+    differing,
+    numbers_of,
+    structure_of,
+    with_common_faults,
+)
 from quadftc_campaign.batch.slopes import SlopeFlight, slope_of_sums
-from quadftc_campaign.batch.tally import Schedule, Sums, most_events, schedule_of
-from quadftc_campaign.batch.trace import flight_of
+from quadftc_campaign.batch.tally import Outcome, Schedule, Sums, most_events, schedule_of
 from quadftc_flight.fault_schedule import FaultEvent
-from quadftc_flight.flight import Flight
+from quadftc_flight.flight import NO_STATE, Flight, onset_ns
+from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_sim.assembly import EPOCH_NS
 
-LANES = 128  # flights that are flown together: their state stays in the cache
+LANES = 128  # flights that fly together: their state stays in the cache
+UNTRACEABLE = (TypeError, AttributeError, NotImplementedError, ValueError)
 
 Floats = NDArray[np.float64]
+Events = Sequence[Sequence[FaultEvent]]
 
 
 def lanes_for(flights: int) -> int:
@@ -41,7 +49,7 @@ def lanes_for(flights: int) -> int:
 
 
 class Sloped(NamedTuple):
-    """What is left of one flight, and how its sums change along a direction of its numbers."""
+    """One flight, and how its sums change along a direction of its numbers."""
 
     outcome: Outcome
     slope: Sums
@@ -54,26 +62,38 @@ class Traced(NamedTuple):
     flight: Flight
 
 
-def _no_progress(samples: int) -> None:
-    """Say nothing."""
+class _Block(NamedTuple):
+    """Flights of one structure that fly together; the last one fills the lanes that are left."""
+
+    compiled: CompiledFlight
+    places: list[int]  # of the flights among all
+    flights: list[FlightParts]  # one for each lane
+    per_flight: PerFlight
 
 
 class Engine:
-    """Flies batches; what it has compiled, it keeps.
+    """Flies batches; it keeps what it has compiled.
 
     Parameters
     ----------
     float32 : bool
         Single precision in place of double; the same for all engines of a process.
     lanes : int, optional
-        Flights that are flown together; compiled for so many, a batch of fewer is filled up. Default: as the
-        flights are, up to `LANES`.
+        Flights that fly together; a batch of fewer is filled up. Default: as the flights are, up to `LANES`.
     free : sequence of str
-        Paths of numbers (`numbers_of`) for which nothing is compiled anew when they change from one call to
-        the next; those that differ between the flights of a call need not be named.
+        Paths of numbers (`numbers_of`) that may change from one call to the next without another compilation;
+        those that differ between the flights of a call need not be named.
+    staged : bool, optional
+        Whether to rewrite the step (`quadftc_campaign.batch.staged_step`). Default: on a CPU.
     """
 
-    def __init__(self, float32: bool = False, lanes: int | None = None, free: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        float32: bool = False,
+        lanes: int | None = None,
+        free: Sequence[str] = (),
+        staged: bool | None = None,
+    ) -> None:
         if lanes is not None and lanes < 1:
             raise ValueError(f"lanes = {lanes}: must be positive")
         settle_precision(float32)
@@ -81,19 +101,16 @@ class Engine:
         self._lanes = lanes
         self._free = frozenset(free)
         self._compiled: dict[Any, CompiledFlight] = {}
-        self._on_cpu = jax.default_backend() == "cpu"
+        self._staged = jax.default_backend() == "cpu" if staged is None else staged
 
     @property
     def device(self) -> str:
         """The device that computes, in words."""
-        found = jax.devices()[0]
-        return f"{found.platform} ({found.device_kind})"
+        device = jax.devices()[0]
+        return f"{device.platform} ({device.device_kind})"
 
     def fly(
-        self,
-        flights: Sequence[FlightParts],
-        events: Sequence[Sequence[FaultEvent]],
-        progress: Callable[[int], None] = _no_progress,
+        self, flights: Sequence[FlightParts], events: Events, progress: Callable[[int], None] = lambda _: None
     ) -> list[Outcome]:
         """Fly all flights.
 
@@ -105,28 +122,18 @@ class Engine:
         progress : callable
             Called with the number of samples flown since the last call.
 
-        Returns
-        -------
-        list of Outcome
-
         Raises
         ------
         ValueError
             If a part cannot be flown in a batch.
         """
-        outcomes: list[Outcome | None] = [None] * len(flights)
-        for compiled, places, chosen, own in self._tasks(with_common_faults(flights), events):
-            found, _ = flown(compiled, chosen, own, len(places), progress)
-            for place, outcome in zip(places, found, strict=True):
-                outcomes[place] = outcome
-        return [outcome for outcome in outcomes if outcome is not None]
+        outcomes: dict[int, Outcome] = {}
+        for block in self._blocks(flights, events):
+            flown, _ = fly_block(block.compiled, block.flights, block.per_flight, len(block.places), progress)
+            outcomes.update(zip(block.places, flown, strict=True))
+        return [outcomes[place] for place in range(len(flights))]
 
-    def trace(
-        self,
-        flights: Sequence[FlightParts],
-        events: Sequence[Sequence[FaultEvent]],
-        epoch_ns: int = EPOCH_NS,
-    ) -> list[Traced]:
+    def trace(self, flights: Sequence[FlightParts], events: Events, epoch_ns: int = EPOCH_NS) -> list[Traced]:
         """Fly flights and keep every sample, as `quadftc_flight.closed_loop.fly` does; else as `fly`.
 
         Parameters
@@ -135,22 +142,22 @@ class Engine:
         epoch_ns : int
             Stamp of the first sample [ns].
         """
-        found: dict[int, Traced] = {}
-        for compiled, places, chosen, own in self._tasks(with_common_faults(flights), events, traced=True):
+        traced: dict[int, Traced] = {}
+        for compiled, places, chosen, per_flight in self._blocks(flights, events, traced=True):
             pieces: list[Row] = []
-            outcomes, _ = flown(compiled, chosen, own, len(places), _no_progress, pieces.append)
-            row: Row = jax.tree.map(lambda *parts: np.concatenate(parts), *pieces)
+            outcomes, _ = fly_block(compiled, chosen, per_flight, len(places), keep=pieces.append)
+            rows: Row = jax.tree.map(lambda *parts: np.concatenate(parts), *pieces)
             for lane, (place, outcome) in enumerate(zip(places, outcomes, strict=True)):
-                one: Row = jax.tree.map(lambda leaf: leaf[..., lane], row)  # noqa: B023
-                found[place] = Traced(outcome, flight_of(one, chosen[lane].loop.period_ns, epoch_ns))
-        return [found[place] for place in range(len(flights))]
+                of_lane: Row = jax.tree.map(lambda leaf: leaf[..., lane], rows)  # noqa: B023
+                traced[place] = Traced(outcome, _flight_of(of_lane, chosen[lane].loop.period_ns, epoch_ns))
+        return [traced[place] for place in range(len(flights))]
 
     def slopes(
         self,
         flights: Sequence[FlightParts],
-        events: Sequence[Sequence[FaultEvent]],
+        events: Events,
         directions: Sequence[Mapping[str, Floats]],
-        progress: Callable[[int], None] = _no_progress,
+        progress: Callable[[int], None] = lambda _: None,
     ) -> list[Sloped]:
         """Fly flights, each with the slope of its sums along a direction; else as `fly`.
 
@@ -158,78 +165,70 @@ class Engine:
         ----------
         flights, events : sequences
         directions : sequence of mappings
-            For each flight, how some of its numbers change, by path (`numbers_of`); of all flights the same
-            paths.
+            For each flight, how some of its numbers change, by path (`numbers_of`); all have the same paths.
         progress : callable
         """
-        found: dict[int, Sloped] = {}
-        tasks = self._tasks(with_common_faults(flights), events, directions=directions)
-        for compiled, places, chosen, own in tasks:
-            outcomes, state = flown(compiled, chosen, own, len(places), progress)
-            slope = doubled(slope_of_sums(state))
+        sloped: dict[int, Sloped] = {}
+        for compiled, places, chosen, per_flight in self._blocks(flights, events, directions=directions):
+            outcomes, state = fly_block(compiled, chosen, per_flight, len(places), progress)
+            slope = to_float64(slope_of_sums(state))
             for lane, (place, outcome) in enumerate(zip(places, outcomes, strict=True)):
-                found[place] = Sloped(outcome, lane_of(slope, lane))
-        return [found[place] for place in range(len(flights))]
+                sloped[place] = Sloped(outcome, lane_of(slope, lane))
+        return [sloped[place] for place in range(len(flights))]
 
-    def _tasks(
+    def _blocks(
         self,
         flights: Sequence[FlightParts],
-        events: Sequence[Sequence[FaultEvent]],
+        events: Events,
         traced: bool = False,
-        directions: Sequence[Mapping[str, Floats]] | None = None,
-    ) -> Iterator[tuple[CompiledFlight, list[int], list[FlightParts], Own]]:
-        """Blocks of flights of one structure."""
+        directions: Sequence[Mapping[str, Floats]] = (),
+    ) -> Iterator[_Block]:
+        """Divide flights into blocks of one structure."""
+        flights = with_common_faults(flights)
         groups: dict[Any, list[int]] = {}
         for index, flight in enumerate(flights):
             groups.setdefault(structure_of(flight.loop), []).append(index)
+        tuned = tuple(directions[0]) if directions else ()
         for key, members in groups.items():
-            numbers = [numbers_of(flights[index].loop) for index in members]
-            tuned = tuple(directions[0]) if directions else ()
-            varying = differing(numbers, self._free | set(tuned))
             chosen = [flights[index] for index in members]
-            most = max(map(most_events, (events[index] for index in members)))
-            compiled = self._compile(key, chosen, tuple(varying), most, numbers[0], traced, tuned)
+            numbers = [numbers_of(flight.loop) for flight in chosen]
+            varying = differing(numbers, self._free | set(tuned))
+            most = max(most_events(events[index]) for index in members)
+            structure = Structure(
+                loop=chosen[0].loop,
+                varying=tuple(varying),
+                events=most,
+                late_start=any(map(_may_start_late, chosen)),
+                float32=self._float32,
+                tuned=tuned,
+            )
+            compiled = self._compile(key, structure, numbers[0], traced)
             schedules = [schedule_of(events[index], most) for index in members]
             lanes = self._lanes or lanes_for(len(members))
             for start in range(0, len(members), lanes):
                 block = list(range(start, min(start + lanes, len(members))))
                 full = block + [block[-1]] * (lanes - len(block))
                 along = [directions[members[i]] for i in full] if directions else []
-                own = Own(
+                per_flight = PerFlight(
                     {path: np.moveaxis(values[full], 0, -1) for path, values in varying.items()},
                     Schedule(*(np.stack([schedules[i][kind] for i in full], axis=-1) for kind in range(3))),
                     {path: np.stack([one[path] for one in along], axis=-1) for path in tuned} or None,
                 )
-                yield compiled, [members[i] for i in block], [chosen[i] for i in full], own
+                yield _Block(compiled, [members[i] for i in block], [chosen[i] for i in full], per_flight)
 
     def _compile(
-        self,
-        key: Any,
-        flights: Sequence[FlightParts],
-        varying: tuple[str, ...],
-        events: int,
-        numbers: dict[str, Any],
-        traced: bool,
-        tuned: tuple[str, ...],
+        self, key: Any, structure: Structure, numbers: Mapping[str, Any], traced: bool
     ) -> CompiledFlight:
-        loop = flights[0].loop
-        structure = Structure(
-            loop=loop,
-            varying=varying,
-            events=events,
-            late_start=any(map(_may_start_late, flights)),
-            loses=any(injection.channel == "imu" for injection in loop.injections),
-            float32=self._float32,
-            tuned=tuned,
-        )
-        fixed = tuple(value.tobytes() for path, value in numbers.items() if path not in varying)
-        whole_key = (key, varying, events, structure.late_start, fixed, traced, tuned)
+        """Return the compiled flight of a structure, with the numbers that do not vary as constants."""
+        fixed = tuple(value.tobytes() for path, value in numbers.items() if path not in structure.varying)
+        rest = (structure.varying, structure.events, structure.late_start, structure.tuned)
+        whole_key = (key, fixed, rest, traced)
         if whole_key not in self._compiled:
             try:
-                kind = SlopeFlight if tuned else CompiledFlight
-                self._compiled[whole_key] = kind(structure, traced, self._on_cpu)
+                kind = SlopeFlight if structure.tuned else CompiledFlight
+                self._compiled[whole_key] = kind(structure, traced, self._staged)
             except UNTRACEABLE as error:
-                raise refusal(error, loop, varying) from error
+                raise _name_culprit(error, structure) from error
         return self._compiled[whole_key]
 
 
@@ -238,4 +237,54 @@ def _may_start_late(flight: FlightParts) -> bool:
     return any(
         injection.start <= 0.0 and injection.channel in ("attitude", "gyro", "imu")
         for injection in flight.loop.injections
+    )
+
+
+def _name_culprit(error: Exception, structure: Structure) -> ValueError:
+    """Return the error that names the part whose method raised ``error`` while it was traced."""
+    role, part = "a part", None
+    step = error.__traceback__
+    while step is not None:
+        caller = step.tb_frame.f_locals.get("self")
+        for path, each in _parts(structure.loop):
+            if caller is not None and type(caller) is type(each):
+                role, part = path, each
+        step = step.tb_next
+    where = role if part is None else f"{role} ({type(part).__name__})"
+    varying = [path for path in structure.varying if path.startswith(f"{role}.")]
+    reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
+    advice = "a law must not branch on data or ask for numbers; see CONTRIBUTING.md"
+    if varying:
+        advice += f". It can if {', '.join(varying)} are the same in all flights"
+    return ValueError(f"{where} cannot be flown in a batch: {reason}; {advice}")
+
+
+def _parts(loop: Loop) -> Iterator[tuple[str, Any]]:
+    """Everything in the loop that has a step, by its path."""
+    for role in ("plant", "sensor", "observer", "disturbance_observer", "controller"):
+        yield role, getattr(loop, role)
+    yield from ((f"injections.{i}.law", each.law) for i, each in enumerate(loop.injections))
+    yield from ((f"references.{i}", each) for i, each in enumerate(loop.references))
+    yield from ((f"plant.disturbances.{i}", each) for i, each in enumerate(loop.plant.disturbances))
+
+
+def _flight_of(row: Row, period_ns: int, epoch_ns: int) -> Flight:
+    """Make a flight of the rows (samples, ...) of one lane."""
+    there = np.asarray(row.delivered, np.bool_)
+    stamp_ns = epoch_ns + period_ns * np.arange(len(there))
+    estimate, output, column = row.estimate, row.output, there[:, None]
+    onsets = onset_ns(stamp_ns[:, None], np.asarray(estimate.onset_age, np.float64))
+    motion = {name: getattr(row, name) for name in ("angles", "body_rate", "disturbance")}
+    known = {name: getattr(row, name) for name in ("reference", "fault", "disturbance_estimate")}
+    known |= {name: getattr(output, name) for name in ("torque", "error", "sliding_variable")}
+    known |= {"fault_estimate": estimate.fault, "fault_std_dev": estimate.std_dev}
+    return Flight(
+        stamp_ns=stamp_ns,
+        time=(stamp_ns - epoch_ns) / NANOSECONDS_PER_SECOND,
+        delivered=there,
+        fault_state=np.where(column, estimate.state, NO_STATE).astype(np.uint8),
+        fault_onset_ns=np.where(column, onsets, 0),
+        saturated=column & output.saturated,
+        **{name: np.asarray(values, np.float64) for name, values in motion.items()},
+        **{name: np.where(column, np.asarray(values, np.float64), np.nan) for name, values in known.items()},
     )

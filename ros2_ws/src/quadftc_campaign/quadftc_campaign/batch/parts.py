@@ -1,9 +1,9 @@
 """The parts of one flight, and which of their numbers differ between the flights of a batch.
 
-A part is a frozen dataclass. Its texts, whole numbers and switches are its *structure*, over which a step is
-compiled; its floats and arrays are *numbers*, each known by its path (``plant.vehicle.inertia``). Flights of
-one structure are flown together: numbers that all of them share stay what they are, the others become arrays
-with one value a flight.
+A part is a frozen dataclass. Its texts, whole numbers and switches are its *structure*: a step is compiled
+for them. Its floats and arrays are *numbers*, each with a path (``plant.vehicle.inertia``). Flights of one
+structure fly together: numbers that all flights share stay constants, the others become arrays with a value
+per flight.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import dataclasses
 import functools
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +26,11 @@ from quadftc_sim.injection import Injection
 from quadftc_sim.plant import Plant
 from quadftc_sim.sensors import ImuSensor
 
-NEVER = math.inf  # s; start of a fault that another flight of the batch has in its place
+NEVER = math.inf  # s; start of a fault that only other flights of the batch have
 
 Numbers = NDArray[Any]
 Slot = tuple[int, Any]  # place among the faults, structure
+T = TypeVar("T")
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -49,7 +50,7 @@ class Loop:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Seeds:
-    """What the random numbers of a flight come from."""
+    """Seeds of the random numbers of a flight."""
 
     sensor: int
     injector: int
@@ -65,67 +66,61 @@ class FlightParts:
 
 
 def with_common_faults(flights: Sequence[FlightParts]) -> list[FlightParts]:
-    """Give all flights the same kinds of faults in the same order, those that a flight has not never acting.
+    """Give all flights the same kinds of faults in the same order; one that a flight lacks never acts.
 
     So flights that differ only in the kinds of their faults are compiled and flown together.
     """
-    slots = [_slots(flight) for flight in flights]
     templates: dict[Slot, Injection] = {}
-    for flight, own in zip(flights, slots, strict=True):
-        for slot, place in own.items():
-            templates.setdefault(slot, flight.loop.injections[place])
+    for flight in flights:
+        for place, injection in enumerate(flight.loop.injections):
+            templates.setdefault((place, structure_of(injection)), injection)
     order = sorted(templates, key=lambda slot: slot[0])
-    never = [dataclasses.replace(templates[slot], start=NEVER, stop=NEVER) for slot in order]
-    return [_with_faults(flight, own, order, never) for flight, own in zip(flights, slots, strict=True)]
+    absent = [dataclasses.replace(templates[slot], start=NEVER, stop=NEVER) for slot in order]
+    return [_fill_slots(flight, order, absent) for flight in flights]
 
 
-def _slots(flight: FlightParts) -> dict[Slot, int]:
-    """Which kind of fault is at which place."""
-    return {(place, structure_of(one)): place for place, one in enumerate(flight.loop.injections)}
-
-
-def _with_faults(
-    flight: FlightParts, own: Mapping[Slot, int], order: Sequence[Slot], never: Sequence[Injection]
-) -> FlightParts:
-    places = [own.get(slot) for slot in order]
-    injections = tuple(
-        absent if place is None else flight.loop.injections[place]
-        for place, absent in zip(places, never, strict=True)
-    )
-    numbers = tuple(0 if place is None else flight.seeds.numbers[place] for place in places)
+def _fill_slots(flight: FlightParts, order: Sequence[Slot], absent: Sequence[Injection]) -> FlightParts:
+    pairs = zip(flight.loop.injections, flight.seeds.numbers, strict=True)
+    present = {(place, structure_of(pair[0])): pair for place, pair in enumerate(pairs)}
+    filled = [present.get(slot, (template, 0)) for slot, template in zip(order, absent, strict=True)]
     return FlightParts(
-        dataclasses.replace(flight.loop, injections=injections),
-        dataclasses.replace(flight.seeds, numbers=numbers),
+        dataclasses.replace(flight.loop, injections=tuple(injection for injection, _ in filled)),
+        dataclasses.replace(flight.seeds, numbers=tuple(number for _, number in filled)),
     )
 
 
 def structure_of(part: Any) -> Any:
-    """What two parts must have in common to be flown together; hashable."""
-    return tuple(_static(part, ""))
+    """Return what two parts must have in common to fly together; hashable."""
+    return tuple(
+        (path, number.shape, number.dtype.kind)
+        if number is not None
+        else (path, type(node).__qualname__, None if _is_container(node) else node)
+        for path, node, number in _walk(part)
+    )
 
 
 def numbers_of(part: Any) -> dict[str, Numbers]:
-    """The numbers of a part, by path."""
-    return dict(_numbers(part, ""))
+    """Return the numbers of a part, by path."""
+    return {path: number for path, _, number in _walk(part) if number is not None}
 
 
-def with_numbers(part: Any, values: Mapping[str, Any]) -> Any:
-    """Return the part with other numbers, unchecked: they may be those of a compiler."""
-    return _replaced(part, "", values) if values else part
+def with_numbers(part: T, values: Mapping[str, Any]) -> T:
+    """Return the part with other numbers, unchecked: they may be tracers of JAX."""
+    return _replace(part, "", values) if values else part
 
 
-def in_precision(part: Any, dtype: np.dtype[Any]) -> Any:
+def in_precision(part: T, dtype: np.dtype[Any]) -> T:
     """Return the part with all arrays of floats in a precision; single floats have none."""
     arrays = {
         path: number.astype(dtype)
-        for path, number, raw in ((path, np.asarray(raw), raw) for path, raw in _leaves(part, ""))
-        if isinstance(raw, np.ndarray) and number.dtype.kind == "f"
+        for path, node, number in _walk(part)
+        if isinstance(node, np.ndarray) and number is not None and number.dtype.kind == "f"
     }
     return with_numbers(part, arrays)
 
 
 def differing(flights: Sequence[Mapping[str, Numbers]], free: Collection[str] = ()) -> dict[str, Numbers]:
-    """The numbers that differ between flights, and those that are ``free``, stacked (flights, ...)."""
+    """Stack the numbers that differ between flights, and those that are ``free``: (flights, ...)."""
     first = flights[0]
     return {
         path: np.stack([flight[path] for flight in flights])
@@ -134,39 +129,24 @@ def differing(flights: Sequence[Mapping[str, Numbers]], free: Collection[str] = 
     }
 
 
-def _numbers(part: Any, path: str) -> Iterator[tuple[str, Numbers]]:
-    return ((name, np.asarray(raw)) for name, raw in _leaves(part, path))
-
-
-def _leaves(part: Any, path: str) -> Iterator[tuple[str, Any]]:
-    """The numbers of a part as they are there: floats, arrays, tuples of floats."""
-    if _as_number(part) is not None:
-        yield path, part
-        return
-    for name, inside in _inside(part):
-        yield from _leaves(inside, f"{path}.{name}" if path else name)
-
-
-def _static(part: Any, path: str) -> Iterator[Any]:
+def _walk(part: Any, path: str = "") -> Iterator[tuple[str, Any, Numbers | None]]:
+    """Yield every node of a part from the root on: path, node, and the numbers of a leaf."""
     number = _as_number(part)
-    if number is not None:
-        yield path, number.shape, number.dtype.kind
-        return
-    inside = list(_inside(part))
-    yield path, type(part).__qualname__, None if inside or _is_container(part) else part
-    for name, each in inside:
-        yield from _static(each, f"{path}.{name}" if path else name)
+    yield path, part, number
+    if number is None:
+        for name, inside in _children(part):
+            yield from _walk(inside, _join(path, name))
 
 
-def _replaced(part: Any, path: str, values: Mapping[str, Any]) -> Any:
+def _replace(part: Any, path: str, values: Mapping[str, Any]) -> Any:
     if path in values:
         return values[path]
-    if not any(name.startswith(f"{path}." if path else "") for name in values):
+    if not any(name.startswith(_join(path, "")) for name in values):
         return part
     changed = {
         name: new
-        for name, inside in _inside(part)
-        if (new := _replaced(inside, f"{path}.{name}" if path else name, values)) is not inside
+        for name, inside in _children(part)
+        if (new := _replace(inside, _join(path, name), values)) is not inside
     }
     if not changed:
         return part
@@ -178,8 +158,12 @@ def _replaced(part: Any, path: str, values: Mapping[str, Any]) -> Any:
     return new_part
 
 
+def _join(path: str, name: str) -> str:
+    return f"{path}.{name}" if path else name
+
+
 def _as_number(part: Any) -> Numbers | None:
-    """A float, an array, or a vector of floats, as an array; None for anything else."""
+    """Return a float, an array, or a tuple of floats, as an array; None for anything else."""
     if isinstance(part, (float, np.ndarray)):
         return np.asarray(part)
     if isinstance(part, tuple) and part and all(isinstance(each, float) for each in part):  # pyright: ignore
@@ -187,12 +171,10 @@ def _as_number(part: Any) -> Numbers | None:
     return None
 
 
-def _inside(part: Any) -> list[tuple[str, Any]]:
+def _children(part: Any) -> list[tuple[str, Any]]:
     if isinstance(part, tuple):
         return [(str(index), each) for index, each in enumerate(part)]  # pyright: ignore
-    if not dataclasses.is_dataclass(part):
-        return []
-    return [(name, getattr(part, name)) for name in _names(type(part))]
+    return [(name, getattr(part, name)) for name in _names(type(part))] if _is_container(part) else []  # pyright: ignore
 
 
 def _is_container(part: Any) -> bool:
@@ -201,7 +183,7 @@ def _is_container(part: Any) -> bool:
 
 @functools.cache
 def _names(kind: type) -> tuple[str, ...]:
-    """Names of the fields of a part, and of what it computes once from them (a mixer, say)."""
+    """Names of the fields of a part, and of its cached properties (a mixer, say)."""
     derived = (
         name
         for each in kind.__mro__

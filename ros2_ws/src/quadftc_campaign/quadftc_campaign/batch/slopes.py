@@ -1,22 +1,22 @@
 # pyright: basic
 """A flight and its derivative: how the sums of a tally change when gains do.
 
-Forward mode: beside every float that a flight carries goes its slope along one direction of the gains, so a
-flight of any length takes the same memory, and a gradient takes one lane for each gain. A slope is that of
-the branch that was taken: what a gain does by moving a decision (the moment of a detection, say) to another
-sample is not in it. Where a function has no slope (a norm at zero), it is taken as 0.
+Forward mode: beside every float that a flight carries goes its slope along one direction of the gains. A
+flight of any length takes the same memory, and a gradient takes one lane for each gain. The slope follows
+the branch that was taken: it leaves out what a gain does by moving a decision (a detection, say) to another
+sample. Where a function has no slope (a norm at zero), it counts as 0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
-from quadftc_campaign.batch.compiled import Brought, Carried, CompiledFlight, Own, Times
-from quadftc_campaign.batch.loop import LoopState
+from quadftc_campaign.batch.compiled import Carried, CompiledFlight, PerFlight
+from quadftc_campaign.batch.loop_step import LoopState, StepInputs, Times
 from quadftc_campaign.batch.tally import Sums, Tally
 
 Floats = tuple[Any, ...]
@@ -38,53 +38,52 @@ class CarriedWithSlopes(NamedTuple):
 
 
 class SlopeFlight(CompiledFlight):
-    """Functions that fly all flights of one structure, each with its slope along a direction of its own.
+    """Functions that fly all flights of one structure, each with its slope along its direction.
 
-    The slopes of sums are those of the whole flight: they are never taken out.
+    The slopes of sums are those of the whole flight: no stretch sets them to zero.
     """
 
     def _shown(self, carried: CarriedWithSlopes) -> Any:
         return carried.tally, carried.slopes.tally
 
     def _begin(
-        self, bias: Any, brought: Sequence[Brought], own: Own, times: Sequence[Times]
+        self, bias: Any, inputs: Sequence[StepInputs], times: Sequence[Times], per_flight: PerFlight
     ) -> tuple[CarriedWithSlopes, list[Any]]:
-        def begun(tuned: dict[str, Any]) -> tuple[Slopes, Carried]:
-            state, _ = CompiledFlight._begin(self, bias, brought, _with(own, tuned), times)
+        def begin(tuned: dict[str, Any]) -> tuple[Slopes, Carried]:
+            state, _ = CompiledFlight._begin(self, bias, inputs, times, _with_tuned(per_flight, tuned))
             return _floats_of(state), state
 
-        _, slopes, state = jax.jvp(begun, (_tuned(own),), (own.direction,), has_aux=True)
+        _, slopes, state = jax.jvp(begin, (_tuned(per_flight),), (per_flight.direction,), has_aux=True)
         return CarriedWithSlopes(state.loop, state.tally, _finite(slopes)), []
 
     def _step(
-        self, state: CarriedWithSlopes, inputs: tuple[Brought, Own], times: Times
+        self, state: CarriedWithSlopes, inputs: tuple[StepInputs, PerFlight], times: Times
     ) -> tuple[CarriedWithSlopes, Any]:
-        brought, own = inputs
+        step_inputs, per_flight = inputs
         before = Carried(state.loop, state.tally)
 
-        def stepped(floats: Slopes, tuned: dict[str, Any]) -> tuple[Slopes, Carried]:
-            carried = Carried(
-                _with_floats(before.loop, floats.loop), _with_floats(before.tally, floats.tally)
-            )
-            after, _ = CompiledFlight._step(self, carried, (brought, _with(own, tuned)), times)
+        def step(floats: Slopes, tuned: dict[str, Any]) -> tuple[Slopes, Carried]:
+            carried = Carried(*map(_with_floats, before, floats))
+            arguments = (step_inputs, _with_tuned(per_flight, tuned))
+            after, _ = CompiledFlight._step(self, carried, arguments, times)
             return _floats_of(after), after
 
-        primals, tangents = (_floats_of(before), _tuned(own)), (state.slopes, own.direction)
-        _, slopes, after = jax.jvp(stepped, primals, tangents, has_aux=True)
+        primals, tangents = (_floats_of(before), _tuned(per_flight)), (state.slopes, per_flight.direction)
+        _, slopes, after = jax.jvp(step, primals, tangents, has_aux=True)
         return CarriedWithSlopes(after.loop, after.tally, _finite(slopes)), ()
 
 
 def slope_of_sums(carried: CarriedWithSlopes) -> Sums:
-    """The slopes of the sums of a flight; its leaves are floats, and the first of the tally."""
+    """Return the slopes of the sums of a flight: the first floats of the tally."""
     return Sums(*carried.slopes.tally[: len(Sums._fields)])
 
 
-def _tuned(own: Own) -> dict[str, Any]:
-    return {path: own.numbers[path] for path in own.direction or {}}
+def _tuned(per_flight: PerFlight) -> dict[str, Any]:
+    return {path: per_flight.numbers[path] for path in per_flight.direction or {}}
 
 
-def _with(own: Own, tuned: dict[str, Any]) -> Own:
-    return own._replace(numbers={**own.numbers, **tuned})
+def _with_tuned(per_flight: PerFlight, tuned: dict[str, Any]) -> PerFlight:
+    return per_flight._replace(numbers={**per_flight.numbers, **tuned})
 
 
 def _is_float(leaf: Any) -> bool:
@@ -96,12 +95,11 @@ def _floats_of(carried: Carried) -> Slopes:
 
 
 def _with_floats(tree: Any, floats: Floats) -> Any:
-    """The tree with other floats."""
+    """Return the tree with other floats."""
     leaves, structure = jax.tree.flatten(tree)
     rest = iter(floats)
     return jax.tree.unflatten(structure, [next(rest) if _is_float(leaf) else leaf for leaf in leaves])
 
 
 def _finite(slopes: Slopes) -> Slopes:
-    keep: Callable[[Any], Any] = lambda slope: jnp.where(jnp.isfinite(slope), slope, 0.0)  # noqa: E731
-    return jax.tree.map(keep, slopes)
+    return jax.tree.map(lambda slope: jnp.where(jnp.isfinite(slope), slope, 0.0), slopes)

@@ -1,29 +1,70 @@
-"""Tuning a campaign's scheme: search on its flights, judge on others."""
+# pyright: basic
+"""Tuning a campaign's scheme: search on its flights, judge on others, write the gains.
+
+The search is Adam (Kingma and Ba, 2015) on the logarithms of gains, where the theory still holds.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+import io
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+from ruamel.yaml import YAML
 
 from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.cluster import cluster_client, run_tasks
 from quadftc_campaign.errors import CampaignError
 from quadftc_campaign.flying import FLIGHTS_A_CHUNK, fly_chunk
 from quadftc_campaign.table import Rows, table_of
-from quadftc_campaign.tune.cost import Cost
-from quadftc_campaign.tune.result import Judged, gains_document, judged, write_gains
-from quadftc_campaign.tune.search import Search, Step
-from quadftc_campaign.tune.searched_gains import Gains, gains_of, with_gains
-from quadftc_campaign.tune.slopes_work import Sensitivity, flights_together, sensitivity
-from quadftc_flight.scenario import build_scenario
+from quadftc_campaign.tune.cost import Cost, cost_from, values_of
+from quadftc_campaign.tune.sensitivity import (
+    Gains,
+    Sensitivity,
+    flights_together,
+    gains_of,
+    sensitivity,
+    with_gains,
+)
+from quadftc_flight.scenario import ROLES, Scenario, ScenarioError, build_scenario, grade_of
+from quadftc_model.samples import AXES
+from quadftc_theory.checks import check_scenario
+
+Floats = NDArray[np.float64]
+
+HALVINGS = 8  # of a step that leads to where a condition fails
+AVERAGED = 3  # the result is the mean of the last third of the steps
+LARGEST = 0.3  # of a logarithm in one step
+
+# flies flights with slopes: campaign with the gains, gains, numbers of the flights
+Fly = Callable[[Campaign, Gains, Sequence[int]], Sensitivity]
+
+
+class Step(NamedTuple):
+    """One step of the search."""
+
+    gains: Gains  # before it
+    cost: float
+    slope: float  # norm of the gradient
+
+
+class Judged(NamedTuple):
+    """Flights not used for tuning."""
+
+    cost: float
+    metrics: dict[str, float]  # means over flights and axes
+    missed: int  # faults
+    false_alarms: int
+    crashed: int  # flights
 
 
 class Tuned(NamedTuple):
-    """What was found."""
+    """Gains before and after, and what they are worth."""
 
     start: Gains
     gains: Gains
@@ -84,8 +125,8 @@ def tune(
             pieces = [list(numbers[at : at + size]) for at in range(0, len(numbers), size)]
             metrics = tuple(with_them.tune.cost) if with_them.tune else ()
             arguments = [(with_them, gains, metrics, piece) for piece in pieces]
-            found = dict(run_tasks(client, sensitivity, arguments, progress))
-            parts: list[Sensitivity] = [found[place] for place in range(len(pieces))]
+            flown = dict(run_tasks(client, sensitivity, arguments, progress))
+            parts: list[Sensitivity] = [flown[place] for place in range(len(pieces))]
             return Sensitivity(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
         search = Search(campaign, start, fly)
@@ -93,25 +134,103 @@ def tune(
             told(step)
         if search.cost is None:
             raise ValueError("no step was made")
-        before, after = _judged(client, campaign, (start, search.result), search.cost, progress)
+        before, after = _judge_gains(client, campaign, (start, search.result), search.cost, progress)
     return Tuned(start, search.result, search.failing, before, after)
 
 
-def write(tuned: Tuned, campaign: Campaign, path: Path) -> None:
-    """Write the file of the gains.
+class Search:
+    """A search from the gains of a campaign's scheme.
 
-    Raises
-    ------
-    CampaignError
-        If it cannot be written.
+    Parameters
+    ----------
+    campaign : Campaign
+    gains : Gains
+        To start from.
+    fly : callable
     """
-    scheme = campaign.variants[0].scheme
-    document = gains_document(build_scenario(campaign.base), scheme, tuned.gains)
-    flights = campaign.tune.held_out if campaign.tune else 0
-    write_gains(path, campaign, document, tuned.before, tuned.after, flights)
+
+    def __init__(self, campaign: Campaign, gains: Gains, fly: Fly) -> None:
+        if campaign.tune is None:
+            raise ValueError("the campaign says nothing of tuning")
+        self._campaign, self._gains, self._fly = campaign, gains, fly
+        self._tune = campaign.tune
+        self._scheme = campaign.variants[0].scheme
+        self.failing = self._failing(gains)  # conditions of the theory that fail from the start
+        self.cost: Cost | None = None  # known after the first step
+
+    def steps(self) -> Iterator[Step]:
+        """Search; ``result`` is there afterwards.
+
+        Raises
+        ------
+        CampaignError
+            If flights crash from the start, or wherever a step leads.
+        """
+        import optax
+
+        optimiser = optax.adam(self._tune.rate)
+        at, tried = self._gains.logarithms, 0
+        state: Any = optimiser.init(at)
+        before, seen = at, []
+        while len(seen) < self._tune.steps:
+            gains = self._gains.at(at)
+            campaign = with_gains(self._campaign, self._scheme, gains)
+            flown = self._fly(campaign, gains, self._numbers(len(seen)))
+            # where a flight crashes, go halfway back, and at last all the way
+            if not np.all(np.isfinite(flown.slopes)) or not _all_known(flown.values):
+                tried += 1
+                at = 0.5 * (at + before) if tried < HALVINGS else before
+                if not seen or tried > HALVINGS:
+                    raise CampaignError(
+                        f"{self._campaign.document.source}: flights crash with {gains.plain()}"
+                    )
+                continue
+            # a step of Adam, as far as the theory allows
+            if self.cost is None:
+                self.cost = cost_from(self._tune.cost, flown.values)
+            gradient = self.cost.gradient(flown.slopes)
+            yield Step(gains, self.cost.of(flown.values), float(np.linalg.norm(gradient)))
+            update, state = optimiser.update(gradient, state)
+            seen.append(at)
+            before, tried = at, 0
+            at = self._shorten(at, at + np.clip(np.asarray(update, np.float64), -LARGEST, LARGEST))
+        last = seen[-max(len(seen) // AVERAGED, 1) :]
+        self.result = self._gains.at(self._shorten(last[-1], np.mean(last, axis=0))).rounded()
+
+    def _numbers(self, step: int) -> list[int]:
+        """Flights of a step, in turn."""
+        count = min(self._tune.flights, self._campaign.flights)
+        return [(step * count + k) % self._campaign.flights for k in range(count)]
+
+    def _shorten(self, start: Floats, end: Floats) -> Floats:
+        """Return the end of a step, or a point on the way where no condition fails that held at first."""
+        for _ in range(HALVINGS):
+            if self._failing(self._gains.at(end)) <= self.failing:
+                return end
+            end = 0.5 * (start + end)
+        return start
+
+    def _failing(self, gains: Gains) -> frozenset[str]:
+        """Names of the conditions that fail (`quadftc check`), a value out of its bounds one of them."""
+        # gains are given out rounded: the rounded ones must hold
+        tried = with_gains(self._campaign, self._scheme, gains.rounded())
+        try:
+            scenario = build_scenario(tried.base)
+        except ScenarioError as error:
+            return frozenset([str(error)])
+        report = check_scenario(scenario, scenario.scheme(self._scheme))
+        return frozenset(
+            item.name for section in report.sections for item in section.conditions if item.failed
+        )
 
 
-def _judged(
+def _all_known(values: Floats) -> bool:
+    """Whether every metric that counts is finite: those of a flight that crashed are not."""
+    there = np.isfinite(values)
+    return bool(np.all(there.all(axis=0) | ~there.any(axis=0))) and bool(there.any())
+
+
+def _judge_gains(
     client: Any, campaign: Campaign, each: Sequence[Gains], cost: Cost, progress: Callable[[int], None]
 ) -> list[Judged]:
     """Fly the flights after those of the campaign, with each of some gains."""
@@ -122,6 +241,68 @@ def _judged(
     tried = [with_gains(longer, campaign.variants[0].scheme, gains) for gains in each]
     tasks = [(one, piece) for one in tried for piece in pieces]
     rows: list[Rows] = [[] for _ in each]
-    for place, found in run_tasks(client, fly_chunk, tasks, progress):
-        rows[place // len(pieces)] += found
-    return [judged(table_of(some), cost) for some in rows]
+    for place, flown in run_tasks(client, fly_chunk, tasks, progress):
+        rows[place // len(pieces)] += flown
+    return [_judge(table_of(some), cost) for some in rows]
+
+
+def _judge(frame: pl.DataFrame, cost: Cost) -> Judged:
+    """Judge the flights of a campaign's table."""
+    flights = frame.unique("flight", keep="first", maintain_order=True)
+    values = np.array([values_of(row, cost.weights) for row in flights.iter_rows(named=True)])
+    detected = frame["fault.detected"] if "fault.detected" in frame.columns else pl.Series(dtype=pl.Boolean)
+    means = np.nanmean(values, axis=(0, 2)) if len(values) else np.full(len(cost.weights), np.nan)
+    return Judged(
+        cost=cost.of(values),
+        metrics=dict(zip(cost.weights, map(float, means), strict=True)),
+        missed=int((~detected.drop_nulls()).sum()),
+        false_alarms=sum(int(flights[f"false_alarms.{axis}"].sum()) for axis in AXES),
+        crashed=int((~flights["finite"]).sum()),
+    )
+
+
+def write(tuned: Tuned, campaign: Campaign, path: Path) -> None:
+    """Write the file of the gains, with the command that found them and what they bring.
+
+    Raises
+    ------
+    CampaignError
+        If it cannot be written.
+    """
+    before, after = tuned.before, tuned.after
+    scheme = campaign.variants[0].scheme
+    document = _gains_document(build_scenario(campaign.base), scheme, tuned.gains)
+    flights = campaign.tune.held_out if campaign.tune else 0
+    lines = [
+        f"Gains for {document['vehicle']} with sensors of grade {document['grade']}, found by",
+        "",
+        f"  scripts/quadftc tune {campaign.document.source}",
+        "",
+        f"Means over {flights} flights not used for it, before and after:",
+        *(f"  {name}: {before.metrics[name]:.4g} -> {after.metrics[name]:.4g}" for name in before.metrics),
+        f"  cost: {before.cost:.4g} -> {after.cost:.4g}",
+    ]
+    yaml: Any = YAML()
+    yaml.default_flow_style = None
+    stream = io.StringIO()
+    yaml.dump(document, stream)
+    text = "".join(f"# {line}".rstrip() + "\n" for line in lines) + "\n" + stream.getvalue()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise CampaignError(f"{path}: {error.strerror}") from None
+
+
+def _gains_document(scenario: Scenario, scheme: str, gains: Gains) -> dict[str, Any]:
+    """Return the content of the file of the gains: see `quadftc_flight.scenario.files`."""
+    parts: dict[str, dict[str, Any]] = {}
+    for name, value in gains.plain().items():
+        role, _, parameter = name.partition(".")
+        parts.setdefault(role, {"kind": getattr(scenario.scheme(scheme), role).kind})[parameter] = value
+    document: Mapping[str, Any] = scenario.document.data
+    return {
+        "vehicle": document["vehicle"],
+        "grade": grade_of(scenario.document),
+        **{role: parts[role] for role in ROLES if role in parts},
+    }

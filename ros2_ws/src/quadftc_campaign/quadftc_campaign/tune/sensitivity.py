@@ -1,9 +1,10 @@
-"""The gains that are tuned: positive numbers of a scheme's parts, searched in their logarithms."""
+"""Gains that are tuned, and how the metrics of flights change with their logarithms."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import functools
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from quadftc_campaign.batch.parts import numbers_of
 from quadftc_campaign.campaign_file import Campaign, Variant
 from quadftc_campaign.flights import flight
+from quadftc_campaign.tune.cost import slope_of_term, term
 from quadftc_flight.scenario import ROLES, Part, Problem, Scheme, with_values
 from quadftc_model.parameters import parameters_of
 
@@ -19,6 +21,7 @@ Floats = NDArray[np.float64]
 
 DIFFERENCE = 1e-5  # of a logarithm, between two builds
 DIGITS = 4  # significant, of gains that are given out
+TOGETHER = 256  # lanes: flights times gains
 
 
 class Gains(NamedTuple):
@@ -41,30 +44,29 @@ class Gains(NamedTuple):
         return np.concatenate([np.log(np.atleast_1d(value)) for value in self.values])
 
     def at(self, logarithms: Floats) -> Gains:
-        """The same gains with other values."""
-        found: list[Floats] = []
-        for value in self.values:
-            found.append(np.exp(logarithms[: value.size]).reshape(value.shape))
-            logarithms = logarithms[value.size :]
-        return self._replace(values=tuple(found))
+        """Return the same gains with other values."""
+        ends = np.cumsum([value.size for value in self.values])[:-1]
+        pieces = zip(np.split(logarithms, ends), self.values, strict=True)
+        return self._replace(values=tuple(np.exp(piece).reshape(value.shape) for piece, value in pieces))
 
     def rounded(self) -> Gains:
-        """With a few significant digits, as people write them."""
-        return self._replace(values=tuple(_rounded(value) for value in self.values))
+        """Round to a few significant digits, as people write them."""
+        return self._replace(values=tuple(_round(value) for value in self.values))
 
     def plain(self) -> dict[str, float | list[float]]:
-        """As numbers and lists, by name."""
+        """Return numbers and lists, by name."""
         return {name: value.tolist() for name, value in zip(self.names, self.values, strict=True)}
 
 
-def gains_of(campaign: Campaign, scheme: Scheme, names: Sequence[str]) -> Gains:
-    """The gains of a scheme as they are.
+class Sensitivity(NamedTuple):
+    """Metrics of some flights, and how gains change them."""
 
-    Raises
-    ------
-    ScenarioError
-        If one is not there, or is nothing that can be tuned.
-    """
+    values: Floats  # (flights, metrics, 3)
+    slopes: Floats  # (flights, gains, metrics, 3), by the logarithm of a gain
+
+
+def gains_of(campaign: Campaign, scheme: Scheme, names: Sequence[str]) -> Gains:
+    """Return the gains of a scheme as they are; `ScenarioError` if one is missing or cannot be tuned."""
     values: list[Floats] = []
     problems: list[Problem] = []
     for index, name in enumerate(names):
@@ -80,35 +82,85 @@ def gains_of(campaign: Campaign, scheme: Scheme, names: Sequence[str]) -> Gains:
 
 
 def with_gains(campaign: Campaign, scheme: str, gains: Gains) -> Campaign:
-    """The campaign flown with these gains."""
+    """Return the campaign with these gains."""
     values = {f"schemes.{scheme}.{name}": value for name, value in gains.plain().items()}
     return dataclasses.replace(campaign, base=with_values(campaign.base, values, "tuned"))
 
 
 def directions(campaign: Campaign, variant: Variant, gains: Gains, number: int) -> list[Mapping[str, Floats]]:
-    """How the numbers of a flight's parts change by the logarithm of each gain.
+    """Return how the numbers of a flight's parts change by the logarithm of each gain.
 
-    Parts are built by their own code, from gains a little larger and smaller: what a part computes of its
-    gains when it is built, by whatever means, is followed.
+    The parts are built by their own code, from gains a little larger and smaller: that covers whatever a part
+    computes of its gains when it is built.
 
     Returns
     -------
     list of mappings
-        For each gain, by path as in `quadftc_campaign.batch.parts.numbers_of`; all of the same paths.
+        For each gain, by path as in `quadftc_campaign.batch.parts.numbers_of`; all have the same paths.
     """
 
-    def built(logarithms: Floats) -> dict[str, Any]:
+    def build(logarithms: Floats) -> dict[str, Any]:
         tried = with_gains(campaign, variant.scheme, gains.at(logarithms))
         return numbers_of(flight(tried, number, variant).parts.loop)
 
     middle = gains.logarithms
     steps = DIFFERENCE * np.eye(len(middle))
-    pairs = [(built(middle - step), built(middle + step)) for step in steps]
+    pairs = [(build(middle - step), build(middle + step)) for step in steps]
     paths = [path for path in pairs[0][0] if any(np.any(low[path] != high[path]) for low, high in pairs)]
     return [{path: (high[path] - low[path]) / (2.0 * DIFFERENCE) for path in paths} for low, high in pairs]
 
 
-def _rounded(values: Floats) -> Floats:
+def sensitivity(
+    campaign: Campaign,
+    gains: Gains,
+    metrics: Sequence[str],
+    numbers: Sequence[int],
+    progress: Callable[[int], None] = lambda samples: None,
+) -> Sensitivity:
+    """Fly some flights of a campaign with slopes, each once for each gain.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        With these gains.
+    gains : Gains
+    metrics : sequence of str
+        Of `quadftc_campaign.tune.cost.TERMS`.
+    numbers : sequence of int
+        Of the flights.
+    progress : callable
+        Called with the number of samples flown since the last call.
+    """
+    variant = campaign.variants[0]
+    ways = directions(campaign, variant, gains, numbers[0])
+    flights = [flight(campaign, number, variant) for number in numbers]
+    flown = _engine(campaign.float32, tuple(ways[0])).slopes(
+        [each.parts for each in flights for _ in ways],
+        [each.events for each in flights for _ in ways],
+        ways * len(flights),
+        progress,
+    )
+    values = [[term(name, each.outcome) for name in metrics] for each in flown[:: len(ways)]]
+    slopes = [[slope_of_term(name, each.outcome, each.slope) for name in metrics] for each in flown]
+    shape = (len(flights), len(ways), len(metrics), 3)
+    return Sensitivity(np.array(values), np.array(slopes).reshape(shape))
+
+
+def flights_together(gains: Gains) -> int:
+    """Return how many flights fill the lanes."""
+    return max(TOGETHER // len(gains.logarithms), 1)
+
+
+@functools.cache
+def _engine(float32: bool, free: tuple[str, ...]) -> Any:
+    from quadftc_campaign.batch.engine import LANES, Engine
+    from quadftc_campaign.batch.jax_settings import keep_compiled
+
+    keep_compiled()
+    return Engine(float32, LANES, free)
+
+
+def _round(values: Floats) -> Floats:
     numbers: list[float] = values.ravel().tolist()
     return np.array([float(f"{number:.{DIGITS}g}") for number in numbers]).reshape(values.shape)
 
@@ -120,8 +172,8 @@ def _value(scheme: Scheme, name: str) -> Floats:
             f"'{name}': expected role.parameter, such as controller.k_c1; roles: {', '.join(ROLES)}"
         )
     part: Part = getattr(scheme, role)
-    specs = {spec.name: spec for spec in parameters_of(part.law.__class__)}
-    numbers = [key for key, spec in specs.items() if isinstance(spec.default, (float, tuple))]
+    specs = parameters_of(part.law.__class__)
+    numbers = [spec.name for spec in specs if isinstance(spec.default, (float, tuple))]
     if parameter not in numbers:
         there = ", ".join(numbers) or "none"
         raise ValueError(f"'{name}': {part.kind} has no such number; there are: {there}")

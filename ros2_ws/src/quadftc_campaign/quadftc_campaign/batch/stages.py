@@ -1,0 +1,187 @@
+# pyright: basic
+"""The stages of a step: groups of its equations, each of which a compiler is to leave as one function.
+
+A result that costs much and is used more than once ends a stage. What costs little is computed again where
+it is used.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax.extend import core
+
+Var = Any  # jax.extend.core.Var
+Atom = Any  # Var or Literal
+
+SHARED = 8.0  # a result used more than once is kept if it costs more than this
+LARGEST = 300.0  # a result is kept if it costs more than this in any case
+
+# Relative cost of one number of a result; every other primitive costs 1.
+FREE = frozenset(
+    [
+        *("slice", "squeeze", "reshape", "broadcast_in_dim", "transpose", "expand_dims", "concatenate"),
+        *("convert_element_type", "stack", "rev", "copy", "stop_gradient"),
+    ]
+)
+DEAR = {"sin": 20.0, "cos": 20.0, "tan": 30.0, "atan2": 30.0, "asin": 30.0, "acos": 30.0, "exp": 15.0}
+DEAR |= {"log": 15.0, "pow": 40.0, "div": 4.0, "sqrt": 4.0, "tanh": 20.0}
+REDUCTIONS = ("reduce_sum", "reduce_max", "reduce_min", "reduce_or", "reduce_and")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Equation:
+    """A primitive on values of one flight."""
+
+    primitive: Any
+    params: dict[str, Any]
+    inputs: tuple[Atom, ...]
+    outputs: tuple[Var, ...]
+
+    @property
+    def name(self) -> str:
+        """Of the primitive."""
+        return str(self.primitive.name)
+
+    def bind(self, known: dict[Var, Any], constants: dict[Var, Any]) -> list[Any]:
+        """Compute the outputs for one flight."""
+        values = [jnp.asarray(value_of(atom, known, constants), atom.aval.dtype) for atom in self.inputs]
+        outputs = self.primitive.bind(*values, **self.params)
+        return list(outputs) if self.primitive.multiple_results else [outputs]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Stage:
+    """Equations from some results to others."""
+
+    inputs: list[Var]
+    equations: list[Equation]
+    outputs: list[Var]
+
+
+def variables(atoms: Iterable[Atom]) -> list[Var]:
+    """Return the atoms that are no literals."""
+    return [atom for atom in atoms if not isinstance(atom, core.Literal)]
+
+
+def value_of(atom: Atom, known: dict[Var, Any], constants: dict[Var, Any]) -> Any:
+    """Return the value of a variable or literal."""
+    if isinstance(atom, core.Literal):
+        return atom.val
+    return known[atom] if atom in known else constants[atom]
+
+
+class StageCutter:
+    """Cuts a step into stages.
+
+    Parameters
+    ----------
+    equations : sequence of Equation
+        In the order in which they can be computed.
+    outputs : sequence of atoms
+        Results of the step.
+    constants : set
+        Variables that every stage knows.
+    """
+
+    def __init__(
+        self, equations: Sequence[Equation], outputs: Sequence[Atom], constants: Iterable[Var]
+    ) -> None:
+        self._equations = equations
+        self._outputs = variables(outputs)
+        self._constants = set(constants)
+        self._maker = {var: equation for equation in equations for var in equation.outputs}
+        self._kept: set[Var] = set()  # results that end a stage
+        self._cost: dict[Var, float] = {}  # of one number of a result, from what is kept
+        self._stage: dict[Equation, int] = {}
+
+    def cut(self) -> list[Stage]:
+        """Return the stages in the order in which they can be computed."""
+        self._number()
+        members: list[list[Equation]] = [[] for _ in range(1 + max(self._stage.values(), default=0))]
+        for equation in self._equations:
+            members[self._stage[equation]].append(equation)
+        closures = [self._close(equations) for equations in members]
+        stages: list[Stage] = []
+        wanted = set(self._outputs)
+        for number, (equations, inputs) in reversed(list(enumerate(closures))):
+            made = [var for equation in equations for var in equation.outputs]
+            here = [var for var in made if var in wanted and self._stage[self._maker[var]] == number]
+            stages.append(Stage(inputs, equations, here))
+            wanted.update(inputs)
+        return stages[::-1]
+
+    def _number(self) -> None:
+        """Give each equation its stage: after those whose kept results it needs."""
+        uses: dict[Var, int] = {}
+        for atoms in (*({*variables(equation.inputs)} for equation in self._equations), self._outputs):
+            for var in atoms:
+                uses[var] = uses.get(var, 0) + 1
+        for equation in self._equations:
+            stage, total = 0, 0.0
+            for atom, maker in self._made_inputs(equation):
+                before = self._stage[maker]
+                if self._cost[atom] > 0.0 and _repeats(equation, atom):
+                    self._kept.add(atom)
+                if atom in self._kept:
+                    before += 1
+                else:
+                    total += self._cost[atom]
+                stage = max(stage, before)
+            self._stage[equation] = stage
+            price, times = _price(equation)
+            cost = price + times * total
+            for var in equation.outputs:
+                self._cost[var] = cost
+                if cost > LARGEST or (cost > SHARED and uses.get(var, 0) > 1):
+                    self._kept.add(var)
+
+    def _close(self, members: Sequence[Equation]) -> tuple[list[Equation], list[Var]]:
+        """Add the cheap equations that a stage needs; return all of its equations, and what it takes in."""
+        included: dict[Equation, None] = {}
+        outside: dict[Var, None] = {}
+        pending = set(members)
+
+        def include(equation: Equation) -> None:
+            for atom in variables(equation.inputs):
+                maker = self._maker.get(atom)
+                if atom in self._constants or maker in included or maker in pending:
+                    continue
+                if maker is not None and self._cost[atom] <= SHARED and atom not in self._kept:
+                    include(maker)
+                else:
+                    outside[atom] = None
+            included[equation] = None
+
+        for equation in members:
+            include(equation)
+        return list(included), list(outside)
+
+    def _made_inputs(self, equation: Equation) -> list[tuple[Var, Equation]]:
+        """The inputs of an equation that come from another one, with it."""
+        return [(var, self._maker[var]) for var in variables(equation.inputs) if var in self._maker]
+
+
+def _price(equation: Equation) -> tuple[float, float]:
+    """Cost of one number of the result, and how often each input is computed for it."""
+    if equation.name in FREE:
+        return 0.0, 1.0
+    if equation.name == "dot_general":
+        (axes, _), _ = equation.params["dimension_numbers"]
+    elif equation.name in REDUCTIONS:
+        axes = equation.params["axes"]
+    else:
+        return DEAR.get(equation.name, 1.0), 1.0
+    terms = float(np.prod([equation.inputs[0].aval.shape[axis] for axis in axes]))
+    return (2.0 * terms if equation.name == "dot_general" else terms), terms
+
+
+def _repeats(equation: Equation, atom: Atom) -> bool:
+    """Whether each number of an input goes into several of the result."""
+    if equation.name in ("concatenate", "stack"):
+        return False
+    return equation.name == "dot_general" or equation.outputs[0].aval.size > atom.aval.size
