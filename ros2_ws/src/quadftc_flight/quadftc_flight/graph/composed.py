@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -14,23 +13,13 @@ from quadftc_control.controller_node import ControllerNode
 from quadftc_control.reference_node import ReferenceNode
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer_node import FaultObserverNode
-from quadftc_flight.graph.plan import (
-    AFTERMATH,
-    ALONE,
-    CONNECT_TIMEOUT,
-    EXECUTABLES,
-    SLICE,
-    STALL_TIMEOUT,
-    GraphError,
-    GraphPlan,
-    Progress,
-    always,
-)
-from quadftc_ros.executor import Pace, Slice, make_executor, settled_memory
+from quadftc_flight.graph.following import Graph
+from quadftc_flight.graph.plan import AFTERMATH, EXECUTABLES, GraphError, GraphPlan, Progress, always
+from quadftc_ros.executor import Pace, settled_memory
 from quadftc_ros.node import GraphNode
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.scheduling import SchedulingError, scheduled
-from quadftc_ros.topics import crowded_topics, missing_connections
+from quadftc_ros.topics import missing_connections
 from quadftc_sim.fault_injector_node import FaultInjectorNode
 from quadftc_sim.plant_node import PlantNode
 
@@ -116,7 +105,7 @@ class ComposedVehicle:
         return node
 
 
-class ComposedGraph:
+class ComposedGraph(Graph):
     """All nodes of one or more plans in this process; a context manager.
 
     Parameters
@@ -132,17 +121,12 @@ class ComposedGraph:
         If a parameter of a node is wrong, a bag cannot be made, or two vehicles have one namespace.
     """
 
-    exit_code = 0  # for those who treat both kinds of graph alike: no process that could end badly
-
     def __init__(self, *plans: GraphPlan, executor: str = "events") -> None:
         names = [plan.namespace.strip("/") for plan in plans]
         if len(set(names)) < len(names) or not names:
             raise ValueError(f"vehicles: {len(names)} in the namespaces {', '.join(sorted(set(names)))}")
+        super().__init__(executor)
         self.vehicles: list[ComposedVehicle] = []
-        self._context = Context()
-        self._context.init()
-        self._executor = make_executor(executor, self._context)
-        self._slice = Slice(self._executor)
         try:
             for plan in plans:
                 vehicle = ComposedVehicle(plan, self._context, self._executor, self._slice.look)
@@ -166,14 +150,6 @@ class ComposedGraph:
         """The plant of the first vehicle."""
         return self.vehicles[0].plant
 
-    def __enter__(self) -> ComposedGraph:
-        """Return the graph."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close the graph."""
-        self.close()
-
     def run(self, progress: Progress = always) -> float:
         """Fly until the durations of all plants are over; return the wall time of the flight [s].
 
@@ -191,54 +167,32 @@ class ComposedGraph:
         if not self.wait_until_connected(progress):
             return 0.0
         plan = self.vehicles[0].plan
-        plants = [vehicle.plant for vehicle in self.vehicles]
-        pace = Pace(self._executor, plants, poll=plan.scheduling.wait == "poll")
+        pace = Pace(self._executor, self._watchers(), poll=plan.scheduling.wait == "poll")
         spin = self._slice.spin if plan.mode == "lockstep" else pace.spin
         try:
             with settled_memory(), scheduled(plan.scheduling):
-                return self._fly(plants, spin, progress)
+                return self._fly(spin, progress)
         except SchedulingError as error:
             raise GraphError(str(error)) from None
 
-    def _fly(self, plants: list[PlantNode], spin: Callable[[float], None], progress: Progress) -> float:
-        begin = time.monotonic()
-        for plant in plants:
-            plant.start()
-        samples, moved = 0, begin
-        while not all(plant.finished for plant in plants):
-            spin(SLICE)
-            now, count = time.monotonic(), sum(plant.samples for plant in plants)
-            if not progress(count):
-                return time.monotonic() - begin
-            if count != samples:
-                samples, moved = count, now
-            elif now - moved > STALL_TIMEOUT:
-                raise GraphError(
-                    f"the flight stalled after {samples} samples: no torque/command came for the last"
-                )
-        wall = time.monotonic() - begin
-        spin(AFTERMATH)  # what follows from the last sample is on its way
+    def _fly(self, spin: Callable[[float], None], progress: Progress) -> float:
+        for vehicle in self.vehicles:
+            vehicle.plant.start()
+        wall, to_its_end = self._follow(spin, progress, "no torque/command came for the last")
+        if to_its_end:
+            spin(AFTERMATH)  # what follows from the last sample is on its way
         return wall
 
-    def wait_until_connected(self, progress: Progress = always) -> bool:
-        """Wait until every node is matched with every other; return False if ``progress(0)`` did so before.
+    def _missing(self) -> list[str]:
+        return [lack for vehicle in self.vehicles for lack in vehicle.missing()]
 
-        Raises
-        ------
-        GraphError
-            If they do not find each other, or another graph is there, too.
-        """
-        end = time.monotonic() + CONNECT_TIMEOUT
-        while missing := [lack for vehicle in self.vehicles for lack in vehicle.missing()]:
-            if time.monotonic() > end:
-                raise GraphError(f"not connected after {CONNECT_TIMEOUT:g} s: {'; '.join(missing)}")
-            if not progress(0):
-                return False
-            self.spin_once(0.02)
-        for vehicle in self.vehicles:
-            if crowd := crowded_topics(vehicle.plant.count_publishers):
-                raise GraphError(f"{crowd[0]}: {ALONE}")
-        return True
+    def _watchers(self) -> list[PlantNode]:
+        return [vehicle.plant for vehicle in self.vehicles]
+
+    def _state(self) -> tuple[bool, int, int]:
+        plants = self._watchers()
+        samples = sum(plant.samples for plant in plants)
+        return all(plant.finished for plant in plants), samples, samples
 
     def spin_once(self, timeout: float = 0.2) -> None:
         """Let the nodes work on what has come; return at the latest after ``timeout`` [s]."""

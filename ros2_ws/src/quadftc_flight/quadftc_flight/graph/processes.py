@@ -6,23 +6,21 @@ from __future__ import annotations
 import dataclasses
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
-from quadftc_flight.graph.draining import drain
+from quadftc_flight.graph.following import Graph
 from quadftc_flight.graph.plan import (
-    ALONE,
+    AFTERMATH,
     CONNECT_TIMEOUT,
     EXECUTABLES,
-    SLICE,
     STALL_TIMEOUT,
     GraphError,
     GraphPlan,
@@ -33,12 +31,13 @@ from quadftc_flight.graph.respawn import MOST_DEATHS, Respawn
 from quadftc_ros.children import Children
 from quadftc_ros.conversions import time_message
 from quadftc_ros.diagnostics import WARN
-from quadftc_ros.executor import Slice, make_executor
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.scheduling import Scheduling, SchedulingError, scheduled
-from quadftc_ros.topics import crowded_topics, missing_connections
+from quadftc_ros.topics import missing_connections
 
+FEW = 10  # messages within AFTERMATH; real time: no more are those that still were on their way
+QUIET = 0.25  # s; lock-step: when nothing more has come to be recorded for so long, all of it has
 CALM = {"lockstep": 0.0, "realtime": 0.5}  # s; between the last match and the flight
 
 
@@ -59,7 +58,7 @@ def executable_path(package: str, executable: str) -> Path:
     return path
 
 
-class ProcessGraph:
+class ProcessGraph(Graph):
     """The nodes of a plan as processes; a context manager. It ends only what it started, and all of that.
 
     Nothing outlives it: should this process be killed, the nodes notice and stop by themselves.
@@ -73,10 +72,10 @@ class ProcessGraph:
     """
 
     def __init__(self, plan: GraphPlan) -> None:
+        super().__init__("events")
         self.plan = plan
         self.children = Children()
         self.recorder: RecorderNode | None = None
-        self.exit_code = 0  # the worst of the processes, once they were stopped
         self._counts: dict[str, dict[str, int]] = {}
         self._calm: float | None = None  # when the processes have got to rest
         self._flying = self._finished = False
@@ -86,10 +85,6 @@ class ProcessGraph:
         self._respawn = Respawn()
         # the recorder gives way to the nodes, and to nobody else
         self._scheduling = Scheduling(priority=max(0, plan.scheduling.priority - 1))
-        self._context = Context()
-        self._context.init()
-        self._executor = make_executor("events", self._context)
-        self._slice = Slice(self._executor)
         try:
             with scheduled(self._scheduling):
                 self._watch_and_record()
@@ -103,26 +98,13 @@ class ProcessGraph:
             self.close()
             raise
 
-    def __enter__(self) -> ProcessGraph:
-        """Return the graph."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Close the graph."""
-        self.close()
-
     def run(self, progress: Progress = always) -> float:
-        """Fly until the plant's duration is over; return the wall time of the flight [s].
-
-        Parameters
-        ----------
-        progress : callable
-            Called with the number of samples so far, often; the flight ends early when it returns False.
+        """Fly until the plant's duration is over; the rest as of `ComposedGraph.run`.
 
         Raises
         ------
         GraphError
-            If the nodes do not find each other, one of them ends, or the flight stalls.
+            Also if a node ends.
         """
         if not self.wait_until_connected(progress):
             return 0.0
@@ -130,46 +112,26 @@ class ProcessGraph:
             return self._fly(progress)
 
     def _fly(self, progress: Progress) -> float:
-        begin = moved = time.monotonic()
         self._flying = True
         self._begin_flight()
-        seen = (0, 0)
-        while not self._finished:
-            self._slice.spin(SLICE)
-            self._check_alive()
-            if not progress(self._samples):
-                return time.monotonic() - begin
-            now = time.monotonic()
-            if (news := (self._heard, self._received())) != seen:
-                seen, moved = news, now
-            elif now - moved > STALL_TIMEOUT:
-                raise GraphError(f"the flight stalled: not a word from the nodes for {STALL_TIMEOUT:g} s")
-        wall = time.monotonic() - begin
-        if self.recorder is not None:
+        wall, to_its_end = self._follow(
+            self._slice.spin, progress, f"not a word from the nodes for {STALL_TIMEOUT:g} s"
+        )
+        if to_its_end and self.recorder is not None:
             drain(self._received, self._slice.spin, self.plan.mode)
         return wall
 
     def wait_until_connected(self, progress: Progress = always) -> bool:
-        """Wait until every node is matched with every other; return False if ``progress(0)`` did so before.
-
-        Raises
-        ------
-        GraphError
-            If they do not find each other, one of them ends, or another graph is there, too.
-        """
-        assert self._node is not None
-        end = time.monotonic() + CONNECT_TIMEOUT
-        while (missing := self._missing()) or not self._starter.service_is_ready():
-            self._check_alive()
-            if time.monotonic() > end:
-                lack = "; ".join(missing) or "no service plant/start"
-                raise GraphError(f"not connected after {CONNECT_TIMEOUT:g} s: {lack}")
-            if not progress(0):
-                return False
-            self._slice.spin(0.1)
-        if crowd := crowded_topics(self._node.count_publishers):
-            raise GraphError(f"{crowd[0]}: {ALONE}")
+        """Wait as `Graph` does; then let the processes come to rest."""
+        if not super().wait_until_connected(progress):
+            return False
         return True if self._calm is not None else self._calm_down(progress)
+
+    def _watchers(self) -> list[Any]:
+        return [self._node]
+
+    def _state(self) -> tuple[bool, int, tuple[int, int]]:
+        return self._finished, self._samples, (self._heard, self._received())
 
     def _calm_down(self, progress: Progress) -> bool:
         """Real time: let the processes finish with discovery, which goes on for services and parameters."""
@@ -248,11 +210,12 @@ class ProcessGraph:
     def _missing(self) -> list[str]:
         recorders = 0 if self.recorder is None else 1
         missing = [f"{name}: no word from it" for name in EXECUTABLES if name not in self._counts]
-        return missing + [
+        missing += [
             f"{name}: {lack}"
             for name, counts in self._counts.items()
             for lack in missing_connections(name, counts, recorders)
         ]
+        return missing if missing or self._starter.service_is_ready() else ["no service plant/start"]
 
     def _received(self) -> int:
         return 0 if self.recorder is None else self.recorder.received
@@ -306,3 +269,18 @@ class ProcessGraph:
 
 def _remappings(topics: Mapping[str, str]) -> list[str]:
     return [word for topic, other in topics.items() for word in ("-r", f"{topic}:={other}")]
+
+
+def drain(recorded: Callable[[], int], spin: Callable[[float], None], mode: str) -> None:
+    """Spin [s] on after the flight until all messages that were published have been recorded.
+
+    In real time messages never quite end: a controller without samples goes on to say so.
+    """
+    quiet, few = (QUIET, 0) if mode == "lockstep" else (AFTERMATH, FEW)
+    end, total = time.monotonic() + STALL_TIMEOUT, recorded()
+    spin(quiet)
+    while recorded() - total > few:
+        if time.monotonic() > end:
+            raise GraphError("messages go on after the end of the flight")
+        total = recorded()
+        spin(quiet)

@@ -1,0 +1,99 @@
+# pyright: basic
+"""What both graphs do: wait until all nodes are connected, then follow the flight until it ends."""
+
+from __future__ import annotations
+
+import abc
+import time
+from collections.abc import Callable, Hashable
+from typing import Any, Self
+
+from rclpy.context import Context
+
+from quadftc_flight.graph.plan import (
+    ALONE,
+    CONNECT_TIMEOUT,
+    SLICE,
+    STALL_TIMEOUT,
+    GraphError,
+    Progress,
+    always,
+)
+from quadftc_ros.executor import Slice, make_executor
+from quadftc_ros.topics import crowded_topics
+
+
+class Graph(abc.ABC):
+    """A graph that is running; a context manager."""
+
+    def __init__(self, executor: str) -> None:
+        self.exit_code = 0  # the worst of the processes, once they were stopped
+        self._context = Context()
+        self._context.init()
+        self._executor = make_executor(executor, self._context)
+        self._slice = Slice(self._executor)
+
+    def __enter__(self) -> Self:
+        """Return the graph."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close the graph."""
+        self.close()
+
+    @abc.abstractmethod
+    def close(self) -> None:
+        """End the nodes, close the bags."""
+
+    @abc.abstractmethod
+    def _missing(self) -> list[str]:
+        """Say which connections between the nodes are missing."""
+
+    @abc.abstractmethod
+    def _watchers(self) -> list[Any]:
+        """Return a node of each vehicle."""
+
+    @abc.abstractmethod
+    def _state(self) -> tuple[bool, int, Hashable]:
+        """Say whether the flight is over, how many samples there were, and what changes in a live flight."""
+
+    def _check_alive(self) -> None:  # noqa: B027
+        """Raise a `GraphError` if a node has ended."""
+
+    def wait_until_connected(self, progress: Progress = always) -> bool:
+        """Wait until every node is matched with every other; return False if ``progress(0)`` did so before.
+
+        Raises
+        ------
+        GraphError
+            If they do not find each other, one of them ends, or another graph is there, too.
+        """
+        end = time.monotonic() + CONNECT_TIMEOUT
+        while missing := self._missing():
+            self._check_alive()
+            if time.monotonic() > end:
+                raise GraphError(f"not connected after {CONNECT_TIMEOUT:g} s: {'; '.join(missing)}")
+            if not progress(0):
+                return False
+            self._slice.spin(0.05)
+        for node in self._watchers():
+            if crowd := crowded_topics(node.count_publishers):
+                raise GraphError(f"{crowd[0]}: {ALONE}")
+        return True
+
+    def _follow(self, spin: Callable[[float], None], progress: Progress, stalled: str) -> tuple[float, bool]:
+        """Spin until the flight is over; return its wall time [s], and whether ``progress`` let it end."""
+        begin = moved = time.monotonic()
+        over, _, seen = self._state()
+        while not over:
+            spin(SLICE)
+            self._check_alive()
+            over, samples, news = self._state()
+            now = time.monotonic()
+            if not progress(samples):
+                return now - begin, False
+            if news != seen:
+                seen, moved = news, now
+            elif now - moved > STALL_TIMEOUT:
+                raise GraphError(f"the flight stalled after {samples} samples: {stalled}")
+        return time.monotonic() - begin, True
