@@ -77,13 +77,7 @@ class RunOptions:
 
 
 def check_namespace(namespace: str) -> None:
-    """Refuse what ROS does not take for a namespace.
-
-    Raises
-    ------
-    ValueError
-        Saying why.
-    """
+    """Raise a ValueError, which says why, if ROS has no such namespace."""
     try:
         validate_namespace(f"/{namespace.strip('/')}")
     except (InvalidNamespaceException, TypeError) as error:  # the latter: no text that can be encoded
@@ -98,13 +92,7 @@ def run_name(scenario: Scenario, scheme: Scheme) -> str:
 
 
 def prepare(out: Path, names: list[str], force: bool) -> None:
-    """Make room for runs in ``out``.
-
-    Raises
-    ------
-    RunError
-        If a run is there already and not to be replaced, or something else has its name.
-    """
+    """Make room for runs in ``out``; raise a `RunError` if a name is taken and may not be replaced."""
     for name in names:
         directory = out / name
         if not directory.exists():
@@ -212,15 +200,8 @@ def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> tupl
 
 def _commit() -> dict[str, str]:
     """The commit of the source tree this code runs from, if it is one."""
-    command = [
-        "git",
-        "-C",
-        str(Path(__file__).resolve().parent),
-        "describe",
-        "--always",
-        "--dirty",
-        "--abbrev=12",
-    ]
+    folder = str(Path(__file__).resolve().parent)
+    command = ["git", "-C", folder, *["describe", "--always", "--dirty", "--abbrev=12"]]
     try:
         found = subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=False)
     except (OSError, subprocess.TimeoutExpired):

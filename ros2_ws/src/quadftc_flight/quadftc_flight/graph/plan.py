@@ -25,10 +25,8 @@ EXECUTABLES: dict[str, tuple[str, str]] = {
 CONNECT_TIMEOUT = 30.0  # s; to find each other
 SLICE = 0.25  # s, wall time of flight between two looks at it
 STALL_TIMEOUT = 15.0  # s; lock-step: without a new sample
-AFTERMATH = (
-    0.05  # s; real time: recorded after the end; longer, and the controller reports that the IMU has stopped
-)
-
+# s; real time: recorded after the end; longer, and the controller reports that the IMU has stopped
+AFTERMATH = 0.05
 
 ALONE = "another graph runs in this ROS domain; stop it, or set another ROS_DOMAIN_ID"
 
@@ -144,13 +142,7 @@ def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def check_scheduling(scheduling: Scheduling, mode: str, graph: str) -> None:
-    """Check that a scheduling suits the mode (``lockstep``, ``realtime``) and the graph.
-
-    Raises
-    ------
-    ValueError
-        If it does not.
-    """
+    """Raise a ValueError if a scheduling does not suit the mode (``lockstep``, ``realtime``) or the graph."""
     if mode == "lockstep" and scheduling != ORDINARY:
         raise ValueError("waiting, realtime priority and cores are for real time, not for lock-step")
     if graph == "processes" and scheduling.wait == "poll":
@@ -158,13 +150,7 @@ def check_scheduling(scheduling: Scheduling, mode: str, graph: str) -> None:
 
 
 def check_respawn(respawn: bool, mode: str, graph: str) -> None:
-    """Check that nodes can be started again in a mode (``lockstep``, ``realtime``) and a graph.
-
-    Raises
-    ------
-    ValueError
-        If they cannot.
-    """
+    """Raise a ValueError if nodes cannot restart in a mode (``lockstep``, ``realtime``) and a graph."""
     if respawn and (mode, graph) != ("realtime", "processes"):
         raise ValueError("respawn: for nodes that are processes, in real time")
 
