@@ -7,13 +7,13 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-import numpy as np
-
+from quadftc_campaign.open_loop import simulate
 from quadftc_fdi.fault_observer import fault_observer_from, fault_observers
+from quadftc_flight.scenario import load_scenario
 from quadftc_model.samples import FaultObserverInputs, ImuSample
-from quadftc_tools.diagnosis_study.flights import simulated
-from quadftc_tools.diagnosis_study.settings import RATE
+from quadftc_tools.study.diagnosis_results import SCENARIO
 
+RATE = 250.0  # Hz
 DURATION = 6.0  # s of flight; by then an observer has started
 BATCHES, STEPS = 40, 250
 MICROSECONDS = 1e6
@@ -27,7 +27,8 @@ def step_costs(vehicle: str = "qball_x4") -> Iterator[dict[str, Any]]:
     dict
         ``observer``; ``best_us``, ``median_us`` of batches of 250 steps.
     """
-    recording = simulated(np.random.default_rng(0), DURATION)
+    short = [f"duration={DURATION} s", f"rate={RATE} Hz", "faults=[]"]
+    recording = simulate(load_scenario(SCENARIO, short))
     samples = [
         FaultObserverInputs(ImuSample(*row), torque)
         for *row, torque in zip(*recording.imu, recording.torque, strict=True)

@@ -44,12 +44,17 @@ def campaign(
     ] = [],  # noqa: B006
     variant: Annotated[str | None, typer.Option(help="Of that flight; default: the first.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier run of that flight.")] = False,
+    recordings: Annotated[
+        Path | None, typer.Option(help="Directory of rosbag2 bags for a campaign on recordings.")
+    ] = None,
 ) -> None:
     """Fly a scenario thousands of times with drawn values; write table, summary and report."""
     from quadftc_campaign.campaign_file import load_campaign  # with what it needs, half a second
 
-    loaded = load_campaign(file, flights)
+    loaded = load_campaign(file, flights, recordings)
     directory = out or Path("results") / loaded.name
+    if flight and not loaded.source.is_loop:
+        raise CampaignError("--flight: flies the closed loop; this campaign has samples alone")
     if flight:
         raise typer.Exit(_fly_alone(loaded, flight, variant, directory, force))
     if variant is not None:

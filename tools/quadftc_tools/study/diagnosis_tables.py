@@ -1,4 +1,4 @@
-"""The results as Markdown tables, by name; the same results give the same text."""
+"""The tables of docs/diagnosis.md; the same results give the same text."""
 
 from __future__ import annotations
 
@@ -6,18 +6,15 @@ import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from quadftc_campaign.open_loop import AGES
 from quadftc_model.samples import AXES
-from quadftc_tools.diagnosis_study.criteria import Criteria, criteria_of
-from quadftc_tools.diagnosis_study.results import BOUNDED
-from quadftc_tools.diagnosis_study.settings import Setting, setting_of
-from quadftc_tools.diagnosis_study.variants import ISOLATED
+from quadftc_tools.study.diagnosis_results import BOUNDED, CRITERIA, Criteria
+from quadftc_tools.study.page import NOTHING, WITHOUT_DETECTOR, markdown
 
 Json = Mapping[str, Any]
 Values = tuple[float | None, ...]
 
-NOTHING = "-"
-WITHOUT_DETECTOR = ("sliding_mode",)  # its states say nothing: the size of its estimate is taken
-MARK = "¹"  # behind their names
+MARK = "¹"  # behind the names of observers without a detector
 SHOWN_AGES = (1.0, 5.0, 10.0, 20.0)  # s, of the table of the bound
 WORST = 8  # faults in the table of the worst
 UNITS = {"step": "deg", "ramp": "deg/s", "sine": "deg"}
@@ -28,7 +25,7 @@ class _Row(NamedTuple):
     """A metric: its values for an observer, how they are written, and what they must not exceed."""
 
     label: str
-    values: Callable[[Json], Values]
+    values: tuple[str, ...]  # names in the view of an observer
     write: Callable[[Values], str]
     limits: Values | None = None
     of_all: bool = False  # reaches its limits only if every fault was found, and none declared before
@@ -36,77 +33,75 @@ class _Row(NamedTuple):
 
 def tables(results: Json) -> dict[str, str]:
     """Return every table of the settings that were flown."""
-    settings: Json = results["settings"]
     found = {"flown": flown_table(results)}
-    for name, result in settings.items():
-        setting = setting_of(name)
-        if setting.one_axis:
-            found[f"isolation-{name.removesuffix('_one_axis')}"] = isolation_table(result)
+    for name, result in results.items():
+        observers = result["observers"]
+        if name not in CRITERIA:
+            found[f"isolation-{name.removesuffix('_one_axis')}"] = isolation_table(observers[BOUNDED])
             continue
-        found[name] = metric_table(setting, result["observers"])
-        found[f"faults-{name}"] = fault_table(setting, result["observers"])
-        if BOUNDED in result["observers"]:
-            found[f"worst-{name}"] = worst_table(result["observers"][BOUNDED]["faults"])
+        found[name] = metric_table(CRITERIA[name], observers)
+        found[f"faults-{name}"] = fault_table(CRITERIA[name], observers)
+        if BOUNDED in observers:
+            found[f"worst-{name}"] = worst_table(observers[BOUNDED]["faults"])
         consistency = result["consistency"].get(BOUNDED, {})
         if "bound_deg" in consistency:
-            found["bound"] = bound_table(results["ages_s"], consistency)
+            found["bound"] = bound_table(consistency)
     return found
 
 
 def flown_table(results: Json) -> str:
     """How much was flown."""
     rows: list[Sequence[str]] = []
-    for result in results["settings"].values():
+    for result in results.values():
         pooled = [observer["pooled"] for observer in result["observers"].values()]
         bags = f"{len(result['bags'])} recordings: {', '.join(result['bags'])}" if result["bags"] else NOTHING
-        flights = max(each["flights"] for each in pooled)
-        faults = max(each["fault_count"] for each in pooled)
-        rows.append((result["title"], str(flights), str(faults), str(results["seed"]), bags))
-    return _table(("setting", "flights", "faults", "seed", "made from"), rows)
+        counts = (str(max(each[name] for each in pooled)) for name in ("flights", "fault_count"))
+        rows.append((result["title"], *counts, str(result["seed"]), bags))
+    return markdown(("setting", "flights", "faults", "seed", "made from"), rows)
 
 
-def metric_table(setting: Setting, observers: Json) -> str:
+def metric_table(criteria: Criteria, observers: Json) -> str:
     """Every metric of every observer, beside what is asked for; in bold what reaches it."""
     names = [f"`{name}`{MARK if name in WITHOUT_DETECTOR else ''}" for name in observers]
     views = [_view(name, result["pooled"]) for name, result in observers.items()]
     rows = [
         (row.label, NOTHING if row.limits is None else row.write(row.limits), *(_cell(row, v) for v in views))
-        for row in _rows(criteria_of(setting))
+        for row in _rows(criteria)
     ]
-    return _table(("", "target", *names), rows)
+    return markdown(("", "target", *names), rows)
 
 
 def _rows(criteria: Criteria) -> tuple[_Row, ...]:
+    rmse = (criteria.rmse_median_deg, criteria.rmse_p95_deg)
     return (
-        _Row("faults", _of("faults"), _count),
-        _Row("missed (declared before the onset)", _of("missed", "already"), _bracketed, (0, 0)),
-        _Row("delay, step, max", _of("step"), _times, (criteria.step_max_s,), True),
-        _Row("delay, ramp, median", _of("ramp"), _times, (criteria.ramp_median_s,), True),
-        _Row("delay, sine, median", _of("sine"), _times, (criteria.sine_median_s,), True),
-        _Row(
-            "RMSE of the estimate, median / 95 %",
-            _of("rmse_median", "rmse_p95"),
-            _degrees,
-            (criteria.rmse_median_deg, criteria.rmse_p95_deg),
-        ),
-        _Row("error of the estimate, max", _of("max"), _degrees),
-        _Row("false alarms, share of healthy time", _of("share"), _per_cent, (criteria.false_alarm_share,)),
-        _Row("false alarms per hour", _of("per_hour"), _numbers),
-        _Row("recovery delay, median / 95 %", _of("recovery", "recovery_p95"), _times),
-        _Row("not recovered", _of("not_recovered"), _count),
-        _Row("NEES [chi-square band, 95 %]", _of("nees", "nees_low", "nees_high"), _band),
-        _Row("errors within 2 standard deviations", _of("coverage"), _per_cent),
+        _Row("faults", ("faults",), _count),
+        _Row("missed (declared before the onset)", ("missed", "already"), _bracketed, (0, 0)),
+        _Row("delay, step, max", ("step",), _times, (criteria.step_max_s,), True),
+        _Row("delay, ramp, median", ("ramp",), _times, (criteria.ramp_median_s,), True),
+        _Row("delay, sine, median", ("sine",), _times, (criteria.sine_median_s,), True),
+        _Row("RMSE of the estimate, median / 95 %", ("rmse_median", "rmse_p95"), _degrees, rmse),
+        _Row("error of the estimate, max", ("max",), _degrees),
+        _Row("false alarms, share of healthy time", ("share",), _per_cent, (criteria.false_alarm_share,)),
+        _Row("false alarms per hour", ("per_hour",), _numbers),
+        _Row("recovery delay, median / 95 %", ("recovery", "recovery_p95"), _times),
+        _Row("not recovered", ("not_recovered",), _count),
+        _Row("NEES [chi-square band, 95 %]", ("nees", "nees_low", "nees_high"), _band),
+        _Row("errors within 2 standard deviations", ("coverage_2_sigma",), _per_cent),
     )
-
-
-def _of(*names: str) -> Callable[[Json], Values]:
-    return lambda view: tuple(view[name] for name in names)
 
 
 def _view(observer: str, pooled: Json) -> dict[str, float | None]:
     """Metrics of an observer, by what its states say or, if it has no detector, its estimate."""
     detector = observer not in WITHOUT_DETECTOR
     said: Json = pooled if detector else pooled["by_estimate"]
+    of_all = {
+        "rmse_median": "estimate_rmse_median_deg",
+        "rmse_p95": "estimate_rmse_p95_deg",
+        "max": "estimate_max_deg",
+        "recovery": "recovery_delay_median_s",
+        "recovery_p95": "recovery_delay_p95_s",
+        **{name: name for name in ("nees", "nees_low", "nees_high", "coverage_2_sigma")},
+    }
     return {
         "faults": pooled["fault_count"],
         "missed": said["missed"],
@@ -114,23 +109,15 @@ def _view(observer: str, pooled: Json) -> dict[str, float | None]:
         "step": said["delay_max_s"].get("step"),
         "ramp": said["delay_median_s"].get("ramp"),
         "sine": said["delay_median_s"].get("sine"),
-        "rmse_median": pooled["estimate_rmse_median_deg"]["all"],
-        "rmse_p95": pooled["estimate_rmse_p95_deg"]["all"],
-        "max": pooled["estimate_max_deg"]["all"],
         "share": said["total_false_alarm_share"],
         "per_hour": pooled["total_false_alarms_per_hour"] if detector else None,
-        "recovery": pooled["recovery_delay_median_s"]["all"],
-        "recovery_p95": pooled["recovery_delay_p95_s"]["all"],
         "not_recovered": pooled["not_recovered"] if detector else None,
-        "nees": pooled["nees"]["all"],
-        "nees_low": pooled["nees_low"]["all"],
-        "nees_high": pooled["nees_high"]["all"],
-        "coverage": pooled["coverage_2_sigma"]["all"],
+        **{name: pooled[metric]["all"] for name, metric in of_all.items()},
     }
 
 
 def _cell(row: _Row, view: Json) -> str:
-    values = row.values(view)
+    values = tuple(view[name] for name in row.values)
     text = row.write(values)
     if row.limits is None:
         return text
@@ -141,26 +128,25 @@ def _cell(row: _Row, view: Json) -> str:
     return f"**{text}**" if met else text
 
 
-def fault_table(setting: Setting, observers: Json) -> str:
+def fault_table(criteria: Criteria, observers: Json) -> str:
     """Missed and badly estimated faults by kind and size."""
     rows: list[Sequence[str]] = []
-    criteria = criteria_of(setting)
     for kind, edges in criteria.bins.items():
         for low, high in itertools.pairwise(edges):
-            last = high == edges[-1]
+            within = (low, high, high == edges[-1])
             members = {
-                name: [fault for fault in result["faults"] if _within(fault, kind, low, high, last)]
+                name: [fault for fault in result["faults"] if _is_within(fault, kind, *within)]
                 for name, result in observers.items()
             }
             cells = [_failures(name, found, criteria) for name, found in members.items()]
             count = max(map(len, members.values()))
             rows.append((kind, f"{low:g} to {high:g} {UNITS[kind]}", str(count), *cells))
-    return _table(("fault", "size", "faults", *(f"`{name}`" for name in observers)), rows)
+    return markdown(("fault", "size", "faults", *(f"`{name}`" for name in observers)), rows)
 
 
-def _within(fault: Json, kind: str, low: float, high: float, last: bool) -> bool:
+def _is_within(fault: Json, kind: str, low: float, high: float, last: bool) -> bool:
     size = abs(fault["size"])
-    return fault["kind"] == kind and low <= size and (size < high or (last and size <= high))
+    return fault["kind"] == kind and low <= size and (size < high or (last and size <= high * (1.0 + 1e-12)))
 
 
 def _failures(observer: str, faults: Sequence[Json], criteria: Criteria) -> str:
@@ -168,13 +154,13 @@ def _failures(observer: str, faults: Sequence[Json], criteria: Criteria) -> str:
     if observer in WITHOUT_DETECTOR:
         judged, already = ("above_threshold", "above_threshold_already")
     missed = sum(fault[judged] is False or bool(fault[already]) for fault in faults)
-    bad = sum(_or_zero(fault["estimate_rmse_deg"]) > criteria.rmse_p95_deg for fault in faults)
+    bad = sum((fault["estimate_rmse_deg"] or 0.0) > criteria.rmse_p95_deg for fault in faults)
     return f"{missed}, {bad}"
 
 
 def worst_table(faults: Sequence[Json]) -> str:
     """The faults with the largest error of the estimate."""
-    ordered = sorted(faults, key=lambda fault: -_or_zero(fault["estimate_rmse_deg"]))[:WORST]
+    ordered = sorted(faults, key=lambda fault: -(fault["estimate_rmse_deg"] or 0.0))[:WORST]
     rows = [
         (
             fault["flight"],
@@ -186,12 +172,11 @@ def worst_table(faults: Sequence[Json]) -> str:
         )
         for fault in ordered
     ]
-    return _table(("flight", "axis, onset", "fault", "found after", "RMSE", "max error"), rows)
+    return markdown(("flight", "axis, onset", "fault", "found after", "RMSE", "max error"), rows)
 
 
 def _words(fault: Json) -> str:
-    frequency = fault["frequency"]
-    at = "" if frequency is None else f" at {_short(frequency)} rad/s"
+    at = "" if fault["frequency"] is None else f" at {_short(fault['frequency'])} rad/s"
     return f"{fault['kind']} of {_short(fault['size'])} {UNITS[fault['kind']]}{at}"
 
 
@@ -203,7 +188,7 @@ def _found(fault: Json) -> str:
 
 def isolation_table(result: Json) -> str:
     """Which axis is declared where one is faulty, and for each kind of fault whether it is the right one."""
-    pooled = result["observers"][ISOLATED]["pooled"]
+    pooled = result["pooled"]
     axes = [
         (f"{truth} faulty" if truth != "none" else "no axis faulty", *_shares(line, (*AXES, "none")))
         for truth, line in pooled["confusion_single_s"].items()
@@ -212,12 +197,12 @@ def isolation_table(result: Json) -> str:
         (kind, *_shares(line, ("own", "other", "none")))
         for kind, line in pooled["confusion_by_kind_s"].items()
     ]
+    accuracy, tested = _per_cent((pooled["isolation_accuracy"],)), _times((pooled["isolation_tested_s"],))
     return "\n\n".join(
         (
-            _table(("truth", *(f"{axis} declared" for axis in AXES), "none declared", "time"), axes),
-            _table(("fault", "its axis declared", "another one, too", "none declared", "time"), kinds),
-            f"Isolation accuracy of `{ISOLATED}`: {_per_cent((pooled['isolation_accuracy'],))}"
-            f" of {_times((pooled['isolation_tested_s'],))}.",
+            markdown(("truth", *(f"{axis} declared" for axis in AXES), "none declared", "time"), axes),
+            markdown(("fault", "its axis declared", "another one, too", "none declared", "time"), kinds),
+            f"Isolation accuracy of `{BOUNDED}`: {accuracy} of {tested}.",
         )
     )
 
@@ -228,31 +213,25 @@ def _shares(line: Json, columns: Iterable[str]) -> tuple[str, ...]:
     return (*shares, _times((time,)))
 
 
-def bound_table(ages: Sequence[float], consistency: Json) -> str:
+def bound_table(consistency: Json) -> str:
     """Error and standard deviation over the bound."""
-    rows: list[Sequence[str]] = []
-    for age in SHOWN_AGES:
-        place = list(ages).index(age)
-        row = {name: values[place] for name, values in consistency.items()}
-        rows.append(
-            (
-                _times((age,)),
-                _per_cent((row["declared"],)),
-                _degrees((row["bound_deg"],)),
-                _degrees((row["std_dev_deg"],)),
-                _numbers((row["std_dev_over_bound"],)),
-                _degrees((row["rms_deg"],)),
-                _numbers((row["rms_over_bound"],)),
-                _numbers((row["central_over_bound"],)),
-            )
+    columns: dict[str, tuple[str, Callable[[Values], str]]] = {
+        "declared": ("declared", _per_cent),
+        "bound_deg": ("bound", _degrees),
+        "std_dev_deg": ("reported std dev, median", _degrees),
+        "std_dev_over_bound": ("over the bound, median", _numbers),
+        "rms_deg": ("error, RMS", _degrees),
+        "rms_over_bound": ("RMS over the bound", _numbers),
+        "central_over_bound": ("68 % of the errors within, over it", _numbers),
+    }
+    rows = [
+        (
+            _times((age,)),
+            *(write((consistency[name][AGES.index(age)],)) for name, (_, write) in columns.items()),
         )
-    heads = ("since onset", "declared", "bound", "reported std dev, median", "over the bound, median")
-    return _table((*heads, "error, RMS", "RMS over the bound", "68 % of the errors within, over it"), rows)
-
-
-def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [headings, ("---",) * len(headings), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+        for age in SHOWN_AGES
+    ]
+    return markdown(("since onset", *(head for head, _ in columns.values())), rows)
 
 
 def _numbers(values: Values) -> str:
@@ -294,7 +273,3 @@ def _short(value: float | None) -> str:
     if value is None:
         return NOTHING
     return f"{value:.0f}" if abs(value) >= 10.0**_DIGITS else f"{value:.{_DIGITS}g}"
-
-
-def _or_zero(value: float | None) -> float:
-    return 0.0 if value is None else value

@@ -1,0 +1,224 @@
+"""Campaigns without a control loop: simulated and recorded samples with drawn faults, diagnosed."""
+
+import math
+
+import numpy as np
+import pytest
+from rclpy.qos import QoSProfile
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import Imu
+
+from message_objects import set_stamp
+from quadftc_bags.writer import BagWriter
+from quadftc_campaign.campaign_file import bags_in, load_campaign
+from quadftc_campaign.distributions import distribution, plain
+from quadftc_campaign.flights import flight_scenario
+from quadftc_campaign.flying import fly_chunk
+from quadftc_campaign.open_loop import AGES, WITHIN, error_profile, prepare, score_counts, simulate
+from quadftc_campaign.table import summary_of, table_of
+from quadftc_flight.diagnosis_metrics.roc import detection_scores, estimate_size, roc
+from quadftc_flight.fault_schedule import FaultEvent
+from quadftc_flight.flight import VECTORS, Flight
+from quadftc_flight.scenario import ScenarioError, parse_scenario
+from quadftc_model.samples import AXES, FAULTY
+from quadftc_sim.sensors import GRADES
+
+DEG = math.pi / 180.0
+BASE = """
+duration: 4 s
+rate: 100 Hz
+vehicle: qball_x4
+sensors: {grade: mems}
+references:
+  - {kind: sine, amplitude: 2 deg, frequency: 0.5}
+faults:
+  - {kind: bias, axes: roll, value: 1 deg, start: 1 s, stop: 2 s}
+  - {kind: bias, axes: pitch, value: 1 deg, start: 1 s, stop: 2 s}
+schemes:
+  diagnosis: {observer: supervised, controller: smc}
+"""
+CAMPAIGN = """
+name: short
+scenario: base.yaml
+source: {kind: motion}
+flights: 3
+seed: 7
+observers: [threshold]
+levels: {threshold: {angle_threshold: [0.05]}}
+vary:
+  references.*.amplitude: {uniform: [1 deg, 4 deg], size: 3}
+  faults.*:
+    choice:
+      - {kind: bias, value: {uniform: [1 deg, 5 deg], sign: random}}
+      - {kind: drift, rate: {uniform: [1 deg/s, 2 deg/s], sign: random}}
+"""
+
+
+def written(tmp_path, text, recordings=None):
+    (tmp_path / "base.yaml").write_text(BASE)
+    path = tmp_path / "campaign.yaml"
+    path.write_text(text)
+    return load_campaign(path, recordings=recordings)
+
+
+def flight_with(**columns) -> Flight:
+    """30 s at 100 Hz; what is not given is zero."""
+    count = 3000
+    stamp_ns = np.arange(1, count + 1) * 10_000_000
+    return Flight(
+        stamp_ns=stamp_ns,
+        time=(stamp_ns - stamp_ns[0]) / 1e9,
+        delivered=np.ones(count, np.bool_),
+        fault_onset_ns=np.zeros((count, 3), np.int64),
+        saturated=np.zeros((count, 3), np.bool_),
+        **{name: np.zeros((count, 3)) for name in VECTORS}
+        | {"fault_state": np.ones((count, 3), np.uint8)}
+        | columns,
+    )
+
+
+def test_drawn_components_keep_the_axes_and_times_of_the_faults_in_their_place(tmp_path):
+    campaign = written(tmp_path, CAMPAIGN.replace("flights: 3", "flights: 40"))
+    assert set(campaign.vary) == {"references.0.amplitude", "faults.0", "faults.1"}
+    kinds = set()
+    for number in range(40):
+        faults = flight_scenario(campaign, number, campaign.variants[0]).faults
+        assert [fault.axes for fault in faults] == [("roll",), ("pitch",)]
+        assert {(fault.injection.start, fault.injection.stop) for fault in faults} == {(1.0, 2.0)}
+        kinds |= {(faults[0].injection.kind, faults[1].injection.kind)}
+    assert len(kinds) == 4  # each fault for itself
+
+
+def test_a_component_is_drawn_with_its_parameters():
+    drawn = distribution({"choice": [{"kind": "bias", "value": {"uniform": ["1 deg", "2 deg"]}}]})
+    value = drawn.draw(np.random.default_rng(0))
+    assert value["kind"] == "bias"
+    assert 1.0 < plain(value["value"]) < 2.0
+    assert plain(value).startswith("bias value=1")
+    with pytest.raises(ValueError, match="an empty range"):
+        distribution({"choice": [{"kind": "bias", "value": {"uniform": [2.0, 1.0]}}]})
+
+
+def test_simulated_samples_have_the_noise_of_the_grade():
+    text = BASE.replace("duration: 4 s", "duration: 40 s").replace("100 Hz", "250 Hz")
+    recording = simulate(parse_scenario(text))
+    grade, dt = GRADES["mems"], 1.0 / 250.0
+    thirds = np.diff(recording.imu.body_rate[600:], n=3, axis=0)  # smooth motion: what is left is noise
+    assert np.std(thirds) / math.sqrt(20.0) == pytest.approx(grade["gyro_noise"] / math.sqrt(dt), rel=0.03)
+    tilt = 2.0 * np.diff(recording.imu.q_xyzw[600:], n=3, axis=0)[:, :3]
+    assert np.std(tilt) / math.sqrt(20.0) == pytest.approx(grade["attitude_noise"], rel=0.03)
+    assert len(recording) == 40 * 250
+
+
+def test_each_fault_of_each_observer_is_a_row(tmp_path):
+    campaign = written(tmp_path, CAMPAIGN)
+    assert [variant.name for variant in campaign.variants] == ["threshold", "threshold@0.05"]
+    frame = table_of(fly_chunk(campaign, range(3)))
+    assert frame.height == 3 * 2 * 2
+    assert frame["fault.kind"].is_in(["step", "ramp"]).all()
+    assert set(frame["observer"]) == {"threshold"}
+    steps = frame.filter(frame["fault.kind"] == "step")
+    assert steps["fault.fault_max_deg"].is_between(1.0, 5.0).all()
+    assert frame["fault.errors_deg"].list.len().unique().to_list() == [len(AGES)]
+    summary = summary_of(campaign, frame)["variants"]["threshold"]
+    assert summary["flights"] == 3
+    assert summary["faults"]["all"]["judged"] == 6
+
+
+def test_an_observer_without_edit_of_any_list_takes_part(tmp_path):
+    text = CAMPAIGN.replace("observers: [threshold]", "observers: all").replace("levels:", "# levels:")
+    names = {variant.name for variant in written(tmp_path, text).variants}
+    assert {"supervised", "sliding_mode", "threshold", "augmented_kalman"} <= names
+    assert "none" not in names
+
+
+def test_score_counts_are_the_curve_of_the_scores():
+    fault = np.zeros((3000, 3))
+    fault[1000:2000] = (0.005, 0.02, 0.05)
+    estimate = 0.01 * np.random.default_rng(4).standard_normal((3000, 3)) + 0.5 * fault
+    flight = flight_with(fault=fault, fault_estimate=estimate)
+    events = [FaultEvent(axis, "step", 10.0, 20.0) for axis in AXES]
+    scores = detection_scores(flight, events, estimate_size, within=WITHIN)
+    curve = roc(np.concatenate(scores), np.repeat([False, True], [len(part) for part in scores]))
+    counts = score_counts(flight, events, curve.threshold[:0:-1])
+    assert len(counts["roc.alarms"]) > 3
+    assert counts["roc.healthy"] == 3 * (3000 - 1000 - 500)  # but for the faults and the grace after them
+    shares = np.array(counts["roc.alarms"]) / counts["roc.healthy"]
+    np.testing.assert_allclose(shares, curve.false_alarm_share[:0:-1])
+    np.testing.assert_allclose(np.array(counts["roc.found"]) / 3, curve.detection_probability[:0:-1])
+
+
+def test_error_profile_is_the_error_at_each_age_while_the_axis_is_declared():
+    state, estimate, fault = np.ones((3000, 3), np.uint8), np.zeros((3000, 3)), np.zeros((3000, 3))
+    fault[1000:2000, 1] = 2.0 * DEG
+    state[1030:2000, 1] = FAULTY
+    estimate[1000:2000, 1] = (2.0 + 0.1 * np.arange(1000) / 100.0) * DEG  # the error grows by 0.1 deg/s
+    flight = flight_with(fault=fault, fault_estimate=estimate, fault_state=state)
+    flight.fault_std_dev[:] = -1.0
+    event = FaultEvent("pitch", "step", 10.0, 20.0)
+    found = error_profile(flight, event)
+    expected = [None if age < 0.3 else 0.1 * min(age, 9.99) for age in AGES]
+    assert found["errors_deg"] == [
+        None if each is None else pytest.approx(each, rel=1e-4) for each in expected
+    ]
+    assert found["std_devs_deg"] == [None] * len(AGES)  # it gives none
+    flight.fault_std_dev[:] = 0.05 * DEG
+    assert error_profile(flight, event)["std_devs_deg"][-1] == pytest.approx(0.05)
+
+
+# --- recordings
+
+
+def still_bag(directory):
+    """56 s at 20 Hz, at rest."""
+    with BagWriter(directory, {}) as writer:
+        writer.add_topic("/imu/data", "sensor_msgs/msg/Imu", QoSProfile(depth=10))
+        for number in range(1120):
+            stamp_ns, message = 1_000_000_000 + 50_000_000 * number, Imu()
+            set_stamp(message.header, stamp_ns)
+            message.orientation.w = 1.0
+            writer.write("/imu/data", serialize_message(message), stamp_ns, stamp_ns)
+    return directory
+
+
+def test_recordings_are_flown_in_turn_and_faults_come_later(tmp_path):
+    bag = still_bag(tmp_path / "bags" / "still")
+    assert bags_in(tmp_path / "bags") == (bag,)
+    assert bags_in(bag) == (bag,)
+    text = CAMPAIGN.replace("{kind: motion}", "{kind: recordings, delay: {uniform: [0 s, 10 s]}}")
+    campaign = written(tmp_path, text, recordings=tmp_path / "bags")
+    rows = fly_chunk(campaign, [0, 1])
+    assert {row["recording"] for row in rows} == {"still"}
+    for row in rows:
+        assert 0.0 < row["source.delay"] < 10.0
+        assert row["fault.start"] == pytest.approx(1.0 + row["source.delay"], abs=1e-8)
+    scenario = flight_scenario(campaign, 0, campaign.variants[0])
+    delayed = prepare(campaign, 0, scenario)
+    assert len(delayed.faults) == 2
+
+
+def test_faults_that_a_recording_is_too_short_for_are_left_out(tmp_path):
+    still_bag(tmp_path / "bags" / "still")  # 56 s
+    text = CAMPAIGN.replace("{kind: motion}", "{kind: recordings}").replace(
+        "flights: 3", "set: [duration=80 s, faults.1.stop=52 s]\nflights: 1"
+    )
+    campaign = written(tmp_path, text, recordings=tmp_path / "bags")
+    scenario = flight_scenario(campaign, 0, campaign.variants[0])
+    assert [fault.axes for fault in prepare(campaign, 0, scenario).faults] == [("roll",)]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("kind: motion", "kind: recordings"), "source.directory: no directory is named.*--recordings"),
+        (("kind: motion", "kind: recordings, directory: nowhere"), "nowhere: holds no bag"),
+        (("kind: motion", "kind: motion, delay: 3"), "source.delay: 3: expected a distribution"),
+        (("kind: motion", "kind: orbit"), "source.kind: 'orbit'"),
+        (("[threshold]", "[treshold]"), r"observers\[0\]: no 'treshold'"),
+        (("levels: {threshold", "levels: {treshold"), "levels.treshold: no 'treshold'"),
+        (("faults.*:", "duration.*:"), "'duration' is no list of the scenario"),
+    ],
+)
+def test_a_source_that_is_wrong_is_refused(tmp_path, change, message):
+    with pytest.raises(ScenarioError, match=message):
+        written(tmp_path, CAMPAIGN.replace(*change))

@@ -1,1 +1,0 @@
-"""The studies of docs/robustness.md: tables and figures from the campaigns ``campaigns/study_*.yaml``."""

@@ -1,0 +1,65 @@
+"""The study of docs/diagnosis.md: every fault observer through random faults, without a control loop.
+
+It reads the campaigns ``study_diagnosis_*``; for scripts/study_diagnosis.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from quadftc_tools.study.diagnosis_figures import FIGURES
+from quadftc_tools.study.diagnosis_results import SETTINGS, setting_results
+from quadftc_tools.study.diagnosis_tables import tables
+from quadftc_tools.study.page import FLIGHTS, Drawers, run_study
+
+PREFIX = "study_diagnosis_"
+FILE = "diagnosis.json"
+
+
+def read_results(directory: Path) -> dict[str, Any]:
+    """Return the results of the campaigns of the study in a directory, ready for JSON.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    paths = {path.parent.name: path for path in directory.glob(f"{PREFIX}*/{FLIGHTS}")}
+    found = {
+        name: setting_results(
+            name,
+            pl.read_parquet(paths[PREFIX + name]),
+            _levels(paths.get(f"{PREFIX}{name}_levels")),
+            json.loads((directory / (PREFIX + name) / "campaign.json").read_text(encoding="utf-8")),
+        )
+        for name in SETTINGS
+        if PREFIX + name in paths
+    }
+    if not found:
+        raise ValueError(f"{directory}: holds no campaign of this study; expected {PREFIX}{SETTINGS[0]}")
+    return found
+
+
+def _levels(path: Path | None) -> pl.DataFrame | None:
+    return None if path is None else pl.read_parquet(path)
+
+
+def make(directory: Path) -> tuple[Mapping[str, str], Drawers]:
+    """Return tables and figures; write all results as JSON beside the campaigns."""
+    results = read_results(directory)
+    text = json.dumps(results, separators=(",", ":"), allow_nan=False)
+    (directory / FILE).write_text(text + "\n", encoding="utf-8")
+    all_axes = {name: each for name, each in results.items() if "roc" in each}
+    drawers = {name: functools.partial(draw, all_axes) for name, draw in FIGURES.items() if all_axes}
+    return tables(results), drawers
+
+
+if __name__ == "__main__":
+    sys.exit(run_study("diagnosis", make))

@@ -1,0 +1,139 @@
+# pyright: basic
+"""What the pages of the studies share: their tables between marks, the look of their figures, the command.
+
+A table stands in the document between <!-- table: NAME --> and <!-- end -->, so that nobody copies a number.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import matplotlib as mpl
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter, NullLocator
+
+from quadftc_cli.commands import BAD_INPUT, GOOD
+from quadftc_cli.tables import console
+from quadftc_report.draw_matplotlib import STYLE
+from quadftc_report.style import line_style
+
+NOTHING = "-"
+FLIGHTS = "flights.parquet"
+WITHOUT_DETECTOR = ("sliding_mode",)  # observers whose states say nothing: the size of the estimate is taken
+DPI = 200
+WIDTH = 7.0  # in; two columns of a journal
+LINE_WIDTH = 1.0  # pt
+TITLES = {"axes.titlesize": 8.5, "lines.markersize": 4.0}  # beside the style of the report
+_BLOCK = re.compile(
+    r"(?P<head><!-- table: (?P<name>[\w-]+) -->\n)(?P<body>.*?)(?P<foot><!-- end -->)", re.DOTALL
+)
+
+Drawers = Mapping[str, Callable[[], Figure]]  # by the name of the file
+
+
+def run_study(name: str, make: Callable[[Path], tuple[Mapping[str, str], Drawers]]) -> int:
+    """Write tables and figures of a study into its page; turn wrong input into a line and an exit code.
+
+    Parameters
+    ----------
+    name : str
+        Of the page.
+    make : callable
+        Takes the directory of the campaigns; returns tables and functions that draw figures.
+    """
+    parser = argparse.ArgumentParser(prog=name, description=f"Tables and figures of docs/{name}.md.")
+    parser.add_argument("--results", type=Path, required=True, help="directory of the campaigns")
+    parser.add_argument("--docs", type=Path, required=True, help=f"directory of {name}.md and figures/")
+    options = parser.parse_args()
+    screen = console(stderr=True)
+    try:
+        tables, drawers = make(options.results)
+        for path in publish(options.docs / f"{name}.md", tables, drawers):
+            screen.print(f"written: {path}", markup=False, soft_wrap=True)
+    except (ValueError, OSError) as error:
+        screen.print(f"error: {error}", markup=False, soft_wrap=True)
+        return BAD_INPUT
+    return GOOD
+
+
+def publish(page: Path, tables: Mapping[str, str], drawers: Drawers) -> list[Path]:
+    """Write the tables into a page and the figures beside it; return the files."""
+    page.write_text(with_tables(page.read_text(encoding="utf-8"), tables, str(page)), encoding="utf-8")
+    directory = page.parent / "figures"
+    directory.mkdir(parents=True, exist_ok=True)
+    files = [directory / f"{name}.png" for name in drawers]
+    with mpl.rc_context(cast("Any", {**mpl.rcParamsDefault, **STYLE, **TITLES})):
+        for file, draw in zip(files, drawers.values(), strict=True):
+            draw().savefig(file, dpi=DPI, metadata={"Software": None})
+    return [page, *files]
+
+
+def with_tables(text: str, tables: Mapping[str, str], where: str) -> str:
+    """Return a document with its tables replaced; those that are not given stay as they are.
+
+    Raises
+    ------
+    ValueError
+        If a table has no marks, or marks have no end; the message begins with ``where``.
+    """
+    places = [match["name"] for match in _BLOCK.finditer(text)]
+    for name in re.findall(r"<!-- table: ([\w-]+) -->", text):
+        if places.count(name) != 1:
+            raise ValueError(f"{where}: table '{name}' has no end; expected a line <!-- end --> behind it")
+    absent = [name for name in tables if name not in places]
+    if absent:
+        raise ValueError(f"{where}: no place for table '{absent[0]}'; expected <!-- table: {absent[0]} -->")
+
+    def replace(match: re.Match[str]) -> str:
+        table = tables.get(match["name"])
+        body = match["body"] if table is None else f"{table}\n"
+        return f"{match['head']}{body}{match['foot']}"
+
+    return _BLOCK.sub(replace, text)
+
+
+def markdown(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Write a table in Markdown."""
+    lines = [headings, ("---",) * len(headings), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def canvas(rows: int, columns: int, panel: float, **shared: Any) -> tuple[Figure, Any]:
+    """Return a figure with panels of a height [in], and its axes (rows, columns)."""
+    figure = Figure(figsize=(WIDTH, panel * rows + 0.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.subplots(rows, columns, squeeze=False, **shared)
+
+
+def look(name: str, names: Sequence[str], proposed: str) -> dict[str, Any]:
+    """Line of an observer or scheme, the same in every figure of a study."""
+    others = [each for each in names if each != proposed]
+    style = line_style("proposed") if name == proposed else line_style("compared", others.index(name))
+    return {
+        "color": style.colour,
+        "dashes": style.dashes or (None, None),
+        "linewidth": LINE_WIDTH * style.width,
+        "zorder": 2.0 + style.layer * 1e-3,
+    }
+
+
+def legend(figure: Figure, ax: Any, columns: int = 5, handles: Sequence[Any] = ()) -> None:
+    """Put the legend of one panel, and more handles, above the figure."""
+    handles = [*ax.get_legend_handles_labels()[0], *handles]
+    figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False)
+
+
+def plain_ticks(axis: Any) -> None:
+    """Write the numbers of a logarithmic axis as they are, without minor ones."""
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def no_minor(axis: Any) -> None:
+    """Leave out the minor ticks of an axis."""
+    axis.set_minor_locator(NullLocator())

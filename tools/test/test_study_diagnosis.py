@@ -1,0 +1,326 @@
+"""The study of diagnosis: tables, figures and page from tables that one can work out by hand; the bound."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from quadftc_campaign.campaign_file import load_campaign
+from quadftc_campaign.flights import flight_scenario
+from quadftc_campaign.open_loop import AGES, flatten
+from quadftc_campaign.table import table_of
+from quadftc_flight.scenario import load_scenario
+from quadftc_sim.sensors import GRADES, ImuSensor
+from quadftc_tools.study.bound import AVERAGING, attitude_std_dev, fault_bound
+from quadftc_tools.study.diagnosis import make
+from quadftc_tools.study.diagnosis_results import (
+    CRITERIA,
+    SCENARIO,
+    SETTINGS,
+    characteristics,
+    consistency,
+    setting_results,
+    sum_up,
+)
+from quadftc_tools.study.diagnosis_tables import (
+    bound_table,
+    fault_table,
+    isolation_table,
+    metric_table,
+    tables,
+    worst_table,
+)
+from quadftc_tools.study.page import publish, with_tables
+
+ROOT = Path(__file__).resolve().parents[2]
+SIMULATION = CRITERIA["simulation"]
+RATE = 250.0  # Hz
+PER_AXIS = {"roll": 0.0, "pitch": 0.0, "yaw": 0.0}
+HEALTHY = {"roll": 1200.0, "pitch": 1200.0, "yaw": 1200.0}  # s: an hour in all
+EVENT: dict[str, Any] = {
+    "axis": "roll",
+    "kind": "step",
+    "start": 20.0,
+    "stop": 40.0,
+    "fault_max_deg": 2.0,
+    "detected": True,
+    "already_declared": False,
+    "detection_delay_s": 0.008,
+    "onset_error_s": 0.0,
+    "recovered": True,
+    "recovery_delay_s": 0.7,
+    "above_threshold": True,
+    "above_threshold_already": False,
+    "above_threshold_delay_s": 0.004,
+    "estimate_rmse_deg": 0.05,
+    "estimate_bias_deg": 0.01,
+    "estimate_max_deg": 0.2,
+    "estimate_rmse_detected_deg": 0.05,
+    "estimate_max_detected_deg": 0.2,
+    "nees": 1.1,
+    "coverage_2_sigma": 0.95,
+    "tracking_rmse_deg": None,
+}
+STEP = {
+    "spec": f"bias channel=attitude axes=roll start=20.0 stop=40.0 value={math.radians(-2.0)!r}",
+    "errors_deg": [0.1] * len(AGES),
+    "std_devs_deg": [0.05] * len(AGES),
+}
+
+
+def flown(number: int, variant: str, event: dict[str, Any] | None = None, **kinds: Any) -> dict[str, Any]:
+    """A flight with one fault."""
+    line = {"roll": 19.0, "pitch": 1.0, "yaw": 0.0, "none": 1.0, "time": 20.0}
+    diagnosis = {
+        "healthy_time_s": HEALTHY,
+        "false_alarms": {"roll": 2, "pitch": 0, "yaw": 0},
+        "false_alarm_time_s": {"roll": 36.0, "pitch": 0.0, "yaw": 0.0},
+        "late_recovery_time_s": PER_AXIS,
+        "isolation_tested_s": 19.0,
+        "isolation_correct_s": 18.0,
+        "confusion_single_s": {"none": {**line, "time": 40.0}, "roll": line},
+        "confusion_any_s": {"roll": line},
+        "confusion_by_kind_s": {"step": {"own": 19.0, "other": 1.0, "none": 1.0, "time": 20.0}},
+        "by_estimate": {"healthy_time_s": HEALTHY, "false_alarm_time_s": {**PER_AXIS, "yaw": 360.0}},
+    }
+    score = {"levels": [1.0, 2.0], "alarms": [10, 0], "healthy": 100, "found": [1, 0], "faults": 1}
+    faults = {f"fault.{name}": value for name, value in {**EVENT, **STEP, **(event or {})}.items()}
+    common = {"flight": number, "variant": variant, "observer": variant, "recording": "simulated"}
+    scores = {f"roc.{name}": value for name, value in {**score, **kinds}.items()}
+    return {**common, "finite": True, **flatten(diagnosis), **scores, "fault": 0, **faults}
+
+
+RAMP = {"kind": "ramp", "axis": "yaw", "start": 50.0, "stop": 70.0}
+RAMP |= {"spec": f"drift channel=attitude axes=yaw start=50.0 stop=70.0 rate={math.radians(0.07)!r}"}
+NOTHING = {"errors_deg": [None] * len(AGES), "std_devs_deg": [None] * len(AGES)}
+MISSED = {
+    **RAMP,
+    "detected": False,
+    "detection_delay_s": None,
+    "recovered": None,
+    "recovery_delay_s": None,
+    "estimate_rmse_deg": 1.5,
+    "nees": None,
+    "coverage_2_sigma": None,
+    **NOTHING,
+}
+
+
+def frame_of(*events: dict[str, Any], variant: str = "supervised") -> pl.DataFrame:
+    return table_of([flown(number, variant, event) for number, event in enumerate(events)])
+
+
+def two_observers() -> pl.DataFrame:
+    frames = [frame_of({}, MISSED, variant=name) for name in ("supervised", "threshold")]
+    return pl.concat(frames, how="diagonal_relaxed")
+
+
+def rows_of(table: str) -> dict[str, list[str]]:
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
+    return {row[0]: row[1:] for row in cells}
+
+
+def test_metrics_are_those_of_the_records_and_bold_where_they_reach_the_target():
+    rows = rows_of(
+        metric_table(
+            SIMULATION, {"supervised": sum_up(frame_of({})), "threshold": sum_up(frame_of({}, MISSED))}
+        )
+    )
+    assert rows[""] == ["target", "`supervised`", "`threshold`"]
+    assert rows["faults"] == ["-", "1", "2"]
+    assert rows["missed (declared before the onset)"] == ["0 (0)", "**0 (0)**", "1 (0)"]
+    assert rows["delay, step, max"] == ["20 ms", "**8 ms**", "8 ms"]  # one fault was missed
+    assert rows["delay, ramp, median"] == ["500 ms", "-", "-"]
+    assert rows["RMSE of the estimate, median / 95 %"][:2] == ["0.08 / 0.25 deg", "**0.05 / 0.05 deg**"]
+    assert rows["RMSE of the estimate, median / 95 %"][2] == "0.775 / 1.43 deg"
+    assert rows["false alarms, share of healthy time"] == ["0 %", "1 %", "1 %"]
+    assert rows["false alarms per hour"] == ["-", "2", "2"]
+    assert rows["recovery delay, median / 95 %"] == ["-", "700 / 700 ms", "700 / 700 ms"]
+    assert rows["errors within 2 standard deviations"] == ["-", "95 %", "95 %"]
+
+
+def test_observer_without_detector_is_judged_by_the_size_of_its_estimate():
+    never = {"detected": False, "detection_delay_s": None}
+    rows = rows_of(metric_table(SIMULATION, {"sliding_mode": sum_up(frame_of(never))}))
+    assert rows["missed (declared before the onset)"] == ["0 (0)", "**0 (0)**"]
+    assert rows["delay, step, max"] == ["20 ms", "**4 ms**"]
+    assert rows["false alarms, share of healthy time"] == ["0 %", "10 %"]
+    assert rows["false alarms per hour"] == ["-", "-"]
+
+
+def test_faults_are_counted_by_kind_and_size():
+    spec = f"bias channel=attitude axes=roll start=20.0 stop=40.0 value={math.radians(5.0)!r}"
+    biggest = {"already_declared": True, "spec": spec}
+    lines = fault_table(SIMULATION, {"supervised": sum_up(frame_of({}, MISSED, biggest))}).splitlines()
+    assert "| step | 1 to 2 deg | 0 | 0, 0 |" in lines
+    assert "| step | 2 to 5 deg | 2 | 1, 0 |" in lines  # 2 belongs to it, and 5; one was declared before
+    assert "| ramp | 0.05 to 0.1 deg/s | 1 | 1, 1 |" in lines
+    assert len(lines) == 2 + 9
+
+
+def test_worst_faults_come_first():
+    lines = worst_table(sum_up(frame_of({}, MISSED))["faults"]).splitlines()
+    assert lines[2] == "| 1 | yaw, 50 s | ramp of 0.07 deg/s | missed | 1.5 deg | 0.2 deg |"
+    assert lines[3] == "| 0 | roll, 20 s | step of -2 deg | 8 ms | 0.05 deg | 0.2 deg |"
+
+
+def test_isolation_is_in_shares_of_the_time():
+    lines = isolation_table(sum_up(frame_of({}, {}))).splitlines()
+    assert "| roll faulty | 95 % | 5 % | 0 % | 5 % | 40 s |" in lines
+    assert "| step | 95 % | 5 % | 5 % | 40 s |" in lines
+    assert lines[-1] == "Isolation accuracy of `supervised`: 94.7 % of 38 s."
+
+
+def test_error_and_standard_deviation_are_held_against_the_bound_of_their_window():
+    of_second = {**RAMP, "spec": RAMP["spec"].replace("rate=0.00", "rate=0.07")}
+    faults = sum_up(frame_of({}, of_second, MISSED))["faults"]
+    found = consistency(faults, load_scenario(SCENARIO))
+    assert found["declared"] == [pytest.approx(2.0 / 3.0)] * len(AGES)
+    assert found["rms_deg"] == [pytest.approx(0.1)] * len(AGES)
+    ratios, errors = found["std_dev_over_bound"], found["rms_over_bound"]
+    assert ratios[-1] < ratios[0]  # the bound grows
+    assert all(
+        error == pytest.approx(2.0 * ratio, rel=0.02) for error, ratio in zip(errors, ratios, strict=True)
+    )
+    lines = bound_table(found).splitlines()
+    assert [line.split("|")[1].strip() for line in lines[2:]] == ["1 s", "5 s", "10 s", "20 s"]
+    assert "bound_deg" not in consistency(faults, None)
+
+
+def test_curves_add_up_and_points_have_their_level():
+    rows = [flown(0, "sliding_mode"), flown(1, "sliding_mode", alarms=[30, 20], found=[1, 1])]
+    levels = [flown(number, "supervised@4.5", event) for number, event in enumerate(({}, MISSED))]
+    main = [flown(0, "supervised"), flown(1, "supervised"), flown(2, "supervised", MISSED)]
+    found = characteristics(table_of([*rows, *main]), table_of(levels))
+    assert set(found["curves"]) == {"sliding_mode"}  # the others have levels
+    curve = found["curves"]["sliding_mode"]
+    assert curve["false_alarm_share"] == [pytest.approx(0.2), pytest.approx(0.1)]
+    assert curve["detection_probability"] == [1.0, 0.5]
+    usual, swept = found["points"]["supervised"]
+    assert swept == {"level": 4.5, "false_alarm_share": pytest.approx(0.01), "detection_probability": 0.5}
+    assert usual["detection_probability"] == 1.0  # of the flights that the levels have
+
+
+# --- document
+
+
+TEXT = "a\n<!-- table: one -->\nold\n<!-- end -->\nb\n<!-- table: two -->\n<!-- end -->\n"
+
+
+def test_tables_are_replaced_between_their_marks_and_nothing_else():
+    text = with_tables(TEXT, {"two": "| x |"}, "page.md")
+    assert text == TEXT.replace("two -->\n", "two -->\n| x |\n")
+    assert with_tables(text, {"two": "| x |"}, "page.md") == text
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (TEXT.replace("two", "three"), "page.md: no place for table 'two'"),
+        (
+            TEXT.replace("old\n<!-- end -->\n", ""),
+            "page.md: table 'two' has no end|page.md: table 'one' has no end",
+        ),
+    ],
+)
+def test_document_without_a_place_is_refused(text: str, words: str):
+    with pytest.raises(ValueError, match=words):
+        with_tables(text, {"two": "| x |"}, "page.md")
+
+
+def results() -> dict[str, Any]:
+    both = pl.concat(
+        [frame_of({}, MISSED), frame_of({}, MISSED, variant="threshold")], how="diagonal_relaxed"
+    )
+    manifest = {"seed": 1}
+    return {
+        "simulation": setting_results("simulation", both, None, manifest),
+        "simulation_one_axis": setting_results("simulation_one_axis", frame_of({}), None, manifest),
+    }
+
+
+def test_campaigns_become_tables_and_figures_the_same_each_time(tmp_path: Path):
+    both = pl.concat(
+        [frame_of({}, MISSED), frame_of({}, MISSED, variant="threshold")], how="diagonal_relaxed"
+    )
+    for name, frame in {"simulation": both, "simulation_one_axis": frame_of({})}.items():
+        directory = tmp_path / f"study_diagnosis_{name}"
+        directory.mkdir()
+        frame.write_parquet(directory / "flights.parquet")
+        (directory / "campaign.json").write_text('{"seed": 1}')
+    made, drawers = make(tmp_path)
+    names = ("flown", "simulation", "faults-simulation", "worst-simulation", "isolation-simulation", "bound")
+    assert set(made) == set(names)
+    page = tmp_path / "diagnosis.md"
+    page.write_text("".join(f"<!-- table: {name} -->\n<!-- end -->\n" for name in names))
+    files = publish(page, made, drawers)
+    assert [file.suffix for file in files] == [".md", *[".png"] * 4]
+    contents = [file.read_bytes() for file in files]
+    assert all(content.startswith(b"\x89PNG") for content in contents[1:])
+    assert b"| missed (declared before the onset) | 0 (0) | 1 (0) | 1 (0) |" in contents[0]
+    publish(page, *make(tmp_path))
+    assert [file.read_bytes() for file in files] == contents
+
+
+def test_directory_without_campaigns_is_refused(tmp_path: Path):
+    with pytest.raises(ValueError, match="holds no campaign of this study"):
+        make(tmp_path)
+
+
+def test_document_of_the_repository_has_a_place_for_every_table():
+    text = (ROOT / "docs" / "diagnosis.md").read_text(encoding="utf-8")
+    assert with_tables(text, {}, "docs/diagnosis.md") == text
+    for of_simulation in tables(results()):
+        for name in (of_simulation, of_simulation.replace("simulation", "recordings")):
+            assert text.count(f"<!-- table: {name} -->") == 1
+
+
+@pytest.mark.parametrize("name", [*SETTINGS, "simulation_levels", "recordings_levels"])
+def test_campaigns_of_the_study_load_with_every_observer(name: str, tmp_path: Path):
+    (tmp_path / "still").mkdir()
+    (tmp_path / "still" / "metadata.yaml").touch()
+    campaign = load_campaign(ROOT / "campaigns" / f"study_diagnosis_{name}.yaml", recordings=tmp_path)
+    names = {variant.name for variant in campaign.variants}
+    if name in CRITERIA:
+        assert {"sliding_mode", "augmented_kalman", "edwards_spurgeon", "threshold", "supervised"} <= names
+        assert "none" not in names
+    for variant in campaign.variants:
+        scenario = flight_scenario(campaign, 0, variant)
+        law = scenario.scheme("diagnosis").observer.law
+        if variant.name == "supervised":
+            assert getattr(law, "tracking") == AVERAGING  # noqa: B009  # so does the bound
+        axes = [fault.axes for fault in scenario.faults[:3]]
+        assert name.endswith("one_axis") or axes == [("roll",), ("pitch",), ("yaw",)]
+
+
+# --- bound
+
+
+def test_bound_is_the_closed_form_of_the_theory():
+    grade, dt, healthy, length = GRADES["mems"], 1.0 / RATE, 20.0, 20.0
+    sensor = ImuSensor(**{**grade, "gyro_bias_walk": 0.0, "delay": 0})
+    noise, walk = sensor.attitude_noise, sensor.gyro_noise
+    found = attitude_std_dev(sensor, dt, round(40.0 / dt), [(healthy, healthy + length)])
+    memory = noise * math.sqrt(dt) / walk
+    bias = walk**2 / healthy * (1.0 + 2.0 * memory / healthy)
+    at_onset = walk * noise * math.sqrt(dt) * (1.0 + length / healthy)
+    floor = math.sqrt(at_onset + bias * length**2 / 3.0 + walk**2 * length / 2.0)  # (T17)
+    assert math.sqrt(np.mean(found[-round(length / dt) :] ** 2)) == pytest.approx(floor, rel=0.01)
+
+
+def test_bound_holds_the_noise_of_the_sample_and_falls_with_healthy_time():
+    sensor, dt, windows = ImuSensor(**GRADES["mems"]), 1.0 / RATE, ((20.0, 40.0), (50.0, 70.0))
+    short, long = (
+        fault_bound(sensor, dt, windows, (0.0, 20.0)),
+        fault_bound(sensor, dt, windows, (0.0, 20.0), 1.0),
+    )
+    attitude = attitude_std_dev(sensor, dt, round(70.0 / dt), windows)
+    assert short[0, 0] ** 2 == pytest.approx(attitude[5000] ** 2 + sensor.attitude_noise**2)  # one sample
+    assert short[0, 1] ** 2 == pytest.approx(attitude[9999] ** 2 + sensor.attitude_noise**2 / 15.0)
+    assert np.all(short[:, 1] > long[:, 1])
+    assert short[1, 1] < 0.95 * short[0, 1]  # the bias is better known
