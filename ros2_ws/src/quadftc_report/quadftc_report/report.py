@@ -105,8 +105,8 @@ def write_report(
             (made / out.name).replace(out)
     except OSError as error:
         raise ReportError(f"{out}: cannot be written: {error.strerror or error}") from None
-    names = (tuple(each.name for each in group) for group in (runs, replays))
-    return ReportFiles(out, folder if with_figures else None, *names, warnings)
+    flown, replayed_names = ([each.name for each in group] for group in (runs, replays))
+    return ReportFiles(out, folder if with_figures else None, tuple(flown), tuple(replayed_names), warnings)
 
 
 def write_campaign_report(
