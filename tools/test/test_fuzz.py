@@ -1,18 +1,16 @@
 """Bad files and command lines: an exit code, a few lines, nothing outside the working folder.
 
-The short form of `scripts/soak fuzz`: the same inputs, drawn by Hypothesis.
+The short form of `scripts/soak fuzz`: the same strategies.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from random import Random
 
 import pytest
 import yaml
 from hypothesis import given, settings
-from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
 from quadftc_tools.soak.fuzz_case import Case, try_case
@@ -38,9 +36,8 @@ def test_bad_input_is_answered_in_a_line_and_an_exit_code(name, seeds, sandbox):
     target = TARGETS[name]
 
     @settings(max_examples=EXAMPLES.get(name, 10))
-    @given(st.integers(0, 10**9))
-    def answered(number):
-        case = target.case(seeds, Random(number))
+    @given(target.cases(seeds))
+    def answered(case):
         outcome = try_case(case, target.program, sandbox)
         assert not outcome.wrong, (outcome.wrong, case.arguments, list(case.files))
 

@@ -1,8 +1,8 @@
 # pyright: basic
 """`scripts/soak fuzz`: bad input for every command and file, for as long as is asked for.
 
-Inputs are tried in a process of their own, which is started again when it ends or hangs. Inputs that were not
-answered as they should be are kept in a folder, one of each kind, and tried again first the next time.
+A separate process tries the inputs; it is started again when it ends or hangs. Of each kind of wrong answer
+one input is kept in a folder, and tried first the next time.
 """
 
 from __future__ import annotations
@@ -20,71 +20,38 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from quadftc_tools.soak.fuzz_worker import NOW
+from quadftc_tools.soak import soak_table
+from quadftc_tools.soak.fuzz_case import NOW
 
 HANG = 120.0  # s; an input that takes so long hangs
 AGAIN = "again"  # folder of inputs that were answered wrongly
-NAMED = r"'[^']*'|\"[^\"]*\"|\d+|\s+|/\S+"  # what differs between two crashes of one kind
-
-Follow = Callable[[str], None]
+DETAIL = r"'[^']*'|\"[^\"]*\"|\d+|\s+|/\S+"  # what differs between two crashes of one kind
 
 
 @dataclass
 class Tally:
-    """What came of the inputs of one target.
-
-    Parameters
-    ----------
-    target : str
-    tried, refused : int
-        Inputs; those that ended with exit code 2.
-    seconds : float
-        Longest time of one input, wall clock.
-    cpu : float
-        Most processor time of one input [s].
-    crashes : dict of str to str
-        Kind to what was wrong, of inputs that were not answered as they should be.
-    """
+    """What came of the inputs of one target."""
 
     target: str
     tried: int = 0
-    refused: int = 0
-    seconds: float = 0.0
-    cpu: float = 0.0
-    crashes: dict[str, str] = field(default_factory=dict)
+    refused: int = 0  # with exit code 2
+    seconds: float = 0.0  # longest wall time of one input
+    cpu: float = 0.0  # most processor time of one input [s]
+    crashes: dict[str, str] = field(default_factory=dict)  # kind to what was wrong
 
 
 class Fuzzing:
-    """Inputs tried, and what came of them.
+    """Tries inputs for some targets, keeps crashes in a folder, calls ``follow`` with a line for each."""
 
-    Parameters
-    ----------
-    folder : Path
-        Where crashes are kept.
-    names : sequence of str
-        Targets.
-    seed : int
-        Of the inputs.
-    follow : callable
-        Called with a line for each new kind of crash.
-    """
-
-    def __init__(self, folder: Path, names: Sequence[str], seed: int, follow: Follow) -> None:
+    def __init__(self, folder: Path, names: Sequence[str], seed: int, follow: Callable[[str], None]) -> None:
         self._folder, self._seed, self._follow = folder, seed, follow
         self.tallies = {name: Tally(name) for name in names}
         (folder / AGAIN).mkdir(parents=True, exist_ok=True)
 
     def run(self, seconds: float) -> list[Tally]:
-        """Try inputs for so long.
-
-        Raises
-        ------
-        RuntimeError
-            If the process that tries them does not start.
-        """
+        """Try inputs for so long; RuntimeError if the process that tries them does not start."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             self._run_worker(end)
@@ -128,7 +95,7 @@ class Fuzzing:
         tally.seconds, tally.cpu = max(tally.seconds, told["seconds"]), max(tally.cpu, told["cpu"])
         if told["wrong"]:
             self._keep(tally, told["wrong"], told["case"])
-        elif "again" in told:
+        elif told["again"]:
             (self._folder / AGAIN / told["again"]).unlink(missing_ok=True)
             self._follow(f"{tally.target}: {told['again']} is answered as it should be now")
 
@@ -142,7 +109,7 @@ class Fuzzing:
         self._keep(self.tallies[target], how, text)
 
     def _keep(self, tally: Tally, wrong: str, case: str) -> None:
-        words = re.sub(NAMED, " ", wrong)
+        words = re.sub(DETAIL, " ", wrong)
         kind = words[:80] + words[-120:]
         name = f"{tally.target.replace(' ', '_')}-{hashlib.sha256(kind.encode()).hexdigest()[:10]}.json"
         path = self._folder / AGAIN / name
@@ -156,27 +123,17 @@ class Fuzzing:
 
 def table(done: Sequence[Tally]) -> Table:
     """A row for each target, and one for all."""
-    shown = Table(box=SIMPLE_HEAD, pad_edge=False, title="bad input")
-    shown.add_column("target")
-    for heading in ("inputs", "refused", "kinds of crashes", "worst time \\[s]", "processor \\[s]"):
-        shown.add_column(heading, justify="right")
-    everything = Tally(
-        "all",
-        sum(each.tried for each in done),
-        sum(each.refused for each in done),
-        max((each.seconds for each in done), default=0.0),
-        max((each.cpu for each in done), default=0.0),
-    )
-    crashes = sum(len(each.crashes) for each in done)
-    for each in (*done, everything):
-        count = crashes if each is everything else len(each.crashes)
+    headings = ("inputs", "refused", "kinds of crashes", "worst time [s]", "processor [s]")
+    shown = soak_table("bad input", ("target",), headings)
+    for name in (*(each.target for each in done), "all"):
+        rows = [each for each in done if name in (each.target, "all")]
         shown.add_row(
-            each.target,
-            str(each.tried),
-            str(each.refused),
-            str(count),
-            f"{each.seconds:.2f}",
-            f"{each.cpu:.2f}",
+            name,
+            str(sum(each.tried for each in rows)),
+            str(sum(each.refused for each in rows)),
+            str(sum(len(each.crashes) for each in rows)),
+            f"{max(each.seconds for each in rows):.2f}",
+            f"{max(each.cpu for each in rows):.2f}",
         )
     return shown
 

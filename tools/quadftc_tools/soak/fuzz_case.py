@@ -1,5 +1,5 @@
 # pyright: basic
-"""One bad input: files and a command line, what a program made of it, and whether that was right."""
+"""One bad input: files and a command line, how a program answered it, and whether that was right."""
 
 from __future__ import annotations
 
@@ -23,20 +23,16 @@ ALLOWED = (GOOD, CHECK_FAILED, BAD_INPUT, INTERRUPTED)  # exit codes
 MAX_LINES, MAX_LINE = 12, 4000  # of what is said about a bad input; characters
 MAX_GROWTH = 700 * 1024  # KiB by which the memory of the process may grow with one input
 INSIDE = Path("outer", "inner", "work")  # working folder, within the sandbox: what is written outside shows
+NOW = "now.json"  # file with the input that is being tried
 
 Program = Callable[[Sequence[str]], int]
 
 
 @dataclass(frozen=True)
 class Case:
-    """An input.
+    """An input: files by path in the working folder, and arguments.
 
-    Parameters
-    ----------
-    target : str
-    files : dict of str to bytes
-        By path, relative to the working folder; a path that ends in ``->`` is a symbolic link to the text.
-    arguments : list of str
+    A path that ends in ``->`` is a symbolic link to the text.
     """
 
     target: str
@@ -58,7 +54,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a program made of a case: exit code, texts, time and processor time [s], and what is wrong."""
+    """How a program answered: exit code, texts, time and processor time [s], and what is wrong."""
 
     code: int
     out: str
@@ -69,16 +65,7 @@ class Outcome:
 
 
 def try_case(case: Case, program: Program, sandbox: Path) -> Outcome:
-    """Run a program on a case, in this process, in a fresh sandbox.
-
-    Parameters
-    ----------
-    case : Case
-    program : callable
-        Takes the arguments, returns the exit code.
-    sandbox : Path
-        A folder, emptied before; in ``outer/inner/work`` below it the program runs.
-    """
+    """Run a program on a case, in this process, in ``outer/inner/work`` of an emptied sandbox."""
     shutil.rmtree(sandbox, ignore_errors=True)
     work = sandbox / INSIDE
     work.mkdir(parents=True)
@@ -137,10 +124,9 @@ def _wrong(code: int, out: str, err: str) -> str:
 def _outside(sandbox: Path) -> set[str]:
     """Everything in the sandbox that is not in the working folder."""
     work = str(INSIDE)
-    found = {os.fspath(path.relative_to(sandbox)) for path in sandbox.glob("*")}
-    found |= {os.fspath(path.relative_to(sandbox)) for path in sandbox.glob("*/*")}
-    found |= {os.fspath(path.relative_to(sandbox)) for path in sandbox.glob("*/*/*")}
-    return {name for name in found if not name.startswith(work)}
+    found = [path for depth in ("*", "*/*", "*/*/*") for path in sandbox.glob(depth)]
+    names = {os.fspath(path.relative_to(sandbox)) for path in found}
+    return {name for name in names if not name.startswith(work)}
 
 
 def _stream(errors: str) -> io.TextIOWrapper:

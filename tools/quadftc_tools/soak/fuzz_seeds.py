@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 from quadftc_flight.runs import RunOptions, run, run_name
 from quadftc_flight.scenario import find_scenario, load_scenario, node_parameters, scenario_names
 from quadftc_model import vehicle as vehicles
-from quadftc_tools.soak.mutations import plain_dump
+from quadftc_tools.soak.fuzz_inputs import plain_dump
 
 SCENARIO = b"""\
 name: tiny
@@ -96,13 +96,7 @@ SCHEME = "proposed"
 
 
 class Seeds:
-    """Makes what is asked for, once.
-
-    Parameters
-    ----------
-    folder : Path
-        For bags; a flight of 0.4 s is flown there through the node graph.
-    """
+    """Makes each good input once, when it is first asked for; flies 0.4 s in a folder for the bag."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -127,18 +121,13 @@ class Seeds:
     @cached_property
     def parameters(self) -> dict[str, bytes]:
         """Node to a ROS parameter file with all that the node has."""
-        path = self._file("tiny.yaml", SCENARIO)
-        scenario = load_scenario(path)
-        found = node_parameters(scenario, SCHEME)
-        return {
-            node: yaml.safe_dump({f"/{node}": {"ros__parameters": found[node]}}).encode() for node in NODES
-        }
+        parameters = node_parameters(load_scenario(self._file("tiny.yaml", SCENARIO)), SCHEME)
+        return {node: plain_dump({f"/{node}": {"ros__parameters": parameters[node]}}) for node in NODES}
 
     @cached_property
     def bag(self) -> dict[str, bytes]:
         """A run: its bag and the files beside it, by name."""
-        path = self._file("tiny.yaml", SCENARIO)
-        scenario = load_scenario(path)
+        scenario = load_scenario(self._file("tiny.yaml", SCENARIO))
         run(scenario, scenario.scheme(SCHEME), self._folder, RunOptions(), lambda _: True)
         folder = self._folder / run_name(scenario, scenario.scheme(SCHEME))
         return {file.name: file.read_bytes() for file in sorted(folder.iterdir())}
@@ -156,22 +145,17 @@ class Seeds:
             reader = make_reader(stream)
             writer = Writer(out, compression=CompressionType.NONE, use_chunking=False, enable_crcs=False)
             writer.start(profile="ros2")
-            schemas: dict[int, int] = {}
             channels: dict[int, int] = {}
             for schema, channel, message in reader.iter_messages():
                 assert schema is not None
-                if schema.id not in schemas:
-                    schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
                 if channel.id not in channels:
+                    number = writer.register_schema(schema.name, schema.encoding, schema.data)
                     channels[channel.id] = writer.register_channel(
-                        channel.topic, channel.message_encoding, schemas[schema.id], channel.metadata
+                        channel.topic, channel.message_encoding, number, channel.metadata
                     )
+                times = {"log_time": message.log_time, "publish_time": message.publish_time}
                 writer.add_message(
-                    channels[channel.id],
-                    message.log_time,
-                    message.data,
-                    message.publish_time,
-                    message.sequence,
+                    channels[channel.id], data=message.data, sequence=message.sequence, **times
                 )
             writer.finish()
         return target.read_bytes()
