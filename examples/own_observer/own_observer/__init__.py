@@ -1,0 +1,1 @@
+"""A fault observer for quadftc in a package of its own."""
