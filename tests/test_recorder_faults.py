@@ -18,8 +18,8 @@ from quadftc_flight.scenario import find_scenario, load_scenario, with_duration
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_tools.soak.command import app
-from quadftc_tools.soak.recorder import ALLOWED, passed
-from quadftc_tools.soak.recorder_trial import (
+from quadftc_tools.soak.recorder import (
+    ALLOWED,
     COMPOSED,
     COMPOSED_LOCKSTEP,
     DISK_FULL,
@@ -27,6 +27,7 @@ from quadftc_tools.soak.recorder_trial import (
     NODE,
     NODE_LOCKSTEP,
     Trial,
+    passed,
     try_recorder,
 )
 

@@ -1,24 +1,27 @@
 """Steps of the closed loop per second and memory of the batch engine, beside other simulators.
 
-Each measurement is made in processes of their own, one a core and pinned to it, that fly at the same time:
-JAX reads its settings when it is imported. See `quadftc_tools.bench.batch_child`.
+Each measurement starts new processes, one pinned to each core, that fly at the same time: JAX reads its
+settings when it is imported. See `quadftc_tools.bench.batch_child`.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
+import json
 import os
 import shutil
 import statistics
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import quadftc_tools
+from quadftc_campaign.batch.jax_settings import environment
 from quadftc_flight.runs import RunError
-from quadftc_tools.bench.batch_process import FlyingProcess
 
 SCENARIO, SCHEME = "mems_faults", "supervised"
 OTHER_SCHEMES = ("proposed", "conventional")
@@ -30,6 +33,11 @@ LEAST = 0.5  # s; a shorter run is repeated
 OURS, THEIRS = "quadftc_tools.bench.batch_worker", "quadftc_tools.bench.batch_others"
 NANOSECONDS = 1e9
 VERSION = "import sys; print(sys.version_info >= (3, 10))"
+# sys.path last, so that another Python keeps its own packages
+BOOT = (
+    "import runpy, sys; sys.path.append(sys.argv.pop(1));"
+    " runpy.run_module(sys.argv.pop(1), run_name='__main__', alter_sys=True)"
+)
 PRECISIONS = {True: "float32", False: "float64"}
 
 
@@ -53,45 +61,32 @@ class Measurement:
 def measurements(
     flights: Sequence[int], float32: Sequence[bool], cores: Sequence[int], duration: float
 ) -> list[Measurement]:
-    """Plan everything that is measured: all numbers of flights on the fewest cores, the most on all.
-
-    Parameters
-    ----------
-    flights : sequence of int
-        In each process.
-    float32 : sequence of bool
-    cores : sequence of int
-    duration : float
-        Of a flight [s].
-    """
+    """Plan the measurements: all numbers of flights of a process on the fewest cores, the most on all."""
     fewest, most = min(cores), max(flights)
     everywhere = [(count, fewest) for count in flights]
     everywhere += [(most, count) for count in cores if count != fewest]
     largest = [(most, count) for count in cores]
+    first, alone = largest[:1], [(1, fewest)]
     engine = {"task": "engine", "scenario": SCENARIO, "duration": duration}
+    whole = {**engine, "scheme": SCHEME, "duration": WHOLE_DURATION}
     both, single, double = tuple(float32), (True,), (False,)
-    own_way = f"{CRAZYFLOW}, its own way"
     crazyflow, rotorpy = {"simulator": "crazyflow"}, {"simulator": "rotorpy"}
+    crazyflow_rk4 = {**crazyflow, "integrator": "rk4", "steps_a_call": 500}
+    crazyflow_euler = {**crazyflow, "integrator": "euler", "steps_a_call": 1}
     rows: list[tuple[str, str, Sequence[tuple[int, int]], Sequence[bool], dict[str, Any]]] = [
         (SCHEME, OURS, everywhere, both, {**engine, "scheme": SCHEME}),
-        *((each, OURS, largest[:1], both, {**engine, "scheme": each}) for each in OTHER_SCHEMES),
+        *((each, OURS, first, both, {**engine, "scheme": each}) for each in OTHER_SCHEMES),
         *(
-            (f"{each}, {PLAIN_VMAP}", OURS, largest[:1], both, {**engine, "scheme": each, "staged": False})
+            (f"{each}, {PLAIN_VMAP}", OURS, first, both, {**engine, "scheme": each, "staged": False})
             for each in (SCHEME, *OTHER_SCHEMES)
         ),
-        (
-            f"{SCHEME}, {WHOLE}",
-            OURS,
-            [(1, fewest)],
-            both,
-            {**engine, "scheme": SCHEME, "duration": WHOLE_DURATION},
-        ),
+        (f"{SCHEME}, {WHOLE}", OURS, alone, both, whole),
         (BARE_ENGINE, OURS, largest, both, {"task": "bare engine", "duration": duration}),
         (BARE, OURS, everywhere, both, {"task": "bare", "duration": duration}),
-        (CRAZYFLOW, THEIRS, everywhere, single, {**crazyflow, "integrator": "rk4", "steps_a_call": 500}),
-        (own_way, THEIRS, largest[:1], single, {**crazyflow, "integrator": "euler", "steps_a_call": 1}),
+        (CRAZYFLOW, THEIRS, everywhere, single, crazyflow_rk4),
+        (f"{CRAZYFLOW}, its own way", THEIRS, first, single, crazyflow_euler),
         (ROTORPY, THEIRS, everywhere, double, {**rotorpy, "single": False}),
-        (f"{ROTORPY}, one drone", THEIRS, [(1, fewest)], double, {**rotorpy, "single": True}),
+        (f"{ROTORPY}, one drone", THEIRS, alone, double, {**rotorpy, "single": True}),
     ]
     return [
         Measurement(name, module, count, precision, core_count, job)
@@ -107,13 +102,7 @@ def usable_cores() -> list[int]:
 
 
 def python_of(others: str | None) -> str:
-    """Full path of the Python in which other simulators are; None: of this one.
-
-    Raises
-    ------
-    RunError
-        If there is no such program, or it is no Python that our workers run in.
-    """
+    """Full path of the Python that has the other simulators; None: of this one."""
     if others is None:
         return sys.executable
     found = shutil.which(others)
@@ -131,30 +120,11 @@ def measure(
 ) -> dict[str, Any] | None:
     """Measure; None if ``stopped``, asked between two repeats, says so.
 
-    Parameters
-    ----------
-    what : Measurement
-    repeats : int
-    others : str
-        Python that has the other simulators.
-    stopped : callable
-
-    Returns
-    -------
-    dict
-        The measured numbers; ``absent`` or ``failed`` where another simulator does not run.
-
-    Raises
-    ------
-    RunError
-        If a process does not start, or the engine fails.
+    ``others`` is the Python that has the other simulators. The row says ``absent`` or ``failed`` if another
+    simulator does not run. RunError if a process does not start, or the engine fails.
     """
-    row: dict[str, Any] = {
-        "name": what.name,
-        "flights": what.flights,
-        "precision": PRECISIONS[what.float32],
-        "cores": what.cores,
-    }
+    row: dict[str, Any] = {"name": what.name, "flights": what.flights}
+    row |= {"precision": PRECISIONS[what.float32], "cores": what.cores}
     with contextlib.ExitStack() as stack:
         processes: list[FlyingProcess] = []
         for place, core in enumerate(usable_cores()[: what.cores]):
@@ -183,15 +153,79 @@ def measure(
     }
 
 
+class FlyingProcess:
+    """The other end of `quadftc_tools.bench.batch_child`; RunError if it does not start.
+
+    ``python`` is a Python that has nothing of ours installed; None: this one, in its environment.
+    """
+
+    def __init__(self, module: str, job: Mapping[str, Any], python: str | None = None) -> None:
+        root = str(Path(quadftc_tools.__file__).parents[1])
+        start = [sys.executable, "-m"] if python is None else [python, "-E", "-c", BOOT, root]
+        self._name = start[0]
+        self._folder = tempfile.TemporaryDirectory(prefix="quadftc_")  # some write where they are
+        self._errors = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")  # noqa: SIM115
+        # one thread, the CPU, and the compiler at its best; for the other simulators, too
+        single = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL")}
+        try:
+            self._process = subprocess.Popen(
+                [*start, module, json.dumps(job)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._errors,
+                text=True,
+                cwd=None if python is None else self._folder.name,
+                env={"JAX_PLATFORMS": "cpu", **os.environ, **single, **environment(1)},
+            )
+        except OSError as error:
+            self._clean_up()
+            raise RunError(f"{self._name}: {error.strerror}") from None
+
+    def go(self) -> None:
+        """Have it fly."""
+        if self._process.stdin is not None:
+            self._process.stdin.write("go\n")
+            self._process.stdin.flush()
+
+    def answer(self) -> dict[str, Any]:
+        """Wait for what it says next; RunError if it has ended."""
+        line = self._process.stdout.readline() if self._process.stdout is not None else ""
+        try:
+            found: dict[str, Any] = json.loads(line)
+        except ValueError:
+            raise RunError(f"{self._name}: no answer: {self._last_words()}") from None
+        return found
+
+    def finish(self) -> dict[str, Any]:
+        """Close its input, and return its last answer."""
+        if self._process.stdin is not None:
+            self._process.stdin.close()
+        return self.answer()
+
+    def close(self) -> None:
+        """End it, if it has not ended."""
+        self._process.kill()
+        self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
+        self._clean_up()
+
+    def _clean_up(self) -> None:
+        self._errors.close()
+        self._folder.cleanup()
+
+    def _last_words(self) -> str:
+        self._process.kill()
+        self._process.wait()
+        self._errors.seek(0)
+        lines = [line.strip() for line in self._errors.read().splitlines() if line.strip()]
+        return lines[-1] if lines else f"it ended with code {self._process.returncode}"
+
+
 def _process(what: Measurement, place: int, core: int, others: str) -> FlyingProcess:
-    job = {
-        **what.job,
-        "flights": what.flights,
-        "float32": what.float32,
-        "first_seed": 1 + place * what.flights,
-        "core": core,
-        "least": LEAST,
-    }
+    job = {**what.job, "flights": what.flights, "float32": what.float32, "core": core, "least": LEAST}
+    job["first_seed"] = 1 + place * what.flights
     return FlyingProcess(what.module, job, None if what.module == OURS else others)
 
 

@@ -6,14 +6,11 @@ from __future__ import annotations
 import enum
 import itertools
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
 
 from quadftc_cli.commands import GOOD, INTERRUPTED
 from quadftc_cli.commands.run import CoreOption, Graph, PriorityOption, Wait
@@ -32,6 +29,7 @@ from quadftc_ros.scheduling import Scheduling
 
 SCENARIO = "mems_faults"
 NO_DELAY = "sensors.delay=0"  # the modelled delay of the sensor is no latency of the graph
+ALL_FLIGHTS, FEW_FLIGHTS = (1, 64, 256, 1024), (64,)  # of each process of the batch engine
 
 
 class Executor(str, enum.Enum):
@@ -48,15 +46,16 @@ class Precision(str, enum.Enum):
     float32 = "float32"
 
 
-bench = typer.Typer(help="Measure how fast it is, on this machine.", no_args_is_help=True)
+bench = typer.Typer(
+    help="Measure how fast it is, on this machine: each within two minutes, or with --thorough for longer.",
+    no_args_is_help=True,
+)
 
 Observer = Annotated[str, typer.Option(help="Fault observer.")]
-Duration = Annotated[float, typer.Option(min=3.0, help="Length of a flight [s].")]
 Out = Annotated[
     Path | None,
     typer.Option(help="Directory for the results: JSON, and a figure of latencies or of batches."),
 ]
-Repeat = Annotated[int, typer.Option(min=1, help="How often; medians are shown.")]
 
 
 @bench.command()
@@ -67,37 +66,46 @@ def latency(
     ] = Graph.composed,
     executor: Annotated[Executor, typer.Option(help="Executor of the composed graph.")] = Executor.events,
     observer: Observer = "supervised",
-    duration: Duration = 60.0,
-    repeat: Repeat = 1,
+    duration: Annotated[
+        float | None, typer.Option(min=3.0, help="Length of a flight [s]; default: 20, thorough 60.")
+    ] = None,
+    repeat: Annotated[int, typer.Option(min=1, help="How often; medians are shown.")] = 1,
     record: Annotated[bool, typer.Option(help="Record a bag meanwhile.")] = True,
     wait: Annotated[
         Wait | None, typer.Option(help="Between samples; default: poll, where it is possible.")
     ] = None,
     realtime_priority: PriorityOption = 0,
     core: CoreOption = [],  # noqa: B006
+    thorough: Annotated[bool, typer.Option("--thorough", help="Longer: over three minutes.")] = False,
     out: Out = None,
 ) -> None:
-    """From the stamp of an IMU sample to its torque, stage by stage, in real time."""
-    from quadftc_tools.bench.latency import LatencyOptions, measure_latency
-    from quadftc_tools.bench.latency_table import counts_line, latency_table, usage_line
+    """From the stamp of an IMU sample to its torque, stage by stage, in real time: a bit over a minute."""
+    from quadftc_tools.bench.latency import (
+        LatencyOptions,
+        counts_line,
+        latency_figure,
+        latency_table,
+        measure_latency,
+        usage_line,
+    )
 
     if wait is None:
         wait = Wait.sleep if graph is Graph.processes or realtime_priority else Wait.poll
+    length = duration or (60.0 if thorough else 20.0)
     scheduling = Scheduling(wait.value, realtime_priority, tuple(core))
     options = LatencyOptions(graph.value, executor.value, record, scheduling)
     results: list[dict[str, Any]] = []
-    jobs = [(each, number) for each in rate for number in range(repeat)]
     with StopSignals() as stop, _bars() as bars:
-        for each, number in jobs:
-            scenario = _scenario(observer, duration, each)
-            bar = bars.add_task(f"{each:g} Hz, {number + 1} of {repeat}", total=duration * each)
+        for each, number in itertools.product(rate, range(repeat)):
+            scenario = _scenario(observer, length, each)
+            bar = bars.add_task(f"{each:g} Hz, {number + 1} of {repeat}", total=length * each)
             bars.refresh()  # not in flight: drawing would take milliseconds from it
-            result = measure_latency(
-                scenario, scenario.scheme(None), options, _follower(bars, bar, lambda: stop.requested)
-            )
-            if result is None:
-                raise typer.Exit(INTERRUPTED)
-            results.append(result)
+
+            def follow(samples: int, bar: Any = bar) -> bool:
+                bars.update(bar, completed=samples)
+                return not stop.requested
+
+            results.append(_unless_stopped(measure_latency(scenario, scenario.scheme(None), options, follow)))
             bars.refresh()
     screen = console()
     for each in rate:
@@ -106,8 +114,7 @@ def latency(
         for item in of_rate:
             screen.print(counts_line(item))
         screen.print(usage_line(of_rate), soft_wrap=True)
-    _write(out, "latency", results)
-    raise typer.Exit(GOOD)
+    _finish(out, "latency", results, latency_figure)
 
 
 @bench.command()
@@ -115,94 +122,105 @@ def lockstep(
     rate: Annotated[list[float], typer.Option(help="Control rates [Hz].")] = [250.0],  # noqa: B006
     vehicles: Annotated[list[int], typer.Option(min=1, help="In one process, and in as many.")] = [1],  # noqa: B006
     observer: Observer = "sliding_mode",
-    duration: Duration = 20.0,
-    repeat: Repeat = 5,
+    duration: Annotated[
+        float | None, typer.Option(min=3.0, help="Length of a flight [s]; default: 10, thorough 20.")
+    ] = None,
+    repeat: Annotated[
+        int | None, typer.Option(min=1, help="How often; medians are shown. Default: 3, thorough 5.")
+    ] = None,
+    thorough: Annotated[bool, typer.Option("--thorough", help="Longer: about two minutes.")] = False,
     out: Out = None,
 ) -> None:
-    """How many times real time the graph flies in lock-step, beside the closed loop without ROS."""
-    from quadftc_tools.bench.lockstep import forms, measure_lockstep
-    from quadftc_tools.bench.lockstep_table import lockstep_table
+    """How many times real time the graph flies in lock-step, beside the closed loop without ROS: a minute."""
+    from quadftc_tools.bench.lockstep import forms, lockstep_table, measure_lockstep
 
+    length, times = duration or (20.0 if thorough else 10.0), repeat or (5 if thorough else 3)
     results: list[dict[str, Any]] = []
     with StopSignals() as stop, _bars() as bars:
         for each, count in itertools.product(rate, vehicles):
-            scenario = _scenario(observer, duration, each)
-            bar = bars.add_task(f"{each:g} Hz, vehicles: {count}", total=repeat * len(forms(count)))
-            for _ in range(repeat):
-                for form in forms(count):  # in turn, so that a busy machine is as bad for all
-                    found = measure_lockstep(
-                        scenario, scenario.scheme(None), form, count, lambda _: not stop.requested
-                    )
-                    if found is None:
-                        raise typer.Exit(INTERRUPTED)
-                    results.append(found)
-                    bars.advance(bar)
-                    bars.refresh()
+            scenario = _scenario(observer, length, each)
+            scheme = scenario.scheme(None)
+            bar = bars.add_task(f"{each:g} Hz, vehicles: {count}", total=times * len(forms(count)))
+            # all forms in turn, so that a busy machine is as bad for all
+            for _, form in itertools.product(range(times), forms(count)):
+                found = measure_lockstep(scenario, scheme, form, count, lambda _: not stop.requested)
+                results.append(_unless_stopped(found))
+                bars.advance(bar)
+                bars.refresh()
     console().print(lockstep_table(results))
-    _write(out, "lockstep", results)
-    raise typer.Exit(GOOD)
+    _finish(out, "lockstep", results)
 
 
 @bench.command()
 def step(out: Out = None) -> None:
-    """What one step of each fault observer costs, for one vehicle in NumPy."""
-    from quadftc_tools.bench.steps import step_costs
+    """What one step of each fault observer costs, for one vehicle in NumPy: half a minute."""
+    from quadftc_tools.bench.lockstep import step_costs, step_table
 
-    table = Table("observer", box=SIMPLE_HEAD, title="one step [us], of batches of 250")
-    for name in ("best", "median"):
-        table.add_column(name, justify="right")
     results = list(step_costs())
-    for item in results:
-        table.add_row(item["observer"], f"{item['best_us']:.1f}", f"{item['median_us']:.1f}")
-    console().print(table)
-    _write(out, "step", results)
-    raise typer.Exit(GOOD)
+    console().print(step_table(results))
+    _finish(out, "step", results)
 
 
 @bench.command()
 def batch(
-    flights: Annotated[list[int], typer.Option(min=1, help="In each process.")] = [1, 64, 256, 1024],  # noqa: B006
-    precision: Annotated[list[Precision], typer.Option(help="Of the batch engine.")] = list(Precision),  # noqa: B006
+    flights: Annotated[
+        list[int], typer.Option(min=1, help="In each process. Default: 64, thorough 1, 64, 256, 1024.")
+    ] = [],  # noqa: B006
+    precision: Annotated[
+        list[Precision], typer.Option(help="Of the batch engine. Default: float64, thorough both.")
+    ] = [],  # noqa: B006
     cores: Annotated[
         list[int],
-        typer.Option(min=1, help="So many processes, a core each. Default: one, and all there are."),
+        typer.Option(
+            min=1, help="So many processes, a core each. Default: one, thorough one and all there are."
+        ),
     ] = [],  # noqa: B006
-    repeats: Annotated[int, typer.Option(min=1, help="How often each is measured.")] = 5,
-    duration: Annotated[float, typer.Option(min=0.1, help="Length of a flight [s].")] = 8.0,
+    repeats: Annotated[
+        int | None, typer.Option(min=1, help="How often each is measured. Default: 2, thorough 5.")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(min=0.1, help="Length of a flight [s]. Default: 4, thorough 8.")
+    ] = None,
     others: Annotated[
         str | None, typer.Option(help="Python with crazyflow and RotorPy; default: the one that runs this.")
     ] = None,
+    thorough: Annotated[bool, typer.Option("--thorough", help="Longer: up to ten minutes.")] = False,
     out: Out = None,
 ) -> None:
-    """Closed-loop steps per second of the batch engine, beside other simulators."""
+    """Closed-loop steps per second of the batch engine, beside other simulators: a minute and a half."""
     from quadftc_tools.bench.batch import measure, measurements, python_of, usable_cores
-    from quadftc_tools.bench.batch_table import batch_table, flight_lines, ratio_lines, what_lines
+    from quadftc_tools.bench.batch_results import (
+        batch_figure,
+        batch_table,
+        flight_lines,
+        ratio_lines,
+        what_lines,
+    )
 
     usable = len(usable_cores())
     if max(cores, default=1) > usable:
         raise RunError(f"--cores {max(cores)}: this process may use {usable}")
     python = python_of(others)
-    chosen = sorted(set(cores)) or sorted({1, usable})
-    single = [each is Precision.float32 for each in dict.fromkeys(precision)]
-    plan = measurements(sorted(set(flights)), single, chosen, duration)
+    counts = sorted(set(flights)) or (ALL_FLIGHTS if thorough else FEW_FLIGHTS)
+    chosen = sorted(set(cores)) or sorted({1, usable} if thorough else {1})
+    precisions = list(dict.fromkeys(precision)) or list(Precision)[: None if thorough else 1]
+    float32 = [each is Precision.float32 for each in precisions]
+    plan = measurements(counts, float32, chosen, duration or (8.0 if thorough else 4.0))
     results: list[dict[str, Any]] = []
     with StopSignals() as stop, _bars() as bars:
         bar = bars.add_task("", total=len(plan))
         for each in plan:
             bars.update(bar, description=each.title)
             bars.refresh()
-            found = measure(each, repeats, python, lambda: stop.requested)
-            if found is None:
-                raise typer.Exit(INTERRUPTED)
-            results.append(found)
+            found = measure(each, repeats or (5 if thorough else 2), python, lambda: stop.requested)
+            results.append(_unless_stopped(found))
             bars.advance(bar)
         bars.refresh()
     screen = console()
     screen.print(batch_table(results))
     for line in [*flight_lines(results), *ratio_lines(results), *what_lines(results)]:
         screen.print(line, markup=False, soft_wrap=True)
-    _write(out, "batch", results)
-    raise typer.Exit(GOOD)
+    _finish(out, "batch", results, batch_figure)
 
 
 def _scenario(observer: str, duration: float, rate: float) -> Scenario:
@@ -211,31 +229,19 @@ def _scenario(observer: str, duration: float, rate: float) -> Scenario:
 
 
 def _bars() -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TimeRemainingColumn(),
-        console=console(),
-        auto_refresh=False,
-    )
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=console(), auto_refresh=False)
 
 
-def _follower(bars: Progress, bar: Any, stopped: Callable[[], bool]) -> Callable[[int], bool]:
-    def follow(samples: int) -> bool:
-        bars.update(bar, completed=samples)
-        return not stopped()
+def _unless_stopped(result: dict[str, Any] | None) -> dict[str, Any]:
+    """Return a result; end the command if there is none, as the user has stopped it."""
+    if result is None:
+        raise typer.Exit(INTERRUPTED)
+    return result
 
-    return follow
 
-
-def _write(out: Path | None, kind: str, results: list[dict[str, Any]]) -> None:
-    """Print what it ran on; write all of it, if asked.
-
-    Raises
-    ------
-    RunError
-        If it cannot be written.
-    """
+def _finish(out: Path | None, kind: str, results: list[dict[str, Any]], draw: Any = None) -> None:
+    """Print what it ran on; write all of it, if asked; end with the exit code."""
     from quadftc_tools.bench.machine import machine
 
     what = machine()
@@ -248,17 +254,14 @@ def _write(out: Path | None, kind: str, results: list[dict[str, Any]]) -> None:
         soft_wrap=True,
     )
     if out is None:
-        return
+        raise typer.Exit(GOOD)
     try:
         out.mkdir(parents=True, exist_ok=True)
         path = out / f"{kind}.json"
         text = json.dumps({"machine": what, "results": results}, indent=2, allow_nan=False)
         path.write_text(text + "\n", encoding="utf-8")
-        screen.print(f"written: {path}", markup=False, soft_wrap=True)
-        if kind in ("latency", "batch"):
-            from quadftc_tools.bench.bench_figures import batch_figure, latency_figure
-
-            draw = latency_figure if kind == "latency" else batch_figure
-            screen.print(f"written: {draw(results, out)}", markup=False, soft_wrap=True)
+        for written in (path, *([] if draw is None else [draw(results, out)])):
+            screen.print(f"written: {written}", markup=False, soft_wrap=True)
     except OSError as error:
         raise RunError(f"{out}: {error.strerror}") from None
+    raise typer.Exit(GOOD)

@@ -6,12 +6,14 @@ from __future__ import annotations
 import dataclasses
 import os
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from statistics import median_high
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.table import Table
 
 from quadftc_flight.graph.composed import ComposedGraph
 from quadftc_flight.graph.plan import EXECUTABLES, GraphPlan, check_scheduling
@@ -21,6 +23,7 @@ from quadftc_ros.scheduling import ORDINARY, Scheduling
 from quadftc_ros.topics import TOPICS
 from quadftc_ros.trace import load_trace
 from quadftc_tools.bench.machine import Usage
+from quadftc_tools.results_table import results_table
 
 SETTLED = 1.0  # s; what comes before is not counted
 PERCENTILES = (50.0, 90.0, 99.0, 99.9)
@@ -56,28 +59,11 @@ Traces = Mapping[str, Mapping[str, NDArray[np.int64]]]
 
 @dataclasses.dataclass(frozen=True)
 class LatencyOptions:
-    """How to measure.
+    """How to measure; ValueError if the scheduling does not suit the graph."""
 
-    Parameters
-    ----------
-    graph : str
-        ``composed`` or ``processes``.
-    executor : str
-        ``events`` or ``single``; of the composed graph.
-    record : bool
-        Write a bag meanwhile, and throw it away.
-    scheduling : Scheduling
-        How to share the machine.
-
-    Raises
-    ------
-    ValueError
-        If the scheduling does not suit the graph.
-    """
-
-    graph: str = "composed"
-    executor: str = "events"
-    record: bool = True
+    graph: str = "composed"  # or "processes"
+    executor: str = "events"  # or "single"; of the composed graph
+    record: bool = True  # write a bag meanwhile, and throw it away
     scheduling: Scheduling = ORDINARY
 
     def __post_init__(self) -> None:
@@ -95,24 +81,20 @@ def measure_latency(
         If the graph does not start or stalls.
     """
     with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
-        bag = Path(folder, "bag") if options.record else None
-        traces = Path(folder, "traces")
+        bag, traces = Path(folder, "bag") if options.record else None, Path(folder, "traces")
         traces.mkdir()
-        plan = GraphPlan(
-            node_parameters(scenario, scheme),
-            "realtime",
-            bag=bag,
-            traces=traces,
-            scheduling=options.scheduling,
-        )
-        going_on = True
+        paths = {"bag": bag, "traces": traces}
+        parameters = node_parameters(scenario, scheme)
+        plan = GraphPlan(parameters, "realtime", **paths, scheduling=options.scheduling)
+        going_on, processes = True, options.graph == "processes"
 
         def follow(samples: int) -> bool:
             nonlocal going_on
             going_on = progress(samples)
             return going_on
 
-        with _graph(plan, options) as graph:
+        chosen = ProcessGraph(plan) if processes else ComposedGraph(plan, executor=options.executor)
+        with chosen as graph:
             if not graph.wait_until_connected(follow):
                 return None
             usage = Usage(_processes(graph))
@@ -181,17 +163,12 @@ def lost_messages(traces: Traces) -> dict[str, int]:
     """
     lost: dict[str, int] = {}
     for row in TOPICS.values():
-        given = {
-            stamp
-            for node in row.publishers
-            for stamp in _first_times(traces.get(node, {}), f"given {row.name}")
-        }
+        given: set[int] = set()
+        for node in row.publishers:
+            given |= _first_times(traces.get(node, {}), f"given {row.name}").keys()
+        given.discard(max(given, default=0))
         for reader in row.readers:
-            missing = (
-                given
-                - set(_first_times(traces.get(reader, {}), f"taken {row.name}"))
-                - {max(given, default=0)}
-            )
+            missing = given - _first_times(traces.get(reader, {}), f"taken {row.name}").keys()
             if missing:
                 lost[f"{row.name} to {reader}"] = len(missing)
     return lost
@@ -210,11 +187,9 @@ def unrecorded(traces: Traces, counts: Mapping[str, int]) -> int:
 
 def statistics(nanoseconds: NDArray[np.int64]) -> dict[str, float]:
     """Percentiles, greatest and mean value [us]."""
-    values = np.percentile(nanoseconds, PERCENTILES) / MICROSECOND
-    found = {f"p{level:g}": round(float(value), 1) for level, value in zip(PERCENTILES, values, strict=True)}
-    found["max"] = round(float(np.max(nanoseconds)) / MICROSECOND, 1)
-    found["mean"] = round(float(np.mean(nanoseconds)) / MICROSECOND, 1)
-    return found
+    values = [*np.percentile(nanoseconds, PERCENTILES), np.max(nanoseconds), np.mean(nanoseconds)]
+    names = (*(f"p{level:g}" for level in PERCENTILES), "max", "mean")
+    return {name: round(float(value) / MICROSECOND, 1) for name, value in zip(names, values, strict=True)}
 
 
 def histogram(nanoseconds: NDArray[np.int64], bins: int = 120) -> dict[str, list[float]]:
@@ -222,12 +197,6 @@ def histogram(nanoseconds: NDArray[np.int64], bins: int = 120) -> dict[str, list
     edges = np.geomspace(10.0, 1e6, bins + 1)
     counts, _ = np.histogram(nanoseconds / MICROSECOND, edges)
     return {"edges_us": [round(float(edge), 2) for edge in edges], "counts": counts.tolist()}
-
-
-def _graph(plan: GraphPlan, options: LatencyOptions) -> ComposedGraph | ProcessGraph:
-    if options.graph == "processes":
-        return ProcessGraph(plan)
-    return ComposedGraph(plan, executor=options.executor)
 
 
 def _processes(graph: ComposedGraph | ProcessGraph) -> dict[str, int]:
@@ -247,3 +216,62 @@ def _first_times(trace: Mapping[str, NDArray[np.int64]], event: str) -> Times:
 
 def _between(begin: Times, end: Times, stamps: list[int]) -> NDArray[np.int64]:
     return np.array([end[stamp] - begin[stamp] for stamp in stamps if stamp in begin and stamp in end])
+
+
+def latency_table(results: Sequence[Mapping[str, Any]]) -> Table:
+    """Stages of one rate; of several runs, the medians."""
+    first, shown = results[0], (*(f"p{level:g}" for level in PERCENTILES), "max")
+    what = f"{first['graph']}, {first['executor']}" if first["graph"] == "composed" else first["graph"]
+    table = results_table(
+        f"{first['rate']:g} Hz, {what}, {first['observer']}: latency [us]", ("stage",), shown
+    )
+    for stage in first["stages"]:
+        rows = [item["stages"][stage] for item in results if stage in item["stages"]]
+        table.add_row(stage, *(f"{median_high([row[name] for row in rows]):.0f}" for name in shown))
+    return table
+
+
+def counts_line(result: Mapping[str, Any]) -> str:
+    """Say how many samples and messages of one run were missed, late, lost and recorded."""
+    words = f"{result['samples']} samples, {result['missed']} missed, {result['late']} late"
+    words += f"; {sum(result['lost'].values())} messages lost"
+    bag = result.get("recorded")
+    if bag is None:
+        return words
+    return f"{words}; {bag['stored']} recorded, {bag['dropped']} dropped, {bag['missing']} missing"
+
+
+def usage_line(results: Sequence[Mapping[str, Any]]) -> str:
+    """Processor time by process and thread, and memory; medians of the runs."""
+    words: list[str] = []
+    for name, used in results[0]["usage"].items():
+        runs = [result["usage"][name] for result in results]
+        shares = {
+            thread: median_high([run["cpu_share"].get(thread, 0.0) for run in runs])
+            for thread in used["cpu_share"]
+        }
+        threads = ", ".join(f"{each} {100.0 * share:.0f} %" for each, share in shares.items() if share > 5e-3)
+        words.append(f"{name}: {threads}; {median_high([run['memory_mib'] for run in runs]):.0f} MiB")
+    return "processor time and memory: " + " | ".join(words)
+
+
+def latency_figure(results: Sequence[Mapping[str, Any]], out: Path) -> Path:
+    """Draw the latency from stamp to torque, a histogram for each rate with all its runs; return its path."""
+    from matplotlib.figure import Figure
+
+    rates = list(dict.fromkeys(item["rate"] for item in results))
+    figure = Figure(figsize=(8.0, 1.2 + 1.6 * len(rates)), layout="constrained")
+    axes: Any = figure.subplots(len(rates), 1, sharex=True, squeeze=False)
+    for axis, rate in zip(axes[:, 0], rates, strict=True):
+        histograms = [item["histogram"] for item in results if item["rate"] == rate]
+        axis.stairs(
+            np.sum([item["counts"] for item in histograms], axis=0), histograms[0]["edges_us"], fill=True
+        )
+        axis.axvline(1e6 / rate, linestyle="--", color="black", linewidth=1.0)
+        axis.set(xscale="log", yscale="log", ylabel="samples", title=f"{rate:g} Hz; dashed: one period")
+        axis.set_ylim(bottom=0.7)
+        axis.grid(alpha=0.3)
+    axes[-1, 0].set(xlabel="IMU stamp to torque [us]")
+    path = out / "latency.png"
+    figure.savefig(path, dpi=120)
+    return path

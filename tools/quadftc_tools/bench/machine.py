@@ -32,13 +32,7 @@ def machine() -> dict[str, Any]:
 
 
 def slowness(count: int = 300) -> dict[str, float]:
-    """How many times longer than at best a fixed calculation takes: 1 on a machine that others leave alone.
-
-    Returns
-    -------
-    dict
-        ``p50`` and ``p90``.
-    """
+    """How many times longer than at best a calculation takes (``p50``, ``p90``): 1 on a quiet machine."""
     times: list[float] = []
     for _ in range(count):
         begin = time.perf_counter()
@@ -49,13 +43,7 @@ def slowness(count: int = 300) -> dict[str, float]:
 
 
 class Usage:
-    """Processor time and memory of some processes, from construction to `taken`.
-
-    Parameters
-    ----------
-    processes : mapping of str to int
-        Names and process ids.
-    """
+    """Processor time and memory of processes, by name and id, from construction to `taken`."""
 
     def __init__(self, processes: Mapping[str, int]) -> None:
         self._processes = {name: psutil.Process(pid) for name, pid in processes.items()}
@@ -63,22 +51,14 @@ class Usage:
         self._memory = {name: process.memory_info().rss for name, process in self._processes.items()}
 
     def taken(self, wall_time: float) -> dict[str, Any]:
-        """Return what was taken in a time [s].
+        """Return, by process, what it took in a time [s].
 
-        Returns
-        -------
-        dict
-            By process: ``cpu_share`` of a core by thread (those above 0.1 %), ``memory_mib`` now, and
-            ``memory_growth_mib``.
+        ``cpu_share`` of a core by thread (those above 0.1 %), ``memory_mib`` now, ``memory_growth_mib``.
         """
         found: dict[str, Any] = {}
         for name, process in self._processes.items():
-            before = self._before[name]
-            shares = {
-                thread: (used - before.get(thread, 0.0)) / wall_time
-                for thread, used in _threads(process).items()
-            }
-            memory = process.memory_info().rss
+            before, now, memory = self._before[name], _threads(process), process.memory_info().rss
+            shares = {each: (used - before.get(each, 0.0)) / wall_time for each, used in now.items()}
             found[name] = {
                 "cpu_share": {key: round(value, 3) for key, value in shares.items() if value > 1e-3},
                 "memory_mib": round(memory / MEBIBYTE, 1),
@@ -91,22 +71,21 @@ def _threads(process: psutil.Process) -> dict[str, float]:
     """Processor time [s] by thread."""
     found: dict[str, float] = {}
     for thread in process.threads():
-        name = MAIN if thread.id == process.pid else _thread_name(process.pid, thread.id)
+        comm = Path(f"/proc/{process.pid}/task/{thread.id}/comm")
+        name = MAIN if thread.id == process.pid else _read(comm).strip() or "ended"
         found[name] = found.get(name, 0.0) + thread.user_time + thread.system_time
     return found
 
 
-def _thread_name(pid: int, thread: int) -> str:
-    try:
-        return Path(f"/proc/{pid}/task/{thread}/comm").read_text(encoding="utf-8").strip()
-    except OSError:
-        return "ended"
-
-
 def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        lines = []
+    lines = _read(Path("/proc/cpuinfo")).splitlines()
     models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return models[0] if models else platform.processor() or "unknown"
+
+
+def _read(path: Path) -> str:
+    """Text of a file; empty if there is none."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError:
+        return ""

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.table import Table
 
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("ROS_DOMAIN_ID", str(81 + os.getpid() % 21))  # away from those of the tests, and from 0
@@ -41,7 +42,7 @@ def _root() -> None:
 @app.command()
 def recorder(trials: TrialsOption = 50, seed: SeedOption = 1, out: OutOption = None) -> None:
     """Kill recorders at random times; repair their bags; tell how much was lost."""
-    from quadftc_tools.soak.recorder_trial import KILLED
+    from quadftc_tools.soak.recorder import KILLED
 
     _hit_recorders(KILLED, trials, seed, out)
 
@@ -49,7 +50,7 @@ def recorder(trials: TrialsOption = 50, seed: SeedOption = 1, out: OutOption = N
 @app.command()
 def disk(trials: TrialsOption = 20, seed: SeedOption = 1, out: OutOption = None) -> None:
     """Let disks be full at random times of flights, which are to go on; repair the bags."""
-    from quadftc_tools.soak.recorder_trial import DISK_FULL
+    from quadftc_tools.soak.recorder import DISK_FULL
 
     _hit_recorders(DISK_FULL, trials, seed, out)
 
@@ -71,16 +72,8 @@ def fuzz(
     for name in target:
         if name not in TARGETS:
             raise ValueError(f"--target: no '{name}'; there are: {', '.join(TARGETS)}")
-    screen = console()
-    found = part.Fuzzing(
-        crashes.resolve(),
-        target or list(TARGETS),
-        seed,
-        lambda line: screen.print(line, markup=False, soft_wrap=True),
-    )
-    done = found.run(60.0 * minutes)
-    screen.print(part.table(done))
-    _finish(part.summary(done, seed, minutes), done, out)
+    done = part.Fuzzing(crashes.resolve(), target or list(TARGETS), seed, _say).run(60.0 * minutes)
+    _finish(part.table(done), part.summary(done, seed, minutes), done, out)
 
 
 @app.command()
@@ -94,20 +87,15 @@ def nodes(
     """Kill, stop and slow nodes in flight, lose and delay messages; tell how the vehicle took it."""
     from quadftc_tools.soak import nodes as part
 
-    screen = console()
-
     def follow(trial: part.Trial) -> None:
-        screen.print(
+        _say(
             f"{trial.node} {trial.action} during {trial.stress}: off by {trial.largest:.2f} deg, away"
             f" {trial.away:.1f} s, back within {trial.returned:.2f} s, torque jumped by"
-            f" {100.0 * trial.jump:.1f} %: {'void: ' * trial.void}{trial.wrong or 'good'}",
-            markup=False,
-            soft_wrap=True,
+            f" {100.0 * trial.jump:.1f} %: {'void: ' * trial.void}{trial.wrong or 'good'}"
         )
 
     done = part.soak(trials, seed, only, keep, follow)
-    screen.print(part.table(done))
-    _finish(part.summary(done, seed), done, out)
+    _finish(part.table(done), part.summary(done, seed), done, out)
 
 
 @app.command()
@@ -129,36 +117,31 @@ def endurance(
     for name, value, known in (("mode", mode, MODES), ("graph", graph, GRAPHS)):
         if value not in known:
             raise ValueError(f"--{name}: no '{value}'; there are: {', '.join(known)}")
-    screen = console()
-    flown, grown = part.soak(
-        *(mode, graph, rate, length, minutes), lambda line: screen.print(line, markup=False, soft_wrap=True)
-    )
-    screen.print(part.table(grown))
-    _finish(part.summary(mode, graph, rate, flown, grown), flown, out)
+    flown, grown = part.soak(mode, graph, rate, length, minutes, _say)
+    _finish(part.table(grown), part.summary(mode, graph, rate, flown, grown), flown, out)
 
 
 def _hit_recorders(hit: str, trials: int, seed: int, out: Path | None) -> None:
     from quadftc_tools.soak import recorder as part
-    from quadftc_tools.soak.recorder_trial import Trial
 
-    screen = console()
-
-    def follow(trial: Trial) -> None:
+    def follow(trial: part.Trial) -> None:
         verdict = trial.wrong or ("good" if part.passed(trial) else "too much is lost")
-        screen.print(
+        _say(
             f"{trial.form}: {hit} after {trial.after:.2f} s, lost {trial.lost:.3f} s"
-            f" ({trial.lost_stamps:.3f} s of stamps), {trial.messages} messages read: {verdict}",
-            markup=False,
-            soft_wrap=True,
+            f" ({trial.lost_stamps:.3f} s of stamps), {trial.messages} messages read: {verdict}"
         )
 
     done = part.soak(hit, trials, seed, follow)
-    screen.print(part.table(hit, done))
-    _finish(part.summary(hit, done, seed), done, out)
+    _finish(part.table(hit, done), part.summary(hit, done, seed), done, out)
 
 
-def _finish(summary: dict[str, Any], trials: Sequence[Any], out: Path | None) -> None:
-    """Write the results if asked to, and end with the exit code."""
+def _say(line: str) -> None:
+    console().print(line, markup=False, soft_wrap=True)
+
+
+def _finish(table: Table, summary: dict[str, Any], trials: Sequence[Any], out: Path | None) -> None:
+    """Print the table, write the results if asked to, and end with the exit code."""
+    console().print(table)
     if out is not None:
         rows = {**summary, "each": [dataclasses.asdict(trial) for trial in trials]}
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -166,10 +149,5 @@ def _finish(summary: dict[str, Any], trials: Sequence[Any], out: Path | None) ->
     raise typer.Exit(GOOD if summary["passed"] else CHECK_FAILED)
 
 
-def main() -> None:
-    """Run the command; turn every error into a line and an exit code."""
-    sys.exit(guarded(app, sys.argv[1:]))
-
-
 if __name__ == "__main__":
-    main()
+    sys.exit(guarded(app, sys.argv[1:]))  # every error becomes a line and an exit code

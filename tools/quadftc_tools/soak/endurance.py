@@ -1,9 +1,9 @@
 # pyright: basic
 """`scripts/soak endurance`: does memory, the number of open files or the rate drift in long flights?
 
-The graph flies in a process of its own, `quadftc_tools.soak.endurance_flight`, and is watched from here:
-memory (resident), open files and threads of each of its processes, every `LOOK` seconds. Growth is the slope
-of a straight line through what was seen after the warm-up.
+`quadftc_tools.soak.endurance_flight` flies the graph in another process. Every `LOOK` seconds this one notes
+resident memory, open files and threads of each of its processes. Growth is the slope of a straight line
+through the values after the warm-up.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from typing import Any
 
 import numpy as np
 import psutil
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from scipy.stats import linregress
 
@@ -32,6 +31,7 @@ from quadftc_bags.bag import read_bag
 from quadftc_flight.flight import flight_from_bag
 from quadftc_flight.graph.plan import GraphError
 from quadftc_flight.summary import summary as summary_of
+from quadftc_tools.results_table import results_table
 from quadftc_tools.soak.endurance_flight import scenario_of
 
 LOOK = 2.0  # s
@@ -47,79 +47,37 @@ RATE_WINDOW = 10.0  # s
 
 @dataclasses.dataclass(frozen=True)
 class Flown:
-    """One whole flight.
-
-    Parameters
-    ----------
-    samples : int
-    wall : float
-        How long it took [s].
-    largest : float
-        Attitude error, the largest of the axes [deg].
-    missing : int
-        Samples and messages that are not in the bag.
-    rate, rate_drift : float
-        Rate of torque/command by its log times [Hz]; by how much it changed from begin to end, relative.
-    """
+    """One whole flight."""
 
     samples: int
-    wall: float
-    largest: float
-    missing: int
-    rate: float
-    rate_drift: float
+    wall: float  # s that it took
+    largest: float  # deg; attitude error, the largest of the axes
+    missing: int  # samples and messages that are not in the bag
+    rate: float  # Hz; of torque/command by its log times
+    rate_drift: float  # change from begin to end, relative
 
 
 @dataclasses.dataclass(frozen=True)
 class Growth:
-    """What one process, or those with one name that followed each other, have grown by.
-
-    Parameters
-    ----------
-    name : str
-    looks : int
-        How often it was seen after the warm-up.
-    memory : float
-        Median [MB].
-    slope, error : float
-        Of the memory, and its standard error [MB/h].
-    files : tuple of int
-        Fewest and most open files.
-    files_slope : float
-        [1/h]
-    threads : int
-        Most.
-    """
+    """Growth of one process, or of those with one name that followed each other."""
 
     name: str
-    looks: int
-    memory: float
-    slope: float
-    error: float
-    files: tuple[int, int]
-    files_slope: float
-    threads: int
+    looks: int  # after the warm-up
+    memory: float  # MB; median
+    slope: float  # MB/h
+    error: float  # MB/h; standard error of the slope
+    files: tuple[int, int]  # fewest and most open
+    files_slope: float  # 1/h
+    threads: int  # most
 
 
 def soak(
     mode: str, graph: str, rate: float, length: float, minutes: float, follow: Callable[[str], None]
 ) -> tuple[list[Flown], list[Growth]]:
-    """Fly, watch, and judge.
+    """Fly, watch, and judge; ``follow`` is called with a line for each flight.
 
-    Parameters
-    ----------
-    mode, graph : str
-    rate, length, minutes : float
-        [Hz]; of a flight [s]; of all [min].
-    follow : callable
-        Called with a line for each flight.
-
-    Raises
-    ------
-    GraphError
-        If the graph does not start, or ends early.
-    ScenarioError
-        If there is no flight of such a rate or length.
+    ``rate`` in Hz, ``length`` of a flight in s. GraphError if the graph does not start, or ends early;
+    ScenarioError if there is no flight of such a rate or length.
     """
     scenario_of(rate, length, 1)
     with tempfile.TemporaryDirectory(prefix="quadftc_soak_") as folder:
@@ -154,8 +112,12 @@ def _watch(
             if "flown" in told:
                 bag = folder / str(told["flown"])
                 if not told["cut"]:
-                    flown.append(_judged(bag, told, scenario_of(rate, length, told["flown"])))
-                    follow(_words(told["flown"], flown[-1]))
+                    flown.append(_judge(bag, told, scenario_of(rate, length, told["flown"])))
+                    last = flown[-1]
+                    follow(
+                        f"flight {told['flown']}: {last.samples} samples in {last.wall:.1f} s, attitude off"
+                        f" by at most {last.largest:.2f} deg, {last.missing} samples missing"
+                    )
                 shutil.rmtree(bag)
     if process.wait() != 0:
         raise GraphError(f"the flights ended with exit code {process.returncode}")
@@ -163,7 +125,7 @@ def _watch(
 
 
 class Looks:
-    """What was seen of the processes of a graph."""
+    """Memory, open files and threads of the processes of a graph, seen again and again."""
 
     def __init__(self, process_id: int) -> None:
         self._root = psutil.Process(process_id)
@@ -190,14 +152,10 @@ class Looks:
             line = linregress(hours, memory)
             found.append(
                 Growth(
-                    name,
-                    len(seen),
-                    float(np.median(memory)),
-                    float(line.slope),
-                    float(line.stderr),
-                    (int(files.min()), int(files.max())),
-                    float(linregress(hours, files).slope),
-                    int(seen[:, 3].max()),
+                    *(name, len(seen), float(np.median(memory)), float(line.slope), float(line.stderr)),
+                    files=(int(files.min()), int(files.max())),
+                    files_slope=float(linregress(hours, files).slope),
+                    threads=int(seen[:, 3].max()),
                 )
             )
         return found
@@ -208,7 +166,7 @@ class Looks:
         return next((Path(word).name for word in process.cmdline()[1:] if not word.startswith("-")), "?")
 
 
-def _judged(bag: Path, told: dict[str, Any], scenario: Any) -> Flown:
+def _judge(bag: Path, told: dict[str, Any], scenario: Any) -> Flown:
     recorded = read_bag(bag)
     flight = flight_from_bag(recorded)
     result = summary_of(flight, scenario, scenario.scheme(None), None)["metrics"]
@@ -229,29 +187,14 @@ def _judged(bag: Path, told: dict[str, Any], scenario: Any) -> Flown:
     )
 
 
-def _words(number: int, flown: Flown) -> str:
-    return (
-        f"flight {number}: {flown.samples} samples in {flown.wall:.1f} s, attitude off by at most"
-        f" {flown.largest:.2f} deg, {flown.missing} samples missing"
-    )
-
-
 def table(grown: list[Growth]) -> Table:
     """One row for each process."""
-    shown = Table(box=SIMPLE_HEAD, pad_edge=False, title="After the warm-up")
-    shown.add_column("process")
-    for heading in ("looks", "memory \\[MB]", "growth \\[MB/h]", "open files", "growth \\[1/h]", "threads"):
-        shown.add_column(heading, justify="right")
+    numbers = ("looks", "memory [MB]", "growth [MB/h]", "open files", "growth [1/h]", "threads")
+    shown = results_table("After the warm-up", ("process",), numbers)
     for each in grown:
-        files = f"{each.files[0]}..{each.files[1]}"
         shown.add_row(
-            each.name,
-            str(each.looks),
-            f"{each.memory:.1f}",
-            f"{each.slope:+.2f} ± {each.error:.2f}",
-            files,
-            f"{each.files_slope:+.2f}",
-            str(each.threads),
+            *(each.name, str(each.looks), f"{each.memory:.1f}", f"{each.slope:+.2f} ± {each.error:.2f}"),
+            *(f"{each.files[0]}..{each.files[1]}", f"{each.files_slope:+.2f}", str(each.threads)),
         )
     return shown
 

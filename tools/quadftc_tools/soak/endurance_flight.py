@@ -1,5 +1,5 @@
 # pyright: basic
-"""Flies again and again, in one process; tells on stdout how far it is, one JSON object a line.
+"""Repeats flights in one process; prints how far it is, one JSON object a line.
 
 ``python3 -m quadftc_tools.soak.endurance_flight MODE GRAPH RATE LENGTH MINUTES FOLDER``. Every flight is
 recorded to ``FOLDER/NUMBER``; in lock-step the time may cut the last.
@@ -14,9 +14,9 @@ from pathlib import Path
 
 from quadftc_flight.graph.plan import GraphPlan
 from quadftc_flight.runs import GRAPHS
-from quadftc_flight.scenario import Scenario, node_parameters, parse_scenario
+from quadftc_flight.scenario import Scenario, node_parameters
 from quadftc_ros.scheduling import ORDINARY
-from quadftc_tools.soak.node_flight import best_scheduling
+from quadftc_tools.soak.node_flight import best_scheduling, soak_scenario
 
 TOLD_EVERY = 5.0  # s
 CYCLE, REST = 60.0, 5.0  # s; in each of which both faults act and end, once the gyro bias is learned
@@ -35,26 +35,18 @@ schemes:
 
 def scenario_of(rate: float, length: float, seed: int) -> Scenario:
     """Flight of a length [s] at a rate [Hz]."""
-    lines = [BASE, f"rate: {rate:g} Hz", f"duration: {length:g} s", f"seed: {seed}"]
-    faults, disturbances = [], []
+    faults: list[str] = []
+    disturbances: list[str] = []
     for cycle in range(int(length // CYCLE)):
         begin = REST + CYCLE * cycle
-        faults += [
-            f"  - {{kind: bias, channel: attitude, axes: roll, value: 2 deg, start: {begin + 5.0:g} s,"
-            f" stop: {begin + 25.0:g} s}}",
-            f"  - {{kind: bias, channel: attitude, axes: pitch, value: -3 deg, start: {begin + 10.0:g} s,"
-            f" stop: {begin + 30.0:g} s}}",
-        ]
-        disturbances.append(
-            f"  - {{kind: constant, amplitude: [0.05 N m, 0.04 N m, 0.015 N m], start: {begin + 35.0:g} s,"
-            f" stop: {begin + 50.0:g} s}}"
-        )
-    lines += ["faults:", *faults] if faults else ["faults: []"]
-    lines += ["disturbances:", *disturbances] if disturbances else ["disturbances: []"]
-    return parse_scenario("\n".join(lines) + "\n")
+        for fault, start in (("axes: roll, value: 2 deg", 5.0), ("axes: pitch, value: -3 deg", 10.0)):
+            first = begin + start
+            faults.append(f"kind: bias, {fault}, start: {first:g} s, stop: {first + 20.0:g} s")
+        disturbances.append(f"start: {begin + 35.0:g} s, stop: {begin + 50.0:g} s")
+    return soak_scenario(BASE, faults, disturbances, rate, length, seed)
 
 
-def fly(mode: str, kind: str, rate: float, length: float, minutes: float, folder: Path) -> None:
+def fly_repeatedly(mode: str, kind: str, rate: float, length: float, minutes: float, folder: Path) -> None:
     """Fly until the time is over; a flight in real time to its end."""
     end = time.monotonic() + 60.0 * minutes
     scheduling = best_scheduling() if mode == "realtime" else ORDINARY
@@ -80,12 +72,7 @@ def fly(mode: str, kind: str, rate: float, length: float, minutes: float, folder
             assert recorder is not None
             status = recorder.finish()
         cut = mode == "lockstep" and time.monotonic() >= end
-        _tell(
-            flown=number,
-            wall_s=wall,
-            cut=cut,
-            dropped=sum(status.dropped.values()) + status.lost,
-        )
+        _tell(flown=number, wall_s=wall, cut=cut, dropped=sum(status.dropped.values()) + status.lost)
 
 
 def _tell(**what: object) -> None:
@@ -93,11 +80,6 @@ def _tell(**what: object) -> None:
     sys.stdout.flush()
 
 
-def main() -> None:
-    """Fly as the arguments say."""
-    mode, kind, rate, length, minutes, folder = sys.argv[1:]
-    fly(mode, kind, float(rate), float(length), float(minutes), Path(folder))
-
-
 if __name__ == "__main__":
-    main()
+    chosen, of_graph, *numbers, where = sys.argv[1:]
+    fly_repeatedly(chosen, of_graph, *(float(each) for each in numbers), folder=Path(where))

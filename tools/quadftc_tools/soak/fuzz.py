@@ -22,7 +22,7 @@ from typing import IO, Any
 
 from rich.table import Table
 
-from quadftc_tools.soak import soak_table
+from quadftc_tools.results_table import results_table
 from quadftc_tools.soak.fuzz_case import NOW
 
 HANG = 120.0  # s; an input that takes so long hangs
@@ -124,7 +124,7 @@ class Fuzzing:
 def table(done: Sequence[Tally]) -> Table:
     """A row for each target, and one for all."""
     headings = ("inputs", "refused", "kinds of crashes", "worst time [s]", "processor [s]")
-    shown = soak_table("bad input", ("target",), headings)
+    shown = results_table("bad input", ("target",), headings)
     for name in (*(each.target for each in done), "all"):
         rows = [each for each in done if name in (each.target, "all")]
         shown.add_row(

@@ -1,9 +1,9 @@
 # pyright: basic
 """Flights in real time, a process for each node; nodes are killed, stopped or slowed, messages lost.
 
-A flight begins with a healthy start, in which the gyro bias is learned, and has windows of `WINDOW` seconds.
-In each of them a sensor fault or a disturbance acts, and meanwhile something happens to a node. Dead nodes
-are started again. What came of it is read from the bag: `quadftc_tools.soak.node_judgement`.
+A flight begins with a healthy start, in which the observer learns the gyro bias. In each window of `WINDOW`
+seconds a sensor fault or a disturbance acts, and a node is hit. The graph restarts dead nodes.
+`quadftc_tools.soak.node_judgement` reads from the bag what came of it.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from quadftc_flight.graph.processes import ProcessGraph
 from quadftc_flight.scenario import Scenario, node_parameters, parse_scenario
 from quadftc_ros.children import Children
 from quadftc_ros.scheduling import ORDINARY, Scheduling, SchedulingError, scheduled
+from quadftc_ros.topics import TOPICS
 from quadftc_tools.soak.relay import DELAY, DROP, sent
 
 KILL, STOP, STALL = "killed (SIGKILL)", "stopped for 0.5 s", "stalled 20 ms, ten times"
@@ -39,6 +40,7 @@ FAULTS = {
     ),
 }
 STRESSES = (*FAULTS, DISTURBANCE)
+CONSTANT_DISTURBANCE = "kind: constant, amplitude: [0.05 N m, 0.04 N m, 0.015 N m]"
 NODES = ("fault_observer", "disturbance_observer", "controller", "reference", "fault_injector")
 NETWORK = "all"
 RELAYED = (
@@ -71,56 +73,45 @@ schemes:
 
 @dataclasses.dataclass(frozen=True)
 class Hit:
-    """What happens in one window.
+    """What happens in one window."""
 
-    Parameters
-    ----------
-    node : str
-        One of `NODES`, or `NETWORK`.
-    action : str
-        `KILL`, `STOP` or `STALL`; `LOSE` or `HOLD_BACK` of the network, one of them in a flight at most.
-    stress : str
-        What acts meanwhile, one of `STRESSES`.
-    """
-
-    node: str
-    action: str
-    stress: str
+    node: str  # one of `NODES`, or `NETWORK`
+    action: str  # of `ACTIONS`; `LOSE` or `HOLD_BACK` of the network, one of them in a flight at most
+    stress: str  # what acts meanwhile, one of `STRESSES`
 
 
 @dataclasses.dataclass
 class Record:
-    """When something was done, by the wall clock [ns].
-
-    Parameters
-    ----------
-    hit : Hit
-    begin_ns, end_ns : int
-        When it began and ended; a node that was killed is back later.
-    until_ns : int
-        When its window ended.
-    """
+    """When a hit was made, by the wall clock; a node that was killed is back after its end."""
 
     hit: Hit
     begin_ns: int = 0
     end_ns: int = 0
-    until_ns: int = 0
+    until_ns: int = 0  # end of its window
 
 
 def scenario_of(hits: Sequence[Hit], seed: int) -> Scenario:
     """Flight with a window for each hit."""
     rate = SLOWER if any(hit.node == NETWORK for hit in hits) else RATE
-    lines = [BASE, f"rate: {rate:g} Hz", f"seed: {seed}", f"duration: {START + WINDOW * len(hits):g} s"]
-    faults, disturbances = [], []
+    faults: list[str] = []
+    disturbances: list[str] = []
     for k, hit in enumerate(hits):
         times = f"start: {START + WINDOW * k:g} s, stop: {START + WINDOW * k + ACTS:g} s"
         if hit.stress in FAULTS:
-            faults += [f"  - {{{fault}, channel: attitude, {times}}}" for fault in FAULTS[hit.stress]]
+            faults += [f"{fault}, {times}" for fault in FAULTS[hit.stress]]
         else:
-            amplitude = "[0.05 N m, 0.04 N m, 0.015 N m]"
-            disturbances.append(f"  - {{kind: constant, amplitude: {amplitude}, {times}}}")
-    lines += ["faults:", *faults] if faults else ["faults: []"]
-    lines += ["disturbances:", *disturbances] if disturbances else ["disturbances: []"]
+            disturbances.append(times)
+    return soak_scenario(BASE, faults, disturbances, rate, START + WINDOW * len(hits), seed)
+
+
+def soak_scenario(
+    base: str, faults: Sequence[str], disturbances: Sequence[str], rate: float, duration: float, seed: int
+) -> Scenario:
+    """Add faults of the attitude and constant disturbances to a scenario, whose ``base`` is YAML."""
+    fault_items = (f"{{channel: attitude, {each}}}" for each in faults)
+    disturbance_items = (f"{{{CONSTANT_DISTURBANCE}, {each}}}" for each in disturbances)
+    lines = [base, f"rate: {rate:g} Hz", f"duration: {duration:g} s", f"seed: {seed}"]
+    lines += [f"faults: [{', '.join(fault_items)}]", f"disturbances: [{', '.join(disturbance_items)}]"]
     return parse_scenario("\n".join(lines) + "\n")
 
 
@@ -128,11 +119,11 @@ class RelayedGraph(ProcessGraph):
     """A graph with a relay between its nodes, which the table of topics does not know."""
 
     def _missing(self) -> list[str]:
-        return [lack for lack in super()._missing() if not _of_relayed(lack)]
+        return [lack for lack in super()._missing() if not self._is_relayed(lack)]
 
-
-def _of_relayed(lack: str) -> bool:
-    return lack.endswith("readers") and any(f" {topic}: " in lack for topic in RELAYED)
+    @staticmethod
+    def _is_relayed(lack: str) -> bool:
+        return lack.endswith("readers") and any(f" {topic}: " in lack for topic in RELAYED)
 
 
 def best_scheduling() -> Scheduling:
@@ -146,27 +137,17 @@ def best_scheduling() -> Scheduling:
 
 
 def fly(hits: Sequence[Hit], seed: int, bag: Path) -> list[Record]:
-    """Fly, and do what is to be done.
+    """Fly and hit; the seed is that of the sensors, and of when nodes are hit in their windows.
 
-    Parameters
-    ----------
-    hits : sequence of Hit
-    seed : int
-        Of the sensors, and of when nodes are hit in their windows.
-    bag : Path
-        Directory of the bag; must not exist.
-
-    Raises
-    ------
-    GraphError
-        If the graph does not start or ends early.
+    GraphError if the graph does not start or ends early.
     """
     parameters = node_parameters(scenario_of(hits, seed))
     network = [k for k, hit in enumerate(hits) if hit.node == NETWORK]
     generator, relay = random.Random(seed), Children()
     remapped: dict[str, dict[str, str]] = {}
     if network:
-        remapped = _remapped()
+        for topic in RELAYED:
+            remapped.setdefault(TOPICS[topic].publishers[0], {})[topic] = sent(topic)
         begin = START + WINDOW * network[0] + FIRST
         kind = DROP if hits[network[0]].action == LOSE else DELAY
         command = [
@@ -203,21 +184,12 @@ def fly(hits: Sequence[Hit], seed: int, bag: Path) -> list[Record]:
     return records
 
 
-def _remapped() -> dict[str, dict[str, str]]:
-    from quadftc_ros.topics import TOPICS
-
-    found: dict[str, dict[str, str]] = {}
-    for topic in RELAYED:
-        found.setdefault(TOPICS[topic].publishers[0], {})[topic] = sent(topic)
-    return found
-
-
 def _hit_all(
     graph: ProcessGraph, records: Sequence[Record], delays: Sequence[float], over: threading.Event
 ) -> None:
-    """Do one after the other; in a thread of its own, as the graph serves its recorder meanwhile.
+    """Make one hit after the other, in a thread beside that of the graph.
 
-    The first sample is told with a delay of up to a second, within which all windows begin.
+    The first sample is reported with a delay of up to a second, within which all windows begin.
     """
     begin = time.time()
     for k, (record, delay) in enumerate(zip(records, delays, strict=True)):

@@ -1,5 +1,5 @@
 # pyright: basic
-"""What a bag says of a flight in which nodes were hit: attitude, return, torque, what is no number."""
+"""Judges a flight in which nodes were hit, by its bag: attitude, return, torque, non-finite values."""
 
 from __future__ import annotations
 
@@ -42,36 +42,17 @@ NANOSECONDS = 1e9
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """What came of one hit.
-
-    Parameters
-    ----------
-    node, action, stress : str
-    largest : float
-        Attitude error from the hit to the end of its window [deg]; where the vehicle gives up, until it has.
-    away : float
-        How long a killed node was away [s]; 0 for others.
-    returned : float
-        From the end of the hit, or from when the node was back, until the attitude error stayed below
-        `BACK` [s].
-    jump : float
-        Largest step of the torque where the controller went over to another mode, of the authority; 0 where
-        the vehicle gives up.
-    wrong : str
-        What did not hold; empty if all did.
-    void : bool
-        The vehicle was off already before anything was done: the machine could not carry the flight.
-    """
+    """What came of one hit."""
 
     node: str
     action: str
     stress: str
-    largest: float
-    away: float
-    returned: float
-    jump: float
-    wrong: str
-    void: bool = False
+    largest: float  # deg; attitude error in its window; where the vehicle gives up, until it has
+    away: float  # s for which a killed node was away; 0 for others
+    returned: float  # s from its end, or from when the node was back, until the error stayed below `BACK`
+    jump: float  # of the authority; largest step of torque at a change of mode; 0 where the vehicle gives up
+    wrong: str  # empty if all held
+    void: bool = False  # the vehicle was off before the hit: the machine could not carry the flight
 
 
 class Judge:
@@ -171,7 +152,7 @@ class Judge:
 
 
 def _not_finite(bag: Bag) -> Iterable[str]:
-    """Topics on which something was published that is no number."""
+    """Yield the fields with non-finite values."""
     for name in bag.topics:
         if name == "/diagnostics":
             continue

@@ -11,9 +11,9 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
+from quadftc_tools.results_table import results_table
 from quadftc_tools.soak.node_flight import (
     ACTIONS,
     HOLD_BACK,
@@ -37,24 +37,9 @@ ALL = tuple(
 def soak(
     trials: int, seed: int, only: str, keep: Path | None, follow: Callable[[Trial], None]
 ) -> list[Trial]:
-    """Hit so many times, everything in turn.
+    """Hit so many times, everything in turn that has ``only`` in its name; ``follow`` gets each trial.
 
-    Parameters
-    ----------
-    trials, seed : int
-    only : str
-        If not empty, only what is about this: part of the name of a node, an action or a stress.
-    keep : Path, optional
-        Folder for the bags of flights in which something was wrong.
-    follow : callable
-        Called with each trial as it is done.
-
-    Raises
-    ------
-    GraphError
-        If a graph does not start, or ends early.
-    ValueError
-        If ``only`` leaves nothing.
+    Bags of flights in which something was wrong go to ``keep``. ValueError if ``only`` leaves nothing.
     """
     chosen = [hit for hit in ALL if only in f"{hit.node} {hit.action} {hit.stress}"]
     if not chosen:
@@ -103,22 +88,15 @@ def flights_of(chosen: Sequence[Hit], trials: int, generator: random.Random) -> 
 def table(done: Sequence[Trial]) -> Table:
     """One row for each kind of hit, and one for all; without trials that are void."""
     done = [each for each in done if not each.void]
-    shown = Table(box=SIMPLE_HEAD, pad_edge=False, title="Faults of nodes in flight")
-    for heading in ("node", "what", "during"):
-        shown.add_column(heading)
-    for heading in ("trials", "survived", "worst error \\[deg]", "worst return \\[s]", "worst jump \\[%]"):
-        shown.add_column(heading, justify="right")
+    numbers = ("trials", "survived", "worst error [deg]", "worst return [s]", "worst jump [%]")
+    shown = results_table("Faults of nodes in flight", ("node", "what", "during"), numbers)
     for hit in ALL:
-        rows = [each for each in done if (each.node, each.action, each.stress) == tuple(_of(hit))]
+        rows = [each for each in done if Hit(each.node, each.action, each.stress) == hit]
         if rows:
-            shown.add_row(*_of(hit), *_cells(rows))
+            shown.add_row(hit.node, hit.action, hit.stress, *_cells(rows))
     if done:
         shown.add_row("all", "", "", *_cells(done))
     return shown
-
-
-def _of(hit: Hit) -> list[str]:
-    return [hit.node, hit.action, hit.stress]
 
 
 def _cells(rows: Sequence[Trial]) -> list[str]:

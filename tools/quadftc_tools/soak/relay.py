@@ -3,8 +3,8 @@
 
     python -m quadftc_tools.soak.relay drop 5.0 9.0 imu/data torque/command
 
-Each topic comes in by the name that `sent` gives it, to which its publisher is remapped, and goes out by its
-own. Messages are lost or held back between two times, in seconds after the first message.
+The publisher of each topic is remapped to the name that `sent` gives; the relay publishes the topic. It loses
+or holds back messages between two times, in seconds after the first message.
 """
 
 from __future__ import annotations
@@ -36,17 +36,7 @@ def sent(topic: str) -> str:
 
 
 class Relay(Node):
-    """Passes messages on, most of them.
-
-    Parameters
-    ----------
-    kind : str
-        `DROP` or `DELAY`.
-    begin, end : float
-        When, after the first message [s].
-    topics : sequence of str
-        Of the table of the graph.
-    """
+    """Passes most messages on; ``kind`` is `DROP` or `DELAY`, times are seconds after the first."""
 
     def __init__(self, kind: str, begin: float, end: float, topics: Sequence[str]) -> None:
         super().__init__("relay")

@@ -1,44 +1,33 @@
-"""What a batch benchmark prints: the measurements, and what each side simulates."""
+# pyright: basic
+"""What a batch benchmark shows: the measurements, what each side simulates, a figure."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from quadftc_tools.bench.batch import PLAIN_VMAP, WHOLE, WHOLE_DURATION
+from quadftc_tools.results_table import results_table
 
 MILLION = 1e6
 TITLE = "steps per second; flights of each process, core time of a step"
-HEADINGS = (
-    "cores",
-    "flights each",
-    "M steps/s",
-    "median",
-    "ns a step, core",
-    "compile [s]",
-    "MiB",
-    "drawing",
-)
+NUMBERS = ("cores", "flights each", "M steps/s", "median", "ns a step, core", "compile [s]", "MiB", "drawing")
 
 
 def batch_table(results: Sequence[Mapping[str, Any]]) -> Table:
     """One row for each measurement; a simulator that does not run says why."""
-    table = Table("simulated", "precision", box=SIMPLE_HEAD, title=TITLE)
-    for heading in HEADINGS:
-        table.add_column(heading, justify="right")
+    table = results_table(TITLE, ("simulated", "precision"), NUMBERS)
     for row in results:
-        first = (row["name"], row["precision"], str(row["cores"]), str(row["flights"]))
         reason = row.get("absent") or row.get("failed")
         if reason is not None:
             table.add_row(row["name"], reason)
             continue
-        speed = row["steps_per_second"]
-        share = row["drawing_share"]
+        speed, share = row["steps_per_second"], row["drawing_share"]
         table.add_row(
-            *first,
+            *(row["name"], row["precision"], str(row["cores"]), str(row["flights"])),
             f"{speed['best'] / MILLION:.3g}",
             f"{speed['median'] / MILLION:.3g}",
             f"{row['ns_per_step_and_core']:,.0f}",
@@ -85,3 +74,33 @@ def what_lines(results: Sequence[Mapping[str, Any]]) -> list[str]:
         f"sensors: {what['sensors']}"
         for name, what in described.items()
     ]
+
+
+def batch_figure(results: Sequence[Mapping[str, Any]], out: Path) -> Path:
+    """Draw steps per second and core over the number of flights; return the path of the figure."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 5.0), layout="constrained")
+    axes: Any = figure.subplots()
+    measured = [row for row in results if "steps_per_second" in row and not row["name"].endswith(WHOLE)]
+    names = list(dict.fromkeys(row["name"] for row in measured))
+    fewest = min((row["cores"] for row in measured), default=1)
+    lines: dict[tuple[str, str, int], list[Mapping[str, Any]]] = {}
+    for row in measured:
+        lines.setdefault((row["name"], row["precision"], row["cores"]), []).append(row)
+    for (name, precision, cores), rows in lines.items():
+        axes.plot(
+            [row["flights"] for row in rows],
+            [row["steps_per_second"]["best"] / cores for row in rows],
+            color=f"C{names.index(name)}",
+            linestyle="-" if precision == "float32" else "--",
+            marker="o" if cores == fewest else "x",
+            label=f"{name}, {precision}" if cores == fewest else None,
+        )
+    axes.set(xscale="log", yscale="log", xlabel="flights in a process", ylabel="steps per second and core")
+    axes.set_title("crosses: on more cores; dashed: double precision")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    path = out / "batch.png"
+    figure.savefig(path, dpi=120)
+    return path
