@@ -40,6 +40,28 @@ SERIAL_FILES = {
 SERIAL_TESTS = {"test_processes_give_the_same_messages_as_one_process"}
 SERIAL_FIXTURES = {"bench"}
 
+# Tests that take seconds each, mostly to compile or to fly; `scripts/test --quick` leaves them out.
+SLOW_FILES = {
+    "test_bag_repair.py",
+    "test_batch_engine.py",
+    "test_campaign.py",
+    "test_campaign_report.py",
+    "test_check_command.py",
+    "test_cli.py",
+    "test_closed_loop.py",
+    "test_examples.py",
+    "test_graph_lockstep.py",
+    "test_open_loop.py",
+    "test_replay_command.py",
+    "test_report_command.py",
+    "test_slopes.py",
+    "test_supervised.py",
+    "test_theory_control.py",
+    "test_theory_fault_observer.py",
+    "test_theory_limits.py",
+    "test_tune.py",
+}
+
 
 def _own_domain() -> IO[str]:
     """Claim a ROS domain that no other test session on this machine has, as long as the file is open."""
@@ -71,7 +93,7 @@ DOMAIN_LOCK = pytest.StashKey[IO[str]]()
 
 @pytest.hookimpl(tryfirst=True)  # before -m chooses
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that must not run beside others."""
+    """Mark the tests that must not run beside others, and those that are slow."""
     for item in items:
         if not isinstance(item, pytest.Function):
             continue
@@ -81,6 +103,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             or SERIAL_FIXTURES & set(item.fixturenames)
         ):
             item.add_marker(pytest.mark.serial)
+        if item.path.name in SLOW_FILES:
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture

@@ -73,7 +73,6 @@ def test_graph_equals_the_closed_loop_on_the_paper_s_scenario(fly_graph, scheme)
     assert_equal_bit_for_bit(flight, fly(scenario, scheme))
 
 
-@fault_observers.register("runaway")
 class RunawayObserver(SlidingMode):
     """Its estimate, and then its body rate, grow beyond all bounds until it restarts."""
 
@@ -90,7 +89,6 @@ class RunawayObserver(SlidingMode):
         )
 
 
-@disturbance_observers.register("runaway")
 class RunawayDisturbanceObserver(Exosystem):
     """Its estimate grows from 1 to beyond 1e6 rad/s², and is NaN now and then, until it restarts."""
 
@@ -103,7 +101,6 @@ class RunawayDisturbanceObserver(Exosystem):
         return (law_state, 1.3 * growth), estimate + (growth if inputs.rate_valid else np.nan)
 
 
-@controllers.register("runaway")
 class RunawayController(Ismc):
     """Its sliding variable grows beyond all bounds until it restarts."""
 
@@ -116,7 +113,15 @@ class RunawayController(Ismc):
         return (law_state, 1.3 * growth), output._replace(sliding_variable=output.sliding_variable * growth)
 
 
-def test_graph_equals_the_closed_loop_when_laws_give_what_cannot_be_used(fly_graph):
+def test_graph_equals_the_closed_loop_when_laws_give_what_cannot_be_used(fly_graph, monkeypatch):
+    runaways = {
+        fault_observers: RunawayObserver,
+        disturbance_observers: RunawayDisturbanceObserver,
+        controllers: RunawayController,
+    }
+    for registry, law in runaways.items():
+        registry.names()  # finds the others first
+        monkeypatch.setitem(registry._components, "runaway", law)
     runaway = [f"schemes.proposed.{role}=runaway" for role in ("observer", "disturbance_observer")]
     scenario = load_scenario(SCENARIOS / "busy.yaml", [*runaway, "schemes.proposed.controller=runaway"])
     directory, _ = fly_graph(with_duration(scenario, 1.9), "proposed")

@@ -1,3 +1,4 @@
+# pyright: basic
 """Draw docs/figures/flight.gif: the vehicle from behind, with and without diagnosis.
 
     python -m quadftc_tools.docs.moving_picture docs/figures/flight.gif

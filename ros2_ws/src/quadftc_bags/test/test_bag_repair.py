@@ -150,6 +150,12 @@ def repaired(data: bytes) -> tuple[Repair, list[int]] | None:
         return done, numbers_in_whole(done.out)
 
 
+@pytest.fixture(autouse=True)
+def no_waiting_for_the_disk(monkeypatch):
+    """Hundreds of bags are repaired here; each would wait for the disk."""
+    monkeypatch.setattr("os.fsync", lambda _: None)
+
+
 @pytest.mark.parametrize("compression", COMPRESSIONS)
 def test_bag_cut_in_any_record_keeps_every_chunk_before_the_cut(originals, compression):
     data = bytes_of(originals[compression])

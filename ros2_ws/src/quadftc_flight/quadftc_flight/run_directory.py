@@ -161,7 +161,7 @@ def run_from_bag(bag: Bag) -> RecordedRun:
     scenario = _read_scenario(bag, parameters)
     scheme = _find_scheme(scenario, parameters, (str(stored.data.get("scheme", "")), name), bag.path)
     if "name" not in scenario.raw:  # then it was the file's
-        scenario = dataclasses.replace(scenario, name=name.removesuffix(f"-{scheme.name}"))
+        scenario = scenario.model_copy(update={"name": name.removesuffix(f"-{scheme.name}")})
     if not parameters:
         parameters = {node: dict(values) for node, values in node_parameters(scenario, scheme).items()}
     # the flight, and what the summary beside the bag says of it

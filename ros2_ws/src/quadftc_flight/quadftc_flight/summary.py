@@ -80,7 +80,7 @@ def partial_summary(
     flight: Flight, scenario: Scenario, scheme: Scheme, stored: Mapping[str, Any]
 ) -> dict[str, Any]:
     """Summarise what was recorded of a flight; the checks, made for all of it, do not count."""
-    unchecked = dataclasses.replace(scheme, checks=())
+    unchecked = scheme.model_copy(update={"checks": ()})
     origin = {key: stored[key] for key in ("mode", "graph") if isinstance(stored.get(key), str)}
     return {**origin, **summary(flight, scenario, unchecked, None), "passed": None}
 
