@@ -44,6 +44,19 @@ def test_bad_input_is_answered_in_a_line_and_an_exit_code(name, seeds, sandbox):
     answered()
 
 
+def test_command_lines_have_options_that_the_commands_declare(seeds):
+    words = set()
+
+    @settings(max_examples=100)
+    @given(TARGETS["arguments"].cases(seeds))
+    def draw(case):
+        words.update(case.arguments)
+
+    draw()
+    assert words >= {"run", "check", "--out"}
+    assert words & {"--gains", "--isolability", "--skip-backwards", "--namespace", "--no-figures"}
+
+
 def answer(sandbox, name, files, arguments):
     """What a target says of an input: exit code, and the lines of its errors."""
     outcome = try_case(Case(name, files, arguments), TARGETS[name].program, sandbox)

@@ -1,8 +1,8 @@
-"""The side of a batch benchmark that computes: one process, one core, told when to fly.
+"""The process of a batch benchmark that computes, on one core.
 
-It runs in any Python from 3.10 on, that of another simulator too, and so imports nothing but the standard
-library. It answers in lines of JSON on standard output: what is simulated when it has compiled, after each
-"go" on standard input how long it took, and at the end of input how much memory it had.
+It runs in any Python from 3.10 on, also in that of another simulator, and imports only the standard library.
+It prints lines of JSON: once it has compiled, what it simulates; after each "go" on standard input, how long
+it took; at the end of input, how much memory it had.
 """
 
 from __future__ import annotations
@@ -30,24 +30,16 @@ class Run(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Subject:
-    """What is measured.
+    """What is measured."""
 
-    Parameters
-    ----------
-    what : dict
-        What is simulated, and by which versions of what.
-    run : callable
-        Flies once, to the end, and says how far; compiles when it is called first.
-    """
-
-    what: dict[str, Any]
-    run: Callable[[], Run]
+    what: dict[str, Any]  # is simulated, and by which versions
+    run: Callable[[], Run]  # flies once to the end; its first call compiles
 
 
 def serve(prepare: Callable[[Job], Subject]) -> None:
-    """Do the job that the command line describes: ``core`` to run on, ``least`` time of a measurement [s].
+    """Do the job on the command line, on its ``core``, each measurement for its ``least`` time [s].
 
-    A package that is not there, and any other error, is answered, not raised.
+    Errors, also a missing package, are answers; none is raised.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that waits for this one
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8", buffering=1)
@@ -64,25 +56,18 @@ def serve(prepare: Callable[[Job], Subject]) -> None:
 
 
 def _answers(subject: Subject, least: float) -> Any:
-    first = _timed(subject, 1)["seconds"]
-    again = _timed(subject, 1)["seconds"]
-    yield {"what": subject.what, "compile_s": max(0.0, first - again)}
-    times = max(1, math.ceil(least / again))
+    first, second = (_time_runs(subject, 1)["seconds"] for _ in range(2))
+    yield {"what": subject.what, "compile_s": max(0.0, first - second)}
     for _ in sys.stdin:
-        yield _timed(subject, times)
+        yield _time_runs(subject, max(1, math.ceil(least / second)))
     yield {"memory_mib": peak_memory()}
 
 
-def _timed(subject: Subject, times: int) -> dict[str, float]:
+def _time_runs(subject: Subject, times: int) -> dict[str, float]:
     begin = time.perf_counter()
     runs = [subject.run() for _ in range(times)]
-    seconds = time.perf_counter() - begin
-    return {
-        "seconds": seconds,
-        "runs": times,
-        "steps": sum(each.steps for each in runs),
-        "drawing": sum(each.drawing for each in runs),
-    }
+    found = {"seconds": time.perf_counter() - begin, "runs": times}
+    return {**found, **{key: sum(getattr(each, key) for each in runs) for key in ("steps", "drawing")}}
 
 
 def peak_memory() -> float:

@@ -16,6 +16,7 @@ LARGEST_ANGLE = 0.1  # rad; crazyflow
 TILT = 0.05  # rad; RotorPy
 GRAVITY = 9.81  # m/s²
 ROTOR_SPEED = 1788.53  # rad/s; hovers
+STATES = "position, velocity, attitude, body rate, rotor speeds (17), drag"
 INTEGRATORS = {"rk4": "RK4", "euler": "Euler"}
 
 
@@ -30,16 +31,9 @@ def _crazyflow(job: Job) -> Subject:
     jax: Any = import_module("jax")
     numpy: Any = import_module("numpy")
     worlds, a_call = job["flights"], job["steps_a_call"]
-    simulation = crazyflow.Sim(
-        n_worlds=worlds,
-        n_drones=1,
-        dynamics="first_principles",
-        control="attitude",
-        integrator=job["integrator"],
-        freq=RATE,
-        attitude_freq=RATE,
-        device="cpu",
-    )
+    rates = {"freq": RATE, "attitude_freq": RATE, "integrator": job["integrator"]}
+    kinds = {"dynamics": "first_principles", "control": "attitude", "device": "cpu"}
+    simulation = crazyflow.Sim(n_worlds=worlds, n_drones=1, **rates, **kinds)
     command = numpy.zeros((worlds, 1, 4), numpy.float32)  # roll, pitch, yaw [rad], thrust [N]
     command[..., :3] = numpy.random.default_rng(0).uniform(-LARGEST_ANGLE, LARGEST_ANGLE, (worlds, 1, 3))
     command[..., 3] = GRAVITY * numpy.ravel(simulation.data.params.mass)[0]
@@ -55,7 +49,7 @@ def _crazyflow(job: Job) -> Subject:
 
     what = {
         "by": f"crazyflow {version('crazyflow')}, JAX {jax.__version__}, {simulation.device.platform}",
-        "states": "position, velocity, attitude, body rate, rotor speeds (17), drag",
+        "states": STATES,
         "integrator": f"{INTEGRATORS[job['integrator']]}, {RATE} Hz, steps a call: {a_call}",
         "control": "attitude (Mellinger), at every step, rotor mixer with limits",
         "sensors": "none",
@@ -78,7 +72,7 @@ def _rotorpy(job: Job) -> Subject:
 
     what = {
         "by": f"RotorPy {version('rotorpy')}, {library}",
-        "states": "position, velocity, attitude, body rate, rotor speeds (17), drag, rotor noise",
+        "states": f"{STATES}, rotor noise",
         "integrator": f"{integrator}, {RATE} Hz",
         "control": "attitude (cmd_ctatt), at every step, rotor mixer with limits",
         "sensors": "none",

@@ -1,5 +1,5 @@
 # pyright: basic
-"""The batch engine in a process of its own, and the bare loop that other simulators measure."""
+"""What a process of a batch benchmark flies: the engine, or the bare loop that other simulators measure."""
 
 from __future__ import annotations
 
@@ -24,13 +24,9 @@ TOLERANCE = 1e-3  # rad
 
 
 def prepare(job: Job) -> Subject:
-    """Build the subject of a job.
+    """Build the subject of a job, whose ``task`` is "engine", "bare engine" or "bare".
 
-    Parameters
-    ----------
-    job : dict
-        ``task``: "engine" (``scenario``, ``scheme``), "bare engine" or "bare"; ``flights``, ``float32``,
-        ``duration`` [s], ``first_seed``; ``staged``: False for plain ``jax.vmap``.
+    ``staged`` is False for plain ``jax.vmap``; ``duration`` is in s.
     """
     if job["task"] == "bare":
         return bare_subject(bare_scenario(job["duration"], motor_lag=True), job["flights"], job["float32"])
@@ -55,8 +51,9 @@ def compressed(name: str, duration: float) -> Scenario:
 def bare_scenario(duration: float, motor_lag: bool = False) -> Scenario:
     """Plant, ideal sensor and an attitude controller; no faults, no observers."""
     path = find_scenario(BARE_SCENARIO)
+    # without faults their checks have nothing to judge
     changes = ["faults=[]", f"plant.motor_lag={str(motor_lag).lower()}"]
-    changes += [f"schemes.{name}.checks=[]" for name in load_scenario(path).schemes]  # of the faults
+    changes += [f"schemes.{name}.checks=[]" for name in load_scenario(path).schemes]
     scenario = with_duration(load_scenario(path, changes), duration)
     return with_controller(scenario, BARE_CONTROLLER, BARE_SCHEME)
 
@@ -115,11 +112,7 @@ def _time_inputs() -> list[float]:
 
 
 def bare_subject(scenario: Scenario, flights: int, float32: bool) -> Subject:
-    """Build plant and controller of many vehicles, closed over the true state.
-
-    No sensor, no fault, no observer, no random number, nothing kept but the state; each flight holds another
-    attitude.
-    """
+    """Build plant and controller of many vehicles on the true state; each holds another attitude."""
     import jax
     import jax.numpy as jnp
     import numpy as np

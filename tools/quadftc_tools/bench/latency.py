@@ -29,26 +29,23 @@ SETTLED = 1.0  # s; what comes before is not counted
 PERCENTILES = (50.0, 90.0, 99.0, 99.9)
 MICROSECOND = 1e3  # ns
 
-# stage: from where to where; each end is a node, and what it does with a topic
-STAGES: dict[str, tuple[tuple[str, str], tuple[str, str]]] = {
-    "plant/imu to the injector": (("plant", "given plant/imu"), ("fault_injector", "taken plant/imu")),
-    "fault injector": (("fault_injector", "taken plant/imu"), ("fault_injector", "given imu/data")),
-    "imu/data to the observer": (("fault_injector", "given imu/data"), ("fault_observer", "taken imu/data")),
-    "fault observer": (("fault_observer", "taken imu/data"), ("fault_observer", "given imu/corrected")),
+# stage: from where to where; each end is a node, and whether it gives or takes which topic
+STAGES = {
+    "plant/imu to the injector": ("plant given plant/imu", "fault_injector taken plant/imu"),
+    "fault injector": ("fault_injector taken plant/imu", "fault_injector given imu/data"),
+    "imu/data to the observer": ("fault_injector given imu/data", "fault_observer taken imu/data"),
+    "fault observer": ("fault_observer taken imu/data", "fault_observer given imu/corrected"),
     "imu/corrected to the controller": (
-        ("fault_observer", "given imu/corrected"),
-        ("controller", "taken imu/corrected"),
+        "fault_observer given imu/corrected",
+        "controller taken imu/corrected",
     ),
-    "controller": (("controller", "taken imu/corrected"), ("controller", "given torque/command")),
-    "torque/command to the plant": (
-        ("controller", "given torque/command"),
-        ("plant", "taken torque/command"),
-    ),
+    "controller": ("controller taken imu/corrected", "controller given torque/command"),
+    "torque/command to the plant": ("controller given torque/command", "plant taken torque/command"),
     "disturbance observer": (
-        ("disturbance_observer", "taken imu/corrected"),
-        ("disturbance_observer", "given disturbance/estimate"),
+        "disturbance_observer taken imu/corrected",
+        "disturbance_observer given disturbance/estimate",
     ),
-    "IMU published to torque": (("plant", "given plant/imu"), ("plant", "taken torque/command")),
+    "IMU published to torque": ("plant given plant/imu", "plant taken torque/command"),
 }
 TOTAL = "IMU stamp to torque"
 TIMER = "plant's timer behind its schedule"
@@ -75,10 +72,7 @@ def measure_latency(
 ) -> dict[str, Any] | None:
     """Fly a scenario in real time and measure; None if ``progress``, called with the samples, ended it.
 
-    Raises
-    ------
-    GraphError
-        If the graph does not start or stalls.
+    GraphError if the graph does not start or stalls.
     """
     with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
         bag, traces = Path(folder, "bag") if options.record else None, Path(folder, "traces")
@@ -105,15 +99,9 @@ def measure_latency(
             return None
         found = {node: load_trace(traces / f"{node}.npz") for node in EXECUTABLES}
     result = latencies(found, scenario.rate)
-    result.update(
-        scenario=scenario.name,
-        rate=scenario.rate,
-        duration=scenario.duration,
-        **dataclasses.asdict(options),
-        observer=scheme.observer.kind,
-        wall_time_s=round(wall_time, 3),
-        usage=taken,
-    )
+    result |= {"scenario": scenario.name, "rate": scenario.rate, "duration": scenario.duration}
+    result |= {**dataclasses.asdict(options), "observer": scheme.observer.kind}
+    result |= {"wall_time_s": round(wall_time, 3), "usage": taken}
     if recorded is not None:
         result["recorded"] = {
             "stored": sum(recorded.counts.values()),
@@ -133,9 +121,9 @@ def latencies(traces: Traces, rate: float) -> dict[str, Any]:
         torque of their own; ``late``: whose torque came after the next sample; ``lost``: messages that did
         not reach a reader, by topic and reader; ``histogram`` of the total.
     """
-    ends = {end for both in STAGES.values() for end in both}
-    times = {(node, event): _first_times(traces[node], event) for node, event in ends}
-    emitted, answered = times["plant", "given plant/imu"], times["plant", "taken torque/command"]
+    splits = {end: end.partition(" ") for both in STAGES.values() for end in both}
+    times = {end: _first_times(traces[node], event) for end, (node, _, event) in splits.items()}
+    emitted, answered = (times[end] for end in STAGES["IMU published to torque"])
     stamps = sorted(emitted)
     stamps = [stamp for stamp in stamps if stamp - stamps[0] >= SETTLED * 1e9][:-1]  # the last has no answer
     # the schedule: the earliest that any sample was, as none can be before its time

@@ -50,15 +50,8 @@ def measure_lockstep(
 ) -> dict[str, Any] | None:
     """Fly a scenario in one of `FORMS`; None if ``progress``, called with the samples so far, ended it.
 
-    Returns
-    -------
-    dict
-        ``real_time_factor`` of the whole; ``sample_us`` of one sample of one vehicle; what was flown.
-
-    Raises
-    ------
-    GraphError
-        If the graph does not start or stalls.
+    ``real_time_factor`` is of the whole, ``sample_us`` of one sample of one vehicle. GraphError if the graph
+    does not start or stalls.
     """
     parameters = node_parameters(scenario, scheme)
     if form == ALONE:
@@ -143,13 +136,10 @@ def lockstep_table(results: Sequence[Mapping[str, Any]]) -> Table:
     return table
 
 
-def step_costs(vehicle: str = "qball_x4") -> Iterator[dict[str, Any]]:
+def step_costs() -> Iterator[dict[str, Any]]:
     """Measure every fault observer on a simulated healthy flight with a MEMS IMU at 250 Hz.
 
-    Yields
-    ------
-    dict
-        ``observer``; ``best_us``, ``median_us`` of batches of 250 steps.
+    Yields ``observer``, and ``best_us`` and ``median_us`` of batches of 250 steps.
     """
     from quadftc_campaign.open_loop import simulate
     from quadftc_tools.study.diagnosis_results import SCENARIO
@@ -161,7 +151,7 @@ def step_costs(vehicle: str = "qball_x4") -> Iterator[dict[str, Any]]:
         for *row, torque in zip(*recording.imu, recording.torque, strict=True)
     ]
     for name in fault_observers.names():
-        law = fault_observer_from({"vehicle": vehicle, "observer": name})
+        law = fault_observer_from({"vehicle": "qball_x4", "observer": name})
         state, _ = law.step(law.init(samples[0]), samples[0], 0.0)
         for inputs in samples[1:-STEPS]:
             state, _ = law.step(state, inputs, 1.0 / STEP_RATE)

@@ -36,7 +36,7 @@ class Case:
     """
 
     target: str
-    files: dict[str, bytes] = field(default_factory=dict)
+    files: dict[str, bytes] = field(default_factory=dict, repr=False)  # too long to be shown
     arguments: list[str] = field(default_factory=list)
 
     def dump(self) -> str:

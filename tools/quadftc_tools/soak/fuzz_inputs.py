@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Iterator, Sequence
+from functools import cache
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -216,16 +217,22 @@ def bad_argument(draw: Draw, text: str) -> str:
     return text.replace("\0", "")[:3000]  # no argument of a process has NUL
 
 
+@cache
+def _declared_parameters(app: typer.Typer) -> dict[str, list[Any]]:
+    """Arguments and options of each command, as it declares them."""
+    group: Any = typer.main.get_command(app)
+    return {name: group.get_command(None, name).params for name in group.list_commands(None)}
+
+
 def bad_command_line(draw: Draw, app: typer.Typer) -> list[str]:
     """Draw a command of ``quadftc`` with options that it declares."""
-    group: Any = typer.main.get_command(app)
-    names = group.list_commands(None)
+    declared = _declared_parameters(app)
+    names = list(declared)
     quick = [name for name in names if name not in REFUSED]
     name = pick(draw, (*quick, *quick, *names, "fly", "", "\udcff"))
     if name in REFUSED:
         return [name, *REFUSED[name]]
-    command = group.get_command(None, name)
-    parameters = [] if command is None else command.params
+    parameters = declared.get(name, [])
     arguments = [name]
     if any(each.param_type_name == "argument" for each in parameters) and pick(draw, range(10)) < 9:
         good = {"run": "s.yaml", "check": "s.yaml", "list": "faults"}.get(name, "bag")
@@ -237,6 +244,6 @@ def bad_command_line(draw: Draw, app: typer.Typer) -> list[str]:
         arguments.append(pick(draw, option.opts))
         if not option.is_flag or pick(draw, range(20)) == 19:
             arguments.append(draw(OF_OPTION.get(arguments[-1], st.sampled_from(ARGUMENTS) | WORD)))
-    if pick(draw, range(10)) == 9 or command is None:
+    if pick(draw, range(10)) == 9 or name not in declared:
         arguments += draw(st.lists(st.sampled_from((*PLACES, *ARGUMENTS)) | WORD, max_size=2))
     return [*arguments, "--out", "out"] if name == "run" and pick(draw, range(10)) < 9 else arguments
