@@ -128,10 +128,16 @@ class FlightManager:
             self._count("imu/corrected: no attitude")
         elif self._monitor.is_late(stamp_ns):
             self._count("imu/corrected: late")
-        elif self._monitor.use_corrected(stamp_ns, self._monitor.undiagnosed and self._last_words.starting):
+        elif self._monitor.use_corrected(stamp_ns, self._is_starting(stamp_ns, clean)):
             self._last_words.note_corrected(stamp_ns, clean)
             return self._fly_on(stamp_ns, clean, Mode.FULL)
         return None
+
+    def _is_starting(self, stamp_ns: int, corrected: ImuSample) -> bool:
+        """Whether the fault observer is back, but not of use yet."""
+        if not self._monitor.undiagnosed:
+            return False
+        return self._last_words.starting or self._transfer.contradicts(stamp_ns, corrected)
 
     def needs_raw(self, stamp_ns: int, data: bytes) -> bool:
         """Note imu/data, serialised; return whether to fly on it: pass it to `take_raw`, then."""

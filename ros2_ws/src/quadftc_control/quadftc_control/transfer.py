@@ -104,6 +104,16 @@ class Transfer:
         """Whether a fault of imu/data is taken off now, all of it."""
         return bool(self._raw) and self._held and self._weight(self._stamp_ns) == 1.0
 
+    def contradicts(self, stamp_ns: int, corrected: ImuSample) -> bool:
+        """Whether a sample of imu/corrected still has the fault that is taken off imu/data now.
+
+        So it is for a moment when an observer has restarted and did not get the last words yet.
+        """
+        if self._used is None or not self.known:
+            return False
+        turn = _turn_between(corrected, self._used, seconds(stamp_ns - self._stamp_ns))
+        return math.sqrt(turn.dot(turn)) > self.patience.jump
+
     def _change(
         self, stamp_ns: int, sample: ImuSample, before: ImuSample | None, elapsed: float, raw: bool
     ) -> None:

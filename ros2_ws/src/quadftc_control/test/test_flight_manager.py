@@ -60,7 +60,7 @@ class Flight:
         if disturbance:
             manager.take_disturbance(self.stamp_ns, np.array([1.0, 2.0, 3.0]))
         command = manager.take_raw(self.stamp_ns, self.raw) if self._needs_raw() else None
-        return manager.take_corrected(self.stamp_ns, self.healthy) if corrected else command
+        return (corrected and manager.take_corrected(self.stamp_ns, self.healthy)) or command
 
     def _needs_raw(self):
         return self.manager.needs_raw(self.stamp_ns, self.raw)
@@ -97,6 +97,26 @@ def test_while_the_fault_is_taken_off_its_size_is_published_twenty_times_a_secon
         flight.next(corrected=False)
     assert [kept.what for kept in flight.manager.kept] in (["fault"] * 3, ["fault"] * 4)
     np.testing.assert_allclose(flight.manager.kept[-1].value[0], FAULT, atol=1e-3)
+
+
+def test_observer_that_came_back_without_the_last_words_is_waited_for(flight):
+    """It believes the faulty attitude at first. The words come later; until then the fault is taken off."""
+    for _ in range(100):
+        flight.next(corrected=False)
+    healthy, flight.healthy = flight.healthy, flight.raw
+    for _ in range(200):  # 0.8 s
+        assert flight.next().mode is Mode.NO_DIAGNOSIS
+    flight.healthy = healthy
+    assert [flight.next().mode for _ in range(2)][-1] is Mode.FULL
+
+
+def test_observer_that_contradicts_for_long_is_believed(flight):
+    for _ in range(100):
+        flight.next(corrected=False)
+    flight.healthy = flight.raw
+    modes = [flight.next().mode for _ in range(850)]  # 3.4 s
+    assert modes[700] is Mode.NO_DIAGNOSIS
+    assert modes[-1] is Mode.FULL
 
 
 def test_old_disturbance_estimate_is_kept_once_and_the_mode_says_so(flight):
