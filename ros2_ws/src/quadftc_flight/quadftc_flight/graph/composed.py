@@ -189,10 +189,9 @@ class ComposedGraph(Graph):
     def _watchers(self) -> list[PlantNode]:
         return [vehicle.plant for vehicle in self.vehicles]
 
-    def _state(self) -> tuple[bool, int, int]:
+    def _state(self) -> tuple[bool, int]:
         plants = self._watchers()
-        samples = sum(plant.samples for plant in plants)
-        return all(plant.finished for plant in plants), samples, samples
+        return all(plant.finished for plant in plants), sum(plant.samples for plant in plants)
 
     def spin_once(self, timeout: float = 0.2) -> None:
         """Let the nodes work on what has come; return at the latest after ``timeout`` [s]."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import abc
 import time
-from collections.abc import Callable, Hashable
+from collections.abc import Callable
 from typing import Any, Self
 
 from rclpy.context import Context
@@ -54,8 +54,8 @@ class Graph(abc.ABC):
         """Return a node of each vehicle."""
 
     @abc.abstractmethod
-    def _state(self) -> tuple[bool, int, Hashable]:
-        """Say whether the flight is over, how many samples there were, and what changes in a live flight."""
+    def _state(self) -> tuple[bool, int]:
+        """Say whether the flight is over, and how many samples there were."""
 
     def _check_alive(self) -> None:  # noqa: B027
         """Raise a `GraphError` if a node has ended."""
@@ -84,16 +84,16 @@ class Graph(abc.ABC):
     def _follow(self, spin: Callable[[float], None], progress: Progress, stalled: str) -> tuple[float, bool]:
         """Spin until the flight is over; return its wall time [s], and whether ``progress`` let it end."""
         begin = moved = time.monotonic()
-        over, _, seen = self._state()
+        over, seen = self._state()
         while not over:
             spin(SLICE)
             self._check_alive()
-            over, samples, news = self._state()
+            over, samples = self._state()
             now = time.monotonic()
             if not progress(samples):
                 return now - begin, False
-            if news != seen:
-                seen, moved = news, now
+            if samples != seen:
+                seen, moved = samples, now
             elif now - moved > STALL_TIMEOUT:
                 raise GraphError(f"the flight stalled after {samples} samples: {stalled}")
         return time.monotonic() - begin, True

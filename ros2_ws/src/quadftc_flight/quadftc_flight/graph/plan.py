@@ -24,7 +24,7 @@ EXECUTABLES: dict[str, tuple[str, str]] = {
 
 CONNECT_TIMEOUT = 30.0  # s; to find each other
 SLICE = 0.25  # s, wall time of flight between two looks at it
-STALL_TIMEOUT = 15.0  # s; lock-step: without a new sample
+STALL_TIMEOUT = 15.0  # s; without a new sample
 # s; real time: recorded after the end; longer, and the controller reports that the IMU has stopped
 AFTERMATH = 0.05
 

@@ -79,7 +79,7 @@ class ProcessGraph(Graph):
         self._counts: dict[str, dict[str, int]] = {}
         self._calm: float | None = None  # when the processes have got to rest
         self._flying = self._finished = False
-        self._samples = self._heard = 0
+        self._samples = 0
         self._folder = tempfile.TemporaryDirectory(prefix="quadftc_")
         self._node: Node | None = None
         self._respawn = Respawn()
@@ -115,7 +115,7 @@ class ProcessGraph(Graph):
         self._flying = True
         self._begin_flight()
         wall, to_its_end = self._follow(
-            self._slice.spin, progress, f"not a word from the nodes for {STALL_TIMEOUT:g} s"
+            self._slice.spin, progress, f"no new sample of the plant for {STALL_TIMEOUT:g} s"
         )
         if to_its_end and self.recorder is not None:
             drain(self._received, self._slice.spin, self.plan.mode)
@@ -130,8 +130,8 @@ class ProcessGraph(Graph):
     def _watchers(self) -> list[Any]:
         return [self._node]
 
-    def _state(self) -> tuple[bool, int, tuple[int, int]]:
-        return self._finished, self._samples, (self._heard, self._received())
+    def _state(self) -> tuple[bool, int]:
+        return self._finished, self._samples
 
     def _calm_down(self, progress: Progress) -> bool:
         """Real time: let the processes finish with discovery, which goes on for services and parameters."""
@@ -200,7 +200,6 @@ class ProcessGraph(Graph):
             name = self._names.get(node)
             if name is None:
                 continue
-            self._heard += 1
             if part == "connections":
                 self._counts[name] = {pair.key: int(pair.value) for pair in status.values}
             elif name == "plant" and part == "flight":
