@@ -21,6 +21,9 @@ settings.load_profile("quadftc")
 
 DOMAINS = range(1, 81)  # of those that ROS 2 can have on any Linux
 
+# Compiling took most of the tests' time, and the flights are short.
+QUICK_TO_COMPILE = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+
 # Tests that must not run beside others: by the wall clock, with signals, of processes that await each other.
 # So are all on a bench in real time.
 SERIAL_FILES = {
@@ -81,7 +84,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """Before anything of ROS or NumPy is imported; in every worker of pytest-xdist, too."""
     for library in ("OPENBLAS", "OMP"):  # with small matrices, threads do little but wait for each other
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
-    os.environ.update(environment())  # what JAX compiles here it compiles as in a campaign
+    os.environ.setdefault("XLA_FLAGS", QUICK_TO_COMPILE)
+    os.environ.update(environment())  # otherwise JAX compiles as in a campaign
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in a background job; its children ignore it, too
         signal.signal(signal.SIGINT, signal.default_int_handler)
