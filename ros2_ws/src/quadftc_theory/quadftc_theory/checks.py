@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import math
-from typing import Any, cast
+import json
+from typing import Any
 
 import numpy as np
+from pydantic_core import to_json
 
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, Scheme
-from quadftc_model.vehicle import load_vehicle
 from quadftc_theory.circumstances import circumstances, circumstances_of_run
 from quadftc_theory.conditions import Circumstances, Condition, Trace, judge, judge_along
 from quadftc_theory.linear_model import attitude_model
@@ -36,31 +36,26 @@ class CheckReport:
     given: Circumstances  # the bounds that were used
 
     @property
+    def failed(self) -> list[str]:
+        """Names of the conditions that fail and that the scheme needs."""
+        return [item.name for section in self.sections for item in section.conditions if item.failed]
+
+    @property
     def passed(self) -> bool:
         """Whether nothing fails that the scheme needs."""
-        return not any(item.failed for section in self.sections for item in section.conditions)
+        return not self.failed
 
     def to_dict(self) -> dict[str, Any]:
-        """Ready for JSON: no NaN, no infinity."""
-        found = {
-            "scenario": self.scenario,
-            "scheme": self.scheme,
-            "bag": self.bag,
-            "passed": self.passed,
-            "sections": [dataclasses.asdict(section) for section in self.sections],
-            "bounds": {name: dataclasses.asdict(bound) for name, bound in self.given.bounds.items()},
-        }
-        return cast("dict[str, Any]", _plain(found))
+        """Ready for JSON; None for what is not finite."""
+        found = {name: getattr(self, name) for name in ("scenario", "scheme", "bag", "passed", "sections")}
+        found["bounds"] = self.given.bounds
+        return json.loads(to_json(found, inf_nan_mode="null", fallback=lambda scalar: scalar.item()))
 
 
 def check_scenario(scenario: Scenario, scheme: Scheme, output: str = "imu") -> CheckReport:
     """Judge a scheme in a scenario, without flying it.
 
-    Parameters
-    ----------
-    scenario, scheme : Scenario, Scheme
-    output : str
-        Output of the model (6) that is judged: ``imu``, or ``angles`` as in the paper.
+    ``output`` is the output of the model (6) that is judged: ``imu``, or ``angles`` as in the paper.
     """
     return _check(scenario, scheme, circumstances(scenario, scheme), output)
 
@@ -77,18 +72,18 @@ def check_run(run: RecordedRun, output: str = "imu") -> CheckReport:
 
 
 def _check(scenario: Scenario, scheme: Scheme, given: Circumstances, output: str) -> CheckReport:
+    parts = {
+        "fault observer": scheme.observer,
+        "disturbance observer": scheme.disturbance_observer,
+        "controller": scheme.controller,
+    }
     sections = [
-        Section(f"{role}: {part.kind}", tuple(judge(part.law, given)))
-        for role, part in (
-            ("fault observer", scheme.observer),
-            ("disturbance observer", scheme.disturbance_observer),
-            ("controller", scheme.controller),
-        )
+        Section(f"{role}: {part.kind}", tuple(judge(part.law, given))) for role, part in parts.items()
     ]
-    if output != "imu" or scheme.observer.kind != "none":
-        asked = output != "imu"
+    asked = output != "imu"
+    if asked or scheme.observer.kind != "none":
         title = "the paper's own set-up, y = (roll, pitch, yaw), q = 3" + ("" if asked else "; not used here")
-        model = attitude_model(load_vehicle(scenario.vehicle).inertia, output if asked else "angles")
+        model = attitude_model(output if asked else "angles")
         sections.append(Section(title, tuple(structure_conditions(model, needed=asked))))
     return CheckReport(scenario.name, scheme.name, None, tuple(sections), given)
 
@@ -102,24 +97,5 @@ def _trace(run: RecordedRun) -> Trace:
     attitude, gyro = imu["orientation_xyzw"][rows].copy(), imu["angular_velocity"][rows].copy()
     attitude[imu["orientation_covariance"][rows][:, 0] == -1.0] = np.nan  # absent, by REP-145
     gyro[imu["angular_velocity_covariance"][rows][:, 0] == -1.0] = np.nan
-    return Trace(
-        stamp_ns=flight.stamp_ns[there],
-        q_xyzw=attitude,
-        gyro=gyro,
-        torque=flight.torque[there],
-        angles=flight.angles[there],
-        body_rate=flight.body_rate[there],
-        sliding_variable=flight.sliding_variable[there],
-        saturated=flight.saturated[there],
-    )
-
-
-def _plain(value: Any) -> Any:
-    """Numbers that JSON has; None for what is not finite."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in cast("dict[str, Any]", value).items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in cast("list[Any]", value)]
-    if isinstance(value, np.generic):
-        value = cast("np.generic[Any]", value).item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    names = ("stamp_ns", "torque", "angles", "body_rate", "sliding_variable", "saturated")
+    return Trace(q_xyzw=attitude, gyro=gyro, **{name: getattr(flight, name)[there] for name in names})

@@ -24,28 +24,28 @@ REFERENCE = "given: as on the reference"
 
 def circumstances(scenario: Scenario, scheme: Scheme) -> Circumstances:
     """Bounds from the scenario: its faults, disturbances and sensors; motion as on its reference."""
-    vehicle = scenario.plant.vehicle
-    dt = period_ns(scenario.rate) / 1e9
+    sensor, dt = scenario.sensor, period_ns(scenario.rate) / 1e9
     time = dt * np.arange(sample_count(scenario.duration, scenario.rate), dtype=np.float64)
     motion = _motion(scenario, time)
     rates: Floats = body_rates(motion.angles, motion.rates)
     disturbance = _disturbance(scenario, time, rates)
     generator = np.random.default_rng(scenario.seed)
-    noise: Floats = scenario.sensor.gyro_noise / math.sqrt(dt) * generator.standard_normal(rates.shape)
+    noise: Floats = sensor.gyro_noise / math.sqrt(dt) * generator.standard_normal(rates.shape)
     error = estimation_error(scheme.disturbance_observer.law, disturbance, noise, dt)
     fault, growth, length = _attitude_faults(scenario)
-    sensor, accelerations = scenario.sensor, np.max(np.abs(motion.accelerations), axis=0)
+    accelerations = tuple(np.max(np.abs(motion.accelerations), axis=0).tolist())
+    given = "given: scheduled faults"
     return Circumstances(
-        vehicle=vehicle,
+        vehicle=scenario.plant.vehicle,
         dt=dt,
         duration=scenario.duration,
-        faulty_channels=tuple(sorted({fault.injection.channel for fault in scenario.faults})),
+        faulty_channels=tuple(sorted({each.injection.channel for each in scenario.faults})),
         tilt=Bound(float(np.max(np.abs(motion.angles[:, :2]))), "rad", REFERENCE),
         body_rate=Bound(_largest_norm(rates), "rad/s", REFERENCE),
-        acceleration=Bound(tuple(accelerations.tolist()), "rad/s^2", REFERENCE),
-        fault=Bound(fault, "rad", "given: scheduled faults"),
-        fault_growth=Bound(growth, "rad/s", "given: scheduled faults"),
-        fault_length=Bound(length, "s", "given: scheduled faults"),
+        acceleration=Bound(accelerations, "rad/s^2", REFERENCE),
+        fault=Bound(fault, "rad", given),
+        fault_growth=Bound(growth, "rad/s", given),
+        fault_length=Bound(length, "s", given),
         gyro_bias=Bound(sensor.gyro_bias, "rad/s", "given: sensor"),
         gyro_noise=Bound(sensor.gyro_noise, "rad/sqrt(s)", "given: sensor"),
         attitude_noise=Bound(sensor.attitude_noise, "rad", "given: sensor"),
@@ -57,7 +57,6 @@ def circumstances(scenario: Scenario, scheme: Scheme) -> Circumstances:
 def circumstances_of_run(run: RecordedRun) -> Circumstances:
     """Bounds from a recorded run, where the bag has the truth; from its scenario where it has not."""
     planned, flight = circumstances(run.scenario, run.scheme), run.flight
-    origin = "trace"
     drag = planned.vehicle.rotational_drag / run.scenario.plant.inertia * flight.body_rate
     disturbance = flight.disturbance - drag
     known = np.all(np.isfinite(disturbance), axis=1)
@@ -65,17 +64,17 @@ def circumstances_of_run(run: RecordedRun) -> Circumstances:
     changes: dict[str, Bound | Series] = {}
     if np.any(np.isfinite(flight.angles)):
         tilt = float(np.nanmax(np.abs(flight.angles[:, :2])))
-        changes["tilt"] = Bound(tilt, "rad", origin)
+        changes["tilt"] = Bound(tilt, "rad", "trace")
     if np.any(np.isfinite(flight.body_rate)):
-        changes["body_rate"] = Bound(_largest_norm(flight.body_rate), "rad/s", origin)
+        changes["body_rate"] = Bound(_largest_norm(flight.body_rate), "rad/s", "trace")
         changes["gyro_bias"] = _gyro_bias(run) or planned.gyro_bias
     if np.any(np.isfinite(flight.fault)):
-        changes["fault"] = Bound(_largest_norm(flight.fault), "rad", origin)
+        changes["fault"] = Bound(_largest_norm(flight.fault), "rad", "trace")
     if known.any():
-        changes["disturbance"] = Series(disturbance[known], "rad/s^2", f"{origin}, drag included")
+        changes["disturbance"] = Series(disturbance[known], "rad/s^2", "trace, drag included")
     if both.any():
         error = (disturbance - flight.disturbance_estimate)[both]
-        changes["disturbance_error"] = Series(error, "rad/s^2", origin)
+        changes["disturbance_error"] = Series(error, "rad/s^2", "trace")
     return dataclasses.replace(planned, **changes)  # pyright: ignore[reportArgumentType]
 
 
@@ -101,16 +100,15 @@ def _attitude_faults(scenario: Scenario) -> tuple[float, float, float]:
     injector = FaultInjector(scenario.seed)
     for fault in scenario.faults:
         injector.add(fault.injection)
-    count = sample_count(scenario.duration, FAULT_RATE)
     step_ns = period_ns(FAULT_RATE)
-    time = np.arange(count, dtype=np.float64) * (step_ns / 1e9)
-    motion = _motion(scenario, time)
+    time = np.arange(sample_count(scenario.duration, FAULT_RATE), dtype=np.float64) * (step_ns / 1e9)
     zeros, there = np.zeros(3), np.asarray(True)
-    found = np.zeros((count, 3))
-    for k, q in enumerate(quaternion_from_euler(motion.angles)):
-        injected = injector.apply(k * step_ns, ImuSample(q, zeros, zeros, there, there, there))
-        found[k] = injected.attitude
-    size = np.abs(np.nan_to_num(found))
+    samples = (
+        ImuSample(q, zeros, zeros, there, there, there)
+        for q in quaternion_from_euler(_motion(scenario, time).angles)
+    )
+    found = [injector.apply(k * step_ns, sample).attitude for k, sample in enumerate(samples)]
+    size = np.abs(np.nan_to_num(np.array(found, np.float64).reshape(-1, 3)))
     growth, length = math.inf, 0.0
     for window in scenario.fault_windows:
         rows = (window.start <= time) & (time < window.stop)
@@ -120,7 +118,7 @@ def _attitude_faults(scenario: Scenario) -> tuple[float, float, float]:
                 grown = int(np.argmax(column >= GROWN * column.max()))
                 elapsed = max(float(time[rows][grown]) - window.start, 1.0 / scenario.rate)
                 growth = min(growth, float(column[grown]) / elapsed)
-    return _largest_norm(np.nan_to_num(found)), growth, length
+    return _largest_norm(size), growth, length
 
 
 def _gyro_bias(run: RecordedRun) -> Bound | None:

@@ -3,7 +3,7 @@
 No law knows its theory: conditions are registered for the class of a law, and hold for its subclasses, too.
 
     @conditions_of(MyObserver)
-    def my_conditions(observer: MyObserver, given: Circumstances) -> list[Condition]: ...
+    def my_conditions(observer: MyObserver, given: Circumstances) -> Iterable[Condition]: ...
 
 Another package names the module that does so in its entry-point group ``quadftc.conditions``.
 """
@@ -55,7 +55,7 @@ class Condition:
         return self.needed and self.verdict is Verdict.FAIL
 
 
-def verdict(holds: bool) -> Verdict:
+def verdict(holds: bool | np.bool_) -> Verdict:
     """PASS or FAIL."""
     return Verdict.PASS if holds else Verdict.FAIL
 
@@ -111,14 +111,13 @@ class Circumstances:
     @property
     def bounds(self) -> dict[str, Bound]:
         """Every bound by name; of a quantity over time, the largest magnitude of each axis."""
-        found: dict[str, Bound] = {}
-        for field in dataclasses.fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, Series):
-                found[field.name] = Bound(tuple(value.peak.tolist()), value.unit, value.origin)
-            elif isinstance(value, Bound):
-                found[field.name] = value
-        return found
+        found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        found |= {
+            name: Bound(tuple(value.peak.tolist()), value.unit, value.origin)
+            for name, value in found.items()
+            if isinstance(value, Series)
+        }
+        return {name: value for name, value in found.items() if isinstance(value, Bound)}
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -145,27 +144,25 @@ def falls(
     values : array (n,) or (n, k)
         The Lyapunov function of each sample; of k functions, each by itself.
     stamp_ns : array (n,)
-        [ns].
     required, outside : array like values
         The rate at which it has to fall at least, negative; and where the state is outside its layer.
     """
+    judged = functools.partial(Condition, name, needed=False)
     elapsed = (np.diff(stamp_ns) / 1e9).reshape((-1,) + (1,) * (values.ndim - 1))
     slope = np.diff(values, axis=0) / elapsed
     known = np.isfinite(slope)
     counted = outside[:-1] & known & np.isfinite(required[:-1])
     if not known.any():
-        return Condition(name, Verdict.DEPENDS, "the bag lacks the truth that this needs", needed=False)
-    share_outside = int(counted.sum()) / int(known.sum())
+        return judged(Verdict.DEPENDS, "the bag lacks the truth that this needs")
+    share = int(counted.sum()) / int(known.sum())
     if not counted.any():
-        text = "never outside the boundary layer: nothing has to fall"
-        numbers = {"share_outside": share_outside, "share_holding": None}
-        return Condition(name, Verdict.PASS, text, numbers, needed=False)
+        numbers = {"share_outside": share, "share_holding": None}
+        return judged(Verdict.PASS, "never outside the boundary layer: nothing has to fall", numbers)
     holding = float(np.mean(slope[counted] <= required[:-1][counted]))
-    numbers = {"share_outside": share_outside, "share_holding": holding}
-    text = f"outside the boundary layer for {100.0 * share_outside:.3g} % of the run; falls fast enough in "
+    text = f"outside the boundary layer for {100.0 * share:.3g} % of the run; falls fast enough in "
     text += f"{100.0 * holding:.4g} % of that"
     outcome = Verdict.PASS if holding == 1.0 else Verdict.DEPENDS if holding >= 0.95 else Verdict.FAIL
-    return Condition(name, outcome, text, numbers, needed=False)
+    return judged(outcome, text, {"share_outside": share, "share_holding": holding})
 
 
 def per_axis(values: Iterable[float], digits: int = 3) -> str:
@@ -174,14 +171,14 @@ def per_axis(values: Iterable[float], digits: int = 3) -> str:
 
 
 @functools.singledispatch
-def _judge(law: object, given: Circumstances) -> list[Condition]:
+def _judge(law: object, given: Circumstances) -> Iterable[Condition]:
     """The one condition of a law for which none are registered."""
     text = f"no conditions are registered for {type(law).__name__}; @conditions_of does so"
     return [Condition("theory", Verdict.DEPENDS, text, needed=False)]
 
 
 @functools.singledispatch
-def _judge_along(law: object, trace: Trace, given: Circumstances) -> list[Condition]:
+def _judge_along(law: object, trace: Trace, given: Circumstances) -> Iterable[Condition]:
     """Most laws have no Lyapunov function here."""
     return []
 
@@ -193,13 +190,13 @@ conditions_along_of = _judge_along.register  #: decorates a function of (law, tr
 def judge(law: object, given: Circumstances) -> list[Condition]:
     """Judge what the theory of a law asks for."""
     load_conditions()
-    return _judge(law, given)
+    return list(_judge(law, given))
 
 
 def judge_along(law: object, trace: Trace, given: Circumstances) -> list[Condition]:
     """Judge the Lyapunov functions of a law along a recorded run."""
     load_conditions()
-    return _judge_along(law, trace, given)
+    return list(_judge_along(law, trace, given))
 
 
 @functools.cache

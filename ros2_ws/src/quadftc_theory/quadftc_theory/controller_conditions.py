@@ -9,6 +9,7 @@ import numpy as np
 from quadftc_control.controllers.ismc import Ismc
 from quadftc_control.controllers.pid import Pid
 from quadftc_control.controllers.smc import Smc
+from quadftc_theory import conditions
 from quadftc_theory.conditions import (
     Circumstances,
     Condition,
@@ -16,9 +17,6 @@ from quadftc_theory.conditions import (
     Series,
     Trace,
     Verdict,
-    conditions_along_of,
-    conditions_of,
-    falls,
     per_axis,
     verdict,
 )
@@ -26,8 +24,8 @@ from quadftc_theory.conditions import (
 BRIEF = 0.01  # 1; share of the time for which a gain may be too small and Theorem 2 still hold otherwise
 
 
-@conditions_of(Ismc)
-@conditions_of(Smc)
+@conditions.conditions_of(Ismc)
+@conditions.conditions_of(Smc)
 def theorem_2_conditions(controller: Ismc, given: Circumstances) -> list[Condition]:
     """Judge the conditions of Theorem 2, of either controller."""
     return [
@@ -38,14 +36,14 @@ def theorem_2_conditions(controller: Ismc, given: Circumstances) -> list[Conditi
     ]
 
 
-@conditions_of(Pid)
+@conditions.conditions_of(Pid)
 def pid_conditions(controller: Pid, given: Circumstances) -> list[Condition]:
     """Judge the authority; there is no theorem on this loop here."""
     return [_authority(np.zeros(3), given)]
 
 
-@conditions_along_of(Ismc)
-@conditions_along_of(Smc)
+@conditions.conditions_along_of(Ismc)
+@conditions.conditions_along_of(Smc)
 def reaching_law(controller: Ismc, trace: Trace, given: Circumstances) -> list[Condition]:
     """Judge (47), each axis by itself: V3' <= -eta |S| where |S| > Phi.
 
@@ -55,7 +53,7 @@ def reaching_law(controller: Ismc, trace: Trace, given: Circumstances) -> list[C
     eta = np.maximum(np.asarray(controller.k_c3) - _to_hold_against(controller, given)[0].peak, 0.0)
     outside = (np.abs(S) > phi) & ~trace.saturated
     name = "(47): V3' <= -eta |S| along the run"
-    found = falls(name, 0.5 * S * S, trace.stamp_ns, -eta * np.abs(S), outside)
+    found = conditions.falls(name, 0.5 * S * S, trace.stamp_ns, -eta * np.abs(S), outside)
     largest = np.nanmax(np.abs(S) / phi, axis=0)
     text = f"{found.text}; |S| up to {per_axis(largest)} Phi"
     numbers = {**found.numbers, "largest_S_over_phi": largest.tolist(), "eta": eta.tolist()}
@@ -83,15 +81,9 @@ def _switching_gain(controller: Ismc, given: Circumstances) -> Condition:
     """k_c3 >= eta + D_e (Theorem 2), over time."""
     error, symbol = _to_hold_against(controller, given)
     gain, largest = np.asarray(controller.k_c3), error.peak
-    eta = gain - largest
-    short = np.any(np.abs(error.values) >= gain, axis=1)
+    eta, short = gain - largest, np.any(np.abs(error.values) >= gain, axis=1)
     time_short = float(short.sum() * given.dt)
-    numbers = {
-        "k_c3": gain.tolist(),
-        symbol: largest.tolist(),
-        "eta": eta.tolist(),
-        "time_short": time_short,
-    }
+    numbers = {"k_c3": gain.tolist(), symbol: largest.tolist(), "eta": eta.tolist(), "time_short": time_short}
     name = f"Theorem 2: k_c3 >= eta + {symbol}"
     text = f"k_c3 = {per_axis(gain)}, {symbol} = {per_axis(largest)} rad/s² ({error.origin}); "
     if not short.any():
@@ -109,7 +101,7 @@ def _layer(controller: Ismc, dt: float) -> Condition:
     text += f"{100.0 * np.max(rate) * dt:.2g} % a sample; chatter from {2.0 / dt:.4g} 1/s on"
     numbers = {"rate": rate.tolist(), "limit": 2.0 / dt}
     name = "(41): Phi thick enough for the sampling"
-    return Condition(name, verdict(bool(np.all(rate * dt < 2.0))), text, numbers)
+    return Condition(name, verdict(np.all(rate * dt < 2.0)), text, numbers)
 
 
 def _authority(k_c3: Floats, given: Circumstances) -> Condition:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,15 +11,8 @@ from quadftc_fdi.disturbance_observer import DisturbanceObserver
 from quadftc_fdi.disturbance_observers.exosystem import Exosystem
 from quadftc_fdi.disturbance_observers.none import NoDisturbanceObserver
 from quadftc_model.samples import DisturbanceObserverInputs
-from quadftc_theory.conditions import (
-    Circumstances,
-    Condition,
-    Floats,
-    Verdict,
-    conditions_of,
-    per_axis,
-    verdict,
-)
+from quadftc_theory import conditions
+from quadftc_theory.conditions import Circumstances, Condition, Floats, Verdict, per_axis, verdict
 
 FOLLOWED = 0.01  # 1; share of the disturbance that the error may settle at and still count as followed
 
@@ -46,38 +41,36 @@ def estimation_error(observer: DisturbanceObserver, disturbance: Floats, noise: 
     return disturbance - estimate
 
 
-@conditions_of(NoDisturbanceObserver)
+@conditions.conditions_of(NoDisturbanceObserver)
 def bounded_disturbance(observer: object, given: Circumstances) -> list[Condition]:
     """Judge Assumption 4, all that is left without an estimate: that the disturbance is bounded."""
     peak = given.disturbance.peak
-    text = f"D_d = {per_axis(peak)} rad/s² ({given.disturbance.origin})"
-    bounded = verdict(bool(np.all(np.isfinite(peak))))
-    return [Condition("Assumption 4: |d| <= D_d", bounded, text, {"D_d": peak.tolist()})]
+    text, bounded = f"D_d = {per_axis(peak)} rad/s² ({given.disturbance.origin})", np.all(np.isfinite(peak))
+    return [Condition("Assumption 4: |d| <= D_d", verdict(bounded), text, {"D_d": peak.tolist()})]
 
 
-@conditions_of(Exosystem)
-def exosystem_conditions(observer: Exosystem, given: Circumstances) -> list[Condition]:
+@conditions.conditions_of(Exosystem)
+def exosystem_conditions(observer: Exosystem, given: Circumstances) -> Iterator[Condition]:
     """Judge (42)-(44) at the sampling period given.
 
     Assumption 5, d of the exosystem: whether the error vanishes; Assumption 6, its bound D_e.
     """
     poles: NDArray[np.complex128] = observer.poles(given.dt).astype(np.complex128)
-    pairs = {"poles": [[float(pole.real), float(pole.imag)] for pole in poles]}
-    listed = ", ".join(f"{pole:.4g}" for pole in np.unique(np.round(poles.real, 6)))
-    stable = verdict(bool(np.all(poles.real < 0.0)))
+    numbers = {"poles": [[float(pole.real), float(pole.imag)] for pole in poles]}
+    text = f"poles at {', '.join(f'{pole:.4g}' for pole in np.unique(np.round(poles.real, 6)))} rad/s"
+    yield Condition("A_d - lambda C_d Hurwitz", verdict(np.all(poles.real < 0.0)), text, numbers)
+    yield from bounded_disturbance(observer, given)
+
     error = given.disturbance_error
     largest, typical = error.peak, np.median(np.abs(error.values), axis=0)
-    quiet = bool(np.all(typical <= FOLLOWED * np.maximum(given.disturbance.peak, 1e-12) + 1e-9))
-    text_5 = f"exosystem '{observer.model}': error of the estimate below {per_axis(typical, 2)} rad/s² half"
-    text_5 += " of the time"
-    text_5 += "" if quiet else ", not 0: the disturbance is not of this exosystem, the estimate lags"
-    numbers_5 = {"median_error": typical.tolist()}
-    followed = Verdict.PASS if quiet else Verdict.DEPENDS
-    text_6 = f"D_e = {per_axis(largest)} rad/s² at worst ({error.origin})"
-    bounded = verdict(bool(np.all(np.isfinite(largest))))
-    return [
-        Condition("A_d - lambda C_d Hurwitz", stable, f"poles at {listed} rad/s", pairs),
-        *bounded_disturbance(observer, given),
-        Condition("Assumption 5: d of the exosystem (42)", followed, text_5, numbers_5, needed=False),
-        Condition("Assumption 6: |d - d^| <= D_e", bounded, text_6, {"D_e": largest.tolist()}),
-    ]
+    quiet = np.all(typical <= FOLLOWED * np.maximum(given.disturbance.peak, 1e-12) + 1e-9)
+    text = f"exosystem '{observer.model}': error of the estimate below {per_axis(typical, 2)} rad/s² half"
+    text += " of the time"
+    text += "" if quiet else ", not 0: the disturbance is not of this exosystem, the estimate lags"
+    followed, numbers = Verdict.PASS if quiet else Verdict.DEPENDS, {"median_error": typical.tolist()}
+    yield Condition("Assumption 5: d of the exosystem (42)", followed, text, numbers, needed=False)
+    text, bounded = (
+        f"D_e = {per_axis(largest)} rad/s² at worst ({error.origin})",
+        np.all(np.isfinite(largest)),
+    )
+    yield Condition("Assumption 6: |d - d^| <= D_e", verdict(bounded), text, {"D_e": largest.tolist()})

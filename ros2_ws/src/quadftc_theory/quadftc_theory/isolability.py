@@ -39,7 +39,7 @@ _DERIVATIVE, _DERIVED = 3, 2  # codes of the library for x' and x in the constra
 Mask = NDArray[np.bool_]
 
 
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class IsolabilityResult:
     """Which faults can be detected, and which told apart from which.
 
@@ -85,18 +85,11 @@ class IsolabilityResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as lists, strings and truth values, for JSON."""
-        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        names = [field.name for field in dataclasses.fields(self)]
+        names += ["undetectable", "transient", "groups", "cancelled"]
+        values = {name: getattr(self, name) for name in names}
         return {
-            **{
-                name: value.tolist() if isinstance(value, np.ndarray) else value
-                for name, value in fields.items()
-            },
-            "assumptions": dict(self.assumptions),
-            "faults": list(self.faults),
-            "undetectable": list(self.undetectable),
-            "transient": list(self.transient),
-            "groups": [list(group) for group in self.groups],
-            "cancelled": [list(pair) for pair in self.cancelled],
+            name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()
         }
 
     def _named(self, mask: Mask) -> tuple[str, ...]:
@@ -108,14 +101,8 @@ def analyse(
 ) -> IsolabilityResult:
     """Analyse a vehicle with its sensors. The first call takes seconds: it imports the library.
 
-    Parameters
-    ----------
-    vehicle : Vehicle
-        Its inertia, drag and mixer set the coefficients.
-    assumptions : Assumptions, optional
-        Sensors, motion, what is known and what disturbs.
-    causality : str
-        ``mixed``, ``integral`` or ``derivative``: whether residuals may integrate and differentiate.
+    ``causality`` (``mixed``, ``integral`` or ``derivative``) says whether residuals may integrate and
+    differentiate.
     """
     assumptions = Assumptions() if assumptions is None else assumptions
     described = dataclasses.asdict(assumptions) | {"sensor_set": list(assumptions.sensor_set)}
@@ -127,21 +114,10 @@ def analyse_model(model: LinearModel, causality: str = "mixed") -> IsolabilityRe
     """Analyse any model; see :func:`analyse`."""
     if causality not in CAUSALITIES:
         raise ValueError(f"causality = {causality!r}: expected one of {', '.join(CAUSALITIES)}")
-    detectable, isolable = structural_isolability(model, causality)
-    rank_detectable, rank_isolable = rank_isolability(model)
-    strongly_detectable, strongly_isolable = strong_isolability(model)
-    return IsolabilityResult(
-        name=model.name,
-        causality=causality,
-        assumptions={},
-        faults=model.faults,
-        detectable=detectable,
-        isolable=isolable,
-        rank_detectable=rank_detectable,
-        rank_isolable=rank_isolable,
-        strongly_detectable=strongly_detectable & detectable,
-        strongly_isolable=strongly_isolable & isolable,
-    )
+    structural, strong = structural_isolability(model, causality), strong_isolability(model)
+    strong = tuple(each & limit for each, limit in zip(strong, structural, strict=True))
+    masks = (*structural, *rank_isolability(model), *strong)
+    return IsolabilityResult(model.name, causality, {}, model.faults, *masks)
 
 
 def structural_isolability(model: LinearModel, causality: str) -> tuple[Mask, Mask]:
@@ -153,15 +129,11 @@ def structural_isolability(model: LinearModel, causality: str) -> tuple[Mask, Ma
     used = np.hstack([model.A, model.E, model.B]) != 0.0
     constraints = np.zeros((count, used.shape[1]))
     constraints[:, : 2 * count] = np.hstack([_DERIVED * np.eye(count), _DERIVATIVE * np.eye(count)])
-
-    def padded(matrix: NDArray[np.float64]) -> NDArray[np.int64]:
-        return np.vstack([matrix != 0.0, np.zeros((count, matrix.shape[1]))]).astype(np.int64)
-
-    names = list(model.faults)
     unknowns = np.vstack([used, constraints]).astype(np.int64)
+    faults = np.vstack([model.F != 0.0, np.zeros((count, model.F.shape[1]))]).astype(np.int64)
+    names = list(model.faults)
     library_model = DiagnosisModel(
-        {"type": "MatrixStruc", "X": unknowns, "F": padded(model.F), "Z": padded(model.K), "f": names},
-        name=model.name,
+        {"type": "MatrixStruc", "X": unknowns, "F": faults, "Z": [], "f": names}, name=model.name
     )
     found, _ = library_model.DetectabilityAnalysis(causality=CAUSALITIES[causality])
     not_isolable = library_model.IsolabilityAnalysis(causality=CAUSALITIES[causality])

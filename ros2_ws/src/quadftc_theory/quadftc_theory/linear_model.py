@@ -4,7 +4,7 @@
     (6)  x' = A x + D f(x) + B u + W Delta_d,   y = C x + F f_s,   x = [angles, body rate]
 
 The paper takes the angles alone as its output and leaves W open. Here W = [0; I]: disturbances are angular
-accelerations. With the output of an IMU message, y = [angles; body rate].
+accelerations. With the output of an IMU message, y = [angles; body rate]. D and B enter no condition.
 
 Lemma 1 splits the model where disturbances and faults part:
 
@@ -45,32 +45,19 @@ class AffineModel(NamedTuple):
     """The matrices of (6)."""
 
     A: Matrix  # (n, n)
-    B: Matrix  # (n, m)
-    D: Matrix  # (n, s)
-    W: Matrix  # (n, r)
+    W: Matrix  # (n, disturbances)
     C: Matrix  # (p, n)
     F: Matrix  # (p, q)
-    output_names: tuple[str, ...]  # (p,)
     fault_names: tuple[str, ...]  # (q,)
 
 
 class Decoupled(NamedTuple):
-    """The blocks of (11)-(13)."""
+    """The model in z = T x and h = S y: r states and outputs of the first part (12), then the second (13)."""
 
     T: Matrix  # (n, n)
     S: Matrix  # (p, p)
-    A1: Matrix  # (r, r)
-    A2: Matrix  # (r, n - r)
-    A3: Matrix  # (n - r, r)
-    A4: Matrix  # (n - r, n - r)
-    B1: Matrix  # (r, m)
-    B2: Matrix  # (n - r, m)
-    D1: Matrix  # (r, s)
-    D2: Matrix  # (n - r, s)
-    C1: Matrix  # (r, r)
-    C4: Matrix  # (p - r, n - r)
-    F2: Matrix  # (p - r, q)
-    W1: Matrix  # (r, disturbances)
+    model: AffineModel  # T A T^-1, T W, S C T^-1, S F
+    r: int  # rank of W
     residual: float  # largest element of the blocks that (11) wants to be zero
 
 
@@ -89,13 +76,11 @@ class Zeros(NamedTuple):
     normal_rank: int  # of the transfer matrix C (s I - A)^-1 F
 
 
-def attitude_model(inertia: Matrix, output: str = "imu", faulty: Sequence[str] = ANGLES) -> AffineModel:
-    """Return (6)-(7) for a vehicle; ValueError if there is no such output.
+def attitude_model(output: str = "imu", faulty: Sequence[str] = ANGLES) -> AffineModel:
+    """Return (6)-(7); ValueError if there is no such output.
 
     Parameters
     ----------
-    inertia : array (3,)
-        Principal moments [kg m²].
     output : str
         ``imu``: angles and body rate; ``angles``: the angles alone, the paper's own choice.
     faulty : sequence of str
@@ -107,26 +92,19 @@ def attitude_model(inertia: Matrix, output: str = "imu", faulty: Sequence[str] =
     unknown = [name for name in faulty if name not in names]
     if unknown:
         raise ValueError(f"faulty = {unknown[0]!r}: the outputs are {', '.join(names)}")
-    zeros, eye = np.zeros((3, 3)), np.eye(3)
-    jx, jy, jz = inertia
-    gyroscopic = np.diag([(jy - jz) / jx, (jz - jx) / jy, (jx - jy) / jz])
     return AffineModel(
-        A=np.block([[zeros, eye], [zeros, zeros]]),
-        B=np.vstack([zeros, np.diag(1.0 / np.asarray(inertia))]),
-        D=np.vstack([zeros, gyroscopic]),
-        W=np.vstack([zeros, eye]),
+        A=np.eye(6, k=3),
+        W=np.eye(6)[:, 3:],
         C=np.eye(6)[: len(names)],
         F=np.eye(len(names))[:, [names.index(name) for name in faulty]],
-        output_names=names,
         fault_names=tuple(faulty),
     )
 
 
 def decouple(model: AffineModel) -> Decoupled:
     """Compute the transformation of Lemma 1; ValueError, with the rank that fails, if there is none."""
-    A, B, D, W, C, F = model[:6]
-    r, q = rank(W), rank(F)
-    CW = C @ W
+    A, W, C, F, _ = model
+    r, q, CW = rank(W), rank(F), C @ W
     if rank(CW) < r:
         raise ValueError(
             f"rank(C W) = {rank(CW)} < rank(W) = {r}: outputs do not see every disturbance at once"
@@ -142,22 +120,20 @@ def decouple(model: AffineModel) -> Decoupled:
     S = np.vstack([S1, _left_null_space(CW)])
     T = np.vstack([S1 @ C, _left_null_space(W)])
     T_inverse = np.linalg.inv(T)
-    TAT, TB, TD, TW = T @ A @ T_inverse, T @ B, T @ D, T @ W
-    SCT, SF = S @ C @ T_inverse, S @ F
-    zero = (SCT[:r, r:], SCT[r:, :r], SF[:r], TW[r:])
+    split = model._replace(A=T @ A @ T_inverse, W=T @ W, C=S @ C @ T_inverse, F=S @ F)
+    zero = (split.C[:r, r:], split.C[r:, :r], split.F[:r], split.W[r:])
     residual = max((float(np.max(np.abs(block))) for block in zero if block.size), default=0.0)
-    return Decoupled(
-        *(T, S, TAT[:r, :r], TAT[:r, r:], TAT[r:, :r], TAT[r:, r:], TB[:r], TB[r:], TD[:r], TD[r:]),
-        *(SCT[:r, :r], SCT[r:, r:], SF[r:], TW[:r], residual),
-    )
+    return Decoupled(T, S, split, r, residual)
 
 
 def augment(parts: Decoupled) -> Augmented:
     """Return the augmented system (14)."""
-    n2, m2 = len(parts.A4), len(parts.C4)
+    r, (A, _, C, F, _) = parts.r, parts.model
+    A4, C4, F2 = A[r:, r:], C[r:, r:], F[r:]
+    n2, m2 = len(A4), len(C4)
     return Augmented(
-        A=np.block([[parts.A4, np.zeros((n2, m2))], [parts.C4, np.zeros((m2, m2))]]),
-        F=np.vstack([np.zeros((n2, parts.F2.shape[1])), parts.F2]),
+        A=np.block([[A4, np.zeros((n2, m2))], [C4, np.zeros((m2, m2))]]),
+        F=np.vstack([np.zeros((n2, F2.shape[1])), F2]),
         C=np.hstack([np.zeros((m2, n2)), np.eye(m2)]),
     )
 
@@ -182,12 +158,7 @@ def unobservable_modes(A: Matrix, C: Matrix) -> Matrix:
 
 
 def invariant_zeros(A: Matrix, F: Matrix, C: Matrix) -> Zeros:
-    """Where the pencil [A - s I, F; C, 0] loses rank: inputs exp(s t) that leave no trace in the output.
-
-    Parameters
-    ----------
-    A, F, C : array (n, n), (n, q), (p, n)
-    """
+    """Where the pencil [A - s I, F; C, 0] loses rank: inputs exp(s t) that leave no trace in the output."""
     from slycot import ab08nd  # a second to load
 
     n, q, p = len(A), F.shape[1], len(C)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov  # pyright: ignore[reportUnknownVariableType]
@@ -25,18 +26,8 @@ from quadftc_fdi.fault_observers.sliding_mode import SlidingMode
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import FaultObserverInputs, ImuSample, sanitised
 from quadftc_model.stepper import Stepper
-from quadftc_theory.conditions import (
-    DEG,
-    Circumstances,
-    Condition,
-    Floats,
-    Trace,
-    Verdict,
-    conditions_along_of,
-    conditions_of,
-    falls,
-    verdict,
-)
+from quadftc_theory import conditions
+from quadftc_theory.conditions import DEG, Circumstances, Condition, Floats, Trace, Verdict, falls, verdict
 from quadftc_theory.linear_model import attitude_model, augment, decouple, stable
 from quadftc_theory.structure_conditions import structure_conditions
 
@@ -46,22 +37,16 @@ NEGLIGIBLE_LEAK = 0.01  # 1; share of a fault that may leak away unnoticed while
 NEGLIGIBLE_DRIFT = 0.05 * DEG  # rad; error of the estimate that counts as none (docs/theory.md)
 
 
-@conditions_of(SlidingMode)
-def sliding_mode_conditions(observer: SlidingMode, given: Circumstances) -> list[Condition]:
+@conditions.conditions_of(SlidingMode)
+def sliding_mode_conditions(observer: SlidingMode, given: Circumstances) -> Iterator[Condition]:
     """Judge the observer in the circumstances given."""
-    return [
-        *structure_conditions(attitude_model(observer.vehicle.inertia)),
-        _faultless_rates(given),
-        *_hurwitz(observer),
-        *_bounds(observer, given),
-        *_gains(observer, given),
-        _leak(observer, given),
-        _drift(observer, given),
-        _smallest_ramp(given),
-    ]
+    yield from structure_conditions(attitude_model())
+    yield from _hurwitz_and_bounds(observer, given)
+    yield from _gains(observer, given)
+    yield from _leak_and_drift(observer, given)
 
 
-@conditions_along_of(SlidingMode)
+@conditions.conditions_along_of(SlidingMode)
 def lyapunov_conditions(observer: SlidingMode, trace: Trace, given: Circumstances) -> list[Condition]:
     """Judge (35) at every sample of a run. Without a margin it promises nothing, and V may not rise."""
     eta_1, eta_2 = gain_margins(observer, given)
@@ -109,14 +94,10 @@ def _errors(observer: SlidingMode, trace: Trace) -> tuple[Floats, Floats, Floats
 
 
 def leak_time_constant(observer: SlidingMode, fault: float = 0.0) -> float:
-    """Time constant [s] with which the estimate of a constant fault leaks: (T8) of docs/theory.md.
+    """Time constant [s] with which the estimate of a constant fault [rad] leaks: (T8) of docs/theory.md.
 
-    Parameters
-    ----------
-    observer : SlidingMode
-        Without L1-bar nothing leaks: inf.
-    fault : float
-        Size of the fault [rad]; the larger, the faster it leaks. 0: the limit of small faults, (T7).
+    The larger the fault, the faster it leaks; 0 is the limit of small faults, (T7). Without L1-bar nothing
+    leaks: inf.
     """
     rho = observer.epsilon_s + observer.epsilon_2
     left = 1.0 - min(fault / rho, 1.0)  # 1 - kappa
@@ -172,72 +153,63 @@ def _state_error(observer: SlidingMode, given: Circumstances) -> float:
     return given.gyro_bias.value * drift(observer, given.duration)
 
 
-def _faultless_rates(given: Circumstances) -> Condition:
-    """h1 of (12) is the gyro: it may carry neither a fault nor a bias."""
-    name = "(12): h1, the gyro, without fault and bias"
+def _hurwitz_and_bounds(observer: SlidingMode, given: Circumstances) -> Iterator[Condition]:
     bias = given.gyro_bias.value
-    if "gyro" in given.faulty_channels:
-        return Condition(
-            name, Verdict.FAIL, "the scenario puts a fault on the gyro: z1 and z2 are both wrong"
-        )
-    text = f"gyro bias up to {bias / DEG:.3g} deg/s ({given.gyro_bias.origin}), no fault on the gyro"
-    return Condition(name, verdict(bias == 0.0), text, {"gyro_bias": bias})
+    faulty, text = (
+        "gyro" in given.faulty_channels,
+        "the scenario puts a fault on the gyro: z1 and z2 are both wrong",
+    )
+    if not faulty:
+        text = f"gyro bias up to {bias / DEG:.3g} deg/s ({given.gyro_bias.origin}), no fault on the gyro"
+    outcome, numbers = verdict(bias == 0.0 and not faulty), {} if faulty else {"gyro_bias": bias}
+    yield Condition("(12): h1, the gyro, without fault and bias", outcome, text, numbers)
 
-
-def _hurwitz(observer: SlidingMode) -> list[Condition]:
     a1, p1, eye = observer.a1, observer.p1, np.eye(3)
     residual = float(np.max(np.abs((observer.q1 - 2.0 * a1 * p1) * eye)))
     holds = stable(-a1 * eye) and p1 > 0.0 and residual < 1e-9 * observer.q1
-    first = f"poles at {-a1:.3g} rad/s; P1 = {p1:.3g} I solves its Lyapunov equation"
-    system = augment(decouple(attitude_model(observer.vehicle.inertia)))
+    text = f"poles at {-a1:.3g} rad/s; P1 = {p1:.3g} I solves its Lyapunov equation"
+    numbers = {"poles": [-a1] * 3, "p1": p1, "residual": residual}
+    yield Condition("A1s Hurwitz, P1 > 0", verdict(holds), text, numbers)
+
+    system = augment(decouple(attitude_model()))
     closed = system.A - np.vstack([observer.L1 * eye, observer.L2 * eye]) @ system.C
     poles = np.linalg.eigvals(closed)
     found = sorted({f"{pole:.3g}" if abs(pole.imag) > 1e-9 else f"{pole.real:.3g}" for pole in poles})
-    second = f"poles at {', '.join(found)} rad/s (each three times)"
-    pairs = {"poles": [[pole.real, pole.imag] for pole in poles]}
-    numbers = {"poles": [-a1] * 3, "p1": p1, "residual": residual}
-    return [
-        Condition("A1s Hurwitz, P1 > 0", verdict(holds), first, numbers),
-        Condition("A-bar - L-bar C-bar Hurwitz", verdict(stable(closed)), second, pairs),
-    ]
+    text = f"poles at {', '.join(found)} rad/s (each three times)"
+    numbers = {"poles": [[pole.real, pole.imag] for pole in poles]}
+    yield Condition("A-bar - L-bar C-bar Hurwitz", verdict(stable(closed)), text, numbers)
 
-
-def _bounds(observer: SlidingMode, given: Circumstances) -> list[Condition]:
     fault, bound = given.fault.value, observer.epsilon_s
-    of_fault = f"epsilon_s = {bound / DEG:.3g} deg, |f_s| up to {fault / DEG:.3g} deg ({given.fault.origin})"
-    size, xi = given.disturbance.norm, observer.xi
-    of_size = f"xi = {xi:.3g} rad/s², |Delta_d| up to {size:.3g} rad/s² ({given.disturbance.origin})"
+    text = f"epsilon_s = {bound / DEG:.3g} deg, |f_s| up to {fault / DEG:.3g} deg ({given.fault.origin})"
     numbers = {"epsilon_s": bound, "fault": fault}
-    return [
-        Condition("(9), (19): epsilon_s >= |f_s|", verdict(bound >= fault), of_fault, numbers),
-        Condition("(18): xi >= |Delta_d|", verdict(xi >= size), of_size, {"xi": xi, "disturbance": size}),
-    ]
+    yield Condition("(9), (19): epsilon_s >= |f_s|", verdict(bound >= fault), text, numbers)
+    size, xi = given.disturbance.norm, observer.xi
+    text = f"xi = {xi:.3g} rad/s², |Delta_d| up to {size:.3g} rad/s² ({given.disturbance.origin})"
+    yield Condition("(18): xi >= |Delta_d|", verdict(xi >= size), text, {"xi": xi, "disturbance": size})
 
 
-def _gains(observer: SlidingMode, given: Circumstances) -> list[Condition]:
+def _gains(observer: SlidingMode, given: Circumstances) -> Iterator[Condition]:
     eta_1, eta_2 = gain_margins(observer, given)
     error, lipschitz = _state_error(observer, given), 0.0
     if observer.kinematics == "full":
         lipschitz = kinematic_lipschitz(given.tilt.value, given.body_rate.value)
-    text_28 = (
+    text = (
         f"epsilon_1 = {observer.epsilon_1:.3g} rad/s² > 0: A2-bar = 0 and f comes from the measured rate, so "
         f"the error of the angles does not enter; eta_1 = {eta_1:.3g} rad/s²"
     )
+    yield Condition("(28): epsilon_1", verdict(eta_1 > 0.0), text, {"eta_1": eta_1})
     why = "gyro bias times duration" if error > 0.0 else "healthy start, no gyro bias"
-    text_29 = (
+    text = (
         f"epsilon_2 = {observer.epsilon_2 / DEG:.3g} deg, |z2~| up to {error / DEG:.3g} deg (assumed: "
         f"{why}); as printed, (29) would ask for L_f |z-bar~| = {lipschitz * error / DEG:.3g} deg, L_f = "
         f"{lipschitz:.3g} 1/s at tilts up to {given.tilt.value / DEG:.3g} deg and rates up to "
         f"{given.body_rate.value / DEG:.3g} deg/s ({given.tilt.origin})"
     )
     numbers = {"epsilon_2": observer.epsilon_2, "eta_2": eta_2, "lipschitz": lipschitz, "state_error": error}
-    return [
-        Condition("(28): epsilon_1", verdict(eta_1 > 0.0), text_28, {"eta_1": eta_1}),
-        Condition("(29), corrected: epsilon_2 > |z2~|", verdict(eta_2 > 0.0), text_29, numbers),
-    ]
+    yield Condition("(29), corrected: epsilon_2 > |z2~|", verdict(eta_2 > 0.0), text, numbers)
 
 
-def _leak(observer: SlidingMode, given: Circumstances) -> Condition:
+def _leak_and_drift(observer: SlidingMode, given: Circumstances) -> Iterator[Condition]:
     small, large = leak_time_constant(observer), leak_time_constant(observer, given.fault.value)
     share = -math.expm1(-given.fault_length.value / large) if large > 0.0 else 1.0
     text = (
@@ -247,26 +219,22 @@ def _leak(observer: SlidingMode, given: Circumstances) -> Condition:
     )
     outcome = Verdict.PASS if share <= NEGLIGIBLE_LEAK else Verdict.DEPENDS
     numbers = {"time_constant": small, "time_constant_at_fault": large, "share": share}
-    return Condition("leak of the fault estimate", outcome, text, numbers, needed=False)
+    yield Condition("leak of the fault estimate", outcome, text, numbers, needed=False)
 
-
-def _drift(observer: SlidingMode, given: Circumstances) -> Condition:
-    each = drift(observer, given.duration)
-    error = each * given.gyro_bias.value
+    each, bias = drift(observer, given.duration), given.gyro_bias.value
+    error = each * bias
     text = (
         f"{each:.3g} deg after {given.duration:.3g} s for each deg/s of gyro bias; up to "
-        f"{error / DEG:.3g} deg with {given.gyro_bias.value / DEG:.3g} deg/s"
+        f"{error / DEG:.3g} deg with {bias / DEG:.3g} deg/s"
     )
     numbers = {"per_bias": each, "error": error}
-    return Condition("drift by a gyro bias", verdict(error <= NEGLIGIBLE_DRIFT), text, numbers)
+    yield Condition("drift by a gyro bias", verdict(error <= NEGLIGIBLE_DRIFT), text, numbers)
 
-
-def _smallest_ramp(given: Circumstances) -> Condition:
-    """A ramp slower than the gyro bias is known is a gyro bias, for any observer."""
-    bias, slowest, floor = given.gyro_bias.value, given.fault_growth.value, smallest_ramp(given)
+    # a ramp slower than the gyro bias is known is a gyro bias, for any observer
+    slowest, floor = given.fault_growth.value, smallest_ramp(given)
     text = f"{bias / DEG:.3g} deg/s, the gyro bias that this observer takes for zero; "
     text += f"{floor / DEG:.3g} deg/s for the best observer after {HEALTHY_TIME:.0f} healthy seconds (T18); "
     text += "no fault grows here" if math.isinf(slowest) else f"slowest here {slowest / DEG:.3g} deg/s"
     numbers = {"ramp": bias, "best": floor, "slowest_fault": None if math.isinf(slowest) else slowest}
     outcome = Verdict.PASS if slowest > bias else Verdict.DEPENDS
-    return Condition("smallest detectable ramp", outcome, text, numbers, needed=False)
+    yield Condition("smallest detectable ramp", outcome, text, numbers, needed=False)

@@ -6,7 +6,6 @@ They ask nothing of the gains; where one of the ranks fails, no gain helps.
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Iterable
 
 import numpy as np
@@ -28,14 +27,7 @@ ZERO = 1e-9  # element of (11), or real part of a zero [rad/s], that counts as z
 
 
 def structure_conditions(model: AffineModel, needed: bool = True) -> list[Condition]:
-    """Judge a model (6).
-
-    Parameters
-    ----------
-    model : AffineModel
-    needed : bool
-        Whether the scheme under test is built on this model.
-    """
+    """Judge a model (6); ``needed`` says whether the scheme under test is built on it."""
     found = [_assumption_1(model), _dimensions(model)]
     try:
         parts = decouple(model)
@@ -84,31 +76,34 @@ def _observability(system: Augmented) -> Condition:
 
 
 def _zeros(model: AffineModel, system: Augmented, zeros: Zeros) -> Condition:
-    """What the invariant zeros of (A-bar, F-bar, C-bar) mean for each fault."""
     numbers = {"zeros": [[zero.real, zero.imag] for zero in zeros.values], "normal_rank": zeros.normal_rank}
-    judged = functools.partial(Condition, "invariant zeros of (A-bar, F-bar, C-bar)", numbers=numbers)
+    outcome, text = _judge_zeros(model, system, zeros)
+    return Condition("invariant zeros of (A-bar, F-bar, C-bar)", outcome, text, numbers)
+
+
+def _judge_zeros(model: AffineModel, system: Augmented, zeros: Zeros) -> tuple[Verdict, str]:
+    """What the invariant zeros of (A-bar, F-bar, C-bar) mean for each fault."""
     q = system.F.shape[1]
     if zeros.normal_rank < q:
         text = f"normal rank {zeros.normal_rank} < {q} faults: some faults leave no trace at any frequency"
-        return judged(Verdict.FAIL, text)
+        return Verdict.FAIL, text
     if len(zeros.values) == 0:
-        return judged(Verdict.PASS, "none: every fault shows")
+        return Verdict.PASS, "none: every fault shows"
     at = f"{len(zeros.values)} at s = {_listed(np.unique(np.round(zeros.values, 9)))} rad/s"
     fastest = float(zeros.values.real.max())
     if fastest > ZERO:
-        text = f"{at}: a fault growing as exp({fastest:.3g} t) leaves no trace; its estimate diverges"
-        return judged(Verdict.FAIL, text)
+        return (
+            Verdict.FAIL,
+            f"{at}: a fault growing as exp({fastest:.3g} t) leaves no trace; its estimate diverges",
+        )
     if np.all(np.abs(zeros.values) >= ZERO):
         if fastest < 0.0:
-            return judged(Verdict.PASS, f"{at}: hidden faults die out within {1.0 / -fastest:.3g} s")
-        return judged(Verdict.DEPENDS, f"{at}: hidden")
+            return Verdict.PASS, f"{at}: hidden faults die out within {1.0 / -fastest:.3g} s"
+        return Verdict.DEPENDS, f"{at}: hidden"
     touched = np.any(np.abs(zero_directions(system.A, system.F, system.C, 0.0)) > ZERO, axis=0)
     names = ", ".join(name for name, hit in zip(model.fault_names, touched, strict=True) if hit)
-    text = (
-        f"{at}: a constant fault on {names} and the opposite constant error of its estimated angle look the "
-        "same; right only from a healthy start and without gyro bias"
-    )
-    return judged(Verdict.DEPENDS, text)
+    text = f"{at}: a constant fault on {names} and the opposite constant error of its estimated angle look "
+    return Verdict.DEPENDS, text + "the same; right only from a healthy start and without gyro bias"
 
 
 def _matching(system: Augmented, zeros: Zeros) -> Condition:
@@ -118,18 +113,19 @@ def _matching(system: Augmented, zeros: Zeros) -> Condition:
     """
     seen, of_F = rank(system.C @ system.F), rank(system.F)
     stable = bool(np.all(zeros.values.real < -ZERO))
-    numbers = {"rank_CF": seen, "rank_F": of_F, "zeros_stable": stable}
-    judged = functools.partial(Condition, "(34): P-bar with F-bar' P-bar = F0 C-bar", numbers=numbers)
+    none = "exists for no gain, as zeros are not stable: "
     if seen < of_F:
         text = f"rank(C-bar F-bar) = {seen} < rank(F-bar) = {of_F}: v2 cannot act against f_s"
-        return judged(Verdict.FAIL, text)
-    if stable:
-        return judged(Verdict.PASS, "exists")
-    none = "exists for no gain, as zeros are not stable: "
-    if np.all(zeros.values.real < ZERO):
+        outcome = Verdict.FAIL
+    elif stable:
+        outcome, text = Verdict.PASS, "exists"
+    elif np.all(zeros.values.real < ZERO):
         rest = "V2 of Theorem 1 can at best stay level, it need not fall; errors along the zeros remain"
-        return judged(Verdict.DEPENDS, none + rest)
-    return judged(Verdict.FAIL, none + "V2 of Theorem 1 grows")
+        outcome, text = Verdict.DEPENDS, none + rest
+    else:
+        outcome, text = Verdict.FAIL, none + "V2 of Theorem 1 grows"
+    numbers = {"rank_CF": seen, "rank_F": of_F, "zeros_stable": stable}
+    return Condition("(34): P-bar with F-bar' P-bar = F0 C-bar", outcome, text, numbers)
 
 
 def _listed(values: Iterable[complex]) -> str:

@@ -21,6 +21,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import sympy
 from numpy.typing import NDArray
 
 from quadftc_model.samples import AXES, STANDARD_GRAVITY
@@ -100,24 +101,21 @@ class Assumptions:
                 raise ValueError(f"{field} = {getattr(self, field)!r}: expected one of {', '.join(choices)}")
 
 
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+@dataclasses.dataclass(frozen=True, eq=False)
 class LinearModel:
-    """Equations 0 = E x' + A x + B w + F f + K z, linear around one motion, and with that their structure.
+    """Equations 0 = E x' + A x + B w + F f + known signals, linear around one motion, with their structure.
 
-    The states x are the unknowns of which derivatives appear, w the other unknowns, f the faults and z the
-    known signals. A fault must be in exactly one equation, as the structural analysis asks: else ValueError.
+    The states x are the unknowns of which derivatives appear, w the other unknowns, f the faults. A fault
+    must be in exactly one equation, as the structural analysis asks: else ValueError.
     """
 
     name: str
     states: tuple[str, ...]
-    unknowns: tuple[str, ...]
     faults: tuple[str, ...]
-    known: tuple[str, ...]
     E: NDArray[np.float64]  # (equations, states)
     A: NDArray[np.float64]  # (equations, states)
-    B: NDArray[np.float64]  # (equations, unknowns)
+    B: NDArray[np.float64]  # (equations, other unknowns)
     F: NDArray[np.float64]  # (equations, faults)
-    K: NDArray[np.float64]  # (equations, known)
 
     def __post_init__(self) -> None:
         """Check the faults."""
@@ -133,38 +131,24 @@ def linearised(
     states: Sequence[str],
     unknowns: Sequence[str],
     faults: Sequence[str],
-    known: Sequence[str],
     point: Mapping[str, float],
 ) -> LinearModel:
     """Linear model of symbolic equations around a point.
 
-    Parameters
-    ----------
-    name : str
-        What the model is of.
-    equations : sequence of sympy.Expr
-        Each is zero in the absence of faults; the derivative of state ``x`` is the symbol ``dx``.
-    states, unknowns, faults, known : sequence of str
-        Names of the symbols.
-    point : mapping of str to float
-        Values of all symbols that are left in the derivatives of the equations.
+    Each expression is zero in the absence of faults; the derivative of state ``x`` is the symbol ``dx``.
+    ``point`` has the values of all symbols that are left in the derivatives of the equations.
     """
-    import sympy
-
     values = {sympy.Symbol(symbol): value for symbol, value in point.items()}
 
     def coefficients(names: Sequence[str]) -> NDArray[np.float64]:
         if not names:
             return np.zeros((len(equations), 0))
-        jacobian = sympy.Matrix(list(equations)).jacobian([sympy.Symbol(symbol) for symbol in names])
+        jacobian = sympy.Matrix(list(equations)).jacobian(_vector(names))
         dense = np.array(jacobian.subs(values).tolist(), dtype=np.float64)
         return np.where(np.abs(dense) < COEFFICIENT_ZERO, 0.0, dense)
 
-    named: dict[str, Any] = {"states": states, "unknowns": unknowns, "faults": faults, "known": known}
-    matrices = {"E": [f"d{state}" for state in states], "A": states, "B": unknowns, "F": faults, "K": known}
-    fields: dict[str, Any] = {field: tuple(names) for field, names in named.items()}
-    fields |= {field: coefficients(names) for field, names in matrices.items()}
-    return LinearModel(name=name, **fields)
+    matrices = map(coefficients, ([f"d{state}" for state in states], states, unknowns, faults))
+    return LinearModel(name, tuple(states), tuple(faults), *matrices)
 
 
 def vehicle_model(
@@ -181,8 +165,8 @@ def vehicle_model(
         "rotors": [f"rotor {number}" for number in rotors],
         "unknown": [],
     }[assumptions.actuators]
-    disturbances = [f"disturbance {axis}" for axis in AXES]
     role = assumptions.disturbances
+    disturbances = [] if role == "absent" else [f"disturbance {axis}" for axis in AXES]
     sensors = {
         f"{sensor.replace('_', ' ')} {axis}": measured
         for sensor in assumptions.sensor_set
@@ -192,9 +176,7 @@ def vehicle_model(
     return linearised(
         f"{vehicle.name}, {'+'.join(assumptions.sensor_set)}",
         [
-            *_kinematics(),
-            *_rotation(vehicle, [] if role == "absent" else disturbances),
-            *_translation(assumptions.air),
+            *_motion(vehicle, disturbances, assumptions.air),
             *_actuation(vehicle, actuators, commands),
             *(outputs - _vector(list(sensors.values())) - _vector(list(sensors))),
         ],
@@ -205,7 +187,6 @@ def vehicle_model(
             *(disturbances if role == "unknown_inputs" else ()),
         ],
         faults=[*sensors, *actuators, *(disturbances if role == "faults" else ())],
-        known=[*(f"y {name}" for name in sensors), *(f"u {name}" for name in actuators)],
         point=motion_point(vehicle, assumptions) if point is None else point,
     )
 
@@ -237,51 +218,38 @@ def motion_point(vehicle: Vehicle, assumptions: Assumptions) -> dict[str, float]
     return values
 
 
-def _kinematics() -> list[Any]:
-    """(4): the Euler angle rates by the body rate."""
-    import sympy
-
-    phi, theta, p, q, r, *rates = _vector(["phi", "theta", *RATES, *(f"d{name}" for name in ANGLES)])
-    across = (sympy.sin(phi) * q + sympy.cos(phi) * r) / sympy.cos(theta)
-    return [
-        rates[0] - (p + sympy.sin(theta) * across),
-        rates[1] - (sympy.cos(phi) * q - sympy.sin(phi) * r),
-        rates[2] - across,
-    ]
-
-
-def _rotation(vehicle: Vehicle, disturbances: Sequence[str]) -> list[Any]:
-    """(1), (2): the angular acceleration by torque, drag, the body's own rotation and the disturbance."""
-    import sympy
-
-    omega = _vector(RATES)
-    inertia, drag = sympy.diag(*vehicle.inertia.tolist()), sympy.diag(*vehicle.rotational_drag.tolist())
-    acceleration = inertia.inv() * (_vector(TORQUE) - drag * omega - omega.cross(inertia * omega))
-    if disturbances:
-        acceleration += _vector(disturbances)
-    return list(_vector([f"d{name}" for name in RATES]) - acceleration)
-
-
-def _translation(air: str) -> list[Any]:
-    """The velocity by the specific force, and the specific force by thrust and drag."""
-    import sympy
-
+def _motion(vehicle: Vehicle, disturbances: Sequence[str], air: str) -> list[Any]:
+    """Kinematics (4), rotation (1), (2), translation and specific force; each expression is zero."""
+    sin, cos = sympy.sin, sympy.cos
     phi, theta, thrust = _vector(["phi", "theta", "thrust"])
-    omega, velocity, force = _vector(RATES), _vector(VELOCITY), _vector(FORCE)
-    up = [-sympy.sin(theta), sympy.sin(phi) * sympy.cos(theta), sympy.cos(phi) * sympy.cos(theta)]
+    omega, velocity, force, torque = (_vector(names) for names in (RATES, VELOCITY, FORCE, TORQUE))
+    angle_rates, acceleration, change = (
+        _vector([f"d{name}" for name in names]) for names in (ANGLES, RATES, VELOCITY)
+    )
+    p, q, r = omega
+    across = (sin(phi) * q + cos(phi) * r) / cos(theta)
+    kinematics = sympy.Matrix([p + sin(theta) * across, cos(phi) * q - sin(phi) * r, across])
+
+    inertia, spin_drag = (
+        sympy.diag(*values.tolist()) for values in (vehicle.inertia, vehicle.rotational_drag)
+    )
+    rotation = inertia.inv() * (torque - spin_drag * omega - omega.cross(inertia * omega))
+    if disturbances:
+        rotation += _vector(disturbances)
+
+    up = sympy.Matrix([-sin(theta), sin(phi) * cos(theta), cos(phi) * cos(theta)])
     speed = velocity - _vector(WIND) if air == "wind" else velocity
     drag = sympy.diag(*((0, 0, 0) if air == "no_drag" else DRAG))
-    change = _vector([f"d{name}" for name in VELOCITY])
     return [
-        *(change - (force - omega.cross(velocity) - STANDARD_GRAVITY * sympy.Matrix(up))),
+        *(angle_rates - kinematics),
+        *(acceleration - rotation),
+        *(change - (force - omega.cross(velocity) - STANDARD_GRAVITY * up)),
         *(force - (sympy.Matrix([0, 0, thrust]) - drag * speed)),
     ]
 
 
 def _actuation(vehicle: Vehicle, actuators: Sequence[str], commands: Sequence[str]) -> list[Any]:
     """The torques, and the thrust over mass where it is known, by the commands."""
-    import sympy
-
     if not actuators:
         return []
     acting = _vector([f"u {name}" for name in actuators]) + _vector(actuators)
@@ -294,6 +262,4 @@ def _actuation(vehicle: Vehicle, actuators: Sequence[str], commands: Sequence[st
 
 
 def _vector(names: Sequence[str]) -> Any:
-    import sympy
-
     return sympy.Matrix([sympy.Symbol(name) for name in names])

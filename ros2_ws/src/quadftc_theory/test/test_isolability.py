@@ -84,7 +84,6 @@ def test_electric_motor_has_the_isolability_that_its_tutorial_states(causality):
         states=["I", "w"],
         unknowns=["T", "Tm", "Tl"],
         faults=["fR", "fi", "fw", "fT"],
-        known=["V", "yi", "yw", "yT"],
         point={"I": 1.3, "w": 2.1, "fR": 0.0},
     )
     result = analyse_model(model, causality)
@@ -308,7 +307,7 @@ def test_unknown_causality_is_refused():
 def test_fault_in_two_equations_is_refused():
     x, f = sympy.symbols("x f")
     with pytest.raises(ValueError, match="fault 'f' is in 2 equations, expected 1"):
-        linearised("twice", [x + f, x - f], states=[], unknowns=["x"], faults=["f"], known=[], point={})
+        linearised("twice", [x + f, x - f], states=[], unknowns=["x"], faults=["f"], point={})
 
 
 VECTORS = {

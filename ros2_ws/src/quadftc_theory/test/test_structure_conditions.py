@@ -14,8 +14,6 @@ from quadftc_theory.linear_model import (
 )
 from quadftc_theory.structure_conditions import structure_conditions
 
-INERTIA = np.array([0.03, 0.03, 0.04])
-
 
 def companion(numerator, denominator):
     """(A, B, C) of a transfer function with a monic denominator."""
@@ -61,7 +59,7 @@ def verdicts(model):
 
 
 def test_with_the_imu_the_ranks_hold_and_the_zeros_depend():
-    found = verdicts(attitude_model(INERTIA))
+    found = verdicts(attitude_model())
     assert found.pop("invariant zeros of (A-bar, F-bar, C-bar)") is Verdict.DEPENDS
     assert found.pop("(34)") is Verdict.DEPENDS
     assert set(found.values()) == {Verdict.PASS}
@@ -69,7 +67,7 @@ def test_with_the_imu_the_ranks_hold_and_the_zeros_depend():
 
 
 def test_the_papers_own_output_fails_assumption_1_the_count_and_the_lemma():
-    found = structure_conditions(attitude_model(INERTIA, "angles"))
+    found = structure_conditions(attitude_model("angles"))
     assert [item.verdict for item in found] == [Verdict.FAIL] * 3
     assert "infeasible" in found[-1].text
     assert all(item.failed for item in found)
@@ -79,12 +77,9 @@ def decaying_angle(rate):
     """One disturbed, measured state; one other whose error decays at ``rate``, with a fault on its sensor."""
     return AffineModel(
         A=np.array([[0.0, 0.0], [1.0, -rate]]),
-        B=np.zeros((2, 1)),
-        D=np.zeros((2, 1)),
         W=np.array([[1.0], [0.0]]),
         C=np.eye(2),
         F=np.array([[0.0], [1.0]]),
-        output_names=("a", "b"),
         fault_names=("b",),
     )
 
