@@ -33,15 +33,7 @@ def attitude_std_dev(
 ) -> Floats:
     """Return the least standard deviation of the attitude [rad] (count,) of an axis with faults.
 
-    Parameters
-    ----------
-    sensor : ImuSensor
-    dt : float
-        Sampling period [s].
-    count : int
-        Number of samples.
-    windows : sequence of (float, float)
-        When the attitude is faulty [s].
+    Samples come every ``dt`` [s]; in each of the ``windows`` [s] the attitude is faulty.
     """
     time = np.arange(count) * dt
     faulty = np.zeros(count, np.bool_)
@@ -73,17 +65,8 @@ def fault_bound(
 ) -> Floats:
     """Return the bound of the estimate of a fault [rad], a row for each window (w, a).
 
-    Parameters
-    ----------
-    sensor : ImuSensor
-    dt : float
-        Sampling period [s].
-    windows : sequence of (float, float)
-        When the attitude is faulty [s], in the order of time.
-    ages : sequence of float
-        Times since the onset [s] (a,); one beyond the fault stands for its last sample.
-    averaging : float
-        Over which the estimate of the fault is averaged [s].
+    The attitude is faulty in the ``windows`` [s], given in the order of time. ``ages`` (a,) are times since
+    the onset [s]; one beyond the fault stands for its last sample. ``averaging`` is T [s].
     """
     count = round(windows[-1][1] / dt)
     attitude = attitude_std_dev(sensor, dt, count, windows)

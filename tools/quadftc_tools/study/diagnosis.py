@@ -24,13 +24,7 @@ FILE = "diagnosis.json"
 
 
 def read_results(directory: Path) -> dict[str, Any]:
-    """Return the results of the campaigns of the study in a directory, ready for JSON.
-
-    Raises
-    ------
-    ValueError
-        If there is none.
-    """
+    """Return the results of the campaigns in a directory, ready for JSON; ValueError if there is none."""
     paths = {path.parent.name: path for path in directory.glob(f"{PREFIX}*/{FLIGHTS}")}
     found = {
         name: setting_results(

@@ -14,7 +14,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
 from quadftc_campaign.open_loop import AGES, WITHIN
 from quadftc_report.style import BLACK, PROPOSED
 from quadftc_tools.study.diagnosis_results import BOUNDED, CRITERIA
-from quadftc_tools.study.page import WITHOUT_DETECTOR, canvas, legend, look, no_minor, plain_ticks
+from quadftc_tools.study.page import canvas, has_detector, legend, look, no_minor, plain_ticks
 
 Json = Mapping[str, Any]
 
@@ -43,7 +43,7 @@ def _draw_roc(settings: Json) -> Figure:
         for observer in result["observers"]:
             line = look(observer, list(result["observers"]), BOUNDED)
             ax.plot(*_characteristic(result["roc"], observer), label=observer, **line)
-            if observer not in WITHOUT_DETECTOR:
+            if has_detector(observer):
                 point = next(each for each in result["roc"]["points"][observer] if each["level"] is None)
                 ax.plot(*_at(point), "o", color=line["color"], markersize=4.5, zorder=4, clip_on=False)
         ax.set(title=result["title"], xscale="log", xlim=(0.6 * NONE_AT, 1.4), ylim=(-0.03, 1.03))
@@ -98,7 +98,7 @@ def _draw_delays(settings: Json) -> Figure:
 
 def _arrivals(observer: str, faults: Sequence[Json]) -> tuple[Any, Any]:
     """Delays in order, and the share of the faults that were found by then."""
-    name = "above_threshold_delay_s" if observer in WITHOUT_DETECTOR else "detection_delay_s"
+    name = "detection_delay_s" if has_detector(observer) else "above_threshold_delay_s"
     delays = np.sort([max(fault[name], SOONEST) for fault in faults if fault[name] is not None])
     shares = np.arange(1, len(delays) + 1) / max(len(faults), 1)
     last = shares[-1] if len(shares) else 0.0

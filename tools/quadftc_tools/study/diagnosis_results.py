@@ -61,18 +61,9 @@ CRITERIA = {
 
 
 def setting_results(name: str, frame: pl.DataFrame, levels: pl.DataFrame | None, manifest: Json) -> Json:
-    """Sum up a setting.
+    """Sum up one of `SETTINGS` by the table and the ``campaign.json`` of its campaign.
 
-    Parameters
-    ----------
-    name : str
-        One of `SETTINGS`.
-    frame : polars.DataFrame
-        Table of its campaign.
-    levels : polars.DataFrame, optional
-        Table of its first flights with other levels of the detectors.
-    manifest : mapping
-        ``campaign.json``.
+    ``levels`` is the table of its first flights with other levels of the detectors.
     """
     bags = manifest.get("source", ["", ""])[2:]
     observers = {

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from quadftc_campaign.open_loop import AGES
 from quadftc_model.samples import AXES
 from quadftc_tools.study.diagnosis_results import BOUNDED, CRITERIA, Criteria
-from quadftc_tools.study.page import NOTHING, WITHOUT_DETECTOR, markdown
+from quadftc_tools.study.page import NOTHING, has_detector, markdown
 
 Json = Mapping[str, Any]
 Values = tuple[float | None, ...]
@@ -62,7 +62,7 @@ def flown_table(results: Json) -> str:
 
 def metric_table(criteria: Criteria, observers: Json) -> str:
     """Every metric of every observer, beside what is asked for; in bold what reaches it."""
-    names = [f"`{name}`{MARK if name in WITHOUT_DETECTOR else ''}" for name in observers]
+    names = [f"`{name}`{'' if has_detector(name) else MARK}" for name in observers]
     views = [_view(name, result["pooled"]) for name, result in observers.items()]
     rows = [
         (row.label, NOTHING if row.limits is None else row.write(row.limits), *(_cell(row, v) for v in views))
@@ -92,7 +92,7 @@ def _rows(criteria: Criteria) -> tuple[_Row, ...]:
 
 def _view(observer: str, pooled: Json) -> dict[str, float | None]:
     """Metrics of an observer, by what its states say or, if it has no detector, its estimate."""
-    detector = observer not in WITHOUT_DETECTOR
+    detector = has_detector(observer)
     said: Json = pooled if detector else pooled["by_estimate"]
     of_all = {
         "rmse_median": "estimate_rmse_median_deg",
@@ -151,7 +151,7 @@ def _is_within(fault: Json, kind: str, low: float, high: float, last: bool) -> b
 
 def _failures(observer: str, faults: Sequence[Json], criteria: Criteria) -> str:
     judged, already = ("detected", "already_declared")
-    if observer in WITHOUT_DETECTOR:
+    if not has_detector(observer):
         judged, already = ("above_threshold", "above_threshold_already")
     missed = sum(fault[judged] is False or bool(fault[already]) for fault in faults)
     bad = sum((fault["estimate_rmse_deg"] or 0.0) > criteria.rmse_p95_deg for fault in faults)

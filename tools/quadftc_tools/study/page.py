@@ -18,13 +18,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter, NullLocator
 
 from quadftc_cli.commands import BAD_INPUT, GOOD
-from quadftc_cli.tables import console
+from quadftc_cli.screen import say
+from quadftc_fdi.fault_observer import fault_observers
 from quadftc_report.draw_matplotlib import STYLE
 from quadftc_report.style import line_style
 
 NOTHING = "-"
 FLIGHTS = "flights.parquet"
-WITHOUT_DETECTOR = ("sliding_mode",)  # observers whose states say nothing: the size of the estimate is taken
 DPI = 200
 WIDTH = 7.0  # in; two columns of a journal
 LINE_WIDTH = 1.0  # pt
@@ -36,27 +36,26 @@ _BLOCK = re.compile(
 Drawers = Mapping[str, Callable[[], Figure]]  # by the name of the file
 
 
+def has_detector(observer: str) -> bool:
+    """Whether the status of an observer says what is faulty; else the size of its estimate is taken."""
+    return fault_observers.get(observer).has_detector
+
+
 def run_study(name: str, make: Callable[[Path], tuple[Mapping[str, str], Drawers]]) -> int:
     """Write tables and figures of a study into its page; turn wrong input into a line and an exit code.
 
-    Parameters
-    ----------
-    name : str
-        Of the page.
-    make : callable
-        Takes the directory of the campaigns; returns tables and functions that draw figures.
+    ``make`` takes the directory of the campaigns, and returns tables and functions that draw figures.
     """
     parser = argparse.ArgumentParser(prog=name, description=f"Tables and figures of docs/{name}.md.")
     parser.add_argument("--results", type=Path, required=True, help="directory of the campaigns")
     parser.add_argument("--docs", type=Path, required=True, help=f"directory of {name}.md and figures/")
     options = parser.parse_args()
-    screen = console(stderr=True)
     try:
         tables, drawers = make(options.results)
-        for path in publish(options.docs / f"{name}.md", tables, drawers):
-            screen.print(f"written: {path}", markup=False, soft_wrap=True)
+        written = publish(options.docs / f"{name}.md", tables, drawers)
+        say(*(f"written: {path}" for path in written), stderr=True)
     except (ValueError, OSError) as error:
-        screen.print(f"error: {error}", markup=False, soft_wrap=True)
+        say(f"error: {error}", stderr=True)
         return BAD_INPUT
     return GOOD
 
@@ -76,10 +75,7 @@ def publish(page: Path, tables: Mapping[str, str], drawers: Drawers) -> list[Pat
 def with_tables(text: str, tables: Mapping[str, str], where: str) -> str:
     """Return a document with its tables replaced; those that are not given stay as they are.
 
-    Raises
-    ------
-    ValueError
-        If a table has no marks, or marks have no end; the message begins with ``where``.
+    ValueError, which begins with ``where``, if a table has no marks, or marks have no end.
     """
     places = [match["name"] for match in _BLOCK.finditer(text)]
     for name in re.findall(r"<!-- table: ([\w-]+) -->", text):

@@ -17,13 +17,7 @@ from quadftc_tools.study.robustness_tables import SIZES, STUDIES, size_tables, s
 
 
 def read_campaigns(results: Path) -> dict[str, pl.DataFrame]:
-    """Read the tables of the campaigns, ``RESULTS/study_NAME/flights.parquet``; those that are there.
-
-    Raises
-    ------
-    ValueError
-        If there is none.
-    """
+    """Read the tables ``RESULTS/study_NAME/flights.parquet`` that are there; ValueError if there is none."""
     frames: dict[str, pl.DataFrame] = {}
     for name in (*(study.name for study in STUDIES), SIZES):
         path = results / f"study_{name}" / FLIGHTS

@@ -17,7 +17,7 @@ from quadftc_campaign.table import whole_flights
 from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG
 from quadftc_flight.run_directory import NO_OBSERVER
 from quadftc_model.samples import AXES
-from quadftc_tools.study.page import NOTHING, WITHOUT_DETECTOR, markdown
+from quadftc_tools.study.page import NOTHING, has_detector, markdown
 
 GRADE = "sensors.grade"
 GRADES = {"ideal": "ideal sensors", "mems": "MEMS IMU"}
@@ -97,15 +97,7 @@ def worst_axis(metric: str) -> pl.Expr:
 
 
 def typical(frame: pl.DataFrame, metric: str) -> Pair | None:
-    """Median and 95 % quantile of the worst axis over flights; None: nothing estimates it.
-
-    Parameters
-    ----------
-    frame : polars.DataFrame
-        Rows of a campaign's table.
-    metric : str
-        Without the axis.
-    """
+    """Median and 95 % quantile of the worst axis of a metric over flights; None: nothing estimates it."""
     part = ESTIMATED_BY.get(metric)
     if part is not None and (frame[part] == NO_OBSERVER).all():
         return None
@@ -121,7 +113,7 @@ def faults_of(frame: pl.DataFrame) -> Faults | None:
     """What became of the faults; None without a fault observer."""
     if (frame["observer"] == NO_OBSERVER).all():
         return None
-    by_size = frame["observer"][0] in WITHOUT_DETECTOR
+    by_size = not has_detector(frame["observer"][0])
     delay = "fault.above_threshold_delay_s" if by_size else "fault.detection_delay_s"
     judged = frame.filter(pl.col("fault.detected").is_not_null())
     if by_size:

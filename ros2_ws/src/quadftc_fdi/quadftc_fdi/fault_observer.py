@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from quadftc_model.arrays import Mask, Vector
 from quadftc_model.assembly import NodeParameters, component_from, vehicle_from
@@ -32,6 +32,8 @@ class FaultObserver(abc.ABC):
     ``init`` and ``step`` take arrays with any leading axes. They bridge a sample whose attitude or rate is
     marked invalid.
     """
+
+    has_detector: ClassVar[bool] = True  # False: its status never says faulty, its estimate has to be judged
 
     vehicle: Vehicle
 

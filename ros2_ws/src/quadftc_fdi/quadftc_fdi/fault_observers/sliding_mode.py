@@ -36,7 +36,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from quadftc_fdi.fault_observer import FaultObserver, register
 from quadftc_model.arrays import Array, Column, Vector, is_single, namespace, norm
@@ -64,6 +64,8 @@ class SlidingModeState(NamedTuple):
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class SlidingMode(FaultObserver):
     """The paper's pair of observers; right in the paper's conditions: no gyro bias, and a healthy start."""
+
+    has_detector: ClassVar[bool] = False
 
     epsilon_s: float = parameter(
         0.5, unit="rad", low=1e-6, doc="epsilon_s of (9): bound of the fault's norm |f_s|"
