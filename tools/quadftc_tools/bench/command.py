@@ -7,14 +7,14 @@ import enum
 import itertools
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from quadftc_cli.commands import GOOD, INTERRUPTED
-from quadftc_cli.commands.run import CoreOption, Graph, PriorityOption, Wait
-from quadftc_cli.tables import console
+from quadftc_cli.commands.run import CoreOption, GraphOption, PriorityOption
+from quadftc_cli.screen import console, say
 from quadftc_flight.runs import RunError
 from quadftc_flight.scenario import (
     Scenario,
@@ -30,13 +30,6 @@ from quadftc_ros.scheduling import Scheduling
 SCENARIO = "mems_faults"
 NO_DELAY = "sensors.delay=0"  # the modelled delay of the sensor is no latency of the graph
 ALL_FLIGHTS, FEW_FLIGHTS = (1, 64, 256, 1024), (64,)  # of each process of the batch engine
-
-
-class Executor(str, enum.Enum):
-    """What runs the nodes of the composed graph."""
-
-    events = "events"
-    single = "single"
 
 
 class Precision(str, enum.Enum):
@@ -61,18 +54,19 @@ Out = Annotated[
 @bench.command()
 def latency(
     rate: Annotated[list[float], typer.Option(help="Control rates [Hz].")] = [250.0, 500.0, 1000.0],  # noqa: B006
-    graph: Annotated[
-        Graph, typer.Option(help="All nodes in one process, or a process each.")
-    ] = Graph.composed,
-    executor: Annotated[Executor, typer.Option(help="Executor of the composed graph.")] = Executor.events,
+    graph: GraphOption = "composed",
+    executor: Annotated[
+        Literal["events", "single"], typer.Option(help="Executor of the composed graph.")
+    ] = "events",
     observer: Observer = "supervised",
     duration: Annotated[
-        float | None, typer.Option(min=3.0, help="Length of a flight [s]; default: 20, thorough 60.")
+        float | None, typer.Option(min=1.5, help="Length of a flight [s]; default: 20, thorough 60.")
     ] = None,
     repeat: Annotated[int, typer.Option(min=1, help="How often; medians are shown.")] = 1,
     record: Annotated[bool, typer.Option(help="Record a bag meanwhile.")] = True,
     wait: Annotated[
-        Wait | None, typer.Option(help="Between samples; default: poll, where it is possible.")
+        Literal["sleep", "poll"] | None,
+        typer.Option(help="Between samples; default: poll, where it is possible."),
     ] = None,
     realtime_priority: PriorityOption = 0,
     core: CoreOption = [],  # noqa: B006
@@ -80,20 +74,13 @@ def latency(
     out: Out = None,
 ) -> None:
     """From the stamp of an IMU sample to its torque, stage by stage, in real time: a bit over a minute."""
-    from quadftc_tools.bench.latency import (
-        LatencyOptions,
-        counts_line,
-        latency_figure,
-        latency_table,
-        measure_latency,
-        usage_line,
-    )
+    from quadftc_tools.bench import latency as part
 
     if wait is None:
-        wait = Wait.sleep if graph is Graph.processes or realtime_priority else Wait.poll
+        wait = "sleep" if graph == "processes" or realtime_priority else "poll"
     length = duration or (60.0 if thorough else 20.0)
-    scheduling = Scheduling(wait.value, realtime_priority, tuple(core))
-    options = LatencyOptions(graph.value, executor.value, record, scheduling)
+    scheduling = Scheduling(wait, realtime_priority, tuple(core))
+    options = part.LatencyOptions(graph, executor, record, scheduling)
     results: list[dict[str, Any]] = []
     with StopSignals() as stop, _bars() as bars:
         for each, number in itertools.product(rate, range(repeat)):
@@ -105,16 +92,14 @@ def latency(
                 bars.update(bar, completed=samples)
                 return not stop.requested
 
-            results.append(_unless_stopped(measure_latency(scenario, scenario.scheme(None), options, follow)))
+            found = part.measure_latency(scenario, scenario.scheme(None), options, follow)
+            results.append(_unless_stopped(found))
             bars.refresh()
-    screen = console()
     for each in rate:
         of_rate = [item for item in results if item["rate"] == each]
-        screen.print(latency_table(of_rate))
-        for item in of_rate:
-            screen.print(counts_line(item))
-        screen.print(usage_line(of_rate), soft_wrap=True)
-    _finish(out, "latency", results, latency_figure)
+        console().print(part.latency_table(of_rate))
+        say(*map(part.counts_line, of_rate), part.usage_line(of_rate))
+    _finish(out, "latency", results, part.latency_figure)
 
 
 @bench.command()
@@ -123,7 +108,7 @@ def lockstep(
     vehicles: Annotated[list[int], typer.Option(min=1, help="In one process, and in as many.")] = [1],  # noqa: B006
     observer: Observer = "sliding_mode",
     duration: Annotated[
-        float | None, typer.Option(min=3.0, help="Length of a flight [s]; default: 10, thorough 20.")
+        float | None, typer.Option(min=0.5, help="Length of a flight [s]; default: 10, thorough 20.")
     ] = None,
     repeat: Annotated[
         int | None, typer.Option(min=1, help="How often; medians are shown. Default: 3, thorough 5.")
@@ -152,11 +137,13 @@ def lockstep(
 
 
 @bench.command()
-def step(out: Out = None) -> None:
+def step(
+    batches: Annotated[int, typer.Option(min=1, help="How often 250 steps are timed.")] = 40, out: Out = None
+) -> None:
     """What one step of each fault observer costs, for one vehicle in NumPy: half a minute."""
     from quadftc_tools.bench.lockstep import step_costs, step_table
 
-    results = list(step_costs())
+    results = list(step_costs(batches))
     console().print(step_table(results))
     _finish(out, "step", results)
 
@@ -184,18 +171,13 @@ def batch(
     others: Annotated[
         str | None, typer.Option(help="Python with crazyflow and RotorPy; default: the one that runs this.")
     ] = None,
+    only: Annotated[str, typer.Option(help="Only what has this in its name.")] = "",
     thorough: Annotated[bool, typer.Option("--thorough", help="Longer: up to ten minutes.")] = False,
     out: Out = None,
 ) -> None:
     """Closed-loop steps per second of the batch engine, beside other simulators: a minute and a half."""
+    from quadftc_tools.bench import batch_results as shown
     from quadftc_tools.bench.batch import measure, measurements, python_of, usable_cores
-    from quadftc_tools.bench.batch_results import (
-        batch_figure,
-        batch_table,
-        flight_lines,
-        ratio_lines,
-        what_lines,
-    )
 
     usable = len(usable_cores())
     if max(cores, default=1) > usable:
@@ -206,6 +188,9 @@ def batch(
     precisions = list(dict.fromkeys(precision)) or list(Precision)[: None if thorough else 1]
     float32 = [each is Precision.float32 for each in precisions]
     plan = measurements(counts, float32, chosen, duration or (8.0 if thorough else 4.0))
+    plan = [each for each in plan if only in each.name]
+    if not plan:
+        raise RunError(f"--only: nothing has '{only}' in its name")
     results: list[dict[str, Any]] = []
     with StopSignals() as stop, _bars() as bars:
         bar = bars.add_task("", total=len(plan))
@@ -216,11 +201,9 @@ def batch(
             results.append(_unless_stopped(found))
             bars.advance(bar)
         bars.refresh()
-    screen = console()
-    screen.print(batch_table(results))
-    for line in [*flight_lines(results), *ratio_lines(results), *what_lines(results)]:
-        screen.print(line, markup=False, soft_wrap=True)
-    _finish(out, "batch", results, batch_figure)
+    console().print(shown.batch_table(results))
+    say(*shown.flight_lines(results), *shown.ratio_lines(results), *shown.what_lines(results))
+    _finish(out, "batch", results, shown.batch_figure)
 
 
 def _scenario(observer: str, duration: float, rate: float) -> Scenario:
@@ -245,13 +228,12 @@ def _finish(out: Path | None, kind: str, results: list[dict[str, Any]], draw: An
     from quadftc_tools.bench.machine import machine
 
     what = machine()
-    screen = console()
-    screen.print(
+    slow = what["slowness"]
+    say(
         f"{what['processor']}, {what['usable_cores']} of {what['cores']} cores,"
-        f" load {what['load_average'][0]:.2f}, a calculation took {what['slowness']['p50']:.2f} (p90"
-        f" {what['slowness']['p90']:.2f}) times its best; "
-        + ", ".join(f"{name} {version}" for name, version in what["versions"].items()),
-        soft_wrap=True,
+        f" load {what['load_average'][0]:.2f}, a calculation took {slow['p50']:.2f} (p90"
+        f" {slow['p90']:.2f}) times its best; "
+        + ", ".join(f"{name} {version}" for name, version in what["versions"].items())
     )
     if out is None:
         raise typer.Exit(GOOD)
@@ -260,8 +242,7 @@ def _finish(out: Path | None, kind: str, results: list[dict[str, Any]], draw: An
         path = out / f"{kind}.json"
         text = json.dumps({"machine": what, "results": results}, indent=2, allow_nan=False)
         path.write_text(text + "\n", encoding="utf-8")
-        for written in (path, *([] if draw is None else [draw(results, out)])):
-            screen.print(f"written: {written}", markup=False, soft_wrap=True)
+        say(*(f"written: {each}" for each in (path, *([] if draw is None else [draw(results, out)]))))
     except OSError as error:
         raise RunError(f"{out}: {error.strerror}") from None
     raise typer.Exit(GOOD)

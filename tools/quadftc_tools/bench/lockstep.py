@@ -34,7 +34,7 @@ RECORDING, COMPOSED, SINGLE, APART, ALONE = FORMS = (
 )
 MEETING = 120.0  # s; for all processes to be ready
 STEP_RATE, STEP_DURATION = 250.0, 6.0  # Hz, s; of the flight for step costs; by then an observer has started
-BATCHES, STEPS = 40, 250
+STEPS = 250  # of a batch
 MICROSECONDS = 1e6
 
 _barriers: list[Any] = []  # where the processes of `_wall_time_apart` wait for each other
@@ -136,7 +136,7 @@ def lockstep_table(results: Sequence[Mapping[str, Any]]) -> Table:
     return table
 
 
-def step_costs() -> Iterator[dict[str, Any]]:
+def step_costs(batches: int) -> Iterator[dict[str, Any]]:
     """Measure every fault observer on a simulated healthy flight with a MEMS IMU at 250 Hz.
 
     Yields ``observer``, and ``best_us`` and ``median_us`` of batches of 250 steps.
@@ -155,7 +155,7 @@ def step_costs() -> Iterator[dict[str, Any]]:
         state, _ = law.step(law.init(samples[0]), samples[0], 0.0)
         for inputs in samples[1:-STEPS]:
             state, _ = law.step(state, inputs, 1.0 / STEP_RATE)
-        costs = [_step_cost(law, state, samples[-STEPS:]) for _ in range(BATCHES)]
+        costs = [_step_cost(law, state, samples[-STEPS:]) for _ in range(batches)]
         best, median = round(min(costs), 1), round(statistics.median(costs), 1)
         yield {"observer": name, "best_us": best, "median_us": median}
 

@@ -23,7 +23,7 @@ os.environ.setdefault("ROS_DOMAIN_ID", str(81 + os.getpid() % 21))  # away from 
 
 from quadftc_cli.commands import CHECK_FAILED, GOOD
 from quadftc_cli.main import guarded
-from quadftc_cli.tables import console
+from quadftc_cli.screen import console, say
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
@@ -72,7 +72,7 @@ def fuzz(
     for name in target:
         if name not in TARGETS:
             raise ValueError(f"--target: no '{name}'; there are: {', '.join(TARGETS)}")
-    done = part.Fuzzing(crashes.resolve(), target or list(TARGETS), seed, _say).run(60.0 * minutes)
+    done = part.Fuzzing(crashes.resolve(), target or list(TARGETS), seed, say).run(60.0 * minutes)
     _finish(part.table(done), part.summary(done, seed, minutes), done, out)
 
 
@@ -88,7 +88,7 @@ def nodes(
     from quadftc_tools.soak import nodes as part
 
     def follow(trial: part.Trial) -> None:
-        _say(
+        say(
             f"{trial.node} {trial.action} during {trial.stress}: off by {trial.largest:.2f} deg, away"
             f" {trial.away:.1f} s, back within {trial.returned:.2f} s, torque jumped by"
             f" {100.0 * trial.jump:.1f} %: {'void: ' * trial.void}{trial.wrong or 'good'}"
@@ -117,7 +117,7 @@ def endurance(
     for name, value, known in (("mode", mode, MODES), ("graph", graph, GRAPHS)):
         if value not in known:
             raise ValueError(f"--{name}: no '{value}'; there are: {', '.join(known)}")
-    flown, grown = part.soak(mode, graph, rate, length, minutes, _say)
+    flown, grown = part.soak(mode, graph, rate, length, minutes, say)
     _finish(part.table(grown), part.summary(mode, graph, rate, flown, grown), flown, out)
 
 
@@ -126,17 +126,13 @@ def _hit_recorders(hit: str, trials: int, seed: int, out: Path | None) -> None:
 
     def follow(trial: part.Trial) -> None:
         verdict = trial.wrong or ("good" if part.passed(trial) else "too much is lost")
-        _say(
+        say(
             f"{trial.form}: {hit} after {trial.after:.2f} s, lost {trial.lost:.3f} s"
             f" ({trial.lost_stamps:.3f} s of stamps), {trial.messages} messages read: {verdict}"
         )
 
     done = part.soak(hit, trials, seed, follow)
     _finish(part.table(hit, done), part.summary(hit, done, seed), done, out)
-
-
-def _say(line: str) -> None:
-    console().print(line, markup=False, soft_wrap=True)
 
 
 def _finish(table: Table, summary: dict[str, Any], trials: Sequence[Any], out: Path | None) -> None:
@@ -150,4 +146,4 @@ def _finish(table: Table, summary: dict[str, Any], trials: Sequence[Any], out: P
 
 
 if __name__ == "__main__":
-    sys.exit(guarded(app, sys.argv[1:]))  # every error becomes a line and an exit code
+    sys.exit(guarded(sys.argv[1:], app))  # every error becomes a line and an exit code

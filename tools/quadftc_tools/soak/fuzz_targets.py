@@ -77,7 +77,7 @@ class Target:
 
 
 def _quadftc(arguments: Sequence[str]) -> int:
-    return guarded(app, list(arguments))
+    return guarded(list(arguments))
 
 
 def _program(action: Callable[[Path], None]) -> Program:
@@ -87,7 +87,7 @@ def _program(action: Callable[[Path], None]) -> Program:
         action(Path(arguments[0]))
         return GOOD
 
-    return lambda arguments: guarded(command, list(arguments))  # type: ignore[arg-type]
+    return lambda arguments: guarded(list(arguments), command)  # type: ignore[arg-type]
 
 
 def _fly(path: Path) -> None:

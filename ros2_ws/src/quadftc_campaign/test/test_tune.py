@@ -10,7 +10,7 @@ from quadftc_campaign.campaign_file import load_campaign
 from quadftc_campaign.errors import CampaignError
 from quadftc_campaign.tune.sensitivity import Sensitivity, directions, gains_of, with_gains
 from quadftc_campaign.tune.tuning import Search, checked, tune, write
-from quadftc_cli.main import _guarded
+from quadftc_cli.main import guarded
 from quadftc_flight.scenario import ScenarioError, load_scenario
 
 BASE = """
@@ -203,5 +203,5 @@ def test_a_file_of_gains_that_is_wrong_is_refused(tmp_path, text, message):
 
 
 def test_gains_that_are_not_there_are_said_in_one_line(capsys):
-    assert _guarded(["check", "mems_faults", "--gains", "nowhere"]) == 2
+    assert guarded(["check", "mems_faults", "--gains", "nowhere"]) == 2
     assert "no gains 'nowhere'" in capsys.readouterr().err

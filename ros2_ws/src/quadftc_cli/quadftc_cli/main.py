@@ -15,19 +15,16 @@ from importlib.metadata import entry_points
 from typing import Any
 
 import typer
-from rich.console import Console
 from typer.core import TyperGroup
 
 # this machine only, unless asked otherwise; read when ROS starts, so before any of its modules
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
-from quadftc_bags.bag import BagError
 from quadftc_campaign.errors import CampaignError
 from quadftc_cli.commands import BAD_INPUT, GOOD, INTERNAL, INTERRUPTED
-from quadftc_cli.tables import console
+from quadftc_cli.screen import say
 from quadftc_flight.graph.plan import GraphError
 from quadftc_flight.runs import RunError
-from quadftc_flight.scenario import ScenarioError
 
 MAX_LINES, MAX_LINE = 11, 1200  # of what is said about a bad input; characters
 PATHS_FAULT = (
@@ -75,51 +72,41 @@ def _root() -> None:
 
 def main() -> None:
     """Run the command; turn every error into a line and an exit code."""
-    sys.exit(_guarded(sys.argv[1:]))
+    sys.exit(guarded(sys.argv[1:]))
 
 
-def _guarded(arguments: list[str]) -> int:
-    return guarded(app, arguments)
-
-
-def guarded(command: typer.Typer, arguments: list[str]) -> int:
+def guarded(arguments: list[str], command: typer.Typer = app) -> int:
     """Run a command; turn every error into a line, and return the exit code."""
-    screen = console(stderr=True)
     try:
         result = command(arguments or ["--help"], standalone_mode=False)
         return result if isinstance(result, int) else GOOD
     except typer.TyperException as error:
-        _refuse(screen, error.format_message() if hasattr(error, "format_message") else str(error))
-        return BAD_INPUT
-    except (ScenarioError, BagError, RunError, CampaignError, ValueError) as error:
-        _refuse(screen, str(error))
-        return BAD_INPUT
+        return _refuse(error.format_message() if hasattr(error, "format_message") else str(error))
+    except (CampaignError, RunError, ValueError) as error:
+        return _refuse(str(error))
     except (KeyboardInterrupt, typer.Abort):
         return INTERRUPTED
     except GraphError as error:
-        screen.print(f"error: {error}", markup=False, soft_wrap=True)
+        say(f"error: {error}", stderr=True)
         return INTERNAL
     except Exception as error:
         if isinstance(error, OSError) and error.errno in PATHS_FAULT:
-            _refuse(screen, f"{error.filename or 'a file'}: {error.strerror}")
-            return BAD_INPUT
-        screen.print(
-            _shortened(f"internal error: {type(error).__name__}: {error}"), markup=False, soft_wrap=True
-        )
+            return _refuse(f"{error.filename or 'a file'}: {error.strerror}")
+        say(_shortened(f"internal error: {type(error).__name__}: {error}"), stderr=True)
         if os.environ.get("QUADFTC_DEBUG"):
             traceback.print_exc()
         else:
-            screen.print("set QUADFTC_DEBUG=1 to see where", markup=False)
+            say("set QUADFTC_DEBUG=1 to see where", stderr=True)
         return INTERNAL
 
 
-def _refuse(screen: Console, words: str) -> None:
-    """Say what is wrong with the input, on a line for each problem."""
+def _refuse(words: str) -> int:
+    """Say what is wrong with the input, on a line for each problem; return the exit code."""
     lines = words.splitlines() or ["bad input"]
-    for line in lines[:MAX_LINES]:
-        screen.print(_shortened(f"error: {line}"), markup=False, soft_wrap=True)
+    say(*(_shortened(f"error: {line}") for line in lines[:MAX_LINES]), stderr=True)
     if len(lines) > MAX_LINES:
-        screen.print(f"error: and {len(lines) - MAX_LINES} more lines", markup=False)
+        say(f"error: and {len(lines) - MAX_LINES} more lines", stderr=True)
+    return BAD_INPUT
 
 
 def _shortened(line: str) -> str:

@@ -17,8 +17,7 @@ from rich.table import Table
 from quadftc_campaign.errors import CampaignError
 from quadftc_cli.commands import GOOD, INTERRUPTED
 from quadftc_cli.commands.options import SchedulerOption, WorkersOption, workers_here
-from quadftc_cli.progress import Bars, Update
-from quadftc_cli.tables import console
+from quadftc_cli.screen import Bars, Update, console
 from quadftc_flight.runs import RunError, RunOptions, prepare, run_name
 from quadftc_flight.runs import run as run_scenario
 
@@ -73,15 +72,14 @@ def _fly_alone(loaded: Campaign, numbers: list[int], name: str | None, directory
     runs = directory / "runs"
     prepare(runs, [run_name(*job) for job in jobs], force)
     screen = console()
-    results: list[dict[str, Any]] = []
     with Bars(screen) as bars:
-        for job in jobs:
-            update = bars.add(run_name(*job))
-            result = run_scenario(*job, runs, RunOptions(), functools.partial(_follow, update))
-            if result is None:
-                raise RunError(f"{runs}: the flight ended early")
-            results.append(result)
+        follow = [functools.partial(_follow, bars.add(run_name(*job))) for job in jobs]
+        results = [
+            run_scenario(*job, runs, RunOptions(), each) for job, each in zip(jobs, follow, strict=True)
+        ]
     for job, result in zip(jobs, results, strict=True):
+        if result is None:
+            raise RunError(f"{runs}: the flight ended early")
         screen.print(_flight_table(result))
         screen.print(f"bag and summary: {runs / run_name(*job)}")
     return GOOD

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
 from rich.table import Table
 
-from quadftc_cli.tables import console
+from quadftc_cli.screen import console
 from quadftc_control.controller import controllers
 from quadftc_control.reference import references
 from quadftc_fdi.disturbance_observer import disturbance_observers
@@ -29,8 +28,6 @@ REGISTRIES: dict[str, Registry[Any]] = {
     "faults": faults,
     "disturbances": disturbances,
 }
-
-
 KINDS = (*REGISTRIES, "vehicles", "scenarios")
 
 
@@ -41,19 +38,12 @@ def list_(kind: Annotated[str, typer.Argument(help=" | ".join(KINDS) + "; defaul
 
 
 def catalogue_table(kind: str) -> Table:
-    """Table of everything of one kind.
-
-    Raises
-    ------
-    ValueError
-        If there is no such kind.
-    """
-    tables: dict[str, Callable[[], Table]] = {"vehicles": _vehicles, "scenarios": _scenarios}
+    """Table of everything of one kind; ValueError if there is no such kind."""
     if kind in REGISTRIES:
         return _components(kind, REGISTRIES[kind])
-    if kind not in tables:
+    if kind not in KINDS:
         raise ValueError(f"list: no '{kind}'; there are: {', '.join(KINDS)}")
-    return tables[kind]()
+    return _vehicles() if kind == "vehicles" else _scenarios()
 
 
 def _components(kind: str, registry: Registry[Any]) -> Table:

@@ -3,26 +3,25 @@
 
 from __future__ import annotations
 
-import enum
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import typer
 
 from quadftc_bags.bag import BagError
 from quadftc_cli.commands import CHECK_FAILED, GOOD
-from quadftc_cli.commands.options import GainsOption
-from quadftc_cli.tables import console
-from quadftc_flight.run_directory import read_run
-from quadftc_flight.scenario import (
-    Scenario,
-    find_scenario,
-    load_scenario,
-    with_controller,
-    with_disturbance_observer,
-    with_observer,
+from quadftc_cli.commands.options import (
+    ControllerOption,
+    DisturbanceObserverOption,
+    GainsOption,
+    ObserverOption,
+    SetOption,
+    load_with_parts,
 )
+from quadftc_cli.screen import console, say, warn
+from quadftc_flight.run_directory import read_run
+from quadftc_flight.scenario import find_scenario, load_scenario
 from quadftc_model.vehicle import load_vehicle
 from quadftc_theory.checks import CheckReport, check_run, check_scenario
 from quadftc_theory.conditions import Verdict
@@ -30,33 +29,23 @@ from quadftc_theory.conditions import Verdict
 COLOURS = {Verdict.PASS: "green", Verdict.FAIL: "red", Verdict.DEPENDS: "yellow"}
 
 
-class Output(str, enum.Enum):
-    """What the model's output y is."""
-
-    imu = "imu"
-    angles = "angles"
-
-
 def check(
     target: Annotated[
         str, typer.Argument(metavar="SCENARIO|BAG", help="Scenario file or name, or a recorded run.")
     ],
     scheme: Annotated[str, typer.Option(help="Scheme to judge; default: the scenario's first.")] = "",
-    observer: Annotated[str, typer.Option(help="Fault observer in place of the scheme's.")] = "",
-    disturbance_observer: Annotated[
-        str, typer.Option(help="Disturbance observer in place of the scheme's.")
-    ] = "",
-    controller: Annotated[str, typer.Option(help="Controller in place of the scheme's.")] = "",
-    set_: Annotated[
-        list[str], typer.Option("--set", help="Any value of the scenario: schemes.proposed.observer.L1=0.")
-    ] = [],  # noqa: B006
+    observer: ObserverOption = "",
+    disturbance_observer: DisturbanceObserverOption = "",
+    controller: ControllerOption = "",
+    set_: SetOption = [],  # noqa: B006
     gains: GainsOption = "",
     bag: Annotated[
         Path | None, typer.Option(help="Recorded run: its bounds, and the Lyapunov functions along it.")
     ] = None,
     output: Annotated[
-        Output, typer.Option(help="Model output y: angles and rates, or the paper's angles alone.")
-    ] = Output.imu,
+        Literal["imu", "angles"],
+        typer.Option(help="Model output y: angles and rates, or the paper's angles alone."),
+    ] = "imu",
     isolability: Annotated[
         bool,
         typer.Option("--isolability", help="Instead: which faults can be detected and told apart."),
@@ -68,46 +57,28 @@ def check(
     if isolability:
         _isolability(load_scenario(find_scenario(target), set_).vehicle, sensors, as_json)
         raise typer.Exit(GOOD)
-    choices = (scheme, observer, disturbance_observer, controller, gains, *set_)
-    recorded = bag or (Path(target) if _is_bag(Path(target)) else None)
+    parts = (observer, disturbance_observer, controller)
+    path = Path(target)
+    is_bag = path.is_dir() or (path.is_file() and path.suffix not in (".yaml", ".yml"))
+    recorded = bag or (path if is_bag else None)
     if recorded is None:
-        report = _of_scenario(target, scheme, observer, disturbance_observer, controller, set_, gains, output)
+        scenario = load_with_parts(target, set_, gains, *parts)
+        report = check_scenario(scenario, scenario.scheme(scheme or None), output)
     else:
-        if any(choices):
+        if any((scheme, *parts, gains, *set_)):
             raise BagError(
                 f"{recorded}: a recorded run is judged as it was flown; no scheme, parts, --gains, --set"
             )
         run = read_run(recorded)
-        for warning in run.warnings:
-            console(stderr=True).print(f"warning: {warning}", markup=False, soft_wrap=True)
+        warn(run.warnings)
         if bag is not None and (asked := load_scenario(find_scenario(target), []).name) != run.scenario.name:
             raise BagError(f"{bag}: is a run of scenario '{run.scenario.name}', not of '{asked}'")
-        report = check_run(run, output.value)
+        report = check_run(run, output)
     if as_json:
-        console().print(json.dumps(report.to_dict(), indent=2, allow_nan=False), markup=False, soft_wrap=True)
+        _say_json(report.to_dict())
     else:
         _print(report)
     raise typer.Exit(GOOD if report.passed else CHECK_FAILED)
-
-
-def _of_scenario(
-    target: str,
-    scheme: str,
-    observer: str,
-    disturbance_observer: str,
-    controller: str,
-    overrides: list[str],
-    gains: str,
-    output: Output,
-) -> CheckReport:
-    loaded: Scenario = load_scenario(find_scenario(target), overrides, gains)
-    for change, kind in (
-        (with_observer, observer),
-        (with_disturbance_observer, disturbance_observer),
-        (with_controller, controller),
-    ):
-        loaded = change(loaded, kind) if kind else loaded
-    return check_scenario(loaded, loaded.scheme(scheme or None), output.value)
 
 
 def _isolability(vehicle: str, sensors: str, as_json: bool) -> None:
@@ -121,38 +92,30 @@ def _isolability(vehicle: str, sensors: str, as_json: bool) -> None:
         analyse(load_vehicle(vehicle), Assumptions(sensor_set=names, disturbances=role))
         for role in ("faults", "unknown_inputs")
     ]
-    screen = console()
     if as_json:
-        found = [result.to_dict() for result in results]
-        screen.print(json.dumps(found, indent=2, allow_nan=False), markup=False, soft_wrap=True)
+        _say_json([result.to_dict() for result in results])
         return
     for result in results:
         heading, *findings = isolability_lines(result)
-        screen.print(heading, markup=False, soft_wrap=True)
-        screen.print(isolability_table(result))
-        for line in findings:
-            screen.print(line, markup=False, soft_wrap=True)
-        screen.print()
-    screen.print(LEGEND, markup=False, soft_wrap=True)
+        say(heading)
+        console().print(isolability_table(result))
+        say(*findings, "")
+    say(LEGEND)
 
 
-def _is_bag(path: Path) -> bool:
-    """Whether a target is meant as a bag: a directory, or a file that is no scenario."""
-    return path.is_dir() or (path.is_file() and path.suffix not in (".yaml", ".yml"))
+def _say_json(found: Any) -> None:
+    say(json.dumps(found, indent=2, allow_nan=False))
 
 
 def _print(report: CheckReport) -> None:
     screen = console()
-    screen.print(
-        f"{report.scenario}, scheme {report.scheme}" + (f", {report.bag}" if report.bag else ""), markup=False
-    )
+    say(f"{report.scenario}, scheme {report.scheme}" + (f", {report.bag}" if report.bag else ""))
     for section in report.sections:
         screen.print(f"\n[bold]{section.title}[/]")
         for item in section.conditions:
             colour = COLOURS[item.verdict] if item.needed or item.verdict is not Verdict.FAIL else "yellow"
             screen.print(f"  [{colour}]{item.verdict.value:7}[/] ", end="")
-            screen.print(f"{item.name}: {item.text}", markup=False, soft_wrap=True)
-    failed = [item.name for section in report.sections for item in section.conditions if item.failed]
-    verdict = "every condition that the scheme needs holds" if not failed else f"fails: {'; '.join(failed)}"
-    screen.print(f"\n{'[green]PASS[/]' if not failed else '[red]FAIL[/]'} ", end="")
-    screen.print(verdict, markup=False, soft_wrap=True)
+            say(f"{item.name}: {item.text}")
+    screen.print(f"\n{'[green]PASS[/]' if report.passed else '[red]FAIL[/]'} ", end="")
+    holds = "every condition that the scheme needs holds"
+    say(holds if report.passed else f"fails: {'; '.join(report.failed)}")

@@ -3,14 +3,13 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import os
 import platform
 import shutil
 import sys
 import time
 from collections.abc import Callable
-from typing import NamedTuple
+from importlib.metadata import version
 
 import rclpy
 import typer
@@ -20,7 +19,7 @@ from std_msgs.msg import Header
 
 from quadftc_bags.interfaces import load_message_class
 from quadftc_cli.commands import CHECK_FAILED, GOOD
-from quadftc_cli.tables import console
+from quadftc_cli.screen import console
 from quadftc_flight.graph.plan import EXECUTABLES, GraphError
 from quadftc_flight.graph.processes import executable_path
 from quadftc_flight.scenario import ScenarioError, find_scenario, load_scenario, scenario_names
@@ -29,52 +28,25 @@ from quadftc_ros.executor import make_executor
 from quadftc_ros.topics import TOPICS
 
 MIN_DISK = 500e6  # bytes; a bag of 80 s at 250 Hz takes about 20 MB
+MEND_FILE = "mend the file named"
 LIBRARIES = ("numpy", "scipy", "mcap", "rosbags", "pydantic", "ruamel.yaml", "typer", "rich")
-
-
-class Finding(NamedTuple):
-    """One line of the report."""
-
-    part: str
-    good: bool
-    what: str
-    mend: str = ""
 
 
 def doctor() -> None:
     """Check the installation; say what is missing and how to mend it."""
-    findings = examine()
+    healthy = [_examine(part, *row) for part, row in CHECKS.items()]
+    raise typer.Exit(GOOD if all(healthy) else CHECK_FAILED)
+
+
+def _examine(part: str, check: Callable[[], str], mend: str) -> bool:
     screen = console()
-    for finding in findings:
-        mark = "[green]good[/]" if finding.good else "[red]BAD [/]"
-        screen.print(f"{mark} {finding.part}: {finding.what}")
-        if not finding.good:
-            screen.print(f"     {finding.mend}")
-    raise typer.Exit(GOOD if all(finding.good for finding in findings) else CHECK_FAILED)
-
-
-def examine() -> list[Finding]:
-    """Run every check; a check that fails is a finding, never an exception."""
-    checks: tuple[tuple[str, Callable[[], str], str], ...] = (
-        ("python", _python, "install CPython 3.10-3.13 and run scripts/setup"),
-        ("ROS 2", _ros, "run scripts/setup, or source your ROS 2 Jazzy"),
-        ("messages", _messages, "run scripts/setup: it builds the workspace"),
-        ("executables", _executables, "run scripts/setup: it builds the workspace"),
-        ("libraries", _libraries, "run scripts/setup"),
-        ("vehicles", _vehicles, "mend the file named"),
-        ("scenarios", _scenarios, "mend the file named"),
-        ("communication", _communication, "check ROS_DOMAIN_ID, RMW_IMPLEMENTATION and the loopback network"),
-        ("discovery", _discovery, "set ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"),
-        ("disk", _disk, "free some space"),
-    )
-    return [_finding(*row) for row in checks]
-
-
-def _finding(part: str, check: Callable[[], str], mend: str) -> Finding:
     try:
-        return Finding(part, True, check())
+        screen.print(f"[green]good[/] {part}: {check()}")
     except Exception as error:  # whatever is wrong is what the doctor is asked for
-        return Finding(part, False, " ".join(str(error).split()) or type(error).__name__, mend)
+        screen.print(f"[red]BAD [/] {part}: {' '.join(str(error).split()) or type(error).__name__}")
+        screen.print(f"     {mend}")
+        return False
+    return True
 
 
 def _python() -> str:
@@ -85,9 +57,7 @@ def _python() -> str:
 
 def _ros() -> str:
     where = "/opt/ros" if "/opt/ros/" in (rclpy.__file__ or "") else "wheels"
-    return (
-        f"Jazzy, rclpy {importlib.metadata.version('rclpy')} ({where}), {get_rmw_implementation_identifier()}"
-    )
+    return f"Jazzy, rclpy {version('rclpy')} ({where}), {get_rmw_implementation_identifier()}"
 
 
 def _messages() -> str:
@@ -98,21 +68,10 @@ def _messages() -> str:
 
 
 def _executables() -> str:
-    for package, executable in (
-        *EXECUTABLES.values(),
-        ("quadftc_ros", "recorder"),
-        ("quadftc_cli", "quadftc"),
-    ):
+    names = [*EXECUTABLES.values(), ("quadftc_ros", "recorder"), ("quadftc_cli", "quadftc")]
+    for package, executable in names:
         executable_path(package, executable)
-    return f"{len(EXECUTABLES) + 2} installed"
-
-
-def _libraries() -> str:
-    return ", ".join(f"{name} {importlib.metadata.version(name)}" for name in LIBRARIES)
-
-
-def _vehicles() -> str:
-    return ", ".join(load_vehicle(name).name for name in vehicle_names())
+    return f"{len(names)} installed"
 
 
 def _scenarios() -> str:
@@ -162,3 +121,21 @@ def _disk() -> str:
     if free < MIN_DISK:
         raise OSError(f"{free / 1e6:.0f} MB free here")
     return f"{free / 1e9:.1f} GB free here"
+
+
+# part: what describes it or raises, how to mend it
+CHECKS: dict[str, tuple[Callable[[], str], str]] = {
+    "python": (_python, "install CPython 3.10-3.13 and run scripts/setup"),
+    "ROS 2": (_ros, "run scripts/setup, or source your ROS 2 Jazzy"),
+    "messages": (_messages, "run scripts/setup: it builds the workspace"),
+    "executables": (_executables, "run scripts/setup: it builds the workspace"),
+    "libraries": (lambda: ", ".join(f"{name} {version(name)}" for name in LIBRARIES), "run scripts/setup"),
+    "vehicles": (lambda: ", ".join(load_vehicle(name).name for name in vehicle_names()), MEND_FILE),
+    "scenarios": (_scenarios, MEND_FILE),
+    "communication": (
+        _communication,
+        "check ROS_DOMAIN_ID, RMW_IMPLEMENTATION and the loopback network",
+    ),
+    "discovery": (_discovery, "set ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"),
+    "disk": (_disk, "free some space"),
+}

@@ -8,7 +8,24 @@ from typing import Annotated
 import typer
 
 from quadftc_campaign.errors import CampaignError
+from quadftc_flight.scenario import (
+    Scenario,
+    find_scenario,
+    load_scenario,
+    with_controller,
+    with_disturbance_observer,
+    with_observer,
+)
 
+ObserverOption = Annotated[str, typer.Option(help="Fault observer in place of the scheme's.")]
+DisturbanceObserverOption = Annotated[
+    str, typer.Option("--disturbance-observer", help="Disturbance observer in place of the scheme's.")
+]
+ControllerOption = Annotated[str, typer.Option(help="Controller in place of the scheme's.")]
+SetOption = Annotated[
+    list[str],
+    typer.Option("--set", help="Any value of the scenario: a.b=v, faults.0.value='2 deg'; may be repeated."),
+]
 GainsOption = Annotated[
     str, typer.Option(help="Tuned gains for the vehicle and its sensors: a name or a file (see gains/).")
 ]
@@ -20,14 +37,22 @@ WorkersOption = Annotated[
 ]
 
 
-def workers_here(workers: int | None, scheduler: str | None) -> int:
-    """Return how many processes to start on this machine.
+def load_with_parts(
+    name: str, overrides: list[str], gains: str, observer: str, disturbance_observer: str, controller: str
+) -> Scenario:
+    """Load a scenario; replace the parts that are named in all of its schemes."""
+    scenario = load_scenario(find_scenario(name), overrides, gains)
+    for change, kind in (
+        (with_observer, observer),
+        (with_disturbance_observer, disturbance_observer),
+        (with_controller, controller),
+    ):
+        scenario = change(scenario, kind) if kind else scenario
+    return scenario
 
-    Raises
-    ------
-    CampaignError
-        If the number makes no sense, or is given together with a scheduler.
-    """
+
+def workers_here(workers: int | None, scheduler: str | None) -> int:
+    """Return how many processes to start on this machine; CampaignError if the number makes no sense."""
     if workers is not None and (workers < 1 or scheduler is not None):
         raise CampaignError(
             f"--workers {workers}: must be positive, and is for this machine, not for --scheduler"

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from quadftc_bags.play import play as play_bag
-from quadftc_cli.tables import console
+from quadftc_cli.screen import say
 
 
 def play(
@@ -23,4 +23,4 @@ def play(
 ) -> None:
     """Publish a bag on the live graph, with the recorded timing."""
     count = play_bag(bag, rate, loop=loop, topics=topic or None, delay=delay)
-    console().print(f"{count} messages published")
+    say(f"{count} messages published")

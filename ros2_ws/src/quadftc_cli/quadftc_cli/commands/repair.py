@@ -15,7 +15,7 @@ from quadftc_bags.repair import Repair
 from quadftc_bags.repair import repair as repair_bag
 from quadftc_bags.salvage import Survey
 from quadftc_bags.storage import Damage
-from quadftc_cli.tables import console
+from quadftc_cli.screen import console, say
 
 
 def repair(
@@ -34,21 +34,18 @@ def repair(
     Says what was kept and what was lost. A bag with which nothing is wrong is left as it is.
     """
     done = repair_bag(bag, out, force)
-    screen = console()
-    screen.print(_table(done.found))
-    for line in _lines(done):
-        screen.print(line, markup=False, soft_wrap=True)
+    console().print(_table(done.found))
+    say(*_lines(done))
 
 
 def _table(found: Survey) -> Table:
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("topic", no_wrap=True)
-    table.add_column("type", no_wrap=True)
-    table.add_column("messages", justify="right")
-    table.add_column("last \\[s]", justify="right", no_wrap=True)
-    start_ns = _start_ns(found)
+    for heading in ("topic", "type"):
+        table.add_column(heading, no_wrap=True)
+    for heading in ("messages", "last \\[s]"):
+        table.add_column(heading, justify="right", no_wrap=True)
     for name, tally in sorted(found.topics.items()):
-        last = _seconds(tally.last_ns - start_ns) if tally.count else "-"
+        last = _seconds(tally.last_ns - _start_ns(found)) if tally.count else "-"
         table.add_row(name, tally.type_name, str(tally.count), last)
     return table
 

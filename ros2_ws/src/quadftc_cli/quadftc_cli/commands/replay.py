@@ -11,8 +11,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from quadftc_cli.progress import Bars
-from quadftc_cli.tables import console
+from quadftc_cli.screen import Bars, console, say, warn
 from quadftc_model.samples import AXES
 from quadftc_replay.plan import ReplayOptions
 
@@ -74,22 +73,16 @@ def replay(
         seed=seed,
         skip_backwards=skip_backwards,
     )
-    screen = console()
-    with Bars(screen) as bars:
+    with Bars(console()) as bars:
         summary = replay_recording(bag, options, out, force, bars.add(bag.resolve().name))
-    for line in summary["warnings"]:
-        console(stderr=True).print(f"warning: {line}", markup=False, soft_wrap=True)
-    screen.print(_headline(summary), markup=False, soft_wrap=True)
-    screen.print(_table(summary["metrics"]))
-    screen.print(f"bag and summary: {out / summary['bag']}", markup=False, soft_wrap=True)
-
-
-def _headline(summary: Mapping[str, Any]) -> str:
-    return (
+    warn(summary["warnings"])
+    say(
         f"{summary['name']}: {summary['samples']} samples of {summary['topic']},"
         f" {summary['duration']:.1f} s at {summary['rate']:.1f} Hz,"
         f" {summary['real_time_factor']:.1f} x real time; truth: {summary['truth']}"
     )
+    console().print(_table(summary["metrics"]))
+    say(f"bag and summary: {out / summary['bag']}")
 
 
 def _table(metrics: Mapping[str, Any]) -> Table:
@@ -99,12 +92,9 @@ def _table(metrics: Mapping[str, Any]) -> Table:
         table.add_column(heading, justify="right", no_wrap=True)
     for axis in AXES:
         pairs = [
-            [_number(metrics[f"fault_estimate_{kind}{end}_deg"][axis]) for kind in ("rmse", "max")]
+            [metrics[f"fault_estimate_{kind}{end}_deg"][axis] for kind in ("rmse", "max")]
             for end in COLUMNS.values()
         ]
-        table.add_row(axis, *(" / ".join(pair) for pair in pairs))
+        cells = (" / ".join("-" if value is None else f"{value:.3f}" for value in pair) for pair in pairs)
+        table.add_row(axis, *cells)
     return table
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3f}"

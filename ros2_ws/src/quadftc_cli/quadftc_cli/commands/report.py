@@ -8,8 +8,7 @@ from typing import Annotated
 
 import typer
 
-from quadftc_cli.progress import Bars
-from quadftc_cli.tables import console
+from quadftc_cli.screen import Bars, console, say, warn
 
 
 def report(
@@ -35,16 +34,14 @@ def report(
     from quadftc_report.report import write_report
     from quadftc_report.wording import counted, listing
 
-    screen = console()
-    with Bars(screen) as bars:
+    with Bars(console()) as bars:
         update = bars.add("report")
         written = write_report(
             bags, out, with_figures=figures, progress=lambda what, share: update(share, what)
         )
-    for line in written.warnings:
-        console(stderr=True).print(f"warning: {line}", markup=False, soft_wrap=True)
+    warn(written.warnings)
     pairs = ((len(written.runs), "run"), (len(written.replays), "replay"))
     counts = listing([counted(number, what) for number, what in pairs if number])
-    screen.print(f"report on {counts}: {written.page}", markup=False, soft_wrap=True)
+    say(f"report on {counts}: {written.page}")
     if written.figures is not None:
-        screen.print(f"figures (PNG, PDF): {written.figures}", markup=False, soft_wrap=True)
+        say(f"figures (PNG, PDF): {written.figures}")

@@ -3,57 +3,54 @@
 
 from __future__ import annotations
 
-import enum
 import functools
 import os
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.measure import Measurement
+from rich.table import Table
+from rich.text import Text
 
 from quadftc_cli.commands import CHECK_FAILED, GOOD, INTERRUPTED
-from quadftc_cli.commands.options import GainsOption
-from quadftc_cli.progress import Bars
-from quadftc_cli.tables import console, failed_checks, run_table
+from quadftc_cli.commands.options import (
+    ControllerOption,
+    DisturbanceObserverOption,
+    GainsOption,
+    ObserverOption,
+    SetOption,
+    load_with_parts,
+)
+from quadftc_cli.screen import Bars, console
+from quadftc_flight.metrics import look_up
 from quadftc_flight.runs import RunError, RunOptions, prepare, run_name
 from quadftc_flight.runs import run as run_scenario
-from quadftc_flight.scenario import (
-    Scenario,
-    Scheme,
-    find_scenario,
-    load_scenario,
-    with_controller,
-    with_disturbance_observer,
-    with_observer,
-)
+from quadftc_flight.scenario import Scenario, Scheme
 from quadftc_flight.side_by_side import run_side_by_side
+from quadftc_model.samples import AXES
 from quadftc_ros.executor import StopSignals
 from quadftc_ros.scheduling import Scheduling
 
+# heading, metric (dotted path below "metrics"), factor, decimals; where there is no room, the last go first
+COLUMNS = (
+    ("tracking\nRMSE\n[deg]", "tracking_rmse_deg", 1.0, 3),
+    ("mean error,\n1st fault\n[deg]", "fault_windows.0.tracking_mean_deg", 1.0, 3),
+    ("estimate\nsettles in\n[ms]", "fault_windows.0.fault_estimate_settling_s", 1e3, 0),
+    ("its error,\nsettled\n[deg]", "fault_estimate_max_settled_deg", 1.0, 3),
+    ("tracking\nmax\n[deg]", "tracking_max_deg", 1.0, 3),
+    ("torque\nvariation\n[N m/s]", "torque_total_variation", 1.0, 3),
+)
+WIDE = 1000  # characters; wider than any table
 
-class Graph(str, enum.Enum):
-    """Where the nodes run."""
-
-    composed = "composed"
-    processes = "processes"
-
-
-class Mode(str, enum.Enum):
-    """What drives the flight."""
-
-    lockstep = "lockstep"
-    realtime = "realtime"
-
-
-class Wait(str, enum.Enum):
-    """What a graph in real time does between samples."""
-
-    sleep = "sleep"
-    poll = "poll"
-
-
+GraphOption = Annotated[
+    Literal["composed", "processes"], typer.Option(help="All nodes in one process, or a process each.")
+]
 WaitOption = Annotated[
-    Wait,
+    Literal["sleep", "poll"],
     typer.Option(help="Real time, between samples: sleep, or poll, which is faster and takes a whole core."),
 ]
 PriorityOption = Annotated[
@@ -70,26 +67,21 @@ def run(
         list[str], typer.Argument(help="Scenario files, or names (see: quadftc list scenarios).")
     ],
     scheme: Annotated[str, typer.Option(help="Scheme to fly, or 'all'; default: the scenario's first.")] = "",
-    observer: Annotated[str, typer.Option(help="Fault observer in place of the scheme's.")] = "",
-    disturbance_observer: Annotated[
-        str, typer.Option(help="Disturbance observer in place of the scheme's.")
-    ] = "",
-    controller: Annotated[str, typer.Option(help="Controller in place of the scheme's.")] = "",
+    observer: ObserverOption = "",
+    disturbance_observer: DisturbanceObserverOption = "",
+    controller: ControllerOption = "",
     mode: Annotated[
-        Mode, typer.Option(help="lockstep: as fast as it goes; realtime: by the wall clock.")
-    ] = Mode.lockstep,
-    graph: Annotated[
-        Graph, typer.Option(help="All nodes in one process, or a process each.")
-    ] = Graph.composed,
+        Literal["lockstep", "realtime"],
+        typer.Option(help="lockstep: as fast as it goes; realtime: by the wall clock."),
+    ] = "lockstep",
+    graph: GraphOption = "composed",
     namespace: Annotated[str, typer.Option(help="ROS namespace of the vehicle.")] = "",
     rate: Annotated[str, typer.Option(help="Control rate, such as 500 or '500 Hz'.")] = "",
     seed: Annotated[str, typer.Option(help="Seed of the random numbers.")] = "",
-    set_: Annotated[
-        list[str], typer.Option("--set", help="Any value of the scenario: a.b=v, faults.0.value='2 deg'.")
-    ] = [],  # noqa: B006
+    set_: SetOption = [],  # noqa: B006
     gains: GainsOption = "",
     out: Annotated[Path, typer.Option(help="Directory of the runs.")] = Path("results"),
-    wait: WaitOption = Wait.sleep,
+    wait: WaitOption = "sleep",
     realtime_priority: PriorityOption = 0,
     core: CoreOption = [],  # noqa: B006
     force: Annotated[bool, typer.Option("--force", help="Replace earlier runs of the same name.")] = False,
@@ -99,17 +91,11 @@ def run(
 ) -> None:
     """Fly scenarios through the node graph; write a bag and a summary for each run."""
     overrides = [*set_, *([f"rate={rate}"] if rate else []), *([f"seed={seed}"] if seed else [])]
-    scheduling = Scheduling(wait.value, realtime_priority, tuple(core))
-    options = RunOptions(graph.value, mode.value, namespace, force, scheduling)
+    scheduling = Scheduling(wait, realtime_priority, tuple(core))
+    options = RunOptions(graph, mode, namespace, force, scheduling)
     flights: list[tuple[Scenario, Scheme]] = []
     for name in scenarios:
-        loaded = load_scenario(find_scenario(name), overrides, gains)
-        for change, kind in (
-            (with_observer, observer),
-            (with_disturbance_observer, disturbance_observer),
-            (with_controller, controller),
-        ):
-            loaded = change(loaded, kind) if kind else loaded
+        loaded = load_with_parts(name, overrides, gains, observer, disturbance_observer, controller)
         chosen = list(loaded.schemes) if scheme == "all" else [loaded.scheme(scheme or None).name]
         flights += [(loaded, loaded.scheme(each)) for each in chosen]
     names = [run_name(*job) for job in flights]
@@ -118,7 +104,7 @@ def run(
             f"{next(n for n in names if names.count(n) > 1)}: asked for twice; give scenarios other names"
         )
     prepare(out, names, force)
-    workers = 1 if mode is Mode.realtime else min(jobs or len(os.sched_getaffinity(0)), len(flights))
+    workers = 1 if mode == "realtime" else min(jobs or len(os.sched_getaffinity(0)), len(flights))
     raise typer.Exit(_run_all(flights, out, options, workers))
 
 
@@ -142,8 +128,63 @@ def _run_all(jobs: list[tuple[Scenario, Scheme]], out: Path, options: RunOptions
         screen.print(f"interrupted; what was flown is in {out}")
         return INTERRUPTED
     summaries = [result for result in results if result is not None]
-    screen.print(run_table(summaries, screen))
-    for line in failed_checks(summaries):
+    screen.print(_run_table(summaries, screen))
+    for line in _failed_checks(summaries):
         screen.print(f"[red]FAILED[/] {line}")
     screen.print(f"bags and summaries: {out}")
     return GOOD if all(item["passed"] for item in summaries) else CHECK_FAILED
+
+
+def _run_table(summaries: Sequence[Mapping[str, Any]], screen: Console) -> Table:
+    """Table of runs: a row for each axis of each run, with as many columns as the screen has room for."""
+    for count in range(len(COLUMNS), 1, -1):
+        table = _narrow_table(summaries, count)
+        if Measurement.get(screen, screen.options.update(max_width=WIDE), table).maximum <= screen.width:
+            return table
+    return _narrow_table(summaries, 1)
+
+
+def _narrow_table(summaries: Sequence[Mapping[str, Any]], count: int) -> Table:
+    """Table with the first ``count`` columns."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for heading in ("run", "axis"):
+        table.add_column(heading, no_wrap=True)
+    for heading, *_ in COLUMNS[:count]:
+        table.add_column(Text(heading), justify="right", no_wrap=True)
+    table.add_column("checks\npassed", no_wrap=True)
+    for item in summaries:
+        factor = item["real_time_factor"]
+        first = (item["name"], f"  {item['scheme']}", "" if factor is None else f"  {factor:.1f} x real time")
+        good, judged = sum(check["passed"] for check in item["checks"]), len(item["checks"])
+        verdict = f"[{'green' if good == judged else 'red'}]{good} of {judged}[/]" if judged else "-"
+        for words, axis in zip(first, AXES, strict=True):
+            cells = [
+                _number(_metric(item["metrics"], path, axis), scale, digits)
+                for _, path, scale, digits in COLUMNS[:count]
+            ]
+            table.add_row(words, axis, *cells, verdict if axis == AXES[0] else "")
+        table.add_section()
+    return table
+
+
+def _failed_checks(summaries: Iterable[Mapping[str, Any]]) -> list[str]:
+    """One line for each failed check."""
+    return [
+        f"{item['name']}-{item['scheme']}: {check['metric']} {check['axis'] or ''}".rstrip()
+        + f" = {_number(check['value'], 1.0, 4)}, required {check['bound']}"
+        for item in summaries
+        for check in item["checks"]
+        if not check["passed"]
+    ]
+
+
+def _metric(metrics: Any, path: str, axis: str) -> Any:
+    """Metric of an axis at a dotted path, or None."""
+    try:
+        return look_up(metrics, f"{path}.{axis}")
+    except KeyError:
+        return None
+
+
+def _number(value: Any, scale: float, digits: int) -> str:
+    return "-" if value is None else f"{scale * value:.{digits}f}"

@@ -13,8 +13,7 @@ from rich.table import Table
 from quadftc_campaign.errors import CampaignError
 from quadftc_cli.commands import CHECK_FAILED, GOOD, INTERRUPTED
 from quadftc_cli.commands.options import SchedulerOption, WorkersOption, workers_here
-from quadftc_cli.progress import Bars
-from quadftc_cli.tables import console
+from quadftc_cli.screen import Bars, console, say
 
 if TYPE_CHECKING:
     from quadftc_campaign.tune.tuning import Tuned
@@ -44,12 +43,8 @@ def tune(
     if path.exists() and not force:
         raise CampaignError(f"{path}: exists; --force replaces it")
     screen = console()
-    screen.print(
-        f"{loaded.name}: {len(start.logarithms)} numbers in {', '.join(start.names)}; "
-        f"scheme {loaded.variants[0].scheme}",
-        markup=False,
-        soft_wrap=True,
-    )
+    numbers = f"{len(start.logarithms)} numbers in {', '.join(start.names)}"
+    say(f"{loaded.name}: {numbers}; scheme {loaded.variants[0].scheme}")
     total = loaded.tune.steps if loaded.tune else 1
     try:
         with Bars(screen) as bars:
@@ -82,9 +77,8 @@ def _show(found: Tuned) -> None:
     for name, (before, after) in {"cost": (found.before.cost, found.after.cost), **pairs}.items():
         held.add_row(name, f"{before:.4g}", f"{after:.4g}", f"{100.0 * (after / before - 1.0):+.1f} %")
     for name in ("missed", "false_alarms", "crashed"):
-        held.add_row(
-            name.replace("_", " "), str(getattr(found.before, name)), str(getattr(found.after, name))
-        )
+        pair = (str(getattr(each, name)) for each in (found.before, found.after))
+        held.add_row(name.replace("_", " "), *pair)
     screen.print(held)
     if found.failing:
         screen.print(f"conditions that failed before are not asked for: {'; '.join(sorted(found.failing))}")

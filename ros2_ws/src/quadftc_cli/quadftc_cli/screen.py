@@ -1,8 +1,9 @@
-"""Progress of what takes long: bars on a terminal, a line every few seconds elsewhere."""
+"""What the commands print: lines, and the progress of what takes long."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from types import TracebackType
 from typing import Protocol
 
@@ -18,8 +19,26 @@ from rich.progress import (
 )
 from typing_extensions import Self
 
-LINE_PERIOD = 5.0  # s between two lines where there is no terminal
+LINE_PERIOD = 5.0  # s between two lines of progress where there is no terminal
 STRIDE = 0.005  # share between two updates of a bar
+
+
+def console(stderr: bool = False) -> Console:
+    """Console that does not wrap in files and pipes, where the width is unknown."""
+    found = Console(stderr=stderr, highlight=False, soft_wrap=False)
+    return found if found.is_terminal else Console(stderr=stderr, highlight=False, width=120)
+
+
+def say(*lines: str, stderr: bool = False) -> None:
+    """Print lines as they are, without markup."""
+    screen = console(stderr)
+    for line in lines:
+        screen.print(line, markup=False, soft_wrap=True)
+
+
+def warn(lines: Iterable[str]) -> None:
+    """Print warnings."""
+    say(*(f"warning: {line}" for line in lines), stderr=True)
 
 
 class Update(Protocol):
@@ -29,22 +48,16 @@ class Update(Protocol):
 
 
 class Bars:
-    """Show how far several tasks are; use as a context manager.
+    """Show how far several tasks are: bars on a terminal, a line every few seconds elsewhere.
 
-    Parameters
-    ----------
-    screen : Console
-    still : bool
-        Redraw only on updates: the thread that animates bars would delay a flight in real time.
+    Use as a context manager. ``still`` redraws on updates only: the thread that animates bars would delay a
+    flight in real time.
     """
 
     def __init__(self, screen: Console, still: bool = False) -> None:
-        columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
         self._bars = Progress(
-            *columns,
-            TextColumn("{task.fields[note]}"),
-            TimeElapsedColumn(),
-            TimeRemainingColumn(),
+            *(TextColumn("{task.description}"), BarColumn(), TaskProgressColumn()),
+            *(TextColumn("{task.fields[note]}"), TimeElapsedColumn(), TimeRemainingColumn()),
             console=screen,
             auto_refresh=not still,
             disable=not screen.is_terminal,
@@ -64,16 +77,15 @@ class Bars:
         self._bars.stop()
 
     def add(self, name: str) -> Update:
-        """Add a task; return what sets its share (0 to 1) and a note behind its bar."""
+        """Add a task; return what sets its share."""
         task = self._bars.add_task(name, total=1.0, note="")
         self._shares[task] = (name, 0.0)
 
         def update(share: float, /, note: str = "") -> None:
-            if 0.0 < share < 1.0 and share - self._shares[task][1] < STRIDE:
-                return
-            self._shares[task] = (name, share)
-            self._bars.update(task, completed=share, note=note, refresh=self._still)
-            self._print_line()
+            if share in (0.0, 1.0) or share - self._shares[task][1] >= STRIDE:
+                self._shares[task] = (name, share)
+                self._bars.update(task, completed=share, note=note, refresh=self._still)
+                self._print_line()
 
         return update
 
@@ -84,4 +96,4 @@ class Bars:
         self._next_line = time.monotonic() + LINE_PERIOD
         under_way = [f"{name} {share:.0%}" for name, share in self._shares.values() if 0.0 < share < 1.0]
         if under_way:
-            self._screen.print(", ".join(under_way), markup=False, soft_wrap=True)
+            say(", ".join(under_way))
