@@ -9,8 +9,10 @@ import pytest
 
 from quadftc_campaign.campaign_file import load_campaign
 from quadftc_campaign.flights import flight
+from quadftc_fdi.fault_observer import fault_observers
+from quadftc_fdi.fault_observers.sliding_mode import SlidingMode
 from quadftc_model.samples import AXES
-from quadftc_tools.study.page import publish
+from quadftc_tools.study.page import has_detector, publish
 from quadftc_tools.study.robustness import make
 from quadftc_tools.study.robustness_tables import (
     SIZED,
@@ -140,6 +142,21 @@ def test_campaigns_of_the_studies_vary_what_the_tables_show(name):
     assert set(shown) <= set(campaign.vary)
     for variant in campaign.variants:
         assert len(flight(campaign, 0, variant).events) == 3
+
+
+def test_new_observer_takes_part_in_every_study(monkeypatch):
+    class Newcomer(SlidingMode):
+        """Registered by another package, say."""
+
+    fault_observers.names()  # all are there now
+    newcomers = {**fault_observers._components, "newcomer": Newcomer}
+    monkeypatch.setattr(fault_observers, "_components", newcomers)
+    for name in (*(study.name for study in STUDIES), SIZES):
+        campaign = load_campaign(ROOT / "campaigns" / f"study_{name}.yaml")
+        assert campaign.variants[-1].name == campaign.variants[-1].observer == "newcomer"
+        assert campaign.variants[-1].scheme == "proposed"
+        assert len(campaign.variants) == len(campaign.base.data["schemes"]) + 1
+    assert not has_detector("newcomer")
 
 
 def test_document_has_a_place_for_every_table():

@@ -12,7 +12,8 @@ source: {kind: loop}               # loop: the closed loop. Or the fault observe
 flights: 1000
 seed: 1
 schemes: [supervised]              # of the scenario, or all; or observers and controllers to cross:
-observers: [sliding_mode, supervised]    # or all: every registered fault observer
+observers: [sliding_mode, supervised]    # or all: every registered fault observer; or others: not crossed,
+                                         # but the first scheme also with every one that no scheme has
 parameters: {supervised: {wander: 0 deg}}            # of observers named there, beside the scenario's
 levels: {supervised: {threshold: [3, 8]}}            # more variants: supervised@3, supervised@8
 controllers: [ismc, pid]
@@ -64,6 +65,7 @@ MAX_FLIGHTS = 10_000_000
 MAX_CELLS = 10_000
 RESERVED = ("seed", "schemes")  # each flight draws its seed; the schemes are compared, not drawn
 ALL = "all"
+OTHERS = "others"
 
 
 class _Shape(BaseModel):
@@ -118,7 +120,7 @@ class CampaignShape(_Shape):
     flights: int = Field(ge=1, le=MAX_FLIGHTS)
     seed: int = Field(default=1, ge=0, le=MAX_SEED)
     schemes: list[str] | Literal["all"] = []
-    observers: list[str] | Literal["all"] = []
+    observers: list[str] | Literal["all", "others"] = []
     parameters: dict[str, dict[str, Any]] = {}
     levels: dict[str, dict[str, list[float]]] = {}
     controllers: list[str] = []
@@ -310,6 +312,8 @@ def bags_in(directory: Path) -> tuple[Path, ...]:
 
 
 def _wrong_parts(shape: CampaignShape, scenario: Scenario) -> Iterator[Problem]:
+    if shape.observers == OTHERS and (shape.controllers or shape.levels):
+        yield Problem(("observers",), "'others' cannot be crossed with controllers or levels")
     lists = {
         "schemes": (shape.schemes, tuple(scenario.schemes)),
         "observers": (shape.observers, fault_observers.names()),
@@ -318,7 +322,7 @@ def _wrong_parts(shape: CampaignShape, scenario: Scenario) -> Iterator[Problem]:
         "levels": (list(shape.levels), fault_observers.names()),
     }
     for key, (given, known) in lists.items():
-        for index, name in enumerate(given if given != ALL else ()):
+        for index, name in enumerate(given if isinstance(given, list) else ()):
             if name not in known:
                 place = (key, index) if isinstance(getattr(shape, key), list) else (key, name)
                 yield Problem(place, f"no '{name}'; there are: {', '.join(known)}")
@@ -326,10 +330,20 @@ def _wrong_parts(shape: CampaignShape, scenario: Scenario) -> Iterator[Problem]:
                 yield Problem((key, index), f"'{name}' is given twice")
 
 
+def _with_others(schemes: list[str], shape: CampaignShape, scenario: Scenario) -> Iterator[Variant]:
+    """Yield the schemes as they are, and the first with every registered observer that none of them has."""
+    yield from (Variant(name, name, None, None) for name in schemes)
+    flown = {scenario.schemes[name].observer.kind for name in schemes}
+    for name in (each for each in _all_observers() if each not in flown):
+        yield Variant(name, schemes[0], name, None, tuple(shape.parameters.get(name, {}).items()))
+
+
 def _variants(shape: CampaignShape, scenario: Scenario) -> tuple[Variant, ...]:
     """Schemes, crossed with observers and controllers where some are named."""
     given = list(scenario.schemes) if shape.schemes == ALL else shape.schemes
     schemes = [name for name in given if name in scenario.schemes] or [next(iter(scenario.schemes))]
+    if shape.observers == OTHERS:
+        return tuple(_with_others(schemes, shape, scenario))
     named = _all_observers() if shape.observers == ALL else shape.observers
     observers = [(name, name, shape.parameters.get(name, {})) for name in named]
     observers += [
