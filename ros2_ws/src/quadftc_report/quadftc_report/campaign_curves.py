@@ -15,15 +15,13 @@ from quadftc_flight.diagnosis_metrics.roc import Roc, roc
 from quadftc_model.samples import AXES
 from quadftc_report.campaign_results import Floats, Results, Side, known, numbers
 from quadftc_report.draw_plotly import TOP, axis, empty_figure, line_look, spec_of
-from quadftc_report.wording import counted, listing, plain, short
+from quadftc_report.wording import plain, short
 
 HEIGHT = 380  # px
 LEGEND_ROW = 23  # px
 IN_A_ROW = 3  # entries of a legend, about
 POINTS = 500  # of a curve
 RATIO = 8.0  # between the largest and the smallest value, from which on a scale is logarithmic
-BEYOND_ZERO = 2.0  # ratio of the smallest positive value to the lower end, where zero is drawn
-MARGIN = 0.04  # of the length of a scale, on both ends
 DECADES = 3.5  # longest logarithmic scale with ticks at 2 and 5
 RATES = "finds %{y:.1%} at %{x:.1%} false alarms<extra></extra>"
 
@@ -37,40 +35,13 @@ class Picture(NamedTuple):
     plots: dict[str, dict[str, Any]]
 
 
-class Scale(NamedTuple):
-    """A scale of values; ``zeros``: it is logarithmic, and zero is drawn at its lower end."""
-
-    low: float
-    high: float
-    log: bool = False
-    zeros: bool = False
-
-
-def scale_of(values: Floats) -> Scale:
-    """Return a scale for values (n,), which are finite and not negative."""
-    positive = values[values > 0.0]
-    if not len(positive):
-        return Scale(0.0, 1.0)
-    low, high = float(positive.min()), float(positive.max())
-    zeros = len(positive) < len(values)
-    if high < RATIO * low:
-        room = MARGIN * (high - low) or 0.5 * high
-        return Scale(0.0 if zeros else max(low - room, 0.0), high + room)
-    room = (high / low) ** MARGIN
-    return Scale(low / (BEYOND_ZERO if zeros else room), high * room, True, zeros)
-
-
-def log_ticks(scale: Scale) -> dict[str, Any]:
+def log_ticks(low: float, high: float) -> dict[str, Any]:
     """Return the ticks of a logarithmic scale, for Plotly."""
-    first, last = math.log10(scale.low), math.log10(scale.high)
-    steps = (1.0, 2.0, 5.0) if last - first <= DECADES else (1.0,)
-    powers = range(math.floor(first), math.floor(last) + 1)
+    steps = (1.0, 2.0, 5.0) if math.log10(high / low) <= DECADES else (1.0,)
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     values = [step * 10.0**power for power in powers for step in steps]
-    values = [value for value in values if first <= math.log10(value) <= last] or [scale.low, scale.high]
-    if scale.zeros:
-        far = [value for value in values if value > BEYOND_ZERO * scale.low]
-        return {"tickvals": [scale.low, *far], "ticktext": ["0", *map(plain, far)]}
-    return {"tickvals": values, "ticktext": list(map(plain, values))}
+    values = [value for value in values if low <= value <= high]
+    return {"tickvals": values, "ticktext": [plain(value) for value in values]}
 
 
 class Ecdf(NamedTuple):
@@ -79,11 +50,6 @@ class Ecdf(NamedTuple):
     values: Floats
     shares: Floats  # of all, that are at most the value
     total: int
-
-    @property
-    def final(self) -> float:
-        """The share that has a finite value."""
-        return float(self.shares[-1]) if len(self.shares) else 0.0
 
 
 def ecdf(values: Floats) -> Ecdf:
@@ -112,8 +78,6 @@ class Detector(NamedTuple):
     """
 
     curve: Roc | None  # None: there is nothing to compare, or it never estimates anything
-    faults: int  # scores of the curve
-    healthy: int
     point: tuple[float, float] | None  # its own detector: share of healthy axes alarmed, of faults found
 
 
@@ -129,28 +93,20 @@ def detector_of(side: Side) -> Detector:
     counts = [numbers(side.flights, f"false_alarms.{axis}")[there] for there, axis in healthy]
     alarms = known(np.concatenate(counts))
     says = len(found) and len(alarms) and (np.any(found) or np.any(alarms))
-    point = (float(np.mean(alarms > 0.0)), float(np.mean(found))) if says else None
-    return Detector(curve, len(peaks), len(calm), point)
+    return Detector(curve, (float(np.mean(alarms > 0.0)), float(np.mean(found))) if says else None)
 
 
 def distributions(results: Results) -> Iterator[Picture]:
     """Yield the distributions of tracking, fault estimate and detection delay."""
     sides = results.sides
-    without = [side.title for side in sides if not side.has_observer]
-    lost = {side: np.sum(np.isinf(side.worst_tracking)) for side in sides}
-    told = listing([f"{count} of {side.title}" for side, count in lost.items() if count])
-    note = f" Flights that did not stay finite count as worse than all others: {told}." if told else ""
+    note = "A flight that did not stay finite is worse than all others."
     tracking = [(side, side.worst_tracking) for side in sides]
     yield from _distribution("tracking", ("tracking RMSE of the worst axis", "deg", "flight"), tracking, note)
-    if not results.kinds:
-        return
-    note = f" Without a fault observer ({listing(without)}) the error is the fault itself." if without else ""
+    note = "Without a fault observer the error is the fault itself."
     estimates = [(side, side.estimate_errors) for side in sides]
     yield from _distribution("estimate", ("RMSE of the estimate", "deg", "fault"), estimates, note)
+    note = "Where faults were missed, the curve ends below 100 %."
     delays = [(side, side.detection_delays) for side in sides if side.has_observer]
-    missed = {side: int(np.sum(np.isinf(values))) for side, values in delays}
-    told = listing([f"{counted(count, 'fault')} of {side.title}" for side, count in missed.items() if count])
-    note = f" Without a delay, so that the curve ends below 100 %: {told}." if told else ""
     yield from _distribution("delay", ("detection delay", "s", "fault"), delays, note)
 
 
@@ -159,42 +115,34 @@ def _distribution(
 ) -> Iterator[Picture]:
     """A figure of distributions; none if there is not a value."""
     value, unit, thing = words
-    curves = [
-        (side, curve) for side, curve in ((side, ecdf(values)) for side, values in parts) if curve.total
-    ]
-    if not any(len(curve.values) for _, curve in curves):
+    curves = [(side, curve) for side, values in parts if (curve := ecdf(values)).total]
+    finite = np.concatenate([curve.values for _, curve in curves]) if curves else np.zeros(0)
+    if not len(finite):
         return
-    scale = scale_of(np.concatenate([curve.values for _, curve in curves]))
-    span = {"range": [scale.low, scale.high]}
-    if scale.log:
-        span = {"type": "log", "range": np.log10([scale.low, scale.high]).tolist(), **log_ticks(scale)}
+    positive = finite[finite > 0.0] if np.any(finite > 0.0) else np.ones(1)
+    low, high = float(positive.min()), float(positive.max())
+    start, end, x_axis = 0.0, 1.05 * high, {"range": [0.0, 1.05 * high]}
+    if high > RATIO * low:
+        start, end = low / 2.0, 1.1 * high  # zeros stand at the left end
+        x_axis = {"type": "log", "range": [math.log10(start), math.log10(end)], **log_ticks(start, end)}
     drawing = variant_figure(len(curves), (f"{value} [{unit}]", f"share of the {thing}s"))
-    drawing.update_layout(xaxis=span, yaxis={"range": [-0.02, 1.03], "tickformat": ".0%"})
+    drawing.update_layout(xaxis=x_axis, yaxis={"range": [-0.02, 1.03], "tickformat": ".0%"})
     for side, curve in curves:
-        x, y = _steps(curve, scale)
+        # from below the first step to the end of the axis
+        x = np.concatenate([[start], curve.values, [end]])
+        final = curve.shares[-1] if len(curve.shares) else 0.0
         drawing.add_scatter(
-            x=np.maximum(x, scale.low).astype(np.float32),
-            y=y.astype(np.float32),
+            x=np.maximum(x, start).astype(np.float32),
+            y=np.concatenate([[0.0], curve.shares, [final]]).astype(np.float32),
             name=escaped(side.name),
             line_shape="hv",
-            customdata=[short(value) for value in x.tolist()],
+            customdata=[short(each) for each in x.tolist()],
             hovertemplate=f"{escaped(side.name)}: %{{y:.1%}} at most %{{customdata}} {unit}<extra></extra>",
             **line_look(side.role, side.rank),
         )
-    zeros = " Values of zero stand at the left end." if scale.zeros else ""
-    counts = counts_text({side.name: curve.total for side, curve in curves}, thing)
-    caption = f"Share of the {thing}s whose {value} is at most so much; {counts}.{zeros}{note}"
-    yield Picture(
-        f"ecdf-{key}", f"{value[0].upper()}{value[1:]}", caption, {"": spec_of(drawing, f"ecdf-{key}")}
-    )
-
-
-def _steps(curve: Ecdf, scale: Scale) -> tuple[Floats, Floats]:
-    """The points of a curve from below its first step; flat to the end of the scale where it ends below 1."""
-    first = curve.values[:1] if len(curve.values) else [scale.low]
-    last = [scale.high] if curve.final < 1.0 else []
-    x = np.concatenate([first, curve.values, last])
-    return x, np.concatenate([[0.0], curve.shares, [curve.final][: len(last)]])
+    caption = f"Share of the {thing}s whose {value} is at most so much. {note}"
+    spec = spec_of(drawing, f"ecdf-{key}")
+    yield Picture(f"ecdf-{key}", f"{value[0].upper()}{value[1:]}", caption, {"": spec})
 
 
 def characteristics(results: Results) -> Iterator[Picture]:
@@ -202,34 +150,32 @@ def characteristics(results: Results) -> Iterator[Picture]:
     shown = [(side, found) for side in results.sides if (found := detector_of(side)).curve is not None]
     if not shown:
         return
-    drawing = variant_figure(
-        len(shown), ("share of healthy axes with a false alarm", "share of faults found")
-    )
-    shares = {"range": [-0.02, 1.02], "tickformat": ".0%"}
-    drawing.update_layout(xaxis=shares, yaxis={**shares, "range": [-0.02, 1.03]})
+    titles = "share of healthy axes with a false alarm", "share of faults found"
+    drawing = variant_figure(len(shown), titles)
+    shares = {"range": [-0.02, 1.03], "tickformat": ".0%"}
+    drawing.update_layout(xaxis=shares, yaxis=shares)
     diagonal = {"name": "guessing", "hoverinfo": "skip", "showlegend": False}
     drawing.add_scatter(x=[0, 1], y=[0, 1], **diagonal, **line_look("limit", 0))
     for side, found in shown:
         _add_characteristic(drawing, side, found)
-    faults = counts_text({side.name: found.faults for side, found in shown}, "fault")
     caption = (
         "If an estimate of some size were an alarm: the share of the faults found over the share of the"
-        f" healthy axes alarmed, for every size ({faults}). AUC: area under the curve; dotted: guessing."
+        " healthy axes alarmed, for every size. AUC: area under the curve; dotted: guessing."
         " Dots: the observers' own detectors."
     )
     yield Picture("roc", "Detection by the size of the estimate", caption, {"": spec_of(drawing, "roc")})
 
 
 def _add_characteristic(drawing: go.Figure, side: Side, found: Detector) -> None:
-    name, look = escaped(side.name), line_look(side.role, side.rank)
-    curve = found.curve
+    name, look, curve = escaped(side.name), line_look(side.role, side.rank), found.curve
     if curve is not None:
         chosen = _thin(len(curve.threshold))
+        area = "1" if curve.area == 1.0 else f"{min(curve.area, 0.9999):.4g}"  # 1 only if it is
         drawing.add_scatter(
             x=curve.false_alarm_share[chosen].astype(np.float32),
             y=curve.detection_probability[chosen].astype(np.float32),
             customdata=[short(level) for level in curve.threshold[chosen].tolist()],
-            name=f"{name} (AUC {_area_text(curve.area)})",
+            name=f"{name} (AUC {area})",
             legendgroup=name,
             hovertemplate=f"{name}, from %{{customdata}} deg on: {RATES}",
             **look,
@@ -249,11 +195,6 @@ def _add_characteristic(drawing: go.Figure, side: Side, found: Detector) -> None
         )
 
 
-def _area_text(area: float) -> str:
-    """Three decimals, and 1 only if it is."""
-    return "1" if area == 1.0 else f"{min(area, 0.9999):.4f}" if area > 0.999 else f"{area:.3f}"
-
-
 def variant_figure(entries: int, titles: tuple[str, str]) -> go.Figure:
     """Return an empty figure with room for the entries of its legend."""
     more = LEGEND_ROW * max(-(-entries // IN_A_ROW) - 1, 0)
@@ -265,11 +206,3 @@ def variant_figure(entries: int, titles: tuple[str, str]) -> go.Figure:
 def escaped(text: str) -> str:
     """Return a text in which Plotly finds no markup."""
     return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
-
-
-def counts_text(counts: dict[str, int], thing: str) -> str:
-    """Write how many of a thing each variant has: ``600 flights of each variant``."""
-    texts = {name: counted(count, thing) for name, count in counts.items()}
-    if len(set(texts.values())) == 1:
-        return next(iter(texts.values())) + (" of each variant" if len(texts) > 1 else "")
-    return listing([f"{text} of '{name}'" for name, text in texts.items()])

@@ -12,29 +12,19 @@ import polars as pl
 from numpy.typing import NDArray
 
 from quadftc_campaign.campaign_file import Campaign
-from quadftc_campaign.distributions import Distribution, plain, unit_of
+from quadftc_campaign.distributions import Distribution, plain
 from quadftc_campaign.table import whole_flights
 from quadftc_model.samples import AXES
-from quadftc_report.campaign_curves import (
-    RATIO,
-    Picture,
-    Scale,
-    counts_text,
-    escaped,
-    log_ticks,
-    variant_figure,
-)
+from quadftc_report.campaign_curves import RATIO, Picture, escaped, log_ticks, variant_figure
 from quadftc_report.campaign_results import Floats, Results, numbers
 from quadftc_report.draw_plotly import spec_of
-from quadftc_report.metric_kinds import EVENT, Kind, kind_of
+from quadftc_report.metric_kinds import SCALES, Kind, describe
 from quadftc_report.wording import plain as digits
-from quadftc_report.wording import sentence, short
+from quadftc_report.wording import short
 
 FEWEST = 5  # flights in a cell that is shown
 MOST = 8  # bins of a continuous value
 WANTED = 8  # flights in a cell, on average
-FEW = 5  # bins of which every edge is written
-MANY = 12  # values of a list that are all written
 FAULT = "fault."  # how columns of faults begin
 COLOURS = "Cividis"  # even steps, the same for colour-blind readers
 MISSING = "#dcdcdc"  # of cells with too few flights
@@ -42,13 +32,10 @@ READABLE = 10  # columns of a map in which the numbers have room
 
 
 class BinAxis(NamedTuple):
-    """How a varied value is divided; bin k reaches from k - 1/2 to k + 1/2."""
+    """How a varied value is divided."""
 
-    path: str
-    unit: str
+    title: str
     names: tuple[str, ...]  # of each bin
-    ticks: tuple[tuple[float, str], ...]  # places and texts
-    continuous: bool
     bins: NDArray[np.intp]  # (rows,) bin of each row of the table; -1: none
 
 
@@ -57,7 +44,6 @@ class Cells(NamedTuple):
 
     medians: Floats  # in the metric's unit; NaN: too few flights
     flights: NDArray[np.int64]
-    rows: int  # faults or flights that are in the cells shown
 
 
 class Maps(NamedTuple):
@@ -65,9 +51,7 @@ class Maps(NamedTuple):
 
     x: BinAxis
     y: BinAxis
-    kind: Kind
-    of_faults: bool
-    worst_axis: bool  # whether the metric is of an axis, and that of the worst one is taken
+    kind: Kind  # of the metric
     cells: Mapping[str, Cells]  # by variant
 
     @property
@@ -83,17 +67,18 @@ def draw_maps(results: Results) -> Iterator[Picture]:
     paths, metric = _mapped_paths(results.campaign), results.campaign.metric
     if len(paths) < 2:
         return
-    if not _metric_columns(results.frame, metric):
-        yield Picture("map", "No map", f"The campaign's table has no numbers '{metric}'.", {})
-        return
     maps = maps_of(results)
     if maps is None or maps.span is None:
         yield Picture("map", "No map", f"No cell holds {FEWEST} flights with a '{metric}'.", {})
         return
-    plots = {
-        name: _spec(f"map-{index}", maps, cells) for index, (name, cells) in enumerate(maps.cells.items())
-    }
-    yield Picture("map", f"Over {paths[0]} and {paths[1]}", _caption(maps), plots)
+    caption = (
+        f"Median of the {_metric_text(maps.kind)} in each cell, of its worst axis where it has several."
+        f" Cells with fewer than {FEWEST} flights are grey. A range is divided into parts with as many"
+        " flights each."
+    )
+    specs = [_spec(f"map-{index}", maps, cells) for index, cells in enumerate(maps.cells.values())]
+    plots = dict(zip(maps.cells, specs, strict=True))
+    yield Picture("map", f"Over {paths[0]} and {paths[1]}", caption, plots)
 
 
 def maps_of(results: Results) -> Maps | None:
@@ -106,19 +91,16 @@ def maps_of(results: Results) -> Maps | None:
     most = _bins_for(frame["flight"].n_unique(), both)
     x, y = (bin_axis(frame, path, drawn, most) for path, drawn in zip(paths, both, strict=True))
     of_faults = campaign.metric.startswith(FAULT)
-    path = f"{EVENT}0.{campaign.metric.removeprefix(FAULT)}" if of_faults else campaign.metric
-    kind = kind_of(path)[1]
+    fault_path = f"diagnosis.events.0.{campaign.metric.removeprefix(FAULT)}"
+    kind = describe(fault_path if of_faults else campaign.metric)[1]
     largest = pl.max_horizontal(pl.col(columns).cast(pl.Float64).fill_nan(None))
-    values = frame.select(
-        "flight", "variant", value=kind.scale * largest, x=pl.Series(x.bins), y=pl.Series(y.bins)
-    )
+    value = SCALES.get(kind.unit, 1.0) * largest
+    values = frame.select("flight", "variant", value=value, x=pl.Series(x.bins), y=pl.Series(y.bins))
     values = values if of_faults else whole_flights(values)
     values = values.filter(pl.col("value").is_finite(), pl.col("x") >= 0, pl.col("y") >= 0)
     shape = len(y.names), len(x.names)
-    cells = {
-        side.name: _cells(values.filter(pl.col("variant") == side.name), shape) for side in results.sides
-    }
-    return Maps(x, y, kind, of_faults, len(columns) > 1, cells)
+    groups = {side.name: values.filter(pl.col("variant") == side.name) for side in results.sides}
+    return Maps(x, y, kind, {name: _cells(group, shape) for name, group in groups.items()})
 
 
 def bin_axis(frame: pl.DataFrame, path: str, drawn: Distribution, most: int) -> BinAxis:
@@ -130,38 +112,28 @@ def bin_axis(frame: pl.DataFrame, path: str, drawn: Distribution, most: int) -> 
     edges = np.unique(np.quantile(known, np.linspace(0.0, 1.0, most + 1))) if len(known) else np.zeros(1)
     if len(edges) == 1:
         edges = np.array([edges[0], edges[0]])
-    texts = [digits(edge) for edge in edges.tolist()]
-    names = tuple(f"{low} to {high}" for low, high in itertools.pairwise(texts))
+    names = tuple(f"{low} to {high}" for low, high in itertools.pairwise(map(digits, edges.tolist())))
     bins = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(names) - 1)
-    every = 2 if len(names) > FEW and len(names) % 2 == 0 else 1
-    ticks = tuple((index - 0.5, text) for index, text in enumerate(texts))[::every]
     bins = np.where(np.isfinite(values), bins, -1).astype(np.intp)
-    return BinAxis(path, drawn.unit, names, ticks, True, bins)
+    return BinAxis(f"{path} [{drawn.unit}]" if drawn.unit else path, names, bins)
 
 
 def _listed(frame: pl.DataFrame, path: str, drawn: Distribution) -> BinAxis:
     """One bin for each value; numbers in their order."""
-    given = {_key(plain(value)): value for value in drawn.values}
-    keys = sorted(given) if all(isinstance(key, float) for key in given) else list(given)
-    units = {unit_of(value) for value in drawn.values}
-    unit = units.pop() if len(units) == 1 else ""
-    numeric = [isinstance(plain(given[key]), (int, float)) and bool(unit) for key in keys]
-    names = tuple(
-        digits(plain(given[key])) if number else str(given[key])
-        for key, number in zip(keys, numeric, strict=True)
-    )
+    names = {
+        _key(plain(value)): str(plain(value) if isinstance(value, dict) else value) for value in drawn.values
+    }
+    keys = sorted(names) if all(isinstance(key, float) for key in names) else list(names)
     place = {key: index for index, key in enumerate(keys)}
     there: list[Any] = frame[path].to_list() if path in frame.columns else [None] * frame.height
     bins = np.array([place.get(_key(value), -1) for value in there], np.intp)
-    ticks = tuple((float(index), name) for index, name in enumerate(names))[:: -(-len(names) // MANY)]
-    return BinAxis(path, unit, names, ticks, False, bins)
+    return BinAxis(path, tuple(names[key] for key in keys), bins)
 
 
 def _key(value: Any) -> float | str:
     """A value as it compares between the campaign file and the table."""
-    if isinstance(value, bool):
-        return str(value)
-    return float(value) if isinstance(value, (int, float)) else str(value)
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return float(value) if is_number else str(value)
 
 
 def _bins_for(flights: int, both: tuple[Distribution, Distribution]) -> int:
@@ -185,92 +157,52 @@ def _metric_columns(frame: pl.DataFrame, metric: str) -> list[str]:
 
 
 def _cells(values: pl.DataFrame, shape: tuple[int, int]) -> Cells:
-    found = values.group_by("y", "x").agg(
-        pl.col("value").median(), pl.col("flight").n_unique().alias("flights"), pl.len().alias("rows")
-    )
     medians, flights = np.full(shape, np.nan), np.zeros(shape, np.int64)
+    found = values.group_by("y", "x").agg(pl.col("value").median(), pl.col("flight").n_unique())
     place = found["y"].to_numpy(), found["x"].to_numpy()
-    medians[place], flights[place] = found["value"].to_numpy(), found["flights"].to_numpy()
+    medians[place], flights[place] = found["value"].to_numpy(), found["flight"].to_numpy()
     medians[flights < FEWEST] = np.nan
-    return Cells(medians, flights, int(found.filter(pl.col("flights") >= FEWEST)["rows"].sum()))
+    return Cells(medians, flights)
 
 
-def _caption(maps: Maps) -> str:
-    thing = "fault" if maps.of_faults else "flight"
-    what = f"median of the {maps.kind.label}{', worst axis' * maps.worst_axis}{_unit(maps)} in each cell"
-    counts = counts_text({name: each.rows for name, each in maps.cells.items()}, thing)
-    parts = (
-        ". A range is divided into parts with as many flights each"
-        if maps.x.continuous or maps.y.continuous
-        else ""
-    )
-    return sentence(f"{what}; {counts}. Cells with fewer than {FEWEST} flights are grey{parts}")
-
-
-def _unit(maps: Maps) -> str:
-    return f" [{maps.kind.unit}]" if maps.kind.unit else ""
+def _metric_text(kind: Kind) -> str:
+    return f"{kind.label} [{kind.unit}]" if kind.unit else kind.label
 
 
 def _spec(key: str, maps: Maps, cells: Cells) -> dict[str, Any]:
     """Draw the map of a variant, in the colours that hold for all variants."""
     low, high = maps.span or (0.0, 1.0)
-    log = low > 0.0 and high > RATIO * low
-    bar: dict[str, Any] = {"title": {"text": f"median{_unit(maps)}", "side": "right"}, "thickness": 14}
+    bar: dict[str, Any] = {"title": {"text": f"median {_metric_text(maps.kind)}", "side": "right"}}
     shown, edges = cells.medians, (low, high)
-    if log:
+    if low > 0.0 and high > RATIO * low:
         shown, edges = np.log10(np.maximum(shown, low)), (np.log10(low), np.log10(high))
-        ticks = log_ticks(Scale(low, high, log=True))
+        ticks = log_ticks(low, high)
         bar |= {**ticks, "tickvals": np.log10(ticks["tickvals"]).tolist()}
-    titles = [f"{axis.path} [{axis.unit}]" if axis.unit else axis.path for axis in (maps.x, maps.y)]
-    drawing = variant_figure(0, (titles[0], titles[1]))
+    x, y = ([escaped(name) for name in axis.names] for axis in (maps.x, maps.y))
+    titles = escaped(maps.x.title), escaped(maps.y.title)
+    drawing = variant_figure(0, (maps.x.title, maps.y.title))
     drawing.update_layout(
-        xaxis=_bin_ticks(maps.x),
-        yaxis={**_bin_ticks(maps.y), "automargin": True},
+        xaxis={"type": "category", "showgrid": False},
+        yaxis={"type": "category", "showgrid": False, "automargin": True},
         plot_bgcolor=MISSING,
         margin={"t": 16, "r": 8},
     )
+    hover = f"{titles[0]}: %{{x}}<br>{titles[1]}: %{{y}}<br>median %{{text}} {maps.kind.unit}"
     drawing.add_heatmap(
         z=[[None if np.isnan(value) else value for value in row] for row in shown.tolist()],
-        x=list(range(len(maps.x.names))),
-        y=list(range(len(maps.y.names))),
+        x=x,
+        y=y,
         zmin=edges[0],
         zmax=edges[1] if edges[1] > edges[0] else edges[0] + 1.0,
         colorscale=COLOURS,
-        colorbar={**bar, "outlinewidth": 0},
+        colorbar={**bar, "thickness": 14, "outlinewidth": 0},
         xgap=1,
         ygap=1,
-        customdata=_hover(maps, cells),
-        hovertemplate="%{customdata}<extra></extra>",
+        text=[["" if np.isnan(value) else short(value) for value in row] for row in cells.medians.tolist()],
+        texttemplate="%{text}" if len(x) <= READABLE else "",
+        textfont={"size": 10},
+        customdata=cells.flights.tolist(),
+        hovertemplate=f"{hover}<br>%{{customdata}} flights<extra></extra>",
         hoverongaps=False,
     )
-    if len(maps.x.names) <= READABLE:
-        texts = [[f"{value:.2g}" if np.isfinite(value) else "" for value in row] for row in cells.medians]
-        drawing.update_traces(text=texts, texttemplate="%{text}", textfont={"size": 10})
     return spec_of(drawing, key)
-
-
-def _bin_ticks(axis: BinAxis) -> dict[str, Any]:
-    values, texts = zip(*axis.ticks, strict=True)
-    span = [-0.5, len(axis.names) - 0.5]
-    return {
-        "tickvals": values,
-        "ticktext": [escaped(text) for text in texts],
-        "range": span,
-        "showgrid": False,
-    }
-
-
-def _hover(maps: Maps, cells: Cells) -> list[list[str]]:
-    """Bins, median and number of flights of each cell."""
-    x, y = (
-        [f"{escaped(axis.path)}: {escaped(name)} {axis.unit}".rstrip() for name in axis.names]
-        for axis in (maps.x, maps.y)
-    )
-    return [
-        [
-            f"{x[column]}<br>{y[row]}<br>median {short(value)} {maps.kind.unit}"
-            f"<br>{cells.flights[row, column]} flights"
-            for column, value in enumerate(line)
-        ]
-        for row, line in enumerate(cells.medians.tolist())
-    ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import polars as pl
@@ -41,22 +41,22 @@ class Side:
         return self.rows.filter(pl.col("fault").is_not_null())
 
     @property
-    def title(self) -> str:
-        """Its name in a sentence."""
-        return f"'{self.name}'"
-
-    @property
     def has_observer(self) -> bool:
         """Whether it estimates sensor faults."""
         return has_observer(self.rows)
+
+    @property
+    def parts(self) -> str:
+        """Its fault observer, disturbance observer and controller."""
+        keys = ("observer", "disturbance_observer", "controller")
+        given = [self.rows[key].drop_nulls() for key in keys if key in self.rows.columns]
+        return ", ".join(str(names[0]) for names in given if len(names))
 
     @functools.cached_property
     def worst_tracking(self) -> Floats:
         """Tracking RMSE of the worst axis of each flight [deg]; infinite if it did not stay finite."""
         axes = np.stack([numbers(self.flights, f"tracking_rmse_deg.{axis}") for axis in AXES])
-        worst = np.max(np.where(np.isnan(axes), -np.inf, axes), axis=0)
-        worst[np.isneginf(worst)] = np.nan
-        return np.where(_stayed_finite(self.flights), worst, np.inf)
+        return np.where(_stayed_finite(self.flights), np.fmax.reduce(axes), np.inf)
 
     @functools.cached_property
     def estimate_errors(self) -> Floats:
@@ -71,19 +71,14 @@ class Side:
         delays = numbers(self.faults, "fault.detection_delay_s")[~np.isnan(found)]
         return np.where(np.isnan(delays), np.inf, delays)
 
-    def healthy_hours(self, axes: Sequence[str] = AXES) -> float:
-        """Return for how long the axes of all flights were healthy, together [h]."""
-        return sum(float(np.nansum(numbers(self.flights, f"healthy_time_s.{axis}"))) for axis in axes) / HOUR
-
     def alarms_per_hour(self, axes: Sequence[str] = AXES) -> float | None:
         """Return the false alarms in an hour of a healthy axis [1/h]; None: no axis was healthy."""
-        hours = self.healthy_hours(axes)
-        alarms = sum(float(np.nansum(numbers(self.flights, f"false_alarms.{axis}"))) for axis in axes)
-        return alarms / hours if hours > 0.0 else None
+        hours = sum(np.nansum(numbers(self.flights, f"healthy_time_s.{axis}")) for axis in axes) / HOUR
+        alarms = sum(np.nansum(numbers(self.flights, f"false_alarms.{axis}")) for axis in axes)
+        return float(alarms / hours) if hours > 0.0 else None
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Results:
+class Results(NamedTuple):
     """The results of all variants, in the order of the campaign."""
 
     campaign: Campaign

@@ -1,12 +1,11 @@
 """Which samples of a series to draw: few enough for a browser, and every visible feature stays.
 
-Metrics are never computed from decimated samples. The samples drawn are samples of the series:
+1. The ends, both edges of every gap (NaN), and the smallest and the largest sample of each of a few hundred
+   stretches of time (MinMax, by tsdownsample).
+2. Then, repeatedly, the sample farthest from the line drawn so far, between any two neighbours, until the
+   line is nowhere off by more than ``TOLERANCE`` of the range, or ``LIMIT`` samples are drawn.
 
-1. the ends, both edges of every gap (NaN), and the smallest and the largest sample of each of a few hundred
-   stretches of time (MinMax, by tsdownsample);
-2. then, repeatedly, the sample farthest from the line drawn so far, between any two neighbours: both sides of
-   a step, the bends of a transient. It ends when the line is nowhere off by more than ``TOLERANCE`` of the
-   range, or when ``LIMIT`` samples are drawn.
+Metrics are never computed from decimated samples.
 """
 
 from __future__ import annotations
@@ -26,21 +25,14 @@ TOLERANCE = 1e-3  # of the range; a fifth of a pixel in a panel of 200
 
 
 def choose_samples(t: Floats, *series: Floats, limit: int = LIMIT) -> Indices:
-    """Choose the samples that are drawn of one or more series.
+    """Return rising indices (m,) of the samples that are drawn of one or more series, one for each gap.
 
     Parameters
     ----------
-    t : array (n,)
-        Time, rising.
-    series : arrays (n,)
-        A gap is where any of them is NaN.
+    t, series : arrays (n,)
+        Time, rising; a gap is where any of the series is NaN.
     limit : int
         How many samples to draw; ends, extremes and gaps are kept even if they are more.
-
-    Returns
-    -------
-    array (m,)
-        Rising indices, one for each gap; all of them if the series is short enough.
     """
     if len(t) <= limit:
         return np.arange(len(t))

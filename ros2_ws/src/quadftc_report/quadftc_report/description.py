@@ -15,7 +15,7 @@ TICK_MARGIN = 0.4  # on both ends of a scale of words
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Trace:
-    """A line. ``role`` and ``rank`` choose its look (`quadftc_report.style.line_style`)."""
+    """A line; ``role`` and ``rank`` choose its look (`quadftc_report.style.line_style`)."""
 
     name: str
     role: str  # truth, reference, proposed or compared
@@ -24,8 +24,7 @@ class Trace:
     rank: int = 0  # which of the compared runs
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Envelope:
+class Envelope(NamedTuple):
     """An area around a line, such as two standard deviations either side."""
 
     name: str

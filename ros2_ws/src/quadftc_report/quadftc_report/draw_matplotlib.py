@@ -10,13 +10,11 @@ from typing import Any, cast
 import matplotlib as mpl
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure as Canvas
-from matplotlib.font_manager import FontProperties
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from matplotlib.textpath import text_to_path
 from matplotlib.ticker import MaxNLocator
 
 from quadftc_report.decimation import choose_samples
-from quadftc_report.description import Band, Figure, Panel
+from quadftc_report.description import Figure, Panel
 from quadftc_report.style import GREY, line_style, shade_colour
 
 WIDTH = 3.5  # in; one column of a journal
@@ -104,41 +102,36 @@ def _panel(ax: Any, panel: Panel) -> Iterator[tuple[str, Any]]:
         chosen = choose_samples(trace.t, trace.y)
         yield trace.name, ax.plot(trace.t[chosen], trace.y[chosen], **_line(trace.role, trace.rank))[0]
     for area in panel.envelopes:
-        t, low, high = (
-            each[choose_samples(area.t, area.low, area.high)] for each in (area.t, area.low, area.high)
-        )
-        colour = line_style(area.role, area.rank).colour
-        yield area.name, ax.fill_between(t, low, high, color=colour, alpha=FILL, linewidth=0.0, zorder=1.5)
+        chosen = choose_samples(area.t, area.low, area.high)
+        sides = area.t[chosen], area.low[chosen], area.high[chosen]
+        look = {"color": line_style(area.role, area.rank).colour, "alpha": FILL, "linewidth": 0.0}
+        yield area.name, ax.fill_between(*sides, **look, zorder=1.5)
     for band in panel.bands:
-        yield band.label, _band(ax, band)
+        look = {**_line(band.role, band.rank), "linewidth": 0.6 * LINE_WIDTH, "zorder": 1.9}
+        ax.axhline(band.low, **look)
+        yield band.label, ax.axhline(band.high, **look)
     for shade in panel.shades:
         fill = {"color": shade_colour(shade.rank), "linewidth": 0.0, "zorder": 0.5}
         yield shade.label, ax.axvspan(shade.start, shade.stop, **fill)
     for mark in panel.marks:
-        line = ax.axvline(mark.time, color=GREY, linewidth=0.8, dashes=(1.0, 1.5), zorder=1.8)
-        yield mark.label, line
-
-
-def _band(ax: Any, band: Band) -> Any:
-    """Edges of a range of values: thin lines in the look of its run."""
-    look = {**_line(band.role, band.rank), "linewidth": 0.6 * LINE_WIDTH, "zorder": 1.9}
-    ax.axhline(band.low, **look)
-    return ax.axhline(band.high, **look)
+        dots = {"color": GREY, "linewidth": 0.8, "dashes": (1.0, 1.5), "zorder": 1.8}
+        yield mark.label, ax.axvline(mark.time, **dots)
 
 
 def _line(role: str, rank: int) -> dict[str, Any]:
     """Arguments of Matplotlib for the look of a line."""
     style = line_style(role, rank)
-    look: dict[str, Any] = {"color": style.colour, "linewidth": LINE_WIDTH * style.width}
-    if style.dashes:
-        look["dashes"] = style.dashes
-    return {**look, "zorder": 2.0 + style.layer * 1e-3}
+    dashes = {"dashes": style.dashes} if style.dashes else {}
+    width, order = LINE_WIDTH * style.width, 2.0 + style.layer * 1e-3
+    return {"color": style.colour, "linewidth": width, "zorder": order, **dashes}
 
 
 def _legend(canvas: Canvas, entries: dict[str, Any]) -> int:
     """Put the legend above the panels, row by row, in as many columns as fit; return the number of rows."""
     labels = list(entries)
-    columns = next(count for count in range(len(labels), 0, -1) if count == 1 or _fit(labels, count))
+    columns = next(
+        count for count in range(len(labels), 0, -1) if count == 1 or _width(labels, count) <= WIDTH
+    )
     order = [label for column in range(columns) for label in labels[column::columns]]
     canvas.legend(
         [entries[label] for label in order],
@@ -156,10 +149,7 @@ def _legend(canvas: Canvas, entries: dict[str, Any]) -> int:
     return -(-len(labels) // columns)
 
 
-def _fit(labels: list[str], columns: int) -> bool:
-    """Whether a legend of so many columns is as narrow as the figure."""
-    size = STYLE["legend.fontsize"]
-    font = FontProperties(family=STYLE["font.family"], size=size)
-    widths = [text_to_path.get_text_width_height_descent(label, font, ismath=False)[0] for label in labels]
-    text = sum(max(widths[column::columns]) for column in range(columns))
-    return text + columns * (HANDLE + 0.4 + 1.0) * size <= 72.0 * (WIDTH - 0.1)
+def _width(labels: list[str], columns: int) -> float:
+    """About how wide a legend of so many columns is [in]."""
+    letters = sum(max(len(label) for label in labels[column::columns]) for column in range(columns))
+    return LETTER * letters + columns * (HANDLE + 0.4 + 1.0) * STYLE["legend.fontsize"] / 72.0

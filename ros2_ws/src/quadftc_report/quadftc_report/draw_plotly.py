@@ -14,7 +14,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from quadftc_report.decimation import choose_samples
-from quadftc_report.description import Band, Envelope, Figure, Panel, Trace
+from quadftc_report.description import Envelope, Figure, Panel
 from quadftc_report.style import GREY, line_style, shade_colour
 
 PANEL_HEIGHT = 165  # px; of a panel of height 1
@@ -47,19 +47,19 @@ def figure_spec(figure: Figure) -> dict[str, Any]:
 
 def empty_figure(height: float, top: float, **layout: Any) -> go.Figure:
     """Return a figure without lines; its width is that of its place."""
-    common = {
-        "template": "plotly_white",
-        "height": height,
-        "margin": {"l": 72, "r": 16, "t": top, "b": 48},
-        "font": {"family": FONT, "size": 13},
-        "hoverlabel": {"namelength": -1},
-        "dragmode": "zoom",
-        "legend": {"orientation": "h", "x": 0.0, "xanchor": "left", "y": 1.02, "yanchor": "bottom"},
-    }
-    drawing = go.Figure(layout=common)
-    drawing.update_layout(layout)
-    drawing.update_layout(legend_bgcolor="rgba(0,0,0,0)")
-    return drawing
+    legend = {"orientation": "h", "x": 0.0, "xanchor": "left", "y": 1.02, "yanchor": "bottom"}
+    drawing = go.Figure(
+        layout={
+            "template": "plotly_white",
+            "height": height,
+            "margin": {"l": 72, "r": 16, "t": top, "b": 48},
+            "font": {"family": FONT, "size": 13},
+            "hoverlabel": {"namelength": -1},
+            "dragmode": "zoom",
+            "legend": {**legend, "bgcolor": "rgba(0,0,0,0)"},
+        }
+    )
+    return drawing.update_layout(layout)
 
 
 def axis(title: str, **others: Any) -> dict[str, Any]:
@@ -84,25 +84,21 @@ def plotly_figure(figure: Figure) -> go.Figure:
         xaxis=axis("time [s]", range=list(figure.span), anchor=last, **hover),
     )
     top = total
-    shown: set[str] = set()
     for number, (panel, height) in enumerate(zip(figure.panels, heights, strict=True), 1):
         suffix = str(number) if number > 1 else ""
         domain = [max((top - height) / total, 0.0), min(top / total, 1.0)]
         drawing.update_layout({f"yaxis{suffix}": _y_axis(panel, domain)})
         for item in _traces(panel, figure.span):
-            drawing.add_trace(go.Scatter(**item, yaxis=f"y{suffix}", **_legend(item["name"], shown)))
+            drawing.add_trace(go.Scatter(**item, yaxis=f"y{suffix}"))
         for item in _shapes(panel):
-            place = {"yref": f"y{suffix} domain", "y0": 0, "y1": 1}
-            drawing.add_shape(**item, **place, **_legend(item["name"], shown))
+            drawing.add_shape(**item, yref=f"y{suffix} domain", y0=0, y1=1)
         top -= height + GAP
+    # every name is in the legend once, and switches all that bear it
+    shown: set[str] = set()
+    for item in (*drawing.data, *drawing.layout.shapes):
+        item.update(legendgroup=item.name, showlegend=item.name not in shown)
+        shown.add(item.name)
     return drawing
-
-
-def _legend(name: str, shown: set[str]) -> dict[str, Any]:
-    """Every name is in the legend once, and switches all that bear it."""
-    first = name not in shown
-    shown.add(name)
-    return {"legendgroup": name, "showlegend": first}
 
 
 def _y_axis(panel: Panel, domain: list[float]) -> dict[str, Any]:
@@ -115,64 +111,44 @@ def _y_axis(panel: Panel, domain: list[float]) -> dict[str, Any]:
 
 def _traces(panel: Panel, span: tuple[float, float]) -> Iterator[dict[str, Any]]:
     """Everything of a panel that has samples or belongs to the range of its y axis."""
+    words = dict(panel.ticks)
     for trace in panel.traces:
-        yield _trace(trace, panel)
+        chosen = choose_samples(trace.t, trace.y)
+        y = trace.y[chosen]
+        value = "%{text}" if words else f"%{{y:.4~g}} {panel.unit}"
+        yield {
+            "name": trace.name,
+            "x": trace.t[chosen].astype(np.float32),
+            "y": y.astype(np.float32),
+            "text": [words.get(value, "") for value in y.tolist()] if words else None,
+            "hovertemplate": f"{panel.title}, {trace.name}: {value}<extra></extra>",
+            **line_look(trace.role, trace.rank),
+        }
     for area in panel.envelopes:
         yield _area(area)
     for band in panel.bands:
-        yield _band(band, span)
-
-
-def _trace(trace: Trace, panel: Panel) -> dict[str, Any]:
-    chosen = choose_samples(trace.t, trace.y)
-    y = trace.y[chosen]
-    words = dict(panel.ticks)
-    shown = "%{text}" if words else f"%{{y:.4~g}} {panel.unit}"
-    return {
-        "name": trace.name,
-        "x": trace.t[chosen].astype(np.float32),
-        "y": y.astype(np.float32),
-        **({"text": [words.get(value, "") for value in y.tolist()]} if words else {}),
-        "hovertemplate": f"{panel.title}, {trace.name}: {shown}<extra></extra>",
-        **line_look(trace.role, trace.rank),
-    }
+        thin = line_look(band.role, band.rank)
+        thin["line"]["width"] = 0.7 * LINE_WIDTH
+        edges = {"x": [*span, None, *span], "y": [band.high, band.high, None, band.low, band.low]}
+        yield {"name": band.label, **edges, "hoverinfo": "skip", **thin, "zorder": 0}
 
 
 def _area(area: Envelope) -> dict[str, Any]:
     """An area as one closed outline for each stretch without gap: forth above, back below, and a NaN."""
     chosen = choose_samples(area.t, area.low, area.high)
     t, low, high = area.t[chosen], area.low[chosen], area.high[chosen]
-    gaps = np.flatnonzero(~np.isfinite(low + high))
-    stretches = [part[np.isfinite((low + high)[part])] for part in np.split(np.arange(len(t)), gaps)]
-    outlines = [
-        (np.r_[t[part], t[part][::-1], np.nan], np.r_[high[part], low[part][::-1], np.nan])
-        for part in stretches
-        if len(part)
-    ]
-    x, y = (np.concatenate(side) for side in zip(*outlines, strict=True)) if outlines else ([], [])
+    stretches = np.ma.clump_unmasked(np.ma.masked_invalid(low + high))
+    x = [np.r_[t[part], t[part][::-1], np.nan] for part in stretches]
+    y = [np.r_[high[part], low[part][::-1], np.nan] for part in stretches]
     red, green, blue = bytes.fromhex(line_style(area.role, area.rank).colour[1:])
     return {
         "name": area.name,
-        "x": np.asarray(x, np.float32),
-        "y": np.asarray(y, np.float32),
+        "x": np.concatenate([*x, []]).astype(np.float32),
+        "y": np.concatenate([*y, []]).astype(np.float32),
         "mode": "none",
         "fill": "toself",
         "fillcolor": f"rgba({red},{green},{blue},{FILL})",
         "hoverinfo": "skip",
-        "zorder": 0,
-    }
-
-
-def _band(band: Band, span: tuple[float, float]) -> dict[str, Any]:
-    """Both edges of a range of values."""
-    thin = line_look(band.role, band.rank)
-    thin["line"]["width"] = 0.7 * LINE_WIDTH
-    return {
-        "name": band.label,
-        "x": [*span, None, *span],
-        "y": [band.high, band.high, None, band.low, band.low],
-        "hoverinfo": "skip",
-        **thin,
         "zorder": 0,
     }
 
@@ -192,8 +168,5 @@ def line_look(role: str, rank: int) -> dict[str, Any]:
     style = line_style(role, rank)
     width = LINE_WIDTH * style.width
     dash = ",".join(f"{SCREEN * length * width:.1f}px" for length in style.dashes) or "solid"
-    return {
-        "mode": "lines",
-        "line": {"color": style.colour, "width": width, "dash": dash, "simplify": False},
-        "zorder": style.layer,
-    }
+    line = {"color": style.colour, "width": width, "dash": dash, "simplify": False}
+    return {"mode": "lines", "line": line, "zorder": style.layer}

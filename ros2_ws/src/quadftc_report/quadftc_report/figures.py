@@ -17,8 +17,7 @@ A figure without data is left out. The angle without the faults is the measured 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable
-from typing import Any, TypeVar
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,211 +26,179 @@ from quadftc_flight.flight import NO_STATE, Reading
 from quadftc_flight.run_directory import NO_OBSERVER, RecordedRun
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES, FAULT_STATE_NAMES, FAULTY, RECOVERING, SUSPECT
-from quadftc_replay.replay_directory import Recorded, RecordedReplay
+from quadftc_replay.replay_directory import RecordedReplay
 from quadftc_report.comparison import Comparison, has_observer
-from quadftc_report.description import Band, Figure, Trace
-from quadftc_report.scene import UPPER, Scene, column_of, difference, envelope, known, worth
+from quadftc_report.description import Band, Envelope, Figure, Panel, Trace
+from quadftc_report.scene import Scene, column_of, envelope, known, worth
 
 Floats = NDArray[np.float64]
-Run = TypeVar("Run", bound=Recorded)
-FlightScene = Scene[RecordedRun]
-ReplayScene = Scene[RecordedReplay]
 
 PAPER_FIGURES = {
-    ("paper_faults", "fault"): (3, 4, 5),
-    ("paper_faults", "tracking"): (6, 7, 8),
-    ("paper_constant_disturbance", "tracking"): (9, 10, 11),
-    ("paper_varying_disturbance", "tracking"): (12, 13, 14),
-}  # scenario and kind of figure -> numbers in the paper for roll, pitch, yaw
+    ("paper_faults", "fault"): 3,
+    ("paper_faults", "tracking"): 6,
+    ("paper_constant_disturbance", "tracking"): 9,
+    ("paper_varying_disturbance", "tracking"): 12,
+}  # scenario and kind of figure -> number in the paper for roll; pitch and yaw follow
+UPPER = 1.5  # height of a panel with a panel of errors below
 IN_VIEW = 0.5  # share of a limit that the torque has to come up to before the limit is drawn
 
 
 def flight_figures(comparison: Comparison[RecordedRun]) -> list[Figure]:
     """Describe every figure of flights for which there is data."""
-    scene: FlightScene = Scene(comparison)
-    axes = range(len(AXES))
-    found = [
-        *(_number(_fault(scene, axis), scene, "fault", axis) for axis in axes),
-        _state(scene),
-        *(_number(_tracking(scene, axis), scene, "tracking", axis) for axis in axes),
-        _disturbance(scene),
-        _sliding_variable(scene),
-        _torque(scene),
+    scene, runs = Scene(comparison), comparison.runs
+    name = runs[0].scenario.name
+    return [
+        *_numbered(_faults(scene), PAPER_FIGURES.get((name, "fault"))),
+        *_state(scene),
+        *_numbered(_tracking(scene), PAPER_FIGURES.get((name, "tracking"))),
+        *_disturbance(scene),
+        *_sliding_variable(scene, runs),
+        *_torque(scene, runs),
     ]
-    return [figure for figure in found if figure is not None]
 
 
 def replay_figures(comparison: Comparison[RecordedReplay]) -> list[Figure]:
     """Describe every figure of replays for which there is data."""
-    scene: ReplayScene = Scene(comparison)
-    axes = range(len(AXES))
-    found = [
-        *(_attitude(scene, comparison.longest, axis) for axis in axes),
-        *(_fault(scene, axis) for axis in axes),
-        _state(scene),
-        _gyro(scene, comparison.longest),
-        _gyro_correction(scene),
+    scene, longest = Scene(comparison), comparison.longest
+    return [
+        *_attitude(scene, comparison.runs, longest),
+        *_faults(scene),
+        *_state(scene),
+        *_gyro(scene, longest),
+        *_gyro_correction(scene, comparison.runs),
     ]
-    return [figure for figure in found if figure is not None]
 
 
-def _number(figure: Figure | None, scene: FlightScene, kind: str, axis: int) -> Figure | None:
-    """Give a figure its number in the paper."""
-    numbers = PAPER_FIGURES.get((scene.runs[0].scenario.name, kind), ())[axis : axis + 1]
-    return figure and dataclasses.replace(figure, paper_figures=numbers)
+def _numbered(figures: Iterator[Figure], first: int | None) -> Iterator[Figure]:
+    """Give the figures of the axes their numbers in the paper."""
+    for figure in figures:
+        axis = AXES.index(figure.key.rpartition("-")[2])
+        yield dataclasses.replace(figure, paper_figures=() if first is None else (first + axis,))
 
 
-def _per_axis(
-    scene: Scene[Run],
-    texts: tuple[str, str, str],
-    label: tuple[str, str],
-    traces: Callable[[int], Iterable[Trace]],
-    **others: Callable[[int], Any],
-) -> Figure:
-    """A figure with a panel for each axis; ``texts``: key, title, caption; ``label``: quantity, unit."""
-    quantity, unit = label
-    panels = [
-        scene.panel(
-            axis,
-            traces(axis),
-            f"{name} {quantity}".rstrip(),
-            unit,
-            **{key: make(axis) for key, make in others.items()},
-        )
-        for axis, name in enumerate(AXES)
-    ]
-    return scene.figure(*texts, panels)
-
-
-def _fault(scene: Scene[Run], axis: int) -> Figure | None:
-    name = AXES[axis]
+def _faults(scene: Scene) -> Iterator[Figure]:
     runs = [run for run in scene.runs if has_observer(run) and known(run.flight.fault_estimate)]
-    truth = scene.truth(runs or scene.runs, "fault", axis, "true fault")
-    estimates = scene.estimates(runs, "fault_estimate", axis, "estimate")
-    if not worth(*(trace.y for trace in (*truth, *estimates))):
-        return None
-    errors = [
-        dataclasses.replace(line, y=difference(run, "fault_estimate", "fault", axis))
-        for run, line in zip(runs, estimates, strict=True)
-    ]
-    deviations = [column_of(run, "fault_std_dev", axis) for run in runs]
-    given = [pair for pair in zip(estimates, deviations, strict=True) if np.any(pair[1] >= 0.0)]
-    around = tuple(envelope(line, line.y, deviation) for line, deviation in given)
-    around_zero = tuple(envelope(line, 0.0, deviation) for line, deviation in given)
-    look = {"title": "fault", "envelopes": around, "height": UPPER}
-    upper = scene.panel(axis, [*truth, *estimates], f"{name} fault", "deg", **look)
-    caption = f"Fault of the {name} reading" + (
-        "; no run estimates it" if not runs else ", its estimate, and the error of the estimate"
-    )
-    texts = f"{name.capitalize()} fault and its estimate", caption
-    return scene.with_errors("fault", axis, texts, upper, errors, envelopes=around_zero)
+    for axis, name in enumerate(AXES):
+        truth = scene.truth(runs or scene.runs, "fault", axis, "true fault")
+        estimates = scene.lines(runs, "fault_estimate", axis, "estimate")
+        if not worth(*(trace.y for trace in (*truth, *estimates))):
+            continue
+        errors = scene.lines(runs, "fault_estimate", axis, "estimate", less="fault")
+        around: list[Envelope] = []
+        around_zero: list[Envelope] = []
+        for run, line in zip(runs, estimates, strict=True):
+            deviation = column_of(run, "fault_std_dev", axis)
+            if np.any(deviation >= 0.0):
+                around.append(envelope(line, line.y, deviation))
+                around_zero.append(envelope(line, 0.0, deviation))
+        look = {"title": "fault", "envelopes": tuple(around), "height": UPPER}
+        upper = scene.panel(axis, [*truth, *estimates], f"{name} fault", "deg", **look)
+        lower = scene.panel(axis, errors, "error", "deg", title="error", envelopes=tuple(around_zero))
+        title = f"{name.capitalize()} fault and its estimate"
+        caption = f"Fault of the {name} reading, its estimate, and the error of the estimate"
+        yield scene.figure(f"fault-{name}", title, caption, [upper, lower])
 
 
-def _state(scene: Scene[Run]) -> Figure | None:
+def _state(scene: Scene) -> Iterator[Figure]:
     """The state of each axis over time, where an observer ever doubts its sensor."""
     runs = [run for run in scene.runs if has_observer(run)]
     if not any(np.isin(run.flight.fault_state, (SUSPECT, FAULTY, RECOVERING)).any() for run in runs):
-        return None
-
-    def lines(axis: int) -> Iterable[Trace]:
-        for run in runs:
-            state = run.flight.fault_state[:, axis]
-            yield scene.trace(run, np.where(state == NO_STATE, np.nan, state.astype(np.float64)))
-
+        return
     words = tuple((float(state), word) for state, word in enumerate(FAULT_STATE_NAMES))
-    texts = "state", "State of the diagnosis", "State that the fault observer gives each axis of its sensor"
-    return _per_axis(scene, texts, ("", ""), lines, ticks=lambda _: words)
+    panels: list[Panel] = []
+    for axis, name in enumerate(AXES):
+        columns = [run.flight.fault_state[:, axis].astype(np.float64) for run in runs]
+        states = [np.where(column == NO_STATE, np.nan, column) for column in columns]
+        lines = [scene.trace(run, state) for run, state in zip(runs, states, strict=True)]
+        panels.append(scene.panel(axis, lines, name, "", ticks=words))
+    caption = "State that the fault observer gives each axis of its sensor"
+    yield scene.figure("state", "State of the diagnosis", caption, panels)
 
 
-def _tracking(scene: FlightScene, axis: int) -> Figure | None:
-    name = AXES[axis]
-    reference = scene.truth(scene.runs, "reference", axis, "reference")
-    angles = [scene.trace(run, column_of(run, "angles", axis)) for run in scene.runs]
-    errors = [scene.trace(run, difference(run, "angles", "reference", axis)) for run in scene.runs]
-    if not known(*(trace.y for trace in errors)):
-        return None
-    upper = scene.panel(axis, [*reference, *angles], f"{name} angle", "deg", height=UPPER)
-    texts = f"{name.capitalize()} tracking", f"True {name} angle, its reference, and the tracking error"
-    return scene.with_errors("tracking", axis, texts, upper, errors)
+def _tracking(scene: Scene) -> Iterator[Figure]:
+    for axis, name in enumerate(AXES):
+        reference = scene.truth(scene.runs, "reference", axis, "reference")
+        angles = scene.lines(scene.runs, "angles", axis)
+        errors = scene.lines(scene.runs, "angles", axis, less="reference")
+        if not known(*(trace.y for trace in errors)):
+            continue
+        upper = scene.panel(axis, [*reference, *angles], f"{name} angle", "deg", height=UPPER)
+        lower = scene.panel(axis, errors, "error", "deg", title="error")
+        caption = f"True {name} angle, its reference, and the tracking error"
+        yield scene.figure(f"tracking-{name}", f"{name.capitalize()} tracking", caption, [upper, lower])
 
 
-def _disturbance(scene: FlightScene) -> Figure | None:
+def _disturbance(scene: Scene) -> Iterator[Figure]:
     runs = [
         run
         for run in scene.runs
         if run.disturbance_observer != NO_OBSERVER and known(run.flight.disturbance_estimate)
     ]
-
-    def lines(axis: int) -> list[Trace]:
+    panels: list[Panel] = []
+    for axis, name in enumerate(AXES):
         truth = scene.truth(runs or scene.runs, "disturbance", axis, "disturbance d")
-        return [*truth, *scene.estimates(runs, "disturbance_estimate", axis, "estimate of d")]
-
-    caption = f"Disturbance d as an angular acceleration{' and its estimate' if runs else ''}"
-    texts = "disturbance", "Disturbance and its estimate", caption
-    figure = _per_axis(scene, texts, ("d", "rad/s²"), lines)
-    return figure if worth(*(trace.y for panel in figure.panels for trace in panel.traces)) else None
-
-
-def _sliding_variable(scene: FlightScene) -> Figure | None:
-    runs = [run for run in scene.runs if worth(run.flight.sliding_variable)]
-    if not runs:
-        return None
-
-    def layers(axis: int) -> tuple[Band, ...]:
-        layers = [(run, getattr(run.scheme.controller.law, "phi", None)) for run in runs]
-        sizes = [(run, np.broadcast_to(phi, len(AXES))[axis]) for run, phi in layers if phi is not None]
-        return tuple(
-            Band(-float(phi), float(phi), f"±Φ ({scene.label(run)})", *scene.look(run)) for run, phi in sizes
-        )
-
-    def lines(axis: int) -> list[Trace]:
-        return [scene.trace(run, run.flight.sliding_variable[:, axis]) for run in runs]
-
-    title = "Sliding variable and its boundary layer"
-    texts = "sliding_variable", title, "Sliding variable S with its boundary layer ±Φ"
-    return _per_axis(scene, texts, ("S", "rad/s"), lines, bands=layers)
+        estimates = scene.lines(runs, "disturbance_estimate", axis, "estimate of d")
+        panels.append(scene.panel(axis, [*truth, *estimates], f"{name} d", "rad/s²"))
+    if worth(*(trace.y for panel in panels for trace in panel.traces)):
+        caption = "Disturbance d as an angular acceleration, and its estimate"
+        yield scene.figure("disturbance", "Disturbance and its estimate", caption, panels)
 
 
-def _torque(scene: FlightScene) -> Figure | None:
+def _sliding_variable(scene: Scene, runs: Sequence[RecordedRun]) -> Iterator[Figure]:
+    runs = [run for run in runs if worth(run.flight.sliding_variable)]
+    panels: list[Panel] = []
+    for axis, name in enumerate(AXES):
+        bands: list[Band] = []
+        for run in runs:
+            phi = getattr(run.scheme.controller.law, "phi", None)
+            if phi is not None:
+                size = float(np.broadcast_to(phi, len(AXES))[axis])
+                bands.append(Band(-size, size, f"±Φ ({scene.label(run)})", *scene.look(run)))
+        lines = scene.lines(runs, "sliding_variable", axis)
+        panels.append(scene.panel(axis, lines, f"{name} S", "rad/s", bands=tuple(bands)))
+    if runs:
+        title = "Sliding variable and its boundary layer"
+        yield scene.figure("sliding_variable", title, "Sliding variable S with its boundary layer ±Φ", panels)
+
+
+def _torque(scene: Scene, runs: Sequence[RecordedRun]) -> Iterator[Figure]:
     """Torque command of each run, with the limits of the rotors where it comes near them."""
-    runs = [run for run in scene.runs if known(run.flight.torque)]
+    runs = [run for run in runs if known(run.flight.torque)]
     if not runs:
-        return None
+        return
     authority: Floats = runs[0].scheme.controller.law.vehicle.authority
-
-    def limits(axis: int) -> tuple[Band, ...]:
-        limit = float(authority[axis])
-        largest = max(float(np.nanmax(np.abs(run.flight.torque[:, axis]))) for run in runs)
-        return (Band(-limit, limit, "limits of the rotors", "limit"),) if largest > IN_VIEW * limit else ()
-
-    def lines(axis: int) -> list[Trace]:
-        return [scene.trace(run, run.flight.torque[:, axis]) for run in runs]
-
+    panels: list[Panel] = []
+    for axis, name in enumerate(AXES):
+        limit, lines = float(authority[axis]), scene.lines(runs, "torque", axis)
+        largest = max(float(np.nanmax(np.abs(line.y))) for line in lines)
+        bands = (Band(-limit, limit, "limits of the rotors", "limit"),) if largest > IN_VIEW * limit else ()
+        panels.append(scene.panel(axis, lines, f"{name} torque", "N m", bands=bands))
     bounds = ", ".join(f"{limit:.3g}" for limit in authority)
     caption = f"Torque command; the rotors can give {bounds} N m in roll, pitch, yaw"
-    return _per_axis(scene, ("torque", "Torque command", caption), ("torque", "N m"), lines, bands=limits)
+    yield scene.figure("torque", "Torque command", caption, panels)
 
 
-def _attitude(scene: ReplayScene, longest: RecordedReplay, axis: int) -> Figure | None:
+def _attitude(scene: Scene, runs: Sequence[RecordedReplay], longest: RecordedReplay) -> Iterator[Figure]:
     """The measured angle, the angle without the fault, and what the observers pass on."""
-    name, time = AXES[axis], longest.flight.time
-    if not known(longest.measured.angles[:, axis]):
-        return None
-    faultless: list[Trace] = []
-    if worth(longest.flight.fault[:, axis]):
-        angle = np.degrees(wrap(longest.measured.angles[:, axis] - longest.flight.fault[:, axis]))
-        faultless.append(Trace("without the fault", "truth", time, angle))
-    measured = np.degrees(longest.measured.angles[:, axis])
-    shown = Trace("measured", "truth", time, measured, rank=len(faultless))
-    runs = [run for run in scene.runs if known(run.corrected.angles[:, axis])]
-    lines = [scene.trace(run, np.degrees(run.corrected.angles[:, axis])) for run in runs]
-    errors = [scene.trace(run, _error(run, run.corrected, axis)) for run in runs]
-    if faultless:
-        errors.insert(0, dataclasses.replace(shown, y=_error(longest, longest.measured, axis)))
-    upper = scene.panel(axis, [*faultless, shown, *lines], f"{name} angle", "deg", height=UPPER)
-    caption = f"{name.capitalize()} angle before and after the observers, and its error without the fault"
-    texts = f"{name.capitalize()} as measured and corrected", caption
-    return scene.with_errors("attitude", axis, texts, upper, errors)
+    for axis, name in enumerate(AXES):
+        measured = longest.measured.angles[:, axis]
+        if not known(measured):
+            continue
+        time, faultless = longest.flight.time, list[Trace]()
+        if worth(longest.flight.fault[:, axis]):
+            angle = np.degrees(wrap(measured - longest.flight.fault[:, axis]))
+            faultless.append(Trace("without the fault", "truth", time, angle))
+        shown = Trace("measured", "truth", time, np.degrees(measured), rank=len(faultless))
+        given = [run for run in runs if known(run.corrected.angles[:, axis])]
+        lines = [scene.trace(run, np.degrees(run.corrected.angles[:, axis])) for run in given]
+        errors = [scene.trace(run, _error(run, run.corrected, axis)) for run in given]
+        if faultless:
+            errors.insert(0, dataclasses.replace(shown, y=_error(longest, longest.measured, axis)))
+        upper = scene.panel(axis, [*faultless, shown, *lines], f"{name} angle", "deg", height=UPPER)
+        lower = scene.panel(axis, errors, "error", "deg", title="error")
+        title = f"{name.capitalize()} as measured and corrected"
+        caption = f"{name.capitalize()} angle before and after the observers, and its error without the fault"
+        yield scene.figure(f"attitude-{name}", title, caption, [upper, lower])
 
 
 def _error(run: RecordedReplay, reading: Reading, axis: int) -> Floats:
@@ -240,26 +207,22 @@ def _error(run: RecordedReplay, reading: Reading, axis: int) -> Floats:
     return np.degrees(wrap(reading.angles[:, axis] - faultless))
 
 
-def _gyro(scene: ReplayScene, longest: RecordedReplay) -> Figure | None:
-    rate, time = np.degrees(longest.measured.body_rate), longest.flight.time
-    if not known(rate):
-        return None
-    texts = "gyro", "Gyro as measured", "Body rate as the observers saw it"
-    return _per_axis(
-        scene, texts, ("", "deg/s"), lambda axis: [Trace("measured", "truth", time, rate[:, axis])]
-    )
+def _gyro(scene: Scene, longest: RecordedReplay) -> Iterator[Figure]:
+    rates = np.degrees(longest.measured.body_rate).T
+    lines = [Trace("measured", "truth", longest.flight.time, rate) for rate in rates]
+    if known(rates):
+        panels = (scene.panel(axis, [lines[axis]], name, "deg/s") for axis, name in enumerate(AXES))
+        yield scene.figure("gyro", "Gyro as measured", "Body rate as the observers saw it", panels)
 
 
-def _gyro_correction(scene: ReplayScene) -> Figure | None:
+def _gyro_correction(scene: Scene, runs: Sequence[RecordedReplay]) -> Iterator[Figure]:
     """What the observers add to the body rate, where one of them does."""
-    changes = [(run, np.degrees(run.corrected.body_rate - run.measured.body_rate)) for run in scene.runs]
+    changes = [(run, np.degrees(run.corrected.body_rate - run.measured.body_rate)) for run in runs]
     changes = [(run, change) for run, change in changes if worth(change)]
-    if not changes:
-        return None
-    texts = "gyro_correction", "Correction of the gyro", "Corrected less measured body rate"
-    return _per_axis(
-        scene,
-        texts,
-        ("", "deg/s"),
-        lambda axis: [scene.trace(run, change[:, axis]) for run, change in changes],
+    panels = (
+        scene.panel(axis, [scene.trace(run, change[:, axis]) for run, change in changes], name, "deg/s")
+        for axis, name in enumerate(AXES)
     )
+    if changes:
+        title, caption = "Correction of the gyro", "Corrected less measured body rate"
+        yield scene.figure("gyro_correction", title, caption, panels)

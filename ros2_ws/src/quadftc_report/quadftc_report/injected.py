@@ -44,7 +44,7 @@ def list_injections(run: Recorded) -> list[Injection]:
 
 
 def _when(start: float, stop: float, end: float) -> str:
-    return period(start, math.inf if stop >= end else stop).removeprefix("from ")
+    return period(start, math.inf if stop >= end else stop)
 
 
 def _fault(fault: Fault, end: float) -> Injection:

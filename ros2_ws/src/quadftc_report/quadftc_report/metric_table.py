@@ -9,7 +9,6 @@ zero, or across zero.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,18 +16,8 @@ from quadftc_flight.run_directory import NO_OBSERVER
 from quadftc_model.samples import AXES
 from quadftc_replay.replay_directory import Recorded
 from quadftc_report.comparison import Comparison, has_observer, metric
-from quadftc_report.metric_kinds import (
-    DETAILS,
-    DIAGNOSIS,
-    SETTLING,
-    WINDOW,
-    Kind,
-    kind_of,
-    leaves,
-    place_of,
-    section_rank,
-)
-from quadftc_report.tables import Cell, Group, Row, Table, metric_cell, two_heads
+from quadftc_report.metric_kinds import DETAILS, SCALES, SECTIONS, SETTLING, Leaf, list_metrics
+from quadftc_report.tables import Cell, Row, Table
 from quadftc_report.wording import NOTHING, plain
 
 LARGE = 10.0  # times the baseline; from here on a change is written as a factor
@@ -41,90 +30,72 @@ def metric_tables(comparison: Comparison[Recorded], what: str) -> list[Table]:
 
     A metric that no run has a number for is left out of the diagnosis, where most is about one kind of fault.
     """
-    runs = comparison.runs
-    baseline = _baseline(runs)
-    axes: dict[str, str | None] = dict(leaf for run in runs for leaf in leaves(run.summary["metrics"]))
-    found: list[tuple[str, Row]] = []
-    for path in sorted(axes, key=place_of):
-        section, kind = kind_of(path, runs)
-        row = _row(path, AXES if axes[path] else (None,), kind, runs, baseline)
-        if not path.startswith(DIAGNOSIS) or any(cell.data and cell.data["value"] for cell in row):
-            found.append((section, row))
-    came_up = {section: index for index, (section, _) in reversed(list(enumerate(found)))}
-    found.sort(key=lambda item: (section_rank(item[0]), came_up[item[0]]))  # stable
-    groups = [
-        Group(section, tuple(row for _, row in rows))
-        for section, rows in itertools.groupby(found, key=lambda item: item[0])
-    ]
+    runs, baseline, note = comparison.runs, None, ""
     labels = [comparison.label(run) for run in runs]
-    note = (
-        ""
-        if baseline is None
-        else f" In bold the best; in small print the change against {labels[baseline]}."
-    )
-    heads = two_heads(("metric",), [(label, AXES) for label in labels])
-    parts = ("Fault window", DETAILS)
-    whole = tuple(group for group in groups if not group.title.startswith(parts))
-    single = tuple(group for group in groups if group.title.startswith(parts))
-    return [
-        Table(f"The whole {what}.{note}", heads, whole, "metrics"),
-        *([Table(f"Each fault window by itself.{note}", heads, single, "metrics")] if single else []),
-    ]
+    if len(runs) > 1:
+        plain_runs = (index for index, run in enumerate(runs) if not has_observer(run))
+        baseline = next(plain_runs, len(runs) - 1)
+        note = f" In bold the best; in small print the change against {labels[baseline]}."
+    leaves: dict[str, Leaf] = {}
+    for run in runs:
+        for leaf in list_metrics(run.summary["metrics"]):
+            leaves.setdefault(leaf.path, leaf)
+    # the sections of the whole run in their order, then the others as they come
+    sections: dict[str, list[Row]] = {title: [] for title in SECTIONS}
+    for leaf in leaves.values():
+        row = _row(leaf, runs, baseline)
+        if not _is_diagnosis(leaf) or any(cell.data and cell.data["value"] for cell in row):
+            sections.setdefault(leaf.section, []).append(row)
+    shown = {title: rows for title, rows in sections.items() if rows}
+    whole = {title: rows for title, rows in shown.items() if not title.startswith(DETAILS)}
+    single = {title: rows for title, rows in shown.items() if title.startswith(DETAILS)}
+    tables = [Table(f"The whole {what}.{note}", labels, whole, "metrics", AXES)]
+    if single:
+        tables.append(Table(f"Each fault window by itself.{note}", labels, single, "metrics", AXES))
+    return tables
 
 
-def _baseline(runs: Sequence[Recorded]) -> int | None:
-    if len(runs) < 2:
-        return None
-    return next((index for index, run in enumerate(runs) if not has_observer(run)), len(runs) - 1)
+def _is_diagnosis(leaf: Leaf) -> bool:
+    return leaf.path.startswith("diagnosis.")
 
 
-def _row(
-    path: str, axes: Sequence[str | None], kind: Kind, runs: Sequence[Recorded], baseline: int | None
-) -> Row:
+def _row(leaf: Leaf, runs: Sequence[Recorded], baseline: int | None) -> Row:
     """The numbers of one metric: run by run its axes, or one number for all."""
-    columns = {axis: _cells(path, axis, kind, runs, baseline) for axis in axes}
-    unit = f" [{kind.unit}]" if kind.unit else ""
-    cells = [columns[axis][index] for index in range(len(runs)) for axis in axes]
-    if len(axes) == 1:
-        cells = [cell._replace(columns=len(AXES)) for cell in cells]
-    starts = [
-        cell._replace(look=f"{cell.look} run") if i % len(axes) == 0 else cell for i, cell in enumerate(cells)
-    ]
-    return Cell(f"{kind.label}{unit}"), *starts
+    columns = [_cells(leaf, axis, runs, baseline) for axis in (AXES if leaf.has_axes else (None,))]
+    width = 1 if leaf.has_axes else len(AXES)
+    starts = [cell._replace(look=f"{cell.look} run", columns=width) for cell in columns[0]]
+    cells = [cell for group in zip(starts, *columns[1:], strict=True) for cell in group]
+    return Cell(f"{leaf.kind.label} [{leaf.kind.unit}]" if leaf.kind.unit else leaf.kind.label), *cells
 
 
-def _cells(
-    path: str, axis: str | None, kind: Kind, runs: Sequence[Recorded], baseline: int | None
-) -> list[Cell]:
+def _cells(leaf: Leaf, axis: str | None, runs: Sequence[Recorded], baseline: int | None) -> list[Cell]:
     """The number of each run, with its change and whether it is the best."""
-    full = f"{path}.{axis}" if axis else path
+    full = f"{leaf.path}.{axis}" if axis else leaf.path
     found = [metric(run, full) for run in runs]
     values = [float(value) if isinstance(value, (int, float)) else None for value in found]
     verdicts = any(isinstance(value, bool) for value in found)
-    compared = not verdicts and (kind.less_is_better or not path.startswith(DIAGNOSIS))
+    compared = not verdicts and (leaf.kind.less_is_better or not _is_diagnosis(leaf))
     base = values[baseline] if baseline is not None and compared else None
-    best = None if verdicts else _best(values, kind, path, runs)
-    return [
-        metric_cell(
-            value,
-            run.name,
-            path,
-            axis,
-            _text(found[index], kind, path, full, run),
-            "best" if index == best else "",
-        )._replace(small="" if index == baseline else _change(value, base))
-        for index, (run, value) in enumerate(zip(runs, values, strict=True))
-    ]
+    best = None if verdicts else _best(leaf, values, runs)
+    cells: list[Cell] = []
+    for index, run in enumerate(runs):
+        value, text = values[index], _text(leaf, found[index], full, run)
+        exact = "" if value is None else repr(value)
+        data = {"run": run.name, "metric": leaf.path, "axis": axis or "", "value": exact}
+        change = "" if index == baseline else _change(value, base)
+        look = "number best" if index == best else "number"
+        cells.append(Cell(text, look, small=change, data=data))
+    return cells
 
 
-def _text(found: Any, kind: Kind, path: str, full: str, run: Recorded) -> str:
+def _text(leaf: Leaf, found: Any, full: str, run: Recorded) -> str:
     """A number for people; an estimate that was there all the time and did not settle says so."""
     if found is None:
-        never = SETTLING in path and metric(run, full.replace(SETTLING, "fault_estimate_max_deg")) is not None
+        never = SETTLING in full and metric(run, full.replace(SETTLING, "fault_estimate_max_deg")) is not None
         return "never" if never else NOTHING
     if isinstance(found, bool):
         return "yes" if found else "no"
-    return plain(kind.scale * found) if abs(found) >= TINY else "0"
+    return plain(SCALES.get(leaf.kind.unit, 1.0) * found) if abs(found) >= TINY else "0"
 
 
 def _change(value: float | None, base: float | None) -> str:
@@ -140,18 +111,18 @@ def _change(value: float | None, base: float | None) -> str:
     return f"{'+' if change > 0.0 else ''}{plain(change)} %"
 
 
-def _best(values: Sequence[float | None], kind: Kind, path: str, runs: Sequence[Recorded]) -> int | None:
+def _best(leaf: Leaf, values: Sequence[float | None], runs: Sequence[Recorded]) -> int | None:
     """The smallest of several values, if it is the only one and its run estimates at all."""
     known = sorted(value for value in values if value is not None)
-    if not kind.less_is_better or len(values) < 2 or not known or known[:1] == known[1:2]:
+    if not leaf.kind.less_is_better or len(values) < 2 or not known or known[:1] == known[1:2]:
         return None
     best = values.index(known[0])
-    return best if _is_judged(path, runs[best]) else None
+    return best if _estimates(runs[best], leaf) else None
 
 
-def _is_judged(path: str, run: Recorded) -> bool:
+def _estimates(run: Recorded, leaf: Leaf) -> bool:
     """Whether a run has the part that a metric measures."""
-    name = path.split(".")[2 if path.startswith(WINDOW) else 0]
-    if name.startswith("fault_estimate") or (path.startswith(DIAGNOSIS) and "tracking" not in path):
+    name = leaf.path.split(".")[2 if leaf.path.startswith("fault_windows.") else 0]
+    if name.startswith("fault_estimate") or (_is_diagnosis(leaf) and "tracking" not in leaf.path):
         return has_observer(run)
     return not name.startswith("disturbance_estimate") or run.disturbance_observer != NO_OBSERVER

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quadftc_bags.bag import read_bag
 from quadftc_flight.run_directory import RecordedRun, find_runs, is_replay, run_from_bag
@@ -22,15 +22,11 @@ if TYPE_CHECKING:
     import polars as pl
 
     from quadftc_campaign.campaign_file import Campaign
-    from quadftc_report.description import Figure
-
-__all__ = ["ReportError", "ReportFiles", "write_campaign_report", "write_report"]
 
 SUFFIXES = (".html", ".htm")
 READING = 0.3  # share of the work; the rest is drawing
 
 Progress = Callable[[str, float], None]
-Item = TypeVar("Item")
 
 
 class ReportError(ValueError):
@@ -56,17 +52,14 @@ def write_report(
 ) -> ReportFiles:
     """Write the report on recorded runs and replays: a page that needs no other file and no network.
 
-    The figures are also written as PNG and PDF into a directory beside it. Nothing is replaced before all is
-    written.
-
     Parameters
     ----------
     paths : sequence of Path
         Runs and replays, or directories of such.
     out : Path
-        The HTML file.
+        The HTML file; nothing is replaced before all is written.
     with_figures : bool
-        Whether to write the figures for print.
+        Whether to write the figures for print (PNG, PDF) into a directory beside the page.
     progress : callable
         Called with the current task, and the share of the work that is done.
 
@@ -80,33 +73,44 @@ def write_report(
     folder = out.parent / f"{out.stem}_figures"
     _check_place(out, folder)
     found = find_runs(paths)
-    read = [_read(path) for path in _announce(found, str, progress, 0.0, READING)]
-    runs = [each for each in read if isinstance(each, RecordedRun)]
-    replays = [each for each in read if isinstance(each, RecordedReplay)]
-    warnings = tuple(line for each in read for line in each.warnings)
+    runs: list[RecordedRun] = []
+    replays: list[RecordedReplay] = []
+    for index, path in enumerate(found):
+        progress(str(path), READING * index / len(found))
+        bag = read_bag(path)
+        if is_replay(bag):
+            replays.append(replay_from_bag(bag))
+        else:
+            runs.append(run_from_bag(bag))
+    warnings = tuple(line for each in (*runs, *replays) for line in each.warnings)
 
     from quadftc_report.comparison import compare
     from quadftc_report.page import flight_sections, render, replay_sections
 
-    place = folder.name if with_figures else None
     parts = flight_sections(compare(runs))
     replayed = replay_sections(compare(replays, [part.key for part in parts]))
     figures = [figure for part in (*parts, *replayed) for figure in part.figures]
+    page = render(parts, warnings, replayed, folder.name if with_figures else None)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{out.stem}_", dir=out.parent) as name:
-            made = Path(name)
-            (made / out.name).write_text(render(parts, warnings, replayed, place), encoding="utf-8")
+            made = Path(name, out.name)
+            made.write_text(page, encoding="utf-8")
             if with_figures:
-                _draw(figures, made / folder.name, progress)
+                from quadftc_report.draw_matplotlib import save_figure
+
+                drawn: list[Path] = []
+                for index, figure in enumerate(figures):
+                    progress(figure.key, READING + (1.0 - READING) * index / len(figures))
+                    drawn += save_figure(figure, Path(name, folder.name))
                 folder.mkdir(exist_ok=True)
-                for file in (made / folder.name).iterdir():
+                for file in drawn:
                     file.replace(folder / file.name)
-            (made / out.name).replace(out)
+            made.replace(out)
     except OSError as error:
         raise ReportError(f"{out}: cannot be written: {error.strerror or error}") from None
-    flown, replayed_names = ([each.name for each in group] for group in (runs, replays))
-    return ReportFiles(out, folder if with_figures else None, tuple(flown), tuple(replayed_names), warnings)
+    names = [tuple(each.name for each in group) for group in (runs, replays)]
+    return ReportFiles(out, folder if with_figures else None, *names, warnings)
 
 
 def write_campaign_report(
@@ -117,19 +121,12 @@ def write_campaign_report(
     Parameters
     ----------
     campaign : Campaign
-    frame : polars.DataFrame
-        Its table (`quadftc_campaign.table`).
-    summary : dict
-        Of that table (`quadftc_campaign.table.summary_of`).
+    frame, summary : polars.DataFrame, dict
+        Its table and the summary of it (`quadftc_campaign.table`).
     directory : Path
         Of the campaign.
     command_file : str
         The campaign file as the user names it, for the commands that fly a flight again.
-
-    Raises
-    ------
-    ReportError
-        If the report cannot be written.
     """
     from quadftc_report.campaign_page import render_campaign
     from quadftc_report.campaign_results import results_of
@@ -143,11 +140,6 @@ def write_campaign_report(
         part.unlink(missing_ok=True)
         raise ReportError(f"{path}: cannot be written: {error.strerror or error}") from None
     return path
-
-
-def _read(path: Path) -> RecordedRun | RecordedReplay:
-    bag = read_bag(path)
-    return replay_from_bag(bag) if is_replay(bag) else run_from_bag(bag)
 
 
 def _check_place(out: Path, folder: Path) -> None:
@@ -164,20 +156,3 @@ def _check_place(out: Path, folder: Path) -> None:
     for place in (above, *(each for each in (folder, out) if each.exists())):
         if not os.access(place, os.W_OK):
             raise ReportError(f"{place}: may not be written to")
-
-
-def _draw(figures: Sequence[Figure], folder: Path, progress: Progress) -> None:
-    from quadftc_report.draw_matplotlib import save_figure
-
-    folder.mkdir()
-    for figure in _announce(figures, lambda each: each.key, progress, READING, 1.0):
-        save_figure(figure, folder)
-
-
-def _announce(
-    items: Sequence[Item], name: Callable[[Item], str], progress: Progress, start: float, stop: float
-) -> Iterator[Item]:
-    """Yield items, and report the progress before each."""
-    for index, item in enumerate(items):
-        progress(name(item), start + (stop - start) * index / len(items))
-        yield item

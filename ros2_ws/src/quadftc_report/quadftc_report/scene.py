@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,8 @@ from quadftc_report.description import Envelope, Figure, Mark, Panel, Shade, Tra
 from quadftc_report.wording import plain
 
 Floats = NDArray[np.float64]
-Run = TypeVar("Run", bound=Recorded)
 
 FAULT_WINDOW = "fault window"  # of the attitude; windows on other channels are named by channel and kind
-UPPER = 1.5  # height of a panel with a panel of errors below
 _ANGLES = ("angles", "reference", "fault", "fault_estimate", "fault_std_dev")  # columns shown in degrees
 _SIGMAS = 2.0  # standard deviations either side of an estimate
 _AGREEMENT = 0.99  # share of equal samples from which on the truth of two runs is drawn once
@@ -31,15 +29,17 @@ _NOTHING = 1e-9  # in any unit; a smaller number is zero
 _INSTANTS = 200  # at which a disturbance is evaluated to see whether it acts on an axis
 
 
-class Scene(Generic[Run]):
+class Scene:
     """The runs of a comparison with their looks, and the windows and moments of each axis."""
 
-    def __init__(self, comparison: Comparison[Run]) -> None:
-        self.comparison = comparison
+    def __init__(self, comparison: Comparison[Recorded]) -> None:
+        self.key = comparison.key
         self.runs = comparison.runs
         self.label = comparison.label
+        self.longest = comparison.longest
         self.end = max(run.duration for run in self.runs)  # [s]
-        self._ranks = {id(run): rank for rank, run in enumerate(comparison.compared)}
+        compared = [run for run in self.runs if run is not comparison.proposed]
+        self._ranks = {id(run): rank for rank, run in enumerate(compared)}
 
     def look(self, run: Recorded) -> tuple[str, int]:
         """Role and rank of a run."""
@@ -51,27 +51,20 @@ class Scene(Generic[Run]):
         role, rank = self.look(run)
         return Trace(name or self.label(run), role, run.flight.time, y, rank)
 
-    def truth(self, runs: Sequence[Run], column: str, axis: int, name: str) -> list[Trace]:
+    def lines(
+        self, runs: Sequence[Recorded], column: str, axis: int, name: str = "", less: str = ""
+    ) -> list[Trace]:
+        """A column of each run, less another one; under its ``name`` alone if there is one run."""
+        names = {id(run): f"{name} ({self.label(run)})" if len(runs) > 1 and name else name for run in runs}
+        return [self.trace(run, column_of(run, column, axis, less), names[id(run)]) for run in runs]
+
+    def truth(self, runs: Sequence[Recorded], column: str, axis: int, name: str) -> list[Trace]:
         """The true values: one line if they are the same in all runs, else (a frozen sensor, say) several."""
         first, *rest = sorted(runs, key=lambda run: -np.sum(np.isfinite(column_of(run, column, axis))))
         others = [run for run in rest if not _agree(run, first, column, axis)]
         role = "reference" if column == "reference" else "truth"
-        return [
-            Trace(
-                f"{name} ({self.label(run)})" if others else name,
-                role,
-                run.flight.time,
-                column_of(run, column, axis),
-                rank,
-            )
-            for rank, run in enumerate([first, *others])
-        ]
-
-    def estimates(self, runs: Sequence[Run], column: str, axis: int, name: str) -> list[Trace]:
-        """An estimate of each run, with the run's name if there are several."""
-        names = [name if len(runs) == 1 else f"{name} ({self.label(run)})" for run in runs]
-        columns = [column_of(run, column, axis) for run in runs]
-        return [self.trace(*each) for each in zip(runs, columns, names, strict=True)]
+        shown = self.lines([first, *others], column, axis, name)
+        return [dataclasses.replace(line, role=role, rank=rank) for rank, line in enumerate(shown)]
 
     def panel(self, axis: int, traces: Iterable[Trace], y_label: str, unit: str, **others: Any) -> Panel:
         """A panel of an axis, with its fault windows and the onsets of its disturbances."""
@@ -86,37 +79,19 @@ class Scene(Generic[Run]):
             **others,
         )
 
-    def with_errors(
-        self,
-        kind: str,
-        axis: int,
-        texts: tuple[str, str],
-        upper: Panel,
-        errors: Sequence[Trace],
-        **others: Any,
-    ) -> Figure:
-        """A figure of one axis, with a panel of errors [deg] below if any error is known."""
-        lower = self.panel(axis, errors, "error", "deg", title="error", **others)
-        panels = [upper, lower] if known(*(trace.y for trace in errors)) else [upper]
-        return self.figure(f"{kind}-{AXES[axis]}", *texts, panels)
-
-    def figure(self, kind: str, title: str, caption: str, panels: Sequence[Panel]) -> Figure:
-        """A figure; its caption names the runs that end early."""
+    def figure(self, kind: str, title: str, caption: str, panels: Iterable[Panel]) -> Figure:
+        """A figure of those panels that show anything; its caption names the runs that end early."""
         cut = [f"{self.label(run)} ends at {plain(run.duration)} s" for run in self.runs if not run.is_whole]
-        caption = f"{'; '.join([caption, *cut])}."
-        return Figure(f"{self.comparison.key}-{kind}", title, caption, tuple(panels), (0.0, self.end))
+        shown = tuple(panel for panel in panels if panel.traces)
+        return Figure(f"{self.key}-{kind}", title, f"{'; '.join([caption, *cut])}.", shown, (0.0, self.end))
 
 
-def column_of(run: Recorded, column: str, axis: int) -> Floats:
-    """Return a column of a flight; angles in degrees."""
+def column_of(run: Recorded, column: str, axis: int, less: str = "") -> Floats:
+    """Return a column (n,) of a flight, less another one; angles in degrees, their differences wrapped."""
     values: Floats = getattr(run.flight, column)[:, axis]
+    if less:
+        values = np.asarray(wrap(values - getattr(run.flight, less)[:, axis]))
     return np.degrees(values) if column in _ANGLES else values
-
-
-def difference(run: Recorded, column: str, other: str, axis: int) -> Floats:
-    """Return the difference of two angles, wrapped [deg]."""
-    found: Floats = getattr(run.flight, column)[:, axis] - getattr(run.flight, other)[:, axis]
-    return np.degrees(wrap(found))
 
 
 def known(*columns: Floats) -> bool:
@@ -140,24 +115,21 @@ def fault_shades(run: Recorded, axis: int, end: float) -> tuple[Shade, ...]:
 
     Windows of one kind that touch become one.
     """
-    periods = [
-        (FAULT_WINDOW, event.start, event.stop) for event in run.fault_events if event.axis == AXES[axis]
-    ]
-    names = [f"{fault.injection.channel} {fault.injection.kind}" for fault in run.faults]
-    for name, fault in zip(names, run.faults, strict=True):
-        injection = fault.injection
-        if injection.channel != "attitude" and injection.mask[axis]:
-            periods.append((name, injection.start, injection.stop))
-    kinds = [FAULT_WINDOW, *sorted({name for name in names if not name.startswith("attitude ")})]
+    periods = [(FAULT_WINDOW, each.start, each.stop) for each in run.fault_events if each.axis == AXES[axis]]
+    kinds = {FAULT_WINDOW: 0}
+    others = [each.injection for each in run.faults if each.injection.channel != "attitude"]
+    for name in sorted({f"{each.channel} {each.kind}" for each in others}):
+        kinds[name] = len(kinds)
+    periods += [(f"{each.channel} {each.kind}", each.start, each.stop) for each in others if each.mask[axis]]
     shades: list[Shade] = []
-    for kind, start, stop in sorted(periods, key=lambda period: (kinds.index(period[0]), period[1])):
+    for kind, start, stop in sorted(periods, key=lambda period: (kinds[period[0]], period[1])):
         last = shades[-1] if shades else None
         if start >= end:
             continue
         if last is not None and last.label == kind and start <= last.stop:
             shades[-1] = last._replace(stop=max(last.stop, min(stop, end)))
         else:
-            shades.append(Shade(start, min(stop, end), kind, kinds.index(kind)))
+            shades.append(Shade(start, min(stop, end), kind, kinds[kind]))
     return tuple(shades)
 
 

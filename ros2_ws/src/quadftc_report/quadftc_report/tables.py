@@ -1,100 +1,61 @@
-"""Tables as the page shows them: rows of headings, groups of rows, cells that span columns."""
+"""Tables as the page shows them: groups of rows of cells, below a label for each run."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from quadftc_report.wording import short
+from quadftc_report.wording import NOTHING
 
 
 class Cell(NamedTuple):
-    """A cell.
-
-    Parameters
-    ----------
-    text : str
-    look : str
-        CSS classes: ``number``, ``run`` (with a rule on its left), ``best``, ``faint``, ``text``, ``good``,
-        ``bad``, ``code``.
-    columns, rows : int
-        How many it spans.
-    small : str
-        Small print below.
-    data : mapping
-        Attributes for machines: run, metric, axis, value.
-    """
+    """A cell; ``look``: CSS classes such as ``number``, ``run`` (with a rule on its left), ``best``."""
 
     text: str
     look: str = ""
-    columns: int = 1
-    rows: int = 1
-    small: str = ""
-    data: Mapping[str, str] | None = None
+    columns: int = 1  # that it spans
+    small: str = ""  # small print below
+    data: Mapping[str, str] | None = None  # attributes for machines: run, metric, axis, value
 
 
 Row = tuple[Cell, ...]  # the first cell is its heading
 
 
-class Group(NamedTuple):
-    """Rows under a heading of their own, if ``title`` is not empty; ``link``: an anchor of the page."""
-
-    title: str
-    rows: tuple[Row, ...]
-    link: str = ""
-    marks: tuple[Cell, ...] = ()
-
-
 class Table(NamedTuple):
-    """A table; ``look``: its CSS class."""
+    """A table; below each label stand as many ``columns``, or a single one without heading."""
 
     caption: str
-    heads: tuple[Row, ...]
-    groups: tuple[Group, ...]
-    look: str = ""
-
-    @property
-    def width(self) -> int:
-        """Number of columns."""
-        return sum(cell.columns for cell in self.heads[0])
-
-
-def two_heads(first: Sequence[str], heads: Sequence[tuple[str, Sequence[str]]]) -> tuple[Row, Row]:
-    """Return two rows of headings: single ones over both, and wide ones over those of their columns."""
-    wide = (Cell(title, "run", columns=len(columns)) for title, columns in heads)
-    narrow = (
-        Cell(column, "number" if index else "number run")
-        for _, columns in heads
-        for index, column in enumerate(columns)
-    )
-    return (*(Cell(title, rows=2) for title in first), *wide), tuple(narrow)
-
-
-def metric_cell(
-    value: float | None, run: str, path: str, axis: str | None, text: str | None = None, look: str = ""
-) -> Cell:
-    """Return a number of a summary; its attributes name its run and its path there."""
-    exact = "" if value is None else repr(float(value))
-    data = {"run": run, "metric": path, "axis": axis or "", "value": exact}
-    return Cell(short(value) if text is None else text, f"number {look}".rstrip(), data=data)
+    labels: Sequence[str]
+    groups: Mapping[str, Sequence[Row]]  # by their heading; an empty one is not shown
+    look: str  # CSS class
+    columns: Sequence[str] = ()
 
 
 def fact_table(
-    caption: str, columns: Sequence[str], groups: Mapping[str, Mapping[str, Sequence[str]]]
+    caption: str, labels: Sequence[str], facts: Sequence[Mapping[str, Mapping[str, Any]]]
 ) -> Table:
-    """Return a table of texts: group to name to a value for each column; in bold where they differ."""
-    return Table(
-        caption,
-        ((Cell(""), *(Cell(column) for column in columns)),),
-        tuple(
-            Group(title, tuple((Cell(name), *_fact(values)) for name, values in facts.items()))
-            for title, facts in groups.items()
-        ),
-        "facts",
-    )
+    """Return a table of facts side by side: of each label group to name to value; bold where they differ."""
+    groups: dict[str, list[Row]] = {}
+    for title in dict.fromkeys(title for each in facts for title in each):
+        parts = [each.get(title, {}) for each in facts]
+        names = dict.fromkeys(name for part in parts for name in part)
+        groups[title] = [(Cell(name), *_fact_cells([part.get(name) for part in parts])) for name in names]
+    return Table(caption, labels, groups, "facts")
 
 
-def _fact(values: Sequence[str]) -> Row:
-    if len(set(values)) == 1:
-        return (Cell(values[0], "text", columns=len(values)),)
-    return tuple(Cell(value, "text differs") for value in values)
+def _fact_cells(values: Sequence[Any]) -> Row:
+    texts = [_fact_text(value) for value in values]
+    if len(set(texts)) == 1:
+        return (Cell(texts[0], "text", columns=len(texts)),)
+    return tuple(Cell(text, "text differs") for text in texts)
+
+
+def _fact_text(value: Any) -> str:
+    if value is None:
+        return NOTHING
+    if isinstance(value, str):
+        return value
+    if isinstance(value, list) and all(isinstance(item, str) for item in value):
+        return "\n".join(value) or NOTHING
+    return json.dumps(value, ensure_ascii=False, default=str)

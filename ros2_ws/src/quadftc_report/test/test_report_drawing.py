@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import json
+from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
@@ -89,36 +90,33 @@ def test_role_without_a_look_is_refused():
         line_style("estimate")
 
 
-@pytest.mark.parametrize("figure", FIGURES)
-def test_print_is_one_column_wide_and_named_by_its_key(figure, tmp_path):
-    described = FIGURES[figure]()
-    png, pdf = save_figure(described, tmp_path / "figures")
-    assert [png.name, pdf.name] == [f"{described.key}.png", f"{described.key}.pdf"]
+@pytest.fixture(scope="module")
+def printed(tmp_path_factory) -> list[Path]:
+    return save_figure(single(), tmp_path_factory.mktemp("printed") / "figures")
+
+
+def test_print_is_one_column_wide_and_named_by_its_key(printed):
+    png, pdf = printed
+    assert [png.name, pdf.name] == ["small-tracking-roll.png", "small-tracking-roll.pdf"]
     with Image.open(png) as image:
         assert image.size[0] == round(300 * WIDTH)
         assert image.info["dpi"] == pytest.approx((300, 300), abs=0.01)
-        assert image.text["Title"] == described.title
+        assert image.text["Title"] == single().title
 
 
-def test_print_is_the_same_bytes_twice(tmp_path):
-    one = [path.read_bytes() for path in save_figure(single(), tmp_path / "one")]
-    other = [path.read_bytes() for path in save_figure(single(), tmp_path / "other")]
-    assert one == other
-    assert b"CreationDate" not in one[1]
+def test_print_is_the_same_bytes_whatever_the_settings_of_the_caller(printed, tmp_path):
+    with mpl.rc_context({"font.size": 20.0, "lines.linewidth": 5.0}):
+        again = save_figure(single(), tmp_path)
+        assert mpl.rcParams["font.size"] == 20.0
+    assert [path.read_bytes() for path in again] == [path.read_bytes() for path in printed]
 
 
-def test_pdf_carries_truetype_text_and_its_caption(tmp_path):
-    content = save_figure(single(), tmp_path)[1].read_bytes()
+def test_pdf_carries_truetype_text_and_its_caption(printed):
+    content = printed[1].read_bytes()
     assert b"/FontFile2" in content
     assert b"/Type3" not in content
+    assert b"CreationDate" not in content
     assert b"What one sees: 1 deg." in content
-
-
-def test_settings_of_the_caller_are_left_alone_and_do_not_matter(tmp_path):
-    plain = save_figure(single(), tmp_path / "plain")[0].read_bytes()
-    with mpl.rc_context({"font.size": 20.0, "lines.linewidth": 5.0}):
-        assert save_figure(single(), tmp_path / "large")[0].read_bytes() == plain
-        assert mpl.rcParams["font.size"] == 20.0
 
 
 @pytest.mark.parametrize("figure", FIGURES)
