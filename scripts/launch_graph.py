@@ -96,7 +96,7 @@ def reach() -> str:
 
 def launch(options: argparse.Namespace) -> int:
     """Run the graph; return the exit code."""
-    from quadftc_flight.graph.plan import GraphError, GraphPlan, check_respawn, check_scheduling
+    from quadftc_flight.graph.plan import GraphError, GraphPlan, check_options
     from quadftc_flight.runs import GRAPHS
     from quadftc_ros.executor import StopSignals
     from quadftc_ros.scheduling import Scheduling
@@ -104,8 +104,7 @@ def launch(options: argparse.Namespace) -> int:
     graph = None
     try:
         scheduling = Scheduling(options.wait, options.realtime_priority, tuple(options.core))
-        check_scheduling(scheduling, options.mode, options.graph)
-        check_respawn(options.respawn, options.mode, options.graph)
+        check_options(options.graph, options.mode, scheduling, options.respawn)
         parameters = node_parameters_of(options)
         plan = GraphPlan(
             parameters,

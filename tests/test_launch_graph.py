@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import os
 import signal
 import subprocess
@@ -54,27 +55,22 @@ def nodes_running() -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("graph", ["composed", "processes"])
-def test_flight_of_a_scenario_ends_with_0_and_a_whole_bag(tmp_path: Path, graph: str):
-    bag = tmp_path / "bag"
-    code, errors = finished("--scenario", BUSY, "--graph", graph, "--mode", "lockstep", "--record", bag)
-    assert code == 0, errors
-    assert read_bag(bag).topics["/plant/attitude"].count == 500
-    assert nodes_running() == []
-
-
 @pytest.mark.parametrize(
-    ("option", "words"),
+    ("graph", "option", "words"),
     [
-        ((), "found by this machine only (--network opens it)"),
-        (("--network",), "this machine and its network"),
+        ("composed", ("--network",), "this machine and its network"),
+        ("processes", (), "found by this machine only (--network opens it)"),
     ],
 )
-def test_who_can_find_the_graph_is_said(option: tuple[str, ...], words: str):
-    code, errors = finished("--scenario", BUSY, "--mode", "lockstep", "--duration", "0.1", *option)
+def test_flight_of_a_scenario_ends_with_0_and_a_whole_bag(tmp_path: Path, graph: str, option, words: str):
+    bag = tmp_path / "bag"
+    arguments = ("--graph", graph, "--mode", "lockstep", "--record", bag, *option)
+    code, errors = finished("--scenario", BUSY, *arguments)
     assert code == 0, errors
     assert f"ROS domain {os.environ['ROS_DOMAIN_ID']}, " in errors
-    assert words in errors
+    assert words in errors  # who can find the graph
+    assert read_bag(bag).topics["/plant/attitude"].count == 500
+    assert nodes_running() == []
 
 
 def other_domain() -> int:
@@ -104,8 +100,7 @@ def test_two_graphs_side_by_side_do_not_hear_each_other(
                 assert (mine[field] == theirs[field]).all()
 
 
-@pytest.mark.parametrize("graph", ["composed", "processes"])
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("graph", "number"), [("composed", signal.SIGINT), ("processes", signal.SIGTERM)])
 def test_signal_ends_the_nodes_and_the_launcher_with_0(graph: str, number: signal.Signals):
     with NodeBench("realtime") as bench:
         torques = bench.listen("torque/command")
@@ -185,8 +180,15 @@ def test_nodes_end_when_their_launcher_is_killed():
         (("--params", BUSY), ("busy.yaml", "ros__parameters")),
     ],
 )
-def test_wrong_input_ends_with_2_and_one_line(arguments: tuple[object, ...], words: tuple[str, ...]):
-    code, errors = finished(*arguments)
+def test_wrong_input_ends_with_2_and_one_line(arguments, words: tuple[str, ...], monkeypatch, capsys):
+    """In this process, which has imported everything already."""
+    spec = importlib.util.spec_from_file_location("launch_graph", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    monkeypatch.setattr(sys, "argv", [str(SCRIPT), *map(str, arguments)])
+    code, errors = script.main(), capsys.readouterr().err
     assert code == 2
     assert len(errors.strip().splitlines()) == 1
     assert all(word in errors for word in words)
@@ -198,8 +200,10 @@ def children_of(process: subprocess.Popen[str]) -> list[str]:
     return []
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("patience", [0, 1, 6])
+@pytest.mark.parametrize(
+    ("number", "patience"),
+    [(signal.SIGINT, 0), (signal.SIGTERM, 0), (signal.SIGTERM, 1), (signal.SIGINT, 6)],
+)
 def test_signal_while_the_nodes_are_starting_leaves_none_behind(number: signal.Signals, patience: int):
     """Whether none, one or all of the nodes have been started, and hardly one of them can hear yet."""
     with started("--graph", "processes") as process:

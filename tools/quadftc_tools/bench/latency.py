@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from quadftc_flight.graph.composed import ComposedGraph
-from quadftc_flight.graph.plan import EXECUTABLES, GraphPlan, check_scheduling
+from quadftc_flight.graph.plan import EXECUTABLES, GraphPlan, check_options
 from quadftc_flight.graph.processes import ProcessGraph
 from quadftc_flight.scenario import Scenario, Scheme, node_parameters
 from quadftc_ros.scheduling import ORDINARY, Scheduling
@@ -64,7 +64,7 @@ class LatencyOptions:
     scheduling: Scheduling = ORDINARY
 
     def __post_init__(self) -> None:
-        check_scheduling(self.scheduling, "realtime", self.graph)
+        check_options(self.graph, "realtime", self.scheduling)
 
 
 def measure_latency(

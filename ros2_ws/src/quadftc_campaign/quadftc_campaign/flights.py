@@ -15,7 +15,7 @@ from quadftc_campaign.campaign_file import Campaign, Variant
 from quadftc_campaign.distributions import Value
 from quadftc_campaign.errors import CampaignError
 from quadftc_flight.fault_schedule import FaultEvent
-from quadftc_flight.scenario import MAX_SEED, Document, Scenario, ScenarioError, build_scenario, with_values
+from quadftc_flight.scenario import MAX_SEED, Document, Scenario, ScenarioError, build_scenario
 from quadftc_sim.assembly import period_ns, sample_count
 from quadftc_sim.injection import RESERVED
 
@@ -56,7 +56,7 @@ def generator_of(campaign: Campaign, number: int, path: str) -> np.random.Genera
 def flight_document(campaign: Campaign, number: int, variant: Variant) -> Document:
     """Return the scenario of flight ``number``, with the scheme of a variant alone."""
     values = {path: _scheduled(campaign, path, value) for path, value in drawn(campaign, number).items()}
-    document = with_values(campaign.base, values, f"flight {number}")
+    document = campaign.base.with_values(values, f"flight {number}")
     scheme = copy.deepcopy(document.data["schemes"][variant.scheme])
     if variant.observer is not None:
         scheme["observer"] = _replaced(scheme.get("observer"), variant.observer, dict(variant.parameters))

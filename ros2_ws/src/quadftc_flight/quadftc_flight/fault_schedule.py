@@ -2,31 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 from quadftc_model.samples import AXES
 
 if TYPE_CHECKING:
-    from quadftc_sim.injection import Injection
+    from quadftc_flight.scenario.components import Fault
 
 KINDS = {"bias": "step", "drift": "ramp"}  # fault of the catalogue -> word of the field, if it differs
 UNKNOWN_KIND = "fault"  # of a fault of which only the time is known
-
-
-class TimedFault(Protocol):
-    """A fault of a scenario, as far as its schedule goes."""
-
-    @property
-    def injection(self) -> Injection:
-        """The law, with its start and stop."""
-        ...
-
-    @property
-    def axes(self) -> tuple[str, ...]:
-        """The axes it is on."""
-        ...
 
 
 class FaultWindow(NamedTuple):
@@ -46,7 +31,7 @@ class FaultEvent(NamedTuple):
     stop: float  # [s]; the first moment without the fault
 
 
-def fault_windows(faults: Iterable[TimedFault], duration: float) -> tuple[FaultWindow, ...]:
+def fault_windows(faults: Iterable[Fault], duration: float) -> tuple[FaultWindow, ...]:
     """Return the windows of the faults on the attitude, in a flight of that duration [s]."""
     return merge_windows(
         FaultWindow(fault.injection.start, min(fault.injection.stop, duration), fault.axes)
@@ -60,21 +45,17 @@ def merge_windows(windows: Iterable[FaultWindow]) -> tuple[FaultWindow, ...]:
     axes: dict[tuple[float, float], set[str]] = {}
     for start, stop, names in windows:
         axes.setdefault((start, stop), set()).update(names)
-    return tuple(
-        FaultWindow(start, stop, tuple(axis for axis in AXES if axis in axes[start, stop]))
-        for start, stop in sorted(axes)
-    )
+    return tuple(FaultWindow(*key, tuple(axis for axis in AXES if axis in axes[key])) for key in sorted(axes))
 
 
-def fault_events(faults: Iterable[TimedFault], duration: float) -> tuple[FaultEvent, ...]:
+def fault_events(faults: Iterable[Fault], duration: float) -> tuple[FaultEvent, ...]:
     """Return the events of the faults on the attitude, in a flight of that duration [s].
 
     What begins later does not count, what ends later is cut.
     """
-    injections = [(fault.axes, fault.injection) for fault in faults]
     return merge_events(
         FaultEvent(axis, KINDS.get(item.kind, item.kind), item.start, min(item.stop, duration))
-        for axes, item in injections
+        for axes, item in ((fault.axes, fault.injection) for fault in faults)
         if item.channel == "attitude" and item.start < duration
         for axis in axes
     )
@@ -89,16 +70,13 @@ def events_of_windows(windows: Iterable[FaultWindow]) -> tuple[FaultEvent, ...]:
 
 def merge_events(events: Iterable[FaultEvent]) -> tuple[FaultEvent, ...]:
     """Return the events in the order of time; those of one axis that overlap become one."""
-    merged: list[FaultEvent] = []
-    ordered = sorted(events, key=lambda event: (AXES.index(event.axis), event.start))
-    for _, group in itertools.groupby(ordered, key=lambda event: event.axis):
-        first, *others = group
-        merged.append(first)
-        for event in others:
-            last = merged[-1]
-            if event.start < last.stop:
-                kinds = dict.fromkeys([*last.kind.split("+"), event.kind])
-                merged[-1] = last._replace(kind="+".join(kinds), stop=max(last.stop, event.stop))
-            else:
-                merged.append(event)
-    return tuple(sorted(merged, key=lambda event: (event.start, AXES.index(event.axis))))
+    merged: dict[str, list[FaultEvent]] = {axis: [] for axis in AXES}
+    for event in sorted(events, key=lambda event: event.start):
+        of_axis = merged[event.axis]
+        if of_axis and event.start < (last := of_axis[-1]).stop:
+            kinds = dict.fromkeys([*last.kind.split("+"), event.kind])
+            of_axis[-1] = last._replace(kind="+".join(kinds), stop=max(last.stop, event.stop))
+        else:
+            of_axis.append(event)
+    everything = (event for of_axis in merged.values() for event in of_axis)
+    return tuple(sorted(everything, key=lambda event: event.start))

@@ -17,38 +17,37 @@ from quadftc_model.samples import ABSENT
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 
 if TYPE_CHECKING:  # reading bags takes libraries that the closed loop does without
+    from jaxtyping import Float, Int
+
     from quadftc_bags.bag import Bag, Series
 
 Floats = NDArray[np.float64]
 
-VECTORS = (
-    *("angles", "body_rate", "disturbance", "reference", "fault", "fault_estimate", "fault_std_dev"),
-    *("disturbance_estimate", "torque", "error", "sliding_variable"),
-)  # columns of a flight with three numbers
 NO_STATE = 255  # fault state of a row without diagnosis
 
 _SOURCES = {
     "angles": ("plant/attitude", "vector"),
     "body_rate": ("plant/rate", "vector"),
+    "disturbance": ("disturbance/applied", "vector"),
     "reference": ("attitude/reference", "angles"),
     "fault": ("fault/injected", "vector"),
     "fault_estimate": ("fault/estimate", "vector"),
     "fault_std_dev": ("fault/status", "std_dev"),
-    "fault_state": ("fault/status", "state"),
-    "fault_onset_ns": ("fault/status", "onset_ns"),
-    "disturbance": ("disturbance/applied", "vector"),
     "disturbance_estimate": ("disturbance/estimate", "vector"),
     "torque": ("torque/command", "vector"),
     "error": ("control/status", "error"),
     "sliding_variable": ("control/status", "sliding_variable"),
+    "fault_state": ("fault/status", "state"),
+    "fault_onset_ns": ("fault/status", "onset_ns"),
     "saturated": ("control/status", "saturated"),
 }  # column of a flight -> topic, field
-_KNOWN_WHEN_WITHHELD = {"angles", "body_rate", "disturbance"}
+_KNOWN_WHEN_WITHHELD = ("angles", "body_rate", "disturbance")
 _UNKNOWN = {
     "fault_state": np.full(3, NO_STATE, np.uint8),
     "fault_onset_ns": np.zeros(3, np.int64),
     "saturated": np.zeros(3, np.bool_),
 }  # what stands where nothing is known; in other columns, NaN
+VECTORS = tuple(name for name in _SOURCES if name not in _UNKNOWN)  # columns with three numbers
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -81,6 +80,21 @@ class Flight:
     def __len__(self) -> int:
         return len(self.stamp_ns)
 
+    def first(self, rows: int) -> Flight:
+        """Return the beginning of the flight."""
+        return Flight(**{field.name: getattr(self, field.name)[:rows] for field in dataclasses.fields(self)})
+
+
+def unknown_flight(stamp_ns: Int[NDArray[np.int64], " n"]) -> Flight:
+    """Return a flight of which nothing is known but the stamps; its columns are there to be filled."""
+    count, unknown = len(stamp_ns), {**dict.fromkeys(VECTORS, np.full(3, np.nan)), **_UNKNOWN}
+    return Flight(
+        stamp_ns=stamp_ns,
+        time=(stamp_ns - stamp_ns[0]) / NANOSECONDS_PER_SECOND,
+        delivered=np.zeros(count, np.bool_),
+        **{name: np.tile(value, (count, 1)) for name, value in unknown.items()},
+    )
+
 
 def onset_ns(stamp_ns: int | NDArray[np.int64], onset_age: Floats) -> NDArray[np.int64]:
     """Stamp of the onset of a fault as quadftc_msgs/FaultStatus says it, 0 without one: by its age [s]."""
@@ -97,39 +111,31 @@ def flight_from_bag(bag: Bag) -> Flight:
     """
     from quadftc_bags.bag import BagError
 
-    delivered_ns = _stamps(bag, "imu/data")
-    stamp_ns = np.union1d(delivered_ns, _stamps(bag, "fault/dropped"))
+    delivered_ns, dropped_ns = (
+        np.unique(bag.series(topic).stamp_ns) if has_messages(bag, topic) else np.empty(0, np.int64)
+        for topic in ("imu/data", "fault/dropped")
+    )
+    stamp_ns = np.union1d(delivered_ns, dropped_ns)
     if len(stamp_ns) == 0:
         raise BagError(f"{bag.path}: no message on imu/data")
-    delivered = np.isin(stamp_ns, delivered_ns)
-    columns = {
-        name: _join_topic(bag, topic, field, stamp_ns, _UNKNOWN.get(name, np.full(3, np.nan)))
-        for name, (topic, field) in _SOURCES.items()
-    }
-    for name in columns.keys() - _KNOWN_WHEN_WITHHELD:
-        columns[name][~delivered] = _UNKNOWN.get(name, np.nan)
-    time = (stamp_ns - stamp_ns[0]) / NANOSECONDS_PER_SECOND
-    return Flight(stamp_ns=stamp_ns, time=time, delivered=delivered, **columns)
+    flight = unknown_flight(stamp_ns)
+    flight.delivered[:] = np.isin(stamp_ns, delivered_ns)
+    for name, (topic, field) in _SOURCES.items():
+        column = getattr(flight, name)
+        known = flight.delivered | (name in _KNOWN_WHEN_WITHHELD)
+        column[known] = _join_topic(bag, topic, field, stamp_ns, column[0].copy())[known]
+    return flight
 
 
 class Reading(NamedTuple):
     """What an IMU said in the rows of a flight; NaN where it said nothing."""
 
-    angles: Floats  # (n, 3) Euler angles [rad]
-    body_rate: Floats  # (n, 3) [rad/s]
+    angles: Float[Floats, "n 3"]  # Euler angles [rad]
+    body_rate: Float[Floats, "n 3"]  # [rad/s]
 
 
-def reading_from_bag(bag: Bag, topic: str, stamp_ns: NDArray[np.int64]) -> Reading:
-    """Join the samples of an IMU by stamp.
-
-    Parameters
-    ----------
-    bag : Bag
-    topic : str
-        Of type sensor_msgs/Imu; if it is not there, nothing was said.
-    stamp_ns : array (n,)
-        The rows of the flight.
-    """
+def reading_from_bag(bag: Bag, topic: str, stamp_ns: Int[NDArray[np.int64], " n"]) -> Reading:
+    """Join the samples of an IMU, a topic of type sensor_msgs/Imu, by the stamps of the rows of a flight."""
     nothing = np.full(9, np.nan)
     angles = np.asarray(
         euler_from_quaternion(_join_topic(bag, topic, "orientation_xyzw", stamp_ns, nothing[:4]))
@@ -156,15 +162,11 @@ def join_rows(series: Series, field: str, stamp_ns: NDArray[np.int64], unknown: 
 def _join_topic(
     bag: Bag, topic: str, field: str, stamp_ns: NDArray[np.int64], unknown: NDArray[Any]
 ) -> NDArray[Any]:
-    if not _has(bag, topic):
+    if not has_messages(bag, topic):
         return np.tile(unknown, (len(stamp_ns), 1))
     return join_rows(bag.series(topic), field, stamp_ns, unknown)
 
 
-def _stamps(bag: Bag, topic: str) -> NDArray[np.int64]:
-    return np.unique(bag.series(topic).stamp_ns) if _has(bag, topic) else np.empty(0, np.int64)
-
-
-def _has(bag: Bag, topic: str) -> bool:
-    """Whether there is a message on a topic."""
+def has_messages(bag: Bag, topic: str) -> bool:
+    """Return whether there is a message on a topic, whose name is relative to a namespace."""
     return any(f"/{name.strip('/')}".endswith(f"/{topic}") and bag.topics[name].count for name in bag.topics)

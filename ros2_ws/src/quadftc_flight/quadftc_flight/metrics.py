@@ -6,18 +6,22 @@ do not count; where no row counts, the metric is None.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any, cast
+import dataclasses
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from quadftc_flight.diagnosis_metrics.columns import Figure, Floats, Mask, largest, mean, number, rms
 from quadftc_flight.diagnosis_metrics.verdicts import diagnosis_metrics
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, events_of_windows
-from quadftc_flight.flight import NO_STATE, VECTORS, Flight
+from quadftc_flight.flight import Flight, unknown_flight
 from quadftc_model.hints import nearest
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
 
 PerAxis = dict[str, float | None]
 
@@ -47,9 +51,9 @@ def flight_metrics(
     time = flight.time
     tracking = np.degrees(wrap(flight.angles - flight.reference))
     estimate = np.degrees(wrap(flight.fault_estimate - flight.fault))
-    inside = _within(time, [(window.start, window.stop) for window in windows])
-    moments = sorted({moment for window in windows for moment in (window.start, window.stop)})
-    settled = ~_within(time, [(moment, moment + SETTLING_TIME) for moment in moments])
+    inside = _within(time, windows)
+    moments = {moment for window in windows for moment in (window.start, window.stop)}
+    settled = ~_within(time, (FaultWindow(moment, moment + SETTLING_TIME, ()) for moment in moments))
     return {
         "tracking_rmse_deg": _per_axis(rms, tracking),
         "tracking_max_deg": _per_axis(largest, tracking),
@@ -74,26 +78,14 @@ def known_metrics(window_count: int, events: Sequence[FaultEvent] = ()) -> dict[
 
     They have no values but what is counted without a flight.
     """
-    unknown = np.full((2, 3), np.nan)
-    nowhere = Flight(
-        stamp_ns=np.arange(2),
-        time=np.array([-2.0, -1.0]),
-        delivered=np.zeros(2, np.bool_),
-        fault_state=np.full((2, 3), NO_STATE, np.uint8),
-        fault_onset_ns=np.zeros((2, 3), np.int64),
-        saturated=np.zeros((2, 3), np.bool_),
-        **dict.fromkeys(VECTORS, unknown),
-    )
+    nowhere = dataclasses.replace(unknown_flight(np.arange(2)), time=np.array([-2.0, -1.0]))
     return flight_metrics(nowhere, [FaultWindow(0.0, 1.0, AXES)] * window_count, events)
 
 
 def look_up(metrics: Any, path: str) -> Any:
     """Return the metric of a dotted path, such as ``fault_windows.0.tracking_mean_deg.roll``.
 
-    Raises
-    ------
-    KeyError
-        If there is none; its argument is the part of the path that is not there, and what there is instead.
+    If there is none, the argument of the KeyError is what is not there, and what there is instead.
     """
     place = metrics
     for word in path.split("."):
@@ -114,7 +106,7 @@ def entries(place: Any) -> Iterator[tuple[str, Any]]:
 
 
 def _window(window: FaultWindow, time: Floats, tracking: Floats, estimate: Floats) -> dict[str, Any]:
-    rows = _within(time, [(window.start, window.stop)])
+    rows = _within(time, [window])
     return {
         "start": window.start,
         "stop": window.stop,
@@ -124,7 +116,9 @@ def _window(window: FaultWindow, time: Floats, tracking: Floats, estimate: Float
         "tracking_max_deg": _per_axis(largest, tracking[rows]),
         "fault_estimate_rmse_deg": _per_axis(rms, estimate[rows]),
         "fault_estimate_max_deg": _per_axis(largest, estimate[rows]),
-        "fault_estimate_settling_s": _settling(time[rows] - window.start, estimate[rows]),
+        "fault_estimate_settling_s": {
+            name: _settling(time[rows] - window.start, estimate[rows, axis]) for axis, name in enumerate(AXES)
+        },
     }
 
 
@@ -142,26 +136,23 @@ def _effort(flight: Flight) -> dict[str, Any]:
     }
 
 
-def _settling(elapsed: Floats, error_deg: Floats) -> PerAxis:
+def _settling(elapsed: Float[Floats, " n"], error_deg: Float[Floats, " n"]) -> float | None:
     """Time since the onset [s] from which the error stays small until the window's end; None: never."""
-    settling: PerAxis = {}
-    for axis, name in enumerate(AXES):
-        known = np.isfinite(error_deg[:, axis])
-        moments, large = elapsed[known], np.abs(error_deg[known, axis]) >= SETTLED_ERROR_DEG
-        last_large = int(np.flatnonzero(large)[-1]) if large.any() else -1
-        settling[name] = float(moments[last_large + 1]) if last_large + 1 < len(moments) else None
-    return settling
+    known = np.isfinite(error_deg)
+    moments, large = elapsed[known], np.abs(error_deg[known]) >= SETTLED_ERROR_DEG
+    last_large = int(np.flatnonzero(large)[-1]) if large.any() else -1
+    return float(moments[last_large + 1]) if last_large + 1 < len(moments) else None
 
 
-def _within(time: Floats, intervals: Sequence[tuple[float, float]]) -> Mask:
+def _within(time: Float[Floats, " n"], windows: Iterable[FaultWindow]) -> Bool[Mask, " n"]:
     mask = np.zeros(len(time), np.bool_)
-    for start, stop in intervals:
+    for start, stop, _ in windows:
         mask |= (start <= time) & (time < stop)
     return mask
 
 
-def _tilt_deg(angles: Floats) -> Floats:
-    """Angle between the body's z axis and the vertical [deg] (n,)."""
+def _tilt_deg(angles: Float[Floats, "n 3"]) -> Float[Floats, " n"]:
+    """Angle between the body's z axis and the vertical."""
     cosine = np.cos(angles[:, 0]) * np.cos(angles[:, 1])
     return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
 

@@ -11,7 +11,7 @@ The directory of a replay holds the same, but for a scenario: `quadftc_replay.re
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,7 +19,7 @@ import yaml
 
 from quadftc_bags.bag import Bag, BagError, read_bag
 from quadftc_flight.fault_schedule import FaultEvent
-from quadftc_flight.flight import Flight, flight_from_bag
+from quadftc_flight.flight import Flight, flight_from_bag, has_messages
 from quadftc_flight.scenario import (
     Fault,
     Part,
@@ -112,12 +112,17 @@ class RecordedRun(RunDirectory):
     @property
     def duration(self) -> float:
         """How much of the flight was recorded [s]."""
-        return min(self.scenario.duration, _recorded_time(self.flight, self.scenario))
+        return min(self.scenario.duration, self._recorded_time)
 
     @property
     def is_whole(self) -> bool:
         """Whether the flight was recorded to its end."""
-        return _is_whole(self.flight, self.scenario)
+        return self._recorded_time > self.scenario.duration - END_SLACK
+
+    @property
+    def _recorded_time(self) -> float:
+        """How long the flight is [s]; the samples still on their way at its end count as recorded."""
+        return float(self.flight.time[-1]) + (1 + self.scenario.sensor.delay) / self.scenario.rate
 
 
 def find_runs(paths: Sequence[Path]) -> list[Path]:
@@ -136,23 +141,15 @@ def find_runs(paths: Sequence[Path]) -> list[Path]:
 
 
 def read_run(path: Path) -> RecordedRun:
-    """Read one run and check its parts against each other.
-
-    Parameters
-    ----------
-    path : Path
-        Directory of the run, or its ``.mcap`` file; scenario, parameters and summary may lie beside it.
-
-    Raises
-    ------
-    BagError
-        If it is no bag, not one of this software's, or holds too little to be judged; one line.
-    """
+    """Read one run, its directory or its ``.mcap`` file; see `run_from_bag`."""
     return run_from_bag(read_bag(path))
 
 
 def run_from_bag(bag: Bag) -> RecordedRun:
-    """Make sense of the bag of a run; see `read_run`."""
+    """Make sense of the bag of a run, and check its parts and the files beside it against each other.
+
+    A bag that is not one of this software's, or holds too little to be judged, is a BagError; one line.
+    """
     _require_run(bag)
     stored = read_summary(beside(bag.path, SUMMARY))
     name, warnings = run_name(bag.path), list[str]()
@@ -164,26 +161,25 @@ def run_from_bag(bag: Bag) -> RecordedRun:
         scenario = scenario.model_copy(update={"name": name.removesuffix(f"-{scheme.name}")})
     if not parameters:
         parameters = {node: dict(values) for node, values in node_parameters(scenario, scheme).items()}
-    # the flight, and what the summary beside the bag says of it
-    flight = flight_from_bag(bag)
-    warnings += _shortcomings(bag, flight, scenario)
-    if _is_whole(flight, scenario):
-        result, wrong = compare_summaries(summary(flight, scenario, scheme, None), stored, bag.path)
-        warnings += wrong
-    else:
-        result = partial_summary(flight, scenario, scheme, stored.data)
-    return RecordedRun(
+    # the flight; the summary follows when it is known whether the flight is whole
+    run = RecordedRun(
         name=name,
         path=bag.path,
         bag=bag,
         scenario=scenario,
         scheme=scheme,
         parameters=parameters,
-        flight=flight,
-        summary=result,
+        flight=flight_from_bag(bag),
+        summary={},
         versions=versions_of(stored.data, bag),
-        warnings=tuple(warnings),
     )
+    warnings += _shortcomings(run)
+    if run.is_whole:
+        result, wrong = compare_summaries(summary(run.flight, scenario, scheme, None), stored, bag.path)
+        warnings += wrong
+    else:
+        result = partial_summary(run.flight, scenario, scheme, stored.data)
+    return dataclasses.replace(run, summary=result, warnings=tuple(warnings))
 
 
 def run_name(path: Path) -> str:
@@ -225,8 +221,7 @@ def parse_parameters(text: str) -> Parameters:
 
 def without_messages(bag: Bag, topics: Iterable[str]) -> list[str]:
     """Return those of the topics, relative to a namespace, that have no message."""
-    full = [f"/{name.strip('/')}" for name, topic in bag.topics.items() if topic.count]
-    return [topic for topic in topics if not any(name.endswith(f"/{topic}") for name in full)]
+    return [topic for topic in topics if not has_messages(bag, topic)]
 
 
 def topics_text(bag: Bag) -> str:
@@ -265,19 +260,16 @@ def _is_run(directory: Path) -> bool:
 def _require_run(bag: Bag) -> None:
     """Refuse a bag that lacks what every run has."""
     if is_replay(bag):
-        raise BagError(
-            f"{bag.path}: a replay of a recording; expected a flight, which has a scenario and a controller"
-        )
+        wanted = "expected a flight, which has a scenario and a controller"
+        raise BagError(f"{bag.path}: a replay of a recording; {wanted}")
     topics = without_messages(bag, NEEDED)
     missing = [f"messages on {', '.join(topics)}"] if topics else []
     if attached_text(bag, SCENARIO) is None:
         missing.insert(0, f"{SCENARIO} (attached to the bag, or beside it)")
     if missing:
         what = "cut short before it holds a run" if bag.truncated else "no run or replay of quadftc"
-        raise BagError(
-            f"{bag.path}: {what}: missing {' and '.join(missing)}; topics with messages there:"
-            f" {topics_text(bag)}{bag.remedy}"
-        )
+        there = f"topics with messages there: {topics_text(bag)}{bag.remedy}"
+        raise BagError(f"{bag.path}: {what}: missing {' and '.join(missing)}; {there}")
 
 
 def _read_parameters(bag: Bag, warnings: list[str]) -> Parameters:
@@ -304,27 +296,28 @@ def _read_scenario(bag: Bag, parameters: Parameters) -> Scenario:
 
 def _find_scheme(scenario: Scenario, parameters: Parameters, names: tuple[str, str], path: Path) -> Scheme:
     """Tell which scheme was flown: the parameters name its components; the summary or the run names it."""
+    by_summary, by_run = names
     fitting = [scheme for scheme in scenario.schemes.values() if _kinds_fit(scheme, parameters)]
     if not fitting:
         raise BagError(f"{path}: {PARAMETERS} fits none of the schemes {', '.join(scenario.schemes)}")
-    by_summary, by_run = names
-    for narrower in (
-        [scheme for scheme in fitting if parameters and _values_fit(scenario, scheme, parameters)],
-        [scheme for scheme in fitting if scheme.name == by_summary],
-        [scheme for scheme in fitting if by_run.endswith(f"-{scheme.name}")],
-    ):
-        fitting = [scheme for scheme in fitting if scheme in narrower] or fitting
+    narrower: tuple[Callable[[Scheme], bool], ...] = (
+        lambda scheme: bool(parameters) and _values_fit(scenario, scheme, parameters),
+        lambda scheme: scheme.name == by_summary,
+        lambda scheme: by_run.endswith(f"-{scheme.name}"),
+    )
+    for fits in narrower:
+        fitting = [scheme for scheme in fitting if fits(scheme)] or fitting
     if len(fitting) > 1:
-        raise BagError(
-            f"{path}: which of the schemes {', '.join(scheme.name for scheme in fitting)} was flown is not"
-            f" known; expected {PARAMETERS}, 'scheme' in {SUMMARY}, or a name that ends with it"
-        )
+        names_of = ", ".join(scheme.name for scheme in fitting)
+        wanted = f"expected {PARAMETERS}, 'scheme' in {SUMMARY}, or a name that ends with it"
+        raise BagError(f"{path}: which of the schemes {names_of} was flown is not known; {wanted}")
     return fitting[0]
 
 
 def _kinds_fit(scheme: Scheme, parameters: Parameters) -> bool:
+    kinds = {role: getattr(scheme, role).kind for role in _ROLES}
     return all(
-        parameters.get(node, {}).get(selector, getattr(scheme, role).kind) == getattr(scheme, role).kind
+        parameters.get(node, {}).get(selector, kinds[role]) == kinds[role]
         for role, (node, selector) in _ROLES.items()
     )
 
@@ -338,19 +331,10 @@ def _values_fit(scenario: Scenario, scheme: Scheme, parameters: Parameters) -> b
     )
 
 
-def _recorded_time(flight: Flight, scenario: Scenario) -> float:
-    """How long the recorded flight is [s]; the samples still on their way at its end count as recorded."""
-    return float(flight.time[-1]) + (1 + scenario.sensor.delay) / scenario.rate
-
-
-def _is_whole(flight: Flight, scenario: Scenario) -> bool:
-    return _recorded_time(flight, scenario) > scenario.duration - END_SLACK
-
-
-def _shortcomings(bag: Bag, flight: Flight, scenario: Scenario) -> Iterator[str]:
-    """What the recording lacks."""
-    end = f"{min(_recorded_time(flight, scenario), scenario.duration):.1f} s of {scenario.duration:g} s"
-    if not _is_whole(flight, scenario):
+def _shortcomings(run: RecordedRun) -> Iterator[str]:
+    """Say what the recording lacks."""
+    bag, end = run.bag, f"{run.duration:.1f} s of {run.scenario.duration:g} s"
+    if not run.is_whole:
         what = "cut short" if bag.truncated else "flight ended early,"
         yield f"{bag.path}: {what} at {end}; read up to there{bag.remedy}"
     elif bag.truncated:

@@ -24,7 +24,7 @@ from quadftc_bags.bag import read_bag
 from quadftc_bags.writer import BagStatus
 from quadftc_flight.flight import flight_from_bag
 from quadftc_flight.graph.composed import ComposedGraph
-from quadftc_flight.graph.plan import GraphError, GraphPlan, check_scheduling
+from quadftc_flight.graph.plan import GraphError, GraphPlan, check_options
 from quadftc_flight.graph.processes import ProcessGraph
 from quadftc_flight.scenario import Scenario, Scheme, node_parameters
 from quadftc_flight.summary import summary
@@ -35,7 +35,7 @@ from quadftc_sim.assembly import sample_count
 GRAPHS = {"composed": ComposedGraph, "processes": ProcessGraph}
 SUMMARY = "summary.json"
 
-Progress = Callable[[float], bool]
+Progress = Callable[[float], bool]  # called with the share of the flight that is over; False ends it early
 
 
 class RunError(Exception):
@@ -44,35 +44,16 @@ class RunError(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class RunOptions:
-    """How to fly.
+    """How to fly; a ValueError if the parts do not suit each other, or ROS has no such namespace."""
 
-    Parameters
-    ----------
-    graph : str
-        ``composed`` or ``processes``.
-    mode : str
-        ``lockstep`` or ``realtime``.
-    namespace : str
-        Of the vehicle; empty: none.
-    force : bool
-        Replace an earlier run of the same name.
-    scheduling : Scheduling
-        In real time: how to share the machine.
-
-    Raises
-    ------
-    ValueError
-        If the scheduling does not suit graph or mode, or ROS has no such namespace.
-    """
-
-    graph: str = "composed"
-    mode: str = "lockstep"
-    namespace: str = ""
-    force: bool = False
-    scheduling: Scheduling = ORDINARY
+    graph: str = "composed"  # or processes
+    mode: str = "lockstep"  # or realtime
+    namespace: str = ""  # of the vehicle; empty: none
+    force: bool = False  # replace an earlier run of the same name
+    scheduling: Scheduling = ORDINARY  # in real time: how to share the machine
 
     def __post_init__(self) -> None:
-        check_scheduling(self.scheduling, self.mode, self.graph)
+        check_options(self.graph, self.mode, self.scheduling)
         check_namespace(self.namespace)
 
 
@@ -80,10 +61,11 @@ def check_namespace(namespace: str) -> None:
     """Raise a ValueError, which says why, if ROS has no such namespace."""
     try:
         validate_namespace(f"/{namespace.strip('/')}")
-    except (InvalidNamespaceException, TypeError) as error:  # the latter: no text that can be encoded
+    except InvalidNamespaceException as error:
         words = str(error).split(": ", 1)[-1].splitlines()[0].rstrip(":")
-        words = words if isinstance(error, InvalidNamespaceException) else "is no text"
         raise ValueError(f"namespace = {namespace!r}: {words}") from None
+    except TypeError:  # it cannot be encoded
+        raise ValueError(f"namespace = {namespace!r}: is no text") from None
 
 
 def run_name(scenario: Scenario, scheme: Scheme) -> str:
@@ -93,14 +75,10 @@ def run_name(scenario: Scenario, scheme: Scheme) -> str:
 
 def prepare(out: Path, names: list[str], force: bool) -> None:
     """Make room for runs in ``out``; raise a `RunError` if a name is taken and may not be replaced."""
-    for name in names:
-        directory = out / name
-        if not directory.exists():
-            continue
+    for directory in (out / name for name in names if (out / name).exists()):
         if not force:
-            raise RunError(
-                f"{directory}: exists; choose another --out, or --force to replace the earlier run"
-            )
+            advice = "choose another --out, or --force to replace the earlier run"
+            raise RunError(f"{directory}: exists; {advice}")
         if not (directory / "metadata.yaml").is_file():
             raise RunError(f"{directory}: is no earlier run; not replaced")
         shutil.rmtree(directory)
@@ -115,14 +93,7 @@ def run(
 ) -> dict[str, Any] | None:
     """Fly one scheme of a scenario; return the summary that is written beside the bag, None if ended early.
 
-    Parameters
-    ----------
-    scenario, scheme : Scenario, Scheme
-    out : Path
-        Directory of all runs.
-    options : RunOptions
-    progress : callable
-        Called with the share of the flight that is over; the flight ends early when it returns False.
+    ``out`` is the directory of all runs.
 
     Raises
     ------
@@ -133,19 +104,17 @@ def run(
     bag = out / run_name(scenario, scheme)
     with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
         files = (Path(folder, "scenario.yaml"), Path(folder, "parameters.yaml"))
+        parameters = node_parameters(scenario, scheme)
         plan = GraphPlan(
-            node_parameters(scenario, scheme),
-            options.mode,
-            options.namespace,
-            bag,
-            files,
-            scheduling=options.scheduling,
+            parameters, options.mode, options.namespace, bag, files, scheduling=options.scheduling
         )
         files[0].write_text(yaml.safe_dump(scenario.raw, sort_keys=False, width=120), encoding="utf-8")
         files[1].write_text(plan.parameter_file(), encoding="utf-8")
         wall_time, status = _fly(plan, options.graph, scenario.duration * scenario.rate, progress)
+        kept = sum(status.counts.values())
         if status.error is not None:
-            raise GraphError(_stopped(bag, status))
+            lost = f"{kept} messages are in the bag, {status.lost} are lost; run quadftc repair {bag}"
+            raise GraphError(f"{status.error}: the recording stopped, the flight went on; {lost}")
         for file in files:
             _write(bag / file.name, file.read_text(encoding="utf-8"))
     if wall_time is None:
@@ -155,30 +124,16 @@ def run(
     if options.mode == "lockstep" and len(flight) != wanted:
         raise GraphError(f"{bag}: {wanted} samples were flown, but {len(flight)} recorded")
     result = summary(flight, scenario, scheme, wall_time)
-    result["mode"], result["graph"], result["bag"] = options.mode, options.graph, bag.name
-    result["recorded"] = {"messages": sum(status.counts.values()), "dropped": dict(status.dropped)}
-    result["versions"] = {**versions(), **_commit()}
+    result |= {"mode": options.mode, "graph": options.graph, "bag": bag.name}
+    result |= {"recorded": {"messages": kept, "dropped": dict(status.dropped)}}
+    result |= {"versions": {**versions(), **_commit()}}
     _write(bag / SUMMARY, json.dumps(result, indent=2, allow_nan=False) + "\n")
     if status.dropped:
-        lost = ", ".join(f"{topic} {count}" for topic, count in sorted(status.dropped.items()))
-        raise GraphError(f"{bag}: messages were lost on the way to the bag, as the writer was behind: {lost}")
+        counts = ", ".join(f"{topic} {count}" for topic, count in sorted(status.dropped.items()))
+        raise GraphError(
+            f"{bag}: messages were lost on the way to the bag, as the writer was behind: {counts}"
+        )
     return result
-
-
-def _write(file: Path, text: str) -> None:
-    """Write a file beside the bag, or none."""
-    try:
-        file.write_text(text, encoding="utf-8")
-    except OSError as error:
-        with suppress(OSError):
-            file.unlink()
-        raise GraphError(f"{file}: {error.strerror}; the bag is whole") from None
-
-
-def _stopped(bag: Path, status: BagStatus) -> str:
-    """Say what became of a recording that stopped."""
-    kept = f"{sum(status.counts.values())} messages are in the bag, {status.lost} are lost"
-    return f"{status.error}: the recording stopped, the flight went on; {kept}; run quadftc repair {bag}"
 
 
 def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> tuple[float | None, BagStatus]:
@@ -198,10 +153,20 @@ def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> tupl
     return (wall_time if going_on else None), status
 
 
+def _write(file: Path, text: str) -> None:
+    """Write a file beside the bag, or none."""
+    try:
+        file.write_text(text, encoding="utf-8")
+    except OSError as error:
+        with suppress(OSError):
+            file.unlink()
+        raise GraphError(f"{file}: {error.strerror}; the bag is whole") from None
+
+
 def _commit() -> dict[str, str]:
-    """The commit of the source tree this code runs from, if it is one."""
+    """Return the commit of the source tree this code runs from, if it is one."""
     folder = str(Path(__file__).resolve().parent)
-    command = ["git", "-C", folder, *["describe", "--always", "--dirty", "--abbrev=12"]]
+    command = ["git", "-C", folder, "describe", "--always", "--dirty", "--abbrev=12"]
     try:
         found = subprocess.run(command, capture_output=True, text=True, timeout=5.0, check=False)
     except (OSError, subprocess.TimeoutExpired):

@@ -11,11 +11,12 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from multiprocessing.synchronize import Event
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from quadftc_flight.graph.plan import GraphError
 from quadftc_flight.runs import RunOptions, run
 from quadftc_flight.scenario import Scenario, Scheme
+from quadftc_ros.executor import STOPPING
 
 Job = tuple[Scenario, Scheme]
 Follow = Callable[[int, float], bool]
@@ -27,6 +28,8 @@ def run_side_by_side(
     jobs: Sequence[Job], out: Path, options: RunOptions, workers: int, follow: Follow
 ) -> list[dict[str, Any] | None]:
     """Fly jobs in processes of their own; return their summaries in order, None for one that was ended early.
+
+    What the first run that failed raised is raised when the others have been ended.
 
     Parameters
     ----------
@@ -40,11 +43,6 @@ def run_side_by_side(
     follow : callable
         Called with a job's number and the share of its flight that is over. All end early when it
         returns False.
-
-    Raises
-    ------
-    Exception
-        What the first run that failed raised; the others are ended first.
     """
     context = multiprocessing.get_context("spawn")
     stop = context.Event()
@@ -53,33 +51,41 @@ def run_side_by_side(
     results: list[dict[str, Any] | None] = [None] * len(jobs)
     try:
         while waiting or under_way:
-            while waiting and len(under_way) < workers and not stop.is_set():
+            while waiting and len(under_way) < workers:
                 number, job = waiting.pop(0)
                 here, there = context.Pipe(duplex=False)
                 process = context.Process(target=_run_one, args=(*job, out, options, stop, there))
-                process.start()
+                _start(process)
                 there.close()
                 under_way[here] = number, process
-            for connection in wait(list(under_way), timeout=0.5):
-                assert isinstance(connection, Connection)
+            for connection in cast("list[Connection]", wait(list(under_way), timeout=0.5)):
                 number, process = under_way[connection]
                 message = _receive(connection, process)
-                if isinstance(message, (int, float)):
-                    if not follow(number, message):
-                        stop.set()
-                    continue
-                del under_way[connection]
-                process.join()
                 if isinstance(message, Exception):
                     raise message
-                results[number] = message
-            if stop.is_set():
-                waiting.clear()
+                is_over = not isinstance(message, float)
+                if is_over:
+                    del under_way[connection]
+                    process.join()
+                    results[number] = message
+                # a flight that was ended early has no summary, and got no further
+                if message is not None and not follow(number, 1.0 if is_over else message):
+                    stop.set()
+                    waiting.clear()
     finally:
         stop.set()
         for _, process in under_way.values():
             process.join()
     return results
+
+
+def _start(process: BaseProcess) -> None:
+    """Start a process in which signals are blocked: whoever started it says when to end."""
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
+    try:
+        process.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _receive(connection: Connection, process: BaseProcess) -> float | dict[str, Any] | Exception | None:
@@ -95,7 +101,6 @@ def _run_one(
     scenario: Scenario, scheme: Scheme, out: Path, options: RunOptions, stop: Event, answers: Connection
 ) -> None:
     """Fly in this process. Its graph finds nobody outside it, so flights side by side do not mix."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when to end
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "OFF"
     reported = 0.0
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -20,8 +20,7 @@ SHOWN = 3  # disagreements named in a warning
 _TIMING = ("wall_time_s", "real_time_factor")  # entries that a bag cannot tell
 
 
-@dataclasses.dataclass(frozen=True)
-class CheckResult:
+class CheckResult(NamedTuple):
     """What became of a check on one axis."""
 
     metric: str  # dotted path in ``summary["metrics"]``
@@ -29,11 +28,6 @@ class CheckResult:
     value: float | None  # None: the metric has no value here
     bound: str  # what was required, in words
     passed: bool
-
-    def __str__(self) -> str:
-        name = self.metric if self.axis is None else f"{self.metric} ({self.axis})"
-        value = "no value" if self.value is None else f"{self.value:.4g}"
-        return f"{'passed' if self.passed else 'FAILED'}: {name}: {value}, required {self.bound}"
 
 
 class StoredSummary(NamedTuple):
@@ -44,17 +38,10 @@ class StoredSummary(NamedTuple):
 
 
 def summary(flight: Flight, scenario: Scenario, scheme: Scheme, wall_time: float | None) -> dict[str, Any]:
-    """Summarise a flight, ready for JSON; the caller adds versions and paths.
-
-    Parameters
-    ----------
-    flight : Flight
-    scenario, scheme : Scenario, Scheme
-        What was flown.
-    wall_time : float, optional
-        How long it took [s].
-    """
-    result: dict[str, Any] = {
+    """Summarise a flight that took ``wall_time`` [s], ready for JSON; the caller adds versions and paths."""
+    metrics = flight_metrics(flight, scenario.fault_windows, scenario.fault_events)
+    checks = check_results(metrics, scheme.checks)
+    return {
         "name": scenario.name,
         "scheme": scheme.name,
         "observer": scheme.observer.kind,
@@ -68,12 +55,10 @@ def summary(flight: Flight, scenario: Scenario, scheme: Scheme, wall_time: float
         "samples_withheld": int((~flight.delivered).sum()),
         "wall_time_s": wall_time,
         "real_time_factor": scenario.duration / wall_time if wall_time else None,
-        "metrics": flight_metrics(flight, scenario.fault_windows, scenario.fault_events),
+        "metrics": metrics,
+        "checks": [check._asdict() for check in checks],
+        "passed": all(check.passed for check in checks),
     }
-    results = check_results(result, scheme.checks)
-    result["checks"] = [dataclasses.asdict(item) for item in results]
-    result["passed"] = all(item.passed for item in results)
-    return result
 
 
 def partial_summary(
@@ -85,9 +70,31 @@ def partial_summary(
     return {**origin, **summary(flight, scenario, unchecked, None), "passed": None}
 
 
-def check_results(summary: Mapping[str, Any], checks: Iterable[Check]) -> list[CheckResult]:
-    """Hold checks against a summary: one result for each check and axis. What has no value fails."""
-    return [result for check in checks for result in _results(summary["metrics"], check)]
+def check_results(metrics: Mapping[str, Any], checks: Iterable[Check]) -> list[CheckResult]:
+    """Hold checks against metrics: one result for each check and axis. What has no value fails."""
+    results: list[CheckResult] = []
+    for check in checks:
+        try:
+            found: Any = look_up(metrics, check.metric)
+        except KeyError:
+            found = None
+        values = cast("dict[str | None, Any]", found if isinstance(found, dict) else {check.axis: found})
+        every_axis = isinstance(found, dict) and check.axis is None
+        for axis in AXES if every_axis else (check.axis,):
+            raw = values.get(axis)
+            value = float(raw) if isinstance(raw, (int, float)) else None
+            results.append(CheckResult(check.metric, axis, value, *_hold(check, value)))
+    return results
+
+
+def _hold(check: Check, value: float | None) -> tuple[str, bool]:
+    """Return what a check requires, in words, and whether a value meets it."""
+    low = -math.inf if check.above is None else check.above
+    high = math.inf if check.below is None else check.below
+    bound = f"between {low:g} and {high:g}"
+    if math.isinf(low) or math.isinf(high):
+        bound = f"below {high:g}" if math.isinf(low) else f"above {low:g}"
+    return bound, value is not None and low < value < high
 
 
 def read_summary(file: Path) -> StoredSummary:
@@ -106,16 +113,9 @@ def read_summary(file: Path) -> StoredSummary:
 def compare_summaries(
     computed: dict[str, Any], stored: StoredSummary, path: Path
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return the summary of a whole recording, and warnings.
+    """Return the summary of a whole recording, the bag at ``path``, and warnings.
 
-    Parameters
-    ----------
-    computed : dict
-        From the bag; counts where they differ.
-    stored : StoredSummary
-        What lies beside the bag; counts where they agree, and has entries of its own.
-    path : Path
-        Of the bag.
+    What lies beside the bag has entries of its own, and counts where it agrees with what was computed.
     """
     if not stored.data:
         return computed, [stored.problem] * bool(stored.problem)
@@ -134,44 +134,8 @@ def compare_summaries(
     return {**stored.data, **computed, **timing}, [warning]
 
 
-def _results(metrics: Any, check: Check) -> Iterator[CheckResult]:
-    try:
-        found: Any = look_up(metrics, check.metric)
-    except KeyError:
-        found = None
-    if not isinstance(found, dict):
-        yield _result(check, check.axis, found)
-        return
-    values = cast("dict[str, Any]", found)
-    for axis in AXES if check.axis is None else (check.axis,):
-        yield _result(check, axis, values.get(axis))
-
-
-def _result(check: Check, axis: str | None, found: Any) -> CheckResult:
-    value = float(found) if isinstance(found, (int, float)) else None
-    above = -math.inf if check.above is None else check.above
-    below = math.inf if check.below is None else check.below
-    return CheckResult(check.metric, axis, value, _bound(check), value is not None and above < value < below)
-
-
-def _bound(check: Check) -> str:
-    if check.above is None:
-        return f"below {check.below:g}"
-    if check.below is None:
-        return f"above {check.above:g}"
-    return f"between {check.above:g} and {check.below:g}"
-
-
 def _refuse_constant(text: str) -> float:
     raise ValueError(f"{text} is not finite")
-
-
-def _is_near(stored: float, computed: float) -> bool:
-    """Whether two numbers differ by rounding only; an int may be beyond all floats."""
-    try:
-        return math.isclose(stored, computed, rel_tol=ROUNDING, abs_tol=1e-9)
-    except OverflowError:
-        return False
 
 
 def _differences(stored: Any, computed: Any, place: str) -> Iterator[str]:
@@ -182,7 +146,9 @@ def _differences(stored: Any, computed: Any, place: str) -> Iterator[str]:
         for key, value in ours.items():
             yield from _differences(theirs.get(key), value, f"{place}.{key}")
     elif isinstance(computed, float) and isinstance(stored, (int, float)):
-        if not _is_near(stored, computed):
-            yield place
+        with suppress(OverflowError):  # an int may be beyond all floats
+            if math.isclose(stored, computed, rel_tol=ROUNDING, abs_tol=1e-9):
+                return
+        yield place
     elif stored != computed:
         yield place

@@ -2,7 +2,7 @@
 
 import pytest
 
-from quadftc_flight.graph.respawn import LAST_DELAY, MEMORY, MOST_DEATHS, Respawn
+from quadftc_flight.graph.processes import LAST_DELAY, MEMORY, MOST_DEATHS, Respawn
 
 
 def test_delay_doubles_and_ends():

@@ -14,7 +14,7 @@ from quadftc_campaign.batch.parts import numbers_of
 from quadftc_campaign.campaign_file import Campaign, Variant
 from quadftc_campaign.flights import flight
 from quadftc_campaign.tune.cost import slope_of_term, term
-from quadftc_flight.scenario import ROLES, Part, Problem, Scheme, with_values
+from quadftc_flight.scenario import ROLES, Part, Problem, Scheme
 from quadftc_model.parameters import parameters_of
 
 Floats = NDArray[np.float64]
@@ -84,7 +84,7 @@ def gains_of(campaign: Campaign, scheme: Scheme, names: Sequence[str]) -> Gains:
 def with_gains(campaign: Campaign, scheme: str, gains: Gains) -> Campaign:
     """Return the campaign with these gains."""
     values = {f"schemes.{scheme}.{name}": value for name, value in gains.plain().items()}
-    return dataclasses.replace(campaign, base=with_values(campaign.base, values, "tuned"))
+    return dataclasses.replace(campaign, base=campaign.base.with_values(values, "tuned"))
 
 
 def directions(campaign: Campaign, variant: Variant, gains: Gains, number: int) -> list[Mapping[str, Floats]]:

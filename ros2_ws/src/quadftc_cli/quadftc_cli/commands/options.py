@@ -8,14 +8,7 @@ from typing import Annotated
 import typer
 
 from quadftc_campaign.errors import CampaignError
-from quadftc_flight.scenario import (
-    Scenario,
-    find_scenario,
-    load_scenario,
-    with_controller,
-    with_disturbance_observer,
-    with_observer,
-)
+from quadftc_flight.scenario import Scenario, find_scenario, load_scenario, with_components
 
 ObserverOption = Annotated[str, typer.Option(help="Fault observer in place of the scheme's.")]
 DisturbanceObserverOption = Annotated[
@@ -42,13 +35,8 @@ def load_with_parts(
 ) -> Scenario:
     """Load a scenario; replace the parts that are named in all of its schemes."""
     scenario = load_scenario(find_scenario(name), overrides, gains)
-    for change, kind in (
-        (with_observer, observer),
-        (with_disturbance_observer, disturbance_observer),
-        (with_controller, controller),
-    ):
-        scenario = change(scenario, kind) if kind else scenario
-    return scenario
+    kinds = {"observer": observer, "disturbance_observer": disturbance_observer, "controller": controller}
+    return with_components(scenario, **kinds)
 
 
 def workers_here(workers: int | None, scheduler: str | None) -> int:

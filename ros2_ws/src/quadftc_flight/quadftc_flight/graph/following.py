@@ -9,22 +9,17 @@ from collections.abc import Callable
 from typing import Any, Self
 
 from rclpy.context import Context
+from rclpy.parameter import Parameter
 
-from quadftc_flight.graph.plan import (
-    ALONE,
-    CONNECT_TIMEOUT,
-    SLICE,
-    STALL_TIMEOUT,
-    GraphError,
-    Progress,
-    always,
-)
+from quadftc_flight.graph.plan import CONNECT_TIMEOUT, SLICE, STALL_TIMEOUT, GraphError, Progress, always
 from quadftc_ros.executor import Slice, make_executor
 from quadftc_ros.topics import crowded_topics
 
+ALONE = "another graph runs in this ROS domain; stop it, or set another ROS_DOMAIN_ID"
+
 
 class Graph(abc.ABC):
-    """A graph that is running; a context manager."""
+    """A graph that is running; a context manager, which closes it."""
 
     def __init__(self, executor: str) -> None:
         self.exit_code = 0  # the worst of the processes, once they were stopped
@@ -34,11 +29,9 @@ class Graph(abc.ABC):
         self._slice = Slice(self._executor)
 
     def __enter__(self) -> Self:
-        """Return the graph."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close the graph."""
         self.close()
 
     @abc.abstractmethod
@@ -59,6 +52,18 @@ class Graph(abc.ABC):
 
     def _check_alive(self) -> None:  # noqa: B027
         """Raise a `GraphError` if a node has ended."""
+
+    def _add_node(self, node_class: type[Any], namespace: str, parameters: Any, **options: Any) -> Any:
+        """Make a node and let the executor serve it."""
+        node = node_class(
+            context=self._context,
+            namespace=namespace or None,
+            parameter_overrides=[Parameter(name, value=value) for name, value in parameters.items()],
+            use_global_arguments=False,
+            **options,
+        )
+        self._executor.add_node(node)
+        return node
 
     def wait_until_connected(self, progress: Progress = always) -> bool:
         """Wait until every node is matched with every other; return False if ``progress(0)`` did so before.

@@ -28,9 +28,8 @@ STALL_TIMEOUT = 15.0  # s; without a new sample
 # s; real time: recorded after the end; longer, and the controller reports that the IMU has stopped
 AFTERMATH = 0.05
 
-ALONE = "another graph runs in this ROS domain; stop it, or set another ROS_DOMAIN_ID"
-
 Progress = Callable[[int], bool]  # called with the number of samples so far; False ends the flight early
+Parameters = Mapping[str, Mapping[str, Any]]  # node to its parameters, name to value
 
 
 class GraphError(RuntimeError):
@@ -39,39 +38,17 @@ class GraphError(RuntimeError):
 
 @dataclasses.dataclass(frozen=True)
 class GraphPlan:
-    """A graph to be run.
+    """A graph to be run."""
 
-    Parameters
-    ----------
-    parameters : mapping
-        Node name to its parameters (name to value).
-    mode : str
-        ``lockstep`` or ``realtime``.
-    namespace : str
-        Of the vehicle; empty: none.
-    bag : Path, optional
-        Directory of the bag to write.
-    attachments : tuple of Path
-        Files that go into the bag.
-    traces : Path, optional
-        Directory for the times at which messages come and go, a file for each node.
-    scheduling : Scheduling
-        In real time: how to share the machine.
-    respawn : bool
-        In real time, as processes: start a node again that dies in flight. The plant is the vehicle, and is
-        not.
-    remapped : mapping
-        Node to topics, by name, that it publishes under another name, for what stands in between (tests).
-    """
-
-    parameters: Mapping[str, Mapping[str, Any]]
-    mode: str = "lockstep"
-    namespace: str = ""
-    bag: Path | None = None
-    attachments: tuple[Path, ...] = ()
-    traces: Path | None = None
-    scheduling: Scheduling = ORDINARY
-    respawn: bool = False
+    parameters: Parameters
+    mode: str = "lockstep"  # or realtime
+    namespace: str = ""  # of the vehicle; empty: none
+    bag: Path | None = None  # directory of the bag to write
+    attachments: tuple[Path, ...] = ()  # files that go into the bag
+    traces: Path | None = None  # directory for the times at which messages come and go, a file for each node
+    scheduling: Scheduling = ORDINARY  # in real time: how to share the machine
+    respawn: bool = False  # in real time, as processes: restart a node that dies in flight, but not the plant
+    # node to topics, by name, that it publishes under another name, for what stands in between (tests)
     remapped: Mapping[str, Mapping[str, str]] = dataclasses.field(
         default_factory=dict[str, Mapping[str, str]]
     )
@@ -93,22 +70,14 @@ class GraphPlan:
 
     def recorder_parameters(self) -> dict[str, Any]:
         """Return the parameters of the recorder."""
-        return {
-            "mode": self.mode,
-            "directory": str(self.bag),
-            "attachments": [str(path) for path in self.attachments] or [""],
-        }
+        attachments = [str(path) for path in self.attachments] or [""]
+        return {"mode": self.mode, "directory": str(self.bag), "attachments": attachments}
 
 
 def parameters_from_file(path: Path) -> dict[str, dict[str, Any]]:
-    """Read a ROS parameter file: the parameters of each node of the graph, by the node's name.
+    """Read a ROS parameter file, or raise a ValueError: the parameters of each node of the graph by its name.
 
     ``/**`` stands for all nodes; namespaces are left out, and so are nodes that are not of the graph.
-
-    Raises
-    ------
-    ValueError
-        If it is no parameter file.
     """
     try:
         data: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -118,9 +87,7 @@ def parameters_from_file(path: Path) -> dict[str, dict[str, Any]]:
         raise ValueError(f"{path}: expected node names with ros__parameters below each")
     found: dict[str, dict[str, Any]] = {}
     for key, entry in cast("dict[Any, Any]", data).items():
-        values: Any = (
-            cast("dict[Any, Any]", entry).get("ros__parameters") if isinstance(entry, dict) else None
-        )
+        values = cast("dict[Any, Any]", entry).get("ros__parameters") if isinstance(entry, dict) else None
         if not isinstance(values, dict):
             raise ValueError(f"{path}: {key}: expected ros__parameters with a mapping")
         name = str(key).rpartition("/")[2]
@@ -131,7 +98,7 @@ def parameters_from_file(path: Path) -> dict[str, dict[str, Any]]:
 
 
 def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested parameters as dotted names."""
+    """Return nested parameters with dotted names."""
     flat: dict[str, Any] = {}
     for name, value in values.items():
         if isinstance(value, dict):
@@ -141,16 +108,12 @@ def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def check_scheduling(scheduling: Scheduling, mode: str, graph: str) -> None:
-    """Raise a ValueError if a scheduling does not suit the mode (``lockstep``, ``realtime``) or the graph."""
+def check_options(graph: str, mode: str, scheduling: Scheduling, respawn: bool = False) -> None:
+    """Raise a ValueError if the machine cannot be shared so, or nodes cannot restart, in a graph and mode."""
     if mode == "lockstep" and scheduling != ORDINARY:
         raise ValueError("waiting, realtime priority and cores are for real time, not for lock-step")
     if graph == "processes" and scheduling.wait == "poll":
         raise ValueError("wait = 'poll': for the composed graph; six processes that poll need six cores")
-
-
-def check_respawn(respawn: bool, mode: str, graph: str) -> None:
-    """Raise a ValueError if nodes cannot restart in a mode (``lockstep``, ``realtime``) and a graph."""
     if respawn and (mode, graph) != ("realtime", "processes"):
         raise ValueError("respawn: for nodes that are processes, in real time")
 

@@ -6,28 +6,18 @@ from __future__ import annotations
 import dataclasses
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
-from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
+from quadftc_flight.graph import plan as plans
 from quadftc_flight.graph.following import Graph
-from quadftc_flight.graph.plan import (
-    AFTERMATH,
-    CONNECT_TIMEOUT,
-    EXECUTABLES,
-    STALL_TIMEOUT,
-    GraphError,
-    GraphPlan,
-    Progress,
-    always,
-)
-from quadftc_flight.graph.respawn import MOST_DEATHS, Respawn
+from quadftc_flight.graph.plan import EXECUTABLES, STALL_TIMEOUT, GraphError, GraphPlan, Progress, always
 from quadftc_ros.children import Children
 from quadftc_ros.conversions import time_message
 from quadftc_ros.diagnostics import WARN
@@ -36,19 +26,17 @@ from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.scheduling import Scheduling, SchedulingError, scheduled
 from quadftc_ros.topics import missing_connections
 
-FEW = 10  # messages within AFTERMATH; real time: no more are those that still were on their way
-QUIET = 0.25  # s; lock-step: when nothing more has come to be recorded for so long, all of it has
+# the flight is recorded when within a time [s] no more than so many messages come: in real time a controller
+# without samples goes on to say so
+RECORDED = {"lockstep": (0.25, 0), "realtime": (plans.AFTERMATH, 10)}
 CALM = {"lockstep": 0.0, "realtime": 0.5}  # s; between the last match and the flight
+FIRST_DELAY, LAST_DELAY = 0.1, 3.0  # s; the delay of a restart doubles with every death within `MEMORY`
+MOST_DEATHS = 5  # of one node within `MEMORY`; with the next the graph ends
+MEMORY = 60.0  # s
 
 
 def executable_path(package: str, executable: str) -> Path:
-    """Path of an installed executable, which is what ``ros2 run`` would start.
-
-    Raises
-    ------
-    GraphError
-        If the package or the executable is not installed.
-    """
+    """Return the path of an installed executable, which ``ros2 run`` would start, or raise a GraphError."""
     try:
         path = Path(get_package_prefix(package), "lib", package, executable)
     except PackageNotFoundError:
@@ -56,6 +44,40 @@ def executable_path(package: str, executable: str) -> Path:
     if not path.is_file():
         raise GraphError(f"{path} is missing; run scripts/setup")
     return path
+
+
+class Respawn:
+    """When a node that has died is started again, and when it has died too often."""
+
+    def __init__(self) -> None:
+        self._deaths: dict[str, list[float]] = {}
+        self._due: dict[str, float] = {}
+        self.restarts: Counter[str] = Counter()
+
+    def died(self, name: str, now: float) -> float | None:
+        """Note a death at a time [s], once until `started`; return the delay [s], None if it died too often.
+
+        Noted again before it was started, the delay is what is left of it.
+        """
+        if name in self._due:
+            return max(0.0, self._due[name] - now)
+        deaths = [each for each in self._deaths.get(name, ()) if now - each <= MEMORY]
+        self._deaths[name] = [*deaths, now]
+        if len(deaths) >= MOST_DEATHS:
+            return None
+        delay = min(LAST_DELAY, FIRST_DELAY * 2.0 ** len(deaths))
+        self._due[name] = now + delay
+        return delay
+
+    def waits(self, name: str) -> bool:
+        """Return whether a node is dead and known to be."""
+        return name in self._due
+
+    def started(self, name: str) -> int:
+        """Note that a node was started again; return how often it was so far."""
+        del self._due[name]
+        self.restarts[name] += 1
+        return self.restarts[name]
 
 
 class ProcessGraph(Graph):
@@ -99,49 +121,36 @@ class ProcessGraph(Graph):
             raise
 
     def run(self, progress: Progress = always) -> float:
-        """Fly until the plant's duration is over; the rest as of `ComposedGraph.run`.
-
-        Raises
-        ------
-        GraphError
-            Also if a node ends.
-        """
+        """Fly until the plant's duration is over, as `ComposedGraph.run`; a node that ends is an error."""
         if not self.wait_until_connected(progress):
             return 0.0
         with scheduled(self._scheduling):
-            return self._fly(progress)
-
-    def _fly(self, progress: Progress) -> float:
-        self._flying = True
-        self._begin_flight()
-        wall, to_its_end = self._follow(
-            self._slice.spin, progress, f"no new sample of the plant for {STALL_TIMEOUT:g} s"
-        )
-        if to_its_end and self.recorder is not None:
-            drain(self._received, self._slice.spin, self.plan.mode)
+            self._flying = True
+            self._begin_flight()
+            stalled = f"no new sample of the plant for {STALL_TIMEOUT:g} s"
+            wall, to_its_end = self._follow(self._slice.spin, progress, stalled)
+            if to_its_end and self.recorder is not None:
+                self._drain()
         return wall
 
     def wait_until_connected(self, progress: Progress = always) -> bool:
-        """Wait as `Graph` does; then let the processes come to rest."""
+        """Wait as `Graph` does; in real time, until discovery of services and parameters is over, too."""
         if not super().wait_until_connected(progress):
             return False
-        return True if self._calm is not None else self._calm_down(progress)
+        if self._calm is None:
+            self._calm = time.monotonic() + CALM[self.plan.mode]
+            while time.monotonic() < self._calm:
+                self._check_alive()
+                if not progress(0):
+                    return False
+                self._slice.spin(0.1)
+        return True
 
     def _watchers(self) -> list[Any]:
         return [self._node]
 
     def _state(self) -> tuple[bool, int]:
         return self._finished, self._samples
-
-    def _calm_down(self, progress: Progress) -> bool:
-        """Real time: let the processes finish with discovery, which goes on for services and parameters."""
-        self._calm = time.monotonic() + CALM[self.plan.mode]
-        while time.monotonic() < self._calm:
-            self._check_alive()
-            if not progress(0):
-                return False
-            self._slice.spin(0.1)
-        return True
 
     def close(self) -> None:
         """End the processes, close the bag."""
@@ -159,29 +168,15 @@ class ProcessGraph(Graph):
             self._folder.cleanup()
 
     def _watch_and_record(self) -> None:
-        plan = self.plan
-        common: dict[str, Any] = {
-            "context": self._context,
-            "namespace": plan.namespace or None,
-            "use_global_arguments": False,
-        }
-        self._node = Node("launch_graph", **common)
-        prefix = self._node.get_namespace().strip("/")
-        self._names = {
-            f"{prefix}/{name}".lstrip("/"): name for name in EXECUTABLES
-        }  # as /diagnostics has them
-        self._node.create_subscription(
-            DiagnosticArray, "/diagnostics", self._on_diagnostics, topic_profile("reliable", plan.mode)
-        )
-        self._report = self._node.create_publisher(
-            DiagnosticArray, "/diagnostics", topic_profile("reliable", plan.mode)
-        )
-        self._starter = self._node.create_client(Trigger, "plant/start")
-        self._executor.add_node(self._node)
+        plan, reliable = self.plan, topic_profile("reliable", self.plan.mode)
+        self._node = node = self._add_node(Node, plan.namespace, {}, node_name="launch_graph")
+        prefix = node.get_namespace().strip("/")
+        self._names = {f"{prefix}/{name}".lstrip("/"): name for name in EXECUTABLES}  # as in /diagnostics
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, reliable)
+        self._report = node.create_publisher(DiagnosticArray, "/diagnostics", reliable)
+        self._starter = node.create_client(Trigger, "plant/start")
         if plan.bag is not None:
-            overrides = [Parameter(name, value=value) for name, value in plan.recorder_parameters().items()]
-            self.recorder = RecorderNode(parameter_overrides=overrides, **common)
-            self._executor.add_node(self.recorder)
+            self.recorder = self._add_node(RecorderNode, plan.namespace, plan.recorder_parameters())
 
     def _commands(self) -> dict[str, list[str]]:
         file = Path(self._folder.name, "parameters.yaml")
@@ -189,10 +184,12 @@ class ProcessGraph(Graph):
         arguments = ["--ros-args", "--params-file", str(file)]
         if self.plan.namespace:
             arguments += ["-r", f"__ns:=/{self.plan.namespace.strip('/')}"]
-        return {
-            name: [str(executable_path(*row)), *arguments, *_remappings(self.plan.remapped.get(name, {}))]
-            for name, row in EXECUTABLES.items()
-        }
+        commands: dict[str, list[str]] = {}
+        for name, row in EXECUTABLES.items():
+            commands[name] = [str(executable_path(*row)), *arguments]
+            for topic, other in self.plan.remapped.get(name, {}).items():
+                commands[name] += ["-r", f"{topic}:={other}"]
+        return commands
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -221,7 +218,7 @@ class ProcessGraph(Graph):
 
     def _begin_flight(self) -> None:
         future = self._starter.call_async(Trigger.Request())
-        end = time.monotonic() + CONNECT_TIMEOUT
+        end = time.monotonic() + plans.CONNECT_TIMEOUT
         while not future.done():
             self._slice.spin(0.05)
             self._check_alive()
@@ -231,10 +228,16 @@ class ProcessGraph(Graph):
         if answer is None or not answer.success:
             raise GraphError(f"plant/start: {answer.message if answer is not None else 'no answer'}")
 
-    @property
-    def restarts(self) -> dict[str, int]:
-        """How often each node was started again."""
-        return dict(self._respawn.restarts)
+    def _drain(self) -> None:
+        """Spin on after the flight until all messages that were published have been recorded."""
+        duration, few = RECORDED[self.plan.mode]
+        end, before = time.monotonic() + STALL_TIMEOUT, self._received()
+        self._slice.spin(duration)
+        while self._received() - before > few:
+            if time.monotonic() > end:
+                raise GraphError("messages go on after the end of the flight")
+            before = self._received()
+            self._slice.spin(duration)
 
     def _check_alive(self) -> None:
         for name, code in self.children.ended().items():
@@ -260,26 +263,7 @@ class ProcessGraph(Graph):
         self._node.get_logger().warning(words)
         message = DiagnosticArray()
         message.header.stamp = time_message(self._node.get_clock().now().nanoseconds)
-        counts = [KeyValue(key=name, value=str(count)) for name, count in self.restarts.items()]
+        counts = [KeyValue(key=name, value=str(count)) for name, count in self._respawn.restarts.items()]
         name = f"{self._node.get_fully_qualified_name().lstrip('/')}: restarts"
         message.status = [DiagnosticStatus(name=name, level=WARN, message=words, values=counts)]
         self._report.publish(message)
-
-
-def _remappings(topics: Mapping[str, str]) -> list[str]:
-    return [word for topic, other in topics.items() for word in ("-r", f"{topic}:={other}")]
-
-
-def drain(recorded: Callable[[], int], spin: Callable[[float], None], mode: str) -> None:
-    """Spin [s] on after the flight until all messages that were published have been recorded.
-
-    In real time messages never quite end: a controller without samples goes on to say so.
-    """
-    quiet, few = (QUIET, 0) if mode == "lockstep" else (AFTERMATH, FEW)
-    end, total = time.monotonic() + STALL_TIMEOUT, recorded()
-    spin(quiet)
-    while recorded() - total > few:
-        if time.monotonic() > end:
-            raise GraphError("messages go on after the end of the flight")
-        total = recorded()
-        spin(quiet)

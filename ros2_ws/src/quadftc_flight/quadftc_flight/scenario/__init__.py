@@ -7,80 +7,37 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from quadftc_flight.scenario.components import Fault, Part, Setting
-from quadftc_flight.scenario.document import (
-    ROLES,
-    Document,
-    Keys,
-    Problem,
-    ScenarioError,
-    overridden,
-    parse_document,
-    parse_value,
-    read_document,
-    with_values,
-)
-from quadftc_flight.scenario.files import (
-    find_gains,
-    find_scenario,
-    grade_of,
-    scenario_directories,
-    scenario_names,
-    with_gains_of,
-)
-from quadftc_flight.scenario.model import (
-    MAX_SEED,
-    Check,
-    Name,
-    Scenario,
-    ScheduledFault,
-    Scheme,
-    build_scenario,
-    keys_of,
-    node_parameters,
-    problems_of,
-)
-
-__all__ = [
-    "MAX_SEED",
-    "ROLES",
-    "Check",
-    "Document",
-    "Fault",
-    "Keys",
-    "Name",
-    "Part",
-    "Problem",
-    "Scenario",
-    "ScenarioError",
-    "ScheduledFault",
-    "Scheme",
-    "Setting",
-    "build_scenario",
-    "changed_document",
-    "find_scenario",
-    "grade_of",
-    "keys_of",
-    "load_scenario",
-    "node_parameters",
-    "parse_scenario",
-    "parse_value",
-    "problems_of",
-    "read_document",
-    "scenario_directories",
-    "scenario_names",
-    "with_controller",
-    "with_disturbance_observer",
-    "with_duration",
-    "with_observer",
-    "with_rate",
-    "with_seed",
-    "with_values",
-]
+from quadftc_flight.scenario.components import Fault as Fault
+from quadftc_flight.scenario.components import Part as Part
+from quadftc_flight.scenario.components import Setting as Setting
+from quadftc_flight.scenario.document import ROLES as ROLES
+from quadftc_flight.scenario.document import Document as Document
+from quadftc_flight.scenario.document import Keys as Keys
+from quadftc_flight.scenario.document import Problem as Problem
+from quadftc_flight.scenario.document import ScenarioError as ScenarioError
+from quadftc_flight.scenario.document import parse_document as parse_document
+from quadftc_flight.scenario.document import parse_value as parse_value
+from quadftc_flight.scenario.document import read_document as read_document
+from quadftc_flight.scenario.files import find_gains as find_gains
+from quadftc_flight.scenario.files import find_scenario as find_scenario
+from quadftc_flight.scenario.files import grade_of as grade_of
+from quadftc_flight.scenario.files import scenario_directories as scenario_directories
+from quadftc_flight.scenario.files import scenario_names as scenario_names
+from quadftc_flight.scenario.files import with_gains_of as with_gains_of
+from quadftc_flight.scenario.model import MAX_SEED as MAX_SEED
+from quadftc_flight.scenario.model import Check as Check
+from quadftc_flight.scenario.model import Name as Name
+from quadftc_flight.scenario.model import Scenario as Scenario
+from quadftc_flight.scenario.model import ScheduledFault as ScheduledFault
+from quadftc_flight.scenario.model import Scheme as Scheme
+from quadftc_flight.scenario.model import build_scenario as build_scenario
+from quadftc_flight.scenario.model import keys_of as keys_of
+from quadftc_flight.scenario.model import node_parameters as node_parameters
+from quadftc_flight.scenario.model import problems_of as problems_of
 
 
 def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = (), gains: str = "") -> Scenario:
@@ -104,15 +61,15 @@ def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = (), g
 
 def changed_document(path: Path, overrides: Sequence[str], gains: str = "") -> Document:
     """Read a scenario file, with overrides and gains as in `load_scenario`; nothing is built yet."""
-    document = overridden(read_document(path), overrides)
+    document = read_document(path).overridden(overrides)
     if gains:  # for the vehicle that overrides may have set; and what they say of gains counts
-        document = overridden(with_gains_of(document, find_gains(gains)), overrides)
+        document = with_gains_of(document, find_gains(gains)).overridden(overrides)
     return document
 
 
 def parse_scenario(text: str, source: str = "scenario.yaml", overrides: Sequence[str] = ()) -> Scenario:
     """Load a scenario from YAML text, as `load_scenario` does from a file; ``source`` is named in errors."""
-    return build_scenario(overridden(parse_document(text, source), overrides))
+    return build_scenario(parse_document(text, source).overridden(overrides))
 
 
 def with_rate(scenario: Scenario, rate: float | str) -> Scenario:
@@ -125,19 +82,27 @@ def with_seed(scenario: Scenario, seed: int) -> Scenario:
     return _changed(scenario, {("seed",): seed}, f"seed {seed}")
 
 
+def with_components(scenario: Scenario, scheme: str | None = None, **kinds: str) -> Scenario:
+    """Return the scenario with other components, at their defaults, in one scheme or (None) in all.
+
+    ``kinds`` gives observer, disturbance_observer and controller by name; empty: they stay as they are.
+    """
+    schemes = list(scenario.schemes) if scheme is None else [scenario.scheme(scheme).name]
+    for role, kind in kinds.items():
+        if kind:
+            changes = {("schemes", name, role): kind for name in schemes}
+            scenario = _changed(scenario, changes, f"{role} {kind}")
+    return scenario
+
+
 def with_observer(scenario: Scenario, kind: str, scheme: str | None = None) -> Scenario:
-    """Return the scenario with another fault observer, at its defaults, in one scheme or (None) in all."""
-    return _with_component(scenario, "observer", kind, scheme)
-
-
-def with_disturbance_observer(scenario: Scenario, kind: str, scheme: str | None = None) -> Scenario:
-    """Return the scenario with another disturbance observer, at its defaults, in one scheme or in all."""
-    return _with_component(scenario, "disturbance_observer", kind, scheme)
+    """Return the scenario with another fault observer; see `with_components`."""
+    return with_components(scenario, scheme, observer=kind)
 
 
 def with_controller(scenario: Scenario, kind: str, scheme: str | None = None) -> Scenario:
-    """Return the scenario with another controller, at its defaults, in one scheme or (None) in all."""
-    return _with_component(scenario, "controller", kind, scheme)
+    """Return the scenario with another controller; see `with_components`."""
+    return with_components(scenario, scheme, controller=kind)
 
 
 def with_duration(scenario: Scenario, duration: float) -> Scenario:
@@ -145,21 +110,17 @@ def with_duration(scenario: Scenario, duration: float) -> Scenario:
 
     What would start later is left out, and so are the checks, which were made for the whole flight.
     """
-    data = scenario.raw
     changes: dict[Keys, Any] = {("duration",): duration}
-    scheduled: dict[str, Sequence[Any]] = {
+    scheduled: dict[str, list[Any]] = {
         "references": [part.law for part in scenario.references],
         "disturbances": [part.law for part in scenario.disturbances],
         "faults": [fault.injection for fault in scenario.faults],
     }
     for key, laws in scheduled.items():
-        if laws:
-            pairs = zip(data[key], laws, strict=True)
-            changes[key,] = [
-                _cut(item, law, duration) for item, law in pairs if getattr(law, "start", 0.0) < duration
-            ]
-    for scheme in scenario.schemes:
-        changes["schemes", scheme, "checks"] = []
+        pairs = list(zip(scenario.raw[key], laws, strict=True)) if laws else []
+        kept = [_cut(item, law, duration) for item, law in pairs if getattr(law, "start", 0.0) < duration]
+        changes |= {(key,): kept} if laws else {}
+    changes |= {("schemes", scheme, "checks"): [] for scheme in scenario.schemes}
     return _changed(scenario, changes, f"duration {duration:g} s")
 
 
@@ -168,12 +129,7 @@ def _cut(item: dict[str, Any], law: Any, duration: float) -> dict[str, Any]:
     return {name: value for name, value in item.items() if not (late and name in ("stop", "duration"))}
 
 
-def _with_component(scenario: Scenario, key: str, kind: str, scheme: str | None) -> Scenario:
-    schemes = list(scenario.schemes) if scheme is None else [scenario.scheme(scheme).name]
-    return _changed(scenario, {("schemes", name, key): kind for name in schemes}, f"{key} {kind}")
-
-
-def _changed(scenario: Scenario, changes: dict[Keys, Any], origin: str) -> Scenario:
+def _changed(scenario: Scenario, changes: Mapping[Any, Any], origin: str) -> Scenario:
     document = scenario.document
     for path, value in changes.items():
         document = document.replaced(path, value, origin)

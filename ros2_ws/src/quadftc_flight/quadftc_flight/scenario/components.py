@@ -73,29 +73,19 @@ class Fault:
 def _given_values(law: Any, given: Sequence[str]) -> dict[str, Any]:
     """Values of the parameters given; one number stands for a vector of equal numbers."""
     values: dict[str, Any] = {name: getattr(law, name) for name in given}
-    for name, value in values.items():
-        if isinstance(value, tuple) and len(set(cast("tuple[Any, ...]", value))) == 1:
-            values[name] = value[0]
-    return values
+    return {
+        name: value[0] if isinstance(value, tuple) and len({*cast("tuple[Any, ...]", value)}) == 1 else value
+        for name, value in values.items()
+    }
 
 
 @dataclasses.dataclass
 class Setting:
-    """What is known of a flight before its components are built: the context of the validation.
+    """What is known of a flight before its components are built: the context of the validation."""
 
-    Parameters
-    ----------
-    document : Document, optional
-        The scenario file; a path of a vehicle is relative to its directory.
-    duration : float
-        Of the flight [s]; what starts or stops later is wrong.
-    vehicle : Vehicle, optional
-        None: it could not be loaded; then nothing is built that depends on it.
-    """
-
-    document: Document | None = None
-    duration: float = math.inf
-    vehicle: Vehicle | None = None
+    document: Document | None = None  # the scenario file; a path of a vehicle is relative to its directory
+    duration: float = math.inf  # [s]; what starts or stops later is wrong
+    vehicle: Vehicle | None = None  # None: it could not be loaded; then nothing is built that depends on it
 
 
 class _Mistakes:
@@ -108,47 +98,61 @@ class _Mistakes:
         error = PydanticCustomError("component", "{text}", {"text": text})
         self._found.append(InitErrorDetails(type=error, loc=keys, input=None))
 
-    def refuse(self, error: Exception, values: Mapping[str, Any]) -> None:
-        """Add what a component says; where it begins with a parameter's name, at that key."""
-        match = _LEADING_NAME.match(str(error))
-        if match and (match[1] in values or match[1] in RESERVED):
-            self.add(match[2], match[1])
-        else:
-            self.add(str(error))
-
     def stop_if_any(self) -> None:
         if self._found:
             raise ValidationError.from_exception_data("component", self._found)
 
-    def build(self, make: Callable[[Mapping[str, Any]], T], values: Mapping[str, Any]) -> T:
-        """Call ``make`` with the values if all is well so far; its refusal is the last mistake."""
-        self.stop_if_any()
+    def attempt(self, make: Callable[[], T], names: Sequence[str] = ()) -> T | None:
+        """Call what may refuse; where the refusal begins with a parameter's name, it is noted at that key."""
         try:
-            return make(values)
+            return make()
         except _REFUSALS as error:
-            self.refuse(error, values)
+            match = _LEADING_NAME.match(str(error))
+            if match and match[1] in (*names, *RESERVED):
+                self.add(match[2], match[1])
+            else:
+                self.add(str(error))
+            return None
+
+    def build(self, make: Callable[[], T], names: Sequence[str]) -> T:
+        """Call ``make`` if all is well so far; its refusal is the last mistake."""
         self.stop_if_any()
-        raise AssertionError
+        made = self.attempt(make, names)
+        self.stop_if_any()
+        return cast("T", made)
+
+    def kind_in(self, registry: Registry[Any], values: dict[str, Any]) -> tuple[str, Any]:
+        """Take the kind out of the values; return it and the class that has this name."""
+        component: Any = None
+        kind = values.pop("kind", None)
+        if kind is None:
+            self.add("missing key", "kind")
+        elif not isinstance(kind, str):
+            self.add(f"{shown(kind)}: expected a text", "kind")
+        else:
+            try:
+                component = registry.get(kind)
+            except _REFUSALS as error:
+                self.add(str(error), "kind")
+        self.stop_if_any()
+        return str(kind), component
 
     def convert(
-        self, component: type, raw: Mapping[str, Any], units: Mapping[str, str] | None, also: Sequence[str]
+        self, component: type, raw: Mapping[str, Any], also: Sequence[str] = (), units: Any = None
     ) -> dict[str, Any]:
         """Convert each parameter by itself, so that all that are wrong are found; return the good ones."""
         specs = {spec.name: spec for spec in parameters_of(component)}
         known = [*also, *specs]
         values: dict[str, Any] = {}
         for name, value in raw.items():
+            parts = cast("list[Any]", value) if isinstance(value, list) else [value]
             if name not in specs:
                 self.add(f"unknown key{nearest(name, known)}; known: {', '.join(known)}", name)
-            elif not _is_plain(value):
-                self.add(
-                    f"{shown(value)}: expected a number, a text, true or false, or a list of numbers", name
-                )
+            elif all(isinstance(part, (bool, int, float, str)) for part in parts):
+                values[name] = self.attempt(lambda: convert(specs[name], value, units), (name,))  # noqa: B023
             else:
-                try:
-                    values[name] = convert(specs[name], value, units)
-                except _REFUSALS as error:
-                    self.refuse(error, {name: value})
+                wanted = "a number, a text, true or false, or a list of numbers"
+                self.add(f"{shown(value)}: expected {wanted}", name)
         return values
 
     def check_times(self, values: Mapping[str, Any], end: float) -> None:
@@ -182,28 +186,23 @@ class _Mistakes:
 
 def load_vehicle_of(name: str, info: ValidationInfo) -> str:
     """Load the vehicle into the context; return its name, or the absolute path of its file."""
-    setting, mistakes = cast("Setting", info.context), _Mistakes()
+    setting = cast("Setting", info.context)
     folder = Path(setting.document.source if setting.document else "").parent
     full = str(folder.resolve() / name) if name.endswith(".toml") else name
     try:
         setting.vehicle = load_vehicle(full)
-    except _REFUSALS as error:
-        mistakes.add(str(error))
     except OSError as error:
-        mistakes.add(f"{shown(name)}: {error.strerror}")
-    mistakes.stop_if_any()
+        raise ValueError(f"{shown(name)}: {error.strerror}") from None
+    except _REFUSALS as error:
+        raise ValueError(str(error)) from None
     return full
 
 
 def build_plant(raw: Any, info: ValidationInfo) -> Plant | None:
     """Build the plant, without its disturbances; None without a vehicle."""
-    mistakes = _Mistakes()
-    given = mistakes.convert(Plant, _mapping(raw, "a mapping"), None, ())
-    vehicle = cast("Setting", info.context).vehicle
-    mistakes.stop_if_any()
-    if vehicle is None:
-        return None
-    return mistakes.build(lambda values: build(Plant, values, vehicle=vehicle), given)
+    mistakes, vehicle = _Mistakes(), cast("Setting", info.context).vehicle
+    given = mistakes.convert(Plant, _mapping(raw, "a mapping"))
+    return mistakes.build(lambda: vehicle and build(Plant, given, vehicle=vehicle), [*given])
 
 
 def build_sensor(raw: Any) -> ImuSensor:
@@ -212,9 +211,8 @@ def build_sensor(raw: Any) -> ImuSensor:
     grade = values.pop("grade", "ideal")
     if not isinstance(grade, str) or grade not in GRADES:
         mistakes.add(f"{grade!r}: expected one of {', '.join(GRADES)}", "grade")
-    given = mistakes.convert(ImuSensor, values, None, ("grade",))
-    mistakes.stop_if_any()
-    return mistakes.build(lambda values: build(ImuSensor, values), {**GRADES[grade], **given})
+    given = mistakes.convert(ImuSensor, values, ("grade",))
+    return mistakes.build(lambda: build(ImuSensor, {**GRADES[grade], **given}), [*GRADES[grade], *given])
 
 
 def part_builder(
@@ -228,13 +226,13 @@ def part_builder(
     def build_part(raw: Any, info: ValidationInfo) -> Part | None:
         setting, mistakes = cast("Setting", info.context), _Mistakes()
         values = _mapping({"kind": raw} if of_vehicle and isinstance(raw, str) else raw)
-        kind, component = _registered(registry, values, mistakes)
-        given = mistakes.convert(component, values, None, ("kind",))
+        kind, component = mistakes.kind_in(registry, values)
+        given = mistakes.convert(component, values, ("kind",))
         mistakes.stop_if_any()
         if of_vehicle and setting.vehicle is None:
             return None
         context: dict[str, Any] = {"vehicle": setting.vehicle} if of_vehicle else {}
-        law = mistakes.build(lambda values: build(component, values, **context), given)
+        law = mistakes.build(lambda: build(component, given, **context), [*given])
         mistakes.check_times(given, setting.duration)
         mistakes.stop_if_any()
         return Part(kind, law, tuple(given))
@@ -245,46 +243,24 @@ def part_builder(
 def build_fault(raw: Any, info: ValidationInfo) -> Fault:
     """Build a scheduled fault."""
     mistakes, given = _Mistakes(), _mapping(raw)
-    kind, law = _registered(faults, given, mistakes)
+    kind, law = mistakes.kind_in(faults, given)
     own = {name: value for name, value in given.items() if name not in RESERVED}
     schedule = {name: value for name, value in given.items() if name in RESERVED}
     channel = schedule.get("channel", law.channels[0])
     if isinstance(channel, str) and channel in law.channels:  # else there is no telling the units
-        own = mistakes.convert(law, own, CHANNEL_UNITS[channel], ("kind", *RESERVED))
+        own = mistakes.convert(law, own, ("kind", *RESERVED), CHANNEL_UNITS[channel])
     mistakes.check_schedule(schedule)
-    injection = mistakes.build(lambda values: make_injection(kind, values), {**schedule, **own})
+    injection = mistakes.build(lambda: make_injection(kind, {**schedule, **own}), [*own])
     times = {"start": injection.start, "stop" if "stop" in schedule else "duration": injection.stop}
     mistakes.check_times(times, cast("Setting", info.context).duration)
     mistakes.stop_if_any()
     return Fault(injection, tuple(own))
 
 
-def _registered(registry: Registry[Any], values: dict[str, Any], mistakes: _Mistakes) -> tuple[str, Any]:
-    """Take the kind out of the values; return it and the class that has this name."""
-    component: Any = None
-    kind = values.pop("kind", None)
-    if kind is None:
-        mistakes.add("missing key", "kind")
-    elif not isinstance(kind, str):
-        mistakes.add(f"{shown(kind)}: expected a text", "kind")
-    else:
-        try:
-            component = registry.get(kind)
-        except _REFUSALS as error:
-            mistakes.add(str(error), "kind")
-    mistakes.stop_if_any()
-    return str(kind), component
-
-
 def _mapping(raw: Any, expected: str = "a mapping with 'kind'") -> dict[str, Any]:
     if not isinstance(raw, dict):
         raise ValueError(f"{shown(raw)}: expected {expected}")
     return dict(cast("dict[str, Any]", raw))
-
-
-def _is_plain(value: Any) -> bool:
-    parts = cast("list[Any]", value) if isinstance(value, list) else [value]
-    return all(isinstance(part, (bool, int, float, str)) for part in parts)
 
 
 def shown(value: Any) -> str:

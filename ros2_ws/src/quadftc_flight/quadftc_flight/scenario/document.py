@@ -11,7 +11,7 @@ import dataclasses
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from ruamel.yaml import YAML, YAMLError, nodes
 
@@ -30,8 +30,7 @@ class ScenarioError(ValueError):
     """A scenario that cannot be used; one line of text for each problem, with file, line and key."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Problem:
+class Problem(NamedTuple):
     """What is wrong, and where."""
 
     path: Keys
@@ -40,74 +39,117 @@ class Problem:
 
 @dataclasses.dataclass(frozen=True)
 class Document:
-    """The contents of a file and where they come from.
+    """The contents of a file and where they come from."""
 
-    Parameters
-    ----------
-    source : str
-        The file as the user named it.
-    text : str
-        Its contents.
-    data : mapping
-        Plain dicts, lists and scalars.
-    origins : dict
-        For each value its line (from 1), or the override that gave it.
-    """
-
-    source: str
-    text: str
-    data: dict[str, Any]
-    origins: dict[Keys, int | str]
+    source: str  # the file as the user named it
+    text: str  # its contents
+    data: dict[str, Any]  # plain dicts, lists and scalars
+    origins: dict[Keys, int | str]  # for each value its line (from 1), or the override that gave it
 
     def error(self, problems: Iterable[Problem]) -> ScenarioError:
         """Return the error that reports these problems, in the order of the file."""
-        ordered = sorted(dict.fromkeys(problems), key=lambda problem: self._line(problem.path))
-        lines = [self._report(problem) for problem in ordered[:MAX_SHOWN]]
-        if len(ordered) > MAX_SHOWN:
-            lines.append(f"{self.source}: and {len(ordered) - MAX_SHOWN} more")
+        found = [(self._origin(problem.path), problem) for problem in dict.fromkeys(problems)]
+        found.sort(key=lambda pair: pair[0] if isinstance(pair[0], int) else 0)
+        lines = [self._report(*pair) for pair in found[:MAX_SHOWN]]
+        if len(found) > MAX_SHOWN:
+            lines.append(f"{self.source}: and {len(found) - MAX_SHOWN} more")
         return ScenarioError("\n".join(lines))
 
     def replaced(self, path: Keys, value: Any, origin: str) -> Document:
         """Return the document with one value replaced, or added to a mapping; ``origin`` says by what."""
-        data = copy.deepcopy(self.data)
-        origins = {known: line for known, line in self.origins.items() if known[: len(path)] != path}
-        place: Any = data
-        for key in path[:-1]:
-            place = place[key]
+        changed = self._copy()
+        changed._put(path, value, origin, f"{self.source}: {origin}")
+        return changed
+
+    def overridden(self, assignments: Iterable[str]) -> Document:
+        """Apply overrides, one after the other.
+
+        Each is ``path=value``: the path dotted, with indices for lists; the value in YAML. A key that a
+        mapping lacks is added. A path that leads nowhere is a ScenarioError that names what there is.
+        """
+        changed = self._copy()
+        for assignment in assignments:
+            origin = f"override {assignment!r}"
+            where = f"{self.source}: {origin}"
+            target, equals, text = assignment.partition("=")
+            words = _words(target)
+            if not equals or not all(words):
+                raise ScenarioError(f"{where}: expected path=value, such as 'faults.0.value=2 deg'")
+            changed._put(words, parse_value(text, where), origin, where)
+        return changed
+
+    def with_values(self, values: Mapping[str, Any], origin: str) -> Document:
+        """Put values in place of others by dotted path, as `overridden` does; ``origin`` is for messages."""
+        changed = self._copy()
+        for target, value in values.items():
+            because, where = f"{origin}, {target} = {value}", f"{self.source}: {origin}"
+            changed._put(_words(target), copy.deepcopy(value), because, where)
+        return changed
+
+    def _copy(self) -> Document:
+        return Document(self.source, self.text, copy.deepcopy(self.data), dict(self.origins))
+
+    def _put(self, words: Sequence[str | int], value: Any, origin: str, where: str) -> None:
+        """Put a value in its place, through mappings that are made where they are missing."""
+        place: Any = self.data
+        path: Keys = ()
+        for word in words:
+            if not isinstance(place, (dict, list)):
+                raise ScenarioError(f"{where}: {_dotted(path)} is a single value; it has no '{word}'")
+            key = _key(place, word, path, where)  # pyright: ignore[reportUnknownArgumentType]
+            path = (*path, key)
+            if len(path) < len(words):
+                self.origins.setdefault(path, origin)
+                place = _enter(place, key)
+        for known in [known for known in self.origins if known[: len(path)] == path]:
+            del self.origins[known]
         place[path[-1]] = value
-        origins[path] = origin
-        return Document(self.source, self.text, data, origins)
+        self.origins[path] = origin
 
     def _origin(self, path: Keys) -> int | str:
         while path and path not in self.origins:
             path = path[:-1]
         return self.origins.get(path, 1)
 
-    def _line(self, path: Keys) -> int:
-        origin = self._origin(path)
-        return origin if isinstance(origin, int) else 0
-
-    def _report(self, problem: Problem) -> str:
-        origin = self._origin(problem.path)
+    def _report(self, origin: int | str, problem: Problem) -> str:
         where = f"{self.source}:{origin}" if isinstance(origin, int) else f"{self.source}: {origin}"
-        text = _one_line(problem.text)
-        return f"{where}: {dotted(problem.path)}: {text}" if problem.path else f"{where}: {text}"
+        parts = [where, *([_dotted(problem.path)] if problem.path else []), _one_line(problem.text)]
+        return ": ".join(parts)
 
 
-def dotted(path: Keys) -> str:
+def _words(target: str) -> list[str]:
+    return re.sub(r"\[(\d+)\]", r".\1", target).strip().split(".")
+
+
+def _dotted(path: Keys) -> str:
     """Write a path as people read it: ``faults[0].value``."""
     text = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in path)
     return text.removeprefix(".")
 
 
-def read_document(path: Path) -> Document:
-    """Read a YAML file.
+def _key(place: dict[str, Any] | list[Any], word: str | int, path: Keys, where: str) -> str | int:
+    if isinstance(place, list):
+        if not str(word).isdecimal() or int(word) >= len(place):
+            there = f"0 to {len(place) - 1}" if place else "none, the list is empty"
+            raise ScenarioError(f"{where}: no '{word}' in {_dotted(path)}; there are: {there}")
+        return int(word)
+    if path == ("schemes",) and word not in place:
+        hint = nearest(str(word), place)
+        raise ScenarioError(f"{where}: no scheme '{word}'{hint}; there are: {', '.join(place)}")
+    return word
 
-    Raises
-    ------
-    ScenarioError
-        If it cannot be read, is no YAML, or is no mapping.
-    """
+
+def _enter(place: Any, key: str | int) -> Any:
+    """Return what is in a place; where there is nothing yet, a new mapping."""
+    inside: Any = cast("dict[Any, Any]", place).get(key) if isinstance(place, dict) else place[key]
+    if inside is None or (isinstance(inside, str) and key in ROLES):
+        inside = {} if inside is None else {"kind": inside}
+        place[key] = inside
+    return inside
+
+
+def read_document(path: Path) -> Document:
+    """Read a YAML file; one that cannot be read, or holds no mapping, is a ScenarioError."""
     try:
         text = path.read_text("utf-8")
     except UnicodeDecodeError as error:
@@ -118,34 +160,21 @@ def read_document(path: Path) -> Document:
 
 
 def parse_document(text: str, source: str) -> Document:
-    """Parse YAML text; ``source`` is named in errors.
-
-    Raises
-    ------
-    ScenarioError
-        If it is no YAML, or no mapping.
-    """
+    """Parse YAML text as `read_document` does; ``source`` is named in errors."""
     reader = _Reader(source)
     node = reader.compose(text)
     if node is None:
         raise ScenarioError(f"{source}:1: empty; expected a scenario")
     if not _is(node, nodes.MappingNode):
         raise ScenarioError(f"{source}:{_line(node)}: expected a mapping of keys such as 'duration: 80 s'")
-    data = reader.value(node, ())
-    document = Document(source, text, data, reader.origins)
+    document = Document(source, text, reader.value(node, ()), reader.origins)
     if reader.problems:
         raise document.error(reader.problems)
     return document
 
 
 def parse_value(text: str, source: str) -> Any:
-    """Parse the YAML text of one value.
-
-    Raises
-    ------
-    ScenarioError
-        If it is no YAML.
-    """
+    """Parse the YAML text of one value; ``source`` is named in errors."""
     reader = _Reader(source)
     node = reader.compose(text)
     value = None if node is None else reader.value(node, ())
@@ -171,21 +200,19 @@ class _Reader:
             mark: Any = getattr(error, "problem_mark", None)
             position = int(getattr(error, "position", None) or 0)
             line = mark.line if mark is not None else text[:position].count("\n")
-            reason = (
-                getattr(error, "problem", None) or getattr(error, "reason", None) or "it cannot be parsed"
-            )
-            raise ScenarioError(f"{self._source}:{line + 1}: not YAML: {_one_line(str(reason))}") from None
+            reason = getattr(error, "problem", None) or getattr(error, "reason", None)
+            words = _one_line(str(reason or "it cannot be parsed"))
+            raise ScenarioError(f"{self._source}:{line + 1}: not YAML: {words}") from None
         except (RecursionError, ValueError, AssertionError, AttributeError, TypeError, IndexError) as error:
-            raise ScenarioError(
-                f"{self._source}:1: not YAML: it cannot be parsed ({type(error).__name__})"
-            ) from None
+            kind = type(error).__name__
+            raise ScenarioError(f"{self._source}:1: not YAML: it cannot be parsed ({kind})") from None
 
     def value(self, node: Node, path: Keys) -> Any:
         self.origins.setdefault(path, _line(node))
         self._count += 1
         if self._count > _MAX_VALUES or len(path) > _MAX_DEPTH:
             if self._count <= _MAX_VALUES + 1:
-                self._problem(path, "too large or too deep for a scenario")
+                self.problems.append(Problem(path, "too large or too deep for a scenario"))
                 self._count = _MAX_VALUES + 1
             return None
         if _is(node, nodes.MappingNode):
@@ -199,36 +226,32 @@ class _Reader:
         for key_node, value_node in node.value:
             key = str(key_node.value) if _is(key_node, nodes.ScalarNode) else None
             if key is None or key_node.tag == "tag:yaml.org,2002:merge":
-                self._problem((*path, "<<" if key else "?"), "a key must be a text", key_node)
-                continue
-            inner = (*path, key)
-            if key in values:
-                self._problem(inner, f"given twice, first in line {self.origins[inner]}", key_node)
-                continue
+                inner, wrong = (*path, "<<" if key else "?"), "a key must be a text"
+            else:
+                inner = (*path, key)
+                wrong = f"given twice, first in line {self.origins[inner]}" if key in values else ""
             self.origins[inner] = _line(key_node)
-            values[key] = self.value(value_node, inner)
+            if wrong:
+                self.problems.append(Problem(inner, wrong))
+            else:
+                values[str(key)] = self.value(value_node, inner)
         return values
 
     def _scalar(self, node: Node, path: Keys) -> Any:
         kind = str(node.tag).rpartition(":")[2]
         if kind in ("str", "timestamp"):
             return str(node.value)
-        if kind not in ("null", "bool", "int", "float"):
-            self._problem(path, f"'{node.tag}' is no type of value that a scenario knows")
-            return None
-        try:
-            value: Any = self._yaml.constructor.construct_object(node)
-            if isinstance(value, int):
-                float(value)  # a number too large for arithmetic is none
-        except (YAMLError, ValueError, OverflowError, KeyError, IndexError):
-            self._problem(path, f"{str(node.value)[:40]!r}: expected a number")
-            return None
-        return value
-
-    def _problem(self, path: Keys, text: str, node: Node | None = None) -> None:
-        if node is not None:
-            self.origins[path] = _line(node)
-        self.problems.append(Problem(path, text))
+        wrong = f"'{node.tag}' is no type of value that a scenario knows"
+        if kind in ("null", "bool", "int", "float"):
+            try:
+                value: Any = self._yaml.constructor.construct_object(node)
+                if isinstance(value, int):
+                    float(value)  # refuses an integer beyond all floats
+                return value
+            except (YAMLError, ValueError, OverflowError, KeyError, IndexError):
+                wrong = f"{str(node.value)[:40]!r}: expected a number"
+        self.problems.append(Problem(path, wrong))
+        return None
 
 
 def _one_line(text: str) -> str:
@@ -241,109 +264,3 @@ def _is(node: Node, kind: type) -> bool:
 
 def _line(node: Node) -> int:
     return int(node.start_mark.line) + 1
-
-
-def overridden(document: Document, assignments: Iterable[str]) -> Document:
-    """Apply overrides, one after the other.
-
-    Parameters
-    ----------
-    document : Document
-    assignments : iterable of str
-        ``path=value``: the path dotted, with indices for lists; the value in YAML. A key that a mapping lacks
-        is added.
-
-    Raises
-    ------
-    ScenarioError
-        If an assignment has another form, or its path leads nowhere; the message names what there is.
-    """
-    for assignment in assignments:
-        document = _assign(document, assignment)
-    return document
-
-
-def with_values(document: Document, values: Mapping[str, Any], origin: str) -> Document:
-    """Put values in place of others, all at once: `overridden` for values that have been read.
-
-    Parameters
-    ----------
-    document : Document
-    values : mapping
-        By dotted path.
-    origin : str
-        Where they come from, for messages.
-
-    Raises
-    ------
-    ScenarioError
-        If a path leads nowhere; the message names what there is.
-    """
-    data, origins = copy.deepcopy(document.data), dict(document.origins)
-    for target, value in values.items():
-        path, place = _entered_all(data, _words(target), f"{document.source}: {origin}")
-        place[path[-1]] = copy.deepcopy(value)
-        origins[path] = f"{origin}, {target} = {value}"
-    return Document(document.source, document.text, data, origins)
-
-
-def _words(target: str) -> list[str]:
-    return re.sub(r"\[(\d+)\]", r".\1", target).strip().split(".")
-
-
-def _assign(document: Document, assignment: str) -> Document:
-    origin = f"override {assignment!r}"
-    target, equals, text = assignment.partition("=")
-    words = _words(target)
-    if not equals or not all(words):
-        raise ScenarioError(
-            f"{document.source}: {origin}: expected path=value, such as 'faults.0.value=2 deg'"
-        )
-    value = parse_value(text, f"{document.source}: {origin}")
-    path, grown = _grown(document.data, words, f"{document.source}: {origin}")
-    made = {path[:depth]: origin for depth in range(1, len(path))}  # mappings that had to be made on the way
-    origins = {**made, **document.origins}
-    return Document(document.source, document.text, grown, origins).replaced(path, value, origin)
-
-
-def _grown(data: dict[str, Any], words: Sequence[str], where: str) -> tuple[Keys, dict[str, Any]]:
-    """Return the path that the words name, and the data with every mapping on that path."""
-    data = copy.deepcopy(data)
-    return _entered_all(data, words, where)[0], data
-
-
-def _entered_all(data: dict[str, Any], words: Sequence[str], where: str) -> tuple[Keys, Any]:
-    """Return the path that the words name, and what its last word is in, made where it was not there."""
-    place: Any = data
-    path: Keys = ()
-    for word in words:
-        if not isinstance(place, (dict, list)):
-            raise ScenarioError(f"{where}: {dotted(path)} is a single value; it has no '{word}'")
-        path = (*path, _key(place, word, path, where))  # pyright: ignore[reportUnknownArgumentType]
-        if len(path) < len(words):
-            place = _entered(place, path)
-    return path, cast("Any", place)
-
-
-def _key(place: dict[str, Any] | list[Any], word: str, path: Keys, where: str) -> str | int:
-    if isinstance(place, list):
-        if not word.isdecimal() or int(word) >= len(place):
-            there = f"0 to {len(place) - 1}" if place else "none, the list is empty"
-            raise ScenarioError(f"{where}: no '{word}' in {dotted(path)}; there are: {there}")
-        return int(word)
-    if path == ("schemes",) and word not in place:
-        hint = nearest(word, place)
-        raise ScenarioError(f"{where}: no scheme '{word}'{hint}; there are: {', '.join(place)}")
-    return word
-
-
-def _entered(place: Any, path: Keys) -> Any:
-    """What is at ``path``, in ``place``; where there is nothing yet, a new mapping."""
-    key = path[-1]
-    inside: Any = cast("dict[Any, Any]", place).get(key) if isinstance(place, dict) else place[key]
-    if inside is None:
-        inside = {}
-    elif isinstance(inside, str) and key in ROLES:
-        inside = {"kind": inside}
-    place[key] = inside
-    return inside

@@ -20,7 +20,7 @@ from typing import Any, cast
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from quadftc_flight.scenario.document import ROLES, Document, Keys, Problem, ScenarioError, read_document
+from quadftc_flight.scenario.document import ROLES, Document, Problem, ScenarioError, read_document
 from quadftc_flight.scenario.model import problems_of
 from quadftc_model.hints import nearest
 
@@ -28,15 +28,14 @@ SEARCH_PATH = "QUADFTC_SCENARIO_PATH"  # environment variable: directories, sepa
 
 
 def find_scenario(name_or_path: str) -> Path:
-    """Find a scenario file: by its path, or by its name in one of the `scenario_directories`.
-
-    Raises
-    ------
-    ScenarioError
-        If there is none.
-    """
+    """Find a scenario file: by its path, or by its name in one of the `scenario_directories`."""
     advice = f"give a path, or set {SEARCH_PATH}"
     return _find_file(name_or_path, scenario_directories(), "scenario", advice)
+
+
+def find_gains(name_or_path: str) -> Path:
+    """Find a file of gains: by its path, or by its name in ./gains or the repository's."""
+    return _find_file(name_or_path, _folders_named("gains"), "gains", "give a path")
 
 
 def scenario_names() -> tuple[str, ...]:
@@ -50,24 +49,23 @@ def scenario_directories() -> tuple[Path, ...]:
     return (*given, *_folders_named("scenarios"))
 
 
-def _find_file(name_or_path: str, folders: Sequence[Path], what: str, advice: str = "give a path") -> Path:
+def _find_file(name_or_path: str, folders: Sequence[Path], what: str, advice: str) -> Path:
     """Find a YAML file by its path, or by its name in one of some folders; messages call it ``what``."""
     path = Path(name_or_path)
     if path.suffix in (".yaml", ".yml") or path.name != name_or_path:
         if path.is_file():
             return path
         raise ScenarioError(f"{path}: no such file")
-    for folder in folders:
-        candidate = folder / f"{name_or_path}.yaml"
-        if candidate.is_file():
-            return _short(candidate)
+    for file in (folder / f"{name_or_path}.yaml" for folder in folders):
+        if file.is_file():  # the path as one would type it, if it is below the working directory
+            full, here = file.resolve(), Path.cwd()
+            return full.relative_to(here) if full.is_relative_to(here) else file
     names = _names_in(folders)
     there = ", ".join(names) or f"none; {advice}"
     raise ScenarioError(f"no {what} '{name_or_path}'{nearest(name_or_path, names)}; there are: {there}")
 
 
 def _names_in(folders: Sequence[Path]) -> tuple[str, ...]:
-    """Return the names of all files that can be found without a path, sorted."""
     return tuple(sorted({file.stem for folder in folders for file in folder.glob("*.yaml")}))
 
 
@@ -75,15 +73,7 @@ def _folders_named(name: str) -> tuple[Path, ...]:
     """Return a folder in the working directory, and the repository's, if there is one."""
     above = (parent / name for parent in Path(__file__).resolve().parents)
     own = next((folder for folder in above if any(folder.glob("*.yaml"))), None)
-    return (Path(name), *(() if own is None else (own,)))
-
-
-def _short(path: Path) -> Path:
-    """The path as one would type it, if it is below the working directory."""
-    try:
-        return path.resolve().relative_to(Path.cwd())
-    except ValueError:
-        return path
+    return (Path(name),) if own is None else (Path(name), own)
 
 
 class _PartGains(BaseModel):
@@ -100,17 +90,6 @@ class _GainsFile(BaseModel):
     controller: _PartGains | None = None
 
 
-def find_gains(name_or_path: str) -> Path:
-    """Find a file of gains: by its path, or by its name in ./gains or the repository's.
-
-    Raises
-    ------
-    ScenarioError
-        If there is none.
-    """
-    return _find_file(name_or_path, _folders_named("gains"), "gains")
-
-
 def with_gains_of(document: Document, path: Path) -> Document:
     """Put the gains of a file into all schemes of a scenario.
 
@@ -124,40 +103,33 @@ def with_gains_of(document: Document, path: Path) -> Document:
         gains = _GainsFile.model_validate(file.data)
     except ValidationError as error:
         raise file.error(problems_of(error, lambda _: _GainsFile)) from None
+    there = {"vehicle": document.data.get("vehicle"), "grade": grade_of(document)}
     problems = [
-        Problem((key,), f"'{wanted}': {document.source} has '{there}'")
-        for key, wanted, there in (
-            ("vehicle", gains.vehicle, document.data.get("vehicle")),
-            ("grade", gains.grade, grade_of(document)),
-        )
-        if wanted != there
+        Problem((key,), f"'{getattr(gains, key)}': {document.source} has '{value}'")
+        for key, value in there.items()
+        if getattr(gains, key) != value
     ]
-    changes = _changes(document, gains)
-    if not changes and not problems:
+    changed, schemes = document, _mapping(document.data.get("schemes"))
+    for name, scheme in schemes.items():
+        for role in ROLES:
+            part: _PartGains | None = getattr(gains, role)
+            raw = _mapping(scheme).get(role)
+            given = _mapping(raw) or {"kind": raw}
+            if part is not None and given.get("kind") == part.kind:
+                values = {**given, **(part.model_extra or {})}
+                changed = changed.replaced(("schemes", name, role), values, f"gains {path}")
+    if changed is document and not problems:
         problems.append(Problem((), f"no scheme of {document.source} has a part of these kinds"))
     if problems:
         raise file.error(problems)
-    for place, part in changes.items():
-        document = document.replaced(place, part, f"gains {path}")
-    return document
-
-
-def _changes(document: Document, gains: _GainsFile) -> dict[Keys, dict[str, Any]]:
-    found: dict[Keys, dict[str, Any]] = {}
-    schemes: Any = document.data.get("schemes")
-    for name, scheme in cast("dict[str, Any]", schemes if isinstance(schemes, dict) else {}).items():
-        for role in ROLES:
-            part: _PartGains | None = getattr(gains, role)
-            raw: Any = cast("dict[str, Any]", scheme).get(role) if isinstance(scheme, dict) else None
-            given = cast("dict[str, Any]", raw if isinstance(raw, dict) else {"kind": raw})
-            if part is not None and given.get("kind") == part.kind:
-                found["schemes", name, role] = {**given, **(part.model_extra or {})}
-    return found
+    return changed
 
 
 def grade_of(document: Document) -> str:
-    """The grade of the sensors, as the scenario names it."""
-    sensors: Any = document.data.get("sensors")
-    return (
-        str(cast("dict[str, Any]", sensors).get("grade", "ideal")) if isinstance(sensors, dict) else "ideal"
-    )
+    """Return the grade of the sensors, as the scenario names it."""
+    return str(_mapping(document.data.get("sensors")).get("grade", "ideal"))
+
+
+def _mapping(value: Any) -> dict[str, Any]:
+    """Return what should be a mapping; of anything else, an empty one."""
+    return cast("dict[str, Any]", value) if isinstance(value, dict) else {}

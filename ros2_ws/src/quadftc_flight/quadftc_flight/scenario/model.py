@@ -12,21 +12,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    PlainValidator,
-    PrivateAttr,
-    StringConstraints,
-    ValidationError,
-    ValidationInfo,
-    ValidatorFunctionWrapHandler,
-    WrapValidator,
-    model_validator,
-)
+import pydantic
+from pydantic import AfterValidator, BaseModel, Field, PlainValidator, PrivateAttr, ValidationError
 
 from quadftc_control.controller import controllers
 from quadftc_control.reference import references
@@ -34,17 +21,8 @@ from quadftc_fdi.disturbance_observer import disturbance_observers
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, fault_events, fault_windows
 from quadftc_flight.metrics import known_metrics, look_up
-from quadftc_flight.scenario.components import (
-    Fault,
-    Part,
-    Setting,
-    build_fault,
-    build_plant,
-    build_sensor,
-    load_vehicle_of,
-    part_builder,
-    shown,
-)
+from quadftc_flight.scenario import components
+from quadftc_flight.scenario.components import Fault, Part, Setting, part_builder, shown
 from quadftc_flight.scenario.document import Document, Keys, Problem, ScenarioError
 from quadftc_model.assembly import NodeValue, node_values
 from quadftc_model.hints import nearest
@@ -58,7 +36,7 @@ MAX_SEED = 2**31 - 1
 LAG_A_STEP = 2.0  # 1; motor bandwidth times integration step; from 2.78 on Runge-Kutta of order 4 is unstable
 
 
-def _within(unit: str, low: float, high: float) -> BeforeValidator:
+def _within(unit: str, low: float, high: float) -> pydantic.BeforeValidator:
     def check(raw: Any) -> float:
         if not isinstance(raw, (int, float, str)):
             raise ValueError(f"{raw!r}: expected a number in {unit}")
@@ -67,23 +45,25 @@ def _within(unit: str, low: float, high: float) -> BeforeValidator:
             raise ValueError(f"{value:g} {unit}: must be within [{low:g}, {high:g}] {unit}")
         return value
 
-    return BeforeValidator(check)
+    return pydantic.BeforeValidator(check)
 
 
-def _remember_duration(duration: float, info: ValidationInfo) -> float:
+def _remember_duration(duration: float, info: pydantic.ValidationInfo) -> float:
     cast("Setting", info.context).duration = duration
     return duration
 
 
-def _name_or_stem(raw: Any, check: ValidatorFunctionWrapHandler, info: ValidationInfo) -> str:
+def _name_or_stem(
+    raw: Any, check: pydantic.ValidatorFunctionWrapHandler, info: pydantic.ValidationInfo
+) -> str:
     """Without a name the scenario has that of its file."""
     document = cast("Setting", info.context).document
-    return (
-        check(raw) if raw is not None or document is None else re.sub(r"\W", "_", Path(document.source).stem)
-    )
+    if raw is not None or document is None:
+        return check(raw)
+    return re.sub(r"\W", "_", Path(document.source).stem)
 
 
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$")]
 Duration = Annotated[float, _within("s", 0.1, 3600.0), AfterValidator(_remember_duration)]
 Rate = Annotated[float, _within("Hz", 10.0, 4000.0)]
 Bound = Annotated[float, Field(allow_inf_nan=False)]
@@ -92,33 +72,24 @@ DisturbanceObserver = Annotated[Part, PlainValidator(part_builder(disturbance_ob
 Controller = Annotated[Part, PlainValidator(part_builder(controllers, of_vehicle=True))]
 Reference = Annotated[Part, PlainValidator(part_builder(references, of_vehicle=False))]
 Disturbance = Annotated[Part, PlainValidator(part_builder(disturbances, of_vehicle=False))]
-ScheduledFault = Annotated[Fault, PlainValidator(build_fault)]
+ScheduledFault = Annotated[Fault, PlainValidator(components.build_fault)]
 
 
 class _Shape(BaseModel):
-    model_config = ConfigDict(
+    model_config = pydantic.ConfigDict(
         extra="forbid", frozen=True, strict=True, validate_default=True, arbitrary_types_allowed=True
     )
 
 
 class Check(_Shape):
-    """A bound on a metric of ``summary["metrics"]``; without an axis it holds for each.
+    """A bound on a metric of ``summary["metrics"]``; without an axis it holds for each."""
 
-    Parameters
-    ----------
-    metric : str
-        Dotted path.
-    axis : str, optional
-    above, below : float, optional
-        Bounds, exclusive; at least one is given.
-    """
-
-    metric: str
+    metric: str  # dotted path
     axis: Literal["roll", "pitch", "yaw"] | None = None
-    above: Bound | None = None
+    above: Bound | None = None  # exclusive, as the next; at least one is given
     below: Bound | None = None
 
-    @model_validator(mode="after")
+    @pydantic.model_validator(mode="after")
     def _bounded(self) -> Check:
         if self.above is None and self.below is None:
             raise ValueError("expected 'above' or 'below', or both")
@@ -145,14 +116,16 @@ class Scheme(_Shape):
 class Scenario(_Shape):
     """One experiment: a vehicle, its sensors, what happens to it, and the schemes that shall cope with it."""
 
-    name: Annotated[Name, WrapValidator(_name_or_stem)] = cast("str", None)
+    name: Annotated[Name, pydantic.WrapValidator(_name_or_stem)] = cast("str", None)
     description: str = ""
     duration: Duration  # [s]
     rate: Rate  # [Hz]
     seed: int = Field(default=0, ge=0, le=MAX_SEED)
-    vehicle: Annotated[str, AfterValidator(load_vehicle_of)]  # name, or absolute path of a TOML file
-    plant: Annotated[Plant, PlainValidator(build_plant)] = cast("Plant", {})  # without the disturbances
-    sensor: Annotated[ImuSensor, PlainValidator(build_sensor)] = Field(
+    # name, or absolute path of a TOML file
+    vehicle: Annotated[str, AfterValidator(components.load_vehicle_of)]
+    # without the disturbances
+    plant: Annotated[Plant, PlainValidator(components.build_plant)] = cast("Plant", {})
+    sensor: Annotated[ImuSensor, PlainValidator(components.build_sensor)] = Field(
         default=cast("ImuSensor", {}), alias="sensors"
     )
     references: tuple[Reference, ...] = Field(default=(), strict=False)
@@ -183,20 +156,12 @@ class Scenario(_Shape):
         return copy.deepcopy(self.document.data)
 
     def scheme(self, name: str | None = None) -> Scheme:
-        """Return a scheme by name; the first by default.
-
-        Raises
-        ------
-        ScenarioError
-            If there is none of that name.
-        """
+        """Return a scheme by name, the first by default; a name that is not there is a ScenarioError."""
         if name is None:
             return next(iter(self.schemes.values()))
         if name not in self.schemes:
-            there = ", ".join(self.schemes)
-            raise ScenarioError(
-                f"{self.document.source}: no scheme '{name}'{nearest(name, self.schemes)}; there are: {there}"
-            )
+            hint, there = nearest(name, self.schemes), ", ".join(self.schemes)
+            raise ScenarioError(f"{self.document.source}: no scheme '{name}'{hint}; there are: {there}")
         return self.schemes[name]
 
     @property
@@ -211,13 +176,7 @@ class Scenario(_Shape):
 
 
 def build_scenario(document: Document) -> Scenario:
-    """Check a document and build everything in it.
-
-    Raises
-    ------
-    ScenarioError
-        If anything is wrong: one line for each problem.
-    """
+    """Check a document and build everything in it; a ScenarioError has one line for each problem."""
     try:
         scenario = Scenario.model_validate(document.data, context=Setting(document))
     except ValidationError as error:
@@ -240,32 +199,28 @@ def _unstable_lag(scenario: Scenario) -> Iterator[Problem]:
 
 def _wrong_checks(scenario: Scenario) -> Iterator[Problem]:
     """Find the checks on metrics that no flight of this scenario has."""
-    if not any(scheme.checks for scheme in scenario.schemes.values()):
-        return
-    metrics = known_metrics(len(scenario.fault_windows), scenario.fault_events)
-    for name, scheme in scenario.schemes.items():
-        for index, check in enumerate(scheme.checks):
-            path: Keys = ("schemes", name, "checks", index)
-            try:
-                found = look_up(metrics, check.metric)
-            except KeyError as error:
-                yield Problem((*path, "metric"), str(error.args[0]))
-                continue
-            has_axes = isinstance(found, dict) and set(cast("dict[str, Any]", found)) == set(AXES)
-            if check.axis is not None and not has_axes:
-                yield Problem((*path, "axis"), f"'{check.metric}' has no axes")
-            elif not has_axes and found is not None and not isinstance(found, (int, float)):
-                yield Problem((*path, "metric"), f"'{check.metric}' is no number")
+    checks = [
+        (("schemes", name, "checks", index), check)
+        for name, scheme in scenario.schemes.items()
+        for index, check in enumerate(scheme.checks)
+    ]
+    metrics = known_metrics(len(scenario.fault_windows), scenario.fault_events) if checks else {}
+    for path, check in checks:
+        try:
+            found = look_up(metrics, check.metric)
+        except KeyError as error:
+            yield Problem((*path, "metric"), str(error.args[0]))
+            continue
+        has_axes = isinstance(found, dict) and set(cast("dict[str, Any]", found)) == set(AXES)
+        if check.axis is not None and not has_axes:
+            yield Problem((*path, "axis"), f"'{check.metric}' has no axes")
+        elif not has_axes and found is not None and not isinstance(found, (int, float)):
+            yield Problem((*path, "metric"), f"'{check.metric}' is no number")
 
 
 def _model_at(path: Keys) -> type[BaseModel]:
-    match path:
-        case ("schemes", _):
-            return Scheme
-        case ("schemes", _, "checks", _):
-            return Check
-        case _:
-            return Scenario
+    """Return the model of a mapping: of a scheme, of a check in it, or of the scenario."""
+    return {2: Scheme, 4: Check}.get(len(path), Scenario)
 
 
 def keys_of(model: type[BaseModel]) -> list[str]:
@@ -325,11 +280,6 @@ def node_parameters(
 
     Lists of components are lists of specifications (`quadftc_model.spec`) in SI, as ROS parameters have no
     other form. Of plant, observers and controllers every parameter is there, defaults included.
-
-    Raises
-    ------
-    ScenarioError
-        If the scenario has no scheme of that name.
     """
     chosen = scheme if isinstance(scheme, Scheme) else scenario.scheme(scheme)
 
