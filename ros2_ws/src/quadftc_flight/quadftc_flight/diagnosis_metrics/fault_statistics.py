@@ -61,8 +61,8 @@ def fault_metrics(records: Sequence[Record]) -> dict[str, Any]:
     independent sample: the error made in telling a fault from the attitude stays in the estimate until the
     sensor is trusted again.
     """
-    judged, by_kind = _groups(records, "detected")
-    groups = {ALL: judged, **by_kind}
+    groups = _groups(records, "detected")
+    judged, by_kind = groups[ALL], {kind: members for kind, members in groups.items() if kind != ALL}
     nees_counts = {kind: len(_values(members, "nees")) for kind, members in groups.items()}
     bands = {kind: consistency_band(n) if n else (None, None) for kind, n in nees_counts.items()}
     return {
@@ -80,12 +80,12 @@ def fault_metrics(records: Sequence[Record]) -> dict[str, Any]:
 
 def estimate_fault_metrics(records: Sequence[Record]) -> dict[str, Any]:
     """Sum up what the size of the estimate, without any state, says of faults."""
-    judged, by_kind = _groups(records, "above_threshold")
+    groups = _groups(records, "above_threshold")
     return {
         "threshold_deg": ESTIMATE_THRESHOLD_DEG,
-        "missed": _count(judged, "above_threshold", False),
-        "already_above": _count(judged, "above_threshold_already", True),
-        **_figures({ALL: judged, **by_kind}, _ESTIMATE_FIGURES),
+        "missed": _count(groups[ALL], "above_threshold", False),
+        "already_above": _count(groups[ALL], "above_threshold_already", True),
+        **_figures(groups, _ESTIMATE_FIGURES),
     }
 
 
@@ -96,11 +96,15 @@ def with_shares(totals: Mapping[str, PerAxis]) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for name, values in totals.items():
         result[name] = values
+        if name == "healthy_time_s":
+            continue
+        wholes, ratio = healthy, name.replace("_time_s", "_share")
         if name == "false_alarms":
             result["total_false_alarms"] = _total(list(values.values()))
-            result.update(_related("false_alarms_per_hour", values, hours))
-        elif name != "healthy_time_s":
-            result.update(_related(name.replace("_time_s", "_share"), values, healthy))
+            wholes, ratio = hours, "false_alarms_per_hour"
+        result[ratio] = {axis: accuracy(values[axis], wholes[axis]) for axis in wholes}
+        total = accuracy(_total(list(values.values())), _total(list(wholes.values())))
+        result[f"total_{ratio}"] = total
     return result
 
 
@@ -110,22 +114,15 @@ def accuracy(correct: float | None, tested: float | None) -> float | None:
 
 
 def pool(diagnoses: Iterable[Record]) -> dict[str, Any]:
-    """Sum up the diagnosis of many flights.
+    """Sum up the diagnosis of many flights, ``summary["metrics"]["diagnosis"]`` of each.
 
-    Parameters
-    ----------
-    diagnoses : iterable of mapping
-        ``summary["metrics"]["diagnosis"]`` of each flight.
-
-    Returns
-    -------
-    dict
-        As of one flight, without ``events`` and ``starting_share``; with the number of ``flights``.
+    What is returned is as of one flight, without ``events`` and ``starting_share``; with the number of
+    ``flights``.
     """
     flights = list(diagnoses)
     records = [record for flight in flights for record in flight["events"]]
     tested, correct = (_total([flight[name] for flight in flights]) for name in _ISOLATION)
-    by_estimate = [flight["by_estimate"] for flight in flights]
+    sizes = _sums([flight["by_estimate"] for flight in flights], _ESTIMATE_ALARMS)
     return {
         "flights": len(flights),
         **fault_metrics(records),
@@ -134,18 +131,15 @@ def pool(diagnoses: Iterable[Record]) -> dict[str, Any]:
         "isolation_correct_s": correct,
         "isolation_accuracy": accuracy(correct, tested),
         **_sums(flights, _CONFUSIONS),
-        "by_estimate": {
-            **estimate_fault_metrics(records),
-            **with_shares(_sums(by_estimate, _ESTIMATE_ALARMS)),
-        },
+        "by_estimate": {**estimate_fault_metrics(records), **with_shares(sizes)},
     }
 
 
-def _groups(records: Sequence[Record], verdict: str) -> tuple[list[Record], dict[str, list[Record]]]:
-    """Records that have a verdict: all, and by kind; a kind without any is there, too."""
+def _groups(records: Sequence[Record], verdict: str) -> dict[str, list[Record]]:
+    """Return the records that have a verdict: all, and by kind; a kind without any is there, too."""
     judged = [record for record in records if record[verdict] is not None]
     kinds = dict.fromkeys(str(record["kind"]) for record in records)
-    return judged, {kind: [record for record in judged if record["kind"] == kind] for kind in kinds}
+    return {ALL: judged, **{kind: [each for each in judged if each["kind"] == kind] for kind in kinds}}
 
 
 def _figures(
@@ -162,15 +156,9 @@ def _values(records: Iterable[Record], field: str) -> list[float]:
 
 
 def _count(records: Sequence[Record], field: str, value: bool) -> int | None:
-    """How many of the records have a value; None if there is none that could."""
+    """Count the records that have a value; None if there is none that could."""
     found = [record[field] for record in records if record[field] is not None]
     return sum(each is value for each in found) if found else None
-
-
-def _related(name: str, parts: PerAxis, wholes: PerAxis) -> dict[str, Any]:
-    """Ratios of each axis, and of the sums over the axes."""
-    total = accuracy(_total(list(parts.values())), _total(list(wholes.values())))
-    return {name: {axis: accuracy(parts[axis], wholes[axis]) for axis in wholes}, f"total_{name}": total}
 
 
 def _sums(parts: Sequence[Record], names: Iterable[str]) -> dict[str, Any]:
@@ -178,12 +166,10 @@ def _sums(parts: Sequence[Record], names: Iterable[str]) -> dict[str, Any]:
 
 
 def _total(parts: Sequence[Any]) -> Any:
-    """Sum of numbers, or of mappings of such entry by entry; None counts as nothing."""
+    """Sum numbers, or mappings of such entry by entry; None counts as nothing."""
     there = [part for part in parts if part is not None]
-    if not there:
-        return None
-    if not isinstance(there[0], Mapping):
-        return sum(there)
+    if not there or not isinstance(there[0], Mapping):
+        return sum(there) if there else None
     entries = [cast("Record", part) for part in there]
     keys = dict.fromkeys(key for part in entries for key in part)
     return {key: _total([part.get(key) for part in entries]) for key in keys}

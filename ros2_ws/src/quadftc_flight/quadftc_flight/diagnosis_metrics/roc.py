@@ -49,12 +49,8 @@ class OperatingPoint(NamedTuple):
 def operating_point(diagnoses: Iterable[Mapping[str, Any]], within: float) -> OperatingPoint:
     """Return the point of the curve at which a detector works, by what its states say.
 
-    Parameters
-    ----------
-    diagnoses : iterable of mapping
-        ``summary["metrics"]["diagnosis"]`` of each flight.
-    within : float
-        Longest delay that counts [s]; an axis that was declared faulty before the onset does not.
+    ``diagnoses`` are ``summary["metrics"]["diagnosis"]`` of each flight, ``within`` is the longest delay that
+    counts [s]; an axis that was declared faulty before the onset does not count.
     """
     flights = list(diagnoses)
     judged = [event for flight in flights for event in flight["events"] if event["detected"] is not None]
@@ -67,10 +63,7 @@ def operating_point(diagnoses: Iterable[Mapping[str, Any]], within: float) -> Op
 def roc(score: ArrayLike, faulty: ArrayLike) -> Roc:
     """Return the curve of scores (n,) of which it is known whether they come from a fault (n,).
 
-    Raises
-    ------
-    ValueError
-        If a score is not finite, or there are none of faults, or none of what is healthy.
+    A ValueError if a score is not finite, or there are none of faults, or none of what is healthy.
     """
     scores, labels = np.asarray(score, np.float64), np.asarray(faulty, np.bool_)
     if scores.shape != labels.shape or scores.ndim != 1:

@@ -63,22 +63,13 @@ class Truth(NamedTuple):
 
 
 def diagnosis_metrics(flight: Flight, events: Sequence[FaultEvent]) -> dict[str, Any]:
-    """Judge the diagnosis of a flight.
+    """Judge the diagnosis of a flight, ready for JSON; of one axis, no event overlaps another.
 
-    Parameters
-    ----------
-    flight : Flight
-    events : sequence of FaultEvent
-        Of one axis, none overlaps another.
-
-    Returns
-    -------
-    dict
-        Ready for JSON. ``events`` holds a record of each fault; the metrics of all faults have a value for
-        each kind of fault and for ``all``; those of healthy time and isolation a value for each axis.
+    ``events`` holds a record of each fault. The metrics of all faults have a value for each kind of fault and
+    for ``all``; those of healthy time and isolation have a value for each axis.
     """
     columns = Columns(flight)
-    records = [_judge_fault(columns, event, _next_start(event, events)) for event in events]
+    records = [_judge_fault(columns, event, events) for event in events]
     by_state = truth(columns, events, [record["detected"] is not None for record in records])
     by_estimate = truth(columns, events, [record["above_threshold"] is not None for record in records])
     alarms = [_alarms(columns, by_state.healthy, axis) for axis in range(len(AXES))]
@@ -114,14 +105,8 @@ def truth(columns: Columns, events: Sequence[FaultEvent], judged: Sequence[bool]
     return Truth(faulty, ~faulty & ~doubtful)
 
 
-def _next_start(event: FaultEvent, events: Sequence[FaultEvent]) -> float:
-    """When the next fault on the axis of an event begins [s]."""
-    starts = [other.start for other in events if other.axis == event.axis and other.start >= event.stop]
-    return min(starts, default=math.inf)
-
-
-def _judge_fault(columns: Columns, event: FaultEvent, following: float) -> Record:
-    """Judge one fault; the next one of its axis begins at ``following`` [s].
+def _judge_fault(columns: Columns, event: FaultEvent, events: Sequence[FaultEvent]) -> Record:
+    """Judge one fault.
 
     ``detected`` is None where there is nothing to detect: the flight ends before, the state is not known, or
     the fault leaves the reading as it is (a channel that is absent, a scale factor of zero).
@@ -134,6 +119,8 @@ def _judge_fault(columns: Columns, event: FaultEvent, following: float) -> Recor
     by_estimate = _detect(columns.time, np.isfinite(estimate), above, event, sized)
     said = columns.declared[rows, axis][known[rows]]
     begins = int(said[0]) + int(np.sum(said[1:] & ~said[:-1])) if len(said) else None
+    # the sensor may be trusted again until the next fault of its axis begins
+    starts = [other.start for other in events if other.axis == event.axis and other.start >= event.stop]
     return {
         **event._asdict(),
         "fault_max_deg": largest(columns.fault[rows, axis]),
@@ -143,7 +130,7 @@ def _judge_fault(columns: Columns, event: FaultEvent, following: float) -> Recor
         "onset_error_s": _onset_error(columns, axis, by_state.time, event.start),
         "declared_share": mean(said),
         "declarations": begins,
-        **_recovery(columns, axis, event, following, by_state),
+        **_recovery(columns, axis, event, min(starts, default=math.inf), by_state),
         "above_threshold": by_estimate.detected,
         "above_threshold_already": by_estimate.already,
         "above_threshold_delay_s": _since(by_estimate.time, event.start),
@@ -271,11 +258,10 @@ def _isolation(columns: Columns, true: Truth, events: Sequence[FaultEvent]) -> d
     tested = np.any(declared, axis=1) & np.any(faulty, axis=1) & ~np.all(faulty, axis=1)
     total, correct = _seconds(columns, tested), _seconds(columns, tested & ~wrong)
     faulty_axes = np.sum(faulty, axis=1)
-    single: Matrix = {NO_AXIS: _confusion_row(columns, declared, counted & (faulty_axes == 0))}
-    every: Matrix = {}
-    for axis, name in enumerate(AXES):
-        single[name] = _confusion_row(columns, declared, faulty[:, axis] & (faulty_axes == 1))
-        every[name] = _confusion_row(columns, declared, faulty[:, axis])
+    alone = faulty & (faulty_axes == 1)[:, None]
+    single = {NO_AXIS: _confusion_row(columns, declared, counted & (faulty_axes == 0))}
+    single |= {name: _confusion_row(columns, declared, alone[:, axis]) for axis, name in enumerate(AXES)}
+    every = {name: _confusion_row(columns, declared, faulty[:, axis]) for axis, name in enumerate(AXES)}
     return {
         "isolation_tested_s": total,
         "isolation_correct_s": correct,
@@ -287,29 +273,27 @@ def _isolation(columns: Columns, true: Truth, events: Sequence[FaultEvent]) -> d
 
 
 def _confusion_row(columns: Columns, declared: Mask, rows: Mask) -> dict[str, float | None]:
-    there = declared[rows]
-    counts = {
-        **{name: np.sum(there[:, axis]) for axis, name in enumerate(AXES)},
-        NO_AXIS: np.sum(~np.any(there, axis=1)),
-        TIME: len(there),
+    return {
+        **{name: _seconds(columns, declared[:, axis] & rows) for axis, name in enumerate(AXES)},
+        NO_AXIS: _seconds(columns, rows & ~np.any(declared, axis=1)),
+        TIME: _seconds(columns, rows),
     }
-    return {name: number(count * columns.period) for name, count in counts.items()}
 
 
 def _confusion_by_kind(
     columns: Columns, declared: Mask, faulty: Mask, wrong: Mask, events: Sequence[FaultEvent]
 ) -> Matrix:
     """Confusion by kind of fault; ``declared`` and ``faulty`` hold the rows that count."""
-    counts: dict[str, dict[str, int]] = {}
+    masks: dict[str, list[list[Mask]]] = {}
     for event in events:
         axis, rows = AXES.index(event.axis), columns.rows(event.start, event.stop)
-        there = faulty[rows, axis]
-        own, other = declared[rows, axis] & there, wrong[rows] & there
-        nothing = there & ~np.any(declared[rows], axis=1)
-        line = counts.setdefault(event.kind, {"own": 0, "other": 0, NO_AXIS: 0, TIME: 0})
-        for name, mask in zip(line, (own, other, nothing, there), strict=True):
-            line[name] += int(np.sum(mask))
+        there, nothing = faulty[rows, axis], ~np.any(declared[rows], axis=1)
+        line = [declared[rows, axis] & there, wrong[rows] & there, nothing & there, there]
+        masks.setdefault(event.kind, []).append(line)
+    names = ("own", "other", NO_AXIS, TIME)
     return {
-        kind: {name: number(count * columns.period) for name, count in line.items()}
-        for kind, line in counts.items()
+        kind: {
+            name: _seconds(columns, np.concatenate(parts)) for name, *parts in zip(names, *lines, strict=True)
+        }
+        for kind, lines in masks.items()
     }

@@ -212,7 +212,9 @@ def build_sensor(raw: Any) -> ImuSensor:
     if not isinstance(grade, str) or grade not in GRADES:
         mistakes.add(f"{grade!r}: expected one of {', '.join(GRADES)}", "grade")
     given = mistakes.convert(ImuSensor, values, ("grade",))
-    return mistakes.build(lambda: build(ImuSensor, {**GRADES[grade], **given}), [*GRADES[grade], *given])
+    mistakes.stop_if_any()
+    given = {**GRADES[grade], **given}
+    return mistakes.build(lambda: build(ImuSensor, given), [*given])
 
 
 def part_builder(
