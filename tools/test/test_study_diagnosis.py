@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,12 @@ from quadftc_campaign.campaign_file import load_campaign
 from quadftc_campaign.flights import flight_scenario
 from quadftc_campaign.open_loop import AGES, flatten
 from quadftc_campaign.table import table_of
+from quadftc_flight.diagnosis_metrics import GRACE_TIME, diagnosis_metrics
+from quadftc_flight.fault_schedule import FaultEvent
+from quadftc_flight.flight import unknown_flight
 from quadftc_flight.scenario import load_scenario
+from quadftc_model.samples import FAULTY
+from quadftc_model.samples import HEALTHY as TRUSTED
 from quadftc_sim.sensors import GRADES, ImuSensor
 from quadftc_tools.study.bound import AVERAGING, attitude_std_dev, fault_bound
 from quadftc_tools.study.diagnosis import make
@@ -24,6 +30,7 @@ from quadftc_tools.study.diagnosis_results import (
     SETTINGS,
     characteristics,
     consistency,
+    operating_point,
     setting_results,
     sum_up,
 )
@@ -324,3 +331,23 @@ def test_bound_holds_the_noise_of_the_sample_and_falls_with_healthy_time():
     assert short[0, 1] ** 2 == pytest.approx(attitude[9999] ** 2 + sensor.attitude_noise**2 / 15.0)
     assert np.all(short[:, 1] > long[:, 1])
     assert short[1, 1] < 0.95 * short[0, 1]  # the bias is better known
+
+
+def test_operating_point_counts_what_is_found_in_time_and_time_of_false_alarms():
+    state = np.full((300, 3), TRUSTED, np.uint8)  # 30 s at 10 Hz
+    fault = np.zeros((300, 3))
+    fault[100:200, 0] = 0.02
+    known = {"fault": fault, "fault_estimate": np.zeros((300, 3)), "fault_state": state}
+    flight = dataclasses.replace(unknown_flight(np.arange(1, 301) * 100_000_000), **known)
+    roll = FaultEvent("roll", "step", 10.0, 20.0)
+    missed = [diagnosis_metrics(flight, [roll])]
+    state[115:200, 0] = FAULTY  # 1.5 s after the onset
+    state[0:30, 1] = FAULTY  # 3 s of healthy time
+    late = [diagnosis_metrics(flight, [roll])]
+    healthy = 90.0 - 10.0 - GRACE_TIME
+    assert operating_point(late, within=1.5) == pytest.approx((3.0 / healthy, 1.0))
+    assert operating_point(late, within=1.4) == pytest.approx((3.0 / healthy, 0.0))
+    assert operating_point(late + missed, within=2.0) == pytest.approx((1.5 / healthy, 0.5))
+    state[50:115, 0] = FAULTY  # before the onset already
+    assert operating_point([diagnosis_metrics(flight, [roll])], within=2.0).detection_probability == 0.0
+    assert operating_point([], within=1.0) == (None, None)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from quadftc_campaign.open_loop import AGES, WITHIN
 from quadftc_campaign.table import whole_flights
 from quadftc_flight.diagnosis_metrics import pool
-from quadftc_flight.diagnosis_metrics.roc import operating_point
 from quadftc_flight.scenario import Scenario, load_scenario
 from quadftc_model.spec import parse_spec
 from quadftc_tools.study.bound import fault_bound
@@ -34,6 +33,27 @@ SCENARIO = Path(__file__).resolve().parents[3] / "campaigns" / "scenarios" / "di
 
 Floats = NDArray[np.float64]
 Json = Mapping[str, Any]
+
+
+class OperatingPoint(NamedTuple):
+    """What a detector as it stands costs and finds; None where there is nothing to judge it by."""
+
+    false_alarm_share: float | None  # of the healthy time of all axes
+    detection_probability: float | None  # share of the faults that are found in time
+
+
+def operating_point(diagnoses: Iterable[Mapping[str, Any]], within: float) -> OperatingPoint:
+    """Return the point of the curve at which a detector works, by what its states say.
+
+    ``diagnoses`` are ``summary["metrics"]["diagnosis"]`` of each flight, ``within`` is the longest delay that
+    counts [s]; an axis that was declared faulty before the onset does not count.
+    """
+    flights = list(diagnoses)
+    judged = [event for flight in flights for event in flight["events"] if event["detected"] is not None]
+    delays = [event["detection_delay_s"] for event in judged]
+    found = sum(delay is not None and delay <= within for delay in delays)
+    share = pool(flights)["total_false_alarm_share"]
+    return OperatingPoint(share, found / len(judged) if judged else None)
 
 
 class Criteria(NamedTuple):

@@ -15,7 +15,7 @@ from quadftc_flight.diagnosis_metrics import GRACE_TIME, diagnosis_metrics, pool
 from quadftc_flight.diagnosis_metrics.columns import consistency_band, independent_samples
 from quadftc_flight.diagnosis_metrics.fault_statistics import show_row
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, events_of_windows
-from quadftc_flight.flight import NO_STATE, VECTORS, Flight
+from quadftc_flight.flight import NO_STATE, VECTORS, Flight, unknown_flight
 from quadftc_flight.metrics import flight_metrics, known_metrics, look_up
 from quadftc_flight.scenario import ScenarioError, parse_scenario
 from quadftc_model.samples import AXES, FAULTY, HEALTHY, RECOVERING, STARTING, SUSPECT
@@ -34,32 +34,19 @@ def flight_of(
 ) -> Flight:
     """A flight with faults of one size, estimated as they are in the state FAULTY, else as zero."""
     stamp_ns = 5_000_000_000 + np.arange(round(duration / PERIOD)) * round(1e9 * PERIOD)
-    time = (stamp_ns - stamp_ns[0]) / 1e9
+    time = unknown_flight(stamp_ns).time
     fault, state = np.zeros((len(time), 3)), np.full((len(time), 3), HEALTHY, np.uint8)
     for event in events:
         fault[(time >= event.start) & (time < event.stop), AXES.index(event.axis)] = size_deg * DEG
     for axis, parts in (states or {}).items():
         for start, stop, value in parts:
             state[(time >= start) & (time < stop), AXES.index(axis)] = value
-    flight = Flight(
-        stamp_ns=stamp_ns,
-        time=time,
-        delivered=np.ones(len(time), np.bool_),
-        fault_state=state,
-        fault_onset_ns=np.zeros((len(time), 3), np.int64),
-        saturated=np.zeros((len(time), 3), np.bool_),
-        **{name: np.zeros((len(time), 3)) for name in VECTORS},
-    )
     estimate = np.where(state == FAULTY, fault, 0.0)
-    return dataclasses.replace(
-        flight,
-        **{
-            "fault": fault,
-            "fault_estimate": estimate,
-            "fault_std_dev": np.full(fault.shape, -1.0),
-            **columns,
-        },
-    )
+    known = {"fault": fault, "fault_estimate": estimate, "fault_std_dev": np.full(fault.shape, -1.0)}
+    zeros = {name: np.zeros(fault.shape) for name in VECTORS}
+    flight = dataclasses.replace(unknown_flight(stamp_ns), fault_state=state, **{**zeros, **known, **columns})
+    flight.delivered[:] = True
+    return flight
 
 
 def judged(events=(ROLL,), states: States | None = None, **columns) -> dict[str, Any]:
@@ -315,8 +302,7 @@ def test_flight_without_diagnosis_has_no_value_and_is_json():
     assert found["false_alarm_share"] == found["starting_share"] == dict.fromkeys(AXES)
     assert found["isolation_accuracy"] is None
     assert found["events"][0]["estimate_rmse_deg"] is None
-    single = Flight(**{f.name: getattr(unknown, f.name)[:1] for f in dataclasses.fields(Flight)})
-    json.dumps(diagnosis_metrics(single, [ROLL]), allow_nan=False)
+    json.dumps(diagnosis_metrics(unknown.first(1), [ROLL]), allow_nan=False)
 
 
 def test_wholly_known_flight_has_the_same_names_and_is_json():

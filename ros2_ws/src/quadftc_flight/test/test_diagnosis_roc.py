@@ -6,18 +6,17 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from quadftc_flight.diagnosis_metrics import GRACE_TIME, diagnosis_metrics
+from quadftc_flight.diagnosis_metrics import GRACE_TIME
 from quadftc_flight.diagnosis_metrics.roc import (
     Roc,
     detection_scores,
     estimate_over_std_dev,
     estimate_size,
-    operating_point,
     roc,
 )
 from quadftc_flight.fault_schedule import FaultEvent
-from quadftc_flight.flight import VECTORS, Flight
-from quadftc_model.samples import FAULTY
+from quadftc_flight.flight import VECTORS, Flight, unknown_flight
+from quadftc_model.samples import HEALTHY
 
 NORMAL = NormalDist()
 ROLL = FaultEvent("roll", "step", 10.0, 20.0)
@@ -25,16 +24,9 @@ ROLL = FaultEvent("roll", "step", 10.0, 20.0)
 
 def still() -> Flight:
     """30 s at 10 Hz, nothing estimated."""
-    stamp_ns = np.arange(1, 301) * 100_000_000
-    return Flight(
-        stamp_ns=stamp_ns,
-        time=(stamp_ns - stamp_ns[0]) / 1e9,
-        delivered=np.ones(300, np.bool_),
-        fault_state=np.ones((300, 3), np.uint8),
-        fault_onset_ns=np.zeros((300, 3), np.int64),
-        saturated=np.zeros((300, 3), np.bool_),
-        **{name: np.zeros((300, 3)) for name in VECTORS},
-    )
+    flight = unknown_flight(np.arange(1, 301) * 100_000_000)
+    columns = {name: np.zeros((300, 3)) for name in VECTORS}
+    return dataclasses.replace(flight, fault_state=np.full((300, 3), HEALTHY, np.uint8), **columns)
 
 
 def faulty() -> Flight:
@@ -114,23 +106,6 @@ def test_score_is_the_estimate_over_the_deviation_that_is_given():
     score = estimate_over_std_dev(dataclasses.replace(flight, fault_estimate=estimate, fault_std_dev=std_dev))
     np.testing.assert_allclose(score[:, :2], 3.0)
     assert np.isnan(score[:, 2]).all()
-
-
-def test_operating_point_counts_what_is_found_in_time_and_time_of_false_alarms():
-    state = np.ones((300, 3), np.uint8)
-    state[115:200, 0] = FAULTY  # 1.5 s after the onset
-    state[0:30, 1] = FAULTY  # 3 s of healthy time
-    flight = dataclasses.replace(faulty(), fault_state=state)
-    late = [diagnosis_metrics(flight, [ROLL])]
-    healthy = 90.0 - 10.0 - GRACE_TIME
-    assert operating_point(late, within=1.5) == pytest.approx((3.0 / healthy, 1.0))
-    assert operating_point(late, within=1.4) == pytest.approx((3.0 / healthy, 0.0))
-    missed = [diagnosis_metrics(faulty(), [ROLL])]
-    assert operating_point(late + missed, within=2.0) == pytest.approx((1.5 / healthy, 0.5))
-    state[50:115, 0] = FAULTY  # before the onset already
-    always = dataclasses.replace(flight, fault_state=state)
-    assert operating_point([diagnosis_metrics(always, [ROLL])], within=2.0).detection_probability == 0.0
-    assert operating_point([], within=1.0) == (None, None)
 
 
 def test_fault_of_size_zero_is_no_fault_to_be_found():

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from quadftc_flight.fault_schedule import FaultWindow
-from quadftc_flight.flight import VECTORS, Flight
+from quadftc_flight.flight import VECTORS, Flight, unknown_flight
 from quadftc_flight.metrics import flight_metrics, known_metrics, look_up
 from quadftc_flight.scenario import Check
 from quadftc_flight.summary import check_results
-from quadftc_model.samples import AXES
+from quadftc_model.samples import AXES, HEALTHY
 
 DEG = math.pi / 180.0
 WINDOW = FaultWindow(1.0, 3.0, ("roll",))
@@ -20,16 +20,9 @@ WINDOW = FaultWindow(1.0, 3.0, ("roll",))
 
 def still(count=41, period=0.1) -> Flight:
     """A flight in which everything is zero: 4 s at 10 Hz."""
-    stamp_ns = 1_000_000_000 + np.arange(count) * round(1e9 * period)
-    return Flight(
-        stamp_ns=stamp_ns,
-        time=(stamp_ns - stamp_ns[0]) / 1e9,
-        delivered=np.ones(count, np.bool_),
-        fault_state=np.ones((count, 3), np.uint8),
-        fault_onset_ns=np.zeros((count, 3), np.int64),
-        saturated=np.zeros((count, 3), np.bool_),
-        **{name: np.zeros((count, 3)) for name in VECTORS},
-    )
+    flight = unknown_flight(1_000_000_000 + np.arange(count) * round(1e9 * period))
+    flight.delivered[:], flight.fault_state[:] = True, HEALTHY
+    return dataclasses.replace(flight, **{name: np.zeros((count, 3)) for name in VECTORS})
 
 
 def column(flight: Flight, axis: int, value) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -270,8 +269,7 @@ def test_what_is_no_bag_is_refused_in_one_line(tmp_path):
 
 
 def test_flight_that_was_ended_early_is_no_whole_one(tmp_path, scenario, flight):
-    rows = {field.name: getattr(flight, field.name)[:60] for field in dataclasses.fields(Flight)}
-    found = read_run(record(tmp_path / "short-first", scenario, "first", Flight(**rows)))
+    found = read_run(record(tmp_path / "short-first", scenario, "first", flight.first(60)))
     assert found.warnings == (f"{found.path}: flight ended early, at 0.6 s of 1 s; read up to there",)
 
 

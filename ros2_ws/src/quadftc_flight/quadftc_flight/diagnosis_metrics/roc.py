@@ -3,20 +3,19 @@
 
 The score is what a detector would hold against a threshold. For an observer whose estimate is zero until its
 detector says fault, a score made of the estimate says nothing of that detector's threshold: fly it with
-several thresholds and take the `operating_point` of each.
+several thresholds and count what its states say.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from sklearn.metrics import auc, roc_curve
 
 from quadftc_flight.diagnosis_metrics.columns import Columns, Floats, finite
-from quadftc_flight.diagnosis_metrics.fault_statistics import pool
 from quadftc_flight.diagnosis_metrics.verdicts import has_size, truth
 from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import Flight
@@ -37,27 +36,6 @@ class Roc(NamedTuple):
         """Return the largest detection probability at no more than a share of false alarms."""
         last = int(np.searchsorted(self.false_alarm_share, false_alarm_share, side="right")) - 1
         return float(self.detection_probability[max(last, 0)])
-
-
-class OperatingPoint(NamedTuple):
-    """What a detector as it stands costs and finds; None where there is nothing to judge it by."""
-
-    false_alarm_share: float | None  # of the healthy time of all axes
-    detection_probability: float | None  # share of the faults that are found in time
-
-
-def operating_point(diagnoses: Iterable[Mapping[str, Any]], within: float) -> OperatingPoint:
-    """Return the point of the curve at which a detector works, by what its states say.
-
-    ``diagnoses`` are ``summary["metrics"]["diagnosis"]`` of each flight, ``within`` is the longest delay that
-    counts [s]; an axis that was declared faulty before the onset does not count.
-    """
-    flights = list(diagnoses)
-    judged = [event for flight in flights for event in flight["events"] if event["detected"] is not None]
-    delays = [event["detection_delay_s"] for event in judged]
-    found = sum(delay is not None and delay <= within for delay in delays)
-    share = pool(flights)["total_false_alarm_share"]
-    return OperatingPoint(share, found / len(judged) if judged else None)
 
 
 def roc(score: ArrayLike, faulty: ArrayLike) -> Roc:
