@@ -32,21 +32,10 @@ SETTLED_ERROR_DEG = 0.05  # deg; the estimate has settled when its error stays b
 def flight_metrics(
     flight: Flight, windows: Sequence[FaultWindow], events: Sequence[FaultEvent] | None = None
 ) -> dict[str, Any]:
-    """Compute every metric.
+    """Compute every metric, ready for JSON: numbers, None, mappings of axes; and lists of such.
 
-    Parameters
-    ----------
-    flight : Flight
-    windows : sequence of FaultWindow
-        When the attitude is faulty; the metrics inside and outside fault windows divide the time by them.
-    events : sequence of FaultEvent, optional
-        The faults that the diagnosis is judged by; default: those of the windows, of a kind not known.
-
-    Returns
-    -------
-    dict
-        Ready for JSON: numbers, None, mappings of axes, ``fault_windows``, a list of such, and ``diagnosis``
-        as `diagnosis_metrics` gives it.
+    ``windows`` divide the time into inside and outside a fault. ``events`` are the faults that the diagnosis
+    is judged by; default: those of the windows, of a kind not known.
     """
     time = flight.time
     tracking = np.degrees(wrap(flight.angles - flight.reference))

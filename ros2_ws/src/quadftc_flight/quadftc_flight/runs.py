@@ -93,13 +93,9 @@ def run(
 ) -> dict[str, Any] | None:
     """Fly one scheme of a scenario; return the summary that is written beside the bag, None if ended early.
 
-    ``out`` is the directory of all runs.
-
-    Raises
-    ------
-    GraphError
-        If the graph does not start or stalls, messages were lost on the way to the bag, or the recording
-        stopped, as on a full disk: then after the flight, and the bag can be read up to there.
+    ``out`` is the directory of all runs. A GraphError says if the graph does not start or stalls, messages
+    were lost on the way to the bag, or the recording stopped, as on a full disk: then after the flight, and
+    the bag can be read up to there.
     """
     bag = out / run_name(scenario, scheme)
     with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:

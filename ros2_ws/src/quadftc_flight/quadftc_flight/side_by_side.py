@@ -29,20 +29,9 @@ def run_side_by_side(
 ) -> list[dict[str, Any] | None]:
     """Fly jobs in processes of their own; return their summaries in order, None for one that was ended early.
 
-    What the first run that failed raised is raised when the others have been ended.
-
-    Parameters
-    ----------
-    jobs : sequence of (Scenario, Scheme)
-    out : Path
-        Directory of all runs.
-    options : RunOptions
-        Of lock-step flights.
-    workers : int
-        How many flights at a time.
-    follow : callable
-        Called with a job's number and the share of its flight that is over. All end early when it
-        returns False.
+    So many ``workers`` fly at a time, in lock-step. ``follow`` is called with a job's number and the share of
+    its flight that is over; all end early when it returns False. What the first run that failed raised is
+    raised when the others have been ended.
     """
     context = multiprocessing.get_context("spawn")
     stop = context.Event()

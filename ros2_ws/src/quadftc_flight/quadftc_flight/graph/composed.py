@@ -32,17 +32,8 @@ NODE_CLASSES: dict[str, type[Any]] = {
 class ComposedGraph(Graph):
     """All nodes of one or more plans in this process; a context manager.
 
-    Parameters
-    ----------
-    *plans : GraphPlan
-        One for each vehicle, each in a namespace of its own.
-    executor : str
-        ``events`` or ``single``.
-
-    Raises
-    ------
-    ValueError
-        If a parameter of a node is wrong, a bag cannot be made, or two vehicles have one namespace.
+    Each plan is of a vehicle in a namespace of its own; ``executor`` is ``events`` or ``single``. Wrong
+    parameters of a node, a bag that cannot be made, and two vehicles in one namespace are a ValueError.
     """
 
     def __init__(self, *plans: GraphPlan, executor: str = "events") -> None:
@@ -91,16 +82,8 @@ class ComposedGraph(Graph):
     def run(self, progress: Progress = always) -> float:
         """Fly until the durations of all plants are over; return the wall time of the flight [s].
 
-        Parameters
-        ----------
-        progress : callable
-            Called with the number of samples so far, often; the flight ends early when it returns False.
-
-        Raises
-        ------
-        GraphError
-            If the nodes do not find each other, no sample comes for too long, or the machine does not allow
-            the scheduling.
+        A GraphError says if the nodes do not find each other, no sample comes for too long, or the machine
+        does not allow the scheduling.
         """
         if not self.wait_until_connected(progress):
             return 0.0

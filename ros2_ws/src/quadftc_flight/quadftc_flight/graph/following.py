@@ -68,10 +68,7 @@ class Graph(abc.ABC):
     def wait_until_connected(self, progress: Progress = always) -> bool:
         """Wait until every node is matched with every other; return False if ``progress(0)`` did so before.
 
-        Raises
-        ------
-        GraphError
-            If they do not find each other, one of them ends, or another graph is there, too.
+        A GraphError says if they do not find each other, one of them ends, or another graph is there, too.
         """
         end = time.monotonic() + CONNECT_TIMEOUT
         while missing := self._missing():

@@ -83,14 +83,9 @@ class Respawn:
 class ProcessGraph(Graph):
     """The nodes of a plan as processes; a context manager. It ends only what it started, and all of that.
 
-    Nothing outlives it: should this process be killed, the nodes notice and stop by themselves.
-
-    Raises
-    ------
-    ValueError
-        If the namespace is wrong, or the bag cannot be made.
-    GraphError
-        If a node is not installed, or the machine does not allow the scheduling.
+    Nothing outlives it: should this process be killed, the nodes notice and stop by themselves. A wrong
+    namespace and a bag that cannot be made are a ValueError; a node that is not installed and a scheduling
+    that the machine does not allow are a GraphError.
     """
 
     def __init__(self, plan: GraphPlan) -> None:

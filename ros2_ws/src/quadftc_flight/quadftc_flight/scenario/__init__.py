@@ -41,7 +41,7 @@ from quadftc_flight.scenario.model import problems_of as problems_of
 
 
 def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = (), gains: str = "") -> Scenario:
-    """Load a scenario file.
+    """Load a scenario file; a ScenarioError has one line for each problem.
 
     Parameters
     ----------
@@ -50,11 +50,6 @@ def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = (), g
         Values to put in place of the file's: ``seed=3``, ``faults.0.value=2 deg``.
     gains : str
         Name or path of a file of tuned gains (`quadftc_flight.scenario.files`); overrides come after them.
-
-    Raises
-    ------
-    ScenarioError
-        If anything is wrong with it: one line for each problem.
     """
     return build_scenario(changed_document(Path(path), overrides, gains))
 

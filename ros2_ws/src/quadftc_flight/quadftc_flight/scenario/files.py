@@ -93,10 +93,7 @@ class _GainsFile(BaseModel):
 def with_gains_of(document: Document, path: Path) -> Document:
     """Put the gains of a file into all schemes of a scenario.
 
-    Raises
-    ------
-    ScenarioError
-        If the file is wrong, is for another vehicle or other sensors, or fits no part of any scheme.
+    A ScenarioError says if the file is wrong, is for another vehicle or other sensors, or fits no part.
     """
     file = read_document(path)
     try:
