@@ -37,9 +37,7 @@ def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = 
     chosen = scheme if isinstance(scheme, Scheme) else scenario.scheme(scheme)
     # one object for each node of the graph
     simulator = simulator_of(scenario, epoch_ns)
-    injector = FaultInjector(scenario.seed)
-    for fault in scenario.faults:
-        injector.add(fault.injection)
+    injector = FaultInjector(scenario.seed, (fault.injection for fault in scenario.faults))
     diagnosis = Diagnosis(chosen.observer.law)
     disturbance_observer = DisturbanceEstimation(chosen.disturbance_observer.law)
     reference = ReferenceGenerator([part.law for part in scenario.references])
@@ -57,7 +55,7 @@ def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = 
             continue
         stamp_ns, taken = emission.sample_stamp_ns, row - delay
         injected = injector.apply(stamp_ns, emission.sample)
-        if injected.sample is None:  # withheld: the torque stays
+        if not injected.present:  # withheld: the torque stays
             continue
         # the nodes react; none refuses the sample, as stamps increase
         estimate = diagnosis.step(stamp_ns, injected.sample, torque)

@@ -3,6 +3,7 @@
 The node ``plant`` has those of `PlantParameters`, disturbances (list of specifications), those of
 :class:`quadftc_sim.plant.Plant` and ``imu.<parameter>`` for each parameter of the sensor. The node
 ``fault_injector`` has those of `InjectorParameters` and faults (list of specifications). Others are ignored.
+A ValueError names the parameter that is wrong.
 """
 
 from __future__ import annotations
@@ -16,9 +17,8 @@ from quadftc_sim.disturbance import Disturbance, disturbances
 from quadftc_sim.injection import Injection, make_injection
 from quadftc_sim.injector import FaultInjector
 from quadftc_sim.plant import Plant
-from quadftc_sim.plant_flight import PlantFlight
 from quadftc_sim.sensors import ImuSensor
-from quadftc_sim.simulator import Simulator
+from quadftc_sim.simulator import PlantFlight, Simulator
 
 EPOCH_NS = 1_000_000_000  # ns; stamp of the first sample in lock-step, where 0 means "unset"
 
@@ -48,13 +48,7 @@ class InjectorParameters:
 
 
 def period_ns(rate: float) -> int:
-    """Control period [ns] of a rate [Hz], to the nearest nanosecond.
-
-    Raises
-    ------
-    ValueError
-        If the rate is not positive, or too high for a period of a nanosecond.
-    """
+    """Control period [ns] of a rate [Hz], to the nearest nanosecond."""
     if not 0.0 < rate <= 1e9:
         raise ValueError(f"rate = {rate!r} Hz: must be positive")
     return round(1e9 / rate)
@@ -66,23 +60,12 @@ def sample_count(duration: float, rate: float) -> int:
 
 
 def simulator_from(parameters: NodeParameters, epoch_ns: int = EPOCH_NS) -> Simulator:
-    """Build the simulator from the parameters of the plant node.
-
-    Raises
-    ------
-    ValueError
-        Naming the parameter that is wrong.
-    """
-    plant = build_named(
-        Plant,
-        parameters,
-        vehicle=vehicle_from(parameters),
-        disturbances=tuple(_disturbance(text) for text in texts(parameters, "disturbances")),
-    )
+    """Build the simulator from the parameters of the plant node; its first stamp is ``epoch_ns``."""
+    laws = tuple(_disturbance_from(text) for text in texts(parameters, "disturbances"))
+    plant = build_named(Plant, parameters, vehicle=vehicle_from(parameters), disturbances=laws)
     sensor = build_prefixed(ImuSensor, parameters, "imu")
-    return Simulator(
-        plant, sensor, period_ns(get(parameters, "rate", float)), epoch_ns, get(parameters, "seed", int)
-    )
+    period = period_ns(get(parameters, "rate", float))
+    return Simulator(plant, sensor, period, epoch_ns, get(parameters, "seed", int))
 
 
 def flight_from(parameters: NodeParameters, epoch_ns: int, begin_ns: int) -> PlantFlight:
@@ -93,35 +76,21 @@ def flight_from(parameters: NodeParameters, epoch_ns: int, begin_ns: int) -> Pla
 
 
 def injector_from(parameters: NodeParameters) -> FaultInjector:
-    """Build the fault injector with its scheduled faults, numbered from 1 in their order.
-
-    Raises
-    ------
-    ValueError
-        Naming the fault that is wrong.
-    """
-    injector = FaultInjector(get(parameters, "seed", int))
-    for text in texts(parameters, "faults"):
-        injector.add(injection_from(text))
-    return injector
+    """Build the fault injector with its scheduled faults, numbered from 1 in their order."""
+    injections = [injection_from(text) for text in texts(parameters, "faults")]
+    return FaultInjector(get(parameters, "seed", int), injections)
 
 
-def injection_from(text: str, now: float = 0.0) -> Injection:
-    """Make an injection from its specification, times counted from scenario time ``now`` [s].
-
-    Raises
-    ------
-    ValueError
-        Naming the specification and what is wrong with it.
-    """
+def injection_from(text: str) -> Injection:
+    """Make an injection from its specification."""
     try:
         spec = parse_spec(text)
-        return make_injection(spec.kind, spec.values, now)
+        return make_injection(spec.kind, spec.values)
     except ValueError as error:
         raise ValueError(f"fault {text!r}: {error}") from None
 
 
-def _disturbance(text: str) -> Disturbance:
+def _disturbance_from(text: str) -> Disturbance:
     try:
         spec = parse_spec(text)
         return build(disturbances.get(spec.kind), spec.values)

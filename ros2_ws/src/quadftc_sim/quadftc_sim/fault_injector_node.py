@@ -5,7 +5,7 @@ Inputs: plant/imu (or a real IMU, by remapping).
 Outputs: imu/data; the truth on fault/injected (attitude [rad]), and once such a fault was asked for on
 fault/injected/gyro and fault/injected/accelerometer; fault/dropped (the stamp of each sample withheld).
 Services: ~/inject (quadftc_msgs/InjectFault), ~/clear (quadftc_msgs/ClearFault), ~/reset (std_srvs/Trigger:
-the schedule begins anew with the next sample, faults injected by service are gone).
+the schedule restarts with the next sample, faults injected by service are gone).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import EARTH_FRAME, IMU_FRAME
 from quadftc_ros.wire import ImuWire, VectorWire, imu_of
 from quadftc_sim.assembly import InjectorParameters, injector_from
-from quadftc_sim.injection import RESERVED, make_injection
+from quadftc_sim.injection import RESERVED, TRUTH, make_injection
 
 JUST_AFTER = 1e-9  # s, the resolution of stamps
 
@@ -38,16 +38,15 @@ class FaultInjectorNode(GraphNode):
         self.settings.declare_list(
             "faults", "each: kind key=value..., e.g. 'bias axes=roll value=1deg start=20s'"
         )
-        self._last_ns = -1
         self._active: tuple[int, ...] = ()
-        self._seen: set[str] = set()
+        self._told = {"attitude"}  # channels whose truth is published
         self._restart()
-        self._publish_imu = self.publishes("imu/data")
-        self._publish_attitude = self.publishes("fault/injected")
-        self._publish_gyro = self.publishes("fault/injected/gyro")
-        self._publish_accelerometer = self.publishes("fault/injected/accelerometer")
+        self._publish_imu, self._imu = self.publishes("imu/data"), ImuWire()
+        self._truth = {
+            channel: (self.publishes(topic), VectorWire(EARTH_FRAME if channel == "attitude" else IMU_FRAME))
+            for channel, topic in TRUTH.items()
+        }
         self._publish_dropped = self.publishes("fault/dropped")
-        self._imu, self._earth, self._sensor = ImuWire(), VectorWire(EARTH_FRAME), VectorWire(IMU_FRAME)
         self.driven_by("plant/imu", self._on_imu, restart=self._restart, decode=imu_of)
         self.offers("inject", InjectFault, self._on_inject)
         self.offers("clear", ClearFault, self._on_clear)
@@ -55,7 +54,7 @@ class FaultInjectorNode(GraphNode):
 
     def _restart(self) -> None:
         self._injector = injector_from(self.settings.values())
-        self._seen.update(injection.channel for injection in self._injector.injections.values())
+        self._told.update(injection.channel for injection in self._injector.injections.values())
         self._last_ns = -1
 
     def _on_imu(self, stamp_ns: int, sample: ImuSample) -> None:
@@ -64,16 +63,16 @@ class FaultInjectorNode(GraphNode):
             return
         self._last_ns = stamp_ns
         injected = self._injector.apply(stamp_ns, sample)
-        if injected.sample is None:
-            self._publish_dropped(Header(stamp=time_message(stamp_ns), frame_id=IMU_FRAME))
-        else:  # first, as others wait for it
+        if injected.present:  # first, as others wait for it
             self._publish_imu(self._imu(stamp_ns, injected.sample))
-        self._publish_attitude(self._earth(stamp_ns, injected.attitude))
-        if "gyro" in self._seen:
-            self._publish_gyro(self._sensor(stamp_ns, injected.gyro))
-        if "accelerometer" in self._seen:
-            self._publish_accelerometer(self._sensor(stamp_ns, injected.accelerometer))
-        self._note_changes()
+        else:
+            self._publish_dropped(Header(stamp=time_message(stamp_ns), frame_id=IMU_FRAME))
+        for channel, (publish, wire) in self._truth.items():
+            if channel in self._told:
+                publish(wire(stamp_ns, getattr(injected, channel)))
+        if (active := tuple(self._injector.active)) != self._active:
+            self._active = active
+            self.diagnostics.changed = True
         self.sampled(stamp_ns)
 
     def report(self) -> None:
@@ -84,44 +83,28 @@ class FaultInjectorNode(GraphNode):
         }
         self.diagnostics.report("faults", WARN if active else OK, f"{len(active)} faults act", **active)
 
-    def _note_changes(self) -> None:
-        if (active := tuple(self._injector.active)) != self._active:
-            self._active = active
-            self.diagnostics.changed = True
-
-    def _time_of(self, request: Any) -> float:
-        """Scenario time [s] that a request counts from: the last sample; without start, just after it."""
-        served = self._last_ns >= 0
-        return self._injector.now + (JUST_AFTER if served and request.start == 0.0 else 0.0)
-
     def _on_inject(self, request: Any, response: Any) -> Any:
+        # times count from the last sample; a fault without a start begins with the next one
+        now = self._injector.now + (JUST_AFTER if self._last_ns >= 0 and request.start == 0.0 else 0.0)
         try:
-            injection = make_injection(request.kind, _values_of(request), self._time_of(request))
+            injection = make_injection(request.kind, _values_of(request), now)
         except ValueError as error:
             response.success, response.message = False, str(error)
             return response
         response.id = self._injector.add(injection)
-        self._seen.add(injection.channel)
+        self._told.add(injection.channel)
         response.success, response.message = True, f"{injection.kind} on {injection.channel}"
         return response
 
     def _on_clear(self, request: Any, response: Any) -> Any:
-        response.cleared = self._injector.clear(request.id)
-        response.success = request.id == 0 or response.cleared > 0
-        response.message = (
-            f"{response.cleared} ended" if response.success else f"there is no fault {request.id}"
-        )
+        ended = response.cleared = self._injector.clear(request.id)
+        response.success = request.id == 0 or ended > 0
+        response.message = f"{ended} ended" if response.success else f"there is no fault {request.id}"
         return response
 
 
 def _values_of(request: InjectFault.Request) -> dict[str, Any]:
-    """Values that `make_injection` takes, of a request.
-
-    Raises
-    ------
-    ValueError
-        Lists of different length, a parameter given twice or that is a field, a duration that is no time.
-    """
+    """Return the values of a request that `make_injection` takes; ValueError: they contradict each other."""
     names, numbers = list(request.parameter_names), list(request.parameter_values)
     if len(names) != len(numbers):
         raise ValueError(f"parameter_values: {len(numbers)} numbers for {len(names)} parameter_names")

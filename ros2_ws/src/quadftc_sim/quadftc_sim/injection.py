@@ -20,9 +20,12 @@ CHANNEL_UNITS: dict[str, dict[str, str]] = {
     "accelerometer": {"channel": "m/s^2", "channel_rate": "m/s^3"},
     "imu": {},
 }
-AXES = {
-    name: index for names in (("roll", "pitch", "yaw"), ("x", "y", "z")) for index, name in enumerate(names)
-}
+TRUTH = {
+    "attitude": "fault/injected",
+    "gyro": "fault/injected/gyro",
+    "accelerometer": "fault/injected/accelerometer",
+}  # channel -> topic of its true fault
+AXES = {"roll": 0, "pitch": 1, "yaw": 2, "x": 0, "y": 1, "z": 2}
 RESERVED = ("channel", "axes", "axis", "start", "stop", "duration")
 
 
@@ -50,11 +53,6 @@ def make_injection(kind: str, values: Mapping[str, Any], now: float = 0.0) -> In
         ``stop`` [s] or ``duration`` [s], and the fault's own parameters.
     now : float
         Scenario time that ``start`` and ``stop`` count from [s].
-
-    Raises
-    ------
-    ValueError
-        Unknown fault, channel, axis or parameter; a time that is negative or ends before it starts.
     """
     fault = faults.get(kind)
     channel = str(values.get("channel", "imu" if fault.channels == ("imu",) else "attitude"))
@@ -62,11 +60,9 @@ def make_injection(kind: str, values: Mapping[str, Any], now: float = 0.0) -> In
         raise ValueError(f"channel = {channel!r}: expected one of {', '.join(CHANNEL_UNITS)}")
     if channel not in fault.channels:
         raise ValueError(f"channel = {channel!r}: {kind} can be on {', '.join(fault.channels)}")
-    mask = _mask(kind, fault, values)
-    start, stop = _window(values, now)
+    mask, window = _mask(kind, fault, values), _window(values, now)
     own = {name: value for name, value in values.items() if name not in RESERVED}
-    law = build(fault, own, units=CHANNEL_UNITS[channel])
-    return Injection(kind, channel, mask, start, stop, law)
+    return Injection(kind, channel, mask, *window, build(fault, own, units=CHANNEL_UNITS[channel]))
 
 
 def _mask(kind: str, fault: Any, values: Mapping[str, Any]) -> NDArray[np.bool_]:
@@ -89,18 +85,14 @@ def _mask(kind: str, fault: Any, values: Mapping[str, Any]) -> NDArray[np.bool_]
 def _window(values: Mapping[str, Any], now: float) -> tuple[float, float]:
     """Start and stop in scenario time, whole nanoseconds as stamps: 0.1 s + 0.2 s is the sample at 0.3 s."""
     start = _time(values, "start", 0.0)
-    if "duration" in values:
-        if "stop" in values:
-            raise ValueError("duration: give either duration or stop")
-        duration = _time(values, "duration", math.inf)
-        first, last = round(now + start, 9), round(now + start + duration, 9)
-        if last <= first:
-            raise ValueError(f"duration = {duration:g} s: must be positive")
-        return first, last
-    stop = _time(values, "stop", math.inf)
-    first, last = round(now + start, 9), round(now + stop, 9)
+    if "duration" in values and "stop" in values:
+        raise ValueError("duration: give either duration or stop")
+    name, since = ("duration", now + start) if "duration" in values else ("stop", now)
+    end = _time(values, name, math.inf)
+    first, last = round(now + start, 9), round(since + end, 9)
     if last <= first:
-        raise ValueError(f"stop = {stop:g} s: must be later than start = {start:g} s")
+        wanted = "positive" if name == "duration" else f"later than start = {start:g} s"
+        raise ValueError(f"{name} = {end:g} s: must be {wanted}")
     return first, last
 
 

@@ -1,36 +1,134 @@
-"""The fault injector: the faults of one IMU, scheduled or injected at run time."""
+"""Fault injection: a pure step for one vehicle or many flights at once, and the injector of one vehicle.
+
+The batch engine runs the step; `FaultInjector` runs it for a vehicle whose injections come and go.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import dataclasses
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadftc_model.arrays import Array, Flag, Scalar, Vector, chosen, namespace
+from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import ImuSample
 from quadftc_model.stepper import seconds
+from quadftc_sim.fault import FaultInputs
 from quadftc_sim.injection import Injection, fault_generators
-from quadftc_sim.injection_step import FaultDraws, InjectionState, begin, inject
-
-Floats = NDArray[np.float64]
 
 
-class Injected(NamedTuple):
-    """What comes out for one sample."""
+class FaultDraws(NamedTuple):
+    """Random numbers of one injection for one sample."""
 
-    sample: ImuSample | None  # None: the sample is withheld
-    attitude: Floats  # (3,) true fault of the attitude [rad]; NaN where the channel is not a number
-    gyro: Floats  # (3,) [rad/s]
-    accelerometer: Floats  # (3,) [m/s²]
+    normal: Vector  # standard normal
+    uniform: Vector  # in [0, 1)
 
 
+class InjectionState(NamedTuple):
+    """One injection at the last sample."""
+
+    fault: Any  # state of the fault
+    begun: Flag  # it has been stepped
+
+
+class Faulty(NamedTuple):
+    """A sample with its faults, and the truth about them; NaN where a channel is not a number."""
+
+    sample: ImuSample
+    present: Flag  # False: the sample is withheld
+    attitude: Vector  # true fault of the attitude [rad]
+    gyro: Vector  # [rad/s]
+    accelerometer: Vector  # [m/s²]
+
+
+def begin(injections: Sequence[Injection], sample: ImuSample) -> tuple[InjectionState, ...]:
+    """State before the first sample."""
+    nothing, values = namespace(sample.q_xyzw).zeros_like(sample.attitude_valid), _channels(sample)
+    return tuple(InjectionState(each.law.init(values[each.channel]), nothing) for each in injections)
+
+
+def inject(
+    injections: Sequence[Injection],
+    states: Sequence[InjectionState],
+    sample: ImuSample,
+    time: Scalar,
+    dt: float,
+    draws: Sequence[FaultDraws | None],
+) -> tuple[tuple[InjectionState, ...], Faulty]:
+    """Put the faults on a sample.
+
+    Parameters
+    ----------
+    injections, states : sequences
+        They act in their order.
+    sample : ImuSample
+    time, dt : array (...,), float
+        Scenario time and time since the sample before [s].
+    draws : sequence
+        One for each injection; None for faults that are not random.
+    """
+    xp = namespace(sample.q_xyzw)
+    values, time = _channels(sample), xp.asarray(time)
+    angles = values["attitude"]
+    there = {
+        "attitude": sample.attitude_valid,
+        "gyro": sample.rate_valid,
+        "accelerometer": sample.force_valid,
+        "imu": xp.ones_like(sample.rate_valid),
+    }
+    turned = xp.zeros_like(sample.attitude_valid)  # whether a fault acts on the attitude
+    new_states: list[InjectionState] = []
+    for injection, state, draw in zip(injections, states, draws, strict=True):
+        channel = injection.channel
+        healthy = values[channel]
+        zeros = xp.zeros_like(healthy)
+        inputs = FaultInputs(healthy, time - injection.start, *(draw or (zeros, zeros)))
+        acts = (injection.start <= time) & (time < injection.stop)
+        # A fault with a memory, such as a delay, sees the samples before its onset too.
+        runs = acts | (time < injection.start) if injection.law.has_memory else acts
+        before = chosen(state.begun, state.fault, injection.law.init(healthy))
+        after, output = injection.law.step(before, inputs, dt)
+        new_states.append(InjectionState(chosen(runs, after, before), state.begun | runs))
+        values[channel] = xp.where(acts[..., None] & injection.mask, output.value, healthy)
+        there[channel] = there[channel] & (output.valid | ~acts)
+        turned = turned | acts if channel == "attitude" else turned
+    # An attitude without a fault is kept as it is: a detour by Euler angles would round it.
+    faulty = ImuSample(
+        xp.where(turned[..., None], quaternion_from_euler(values["attitude"]), sample.q_xyzw),
+        values["gyro"],
+        values["accelerometer"],
+        there["attitude"],
+        there["gyro"],
+        there["accelerometer"],
+    )
+    return tuple(new_states), Faulty(
+        faulty,
+        there["imu"],
+        xp.where(turned[..., None], wrap(values["attitude"] - angles), 0.0),
+        values["gyro"] - sample.body_rate,
+        values["accelerometer"] - sample.specific_force,
+    )
+
+
+def _channels(sample: ImuSample) -> dict[str, Array]:
+    """Return the three numbers of each channel (..., 3)."""
+    return {
+        "attitude": euler_from_quaternion(sample.q_xyzw),
+        "gyro": sample.body_rate,
+        "accelerometer": sample.specific_force,
+        "imu": namespace(sample.q_xyzw).zeros_like(sample.body_rate),
+    }
+
+
+@dataclasses.dataclass
 class _Scheduled:
     """An injection with its state and random numbers of its own."""
 
-    def __init__(self, injection: Injection, number: int, seed: int) -> None:
-        self.injection = injection
-        self.state: InjectionState | None = None
-        self._normal, self._uniform = fault_generators(seed, number)
+    injection: Injection
+    generators: tuple[np.random.Generator, np.random.Generator]  # normal, uniform
+    state: InjectionState | None = None
 
     def runs(self, time: float) -> bool:
         """Whether the fault acts at a scenario time [s], or has to see the sample for its memory."""
@@ -39,9 +137,9 @@ class _Scheduled:
 
     def draw(self) -> FaultDraws | None:
         """Return the random numbers of the next sample."""
-        if not self.injection.law.is_random:
-            return None
-        return FaultDraws(self._normal.standard_normal(3), self._uniform.random(3))
+        normal, uniform = self.generators
+        is_random = self.injection.law.is_random
+        return FaultDraws(normal.standard_normal(3), uniform.random(3)) if is_random else None
 
 
 class FaultInjector:
@@ -51,14 +149,18 @@ class FaultInjector:
     ----------
     seed : int
         Of the random faults (noise, spikes, dropout).
+    injections : iterable of Injection
+        Scheduled from the start, numbered from 1.
     """
 
-    def __init__(self, seed: int = 0) -> None:
+    def __init__(self, seed: int = 0, injections: Iterable[Injection] = ()) -> None:
         self._seed = seed
         self._scheduled: dict[int, _Scheduled] = {}
         self._count = 0
         self._epoch_ns: int | None = None
         self._stamp_ns = 0
+        for injection in injections:
+            self.add(injection)
 
     @property
     def injections(self) -> dict[int, Injection]:
@@ -77,26 +179,21 @@ class FaultInjector:
         return 0.0 if self._epoch_ns is None else seconds(self._stamp_ns - self._epoch_ns)
 
     def add(self, injection: Injection) -> int:
-        """Schedule an injection; return its number, from 1."""
+        """Schedule an injection; return its number."""
         self._count += 1
-        self._scheduled[self._count] = _Scheduled(injection, self._count, self._seed)
+        generators = fault_generators(self._seed, self._count)
+        self._scheduled[self._count] = _Scheduled(injection, generators)
         return self._count
 
     def clear(self, number: int = 0) -> int:
         """End one injection, or all (0); return how many ended."""
-        numbers = list(self._scheduled) if number == 0 else [number] if number in self._scheduled else []
+        numbers = [known for known in self._scheduled if number in (0, known)]
         for known in numbers:
             del self._scheduled[known]
         return len(numbers)
 
-    def apply(self, stamp_ns: int, sample: ImuSample) -> Injected:
-        """Put the faults on one sample of a single vehicle.
-
-        Parameters
-        ----------
-        stamp_ns : int
-            The sample's time [ns]; the first sample's is scenario time 0.
-        """
+    def apply(self, stamp_ns: int, sample: ImuSample) -> Faulty:
+        """Put the faults on the sample of a stamp [ns]; the first sample's is scenario time 0."""
         if self._epoch_ns is None:
             self._epoch_ns = self._stamp_ns = stamp_ns
         dt = seconds(stamp_ns - self._stamp_ns)
@@ -105,14 +202,12 @@ class FaultInjector:
         for number in [n for n, each in self._scheduled.items() if each.injection.stop <= time]:
             del self._scheduled[number]
         running = [each for each in self._scheduled.values() if each.runs(time)]
-        zeros = np.zeros(3)
         if not running:  # mostly; the step costs as much as an observer
-            return Injected(sample, zeros, zeros, zeros)
+            zeros = np.zeros(3)
+            return Faulty(sample, np.bool_(True), zeros, zeros, zeros)
         injections = [each.injection for each in running]
-        states = [each.state or start for each, start in zip(running, begin(injections, sample), strict=True)]
+        states = [each.state or begin([each.injection], sample)[0] for each in running]
         after, faulty = inject(injections, states, sample, time, dt, [each.draw() for each in running])
         for each, state in zip(running, after, strict=True):
             each.state = state
-        return Injected(
-            faulty.sample if faulty.present else None, faulty.attitude, faulty.gyro, faulty.accelerometer
-        )
+        return faulty

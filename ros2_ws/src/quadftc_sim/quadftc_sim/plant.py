@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Array, Components, Quaternion, Vector, namespace
 from quadftc_model.integrators import Derivative, rk4
 from quadftc_model.parameters import check, parameter
 from quadftc_model.rigid_body import angular_acceleration, propeller_momentum
@@ -26,37 +26,17 @@ from quadftc_sim.disturbance import Disturbance
 class PlantState(NamedTuple):
     """Motion of the vehicle."""
 
-    q_xyzw: Array  # (..., 4) attitude, body to earth
-    body_rate: Array  # (..., 3) [rad/s]
-    commands: Array  # (..., n) rotor commands that act now: with motor lag, behind the commands given
+    q_xyzw: Quaternion  # attitude, body to earth
+    body_rate: Vector  # [rad/s]
+    commands: Components  # rotor commands that act now: with motor lag, behind the commands given
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Plant:
     """A vehicle in its disturbances.
 
-    It may differ from the vehicle that observers and controller are designed for: in its moments of inertia,
-    and in how fast its rotors are.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The nominal one.
-    disturbances : tuple of Disturbance
-        Their torques add.
-    motor_lag : bool
-        Whether thrust follows its command through the vehicle's first-order lag; the paper has none.
-    motor_bandwidth : float
-        Of that lag [rad/s]; 0: the vehicle's own.
-    substeps : int
-        Integration steps to a control period.
-    inertia_factor : three floats
-        True moments of inertia over those of the vehicle, about x, y, z.
-
-    Raises
-    ------
-    ValueError
-        If a parameter is out of bounds, or a bandwidth is given without a lag.
+    It may differ from the ``vehicle`` that observers and controller are designed for: in its moments of
+    inertia, and in how fast its rotors are. The torques of the disturbances add. The paper has no motor lag.
     """
 
     vehicle: Vehicle
@@ -77,8 +57,8 @@ class Plant:
             raise ValueError(f"motor_bandwidth = {self.motor_bandwidth:g} rad/s: motor_lag is false")
 
     @functools.cached_property
-    def inertia(self) -> Array:
-        """True principal moments of inertia [kg m²] (3,)."""
+    def inertia(self) -> Vector:
+        """True principal moments of inertia [kg m²]."""
         return self.vehicle.inertia * np.array(self.inertia_factor)
 
     @functools.cached_property
@@ -88,22 +68,17 @@ class Plant:
             return 1.0 / self.motor_bandwidth
         return self.vehicle.rotors.time_constant
 
-    def init(self, q_xyzw: Array, body_rate: Array) -> PlantState:
-        """State at an attitude (..., 4) and a body rate [rad/s] (..., 3), rotors at trim."""
+    def init(self, q_xyzw: Quaternion, body_rate: Vector) -> PlantState:
+        """State at an attitude and a body rate [rad/s], rotors at trim."""
         xp = namespace(q_xyzw)
         trim = xp.full_like(q_xyzw[..., :1], self.vehicle.rotors.command_trim)
         commands = xp.concatenate([trim] * len(self.vehicle.rotors.positions), axis=-1)
         return PlantState(q_xyzw, body_rate, commands)
 
-    def step(self, state: PlantState, torque: Array, time: float, dt: float) -> PlantState:
-        """Advance by ``dt`` [s] under a torque command held over the step.
+    def step(self, state: PlantState, torque: Vector, time: float, dt: float) -> PlantState:
+        """Advance by ``dt`` [s] from scenario time ``time`` [s] under a torque command [N m], held.
 
-        Parameters
-        ----------
-        torque : array (..., 3)
-            Torque command [N m]; goes through the mixer and its limits.
-        time : float
-            Scenario time at the start of the step [s].
+        The command goes through the mixer and its limits.
         """
         wanted = commands_from_torque(self.vehicle, torque)
         step = dt / self.substeps
@@ -116,16 +91,16 @@ class Plant:
             arrays = (normalise(q_xyzw), *rest)
         return PlantState(*(arrays if self.motor_lag else (*arrays, wanted)))
 
-    def disturbance(self, time: float, like: Array) -> Array:
-        """Sum of the disturbance torques at ``time`` [N m], shaped as ``like`` (..., 3)."""
+    def disturbance(self, time: float, like: Vector) -> Vector:
+        """Sum of the disturbance torques at ``time`` [N m], shaped as ``like``."""
         torques = [disturbance.torque(time) for disturbance in self.disturbances]
         return sum(torques, start=0.0 * like)
 
-    def disturbance_acceleration(self, time: float, like: Array) -> Array:
-        """Disturbance at ``time`` [rad/s²], shaped as ``like`` (..., 3): its torque over the true inertia."""
+    def disturbance_acceleration(self, time: float, like: Vector) -> Vector:
+        """Disturbance at ``time`` [rad/s²], shaped as ``like``: its torque over the true inertia."""
         return self.disturbance(time, like) / self.inertia
 
-    def _driven(self, commands: Array) -> Derivative:
+    def _driven(self, commands: Components) -> Derivative:
         """Derivative of attitude and body rate under rotor commands that are held."""
         rotor_torque = torque_from_commands(self.vehicle, commands)
         momentum = propeller_momentum(self.vehicle, commands)
@@ -138,7 +113,7 @@ class Plant:
 
         return derivative
 
-    def _lagging(self, wanted: Array) -> Derivative:
+    def _lagging(self, wanted: Components) -> Derivative:
         """Derivative of attitude, body rate and rotor commands, which follow those that are wanted."""
 
         def derivative(time: float, arrays: tuple[Array, ...]) -> tuple[Array, ...]:

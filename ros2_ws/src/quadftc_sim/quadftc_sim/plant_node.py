@@ -12,7 +12,6 @@ The plant makes time: it does not follow /clock, whatever use_sim_time says.
 
 from __future__ import annotations
 
-import functools
 import sys
 import time
 from collections.abc import Callable
@@ -30,32 +29,26 @@ from quadftc_ros.topics import missing_connections
 from quadftc_ros.wire import vector_of
 from quadftc_sim.assembly import EPOCH_NS, PlantParameters, flight_from
 from quadftc_sim.plant import Plant
-from quadftc_sim.plant_driver import PlantDriver
 from quadftc_sim.plant_output import PlantOutput
 from quadftc_sim.sensors import ImuSensor
+from quadftc_sim.simulator import NEVER_NS
 
 LATE = 0.1  # s; real time: from when on a flight behind the wall clock is reported
-PAUSE = MAX_GAP + 0.2  # s; real time: between two flights, so that the laws of all nodes start anew
+PAUSE = MAX_GAP + 0.2  # s; real time: between two flights, so that the laws of all nodes restart
 
 
 class PlantNode(GraphNode):
     """Simulated vehicle with its IMU; the only node with a clock of its own.
 
-    Parameters
-    ----------
-    each_sample : callable, optional
-        Called after each emission, by whoever runs the node and wants to look at the flight now and then.
-    timed : bool
-        Real time: a timer of the node's own calls `tick`; otherwise whoever runs the node does, at `due_ns`.
-    **kwargs
-        Those of `GraphNode`.
+    ``each_sample()`` is called after each emission. In real time a timer of the node emits the samples; if
+    not ``timed``, whoever runs the node calls `tick` at `due_ns`. Other arguments are those of `GraphNode`.
     """
 
     def __init__(
-        self, each_sample: Callable[[], None] | None = None, timed: bool = True, **kwargs: Any
+        self, each_sample: Callable[[], None] = lambda: None, timed: bool = True, **kwargs: Any
     ) -> None:
         super().__init__("plant", **kwargs)
-        self._timed = timed
+        self._timed = timed and not self.lockstep
         self.settings.declare(PlantParameters, read_only=True)
         self.settings.declare(Plant, read_only=True)
         self.settings.declare(ImuSensor, "imu.", read_only=True)
@@ -64,8 +57,8 @@ class PlantNode(GraphNode):
         )
         self._values = self.settings.values()
         self._output = PlantOutput(self, each_sample)
-        new_flight = functools.partial(flight_from, self._values)
-        self._driver = PlantDriver(new_flight, self._output, self.lockstep, time.monotonic_ns)
+        self._make_flight(0)
+        self._rests_until_ns = 0  # real time: does not emit before, however late
         self.reads("torque/command", self._on_torque, decode=vector_of)
         self.reads("fault/dropped", self._on_dropped)
         self.offers("start", Trigger, self._on_start)
@@ -77,53 +70,71 @@ class PlantNode(GraphNode):
         self.ready()
 
     @property
-    def finished(self) -> bool:
-        """Whether the flight has had its length."""
-        return self._driver.flight.finished
-
-    @property
-    def samples(self) -> int:
-        """Emissions so far."""
-        return self._driver.flight.emitted
+    def unanswered(self) -> bool:
+        """Whether the torque of the last sample has not come."""
+        return self.flight.unanswered
 
     @property
     def due_ns(self) -> int:
-        """When `tick` is due, by the monotonic clock [ns]; in lock-step never."""
-        return self._driver.due_ns
+        """When `tick` is due, by the monotonic clock [ns]; in lock-step never.
 
-    @property
-    def unanswered(self) -> bool:
-        """Whether the torque of the last sample has not come."""
-        return self._driver.flight.unanswered
+        A flight that is late catches up at twice its rate: others have to keep up with it.
+        """
+        return NEVER_NS if self.lockstep else max(self.flight.due_ns, self._rests_until_ns)
 
-    def start(self) -> None:
-        """Begin the flight; a RuntimeError says that it has begun already."""
-        if self.samples:
-            raise RuntimeError("the flight has begun already")
+    def start(self) -> bool:
+        """Begin the flight; False if it has begun already."""
+        if self.flight.emitted:
+            return False
         self._stop_timer()
-        if self._timed and not self.lockstep:
-            self._call_every(seconds(self._driver.flight.period_ns), self._on_timer)
-        self._driver.start(EPOCH_NS if self.lockstep else time.time_ns())
+        if self._timed:
+            self._call_every(seconds(self.flight.period_ns), self._on_timer)
+        self._make_flight(EPOCH_NS if self.lockstep else time.time_ns())
+        self._emit()
+        return True
 
     def tick(self) -> None:
-        """Real time: emit the next sample."""
-        self._driver.tick()
-        lost = self._driver.flight.torque_lost
+        """Real time: emit the next sample; zero torque has acted if none has come for too long."""
+        self._rests_until_ns = time.monotonic_ns() + self.flight.period_ns // 2
+        self.flight.wait()
+        self._emit()
+        lost = self.flight.torque_lost
         if lost is not self._torque_lost:
             self._torque_lost = lost
             level, words = (ERROR, "does not come: zero torque") if lost else (OK, "comes")
             self.diagnostics.report("torque", level, f"torque/command {words}")
 
+    def report(self) -> None:
+        """Report how far the flight is, and in real time how far behind the clock."""
+        flight = self.flight
+        level, words = OK, "finished" if flight.finished else "flying" if flight.emitted else "not started"
+        values: dict[str, object] = {"samples": flight.emitted}
+        if not self.lockstep and flight.due_ns < NEVER_NS:
+            behind = max(0.0, seconds(time.monotonic_ns() - flight.due_ns))
+            values["behind_s"] = f"{behind:.3f}"
+            if behind > LATE:
+                level, words = WARN, "flying, behind the wall clock"
+        self.diagnostics.report("flight", level, words, **values)
+
+    def _make_flight(self, epoch_ns: int) -> None:
+        self.flight = flight_from(self._values, epoch_ns, time.monotonic_ns())
+
+    def _emit(self) -> None:
+        """Emit the next sample; in lock-step up to one that somebody will answer."""
+        self._output.emit(self.flight.emission())
+        while self.lockstep and self.flight.awaited_ns is None and not self.flight.finished:
+            self._output.emit(self.flight.emission())
+
     def _restart(self) -> None:
         self._stop_timer()
-        self._driver.reset()
+        self._make_flight(0)
         self._output.forget()
         if self.lockstep:
             self.start()
         else:
-            self._call_every(PAUSE, self._start_waiting)
+            self._call_every(PAUSE, self.start)
 
-    def _call_every(self, period: float, callback: Callable[[], None]) -> None:
+    def _call_every(self, period: float, callback: Callable[[], object]) -> None:
         self._timer = self.create_timer(period, callback, clock=self.steady_clock)
 
     def _stop_timer(self) -> None:
@@ -133,45 +144,33 @@ class PlantNode(GraphNode):
 
     def _start_when_connected(self) -> None:
         if not missing_connections(self.get_name(), self.connections()):
-            self._start_waiting()
-
-    def _start_waiting(self) -> None:
-        """Begin the flight; a timer that is late may call twice."""
-        if not self.samples:
             self.start()
 
     def _on_torque(self, stamp_ns: int, torque: Floats) -> None:
-        usable = is_usable(torque)
-        if not usable:
+        if is_usable(torque):
+            self.flight.command(torque)
+        else:
             self.diagnostics.count("torque/command: not finite")
-        self._driver.take_torque(stamp_ns, torque if usable else None)
+        if stamp_ns == self.flight.awaited_ns and self.lockstep:
+            self._emit()
+        elif stamp_ns == self.flight.awaited_ns:
+            self._output.show_truth()
+            self.flight.fly_ahead()
 
     def _on_dropped(self, stamp_ns: int, message: Any) -> None:
-        self._driver.drop(stamp_ns)
+        if self.lockstep and stamp_ns == self.flight.awaited_ns:
+            self._emit()
 
     def _on_timer(self) -> None:
         """Emit what is due: a timer that is late by periods skips them; the flight does not."""
+        slack_ns = self.flight.period_ns // 2  # as the timer's clock may drift from ours
         for _ in range(2):  # not more at a time, so that others get to work, too
-            if self._driver.is_due():
+            if time.monotonic_ns() + slack_ns >= self.flight.due_ns:
                 self.tick()
 
-    def report(self) -> None:
-        """Report how far the flight is, and in real time how far behind the clock."""
-        flight = self._driver.flight
-        level, words = OK, "finished" if flight.finished else "flying" if flight.emitted else "not started"
-        values: dict[str, object] = {"samples": flight.emitted}
-        if not self.lockstep and flight.emitted and not flight.finished:
-            behind = max(0.0, seconds(time.monotonic_ns() - flight.due_ns))
-            values["behind_s"] = f"{behind:.3f}"
-            if behind > LATE:
-                level, words = WARN, "flying, behind the wall clock"
-        self.diagnostics.report("flight", level, words, **values)
-
     def _on_start(self, request: Any, response: Any) -> Any:
-        response.success = not self.samples
+        response.success = self.start()
         response.message = "started" if response.success else "the flight has begun already"
-        if response.success:
-            self.start()
         return response
 
 

@@ -15,29 +15,29 @@ from quadftc_sim.simulator import Emission
 
 
 class PlantOutput:
-    """The publishers of the plant.
+    """The publishers of the plant; ``each_sample()`` is called after each emission."""
 
-    Parameters
-    ----------
-    node : GraphNode
-    each_sample : callable, optional
-        Called after each emission.
-    """
-
-    def __init__(self, node: GraphNode, each_sample: Callable[[], None] | None) -> None:
+    def __init__(self, node: GraphNode, each_sample: Callable[[], None]) -> None:
         self._node, self._each_sample = node, each_sample
-        self._stamp_ns = 0  # of the last emission
-        self._publish_imu = node.publishes("plant/imu")
-        self._publish_attitude = node.publishes("plant/attitude")
-        self._publish_rate = node.publishes("plant/rate")
-        self._publish_disturbance = node.publishes("disturbance/applied")
+        self._publish_imu, self._imu = node.publishes("plant/imu"), ImuWire()
+        body = VectorWire(BASE_FRAME)
+        self._truth = (
+            (node.publishes("plant/attitude"), VectorWire(EARTH_FRAME), "angles"),
+            (node.publishes("plant/rate"), body, "body_rate"),
+            (node.publishes("disturbance/applied"), body, "disturbance"),
+        )
         self._publish_clock = node.publishes("/clock") if node.lockstep else None
-        self._imu, self._body, self._earth = ImuWire(), VectorWire(BASE_FRAME), VectorWire(EARTH_FRAME)
         self._clock = Clock()
+        self._stamp_ns = 0  # of the last emission
         self._pending: Emission | None = None  # whose truth is still to be published
 
-    def emit(self, emission: Emission) -> None:
-        """Publish clock and sample; in real time the truth waits for `show_truth`."""
+    def emit(self, emission: Emission | None) -> None:
+        """Publish clock and sample; in real time the truth waits for `show_truth`. None: the flight ended."""
+        self.show_truth()
+        if emission is None:
+            self._node.diagnostics.changed = True
+            self._node.sampled(self._stamp_ns)
+            return
         if self._publish_clock is not None:
             self._clock.clock.sec, self._clock.clock.nanosec = divmod(emission.stamp_ns, NANOSECONDS)
             self._publish_clock(self._clock)
@@ -52,18 +52,10 @@ class PlantOutput:
         emission, self._pending = self._pending, None
         if emission is None:
             return
-        now = emission.stamp_ns
-        self._publish_attitude(self._earth(now, emission.angles))
-        self._publish_rate(self._body(now, emission.body_rate))
-        self._publish_disturbance(self._body(now, emission.disturbance))
-        self._node.sampled(now)
-        if self._each_sample is not None:
-            self._each_sample()
-
-    def end(self) -> None:
-        """Note that the flight has had its length."""
-        self._node.diagnostics.changed = True
-        self._node.sampled(self._stamp_ns)
+        for publish, wire, name in self._truth:
+            publish(wire(emission.stamp_ns, getattr(emission, name)))
+        self._node.sampled(emission.stamp_ns)
+        self._each_sample()
 
     def forget(self) -> None:
         """Leave the truth of the last emission unpublished: a new flight begins."""

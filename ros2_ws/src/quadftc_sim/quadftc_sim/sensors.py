@@ -11,7 +11,7 @@ import dataclasses
 import math
 from typing import NamedTuple
 
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Array, Quaternion, Vector, namespace
 from quadftc_model.parameters import check, parameter
 from quadftc_model.rotations import earth_z_in_body, quaternion_from_rotation_vector, quaternion_product
 from quadftc_model.samples import STANDARD_GRAVITY, ImuSample
@@ -22,7 +22,7 @@ DRAWS = (4, 3)  # standard normal numbers a sample needs: attitude, gyro, accele
 class ImuState(NamedTuple):
     """Gyro bias, and the samples that are on their way."""
 
-    gyro_bias: Array  # (..., 3) [rad/s]
+    gyro_bias: Vector  # [rad/s]
     pending: tuple[ImuSample, ...]  # oldest first
 
 
@@ -41,27 +41,20 @@ class ImuSensor:
         """Check the parameters."""
         check(self)
 
-    def turn_on_bias(self, uniform: Array) -> Array:
-        """Gyro bias [rad/s] (..., 3) from numbers uniform in [-1, 1]."""
+    def turn_on_bias(self, uniform: Vector) -> Vector:
+        """Gyro bias [rad/s] from numbers uniform in [-1, 1]."""
         return self.gyro_bias * uniform
 
-    def init(self, gyro_bias: Array) -> ImuState:
-        """State with a gyro bias [rad/s] (..., 3) and nothing on its way."""
+    def init(self, gyro_bias: Vector) -> ImuState:
+        """State with a gyro bias [rad/s] and nothing on its way."""
         return ImuState(gyro_bias, ())
 
     def step(
-        self, state: ImuState, q_xyzw: Array, body_rate: Array, draws: Array, dt: float
+        self, state: ImuState, q_xyzw: Quaternion, body_rate: Vector, draws: Array, dt: float
     ) -> tuple[ImuState, ImuSample | None]:
         """Measure the motion; return the sample that comes out now, ``delay`` old, or None at the start.
 
-        Parameters
-        ----------
-        q_xyzw, body_rate : array (..., 4), (..., 3)
-            True attitude and body rate [rad/s].
-        draws : array (..., 4, 3)
-            Standard normal numbers.
-        dt : float
-            Sampling period [s].
+        ``draws`` (..., 4, 3) are standard normal numbers, ``dt`` is the sampling period [s].
         """
         sample = self._measure(state.gyro_bias, q_xyzw, body_rate, draws, dt)
         bias = state.gyro_bias + self.gyro_bias_walk * math.sqrt(dt) * draws[..., 3, :]
@@ -70,7 +63,9 @@ class ImuSensor:
             return ImuState(bias, pending), None
         return ImuState(bias, pending[1:]), pending[0]
 
-    def _measure(self, bias: Array, q_xyzw: Array, body_rate: Array, draws: Array, dt: float) -> ImuSample:
+    def _measure(
+        self, bias: Vector, q_xyzw: Quaternion, body_rate: Vector, draws: Array, dt: float
+    ) -> ImuSample:
         xp = namespace(q_xyzw)
         tilt = quaternion_from_rotation_vector(self.attitude_noise * draws[..., 0, :])
         there = xp.ones_like(q_xyzw[..., 0], dtype=bool)

@@ -167,7 +167,7 @@ def test_channel_that_one_fault_drops_is_not_brought_back_by_another():
 
 def test_dropout_of_the_imu_withholds_the_sample():
     results = flown(injector(("dropout", {"channel": "imu", "start": 0.02, "stop": 0.04})))
-    assert [result.sample is None for result in results] == [5 <= index < 10 for index in range(20)]
+    assert [not result.present for result in results] == [5 <= index < 10 for index in range(20)]
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,8 @@ import pytest
 
 from quadftc_model.vehicle import load_vehicle
 from quadftc_sim.plant import Plant
-from quadftc_sim.plant_flight import NEVER_NS, PlantFlight
 from quadftc_sim.sensors import ImuSensor
-from quadftc_sim.simulator import Simulator
+from quadftc_sim.simulator import NEVER_NS, PlantFlight, Simulator
 
 PERIOD_NS = 4_000_000
 EPOCH_NS = 7_000_000_000

@@ -12,8 +12,8 @@ from std_srvs.srv import Trigger
 
 from node_bench import vector_message
 from quadftc_ros.conversions import stamp_of, time_message
-from quadftc_sim.plant_flight import NEVER_NS
 from quadftc_sim.plant_node import PlantNode
+from quadftc_sim.simulator import NEVER_NS
 
 FIRST_NS = 1_000_000_000
 PERIOD_NS = 4_000_000
@@ -41,7 +41,7 @@ class Flight:
         """Command a torque for the newest sample, and wait for what comes of it."""
         count = len(self.imu)
         self.command(vector_message(stamp_of(self.imu[-1]), torque))
-        self.bench.until(lambda: len(self.imu) > count or self.node.finished)
+        self.bench.until(lambda: len(self.imu) > count or self.node.flight.finished)
 
     def fly(self, count):
         self.start()
@@ -120,7 +120,7 @@ def test_torque_that_is_no_number_is_counted_and_the_last_one_acts(lockstep_benc
     flight = Flight(lockstep_bench, duration=0.02)
     flight.fly(1)
     flight.answer((0.01, 0.0, 0.0))
-    while not flight.node.finished:
+    while not flight.node.flight.finished:
         flight.answer((math.nan, 0.0, 0.0))
     lockstep_bench.until(lambda: len(flight.truth["plant/rate"]) == 5)
     rates = [values(message)[0] for message in flight.truth["plant/rate"]]
@@ -135,7 +135,7 @@ def test_flight_ends_after_its_duration_and_says_so(lockstep_bench):
     flight = Flight(lockstep_bench, duration=0.1)
     flight.fly(25)
     flight.answer()
-    assert flight.node.finished
+    assert flight.node.flight.finished
     lockstep_bench.until(lambda: flight.status["plant: flight"].message == "finished")
     assert {pair.key: pair.value for pair in flight.status["plant: flight"].values} == {"samples": "25"}
     assert len(flight.imu) == 25
@@ -176,14 +176,14 @@ def test_timer_that_was_due_when_the_flight_was_reset_does_nothing(bench):
     bench.until(lambda: len(flight.imu) > 3)
     assert bench.call(Trigger, "plant/reset").success
     flight.node._on_timer()  # as the executor does with what stands in its queue
-    assert flight.node.samples == 0
+    assert flight.node.flight.emitted == 0
 
 
 def test_real_time_stamps_are_of_the_wall_clock_and_at_the_rate(bench):
     flight = Flight(bench, rate=100.0, duration=0.3)
     before = flight.node.get_clock().now().nanoseconds
     flight.start()
-    bench.until(lambda: flight.node.finished and len(flight.truth["plant/attitude"]) == 30)
+    bench.until(lambda: flight.node.flight.finished and len(flight.truth["plant/attitude"]) == 30)
     found = stamps(flight.truth["plant/attitude"])
     assert found[0] >= before
     assert set(np.diff(found)) == {10_000_000}
@@ -278,8 +278,8 @@ def test_flight_in_real_time_keeps_up_with_the_clock_after_a_stall(bench):
     time.sleep(0.3)  # nobody serves the plant: its timer skips periods
     bench.until(lambda: time.monotonic() - begin > 1.5)
     elapsed = time.monotonic() - begin
-    assert flight.node.samples >= 100 * elapsed - 10  # without catching up it would be 30 fewer
-    assert flight.node.samples <= 100 * elapsed + 2
+    assert flight.node.flight.emitted >= 100 * elapsed - 10  # without catching up it would be 30 fewer
+    assert flight.node.flight.emitted <= 100 * elapsed + 2
 
 
 def test_plant_is_due_by_the_clock_in_real_time_and_never_in_lockstep(bench, lockstep_bench):

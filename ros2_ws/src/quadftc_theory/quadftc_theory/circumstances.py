@@ -97,9 +97,7 @@ def _disturbance(scenario: Scenario, time: Floats, rates: Floats) -> Floats:
 
 def _attitude_faults(scenario: Scenario) -> tuple[float, float, float]:
     """Largest norm of the attitude fault [rad], slowest growth to a peak [rad/s], longest fault [s]."""
-    injector = FaultInjector(scenario.seed)
-    for fault in scenario.faults:
-        injector.add(fault.injection)
+    injector = FaultInjector(scenario.seed, (fault.injection for fault in scenario.faults))
     step_ns = period_ns(FAULT_RATE)
     time = np.arange(sample_count(scenario.duration, FAULT_RATE), dtype=np.float64) * (step_ns / 1e9)
     zeros, there = np.zeros(3), np.asarray(True)

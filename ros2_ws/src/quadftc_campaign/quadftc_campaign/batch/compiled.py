@@ -16,7 +16,7 @@ from quadftc_campaign.batch.loop_step import ClosedLoop, Delivery, LoopState, Ro
 from quadftc_campaign.batch.parts import Loop, in_precision, numbers_of, with_numbers
 from quadftc_campaign.batch.staged_step import StagedStep
 from quadftc_campaign.batch.tally import Schedule, Tally, empty_tally, update_tally
-from quadftc_sim.injection_step import FaultDraws
+from quadftc_sim.injector import FaultDraws
 
 QUICK_TO_COMPILE = {"xla_backend_optimization_level": 0}  # the beginning runs once
 MAX_SETTLING = 3  # steps in which the structure of a state may still change

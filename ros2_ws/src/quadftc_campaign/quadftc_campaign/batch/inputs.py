@@ -16,7 +16,7 @@ from quadftc_campaign.batch.parts import FlightParts
 from quadftc_model.stepper import MAX_GAP, NANOSECONDS_PER_SECOND
 from quadftc_sim.fault import FaultInputs
 from quadftc_sim.injection import Injection, fault_generators
-from quadftc_sim.injection_step import FaultDraws
+from quadftc_sim.injector import FaultDraws
 from quadftc_sim.sensors import DRAWS
 
 

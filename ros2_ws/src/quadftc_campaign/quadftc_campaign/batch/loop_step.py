@@ -27,7 +27,7 @@ from quadftc_model.samples import (
     sanitised,
 )
 from quadftc_model.stepper import seconds
-from quadftc_sim.injection_step import FaultDraws, InjectionState, begin, inject
+from quadftc_sim.injector import FaultDraws, InjectionState, begin, inject
 from quadftc_sim.plant import PlantState
 from quadftc_sim.sensors import ImuState
 

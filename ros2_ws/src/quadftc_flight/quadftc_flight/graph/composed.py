@@ -114,8 +114,8 @@ class ComposedGraph(Graph):
         return [vehicle["plant"] for vehicle in self._vehicles]
 
     def _state(self) -> tuple[bool, int]:
-        plants = self._watchers()
-        return all(plant.finished for plant in plants), sum(plant.samples for plant in plants)
+        flights = [plant.flight for plant in self._watchers()]
+        return all(flight.finished for flight in flights), sum(flight.emitted for flight in flights)
 
     def close(self) -> None:
         """Close the bags, end the nodes."""

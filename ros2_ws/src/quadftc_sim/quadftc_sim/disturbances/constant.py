@@ -1,7 +1,5 @@
 """Constant torque: an off-centre load, a steady side wind."""
 
-from __future__ import annotations
-
 import dataclasses
 
 from quadftc_model.arrays import Array, namespace

@@ -1,7 +1,5 @@
 """Torque that grows: fuel that shifts, ice, wind that freshens."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Sinusoidal torque: gusts, a swinging load, a rotor out of balance."""
 
-from __future__ import annotations
-
 import dataclasses
 
 from quadftc_model.arrays import Array, namespace

@@ -1,7 +1,5 @@
 """A constant offset: a knock, a wrong calibration, a magnetic anomaly."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Values that come late: a slow filter, a congested bus; the stamp does not tell."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import ClassVar, NamedTuple

@@ -1,7 +1,5 @@
 """An offset that grows: temperature, ageing; an incipient fault."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """Samples that are missing: the whole message (``imu``), or one channel of it, marked absent (REP-145)."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """Not a number: a driver that divides by zero, a message half written."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

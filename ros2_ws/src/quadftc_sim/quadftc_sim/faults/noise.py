@@ -1,7 +1,5 @@
 """Noise on top: a loose connection, vibration, a failing converter."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any, ClassVar
 

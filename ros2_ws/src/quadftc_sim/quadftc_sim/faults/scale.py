@@ -1,7 +1,5 @@
 """A wrong scale factor: a damaged or badly calibrated sensor."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """An offset that oscillates: a resonance, interference."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Single samples far off: bit errors, electric discharge."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any, ClassVar
 

@@ -1,7 +1,5 @@
 """A sensor that repeats its last good value: a frozen driver, a dead bus."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import ClassVar
 
