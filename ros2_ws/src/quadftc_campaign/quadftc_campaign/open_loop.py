@@ -34,8 +34,9 @@ from quadftc_model.units import quantity
 from quadftc_replay.diagnose import diagnose, flight_of
 from quadftc_replay.imu_from_bag import recording_from_bag
 from quadftc_replay.imu_recording import Recording
-from quadftc_replay.overlay import injector_of, replay_events
+from quadftc_replay.overlay import replay_events
 from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count
+from quadftc_sim.injector import FaultInjector
 from quadftc_sim.sensors import DRAWS
 
 if TYPE_CHECKING:
@@ -101,7 +102,8 @@ def run_observer(
     """Put the faults on the samples and diagnose them; return what came out, and the faults axis by axis."""
     recording, faults, _ = open_flight
     law = scenario.scheme(variant.scheme).observer.law
-    flight = flight_of(recording, diagnose(recording, law, injector_of(faults, scenario.seed)))
+    injector = FaultInjector(scenario.seed, (fault.injection for fault in faults))
+    flight = flight_of(recording, diagnose(recording, law, injector))
     return flight, replay_events(recording, faults)
 
 

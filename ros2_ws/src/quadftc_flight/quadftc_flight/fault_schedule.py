@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
+
+from pydantic import Field, GetPydanticSchema
+from pydantic_core.core_schema import literal_schema
 
 from quadftc_model.samples import AXES
 
@@ -11,24 +14,27 @@ if TYPE_CHECKING:
     from quadftc_flight.scenario.components import Fault
 
 KINDS = {"bias": "step", "drift": "ramp"}  # fault of the catalogue -> word of the field, if it differs
+# as pydantic checks them where they are read from a file
+Axis = Annotated[str, GetPydanticSchema(lambda *_: literal_schema(list(AXES)))]
+Time = Annotated[float, Field(ge=0.0, strict=True, allow_inf_nan=False)]  # s
 UNKNOWN_KIND = "fault"  # of a fault of which only the time is known
 
 
 class FaultWindow(NamedTuple):
     """When the attitude is faulty."""
 
-    start: float  # [s]
-    stop: float  # [s]; the first moment without the fault
-    axes: tuple[str, ...]
+    start: Time  # [s]
+    stop: Time  # [s]; the first moment without the fault
+    axes: tuple[Axis, ...]
 
 
 class FaultEvent(NamedTuple):
     """A time in which one axis of the attitude is faulty without a break."""
 
-    axis: str
+    axis: Axis
     kind: str  # step, ramp, sine, ...; of faults that overlap, all: step+sine
-    start: float  # [s]
-    stop: float  # [s]; the first moment without the fault
+    start: Time  # [s]
+    stop: Time  # [s]; the first moment without the fault
 
 
 def fault_windows(faults: Iterable[Fault], duration: float) -> tuple[FaultWindow, ...]:

@@ -18,7 +18,7 @@ from quadftc_bags.bag import Bag, BagError, Series, TopicInfo, bag_topics, read_
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, events_of_windows
 from quadftc_flight.flight import join_rows
 from quadftc_flight.run_directory import NO_PARAMETERS, PARAMETERS, SCENARIO, attached_text, run_name
-from quadftc_flight.scenario import Scenario, ScenarioError, parse_scenario
+from quadftc_flight.scenario import ScenarioError, parse_scenario
 from quadftc_model.samples import ABSENT, AXES, ImuSample
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_replay.imu_recording import (
@@ -30,6 +30,7 @@ from quadftc_replay.imu_recording import (
     keep_good_stamps,
     torque_before,
 )
+from quadftc_sim.injection import TRUTH
 
 IMU = "sensor_msgs/msg/Imu"
 VECTOR = "geometry_msgs/msg/Vector3Stamped"
@@ -37,70 +38,49 @@ HEADER = "std_msgs/msg/Header"
 # topics of an IMU: behind the fault injector, before it, corrected by the diagnosis
 DATA, UNTOUCHED, CORRECTED = "imu/data", "plant/imu", "imu/corrected"
 TORQUE = "torque/command"
-TRUTH = {
-    "attitude": "fault/injected",
-    "gyro": "fault/injected/gyro",
-    "accelerometer": "fault/injected/accelerometer",
-}  # channel -> topic of the true fault
 DROPPED = "fault/dropped"
 PAUSE = 1.0  # s; a fault that pauses for less is one fault
 SHOWN = 12  # topics in one line
 
-_FIELDS = {
-    "q_xyzw": ("orientation_xyzw", "orientation_covariance"),
-    "body_rate": ("angular_velocity", "angular_velocity_covariance"),
-    "specific_force": ("linear_acceleration", "linear_acceleration_covariance"),
-}
-
+_Topics = Mapping[str, TopicInfo]
 _Timed = TypeVar("_Timed", FaultWindow, FaultEvent)
 _Truth = tuple[dict[str, Floats], tuple[FaultWindow, ...], tuple[FaultEvent, ...]]
 
 
 def recording_from_bag(path: Path, topic: str = "", skip_backwards: bool = False) -> Recording:
-    """Read the samples of one IMU.
+    """Read the samples of one IMU from a rosbag2 directory (MCAP or SQLite), an ``.mcap`` or a ``.db3`` file.
 
-    Parameters
-    ----------
-    path : Path
-        A rosbag2 directory (MCAP or SQLite), an ``.mcap`` or a ``.db3`` file.
-    topic : str
-        Of the IMU, in full or its end; empty: the only one there is, or ``imu/data``.
-    skip_backwards : bool
-        Leave out samples whose stamp goes back, instead of refusing the bag.
-
-    Raises
-    ------
-    BagError
-        If there is no such topic, or it holds nothing that can be diagnosed; one line.
+    The topic is a full name or the end of one; empty: the only IMU there is, or ``imu/data``. A bag in which
+    stamps go back is refused, unless ``skip_backwards`` leaves such samples out. A BagError of one line says
+    that there is no such topic, or nothing that can be diagnosed.
     """
     # which topics belong to this IMU
     topics = bag_topics(path)
-    name = choose_imu(topics, topic, path)
-    namespace = _namespace(name)
-    torque_topic = _torque_topic(topics, name, namespace)
-    wanted = [name, *([torque_topic] if torque_topic else []), *_truth_topics(topics, name, namespace)]
+    name = _choose_imu(topics, topic, path)
+    of_graph = next((each for each in (DATA, UNTOUCHED, CORRECTED) if _is(name, each)), None)
+    namespace = "/" if of_graph is None else name.removesuffix(of_graph)
+    torque_topic = _torque_topic(topics, namespace, is_foreign=of_graph is None)
+    truth = _truth_topics(topics, namespace) if of_graph == DATA else []  # what is before it has no fault
     # the samples
-    bag = read_bag(path, wanted)
+    bag = read_bag(path, [name, *truth, *([torque_topic] if torque_topic else [])])
     imu, where = bag.series(name), f"{path}: {name}"
     kept = keep_good_stamps(imu.stamp_ns, imu.log_time_ns, where, skip_backwards)
     samples, absences = clean_samples(_samples(imu, kept.rows), kept.stamp_ns, where)
     messages = _messages(bag, name)
-    passed_on = {
-        UNTOUCHED: SerializedTopic(IMU, kept.stamp_ns, [messages[row] for row in kept.rows.tolist()])
-    }
+    passed_on = {UNTOUCHED: SerializedTopic(IMU, kept.stamp_ns, [messages[k] for k in kept.rows.tolist()])}
     # the torque that acted
     torque = np.zeros((len(kept.rows), 3))
     if torque_topic:
         commands = bag.series(torque_topic)
         torque = torque_before(kept.stamp_ns, commands.stamp_ns, commands["vector"])
         passed_on[TORQUE] = SerializedTopic(VECTOR, commands.stamp_ns, _messages(bag, torque_topic))
-    faults, windows, events = _read_truth(bag, wanted, namespace, kept.stamp_ns)
+    faults, windows, events = _read_truth(bag, truth, namespace, kept.stamp_ns)
     cut = [f"{path}: cut short; read up to there{bag.remedy}"] if bag.truncated else []
     return Recording(
         name=run_name(path),
         path=path,
         topic=name,
-        namespace=namespace,
+        namespace=f"/{namespace.strip('/')}/".replace("//", "/"),
         stamp_ns=kept.stamp_ns,
         imu=samples,
         torque=torque,
@@ -115,24 +95,20 @@ def recording_from_bag(path: Path, topic: str = "", skip_backwards: bool = False
     )
 
 
-def choose_imu(topics: Mapping[str, TopicInfo], wanted: str, path: Path) -> str:
-    """Return the full name of the topic to replay.
-
-    If there is none, it is empty or no IMU, or there are several and none was asked for, BagError is raised.
-    """
+def _choose_imu(topics: _Topics, wanted: str, path: Path) -> str:
+    """Return the full name of the topic to replay."""
     if wanted:
-        name = _full_name(topics, wanted, path)
-        if topics[name].type_name != IMU:
-            raise BagError(f"{path}: topic '{name}' is of type {topics[name].type_name}, expected {IMU}")
-        if not topics[name].count:
-            raise BagError(f"{path}: no message on '{name}'")
-        return name
-    imus = [name for name, info in topics.items() if info.type_name == IMU]
-    filled = [name for name in imus if topics[name].count]
-    if not imus:
-        raise BagError(f"{path}: no topic of type {IMU}; topics there: {_list_topics(topics)}")
+        names = [_full_name(topics, wanted, path)]
+        type_name = topics[names[0]].type_name
+        if type_name != IMU:
+            raise BagError(f"{path}: topic '{names[0]}' is of type {type_name}, expected {IMU}")
+    else:
+        names = [name for name, info in topics.items() if info.type_name == IMU]
+        if not names:
+            raise BagError(f"{path}: no topic of type {IMU}; topics there: {_list_topics(topics)}")
+    filled = [name for name in names if topics[name].count]
     if not filled:
-        raise BagError(f"{path}: no message on {', '.join(imus)}")
+        raise BagError(f"{path}: no message on {', '.join(names)}")
     chosen = filled if len(filled) == 1 else [name for name in filled if _is(name, DATA)]
     if len(chosen) != 1:
         raise BagError(f"{path}: several IMUs, choose one with --topic: {', '.join(sorted(filled))}")
@@ -155,23 +131,26 @@ def windows_of(stamp_ns: Stamps, fault: Floats) -> tuple[FaultWindow, ...]:
     return tuple(windows)
 
 
-def _samples(series: Series, rows: NDArray[np.intp]) -> ImuSample:
+def _samples(imu: Series, rows: NDArray[np.intp]) -> ImuSample:
     """Samples of IMU messages; absent channels are marked by covariance element 0 as REP-145 says."""
-    values = {part: series[field][rows] for part, (field, _) in _FIELDS.items()}
-    valid = [series[covariance][rows, 0] != ABSENT for _, covariance in _FIELDS.values()]
-    return ImuSample(**values, attitude_valid=valid[0], rate_valid=valid[1], force_valid=valid[2])
+    fields = ("orientation_xyzw", "angular_velocity", "linear_acceleration")
+    covariances = ("orientation_covariance", "angular_velocity_covariance", "linear_acceleration_covariance")
+    valid = [imu[covariance][rows, 0] != ABSENT for covariance in covariances]
+    return ImuSample(*(imu[field][rows] for field in fields), *valid)
 
 
 def _messages(bag: Bag, topic: str) -> list[bytes]:
     return [data for _, _, data in bag.messages([topic])]
 
 
-def _full_name(topics: Mapping[str, TopicInfo], wanted: str, path: Path) -> str:
+def _full_name(topics: _Topics, wanted: str, path: Path) -> str:
     """Full name of a topic: as given, with or without its slash, or in the only namespace that has it."""
-    exact = [name for name in topics if name == wanted] or [
-        name for name in topics if name.strip("/") == wanted.strip("/")
-    ]
-    names = exact or [name for name in topics if _is(name, wanted.strip("/"))]
+    short = wanted.strip("/")
+    names = (
+        [name for name in topics if name == wanted]
+        or [name for name in topics if name.strip("/") == short]
+        or [name for name in topics if _is(name, short)]
+    )
     if len(names) == 1:
         return names[0]
     problem = "is in more than one namespace" if names else "is not in the bag"
@@ -179,7 +158,7 @@ def _full_name(topics: Mapping[str, TopicInfo], wanted: str, path: Path) -> str:
     raise BagError(f"{path}: topic '{wanted}' {problem}; topics there: {there}")
 
 
-def _list_topics(topics: Mapping[str, TopicInfo]) -> str:
+def _list_topics(topics: _Topics) -> str:
     words = [f"{name} ({info.type_name})" for name, info in sorted(topics.items())]
     more = f" and {len(words) - SHOWN} more" if len(words) > SHOWN else ""
     return (", ".join(words[:SHOWN]) or "none") + more
@@ -190,31 +169,18 @@ def _is(name: str, topic: str) -> bool:
     return f"/{name.lstrip('/')}".endswith(f"/{topic}")
 
 
-def _graph_topic(name: str) -> str | None:
-    """The topic of the graph that a full name stands for, if any."""
-    return next((topic for topic in (DATA, UNTOUCHED, CORRECTED) if _is(name, topic)), None)
-
-
-def _namespace(name: str) -> str:
-    """Namespace of the vehicle whose graph has this topic; ``/`` if it is no topic of the graph."""
-    topic = _graph_topic(name)
-    return "/" if topic is None else name.removesuffix(topic)
-
-
-def _torque_topic(topics: Mapping[str, TopicInfo], imu: str, namespace: str) -> str | None:
+def _torque_topic(topics: _Topics, namespace: str, is_foreign: bool) -> str | None:
     """The commands that belong to an IMU: of its namespace; beside a foreign IMU, the only ones there are."""
     there = [
         name for name, info in topics.items() if _is(name, TORQUE) and info.type_name == VECTOR and info.count
     ]
     if f"{namespace}{TORQUE}" in there:
         return f"{namespace}{TORQUE}"
-    return there[0] if len(there) == 1 and _graph_topic(imu) is None else None
+    return there[0] if len(there) == 1 and is_foreign else None
 
 
-def _truth_topics(topics: Mapping[str, TopicInfo], imu: str, namespace: str) -> list[str]:
-    """Topics that say which faults are in these samples: only those behind the injector have any."""
-    if _graph_topic(imu) != DATA:
-        return []
+def _truth_topics(topics: _Topics, namespace: str) -> list[str]:
+    """Topics that say which faults are in the samples behind the injector."""
     types = {f"{namespace}{topic}": VECTOR for topic in TRUTH.values()} | {f"{namespace}{DROPPED}": HEADER}
     there = {name: topics[name] for name in types if name in topics}
     return [name for name, info in there.items() if info.type_name == types[name] and info.count]
@@ -233,7 +199,11 @@ def _read_truth(bag: Bag, topics: Collection[str], namespace: str, stamp_ns: Sta
     }
     if "attitude" not in faults:
         return faults, (), ()
-    scenario = _scenario(bag)
+    try:
+        text = attached_text(bag, SCENARIO)
+        scenario = None if text is None else parse_scenario(text, f"{bag.path}: {SCENARIO}")
+    except ScenarioError:
+        scenario = None
     if scenario is None:
         windows = windows_of(stamp_ns, faults["attitude"])
         return faults, windows, events_of_windows(windows)
@@ -251,14 +221,6 @@ def _shift(items: tuple[_Timed, ...], late: float) -> tuple[_Timed, ...]:
         for item in items
         if item.stop > late
     )
-
-
-def _scenario(bag: Bag) -> Scenario | None:
-    text = attached_text(bag, SCENARIO)
-    try:
-        return None if text is None else parse_scenario(text, f"{bag.path}: {SCENARIO}")
-    except ScenarioError:
-        return None
 
 
 def _observer_parameters(bag: Bag, namespace: str) -> dict[str, Any] | None:

@@ -46,10 +46,8 @@ from quadftc_replay.imu_recording import Floats, Recording, Stamps, clean_sample
 Dataset = Mapping[str, NDArray]  # field, elements as name[k] -> (n,)
 
 ATTITUDE = "vehicle_attitude"
-GYROS = {
-    "sensor_combined": "gyro_rad",
-    "vehicle_angular_velocity": "xyz",
-}  # topic -> field; the first is taken
+# topic -> field; the first that is there is taken
+GYROS = {"sensor_combined": "gyro_rad", "vehicle_angular_velocity": "xyz"}
 FORCES = {"sensor_combined": "accelerometer_m_s2", "vehicle_acceleration": "xyz"}
 INVALID_TIME = 0x7FFFFFFF  # sensor_combined.accelerometer_timestamp_relative: no accelerometer in this sample
 SHOWN = 5  # resets in one warning
@@ -64,20 +62,9 @@ def is_ulog(path: Path) -> bool:
 
 
 def recording_from_ulog(path: Path, topic: str = "", skip_backwards: bool = False) -> Recording:
-    """Read the attitude and the gyro of a PX4 log.
+    """Read the attitude and the gyro of a PX4 log, as `recording_from_bag` reads a bag.
 
-    Parameters
-    ----------
-    path : Path
-    topic : str
-        Of the gyro; empty: the first of `GYROS` that is there.
-    skip_backwards : bool
-        Leave out samples whose stamp goes back, instead of refusing the log.
-
-    Raises
-    ------
-    BagError
-        If it is no ULog, or one of the topics or fields is missing; one line.
+    ``topic`` is that of the gyro; empty: the first of `GYROS` that is there.
     """
     data, corrupt = _read(path)
     name = _gyro_topic(data, topic, path)
@@ -117,10 +104,9 @@ def _read(path: Path) -> tuple[dict[str, Dataset], bool]:
     """Read the first instance of each topic needed; and whether the log is damaged."""
     from pyulog import ULog  # takes its time, and is needed here only
 
-    names = [ATTITUDE, *GYROS, *FORCES]
     try:
         with path.open("rb") as stream, contextlib.redirect_stdout(io.StringIO()):  # the library prints
-            log = ULog(stream, names)
+            log = ULog(stream, [ATTITUDE, *GYROS, *FORCES])
     except OSError as error:
         raise BagError(f"{path}: {error.strerror or error}") from None
     except Exception as error:  # whatever the library makes of bytes that are no log
@@ -130,17 +116,17 @@ def _read(path: Path) -> tuple[dict[str, Dataset], bool]:
 
 
 def _gyro_topic(data: Mapping[str, Dataset], wanted: str, path: Path) -> str:
-    there = ", ".join(data) or "none"
     if wanted and wanted not in GYROS:
         raise BagError(f"{path}: topic '{wanted}': of a PX4 log, expected one of {', '.join(GYROS)}")
     names = [wanted] if wanted else list(GYROS)
-    found = next((name for name in names if name in data), None)
-    missing = [ATTITUDE] * (ATTITUDE not in data) + [" or ".join(names)] * (found is None)
-    if found is None or missing:
+    there = [name for name in names if name in data]
+    missing = [ATTITUDE] * (ATTITUDE not in data) + [" or ".join(names)] * (not there)
+    if missing:
+        known = ", ".join(data) or "none"
         raise BagError(
-            f"{path}: no data of {' and '.join(missing)}; of the topics that count there are: {there}"
+            f"{path}: no data of {' and '.join(missing)}; of the topics that count there are: {known}"
         )
-    return found
+    return there[0]
 
 
 def _stamps(data: Dataset) -> Stamps:
@@ -205,11 +191,10 @@ def _forces(data: Mapping[str, Dataset], stamp_ns: Stamps, path: Path) -> tuple[
 
 def _resets(data: Dataset, stamp_ns: Stamps, path: Path) -> list[str]:
     """Warn of the times at which PX4's estimator has reset the attitude."""
-    if "quat_reset_counter" not in data:
-        return []
-    rows = np.flatnonzero(np.diff(data["quat_reset_counter"].astype(np.int64)) != 0) + 1
-    times = (_stamps(data)[rows] - stamp_ns[0]) / NANOSECONDS_PER_SECOND
+    counter = data.get("quat_reset_counter", np.zeros(1)).astype(np.int64)
+    rows = np.flatnonzero(np.diff(counter) != 0) + 1
     if not len(rows):
         return []
+    times = (_stamps(data)[rows] - stamp_ns[0]) / NANOSECONDS_PER_SECOND
     shown = ", ".join(f"{time:.2f} s" for time in times[:SHOWN]) + (", ..." if len(times) > SHOWN else "")
     return [f"{path}: the estimator of PX4 has reset the attitude {len(rows)} times, at {shown}: no fault"]

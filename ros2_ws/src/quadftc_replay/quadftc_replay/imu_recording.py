@@ -5,8 +5,8 @@ What is missing in a sample is marked as absent; nothing is filled in.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,7 +30,7 @@ class SerializedTopic(NamedTuple):
     messages: list[bytes]  # n
 
 
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Recording:
     """The samples of one IMU in the order of their stamps, and what is known beside them."""
 
@@ -43,16 +43,14 @@ class Recording:
     torque: Floats  # (n, 3) that acted since the sample before [N m]; zero where none was recorded
     torque_topic: str | None = None
     # channel to the recorded true fault (n, 3); NaN where it is unknown, no entry where it is not recorded
-    faults: Mapping[str, Floats] = dataclasses.field(default_factory=dict[str, Floats])
+    faults: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
     fault_windows: tuple[FaultWindow, ...] = ()  # when the attitude is faulty by what was recorded
     fault_events: tuple[FaultEvent, ...] = ()  # the same axis by axis, with the kind of fault
     # parameters of the node that diagnosed these samples first; empty: not known; None: they make no sense
-    observer: Mapping[str, Any] | None = dataclasses.field(default_factory=dict[str, Any])
+    observer: Mapping[str, Any] | None = field(default_factory=dict[str, Any])
     # topic, relative to the namespace, to what goes into the new bag as it is
-    passed_on: Mapping[str, SerializedTopic] = dataclasses.field(default_factory=dict[str, SerializedTopic])
-    rejected: Mapping[str, int] = dataclasses.field(
-        default_factory=dict[str, int]
-    )  # reason to samples left out
+    passed_on: Mapping[str, SerializedTopic] = field(default_factory=dict[str, SerializedTopic])
+    rejected: Mapping[str, int] = field(default_factory=dict[str, int])  # reason to samples left out
     warnings: tuple[str, ...] = ()  # one line each
 
     def __len__(self) -> int:
@@ -66,12 +64,7 @@ class Recording:
     @property
     def duration(self) -> float:
         """Time from the first sample to the end of the last sample's period [s]."""
-        return float(self.time[-1]) + 1.0 / self.rate
-
-    @property
-    def rate(self) -> float:
-        """One over the median time between two samples [Hz]."""
-        return sampling_rate(self.stamp_ns)
+        return float(self.time[-1]) + 1.0 / sampling_rate(self.stamp_ns)
 
 
 def sampling_rate(stamp_ns: Stamps) -> float:
@@ -84,7 +77,7 @@ class KeptSamples(NamedTuple):
 
     rows: NDArray[np.intp]  # which of the recorded samples
     stamp_ns: Stamps  # strictly increasing
-    rejected: dict[str, int]
+    rejected: dict[str, int]  # reason to samples left out
     warnings: list[str]
 
 
@@ -93,40 +86,31 @@ def keep_good_stamps(
 ) -> KeptSamples:
     """Leave out samples whose stamp is not set, is repeated or (if asked, as the graph does) goes back.
 
-    Where no stamp is set at all, the time of recording takes its place.
-
-    Parameters
-    ----------
-    stamp_ns, log_time_ns : array (n,)
-        In the order of recording; None: no time of recording.
-    where : str
-        Names the file and topic in errors.
-    skip_backwards : bool
-        Leave out samples whose stamp goes back, instead of refusing the recording with BagError.
+    Both times (n,) are in the order of recording. Where no stamp is set at all, the time of recording takes
+    its place, if there is one. Errors begin with ``where``, the file and topic.
     """
-    rejected: dict[str, int] = {}
     warnings: list[str] = []
     if log_time_ns is not None and not np.any(stamp_ns):
         warnings.append(f"{where}: no stamp is set; the time of recording took their place")
         stamp_ns = log_time_ns
     rows = np.flatnonzero(_is_set(stamp_ns))
-    if len(rows) < len(stamp_ns):
-        rejected["stamp not set"] = len(stamp_ns) - len(rows)
     stamps = stamp_ns[rows]
     before = np.maximum.accumulate(np.concatenate([[np.iinfo(np.int64).min], stamps]))[:-1]
-    back, repeated = stamps < before, stamps == before
-    if back.any():
-        if not skip_backwards:
-            raise BagError(f"{where}: {_first_step_back(stamps, rows)}")
-        rejected["stamp went back"] = int(back.sum())
-    if repeated.any():
-        rejected["stamp repeated"] = int(repeated.sum())
+    back = stamps < before
+    if back.any() and not skip_backwards:
+        raise BagError(f"{where}: {_first_step_back(stamps, rows)}")
+    counts = {
+        "stamp not set": len(stamp_ns) - len(rows),
+        "stamp went back": int(back.sum()),
+        "stamp repeated": int((stamps == before).sum()),
+    }
     rows, stamps = rows[stamps > before], stamps[stamps > before]
     if len(rows) < 2:
         raise BagError(f"{where}: {len(rows)} samples with a good stamp; expected at least 2")
-    total = sum(rejected.values())
-    if total:
+    rejected = {reason: count for reason, count in counts.items() if count}
+    if rejected:
         reasons = ", ".join(f"{reason}: {count}" for reason, count in rejected.items())
+        total = sum(rejected.values())
         warnings.append(f"{where}: {total} of {len(stamp_ns)} samples left out ({reasons})")
     return KeptSamples(rows, stamps, rejected, warnings)
 
@@ -147,16 +131,14 @@ def clean_samples(imu: ImuSample, stamp_ns: Stamps, where: str) -> tuple[ImuSamp
         if not valid.any():
             raise BagError(f"{where}: no sample has a usable {words} ({details}); a diagnosis needs both")
         if not valid.all():
-            warnings.append(
-                f"{where}: {absent + unusable} of {len(valid)} samples without {words} ({details}); bridged"
-            )
+            count = f"{absent + unusable} of {len(valid)}"
+            warnings.append(f"{where}: {count} samples without {words} ({details}); bridged")
     if not np.any(clean.attitude_valid & clean.rate_valid):
         raise BagError(f"{where}: no sample has both attitude and body rate; a diagnosis needs both to start")
     gaps = int(np.sum(np.diff(stamp_ns) > MAX_GAP * NANOSECONDS_PER_SECOND))
     if gaps:
-        warnings.append(
-            f"{where}: gaps of more than {MAX_GAP:g} s: {gaps}; the diagnosis restarts after each"
-        )
+        long = f"gaps of more than {MAX_GAP:g} s: {gaps}"
+        warnings.append(f"{where}: {long}; the diagnosis restarts after each")
     return clean, warnings
 
 
@@ -167,11 +149,8 @@ def torque_before(stamp_ns: Stamps, command_ns: Stamps, command: Floats) -> Floa
     """
     good = np.all(np.isfinite(command), axis=1)
     order = np.argsort(command_ns[good], kind="stable")
-    stamps, torques = command_ns[good][order], command[good][order]
-    last = np.searchsorted(stamps, stamp_ns, side="left") - 1
-    if not len(stamps):
-        return np.zeros((len(stamp_ns), 3))
-    return np.where(last[:, None] < 0, 0.0, torques[np.maximum(last, 0)])
+    torques = np.vstack([np.zeros(3), command[good][order]])
+    return torques[np.searchsorted(command_ns[good][order], stamp_ns, side="left")]
 
 
 def _is_set(stamp_ns: Stamps) -> NDArray[np.bool_]:

@@ -14,7 +14,6 @@ from pydantic import BaseModel, ValidationError
 from quadftc_flight.fault_schedule import (
     FaultEvent,
     FaultWindow,
-    events_of_windows,
     fault_events,
     fault_windows,
     merge_events,
@@ -35,42 +34,15 @@ from quadftc_model.spec import parse_spec
 from quadftc_replay.imu_recording import Recording
 from quadftc_sim.assembly import injection_from
 from quadftc_sim.injection import RESERVED
-from quadftc_sim.injector import FaultInjector
 
 
 def faults_from(files: Iterable[Path], specs: Iterable[str]) -> tuple[Fault, ...]:
     """Build the faults of the files, and after them those of the specifications.
 
-    Parameters
-    ----------
-    files : iterable of Path
-    specs : iterable of str
-        Such as ``bias axis=roll value=3deg start=60s stop=80s``.
-
-    Raises
-    ------
-    ValueError
-        If one is wrong; the message says which, and what was expected.
+    A specification is such as ``bias axis=roll value=3deg start=60s stop=80s``. A ValueError says which one
+    is wrong, and what was expected.
     """
-    return (*(fault for file in files for fault in _faults_of(file)), *(_fault_of(spec) for spec in specs))
-
-
-def require_within(faults: Sequence[Fault], duration: float, where: str) -> None:
-    """Refuse, with ValueError, a fault that starts after the end of the recording [s]: it would not act."""
-    for fault in faults:
-        if fault.injection.start >= duration:
-            raise ValueError(
-                f"fault '{fault.spec}': start = {fault.injection.start:g} s: must be before the end of"
-                f" {where}, {duration:.3f} s"
-            )
-
-
-def injector_of(faults: Iterable[Fault], seed: int) -> FaultInjector:
-    """Return the injector that puts these faults on the samples."""
-    injector = FaultInjector(seed)
-    for fault in faults:
-        injector.add(fault.injection)
-    return injector
+    return (*(fault for file in files for fault in _read_faults(file)), *map(_parse_fault, specs))
 
 
 def replay_windows(recording: Recording, faults: Sequence[Fault]) -> tuple[FaultWindow, ...]:
@@ -80,26 +52,19 @@ def replay_windows(recording: Recording, faults: Sequence[Fault]) -> tuple[Fault
 
 def replay_events(recording: Recording, faults: Sequence[Fault]) -> tuple[FaultEvent, ...]:
     """Faults of the attitude axis by axis, by what was recorded and by what was overlaid."""
-    recorded = recording.fault_events or events_of_windows(recording.fault_windows)
-    return merge_events([*recorded, *fault_events(faults, recording.duration)])
+    return merge_events([*recording.fault_events, *fault_events(faults, recording.duration)])
 
 
-def truth_text(recording: Recording, faults: Sequence[Fault]) -> str:
-    """Tell what the estimates are compared with."""
-    parts = ["recorded"] * ("attitude" in recording.faults) + ["overlaid"] * bool(faults)
-    return f"{' and '.join(parts)} faults" if parts else "no fault: the recording counts as healthy"
-
-
-def _fault_of(spec: str) -> Fault:
-    injection = injection_from(spec)
-    return Fault(injection, tuple(name for name in parse_spec(spec).values if name not in RESERVED))
+def _parse_fault(spec: str) -> Fault:
+    given = tuple(name for name in parse_spec(spec).values if name not in RESERVED)
+    return Fault(injection_from(spec), given)
 
 
 class _FaultsFile(BaseModel):
     faults: tuple[ScheduledFault, ...] = ()
 
 
-def _faults_of(file: Path) -> tuple[Fault, ...]:
+def _read_faults(file: Path) -> tuple[Fault, ...]:
     document, known = read_document(file), keys_of(Scenario)
     problems = [
         Problem((key,), f"unknown key{nearest(key, known)}; expected 'faults', as in a scenario file")

@@ -12,21 +12,16 @@ import yaml
 
 from quadftc_bags.bag import BagError
 from quadftc_fdi.fault_observer import FaultObserver, fault_observer_from, fault_observers
+from quadftc_flight.run_directory import Parameters
 from quadftc_flight.scenario import Fault, parse_value
 from quadftc_model.assembly import get, node_values
 from quadftc_replay.diagnose import Diagnosed, Progress, diagnose, flight_of
 from quadftc_replay.imu_from_bag import recording_from_bag
 from quadftc_replay.imu_from_ulog import is_ulog, recording_from_ulog
 from quadftc_replay.imu_recording import Recording
-from quadftc_replay.overlay import (
-    faults_from,
-    injector_of,
-    replay_events,
-    replay_windows,
-    require_within,
-    truth_text,
-)
+from quadftc_replay.overlay import faults_from, replay_events, replay_windows
 from quadftc_replay.replay_directory import YAML_WIDTH, ReplayOrigin, replay_summary
+from quadftc_sim.injector import FaultInjector
 
 DEFAULT_OBSERVER = "supervised"
 DEFAULT_VEHICLE = "qball_x4"
@@ -70,40 +65,40 @@ class Replay:
         return f"{self.recording.name}-{self.observer.name}"
 
     @property
-    def namespace(self) -> str:
-        """Of the vehicle, with its slashes."""
-        return f"/{self.recording.namespace.strip('/')}/".replace("//", "/")
+    def parameters(self) -> Parameters:
+        """Parameters of the nodes that would do the same in the graph."""
+        injector = {"seed": self.seed, **({"faults": self.origin.faults} if self.faults else {})}
+        return {"fault_injector": injector, "fault_observer": self.observer.parameters}
 
     @functools.cached_property
     def origin(self) -> ReplayOrigin:
         """What is replayed, as the bag will tell it."""
-        recording, specs = self.recording, [fault.spec for fault in self.faults]
+        recording, faults = self.recording, self.faults
+        truth = ["recorded"] * ("attitude" in recording.faults) + ["overlaid"] * bool(faults)
         return ReplayOrigin(
             recording=recording.name,
             topic=recording.topic,
             observer=self.observer.name,
-            faults=self.faults,
+            faults=[fault.spec for fault in faults],
             seed=self.seed,
-            truth=truth_text(recording, self.faults),
             torque=recording.torque_topic or "zero: none recorded",
+            truth=f"{' and '.join(truth)} faults" if truth else "no fault: the recording counts as healthy",
             duration=recording.duration,
             samples=len(recording),
-            left_out=dict(recording.rejected),
-            fault_windows=replay_windows(recording, self.faults),
-            fault_events=replay_events(recording, self.faults),
-            parameters={
-                "fault_injector": {"seed": self.seed, **({"faults": specs} if specs else {})},
-                "fault_observer": self.observer.parameters,
-            },
+            samples_left_out=dict(recording.rejected),
+            fault_windows=replay_windows(recording, faults),
+            fault_events=replay_events(recording, faults),
         )
 
     def diagnose(self, progress: Progress | None = None) -> Diagnosed:
         """Run it."""
-        return diagnose(self.recording, self.observer.law, injector_of(self.faults, self.seed), progress)
+        injector = FaultInjector(self.seed, (fault.injection for fault in self.faults))
+        return diagnose(self.recording, self.observer.law, injector, progress)
 
     def summary(self, diagnosed: Diagnosed) -> dict[str, Any]:
         """Summarise what came out, ready for ``summary.json``; the caller adds versions and times."""
-        result, imu = replay_summary(self.origin, flight_of(self.recording, diagnosed)), self.recording.imu
+        flight, imu = flight_of(self.recording, diagnosed), self.recording.imu
+        result = replay_summary(self.origin, self.observer.parameters, flight)
         metrics = result.pop("metrics")
         return {
             "name": self.name,
@@ -115,10 +110,10 @@ class Replay:
         }
 
     def parameter_file(self) -> str:
-        """Parameters of the nodes that would do the same in the graph, as a ROS parameter file (YAML)."""
+        """Write the parameters as a ROS parameter file (YAML)."""
         nodes = {
-            f"{self.namespace}{node}": {"ros__parameters": dict(values)}
-            for node, values in self.origin.parameters.items()
+            f"{self.recording.namespace}{node}": {"ros__parameters": dict(values)}
+            for node, values in self.parameters.items()
         }
         return yaml.safe_dump(nodes, sort_keys=False, default_flow_style=None, width=YAML_WIDTH)
 
@@ -126,16 +121,8 @@ class Replay:
 def plan_replay(path: Path, options: ReplayOptions) -> Replay:
     """Read a recording and build everything; nothing is written.
 
-    Parameters
-    ----------
-    path : Path
-        A rosbag2 directory, an ``.mcap`` or ``.db3`` file, or a PX4 log (``.ulg``).
-    options : ReplayOptions
-
-    Raises
-    ------
-    ValueError
-        If the recording cannot be used (`BagError`), or an option is wrong.
+    It is a rosbag2 directory, an ``.mcap`` or ``.db3`` file, or a PX4 log (``.ulg``). A ValueError says why
+    it cannot be used (`BagError`), or which option is wrong.
     """
     faults = faults_from(options.fault_files, options.faults)
     if options.seed < 0:
@@ -144,7 +131,12 @@ def plan_replay(path: Path, options: ReplayOptions) -> Replay:
         raise BagError(f"{path}: no such bag")
     read = recording_from_ulog if is_ulog(path) else recording_from_bag
     recording = read(path, options.topic, options.skip_backwards)
-    require_within(faults, recording.duration, recording.name)
+    for fault in faults:  # one that starts after the end would not act
+        if fault.injection.start >= recording.duration:
+            raise ValueError(
+                f"fault '{fault.spec}': start = {fault.injection.start:g} s: must be before the end of"
+                f" {recording.name}, {recording.duration:.3f} s"
+            )
     observer = choose_observer(recording, options.observer, options.vehicle, options.settings)
     return Replay(recording=recording, observer=observer, faults=faults, seed=options.seed)
 
@@ -152,22 +144,10 @@ def plan_replay(path: Path, options: ReplayOptions) -> Replay:
 def choose_observer(
     recording: Recording, name: str = "", vehicle: str = "", settings: Sequence[str] = ()
 ) -> ChosenObserver:
-    """Build the fault observer: the one asked for, or the one that diagnosed the recording.
+    """Build the fault observer: that asked for, with its defaults, or that of the recording.
 
-    Parameters
-    ----------
-    recording : Recording
-    name : str
-        Of the observer, which then has its defaults; empty: as in the recording, else `DEFAULT_OBSERVER`.
-    vehicle : str
-        Name, or path of a TOML file; empty: as in the recording, else `DEFAULT_VEHICLE`.
-    settings : sequence of str
-        ``observer.<parameter>=value``, with a unit if need be.
-
-    Raises
-    ------
-    ValueError
-        If there is no such observer or vehicle, or a parameter is wrong.
+    ``vehicle`` is a name or the path of a TOML file, a setting ``observer.<parameter>=value``, with a unit if
+    need be. What neither caller nor recording says is `DEFAULT_OBSERVER`, `DEFAULT_VEHICLE`.
     """
     if recording.observer is None and not name:
         raise BagError(f"{recording.path}: parameters.yaml makes no sense; choose with --observer")
@@ -184,10 +164,10 @@ def choose_observer(
         parameters |= {key: value for key, value in recorded.items() if key.startswith(f"{kind}.")}
     for setting in settings:
         parameters |= _parse_setting(kind, setting)
-    is_as_recorded = recorded and not (name or vehicle or settings)
     try:
         law = fault_observer_from(parameters)
     except ValueError as error:
+        is_as_recorded = recorded and not (name or vehicle or settings)
         where = f"{recording.path}: parameters.yaml: " if is_as_recorded else ""
         raise ValueError(f"{where}{error}") from None
     full = {"vehicle": parameters["vehicle"], "observer": kind, **node_values(law, kind)}

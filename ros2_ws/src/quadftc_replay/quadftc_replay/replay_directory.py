@@ -7,14 +7,14 @@ Directories of flights: `quadftc_flight.run_directory`.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError
 
 from quadftc_bags.bag import Bag, BagError
-from quadftc_flight.fault_schedule import FaultEvent, FaultWindow
+from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, Time
 from quadftc_flight.flight import Flight, Reading, flight_from_bag, reading_from_bag
 from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.run_directory import (
@@ -45,71 +45,37 @@ MIN_SAMPLES = 2  # as many as a recording that is replayed has
 DIAGNOSIS = ("fault_", "diagnosis")  # how the metrics begin that make sense without a closed loop
 YAML_WIDTH = 120  # characters
 
-Axis = Literal["roll", "pitch", "yaw"]
-Count = Annotated[int, Field(ge=0)]
-Time = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+
+def _as_mappings(items: Iterable[NamedTuple]) -> list[dict[str, Any]]:
+    return [item._asdict() for item in items]
 
 
-class ReplayOrigin(NamedTuple):
-    """What was replayed, and through which observer."""
+Count = Annotated[int, Field(ge=0, strict=True)]
+Windows = Annotated[tuple[FaultWindow, ...], PlainSerializer(_as_mappings)]
+Events = Annotated[tuple[FaultEvent, ...], PlainSerializer(_as_mappings)]
+
+
+class ReplayOrigin(BaseModel):
+    """What was replayed, and through which observer; the bag holds it as YAML."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
     recording: str  # its name
     topic: str  # full name of that of its IMU
     observer: str
-    faults: tuple[Fault, ...]  # overlaid
-    seed: int  # of the overlaid faults
-    truth: str  # what the estimates are compared with, in words
+    faults: list[str]  # specifications of the overlaid ones
+    seed: Annotated[int, Field(strict=True)]  # of the overlaid faults
     torque: str  # which one the observer was told, in words
-    duration: float  # of the recording [s]
-    samples: int  # that were replayed, withheld ones among them
-    left_out: dict[str, int]  # reason to the number of recorded samples that were not replayed
-    fault_windows: tuple[FaultWindow, ...]  # when the attitude is faulty, recorded and overlaid
-    fault_events: tuple[FaultEvent, ...]  # the same axis by axis, with the kind of fault
-    parameters: Parameters
+    truth: str  # what the estimates are compared with, in words
+    duration: Time  # of the recording [s]
+    samples: Count  # that were replayed, withheld ones among them
+    samples_left_out: dict[str, Count]  # reason to the number of recorded samples that were not replayed
+    fault_windows: Windows  # when the attitude is faulty, recorded and overlaid
+    fault_events: Events  # the same axis by axis, with the kind of fault
 
     def description(self) -> str:
-        """Write it as YAML, to be attached to the bag; the parameters stand in the parameter file."""
-        content = {
-            **{name: getattr(self, name) for name in ("recording", "topic", "observer")},
-            "faults": [fault.spec for fault in self.faults],
-            **{name: getattr(self, name) for name in ("seed", "torque", "truth", "duration", "samples")},
-            "samples_left_out": dict(self.left_out),
-            "fault_windows": [{**window._asdict(), "axes": [*window.axes]} for window in self.fault_windows],
-            "fault_events": [event._asdict() for event in self.fault_events],
-        }
-        return yaml.safe_dump(content, sort_keys=False, width=YAML_WIDTH)
-
-
-class _Shape(BaseModel):
-    model_config = ConfigDict(frozen=True, strict=True)
-
-
-class _Window(_Shape):
-    start: Time
-    stop: Time
-    axes: list[Axis]
-
-
-class _Event(_Shape):
-    axis: Axis
-    kind: str
-    start: Time
-    stop: Time
-
-
-class _Description(_Shape):
-    recording: str
-    topic: str
-    observer: str
-    faults: list[str]
-    seed: int
-    truth: str
-    torque: str
-    duration: Time
-    samples: Count
-    samples_left_out: dict[str, Count]
-    fault_windows: list[_Window]
-    fault_events: list[_Event]
+        """Write it as YAML."""
+        return yaml.safe_dump(self.model_dump(mode="json"), sort_keys=False, width=YAML_WIDTH)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -117,6 +83,7 @@ class RecordedReplay(RunDirectory):
     """What is known of one replay."""
 
     origin: ReplayOrigin
+    faults: tuple[Fault, ...]  # overlaid
     measured: Reading  # what the observer saw, overlaid faults included; a row for each of the flight
     corrected: Reading  # what it passed on
 
@@ -137,11 +104,6 @@ class RecordedReplay(RunDirectory):
     def own_name(self) -> str:
         """Its name, without that of the recording."""
         return self.name.removeprefix(f"{self.origin.recording}-")
-
-    @property
-    def faults(self) -> tuple[Fault, ...]:
-        """Faults that were overlaid."""
-        return self.origin.faults
 
     @property
     def fault_events(self) -> tuple[FaultEvent, ...]:
@@ -167,7 +129,8 @@ def replay_from_bag(bag: Bag) -> RecordedReplay:
 
     If it is none, or holds too little to be judged, BagError is raised; one line.
     """
-    origin = _read_origin(bag)
+    origin, faults = _read_origin(bag)
+    parameters = _read_parameters(bag)
     _require_replay(bag)
     stored = read_summary(beside(bag.path, SUMMARY))
     flight = flight_from_bag(bag)
@@ -177,45 +140,39 @@ def replay_from_bag(bag: Bag) -> RecordedReplay:
         name=run_name(bag.path),
         path=bag.path,
         bag=bag,
-        parameters=origin.parameters,
+        parameters=parameters,
         flight=flight,
-        summary={},
+        summary=replay_summary(origin, parameters.get("fault_observer", {}), flight),
         versions=versions_of(stored.data, bag),
         origin=origin,
+        faults=faults,
         measured=reading_from_bag(bag, "imu/data", flight.stamp_ns),
         corrected=reading_from_bag(bag, "imu/corrected", flight.stamp_ns),
     )
-    warnings = [*_shortcomings(replay)]
-    summary = replay_summary(origin, flight)
+    summary, warnings = replay.summary, [*_shortcomings(replay)]
     if replay.is_whole:
         summary, wrong = compare_summaries(summary, stored, bag.path)
         warnings += wrong
     return dataclasses.replace(replay, summary=summary, warnings=tuple(warnings))
 
 
-def replay_summary(origin: ReplayOrigin, flight: Flight) -> dict[str, Any]:
-    """Summarise a replay, ready for JSON; of one that was cut short, what is there."""
-    observer = origin.parameters.get("fault_observer", {})
-    duration, events = origin.duration, list(origin.fault_events)
+def replay_summary(origin: ReplayOrigin, observer: Mapping[str, Any], flight: Flight) -> dict[str, Any]:
+    """Summarise a replay, ready for JSON; of one that was cut short, what is there.
+
+    ``observer`` are the parameters of the node that runs it.
+    """
+    duration, events = origin.duration, origin.fault_events
     if len(flight) < origin.samples:
         duration = float(flight.time[-1])
-        events = [
-            event._replace(stop=min(event.stop, duration)) for event in events if event.start < duration
-        ]
+        begun = [event for event in events if event.start < duration]
+        events = tuple(event._replace(stop=min(event.stop, duration)) for event in begun)
     return {
-        "recording": origin.recording,
-        "topic": origin.topic,
-        "observer": origin.observer,
+        **origin.model_dump(exclude={"fault_windows", "fault_events"}),
         "vehicle": observer.get("vehicle"),
         "parameters": dict(observer),
-        "faults": [fault.spec for fault in origin.faults],
-        "seed": origin.seed,
-        "truth": origin.truth,
-        "torque": origin.torque,
         "rate": sampling_rate(flight.stamp_ns),
         "duration": duration,
         "samples": len(flight),
-        "samples_left_out": dict(origin.left_out),
         "samples_withheld": int((~flight.delivered).sum()),
         "metrics": replay_metrics(flight, origin.fault_windows, events),
     }
@@ -234,35 +191,20 @@ def replay_metrics(
     return metrics
 
 
-def _read_origin(bag: Bag) -> ReplayOrigin:
-    """Read what was replayed."""
-    given = _read_description(bag)
+def _read_origin(bag: Bag) -> tuple[ReplayOrigin, tuple[Fault, ...]]:
+    """Read what was replayed, and build the overlaid faults."""
+    text = attached_text(bag, DESCRIPTION) or ""
     try:
-        faults = faults_from((), given.faults)
-    except ValueError as error:
-        raise BagError(f"{bag.path}: {DESCRIPTION}: {error}") from None
-    plain = given.model_dump(exclude={"faults", "samples_left_out", "fault_windows", "fault_events"})
-    windows = [FaultWindow(item.start, item.stop, tuple(item.axes)) for item in given.fault_windows]
-    return ReplayOrigin(
-        **plain,
-        faults=faults,
-        left_out=given.samples_left_out,
-        fault_windows=tuple(windows),
-        fault_events=tuple(FaultEvent(**item.model_dump()) for item in given.fault_events),
-        parameters=_read_parameters(bag),
-    )
-
-
-def _read_description(bag: Bag) -> _Description:
-    try:
-        data: Any = yaml.safe_load(attached_text(bag, DESCRIPTION) or "")
-        return _Description.model_validate(data)
+        origin = ReplayOrigin.model_validate(yaml.safe_load(text))
+        return origin, faults_from((), origin.faults)
     except (yaml.YAMLError, RecursionError):
         raise BagError(f"{bag.path}: {DESCRIPTION} is no YAML") from None
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"])) or "the file"
         raise BagError(f"{bag.path}: {DESCRIPTION}: {place}: {first['msg']}") from None
+    except ValueError as error:
+        raise BagError(f"{bag.path}: {DESCRIPTION}: {error}") from None
 
 
 def _read_parameters(bag: Bag) -> Parameters:

@@ -19,7 +19,7 @@ from quadftc_bags.cdr.padding import PaddingCleaner
 from quadftc_bags.interfaces import load_interface
 from quadftc_bags.writer import BagWriter
 from quadftc_fdi.fault_observers.none import NoDiagnosis
-from quadftc_flight.fault_schedule import FaultWindow
+from quadftc_flight.fault_schedule import FaultEvent, FaultWindow
 from quadftc_flight.flight import Flight, flight_from_bag
 from quadftc_flight.runs import RunError
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
@@ -27,11 +27,12 @@ from quadftc_model.samples import STARTING, ImuSample
 from quadftc_msgs.msg import FaultStatus
 from quadftc_replay.diagnose import diagnose, flight_of, true_fault
 from quadftc_replay.imu_recording import Recording, clean_samples
-from quadftc_replay.overlay import faults_from, injector_of, replay_events, replay_windows
+from quadftc_replay.overlay import faults_from, replay_events, replay_windows
 from quadftc_replay.plan import Replay, ReplayOptions, choose_observer, plan_replay
 from quadftc_replay.ros_output import replay
 from quadftc_ros.conversions import time_message
 from quadftc_ros.qos import topic_profile
+from quadftc_sim.injector import FaultInjector
 
 PERIOD_NS = 4_000_000
 START_NS = 7_000_000_000
@@ -98,8 +99,11 @@ def test_overlaid_fault_is_on_the_angles_that_the_observer_sees_and_is_the_truth
 def test_recorded_fault_counts_beside_the_overlaid_one():
     recorded = np.zeros((COUNT, 3))
     recorded[150:, 2] = 0.05
-    known = (FaultWindow(0.6, 1.0, ("yaw",)),)
-    plan = planned(recording(faults={"attitude": recorded}, fault_windows=known), BIAS)
+    known = {
+        "fault_windows": (FaultWindow(0.6, 1.0, ("yaw",)),),
+        "fault_events": (FaultEvent("yaw", "fault", 0.6, 1.0),),
+    }
+    plan = planned(recording(faults={"attitude": recorded}, **known), BIAS)
     truth = true_fault(plan.recording, plan.diagnose(), "attitude")
     np.testing.assert_allclose(truth[160], [np.radians(2.0), 0.0, 0.05], atol=1e-12)
     windows = replay_windows(plan.recording, plan.faults)
@@ -144,10 +148,10 @@ def test_observer_that_gives_no_number_is_started_anew_and_counted():
 
     source = recording()
     law = Broken(vehicle=choose_observer(source, "none").law.vehicle)
-    diagnosed = diagnose(source, law, injector_of((), 0))
+    diagnosed = diagnose(source, law, FaultInjector())
     assert diagnosed.unusable == COUNT
-    assert np.all(diagnosed.state == STARTING)
-    assert np.all(diagnosed.fault == 0.0)
+    assert np.all(diagnosed.estimate.state == STARTING)
+    assert np.all(diagnosed.estimate.fault == 0.0)
 
 
 def test_faults_of_a_file_are_those_of_the_command_line(tmp_path):

@@ -92,7 +92,7 @@ def _identity(run: Recorded) -> Hashable:
     """All that the runs of a comparison have in common; a first stamp tells recordings of one name apart."""
     if isinstance(run, RecordedReplay):
         origin, first_ns = run.origin, int(run.flight.stamp_ns[0])
-        faults = tuple(fault.spec for fault in origin.faults)
+        faults = tuple(origin.faults)
         size = origin.samples, origin.duration
         return origin.recording, origin.topic, first_ns, *size, faults, origin.seed
     scenario = run.scenario

@@ -189,7 +189,7 @@ def _origin(run: Recorded) -> Mapping[str, Any]:
         own = {"seed": summary["seed"], "recorded [s]": recorded, "samples": summary["samples"]}
         return {**own, **common, "mode": summary.get("mode"), "graph": summary.get("graph"), **made_with}
     origin, time = run.origin, run.flight.time
-    left_out = [f"{count} ({reason})" for reason, count in origin.left_out.items() if count]
+    left_out = [f"{count} ({reason})" for reason, count in origin.samples_left_out.items() if count]
     return {
         **{name: getattr(origin, name) for name in ("recording", "topic", "torque", "truth")},
         "replayed [s]": f"{run.duration:.6g} of {origin.duration:.6g}",

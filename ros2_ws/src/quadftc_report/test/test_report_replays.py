@@ -83,22 +83,21 @@ def made_replay(
         recording=recording,
         topic="/imu/data",
         observer=observer,
-        faults=faults,
+        faults=[fault.spec for fault in faults],
         seed=0,
         truth="overlaid faults" if faults else "no fault: the recording counts as healthy",
         torque="zero: none recorded",
         duration=COUNT * PERIOD,
         samples=COUNT,
-        left_out={"stamp repeated": 7},
+        samples_left_out={"stamp repeated": 7},
         fault_windows=windows,
         fault_events=events,
-        parameters={"fault_observer": parameters},
     )
     return RecordedReplay(
         name=name or f"{recording}-{observer}",
         path=Path(name or observer),
         bag=Bag(Path(observer)),
-        parameters=origin.parameters,
+        parameters={"fault_observer": parameters},
         flight=flight,
         summary={
             "rate": 1.0 / PERIOD,
@@ -109,6 +108,7 @@ def made_replay(
         },
         versions={"quadftc": "1.2.3"},
         origin=origin,
+        faults=faults,
         measured=measured,
         corrected=Reading(measured.angles - flight.fault_estimate, measured.body_rate - 0.01 * found),
     )
@@ -252,7 +252,7 @@ def test_injections_are_the_overlaid_faults_and_those_of_the_recording():
     ]
     replay = made_replay(specs=())
     event = FaultEvent("pitch", "sine", 1.0, 2.0)
-    origin = replay.origin._replace(truth="recorded faults", fault_events=(event,))
+    origin = replay.origin.model_copy(update={"truth": "recorded faults", "fault_events": (event,)})
     recorded = list_injections(dataclasses.replace(replay, origin=origin))
     assert recorded == [("1 to 2 s", "attitude: pitch", "sine, in the recording")]
 
