@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
 
-from quadftc_flight.graph.processes import executable_path
+from command_bench import Done, call_quadftc
 from quadftc_flight.scenario import load_scenario
 
 SHORT = """\
@@ -36,11 +35,8 @@ def run(tmp_path_factory, fly_graph):
     return fly_graph(load_scenario(path, []), "proposed")[0]
 
 
-def check(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [str(executable_path("quadftc_cli", "quadftc")), "check", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert "Traceback" not in done.stderr
-    return done
+def check(*arguments: str | Path) -> Done:
+    return call_quadftc("check", *arguments)
 
 
 def test_a_recorded_run_is_judged_along_its_way(run):

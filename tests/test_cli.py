@@ -1,4 +1,4 @@
-"""The quadftc command as installed: what it writes, what it says, and how it exits."""
+"""The quadftc command: what it writes, what it says, and how it exits."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from command_bench import call_quadftc, installed_command, run_installed
 from quadftc_bags.bag import read_bag
-from quadftc_flight.graph.processes import executable_path
 
 SCENARIO = """\
 name: tiny
@@ -44,20 +44,15 @@ schemes:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The present directory, with a scenario."""
     (tmp_path / "tiny.yaml").write_text(SCENARIO, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
-def quadftc(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [str(executable_path("quadftc_cli", "quadftc")), *arguments]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
-    assert "Traceback" not in done.stderr
-    return done
-
-
 def test_run_writes_bag_and_summary_and_exits_with_0(folder: Path):
-    done = quadftc(folder, "run", "tiny.yaml", "--out", "out")
+    done = run_installed("run", "tiny.yaml", "--out", "out")
     assert done.returncode == 0, done.stderr
     run = folder / "out" / "tiny-proposed"
     assert read_bag(run).topics["/imu/data"].count == 125
@@ -84,14 +79,14 @@ def test_run_writes_bag_and_summary_and_exits_with_0(folder: Path):
 
 
 def test_run_exits_with_1_and_names_the_check_that_failed(folder: Path):
-    done = quadftc(folder, "run", "tiny.yaml", "--scheme", "conventional", "--out", "out")
+    done = call_quadftc("run", "tiny.yaml", "--scheme", "conventional", "--out", "out")
     assert done.returncode == 1
     assert re.search(r"tiny-conventional: tracking_max_deg roll = [\d.]+, required below 0.01", done.stdout)
 
 
 def test_options_reach_the_nodes(folder: Path):
     options = ("--controller", "pid", "--observer", "none", "--rate", "125", "--seed", "9")
-    done = quadftc(folder, "run", "tiny.yaml", *options, "--set", "faults.0.value=2 deg", "--out", "out")
+    done = call_quadftc("run", "tiny.yaml", *options, "--set", "faults.0.value=2 deg", "--out", "out")
     assert done.returncode in (0, 1), done.stderr  # the check is not made for these
     run = folder / "out" / "tiny-proposed"
     nodes = yaml.safe_load((run / "parameters.yaml").read_text(encoding="utf-8"))
@@ -127,36 +122,30 @@ def test_wrong_input_exits_with_2_and_says_what_was_expected(
     folder: Path, arguments: tuple[str, ...], words: tuple[str, ...]
 ):
     (folder / "wrong.yaml").write_text(SCENARIO.replace("1 deg", "1 dge"), encoding="utf-8")
-    done = quadftc(folder, *arguments)
+    done = call_quadftc(*arguments)
     assert done.returncode == 2
     assert all(word in done.stderr for word in words), done.stderr
 
 
 def test_earlier_run_is_kept_unless_forced(folder: Path):
-    assert quadftc(folder, "run", "tiny.yaml", "--out", "out").returncode == 0
-    refused = quadftc(folder, "run", "tiny.yaml", "--out", "out")
+    assert call_quadftc("run", "tiny.yaml", "--out", "out").returncode == 0
+    refused = call_quadftc("run", "tiny.yaml", "--out", "out")
     assert refused.returncode == 2
     assert "--force" in refused.stderr
-    assert quadftc(folder, "run", "tiny.yaml", "--out", "out", "--force").returncode == 0
+    assert call_quadftc("run", "tiny.yaml", "--out", "out", "--force").returncode == 0
 
 
 def test_force_replaces_only_runs(folder: Path):
     precious = folder / "out" / "tiny-proposed" / "thesis.txt"
     precious.parent.mkdir(parents=True)
     precious.write_text("years of work", encoding="utf-8")
-    assert quadftc(folder, "run", "tiny.yaml", "--out", "out", "--force").returncode == 2
+    assert call_quadftc("run", "tiny.yaml", "--out", "out", "--force").returncode == 2
     assert precious.read_text(encoding="utf-8") == "years of work"
 
 
 def test_interrupted_run_leaves_a_bag_that_can_be_read(folder: Path):
-    command = [str(executable_path("quadftc_cli", "quadftc")), "run", "tiny.yaml", "--out", "out"]
-    process = subprocess.Popen(
-        [*command, "--set", "duration=600 s"],
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    command = installed_command("run", "tiny.yaml", "--out", "out", "--set", "duration=600 s")
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     bag = folder / "out" / "tiny-proposed" / "tiny-proposed_0.mcap"
     end = time.monotonic() + 60.0
     while not (bag.exists() and bag.stat().st_size > 100_000) and time.monotonic() < end:
@@ -171,7 +160,7 @@ def test_interrupted_run_leaves_a_bag_that_can_be_read(folder: Path):
 
 @pytest.mark.parametrize("kind", ["observers", "controllers", "faults", "vehicles", "scenarios"])
 def test_list_shows_what_there_is(folder: Path, kind: str):
-    done = quadftc(folder, "list", kind)
+    done = call_quadftc("list", kind)
     assert done.returncode == 0, done.stderr
     names = {
         "observers": ("sliding_mode", "epsilon_s", "rad"),
@@ -184,15 +173,15 @@ def test_list_shows_what_there_is(folder: Path, kind: str):
 
 
 def test_doctor_finds_this_installation_well(folder: Path):
-    done = quadftc(folder, "doctor")
+    done = run_installed("doctor")
     assert done.returncode == 0, done.stdout
     assert "BAD" not in done.stdout
 
 
 def test_play_publishes_the_bag(folder: Path):
-    assert quadftc(folder, "run", "tiny.yaml", "--out", "out").returncode == 0
+    assert call_quadftc("run", "tiny.yaml", "--out", "out").returncode == 0
     count = sum(topic.count for topic in read_bag(folder / "out" / "tiny-proposed").topics.values())
-    done = quadftc(folder, "play", os.fspath(Path("out", "tiny-proposed")), "--rate", "10", "--delay", "0")
+    done = call_quadftc("play", os.fspath(Path("out", "tiny-proposed")), "--rate", "10", "--delay", "0")
     assert done.returncode == 0, done.stderr
     assert f"{count} messages" in done.stdout
 
@@ -200,12 +189,9 @@ def test_play_publishes_the_bag(folder: Path):
 def test_run_on_a_full_disk_flies_on_and_ends_with_what_is_there(folder: Path):
     """No file may grow beyond 100 kB, which is what a disk that is full looks like to the one that writes."""
     limit = "import os, resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000));"
-    tool = str(executable_path("quadftc_cli", "quadftc"))
-    command = [sys.executable, "-c", f"{limit} os.execv(sys.argv[1], sys.argv[1:])", tool]
-    arguments = ["run", "tiny.yaml", "--set", "duration=3 s", "--out", "out"]
-    done = subprocess.run(
-        [*command, *arguments], cwd=folder, capture_output=True, text=True, timeout=120, check=False
-    )
+    tool = installed_command("run", "tiny.yaml", "--set", "duration=3 s", "--out", "out")
+    command = [sys.executable, "-c", f"{limit} os.execv(sys.argv[1], sys.argv[1:])", *tool]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     bag = folder / "out" / "tiny-proposed"
     assert done.returncode == 3
     assert done.stderr.count("recording has stopped: ") == 1
@@ -220,14 +206,14 @@ def test_run_on_a_full_disk_flies_on_and_ends_with_what_is_there(folder: Path):
     assert kept > 100
     assert lost > 1000  # those of the rest of the flight
     assert sorted(path.name for path in bag.iterdir()) == ["metadata.yaml", "tiny-proposed_0.mcap"]
-    repaired = quadftc(folder, "repair", str(bag))
+    repaired = call_quadftc("repair", str(bag))
     assert repaired.returncode == 0, repaired.stderr
     assert f"kept: {kept} messages" in repaired.stdout
     assert sum(topic.count for topic in read_bag(f"{bag}-repaired").topics.values()) == kept
 
 
 def test_summary_says_what_was_recorded(folder: Path):
-    assert quadftc(folder, "run", "tiny.yaml", "--out", "out").returncode == 0
+    assert call_quadftc("run", "tiny.yaml", "--out", "out").returncode == 0
     bag = folder / "out" / "tiny-proposed"
     summary = json.loads((bag / "summary.json").read_text(encoding="utf-8"))
     counts = [topic.count for topic in read_bag(bag).topics.values()]

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import json
-import subprocess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from command_bench import Done, call_quadftc
 from quadftc_bags.bag import read_bag
-from quadftc_flight.graph.processes import executable_path
 from quadftc_flight.scenario import parse_scenario
 
 REPEATED = ("imu/corrected", "fault/estimate", "fault/status", "torque/command")
@@ -28,11 +27,8 @@ schemes:
 """
 
 
-def quadftc_replay(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [str(executable_path("quadftc_cli", "quadftc")), "replay", *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert "Traceback" not in done.stderr
-    return done
+def replay(*arguments: str | Path) -> Done:
+    return call_quadftc("replay", *arguments)
 
 
 def assert_same_messages(run: Path, replayed: Path, topic: str) -> None:
@@ -56,7 +52,7 @@ def untracked(metrics: Any) -> Any:
 def test_replay_of_a_run_repeats_its_estimates_bit_for_bit(fly_graph, busy_scenario, scheme, tmp_path):
     """Noise, a late sensor, every kind of fault, samples and single channels withheld."""
     run, summary = fly_graph(busy_scenario, scheme)
-    done = quadftc_replay(run, "--out", tmp_path)
+    done = replay(run, "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     observer = busy_scenario.scheme(scheme).observer.kind
     replayed = tmp_path / f"busy-{scheme}-{observer}"
@@ -73,7 +69,7 @@ def test_replay_of_a_run_repeats_its_estimates_bit_for_bit(fly_graph, busy_scena
 def test_replay_keeps_the_parameters_and_the_namespace_that_were_flown(fly_graph, tmp_path):
     scenario = parse_scenario(TUNED, "tuned.yaml")
     run, _ = fly_graph(scenario, "proposed", namespace="uav")
-    done = quadftc_replay(run, "--out", tmp_path)
+    done = replay(run, "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     for topic in REPEATED:
         assert_same_messages(run, tmp_path / "tuned-proposed-sliding_mode", f"/uav/{topic}")
@@ -81,7 +77,7 @@ def test_replay_keeps_the_parameters_and_the_namespace_that_were_flown(fly_graph
 
 def test_fault_is_overlaid_and_judged(fly_graph, busy_scenario, tmp_path):
     run, _ = fly_graph(busy_scenario, "proposed")
-    done = quadftc_replay(
+    done = replay(
         run, "--topic", "plant/imu", "--observer", "none", "--out", tmp_path,
         "--fault", "bias axis=roll value=3deg start=0.5s stop=1.5s",
     )  # fmt: skip
@@ -105,7 +101,7 @@ def test_fault_is_overlaid_and_judged(fly_graph, busy_scenario, tmp_path):
 )
 def test_bad_input_is_one_line_and_exit_2(fly_graph, busy_scenario, tmp_path, arguments, words):
     run, _ = fly_graph(busy_scenario, "proposed")
-    done = quadftc_replay(*(run if word == "RUN" else word for word in arguments), "--out", tmp_path / "out")
+    done = replay(*(run if word == "RUN" else word for word in arguments), "--out", tmp_path / "out")
     assert done.returncode == 2
     assert words in done.stderr
     assert done.stderr.startswith("error: ")

@@ -1,4 +1,4 @@
-"""`quadftc report` as installed: what it writes, what it says, and how it refuses."""
+"""`quadftc report`: what it writes, what it says, and how it refuses."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from quadftc_flight.graph.processes import executable_path
+from command_bench import Done, call_quadftc, run_installed
 
 
 @pytest.fixture(scope="module")
@@ -29,20 +29,13 @@ def replayed(runs: Path, replay_run) -> Path:
     return replay_run(runs / "busy-proposed", fault, topic="plant/imu")
 
 
-def report(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return quadftc("report", *arguments)
-
-
-def quadftc(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [str(executable_path("quadftc_cli", "quadftc")), *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
-    assert "Traceback" not in done.stderr
-    return done
+def report(*arguments: str | Path) -> Done:
+    return call_quadftc("report", *arguments)
 
 
 def test_directory_of_runs_gives_a_page_and_figures_for_print(runs: Path, tmp_path: Path):
     out = tmp_path / "new" / "report.html"
-    done = report(runs, "--out", out)
+    done = run_installed("report", runs, "--out", out)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert f"report on 2 runs: {out}" in done.stdout
@@ -97,7 +90,7 @@ def test_runs_and_replays_go_into_one_report(runs: Path, replayed: Path, tmp_pat
 
 
 def test_replay_is_refused_by_the_check_in_one_line(replayed: Path):
-    done = quadftc("check", replayed)
+    done = call_quadftc("check", replayed)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert f"{replayed}: a replay of a recording; expected a flight" in done.stderr

@@ -1,0 +1,33 @@
+"""The ``quadftc`` command, as installed or in the process of the tests, which saves the start of another."""
+
+import contextlib
+import io
+import subprocess
+from pathlib import Path
+
+from quadftc_flight.graph.processes import executable_path
+
+Done = subprocess.CompletedProcess[str]
+
+
+def installed_command(*arguments: str | Path) -> list[str]:
+    """Return the command line of the installed command."""
+    return [str(executable_path("quadftc_cli", "quadftc")), *map(str, arguments)]
+
+
+def run_installed(*arguments: str | Path) -> Done:
+    """Run the installed command."""
+    command = installed_command(*arguments)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert "Traceback" not in done.stderr
+    return done
+
+
+def call_quadftc(*arguments: str | Path) -> Done:
+    """Run the command in this process: same exit code, same words."""
+    from quadftc_cli.main import guarded
+
+    words, errors = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(words), contextlib.redirect_stderr(errors):
+        code = guarded([str(argument) for argument in arguments])
+    return subprocess.CompletedProcess(arguments, code, words.getvalue(), errors.getvalue())
