@@ -23,7 +23,11 @@ EXAMPLES = {"arguments": 4}
 
 @pytest.fixture(scope="module")
 def seeds(tmp_path_factory):
-    return Seeds(tmp_path_factory.mktemp("seeds"))
+    found = Seeds(tmp_path_factory.mktemp("seeds"))
+    first, *others = found.scenarios
+    # a check takes as long as there are samples
+    found.scenarios = [first, *(text.replace(b"\nrate: 250 Hz", b"\nrate: 50 Hz") for text in others)]
+    return found
 
 
 @pytest.fixture(scope="module")

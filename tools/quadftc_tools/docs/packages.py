@@ -13,7 +13,6 @@ from pathlib import Path
 
 import grimp
 
-SOURCES = Path(__file__).resolve().parents[3] / "ros2_ws" / "src"
 TOPIC = {
     "bags": "read, write, repair, play bags",
     "campaign": "batch engine, campaigns, tuning",

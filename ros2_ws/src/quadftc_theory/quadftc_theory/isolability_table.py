@@ -7,6 +7,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from quadftc_theory.isolability import IsolabilityResult
+from quadftc_theory.vehicle_equations import CHOICES
 
 LASTING, CHANGING, NEVER, CANCELLED, ITSELF = "●", "○", "·", "!", ""
 
@@ -14,17 +15,6 @@ LEGEND = (
     f"{LASTING} also while the fault is constant   {CHANGING} only while it changes   {NEVER} never   "
     f"{CANCELLED} by structure, but this vehicle's coefficients cancel"
 )
-
-_WORDS = {
-    "motion": {"hover": "in hover", "turn": "in a steady turn"},
-    "actuators": {"axes": "torques commanded", "rotors": "rotors commanded", "unknown": "torques not known"},
-    "disturbances": {
-        "faults": "disturbances to be told apart too",
-        "unknown_inputs": "blind to disturbances",
-        "absent": "no disturbances",
-    },
-    "air": {"still": "still air", "wind": "unknown wind", "no_drag": "no drag"},
-}
 
 
 def isolability_table(result: IsolabilityResult) -> Table:
@@ -49,7 +39,7 @@ def isolability_table(result: IsolabilityResult) -> Table:
 
 def isolability_lines(result: IsolabilityResult) -> list[str]:
     """What was assumed, and what the matrix says, in lines of plain text."""
-    assumed = [words[result.assumptions[key]] for key, words in _WORDS.items() if key in result.assumptions]
+    assumed = [words[result.assumptions[key]] for key, words in CHOICES.items() if key in result.assumptions]
     lines = [f"{result.name}: {', '.join([*assumed, f'{result.causality} causality'])}"]
     pairs = [" / ".join(pair) for pair in dict.fromkeys(tuple(sorted(pair)) for pair in result.cancelled)]
     for meaning, items in (

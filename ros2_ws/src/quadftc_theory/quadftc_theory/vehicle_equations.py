@@ -51,11 +51,16 @@ SENSORS: Mapping[str, Mapping[str, str]] = {
     "velocity": dict(zip(BODY, VELOCITY, strict=True)),
 }
 
-_CHOICES = {
-    "motion": ("hover", "turn"),
-    "actuators": ("axes", "rotors", "unknown"),
-    "disturbances": ("faults", "unknown_inputs", "absent"),
-    "air": ("still", "wind", "no_drag"),
+#: What may be assumed, and how it is said.
+CHOICES: Mapping[str, Mapping[str, str]] = {
+    "motion": {"hover": "in hover", "turn": "in a steady turn"},
+    "actuators": {"axes": "torques commanded", "rotors": "rotors commanded", "unknown": "torques not known"},
+    "disturbances": {
+        "faults": "disturbances to be told apart too",
+        "unknown_inputs": "blind to disturbances",
+        "absent": "no disturbances",
+    },
+    "air": {"still": "still air", "wind": "unknown wind", "no_drag": "no drag"},
 }
 
 
@@ -96,7 +101,7 @@ class Assumptions:
         if not given or len(set(given)) < len(given):
             raise ValueError(f"sensor_set = {given}: expected at least one sensor, each once")
         object.__setattr__(self, "sensor_set", tuple(name for name in SENSORS if name in given))
-        for field, choices in _CHOICES.items():
+        for field, choices in CHOICES.items():
             if getattr(self, field) not in choices:
                 raise ValueError(f"{field} = {getattr(self, field)!r}: expected one of {', '.join(choices)}")
 
