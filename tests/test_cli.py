@@ -55,7 +55,8 @@ def test_run_writes_bag_and_summary_and_exits_with_0(folder: Path):
     done = run_installed("run", "tiny.yaml", "--out", "out")
     assert done.returncode == 0, done.stderr
     run = folder / "out" / "tiny-proposed"
-    assert read_bag(run).topics["/imu/data"].count == 125
+    topics = read_bag(run).topics
+    assert topics["/imu/data"].count == 125
     summary = json.loads((run / "summary.json").read_text(encoding="utf-8"))
     assert summary["passed"] is True
     assert summary["seed"] == 3
@@ -75,6 +76,8 @@ def test_run_writes_bag_and_summary_and_exits_with_0(folder: Path):
     assert metrics["fault_windows"][0]["fault_estimate_settling_s"]["roll"] < 0.2
     assert summary["wall_time_s"] > 0.0
     assert summary["real_time_factor"] > 0.0
+    recorded = sum(topic.count for topic in topics.values())
+    assert summary["recorded"] == {"messages": recorded, "dropped": {}}
     assert "tiny" in done.stdout
 
 
@@ -143,18 +146,26 @@ def test_force_replaces_only_runs(folder: Path):
     assert precious.read_text(encoding="utf-8") == "years of work"
 
 
-def test_interrupted_run_leaves_a_bag_that_can_be_read(folder: Path):
-    command = installed_command("run", "tiny.yaml", "--out", "out", "--set", "duration=600 s")
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+@pytest.mark.parametrize(
+    ("options", "number"),
+    [((), signal.SIGINT), (("--scheme", "all", "--jobs", "2"), signal.SIGTERM)],
+    ids=("alone", "side by side"),
+)
+def test_interrupted_run_leaves_a_bag_that_can_be_read(folder: Path, options, number: signal.Signals):
+    """The signal goes to all processes of the command, as from a terminal or a supervisor."""
+    command = installed_command("run", "tiny.yaml", "--out", "out", "--set", "duration=600 s", *options)
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(command, **pipes, start_new_session=True)
     bag = folder / "out" / "tiny-proposed" / "tiny-proposed_0.mcap"
     end = time.monotonic() + 60.0
     while not (bag.exists() and bag.stat().st_size > 100_000) and time.monotonic() < end:
         assert process.poll() is None
         time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
+    os.killpg(process.pid, number)
     _, errors = process.communicate(timeout=60.0)
     assert process.returncode == 130, errors
     assert "Traceback" not in errors
+    assert "error" not in errors
     assert read_bag(bag.parent).topics["/imu/data"].count > 100
 
 
@@ -210,11 +221,3 @@ def test_run_on_a_full_disk_flies_on_and_ends_with_what_is_there(folder: Path):
     assert repaired.returncode == 0, repaired.stderr
     assert f"kept: {kept} messages" in repaired.stdout
     assert sum(topic.count for topic in read_bag(f"{bag}-repaired").topics.values()) == kept
-
-
-def test_summary_says_what_was_recorded(folder: Path):
-    assert call_quadftc("run", "tiny.yaml", "--out", "out").returncode == 0
-    bag = folder / "out" / "tiny-proposed"
-    summary = json.loads((bag / "summary.json").read_text(encoding="utf-8"))
-    counts = [topic.count for topic in read_bag(bag).topics.values()]
-    assert summary["recorded"] == {"messages": sum(counts), "dropped": {}}
