@@ -69,20 +69,17 @@ def _thin(count: int) -> NDArray[np.intp]:
     return np.unique(np.rint(np.linspace(0, count - 1, min(count, POINTS))).astype(np.intp))
 
 
-class Detector(NamedTuple):
-    """How well a variant tells faulty axes from healthy ones.
+Point = tuple[float, float]  # share of the healthy axes that got a false alarm, of the faults found
+
+
+def detector_of(side: Side) -> tuple[Roc | None, Point | None]:
+    """Judge how well a variant tells faulty axes from healthy ones: by estimate, and by its own detector.
 
     One score for each fault, the largest estimate while it lasts; one for each axis of each flight, the
     largest estimate while that axis is healthy. A level finds a fault, or gives an axis a false alarm, if the
-    score reaches it. Such shares count faults and axes, not samples.
+    score reaches it. Such shares count faults and axes, not samples. None: there is nothing to compare, or
+    the variant never estimates, never declares anything.
     """
-
-    curve: Roc | None  # None: there is nothing to compare, or it never estimates anything
-    point: tuple[float, float] | None  # its own detector: share of healthy axes alarmed, of faults found
-
-
-def detector_of(side: Side) -> Detector:
-    """Judge a variant."""
     peaks = known(numbers(side.faults, "fault.estimate_peak_deg"))
     calm = known(np.concatenate([numbers(side.flights, f"healthy_estimate_max_deg.{axis}") for axis in AXES]))
     scores = np.concatenate([peaks, calm])
@@ -93,7 +90,7 @@ def detector_of(side: Side) -> Detector:
     counts = [numbers(side.flights, f"false_alarms.{axis}")[there] for there, axis in healthy]
     alarms = known(np.concatenate(counts))
     says = len(found) and len(alarms) and (np.any(found) or np.any(alarms))
-    return Detector(curve, (float(np.mean(alarms > 0.0)), float(np.mean(found))) if says else None)
+    return curve, (float(np.mean(alarms > 0.0)), float(np.mean(found))) if says else None
 
 
 def distributions(results: Results) -> Iterator[Picture]:
@@ -147,7 +144,8 @@ def _distribution(
 
 def characteristics(results: Results) -> Iterator[Picture]:
     """Yield the receiver operating characteristics, with the points of the variants' own detectors."""
-    shown = [(side, found) for side in results.sides if (found := detector_of(side)).curve is not None]
+    judged = ((side, *detector_of(side)) for side in results.sides)
+    shown = [(side, curve, point) for side, curve, point in judged if curve is not None]
     if not shown:
         return
     titles = "share of healthy axes with a false alarm", "share of faults found"
@@ -156,8 +154,8 @@ def characteristics(results: Results) -> Iterator[Picture]:
     drawing.update_layout(xaxis=shares, yaxis=shares)
     diagonal = {"name": "guessing", "hoverinfo": "skip", "showlegend": False}
     drawing.add_scatter(x=[0, 1], y=[0, 1], **diagonal, **line_look("limit", 0))
-    for side, found in shown:
-        _add_characteristic(drawing, side, found)
+    for side, curve, point in shown:
+        _add_characteristic(drawing, side, curve, point)
     caption = (
         "If an estimate of some size were an alarm: the share of the faults found over the share of the"
         " healthy axes alarmed, for every size. AUC: area under the curve; dotted: guessing."
@@ -166,24 +164,22 @@ def characteristics(results: Results) -> Iterator[Picture]:
     yield Picture("roc", "Detection by the size of the estimate", caption, {"": spec_of(drawing, "roc")})
 
 
-def _add_characteristic(drawing: go.Figure, side: Side, found: Detector) -> None:
-    name, look, curve = escaped(side.name), line_look(side.role, side.rank), found.curve
-    if curve is not None:
-        chosen = _thin(len(curve.threshold))
-        area = "1" if curve.area == 1.0 else f"{min(curve.area, 0.9999):.4g}"  # 1 only if it is
+def _add_characteristic(drawing: go.Figure, side: Side, curve: Roc, point: Point | None) -> None:
+    name, look, chosen = escaped(side.name), line_look(side.role, side.rank), _thin(len(curve.threshold))
+    area = "1" if curve.area == 1.0 else f"{min(curve.area, 0.9999):.4g}"  # 1 only if it is
+    drawing.add_scatter(
+        x=curve.false_alarm_share[chosen].astype(np.float32),
+        y=curve.detection_probability[chosen].astype(np.float32),
+        customdata=[short(level) for level in curve.threshold[chosen].tolist()],
+        name=f"{name} (AUC {area})",
+        legendgroup=name,
+        hovertemplate=f"{name}, from %{{customdata}} deg on: {RATES}",
+        **look,
+    )
+    if point is not None:
         drawing.add_scatter(
-            x=curve.false_alarm_share[chosen].astype(np.float32),
-            y=curve.detection_probability[chosen].astype(np.float32),
-            customdata=[short(level) for level in curve.threshold[chosen].tolist()],
-            name=f"{name} (AUC {area})",
-            legendgroup=name,
-            hovertemplate=f"{name}, from %{{customdata}} deg on: {RATES}",
-            **look,
-        )
-    if found.point is not None:
-        drawing.add_scatter(
-            x=[found.point[0]],
-            y=[found.point[1]],
+            x=[point[0]],
+            y=[point[1]],
             name=f"{name}, its own detector",
             legendgroup=name,
             showlegend=False,

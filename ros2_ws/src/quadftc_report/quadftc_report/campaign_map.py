@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,27 +39,15 @@ class BinAxis(NamedTuple):
     bins: NDArray[np.intp]  # (rows,) bin of each row of the table; -1: none
 
 
-class Cells(NamedTuple):
-    """The map of a variant; arrays (y, x)."""
-
-    medians: Floats  # in the metric's unit; NaN: too few flights
-    flights: NDArray[np.int64]
-
-
 class Maps(NamedTuple):
-    """The maps of all variants."""
+    """The maps of all variants; arrays (y, x)."""
 
     x: BinAxis
     y: BinAxis
     kind: Kind  # of the metric
-    cells: Mapping[str, Cells]  # by variant
-
-    @property
-    def span(self) -> tuple[float, float] | None:
-        """Smallest and largest median of all; None: no cell is shown."""
-        every = np.concatenate([each.medians.ravel() for each in self.cells.values()])
-        shown = every[np.isfinite(every)]
-        return (float(shown.min()), float(shown.max())) if len(shown) else None
+    medians: dict[str, Floats]  # by variant; in the metric's unit; NaN: too few flights
+    flights: dict[str, NDArray[np.int64]]
+    span: tuple[float, float]  # smallest and largest median of all
 
 
 def draw_maps(results: Results) -> Iterator[Picture]:
@@ -68,7 +56,7 @@ def draw_maps(results: Results) -> Iterator[Picture]:
     if len(paths) < 2:
         return
     maps = maps_of(results)
-    if maps is None or maps.span is None:
+    if maps is None:
         yield Picture("map", "No map", f"No cell holds {FEWEST} flights with a '{metric}'.", {})
         return
     caption = (
@@ -76,13 +64,12 @@ def draw_maps(results: Results) -> Iterator[Picture]:
         f" Cells with fewer than {FEWEST} flights are grey. A range is divided into parts with as many"
         " flights each."
     )
-    specs = [_spec(f"map-{index}", maps, cells) for index, cells in enumerate(maps.cells.values())]
-    plots = dict(zip(maps.cells, specs, strict=True))
+    plots = {name: _spec(f"map-{index}", maps, name) for index, name in enumerate(maps.medians)}
     yield Picture("map", f"Over {paths[0]} and {paths[1]}", caption, plots)
 
 
 def maps_of(results: Results) -> Maps | None:
-    """Return the maps of a campaign; None if fewer than two values vary, or no column is the metric."""
+    """Return the maps of a campaign; None if fewer than two values vary, or no cell has the metric."""
     campaign, frame = results.campaign, results.frame
     paths, columns = _mapped_paths(campaign), _metric_columns(frame, campaign.metric)
     if len(paths) < 2 or not columns:
@@ -91,16 +78,24 @@ def maps_of(results: Results) -> Maps | None:
     most = _bins_for(frame["flight"].n_unique(), both)
     x, y = (bin_axis(frame, path, drawn, most) for path, drawn in zip(paths, both, strict=True))
     of_faults = campaign.metric.startswith(FAULT)
-    fault_path = f"diagnosis.events.0.{campaign.metric.removeprefix(FAULT)}"
-    kind = describe(fault_path if of_faults else campaign.metric)[1]
+    metric = campaign.metric.replace(FAULT, "diagnosis.events.0.", 1) if of_faults else campaign.metric
+    kind = describe(metric)[1]
     largest = pl.max_horizontal(pl.col(columns).cast(pl.Float64).fill_nan(None))
     value = SCALES.get(kind.unit, 1.0) * largest
     values = frame.select("flight", "variant", value=value, x=pl.Series(x.bins), y=pl.Series(y.bins))
     values = values if of_faults else whole_flights(values)
     values = values.filter(pl.col("value").is_finite(), pl.col("x") >= 0, pl.col("y") >= 0)
     shape = len(y.names), len(x.names)
-    groups = {side.name: values.filter(pl.col("variant") == side.name) for side in results.sides}
-    return Maps(x, y, kind, {name: _cells(group, shape) for name, group in groups.items()})
+    medians = {side.name: np.full(shape, np.nan) for side in results.sides}
+    flights = {side.name: np.zeros(shape, np.int64) for side in results.sides}
+    cells = values.group_by("variant", "y", "x").agg(pl.col("value").median(), pl.col("flight").n_unique())
+    for name, row, column, median, count in cells.rows():
+        flights[name][row, column] = count
+        medians[name][row, column] = median if count >= FEWEST else np.nan
+    every = np.stack([*medians.values()])
+    if np.isnan(every).all():
+        return None
+    return Maps(x, y, kind, medians, flights, (float(np.nanmin(every)), float(np.nanmax(every))))
 
 
 def bin_axis(frame: pl.DataFrame, path: str, drawn: Distribution, most: int) -> BinAxis:
@@ -156,53 +151,44 @@ def _metric_columns(frame: pl.DataFrame, metric: str) -> list[str]:
     return [name for name in wanted if name in frame.columns and frame.schema[name].is_numeric()]
 
 
-def _cells(values: pl.DataFrame, shape: tuple[int, int]) -> Cells:
-    medians, flights = np.full(shape, np.nan), np.zeros(shape, np.int64)
-    found = values.group_by("y", "x").agg(pl.col("value").median(), pl.col("flight").n_unique())
-    place = found["y"].to_numpy(), found["x"].to_numpy()
-    medians[place], flights[place] = found["value"].to_numpy(), found["flight"].to_numpy()
-    medians[flights < FEWEST] = np.nan
-    return Cells(medians, flights)
-
-
 def _metric_text(kind: Kind) -> str:
     return f"{kind.label} [{kind.unit}]" if kind.unit else kind.label
 
 
-def _spec(key: str, maps: Maps, cells: Cells) -> dict[str, Any]:
+def _spec(key: str, maps: Maps, variant: str) -> dict[str, Any]:
     """Draw the map of a variant, in the colours that hold for all variants."""
-    low, high = maps.span or (0.0, 1.0)
+    medians, (low, high) = maps.medians[variant], maps.span
     bar: dict[str, Any] = {"title": {"text": f"median {_metric_text(maps.kind)}", "side": "right"}}
-    shown, edges = cells.medians, (low, high)
+    shown, edges = medians, (low, high)
     if low > 0.0 and high > RATIO * low:
         shown, edges = np.log10(np.maximum(shown, low)), (np.log10(low), np.log10(high))
         ticks = log_ticks(low, high)
         bar |= {**ticks, "tickvals": np.log10(ticks["tickvals"]).tolist()}
     x, y = ([escaped(name) for name in axis.names] for axis in (maps.x, maps.y))
-    titles = escaped(maps.x.title), escaped(maps.y.title)
+    hover = [
+        [f"{column}<br>{row}<br>{count} flights" for column, count in zip(x, counts, strict=True)]
+        for row, counts in zip(y, maps.flights[variant].tolist(), strict=True)
+    ]
     drawing = variant_figure(0, (maps.x.title, maps.y.title))
     drawing.update_layout(
-        xaxis={"type": "category", "showgrid": False},
-        yaxis={"type": "category", "showgrid": False, "automargin": True},
+        xaxis={"tickvals": [*range(len(x))], "ticktext": x, "showgrid": False},
+        yaxis={"tickvals": [*range(len(y))], "ticktext": y, "showgrid": False, "automargin": True},
         plot_bgcolor=MISSING,
         margin={"t": 16, "r": 8},
     )
-    hover = f"{titles[0]}: %{{x}}<br>{titles[1]}: %{{y}}<br>median %{{text}} {maps.kind.unit}"
     drawing.add_heatmap(
         z=[[None if np.isnan(value) else value for value in row] for row in shown.tolist()],
-        x=x,
-        y=y,
         zmin=edges[0],
         zmax=edges[1] if edges[1] > edges[0] else edges[0] + 1.0,
         colorscale=COLOURS,
         colorbar={**bar, "thickness": 14, "outlinewidth": 0},
         xgap=1,
         ygap=1,
-        text=[["" if np.isnan(value) else short(value) for value in row] for row in cells.medians.tolist()],
+        text=[["" if np.isnan(value) else short(value) for value in row] for row in medians.tolist()],
         texttemplate="%{text}" if len(x) <= READABLE else "",
         textfont={"size": 10},
-        customdata=cells.flights.tolist(),
-        hovertemplate=f"{hover}<br>%{{customdata}} flights<extra></extra>",
+        customdata=hover,
+        hovertemplate=f"%{{customdata}}<br>median %{{text}} {maps.kind.unit}<extra></extra>",
         hoverongaps=False,
     )
     return spec_of(drawing, key)

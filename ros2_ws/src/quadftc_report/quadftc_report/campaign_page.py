@@ -32,11 +32,6 @@ class Quantiles(NamedTuple):
     shown: tuple[str, ...] = ("q50", "q95")
     scale: float = 1.0
 
-    @property
-    def width(self) -> int:
-        """Number of columns."""
-        return len(self.shown)
-
 
 HEADINGS = {"q50": "median", "q95": "95 %", "max": "largest"}
 WITH_LARGEST = ("q50", "q95", "max")
@@ -54,15 +49,10 @@ OF_FLIGHTS = (
 
 
 def render_campaign(results: Results, directory: Path, command_file: str) -> str:
-    """Return the page: HTML that needs no other file.
+    """Return the page, HTML that needs no other file.
 
-    Parameters
-    ----------
-    results : Results
-    directory : Path
-        Of the campaign, for the commands that fly a flight again.
-    command_file : str
-        The campaign file as the user names it.
+    It names the ``directory`` of the campaign and the ``command_file``, as the user does, in the commands
+    that fly a flight again.
     """
     campaign, sides = results.campaign, results.sides
     pictures = {

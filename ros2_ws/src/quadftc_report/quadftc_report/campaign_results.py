@@ -27,6 +27,7 @@ class Side:
     name: str
     rows: pl.DataFrame  # of the table
     summary: Mapping[str, Any]  # its part
+    has_observer: bool  # whether any of its flights estimates sensor faults
     role: str  # look of its lines (`quadftc_report.style.line_style`)
     rank: int
 
@@ -39,11 +40,6 @@ class Side:
     def faults(self) -> pl.DataFrame:
         """One row for each fault."""
         return self.rows.filter(pl.col("fault").is_not_null())
-
-    @property
-    def has_observer(self) -> bool:
-        """Whether it estimates sensor faults."""
-        return has_observer(self.rows)
 
     @property
     def parts(self) -> str:
@@ -94,20 +90,14 @@ class Results(NamedTuple):
 
 def results_of(campaign: Campaign, frame: pl.DataFrame, summary: Mapping[str, Any]) -> Results:
     """Divide the table of a campaign among its variants."""
-    parts = {variant.name: frame.filter(pl.col("variant") == variant.name) for variant in campaign.variants}
-    proposed = next((name for name, rows in parts.items() if has_observer(rows)), None)
-    compared = [name for name in parts if name != proposed]
-    looks = {name: ("compared", rank) for rank, name in enumerate(compared)}
-    sides = (
-        Side(name, rows, summary["variants"][name], *looks.get(name, ("proposed", 0)))
-        for name, rows in parts.items()
-    )
+    sides: list[Side] = []
+    for name in [variant.name for variant in campaign.variants]:
+        rows = frame.filter(pl.col("variant") == name)
+        observes = bool((rows["observer"] != NO_OBSERVER).any())
+        first = observes and not any(side.role == "proposed" for side in sides)
+        look = ("proposed", 0) if first else ("compared", sum(side.role == "compared" for side in sides))
+        sides.append(Side(name, rows, summary["variants"][name], observes, *look))
     return Results(campaign, frame, tuple(sides))
-
-
-def has_observer(rows: pl.DataFrame) -> bool:
-    """Whether any flight of these rows estimates sensor faults."""
-    return bool((rows["observer"] != NO_OBSERVER).any())
 
 
 def numbers(frame: pl.DataFrame, name: str) -> Floats:

@@ -1,11 +1,8 @@
-# pyright: basic
 """The claims of section 4 of B. Wang, P. Huang, W. Zhang, A Robust Fault-Tolerant Control for Quadrotor
 Helicopters against Sensor Faults and External Disturbances, Complexity, 2021, and the verdicts on them.
 
-A claim is judged on runs in the paper's conditions: the scenario of its figures, the vehicle, ideal sensors,
-faults on all three axes from 20 to 40 s and from 50 to 70 s, the paper's observers and controller, and the
-conventional control that it compares with. The paper states hardly a number; where a claim needs a bound, it
-is ours, and the claim's criterion says so.
+Claims are judged on runs in the paper's conditions alone (`_evidence`). The paper states hardly a number;
+where a claim needs a bound, it is ours, and the claim's criterion says so.
 """
 
 from __future__ import annotations

@@ -1,22 +1,31 @@
-"""The recordings that stand side by side: the runs of one scenario, the replays of one recording."""
+"""The recordings that stand side by side, the runs of one scenario or the replays of one recording.
+
+What they have in common, what was injected, and one sentence on each.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import re
-from collections.abc import Collection, Hashable, Iterable
-from typing import Any, Generic, TypeVar
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
+from typing import Any, Generic, TypeVar, cast
+
+import numpy as np
 
 from quadftc_flight.metrics import look_up
 from quadftc_flight.run_directory import NO_OBSERVER, RecordedRun
+from quadftc_model.parameters import parameters_of
 from quadftc_model.samples import AXES
 from quadftc_replay.replay_directory import Recorded, RecordedReplay
-from quadftc_report.wording import counted, duration, each_axis
+from quadftc_report.wording import counted, duration, each_axis, listing, period, plain
+from quadftc_sim.injection import CHANNEL_UNITS
 from quadftc_sim.sensors import ImuSensor
 
 Run_co = TypeVar("Run_co", bound=Recorded, covariant=True)
 Run = TypeVar("Run", bound=Recorded)
+Injection = tuple[str, str, str]  # when, where, what
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -131,3 +140,59 @@ def tell_run(comparison: Comparison[Recorded], run: Recorded) -> str:
         passed = sum(check["passed"] for check in checks)
         said.append(f"passes {passed} of {counted(len(checks), 'check')}")
     return f"'{comparison.label(run)}' ({parts_of(run)}) {'; '.join(said)}."
+
+
+def list_injections(run: Recorded) -> list[Injection]:
+    """Return the faults and disturbances that begin before the recording ends: when, where, what.
+
+    Faults of the attitude outside the schedule come last: those of a recording, those injected by hand.
+    """
+    end, lines = run.duration, list[Injection]()
+    faults = sorted(run.faults, key=lambda fault: fault.injection.start)
+    for injection, fault in ((fault.injection, fault) for fault in faults if fault.injection.start < end):
+        whole = injection.law.whole_channel or len(fault.axes) == len(AXES)
+        where = f"{injection.channel}: {'all axes' if whole else listing(fault.axes)}"
+        units = CHANNEL_UNITS[injection.channel]
+        what = _describe(injection.kind, injection.law, fault.given, fault.axes, units)
+        lines.append((_when(injection, end), where, what))
+    for law, part in ((part.law, part) for part in run.disturbances if part.law.start < end):
+        lines.append((_when(law, end), "torque", _describe(part.kind, law, part.given, AXES, {})))
+    scheduled = {(fault.injection.start, axis) for fault in faults for axis in fault.axes}
+    stray = np.ones(len(run.flight), np.bool_)
+    for event in run.fault_events:
+        stray &= (run.flight.time < event.start) | (run.flight.time >= event.stop)
+        if event.start < end and (event.start, event.axis) not in scheduled:
+            lines.append((_when(event, end), f"attitude: {event.axis}", f"{event.kind}, in the recording"))
+    sizes = np.abs(run.flight.fault[stray])
+    largest = math.degrees(np.max(sizes, initial=0.0, where=np.isfinite(sizes)))
+    if largest > 1e-6:
+        lines.append(("outside the schedule", "attitude", f"up to {plain(largest)} deg"))
+    return lines
+
+
+def _when(part: Any, end: float) -> str:
+    return period(part.start, math.inf if part.stop >= end else part.stop)
+
+
+def _describe(
+    kind: str, law: Any, given: Sequence[str], axes: Sequence[str], units: Mapping[str, str]
+) -> str:
+    """``bias: value 1 deg``; ``sine: amplitude 2 deg, frequency 0.6 rad/s``."""
+    texts: list[str] = []
+    for spec in parameters_of(law.__class__):
+        if spec.name in given and spec.name not in ("start", "stop"):
+            unit = spec.unit.format(**units) if units else spec.unit
+            angle = "{" in spec.unit and unit.startswith("rad")  # frequencies stay in rad/s
+            scale = math.degrees(1.0) if angle else 1.0
+            unit = unit.replace("rad", "deg", 1) if angle else unit.removesuffix("1")
+            value = _value(getattr(law, spec.name), scale, axes)
+            texts.append(f"{spec.name.replace('_', ' ')} {value} {unit}".rstrip())
+    return ": ".join(filter(None, [kind, ", ".join(texts)]))
+
+
+def _value(value: Any, scale: float, axes: Sequence[str]) -> str:
+    if isinstance(value, tuple):
+        given = zip(AXES, cast("tuple[float, ...]", value), strict=True)
+        numbers = [plain(scale * number) for axis, number in given if axis in axes]
+        return numbers[0] if len(set(numbers)) == 1 else f"({', '.join(numbers)})"
+    return plain(scale * value) if isinstance(value, (int, float)) else str(value)

@@ -25,14 +25,10 @@ TOLERANCE = 1e-3  # of the range; a fifth of a pixel in a panel of 200
 
 
 def choose_samples(t: Floats, *series: Floats, limit: int = LIMIT) -> Indices:
-    """Return rising indices (m,) of the samples that are drawn of one or more series, one for each gap.
+    """Return rising indices (m,) of the samples that are drawn of one or more series (n,), one for each gap.
 
-    Parameters
-    ----------
-    t, series : arrays (n,)
-        Time, rising; a gap is where any of the series is NaN.
-    limit : int
-        How many samples to draw; ends, extremes and gaps are kept even if they are more.
+    A gap is where any of the series is NaN. Ends, extremes and gaps are kept even if they are more than
+    ``limit`` samples.
     """
     if len(t) <= limit:
         return np.arange(len(t))

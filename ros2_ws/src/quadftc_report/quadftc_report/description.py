@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-TICK_MARGIN = 0.4  # on both ends of a scale of words
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Trace:
@@ -73,7 +71,7 @@ class Panel:
     marks: tuple[Mark, ...] = ()
     bands: tuple[Band, ...] = ()
     envelopes: tuple[Envelope, ...] = ()
-    ticks: tuple[tuple[float, str], ...] = ()  # values of a scale of words, and the words
+    ticks: tuple[tuple[float, str], ...] = ()  # rising values of a scale of words, and the words
     height: float = 1.0  # relative to the other panels
 
     def axis_label(self, gap: str = " ") -> str:
@@ -83,8 +81,7 @@ class Panel:
     @property
     def tick_span(self) -> tuple[float, float]:
         """Range of the axis of a scale of words."""
-        values = [value for value, _ in self.ticks]
-        return min(values) - TICK_MARGIN, max(values) + TICK_MARGIN
+        return self.ticks[0][0] - 0.4, self.ticks[-1][0] + 0.4
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -43,7 +43,6 @@ STYLE: dict[str, Any] = {
     "grid.linewidth": 0.4,
     "axes.axisbelow": True,
     "axes.xmargin": 0.0,
-    "axes.unicode_minus": True,
     "axes.formatter.useoffset": False,
     "pdf.fonttype": 42,  # TrueType: text stays text
     "path.simplify": False,  # what is drawn was chosen already
@@ -51,11 +50,7 @@ STYLE: dict[str, Any] = {
 
 
 def save_figure(figure: Figure, directory: Path) -> list[Path]:
-    """Draw a figure and write it as ``<key>.png`` (300 dpi) and ``<key>.pdf`` into a directory.
-
-    Returns the paths of both files.
-    """
-    directory = Path(directory)
+    """Draw a figure; write it as ``<key>.png`` (300 dpi) and ``<key>.pdf``; return the paths of both."""
     directory.mkdir(parents=True, exist_ok=True)
     png, pdf = directory / f"{figure.key}.png", directory / f"{figure.key}.pdf"
     with mpl.rc_context(cast("Any", {**mpl.rcParamsDefault, **STYLE})):
@@ -74,12 +69,9 @@ def draw(figure: Figure) -> Canvas:
     canvas = Canvas(layout=ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.03, hspace=0.02))
     FigureCanvasAgg(canvas)
     axes = canvas.subplots(len(heights), 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
-    texts = [(panel, panel.axis_label()) for panel in figure.panels]
-    one_line = all(LETTER * len(text) <= 0.9 * PANEL_HEIGHT * panel.height for panel, text in texts)
-    gap = " " if one_line else "\n"
     entries: dict[str, Any] = {}
     for ax, panel in zip(axes, figure.panels, strict=True):
-        ax.set_ylabel(panel.axis_label(gap))
+        ax.set_ylabel(panel.axis_label("\n"))
         for label, handle in _panel(ax, panel):
             entries.setdefault(label, handle)
     axes[0].set_xlim(*figure.span)
@@ -129,9 +121,8 @@ def _line(role: str, rank: int) -> dict[str, Any]:
 def _legend(canvas: Canvas, entries: dict[str, Any]) -> int:
     """Put the legend above the panels, row by row, in as many columns as fit; return the number of rows."""
     labels = list(entries)
-    columns = next(
-        count for count in range(len(labels), 0, -1) if count == 1 or _width(labels, count) <= WIDTH
-    )
+    width = LETTER * max(map(len, labels)) + (HANDLE + 0.4 + 1.0) * STYLE["legend.fontsize"] / 72.0
+    columns = max(int(WIDTH / width), 1)
     order = [label for column in range(columns) for label in labels[column::columns]]
     canvas.legend(
         [entries[label] for label in order],
@@ -147,9 +138,3 @@ def _legend(canvas: Canvas, entries: dict[str, Any]) -> int:
         labelspacing=0.25,
     )
     return -(-len(labels) // columns)
-
-
-def _width(labels: list[str], columns: int) -> float:
-    """About how wide a legend of so many columns is [in]."""
-    letters = sum(max(len(label) for label in labels[column::columns]) for column in range(columns))
-    return LETTER * letters + columns * (HANDLE + 0.4 + 1.0) * STYLE["legend.fontsize"] / 72.0

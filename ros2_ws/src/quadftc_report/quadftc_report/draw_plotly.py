@@ -40,11 +40,6 @@ def spec_of(drawing: go.Figure, key: str) -> dict[str, Any]:
     return {**drawing.to_dict(), "config": {**CONFIG, "toImageButtonOptions": image}}
 
 
-def figure_spec(figure: Figure) -> dict[str, Any]:
-    """Return data, layout and config of a figure over time."""
-    return spec_of(plotly_figure(figure), figure.key)
-
-
 def empty_figure(height: float, top: float, **layout: Any) -> go.Figure:
     """Return a figure without lines; its width is that of its place."""
     legend = {"orientation": "h", "x": 0.0, "xanchor": "left", "y": 1.02, "yanchor": "bottom"}

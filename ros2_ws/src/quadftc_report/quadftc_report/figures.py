@@ -64,8 +64,7 @@ def replay_figures(comparison: Comparison[RecordedReplay]) -> list[Figure]:
         *_attitude(scene, comparison.runs, longest),
         *_faults(scene),
         *_state(scene),
-        *_gyro(scene, longest),
-        *_gyro_correction(scene, comparison.runs),
+        *_gyro(scene, comparison.runs, longest),
     ]
 
 
@@ -207,22 +206,20 @@ def _error(run: RecordedReplay, reading: Reading, axis: int) -> Floats:
     return np.degrees(wrap(reading.angles[:, axis] - faultless))
 
 
-def _gyro(scene: Scene, longest: RecordedReplay) -> Iterator[Figure]:
-    rates = np.degrees(longest.measured.body_rate).T
-    lines = [Trace("measured", "truth", longest.flight.time, rate) for rate in rates]
-    if known(rates):
-        panels = (scene.panel(axis, [lines[axis]], name, "deg/s") for axis, name in enumerate(AXES))
-        yield scene.figure("gyro", "Gyro as measured", "Body rate as the observers saw it", panels)
-
-
-def _gyro_correction(scene: Scene, runs: Sequence[RecordedReplay]) -> Iterator[Figure]:
-    """What the observers add to the body rate, where one of them does."""
+def _gyro(scene: Scene, runs: Sequence[RecordedReplay], longest: RecordedReplay) -> Iterator[Figure]:
+    """The measured body rate, and what the observers add to it, where one of them does."""
+    rates = np.degrees(longest.measured.body_rate)
     changes = [(run, np.degrees(run.corrected.body_rate - run.measured.body_rate)) for run in runs]
     changes = [(run, change) for run, change in changes if worth(change)]
-    panels = (
-        scene.panel(axis, [scene.trace(run, change[:, axis]) for run, change in changes], name, "deg/s")
-        for axis, name in enumerate(AXES)
-    )
+    measured: list[Panel] = []
+    added: list[Panel] = []
+    for axis, name in enumerate(AXES):
+        line = Trace("measured", "truth", longest.flight.time, rates[:, axis])
+        measured.append(scene.panel(axis, [line], name, "deg/s"))
+        lines = [scene.trace(run, change[:, axis]) for run, change in changes]
+        added.append(scene.panel(axis, lines, name, "deg/s"))
+    if known(rates):
+        yield scene.figure("gyro", "Gyro as measured", "Body rate as the observers saw it", measured)
     if changes:
         title, caption = "Correction of the gyro", "Corrected less measured body rate"
-        yield scene.figure("gyro_correction", title, caption, panels)
+        yield scene.figure("gyro_correction", title, caption, added)

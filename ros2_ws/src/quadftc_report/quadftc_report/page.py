@@ -26,16 +26,15 @@ from quadftc_report.comparison import (
     axis_metric,
     has_observer,
     is_ideal,
+    list_injections,
     metric,
     parts_of,
     tell_run,
 )
 from quadftc_report.description import Figure
-from quadftc_report.draw_plotly import figure_spec
+from quadftc_report.draw_plotly import plotly_figure, spec_of
 from quadftc_report.figures import flight_figures, replay_figures
-from quadftc_report.injected import list_injections
-from quadftc_report.metric_table import metric_tables
-from quadftc_report.tables import Table, fact_table
+from quadftc_report.tables import Table, fact_table, metric_tables
 from quadftc_report.wording import counted, listing, plain, short
 
 KEY_METRICS = {
@@ -92,16 +91,9 @@ def replay_sections(comparisons: Sequence[Comparison[RecordedReplay]]) -> list[S
 def render(
     parts: Sequence[Section], warnings: Iterable[str], replayed: Sequence[Section], folder: str | None
 ) -> str:
-    """Return the page: HTML that needs no other file.
+    """Return the page of flights and replays, HTML that needs no other file.
 
-    Parameters
-    ----------
-    parts, replayed : sequences of Section
-        Of flights, of replays.
-    warnings : iterable of str
-        Shown at the top.
-    folder : str, optional
-        Directory of the figures for print, beside the page; None: there are none.
+    ``folder`` holds the figures for print, beside the page; None: there are none.
     """
     runs = [run for part in (*parts, *replayed) for run in part.comparison.runs]
 
@@ -131,7 +123,7 @@ def render(
         metric_tables=metric_tables,
         setup=_setup,
         files=files,
-        spec=figure_spec,
+        spec=lambda figure: spec_of(plotly_figure(figure), figure.key),
     )
 
 

@@ -63,12 +63,7 @@ def write_report(
     progress : callable
         Called with the current task, and the share of the work that is done.
 
-    Raises
-    ------
-    BagError
-        If a path holds neither run nor replay, or one that cannot be read.
-    ReportError
-        If the report cannot be written where it is asked for.
+    A path without a run or replay that can be read raises BagError.
     """
     folder = out.parent / f"{out.stem}_figures"
     _check_place(out, folder)
@@ -118,15 +113,8 @@ def write_campaign_report(
 ) -> Path:
     """Write ``DIRECTORY/report.html`` on a campaign and return its path; it needs no network.
 
-    Parameters
-    ----------
-    campaign : Campaign
-    frame, summary : polars.DataFrame, dict
-        Its table and the summary of it (`quadftc_campaign.table`).
-    directory : Path
-        Of the campaign.
-    command_file : str
-        The campaign file as the user names it, for the commands that fly a flight again.
+    ``frame`` and ``summary`` are those of `quadftc_campaign.table`. ``command_file`` is the campaign file as
+    the user names it, for the commands that fly a flight again.
     """
     from quadftc_report.campaign_page import render_campaign
     from quadftc_report.campaign_results import results_of

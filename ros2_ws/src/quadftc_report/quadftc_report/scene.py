@@ -36,7 +36,6 @@ class Scene:
         self.key = comparison.key
         self.runs = comparison.runs
         self.label = comparison.label
-        self.longest = comparison.longest
         self.end = max(run.duration for run in self.runs)  # [s]
         compared = [run for run in self.runs if run is not comparison.proposed]
         self._ranks = {id(run): rank for rank, run in enumerate(compared)}
@@ -115,21 +114,21 @@ def fault_shades(run: Recorded, axis: int, end: float) -> tuple[Shade, ...]:
 
     Windows of one kind that touch become one.
     """
-    periods = [(FAULT_WINDOW, each.start, each.stop) for each in run.fault_events if each.axis == AXES[axis]]
-    kinds = {FAULT_WINDOW: 0}
     others = [each.injection for each in run.faults if each.injection.channel != "attitude"]
-    for name in sorted({f"{each.channel} {each.kind}" for each in others}):
-        kinds[name] = len(kinds)
-    periods += [(f"{each.channel} {each.kind}", each.start, each.stop) for each in others if each.mask[axis]]
+    kinds = [FAULT_WINDOW, *sorted({f"{each.channel} {each.kind}" for each in others})]
+    periods = [(0, each.start, each.stop) for each in run.fault_events if each.axis == AXES[axis]]
+    periods += [
+        (kinds.index(f"{each.channel} {each.kind}"), each.start, each.stop)
+        for each in others
+        if each.mask[axis]
+    ]
     shades: list[Shade] = []
-    for kind, start, stop in sorted(periods, key=lambda period: (kinds[period[0]], period[1])):
+    for rank, start, stop in sorted(periods):
         last = shades[-1] if shades else None
-        if start >= end:
-            continue
-        if last is not None and last.label == kind and start <= last.stop:
+        if last is not None and last.rank == rank and start <= last.stop:
             shades[-1] = last._replace(stop=max(last.stop, min(stop, end)))
-        else:
-            shades.append(Shade(start, min(stop, end), kind, kinds[kind]))
+        elif start < end:
+            shades.append(Shade(start, min(stop, end), kinds[rank], rank))
     return tuple(shades)
 
 

@@ -147,13 +147,11 @@ def test_detection_by_level_against_hand_computed_shares(load):
         for flight, (peak, scores) in enumerate(zip((4.0, 2.0), calm, strict=True))
     ]
     campaign, frame = load(flights=2), table_of(rows)
-    found = detector_of(results_of(campaign, frame, summary_of(campaign, frame)).sides[0])
-    corners = zip(
-        found.curve.threshold, found.curve.false_alarm_share, found.curve.detection_probability, strict=True
-    )
+    curve, point = detector_of(results_of(campaign, frame, summary_of(campaign, frame)).sides[0])
+    corners = zip(curve.threshold, curve.false_alarm_share, curve.detection_probability, strict=True)
     assert (4.0, 0.0, 0.5) in [tuple(corner) for corner in corners]
-    assert found.curve.area == pytest.approx(11 / 12)
-    assert found.point == (1 / 6, 1 / 2)
+    assert curve.area == pytest.approx(11 / 12)
+    assert point == (1 / 6, 1 / 2)
 
 
 def test_map_over_two_lists_against_hand_computed_medians(load):
@@ -167,8 +165,8 @@ def test_map_over_two_lists_against_hand_computed_medians(load):
     maps = maps_of(results_of(campaign, frame, summary_of(campaign, frame)))
     assert (maps.x.title, maps.x.names) == (VALUE, ("1 deg", "2 deg"))
     assert (maps.y.title, maps.y.names) == (RATE, ("50 Hz", "100 Hz"))
-    np.testing.assert_array_equal(maps.cells["watched"].medians, [[14.0, np.nan], [4.0, 5.0]])
-    assert maps.cells["watched"].flights.tolist() == [[5, 4], [5, 5]]
+    np.testing.assert_array_equal(maps.medians["watched"], [[14.0, np.nan], [4.0, 5.0]])
+    assert maps.flights["watched"].tolist() == [[5, 4], [5, 5]]
     assert FEWEST == 5
     assert maps.span == (4.0, 14.0)
 

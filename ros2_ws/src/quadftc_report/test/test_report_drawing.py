@@ -13,7 +13,7 @@ from PIL import Image
 from quadftc_report.decimation import LIMIT
 from quadftc_report.description import Band, Envelope, Figure, Mark, Panel, Shade, Trace
 from quadftc_report.draw_matplotlib import STYLE, WIDTH, draw, save_figure
-from quadftc_report.draw_plotly import figure_spec, plotly_figure
+from quadftc_report.draw_plotly import plotly_figure, spec_of
 from quadftc_report.style import line_style
 
 TIME = np.arange(20_000) / 250.0
@@ -254,7 +254,7 @@ def test_page_gets_numbers_that_json_allows_and_not_too_many():
 
 
 def test_config_saves_under_the_key_and_sends_nothing_away():
-    config = figure_spec(single())["config"]
+    config = spec_of(plotly_figure(single()), "small-tracking-roll")["config"]
     assert config["toImageButtonOptions"]["filename"] == "small-tracking-roll"
     assert not config["displaylogo"]
     assert {"toImage", "resetScale2d"} <= set(config["modeBarButtons"][0])

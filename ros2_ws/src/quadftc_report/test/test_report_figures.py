@@ -20,7 +20,7 @@ from quadftc_report.figures import flight_figures
 TEXT = """
 name: small
 duration: 4 s
-rate: 250 Hz
+rate: 100 Hz
 vehicle: qball_x4
 references: [{kind: step, angles: [5 deg, 0, 10 deg], rise: 1}]
 disturbances: [{kind: constant, amplitude: [0.1, 0, 0], start: 0.5}]
@@ -153,11 +153,11 @@ def test_withheld_samples_are_gaps():
 
 
 def test_run_that_ends_early_is_drawn_to_its_end_and_named():
-    (of,) = compare([first_part(flown("proposed"), 500), flown("conventional")])
+    (of,) = compare([first_part(flown("proposed"), 200), flown("conventional")])
     figure = described(of)["tracking-roll"]
     assert figure.span == (0.0, pytest.approx(4.0))
-    assert len(lines(figure.panels[0])["proposed"]) == 500
-    assert len(lines(figure.panels[0])["reference"]) == 1000
+    assert len(lines(figure.panels[0])["proposed"]) == 200
+    assert len(lines(figure.panels[0])["reference"]) == 400
     assert figure.caption.endswith("proposed ends at 2 s.")
 
 
@@ -176,8 +176,8 @@ def test_standard_deviation_is_shown_around_estimate_and_zero():
     upper, lower = described(of)["fault-roll"].panels
     (around,), (around_zero,) = upper.envelopes, lower.envelopes
     assert np.all(np.isnan(around.low[:100]))
-    assert around.high[100:] - lines(upper)["estimate"][100:] == pytest.approx(np.ones(900))
-    assert around_zero.low[100:] == pytest.approx(-np.ones(900))
+    assert around.high[100:] - lines(upper)["estimate"][100:] == pytest.approx(np.ones(300))
+    assert around_zero.low[100:] == pytest.approx(-np.ones(300))
 
 
 def test_observer_without_standard_deviation_has_no_envelope():
@@ -204,7 +204,7 @@ def test_authority_is_shown_where_the_torque_comes_near_it(torque, shown):
 def test_truth_that_depends_on_the_flight_is_drawn_for_each_run():
     observed = flown("proposed")
     fault = observed.flight.fault.copy()
-    fault[300:400, 0] += 0.1
+    fault[100:200, 0] += 0.1
     (of,) = compare([observed, changed(observed, fault=fault)])
     names = [trace.name for trace in described(of)["fault-roll"].panels[0].traces if trace.role == "truth"]
     assert len(names) == 2
@@ -218,7 +218,7 @@ def test_angle_through_half_a_turn_is_not_joined():
     angles[:, 2] = np.where(run.flight.time < 1.5, np.radians(179.9), np.radians(-179.9))
     (of,) = compare([changed(run, angles=angles)])
     yaw = lines(described(of)["tracking-yaw"].panels[0])["conventional"]
-    assert len(yaw) == 1001
+    assert len(yaw) == 401
     assert np.sum(np.isnan(yaw)) == 1
     assert not np.any(np.abs(np.diff(yaw)) > 180.0)
 

@@ -20,10 +20,9 @@ from quadftc_flight.summary import summary
 from quadftc_model.samples import AXES, FAULTY, HEALTHY, STARTING
 from quadftc_replay.overlay import faults_from
 from quadftc_replay.replay_directory import RecordedReplay, ReplayOrigin, replay_metrics
-from quadftc_report.comparison import compare, tell_run
+from quadftc_report.comparison import compare, list_injections, tell_run
 from quadftc_report.description import Figure, Panel
 from quadftc_report.figures import replay_figures
-from quadftc_report.injected import list_injections
 from quadftc_report.page import flight_sections, pool_replays, render, replay_sections
 
 PERIOD = 0.01  # s
@@ -288,14 +287,18 @@ def page_of(*replays: RecordedReplay, runs=()) -> Page:
     return Page(render(parts, [], replay_sections(compare(replays, taken)), None))
 
 
-def test_page_of_replays_alone_has_no_word_of_flights():
-    page = page_of(*map(made_replay, PAIR))
-    assert "2 replays of 1 recording" in page.text
-    assert len(page.ids) == len(set(page.ids))
-    assert set(page.links) <= set(page.ids)
-    assert "summary" not in page.ids
+@pytest.fixture(scope="module")
+def pair_page() -> Page:
+    return page_of(*map(made_replay, PAIR))
+
+
+def test_page_of_replays_alone_has_no_word_of_flights(pair_page):
+    assert "2 replays of 1 recording" in pair_page.text
+    assert len(pair_page.ids) == len(set(pair_page.ids))
+    assert set(pair_page.links) <= set(pair_page.ids)
+    assert "summary" not in pair_page.ids
     for word in ("Wang", "checks", "Scenario as flown"):
-        assert word not in page.text
+        assert word not in pair_page.text
 
 
 def test_page_of_flights_and_replays_has_both():
@@ -306,10 +309,10 @@ def test_page_of_flights_and_replays_has_both():
     assert {"summary", "small", "replays", "replay-garden_walk", "replay-garden_walk-2"} <= set(page.ids)
 
 
-def test_page_has_the_confusion_of_axes_with_full_values():
+def test_page_has_the_confusion_of_axes_with_full_values(pair_page):
     shown = {
         (cell["data-run"], cell["data-metric"], cell["data-axis"]): cell["data-value"]
-        for cell in page_of(*map(made_replay, PAIR)).cells
+        for cell in pair_page.cells
     }
     matrix = made_replay().summary["metrics"]["diagnosis"]["confusion_single_s"]
     assert matrix["roll"]["roll"] == pytest.approx(1.5)

@@ -16,10 +16,8 @@ from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, parse_scenario
 from quadftc_flight.summary import summary
 from quadftc_model import samples
-from quadftc_report.comparison import Comparison, compare, is_ideal, tell_run
-from quadftc_report.injected import list_injections
-from quadftc_report.metric_table import metric_tables
-from quadftc_report.tables import Cell
+from quadftc_report.comparison import Comparison, compare, is_ideal, list_injections, tell_run
+from quadftc_report.tables import Cell, metric_tables
 from quadftc_report.wording import each_axis, plain, short
 
 TEXT = """
