@@ -19,6 +19,7 @@ from quadftc_bags.bag import read_bag
 from quadftc_flight.graph.plan import EXECUTABLES, GraphPlan, parameters_from_file
 from quadftc_flight.graph.processes import executable_path
 from quadftc_flight.scenario import load_scenario, node_parameters
+from quadftc_ros.scheduling import ORDINARY, Scheduling, SchedulingError, scheduled
 
 SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "launch_graph.py"
 BUSY = Path(__file__).parent / "scenarios" / "busy.yaml"
@@ -140,16 +141,24 @@ def child_of(process: subprocess.Popen[str], name: str) -> int:
     return 0
 
 
-def test_dead_node_is_started_again_if_asked_for():
+def test_dead_node_is_started_again_if_asked_for_as_urgent_as_before():
+    wanted = Scheduling(priority=5)
+    try:
+        with scheduled(wanted):
+            urgency = ["--realtime-priority", "5"]
+    except SchedulingError:  # the machine does not allow it
+        wanted, urgency = ORDINARY, []
     with NodeBench("realtime") as bench:
         estimates = bench.listen("disturbance/estimate")
-        with started("--graph", "processes", "--respawn") as process:
+        with started("--graph", "processes", "--respawn", *urgency) as process:
             bench.until(lambda: estimates)
             victim = child_of(process, "disturbance_observer")
             os.kill(victim, signal.SIGKILL)
             bench.until(lambda: child_of(process, "disturbance_observer") not in (0, victim))
             estimates.clear()
             bench.until(lambda: estimates)
+            restarted = child_of(process, "disturbance_observer")
+            bench.until(lambda: os.sched_getparam(restarted).sched_priority == wanted.priority)
             process.send_signal(signal.SIGINT)
             _, errors = process.communicate(timeout=END)
     assert process.returncode == 0, errors

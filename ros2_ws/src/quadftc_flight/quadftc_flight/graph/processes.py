@@ -23,7 +23,7 @@ from quadftc_ros.conversions import time_message
 from quadftc_ros.diagnostics import WARN
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.recorder_node import RecorderNode
-from quadftc_ros.scheduling import Scheduling, SchedulingError, scheduled
+from quadftc_ros.scheduling import Scheduling, SchedulingError, raise_priority, scheduled
 from quadftc_ros.topics import missing_connections
 
 # the flight is recorded when within a time [s] no more than so many messages come: in real time a controller
@@ -193,6 +193,8 @@ class ProcessGraph(Graph):
             if name is None:
                 continue
             if part == "connections":
+                if self._flying and name not in self._counts:  # restarted: now as urgent as the others
+                    raise_priority(self.children.process_ids()[name], self.plan.scheduling.priority)
                 self._counts[name] = {pair.key: int(pair.value) for pair in status.values}
             elif name == "plant" and part == "flight":
                 self._finished = status.message == "finished"
@@ -248,6 +250,7 @@ class ProcessGraph(Graph):
                 count = self._respawn.started(name)
                 # starting takes a core for seconds, which the nodes that fly must not miss
                 low = dataclasses.replace(self.plan.scheduling, priority=self._scheduling.priority)
+                self._counts.pop(name, None)
                 with scheduled(low):
                     self.children.start({name: self._started[name]})
                 self._warn(f"node {name} is started again, for the {count}. time")
