@@ -11,6 +11,7 @@ import ctypes
 import dataclasses
 import os
 from collections.abc import Callable, Generator
+from pathlib import Path
 
 WAITS = ("sleep", "poll")
 PRIORITIES = (1, 99)  # of SCHED_RR
@@ -76,8 +77,8 @@ def scheduled(scheduling: Scheduling) -> Generator[None, None, None]:
 def raise_priority(process: int, priority: int) -> None:
     """Give all threads of a running process, by its id, a priority of SCHED_RR; 0 changes nothing."""
     with contextlib.suppress(OSError):  # it may end at any time; whether it is allowed showed at its start
-        for thread in os.listdir(f"/proc/{process}/task") if priority else ():
-            os.sched_setscheduler(int(thread), os.SCHED_RR, os.sched_param(priority))
+        for thread in Path(f"/proc/{process}/task").iterdir() if priority else ():
+            os.sched_setscheduler(int(thread.name), os.SCHED_RR, os.sched_param(priority))
 
 
 def _allowed(action: Callable[[], None], what: str, remedy: str) -> None:
