@@ -24,19 +24,13 @@ from quadftc_sim.injector import FaultInjector
 from quadftc_sim.simulator import Simulator
 
 
-def simulator_of(scenario: Scenario, epoch_ns: int = EPOCH_NS) -> Simulator:
-    """Return the plant of a scenario, in its disturbances, with its IMU; the first stamp is ``epoch_ns``."""
-    plant = dataclasses.replace(
-        scenario.plant, disturbances=tuple(part.law for part in scenario.disturbances)
-    )
-    return Simulator(plant, scenario.sensor, period_ns(scenario.rate), epoch_ns, scenario.seed)
-
-
 def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = EPOCH_NS) -> Flight:
     """Fly a scenario with one of its schemes (the first by default); the first stamp is ``epoch_ns`` [ns]."""
     chosen = scheme if isinstance(scheme, Scheme) else scenario.scheme(scheme)
     # one object for each node of the graph
-    simulator = simulator_of(scenario, epoch_ns)
+    disturbances = tuple(part.law for part in scenario.disturbances)
+    plant = dataclasses.replace(scenario.plant, disturbances=disturbances)
+    simulator = Simulator(plant, scenario.sensor, period_ns(scenario.rate), epoch_ns, scenario.seed)
     injector = FaultInjector(scenario.seed, (fault.injection for fault in scenario.faults))
     diagnosis = Diagnosis(chosen.observer.law)
     disturbance_observer = DisturbanceEstimation(chosen.disturbance_observer.law)

@@ -25,7 +25,6 @@ from quadftc_flight.scenario.document import read_document as read_document
 from quadftc_flight.scenario.files import find_gains as find_gains
 from quadftc_flight.scenario.files import find_scenario as find_scenario
 from quadftc_flight.scenario.files import grade_of as grade_of
-from quadftc_flight.scenario.files import scenario_directories as scenario_directories
 from quadftc_flight.scenario.files import scenario_names as scenario_names
 from quadftc_flight.scenario.files import with_gains_of as with_gains_of
 from quadftc_flight.scenario.model import MAX_SEED as MAX_SEED
