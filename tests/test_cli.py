@@ -153,7 +153,7 @@ def test_force_replaces_only_runs(folder: Path):
 )
 def test_interrupted_run_leaves_a_bag_that_can_be_read(folder: Path, options, number: signal.Signals):
     """The signal goes to all processes of the command, as from a terminal or a supervisor."""
-    command = installed_command("run", "tiny.yaml", "--out", "out", "--set", "duration=600 s", *options)
+    command = installed_command("run", "tiny.yaml", "--out", "out", "--set", "duration=120 s", *options)
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     process = subprocess.Popen(command, **pipes, start_new_session=True)
     bag = folder / "out" / "tiny-proposed" / "tiny-proposed_0.mcap"

@@ -95,10 +95,9 @@ def _run_one(
 
     def follow(share: float) -> bool:
         nonlocal reported
-        if share - reported < STRIDE:
-            return True
-        reported = share
-        answers.send(share)
+        if share - reported >= STRIDE:
+            reported = share
+            answers.send(share)
         return not stop.is_set()
 
     try:
