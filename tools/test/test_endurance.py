@@ -40,7 +40,7 @@ def test_process_that_grows_is_found_out(program, grows):
 def test_flights_follow_each_other_and_are_judged(monkeypatch):
     monkeypatch.setattr(endurance, "LOOK", 0.1)
     lines = []
-    flown, grown = soak("lockstep", "composed", 100.0, 10.0, 0.15, lines.append)
+    flown, grown = soak("lockstep", "composed", 100.0, 10.0, 0.01, lines.append)
     assert len(flown) == len(lines) >= 1
     assert all((each.samples, each.missing) == (999, 0) and 0.0 < each.largest < 5.0 for each in flown)
     assert {each.name for each in grown} >= {"graph"}

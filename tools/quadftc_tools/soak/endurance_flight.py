@@ -2,7 +2,7 @@
 """Repeats flights in one process; prints how far it is, one JSON object a line.
 
 ``python3 -m quadftc_tools.soak.endurance_flight MODE GRAPH RATE LENGTH MINUTES FOLDER``. Every flight is
-recorded to ``FOLDER/NUMBER``; in lock-step the time may cut the last.
+recorded to ``FOLDER/NUMBER``; in lock-step the time may cut the last, unless it is the first.
 """
 
 from __future__ import annotations
@@ -58,21 +58,23 @@ def fly_repeatedly(mode: str, kind: str, rate: float, length: float, minutes: fl
         told = 0.0
         _tell(flight=number)
 
+        def cut() -> bool:
+            return mode == "lockstep" and number > 1 and time.monotonic() >= end  # noqa: B023
+
         def follow(samples: int) -> bool:
             nonlocal told
             now = time.monotonic()
             if now - told >= TOLD_EVERY:
                 told = now
                 _tell(samples=samples)
-            return mode == "realtime" or now < end
+            return not cut()
 
         with GRAPHS[kind](plan) as graph:
             wall = graph.run(follow)
             recorder = graph.recorder
             assert recorder is not None
             status = recorder.finish()
-        cut = mode == "lockstep" and time.monotonic() >= end
-        _tell(flown=number, wall_s=wall, cut=cut, dropped=sum(status.dropped.values()) + status.lost)
+        _tell(flown=number, wall_s=wall, cut=cut(), dropped=sum(status.dropped.values()) + status.lost)
 
 
 def _tell(**what: object) -> None:
