@@ -17,7 +17,7 @@ import importlib.util
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 ROOT = Path(__file__).resolve().parents[1]
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -64,6 +64,44 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     return parser.parse_args(arguments)
 
 
+def parameters_from_file(path: Path) -> dict[str, dict[str, Any]]:
+    """Read a ROS parameter file, or raise a ValueError: the parameters of each node of the graph by its name.
+
+    ``/**`` stands for all nodes; namespaces are left out, and so are nodes that are not of the graph.
+    """
+    import yaml
+
+    from quadftc_flight.graph.plan import EXECUTABLES
+
+    try:
+        data: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ValueError(f"{path}: {' '.join(str(error).split())}") from None
+    if not isinstance(data, dict):
+        raise ValueError(f"{path}: expected node names with ros__parameters below each")
+    found: dict[str, dict[str, Any]] = {}
+    for key, entry in cast("dict[Any, Any]", data).items():
+        values = cast("dict[Any, Any]", entry).get("ros__parameters") if isinstance(entry, dict) else None
+        if not isinstance(values, dict):
+            raise ValueError(f"{path}: {key}: expected ros__parameters with a mapping")
+        name = str(key).rpartition("/")[2]
+        for node in EXECUTABLES if name == "**" else (name,):
+            if node in EXECUTABLES:
+                found.setdefault(node, {}).update(_flat(cast("dict[str, Any]", values)))
+    return found
+
+
+def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested parameters with dotted names."""
+    flat: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, dict):
+            flat.update(_flat(cast("dict[str, Any]", value), f"{prefix}{name}."))
+        else:
+            flat[f"{prefix}{name}"] = value
+    return flat
+
+
 def node_parameters_of(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
     """Collect the parameters of each node from scenario or parameter file.
 
@@ -72,7 +110,6 @@ def node_parameters_of(options: argparse.Namespace) -> dict[str, dict[str, Any]]
     ValueError
         If file or scenario are wrong.
     """
-    from quadftc_flight.graph.plan import parameters_from_file
     from quadftc_flight.scenario import find_scenario, load_scenario, node_parameters
 
     if options.scenario:

@@ -16,7 +16,7 @@ import pytest
 
 from node_bench import NodeBench
 from quadftc_bags.bag import read_bag
-from quadftc_flight.graph.plan import EXECUTABLES, GraphPlan, parameters_from_file
+from quadftc_flight.graph.plan import EXECUTABLES, GraphPlan
 from quadftc_flight.graph.processes import executable_path
 from quadftc_flight.scenario import load_scenario, node_parameters
 from quadftc_ros.scheduling import ORDINARY, Scheduling, SchedulingError, scheduled
@@ -24,6 +24,16 @@ from quadftc_ros.scheduling import ORDINARY, Scheduling, SchedulingError, schedu
 SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "launch_graph.py"
 BUSY = Path(__file__).parent / "scenarios" / "busy.yaml"
 END = 60.0  # s; for a process to end on its own
+
+
+def the_script():
+    """The launcher as a module."""
+    spec = importlib.util.spec_from_file_location("launch_graph", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    return script
 
 
 @contextlib.contextmanager
@@ -191,11 +201,7 @@ def test_nodes_end_when_their_launcher_is_killed():
 )
 def test_wrong_input_ends_with_2_and_one_line(arguments, words: tuple[str, ...], monkeypatch, capsys):
     """In this process, which has imported everything already."""
-    spec = importlib.util.spec_from_file_location("launch_graph", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
+    script = the_script()
     monkeypatch.setattr(sys, "argv", [str(SCRIPT), *map(str, arguments)])
     code, errors = script.main(), capsys.readouterr().err
     assert code == 2
@@ -252,5 +258,5 @@ def test_parameter_file_gives_back_the_parameters_it_was_made_from(tmp_path: Pat
     parameters = node_parameters(load_scenario(BUSY), "proposed")
     plan = GraphPlan(parameters, "lockstep", "drone1")
     (tmp_path / "graph.yaml").write_text(plan.parameter_file(), encoding="utf-8")
-    read = parameters_from_file(tmp_path / "graph.yaml")
+    read = the_script().parameters_from_file(tmp_path / "graph.yaml")
     assert read == {node: plan.node_parameters(node) for node in EXECUTABLES}

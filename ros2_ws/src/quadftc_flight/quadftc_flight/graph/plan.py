@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import yaml
 
@@ -72,40 +72,6 @@ class GraphPlan:
         """Return the parameters of the recorder."""
         attachments = [str(path) for path in self.attachments] or [""]
         return {"mode": self.mode, "directory": str(self.bag), "attachments": attachments}
-
-
-def parameters_from_file(path: Path) -> dict[str, dict[str, Any]]:
-    """Read a ROS parameter file, or raise a ValueError: the parameters of each node of the graph by its name.
-
-    ``/**`` stands for all nodes; namespaces are left out, and so are nodes that are not of the graph.
-    """
-    try:
-        data: Any = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ValueError(f"{path}: {' '.join(str(error).split())}") from None
-    if not isinstance(data, dict):
-        raise ValueError(f"{path}: expected node names with ros__parameters below each")
-    found: dict[str, dict[str, Any]] = {}
-    for key, entry in cast("dict[Any, Any]", data).items():
-        values = cast("dict[Any, Any]", entry).get("ros__parameters") if isinstance(entry, dict) else None
-        if not isinstance(values, dict):
-            raise ValueError(f"{path}: {key}: expected ros__parameters with a mapping")
-        name = str(key).rpartition("/")[2]
-        for node in EXECUTABLES if name == "**" else (name,):
-            if node in EXECUTABLES:
-                found.setdefault(node, {}).update(_flat(cast("dict[str, Any]", values)))
-    return found
-
-
-def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested parameters with dotted names."""
-    flat: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, dict):
-            flat.update(_flat(cast("dict[str, Any]", value), f"{prefix}{name}."))
-        else:
-            flat[f"{prefix}{name}"] = value
-    return flat
 
 
 def check_options(graph: str, mode: str, scheduling: Scheduling, respawn: bool = False) -> None:
