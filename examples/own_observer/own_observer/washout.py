@@ -14,8 +14,7 @@ import dataclasses
 import math
 from typing import NamedTuple
 
-from quadftc_fdi.dead_reckoning import comparable, dead_reckon
-from quadftc_fdi.fault_observer import FaultObserver, register
+from quadftc_fdi.fault_observer import FaultObserver, comparable, correct_sample, dead_reckon, register
 from quadftc_model.arrays import Quaternion, Vector, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
@@ -67,8 +66,6 @@ class Washout(FaultObserver):
             std_dev=xp.full_like(fault, -1.0),
             state=xp.where(faulty, FAULTY, HEALTHY).astype(xp.uint8),
             onset_age=xp.where(faulty, age, -1.0),
-            corrected=imu._replace(
-                q_xyzw=q_xyzw, body_rate=gyro, attitude_valid=xp.ones_like(imu.attitude_valid)
-            ),
+            corrected=correct_sample(imu, q_xyzw, gyro),
         )
         return WashoutState(q_xyzw, gyro, age), estimate

@@ -7,10 +7,7 @@ PACKAGE = "quadftc_model"
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description=(
-        "Rotations, rigid body, rotors and mixer, vehicles, integrators and the "
-        "registry: pure functions over arrays."
-    ),
+    description="Rotations, rigid body, rotors and mixer, vehicles: pure functions over arrays.",
     license="Apache-2.0",
     maintainer="quadftc maintainers",
     maintainer_email="maintainers@quadftc.example",

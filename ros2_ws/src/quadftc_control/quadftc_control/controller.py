@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from quadftc_model.arrays import Array, namespace
-from quadftc_model.parameters import check
+from quadftc_model.assembly import NodeParameters, component_from, vehicle_from
+from quadftc_model.parameters import Checked
 from quadftc_model.registry import Registry
 from quadftc_model.rotors import attainable
 from quadftc_model.samples import ControllerInputs, ControllerOutput, is_usable
@@ -19,17 +20,13 @@ from quadftc_model.vehicle import Vehicle
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Controller(abc.ABC):
+class Controller(Checked, abc.ABC):
     """Base of all controllers: from attitude, body rate, reference and disturbance estimate to a torque.
 
     The torque of every controller has gone through :func:`limited`: the rotors can give it.
     """
 
     vehicle: Vehicle
-
-    def __post_init__(self) -> None:
-        """Check the parameters."""
-        check(self)
 
     @abc.abstractmethod
     def init(self, inputs: ControllerInputs) -> Any:
@@ -73,16 +70,8 @@ def limited(vehicle: Vehicle, torque: Array) -> tuple[Array, Array]:
 def anti_windup(integral: Array, error: Array, wanted: Array, given: Array, dt: float) -> Array:
     """Integral of the error over a step, held where its change would drive a cut torque further.
 
-    That is conditional integration.
-
-    Parameters
-    ----------
-    integral, error : array (..., 3)
-        The integral so far and its integrand; a growing integral lowers the torque.
-    wanted, given : array (..., 3)
-        Torque before and after the limits [N m].
-    dt : float
-        Step [s].
+    That is conditional integration. A growing integral (..., 3) lowers the torque; ``wanted`` and ``given``
+    are the torque before and after the limits [N m].
     """
     deeper = (wanted - given) * error < 0.0
     return integral + dt * namespace(error).where(deeper, 0.0, error)
@@ -90,3 +79,8 @@ def anti_windup(integral: Array, error: Array, wanted: Array, given: Array, dt: 
 
 controllers: Registry[Any] = Registry("controller", "quadftc_control.controllers", "quadftc.controllers")
 register = controllers.register
+
+
+def controller_from(parameters: NodeParameters) -> Controller:
+    """Build the controller from its node's parameters: vehicle, controller, ``<controller>.<parameter>``."""
+    return component_from(controllers, parameters, "controller", vehicle=vehicle_from(parameters))

@@ -18,10 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_control.assembly import controller_from
-from quadftc_control.controller import controllers
+from quadftc_control.controller import controller_from, controllers
 from quadftc_control.flight_manager import Command, FlightManager
 from quadftc_control.input_monitor import Mode, Patience
+from quadftc_control.last_words import MessageReader
 from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import ALARMS, AttitudeReference, ControllerInputs, ImuSample, level_sample
@@ -63,18 +63,12 @@ class ControllerParameters:
     controller: str = parameter("ismc", doc="name of the controller")
 
 
-class MessageReader:
-    """Reads kept messages for the flight manager (`quadftc_control.last_words.StatusReader`)."""
+def faulty_part(status: Any) -> Floats:
+    """Return the estimate (3,) [rad] of a status message, zero on axes without an alarm."""
+    return array_of(status.estimate) * np.isin(status.state, ALARMS)
 
-    imu = staticmethod(imu_of)
-    states = staticmethod(fault_states_of)
-    status = staticmethod(fault_status_of)
-    revise = staticmethod(revise_status)
 
-    @staticmethod
-    def faulty_part(status: Any) -> Floats:
-        """Return the estimate (3,) [rad], zero on axes without an alarm."""
-        return array_of(status.estimate) * np.isin(status.state, ALARMS)
+READER = MessageReader(imu_of, fault_states_of, fault_status_of, faulty_part, revise_status)
 
 
 class ControllerNode(GraphNode):
@@ -91,7 +85,7 @@ class ControllerNode(GraphNode):
         still = AttitudeReference(np.zeros(3), np.zeros(3), np.zeros(3))
         warm_up(law, ControllerInputs(level_sample(), still, np.zeros(3)))
         patience = build_prefixed(Patience, values, "patience")
-        self._manager = FlightManager(law, patience, MessageReader(), self.diagnostics.count)
+        self._manager = FlightManager(law, patience, READER, self.diagnostics.count)
         self.settings.on_change(self._rebuilt)
         self._publish_torque = self.publishes("torque/command")
         self._publish_status = self.publishes("control/status")
@@ -168,12 +162,11 @@ class ControllerNode(GraphNode):
 
     def report(self) -> None:
         """Report a reference that stands still because its node does."""
-        if not self.lockstep and self._manager.stamp_ns and self._manager.reference is not None:
-            old = seconds(self._manager.stamp_ns - self._manager.reference_ns) > REFERENCE_AGE
-            level, words = (
-                (WARN, "attitude/reference does not come: the last is held") if old else (OK, "comes")
-            )
-            self.diagnostics.report("reference", level, words)
+        manager = self._manager
+        if not self.lockstep and manager.stamp_ns and manager.reference is not None:
+            old = seconds(manager.stamp_ns - manager.reference_ns) > REFERENCE_AGE
+            words = "attitude/reference does not come: the last is held" if old else "comes"
+            self.diagnostics.report("reference", WARN if old else OK, words)
 
 
 def main() -> None:

@@ -17,23 +17,15 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from quadftc_control.controller import Controller, nothing_but, stepper_of
 from quadftc_control.input_monitor import HeldTorque, InputMonitor, Mode, Patience
-from quadftc_control.last_words import LastWords, StatusReader
+from quadftc_control.last_words import LastWords, MessageReader
 from quadftc_control.transfer import Transfer
-from quadftc_model.samples import (
-    AttitudeReference,
-    ControllerInputs,
-    ControllerOutput,
-    ImuSample,
-    is_usable,
-    sanitised,
-)
+from quadftc_model import samples
+from quadftc_model.arrays import Vector
+from quadftc_model.samples import AttitudeReference, ControllerInputs, ControllerOutput, ImuSample
 from quadftc_model.stepper import seconds
-
-Vector = NDArray[np.float64]
 
 
 class Command(NamedTuple):
@@ -55,19 +47,12 @@ class Kept(NamedTuple):
 class FlightManager:
     """Flies one vehicle on whatever comes.
 
-    Parameters
-    ----------
-    law : Controller
-        For when there is a disturbance estimate.
-    patience : Patience
-    reader : StatusReader
-        Reads the serialised messages that are only kept.
-    count : callable
-        Gets the reason when an input or output cannot be used.
+    ``law`` is for when there is a disturbance estimate; ``count`` gets the reason when an input or output
+    cannot be used.
     """
 
     def __init__(
-        self, law: Controller, patience: Patience, reader: StatusReader, count: Callable[[str], None]
+        self, law: Controller, patience: Patience, reader: MessageReader, count: Callable[[str], None]
     ) -> None:
         self._law, self._count, self._reader = law, count, reader
         self._torque = np.zeros(3)  # last command [N m]
@@ -77,7 +62,7 @@ class FlightManager:
         self._held = HeldTorque()
         self._status: Any = None  # last status of an observer that is silent, if it helps one that restarts
         self._mode: Mode | None = None
-        self._stamp_ns = 0  # of the last command
+        self.stamp_ns = 0  # of the last command [ns]; 0 before the first
         self._watched_ns, self._silent_since_ns = 0, 0
         self._missing = 0.0  # share of the disturbance estimate that is missing
         self._trusted, self._estimate = False, (0, np.zeros(3))  # the last estimate, with its stamp
@@ -95,14 +80,9 @@ class FlightManager:
         self._stepper.reset()
         self._transfer.reset()
 
-    @property
-    def stamp_ns(self) -> int:
-        """Stamp of the last command [ns]; 0 before the first."""
-        return self._stamp_ns
-
     def take_reference(self, stamp_ns: int, reference: AttitudeReference) -> AttitudeReference | None:
         """Note a reference; return the last usable one."""
-        if is_usable(*reference):
+        if samples.is_usable(*reference):
             self.reference, self.reference_ns = reference, stamp_ns
         else:
             self._count("attitude/reference: not finite")
@@ -110,7 +90,7 @@ class FlightManager:
 
     def take_disturbance(self, stamp_ns: int, disturbance: Vector) -> Vector:
         """Note a disturbance estimate (3,) [rad/s²]; return it, or zero if it cannot be used."""
-        if not is_usable(disturbance):
+        if not samples.is_usable(disturbance):
             self._count("disturbance/estimate: not finite")
             return np.zeros(3)
         self._monitor.estimated(stamp_ns, disturbance)
@@ -123,7 +103,7 @@ class FlightManager:
 
     def take_corrected(self, stamp_ns: int, imu: ImuSample) -> Command | None:
         """Fly on a sample of imu/corrected, unless it is late or its observer is not trusted yet."""
-        clean = sanitised(imu)
+        clean = samples.sanitised(imu)
         if not clean.attitude_valid:
             self._count("imu/corrected: no attitude")
         elif self._monitor.is_late(stamp_ns):
@@ -150,7 +130,7 @@ class FlightManager:
 
     def take_raw(self, stamp_ns: int, imu: ImuSample) -> Command | None:
         """Fly on a sample of imu/data, without diagnosis."""
-        clean = sanitised(imu)
+        clean = samples.sanitised(imu)
         if not clean.attitude_valid:
             self._count("imu/data: no attitude")
             return None
@@ -158,13 +138,13 @@ class FlightManager:
 
     def watch(self, now_ns: int) -> Command | None:
         """Act when samples have stopped coming, by a clock [ns]: hold the torque, later command zero."""
-        if self._stamp_ns != self._watched_ns:
-            self._watched_ns, self._silent_since_ns = self._stamp_ns, now_ns
+        if self.stamp_ns != self._watched_ns:
+            self._watched_ns, self._silent_since_ns = self.stamp_ns, now_ns
         mode = self._monitor.silence(seconds(now_ns - self._silent_since_ns))
-        if mode is Mode.FULL or not self._stamp_ns:
+        if mode is Mode.FULL or not self.stamp_ns:
             return None
         torque = self._held.mean if mode is Mode.HOLD else np.zeros(3)
-        return self._command(self._stamp_ns, nothing_but(torque), mode)
+        return self._command(self.stamp_ns, nothing_but(torque), mode)
 
     def fly(self, stamp_ns: int, inputs: ControllerInputs, mode: Mode = Mode.FULL) -> Command | None:
         """Step the law; None for a stamp that is refused (repeated, or earlier than the last)."""
@@ -210,7 +190,7 @@ class FlightManager:
             return
         self._status, last_ns, correction = words
         fault = self._reader.faulty_part(self._status)
-        self._transfer.expect(correction, fault if fault.any() and is_usable(fault) else None)
+        self._transfer.expect(correction, fault if fault.any() and samples.is_usable(fault) else None)
         self.kept += [Kept("gyro", last_ns, correction), Kept("fault", last_ns, self._status)]
 
     def _keep_fault(self, stamp_ns: int, read: ImuSample, flown: ImuSample) -> None:
@@ -223,5 +203,5 @@ class FlightManager:
             self.kept.append(Kept("fault", stamp_ns, self._status))
 
     def _command(self, stamp_ns: int, output: ControllerOutput, mode: Mode) -> Command:
-        self._torque, self._stamp_ns, self._mode = output.torque, stamp_ns, mode
+        self._torque, self.stamp_ns, self._mode = output.torque, stamp_ns, mode
         return Command(stamp_ns, output, mode)

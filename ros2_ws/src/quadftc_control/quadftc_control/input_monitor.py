@@ -18,7 +18,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_model.parameters import check, parameter
+from quadftc_model.parameters import Checked, parameter
 from quadftc_model.stepper import seconds
 
 MOST_SAMPLES = 1000  # that any count of samples may be
@@ -36,42 +36,25 @@ class Mode(enum.IntEnum):
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Patience:
+class Patience(Checked):
     """How long each input may be missing, and how gradually the controller goes over to what is left."""
 
     corrected_samples: int = parameter(
         3, low=2, high=MOST_SAMPLES, doc="which imu/data in a row without imu/corrected is used in its place"
     )
-    corrected_age: float = parameter(
-        0.05, unit="s", low=0.0, doc="age against imu/data from which imu/corrected counts as missing"
-    )
+    corrected_age: float = parameter(0.05, unit="s", low=0.0, doc="lag behind imu/data: it is missing")
     return_samples: int = parameter(
         25, low=1, high=MOST_SAMPLES, doc="good samples in a row after which a better mode is returned to"
     )
-    starting: float = parameter(
-        3.0,
-        unit="s",
-        low=0.0,
-        doc="how long imu/corrected that is back may wait for its observer",
-    )
+    starting: float = parameter(3.0, unit="s", low=0.0, doc="how long a returning observer may take to start")
     correction_hold: float = parameter(
-        5.0,
-        unit="s",
-        low=0.0,
-        doc="without diagnosis: how long the body rate alone serves if the attitude was faulty",
+        5.0, unit="s", low=0.0, doc="how long the body rate alone carries an attitude that was faulty"
     )
-    correction_fade: float = parameter(
-        2.0, unit="s", low=1e-3, doc="time in which that is given up afterwards, as the body rate drifts"
-    )
+    correction_fade: float = parameter(2.0, unit="s", low=1e-3, doc="time in which that is given up")
     jump: float = parameter(
-        math.radians(1.0),
-        unit="rad",
-        low=0.0,
-        doc="step of imu/data that the gyro does not explain: a fault begins or ends, and is taken off",
+        math.radians(1.0), unit="rad", low=0.0, doc="step of imu/data that the gyro does not show: a fault"
     )
-    blend: float = parameter(
-        0.5, unit="s", low=1e-3, doc="time in which what is back, IMU or estimate, comes into use"
-    )
+    blend: float = parameter(0.5, unit="s", low=1e-3, doc="time in which what is back comes into use")
     disturbance_age: float = parameter(0.05, unit="s", low=0.0, doc="age from which the estimate fades")
     disturbance_fade: float = parameter(0.5, unit="s", low=1e-3, doc="time in which it fades to zero")
     hold: float = parameter(0.1, unit="s", low=1e-3, doc="time without IMU until the torque counts as held")
@@ -79,7 +62,7 @@ class Patience:
 
     def __post_init__(self) -> None:
         """Check the parameters."""
-        check(self)
+        super().__post_init__()
         if self.off < self.hold:
             raise ValueError(f"off = {self.off:g} s: must not be less than hold = {self.hold:g} s")
 
@@ -103,12 +86,7 @@ class HeldTorque:
 
 
 class InputMonitor:
-    """Keeps count of what came and what did not.
-
-    Parameters
-    ----------
-    patience : Patience
-    """
+    """Keeps count of what came and what did not."""
 
     def __init__(self, patience: Patience) -> None:
         self.patience = patience

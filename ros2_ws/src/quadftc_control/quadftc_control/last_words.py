@@ -14,11 +14,12 @@ The stamps are those of the last samples that were diagnosed.
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadftc_model.arrays import Vector
 from quadftc_model.rotations import euler_from_quaternion, wrap
 from quadftc_model.samples import STARTING, ImuSample
 from quadftc_model.stepper import MAX_GAP, seconds
@@ -27,41 +28,23 @@ DEPTH = 64  # samples of imu/data of which imu/corrected may still come
 PERIOD = 0.05  # s; over which a fault is averaged when it is seen without diagnosis
 
 
-class StatusReader(Protocol):
-    """Reads serialised messages that are mostly kept unread; raises ValueError for what is none."""
+class MessageReader(NamedTuple):
+    """Functions that read serialised messages, which are mostly kept unread; ValueError for what is none."""
 
-    def imu(self, data: bytes) -> ImuSample:
-        """Return the sample of imu/data."""
-        ...
-
-    def states(self, data: bytes) -> tuple[int, ...]:
-        """Return the state of each axis of fault/status."""
-        ...
-
-    def status(self, data: bytes) -> Any:
-        """Return the message of fault/status."""
-        ...
-
-    def faulty_part(self, status: Any) -> NDArray[np.float64]:
-        """Return the estimate (3,) [rad] of a status message, zero on axes without an alarm."""
-        ...
-
-    def revise(self, status: Any, /, stamp_ns: int, fault: NDArray[np.float64], certain: float) -> None:
-        """Put another fault (3,) [rad] into a status message; beyond ``certain`` [rad] an axis is faulty."""
-        ...
+    imu: Callable[[bytes], ImuSample]  # the sample of imu/data
+    states: Callable[[bytes], tuple[int, ...]]  # the state of each axis of fault/status
+    status: Callable[[bytes], Any]  # the message of fault/status
+    faulty_part: Callable[[Any], Vector]  # estimate (3,) [rad] of that message, zero on axes without an alarm
+    # (message, stamp_ns, fault, certain): put another fault (3,) [rad] in; beyond certain an axis is faulty
+    revise: Callable[[Any, int, Vector, float], None]
 
 
 class LastWords:
-    """What both observers said last.
+    """What both observers said last."""
 
-    Parameters
-    ----------
-    reader : StatusReader
-    """
-
-    def __init__(self, reader: StatusReader) -> None:
+    def __init__(self, reader: MessageReader) -> None:
         self._reader = reader
-        self._faults: list[NDArray[np.float64]] = []
+        self._faults: list[Vector] = []
         self._since_ns = 0
         self._raws: deque[tuple[int, bytes]] = deque(maxlen=DEPTH)
         self._newest: tuple[int, ImuSample] | None = None
@@ -89,13 +72,10 @@ class LastWords:
         except ValueError:
             return True
 
-    def average_fault(self, stamp_ns: int, read: ImuSample, flown: ImuSample) -> NDArray[np.float64] | None:
-        """Note a sample of imu/data [stamp in ns] and what is flown on in its place.
+    def average_fault(self, stamp_ns: int, read: ImuSample, flown: ImuSample) -> Vector | None:
+        """Return, every `PERIOD`, by how much imu/data was off, on average (3,) [rad].
 
-        Returns
-        -------
-        array (3,) or None
-            Every `PERIOD`: by how much imu/data was off, on average [rad].
+        Its samples come [stamp in ns] with what is flown on in their place.
         """
         angles = euler_from_quaternion(read.q_xyzw) - euler_from_quaternion(flown.q_xyzw)
         elapsed = seconds(stamp_ns - self._since_ns)
@@ -110,7 +90,7 @@ class LastWords:
         self._faults.clear()
         return mean
 
-    def recall(self, now_ns: int) -> tuple[Any, int, NDArray[np.float64]] | None:
+    def recall(self, now_ns: int) -> tuple[Any, int, Vector] | None:
         """Return the last status (message), its stamp [ns] and the correction of the gyro [rad/s] (3,).
 
         None if nothing helps at a sample of imu/data [stamp in ns]: nothing was heard, the observer was

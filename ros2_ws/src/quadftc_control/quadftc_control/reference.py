@@ -1,4 +1,8 @@
-"""The interface of references, Euler angles with two derivatives over scenario time, and their registry."""
+"""Where the attitude shall be: the interface of references, their registry, and two sources of them.
+
+A scenario adds up references, Euler angles with two derivatives over scenario time; live setpoints go through
+a filter.
+"""
 
 from __future__ import annotations
 
@@ -9,20 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_model.arrays import Array, clip
-from quadftc_model.parameters import check
+from quadftc_model.arrays import Array, clip, namespace
+from quadftc_model.assembly import NodeParameters, components_from
+from quadftc_model.parameters import Checked, parameter
 from quadftc_model.registry import Registry
+from quadftc_model.rotations import wrap
 from quadftc_model.samples import AttitudeReference, is_usable
 from quadftc_model.stepper import seconds
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Reference(abc.ABC):
+class Reference(Checked, abc.ABC):
     """Base of all references; those of a scenario add up."""
-
-    def __post_init__(self) -> None:
-        """Check the parameters."""
-        check(self)
 
     @abc.abstractmethod
     def sample(self, time: Array) -> AttitudeReference:
@@ -78,3 +80,35 @@ class ReferenceGenerator:
         if is_usable(*reference):
             self._last = reference
         return self._last
+
+
+def reference_from(parameters: NodeParameters) -> ReferenceGenerator:
+    """Build the reference of a node from its list ``references``; level without any."""
+    return ReferenceGenerator(components_from(references, parameters, "references"))
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class SetpointFilter(Checked):
+    """Makes live setpoints smooth: second order, critically damped, with the acceleration bounded.
+
+    acceleration = clip(w² wrap(setpoint - angle) - 2 w rate), rate and angle its integrals.
+    """
+
+    bandwidth: float = parameter(3.0, unit="rad/s", low=1e-3, high=50.0, doc="natural frequency w")
+    max_acceleration: float = parameter(5.0, unit="rad/s^2", low=1e-3, doc="bound of each component")
+
+    def init(self, setpoint: Array) -> AttitudeReference:
+        """Start at a setpoint (..., 3) [rad], still."""
+        zeros = namespace(setpoint).zeros_like(setpoint)
+        return AttitudeReference(setpoint, zeros, zeros)
+
+    def step(
+        self, last: AttitudeReference, setpoint: Array, dt: float
+    ) -> tuple[AttitudeReference, AttitudeReference]:
+        """Advance by ``dt`` [s] towards a setpoint (..., 3) [rad]; the reference is the state."""
+        w = self.bandwidth
+        wanted = w * w * wrap(setpoint - last.angles) - 2.0 * w * last.rates
+        acceleration = clip(wanted, -self.max_acceleration, self.max_acceleration)
+        rates = last.rates + dt * acceleration
+        reference = AttitudeReference(last.angles + 0.5 * dt * (last.rates + rates), rates, acceleration)
+        return reference, reference

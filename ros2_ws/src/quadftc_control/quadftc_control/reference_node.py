@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_control.assembly import reference_from
-from quadftc_control.setpoint import SetpointFilter
+from quadftc_control.reference import SetpointFilter, reference_from
 from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import Value, parameter
 from quadftc_model.samples import AttitudeReference, is_usable

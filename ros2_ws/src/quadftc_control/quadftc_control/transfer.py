@@ -25,13 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_control.input_monitor import Patience
-from quadftc_model.rotations import (
-    euler_from_quaternion,
-    normalise,
-    quaternion_from_euler,
-    quaternion_from_rotation_vector,
-    quaternion_product,
-)
+from quadftc_model import rotations
+from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, quaternion_product
 from quadftc_model.samples import ImuSample
 from quadftc_model.stepper import MAX_GAP, seconds
 
@@ -43,12 +38,7 @@ _CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
 class Transfer:
-    """What the controller flies on, whichever source it comes from.
-
-    Parameters
-    ----------
-    patience : Patience
-    """
+    """What the controller flies on, whichever source it comes from."""
 
     def __init__(self, patience: Patience) -> None:
         self.patience = patience
@@ -66,26 +56,15 @@ class Transfer:
     def expect(self, rate_correction: NDArray[np.float64] | None, fault: NDArray[np.float64] | None) -> None:
         """Say what is known of imu/data, before it is used in place of imu/corrected.
 
-        Parameters
-        ----------
-        rate_correction : array (3,) or None
-            What the diagnosis has last added to its body rate [rad/s]; None if that is not known.
-        fault : array (3,) or None
-            Fault of its attitude, as last known [rad]; None if there was none.
+        That is what the diagnosis has last added to its body rate [rad/s], and the fault of its attitude as
+        last known [rad]; None if it is not known or there was none.
         """
         self._rate_correction, self._fault = rate_correction, fault
 
     def used(self, stamp_ns: int, sample: ImuSample, raw: bool) -> ImuSample:
-        """Return the sample to fly on.
+        """Return what to fly on for a clean sample with attitude, later [ns] than that of the last call.
 
-        Parameters
-        ----------
-        stamp_ns : int
-            [ns], later than that of the last call.
-        sample : ImuSample
-            Clean, of one vehicle; with attitude.
-        raw : bool
-            Whether it is of imu/data, else of imu/corrected.
+        ``raw`` tells whether it is of imu/data, else of imu/corrected.
         """
         elapsed = seconds(stamp_ns - self._stamp_ns)
         before = self._used if 0.0 < elapsed <= LONGEST else None
@@ -151,8 +130,7 @@ class Transfer:
     def _shifted(self, stamp_ns: int, sample: ImuSample) -> ImuSample:
         weight = max(0.0, self._weight(stamp_ns))
         if weight > 0.0:
-            turn = quaternion_from_rotation_vector(weight * self._turn)
-            sample = sample._replace(q_xyzw=normalise(quaternion_product(sample.q_xyzw, turn)))
+            sample = sample._replace(q_xyzw=rotations.turn(sample.q_xyzw, weight * self._turn))
         else:
             self._blending = False
         share = 1.0 if self._rate_stays else weight
@@ -176,7 +154,7 @@ def _turn_of(sample: ImuSample, fault: NDArray[np.float64]) -> NDArray[np.float6
 
 def _turn_between(sample: ImuSample, before: ImuSample, elapsed: float) -> NDArray[np.float64]:
     """Rotation vector [rad] (3,) from a sample to where the one before has come in a time [s]."""
-    turned = quaternion_from_rotation_vector(before.body_rate * elapsed)
+    turned = rotations.quaternion_from_rotation_vector(before.body_rate * elapsed)
     expected = quaternion_product(before.q_xyzw, turned)
     return rotation_vector(quaternion_product(sample.q_xyzw * _CONJUGATE, expected))
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from quadftc_control.setpoint import SetpointFilter
+from quadftc_control.reference import SetpointFilter
 
 DT = 0.004
 

@@ -9,18 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_fdi.fault_observer import FaultObserver, LastWords
-from quadftc_fdi.handover import Handover
+from quadftc_fdi.handover import ResumingStepper
+from quadftc_model import samples
 from quadftc_model.arrays import Mask, Vector
-from quadftc_model.samples import (
-    AXES,
-    STARTING,
-    FaultEstimate,
-    FaultObserverInputs,
-    ImuSample,
-    is_usable,
-    sanitised,
-)
-from quadftc_model.stepper import Stepper, Timing, seconds
+from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample, sanitised
+from quadftc_model.stepper import Timing, seconds
 
 
 class KeptDiagnosis(NamedTuple):
@@ -39,7 +32,7 @@ class KeptDiagnosis(NamedTuple):
         return words if all(np.all(np.isfinite(part)) for part in words) else None
 
 
-class Diagnosis:
+class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, KeptDiagnosis]):
     """A fault observer on a stream.
 
     It starts at the first sample that has both attitude and rate, and restarts so after a gap and after an
@@ -47,73 +40,36 @@ class Diagnosis:
     sample, whatever is wrong with it.
     """
 
+    law: FaultObserver
+
     def __init__(self, law: FaultObserver) -> None:
-        self._stepper: Stepper[FaultObserverInputs, FaultEstimate] = Stepper(law, _usable_estimate)
-        self._handover = Handover[KeptDiagnosis]()
-        self.resumed = 0  # how often it resumed where another one had died
+        super().__init__(law, _usable_estimate)
 
-    @property
-    def stamp_ns(self) -> int | None:
-        """Stamp of the last sample used [ns]."""
-        return self._stepper.stamp_ns
+    def diagnose(self, stamp_ns: int, sample: ImuSample, torque: Vector) -> FaultEstimate | None:
+        """Diagnose a sample [ns] as received; None if its stamp is repeated or went back.
 
-    @property
-    def law(self) -> FaultObserver:
-        """The observer; a new one goes on with the state of the old."""
-        return self._stepper.law  # type: ignore[return-value]
-
-    @law.setter
-    def law(self, law: FaultObserver) -> None:
-        self._stepper.law = law
-
-    @property
-    def replaced(self) -> int:
-        """How many estimates so far could not be used."""
-        return self._stepper.replaced
-
-    def restart(self) -> None:
-        """Start at the next sample, without state and last words."""
-        self._stepper.reset()
-        self._handover.restart()
-
-    def offer(self, stamp_ns: int, kept: KeptDiagnosis) -> None:
-        """Offer the last words [stamp in ns] of a diagnosis that has died, to resume from if it has."""
-        self._handover.offer(stamp_ns, kept)
-
-    def step(self, stamp_ns: int, sample: ImuSample, torque: Vector) -> FaultEstimate | None:
-        """Diagnose a sample; None if its stamp is repeated or went back.
-
-        Parameters
-        ----------
-        stamp_ns : int
-            The sample's time [ns].
-        sample : ImuSample
-            As received, of one vehicle.
-        torque : array (3,)
-            Torque that acted since the sample before [N m].
+        ``torque`` [N m] is the one that acted since the sample before.
         """
         clean = sanitised(sample)
         inputs = FaultObserverInputs(clean, torque)
-        kept, timing = self._handover.words_for(stamp_ns), self._stepper.timing(stamp_ns)
+        kept, timing = self.words_for(stamp_ns), self.timing(stamp_ns)
         complete = clean.attitude_valid and clean.rate_valid
         if kept is not None:
             last = kept.at(stamp_ns)
-            resumes = last is not None and complete and timing.accepted
-            if resumes or last is None:
-                self._handover.close()
-            if last is not None and resumes:
-                self.resumed += 1
-                return self._stepper.resume(stamp_ns, inputs, self.law.resumed(inputs, last))
+            if last is None:
+                self.drop_words()
+            elif complete and timing.accepted:
+                return self.take_over(stamp_ns, inputs, self.law.resumed(inputs, last))
         if timing in (Timing.FIRST, Timing.RESTART) and not complete:
-            self._stepper.reset()
+            self.reset()
             return _starting_estimate(clean)
-        return self._stepper.step(stamp_ns, inputs)
+        return self.step(stamp_ns, inputs)
 
 
 def describe_axes(estimate: FaultEstimate) -> Iterator[tuple[str, int, dict[str, str]]]:
     """Return name, fault state and values for people of each axis of an estimate."""
     columns = (each.tolist() for each in estimate[:4])
-    for axis, size, std_dev, state, age in zip(AXES, *columns, strict=True):
+    for axis, size, std_dev, state, age in zip(samples.AXES, *columns, strict=True):
         values = {"size_deg": f"{round(math.degrees(size), 3) + 0.0:.3f}"}  # no -0.000
         if std_dev >= 0.0:
             values["sigma_deg"] = f"{math.degrees(std_dev):.3f}"
@@ -124,7 +80,7 @@ def describe_axes(estimate: FaultEstimate) -> Iterator[tuple[str, int, dict[str,
 
 def _usable_estimate(inputs: FaultObserverInputs, estimate: FaultEstimate) -> FaultEstimate:
     corrected = estimate.corrected
-    if is_usable(estimate.fault, corrected.q_xyzw, corrected.body_rate):
+    if samples.is_usable(estimate.fault, corrected.q_xyzw, corrected.body_rate):
         return estimate
     return _starting_estimate(inputs.imu)
 
@@ -132,4 +88,4 @@ def _usable_estimate(inputs: FaultObserverInputs, estimate: FaultEstimate) -> Fa
 def _starting_estimate(clean: ImuSample) -> FaultEstimate:
     """Return the estimate before the observer has started: no fault is known, the sample passes."""
     unknown = np.full(3, -1.0)
-    return FaultEstimate(np.zeros(3), unknown, np.full(3, STARTING, np.uint8), unknown, clean)
+    return FaultEstimate(np.zeros(3), unknown, np.full(3, samples.STARTING, np.uint8), unknown, clean)

@@ -8,25 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_fdi.handover import Handover
+from quadftc_fdi.handover import ResumingStepper
 from quadftc_model.arrays import Vector
 from quadftc_model.assembly import NodeParameters, component_from, vehicle_from
-from quadftc_model.parameters import check
+from quadftc_model.parameters import Checked
 from quadftc_model.registry import Registry
 from quadftc_model.samples import DisturbanceObserverInputs, ImuSample, is_usable, sanitised
-from quadftc_model.stepper import Stepper
 from quadftc_model.vehicle import Vehicle
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class DisturbanceObserver(abc.ABC):
+class DisturbanceObserver(Checked, abc.ABC):
     """Base of all disturbance observers: from body rates and torques to d of (36) [rad/s²]."""
 
     vehicle: Vehicle
-
-    def __post_init__(self) -> None:
-        """Check the parameters."""
-        check(self)
 
     @abc.abstractmethod
     def init(self, inputs: DisturbanceObserverInputs) -> Any:
@@ -41,49 +36,30 @@ class DisturbanceObserver(abc.ABC):
         """Advance by ``dt`` [s] to a sample (0 at the first one); return the estimate [rad/s²]."""
 
 
-class DisturbanceEstimation:
+class DisturbanceEstimation(ResumingStepper[DisturbanceObserverInputs, Vector, Vector]):
     """A disturbance observer on a stream. An estimate that cannot be used becomes zero and restarts it."""
 
+    law: DisturbanceObserver
+
     def __init__(self, law: DisturbanceObserver) -> None:
-        self._law = law
-        self._stepper: Stepper[DisturbanceObserverInputs, Vector] = Stepper(
-            law, lambda _, estimate: estimate if is_usable(estimate) else np.zeros(3)
-        )
-        self._handover = Handover[Vector]()
-        self.resumed = 0  # how often it resumed where another one had died
+        super().__init__(law, lambda _, estimate: estimate if is_usable(estimate) else np.zeros(3))
 
-    @property
-    def replaced(self) -> int:
-        """How many estimates so far could not be used."""
-        return self._stepper.replaced
-
-    def exchange(self, law: DisturbanceObserver) -> None:
-        """Go on with another observer and the state of the old."""
-        self._law = self._stepper.law = law
-
-    def restart(self) -> None:
-        """Start at the next sample, without state and last words."""
-        self._stepper.reset()
-        self._handover.restart()
-
-    def offer(self, stamp_ns: int, estimate: Vector) -> None:
+    def offer(self, stamp_ns: int, words: Vector) -> None:
         """Offer the last estimate [rad/s², stamp in ns] of an observer that has died, to resume from."""
-        if is_usable(estimate):
-            self._handover.offer(stamp_ns, estimate)
+        if is_usable(words):
+            super().offer(stamp_ns, words)
 
-    def step(self, stamp_ns: int, corrected: ImuSample, torque: Vector) -> Vector | None:
+    def estimate(self, stamp_ns: int, corrected: ImuSample, torque: Vector) -> Vector | None:
         """Return the estimate [rad/s²] at a corrected sample; None if its stamp is repeated or went back.
 
         ``torque`` [N m] is the one that acted since the sample before.
         """
         clean = sanitised(corrected)
         inputs = DisturbanceObserverInputs(clean.body_rate, clean.rate_valid, torque)
-        last = self._handover.words_for(stamp_ns)
-        if last is not None and inputs.rate_valid and self._stepper.timing(stamp_ns).accepted:
-            self._handover.close()
-            self.resumed += 1
-            return self._stepper.resume(stamp_ns, inputs, self._law.resumed(inputs, last))
-        return self._stepper.step(stamp_ns, inputs)
+        last = self.words_for(stamp_ns)
+        if last is not None and inputs.rate_valid and self.timing(stamp_ns).accepted:
+            return self.take_over(stamp_ns, inputs, self.law.resumed(inputs, last))
+        return self.step(stamp_ns, inputs)
 
 
 disturbance_observers: Registry[Any] = Registry(
@@ -93,8 +69,5 @@ register = disturbance_observers.register
 
 
 def disturbance_observer_from(parameters: NodeParameters) -> DisturbanceObserver:
-    """Build the observer from the parameters of its node; ValueError names the one that is wrong.
-
-    They are vehicle, observer (its name), and ``<observer>.<parameter>``. Others are ignored.
-    """
+    """Build the observer from the parameters of its node: vehicle, observer, ``<observer>.<parameter>``."""
     return component_from(disturbance_observers, parameters, "observer", vehicle=vehicle_from(parameters))

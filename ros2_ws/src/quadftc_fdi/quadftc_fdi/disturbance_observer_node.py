@@ -65,7 +65,7 @@ class DisturbanceObserverNode(GraphNode):
 
     def _rebuild(self, values: Mapping[str, Value]) -> Callable[[], None]:
         law = disturbance_observer_from(values)
-        return lambda: self._estimation.exchange(law)
+        return lambda: setattr(self._estimation, "law", law)
 
     def _on_torque(self, stamp_ns: int, torque: Floats) -> None:
         if not self._gate.put_torque(stamp_ns, torque):
@@ -73,7 +73,7 @@ class DisturbanceObserverNode(GraphNode):
 
     def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats) -> None:
         replaced, resumed = self._estimation.replaced, self._estimation.resumed
-        estimate = self._estimation.step(stamp_ns, sample, torque)
+        estimate = self._estimation.estimate(stamp_ns, sample, torque)
         if estimate is None:
             self.diagnostics.count("imu/corrected: stamp repeated or went back")
             return

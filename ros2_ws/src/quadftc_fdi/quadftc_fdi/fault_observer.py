@@ -1,18 +1,34 @@
-"""The interface of fault observers, and their registry."""
+"""The interface of fault observers, their registry, and what several of them share."""
 
 from __future__ import annotations
 
 import abc
 import dataclasses
-from typing import Any, ClassVar, NamedTuple
+import math
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
-from quadftc_model.arrays import Mask, Vector
+import numpy as np
+
+from quadftc_model.arrays import AnyArray, Mask, Quaternion, Vector, is_single, namespace
 from quadftc_model.assembly import NodeParameters, component_from, vehicle_from
-from quadftc_model.parameters import check
+from quadftc_model.parameters import Checked
 from quadftc_model.registry import Registry
-from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
-from quadftc_model.samples import FaultEstimate, FaultObserverInputs
+from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, turn
+from quadftc_model.samples import (
+    FAULTY,
+    HEALTHY,
+    RECOVERING,
+    SUSPECT,
+    FaultEstimate,
+    FaultObserverInputs,
+    ImuSample,
+)
 from quadftc_model.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool
+
+MAX_PITCH = math.radians(80.0)  # rad; steeper, roll and yaw are not defined well enough to be compared
 
 
 class LastWords(NamedTuple):
@@ -26,7 +42,7 @@ class LastWords(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class FaultObserver(abc.ABC):
+class FaultObserver(Checked, abc.ABC):
     """Base of all fault observers: from IMU samples and torques to an estimate of the attitude fault.
 
     ``init`` and ``step`` take arrays with any leading axes. They bridge a sample whose attitude or rate is
@@ -36,10 +52,6 @@ class FaultObserver(abc.ABC):
     has_detector: ClassVar[bool] = True  # False: its status never says faulty, its estimate has to be judged
 
     vehicle: Vehicle
-
-    def __post_init__(self) -> None:
-        """Check the parameters."""
-        check(self)
 
     @abc.abstractmethod
     def init(self, inputs: FaultObserverInputs) -> Any:
@@ -57,12 +69,6 @@ class FaultObserver(abc.ABC):
         """Advance by ``dt`` [s] to a sample; 0 at the first one."""
 
 
-def without_fault(inputs: FaultObserverInputs, fault: Vector) -> FaultObserverInputs:
-    """Inputs with the attitude that the sensor would read without a fault [rad]."""
-    angles = euler_from_quaternion(inputs.imu.q_xyzw) - fault
-    return inputs._replace(imu=inputs.imu._replace(q_xyzw=quaternion_from_euler(angles)))
-
-
 fault_observers: Registry[Any] = Registry(
     "fault observer", "quadftc_fdi.fault_observers", "quadftc.fault_observers"
 )
@@ -70,8 +76,73 @@ register = fault_observers.register
 
 
 def fault_observer_from(parameters: NodeParameters) -> FaultObserver:
-    """Build the observer from the parameters of its node; ValueError names the one that is wrong.
-
-    They are vehicle, observer (its name), and ``<observer>.<parameter>``. Others are ignored.
-    """
+    """Build the observer from the parameters of its node: vehicle, observer, ``<observer>.<parameter>``."""
     return component_from(fault_observers, parameters, "observer", vehicle=vehicle_from(parameters))
+
+
+def without_fault(inputs: FaultObserverInputs, fault: Vector) -> FaultObserverInputs:
+    """Inputs with the attitude that the sensor would read without a fault [rad]."""
+    angles = euler_from_quaternion(inputs.imu.q_xyzw) - fault
+    return inputs._replace(imu=inputs.imu._replace(q_xyzw=quaternion_from_euler(angles)))
+
+
+def dead_reckon(q_xyzw: Quaternion, rate: Vector, next_rate: Vector, dt: float) -> Quaternion:
+    """Attitude after ``dt`` [s] on the mean of two body rates [rad/s]; of order 2."""
+    return turn(q_xyzw, 0.5 * dt * (rate + next_rate))
+
+
+def comparable(angles: Vector, others: Vector) -> Bool[AnyArray, "*batch 1"]:
+    """Whether two attitudes, in Euler angles [rad], are both away from 90 deg of pitch."""
+    if is_single(angles) and is_single(others):
+        (_, pitch, _), (_, other, _) = angles.tolist(), others.tolist()
+        return np.array([abs(pitch) < MAX_PITCH and abs(other) < MAX_PITCH])
+    xp = namespace(angles)
+    steeper = xp.maximum(xp.abs(angles[..., 1:2]), xp.abs(others[..., 1:2]))
+    return steeper < MAX_PITCH
+
+
+def correct_sample(imu: ImuSample, q_xyzw: Quaternion, body_rate: Vector) -> ImuSample:
+    """Put the observer's attitude and body rate [rad/s] into a sample."""
+    return imu._replace(q_xyzw=q_xyzw, body_rate=body_rate, attitude_valid=imu.attitude_valid | True)
+
+
+def assume_healthy(fault: Vector, corrected: ImuSample) -> FaultEstimate:
+    """Return the estimate of an observer that never decides whether its fault [rad] is one."""
+    xp = namespace(fault)
+    unknown = xp.full_like(fault, -1.0)
+    return FaultEstimate(fault, unknown, xp.full_like(fault, HEALTHY, dtype=xp.uint8), unknown, corrected)
+
+
+class Detection(NamedTuple):
+    """Detection of a fault from the size of its estimate: a level with hysteresis, and a time to recover."""
+
+    detected: Mask  # the level has been high and not low again for long enough
+    low: Mask  # the level is low now
+    calm: Vector  # how long it has been low while detected [s]
+    age: Vector  # time since it was last low without a fault [s]
+
+    @classmethod
+    def start(cls, like: Vector) -> Detection:
+        """Start with nothing detected on the axes of an array (..., 3)."""
+        zeros = namespace(like).zeros_like(like)
+        return cls(zeros > 0.0, zeros == 0.0, zeros, zeros)
+
+    def step(self, level: Vector, high: float, low: float, recovery_time: float, dt: float) -> Detection:
+        """Advance by ``dt`` [s] to a level.
+
+        A fault is there from the first level of ``high`` or more, until the level has been below ``low`` for
+        ``recovery_time`` [s].
+        """
+        xp = namespace(level)
+        is_low = level < low
+        detected = self.detected | (level >= high)
+        calm = xp.where(detected & is_low, self.calm + dt, 0.0)
+        detected = detected & (calm < recovery_time)
+        return Detection(detected, is_low, calm, xp.where(is_low & ~detected, 0.0, self.age + dt))
+
+    def report(self, fault: Vector, std_dev: Vector, suspect: Mask, corrected: ImuSample) -> FaultEstimate:
+        """Return the estimate; ``suspect`` tells SUSPECT from HEALTHY."""
+        xp = namespace(fault)
+        faulty, healthy = xp.where(self.low, RECOVERING, FAULTY), xp.where(suspect, SUSPECT, HEALTHY)
+        state = xp.where(self.detected, faulty, healthy).astype(xp.uint8)
+        return FaultEstimate(fault, std_dev, state, xp.where(self.detected, self.age, -1.0), corrected)

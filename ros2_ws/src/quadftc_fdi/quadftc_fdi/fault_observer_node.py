@@ -108,7 +108,7 @@ class FaultObserverNode(GraphNode):
 
     def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats) -> None:
         replaced, resumed = self._diagnosis.replaced, self._diagnosis.resumed
-        estimate = self._diagnosis.step(stamp_ns, sample, torque)
+        estimate = self._diagnosis.diagnose(stamp_ns, sample, torque)
         if estimate is None:
             self.diagnostics.count("imu/data: stamp repeated or went back")
             return

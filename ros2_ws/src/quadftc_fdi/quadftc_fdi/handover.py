@@ -1,34 +1,39 @@
-"""When an observer resumes where another one has died: at its first samples, from words that are not old.
+"""A law on a stream of samples that resumes where another one has died: at its first samples, once.
 
 A node cannot know whether it was started for a flight or in one. The words that the controller keeps for it
-(`quadftc_control.keeper`) tell: they are older than the node's first sample, and not by much.
+(`quadftc_control.last_words`) tell: they are older than the node's first sample, and not by much.
 """
 
 from __future__ import annotations
 
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
-from quadftc_model.stepper import MAX_GAP, seconds
+from quadftc_model.stepper import MAX_GAP, In, Out, Stepper, seconds
 
 LONGEST = 10.0  # s; how old the last words may be at the first sample: a fault may have ended since
 
 Words = TypeVar("Words")
 
 
-class Handover(Generic[Words]):
-    """Decides when last words are used: once, and only by an observer that began after they were said."""
+class ResumingStepper(Stepper[In, Out], Generic[In, Out, Words]):
+    """A stepper that uses last words once, and only if it began after they were said."""
 
-    def __init__(self) -> None:
-        self._first_ns = self._newest_ns = self._words_ns = 0
-        self._words: Words | None = None
-        self._used = False
+    resumed = 0  # how often it resumed where another one had died
+    _first_ns = _newest_ns = _words_ns = 0
+    _words: Words | None = None
+    _used = False
+
+    def restart(self) -> None:
+        """Start at the next sample, without state and last words."""
+        self.reset()
+        self._first_ns, self._words = 0, None
 
     def offer(self, stamp_ns: int, words: Words) -> None:
-        """Offer last words of a stamp [ns]."""
+        """Offer the last words [stamp in ns] of a law that has died, to resume from if it has."""
         self._words_ns, self._words = stamp_ns, words
 
     def words_for(self, stamp_ns: int) -> Words | None:
-        """Note a sample [ns]; return the words to resume from at it. When they were used, call `close`.
+        """Note a sample [ns]; return the words to resume from at it: `take_over` or `drop_words`, then.
 
         After a gap over which no state is carried, a sample is the first again.
         """
@@ -38,10 +43,12 @@ class Handover(Generic[Words]):
         age = seconds(self._first_ns - self._words_ns)
         return self._words if not self._used and 0.0 < age <= LONGEST else None
 
-    def close(self) -> None:
-        """Note that the words were used; later words of the same loss are ignored."""
+    def drop_words(self) -> None:
+        """Ignore the words, and later ones of the same loss."""
         self._words, self._used = None, True
 
-    def restart(self) -> None:
-        """Forget samples and words."""
-        self._first_ns, self._words = 0, None
+    def take_over(self, stamp_ns: int, inputs: In, state: Any) -> Out:
+        """Go on at a sample [ns] from the state that the words gave."""
+        self.drop_words()
+        self.resumed += 1
+        return self.resume(stamp_ns, inputs, state)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from quadftc_fdi.dead_reckoning import MAX_PITCH, comparable, dead_reckon
+from quadftc_fdi.fault_observer import MAX_PITCH, comparable, dead_reckon
 from quadftc_fdi.fault_observers.augmented_kalman import AugmentedKalman, kinematic_matrices
 from quadftc_fdi.fault_observers.edwards_spurgeon import EdwardsSpurgeon
 from quadftc_fdi.fault_observers.threshold import Threshold

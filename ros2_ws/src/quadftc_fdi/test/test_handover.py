@@ -11,7 +11,7 @@ from quadftc_fdi.disturbance_observers.exosystem import Exosystem
 from quadftc_fdi.fault_observer import LastWords, fault_observers
 from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_fdi.fault_observers.supervised import Supervised
-from quadftc_fdi.handover import LONGEST, Handover
+from quadftc_fdi.handover import LONGEST, ResumingStepper
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import (
     FAULTY,
@@ -106,11 +106,11 @@ def test_disturbance_observer_goes_on_from_the_estimate(model):
 
 
 def test_last_words_are_used_once_by_who_began_after_them():
-    handover = Handover()
+    handover = ResumingStepper(Exosystem(vehicle=QBALL))
     assert handover.words_for(FIRST_NS) is None
     handover.offer(FIRST_NS - 3_000_000_000, "words")
     assert handover.words_for(FIRST_NS + PERIOD_NS) == "words"
-    handover.close()
+    handover.drop_words()
     assert handover.words_for(FIRST_NS + 2 * PERIOD_NS) is None
     handover.offer(FIRST_NS - 2_999_000_000, "of the same loss")
     assert handover.words_for(FIRST_NS + 3 * PERIOD_NS) is None
@@ -120,7 +120,7 @@ def test_last_words_are_used_once_by_who_began_after_them():
 
 
 def test_old_words_are_not_used():
-    handover = Handover()
+    handover = ResumingStepper(Exosystem(vehicle=QBALL))
     handover.offer(FIRST_NS - round((LONGEST + 0.1) * 1e9), "words")
     assert handover.words_for(FIRST_NS) is None
 
@@ -132,9 +132,9 @@ def test_diagnosis_resumes_at_the_first_complete_sample_after_the_words():
     diagnosis, samples = Diagnosis(Supervised(vehicle=QBALL, **SIMULATED)), resting()
     diagnosis.offer(FIRST_NS - 1_000_000_000, KEPT)
     blind = level_sample()._replace(attitude_valid=np.bool_(False))
-    estimate = diagnosis.step(FIRST_NS, blind, np.zeros(3))
+    estimate = diagnosis.diagnose(FIRST_NS, blind, np.zeros(3))
     assert (diagnosis.resumed, estimate.state.tolist()) == (0, [STARTING] * 3)
-    estimate = diagnosis.step(FIRST_NS + PERIOD_NS, next(samples).imu, np.zeros(3))
+    estimate = diagnosis.diagnose(FIRST_NS + PERIOD_NS, next(samples).imu, np.zeros(3))
     assert (diagnosis.resumed, estimate.state[0]) == (1, FAULTY)
     assert estimate.onset_age[0] == pytest.approx(4.0 + DT)
 
@@ -143,7 +143,7 @@ def test_words_that_are_not_finite_are_dropped():
     diagnosis, samples = Diagnosis(Supervised(vehicle=QBALL, **SIMULATED)), resting()
     diagnosis.offer(FIRST_NS - 1_000_000_000, KEPT._replace(gyro_correction=np.full(3, np.nan)))
     for k in range(3):
-        estimate = diagnosis.step(FIRST_NS + k * PERIOD_NS, next(samples).imu, np.zeros(3))
+        estimate = diagnosis.diagnose(FIRST_NS + k * PERIOD_NS, next(samples).imu, np.zeros(3))
     assert (diagnosis.resumed, estimate.state.tolist()) == (0, [STARTING] * 3)
 
 
@@ -151,18 +151,18 @@ def test_disturbance_estimation_resumes_once_at_a_sample_with_a_body_rate():
     estimation = DisturbanceEstimation(Exosystem(vehicle=QBALL))
     estimation.offer(FIRST_NS - 1_000_000_000, np.array([0.7, 0.0, 0.0]))
     blind = level_sample()._replace(rate_valid=np.bool_(False))
-    estimation.step(FIRST_NS, blind, np.zeros(3))
+    estimation.estimate(FIRST_NS, blind, np.zeros(3))
     assert estimation.resumed == 0
-    estimate = estimation.step(FIRST_NS + PERIOD_NS, level_sample(), np.zeros(3))
+    estimate = estimation.estimate(FIRST_NS + PERIOD_NS, level_sample(), np.zeros(3))
     assert (estimation.resumed, estimate[0]) == (1, pytest.approx(0.7))
-    estimation.step(FIRST_NS + 2 * PERIOD_NS, level_sample(), np.zeros(3))
+    estimation.estimate(FIRST_NS + 2 * PERIOD_NS, level_sample(), np.zeros(3))
     assert estimation.resumed == 1
 
 
 def test_an_unusable_last_estimate_is_ignored():
     estimation = DisturbanceEstimation(Exosystem(vehicle=QBALL))
     estimation.offer(FIRST_NS - 1_000_000_000, np.array([np.nan, 0.0, 0.0]))
-    np.testing.assert_array_equal(estimation.step(FIRST_NS, level_sample(), np.zeros(3)), 0.0)
+    np.testing.assert_array_equal(estimation.estimate(FIRST_NS, level_sample(), np.zeros(3)), 0.0)
     assert estimation.resumed == 0
 
 

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from quadftc_fdi.supervision.error_transition import SIZE
 from quadftc_fdi.supervision.inertial_filter import (
+    SIZE,
     apply_correction,
     correct,
     estimate_rate,

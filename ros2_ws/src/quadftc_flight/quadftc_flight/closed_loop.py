@@ -52,9 +52,9 @@ def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = 
         if not injected.present:  # withheld: the torque stays
             continue
         # the nodes react; none refuses the sample, as stamps increase
-        estimate = diagnosis.step(stamp_ns, injected.sample, torque)
+        estimate = diagnosis.diagnose(stamp_ns, injected.sample, torque)
         assert estimate is not None
-        disturbance = disturbance_observer.step(stamp_ns, estimate.corrected, torque)
+        disturbance = disturbance_observer.estimate(stamp_ns, estimate.corrected, torque)
         assert disturbance is not None
         wanted = reference.at(stamp_ns)
         output = controller.step(stamp_ns, ControllerInputs(estimate.corrected, wanted, disturbance))

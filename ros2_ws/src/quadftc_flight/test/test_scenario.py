@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadftc_control.assembly import controller_from, reference_from
+from quadftc_control.controller import controller_from
+from quadftc_control.reference import reference_from
 from quadftc_fdi.disturbance_observer import disturbance_observer_from
 from quadftc_fdi.fault_observer import fault_observer_from
 from quadftc_flight.scenario import (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -30,11 +31,7 @@ else:  # importing jaxtyping would cost every node its start-up time
 
 
 def namespace(array: Array) -> Any:
-    """Return the module with the array functions (``sin``, ``where``, ``stack``...) for ``array``.
-
-    NumPy arrays older than 2.0 and plain sequences get NumPy; every other library is asked through the
-    Python array API standard (``__array_namespace__``).
-    """
+    """Return the module with the functions (``sin``, ``where``...) for an array; NumPy for a sequence."""
     if isinstance(array, np.ndarray):
         return np
     query = getattr(array, "__array_namespace__", None)
@@ -49,8 +46,7 @@ def is_single(vector: Array) -> bool:
 def components(vector: Components) -> Any:
     """Return the components along the last axis, (..., n) -> n times (...).
 
-    Those of a single NumPy vector are Python floats: the same numbers, and many times faster to calculate
-    with than arrays without axes.
+    Those of a single NumPy vector are Python floats: the same numbers, and many times faster.
     """
     if type(vector) is np.ndarray and vector.ndim == 1:  # as `is_single`, without the call
         return vector.tolist()
@@ -65,10 +61,7 @@ def stacked(parts: Sequence[Scalar]) -> Components:
 
 
 def norm(vector: Components) -> Column:
-    """Euclidean norm over the last axis, kept as an axis of length 1: (..., n) -> (..., 1).
-
-    Its derivative at zero, where it has none, is 0, not NaN.
-    """
+    """Euclidean norm over the last axis, (..., n) -> (..., 1); its derivative at zero is 0, not NaN."""
     if is_single(vector):
         return np.array([math.sqrt(sum([x * x for x in vector.tolist()]))])
     xp = namespace(vector)
@@ -94,14 +87,9 @@ def exp(x: Array) -> Array:
 def product(a: Array, b: Array, terms: Sequence[int] | None = None) -> Array:
     """Matrix product a @ b of small matrices, (..., n, k) and (..., k, m).
 
-    Outside NumPy the sum is written out: a compiler fuses it with what follows, over a whole batch at once,
-    where it would call a routine for every pair of matrices.
-
-    Parameters
-    ----------
-    a, b : array (..., n, k), (..., k, m)
-    terms : sequence of int, optional
-        The inner indices that count; for the others, ``a`` or ``b`` is zero.
+    Outside NumPy the sum is written out, over the inner indices ``terms`` for which neither is zero: a
+    compiler fuses it with what follows, over a whole batch at once, where it would call a routine for every
+    pair of matrices.
     """
     if isinstance(a, np.ndarray):
         return a @ b
@@ -126,10 +114,10 @@ def any_of(mask: Array) -> Array:
 
 
 def changed_where(mask: Array | bool, change: Callable[[], T], unchanged: T) -> T:
-    """Return ``change()``, which must equal ``unchanged`` if ``mask`` is false everywhere.
+    """Return ``change()``, which must equal ``unchanged`` if ``mask`` (..., n), or one bool, is false.
 
     Then NumPy saves the work: most of the time nothing happens. Other libraries, whose masks may have no
-    values yet, always do it. ``mask`` is an array (..., n), or one bool for all.
+    values yet, always do it.
     """
     if isinstance(mask, bool):
         return change() if mask else unchanged
@@ -155,3 +143,18 @@ def chosen(mask: Array, new: Any, old: Any) -> Any:
     if new is None:
         return None
     return namespace(new).where(mask.reshape(mask.shape + (1,) * (new.ndim - mask.ndim)), new, old)
+
+
+def cache_numbers(function: Callable[..., T]) -> Callable[..., T]:
+    """Keep the results for arguments that are all floats or texts, of which a flight has few.
+
+    Other arguments, such as parameters that JAX traces, are computed each time.
+    """
+    cached: Callable[..., T] = functools.lru_cache(maxsize=256)(function)
+
+    @functools.wraps(function)
+    def call(*arguments: Any) -> T:
+        plain = all(isinstance(each, (float, str)) for each in arguments)
+        return cached(*arguments) if plain else function(*arguments)
+
+    return call

@@ -1,15 +1,14 @@
 """From the parameters of a node to the components it runs, and back.
 
-A node has a flat set of named parameters, as ROS 2 knows no deeper form. One names a component, and those
-of the component carry its name as a prefix:
+A node has a flat set of named parameters, as ROS 2 knows no deeper form. One names a component, whose own
+carry that name as a prefix:
 
     observer: exosystem
     exosystem.model: constant
     exosystem.bandwidth: 10.0
 
-The ``assembly`` modules of quadftc_sim, quadftc_fdi and quadftc_control build their parts from such sets,
-in the ROS nodes and in the closed loop without ROS alike. What is missing, unknown or wrong is a ValueError
-that gives the full name of the parameter.
+quadftc_sim, quadftc_fdi and quadftc_control build their parts from such sets, in the ROS nodes and in the
+closed loop alike. What is missing, unknown or wrong is a ValueError that gives the parameter's full name.
 """
 
 from __future__ import annotations
@@ -19,12 +18,11 @@ from typing import Any, TypeVar
 
 from quadftc_model.parameters import build, parameters_of
 from quadftc_model.registry import Registry
+from quadftc_model.spec import parse_spec
 from quadftc_model.vehicle import Vehicle, load_vehicle
 
 NodeValue = bool | int | float | str | Sequence[float] | Sequence[str]
-NodeParameters = Mapping[
-    str, Any
-]  # name -> NodeValue; arrays may be lists, tuples or array.array, as rclpy gives them
+NodeParameters = Mapping[str, Any]  # name -> NodeValue; arrays may be of any kind, as rclpy gives them
 
 T = TypeVar("T")
 
@@ -49,12 +47,6 @@ def texts(parameters: NodeParameters, name: str) -> list[str]:
     return [item for item in value if item.strip()]
 
 
-def prefixed(parameters: NodeParameters, prefix: str) -> dict[str, Any]:
-    """Return the parameters named ``prefix.<name>`` under their own names; arrays as lists."""
-    start = f"{prefix}."
-    return {name[len(start) :]: _plain(value) for name, value in parameters.items() if name.startswith(start)}
-
-
 def _plain(value: Any) -> Any:
     """An array as a list, anything else as it is."""
     return value if isinstance(value, (str, bool, int, float)) else list(value)
@@ -62,8 +54,10 @@ def _plain(value: Any) -> Any:
 
 def build_prefixed(component: type[T], parameters: NodeParameters, prefix: str, **context: Any) -> T:
     """Build a component from the parameters named ``prefix.<name>``; what is missing keeps its default."""
+    start = f"{prefix}."
+    named = {name[len(start) :]: _plain(parameters[name]) for name in parameters if name.startswith(start)}
     try:
-        return build(component, prefixed(parameters, prefix), **context)
+        return build(component, named, **context)
     except ValueError as error:
         raise ValueError(f"{prefix}.{error}") from None
 
@@ -78,6 +72,19 @@ def component_from(registry: Registry[T], parameters: NodeParameters, selector: 
     """Build the component that the parameter ``selector`` names, from those prefixed with its name."""
     name = get(parameters, selector, str)
     return build_prefixed(registry.get(name), parameters, name, **context)
+
+
+def components_from(registry: Registry[T], parameters: NodeParameters, name: str) -> list[T]:
+    """Build the components that a list of specifications describes, such as ``step angles=5deg,0,0``."""
+    return [_component_of(registry, text) for text in texts(parameters, name)]
+
+
+def _component_of(registry: Registry[T], text: str) -> T:
+    try:
+        spec = parse_spec(text)
+        return build(registry.get(spec.kind), spec.values)
+    except ValueError as error:
+        raise ValueError(f"{registry.kind} {text!r}: {error}") from None
 
 
 def vehicle_from(parameters: NodeParameters) -> Vehicle:

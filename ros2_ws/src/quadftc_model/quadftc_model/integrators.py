@@ -7,22 +7,11 @@ from collections.abc import Callable
 from quadftc_model.arrays import Array
 
 State = tuple[Array, ...]
-Derivative = Callable[[float, State], State]
+Derivative = Callable[[float, State], State]  # of (time, state)
 
 
 def rk4(derivative: Derivative, time: float, state: State, dt: float) -> State:
-    """One step of the classical Runge-Kutta method of order 4.
-
-    Parameters
-    ----------
-    derivative : callable
-        ``derivative(time, state)``, the time derivative of every array of the state.
-    time : float
-        Time at the start of the step [s].
-    state : tuple of arrays
-    dt : float
-        Step [s].
-    """
+    """One step ``dt`` [s] of the classical Runge-Kutta method of order 4, from ``time`` [s] on."""
     half = 0.5 * dt
     k1 = derivative(time, state)
     k2 = derivative(time + half, _shifted(state, k1, half))

@@ -47,12 +47,10 @@ def parameter(
     high: float = math.inf,
     choices: Sequence[str] = (),
 ) -> Any:
-    """Declare a parameter as a dataclass field.
+    """Declare a parameter as a dataclass field, of the type of its default.
 
     Parameters
     ----------
-    default : float, int, bool, str or tuple of float
-        The default; its type is the parameter's type.
     unit : str
         SI unit; in braces (``"{channel}"``) when it depends on the context, see :func:`build`.
     doc : str
@@ -82,21 +80,21 @@ def check(instance: Any) -> None:
         _check_bounds(spec, getattr(instance, spec.name))
 
 
+class Checked:
+    """Base of dataclasses that check their parameters when they are made."""
+
+    def __post_init__(self) -> None:
+        """Check the parameters."""
+        check(self)
+
+
 def build(
     component: type[T], values: Mapping[str, Any], *, units: Mapping[str, str] | None = None, **context: Any
 ) -> T:
     """Make a component from raw values: texts with units become SI numbers, one number fills a vector.
 
-    Parameters
-    ----------
-    component : type
-        A dataclass with :func:`parameter` fields.
-    values : mapping
-        Parameter name to raw value.
-    units : mapping, optional
-        What stands for a unit in braces: ``{"channel": "rad"}``.
-    **context
-        Fields that are no parameters (the vehicle, say).
+    ``units`` says what stands for a unit in braces: ``{"channel": "rad"}``. ``context`` are the fields that
+    are no parameters (the vehicle, say).
     """
     specs = {spec.name: spec for spec in parameters_of(component)}
     converted: dict[str, Any] = {}
@@ -115,17 +113,20 @@ def convert(spec: Parameter, raw: Any, units: Mapping[str, str] | None = None) -
     if unit != spec.unit:
         spec = dataclasses.replace(spec, unit=unit)
     try:
-        value = _converted(spec, raw)
+        value = _convert(spec, raw)
     except ValueError as error:
         raise ValueError(f"{spec.name}: {error}") from None
     _check_bounds(spec, value)
     return value
 
 
-def _converted(spec: Parameter, raw: Any) -> Value:
+def _convert(spec: Parameter, raw: Any) -> Value:
     default = spec.default
     if isinstance(default, bool):
-        return _truth(raw)
+        text = str(raw).lower() if isinstance(raw, (bool, str)) else ""
+        if text not in ("true", "false"):
+            raise ValueError(f"{raw!r}: expected true or false")
+        return text == "true"
     if isinstance(default, str):
         if not isinstance(raw, str):
             raise ValueError(f"{raw!r}: expected a text")
@@ -145,21 +146,12 @@ def _converted(spec: Parameter, raw: Any) -> Value:
     return int(number)
 
 
-def _truth(raw: Any) -> bool:
-    text = str(raw).lower() if isinstance(raw, (bool, str)) else ""
-    if text not in ("true", "false"):
-        raise ValueError(f"{raw!r}: expected true or false")
-    return text == "true"
-
-
 def _check_bounds(spec: Parameter, value: Any) -> None:
     if isinstance(value, str):
         if spec.choices and value not in spec.choices:
             raise ValueError(f"{spec.name} = {value!r}: expected one of {', '.join(spec.choices)}")
         return
-    if isinstance(value, bool):
-        return
-    numbers: tuple[float, ...] = value if spec.is_vector else (value,)
+    numbers: tuple[float, ...] = value if spec.is_vector else (value,)  # a bool is within infinite bounds
     for number in numbers:
         if not spec.low <= number <= spec.high:  # NaN fails this, too
             raise ValueError(

@@ -20,20 +20,12 @@ T = TypeVar("T")
 class Registry(Generic[T]):
     """The components of one kind, by name.
 
-    Parameters
-    ----------
-    kind : str
-        What the components are, in words ("fault observer"); used in error messages.
-    package : str
-        The package whose modules register the components.
-    group : str
-        The entry-point group of components outside the package.
+    ``kind`` says in error messages what they are ("fault observer"). The modules of ``package`` and the
+    entry points of ``group`` register them.
     """
 
     def __init__(self, kind: str, package: str, group: str) -> None:
-        self.kind = kind
-        self._package = package
-        self._group = group
+        self.kind, self._package, self._group = kind, package, group
         self._components: dict[str, type[T]] = {}
         self._discovered = False
 

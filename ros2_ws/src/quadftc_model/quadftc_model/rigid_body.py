@@ -14,14 +14,7 @@ from quadftc_model.vehicle import Vehicle
 def gyroscopic_acceleration(inertia: Vector, body_rate: Vector) -> Vector:
     """Acceleration by the body's own rotation, -J^-1 (omega x J omega) [rad/s²] (..., 3).
 
-    It is D f(x) of (6), and f(x2) of (36).
-
-    Parameters
-    ----------
-    inertia : array (3,)
-        Principal moments [kg m²].
-    body_rate : array (..., 3)
-        [rad/s], body frame.
+    It is D f(x) of (6), and f(x2) of (36), at principal moments (3,) [kg m²] and a body rate [rad/s].
     """
     jx, jy, jz = components(inertia)
     p, q, r = components(body_rate)
@@ -55,8 +48,6 @@ def angular_acceleration(
 
     Parameters
     ----------
-    body_rate : array (..., 3)
-        [rad/s].
     torque : array (..., 3)
         Of the rotors, by the mixer, and the disturbance [N m].
     momentum : array (...)

@@ -10,22 +10,13 @@ import math
 
 import numpy as np
 
-from quadftc_model.arrays import (
-    AnyArray,
-    Quaternion,
-    Scalar,
-    Vector,
-    components,
-    is_single,
-    namespace,
-    norm,
-    stacked,
-)
+from quadftc_model import arrays
+from quadftc_model.arrays import Quaternion, Scalar, Vector, clip, components, is_single, namespace, stacked
 
 MIN_COS_PITCH = 1e-6  # 1; the Euler rates of (4) are bounded by this close to +-90 deg of pitch
 
 
-def wrap(angle: AnyArray) -> AnyArray:
+def wrap(angle: arrays.AnyArray) -> arrays.AnyArray:
     """Wrap angles [rad] into [-pi, pi]; angles inside already are returned unchanged, bit for bit."""
     xp = namespace(angle)
     return angle - 2.0 * math.pi * xp.rint(angle / (2.0 * math.pi))
@@ -48,26 +39,15 @@ def quaternion_from_euler(angles: Vector) -> Quaternion:
 
 
 def euler_from_quaternion(q_xyzw: Quaternion) -> Vector:
-    """Euler angles [rad] (..., 3) of unit quaternions (..., 4).
-
-    Roll and yaw are within [-pi, pi], pitch within [-pi/2, pi/2].
-    """
+    """Euler angles [rad] (..., 3) of unit quaternions (..., 4); roll and yaw within pi, pitch within pi/2."""
     x, y, z, w = components(q_xyzw)
-    if isinstance(x, float):
-        return np.array(
-            [
-                math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-                math.asin(min(max(2.0 * (w * y - z * x), -1.0), 1.0)),
-                math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
-            ]
-        )
     xp = namespace(q_xyzw)
-    sin_pitch = xp.minimum(xp.maximum(2.0 * (w * y - z * x), -1.0), 1.0)
+    arctan2, arcsin = (math.atan2, math.asin) if isinstance(x, float) else (xp.arctan2, xp.arcsin)
     return stacked(
         [
-            xp.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-            xp.arcsin(sin_pitch),
-            xp.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+            arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+            arcsin(clip(2.0 * (w * y - z * x), -1.0, 1.0)),
+            arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
         ]
     )
 
@@ -105,7 +85,7 @@ def quaternion_from_rotation_vector(rotation_vector: Vector) -> Quaternion:
         scale = 0.5 * math.sin(half) / half if half > 0.0 else 0.5
         return np.array([x * scale, y * scale, z * scale, math.cos(half)])
     xp = namespace(rotation_vector)
-    half_angle = 0.5 * norm(rotation_vector)
+    half_angle = 0.5 * arrays.norm(rotation_vector)
     zero = half_angle == 0.0
     safe = xp.where(zero, 1.0, half_angle)
     cosine = xp.where(zero, 1.0, xp.cos(safe))
@@ -118,7 +98,12 @@ def normalise(q_xyzw: Quaternion) -> Quaternion:
         x, y, z, w = q_xyzw.tolist()
         length = math.sqrt(x * x + y * y + z * z + w * w) or math.nan
         return np.array([x / length, y / length, z / length, w / length])
-    return q_xyzw / norm(q_xyzw)
+    return q_xyzw / arrays.norm(q_xyzw)
+
+
+def turn(q_xyzw: Quaternion, rotation_vector: Vector) -> Quaternion:
+    """Unit quaternion (..., 4) turned further by a rotation vector in body axes [rad] (..., 3)."""
+    return normalise(quaternion_product(q_xyzw, quaternion_from_rotation_vector(rotation_vector)))
 
 
 def earth_z_in_body(q_xyzw: Quaternion) -> Vector:
@@ -135,7 +120,7 @@ def euler_rates(angles: Vector, body_rate: Vector) -> Vector:
     xp = namespace(angles)
     (c_phi, c_theta, _), (s_phi, s_theta, _) = components(xp.cos(angles)), components(xp.sin(angles))
     p, q, r = components(body_rate)
-    psi_dot = (s_phi * q + c_phi * r) / _away_from_zero(c_theta)
+    psi_dot = (s_phi * q + c_phi * r) / away_from_zero(c_theta)
     return stacked([p + s_theta * psi_dot, c_phi * q - s_phi * r, psi_dot])
 
 
@@ -169,7 +154,8 @@ def body_acceleration(angles: Vector, angle_rates: Vector, angle_accelerations: 
     return body_rates(angles, angle_accelerations) + convective
 
 
-def _away_from_zero(cosine: Scalar) -> Scalar:
+def away_from_zero(cosine: Scalar) -> Scalar:
+    """Keep the cosine of pitch (...) ``MIN_COS_PITCH`` away from zero."""
     if isinstance(cosine, float):
         return (-1.0 if cosine < 0.0 else 1.0) * max(abs(cosine), MIN_COS_PITCH)
     xp = namespace(cosine)

@@ -13,15 +13,10 @@ import numpy as np
 from quadftc_model.arrays import Flag, Mask, Quaternion, States, Vector, components, is_single, namespace
 
 UNIT_NORM_TOLERANCE = 1e-2  # 1; a quaternion further from unit length is no attitude
-
 MAX_BODY_RATE = 100.0  # rad/s, sum over the axes; MEMS gyros end at 70 (4000 deg/s): more is no body rate
-
 UNUSABLE = 1e6  # in rad, rad/s, rad/s², N m and m/s² alike: no estimate or command can mean so much
-
 STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901
-
 ABSENT = -1.0  # element 0 of a covariance of sensor_msgs/Imu: the sample lacks this channel (REP-145)
-
 AXES = ("roll", "pitch", "yaw")  # of what has three elements in attitude
 
 STARTING, HEALTHY, SUSPECT, FAULTY, RECOVERING = range(5)  # fault states, as in quadftc_msgs/FaultStatus
@@ -98,10 +93,7 @@ class ControllerOutput(NamedTuple):
 
 
 def is_usable(*vectors: Vector | Quaternion) -> bool:
-    """Whether every number of small NumPy vectors (n,) is finite and less than `UNUSABLE` in size.
-
-    The one rule for what a law says of a single vehicle: larger numbers overflow in the laws behind it.
-    """
+    """Whether all numbers of NumPy vectors (n,) are finite and below `UNUSABLE`, as larger ones overflow."""
     return all(-UNUSABLE < x < UNUSABLE for vector in vectors for x in vector.tolist())  # false for NaN
 
 
@@ -119,7 +111,7 @@ def sanitised(sample: ImuSample) -> ImuSample:
     attitude_valid = sample.attitude_valid & unit
     turning = sum(abs(x) for x in components(sample.body_rate))
     rate_valid = sample.rate_valid & (turning <= MAX_BODY_RATE)  # false for NaN and Inf, too
-    force_valid = sample.force_valid & _finite(sample.specific_force)
+    force_valid = sample.force_valid & xp.isfinite(sum(abs(x) for x in components(sample.specific_force)))
     level = xp.asarray([0.0, 0.0, 0.0, 1.0])
     return ImuSample(
         q_xyzw=xp.where(attitude_valid[..., None], sample.q_xyzw, level),
@@ -140,8 +132,3 @@ def _all_good(sample: ImuSample) -> bool:
     force = sum([abs(x) for x in sample.specific_force.tolist()])
     unit = abs(squared - 1.0) <= 2.0 * UNIT_NORM_TOLERANCE
     return unit and turning <= MAX_BODY_RATE and force < math.inf  # false for NaN, too
-
-
-def _finite(vector: Vector) -> Flag:
-    """Whether every component of (..., 3) is finite."""
-    return namespace(vector).isfinite(sum(abs(x) for x in components(vector)))

@@ -54,7 +54,7 @@ class Timing(enum.Enum):
     @property
     def accepted(self) -> bool:
         """Whether the sample is used."""
-        return self in (Timing.FIRST, Timing.NEXT, Timing.RESTART)
+        return self not in (Timing.REPEATED, Timing.BACKWARDS)
 
 
 class Stepper(Generic[In, Out]):
@@ -66,19 +66,10 @@ class Stepper(Generic[In, Out]):
     guard : callable, optional
         Gets inputs and output of each step. It returns the output, or another in place of one that cannot be
         used; then the law restarts at the next sample.
-    max_gap : float
-        The longest time between two samples over which the state is carried [s].
     """
 
-    def __init__(
-        self,
-        law: Law[In, Out],
-        guard: Callable[[In, Out], Out] | None = None,
-        max_gap: float = MAX_GAP,
-    ) -> None:
-        self.law = law
-        self.guard = guard
-        self.max_gap = max_gap
+    def __init__(self, law: Law[In, Out], guard: Callable[[In, Out], Out] | None = None) -> None:
+        self.law, self._guard = law, guard
         self.replaced = 0  # outputs so far that could not be used
         self.reset()
 
@@ -97,38 +88,25 @@ class Stepper(Generic[In, Out]):
         if self.stamp_ns is None:
             return Timing.FIRST
         elapsed = seconds(stamp_ns - self.stamp_ns)
-        if abs(elapsed) > self.max_gap:
+        if abs(elapsed) > MAX_GAP:
             return Timing.RESTART
         if elapsed > 0.0:
             return Timing.NEXT
         return Timing.REPEATED if elapsed == 0.0 else Timing.BACKWARDS
 
     def step(self, stamp_ns: int, inputs: In) -> Out | None:
-        """Advance the law to a sample; None if its stamp is repeated or went back.
-
-        Parameters
-        ----------
-        stamp_ns : int
-            The sample's time [ns].
-        inputs
-            What the law takes.
-        """
+        """Advance the law to a sample [ns]; None if its stamp is repeated or went back."""
         timing = self.timing(stamp_ns)
         if not timing.accepted:
             return None
-        dt = 0.0
         if timing is Timing.NEXT and self.stamp_ns is not None:
-            dt = seconds(stamp_ns - self.stamp_ns)
-        else:
-            self.state = self.law.init(inputs)
-        return self._step(stamp_ns, inputs, dt)
+            return self._step(stamp_ns, inputs, seconds(stamp_ns - self.stamp_ns))
+        return self.resume(stamp_ns, inputs, self.law.init(inputs))
 
     def _step(self, stamp_ns: int, inputs: In, dt: float) -> Out:
         self.state, output = self.law.step(self.state, inputs, dt)
         self.stamp_ns = stamp_ns
-        if self.guard is None:
-            return output
-        used = self.guard(inputs, output)
+        used = output if self._guard is None else self._guard(inputs, output)
         if used is not output:
             self.replaced += 1
             self.reset()

@@ -23,10 +23,13 @@ else:
 _DIRECTORY = Path(__file__).parent / "vehicles"
 _GROUP = "quadftc.vehicles"  # entry points: name -> path of a TOML file
 _LARGEST, _SMALLEST = 1e9, 1e-12  # in SI; no number of a vehicle is larger, none that is positive smaller
-_ROTOR_NUMBERS = (
-    *("thrust_gain", "yaw_gain", "command_min", "command_max", "command_idle", "command_trim"),
-    *("time_constant", "rotor_inertia", "thrust_coefficient"),
-)
+# what a file holds: texts, numbers, and arrays by shape, -1 being any length
+_BODY: dict[str, Any] = {"mass": float, "inertia": (3,), "rotational_drag": (3,)}
+_BODY |= dict.fromkeys(("name", "description", "source"), str)
+_POSITIVE = ("thrust_gain", "yaw_gain", "time_constant", "thrust_coefficient")
+_COMMANDS = ("command_min", "command_max", "command_idle", "command_trim")
+_ROTORS: dict[str, Any] = {"positions": (-1, 2), "yaw_sign": (-1,), "spin_sign": (-1,)}
+_ROTORS |= dict.fromkeys((*_POSITIVE, *_COMMANDS, "rotor_inertia"), float)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -67,21 +70,13 @@ class Vehicle:
             if getattr(rotors, name).shape != (count,):
                 raise ValueError(f"rotors.{name}: expected {count} numbers, one for each of rotors.positions")
         positive = f"positive, at least {_SMALLEST:g}"
-        _require("mass", self.mass, self.mass >= _SMALLEST, positive)
-        _require("inertia", self.inertia, bool(np.all(self.inertia >= _SMALLEST)), positive)
-        _require(
-            "rotational_drag", self.rotational_drag, bool(np.all(self.rotational_drag >= 0.0)), "not negative"
-        )
-        _require("rotors.rotor_inertia", rotors.rotor_inertia, rotors.rotor_inertia >= 0.0, "not negative")
-        low, high = rotors.command_min, rotors.command_max
-        _require(
-            "rotors.command_trim",
-            rotors.command_trim,
-            low < rotors.command_trim < high,
-            f"in ({low}, {high})",
-        )
-        for name in ("thrust_gain", "yaw_gain", "time_constant", "thrust_coefficient"):
-            _require(f"rotors.{name}", getattr(rotors, name), getattr(rotors, name) >= _SMALLEST, positive)
+        _require(self, "", ("mass", "inertia"), _SMALLEST, positive)
+        _require(self, "", ("rotational_drag",), 0.0, "not negative")
+        _require(rotors, "rotors.", ("rotor_inertia",), 0.0, "not negative")
+        _require(rotors, "rotors.", _POSITIVE, _SMALLEST, positive)
+        low, high, trim = rotors.command_min, rotors.command_max, rotors.command_trim
+        if not low < trim < high:
+            raise ValueError(f"rotors.command_trim = {trim}: must be in ({low}, {high})")
         if np.linalg.matrix_rank(self.mixer) < 3:
             raise ValueError("rotors.positions: this layout cannot give a torque about each axis")
 
@@ -119,22 +114,8 @@ def load_vehicle(name: str) -> Vehicle:
     """Load a vehicle by name, or from the path of a TOML file."""
     path = _path_of(name)
     try:
-        return _loaded(path, path.stat().st_mtime_ns)
-    except OSError as error:
-        raise ValueError(f"vehicle {path}: {error}") from None
-
-
-@functools.lru_cache(maxsize=64)
-def _loaded(path: Path, changed_ns: int) -> Vehicle:
-    """Read a file; again only when it has changed, as a campaign builds thousands of flights."""
-    try:
-        with path.open("rb") as file:
-            table = tomllib.load(file)
-    except (OSError, ValueError) as error:  # unreadable, no TOML, no UTF-8
-        raise ValueError(f"vehicle {path}: {error}") from None
-    try:
-        return _vehicle_from(table)
-    except ValueError as error:
+        return _load(path, path.stat().st_mtime_ns)
+    except (OSError, ValueError) as error:  # unreadable, no TOML, no UTF-8, a wrong value
         raise ValueError(f"vehicle {path}: {error}") from None
 
 
@@ -151,73 +132,57 @@ def _path_of(name: str) -> Path:
     )
 
 
-def _vehicle_from(table: dict[str, Any]) -> Vehicle:
-    table = dict(table)
-    rotors_table = _section(table, "rotors")
-    rotors = Rotors(
-        positions=_array(rotors_table, "rotors.positions", (-1, 2)),
-        yaw_sign=_array(rotors_table, "rotors.yaw_sign", (-1,)),
-        spin_sign=_array(rotors_table, "rotors.spin_sign", (-1,)),
-        **{name: _number(rotors_table, f"rotors.{name}") for name in _ROTOR_NUMBERS},
-    )
-    vehicle = Vehicle(
-        name=_text(table, "name"),
-        description=_text(table, "description"),
-        source=_text(table, "source"),
-        mass=_number(table, "mass"),
-        inertia=_array(table, "inertia", (3,)),
-        rotational_drag=_array(table, "rotational_drag", (3,)),
-        rotors=rotors,
-    )
-    for section, rest in (("", table), ("rotors.", rotors_table)):
-        for key in rest:
-            raise ValueError(f"{section}{key}: unknown key")
-    return vehicle
+@functools.lru_cache(maxsize=64)
+def _load(path: Path, changed_ns: int) -> Vehicle:
+    """Read a file; again only when it has changed, as a campaign builds thousands of flights."""
+    with path.open("rb") as file:
+        table = tomllib.load(file)
+    rotors = table.pop("rotors", None)
+    if not isinstance(rotors, dict):
+        raise ValueError("[rotors]: expected this table")
+    built = Rotors(**_read_section(rotors, "rotors.", _ROTORS))  # pyright: ignore[reportUnknownArgumentType]
+    return Vehicle(rotors=built, **_read_section(table, "", _BODY))
 
 
-def _section(table: dict[str, Any], key: str) -> dict[str, Any]:
-    section = table.pop(key, None)
-    if not isinstance(section, dict):
-        raise ValueError(f"[{key}]: expected this table")
-    return dict(section)  # pyright: ignore[reportUnknownArgumentType, reportUnknownVariableType]
+def _read_section(table: dict[str, Any], prefix: str, kinds: dict[str, Any]) -> dict[str, Any]:
+    values = {key: _read(f"{prefix}{key}", table.get(key), kind) for key, kind in kinds.items()}
+    for key in table.keys() - kinds:
+        raise ValueError(f"{prefix}{key}: unknown key")
+    return values
 
 
-def _number(table: dict[str, Any], key: str) -> float:
-    value = table.pop(key.rpartition(".")[2], None)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= _LARGEST:
-        raise ValueError(f"{key} = {_shown(value)}: expected a finite number, not beyond {_LARGEST:g}")
-    return float(value)
+def _read(key: str, value: Any, kind: Any) -> Any:
+    """Return a text, a number or an array as the vehicle holds it."""
+    if kind is str:
+        expected = "a text"
+        if isinstance(value, str):
+            return value
+    elif kind is float:
+        expected = f"a finite number, not beyond {_LARGEST:g}"
+        if isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= _LARGEST:
+            return float(value)
+    else:
+        expected = f"finite numbers of shape {kind}, -1 being any length, none beyond {_LARGEST:g}"
+        array = _array_of(value, kind)
+        if array is not None:
+            return array
+    shown = repr(value)
+    shown = shown if len(shown) <= 100 else f"{shown[:97]}..."
+    raise ValueError(f"{key} = {shown}: expected {expected}")
 
 
-def _text(table: dict[str, Any], key: str) -> str:
-    value = table.pop(key, None)
-    if not isinstance(value, str):
-        raise ValueError(f"{key} = {value!r}: expected a text")
-    return value
-
-
-def _array(table: dict[str, Any], key: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    value = table.pop(key.rpartition(".")[2], None)
-    wanted = (
-        f"{key} = {_shown(value)}: expected finite numbers of shape {shape}, -1 being any length,"
-        f" none beyond {_LARGEST:g}"
-    )
+def _array_of(value: Any, shape: tuple[int, ...]) -> NDArray[np.float64] | None:
     try:
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
-        raise ValueError(wanted) from None
+        return None
     fits = array.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))
-    if not fits or not np.all(np.abs(array) <= _LARGEST):
-        raise ValueError(wanted)
     array.setflags(write=False)
-    return array
+    return array if fits and np.all(np.abs(array) <= _LARGEST) else None
 
 
-def _shown(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 100 else f"{text[:97]}..."
-
-
-def _require(name: str, value: Any, holds: bool, expected: str) -> None:
-    if not holds:
-        raise ValueError(f"{name} = {value}: must be {expected}")
+def _require(owner: Any, prefix: str, names: tuple[str, ...], least: float, expected: str) -> None:
+    for name in names:
+        value = getattr(owner, name)
+        if not np.all(value >= least):
+            raise ValueError(f"{prefix}{name} = {value}: must be {expected}")

@@ -45,7 +45,7 @@ def diagnose(
             overlaid[row] = getattr(injected, channel)
         # what the observer makes of it, if it is not withheld
         if injected.present:
-            estimate = diagnosis.step(stamp_ns, injected.sample, recording.torque[row])
+            estimate = diagnosis.diagnose(stamp_ns, injected.sample, recording.torque[row])
             assert estimate is not None  # stamps increase
             result.delivered[row] = True
             _set_row(result.seen, row, injected.sample)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from quadftc_fdi.dead_reckoning import MAX_PITCH
+from quadftc_fdi.fault_observer import MAX_PITCH
 from quadftc_fdi.fault_observers.augmented_kalman import AugmentedKalman
 from quadftc_fdi.fault_observers.edwards_spurgeon import EdwardsSpurgeon
 from quadftc_fdi.fault_observers.none import NoDiagnosis

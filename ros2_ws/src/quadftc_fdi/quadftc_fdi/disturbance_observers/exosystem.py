@@ -27,9 +27,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_fdi.caching import cache_numbers
 from quadftc_fdi.disturbance_observer import DisturbanceObserver, register
-from quadftc_model.arrays import Array, Flag, Scalar, Vector, exp, namespace
+from quadftc_model.arrays import Array, Flag, Scalar, Vector, cache_numbers, exp, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.samples import DisturbanceObserverInputs
@@ -101,40 +100,16 @@ class Exosystem(DisturbanceObserver):
         return np.asarray(np.log(eigenvalues) / dt)
 
     @property
-    def A_d(self) -> Matrix:
-        """A_d of (42), (n, n) [1/s]."""
-        return exosystem(self.model, self.frequency)[0]
-
-    @property
     def C_d(self) -> Matrix:
-        """C_d of (42), (n,)."""
+        """C_d of (42), (n,): the first state of each block."""
         return _output_of(self.model)
 
 
 @functools.lru_cache(maxsize=256)
-def exosystem(model: str, frequency: float) -> tuple[Matrix, Matrix]:
-    """A_d (n, n) and C_d (n,) of (42) by name, blocks joined by ``+``; ValueError for an unknown block."""
-    blocks = {
-        "constant": np.zeros((1, 1)),
-        "ramp": np.array([[0.0, 1.0], [0.0, 0.0]]),
-        "harmonic": np.array([[0.0, frequency], [-frequency, 0.0]]),
-    }
-    C_d = _output_of(model)
-    A_d, at = np.zeros((len(C_d), len(C_d))), 0
-    for name in model.split("+"):
-        n = len(blocks[name])
-        A_d[at : at + n, at : at + n] = blocks[name]
-        at += n
-    return _frozen(A_d), C_d
-
-
-@functools.lru_cache(maxsize=256)
 def _output_of(model: str) -> Matrix:
-    """C_d (n,) of (42): the first state of each block."""
-    unknown = [name for name in model.split("+") if name not in _SIZES]
-    if unknown:
-        raise ValueError(f"model = {model!r}: '{unknown[0]}' is none of {', '.join(_SIZES)}")
-    return _frozen(np.concatenate([np.eye(_SIZES[name])[0] for name in model.split("+")]))
+    C_d = np.concatenate([np.eye(_SIZES[name])[0] for name in model.split("+")])
+    C_d.setflags(write=False)
+    return C_d
 
 
 @cache_numbers
@@ -177,11 +152,6 @@ def _gain(D: Array, c: Array, pole: Array, xp: Any) -> Array:
     for _ in range(n):
         wanted = wanted @ (D - pole * xp.eye(n))
     return wanted @ xp.linalg.solve(xp.stack(observability), xp.eye(n)[:, -1:])[:, 0]
-
-
-def _frozen(matrix: Matrix) -> Matrix:
-    matrix.setflags(write=False)
-    return matrix
 
 
 _SIZES = {"constant": 1, "ramp": 2, "harmonic": 2}

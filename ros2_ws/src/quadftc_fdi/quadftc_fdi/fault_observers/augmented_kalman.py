@@ -41,9 +41,15 @@ import dataclasses
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from quadftc_fdi.dead_reckoning import MAX_PITCH, comparable, dead_reckon
-from quadftc_fdi.fault_observer import FaultObserver, register
-from quadftc_fdi.level_detection import Detection, detect, fault_state, onset_age, start_detection
+from quadftc_fdi.fault_observer import (
+    MAX_PITCH,
+    Detection,
+    FaultObserver,
+    comparable,
+    correct_sample,
+    dead_reckon,
+    register,
+)
 from quadftc_model.arrays import AnyArray, Array, Quaternion, Vector, components, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
@@ -75,27 +81,13 @@ class AugmentedKalmanState(NamedTuple):
 class AugmentedKalman(FaultObserver):
     """Kalman filter with the fault as a state; finds the gyro bias, and no fault that is there at first."""
 
-    attitude_noise: float = parameter(
-        0.1 * DEG, unit="rad", low=1e-6, doc="standard deviation of n_y, of a sample"
-    )
-    gyro_noise: float = parameter(
-        0.007 * DEG, unit="rad/sqrt(s)", low=1e-9, doc="n_g: angle random walk of the gyro"
-    )
-    gyro_bias: float = parameter(
-        1.5 * DEG, unit="rad/s", low=1e-9, doc="standard deviation of b at the first sample"
-    )
-    gyro_bias_walk: float = parameter(
-        2e-4 * DEG, unit="rad/s/sqrt(s)", low=0.0, doc="n_b: random walk of the gyro bias"
-    )
-    fault_walk: float = parameter(
-        0.002 * DEG, unit="rad/sqrt(s)", low=0.0, doc="n_f of a healthy axis: random walk of the fault"
-    )
-    faulty_walk: float = parameter(
-        0.3 * DEG, unit="rad/sqrt(s)", low=0.0, doc="n_f of a faulty axis, and of one on alert"
-    )
-    initial_fault: float = parameter(
-        0.01 * DEG, unit="rad", low=1e-9, doc="standard deviation of f_s at the first sample"
-    )
+    attitude_noise: float = parameter(0.1 * DEG, unit="rad", low=1e-6, doc="n_y of a sample, 1 sigma")
+    gyro_noise: float = parameter(0.007 * DEG, unit="rad/sqrt(s)", low=1e-9, doc="n_g: angle random walk")
+    gyro_bias: float = parameter(1.5 * DEG, unit="rad/s", low=1e-9, doc="b at the first sample, 1 sigma")
+    gyro_bias_walk: float = parameter(2e-4 * DEG, unit="rad/s/sqrt(s)", low=0.0, doc="n_b: its random walk")
+    fault_walk: float = parameter(0.002 * DEG, unit="rad/sqrt(s)", low=0.0, doc="n_f of a healthy axis")
+    faulty_walk: float = parameter(0.3 * DEG, unit="rad/sqrt(s)", low=0.0, doc="n_f if faulty or on alert")
+    initial_fault: float = parameter(0.01 * DEG, unit="rad", low=1e-9, doc="f_s at the first sample, 1 sigma")
     gap_walk: float = parameter(
         3.0 * DEG, unit="rad/sqrt(s)", low=0.0, doc="random walk of the angles while the gyro is absent"
     )
@@ -115,15 +107,10 @@ class AugmentedKalman(FaultObserver):
         angle = zeros + xp.where(imu.attitude_valid[..., None], self.attitude_noise, UNKNOWN)
         std_devs = xp.concatenate([angle, zeros + self.gyro_bias, zeros], axis=-1)
         hidden = xp.concatenate([xp.eye(3), xp.zeros((3, 3)), -xp.eye(3)], axis=-1)  # x^ is off by the fault
+        P = (std_devs**2)[..., None] * xp.eye(9) + self.initial_fault**2 * (hidden.T @ hidden)
+        means = xp.stack([zeros] * len(WINDOWS), axis=-1)
         return AugmentedKalmanState(
-            q_xyzw=imu.q_xyzw,
-            gyro_bias=zeros,
-            fault=zeros,
-            P=(std_devs**2)[..., None] * xp.eye(9) + self.initial_fault**2 * (hidden.T @ hidden),
-            gyro=imu.body_rate,
-            means=xp.stack([zeros] * len(WINDOWS), axis=-1),
-            alert=zeros,
-            detection=start_detection(zeros),
+            imu.q_xyzw, zeros, zeros, P, imu.body_rate, means, zeros, Detection.start(zeros)
         )
 
     def step(
@@ -139,20 +126,19 @@ class AugmentedKalman(FaultObserver):
         x, y = euler_from_quaternion(q_xyzw), euler_from_quaternion(imu.q_xyzw)
         E, J = kinematic_matrices(x, gyro - b)
         EE = E @ xp.swapaxes(E, -1, -2)
-        predicted = self._predicted(state.P, E, J, EE, imu.rate_valid, dt)
+        predicted = self._predict(state.P, E, J, EE, imu.rate_valid, dt)
         # innovation r and its covariance S; adapt the variance of the fault, then correct
         usable = imu.attitude_valid[..., None] & comparable(x, y) & (dt > 0.0)
         r = xp.where(usable, wrap(y - x - state.fault), 0.0)
         PH = predicted[..., :3] + predicted[..., 6:]  # P H', H = [I 0 I]
         S = PH[..., :3, :] + PH[..., 6:, :] + self.attitude_noise**2 * EE
-        state, growth = self._adapted(state, r, xp.einsum("...ii->...i", S), usable, dt)
-        correction, P = _corrected(predicted, PH, S, growth, r, usable)
+        state, growth = self._adapt(state, r, xp.einsum("...ii->...i", S), usable, dt)
+        correction, P = _correct(predicted, PH, S, growth, r, usable)
         # detect the fault by its size in standard deviations
         fault = wrap(state.fault + correction[..., 6:])
         std_dev = xp.sqrt(xp.einsum("...ii->...i", P)[..., 6:])
-        level = xp.abs(fault) / std_dev
-        found = detect(
-            state.detection, level, self.detection_level, self.recovery_level, self.recovery_time, dt
+        detection = state.detection.step(
+            xp.abs(fault) / std_dev, self.detection_level, self.recovery_level, self.recovery_time, dt
         )
         state = state._replace(
             q_xyzw=xp.where(usable, quaternion_from_euler(x + correction[..., :3]), q_xyzw),
@@ -160,17 +146,12 @@ class AugmentedKalman(FaultObserver):
             fault=fault,
             P=P,
             gyro=gyro,
-            detection=found,
+            detection=detection,
         )
-        corrected = imu._replace(
-            q_xyzw=state.q_xyzw,
-            body_rate=gyro - state.gyro_bias,
-            attitude_valid=xp.ones_like(imu.attitude_valid),
-        )
-        status = fault_state(found, suspect=~found.low | (state.alert > 0.0))
-        return state, FaultEstimate(fault, std_dev, status, onset_age(found), corrected)
+        corrected = correct_sample(imu, state.q_xyzw, gyro - state.gyro_bias)
+        return state, detection.report(fault, std_dev, ~detection.low | (state.alert > 0.0), corrected)
 
-    def _predicted(self, P: Array, E: Array, J: Array, EE: Array, rate_valid: Array, dt: float) -> Array:
+    def _predict(self, P: Array, E: Array, J: Array, EE: Array, rate_valid: Array, dt: float) -> Array:
         """F P F' + Q, with F = I + dt [[J, -E, 0], [0, 0, 0], [0, 0, 0]]."""
         xp = namespace(P)
         F = xp.concatenate([xp.eye(3) + dt * J, -dt * E, xp.zeros_like(E)], axis=-1)  # its upper rows
@@ -179,16 +160,12 @@ class AugmentedKalman(FaultObserver):
         angles = upper @ xp.swapaxes(F, -1, -2) + dt * (self.gyro_noise**2 * EE + gap)
         across = upper[..., 3:]
         walks = [dt * self.gyro_bias_walk**2] * 3 + [dt * self.fault_walk**2] * 3
-        lower = P[..., 3:, 3:] + xp.asarray(walks) * xp.eye(6)
-        return xp.concatenate(
-            [
-                xp.concatenate([angles, across], axis=-1),
-                xp.concatenate([xp.swapaxes(across, -1, -2), lower], axis=-1),
-            ],
-            axis=-2,
-        )
+        others = P[..., 3:, 3:] + xp.asarray(walks) * xp.eye(6)
+        above = xp.concatenate([angles, across], axis=-1)
+        below = xp.concatenate([xp.swapaxes(across, -1, -2), others], axis=-1)
+        return xp.concatenate([above, below], axis=-2)
 
-    def _adapted(
+    def _adapt(
         self, state: AugmentedKalmanState, r: Array, S_ii: Array, usable: Array, dt: float
     ) -> tuple[AugmentedKalmanState, Array]:
         """Means of the innovation, and what is added to P_f,ii (..., 3) [rad²]."""
@@ -207,7 +184,7 @@ class AugmentedKalman(FaultObserver):
         return state._replace(means=means, alert=alert), excess + dt * walk
 
 
-def _corrected(P: Array, PH: Array, S: Array, growth: Array, r: Array, usable: Array) -> tuple[Array, Array]:
+def _correct(P: Array, PH: Array, S: Array, growth: Array, r: Array, usable: Array) -> tuple[Array, Array]:
     """Correction of the nine states (..., 9) and their covariance, after the variance of f_s has grown."""
     xp = namespace(P)
     more = growth[..., None] * xp.eye(3)

@@ -38,10 +38,15 @@ import dataclasses
 import math
 from typing import NamedTuple
 
-from quadftc_fdi.dead_reckoning import comparable, dead_reckon
-from quadftc_fdi.fault_observer import FaultObserver, register
+from quadftc_fdi.fault_observer import (
+    Detection,
+    FaultObserver,
+    comparable,
+    correct_sample,
+    dead_reckon,
+    register,
+)
 from quadftc_fdi.fault_observers.sliding_mode import implicit_injection
-from quadftc_fdi.level_detection import Detection, detect, fault_state, onset_age, start_detection
 from quadftc_model.arrays import Quaternion, Vector, exp, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
@@ -65,13 +70,9 @@ class EdwardsSpurgeonState(NamedTuple):
 class EdwardsSpurgeon(FaultObserver):
     """Sensor fault from the equivalent injection; right without gyro bias and after a healthy start."""
 
-    a_f: float = parameter(
-        20.0, unit="1/s", low=1e-3, doc="A_f = a_f I: bandwidth of the filter of the angles"
-    )
+    a_f: float = parameter(20.0, unit="1/s", low=1e-3, doc="A_f = a_f I: bandwidth of the angles' filter")
     a_s: float = parameter(40.0, unit="1/s", low=0.0, doc="A22s = -a_s I: pole of e = z_f - z_f^, but for nu")
-    leak: float = parameter(
-        1e-4, unit="1/s", low=0.0, doc="l: the angle error's pole is -l on the surface e = 0"
-    )
+    leak: float = parameter(1e-4, unit="1/s", low=0.0, doc="l: on e = 0 the angle error's pole is -l")
     rho: float = parameter(12.0, unit="rad/s", low=1e-9, doc="size of nu; must exceed a_f |f_s|")
     tau: float = parameter(0.02, unit="s", low=1e-6, doc="time constant of the low pass of nu")
     detection_level: float = parameter(0.3 * DEG, unit="rad", low=1e-9, doc="|f_s^| that is a fault")
@@ -82,7 +83,7 @@ class EdwardsSpurgeon(FaultObserver):
         """Start on the measurement: the sensor counts as healthy at the first sample."""
         imu = inputs.imu
         zeros = namespace(imu.body_rate).zeros_like(imu.body_rate)
-        return EdwardsSpurgeonState(imu.q_xyzw, zeros, zeros, imu.body_rate, start_detection(zeros))
+        return EdwardsSpurgeonState(imu.q_xyzw, zeros, zeros, imu.body_rate, Detection.start(zeros))
 
     def step(
         self, state: EdwardsSpurgeonState, inputs: FaultObserverInputs, dt: float
@@ -103,20 +104,9 @@ class EdwardsSpurgeon(FaultObserver):
         fault = state.fault + (1.0 - exp(-dt / self.tau)) * (nu / self.a_f - state.fault)
         leaked = quaternion_from_euler(x + dt * (self.leak / self.a_f) * nu)
         q_xyzw = xp.where(usable, leaked, q_xyzw)
-        found = detect(
-            state.detection,
-            xp.abs(fault),
-            self.detection_level,
-            self.recovery_level,
-            self.recovery_time,
-            dt,
+        detection = state.detection.step(
+            xp.abs(fault), self.detection_level, self.recovery_level, self.recovery_time, dt
         )
-        corrected = imu._replace(q_xyzw=q_xyzw, body_rate=y2, attitude_valid=xp.ones_like(imu.attitude_valid))
-        estimate = FaultEstimate(
-            fault=fault,
-            std_dev=xp.full_like(fault, -1.0),
-            state=fault_state(found, suspect=~found.low),
-            onset_age=onset_age(found),
-            corrected=corrected,
-        )
-        return EdwardsSpurgeonState(q_xyzw, e, fault, y2, found), estimate
+        corrected = correct_sample(imu, q_xyzw, y2)
+        estimate = detection.report(fault, xp.full_like(fault, -1.0), ~detection.low, corrected)
+        return EdwardsSpurgeonState(q_xyzw, e, fault, y2, detection), estimate

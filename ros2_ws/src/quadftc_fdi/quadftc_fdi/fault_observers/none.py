@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 
-from quadftc_fdi.fault_observer import FaultObserver, register
-from quadftc_model.arrays import Array, namespace
-from quadftc_model.samples import HEALTHY, FaultEstimate, FaultObserverInputs, ImuSample
+from quadftc_fdi.fault_observer import FaultObserver, assume_healthy, register
+from quadftc_model.arrays import namespace
+from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample
 
 
 @register("none")
@@ -25,19 +25,7 @@ class NoDiagnosis(FaultObserver):
         imu = inputs.imu
         xp = namespace(imu.body_rate)
         used = imu._replace(
-            q_xyzw=_or_last(imu.attitude_valid, imu.q_xyzw, state.q_xyzw),
-            body_rate=_or_last(imu.rate_valid, imu.body_rate, state.body_rate),
+            q_xyzw=xp.where(imu.attitude_valid[..., None], imu.q_xyzw, state.q_xyzw),
+            body_rate=xp.where(imu.rate_valid[..., None], imu.body_rate, state.body_rate),
         )
-        zeros = xp.zeros_like(imu.body_rate)
-        estimate = FaultEstimate(
-            fault=zeros,
-            std_dev=xp.full_like(zeros, -1.0),
-            state=xp.full_like(zeros, HEALTHY, dtype=xp.uint8),
-            onset_age=xp.full_like(zeros, -1.0),
-            corrected=used,
-        )
-        return used, estimate
-
-
-def _or_last(valid: Array, value: Array, last: Array) -> Array:
-    return namespace(value).where(valid[..., None], value, last)
+        return used, assume_healthy(xp.zeros_like(imu.body_rate), used)

@@ -38,12 +38,12 @@ import dataclasses
 import math
 from typing import ClassVar, NamedTuple
 
-from quadftc_fdi.fault_observer import FaultObserver, register
+from quadftc_fdi.fault_observer import FaultObserver, assume_healthy, correct_sample, register
 from quadftc_model.arrays import Array, Column, Vector, is_single, namespace, norm
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import euler_from_quaternion, euler_rates, quaternion_from_euler, wrap
-from quadftc_model.samples import HEALTHY, FaultEstimate, FaultObserverInputs
+from quadftc_model.samples import FaultEstimate, FaultObserverInputs
 
 
 class SlidingModeState(NamedTuple):
@@ -67,14 +67,10 @@ class SlidingMode(FaultObserver):
 
     has_detector: ClassVar[bool] = False
 
-    epsilon_s: float = parameter(
-        0.5, unit="rad", low=1e-6, doc="epsilon_s of (9): bound of the fault's norm |f_s|"
-    )
+    epsilon_s: float = parameter(0.5, unit="rad", low=1e-6, doc="epsilon_s of (9): bound of the fault |f_s|")
     epsilon_2: float = parameter(0.1, unit="rad", low=0.0, doc="epsilon_2 of (19): gain above the bound")
     delta: float = parameter(1e-3, unit="rad s", low=1e-9, doc="delta of (26): smoothing of the injection v2")
-    L1: float = parameter(
-        0.05, unit="1/s^2", low=0.0, doc="L1-bar of (17); any value above 0 makes f_s^ leak"
-    )
+    L1: float = parameter(0.05, unit="1/s^2", low=0.0, doc="L1-bar of (17); above 0 it makes f_s^ leak")
     L2: float = parameter(1.0, unit="1/s", low=0.0, doc="L2-bar of (17)")
     H: float = parameter(1.0, unit="1", low=0.0, doc="H-bar of (17) and (21)")
     l_k2: float = parameter(1.0, unit="1/(rad^2 s^5)", low=0.0, doc="l_k2 of (21): adaptation rate of k2^")
@@ -107,14 +103,7 @@ class SlidingMode(FaultObserver):
         h1 = xp.where(imu.rate_valid[..., None], imu.body_rate, state.h1)
         z1, k1, v1 = self._rate_observer(state, inputs.torque, h1, dt)
         state = self._fault_observer(state, inputs, h1, dt)._replace(z1=z1, k1=k1, v1=v1, h1=h1)
-        corrected = imu._replace(
-            q_xyzw=quaternion_from_euler(state.z2),
-            body_rate=h1,
-            attitude_valid=xp.ones_like(imu.attitude_valid),
-        )
-        unknown = xp.full_like(h1, -1.0)
-        status = xp.full_like(h1, HEALTHY, dtype=xp.uint8)
-        return state, FaultEstimate(state.v2, unknown, status, unknown, corrected)
+        return state, assume_healthy(state.v2, correct_sample(imu, quaternion_from_euler(state.z2), h1))
 
     def _rate_observer(
         self, state: SlidingModeState, torque: Array, h1: Array, dt: float
@@ -174,9 +163,8 @@ def implicit_injection(
     """
     size = norm(c)
     if is_single(size):
-        return _of_one(
-            c, float(size[0]), linear if isinstance(linear, float) else float(linear[0]), rho, delta, dt
-        )
+        gain = linear if isinstance(linear, float) else float(linear[0])
+        return _inject_one(c, float(size[0]), gain, rho, delta, dt)
     xp = namespace(c)
     a = 1.0 + dt * linear
     b = a * delta + dt * rho - size
@@ -190,7 +178,9 @@ def implicit_injection(
     return n * unit, xp.where(n + delta > 0.0, sliding, held) * unit
 
 
-def _of_one(c: Array, size: float, linear: float, rho: float, delta: float, dt: float) -> tuple[Array, Array]:
+def _inject_one(
+    c: Array, size: float, linear: float, rho: float, delta: float, dt: float
+) -> tuple[Array, Array]:
     """`implicit_injection` of one vehicle: the same in floats, for which the branches are branches."""
     a = 1.0 + dt * linear
     b = a * delta + dt * rho - size

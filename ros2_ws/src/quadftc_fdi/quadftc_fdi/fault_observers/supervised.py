@@ -1,23 +1,15 @@
 r"""Supervised diagnosis: learn the gyro while the attitude is healthy, fly on the gyro while it is not.
 
 The paper's observer does not know the bias of a real gyro (docs/theory.md, sections 4 and 8). Here a Kalman
-filter estimates bias, scale, alignment and delay of the gyro against the attitude of the healthy axes. Tests
-watch its residuals. docs/supervised.md explains the whole; the parts are in `quadftc_fdi.supervision`:
+filter estimates bias, scale, alignment and delay of the gyro against the attitude of the healthy axes, and
+tests watch its residuals. On a faulty axis the gyro carries the angle on: measured minus predicted angle is
+the fault, and the filter's covariance its uncertainty. docs/supervised.md explains the states of an axis and
+the reasons; the parts are in `quadftc_fdi.supervision`:
 
-    inertial_filter, error_transition   predict by the gyro, correct by the healthy axes
-    anchors                             earlier states of the filter, to which it goes back
-    residual_tests                      collect evidence, declare faults
-    fault_track, recovery               follow the fault, judge when the axis is trusted again
-
-States of an axis: STARTING -> HEALTHY <-> SUSPECT -> FAULTY <-> RECOVERING -> HEALTHY
-
-* SUSPECT: a test is above its level of suspicion. The axis does not correct the filter.
-* FAULTY: a test is above its threshold. Unless the fault was sudden, the filter goes back to an anchor, at
-  most ``anchor_age`` old. From now on the gyro carries the angle on: measured minus predicted angle is the
-  fault, and the filter's covariance its uncertainty.
-* RECOVERING: the fault is within the uncertainty of dead reckoning, and stands still. After ``recovery``
-  seconds the axis is trusted again; after several times that if the fault never visibly moved. A fault that
-  stands still for ``patience`` seconds is taken for an error of the observer.
+    inertial_filter         predict by the gyro, correct by the healthy axes
+    anchors                 earlier states of the filter, to which it goes back
+    residual_tests          collect evidence, declare faults
+    fault_track, recovery   follow the fault, judge when the axis is trusted again
 
 The defaults are for a MEMS IMU on a vehicle that moves, with an attitude that wanders (optical markers, an
 attitude filter), and a gyro whose bias changes a little in motion. A simulated sensor without such errors
@@ -33,60 +25,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_fdi.dead_reckoning import comparable
-from quadftc_fdi.fault_observer import FaultObserver, LastWords, register, without_fault
-from quadftc_fdi.supervision.anchors import (
-    Anchors,
-    all_residuals,
-    go_back_to_anchor,
-    predict_anchors,
-    predicted_variances,
-    set_anchors,
-    update_anchors,
+from quadftc_fdi.fault_observer import (
+    FaultObserver,
+    LastWords,
+    comparable,
+    correct_sample,
+    register,
+    without_fault,
 )
-from quadftc_fdi.supervision.fault_track import (
-    Track,
-    TrackerGains,
-    clear_healthy,
-    start_track,
-    track_fault,
-    track_variance,
-    tracker_gains,
-)
-from quadftc_fdi.supervision.inertial_filter import (
-    ROTATION,
-    FilterState,
-    bias_variance,
-    correct,
-    estimate_rate,
-    measurement_matrix,
-    predict,
-    predict_angles,
-    process_noise,
-    start_filter,
-)
+from quadftc_fdi.supervision import anchors, fault_track, inertial_filter, residual_tests
+from quadftc_fdi.supervision.inertial_filter import ROTATION, FilterState, bias_variance, estimate_rate
 from quadftc_fdi.supervision.recovery import Recovery, judge_recovery
-from quadftc_fdi.supervision.residual_tests import (
-    Evidence,
-    ResidualVariances,
-    averaging_weights,
-    collect_evidence,
-    declare_faults,
-    healthy_spread,
-    start_evidence,
-    update_evidence,
-)
-from quadftc_model.arrays import (
-    Array,
-    Column,
-    Mask,
-    Vector,
-    any_of,
-    changed_where,
-    exp,
-    namespace,
-    norm,
-)
+from quadftc_fdi.supervision.residual_tests import ResidualVariances
+from quadftc_model.arrays import Array, Column, Mask, Vector, any_of, changed_where, exp, namespace, norm
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, wrap
 from quadftc_model.samples import (
@@ -97,6 +48,7 @@ from quadftc_model.samples import (
     SUSPECT,
     FaultEstimate,
     FaultObserverInputs,
+    ImuSample,
 )
 
 DEG = math.pi / 180.0
@@ -116,23 +68,14 @@ class SupervisedState(NamedTuple):
     """Observer state at the last sample."""
 
     filter: FilterState
-    anchors: Anchors
+    anchors: anchors.Anchors
     gyro: Vector  # [rad/s]
     activity: Column  # decaying maximum of the body rate [rad/s]
     motion: Column  # rest 0, motion 1
-    evidence: Evidence
+    evidence: residual_tests.Evidence
     faulty: Mask
-    track: Track
+    track: fault_track.Track
     raw: Column  # share of the gyro as it is in the corrected body rate
-
-
-class _Comparison(NamedTuple):
-    """A measured attitude against the predicted one."""
-
-    H: Array  # (..., 3, 16)
-    residuals: Array  # (..., 3, 5) [rad]
-    variances: ResidualVariances
-    comparable: Array  # (..., 1) bool: both are away from 90 deg of pitch
 
 
 @register("supervised")
@@ -140,17 +83,13 @@ class _Comparison(NamedTuple):
 class Supervised(FaultObserver):
     """Estimates the gyro's errors while an axis is healthy, and dead-reckons it while it is not."""
 
-    attitude_noise: float = parameter(
-        0.1 * DEG, unit="rad", low=1e-6, doc="white noise of the attitude, 1 sigma of a sample"
-    )
+    attitude_noise: float = parameter(0.1 * DEG, unit="rad", low=1e-6, doc="white noise of a sample, 1 sigma")
     wander: float = parameter(0.1 * DEG, unit="rad", low=0.0, doc="slow error of the attitude, 1 sigma")
     wander_moving: float = parameter(0.2 * DEG, unit="rad", low=0.0, doc="the same while moving")
     wander_memory: float = parameter(0.15, unit="s", low=1e-3, doc="correlation time of the slow error")
     gyro_noise: float = parameter(0.007 * DEG, unit="rad/sqrt(s)", low=1e-8, doc="angle random walk N")
     gyro_moving: float = parameter(0.001, unit="sqrt(s)", low=0.0, doc="what N grows by per body rate")
-    gyro_shift: float = parameter(
-        0.02 * DEG, unit="rad/s", low=0.0, doc="what motion adds to the gyro bias, 1 sigma"
-    )
+    gyro_shift: float = parameter(0.02 * DEG, unit="rad/s", low=0.0, doc="gyro bias by motion, 1 sigma")
     gyro_bias: float = parameter(1.5 * DEG, unit="rad/s", low=1e-6, doc="turn-on gyro bias, 1 sigma")
     gyro_bias_walk: float = parameter(2e-4 * DEG, unit="rad/s/sqrt(s)", low=0.0, doc="rate random walk K")
     gyro_scale: float = parameter(0.01, unit="1", low=0.0, doc="scale and alignment errors, 1 sigma")
@@ -165,19 +104,18 @@ class Supervised(FaultObserver):
     def init(self, inputs: FaultObserverInputs) -> SupervisedState:
         """Start on the measurement, with the gyro unknown but for its data sheet."""
         imu = inputs.imu
-        estimate = start_filter(imu.q_xyzw, self._initial_std_devs())
         zeros = namespace(imu.body_rate).zeros_like(imu.body_rate)
-        rest = namespace(imu.body_rate).zeros((*zeros.shape[:-1], 1))
+        estimate = inertial_filter.start_filter(imu.q_xyzw, self._initial_std_devs())
         return SupervisedState(
             filter=estimate,
-            anchors=set_anchors(estimate.P),
+            anchors=anchors.set_anchors(estimate.P),
             gyro=imu.body_rate,
-            activity=rest,
-            motion=rest,
-            evidence=start_evidence(zeros),
+            activity=zeros[..., :1],
+            motion=zeros[..., :1],
+            evidence=residual_tests.start_evidence(zeros),
             faulty=zeros > 1.0,
-            track=start_track(zeros),
-            raw=rest + 1.0,
+            track=fault_track.start_track(zeros),
+            raw=zeros[..., :1] + 1.0,
         )
 
     def resumed(self, inputs: FaultObserverInputs, last: LastWords) -> SupervisedState:
@@ -193,13 +131,12 @@ class Supervised(FaultObserver):
         std_devs = xp.concatenate([rotation, xp.zeros_like(fault) + KEPT, std_devs[..., 6:]], axis=-1)
         P = std_devs[..., None] ** 2 * np.eye(16)
         x = xp.concatenate([-last.gyro_correction, fresh.filter.x[..., 3:]], axis=-1)
+        means = xp.stack([fault, fault], axis=-1)
         return fresh._replace(
             filter=fresh.filter._replace(x=x, P=P),
-            anchors=set_anchors(P),
+            anchors=anchors.set_anchors(P),
             faulty=faulty,
-            track=fresh.track._replace(
-                fault=fault, means=xp.stack([fault, fault], axis=-1), age=last.since * faulty
-            ),
+            track=fresh.track._replace(fault=fault, means=means, age=last.since * faulty),
             raw=fresh.raw * 0.0,
         )
 
@@ -209,45 +146,45 @@ class Supervised(FaultObserver):
         """Advance by ``dt`` [s] to the sample."""
         imu = inputs.imu
         xp = namespace(imu.body_rate)
-        weights, gains = averaging_weights(dt, self.wander_memory), tracker_gains(dt, self.tracking)
+        weights = residual_tests.averaging_weights(dt, self.wander_memory)
+        gains = fault_track.tracker_gains(dt, self.tracking)
 
         # 1. Predict: the gyro carries filter and anchors to this sample. An absent gyro keeps its last value.
         gyro = xp.where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
         omega = estimate_rate(state.filter.x, gyro)
         activity = xp.maximum(norm(omega), state.activity * exp(-dt / MOVED))
         motion = ((activity - RESTING) / (MOVING - RESTING)).clip(0.0, 1.0)
-        estimate, anchors = self._predict(state, gyro, motion, dt)
+        estimate, earlier = self._predict(state, gyro, motion, dt)
 
         # 2. Test the residuals of the trusted axes.
-        sample = self._compare(estimate, anchors, imu.q_xyzw, omega, motion)
-        variances, valid = sample.variances, imu.attitude_valid[..., None] & sample.comparable
+        H, residuals, variances, valid = self._compare(estimate, earlier, imu.q_xyzw, omega, motion)
+        valid = imu.attitude_valid[..., None] & valid
         trusted = ~state.faulty & valid
-        evidence, scores = collect_evidence(
-            state.evidence, sample.residuals, variances, trusted, weights, dt, self.threshold, self.learning
+        evidence, scores = residual_tests.collect_evidence(
+            state.evidence, residuals, variances, trusted, weights, dt, self.threshold, self.learning
         )
 
         # 3. Declare faults, and go back to an anchor where one was found late: what it has taught the filter
         # is false.
-        found = declare_faults(scores, evidence.suspicion, trusted, self.threshold)
+        found = residual_tests.declare_faults(scores, evidence.suspicion, trusted, self.threshold)
         faulty, late = state.faulty | found.alarm, found.alarm & ~found.sudden
-        estimate, residual, predicted = go_back_to_anchor(
-            estimate, anchors, sample.residuals, variances.predicted, late, found.creeping, STARTED
+        estimate, residual, predicted = anchors.go_back_to_anchor(
+            estimate, earlier, residuals, variances.predicted, late, found.creeping, STARTED
         )
 
         # 4. Track the faults, and judge which axes are trusted again.
         bias = bias_variance(estimate.P)
 
         def follow_faults() -> Recovery:
-            track = track_fault(
+            track = fault_track.track_fault(
                 state.track, residual, variances, found.alarm, evidence.suspicion, valid, gains, dt
             )
-            spread = healthy_spread(variances, evidence.learned, weights)
+            spread = residual_tests.healthy_spread(variances, evidence.learned, weights)
             judged = judge_recovery(track, faulty, predicted, spread, bias, self.recovery, self.patience, dt)
-            return judged._replace(track=clear_healthy(judged.track, faulty & ~judged.trusted))
+            return judged._replace(track=fault_track.clear_healthy(judged.track, faulty & ~judged.trusted))
 
-        track, recovered, outlasted = changed_where(
-            faulty, follow_faults, Recovery(state.track, faulty, faulty)
-        )
+        judged = changed_where(faulty, follow_faults, Recovery(state.track, faulty, faulty))
+        track, recovered, outlasted = judged
         faulty = faulty & ~recovered
 
         # 5. Correct the filter by the axes that are neither faulty nor suspect. Where a fault has outlasted
@@ -255,29 +192,30 @@ class Supervised(FaultObserver):
         estimate = changed_where(outlasted, lambda: _doubt(estimate, residual * outlasted), estimate)
         variance = variances.noise + variances.slow * weights.white_equivalent
         used = valid & ~faulty & ~scores.suspect
-        estimate, dx = correct(estimate, sample.H, residual, variance, used)
+        estimate, dx = inertial_filter.correct(estimate, H, residual, variance, used)
 
         # 6. Renew the anchors; restart the tests where what they remember no longer counts.
         restart = any_of(late | outlasted)
-        anchors, promoted = update_anchors(
-            anchors, estimate.P, dx, restart, any_of(scores.suspect), dt, self.anchor_age
+        earlier, promoted = anchors.update_anchors(
+            earlier, estimate.P, dx, restart, any_of(scores.suspect), dt, self.anchor_age
         )
-        evidence = update_evidence(evidence, promoted, faulty | recovered | restart | (dt > GAP))
-
+        evidence = residual_tests.update_evidence(
+            evidence, promoted, faulty | recovered | restart | (dt > GAP)
+        )
         starting = bias > STARTED**2
         raw = xp.where(starting, state.raw, state.raw * exp(-dt / FADING))
-        new = SupervisedState(estimate, anchors, gyro, activity, motion, evidence, faulty, track, raw)
-        return new, self._report(new, scores.suspect, starting, predicted, variances, gains, inputs)
+        state = SupervisedState(estimate, earlier, gyro, activity, motion, evidence, faulty, track, raw)
+
+        return state, self._report(state, imu, scores.suspect, starting, predicted, variances, gains)
 
     def _initial_std_devs(self) -> NDArray[np.float64]:
         """Standard deviations (16,) of the error state before the first measurement."""
         attitude = UNKNOWN * max(self.attitude_noise, self.wander)
-        parts = ([attitude] * 3, [self.gyro_bias] * 3, [self.gyro_scale] * 9, [self.delay])
-        return np.concatenate([np.asarray(part) for part in parts])
+        return np.array([attitude] * 3 + [self.gyro_bias] * 3 + [self.gyro_scale] * 9 + [self.delay])
 
     def _predict(
         self, state: SupervisedState, gyro: Array, motion: Array, dt: float
-    ) -> tuple[FilterState, Anchors]:
+    ) -> tuple[FilterState, anchors.Anchors]:
         """Carry filter and anchors to the sample by the mean of two gyro samples."""
         walk = (self.gyro_noise**2 + (self.gyro_moving * norm(gyro)) ** 2) * dt
 
@@ -287,48 +225,49 @@ class Supervised(FaultObserver):
 
         rotation = changed_where(dt > GAP, widen, walk)
         bias = self.gyro_bias_walk**2 * dt + self.gyro_shift**2 * abs(motion - state.motion)
-        Q = process_noise(rotation, bias)
-        estimate, F = predict(state.filter, 0.5 * (gyro + state.gyro), Q, dt)
-        return estimate, predict_anchors(state.anchors, F, Q)
+        Q = inertial_filter.process_noise(rotation, bias)
+        estimate, F = inertial_filter.predict(state.filter, 0.5 * (gyro + state.gyro), Q, dt)
+        return estimate, anchors.predict_anchors(state.anchors, F, Q)
 
     def _compare(
-        self, estimate: FilterState, anchors: Anchors, q_xyzw: Array, omega: Array, motion: Array
-    ) -> _Comparison:
-        """Residuals of filter and anchors, and how large healthy ones are."""
+        self, estimate: FilterState, earlier: anchors.Anchors, q_xyzw: Array, omega: Array, motion: Array
+    ) -> tuple[Array, Array, ResidualVariances, Array]:
+        """Compare a measured attitude with the predicted ones.
+
+        Returns
+        -------
+        H (..., 3, 16), residuals (..., 3, 5) [rad] of filter and anchors, how large healthy ones are, and
+        whether (..., 1) both attitudes are away from 90 deg of pitch.
+        """
         angles, measured = euler_from_quaternion(estimate.q_xyzw), euler_from_quaternion(q_xyzw)
-        H = measurement_matrix(angles, omega)
-        residual = wrap(measured - predict_angles(estimate, angles, H))
+        H = inertial_filter.measurement_matrix(angles, omega)
+        residual = wrap(measured - inertial_filter.predict_angles(estimate, angles, H))
         slow = self.wander + (self.wander_moving - self.wander) * motion
         noise = self.attitude_noise**2 * (H[..., ROTATION] ** 2).sum(axis=-1)
-        predicted = predicted_variances(estimate.P, anchors, H)
+        predicted = anchors.predicted_variances(estimate.P, earlier, H)
         variances = ResidualVariances(noise, slow**2 + 0.0 * noise, predicted)
-        return _Comparison(H, all_residuals(residual, anchors, H), variances, comparable(angles, measured))
+        return H, anchors.all_residuals(residual, earlier, H), variances, comparable(angles, measured)
 
     def _report(
         self,
         state: SupervisedState,
+        imu: ImuSample,
         suspect: Array,
         starting: Array,
         predicted: Array,
         variances: ResidualVariances,
-        gains: TrackerGains,
-        inputs: FaultObserverInputs,
+        gains: fault_track.TrackerGains,
     ) -> FaultEstimate:
-        imu, faulty, track = inputs.imu, state.faulty, state.track
-        xp = namespace(imu.body_rate)
+        faulty, track, xp = state.faulty, state.track, namespace(imu.body_rate)
         omega = estimate_rate(state.filter.x, state.gyro)
-        corrected = imu._replace(
-            q_xyzw=state.filter.q_xyzw,
-            body_rate=omega + state.raw * (state.gyro - omega),
-            attitude_valid=imu.attitude_valid | True,
-        )
+        corrected = correct_sample(imu, state.filter.q_xyzw, omega + state.raw * (state.gyro - omega))
         trusted = xp.where(starting, STARTING, xp.where(suspect, SUSPECT, HEALTHY)).astype(xp.uint8)
         predicted = xp.maximum(predicted, 0.0)
 
         def report_faults() -> tuple[Array, Array, Array]:
             out = xp.where(track.calm > SHOWN * self.recovery, RECOVERING, FAULTY)
             states = xp.where(faulty, out, trusted).astype(xp.uint8)
-            variance = predicted + faulty * track_variance(track, variances, gains)
+            variance = predicted + faulty * fault_track.track_variance(track, variances, gains)
             return states, variance, xp.where(faulty, track.age, -1.0)
 
         none = (trusted, predicted, faulty - 1.0)

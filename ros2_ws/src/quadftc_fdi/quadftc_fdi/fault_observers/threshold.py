@@ -39,8 +39,7 @@ import dataclasses
 import math
 from typing import NamedTuple
 
-from quadftc_fdi.dead_reckoning import comparable, dead_reckon
-from quadftc_fdi.fault_observer import FaultObserver, register
+from quadftc_fdi.fault_observer import FaultObserver, comparable, correct_sample, dead_reckon, register
 from quadftc_model.arrays import Array, Quaternion, States, Vector, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
@@ -51,7 +50,6 @@ from quadftc_model.samples import (
     SUSPECT,
     FaultEstimate,
     FaultObserverInputs,
-    ImuSample,
 )
 
 DEG = math.pi / 180.0
@@ -81,9 +79,7 @@ class Threshold(FaultObserver):
     angle_threshold: float = parameter(
         15.0 * DEG, unit="rad", low=1e-6, doc="accumulated inconsistency that is a fault (EKF2_SEL_IMU_ANG)"
     )
-    filter_time: float = parameter(
-        0.1, unit="s", low=1e-3, doc="T: time constant of the low pass of the inconsistency"
-    )
+    filter_time: float = parameter(0.1, unit="s", low=1e-3, doc="T: time constant of the low pass of d")
     recovery_angle: float = parameter(2.0 * DEG, unit="rad", low=0.0, doc="residual that is no fault")
     recovery_time: float = parameter(1.0, unit="s", low=0.0, doc="how long it must be none to end the fault")
     patience: float = parameter(30.0, unit="s", low=0.0, doc="longest dead reckoning")
@@ -117,14 +113,16 @@ class Threshold(FaultObserver):
         state = self._switch(state, a, xp.abs(r), dt)
         switched = state.state >= FAULTY
         pull = xp.where(usable & (state.state == HEALTHY), g * r, 0.0)
-        state = state._replace(
-            q_xyzw=xp.where(usable, quaternion_from_euler(x + pull), q_xyzw),
-            gyro=gyro,
-            residual=r - pull,
-            rho=rho,
-        )
-        fault = xp.where(switched, r, 0.0)
-        return state, self._estimate(state, imu, fault, xp.where(switched, x, y))
+        q_xyzw = xp.where(usable, quaternion_from_euler(x + pull), q_xyzw)
+        state = state._replace(q_xyzw=q_xyzw, gyro=gyro, residual=r - pull, rho=rho)
+        # give the measured attitude, x^ where it is absent, and on switched axes the angles of x^
+        measured = imu.attitude_valid[..., None]
+        mixed = quaternion_from_euler(xp.where(switched, x, y))
+        known = xp.where(measured, imu.q_xyzw, q_xyzw)
+        given = xp.where(measured & xp.any(switched, axis=-1, keepdims=True), mixed, known)
+        fault, age = xp.where(switched, r, 0.0), xp.where(switched, state.age, -1.0)
+        corrected = correct_sample(imu, given, gyro)
+        return state, FaultEstimate(fault, xp.full_like(age, -1.0), state.state, age, corrected)
 
     def _switch(self, state: ThresholdState, a: Array, residual: Array, dt: float) -> ThresholdState:
         """Take the transitions of the table, with the new a and |y - x^|, each (..., 3)."""
@@ -144,17 +142,3 @@ class Threshold(FaultObserver):
             age=xp.where(ended, 0.0, age),
             calm=xp.where(ended, 0.0, calm),
         )
-
-    def _estimate(self, state: ThresholdState, imu: ImuSample, fault: Array, angles: Array) -> FaultEstimate:
-        """Give the measured attitude, x^ where it is absent, and where axes are switched, ``angles``."""
-        xp = namespace(angles)
-        switched = state.state >= FAULTY
-        known = xp.where(imu.attitude_valid[..., None], imu.q_xyzw, state.q_xyzw)
-        mixed = imu.attitude_valid[..., None] & xp.any(switched, axis=-1, keepdims=True)
-        corrected = imu._replace(
-            q_xyzw=xp.where(mixed, quaternion_from_euler(angles), known),
-            body_rate=state.gyro,
-            attitude_valid=xp.ones_like(imu.attitude_valid),
-        )
-        age = xp.where(switched, state.age, -1.0)
-        return FaultEstimate(fault, xp.full_like(age, -1.0), state.state, age, corrected)

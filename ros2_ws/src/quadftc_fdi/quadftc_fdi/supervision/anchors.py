@@ -16,22 +16,29 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quadftc_fdi.supervision.error_transition import SIZE, Covariance, Transition
-from quadftc_fdi.supervision.inertial_filter import MEASURED, FilterState, apply_correction, bias_variance
-from quadftc_model.arrays import (
-    AnyArray,
-    Array,
-    Column,
-    Mask,
-    Vector,
-    any_of,
-    changed_where,
-    namespace,
-    product,
+from quadftc_fdi.supervision.inertial_filter import (
+    MEASURED,
+    SIZE,
+    Covariance,
+    Errors,
+    FilterState,
+    MeasurementMatrix,
+    Transition,
+    apply_correction,
+    bias_variance,
 )
+from quadftc_model.arrays import Array, Column, Mask, Vector, any_of, changed_where, namespace, product
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
+
+    from quadftc_model.arrays import AnyArray
+
+    Residuals = Float[AnyArray, "*batch 3 5"]
+    Predicted = Float[AnyArray, "*batch 3 3"]
+    One = Bool[AnyArray, "*batch 1"]
+else:
+    Residuals = Predicted = One = Array
 
 OLD, YOUNG = 3, 4  # columns of the residuals; the three before are of the filter itself
 IS_ANCHOR = np.array([0.0, 0.0, 0.0, 1.0, 1.0])
@@ -63,16 +70,12 @@ def predict_anchors(anchors: Anchors, F: Transition, Q: Covariance) -> Anchors:
     return anchors._replace(corrections=F.of(anchors.corrections), P=P)
 
 
-def all_residuals(
-    residual: Vector, anchors: Anchors, H: Float[AnyArray, "*batch 3 16"]
-) -> Float[AnyArray, "*batch 3 5"]:
+def all_residuals(residual: Vector, anchors: Anchors, H: MeasurementMatrix) -> Residuals:
     """Residuals [rad] of the filter (three times), the old and the young anchor."""
     return residual[..., None] + product(H, anchors.corrections, MEASURED)
 
 
-def predicted_variances(
-    P: Covariance, anchors: Anchors, H: Float[AnyArray, "*batch 3 16"]
-) -> Float[AnyArray, "*batch 3 3"]:
+def predicted_variances(P: Covariance, anchors: Anchors, H: MeasurementMatrix) -> Predicted:
     """Variance (..., angle, source) of the angles [rad²] that filter, old and young anchor predict."""
     covariances = namespace(P).concatenate([P[..., None, :, :], anchors.P], axis=-3)
     each = H[..., None, :, :]
@@ -82,8 +85,8 @@ def predicted_variances(
 def go_back_to_anchor(
     estimate: FilterState,
     anchors: Anchors,
-    residuals: Float[AnyArray, "*batch 3 5"],
-    variances: Float[AnyArray, "*batch 3 3"],
+    residuals: Residuals,
+    variances: Predicted,
     back: Mask,
     far: Mask,
     known: float,
@@ -95,12 +98,8 @@ def go_back_to_anchor(
 
     Parameters
     ----------
-    estimate : FilterState
-    anchors : Anchors
-    residuals : array (..., 3, 5)
-        Of `all_residuals` [rad].
-    variances : array (..., 3, 3)
-        Of `predicted_variances` [rad²].
+    estimate, anchors, residuals, variances
+        The filter; its anchors with `all_residuals` [rad] and `predicted_variances` [rad²].
     back, far : array (..., 3) bool
         Axes that ask to go back, and those that need the old anchor; with the young one less is lost.
     known : float
@@ -136,19 +135,18 @@ def go_back_to_anchor(
 def update_anchors(
     anchors: Anchors,
     P: Covariance,
-    dx: Float[AnyArray, "*batch 16"],
-    restart: Bool[AnyArray, "*batch 1"],
-    hold: Bool[AnyArray, "*batch 1"],
+    dx: Errors,
+    restart: One,
+    hold: One,
     dt: float,
     greatest_age: float,
-) -> tuple[Anchors, Bool[AnyArray, "*batch 1"]]:
+) -> tuple[Anchors, One]:
     """Note a correction of the filter; promote the young anchor when it is half of ``greatest_age`` [s] old.
 
     Parameters
     ----------
-    anchors : Anchors
-    P, dx : array (..., 16, 16), (..., 16)
-        Covariance of the filter now, and its correction.
+    anchors, P, dx
+        The anchors; covariance of the filter now, and its correction.
     restart, hold : array (..., 1) bool
         Where both anchors move to the present state; where none is given up, as it may be needed soon.
     dt, greatest_age : float

@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_fdi.caching import cache_numbers
 from quadftc_fdi.supervision.residual_tests import ResidualVariances
-from quadftc_model.arrays import AnyArray, Mask, Vector, namespace
+from quadftc_model.arrays import AnyArray, Mask, Vector, cache_numbers, namespace
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -67,9 +66,8 @@ def tracker_gains(dt: float, tracking: float) -> TrackerGains:
 
 def start_track(like: Vector) -> Track:
     """Return a track without faults."""
-    xp = namespace(like)
-    zeros = xp.zeros_like(like)
-    return Track(zeros, zeros, zeros, zeros, xp.zeros((*like.shape, 2)), zeros, zeros)
+    zeros = namespace(like).zeros_like(like)
+    return Track(zeros, zeros, zeros, zeros, namespace(like).zeros((*like.shape, 2)), zeros, zeros)
 
 
 def track_fault(
@@ -82,22 +80,9 @@ def track_fault(
     gains: TrackerGains,
     dt: float,
 ) -> Track:
-    """Follow the residual [rad] of the faulty axes.
+    """Follow the residual [rad] of the faulty axes, as far as they are measured in this sample (``valid``).
 
-    Parameters
-    ----------
-    track : Track
-    residual : array (..., 3)
-    variances : ResidualVariances
-    alarm : array (..., 3) bool
-        Axes declared faulty at this sample, where the track starts.
-    suspicion : array (..., 3)
-        How long they were suspect by then: the age of the fault [s].
-    valid : array (..., 3) bool
-        Axes measured in this sample.
-    gains : TrackerGains
-    dt : float
-        [s]
+    The track starts where an axis is declared faulty (``alarm``), with the fault as old as the suspicion [s].
     """
     xp = namespace(residual)
     expected = track.fault + track.slope * dt
@@ -119,15 +104,7 @@ def track_fault(
 
 def clear_healthy(track: Track, faulty: Mask) -> Track:
     """Set the track of all axes that are not faulty to zero."""
-    return Track(
-        fault=track.fault * faulty,
-        slope=track.slope * faulty,
-        samples=track.samples * faulty,
-        moved=track.moved * faulty,
-        means=track.means * faulty[..., None],
-        age=track.age * faulty,
-        calm=track.calm * faulty,
-    )
+    return Track(*(part * (faulty if part.ndim == faulty.ndim else faulty[..., None]) for part in track))
 
 
 def track_variance(track: Track, variances: ResidualVariances, gains: TrackerGains) -> Vector:

@@ -7,13 +7,10 @@ observer: otherwise a wrong start or a false alarm would never end.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from quadftc_fdi.supervision.fault_track import AVERAGES, JUMPS, Track
 from quadftc_model.arrays import Column, Mask, Vector, namespace
-
-if TYPE_CHECKING:
-    pass
 
 AGREES, STANDS = 16.0, 9.0  # 1; squared standard deviations
 GRADUAL = 6.0  # 1; how many times as long a fault that never visibly moved must look healthy
@@ -42,12 +39,8 @@ def judge_recovery(
 
     Parameters
     ----------
-    track : Track
-    faulty : array (..., 3) bool
-    predicted : array (..., 3)
-        Variance of the dead-reckoned angle [rad²].
-    spread : array (..., 3)
-        Of `healthy_spread` [rad²].
+    predicted, spread : array (..., 3)
+        Variance of the dead-reckoned angle, and `healthy_spread` [rad²].
     bias_variance : array (..., 1)
         Of the gyro bias, at which the dead-reckoned angle drifts [rad²/s²].
     recovery, patience, dt : float

@@ -20,12 +20,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_fdi.caching import cache_numbers
-from quadftc_fdi.supervision.anchors import OLD, PROMOTION, YOUNG
-from quadftc_model.arrays import AnyArray, Mask, Vector, any_of, changed_where, namespace
+from quadftc_fdi.supervision.anchors import OLD, PROMOTION, YOUNG, One, Predicted, Residuals
+from quadftc_model.arrays import AnyArray, Mask, Vector, any_of, cache_numbers, changed_where, namespace
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
+    from jaxtyping import Float
 
 MEANS = np.array([0.05, 0.15, 0.5, 0.25, 0.25])  # s; averaging times, the last two of the anchors
 LEVELS = np.array([1.08, 1.0, 1.0, 0.95, 0.95])  # 1; of the threshold, as short averages have more chances
@@ -45,14 +44,14 @@ class ResidualVariances(NamedTuple):
 
     noise: Vector  # white noise of one sample
     slow: Vector  # the slow error
-    predicted: Float[AnyArray, "*batch 3 3"]  # angle predicted by filter, old and young anchor
+    predicted: Predicted  # angle predicted by filter, old and young anchor
 
 
 class Evidence(NamedTuple):
     """What the tests remember."""
 
-    means: Float[AnyArray, "*batch 3 5"]  # averages of the residuals [rad]
-    learned: Float[AnyArray, "*batch 3 5"]  # squares of the averages over what the model says [1]
+    means: Residuals  # averages of the residuals [rad]
+    learned: Residuals  # squares of the averages over what the model says [1]
     sums: Float[AnyArray, "*batch 3 2"]  # cumulative sums, upwards and downwards [1]
     suspicion: Vector  # how long an axis has been suspect [s]
 
@@ -97,14 +96,13 @@ def averaging_weights(dt: float, memory: float) -> AveragingWeights:
 
 def start_evidence(like: Vector) -> Evidence:
     """Return evidence of nothing."""
-    xp, batch = namespace(like), like.shape[:-1]
-    zeros = xp.zeros_like(like)
-    return Evidence(xp.zeros((*batch, 3, 5)), xp.ones((*batch, 3, 5)), xp.zeros((*batch, 3, 2)), zeros)
+    xp, shape = namespace(like), like.shape
+    return Evidence(xp.zeros((*shape, 5)), xp.ones((*shape, 5)), xp.zeros((*shape, 2)), xp.zeros_like(like))
 
 
 def collect_evidence(
     evidence: Evidence,
-    residuals: Float[AnyArray, "*batch 3 5"],
+    residuals: Residuals,
     variances: ResidualVariances,
     trusted: Mask,
     weights: AveragingWeights,
@@ -112,23 +110,10 @@ def collect_evidence(
     threshold: float,
     learning: float,
 ) -> tuple[Evidence, Scores]:
-    """Test one sample of residuals.
+    """Test the residuals [rad] of one sample on the axes trusted so far and measured in it.
 
-    Parameters
-    ----------
-    evidence : Evidence
-    residuals : array (..., 3, 5)
-        Of `all_residuals` [rad].
-    variances : ResidualVariances
-    trusted : array (..., 3) bool
-        Trusted so far, and measured in this sample.
-    weights : AveragingWeights
-    dt : float
-        [s]
-    threshold : float
-        Standard deviations at which an axis is faulty.
-    learning : float
-        Time over which the size of healthy residuals is learned [s].
+    An axis is faulty at ``threshold`` standard deviations, whose healthy size is learned over ``learning``
+    seconds.
     """
     xp = namespace(residuals)
     taken = trusted[..., None]
@@ -151,12 +136,7 @@ def collect_evidence(
     return Evidence(means, learned, sums, suspicion), Scores(mean_score, sum_score, suspect)
 
 
-def declare_faults(
-    scores: Scores,
-    suspicion: Vector,
-    trusted: Mask,
-    threshold: float,
-) -> Findings:
+def declare_faults(scores: Scores, suspicion: Vector, trusted: Mask, threshold: float) -> Findings:
     """Declare the axes faulty whose score is above the threshold, given how long [s] they were suspect."""
 
     def declare() -> Findings:
@@ -172,7 +152,7 @@ def declare_faults(
     return changed_where(scores.suspect, declare, Findings(none, none, none))
 
 
-def update_evidence(evidence: Evidence, promoted: Bool[AnyArray, "*batch 1"], restart: Mask) -> Evidence:
+def update_evidence(evidence: Evidence, promoted: One, restart: Mask) -> Evidence:
     """Forget the evidence on axes that restart; follow the anchors where the young one became the old one."""
     xp = namespace(restart)
 
@@ -184,9 +164,7 @@ def update_evidence(evidence: Evidence, promoted: Bool[AnyArray, "*batch 1"], re
     return changed_where(restart | promoted, update, evidence)
 
 
-def healthy_spread(
-    variances: ResidualVariances, learned: Float[AnyArray, "*batch 3 5"], weights: AveragingWeights
-) -> Vector:
+def healthy_spread(variances: ResidualVariances, learned: Residuals, weights: AveragingWeights) -> Vector:
     """Variance [rad²] of a healthy average over 0.15 s, the error of the prediction left out."""
     xp = namespace(learned)
     noise, slow = weights.variance[0, 1], weights.variance[1, 1]
