@@ -10,6 +10,7 @@ Services: ~/reset (std_srvs/Trigger). A sample whose stamp repeats or goes back 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import sys
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -19,18 +20,9 @@ from std_msgs.msg import Header
 
 from quadftc_fdi.diagnosis import Diagnosis, KeptDiagnosis, describe_axes
 from quadftc_fdi.fault_observer import fault_observer_from, fault_observers
+from quadftc_model import samples
 from quadftc_model.parameters import Value, parameter
-from quadftc_model.samples import (
-    ALARMS,
-    FAULT_STATE_NAMES,
-    HEALTHY,
-    STARTING,
-    FaultEstimate,
-    FaultObserverInputs,
-    ImuSample,
-    level_sample,
-    sanitised,
-)
+from quadftc_model.samples import ALARMS, FaultEstimate, FaultObserverInputs, ImuSample
 from quadftc_model.stepper import warm_up
 from quadftc_ros.conversions import Floats, array_of, stamp_of
 from quadftc_ros.diagnostics import OK, WARN
@@ -58,7 +50,7 @@ class FaultObserverNode(GraphNode):
         self._observer = name = self.settings.values()["observer"]
         self.settings.declare(fault_observers.get(name), f"{name}.")
         self._diagnosis = Diagnosis(fault_observer_from(self.settings.values()))
-        warm_up(self._diagnosis.law, FaultObserverInputs(level_sample(), np.zeros(3)))
+        warm_up(self._diagnosis.law, FaultObserverInputs(samples.level_sample(), np.zeros(3)))
         self.settings.on_change(self._rebuild)
         self._publish_corrected, self._imu = self.publishes("imu/corrected"), ImuWire()
         self._publish_estimate, self._earth = self.publishes("fault/estimate"), VectorWire(EARTH_FRAME)
@@ -67,11 +59,10 @@ class FaultObserverNode(GraphNode):
         restart = self._diagnosis.restart
         self.driven_by("imu/data", self._gate.put_sample, restart=restart, decode=imu_of)
         self.reads("torque/command", self._on_torque, decode=vector_of)
-        self._gyro_kept: Floats | None = None
-        self._status_kept: Any = None
+        self._kept: dict[str, Any] = {}
         if not self.lockstep:
-            self.reads("gyro/kept", self._on_gyro_kept, decode=vector_of)
-            self.reads("fault/kept", self._on_status_kept)
+            self.reads("gyro/kept", functools.partial(self._on_kept, "gyro"), decode=vector_of)
+            self.reads("fault/kept", functools.partial(self._on_kept, "fault"))
         self._estimate: FaultEstimate | None = None  # the last
         self._alarms: tuple[bool, ...] = (False, False, False)  # axes that are faulty
         self.diagnostics.report("observer", OK, name)
@@ -81,24 +72,17 @@ class FaultObserverNode(GraphNode):
         law = fault_observer_from(values)
         return lambda: setattr(self._diagnosis, "law", law)
 
-    def _on_gyro_kept(self, stamp_ns: int, correction: Floats) -> None:
-        self._gyro_kept = correction
-        self._offer(stamp_ns)
-
-    def _on_status_kept(self, stamp_ns: int, status: Any) -> None:
-        self._status_kept = status
-        self._offer(stamp_ns)
-
-    def _offer(self, stamp_ns: int) -> None:
-        status = self._status_kept
-        if self._gyro_kept is None or status is None:
+    def _on_kept(self, what: str, stamp_ns: int, value: Any) -> None:
+        self._kept[what] = value
+        if len(self._kept) < 2:
             return
+        status = self._kept["fault"]
         kept = KeptDiagnosis(
             fault=array_of(status.estimate),
             std_dev=array_of(status.std_dev),
             faulty=np.isin(status.state, ALARMS),
             onset_ns=[stamp_of(Header(stamp=time)) for time in status.onset],
-            gyro_correction=self._gyro_kept,
+            gyro_correction=self._kept["gyro"],
         )
         self._diagnosis.offer(stamp_ns, kept)
 
@@ -122,25 +106,24 @@ class FaultObserverNode(GraphNode):
             self.diagnostics.count("the estimate was unusable: the observer restarts")
         if not estimate.corrected.rate_valid:
             self.diagnostics.count("imu/data: body rate absent or unusable")
-        if not sanitised(sample).attitude_valid:
+        if not samples.sanitised(sample).attitude_valid:
             self.diagnostics.count("imu/data: attitude absent or unusable")
-        self._note(estimate)
-        self.sampled(stamp_ns)
-
-    def _note(self, estimate: FaultEstimate) -> None:
         self._estimate = estimate
         alarms = tuple(state in ALARMS for state in estimate.state.tolist())  # suspicions come and go
         if alarms != self._alarms:
             self._alarms = alarms
             self.diagnostics.changed = True
+        self.sampled(stamp_ns)
 
     def report(self) -> None:
         """Report the fault of each axis of the attitude, if anybody looks for it."""
         if self._estimate is None or self._observer == "none":
             return
         for axis, state, values in describe_axes(self._estimate):
-            level = OK if state in (STARTING, HEALTHY) else WARN
-            self.diagnostics.report(f"attitude fault {axis}", level, FAULT_STATE_NAMES[state], **values)
+            level = OK if state in (samples.STARTING, samples.HEALTHY) else WARN
+            self.diagnostics.report(
+                f"attitude fault {axis}", level, samples.FAULT_STATE_NAMES[state], **values
+            )
 
 
 def main() -> None:

@@ -17,7 +17,8 @@ from quadftc_model.units import quantity
 
 T = TypeVar("T")
 
-Value = float | int | bool | str | tuple[float, ...]
+Axes = tuple[float, ...]  # one number for each axis
+Value = float | int | bool | str | Axes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,7 +152,7 @@ def _check_bounds(spec: Parameter, value: Any) -> None:
         if spec.choices and value not in spec.choices:
             raise ValueError(f"{spec.name} = {value!r}: expected one of {', '.join(spec.choices)}")
         return
-    numbers: tuple[float, ...] = value if spec.is_vector else (value,)  # a bool is within infinite bounds
+    numbers: Axes = value if spec.is_vector else (value,)  # a bool is within infinite bounds
     for number in numbers:
         if not spec.low <= number <= spec.high:  # NaN fails this, too
             raise ValueError(

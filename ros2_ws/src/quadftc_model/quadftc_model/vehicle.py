@@ -24,12 +24,12 @@ _DIRECTORY = Path(__file__).parent / "vehicles"
 _GROUP = "quadftc.vehicles"  # entry points: name -> path of a TOML file
 _LARGEST, _SMALLEST = 1e9, 1e-12  # in SI; no number of a vehicle is larger, none that is positive smaller
 # what a file holds: texts, numbers, and arrays by shape, -1 being any length
+_TEXTS = ("name", "description", "source")
 _BODY: dict[str, Any] = {"mass": float, "inertia": (3,), "rotational_drag": (3,)}
-_BODY |= dict.fromkeys(("name", "description", "source"), str)
 _POSITIVE = ("thrust_gain", "yaw_gain", "time_constant", "thrust_coefficient")
 _COMMANDS = ("command_min", "command_max", "command_idle", "command_trim")
+_NUMBERS = (*_POSITIVE, *_COMMANDS, "rotor_inertia")
 _ROTORS: dict[str, Any] = {"positions": (-1, 2), "yaw_sign": (-1,), "spin_sign": (-1,)}
-_ROTORS |= dict.fromkeys((*_POSITIVE, *_COMMANDS, "rotor_inertia"), float)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -140,8 +140,8 @@ def _load(path: Path, changed_ns: int) -> Vehicle:
     rotors = table.pop("rotors", None)
     if not isinstance(rotors, dict):
         raise ValueError("[rotors]: expected this table")
-    built = Rotors(**_read_section(rotors, "rotors.", _ROTORS))  # pyright: ignore[reportUnknownArgumentType]
-    return Vehicle(rotors=built, **_read_section(table, "", _BODY))
+    built = Rotors(**_read_section(rotors, "rotors.", _ROTORS | dict.fromkeys(_NUMBERS, float)))  # pyright: ignore[reportUnknownArgumentType]
+    return Vehicle(rotors=built, **_read_section(table, "", _BODY | dict.fromkeys(_TEXTS, str)))
 
 
 def _read_section(table: dict[str, Any], prefix: str, kinds: dict[str, Any]) -> dict[str, Any]:

@@ -26,7 +26,7 @@ import numpy as np
 from quadftc_control.controller import Controller, anti_windup, limited, register
 from quadftc_control.sliding_surface import sat, torque_for, tracking
 from quadftc_model.arrays import Array, clip, namespace
-from quadftc_model.parameters import parameter
+from quadftc_model.parameters import Axes, parameter
 from quadftc_model.samples import ControllerInputs, ControllerOutput
 
 
@@ -45,20 +45,16 @@ class IsmcState(NamedTuple):
 class Ismc(Controller):
     """The paper's controller."""
 
-    k_c1: tuple[float, ...] = parameter((16.0, 16.0, 9.0), unit="1/s^2", low=0.0, doc="k_c1 of (38)")
-    k_c2: tuple[float, ...] = parameter((8.0, 8.0, 6.0), unit="1/s", low=0.0, doc="k_c2 of (38)")
-    k_c3: tuple[float, ...] = parameter(
-        (2.0, 2.0, 1.0), unit="rad/s^2", low=0.0, doc="k_c3 of (40), at least eta + D_e (Theorem 2)"
-    )
-    phi: tuple[float, ...] = parameter(
-        (0.1, 0.1, 0.1), unit="rad/s", low=1e-9, doc="Phi of (41): boundary layer of each axis"
-    )
+    k_c1: Axes = parameter((16.0, 16.0, 9.0), unit="1/s^2", low=0.0, doc="k_c1 of (38)")
+    k_c2: Axes = parameter((8.0, 8.0, 6.0), unit="1/s", low=0.0, doc="k_c2 of (38)")
+    k_c3: Axes = parameter((2.0, 2.0, 1.0), unit="rad/s^2", low=0.0, doc="k_c3 of (40): eta + D_e or more")
+    phi: Axes = parameter((0.1, 0.1, 0.1), unit="rad/s", low=1e-9, doc="Phi of (41): boundary layers")
 
-    k_c3_alone: tuple[float, ...] = parameter(
+    k_c3_alone: Axes = parameter(
         (10.0, 10.0, 4.0),
         unit="rad/s^2",
         low=0.0,
-        doc="k_c3 while there is no disturbance estimate, if larger: eta + D_d",
+        doc="k_c3 without disturbance estimate, if larger: eta + D_d",
     )
 
     def without_estimate(self, missing: float) -> Ismc:

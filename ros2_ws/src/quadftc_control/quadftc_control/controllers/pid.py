@@ -15,7 +15,7 @@ from typing import NamedTuple
 from quadftc_control.controller import Controller, anti_windup, limited, register
 from quadftc_control.sliding_surface import tracking
 from quadftc_model.arrays import Array, namespace
-from quadftc_model.parameters import parameter
+from quadftc_model.parameters import Axes, parameter
 from quadftc_model.rotations import body_rates
 from quadftc_model.samples import ControllerInputs, ControllerOutput
 
@@ -34,10 +34,10 @@ class PidState(NamedTuple):
 class Pid(Controller):
     """Angle P, rate PID; gains are angular accelerations, so they fit a vehicle of any size."""
 
-    k_angle: tuple[float, ...] = parameter((6.0, 6.0, 3.0), unit="1/s", low=0.0, doc="angle to rate setpoint")
-    k_p: tuple[float, ...] = parameter((20.0, 20.0, 10.0), unit="1/s", low=0.0, doc="rate error")
-    k_i: tuple[float, ...] = parameter((20.0, 20.0, 10.0), unit="1/s^2", low=0.0, doc="its integral")
-    k_d: tuple[float, ...] = parameter((0.1, 0.1, 0.0), unit="1", low=0.0, doc="rate derivative")
+    k_angle: Axes = parameter((6.0, 6.0, 3.0), unit="1/s", low=0.0, doc="angle to rate setpoint")
+    k_p: Axes = parameter((20.0, 20.0, 10.0), unit="1/s", low=0.0, doc="rate error")
+    k_i: Axes = parameter((20.0, 20.0, 10.0), unit="1/s^2", low=0.0, doc="its integral")
+    k_d: Axes = parameter((0.1, 0.1, 0.0), unit="1", low=0.0, doc="rate derivative")
     cutoff: float = parameter(
         190.0, unit="rad/s", low=1e-3, doc="low-pass of the rate before its derivative (30 Hz)"
     )

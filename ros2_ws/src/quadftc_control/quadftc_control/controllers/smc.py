@@ -15,7 +15,7 @@ from typing import Any
 from quadftc_control.controller import Controller, limited, register
 from quadftc_control.sliding_surface import sat, torque_for, tracking
 from quadftc_model.arrays import namespace
-from quadftc_model.parameters import parameter
+from quadftc_model.parameters import Axes, parameter
 from quadftc_model.samples import ControllerInputs, ControllerOutput
 
 
@@ -24,14 +24,14 @@ from quadftc_model.samples import ControllerInputs, ControllerOutput
 class Smc(Controller):
     """Sliding-mode control with a large switching gain."""
 
-    k_c2: tuple[float, ...] = parameter((4.0, 4.0, 3.0), unit="1/s", low=0.0, doc="slope of the surface")
-    k_c3: tuple[float, ...] = parameter(
+    k_c2: Axes = parameter((4.0, 4.0, 3.0), unit="1/s", low=0.0, doc="slope of the surface")
+    k_c3: Axes = parameter(
         (10.0, 10.0, 4.0),
         unit="rad/s^2",
         low=0.0,
-        doc="switching gain, above the bound D_d of the disturbance",
+        doc="switching gain, above the bound D_d",
     )
-    phi: tuple[float, ...] = parameter((0.5, 0.5, 0.5), unit="rad/s", low=1e-9, doc="Phi of (41)")
+    phi: Axes = parameter((0.5, 0.5, 0.5), unit="rad/s", low=1e-9, doc="Phi of (41)")
 
     def init(self, inputs: ControllerInputs) -> tuple[()]:
         """Return no state."""

@@ -6,7 +6,7 @@ import dataclasses
 
 from quadftc_control.reference import Reference, register
 from quadftc_model.arrays import Array, namespace
-from quadftc_model.parameters import parameter
+from quadftc_model.parameters import Axes, parameter
 from quadftc_model.samples import AttitudeReference
 
 
@@ -15,9 +15,7 @@ from quadftc_model.samples import AttitudeReference
 class Hold(Reference):
     """The same angles at all times."""
 
-    angles: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0), unit="rad", low=-100.0, high=100.0, doc="roll, pitch, yaw"
-    )
+    angles: Axes = parameter((0.0, 0.0, 0.0), unit="rad", low=-100.0, high=100.0, doc="roll, pitch, yaw")
 
     def sample(self, time: Array) -> AttitudeReference:
         """Return the angles with zero rates."""

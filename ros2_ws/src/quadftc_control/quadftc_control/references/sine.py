@@ -7,7 +7,7 @@ import math
 
 from quadftc_control.reference import Reference, register, smooth_rise
 from quadftc_model.arrays import Array, namespace
-from quadftc_model.parameters import parameter
+from quadftc_model.parameters import Axes, parameter
 from quadftc_model.samples import AttitudeReference
 
 
@@ -16,15 +16,9 @@ from quadftc_model.samples import AttitudeReference
 class Sine(Reference):
     """amplitude * sin(frequency (t - start) + phase), with a smooth envelope from ``start`` to ``stop``."""
 
-    amplitude: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0), unit="rad", low=-100.0, high=100.0, doc="amplitude of roll, pitch, yaw"
-    )
-    frequency: tuple[float, ...] = parameter(
-        (1.0, 1.0, 1.0), unit="rad/s", low=0.0, high=1e4, doc="angular frequency"
-    )
-    phase: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0), unit="rad", low=-1e6, high=1e6, doc="phase at the start"
-    )
+    amplitude: Axes = parameter((0.0, 0.0, 0.0), unit="rad", low=-100.0, high=100.0, doc="its size")
+    frequency: Axes = parameter((1.0, 1.0, 1.0), unit="rad/s", low=0.0, high=1e4, doc="angular frequency")
+    phase: Axes = parameter((0.0, 0.0, 0.0), unit="rad", low=-1e6, high=1e6, doc="phase at the start")
     start: float = parameter(0.0, unit="s", low=0.0, doc="begin of the fade-in, scenario time")
     stop: float = parameter(math.inf, unit="s", low=0.0, doc="begin of the fade-out, scenario time")
     fade: float = parameter(2.0, unit="s", low=1e-3, high=1e6, doc="duration of fade-in and fade-out")

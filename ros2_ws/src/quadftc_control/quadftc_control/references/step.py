@@ -7,7 +7,7 @@ import math
 
 from quadftc_control.reference import Reference, register, smooth_rise
 from quadftc_model.arrays import Array, namespace
-from quadftc_model.parameters import parameter
+from quadftc_model.parameters import Axes, parameter
 from quadftc_model.samples import AttitudeReference
 
 
@@ -19,9 +19,7 @@ class Step(Reference):
     Angle, rate and acceleration are continuous.
     """
 
-    angles: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0), unit="rad", low=-100.0, high=100.0, doc="roll, pitch, yaw of the plateau"
-    )
+    angles: Axes = parameter((0.0, 0.0, 0.0), unit="rad", low=-100.0, high=100.0, doc="of the plateau")
     start: float = parameter(0.0, unit="s", low=0.0, doc="begin of the rise, scenario time")
     stop: float = parameter(math.inf, unit="s", low=0.0, doc="begin of the fall, scenario time")
     rise: float = parameter(2.0, unit="s", low=1e-3, high=1e6, doc="duration of rise and fall")

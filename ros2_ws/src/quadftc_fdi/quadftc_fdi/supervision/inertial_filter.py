@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from quadftc_model import arrays
 from quadftc_model.arrays import Array, Column, Mask, Quaternion, Vector, is_single, namespace, product
-from quadftc_model.rotations import MIN_COS_PITCH, turn
+from quadftc_model.rotations import away_from_zero, turn
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -112,21 +112,11 @@ def euler_matrix(angles: Vector) -> Float[arrays.AnyArray, "*batch 3 3"]:
     xp = namespace(angles)
     s_phi, s_theta, _ = arrays.components(xp.sin(angles))
     c_phi, c_theta, _ = arrays.components(xp.cos(angles))
-    if isinstance(c_theta, float):
-        one, zero = 1.0, 0.0
-        secant = 1.0 / math.copysign(max(abs(c_theta), MIN_COS_PITCH), c_theta)
-    else:
-        one, zero = xp.ones_like(s_phi), xp.zeros_like(s_phi)
-        secant = xp.where(c_theta < 0.0, -1.0, 1.0) / xp.maximum(xp.abs(c_theta), MIN_COS_PITCH)
+    one, zero = (1.0, 0.0) if isinstance(s_phi, float) else (xp.ones_like(s_phi), xp.zeros_like(s_phi))
+    secant = one / away_from_zero(c_theta)
     tangent = s_theta * secant
-    rows = [
-        [one, s_phi * tangent, c_phi * tangent],
-        [zero, c_phi, -s_phi],
-        [zero, s_phi * secant, c_phi * secant],
-    ]
-    if is_single(angles):
-        return np.array(rows)
-    return xp.stack([xp.stack(row, axis=-1) for row in rows], axis=-2)
+    E = [one, s_phi * tangent, c_phi * tangent, zero, c_phi, -s_phi, zero, s_phi * secant, c_phi * secant]
+    return arrays.stacked(E).reshape(*angles.shape, 3)
 
 
 def correct(
@@ -233,23 +223,9 @@ def _transition() -> NDArray[np.float64]:
     return parts.reshape(8, -1)
 
 
-def _measurement() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """[I, 0, 0, -omega] as omega @ (3, 48) + (48,)."""
-    direct, delayed = np.zeros((3, SIZE)), np.zeros((3, 3, SIZE))
-    direct[:, ROTATION] = np.eye(3)
-    for i in range(3):
-        delayed[i, i, SIZE - 1] = -1.0
-    return direct.ravel(), delayed.reshape(3, -1)
-
-
-def _unit_noise(elements: slice) -> NDArray[np.float64]:
-    """Covariance of the error (256,) with variance 1 of some elements."""
-    variances = np.zeros(SIZE)
-    variances[elements] = 1.0
-    return np.diag(variances).ravel()
-
-
 _AXES = np.eye(3)
 _TRANSITION = _transition()
-_ROTATION_NOISE, _BIAS_NOISE = _unit_noise(ROTATION), _unit_noise(BIAS)
-_DIRECT, _DELAYED = _measurement()
+_ROTATION_NOISE = np.diag(np.eye(SIZE)[ROTATION].sum(axis=0)).ravel()  # Q (256,) with variance 1 of each
+_BIAS_NOISE = np.diag(np.eye(SIZE)[BIAS].sum(axis=0)).ravel()
+_DIRECT = np.eye(3, SIZE).ravel()  # [I, 0, 0, -omega] as omega @ (3, 48) + (48,)
+_DELAYED = np.where(np.eye(3, dtype=bool)[..., None] & (np.arange(SIZE) == DELAY), -1.0, 0.0).reshape(3, -1)
