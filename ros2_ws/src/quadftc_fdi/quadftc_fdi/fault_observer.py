@@ -9,20 +9,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from quadftc_model import samples
 from quadftc_model.arrays import AnyArray, Mask, Quaternion, Vector, is_single, namespace
 from quadftc_model.assembly import NodeParameters, component_from, vehicle_from
 from quadftc_model.parameters import Checked
 from quadftc_model.registry import Registry
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, turn
-from quadftc_model.samples import (
-    FAULTY,
-    HEALTHY,
-    RECOVERING,
-    SUSPECT,
-    FaultEstimate,
-    FaultObserverInputs,
-    ImuSample,
-)
+from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample
 from quadftc_model.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -109,8 +102,8 @@ def correct_sample(imu: ImuSample, q_xyzw: Quaternion, body_rate: Vector) -> Imu
 def assume_healthy(fault: Vector, corrected: ImuSample) -> FaultEstimate:
     """Return the estimate of an observer that never decides whether its fault [rad] is one."""
     xp = namespace(fault)
-    unknown = xp.full_like(fault, -1.0)
-    return FaultEstimate(fault, unknown, xp.full_like(fault, HEALTHY, dtype=xp.uint8), unknown, corrected)
+    unknown, state = xp.full_like(fault, -1.0), xp.full_like(fault, samples.HEALTHY, dtype=xp.uint8)
+    return FaultEstimate(fault, unknown, state, unknown, corrected)
 
 
 class Detection(NamedTuple):
@@ -143,6 +136,7 @@ class Detection(NamedTuple):
     def report(self, fault: Vector, std_dev: Vector, suspect: Mask, corrected: ImuSample) -> FaultEstimate:
         """Return the estimate; ``suspect`` tells SUSPECT from HEALTHY."""
         xp = namespace(fault)
-        faulty, healthy = xp.where(self.low, RECOVERING, FAULTY), xp.where(suspect, SUSPECT, HEALTHY)
+        healthy = xp.where(suspect, samples.SUSPECT, samples.HEALTHY)
+        faulty = xp.where(self.low, samples.RECOVERING, samples.FAULTY)
         state = xp.where(self.detected, faulty, healthy).astype(xp.uint8)
         return FaultEstimate(fault, std_dev, state, xp.where(self.detected, self.age, -1.0), corrected)

@@ -105,7 +105,7 @@ def flown(flights, seconds, seed):
 
 def test_bias_scale_alignment_and_delay_are_found_with_an_honest_covariance():
     flights = 60
-    wrong, P = flown(flights, 20.0, seed=5)
+    wrong, P = flown(flights, 12.0, seed=5)
     spread = np.sqrt(np.mean(np.diagonal(P, axis1=1, axis2=2), axis=0))
     assert np.all(spread[3:6] < 0.02 * DEG)  # from 1 deg/s
     assert np.all(spread[6:15] < 0.005)  # from 1 %

@@ -37,19 +37,11 @@ from quadftc_fdi.supervision import anchors, fault_track, inertial_filter, resid
 from quadftc_fdi.supervision.inertial_filter import ROTATION, FilterState, bias_variance, estimate_rate
 from quadftc_fdi.supervision.recovery import Recovery, judge_recovery
 from quadftc_fdi.supervision.residual_tests import ResidualVariances
+from quadftc_model import samples
 from quadftc_model.arrays import Array, Column, Mask, Vector, any_of, changed_where, exp, namespace, norm
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, wrap
-from quadftc_model.samples import (
-    FAULTY,
-    HEALTHY,
-    RECOVERING,
-    STARTING,
-    SUSPECT,
-    FaultEstimate,
-    FaultObserverInputs,
-    ImuSample,
-)
+from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample
 
 DEG = math.pi / 180.0
 UNKNOWN = 10.0  # 1; standard deviations of the attitude's noise: as good as nothing known
@@ -261,11 +253,12 @@ class Supervised(FaultObserver):
         faulty, track, xp = state.faulty, state.track, namespace(imu.body_rate)
         omega = estimate_rate(state.filter.x, state.gyro)
         corrected = correct_sample(imu, state.filter.q_xyzw, omega + state.raw * (state.gyro - omega))
-        trusted = xp.where(starting, STARTING, xp.where(suspect, SUSPECT, HEALTHY)).astype(xp.uint8)
+        started = xp.where(suspect, samples.SUSPECT, samples.HEALTHY)
+        trusted = xp.where(starting, samples.STARTING, started).astype(xp.uint8)
         predicted = xp.maximum(predicted, 0.0)
 
         def report_faults() -> tuple[Array, Array, Array]:
-            out = xp.where(track.calm > SHOWN * self.recovery, RECOVERING, FAULTY)
+            out = xp.where(track.calm > SHOWN * self.recovery, samples.RECOVERING, samples.FAULTY)
             states = xp.where(faulty, out, trusted).astype(xp.uint8)
             variance = predicted + faulty * fault_track.track_variance(track, variances, gains)
             return states, variance, xp.where(faulty, track.age, -1.0)

@@ -40,17 +40,11 @@ import math
 from typing import NamedTuple
 
 from quadftc_fdi.fault_observer import FaultObserver, comparable, correct_sample, dead_reckon, register
+from quadftc_model import samples
 from quadftc_model.arrays import Array, Quaternion, States, Vector, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
-from quadftc_model.samples import (
-    FAULTY,
-    HEALTHY,
-    RECOVERING,
-    SUSPECT,
-    FaultEstimate,
-    FaultObserverInputs,
-)
+from quadftc_model.samples import FAULTY, HEALTHY, FaultEstimate, FaultObserverInputs
 
 DEG = math.pi / 180.0
 
@@ -132,8 +126,8 @@ class Threshold(FaultObserver):
         calm = xp.where(was_switched & small, state.calm + dt, 0.0)
         age = xp.where((a > 0.0) | was_switched, state.age + dt, 0.0)
         over = (calm >= self.recovery_time) | (age >= self.patience)
-        trusted = xp.where(a > self.angle_threshold, FAULTY, xp.where(a > 0.0, SUSPECT, HEALTHY))
-        distrusted = xp.where(over, HEALTHY, xp.where(small, RECOVERING, FAULTY))
+        trusted = xp.where(a > self.angle_threshold, FAULTY, xp.where(a > 0.0, samples.SUSPECT, HEALTHY))
+        distrusted = xp.where(over, HEALTHY, xp.where(small, samples.RECOVERING, FAULTY))
         now = xp.where(was_switched, distrusted, trusted)
         ended = was_switched & over
         return state._replace(

@@ -16,17 +16,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from quadftc_fdi.supervision.inertial_filter import (
-    MEASURED,
-    SIZE,
-    Covariance,
-    Errors,
-    FilterState,
-    MeasurementMatrix,
-    Transition,
-    apply_correction,
-    bias_variance,
-)
+from quadftc_fdi.supervision import inertial_filter
+from quadftc_fdi.supervision.inertial_filter import MEASURED, SIZE, Covariance, FilterState, MeasurementMatrix
 from quadftc_model.arrays import Array, Column, Mask, Vector, any_of, changed_where, namespace, product
 
 if TYPE_CHECKING:
@@ -63,7 +54,7 @@ def set_anchors(P: Covariance) -> Anchors:
     return Anchors(xp.zeros((*batch, SIZE, 5)), xp.stack([P, P], axis=-3), xp.zeros((*batch, 1)))
 
 
-def predict_anchors(anchors: Anchors, F: Transition, Q: Covariance) -> Anchors:
+def predict_anchors(anchors: Anchors, F: inertial_filter.Transition, Q: Covariance) -> Anchors:
     """Take a step with the transition and the noise of the filter."""
     xp = namespace(Q)
     P = xp.stack([F.around(anchors.P[..., each, :, :]) + Q for each in (0, 1)], axis=-3)
@@ -113,8 +104,10 @@ def go_back_to_anchor(
 
     def go_back() -> tuple[FilterState, Array, Array]:
         # which anchor: a bias may be known half as well, in variance, as now
-        limit = xp.maximum(known**2, 2.0 * bias_variance(estimate.P))
-        old_knows, young_knows = (bias_variance(anchors.P[..., k, :, :]) <= limit for k in (0, 1))
+        limit = xp.maximum(known**2, 2.0 * inertial_filter.bias_variance(estimate.P))
+        old_knows, young_knows = (
+            inertial_filter.bias_variance(anchors.P[..., k, :, :]) <= limit for k in (0, 1)
+        )
         returns, to_old = any_of(back) & young_knows, any_of(far) & old_knows
 
         def choose(now: Array, young: Array, old: Array) -> Array:
@@ -127,7 +120,7 @@ def go_back_to_anchor(
         P = choose(estimate.P, anchors.P[..., 1, :, :], anchors.P[..., 0, :, :])
         residual = choose(residuals[..., 0], residuals[..., YOUNG], residuals[..., OLD])
         variance = choose(variances[..., 0], variances[..., 2], variances[..., 1])
-        return apply_correction(estimate._replace(P=P), -dx), residual, variance
+        return inertial_filter.apply_correction(estimate._replace(P=P), -dx), residual, variance
 
     return changed_where(back, go_back, (estimate, residuals[..., 0], variances[..., 0]))
 
@@ -135,7 +128,7 @@ def go_back_to_anchor(
 def update_anchors(
     anchors: Anchors,
     P: Covariance,
-    dx: Errors,
+    dx: inertial_filter.Errors,
     restart: One,
     hold: One,
     dt: float,
