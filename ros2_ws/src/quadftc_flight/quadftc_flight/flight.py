@@ -87,7 +87,8 @@ class Flight:
 
 def unknown_flight(stamp_ns: Int[NDArray[np.int64], " n"]) -> Flight:
     """Return a flight of which nothing is known but the stamps; its columns are there to be filled."""
-    count, unknown = len(stamp_ns), {**dict.fromkeys(VECTORS, np.full(3, np.nan)), **_UNKNOWN}
+    count = len(stamp_ns)
+    unknown: dict[str, NDArray[Any]] = {**dict.fromkeys(VECTORS, np.full(3, np.nan)), **_UNKNOWN}
     return Flight(
         stamp_ns=stamp_ns,
         time=(stamp_ns - stamp_ns[0]) / NANOSECONDS_PER_SECOND,

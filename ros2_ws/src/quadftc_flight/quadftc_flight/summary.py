@@ -78,9 +78,12 @@ def check_results(metrics: Mapping[str, Any], checks: Iterable[Check]) -> list[C
             found: Any = look_up(metrics, check.metric)
         except KeyError:
             found = None
-        values = cast("dict[str | None, Any]", found if isinstance(found, dict) else {check.axis: found})
-        every_axis = isinstance(found, dict) and check.axis is None
-        for axis in AXES if every_axis else (check.axis,):
+        values: dict[str | None, Any] = {check.axis: found}
+        axes: tuple[str | None, ...] = (check.axis,)
+        if isinstance(found, dict):
+            values = cast("dict[str | None, Any]", found)
+            axes = AXES if check.axis is None else axes
+        for axis in axes:
             raw = values.get(axis)
             value = float(raw) if isinstance(raw, (int, float)) else None
             results.append(CheckResult(check.metric, axis, value, *_hold(check, value)))

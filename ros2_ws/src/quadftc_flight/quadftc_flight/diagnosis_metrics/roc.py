@@ -32,11 +32,6 @@ class Roc(NamedTuple):
     detection_probability: Floats  # share of what is faulty that is said to be
     area: float  # under the curve; 0.5: guessing, 1: some threshold makes no mistake
 
-    def probability_at(self, false_alarm_share: float) -> float:
-        """Return the largest detection probability at no more than a share of false alarms."""
-        last = int(np.searchsorted(self.false_alarm_share, false_alarm_share, side="right")) - 1
-        return float(self.detection_probability[max(last, 0)])
-
 
 def roc(score: ArrayLike, faulty: ArrayLike) -> Roc:
     """Return the curve of scores (n,) of which it is known whether they come from a fault (n,).

@@ -103,7 +103,7 @@ class Document:
                 place = _enter(place, key)
         for known in [known for known in self.origins if known[: len(path)] == path]:
             del self.origins[known]
-        place[path[-1]] = value
+        cast("Any", place)[path[-1]] = value
         self.origins[path] = origin
 
     def _origin(self, path: Keys) -> int | str:
