@@ -136,28 +136,22 @@ class Supervised(FaultObserver):
         self, state: SupervisedState, inputs: FaultObserverInputs, dt: float
     ) -> tuple[SupervisedState, FaultEstimate]:
         """Advance by ``dt`` [s] to the sample."""
-        imu = inputs.imu
-        xp = namespace(imu.body_rate)
+        imu, xp = inputs.imu, namespace(inputs.imu.body_rate)
         weights = residual_tests.averaging_weights(dt, self.wander_memory)
         gains = fault_track.tracker_gains(dt, self.tracking)
 
         # 1. Predict: the gyro carries filter and anchors to this sample. An absent gyro keeps its last value.
         gyro = xp.where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
-        omega = estimate_rate(state.filter.x, gyro)
-        activity = xp.maximum(norm(omega), state.activity * exp(-dt / MOVED))
-        motion = ((activity - RESTING) / (MOVING - RESTING)).clip(0.0, 1.0)
-        estimate, earlier = self._predict(state, gyro, motion, dt)
+        estimate, earlier, omega, activity, motion = self._predict(state, gyro, dt)
 
         # 2. Test the residuals of the trusted axes.
-        H, residuals, variances, valid = self._compare(estimate, earlier, imu.q_xyzw, omega, motion)
-        valid = imu.attitude_valid[..., None] & valid
+        H, residuals, variances, valid = self._compare(estimate, earlier, imu, omega, motion)
         trusted = ~state.faulty & valid
         evidence, scores = residual_tests.collect_evidence(
             state.evidence, residuals, variances, trusted, weights, dt, self.threshold, self.learning
         )
 
-        # 3. Declare faults, and go back to an anchor where one was found late: what it has taught the filter
-        # is false.
+        # 3. Declare faults; go back to an anchor where one was found late, as it has misled the filter.
         found = residual_tests.declare_faults(scores, evidence.suspicion, trusted, self.threshold)
         faulty, late = state.faulty | found.alarm, found.alarm & ~found.sudden
         estimate, residual, predicted = anchors.go_back_to_anchor(
@@ -191,9 +185,8 @@ class Supervised(FaultObserver):
         earlier, promoted = anchors.update_anchors(
             earlier, estimate.P, dx, restart, any_of(scores.suspect), dt, self.anchor_age
         )
-        evidence = residual_tests.update_evidence(
-            evidence, promoted, faulty | recovered | restart | (dt > GAP)
-        )
+        outdated = faulty | recovered | restart | (dt > GAP)
+        evidence = residual_tests.update_evidence(evidence, promoted, outdated)
         starting = bias > STARTED**2
         raw = xp.where(starting, state.raw, state.raw * exp(-dt / FADING))
         state = SupervisedState(estimate, earlier, gyro, activity, motion, evidence, faulty, track, raw)
@@ -206,9 +199,17 @@ class Supervised(FaultObserver):
         return np.array([attitude] * 3 + [self.gyro_bias] * 3 + [self.gyro_scale] * 9 + [self.delay])
 
     def _predict(
-        self, state: SupervisedState, gyro: Array, motion: Array, dt: float
-    ) -> tuple[FilterState, anchors.Anchors]:
-        """Carry filter and anchors to the sample by the mean of two gyro samples."""
+        self, state: SupervisedState, gyro: Array, dt: float
+    ) -> tuple[FilterState, anchors.Anchors, Array, Array, Array]:
+        """Carry filter and anchors to the sample by the mean of two gyro samples.
+
+        Returns
+        -------
+        Both, the body rate (..., 3) [rad/s], its decaying maximum [rad/s], and motion (rest 0, motion 1).
+        """
+        omega = estimate_rate(state.filter.x, gyro)
+        activity = namespace(gyro).maximum(norm(omega), state.activity * exp(-dt / MOVED))
+        motion = ((activity - RESTING) / (MOVING - RESTING)).clip(0.0, 1.0)
         walk = (self.gyro_noise**2 + (self.gyro_moving * norm(gyro)) ** 2) * dt
 
         def widen() -> Array:  # by how far off the rate may be in a gap
@@ -219,26 +220,27 @@ class Supervised(FaultObserver):
         bias = self.gyro_bias_walk**2 * dt + self.gyro_shift**2 * abs(motion - state.motion)
         Q = inertial_filter.process_noise(rotation, bias)
         estimate, F = inertial_filter.predict(state.filter, 0.5 * (gyro + state.gyro), Q, dt)
-        return estimate, anchors.predict_anchors(state.anchors, F, Q)
+        return estimate, anchors.predict_anchors(state.anchors, F, Q), omega, activity, motion
 
     def _compare(
-        self, estimate: FilterState, earlier: anchors.Anchors, q_xyzw: Array, omega: Array, motion: Array
+        self, estimate: FilterState, earlier: anchors.Anchors, imu: ImuSample, omega: Array, motion: Array
     ) -> tuple[Array, Array, ResidualVariances, Array]:
         """Compare a measured attitude with the predicted ones.
 
         Returns
         -------
         H (..., 3, 16), residuals (..., 3, 5) [rad] of filter and anchors, how large healthy ones are, and
-        whether (..., 1) both attitudes are away from 90 deg of pitch.
+        where (..., 1) there is a measured attitude, and both are away from 90 deg of pitch.
         """
-        angles, measured = euler_from_quaternion(estimate.q_xyzw), euler_from_quaternion(q_xyzw)
+        angles, measured = euler_from_quaternion(estimate.q_xyzw), euler_from_quaternion(imu.q_xyzw)
         H = inertial_filter.measurement_matrix(angles, omega)
         residual = wrap(measured - inertial_filter.predict_angles(estimate, angles, H))
         slow = self.wander + (self.wander_moving - self.wander) * motion
         noise = self.attitude_noise**2 * (H[..., ROTATION] ** 2).sum(axis=-1)
         predicted = anchors.predicted_variances(estimate.P, earlier, H)
         variances = ResidualVariances(noise, slow**2 + 0.0 * noise, predicted)
-        return H, anchors.all_residuals(residual, earlier, H), variances, comparable(angles, measured)
+        valid = imu.attitude_valid[..., None] & comparable(angles, measured)
+        return H, anchors.all_residuals(residual, earlier, H), variances, valid
 
     def _report(
         self,
