@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError
@@ -46,7 +46,7 @@ DIAGNOSIS = ("fault_", "diagnosis")  # how the metrics begin that make sense wit
 YAML_WIDTH = 120  # characters
 
 
-def _as_mappings(items: Iterable[NamedTuple]) -> list[dict[str, Any]]:
+def _as_mappings(items: Iterable[FaultWindow | FaultEvent]) -> list[dict[str, Any]]:
     return [item._asdict() for item in items]
 
 
