@@ -3,7 +3,7 @@
 
 | form | who is hit |
 |---|---|
-| ``node, real time`` | the recorder as a process of its own, which subscribes |
+| ``node, real time`` | the recorder as a process of its own, and the one that builds its bag |
 | ``node, lock-step`` | the same; the messages come at a fifth to four times real time |
 | ``composed, real time`` | the process that builds the bag of a composed graph; the graph flies on |
 | ``composed, lock-step`` | the same |
@@ -29,6 +29,7 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+import psutil
 from mcap.reader import make_reader
 from rclpy.context import Context
 from rclpy.node import Node
@@ -147,7 +148,8 @@ def _kill_node(bag: Path, lockstep: bool, after: float, speed: float) -> _Flight
                 _wait_until(lambda: all(p.get_subscription_count() for p in publishers.values()), process)
                 flight = _send(publishers, after, speed)
             finally:
-                process.kill()
+                for each in (*psutil.Process(process.pid).children(), process):
+                    each.kill()
             flight.hit_ns = time.time_ns()
         return flight
     finally:

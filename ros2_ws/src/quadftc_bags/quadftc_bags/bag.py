@@ -37,16 +37,6 @@ __all__ = ["Bag", "BagError", "Series", "TopicInfo", "bag_topics", "read_bag"]
 
 
 @dataclass(frozen=True)
-class TopicInfo:
-    """A topic of a bag: full name, type, number of messages, offered quality of service (a YAML list)."""
-
-    name: str
-    type_name: str
-    count: int
-    qos: str
-
-
-@dataclass(frozen=True)
 class Series:
     """All messages of one topic, in the order of log time; ``series[name]`` is one field over all of them."""
 
@@ -69,27 +59,41 @@ class Series:
 
 
 @dataclass
-class _Topic:
-    """What is gathered of a topic while reading."""
+class TopicInfo:
+    """A topic of a bag, and the messages of it that were kept, in the order of the file."""
 
+    name: str  # full
     type_name: str
-    encoding: str
-    definition: Schema
-    qos: str
-    count: int = 0
-    data: bytearray = field(default_factory=bytearray)
-    sizes: array[int] = field(default_factory=lambda: array("q"))
-    log_times: array[int] = field(default_factory=lambda: array("q"))
-    publish_times: array[int] = field(default_factory=lambda: array("q"))
+    count: int = 0  # messages in the bag
+    first_ns: int = 0  # log times of its first and last message [ns]; 0 without messages
+    last_ns: int = 0
+    qos: str = ""  # offered quality of service (a YAML list)
+    encoding: str = "cdr"  # of the messages
+    definition: Schema | None = None  # of the type
+    messages: list[bytes] = field(default_factory=list[bytes])
+    log_times: array[int] = field(default_factory=lambda: array("q"))  # [ns]
+    publish_times: array[int] = field(default_factory=lambda: array("q"))  # [ns]
 
     def add(self, log_time: int, publish_time: int, data: memoryview, *, keep: bool) -> None:
+        """Count a message, and keep it if asked to."""
+        self.first_ns = min(self.first_ns, log_time) if self.count else log_time
+        self.last_ns = max(self.last_ns, log_time) if self.count else log_time
         self.count += 1
-        if not keep:
-            return
-        self.data += data
-        self.sizes.append(len(data))
-        self.log_times.append(log_time)
-        self.publish_times.append(publish_time)
+        if keep:
+            self.messages.append(bytes(data))
+            self.log_times.append(log_time)
+            self.publish_times.append(publish_time)
+
+    def decode(self) -> Arrays:
+        """Return the fields of the messages that were kept; ValueError if they are of another type."""
+        if self.encoding != "cdr":
+            raise ValueError(f"message encoding '{self.encoding}', expected cdr")
+        if self.definition is None:
+            raise ValueError("the definition of its type is missing")
+        text = self.definition.data.decode("utf-8", "replace")
+        is_idl = self.definition.encoding == "ros2idl"
+        types = get_types_from_idl(text) if is_idl else get_types_from_msg(text, self.type_name)
+        return decode_topic(types, self.type_name, self.messages)
 
 
 class Bag:
@@ -99,6 +103,8 @@ class Bag:
     ----------
     path : Path
         The bag's directory or file.
+    topics : dict of str to TopicInfo
+        The topics, by full name.
     truncated : bool
         The recording was cut short (killed recorder, full disk): everything up to the cut is here.
     attachments : dict of str to bytes
@@ -109,18 +115,10 @@ class Bag:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self.topics: dict[str, TopicInfo] = {}
         self.truncated = False
         self.attachments: dict[str, bytes] = {}
         self.metadata: dict[str, dict[str, str]] = {}
-        self._topics: dict[str, _Topic] = {}
-
-    @property
-    def topics(self) -> dict[str, TopicInfo]:
-        """The topics, by full name."""
-        return {
-            name: TopicInfo(name, topic.type_name, topic.count, topic.qos)
-            for name, topic in self._topics.items()
-        }
 
     @property
     def remedy(self) -> str:
@@ -133,15 +131,15 @@ class Bag:
         Raises BagError if no topic or more than one fits.
         """
         short = topic.strip("/")
-        if topic in self._topics:
+        if topic in self.topics:
             return topic
-        for name in self._topics:
+        for name in self.topics:
             if name.strip("/") == short:
                 return name
-        names = [name for name in self._topics if name.endswith("/" + short)]
+        names = [name for name in self.topics if name.endswith("/" + short)]
         if len(names) == 1:
             return names[0]
-        there = ", ".join(sorted(names or self._topics)) or "none"
+        there = ", ".join(sorted(names or self.topics)) or "none"
         problem = "is in more than one namespace" if names else "is not in the bag"
         raise BagError(f"{self.path}: topic '{topic}' {problem}; topics there: {there}")
 
@@ -150,55 +148,40 @@ class Bag:
 
         Raises BagError if the topic is not there or its messages cannot be decoded.
         """
-        name = self.resolve(topic)
-        gathered = self._topics[name]
-        log_time = np.array(gathered.log_times, np.int64)
-        publish_time = np.array(gathered.publish_times, np.int64)
-        fields = self._decode(name, gathered)
-        if len(log_time) and bool(np.any(np.diff(log_time) < 0)):
+        info = self.topics[self.resolve(topic)]
+        try:
+            fields = info.decode()
+        except Exception as error:  # whatever the libraries find wrong with the definition or a message
+            words = " ".join(str(error).split()) or type(error).__name__
+            raise BagError(f"{self.path}: topic '{info.name}' cannot be decoded: {words}") from error
+        log_time = np.array(info.log_times, np.int64)
+        publish_time = np.array(info.publish_times, np.int64)
+        if bool(np.any(np.diff(log_time) < 0)):
             order = np.argsort(log_time, kind="stable")
             log_time, publish_time = log_time[order], publish_time[order]
             fields = {key: values[order] for key, values in fields.items()}
-        stamp = next(iter(fields.items()), ("", log_time))
-        stamp_ns = stamp[1] if stamp[0].endswith("_ns") and stamp[1].ndim == 1 else log_time
-        return Series(name, gathered.type_name, stamp_ns, log_time, publish_time, fields)
+        first, stamp = next(iter(fields.items()), ("", log_time))
+        stamp_ns = stamp if first.endswith("_ns") and stamp.ndim == 1 else log_time
+        return Series(info.name, info.type_name, stamp_ns, log_time, publish_time, fields)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[tuple[str, int, bytes]]:
         """Yield (full name, log time [ns], serialised message) in the order of log time; default: all topics.
 
         Raises BagError if one of the topics is not there.
         """
-        names = list(self._topics) if topics is None else [self.resolve(topic) for topic in topics]
-        chosen = [self._topics[name] for name in names]
-        times = np.concatenate([np.array(t.log_times, np.int64) for t in chosen]) if chosen else np.empty(0)
-        which = np.repeat(np.arange(len(chosen)), [len(t.sizes) for t in chosen])
-        ends = [np.cumsum(np.array(t.sizes, np.int64)) for t in chosen]
-        starts = np.concatenate([[0], np.cumsum([len(t.sizes) for t in chosen])])
+        names = self.topics if topics is None else [self.resolve(topic) for topic in topics]
+        chosen = [self.topics[name] for name in names]
+        times = np.concatenate([np.array(info.log_times, np.int64) for info in chosen] or [np.empty(0)])
+        counts = [len(info.messages) for info in chosen]
+        which, starts = np.repeat(np.arange(len(chosen)), counts), np.cumsum([0, *counts])
         for row in np.argsort(times, kind="stable").tolist():
-            topic = int(which[row])
-            number = row - int(starts[topic])
-            end = int(ends[topic][number])
-            data = bytes(chosen[topic].data[end - chosen[topic].sizes[number] : end])
-            yield names[topic], int(times[row]), data
-
-    def _decode(self, name: str, topic: _Topic) -> Arrays:
-        text = topic.definition.data.decode("utf-8", "replace")
-        try:
-            if topic.encoding != "cdr":
-                raise ValueError(f"message encoding '{topic.encoding}', expected cdr")
-            if topic.definition.encoding == "ros2idl":
-                types = get_types_from_idl(text)
-            else:
-                types = get_types_from_msg(text, topic.type_name)
-            return decode_topic(types, topic.type_name, bytes(topic.data), topic.sizes)
-        except Exception as error:  # whatever the libraries find wrong with the definition or a message
-            words = " ".join(str(error).split()) or type(error).__name__
-            raise BagError(f"{self.path}: topic '{name}' cannot be decoded: {words}") from error
+            info = chosen[int(which[row])]
+            yield info.name, int(times[row]), info.messages[row - int(starts[which[row]])]
 
     def load(self, file: Path, wanted: Collection[str] | None, keep: bool = True) -> None:
         """Add the wanted topics of one file, without ``keep`` only their counts; `read_bag` does it."""
         schemas: dict[int, Schema] = {}
-        channels: dict[int, _Topic] = {}
+        channels: dict[int, TopicInfo] = {}
 
         def is_wanted(topic: str) -> bool:
             return wanted is None or any(_ends_with(topic, name) for name in wanted)
@@ -213,7 +196,7 @@ class Bag:
                     schemas[record.id] = record
                 elif isinstance(record, Channel):
                     if record.id not in channels and is_wanted(record.topic):
-                        channels[record.id] = self._topic(record, schemas)
+                        channels[record.id] = self._add_topic(record, schemas.get(record.schema_id))
                 else:
                     self._keep(record)
         except CutShortError:
@@ -225,13 +208,16 @@ class Bag:
         elif isinstance(record, Metadata):
             self.metadata[record.name] = record.metadata
 
-    def _topic(self, channel: Channel, schemas: Mapping[int, Schema]) -> _Topic:
-        schema = schemas.get(channel.schema_id) or Schema(0, b"", "", "unknown")
-        qos = channel.metadata.get("offered_qos_profiles", "")
-        topic = _Topic(schema.name, channel.message_encoding, schema, qos)
-        present = self._topics.setdefault(channel.topic, topic)
-        if present.type_name != topic.type_name:
-            types = f"{present.type_name} and {topic.type_name}"
+    def _add_topic(self, channel: Channel, schema: Schema | None) -> TopicInfo:
+        type_name, qos = (
+            schema.name if schema else "unknown",
+            channel.metadata.get("offered_qos_profiles", ""),
+        )
+        encoding = channel.message_encoding
+        topic = TopicInfo(channel.topic, type_name, qos=qos, encoding=encoding, definition=schema)
+        present = self.topics.setdefault(channel.topic, topic)
+        if present.type_name != type_name:
+            types = f"{present.type_name} and {type_name}"
             raise BagError(f"{self.path}: topic '{channel.topic}' has two types, {types}")
         return present
 
@@ -259,7 +245,7 @@ def bag_topics(path: Path) -> dict[str, TopicInfo]:
     if is_sqlite(path):
         with open_sqlite(path) as reader:
             return {
-                name: TopicInfo(name, topic.msgtype or "", topic.msgcount, "")
+                name: TopicInfo(name, topic.msgtype or "", topic.msgcount)
                 for name, topic in reader.topics.items()
             }
     bag = Bag(path)

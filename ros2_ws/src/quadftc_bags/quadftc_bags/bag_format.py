@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from textwrap import indent
+from typing import TYPE_CHECKING, NamedTuple
 
-from rclpy.duration import Duration
-from rclpy.qos import QoSProfile
+from quadftc_bags.interfaces import load_interface
+
+if TYPE_CHECKING:
+    from rclpy.duration import Duration
+    from rclpy.qos import QoSProfile
 
 VERSION = 9
 COMPRESSIONS = ("zstd", "lz4", "none")  # of the chunks of a bag
@@ -17,23 +22,23 @@ NEVER_NS = 2**63 - 1  # rosbag2: start of an empty bag, and "infinite" as a dura
 
 
 class TopicRecord(NamedTuple):
-    """A topic of a bag: name, type, type hash, and the offered quality of service as a YAML list."""
+    """A topic as a bag describes it."""
 
     name: str
-    type_name: str
+    type_name: str  # ``package/msg/Name``
     type_hash: str
-    qos: str
+    qos: str  # offered quality of service, a YAML list
+    definition: str  # text of the type and of all types it uses
+    encoding: str = "ros2msg"  # of the definition
 
 
-class BagSummary(NamedTuple):
-    """What ``metadata.yaml`` says of a bag of one file."""
+def describe_topic(name: str, type_name: str, qos: QoSProfile) -> TopicRecord:
+    """Return the record of a topic whose publisher offers a quality of service.
 
-    file_name: str
-    topics: Sequence[tuple[TopicRecord, int]]  # each with its number of messages
-    start_ns: int  # first and last log time [ns]; ignored while there are no messages
-    end_ns: int
-    custom: Mapping[str, str]  # the user's own entries
-    ros_distro: str
+    Raises ValueError if the type is not installed.
+    """
+    interface = load_interface(type_name)
+    return TopicRecord(name, type_name, interface.type_hash, offered_qos(qos), interface.text)
 
 
 def offered_qos(profile: QoSProfile) -> str:
@@ -51,62 +56,58 @@ def offered_qos(profile: QoSProfile) -> str:
     )
 
 
-def bag_information(bag: BagSummary) -> str:
-    """Return the YAML text of the bag's metadata, without the outer key: what the MCAP record holds."""
-    count = sum(number for _, number in bag.topics)
-    start, duration = (bag.start_ns, bag.end_ns - bag.start_ns) if count else (NEVER_NS, 0)
-    custom = "".join(f"\n  {_quoted(key)}: {_quoted(value)}" for key, value in bag.custom.items())
+def bag_information(
+    file_name: str,
+    topics: Sequence[tuple[TopicRecord, int]],
+    span_ns: tuple[int, int] | None,
+    custom: Mapping[str, str],
+) -> str:
+    """Return the YAML text of the metadata of a bag of one file.
+
+    ``topics`` come with their numbers of messages; ``span_ns`` is the first and last log time [ns], None
+    without messages; ``custom`` are the user's own entries.
+    """
+    start, end = span_ns or (NEVER_NS, NEVER_NS)
+    count = sum(number for _, number in topics)
+    entries = "".join(f"\n  {_quoted(key)}: {_quoted(value)}" for key, value in custom.items())
     return (
         f"version: {VERSION}\n"
         "storage_identifier: mcap\n"
-        f"duration:\n  nanoseconds: {duration}\n"
+        f"duration:\n  nanoseconds: {end - start}\n"
         f"starting_time:\n  nanoseconds_since_epoch: {start}\n"
         f"message_count: {count}\n"
-        f"topics_with_message_count:{_topics(bag.topics)}\n"
+        f"topics_with_message_count:{''.join(map(_topic, topics)) or ' []'}\n"
         "compression_format: ''\n"
         "compression_mode: ''\n"
-        f"relative_file_paths:\n- {_quoted(bag.file_name)}\n"
+        f"relative_file_paths:\n- {_quoted(file_name)}\n"
         "files:\n"
-        f"- path: {_quoted(bag.file_name)}\n"
+        f"- path: {_quoted(file_name)}\n"
         f"  starting_time:\n    nanoseconds_since_epoch: {start}\n"
-        f"  duration:\n    nanoseconds: {duration}\n"
+        f"  duration:\n    nanoseconds: {end - start}\n"
         f"  message_count: {count}\n"
-        f"custom_data:{custom or ' {}'}\n"
-        f"ros_distro: {bag.ros_distro}\n"
+        f"custom_data:{entries or ' {}'}\n"
+        f"ros_distro: {os.environ.get('ROS_DISTRO', 'jazzy')}\n"
     )
 
 
-def metadata_file(bag: BagSummary) -> str:
-    """Return the text of ``metadata.yaml``."""
-    return "rosbag2_bagfile_information:\n" + _indented(bag_information(bag), "  ")
-
-
-def _topics(topics: Sequence[tuple[TopicRecord, int]]) -> str:
-    entries = [
+def _topic(counted: tuple[TopicRecord, int]) -> str:
+    topic, count = counted
+    qos = "\n" + indent(topic.qos.rstrip() + "\n", "    ") if topic.qos.strip() else " []\n"
+    return (
         "\n- topic_metadata:\n"
         f"    name: {topic.name}\n"
         f"    type: {topic.type_name}\n"
         "    serialization_format: cdr\n"
-        f"    offered_qos_profiles:{_offered(topic.qos)}"
+        f"    offered_qos_profiles:{qos}"
         f"    type_description_hash: {topic.type_hash or _NO_HASH}\n"
         f"  message_count: {count}"
-        for topic, count in topics
-    ]
-    return "".join(entries) or " []"
-
-
-def _offered(qos: str) -> str:
-    return "\n" + _indented(qos.rstrip() + "\n", "    ") if qos.strip() else " []\n"
+    )
 
 
 def _duration(duration: Duration) -> str:
     """Return sec and nsec; an unset (zero) duration means infinite."""
     seconds, nanoseconds = divmod(duration.nanoseconds or NEVER_NS, 10**9)
     return f"    sec: {seconds}\n    nsec: {nanoseconds}\n"
-
-
-def _indented(text: str, by: str) -> str:
-    return "".join(by + line for line in text.splitlines(keepends=True))
 
 
 def _quoted(text: str) -> str:

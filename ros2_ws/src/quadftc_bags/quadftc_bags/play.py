@@ -13,7 +13,6 @@ from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.utilities import ok, try_shutdown
 from ruamel.yaml import YAML, YAMLError
@@ -42,14 +41,12 @@ def play(
 
     Parameters
     ----------
-    path : path
-        A rosbag2 directory, an ``.mcap`` or a ``.db3`` file.
+    path, topics
+        As of `read_bag`.
     rate : float
         Speed, as a multiple of the recorded one; > 0.
     loop : bool
         Begin again at the end; stamps then go back, too.
-    topics : collection of str, optional
-        Publish only these; default: all.
     delay : float
         Time between the creation of the publishers and the first message [s].
     context : rclpy.context.Context, optional
@@ -66,7 +63,7 @@ def play(
     node = None
     try:
         node = Node("player", context=context, start_parameter_services=False)
-        return _Player(node, bag, rate).run(loop, delay)
+        return _publish(bag, node, rate, loop, delay)
     finally:
         if node is not None:
             node.destroy_node()
@@ -93,51 +90,39 @@ def profile_from_record(text: str) -> QoSProfile:
     )
 
 
-class _Player:
-    """Publishers for a bag's topics, and the clock that drives them."""
+def _publish(bag: Bag, node: Node, rate: float, loop: bool, delay: float) -> int:
+    """Publish until the end, or the shutdown of the node's context; return how many messages."""
+    try:
+        publishers = {
+            name: node.create_publisher(
+                load_message_class(topic.type_name), name, profile_from_record(topic.qos)
+            )
+            for name, topic in bag.topics.items()
+        }
+    except NameValidationException as error:
+        raise BagError(f"{bag.path}: {' '.join(str(error).split())}") from None
+    published = 0
+    try:
+        again = _wait_until(time.monotonic() + delay, node.context)
+        while again:
+            before, start, first_ns = published, time.monotonic(), None
+            for name, log_time_ns, data in bag.messages():
+                first_ns = log_time_ns if first_ns is None else first_ns
+                if not _wait_until(start + (log_time_ns - first_ns) * 1e-9 / rate, node.context):
+                    return published
+                publishers[name].publish(data)
+                published += 1
+            again = loop and published > before
+        if node.context.ok():
+            for publisher in publishers.values():
+                publisher.wait_for_all_acked(LAST_MESSAGES)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    return published
 
-    def __init__(self, node: Node, bag: Bag, rate: float) -> None:
-        self._context = node.context
-        self._bag = bag
-        self._rate = rate
-        self._published = 0
-        try:
-            self._publishers: dict[str, Publisher] = {
-                name: node.create_publisher(
-                    load_message_class(topic.type_name), name, profile_from_record(topic.qos)
-                )
-                for name, topic in bag.topics.items()
-            }
-        except NameValidationException as error:
-            raise BagError(f"{bag.path}: {' '.join(str(error).split())}") from None
 
-    def run(self, loop: bool, delay: float) -> int:
-        """Publish; return how many messages."""
-        try:
-            self._wait_until(time.monotonic() + delay)
-            while self._play_once() and loop:
-                pass
-            if self._context.ok():
-                for publisher in self._publishers.values():
-                    publisher.wait_for_all_acked(LAST_MESSAGES)
-        except (KeyboardInterrupt, ExternalShutdownException):
-            pass
-        return self._published
-
-    def _play_once(self) -> bool:
-        """Publish the bag once; return whether the end was reached and there was anything."""
-        start = time.monotonic()
-        first_ns = None
-        for name, log_time_ns, data in self._bag.messages():
-            first_ns = log_time_ns if first_ns is None else first_ns
-            if not self._wait_until(start + (log_time_ns - first_ns) * 1e-9 / self._rate):
-                return False
-            self._publishers[name].publish(data)
-            self._published += 1
-        return first_ns is not None
-
-    def _wait_until(self, due: float) -> bool:
-        """Sleep until a time of the monotonic clock; return whether the context is still alive."""
-        while (rest := due - time.monotonic()) > 0.0 and self._context.ok():
-            time.sleep(min(rest, LONGEST_SLEEP))
-        return self._context.ok()
+def _wait_until(due: float, context: Context) -> bool:
+    """Sleep until a time of the monotonic clock; return whether the context is still alive."""
+    while (rest := due - time.monotonic()) > 0.0 and context.ok():
+        time.sleep(min(rest, LONGEST_SLEEP))
+    return context.ok()

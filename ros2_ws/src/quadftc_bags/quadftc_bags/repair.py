@@ -1,7 +1,8 @@
-"""Repairing a bag: what can be read of it, written anew, whole, with the metadata that rosbag2 wants.
+"""Repairing a bag: what can be read of it, written to a new, whole one, with the metadata that rosbag2 wants.
 
 What a killed recorder or a full disk leaves is a file without index whose last chunk may be cut, and metadata
 that are older than the file. A chunk that is cut or whose sum is wrong is left out: no message is guessed.
+`survey` finds out what there is, `repair` writes it.
 """
 
 from __future__ import annotations
@@ -10,19 +11,21 @@ import re
 import shutil
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
-from mcap.records import Channel
+from mcap.reader import make_reader
+from mcap.records import Attachment, Channel, Metadata, Schema
 from ruamel.yaml import YAML, YAMLError
 
+from quadftc_bags.bag import TopicInfo
 from quadftc_bags.bag_file import BagFile, is_being_written
 from quadftc_bags.bag_format import TopicRecord
-from quadftc_bags.salvage import Survey, survey
-from quadftc_bags.storage import BagError, Damage, bag_information, read_records
+from quadftc_bags.storage import BagError, Damage, bag_information, check_size, read_records
 
 CHUNK = 1024 * 1024  # bytes
+DEFINITIONS = ("ros2msg", "ros2idl")  # encodings of a type's definition that a bag may have
 OWN_RECORDS = ("rosbag2", "quadftc")  # metadata records that the new file gets anyway
 _WORDS = {  # of rmw, as recorded before ROS 2 Jazzy: numbers
     "history": ("system_default", "keep_last", "keep_all", "unknown"),
@@ -30,6 +33,32 @@ _WORDS = {  # of rmw, as recorded before ROS 2 Jazzy: numbers
     "durability": ("system_default", "transient_local", "volatile", "unknown", "best_available"),
     "liveliness": ("system_default", "automatic", "unknown", "manual_by_topic", "unknown", "best_available"),
 }
+
+
+@dataclass
+class Survey:
+    """What a file holds, and what of it cannot be read."""
+
+    path: Path
+    size: int  # bytes
+    topics: dict[str, TopicInfo] = field(default_factory=dict[str, TopicInfo])  # that can be read
+    channels: dict[int, TopicRecord] = field(default_factory=dict[int, TopicRecord])
+    damages: list[Damage] = field(default_factory=list[Damage])  # in the order of the file
+    refused: dict[str, str] = field(default_factory=dict[str, str])  # topics unfit for ROS 2: the reason
+    unknown: int = 0  # messages of a topic that was refused, or whose name is nowhere in the file
+    is_indexed: bool = False  # the file ends as it should, with an index
+    attachments: dict[str, bytes] = field(default_factory=dict[str, bytes])
+    records: dict[str, dict[str, str]] = field(default_factory=dict[str, dict[str, str]])  # metadata records
+
+    @property
+    def messages(self) -> int:
+        """How many messages can be read."""
+        return sum(tally.count for tally in self.topics.values())
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether nothing is wrong with the file."""
+        return self.is_indexed and not (self.damages or self.refused or self.unknown)
 
 
 @dataclass(frozen=True)
@@ -43,7 +72,7 @@ class Repair:
 
 
 def repair(path: Path, out: Path | None = None, force: bool = False) -> Repair:
-    """Write a bag anew that can be read whole.
+    """Write a new bag that can be read whole.
 
     Parameters
     ----------
@@ -59,7 +88,10 @@ def repair(path: Path, out: Path | None = None, force: bool = False) -> Repair:
     recorded, or the new one cannot be written.
     """
     file = _storage_file(path)
-    recorded = _is_recorded(file)
+    try:
+        recorded = file.is_file() and is_being_written(file)
+    except OSError as error:
+        raise BagError(f"{file}: {error.strerror}") from None
     found = survey(file)
     complaint = _complaint(path, found) if path.is_dir() else ""
     if out is None and found.is_whole and not complaint:
@@ -72,12 +104,74 @@ def repair(path: Path, out: Path | None = None, force: bool = False) -> Repair:
         with tempfile.TemporaryDirectory(prefix=".repair_", dir=target.parent) as folder:
             made = Path(folder, target.name)
             _write(found, made)
-            if path.is_dir():
-                _copy_notes(path, made)
+            if path.is_dir():  # the texts that lie beside a bag: scenario, parameters, summary
+                for text in (*path.glob("*.yaml"), *path.glob("*.json")):
+                    if text.name != "metadata.yaml":
+                        shutil.copyfile(text, made / text.name)
             _put(made, target)
     except OSError as error:
         raise BagError(f"{target}: {error.strerror or error}") from None
     return Repair(found, target, complaint, recorded)
+
+
+def survey(path: Path) -> Survey:
+    """Look through a file; BagError if it is not MCAP, or holds no topic that can be read."""
+    found = Survey(path, check_size(path))
+    schemas: dict[int, Schema] = {}
+    for record in read_records(path, found.damages.append):
+        if isinstance(record, tuple):
+            if topic := found.channels.get(record[0]):
+                found.topics[topic.name].add(*record[1:], keep=False)
+            else:
+                found.unknown += 1
+        elif isinstance(record, Attachment):
+            found.attachments[record.name] = record.data
+        elif isinstance(record, Metadata):
+            found.records[record.name] = record.metadata
+        elif isinstance(record, Schema):
+            schemas.setdefault(record.id, record)  # of those that come again, as in the index, the first
+        elif isinstance(record, Channel) and record.id not in found.channels:
+            _add_channel(found, record, schemas.get(record.schema_id))
+    if not found.topics:
+        raise BagError(f"{path}: nothing to repair: {_nothing(found)}")
+    try:
+        with path.open("rb") as stream:
+            summary: Any = make_reader(stream).get_summary()
+            found.is_indexed = summary is not None and summary.statistics.message_count == found.messages
+    except Exception:  # whatever the library makes of an index that is cut
+        found.is_indexed = False
+    return found
+
+
+def _add_channel(found: Survey, channel: Channel, schema: Schema | None) -> None:
+    """Add a topic that a ROS 2 bag can have, or the reason why it cannot."""
+    present = found.topics.get(channel.topic)
+    if channel.message_encoding != "cdr":
+        found.refused[channel.topic] = f"its messages are '{channel.message_encoding}', not cdr"
+    elif schema is None:
+        found.refused[channel.topic] = "the definition of its type is missing"
+    elif schema.encoding not in DEFINITIONS:
+        reason = f"its type is defined in '{schema.encoding}', not {' or '.join(DEFINITIONS)}"
+        found.refused[channel.topic] = reason
+    elif present is not None and present.type_name != schema.name:
+        found.refused[channel.topic] = f"a part of it has another type, {schema.name}"
+    else:
+        qos = _in_words(channel.metadata.get("offered_qos_profiles", ""))
+        type_hash, text = channel.metadata.get("topic_type_hash", ""), schema.data.decode("utf-8", "replace")
+        topic = TopicRecord(channel.topic, schema.name, type_hash, qos, text, schema.encoding)
+        found.channels[channel.id] = topic
+        found.topics.setdefault(channel.topic, TopicInfo(channel.topic, schema.name))
+
+
+def _nothing(found: Survey) -> str:
+    """Say why there is nothing to keep."""
+    if found.refused:
+        topic, reason = next(iter(found.refused.items()))
+        more = f" (and {len(found.refused) - 1} more topics)" if len(found.refused) > 1 else ""
+        return f"topic '{topic}': {reason}{more}"
+    if found.damages:
+        return f"it ends or breaks at byte {found.damages[0].offset} of {found.size}, before any topic"
+    return "it has no topic"
 
 
 def _storage_file(path: Path) -> Path:
@@ -98,14 +192,6 @@ def _storage_file(path: Path) -> Path:
     return files[0]
 
 
-def _is_recorded(file: Path) -> bool:
-    """Return whether somebody is writing to a file of a bag."""
-    try:
-        return file.is_file() and is_being_written(file)
-    except OSError as error:
-        raise BagError(f"{file}: {error.strerror}") from None
-
-
 def _target(path: Path, out: Path | None, force: bool) -> Path:
     """Return where the new bag goes."""
     if out is None and force:
@@ -114,8 +200,7 @@ def _target(path: Path, out: Path | None, force: bool) -> Path:
         raise BagError(f"{path}: --force without --out replaces a bag; give its directory, not its file")
     if out is None:
         bag = path.resolve() if path.is_dir() or not (path.parent / "metadata.yaml").exists() else path.parent
-        name = path.stem if path.is_file() else bag.name
-        out = bag.parent / f"{name}-repaired"
+        out = bag.parent / f"{path.stem if path.is_file() else bag.name}-repaired"
     if not out.exists():
         return out.resolve()
     if not force:
@@ -131,54 +216,37 @@ def _put(made: Path, target: Path) -> None:
         made.rename(target)
         return
     old = set(target.glob("*.mcap"))
-    for file in sorted(
-        made.iterdir(), key=lambda file: file.name == "metadata.yaml"
-    ):  # which tells of the rest
+    # the metadata, which tell of the rest, come last
+    for file in sorted(made.iterdir(), key=lambda file: file.name == "metadata.yaml"):
         file.replace(target / file.name)
         old.discard(target / file.name)
     for file in old:
         file.unlink()
 
 
-def _copy_notes(bag: Path, made: Path) -> None:
-    """Copy the texts that lie beside a bag: scenario, parameters, summary."""
-    for file in (*bag.glob("*.yaml"), *bag.glob("*.json")):
-        if file.name != "metadata.yaml":
-            shutil.copyfile(file, made / file.name)
-
-
 def _write(found: Survey, directory: Path) -> None:
     """Write what a survey found."""
     custom = found.records.get("quadftc") or _custom_data(found.records.get("rosbag2", {}))
     bag = BagFile(directory, found.attachments, custom, "zstd", CHUNK)
-    for name, entries in found.records.items():
-        if name not in OWN_RECORDS:
-            bag.add_record(name, entries)
-    numbers: dict[int, int] = {}  # of channels: there -> here
-    topics: dict[str, int] = {}
     try:
-        for record in read_records(found.path, _pass_over):
+        for name, entries in found.records.items():
+            if name not in OWN_RECORDS:
+                bag.add_record(name, entries)
+        topics: dict[str, int] = {}  # and their channels in the new bag
+        numbers: dict[int, int] = {}  # of channels: there -> here
+        # what is damaged is known from the survey
+        for record in read_records(found.path, lambda damage: None):
             if isinstance(record, tuple) and record[0] in numbers:
-                number, log_time_ns, publish_time_ns, data = record
-                bag.write(numbers[number], log_time_ns, publish_time_ns, bytes(data))
-            if not isinstance(record, Channel) or record.id in numbers or record.id not in found.channels:
-                continue
-            channel, schema = found.channels[record.id]
-            if channel.topic not in topics:
-                qos = _in_words(channel.metadata.get("offered_qos_profiles", ""))
-                type_hash = channel.metadata.get("topic_type_hash", "")
-                text = schema.data.decode("utf-8", "replace")
-                bag.add_topic(TopicRecord(channel.topic, schema.name, type_hash, qos), text, schema.encoding)
-                topics[channel.topic] = len(topics) + 1
-            numbers[record.id] = topics[channel.topic]
+                bag.write(numbers[record[0]], record[1], record[2], bytes(record[3]))
+            elif isinstance(record, Channel) and (topic := found.channels.get(record.id)):
+                if topic.name not in topics:
+                    bag.add_topic(topic)
+                    topics[topic.name] = len(topics) + 1
+                numbers[record.id] = topics[topic.name]
         bag.close()
     except BaseException:
         bag.abandon()
         raise
-
-
-def _pass_over(damage: Damage) -> None:
-    """Pass over what the survey has found damaged."""
 
 
 def _custom_data(record: Mapping[str, str]) -> dict[str, str]:

@@ -64,6 +64,11 @@ class Damage(NamedTuple):
 OnDamage = Callable[[Damage], None]
 
 
+def stop_at_damage(damage: Damage) -> None:
+    """Raise CutShortError: what comes behind a damage is not read."""
+    raise CutShortError
+
+
 def storage_files(path: Path) -> list[Path]:
     """Return the files of a bag (directory or file) in their order; of a SQLite bag, the bag itself.
 
@@ -125,14 +130,14 @@ def is_sqlite(path: Path) -> bool:
     return path.suffix == ".db3"
 
 
-def read_records(path: Path, on_damage: OnDamage | None = None) -> Iterator[Record]:
+def read_records(path: Path, on_damage: OnDamage = stop_at_damage) -> Iterator[Record]:
     """Yield the records of an MCAP file; a message is a plain tuple.
 
-    A chunk's records come where the chunk stands. Indexes and statistics are passed over. With ``on_damage``
-    a chunk with a wrong checksum and a missing end are reported to it, and passed over, too.
+    A chunk's records come where the chunk stands. Indexes and statistics are passed over. A chunk with a
+    wrong checksum and a missing end are reported to ``on_damage``, and passed over, too.
 
-    Raises BagError if the file cannot be read or is not MCAP; CutShortError: Without ``on_damage``, when the
-    rest of the file is missing or damaged; all that came before is good.
+    Raises BagError if the file cannot be read or is not MCAP; by default CutShortError when the rest of the
+    file is missing or damaged; all that came before is good.
     """
     try:
         with path.open("rb") as stream:
@@ -143,7 +148,7 @@ def read_records(path: Path, on_damage: OnDamage | None = None) -> Iterator[Reco
         raise BagError(f"{path}: {error.strerror or error}") from error
 
 
-def _read_file(stream: BinaryIO, on_damage: OnDamage | None) -> Iterator[Record]:
+def _read_file(stream: BinaryIO, on_damage: OnDamage) -> Iterator[Record]:
     size = os.fstat(stream.fileno()).st_size
     is_index = False
     while True:
@@ -154,24 +159,18 @@ def _read_file(stream: BinaryIO, on_damage: OnDamage | None) -> Iterator[Record]
             return
         if opcode == _NONE or length > size - stream.tell():
             span_ns = _chunk_span(opcode, stream.read(_CHUNK_SPAN.size))
-            _report(Damage(offset, size - offset, True, is_index, span_ns), on_damage)
+            on_damage(Damage(offset, size - offset, True, is_index, span_ns))
             return
-        if opcode != Opcode.CHUNK and opcode != Opcode.MESSAGE and opcode not in _READERS:
+        if opcode not in (Opcode.CHUNK, Opcode.MESSAGE, *_READERS):
             stream.seek(length, os.SEEK_CUR)
             is_index = is_index or opcode == Opcode.DATA_END
             continue
         body = stream.read(length)
         try:
             yield from _read_sequence(_chunk_data(body) if opcode == Opcode.CHUNK else head + body)
-        except CutShortError:
+        except _DAMAGE:
             span_ns = _chunk_span(opcode, body)
-            _report(Damage(offset, _HEAD.size + length, False, is_index, span_ns), on_damage)
-
-
-def _report(damage: Damage, on_damage: OnDamage | None) -> None:
-    if on_damage is None:
-        raise CutShortError
-    on_damage(damage)
+            on_damage(Damage(offset, _HEAD.size + length, False, is_index, span_ns))
 
 
 def _chunk_span(opcode: int, body: bytes) -> tuple[int, int] | None:
@@ -186,32 +185,26 @@ def _read_sequence(data: bytes) -> Iterator[Record]:
     """Read records that stand one after the other in memory."""
     view = memoryview(data)
     position = 0
-    try:
-        while position < len(data):
-            opcode, length = _HEAD.unpack_from(data, position)
-            start = position + _HEAD.size
-            position = start + length
-            if position > len(data):
+    while position < len(data):
+        opcode, length = _HEAD.unpack_from(data, position)
+        start = position + _HEAD.size
+        position = start + length
+        if position > len(data):
+            raise CutShortError
+        if opcode == Opcode.MESSAGE:
+            channel, _, log_time, publish_time = _MESSAGE.unpack_from(data, start)
+            if log_time > _LATEST or publish_time > _LATEST:
                 raise CutShortError
-            if opcode == Opcode.MESSAGE:
-                channel, _, log_time, publish_time = _MESSAGE.unpack_from(data, start)
-                if log_time > _LATEST or publish_time > _LATEST:
-                    raise CutShortError
-                yield channel, log_time, publish_time, view[start + _MESSAGE.size : position]
-            elif opcode in _READERS:
-                yield _READERS[opcode](ReadDataStream(BytesIO(view[start:position])))
-    except _DAMAGE as error:
-        raise CutShortError from error
+            yield channel, log_time, publish_time, view[start + _MESSAGE.size : position]
+        elif opcode in _READERS:
+            yield _READERS[opcode](ReadDataStream(BytesIO(view[start:position])))
 
 
 def _chunk_data(body: bytes) -> bytes:
     """Return the records inside a chunk, after checking their sum."""
-    try:
-        chunk = Chunk.read(ReadDataStream(BytesIO(body)))
-        stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-        return stream.read(size)
-    except _DAMAGE as error:
-        raise CutShortError from error
+    chunk = Chunk.read(ReadDataStream(BytesIO(body)))
+    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+    return stream.read(size)
 
 
 @contextlib.contextmanager

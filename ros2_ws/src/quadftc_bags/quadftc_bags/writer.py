@@ -1,55 +1,50 @@
 # pyright: basic
-"""Recording that never makes the caller wait for a disk: a bounded queue before a thread that writes the bag.
+"""Writing a bag while it is recorded, so that little is lost by whoever kills the process or cuts the power.
 
-`BagWriter.write` appends to the queue and returns; the thread builds and compresses chunks, and four times a
-second hands everything to the operating system. A killed recorder therefore loses less than a second, however
-slow the disk, and what is there can be read. Twice a second another thread makes the disk take it and updates
-``metadata.yaml``, for the case of a power cut.
+Four times a second `BagWriter` hands everything to the operating system. A killed recorder therefore loses
+less than a second, however slow the disk, and what is there can be read. Twice a second another thread makes
+the disk take it and updates ``metadata.yaml``, for the case of a power cut.
 
 Two ways of working:
 
 real time
-    Messages are stored in the order of arrival. A full queue drops the message and counts it: with the
-    messages of the graph, of 0.1 to 0.5 kB, the queue does not grow beyond 50 MB.
+    Messages are stored in the order of arrival.
 lock-step
-    A full queue makes the caller wait. Messages are stored in the order (log time, topic) and chunks are cut
-    at multiples of 0.1 s of log time, so that two runs with the same messages give the same file, byte by
-    byte, whatever the threads did; padding inside the messages is set to zero for that. A message is held for
-    up to 0.3 s of log time, but not longer than 0.75 s: in flights slower than 0.4 of real time crash safety
-    comes first, and only the order within each topic is the same.
+    Messages are stored in the order (log time, topic) and chunks are cut at multiples of 0.1 s of log time.
+    So two runs with the same messages give the same file, byte by byte, whatever the threads did; padding
+    inside the messages is set to zero for that. A message is held for up to 0.3 s of log time, but not longer
+    than 0.75 s: in flights slower than 0.4 of real time crash safety comes first, and only the order within
+    each topic is the same.
 """
 
 from __future__ import annotations
 
 import os
-import threading
 import time
-from collections import deque
+from bisect import bisect_left
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import TYPE_CHECKING
 
-from rclpy.qos import QoSProfile
-
-from quadftc_bags.bag_format import TopicRecord, offered_qos
-from quadftc_bags.bag_order import HeldMessages, Message
-from quadftc_bags.cdr.padding import PaddingCleaner
-from quadftc_bags.interfaces import load_interface
+from quadftc_bags.bag_format import TopicRecord, describe_topic
+from quadftc_bags.cdr.layout import PaddingCleaner
 
 if TYPE_CHECKING:
-    from quadftc_bags.bag_file import BagFile
+    from rclpy.qos import QoSProfile
 
 FLUSH_PERIOD = 0.25  # s, wall time: everything older is with the operating system
 SYNC_PERIOD = 0.5  # s, wall time between two times at which the disk is to take it
-POLL_PERIOD = 0.005  # s, wall time between two looks at the queue
-SLICE = 16  # messages built in one go (about 60 us) before other threads get their turn
-SLICE_PAUSE = 1e-4  # s
-REALTIME_CHUNK = 256 * 1024  # bytes; closing one holds the interpreter for about 0.3 ms
+REALTIME_CHUNK = 256 * 1024  # bytes
 LOCKSTEP_CHUNK = 4 * 1024 * 1024  # bytes, never reached at usual rates: chunks are cut by log time
+CUT_PERIOD_NS = 100_000_000  # ns of log time between two cuts
+CUT_DELAY_NS = 200_000_000  # ns of log time that a message may come late without losing its place
+HOLD_PERIOD = 0.75  # s, wall time that a message may be held (0.4 of real time) before order gives way
 
-Command = Callable[[], None]
-Input = Callable[[bytes, int, int], bool]
+Message = tuple[int, int, int, bytes]  # channel, log time [ns], publish time [ns], data
 
 
 @dataclass(frozen=True)
@@ -63,22 +58,13 @@ class BagStatus:
 
 
 class BagWriter:
-    """Write one rosbag2 bag (MCAP) from any thread.
+    """Write one rosbag2 bag (MCAP) from one thread, which may have to wait for the file, not for the disk.
 
-    Parameters
-    ----------
-    directory, attachments, metadata, compression
-        As of `BagFile`.
-    lockstep : bool
-        See the module's text.
-    queue_size : int
-        Messages that may wait.
-    on_error : callable or None
-        Called once, from the writing thread, with the text of the error that stopped the recording.
+    Call `tick` when no messages come. Parameters are those of `BagFile`; for ``lockstep`` see the module's
+    text.
 
-    Raises FileExistsError if the directory exists; ValueError if the compression is unknown or the queue
-    holds no message; OSError if the directory cannot be written. Later errors are never raised: see
-    ``status``.
+    Raises FileExistsError if the directory exists; ValueError if the compression is unknown; OSError if the
+    directory cannot be written. Later errors are never raised: see ``status``.
     """
 
     def __init__(
@@ -89,31 +75,23 @@ class BagWriter:
         compression: str = "zstd",
         *,
         lockstep: bool = False,
-        queue_size: int = 65536,
-        on_error: Callable[[str], object] | None = None,
     ) -> None:
-        from quadftc_bags.bag_file import BagFile
+        from quadftc_bags.bag_file import BagFile  # takes long, and is for the process that writes only
 
-        if queue_size < 1:
-            raise ValueError(f"queue_size: {queue_size} messages, expected at least 1")
         chunk_size = LOCKSTEP_CHUNK if lockstep else REALTIME_CHUNK
         self._file = BagFile(directory, attachments or {}, metadata or {}, compression, chunk_size)
         self.path = self._file.path
-        self._lockstep = lockstep
-        self._queue_size = queue_size
-        self._on_error = on_error
-        self._channels: dict[str, int] = {}
-        self._queue: deque[Message | Command | _Flush] = deque()
+        self.closed = False  # whether `close` was called
         self._held = HeldMessages() if lockstep else None
-        self._disk = _DiskSync(self._file)
+        self._channels: dict[str, int] = {}
         self._cleaners: list[PaddingCleaner] = []  # by channel number - 1
-        self._dropped: dict[str, int] = {}
-        self._taken = 0  # messages that have left the queue
+        self._dropped: Counter[str] = Counter()
+        self._accepted = 0
         self._error: str | None = None
-        self._closed = False
-        self._wake = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="bag_writer", daemon=True)
-        self._thread.start()
+        self._threads = ThreadPoolExecutor(1, "bag_sync")
+        self._sync: Future[None] | None = None
+        self._flush_due = time.monotonic() + FLUSH_PERIOD
+        self._sync_due = time.monotonic() + SYNC_PERIOD
 
     def add_topic(self, topic: str, type_name: str, qos: QoSProfile) -> None:
         """Declare a topic; ``qos`` is what its publisher offers.
@@ -122,67 +100,63 @@ class BagWriter:
         """
         if topic in self._channels:
             raise ValueError(f"topic '{topic}': in the bag already")
-        interface = load_interface(type_name)
-        record = TopicRecord(topic, type_name, interface.type_hash, offered_qos(qos))
-        if self._lockstep:
-            self._cleaners.append(PaddingCleaner(type_name))
-        self._channels[topic] = len(self._channels) + 1
-        self._queue.append(lambda: self._file.add_topic(record, interface.text))
+        self.add(describe_topic(topic, type_name, qos))
 
-    def input(self, topic: str) -> Input:
-        """Return what queues a serialised message of a topic: ``(data, log time, publish time)``, in ns.
+    def add(self, topic: TopicRecord) -> None:
+        """Declare a topic; topics are numbered from 1 in the order of calls."""
+        if self._held is not None:
+            self._cleaners.append(PaddingCleaner(topic.type_name))
+        self._channels[topic.name] = len(self._channels) + 1
+        self._attempt(self._file.add_topic, topic)
 
-        It returns whether the message was accepted, and never raises for the disk's sake.
+    def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> bool:
+        """Store a serialised message; return whether it was accepted, which it is until `close`.
 
         Raises KeyError if the topic has not been added.
         """
-        channel, queue = self._channels[topic], self._queue
+        channel = self._channels[topic]
+        if self.closed:
+            self._dropped[topic] += 1
+            return False
+        self.store((channel, log_time_ns, publish_time_ns, data))
+        self.tick()
+        return True
 
-        def write(data: bytes, log_time_ns: int, publish_time_ns: int) -> bool:
-            if (len(queue) >= self._queue_size or self._closed) and not self._wait_for_room():
-                self._dropped[topic] = self._dropped.get(topic, 0) + 1
-                return False
-            queue.append((channel, log_time_ns, publish_time_ns, data))
-            return True
+    def store(self, message: Message) -> None:
+        """Store a message of a topic by its number; in lock-step hold it until its place is certain."""
+        self._accepted += 1
+        self._attempt(self._store, message)
 
-        return write
+    def tick(self) -> None:
+        """Do what is due; to be called at least every 50 ms or so."""
+        if self.closed:
+            return
+        now = time.monotonic()
+        # in lock-step when a message was held for too long
+        if now >= self._flush_due if self._held is None else self._held.is_stale(now):
+            self._attempt(self._flush)
+            self._flush_due = time.monotonic() + FLUSH_PERIOD
+        if now >= self._sync_due:
+            self._attempt(self._begin_sync)
+            self._sync_due = time.monotonic() + SYNC_PERIOD
 
-    def write(self, topic: str, cdr_bytes: bytes, log_time_ns: int, publish_time_ns: int) -> bool:
-        """Queue a serialised message, as :meth:`input` does."""
-        return self.input(topic)(cdr_bytes, log_time_ns, publish_time_ns)
-
-    def flush(self, timeout: float = 10.0) -> bool:
-        """Wait up to ``timeout`` [s] until everything written before is on the disk; return whether it is."""
-        request = _Flush()
-        if not self._closed:
-            self._queue.append(request)
-            self._wake.set()
-            request.wait(timeout)
-        return request.stored
+    def flush(self) -> bool:
+        """Wait until everything written before is on the disk; return whether it is."""
+        return not self.closed and self._attempt(self._flush_to_disk)
 
     def close(self) -> BagStatus:
-        """Store what is queued, end the file, and return how it went; a second call only returns that.
-
-        A Ctrl-C meanwhile is raised when the file is complete.
-        """
-        self._closed = True
-        self._wake.set()
-        try:
-            self._thread.join()
-        finally:
-            self._thread.join()
+        """End the file, and return how it went; a second call only returns that."""
+        if not self.closed:
+            self.closed = True
+            self._attempt(self._finish)
+            self._threads.shutdown()
         return self.status
-
-    @property
-    def closed(self) -> bool:
-        """Whether `close` was called."""
-        return self._closed
 
     @property
     def status(self) -> BagStatus:
         """How the recording stands now."""
         counts = dict(self._file.counts)
-        lost = 0 if self._error is None else self._taken - sum(counts.values())
+        lost = 0 if self._error is None else self._accepted - sum(counts.values())
         return BagStatus(counts, dict(self._dropped), lost, self._error)
 
     def __enter__(self) -> BagWriter:
@@ -191,60 +165,20 @@ class BagWriter:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _wait_for_room(self) -> bool:
-        """In lock-step wait for room in the queue; return whether there is any."""
-        while self._lockstep and not self._closed:
-            if len(self._queue) < self._queue_size:
-                return True
-            self._wake.set()
-            time.sleep(SLICE_PAUSE)
-        return False
-
-    def _run(self) -> None:
-        """Write until closed and the queue is empty (the writing thread)."""
-        begin = time.monotonic()
-        next_flush, next_sync = begin + FLUSH_PERIOD, begin + SYNC_PERIOD
-        while True:
-            last_round = self._closed
-            self._attempt(self._drain)
-            if self._is_due(next_flush):
-                self._attempt(self._flush)
-                next_flush = time.monotonic() + FLUSH_PERIOD
-            if time.monotonic() >= next_sync:
-                self._attempt(self._disk.begin)
-                next_sync = time.monotonic() + SYNC_PERIOD
-            if last_round and not self._queue:
-                break
-            self._wake.wait(POLL_PERIOD)
-            self._wake.clear()
-        self._attempt(self._finish)
-
-    def _attempt(self, action: Command) -> None:
-        """Do something with the file; after the first error only count what is lost."""
-        try:
-            if self._error is None:
-                action()
-        except Exception as error:  # the caller flies on, whatever is wrong with the bag
-            self._fail(error)
+    def _attempt(self, action: Callable[..., None], *arguments: object) -> bool:
+        """Do something with the file until the first error; return whether it was done."""
         if self._error is not None:
-            self._discard()
-
-    def _drain(self) -> None:
-        """Write what is queued by now."""
-        for number in range(1, len(self._queue) + 1):
-            item = self._queue.popleft()
-            if isinstance(item, tuple):
-                self._taken += 1
-                self._store(item)
-            elif isinstance(item, _Flush):
-                self._flush_for(item)
-            else:
-                item()
-            if number % SLICE == 0 and not self._lockstep:
-                time.sleep(SLICE_PAUSE)
+            return False
+        try:
+            action(*arguments)
+        except Exception as error:  # the vehicle flies on, whatever is wrong with the bag
+            self._error = f"{self.path}: {getattr(error, 'strerror', None) or repr(error)}"
+            with suppress(Exception):  # the first error counts
+                self._wait_for_sync()
+            self._file.abandon()
+        return self._error is None
 
     def _store(self, message: Message) -> None:
-        """Write a message; in lock-step hold it until its place is certain, and cut chunks by log time."""
         if self._held is None:
             self._file.write(*message)
             return
@@ -255,85 +189,71 @@ class BagWriter:
                 self._file.write(*ready)
             self._file.flush()
 
-    def _flush_for(self, request: _Flush) -> None:
-        try:
-            self._flush()
-            self._disk.wait()
-            self._file.sync()
-            request.stored = True
-        finally:
-            request.set()
-
-    def _release_all(self) -> None:
+    def _flush(self) -> None:
         if self._held is not None:
             for message in self._held.take_all():
                 self._file.write(*message)
-
-    def _is_due(self, next_flush: float) -> bool:
-        """Whether it is time to flush: by the clock, in lock-step when a message was held for too long."""
-        return time.monotonic() >= next_flush if self._held is None else self._held.is_stale()
-
-    def _flush(self) -> None:
-        self._release_all()
         self._file.flush()
 
+    def _flush_to_disk(self) -> None:
+        self._flush()
+        self._wait_for_sync()
+        self._file.sync()
+
     def _finish(self) -> None:
-        self._release_all()
-        self._disk.wait()
+        self._flush()
+        self._wait_for_sync()
         self._file.close()
 
-    def _fail(self, error: Exception) -> None:
-        """Give up the file at its last complete chunk."""
-        self._error = f"{self.path}: {getattr(error, 'strerror', None) or repr(error)}"
-        with suppress(Exception):  # the first error counts
-            self._disk.wait()
-        self._file.abandon()
-        if self._on_error is not None:
-            with suppress(Exception):  # a failing callback must not end the thread that others wait for
-                self._on_error(self._error)
-
-    def _discard(self) -> None:
-        """Empty the queue, count what is lost with it, and let go whoever waits for a flush."""
-        while self._queue:
-            item = self._queue.popleft()
-            if isinstance(item, tuple):
-                self._taken += 1
-            elif isinstance(item, _Flush):
-                item.set()
-
-
-class _Flush(threading.Event):
-    """A request to bring everything to the disk; set when it was dealt with."""
-
-    stored = False
-
-
-class _DiskSync:
-    """Runs `BagFile.sync` in a thread, one at a time, so that a slow disk does not hold up the writing."""
-
-    def __init__(self, file: BagFile) -> None:
-        self._file = file
-        self._thread: threading.Thread | None = None
-        self._error: Exception | None = None
-
-    def begin(self) -> None:
+    def _begin_sync(self) -> None:
         """Begin a sync unless the last one still runs; raises what went wrong the last time."""
-        if self._thread is None or not self._thread.is_alive():
-            self.wait()
-            self._thread = threading.Thread(target=self._run, name="bag_sync", daemon=True)
-            self._thread.start()
+        if self._sync is None or self._sync.done():
+            self._wait_for_sync()
+            self._sync = self._threads.submit(self._file.sync)
 
-    def wait(self) -> None:
-        """Wait for the sync that runs, if any; raises as `begin`."""
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
-        if self._error is not None:
-            error, self._error = self._error, None
-            raise error
+    def _wait_for_sync(self) -> None:
+        """Wait for the sync that runs, if any; raises what went wrong."""
+        if self._sync is not None:
+            sync, self._sync = self._sync, None
+            sync.result()
 
-    def _run(self) -> None:
-        try:
-            self._file.sync()
-        except Exception as error:  # for whoever asks next
-            self._error = error
+
+class HeldMessages:
+    """Messages of a lock-step recording whose place in the file is not certain yet."""
+
+    def __init__(self) -> None:
+        self._messages: list[Message] = []
+        self._cut_ns: int | None = None  # log time of the last cut
+        self._newest_ns = 0
+        self._arrivals: deque[tuple[int, float]] = deque()  # log time not reached before [ns], wall time [s]
+
+    def add(self, message: Message) -> bool:
+        """Add a message; return whether log time has moved on far enough to cut a chunk."""
+        log_time_ns = message[1]
+        if not self._arrivals or log_time_ns > self._arrivals[-1][0]:
+            self._arrivals.append((log_time_ns, time.monotonic()))
+        self._messages.append(message)
+        if self._cut_ns is None:
+            self._cut_ns = log_time_ns - log_time_ns % CUT_PERIOD_NS
+        self._newest_ns = max(self._newest_ns, log_time_ns)
+        return self._newest_ns - CUT_DELAY_NS >= self._cut_ns + CUT_PERIOD_NS
+
+    def take(self) -> list[Message]:
+        """Take the messages before the newest cut, in the order (log time, channel)."""
+        self._cut_ns = (self._newest_ns - CUT_DELAY_NS) // CUT_PERIOD_NS * CUT_PERIOD_NS
+        self._messages.sort(key=itemgetter(1, 0))
+        split = bisect_left(self._messages, self._cut_ns, key=itemgetter(1))
+        taken, self._messages = self._messages[:split], self._messages[split:]
+        while self._arrivals and self._arrivals[0][0] < self._cut_ns:
+            self._arrivals.popleft()
+        return taken
+
+    def take_all(self) -> list[Message]:
+        """Take all messages, in the order (log time, channel)."""
+        taken, self._messages = sorted(self._messages, key=itemgetter(1, 0)), []
+        self._arrivals.clear()
+        return taken
+
+    def is_stale(self, now: float) -> bool:
+        """Return whether a message has been held for so long that a killed process would lose too much."""
+        return bool(self._arrivals) and now - self._arrivals[0][1] > HOLD_PERIOD

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import io
 import shutil
 import tempfile
 from collections import Counter
@@ -17,14 +19,14 @@ from mcap.records import Chunk, Footer, Header, Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from rclpy.qos import QoSProfile
-from rclpy.serialization import serialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.highlevel import AnyReader
 from ruamel.yaml import YAML
 from typer.testing import CliRunner
 
 from quadftc_bags.bag import BagError, read_bag
 from quadftc_bags.bag_file import BagFile
-from quadftc_bags.bag_format import TopicRecord, offered_qos
+from quadftc_bags.bag_format import describe_topic, offered_qos
 from quadftc_bags.interfaces import load_interface
 from quadftc_bags.repair import Repair, repair
 from quadftc_bags.storage import read_records
@@ -39,18 +41,14 @@ PERIOD_NS = 4_000_000
 
 
 def number_in(data: bytes) -> float:
-    from rclpy.serialization import deserialize_message
-
     return deserialize_message(data, Vector3Stamped).vector.x
 
 
 def written(directory: Path, compression: str) -> Path:
     """A bag of a few chunks: message k is on topic k % 3, at k periods."""
     bag = BagFile(directory, {"scenario.yaml": b"rate: 250\n"}, {"mode": "realtime"}, compression, CHUNK)
-    interface = load_interface(VECTOR)
     for topic in TOPICS:
-        record = TopicRecord(topic, VECTOR, interface.type_hash, offered_qos(QoSProfile(depth=7)))
-        bag.add_topic(record, interface.text)
+        bag.add_topic(describe_topic(topic, VECTOR, QoSProfile(depth=7)))
     for number in range(COUNT):
         message = Vector3Stamped()
         message.vector.x = float(number)
@@ -88,9 +86,7 @@ def records_of(path: Path) -> list[tuple[int, int, int]]:
 
 def messages_from(chunk_record: bytes) -> list[Message]:
     """The messages in the bytes of one chunk, read by the mcap library."""
-    from io import BytesIO
-
-    stream = StreamReader(BytesIO(chunk_record), skip_magic=True)
+    stream = StreamReader(io.BytesIO(chunk_record), skip_magic=True)
     records: Iterator = stream.records
     found = []
     try:
@@ -110,30 +106,51 @@ def damaged(folder: Path, data: bytes, metadata: bytes | None = None) -> Path:
     return bag
 
 
-def numbers_in_whole(bag: Path) -> list[int]:
+Stored = list[tuple[str, int, float]]  # topic, log time [ns], number of the message
+
+
+@functools.cache
+def read_by_rosbags(name: str, data: bytes, metadata: bytes) -> tuple[Stored, dict[str, int]]:
+    """What rosbags reads of a bag, and the messages that it counts; slow, and many repairs give the same."""
+    with tempfile.TemporaryDirectory() as folder:
+        bag = Path(folder, name)
+        bag.mkdir()
+        (bag / f"{name}_0.mcap").write_bytes(data)
+        (bag / "metadata.yaml").write_bytes(metadata)
+        with AnyReader([bag]) as reader:
+            read = [
+                (link.topic, time_ns, reader.deserialize(message, link.msgtype).vector.x)
+                for link, time_ns, message in reader.messages()
+            ]
+            assert reader.message_count == len(read)
+            return read, {link.topic: link.msgcount for link in reader.connections}
+
+
+@functools.cache
+def numbers_in(name: str, data: bytes, metadata: bytes) -> list[int]:
     """What rosbags and mcap read of a bag, both all of it and the same."""
-    with AnyReader([bag]) as reader:
-        read = [
-            (time_ns, reader.deserialize(data, link.msgtype).vector.x)
-            for link, time_ns, data in reader.messages()
-        ]
-        assert reader.message_count == len(read)
-        counts = {link.topic: link.msgcount for link in reader.connections}
-    with (bag / f"{bag.name}_0.mcap").open("rb") as stream:
-        index = make_reader(stream, validate_crcs=True)
-        by_mcap = [(m.log_time, number_in(m.data)) for _, _, m in index.iter_messages()]
-        assert index.get_summary().statistics.message_count == len(by_mcap)
+    read, counts = read_by_rosbags(name, data, metadata)
+    index = make_reader(io.BytesIO(data), validate_crcs=True)
+    by_mcap = [(link.topic, m.log_time, number_in(m.data)) for _, link, m in index.iter_messages()]
+    assert index.get_summary().statistics.message_count == len(by_mcap)
     assert by_mcap == read
-    information = YAML(typ="safe").load(bag / "metadata.yaml")["rosbag2_bagfile_information"]
+    information = YAML(typ="safe").load(metadata)["rosbag2_bagfile_information"]
     told = {
         each["topic_metadata"]["name"]: each["message_count"]
         for each in information["topics_with_message_count"]
     }
-    assert told == counts == {**dict.fromkeys(counts, 0), **Counter(TOPICS[int(x) % 3] for _, x in read)}
+    assert told == counts == {**dict.fromkeys(counts, 0), **Counter(topic for topic, _, _ in read)}
     assert information["message_count"] == len(read)
-    assert all(time_ns == 1_000_000_000 + int(x) * PERIOD_NS for time_ns, x in read)
+    assert all(
+        (topic, time_ns) == (TOPICS[int(x) % 3], 1_000_000_000 + int(x) * PERIOD_NS)
+        for topic, time_ns, x in read
+    )
     assert information["custom_data"] == {"mode": "realtime"}
-    return [int(x) for _, x in read]
+    return [int(x) for _, _, x in read]
+
+
+def numbers_in_whole(bag: Path) -> list[int]:
+    return numbers_in(bag.name, bytes_of(bag), (bag / "metadata.yaml").read_bytes())
 
 
 def repaired(data: bytes) -> tuple[Repair, list[int]] | None:
@@ -189,13 +206,9 @@ def test_bytes_that_are_wrong_never_give_a_wrong_message(originals, compression,
             done = repair(bag, bag.with_name("new"))
         except BagError:
             return
-        with AnyReader([done.out]) as reader:
-            for link, time_ns, message in reader.messages():
-                number = reader.deserialize(message, link.msgtype).vector.x
-                assert (link.topic, time_ns) == (
-                    TOPICS[int(number) % 3],
-                    1_000_000_000 + int(number) * PERIOD_NS,
-                )
+        read, _ = read_by_rosbags("new", bytes_of(done.out), (done.out / "metadata.yaml").read_bytes())
+    for topic, time_ns, number in read:
+        assert (topic, time_ns) == (TOPICS[int(number) % 3], 1_000_000_000 + int(number) * PERIOD_NS)
 
 
 @settings(max_examples=30)
@@ -279,11 +292,8 @@ def test_bag_is_replaced_only_by_force(originals, tmp_path):
 
 def test_bag_that_is_being_recorded_is_copied_but_not_replaced(tmp_path):
     bag = tmp_path / "bag"
-    interface = load_interface(VECTOR)
     recorder = BagFile(bag, {}, {}, "zstd", CHUNK)
-    recorder.add_topic(
-        TopicRecord(TOPICS[0], VECTOR, interface.type_hash, offered_qos(QoSProfile(depth=7))), interface.text
-    )
+    recorder.add_topic(describe_topic(TOPICS[0], VECTOR, QoSProfile(depth=7)))
     try:
         recorder.write(1, 1, 1, serialize_message(Vector3Stamped()))
         recorder.flush()

@@ -12,7 +12,7 @@ from rosbags.typesys.store import Typestore
 from sensor_msgs.msg import Imu, JointState, NavSatFix
 from std_msgs.msg import Header
 
-from quadftc_bags.cdr.padding import PaddingCleaner
+from quadftc_bags.cdr.layout import PaddingCleaner
 from quadftc_bags.interfaces import load_interface
 from quadftc_msgs.msg import AttitudeReference, ControlStatus, FaultStatus
 

@@ -6,14 +6,14 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from quadftc_bags.bag_file import KEPT_BY_WRITER, keep_indices_in_file
+from quadftc_bags.bag_file import KEPT_BY_WRITER, ChunkIndices
 
 
 def written(directory=None, chunks=50):
     """An MCAP file of some chunks on two channels; with a directory for its index."""
     stream = io.BytesIO()
     writer = Writer(stream)
-    indices = None if directory is None else keep_indices_in_file(writer, directory)
+    indices = None if directory is None else ChunkIndices(writer, directory)
     writer.start("ros2", library="test")
     schema = writer.register_schema("a/msg/B", "ros2msg", b"float64 x")
     channels = [writer.register_channel(name, "cdr", schema) for name in ("/one", "/two")]
@@ -39,4 +39,4 @@ def test_library_without_such_an_index_is_refused(tmp_path):
     writer = Writer(io.BytesIO())
     delattr(writer, KEPT_BY_WRITER)
     with pytest.raises(RuntimeError, match="chunk_indices"):
-        keep_indices_in_file(writer, tmp_path)
+        ChunkIndices(writer, tmp_path)

@@ -19,35 +19,31 @@ from __future__ import annotations
 import json
 import shutil
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Vector3Stamped
 from numpy.typing import NDArray
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
 from quadftc_bags.bag import BagError
 from quadftc_bags.bag_file import BagFile
-from quadftc_bags.bag_format import TopicRecord, offered_qos
-from quadftc_bags.cdr.arrays import encode_topic
-from quadftc_bags.cdr.padding import PaddingCleaner
-from quadftc_bags.interfaces import load_interface
-from quadftc_flight.flight import onset_ns
+from quadftc_bags.bag_format import describe_topic
 from quadftc_flight.run_directory import DESCRIPTION, PARAMETERS, SUMMARY
 from quadftc_flight.runs import RunError, prepare
-from quadftc_model.samples import ABSENT, ImuSample
-from quadftc_msgs.msg import FaultStatus
+from quadftc_model.samples import FaultEstimate, ImuSample, level_sample
 from quadftc_replay.diagnose import Diagnosed, Progress, true_fault
 from quadftc_replay.imu_from_bag import CORRECTED, DATA, DROPPED, HEADER, IMU, UNTOUCHED, VECTOR
 from quadftc_replay.imu_recording import SerializedTopic, Stamps
 from quadftc_replay.plan import Replay, ReplayOptions, plan_replay
+from quadftc_ros.conversions import time_message
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.topics import EARTH_FRAME, IMU_FRAME, TOPICS
 from quadftc_ros.versions import versions
+from quadftc_ros.wire import FaultStatusWire, ImuWire, VectorWire
 from quadftc_sim.injection import TRUTH
 
 CHUNK = 1024 * 1024  # bytes
@@ -105,10 +101,8 @@ def _write(plan: Replay, diagnosed: Diagnosed, directory: Path, follow: Progress
     bag = BagFile(directory, attachments, {"mode": "replay", **versions()}, "zstd", CHUNK)
     topics = _topics(plan, diagnosed)
     for name, topic in topics.items():
-        interface = load_interface(topic.type_name)
-        qos = offered_qos(topic_profile(TOPICS[name].qos, "realtime"))
-        record = TopicRecord(f"{plan.recording.namespace}{name}", topic.type_name, interface.type_hash, qos)
-        bag.add_topic(record, interface.text)
+        qos = topic_profile(TOPICS[name].qos, "realtime")
+        bag.add_topic(describe_topic(f"{plan.recording.namespace}{name}", topic.type_name, qos))
     # in the order of the stamps, then of the topics, whose channels count from 1
     stamps = np.concatenate([topic.stamp_ns for topic in topics.values()])
     messages = [(channel, data) for channel, each in enumerate(topics.values(), 1) for data in each.messages]
@@ -130,19 +124,13 @@ def _topics(plan: Replay, diagnosed: Diagnosed) -> dict[str, SerializedTopic]:
     """Messages of every topic, in the order of the table of the graph."""
     recording, rows, said = plan.recording, diagnosed.delivered, diagnosed.estimate
     every, given = recording.stamp_ns, recording.stamp_ns[rows]
-    status = FaultStatus()
-    status.header.frame_id = IMU_FRAME
-    columns = {
-        "state": said.state[rows],
-        "estimate": said.fault[rows],
-        "std_dev": said.std_dev[rows],
-        "onset_ns": onset_ns(given[:, None], said.onset_age[rows]),
-    }
+    columns = said.fault, said.std_dev, said.state, said.onset_age
+    estimates = map(FaultEstimate, *(column[rows] for column in columns), repeat(level_sample()))
     made = {
         **(recording.passed_on or {UNTOUCHED: _encode_imu(every, recording.imu)}),
         DATA: _encode_imu(given, ImuSample(*(column[rows] for column in diagnosed.seen))),
         CORRECTED: _encode_imu(given, ImuSample(*(column[rows] for column in said.corrected))),
-        "fault/status": _encode("quadftc_msgs/msg/FaultStatus", status, given, columns),
+        "fault/status": _serialise("quadftc_msgs/msg/FaultStatus", given, FaultStatusWire(), estimates),
         "fault/estimate": _encode_vector(EARTH_FRAME, given, said.fault[rows]),
     }
     overlaid = {fault.injection.channel for fault in plan.faults}
@@ -151,34 +139,24 @@ def _topics(plan: Replay, diagnosed: Diagnosed) -> dict[str, SerializedTopic]:
             frame = EARTH_FRAME if channel == "attitude" else IMU_FRAME
             made[topic] = _encode_vector(frame, every, true_fault(recording, diagnosed, channel))
     if not rows.all():
-        made[DROPPED] = _encode(HEADER, Header(frame_id=IMU_FRAME), every[~rows], {})
+        made[DROPPED] = _serialise(HEADER, every[~rows], _dropped, every[~rows])
     return {topic: made[topic] for topic in TOPICS if topic in made}
 
 
 def _encode_imu(stamp_ns: Stamps, samples: ImuSample) -> SerializedTopic:
-    valid = (samples.attitude_valid, samples.rate_valid, samples.force_valid)
-    covariances = np.zeros((3, len(stamp_ns), 9))
-    covariances[:, :, 0] = np.where(valid, 0.0, ABSENT)
-    columns = {
-        "orientation_xyzw": samples.q_xyzw,
-        "orientation_covariance": covariances[0],
-        "angular_velocity": samples.body_rate,
-        "angular_velocity_covariance": covariances[1],
-        "linear_acceleration": samples.specific_force,
-        "linear_acceleration_covariance": covariances[2],
-    }
-    return _encode(IMU, Imu(header=Header(frame_id=IMU_FRAME)), stamp_ns, columns)
+    return _serialise(IMU, stamp_ns, ImuWire(), map(ImuSample, *samples))
 
 
 def _encode_vector(frame: str, stamp_ns: Stamps, values: NDArray[np.float64]) -> SerializedTopic:
-    return _encode(VECTOR, Vector3Stamped(header=Header(frame_id=frame)), stamp_ns, {"vector": values})
+    return _serialise(VECTOR, stamp_ns, VectorWire(frame), values)
 
 
-def _encode(
-    type_name: str, template: Any, stamp_ns: Stamps, columns: Mapping[str, NDArray[Any]]
+def _dropped(stamp_ns: int, _: object) -> bytes:
+    return serialize_message(Header(stamp=time_message(stamp_ns), frame_id=IMU_FRAME))
+
+
+def _serialise(
+    type_name: str, stamp_ns: Stamps, write: Callable[[int, Any], bytes], values: Iterable[Any]
 ) -> SerializedTopic:
-    """Serialise messages that differ from a template in their stamps and these columns."""
-    clean = PaddingCleaner(type_name).clean(serialize_message(template))
-    columns = {"stamp_ns": stamp_ns, **columns}
-    messages = encode_topic(type_name, load_interface(type_name).text, clean, columns)
+    messages = [write(stamp, value) for stamp, value in zip(stamp_ns.tolist(), values, strict=True)]
     return SerializedTopic(type_name, stamp_ns, messages)

@@ -14,9 +14,6 @@ from rosbags.highlevel import AnyReader
 
 from message_objects import ImuWriter
 from quadftc_bags.bag import BagError, read_bag
-from quadftc_bags.cdr.arrays import encode_topic
-from quadftc_bags.cdr.padding import PaddingCleaner
-from quadftc_bags.interfaces import load_interface
 from quadftc_bags.writer import BagWriter
 from quadftc_fdi.fault_observers.none import NoDiagnosis
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow
@@ -24,13 +21,11 @@ from quadftc_flight.flight import Flight, flight_from_bag
 from quadftc_flight.runs import RunError
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import STARTING, ImuSample
-from quadftc_msgs.msg import FaultStatus
 from quadftc_replay.diagnose import diagnose, flight_of, true_fault
 from quadftc_replay.imu_recording import Recording, clean_samples
 from quadftc_replay.overlay import faults_from, replay_events, replay_windows
 from quadftc_replay.plan import Replay, ReplayOptions, choose_observer, plan_replay
 from quadftc_replay.ros_output import replay
-from quadftc_ros.conversions import time_message
 from quadftc_ros.qos import topic_profile
 from quadftc_sim.injector import FaultInjector
 
@@ -334,28 +329,3 @@ def test_recording_is_never_replaced_by_its_replay(bag, tmp_path):
     with pytest.raises(BagError, match="which the replay would replace"):
         replay(source, ReplayOptions(observer="none"), tmp_path, force=True)
     assert source.is_file()
-
-
-def test_encoded_messages_are_those_of_ros():
-    """FaultStatus has every kind of field: times, numbers in arrays, vectors, and padding between them."""
-    rng, stamps = np.random.default_rng(0), START_NS + PERIOD_NS * np.arange(5)
-    state = rng.integers(0, 5, (5, 3)).astype(np.uint8)
-    vectors = rng.standard_normal((2, 5, 3))
-    onset = stamps[:, None] - np.array([0, 1, 2_345_678_901])
-    expected = []
-    clean = PaddingCleaner("quadftc_msgs/msg/FaultStatus").clean
-    for row in range(5):
-        message = FaultStatus(state=state[row], onset=[time_message(int(time)) for time in onset[row]])
-        message.header.frame_id, message.header.stamp = "imu_link", time_message(int(stamps[row]))
-        for vector, values in zip((message.estimate, message.std_dev), vectors[:, row], strict=True):
-            vector.x, vector.y, vector.z = values.tolist()
-        expected.append(clean(serialize_message(message)))
-    template = FaultStatus()
-    template.header.frame_id = "imu_link"
-    columns = {"stamp_ns": stamps, "state": state, "onset_ns": onset}
-    columns |= {"estimate": vectors[0], "std_dev": vectors[1]}
-    text = load_interface("quadftc_msgs/msg/FaultStatus").text
-    assert (
-        encode_topic("quadftc_msgs/msg/FaultStatus", text, clean(serialize_message(template)), columns)
-        == expected
-    )

@@ -4,36 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from quadftc_bags.cdr.message import leading_stamp_ns
+from quadftc_bags.writer import BagStatus
 from quadftc_ros.conversions import END_NS
 from quadftc_ros.topics import TOPICS, Topic
 
-if TYPE_CHECKING:
-    from quadftc_bags.writer import BagStatus
 
+def flight_stamp_ns(data: bytes) -> int | None:
+    """Return the stamp [ns] of a serialised message, under which a lock-step graph stores it; None without.
 
-class StampedMessages:
-    """Decides which messages of a lock-step graph are stored: those of the flight, under their stamps.
-
-    Before the flight the stamp is zero. How many such messages there are depends on how fast the processes
-    start, so they are left out.
+    It is zero before the flight. How many such messages there are depends on how fast the processes start, so
+    they are left out.
     """
-
-    def __init__(self) -> None:
-        self.newest_ns = 0
-
-    def log_time_ns(self, data: bytes) -> int | None:
-        """Return the log time of a serialised message [ns]; 0: before the flight; None: it has no stamp."""
-        try:
-            stamp_ns = leading_stamp_ns(data)
-        except ValueError:
-            return None
-        if not 0 <= stamp_ns < END_NS:
-            return None
-        self.newest_ns = stamp_ns or self.newest_ns
-        return stamp_ns
+    try:
+        stamp_ns = leading_stamp_ns(data)
+    except ValueError:
+        return None
+    return stamp_ns if 0 <= stamp_ns < END_NS else None
 
 
 def judge(status: BagStatus) -> tuple[Literal["ok", "warn", "error"], str, Mapping[str, int]]:

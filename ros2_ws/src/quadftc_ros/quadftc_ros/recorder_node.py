@@ -16,18 +16,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rclpy.qos import QoSProfile
-
 from quadftc_bags.bag_format import COMPRESSIONS
 from quadftc_bags.interfaces import load_message_class
-from quadftc_bags.writer import BagStatus, BagWriter, Input
-from quadftc_bags.writer_process import BagProcess
+from quadftc_bags.writer import BagStatus
+from quadftc_bags.writer_process import BagProcess, Input
 from quadftc_model.parameters import parameter
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
 from quadftc_ros.qos import topic_profile
-from quadftc_ros.recorder import StampedMessages, choose_topics, judge, read_attachments
+from quadftc_ros.recorder import choose_topics, flight_stamp_ns, judge, read_attachments
 from quadftc_ros.topics import Topic
 from quadftc_ros.transport import Take
 from quadftc_ros.versions import versions
@@ -51,6 +49,15 @@ class RecorderNode(GraphNode):
 
     Unless it ``subscribes``, nodes in the same process give it their messages by its `tap`. A wrong parameter
     is a ValueError: the directory exists or cannot be made, a topic is unknown, an attachment unreadable.
+
+    Attributes
+    ----------
+    path : Path
+        The MCAP file being written.
+    process_id : int
+        Of the process that writes it.
+    received : int
+        Messages so far, stored or still waiting to be.
     """
 
     def __init__(self, *, subscribes: bool = True, **kwargs: Any) -> None:
@@ -59,33 +66,22 @@ class RecorderNode(GraphNode):
         self.settings.declare_list("topics", "topics to record, as named in the table; empty: all")
         self.settings.declare_list("attachments", "paths of files to store inside the bag")
         values = self.settings.values()
-        rows = [(row, load_message_class(row.type_name)) for row in choose_topics(values["topics"])]
-        self._stamped = StampedMessages()
-        self.received = 0  # messages so far, stored or still waiting to be
-        self._writer = self._open(values, BagWriter if subscribes else BagProcess)
+        rows = choose_topics(values["topics"])
+        self._writer = self._open(values)
+        self.path, self.process_id = self._writer.path, self._writer.process_id
+        self._newest_ns = self.received = 0
         self._takes: dict[str, Take] = {}
-        for row, message_class in rows:
-            self._record(row, message_class, subscribes)
+        for row in rows:
+            self._record(row, subscribes)
         self.flush()  # it takes time to get ready for the topics, which is not to be that of the flight
         self.create_timer(CHECK_PERIOD, self._check)
-        if isinstance(self._writer, BagProcess):
-            self.create_timer(HAND_OVER_PERIOD, self._writer.hand_over, clock=self.steady_clock)
+        self.create_timer(HAND_OVER_PERIOD, self._writer.hand_over, clock=self.steady_clock)
         self.ready()
-
-    @property
-    def path(self) -> Path:
-        """The MCAP file being written."""
-        return self._writer.path
 
     @property
     def status(self) -> BagStatus:
         """Messages stored by topic, messages dropped or lost, and the error that stopped the recording."""
         return self._writer.status
-
-    @property
-    def process_id(self) -> int | None:
-        """Of the process that writes the bag, if it is another one."""
-        return self._writer.process_id if isinstance(self._writer, BagProcess) else None
 
     def flush(self) -> bool:
         """Wait until all that was received is on the disk; return whether it is."""
@@ -103,11 +99,11 @@ class RecorderNode(GraphNode):
             self.get_logger().error(f"{missing} messages are not in {self.path}")
         super().destroy_node()
 
-    def _open(self, values: dict[str, Any], kind: type[BagWriter | BagProcess]) -> BagWriter | BagProcess:
+    def _open(self, values: dict[str, Any]) -> BagProcess:
         if not values["directory"]:
             raise ValueError("directory = '': expected the path of a new directory")
         try:
-            return kind(
+            return BagProcess(
                 values["directory"],
                 read_attachments([Path(path) for path in values["attachments"]]),
                 {"mode": self.mode, **versions()},
@@ -129,25 +125,23 @@ class RecorderNode(GraphNode):
 
         return take
 
-    def _record(self, row: Topic, message_class: type, subscribes: bool) -> None:
+    def _record(self, row: Topic, subscribes: bool) -> None:
         """Store what comes on a topic under its full name."""
-        offered = topic_profile(row.qos, self.mode)
-        wanted = QoSProfile(
-            depth=RECEIVE_DEPTH[self.mode], reliability=offered.reliability, durability=offered.durability
-        )
-        name = self.resolve_topic_name(row.name)
+        offered, name = topic_profile(row.qos, self.mode), self.resolve_topic_name(row.name)
         self._writer.add_topic(name, row.type_name, offered)
         take_timed = self._take_by_stamp if self.lockstep else self._take_by_clock
         self._takes[name] = take = partial(take_timed, self._writer.input(name))
         if subscribes:
-            self.create_subscription(message_class, row.name, take, wanted, raw=True)
+            offered.depth = RECEIVE_DEPTH[self.mode]
+            self.create_subscription(load_message_class(row.type_name), row.name, take, offered, raw=True)
 
     def _take_by_stamp(self, write: Input, data: bytes) -> None:
-        stamp_ns = self._stamped.log_time_ns(data)
+        stamp_ns = flight_stamp_ns(data)
         if stamp_ns is None:
             self.diagnostics.count("messages without a stamp, not recorded")
         elif stamp_ns:
             self._flying = True
+            self._newest_ns = stamp_ns
             self.received += 1
             write(data, stamp_ns, stamp_ns)
 
@@ -161,7 +155,7 @@ class RecorderNode(GraphNode):
         level, message, values = judge(self.status)
         self.diagnostics.report("bag", LEVELS[level], message, **values)
         if self.lockstep and level != "ok" and self.diagnostics.changed:
-            self.diagnostics.publish(self._stamped.newest_ns)
+            self.diagnostics.publish(self._newest_ns)
 
 
 def main() -> int:

@@ -6,18 +6,15 @@ from rclpy.serialization import serialize_message
 
 from message_objects import VectorWriter
 from quadftc_bags.writer import BagStatus
-from quadftc_ros.recorder import StampedMessages, choose_topics, judge, read_attachments
+from quadftc_ros.recorder import choose_topics, flight_stamp_ns, judge, read_attachments
 from quadftc_ros.topics import TOPICS
 
 
 def test_lockstep_stores_by_stamp_and_leaves_out_what_has_none():
-    stamped = StampedMessages()
-    data = serialize_message(VectorWriter("map")(5, np.zeros(3)))
-    assert (stamped.log_time_ns(data), stamped.newest_ns) == (5, 5)
-    before = serialize_message(VectorWriter("map")(0, np.zeros(3)))
-    assert (stamped.log_time_ns(before), stamped.newest_ns) == (0, 5)
-    assert stamped.log_time_ns(b"") is None
-    assert stamped.log_time_ns(b"\0\1\0\0" + b"\xff" * 4 + bytes(4)) is None  # negative
+    for stamp_ns in (5, 0):  # zero: before the flight
+        assert flight_stamp_ns(serialize_message(VectorWriter("map")(stamp_ns, np.zeros(3)))) == stamp_ns
+    assert flight_stamp_ns(b"") is None
+    assert flight_stamp_ns(b"\0\1\0\0" + b"\xff" * 4 + bytes(4)) is None  # negative
 
 
 @pytest.mark.parametrize(

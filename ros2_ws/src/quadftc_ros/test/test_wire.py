@@ -22,7 +22,7 @@ from message_objects import (
     imu_sample,
     reference_of,
 )
-from quadftc_bags.cdr.padding import PaddingCleaner
+from quadftc_bags.cdr.layout import PaddingCleaner
 from quadftc_model.samples import AttitudeReference, ControllerOutput, FaultEstimate, ImuSample, level_sample
 from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
 from quadftc_ros.conversions import array_of

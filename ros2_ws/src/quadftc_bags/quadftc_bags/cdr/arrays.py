@@ -1,4 +1,4 @@
-"""Serialised messages of a whole topic to NumPy arrays and back.
+"""Serialised messages of a whole topic to NumPy arrays.
 
 The messages of a topic usually have the same layout. Then each field of all messages is one slice of a matrix
 of bytes. Where they differ, every message is decoded by itself.
@@ -18,14 +18,14 @@ Names of the arrays (n messages):
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 from rosbags.interfaces.typing import FieldDesc, Typesdict
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
 from quadftc_bags.cdr.layout import ORIGIN, Field, Layout, Leaf, Place, byte_order, find_layout, find_leaves
 
@@ -33,77 +33,30 @@ Arrays = dict[str, NDArray[Any]]
 Bytes = NDArray[np.uint8]
 
 
-def decode_topic(types: Typesdict, type_name: str, data: bytes, sizes: Sequence[int]) -> Arrays:
+def decode_topic(types: Typesdict, type_name: str, messages: Sequence[bytes]) -> Arrays:
     """Decode all messages of a topic; return one array per field, none for no messages.
 
-    Parameters
-    ----------
-    types : dict
-        Definitions of the type and all it uses (`rosbags.typesys.get_types_from_msg`).
-    type_name : str
-        ``package/msg/Name``.
-    data : bytes
-        The serialised messages, one after the other.
-    sizes : sequence of int
-        Their lengths [bytes].
-
-    Raises ValueError if a message does not fit its type.
+    ``types`` defines ``type_name`` (``package/msg/Name``) and all it uses. Raises ValueError if a message
+    does not fit its type.
     """
-    leaves = find_leaves(_stored_fields(types), type_name) if sizes else ()
-    if not leaves:
+    if not messages:
         return {}
-    if min(sizes) == max(sizes):
-        matrix = np.frombuffer(data, np.uint8).reshape(len(sizes), sizes[0])
-        layout = _common_layout(leaves, bytes(matrix[0]))
-        if layout is not None and _is_common(layout, matrix):
+    leaves = _leaves(types, type_name)
+    if len({len(data) for data in messages}) == 1 and (layout := _common_layout(leaves, messages[0])):
+        matrix = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
+        # byte order and all lengths
+        columns = matrix[:, [1] + [offset + k for offset, _ in layout.lengths for k in range(4)]]
+        if bool(np.all(columns == columns[0])):
             return {place.leaf.name: _take(matrix, place) for place in layout.places}
-    return _decode_each(types, type_name, leaves, data, sizes)
+    return _decode_each(types, type_name, leaves, messages)
 
 
-def encode_topic(
-    type_name: str, definition: str, template: bytes, columns: Mapping[str, NDArray[Any]]
-) -> list[bytes]:
-    """Serialise n messages of the layout of one template, whose strings they keep.
-
-    Parameters
-    ----------
-    type_name : str
-        ``package/msg/Name``.
-    definition : str
-        Text of the type and of all types it uses.
-    template : bytes
-        A message, little-endian; fields that are no column are taken from it.
-    columns : mapping
-        Field, named as in the module's table, to its values over all messages (n, ...).
-
-    Raises ValueError if the messages cannot have a common layout, or a column does not fit its field.
-    """
-    types = get_types_from_msg(definition, type_name)
-    layout = _common_layout(find_leaves(_stored_fields(types), type_name), template)
-    if layout is None or byte_order(template) != "<":
-        raise ValueError(f"{type_name}: the messages have no common layout")
-    places = {place.leaf.name: place for place in layout.places}
-    count = len(next(iter(columns.values())))
-    matrix = np.tile(np.frombuffer(template, np.uint8), (count, 1))
-    for name, values in columns.items():
-        if name not in places:
-            raise ValueError(f"{type_name}: no field '{name}'; fields: {', '.join(places)}")
-        raw = _put(places[name], values)
-        offset = places[name].offset
-        matrix[:, offset : offset + raw.shape[1]] = raw
-    return [row.tobytes() for row in matrix]
+def _leaves(types: Typesdict, type_name: str) -> tuple[Leaf, ...]:
+    """Return the leaves of a message type by the definitions in a bag."""
+    return find_leaves(lambda name: [_field(*field) for field in types[name][1]], type_name)
 
 
-def _stored_fields(types: Typesdict) -> Callable[[str], list[Field]]:
-    """Return what gives the fields of a message type by the definitions in a bag."""
-
-    def fields_of(type_name: str) -> list[Field]:
-        return [_stored_field(name, content) for name, content in types[type_name][1]]
-
-    return fields_of
-
-
-def _stored_field(name: str, content: FieldDesc) -> Field:
+def _field(name: str, content: FieldDesc) -> Field:
     length: int | None = None
     element: Any = content
     if content[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
@@ -119,74 +72,43 @@ def _common_layout(leaves: Sequence[Leaf], sample: bytes) -> Layout | None:
     return find_layout(leaves, sample)
 
 
-def _is_common(layout: Layout, matrix: Bytes) -> bool:
-    """Return whether byte order and all lengths are the same in each message."""
-    columns = [1] + [offset + k for offset, _ in layout.lengths for k in range(4)]
-    chosen = matrix[:, columns]
-    return bool(np.all(chosen == chosen[0]))
-
-
 def _take(matrix: Bytes, place: Place) -> NDArray[Any]:
     """Return one leaf of all messages."""
     leaf, offset, number = place
-    rows = len(matrix)
-    dtype = np.dtype(leaf.dtype).newbyteorder(byte_order(bytes(matrix[0, :2])))
-    width = number * leaf.width
-    raw = np.ascontiguousarray(matrix[:, offset : offset + width * dtype.itemsize])
+    dtype = np.dtype(leaf.code).newbyteorder(byte_order(bytes(matrix[0, :2])))
+    raw = np.ascontiguousarray(matrix[:, offset : offset + number * leaf.width * dtype.itemsize])
     if leaf.kind == "string":
         return _texts(raw)
-    values = raw.view(dtype).reshape(rows, width) if width else np.empty((rows, 0), dtype)
-    values = values.astype(dtype.newbyteorder("="), copy=False)
-    shape = () if leaf.length is None else (number,)
-    if leaf.kind == "time":
-        return _nanoseconds(values.reshape(rows, *shape, 2))
-    return values.reshape(rows, *shape, *((leaf.width,) if leaf.kind == "vector" else ()))
+    shape = (len(matrix), *(() if leaf.length is None else (number,)))
+    values = np.frombuffer(raw.tobytes(), dtype).astype(dtype.newbyteorder("="))
+    if leaf.kind == "time":  # signed seconds, unsigned nanoseconds
+        pairs = values.reshape(*shape, 2)
+        return pairs[..., 0].astype(np.int64) * 1_000_000_000 + pairs[..., 1].view(np.uint32)
+    return values.reshape(*shape, *((leaf.width,) if leaf.kind == "vector" else ()))
 
 
-def _put(place: Place, values: NDArray[Any]) -> Bytes:
-    """Return the bytes of a field over all messages (n, size)."""
-    leaf = place.leaf
-    dtype = np.dtype(leaf.dtype).newbyteorder("<")
-    if leaf.kind == "time":
-        pairs = np.stack(np.divmod(np.asarray(values, np.int64), 1_000_000_000), axis=-1)
-        cells = pairs.astype("<i4").reshape(len(values), -1)
-    else:
-        cells = np.ascontiguousarray(values, dtype).reshape(len(values), -1)
-    if leaf.kind == "string" or cells.shape[1] != place.number * leaf.width:
-        raise ValueError(f"field '{leaf.name}': values of shape {values.shape} do not fit")
-    return np.ascontiguousarray(cells).view(np.uint8)
-
-
-def _texts(raw: NDArray[np.uint8]) -> NDArray[Any]:
+def _texts(raw: Bytes) -> NDArray[Any]:
     """Return the strings whose bytes, with the closing zero, are the rows."""
-    if bool(np.all(raw == raw[0])):
-        return np.full(len(raw), raw[0].tobytes().rstrip(b"\0").decode("utf-8", "replace"))
-    return np.array([row.tobytes().rstrip(b"\0").decode("utf-8", "replace") for row in raw])
-
-
-def _nanoseconds(pairs: NDArray[Any]) -> NDArray[np.int64]:
-    """Return int64 nanoseconds from (..., 2): signed seconds and unsigned nanoseconds."""
-    return pairs[..., 0].astype(np.int64) * 1_000_000_000 + pairs[..., 1].view(np.uint32).astype(np.int64)
+    rows = raw[:1] if bool(np.all(raw == raw[0])) else raw
+    texts = np.array([row.tobytes().rstrip(b"\0").decode("utf-8", "replace") for row in rows])
+    return texts if len(texts) == len(raw) else np.full(len(raw), texts[0])
 
 
 def _decode_each(
-    types: Typesdict, type_name: str, leaves: Sequence[Leaf], data: bytes, sizes: Sequence[int]
+    types: Typesdict, type_name: str, leaves: Sequence[Leaf], messages: Sequence[bytes]
 ) -> Arrays:
     """Decode message by message."""
     store = get_typestore(Stores.EMPTY)
     store.register(types)
     definition: Any = store.get_msgdef(type_name)
     columns: dict[str, list[Any]] = {leaf.name: [] for leaf in leaves}
-    start = 0
-    for size in sizes:
+    for data in messages:
         try:
             # Not store.deserialize_cdr: it refuses the bytes that Fast DDS may leave behind a message's end.
-            body = data[start + ORIGIN : start + size]
-            read = definition.deserialize_cdr_le if data[start + 1] & 1 else definition.deserialize_cdr_be
-            message: Any = read(body, 0, definition.cls, store)[0]
+            read = definition.deserialize_cdr_le if data[1] & 1 else definition.deserialize_cdr_be
+            message: Any = read(data[ORIGIN:], 0, definition.cls, store)[0]
         except Exception as error:
-            raise ValueError(f"a message of {size} bytes is no {type_name} ({error!r})") from error
-        start += size
+            raise ValueError(f"a message of {len(data)} bytes is no {type_name} ({error!r})") from error
         for leaf in leaves:
             columns[leaf.name].append(_value(leaf, message))
     return {leaf.name: _column(leaf, columns[leaf.name]) for leaf in leaves}
@@ -204,7 +126,7 @@ def _value(leaf: Leaf, message: Any) -> Any:
         rows = np.array([e.sec * 1_000_000_000 + e.nanosec for e in elements], np.int64)
     else:
         parts = [[getattr(e, axis) for axis in "xyzw"[: leaf.width]] for e in elements]
-        rows = np.array(parts, leaf.dtype).reshape(len(parts), leaf.width)
+        rows = np.array(parts, leaf.code).reshape(len(parts), leaf.width)
     return rows[0] if leaf.length is None else rows
 
 
@@ -212,7 +134,7 @@ def _column(leaf: Leaf, values: list[Any]) -> NDArray[Any]:
     """Stack the values of all messages; values of different lengths stay objects."""
     ragged = leaf.length == -1 and len({len(value) for value in values}) > 1
     if leaf.kind != "object" and not ragged and not (leaf.kind == "string" and leaf.length is not None):
-        return np.array(values, dtype=np.dtype(leaf.dtype) if leaf.kind == "number" else None)
+        return np.array(values, dtype=np.dtype(leaf.code) if leaf.kind == "number" else None)
     column = np.empty(len(values), object)
     for row, value in enumerate(values):
         column[row] = value

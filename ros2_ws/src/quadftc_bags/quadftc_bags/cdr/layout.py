@@ -12,27 +12,22 @@ import struct
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
-
 from quadftc_bags.interfaces import load_message_class
 
 ORIGIN = 4  # bytes of encapsulation before the message; alignment counts from behind them
 PLAIN = (b"\x00\x00", b"\x00\x01")  # encapsulation of plain CDR, big and little endian
-STAMP, FRAME_LENGTH, FRAME = (
-    4,
-    12,
-    16,
-)  # of a header at the start of a message
+STAMP, FRAME_LENGTH, FRAME = 4, 12, 16  # offsets in a message that begins with a header
 
 Kind = Literal["number", "time", "vector", "string", "object"]
 
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
-_DTYPES = {
+_CODES = {  # of numbers, the same for `struct` and NumPy
     **dict.fromkeys(("bool", "boolean"), "?"),
-    **dict.fromkeys(("byte", "char", "octet"), "u1"),
-    **dict.fromkeys(("float32", "float"), "f4"),
-    **dict.fromkeys(("float64", "double"), "f8"),
-    **{f"{sign}int{8 * size}": f"{sign or 'i'}{size}" for sign in ("", "u") for size in (1, 2, 4, 8)},
+    **dict.fromkeys(("byte", "char", "octet"), "B"),
+    **dict.fromkeys(("float32", "float"), "f"),
+    **dict.fromkeys(("float64", "double"), "d"),
+    **{f"int{8 << power}": code for power, code in enumerate("bhiq")},
+    **{f"uint{8 << power}": code for power, code in enumerate("BHIQ")},
 }
 _FIELD_TYPE = re.compile(r"(sequence<)?([\w/]+)(?:<\d+>)?(?:(?:, \d+)?>)?(?:\[(\d+)\])?")
 
@@ -51,14 +46,14 @@ class Field(NamedTuple):
 class Leaf(NamedTuple):
     """A field, or a field of a nested message, that becomes one array.
 
-    ``path`` leads to it from the message, ``width`` counts the numbers of one element, ``length`` is that of
-    `Field`. An ``object`` has the leaves of one element as ``parts``; None: its layout is not known.
+    ``path`` leads to it from the message, ``code`` is the type of its numbers, ``width`` how many one element
+    has, ``length`` that of `Field`; ``parts`` are the leaves of an element of an ``object``, None: not known.
     """
 
     name: str
     path: tuple[str, ...]
     kind: Kind
-    dtype: str
+    code: str
     width: int
     length: int | None
     parts: tuple[Leaf, ...] | None = None
@@ -72,26 +67,119 @@ class Place(NamedTuple):
     number: int
 
 
-class Layout(NamedTuple):
-    """The layout of one message of ``size`` bytes, the last of them that mean something before ``end``.
+class Layout:
+    """The layout of one message, found in one pass over it; struct.error or IndexError if it does not fit.
 
-    ``lengths`` has offset and bytes of each length word, ``gaps`` start and stop of each padding.
+    Attributes
+    ----------
+    end : int
+        Where the bytes end that mean something.
+    places : list of Place
+    lengths : list of (int, bytes)
+        Offset and bytes of each length word.
+    gaps : list of (int, int)
+        Start and stop of each padding.
     """
 
-    size: int
-    end: int
-    places: tuple[Place, ...]
-    lengths: tuple[tuple[int, bytes], ...]
-    gaps: tuple[tuple[int, int], ...]
+    def __init__(self, leaves: Sequence[Leaf], data: bytes) -> None:
+        self.end = ORIGIN
+        self.places: list[Place] = []
+        self.lengths: list[tuple[int, bytes]] = []
+        self.gaps: list[tuple[int, int]] = []
+        self._data = data
+        self._word = struct.Struct(f"{byte_order(data)}I")
+        self._pass_message(leaves)
+        if self.end > len(data):
+            raise IndexError
 
     def fits(self, data: bytes) -> bool:
         """Return whether another message of the type has this layout."""
-        return len(data) == self.size and all(data[at : at + 4] == word for at, word in self.lengths)
+        return len(data) == len(self._data) and all(data[at : at + 4] == word for at, word in self.lengths)
+
+    def _pass_message(self, leaves: Sequence[Leaf] | None) -> None:
+        if leaves is None:
+            raise IndexError
+        if not leaves:
+            self.end += 1  # an empty message holds one byte
+        for leaf in leaves:
+            number = 1 if leaf.length is None else leaf.length
+            if leaf.length == -1:
+                number = self._read_length()
+            if leaf.kind == "object":
+                for _ in range(number):
+                    self._pass_message(leaf.parts)
+            elif leaf.kind == "string":
+                for _ in range(number):
+                    self._put(leaf, self._read_length(), 1)
+            else:
+                self._put(leaf, number, item_size(leaf))
+
+    def _put(self, leaf: Leaf, number: int, size: int) -> None:
+        if number:
+            self._align(size)
+        self.places.append(Place(leaf, self.end, number))
+        self.end += number * leaf.width * size
+
+    def _read_length(self) -> int:
+        self._align(4)
+        at = self.end
+        (number,) = self._word.unpack_from(self._data, at)
+        if number > len(self._data):
+            raise IndexError
+        self.lengths.append((at, self._data[at : at + 4]))
+        self.end += 4
+        return number
+
+    def _align(self, size: int) -> None:
+        gap = (ORIGIN - self.end) % size
+        if gap:
+            self.gaps.append((self.end, self.end + gap))
+            self.end += gap
+
+
+class PaddingCleaner:
+    """Make messages of one topic depend on their values only: padding is zero, nothing follows the end.
+
+    Fast DDS leaves the bytes between fields, and sometimes a few behind the last field, as it finds them in
+    memory. Two recordings of the same values would differ there. Cleaning is fast while strings and sequences
+    keep their lengths.
+
+    Raises ValueError if the type (``package/msg/Name``) is not installed, or has a field of no known layout.
+    """
+
+    def __init__(self, type_name: str) -> None:
+        self._leaves = find_leaves(installed_fields, type_name)
+        self._layout: Layout | None = None
+
+    def clean(self, data: bytes) -> bytes:
+        """Return the message with zero padding, cut at its end; unchanged if it does not fit its type."""
+        layout = self._layout
+        if layout is None or not layout.fits(data):
+            layout = self._layout = find_layout(self._leaves, data)
+        if layout is None:
+            return data
+        cleaned = bytearray(data[: layout.end])
+        for start, stop in layout.gaps:
+            cleaned[start:stop] = bytes(stop - start)
+        return bytes(cleaned)
 
 
 def byte_order(data: bytes) -> Literal["<", ">"]:
     """Return the byte order that the encapsulation of a message states."""
     return "<" if data[1] & 1 else ">"
+
+
+def item_size(leaf: Leaf) -> int:
+    """Return the bytes of one number of a leaf."""
+    return struct.calcsize(f"={leaf.code}")
+
+
+def find_layout(leaves: Sequence[Leaf], data: bytes) -> Layout | None:
+    """Return the layout of one message; None if it does not fit its type, or a field is not known."""
+    try:
+        return Layout(leaves, data)
+    except (struct.error, IndexError):
+        return None
 
 
 def installed_fields(type_name: str) -> list[Field]:
@@ -122,90 +210,23 @@ def find_leaves(
     return tuple(leaves)
 
 
-def find_layout(leaves: Sequence[Leaf], data: bytes) -> Layout | None:
-    """Return the layout of one message; None if it does not fit its type, or a field is not known."""
-    try:
-        walk = _Walk(data)
-        walk.pass_message(leaves)
-    except (struct.error, IndexError):
-        return None
-    if walk.position > len(data):
-        return None
-    return Layout(len(data), walk.position, tuple(walk.places), tuple(walk.lengths), tuple(walk.gaps))
-
-
-class _Walk:
-    """One pass over a serialised message."""
-
-    def __init__(self, data: bytes) -> None:
-        self.position = ORIGIN
-        self.places: list[Place] = []
-        self.lengths: list[tuple[int, bytes]] = []
-        self.gaps: list[tuple[int, int]] = []
-        self._data = data
-        self._word = struct.Struct(f"{byte_order(data)}I")
-
-    def pass_message(self, leaves: Sequence[Leaf] | None) -> None:
-        if leaves is None:
-            raise IndexError
-        if not leaves:
-            self.position += 1  # an empty message holds one byte
-        for leaf in leaves:
-            self._pass_leaf(leaf)
-
-    def _pass_leaf(self, leaf: Leaf) -> None:
-        number = 1 if leaf.length is None else leaf.length
-        if leaf.length == -1:
-            number = self._read_length()
-        if leaf.kind == "object":
-            for _ in range(number):
-                self.pass_message(leaf.parts)
-        elif leaf.kind == "string":
-            for _ in range(number):
-                self._put(leaf, self._read_length(), 1)
-        else:
-            self._put(leaf, number, np.dtype(leaf.dtype).itemsize)
-
-    def _put(self, leaf: Leaf, number: int, size: int) -> None:
-        if number:
-            self._align(size)
-        self.places.append(Place(leaf, self.position, number))
-        self.position += number * leaf.width * size
-
-    def _read_length(self) -> int:
-        self._align(4)
-        at = self.position
-        (number,) = self._word.unpack_from(self._data, at)
-        if number > len(self._data):
-            raise IndexError
-        self.lengths.append((at, self._data[at : at + 4]))
-        self.position += 4
-        return number
-
-    def _align(self, size: int) -> None:
-        gap = (ORIGIN - self.position) % size
-        if gap:
-            self.gaps.append((self.position, self.position + gap))
-            self.position += gap
-
-
 def _leaf(
     fields_of: Callable[[str], Sequence[Field]], field: Field, path: tuple[str, ...], name: str
 ) -> Leaf:
     base, length = field.base, field.length
     if base == "string":
-        return Leaf(name, path, "string", "u1", 1, length)
-    if base in _DTYPES:
-        return Leaf(name, path, "number", _DTYPES[base], 1, length)
+        return Leaf(name, path, "string", "B", 1, length)
+    if base in _CODES:
+        return Leaf(name, path, "number", _CODES[base], 1, length)
     if base in _TIMES:
-        return Leaf(f"{name}_ns", path, "time", "i4", 2, length)
+        return Leaf(f"{name}_ns", path, "time", "i", 2, length)
     if "/" not in base:
         return Leaf(name, path, "object", "", 1, length)
     inner = fields_of(base)
-    dtypes = {_DTYPES.get(each.base) if each.length is None else None for each in inner}
-    if [each.name for each in inner] in (list("xyz"), list("xyzw")) and dtypes in ({"f4"}, {"f8"}):
+    codes = {_CODES.get(each.base, "") if each.length is None else "" for each in inner}
+    if [each.name for each in inner] in (list("xyz"), list("xyzw")) and codes in ({"f"}, {"d"}):
         suffix = "_xyzw" if len(inner) == 4 else ""
-        return Leaf(name + suffix, path, "vector", dtypes.pop() or "", len(inner), length)
+        return Leaf(name + suffix, path, "vector", codes.pop(), len(inner), length)
     prefix = "" if base == "std_msgs/msg/Header" and name == "header" else f"{name}."
     return Leaf(name, path, "object", "", 1, length, find_leaves(fields_of, base, path, prefix))
 
@@ -214,7 +235,7 @@ def _parse_field(name: str, text: str) -> Field:
     """Return a field from the name of its type in the generated Python class."""
     match = _FIELD_TYPE.fullmatch(text)
     base = match[2] if match else text
-    if match is None or not (base in _DTYPES or base == "string" or "/" in base):
+    if match is None or not (base in _CODES or base == "string" or "/" in base):
         raise ValueError(f"field '{name}' of type {text}: no known layout")
     length = -1 if match[1] else int(match[3]) if match[3] else None
     return Field(name, base.replace("/", "/msg/"), length)

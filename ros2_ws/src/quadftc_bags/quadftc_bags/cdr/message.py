@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import struct
 from functools import partial
+from itertools import product
 from typing import Any
 
-import numpy as np
 from rclpy.serialization import deserialize_message, serialize_message
 
 from quadftc_bags.cdr.layout import (
@@ -19,11 +19,12 @@ from quadftc_bags.cdr.layout import (
     FRAME_LENGTH,
     PLAIN,
     STAMP,
-    Leaf,
+    PaddingCleaner,
     byte_order,
     find_layout,
     find_leaves,
     installed_fields,
+    item_size,
 )
 
 NANOSECONDS = 1_000_000_000  # per second
@@ -56,25 +57,17 @@ def read_message(data: bytes, message_class: type) -> Any:
 
 
 class NumberReader:
-    """Read the numbers of messages that are a header and then numbers of fixed count.
-
-    Parameters
-    ----------
-    message_class : type
-    """
+    """Read the numbers of messages that are a header and then numbers of fixed count."""
 
     def __init__(self, message_class: type) -> None:
         self._class = message_class
-        leaves = _leaves(message_class)
         self._lengths = struct.Struct(">I"), struct.Struct("<I")
         # by byte order, and length of frame_id modulo the largest alignment: gap behind frame_id, unpacker
-        self._bodies: list[list[tuple[int, Any]]] = []
-        for flag, word in enumerate(self._lengths):
-            samples = [bytes([0, flag, *bytes(10)]) + word.pack(length) + _ROOM for length in range(8)]
-            bodies = [_find_numbers(leaves, sample) for sample in samples]
-            self._bodies.append(
-                [(start - FRAME - length, body.unpack_from) for length, (start, body) in enumerate(bodies)]
-            )
+        self._bodies: list[list[tuple[int, Any]]] = [[], []]
+        for flag, length in product((0, 1), range(8)):
+            sample = bytes([0, flag, *bytes(10)]) + self._lengths[flag].pack(length) + _ROOM
+            start, body = _find_numbers(message_class, sample)
+            self._bodies[flag].append((start - FRAME - length, body.unpack_from))
 
     def __call__(self, data: bytes) -> tuple[Any, ...]:
         """Return the numbers in the order of the type's definition; ValueError if it is no such message."""
@@ -92,16 +85,14 @@ class NumberReader:
 class NumberWriter:
     """Write messages that are a header and then numbers of fixed count.
 
-    Parameters
-    ----------
-    message
-        Gives type and frame; its numbers do not matter.
+    ``message`` gives type and frame; its numbers do not matter.
     """
 
     def __init__(self, message: Any) -> None:
-        self._data = data = bytearray(serialize_message(message))
-        start, body = _find_numbers(_leaves(type(message)), bytes(data))
-        self._set_stamp = partial(struct.Struct(f"{byte_order(bytes(data))}iI").pack_into, data, STAMP)
+        clean = PaddingCleaner(_type_name(type(message))).clean(serialize_message(message))
+        self._data = data = bytearray(clean)
+        start, body = _find_numbers(type(message), clean)
+        self._set_stamp = partial(struct.Struct(f"{byte_order(clean)}iI").pack_into, data, STAMP)
         self._set_numbers = partial(body.pack_into, data, start)
 
     def __call__(self, stamp_ns: int, *numbers: float) -> bytes:
@@ -111,21 +102,19 @@ class NumberWriter:
         return bytes(self._data)
 
 
-def _leaves(message_class: type) -> tuple[Leaf, ...]:
-    package = message_class.__module__.partition(".")[0]
-    return find_leaves(installed_fields, f"{package}/msg/{message_class.__name__}")
+def _type_name(message_class: type) -> str:
+    return f"{message_class.__module__.partition('.')[0]}/msg/{message_class.__name__}"
 
 
-def _find_numbers(leaves: tuple[Leaf, ...], data: bytes) -> tuple[int, struct.Struct]:
+def _find_numbers(message_class: type, data: bytes) -> tuple[int, struct.Struct]:
     """Return where the numbers behind the header begin, and what packs them; padding is zero."""
-    layout = find_layout(leaves, data)
+    layout = find_layout(find_leaves(installed_fields, _type_name(message_class)), data)
     assert layout is not None
     _, _, *places = layout.places  # behind stamp and frame_id
     start = position = places[0].offset
-    codes: list[str] = []
+    codes = byte_order(data)
     for leaf, offset, number in places:
-        dtype = np.dtype(leaf.dtype)
-        code = "iI" if leaf.kind == "time" else dtype.char.replace("l", "q").replace("L", "Q") * leaf.width
-        codes += ["x" * (offset - position), code * number]
-        position = offset + number * leaf.width * dtype.itemsize
-    return start, struct.Struct(byte_order(data) + "".join(codes))
+        code = "iI" if leaf.kind == "time" else leaf.code * leaf.width
+        codes += "x" * (offset - position) + code * number
+        position = offset + number * leaf.width * item_size(leaf)
+    return start, struct.Struct(codes)

@@ -11,9 +11,8 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from quadftc_bags.repair import Repair
+from quadftc_bags.repair import Repair, Survey
 from quadftc_bags.repair import repair as repair_bag
-from quadftc_bags.salvage import Survey
 from quadftc_bags.storage import Damage
 from quadftc_cli.screen import console, say
 
