@@ -14,6 +14,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 from collections.abc import Callable, Mapping
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from quadftc_ros.conversions import Floats, array_of, revise_status
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import StampJoin
-from quadftc_ros.node import GraphNode, wall_seconds
+from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import BASE_FRAME
 from quadftc_ros.transport import decoding
 from quadftc_ros.wire import (
@@ -95,8 +96,8 @@ class ControllerNode(GraphNode):
         self.driven_by("imu/corrected", self._on_corrected, restart=self._manager.restart, decode=imu_of)
         self.reads("attitude/reference", self._on_reference, decode=reference_in)
         self.reads("disturbance/estimate", self._on_disturbance, decode=vector_of)
-        self.reads_raw("imu/data", self._on_raw)
-        self.reads_raw("fault/status", self._manager.take_status)
+        self.reads("imu/data", self._on_raw, decode=bytes)
+        self.reads("fault/status", self._manager.take_status, decode=bytes)
         self._fall_back = decoding("imu/data", self._on_fallback, imu_of, self.diagnostics.count)
         if not self.lockstep:
             self._publish_kept = {
@@ -123,14 +124,14 @@ class ControllerNode(GraphNode):
         if self.lockstep:
             self._join.put("imu", stamp_ns, imu)
             return
-        begin = wall_seconds()
+        begin = perf_counter()
         self._say(self._manager.take_corrected(stamp_ns, imu), begin)
 
     def _on_all(
         self, stamp_ns: int, imu: ImuSample, reference: AttitudeReference, disturbance: Floats
     ) -> None:
         """Lock-step: all inputs of one sample are there."""
-        begin = wall_seconds()
+        begin = perf_counter()
         self._say(self._manager.fly(stamp_ns, ControllerInputs(imu, reference, disturbance)), begin)
 
     def _on_raw(self, stamp_ns: int, data: bytes) -> None:
@@ -138,11 +139,11 @@ class ControllerNode(GraphNode):
             self._fall_back(stamp_ns, data)
 
     def _on_fallback(self, stamp_ns: int, imu: ImuSample) -> None:
-        begin = wall_seconds()
+        begin = perf_counter()
         self._say(self._manager.take_raw(stamp_ns, imu), begin)
 
     def _on_watchdog(self) -> None:
-        begin = wall_seconds()
+        begin = perf_counter()
         self._say(self._manager.watch(self.pace.now().nanoseconds), begin)
 
     def _say(self, command: Command | None, begin: float) -> None:
@@ -154,7 +155,7 @@ class ControllerNode(GraphNode):
             return
         stamp_ns, output, mode = command
         self._publish_torque(self._body(stamp_ns, output.torque))
-        self._publish_status(self._status(stamp_ns, output, mode, wall_seconds() - begin))
+        self._publish_status(self._status(stamp_ns, output, mode, perf_counter() - begin))
         if mode is not self._mode:
             self._mode = mode
             self.diagnostics.report("mode", *_REPORTS[mode])

@@ -45,7 +45,9 @@ class Children:
     def ended(self) -> dict[str, int]:
         """Return the exit codes of those that have ended."""
         codes = {name: process.poll() for name, process in self._processes.items()}
-        return {name: _exit_code(code) for name, code in codes.items() if code is not None}
+        return {
+            name: code if code >= 0 else SIGNALLED - code for name, code in codes.items() if code is not None
+        }
 
     def stop(self, patience: float = PATIENCE) -> int:
         """Send SIGINT to each, wait up to ``patience`` [s], kill what does not listen.
@@ -68,7 +70,3 @@ class Children:
                     process.kill()
                     process.wait()
         return max(self.ended().values(), default=0)
-
-
-def _exit_code(code: int) -> int:
-    return code if code >= 0 else SIGNALLED - code

@@ -12,12 +12,7 @@ from quadftc_ros.conversions import NANOSECONDS, time_message
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.transport import Tap, tapped
 
-OK, WARN, ERROR, STALE = (
-    DiagnosticStatus.OK,
-    DiagnosticStatus.WARN,
-    DiagnosticStatus.ERROR,
-    DiagnosticStatus.STALE,
-)
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 WINDOW_NS = 900_000_000  # ns; shorter ones say little: diagnostics come at once on a change
 
 
@@ -36,7 +31,7 @@ class Diagnostics:
         profile = topic_profile("reliable", "realtime")
         self._publish = tapped(node.create_publisher(DiagnosticArray, "/diagnostics", profile), tap)
         self._statuses: dict[str, DiagnosticStatus] = {}
-        self._counts: Counter[str] = Counter()
+        self.counts: Counter[str] = Counter()  # what should not have happened, and how often it did
         self._counted = False  # since the last message
         self._due_ns = 0
         self.changed = False
@@ -62,16 +57,11 @@ class Diagnostics:
 
         The status ``samples`` is a warning when something was counted since the last message.
         """
-        self._counts[event] += 1
+        self.counts[event] += 1
         self._counted = True
         samples = self._statuses.get("samples")
         if samples is None or samples.level == OK:
             self.changed = True
-
-    @property
-    def counts(self) -> Counter[str]:
-        """What was counted so far, and how often."""
-        return self._counts
 
     def tick(self, stamp_ns: int) -> None:
         """Publish if a second has passed since the last time, or something changed [stamp in ns]."""
@@ -84,7 +74,7 @@ class Diagnostics:
         self._due_ns = stamp_ns + NANOSECONDS if stamp_ns else 0
         self._refresh()
         level, words = (WARN, "some were rejected or doubtful") if self._counted else (OK, "all used")
-        self.report("samples", level, words, **self._counts)
+        self.report("samples", level, words, **self.counts)
         self.changed = self._counted = False
         message = DiagnosticArray(status=[self._statuses[part] for part in sorted(self._statuses)])
         message.header.stamp = time_message(stamp_ns)
@@ -101,51 +91,35 @@ class SampleTiming:
     def __init__(self, clock: bool) -> None:
         self._clock = clock
         self._stamp_ns = -1  # newest
-        self._begin_ns: int | None = None  # of the window
-        self._count, self._sum_ns, self._worst_ns = 0, 0, 0
+        self._begin_ns = 0  # of the window
+        self._ages_ns: list[int] = []
         self._values: dict[str, object] = {}
+        self.began = False  # whether there was a sample at all
         self.idle = False  # whether no sample came in the window before
-
-    @property
-    def began(self) -> bool:
-        """Whether there was a sample at all."""
-        return self._begin_ns is not None
 
     def sampled(self, stamp_ns: int, now_ns: int = 0) -> None:
         """Note that the sample of a stamp was served [ns]; one that was noted before does not count."""
         if stamp_ns == self._stamp_ns:
             return
-        if self._begin_ns is None or (not self._clock and stamp_ns < self._stamp_ns):  # or a new flight
-            self._begin(now_ns if self._clock else stamp_ns)
-            self._stamp_ns = stamp_ns
-            return
+        if not self.began or (not self._clock and stamp_ns < self._stamp_ns):  # the first, or a new flight
+            self.began, self._begin_ns = True, now_ns if self._clock else stamp_ns
+            self._ages_ns.clear()
+        else:
+            self._ages_ns.append(now_ns - stamp_ns)
         self._stamp_ns = stamp_ns
-        self._count += 1
-        age_ns = now_ns - stamp_ns
-        self._sum_ns += age_ns
-        self._worst_ns = max(self._worst_ns, age_ns)
 
     def values(self, now_ns: int = 0) -> dict[str, object]:
         """Return ``rate_hz``, ``latency_ms`` and ``latency_max_ms`` of the last window, as text."""
-        if self._begin_ns is None:
-            return {}
         end_ns = now_ns if self._clock else self._stamp_ns
-        if not 0 <= end_ns - self._begin_ns < WINDOW_NS:
-            self._close(end_ns)
-        return self._values
-
-    def _close(self, end_ns: int) -> None:
-        assert self._begin_ns is not None
         passed_ns = end_ns - self._begin_ns
-        self.idle = self._count == 0
-        self._values = {}
-        if passed_ns > 0:  # else the clock was set back
-            self._values["rate_hz"] = f"{self._count * NANOSECONDS / passed_ns:.1f}"
-            if self._clock and self._count:
-                self._values["latency_ms"] = f"{self._sum_ns / self._count * 1e-6:.2f}"
-                self._values["latency_max_ms"] = f"{self._worst_ns * 1e-6:.2f}"
-        self._begin(end_ns)
-
-    def _begin(self, begin_ns: int) -> None:
-        self._begin_ns = begin_ns
-        self._count, self._sum_ns, self._worst_ns = 0, 0, 0
+        if self.began and not 0 <= passed_ns < WINDOW_NS:
+            count = len(self._ages_ns)
+            self.idle, self._values = not count, {}
+            if passed_ns > 0:  # else the clock was set back
+                self._values["rate_hz"] = f"{count * NANOSECONDS / passed_ns:.1f}"
+                if self._clock and count:
+                    self._values["latency_ms"] = f"{sum(self._ages_ns) / count * 1e-6:.2f}"
+                    self._values["latency_max_ms"] = f"{max(self._ages_ns) * 1e-6:.2f}"
+            self._begin_ns = end_ns
+            self._ages_ns.clear()
+        return self._values

@@ -10,6 +10,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Generator, Sequence
+from operator import attrgetter
 from types import FrameType
 from typing import Any, Protocol, cast
 
@@ -67,14 +68,15 @@ class Slice:
 
 
 class Paced(Protocol):
-    """A node that acts at times of its own, by the monotonic clock."""
+    """A node that acts at times of its own: `tick` when it is due by the monotonic clock [ns].
+
+    It is ``unanswered`` while the other nodes may still be busy with its last act.
+    """
 
     @property
-    def due_ns(self) -> int: ...  # when it acts next [ns]  # noqa: D102
-
+    def due_ns(self) -> int: ...  # noqa: D102
     @property
-    def unanswered(self) -> bool: ...  # the nodes may still be busy with its last act  # noqa: D102
-
+    def unanswered(self) -> bool: ...  # noqa: D102
     def tick(self) -> None: ...  # noqa: D102
 
 
@@ -95,7 +97,7 @@ class Pace:
         serve, now_ns = self._executor.spin_once, time.monotonic_ns
         end_ns = now_ns() + round(duration * NANOSECONDS)
         while (now := now_ns()) < end_ns:
-            first = min(self._paced, key=_due)
+            first = min(self._paced, key=attrgetter("due_ns"))
             if (rest := min(first.due_ns, end_ns) - now) > NEAR:
                 serve(timeout_sec=0.0 if self._poll else (rest - NEAR) / NANOSECONDS)
                 continue
@@ -107,16 +109,9 @@ class Pace:
                 first.tick()
 
 
-def _due(paced: Paced) -> int:
-    return paced.due_ns
-
-
 @contextlib.contextmanager
 def settled_memory() -> Generator[None, None, None]:
-    """Context in which the garbage collector leaves alone what is there already.
-
-    Otherwise it walks through all of that now and then, which takes milliseconds of the flight.
-    """
+    """Let the garbage collector leave alone what is there already: to walk through it takes milliseconds."""
     gc.collect()
     gc.freeze()
     try:
@@ -133,12 +128,10 @@ class StopSignals:
 
     def __init__(self) -> None:
         self.requested = False
-        self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> StopSignals:
         """Take the signals over."""
-        for number in STOPPING:
-            self._previous[number] = signal.signal(number, self._on_signal)
+        self._previous = {number: signal.signal(number, self._on_signal) for number in STOPPING}
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -168,8 +161,7 @@ def run_node(make: Callable[[], Node], paced: bool = False) -> int:
                 node = make()
             except (ValueError, ParameterException) as error:
                 words = " ".join(str(error).split())
-                words = words if len(words) <= MAX_WORDS else words[:MAX_WORDS] + "..."
-                sys.stderr.write(f"error: {words}\n")
+                sys.stderr.write(f"error: {words[:MAX_WORDS]}{'...' * (len(words) > MAX_WORDS)}\n")
                 return 2
             executor = make_executor()
             executor.add_node(node)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
 
-from quadftc_bags.cdr.message import leading_stamp_ns
+from quadftc_bags.cdr.message import leading_stamp_ns, read_message
 from quadftc_bags.interfaces import load_message_class
 from quadftc_model.parameters import parameter
 from quadftc_model.stepper import MAX_GAP
@@ -24,8 +24,8 @@ from quadftc_ros.diagnostics import OK, WARN, Diagnostics, SampleTiming
 from quadftc_ros.parameters import NodeParameters
 from quadftc_ros.qos import service_profile, topic_profile
 from quadftc_ros.topics import TOPICS, missing_connections
-from quadftc_ros.trace import MessageTrace, Note
-from quadftc_ros.transport import Tap, decoding, of_bytes, of_messages, tapped
+from quadftc_ros.trace import MessageTrace
+from quadftc_ros.transport import Tap, decoding, receiver, tapped
 
 MODES = ("lockstep", "realtime")
 HEARTBEAT = {"realtime": 1.0, "lockstep": 0.2}  # s; in lock-step only before the flight
@@ -59,6 +59,7 @@ class GraphNode(Node):
         self.settings = NodeParameters(self)
         self.settings.declare(GraphParameters, read_only=True)
         self.mode: str = self.settings.values()["mode"]
+        self.lockstep = self.mode == "lockstep"  # the graph advances sample by sample
         self._trace_file: str = self.settings.values()["trace"]
         self._trace = MessageTrace() if self._trace_file else None
         self.diagnostics = Diagnostics(self, self.get_namespace().strip("/") or "vehicle", self._refresh, tap)
@@ -70,11 +71,6 @@ class GraphNode(Node):
         self._outputs: dict[str, Publisher] = {}
         self._inputs: dict[str, Subscription] = {}
 
-    @property
-    def lockstep(self) -> bool:
-        """Whether the graph advances sample by sample."""
-        return self.mode == "lockstep"
-
     def ready(self) -> None:
         """Call at the end of the constructor: warns of unknown parameters and starts the diagnostics."""
         for complaint in self.settings.unknown():
@@ -85,9 +81,8 @@ class GraphNode(Node):
     def publishes(self, topic: str) -> Callable[[Any], None]:
         """Create the publisher of a topic of the table; return its ``publish``, of messages or serialised."""
         row = TOPICS[topic]
-        publisher = self.create_publisher(
-            load_message_class(row.type_name), topic, topic_profile(row.qos, self.mode)
-        )
+        profile = topic_profile(row.qos, self.mode)
+        publisher = self.create_publisher(load_message_class(row.type_name), topic, profile)
         self._outputs[topic] = publisher
         publish = tapped(publisher, self._tap)
         if self._trace is None or topic == "/clock":  # which has no header
@@ -103,24 +98,18 @@ class GraphNode(Node):
     def reads(
         self, topic: str, callback: Callable[[int, Any], None], decode: Callable[[bytes], Any] | None = None
     ) -> None:
-        """Subscribe to a topic of the table; ``callback(stamp_ns, message)``.
+        """Subscribe to a topic of the table; ``callback(stamp_ns, decode(serialised))``.
 
-        With ``decode`` (of `quadftc_ros.wire`) it is ``callback(stamp_ns, decode(serialised))``; what cannot
-        be decoded is counted.
+        ``decode`` is a function of `quadftc_ros.wire`, or ``bytes`` for a topic that mostly tells the time;
+        by default the callback gets the message. What cannot be decoded is counted.
         """
-        if decode is not None:
-            self.reads_raw(topic, decoding(topic, callback, decode, self.diagnostics.count))
-            return
-        receive = of_messages(topic, callback, self.diagnostics.count, self._note_of(topic))
-        self._subscribe(topic, receive, raw=False)
-
-    def reads_raw(self, topic: str, callback: Callable[[int, bytes], None]) -> None:
-        """Subscribe to a topic that mostly tells the time only; ``callback(stamp_ns, serialised)``."""
-        receive = of_bytes(topic, callback, self.diagnostics.count, self._note_of(topic))
-        self._subscribe(topic, receive, raw=True)
-
-    def _note_of(self, topic: str) -> Note:
-        return _unnoted if self._trace is None else self._trace.taken(topic)
+        row, count = TOPICS[topic], self.diagnostics.count
+        message_class = load_message_class(row.type_name)
+        decode = decode or partial(read_message, message_class=message_class)
+        note = _note_nothing if self._trace is None else self._trace.taken(topic)
+        receive = receiver(topic, decoding(topic, callback, decode, count), count, note)
+        profile = topic_profile(row.qos, self.mode)
+        self._inputs[topic] = self.create_subscription(message_class, topic, receive, profile, raw=True)
 
     def driven_by(
         self,
@@ -148,12 +137,6 @@ class GraphNode(Node):
 
         self.reads(topic, checked, decode)
         self.offers_reset(restart, "starts anew at the next sample")
-
-    def _subscribe(self, topic: str, callback: Callable[[Any], None], raw: bool) -> None:
-        row = TOPICS[topic]
-        self._inputs[topic] = self.create_subscription(
-            load_message_class(row.type_name), topic, callback, topic_profile(row.qos, self.mode), raw=raw
-        )
 
     def offers(self, name: str, service: type, answer: Callable[[Any, Any], Any]) -> None:
         """Create the service ``~/name``; ``answer(request, response)`` returns the response."""
@@ -228,10 +211,5 @@ class GraphNode(Node):
         self.diagnostics.publish(0 if self.lockstep else self.now_ns())
 
 
-def _unnoted(stamp_ns: int) -> None:
-    """Note nothing."""
-
-
-def wall_seconds() -> float:
-    """Monotonic wall time [s], for measuring how long a step takes."""
-    return time.perf_counter()
+def _note_nothing(stamp_ns: int) -> None:
+    """Take the place of a trace."""

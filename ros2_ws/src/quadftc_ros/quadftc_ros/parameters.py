@@ -61,13 +61,13 @@ class NodeParameters:
     def declare(self, component: type, prefix: str = "", read_only: bool = False) -> None:
         """Declare every parameter of a dataclass, its name behind ``prefix``.
 
-        Raises ValueError if a value given at the start is of the wrong type or out of bounds; names the
-        parameter.
+        Raises ValueError that names a parameter given at the start of the wrong type or out of bounds.
         """
         for own in parameters_of(component):
             spec = dataclasses.replace(own, name=prefix + own.name)
             default = list(spec.default) if isinstance(spec.default, tuple) else spec.default
-            _check_given(spec, self._given.get(spec.name))
+            if (given := self._given.get(spec.name)) is not None:
+                _check_given(spec, given)
             self._node.declare_parameter(spec.name, default, descriptor(spec, read_only))
             self._names.append(spec.name)
 
@@ -88,12 +88,11 @@ class NodeParameters:
 
     def unknown(self) -> list[str]:
         """Say which names were given at the start (file, command line) that are no parameter of the node."""
-        lines: list[str] = []
-        for name in self._given:
-            if not self._node.has_parameter(name) and not name.startswith("qos_overrides."):
-                hint = nearest(name, self._names)
-                lines.append(f"parameter '{name}' was given, but this node has none of that name{hint}")
-        return lines
+        return [
+            f"parameter '{name}' was given, but this node has none of that name{nearest(name, self._names)}"
+            for name in self._given
+            if not self._node.has_parameter(name) and not name.startswith("qos_overrides.")
+        ]
 
     def on_change(self, rebuild: Callable[[Mapping[str, Value]], Callable[[], None]]) -> None:
         """Follow changes at run time.
@@ -128,10 +127,8 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _check_given(spec: Parameter, given: RosParameter | None) -> None:
+def _check_given(spec: Parameter, given: RosParameter) -> None:
     """Check a value given at the start as ROS would, but say what is wrong in one line."""
-    if given is None:
-        return
     value = _plain(given.value)
     wanted, words = _EXPECTED[type(spec.default)]
     if given.type_ != wanted:

@@ -50,10 +50,7 @@ ORDINARY = Scheduling()
 
 @contextlib.contextmanager
 def scheduled(scheduling: Scheduling) -> Generator[None, None, None]:
-    """Context in which this thread, and processes it starts, run as asked.
-
-    Raises SchedulingError if the machine does not allow it.
-    """
+    """Run this thread, and processes that it starts, as asked; SchedulingError if the machine refuses."""
     with contextlib.ExitStack() as undo:
         if scheduling.wait == "poll":
             _call("prctl", _PR_SET_TIMERSLACK, 1, 0, 0, 0)  # ns; else each look takes 50 us more

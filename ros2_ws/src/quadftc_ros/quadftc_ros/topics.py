@@ -41,46 +41,37 @@ class Topic:
 
 NODES = ("plant", "fault_injector", "fault_observer", "disturbance_observer", "controller", "reference")
 
+
+def _topic(name: str, type_name: str, publishers: str, readers: str, qos: QosClass, frame: str = "") -> Topic:
+    return Topic(name, type_name, tuple(publishers.split()), tuple(readers.split()), qos, frame)
+
+
+_TORQUE_READERS = "plant fault_observer disturbance_observer"
+
 _ROWS = (
-    Topic("plant/imu", IMU, ("plant",), ("fault_injector",), "sensor", IMU_FRAME),
-    Topic(
-        "imu/data",
-        IMU,
-        ("fault_injector",),
-        ("fault_observer", "reference", "controller"),
-        "sensor",
-        IMU_FRAME,
-    ),
-    Topic(
-        "imu/corrected", IMU, ("fault_observer",), ("disturbance_observer", "controller"), "sensor", IMU_FRAME
-    ),
-    Topic("fault/estimate", VECTOR, ("fault_observer",), (), "reliable", EARTH_FRAME),
-    Topic("fault/status", FAULT_STATUS, ("fault_observer",), ("controller",), "reliable", IMU_FRAME),
-    Topic("disturbance/estimate", VECTOR, ("disturbance_observer",), ("controller",), "reliable", BASE_FRAME),
-    Topic("attitude/reference", REFERENCE, ("reference",), ("controller",), "reliable", EARTH_FRAME),
-    Topic("attitude/setpoint", VECTOR, (), ("reference",), "reliable", EARTH_FRAME),
-    Topic(
-        "torque/command",
-        VECTOR,
-        ("controller",),
-        ("plant", "fault_observer", "disturbance_observer"),
-        "reliable",
-        BASE_FRAME,
-    ),
-    Topic("control/status", CONTROL_STATUS, ("controller",), (), "reliable", BASE_FRAME),
+    _topic("plant/imu", IMU, "plant", "fault_injector", "sensor", IMU_FRAME),
+    _topic("imu/data", IMU, "fault_injector", "fault_observer reference controller", "sensor", IMU_FRAME),
+    _topic("imu/corrected", IMU, "fault_observer", "disturbance_observer controller", "sensor", IMU_FRAME),
+    _topic("fault/estimate", VECTOR, "fault_observer", "", "reliable", EARTH_FRAME),
+    _topic("fault/status", FAULT_STATUS, "fault_observer", "controller", "reliable", IMU_FRAME),
+    _topic("disturbance/estimate", VECTOR, "disturbance_observer", "controller", "reliable", BASE_FRAME),
+    _topic("attitude/reference", REFERENCE, "reference", "controller", "reliable", EARTH_FRAME),
+    _topic("attitude/setpoint", VECTOR, "", "reference", "reliable", EARTH_FRAME),
+    _topic("torque/command", VECTOR, "controller", _TORQUE_READERS, "reliable", BASE_FRAME),
+    _topic("control/status", CONTROL_STATUS, "controller", "", "reliable", BASE_FRAME),
     # real time: the last words of an observer that has fallen silent, for the one started in its place
-    Topic("fault/kept", FAULT_STATUS, ("controller",), ("fault_observer",), "latched", IMU_FRAME),
-    Topic("gyro/kept", VECTOR, ("controller",), ("fault_observer",), "latched", BASE_FRAME),
-    Topic("disturbance/kept", VECTOR, ("controller",), ("disturbance_observer",), "latched", BASE_FRAME),
-    Topic("plant/attitude", VECTOR, ("plant",), (), "reliable", EARTH_FRAME),
-    Topic("plant/rate", VECTOR, ("plant",), (), "reliable", BASE_FRAME),
-    Topic("disturbance/applied", VECTOR, ("plant",), (), "reliable", BASE_FRAME),
-    Topic("fault/injected", VECTOR, ("fault_injector",), (), "reliable", EARTH_FRAME),
-    Topic("fault/injected/gyro", VECTOR, ("fault_injector",), (), "reliable", IMU_FRAME),
-    Topic("fault/injected/accelerometer", VECTOR, ("fault_injector",), (), "reliable", IMU_FRAME),
-    Topic("fault/dropped", HEADER, ("fault_injector",), ("plant",), "reliable", IMU_FRAME),
-    Topic("/diagnostics", DIAGNOSTICS, NODES, (), "reliable"),
-    Topic("/clock", CLOCK, ("plant",), (), "clock"),  # read by whoever sets use_sim_time
+    _topic("fault/kept", FAULT_STATUS, "controller", "fault_observer", "latched", IMU_FRAME),
+    _topic("gyro/kept", VECTOR, "controller", "fault_observer", "latched", BASE_FRAME),
+    _topic("disturbance/kept", VECTOR, "controller", "disturbance_observer", "latched", BASE_FRAME),
+    _topic("plant/attitude", VECTOR, "plant", "", "reliable", EARTH_FRAME),
+    _topic("plant/rate", VECTOR, "plant", "", "reliable", BASE_FRAME),
+    _topic("disturbance/applied", VECTOR, "plant", "", "reliable", BASE_FRAME),
+    _topic("fault/injected", VECTOR, "fault_injector", "", "reliable", EARTH_FRAME),
+    _topic("fault/injected/gyro", VECTOR, "fault_injector", "", "reliable", IMU_FRAME),
+    _topic("fault/injected/accelerometer", VECTOR, "fault_injector", "", "reliable", IMU_FRAME),
+    _topic("fault/dropped", HEADER, "fault_injector", "plant", "reliable", IMU_FRAME),
+    _topic("/diagnostics", DIAGNOSTICS, " ".join(NODES), "", "reliable"),
+    _topic("/clock", CLOCK, "plant", "", "clock"),  # read by whoever sets use_sim_time
 )
 
 TOPICS: Mapping[str, Topic] = MappingProxyType({row.name: row for row in _ROWS})

@@ -23,25 +23,19 @@ class MessageTrace:
     """
 
     def __init__(self) -> None:
-        self._taken: dict[str, _Rows] = {}
-        self._given: dict[str, _Rows] = {}
+        self._rows: dict[str, _Rows] = {}
 
     def taken(self, topic: str) -> Note:
         """Return what notes that a message of a topic has come."""
-        return self._taken.setdefault(topic, _Rows()).note
+        return self._rows.setdefault(f"taken {topic}", _Rows()).note
 
     def given(self, topic: str) -> Note:
         """Return what notes that a message of a topic is about to be published."""
-        return self._given.setdefault(topic, _Rows()).note
+        return self._rows.setdefault(f"given {topic}", _Rows()).note
 
     def save(self, path: Path) -> None:
-        """Write the times as a NumPy archive, see :func:`load_trace`.
-
-        Raises OSError if it cannot be written.
-        """
-        rows = {f"taken {topic}": row.noted() for topic, row in self._taken.items()}
-        rows.update((f"given {topic}", row.noted()) for topic, row in self._given.items())
-        np.savez(path, allow_pickle=False, **rows)
+        """Write the times as a NumPy archive, see `load_trace`; OSError if it cannot be written."""
+        np.savez(path, allow_pickle=False, **{name: rows.noted() for name, rows in self._rows.items()})
 
 
 def load_trace(path: Path) -> dict[str, NDArray[np.int64]]:
@@ -61,15 +55,15 @@ class _Rows:
         self._end = 0  # in the last piece
 
     def note(self, stamp_ns: int) -> None:
+        if self._end == 2 * PIECE:
+            self._pieces.append(array("q", bytes(16 * PIECE)))
+            self._end = 0
         piece, end = self._pieces[-1], self._end
         piece[end] = stamp_ns
         piece[end + 1] = time.monotonic_ns()
         self._end = end + 2
-        if self._end == 2 * PIECE:
-            self._pieces.append(array("q", bytes(16 * PIECE)))
-            self._end = 0
 
     def noted(self) -> NDArray[np.int64]:
         """Array (n, 2)."""
-        rows = np.concatenate([np.array(piece) for piece in self._pieces])
-        return rows[: 2 * PIECE * (len(self._pieces) - 1) + self._end].reshape(-1, 2)
+        *whole, last = self._pieces
+        return np.concatenate([*whole, last[: self._end]]).astype(np.int64).reshape(-1, 2)

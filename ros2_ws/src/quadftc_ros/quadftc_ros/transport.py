@@ -14,7 +14,7 @@ from rclpy.serialization import serialize_message
 
 from quadftc_bags.cdr.layout import FRAME, PLAIN
 from quadftc_bags.cdr.message import leading_frame, leading_stamp_ns
-from quadftc_ros.conversions import END_NS, stamp_of
+from quadftc_ros.conversions import END_NS
 from quadftc_ros.topics import IMU, TOPICS
 from quadftc_ros.trace import Note
 
@@ -43,32 +43,17 @@ def tapped(publisher: Publisher, tap: Tap | None) -> Callable[[Any], None]:
     return publish
 
 
-def of_messages(
-    topic: str, callback: Callable[[int, Any], None], count: Count, note: Note
-) -> Callable[[Any], None]:
-    """Return what takes the messages of a topic of the table, for ``callback(stamp_ns, message)``."""
-    fits = _frame_check(topic, count)
+def receiver(topic: str, callback: Callable[[int, bytes], None], count: Count, note: Note) -> Take:
+    """Return what takes the serialised messages of a topic of the table, for ``callback(stamp_ns, data)``.
 
-    def receive(message: Any) -> None:
-        stamp_ns = stamp_of(message)
-        if not 0 <= stamp_ns < END_NS:
-            count(f"{topic}: {NO_STAMP}")
-            return
-        if not fits(getattr(message, "header", message).frame_id):
-            return
-        note(stamp_ns)
-        callback(stamp_ns, message)
-
-    return receive
-
-
-def of_bytes(
-    topic: str, callback: Callable[[int, bytes], None], count: Count, note: Note
-) -> Callable[[bytes], None]:
-    """Return what takes the serialised messages of a topic of the table, for ``callback(stamp_ns, data)``."""
-    fits = _frame_check(topic, count)
-    head = TOPICS[topic].frame.encode() + b"\0"
+    No frame, and that of a vehicle (``uav1/base_link``), are as good as that of the table. An IMU is taken
+    for one that is aligned with the body whatever its driver calls its frame.
+    """
+    row = TOPICS[topic]
+    is_imu = row.type_name == IMU
+    head = row.frame.encode() + b"\0"
     usual = slice(FRAME, FRAME + len(head))
+    wrong_frame = f"{topic}: frame_id is not {row.frame}{', used all the same' if is_imu else ''}"
 
     def receive(data: bytes) -> None:
         try:
@@ -79,8 +64,12 @@ def of_bytes(
         if not 0 <= stamp_ns < END_NS:
             count(f"{topic}: {NO_STAMP}")
             return
-        if data[usual] != head and data[:2] in PLAIN and not fits(leading_frame(data)):
-            return
+        if data[usual] != head and data[:2] in PLAIN:
+            frame = leading_frame(data)
+            if frame and frame.rpartition("/")[2] != row.frame:
+                count(wrong_frame)
+                if not is_imu:
+                    return
         note(stamp_ns)
         callback(stamp_ns, data)
 
@@ -90,7 +79,7 @@ def of_bytes(
 def decoding(
     topic: str, callback: Callable[[int, Any], None], decode: Callable[[bytes], Any], count: Count
 ) -> Callable[[int, bytes], None]:
-    """Return ``callback`` for serialised messages; what `quadftc_ros.wire` cannot decode is counted."""
+    """Return ``callback`` for serialised messages; what cannot be decoded is counted."""
 
     def receive(stamp_ns: int, data: bytes) -> None:
         try:
@@ -101,22 +90,3 @@ def decoding(
             callback(stamp_ns, value)
 
     return receive
-
-
-def _frame_check(topic: str, count: Count) -> Callable[[str], bool]:
-    """Return what says of a frame_id whether a message of a topic can be used; another is counted.
-
-    None at all, and that of a vehicle (``uav1/base_link``), are as good as that of the table. An IMU is
-    taken for one that is aligned with the body whatever its driver calls its frame.
-    """
-    row = TOPICS[topic]
-    is_imu = row.type_name == IMU
-
-    def fits(frame: str) -> bool:
-        if not frame or frame.rpartition("/")[2] == row.frame:
-            return True
-        used = ", used all the same" if is_imu else ""
-        count(f"{topic}: frame_id is not {row.frame}{used}")
-        return is_imu
-
-    return fits
