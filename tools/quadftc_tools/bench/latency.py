@@ -191,8 +191,8 @@ def _processes(graph: ComposedGraph | ProcessGraph) -> dict[str, int]:
     found = {"graph": os.getpid()}
     if isinstance(graph, ProcessGraph):
         found = {"recorder": os.getpid(), **graph.children.process_ids()}
-    elif graph.recorder is not None and graph.recorder.process_id is not None:
-        found["recorder"] = graph.recorder.process_id
+    if graph.recorder is not None:
+        found["bag" if "recorder" in found else "recorder"] = graph.recorder.process_id
     return found
 
 
