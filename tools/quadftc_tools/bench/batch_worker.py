@@ -142,8 +142,8 @@ def bare_subject(scenario: Scenario, flights: int, float32: bool) -> Subject:
         return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), (plant, state, output.torque))
 
     def begin(angles: Any) -> Any:
-        level: Any = jnp.asarray([0.0, 0.0, 0.0, 1.0], dtype)
-        return control(loop.plant.init(level, jnp.zeros_like(angles)), angles)
+        level_and_still: Any = (jnp.asarray([0.0, 0.0, 0.0, 1.0], dtype), jnp.zeros_like(angles))
+        return control(loop.plant.init(*level_and_still), angles)
 
     def step(state: Any, angles: Any, _: tuple[()]) -> tuple[Any, tuple[()]]:
         plant, controller, torque = state
