@@ -1,8 +1,8 @@
 """The ``quadftc`` command, as installed or in the process of the tests, which saves the start of another."""
 
 import contextlib
-import io
 import subprocess
+import tempfile
 from pathlib import Path
 
 from quadftc_flight.graph.processes import executable_path
@@ -27,7 +27,9 @@ def call_quadftc(*arguments: str | Path) -> Done:
     """Run the command in this process: same exit code, same words."""
     from quadftc_cli.main import guarded
 
-    words, errors = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(words), contextlib.redirect_stderr(errors):
-        code = guarded([str(argument) for argument in arguments])
-    return subprocess.CompletedProcess(arguments, code, words.getvalue(), errors.getvalue())
+    with tempfile.TemporaryFile("w+") as words, tempfile.TemporaryFile("w+") as errors:  # as a child needs
+        with contextlib.redirect_stdout(words), contextlib.redirect_stderr(errors):
+            code = guarded([str(argument) for argument in arguments])
+        for file in (words, errors):
+            file.seek(0)
+        return subprocess.CompletedProcess(arguments, code, words.read(), errors.read())
