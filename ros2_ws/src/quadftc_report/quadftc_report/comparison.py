@@ -132,9 +132,11 @@ def tell_run(comparison: Comparison[Recorded], run: Recorded) -> str:
     if not has_observer(run):
         said.append("has no fault observer")
     elif found and found["total_false_alarms"] is not None:
+        faults, alarms = counted(found["fault_count"], "fault"), found["total_false_alarms"]
         hits = found["fault_count"] - (found["missed"] or 0) - (found["already_declared"] or 0)
-        alarms = counted(found["total_false_alarms"], "false alarm")
-        said.append(f"detects {hits} of {counted(found['fault_count'], 'fault')} with {alarms}")
+        detects = f"detects {hits} of {faults} with {counted(alarms, 'false alarm')}"
+        declares = alarms or any(event["declared_share"] for event in found["events"])
+        said.append(detects if declares or not found["fault_count"] else f"declares none of {faults}")
     checks = run.summary.get("checks")
     if checks and run.is_whole:
         passed = sum(check["passed"] for check in checks)

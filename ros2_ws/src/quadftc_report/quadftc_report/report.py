@@ -104,8 +104,8 @@ def write_report(
             made.replace(out)
     except OSError as error:
         raise ReportError(f"{out}: cannot be written: {error.strerror or error}") from None
-    names = [tuple(each.name for each in group) for group in (runs, replays)]
-    return ReportFiles(out, folder if with_figures else None, *names, warnings)
+    flown, replayed_names = tuple(run.name for run in runs), tuple(run.name for run in replays)
+    return ReportFiles(out, folder if with_figures else None, flown, replayed_names, warnings)
 
 
 def write_campaign_report(

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from quadftc_flight.run_directory import NO_OBSERVER
 from quadftc_model.samples import AXES
@@ -173,8 +173,7 @@ def _fact_cells(values: Sequence[Any]) -> Row:
 def _fact_text(value: Any) -> str:
     if value is None:
         return NOTHING
-    if isinstance(value, str):
-        return value
-    if isinstance(value, list) and all(isinstance(item, str) for item in value):
-        return "\n".join(value) or NOTHING
+    items = cast("list[Any]", value) if isinstance(value, list) else [value]
+    if all(isinstance(item, str) for item in items):
+        return "\n".join(items) or NOTHING
     return json.dumps(value, ensure_ascii=False, default=str)

@@ -240,7 +240,7 @@ def test_sentence_tells_tracking_detection_and_checks(three, runs):
         rmse = run.summary["metrics"]["tracking_rmse_deg"]["roll"]
         assert f"tracks with an RMSE of roll {plain(rmse)}, pitch" in text[run.scheme.name]
     assert text["my-fast_one"].startswith("'my-fast_one' (sliding_mode, exosystem, ismc) tracks")
-    assert text["my-fast_one"].endswith("; detects 0 of 2 faults with 0 false alarms; passes 3 of 3 checks.")
+    assert text["my-fast_one"].endswith("; declares none of 2 faults; passes 3 of 3 checks.")
     assert text["plain"].endswith("; has no fault observer; passes 0 of 1 check.")
     assert "check" not in text["pid"]
 
