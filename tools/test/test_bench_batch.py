@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from quadftc_campaign.batch import block
+from quadftc_campaign.batch import compiled
 from quadftc_cli.main import guarded
 from quadftc_flight.scenario import find_scenario, load_scenario
 from quadftc_tools.bench.batch import OURS, THEIRS, Measurement, _summary, measure, measurements
@@ -26,7 +26,9 @@ JOB = {
 
 @pytest.fixture
 def _supply_is_put_back(monkeypatch):
-    monkeypatch.setattr(block, "InputSource", block.InputSource)  # the worker puts a timed one in its place
+    monkeypatch.setattr(
+        compiled, "InputSource", compiled.InputSource
+    )  # the worker puts a timed one in its place
 
 
 @pytest.mark.usefixtures("_supply_is_put_back")

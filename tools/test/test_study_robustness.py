@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 
 from quadftc_campaign.campaign_file import load_campaign
-from quadftc_campaign.flights import flight
+from quadftc_campaign.flights import flight_scenario
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_fdi.fault_observers.sliding_mode import SlidingMode
 from quadftc_model.samples import AXES
@@ -141,7 +141,7 @@ def test_campaigns_of_the_studies_vary_what_the_tables_show(name):
     shown = [study.path for study in STUDIES if study.name == name] or [sized.path for sized in SIZED]
     assert set(shown) <= set(campaign.vary)
     for variant in campaign.variants:
-        assert len(flight(campaign, 0, variant).events) == 3
+        assert len(flight_scenario(campaign, 0, variant).fault_events) == 3
 
 
 def test_new_observer_takes_part_in_every_study(monkeypatch):

@@ -73,7 +73,7 @@ def _engine(job: Job, scenario: Scenario, scheme: str) -> Subject:
     def run() -> Run:
         before, samples = drawing[0], list[int]()
         outcomes = engine.fly(parts, [scenario.fault_events] * len(parts), samples.append)
-        if not all(bool(outcome.marks.finite) for outcome in outcomes):
+        if any(outcome.marks["not_finite"] for outcome in outcomes):
             raise ValueError("a flight has non-finite values")
         return Run(sum(samples), drawing[0] - before)
 
@@ -91,7 +91,7 @@ def _engine(job: Job, scenario: Scenario, scheme: str) -> Subject:
 
 def _time_inputs() -> list[float]:
     """Time the source of random numbers; the list's one number is the time spent in it so far [s]."""
-    from quadftc_campaign.batch import block
+    from quadftc_campaign.batch import compiled
 
     spent = [0.0]
 
@@ -105,9 +105,9 @@ def _time_inputs() -> list[float]:
 
         return call
 
-    base = block.InputSource
+    base = compiled.InputSource
     methods = {"__init__": timed(base.__init__), "next": timed(base.next)}
-    block.InputSource = type("TimedInputSource", (base,), methods)
+    compiled.InputSource = type("TimedInputSource", (base,), methods)
     return spent
 
 

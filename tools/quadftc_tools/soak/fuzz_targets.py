@@ -106,13 +106,13 @@ def _fly(path: Path) -> None:
 def _open_campaign(path: Path) -> None:
     """Do what ``quadftc campaign`` and ``tune`` do before they fly."""
     from quadftc_campaign.campaign_file import load_campaign
-    from quadftc_campaign.flights import flight
+    from quadftc_campaign.flights import flight_scenario
     from quadftc_campaign.tune.tuning import checked
 
     campaign = load_campaign(path)
     for number in range(min(3, campaign.flights)):
         for variant in campaign.variants[:4]:
-            flight(campaign, number, variant)
+            flight_scenario(campaign, number, variant)
     if campaign.tune is not None:
         checked(campaign)
 

@@ -33,16 +33,23 @@ tune:                                    # for quadftc tune
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple, cast
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationError,
+    field_validator,
+)
 
+from quadftc_campaign.batch.tally import ROOTS, VARIATION
 from quadftc_campaign.distributions import Distribution, distribution
-from quadftc_campaign.tune.cost import TERMS
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_flight.run_directory import NO_OBSERVER
@@ -64,30 +71,50 @@ from quadftc_flight.scenario import (
 MAX_FLIGHTS = 10_000_000
 MAX_CELLS = 10_000
 RESERVED = ("seed", "schemes")  # each flight draws its seed; the schemes are compared, not drawn
+COSTS = (*ROOTS, VARIATION)  # metrics that tuning can lower
 ALL = "all"
 OTHERS = "others"
 
 
-class _Shape(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+class _Keys(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, arbitrary_types_allowed=True)
 
 
-class SourceShape(_Shape):
-    """Where the flights come from."""
+def _check_path(path: str) -> str:
+    if path.partition(".")[0] in RESERVED:
+        raise ValueError(f"'{path}' cannot vary: seeds are drawn, schemes crossed")
+    return path
+
+
+def _read_delay(raw: Any) -> Distribution | None:
+    return None if raw is None else distribution(raw)
+
+
+Drawn = Annotated[Distribution, PlainValidator(distribution)]
+VaryingPath = Annotated[str, AfterValidator(_check_path)]
+
+
+class SourceKeys(_Keys):
+    """Where the flights come from: the closed loop, samples along a motion, or recordings."""
 
     kind: Literal["loop", "motion", "recordings"] = "loop"
     directory: str = ""
-    delay: Any = None
+    delay: Annotated[Distribution | None, PlainValidator(_read_delay)] = None
+
+    @property
+    def is_loop(self) -> bool:
+        """Whether the flights are those of the closed loop."""
+        return self.kind == "loop"
 
 
-class ReportShape(_Shape):
+class ReportKeys(_Keys):
     """What the report shows besides what it always shows."""
 
     map: list[str] = Field(default=[], max_length=2)
     metric: str = "fault.estimate_rmse_deg"
 
 
-class TuneShape(_Shape):
+class TuneKeys(_Keys):
     """What ``quadftc tune`` does with the campaign."""
 
     gains: list[str] = Field(min_length=1)
@@ -101,22 +128,22 @@ class TuneShape(_Shape):
     @classmethod
     def _known(cls, cost: dict[str, float]) -> dict[str, float]:
         for name, weight in cost.items():
-            if name not in TERMS:
-                raise ValueError(f"no '{name}'; there are: {', '.join(TERMS)}")
+            if name not in COSTS:
+                raise ValueError(f"no '{name}'; there are: {', '.join(COSTS)}")
             if not 0.0 < weight < math.inf:
                 raise ValueError(f"{name} = {weight}: must be positive and finite")
         return cost
 
 
-class CampaignShape(_Shape):
+class CampaignKeys(_Keys):
     """The keys of a campaign file."""
 
-    name: Name | None = None
+    name: Name | Literal[""] = ""
     description: str = ""
     scenario: str
     gains: str = ""
     set: list[str] = []
-    source: SourceShape = SourceShape()
+    source: SourceKeys = SourceKeys()
     flights: int = Field(ge=1, le=MAX_FLIGHTS)
     seed: int = Field(default=1, ge=0, le=MAX_SEED)
     schemes: list[str] | Literal["all"] = []
@@ -124,14 +151,13 @@ class CampaignShape(_Shape):
     parameters: dict[str, dict[str, Any]] = {}
     levels: dict[str, dict[str, list[float]]] = {}
     controllers: list[str] = []
-    vary: dict[str, Any] = {}
+    vary: dict[VaryingPath, Drawn] = {}
     precision: Literal["float64", "float32"] = "float64"
-    report: ReportShape = ReportShape()
-    tune: TuneShape | None = None
+    report: ReportKeys = ReportKeys()
+    tune: TuneKeys | None = None
 
 
-@dataclasses.dataclass(frozen=True)
-class Variant:
+class Variant(NamedTuple):
     """What a flight is flown with: a scheme of the scenario, some of its parts replaced."""
 
     name: str
@@ -141,45 +167,13 @@ class Variant:
     parameters: tuple[tuple[str, Any], ...] = ()  # of the observer
 
 
-@dataclasses.dataclass(frozen=True)
-class Source:
-    """Where the flights come from: the closed loop, samples along a motion, or recordings."""
+class Campaign(CampaignKeys):
+    """A campaign, checked: the keys of its file, with the number of all flights and each path that varies."""
 
-    kind: str = "loop"
-    recordings: tuple[Path, ...] = ()  # flight k is on recording k modulo their number
-    delay: Distribution | None = None  # [s]; of all faults of a flight
-
-    @property
-    def is_loop(self) -> bool:
-        """Whether the flights are those of the closed loop."""
-        return self.kind == "loop"
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Campaign:
-    """A campaign, checked.
-
-    Parameters
-    ----------
-    base : Document
-        The scenario, with the values that all flights share.
-    vary : dict of str to Distribution
-        By the path of the value, such as ``faults.0.value``.
-    """
-
-    name: str
-    description: str
-    base: Document
-    source: Source
-    flights: int
-    seed: int
+    document: Document  # the file
+    base: Document  # the scenario, with the values that all flights share
     variants: tuple[Variant, ...]
-    vary: dict[str, Distribution]
-    float32: bool
-    map: tuple[str, ...]
-    metric: str
-    tune: TuneShape | None
-    document: Document
+    recordings: tuple[Path, ...]  # flight k is on recording k modulo their number
 
     @property
     def cells(self) -> int:
@@ -188,8 +182,7 @@ class Campaign:
 
     def with_steps(self, steps: int) -> Campaign:
         """Return the campaign with another number of steps of tuning."""
-        tune = self.tune and self.tune.model_copy(update={"steps": steps})
-        return dataclasses.replace(self, tune=tune)
+        return self.model_copy(update={"tune": self.tune and self.tune.model_copy(update={"steps": steps})})
 
 
 def load_campaign(path: Path, flights: int | None = None, recordings: Path | None = None) -> Campaign:
@@ -212,96 +205,72 @@ def load_campaign(path: Path, flights: int | None = None, recordings: Path | Non
     if flights is not None:
         document = document.replaced(("flights",), flights, f"flights {flights}")
     try:
-        shape = CampaignShape.model_validate(document.data)
+        keys = CampaignKeys.model_validate(document.data)
     except ValidationError as error:
         raise document.error(problems_of(error, _model_at)) from None
-    base, scenario = _base(document, shape)
-    vary, problems = _distributions(shape, base)
-    problems += _wrong_parts(shape, scenario)
-    source = _source(document, shape, recordings, problems)
-    campaign = Campaign(
-        name=shape.name or path.stem,
-        description=shape.description,
-        base=base,
-        source=source,
-        flights=shape.flights * max(len(source.recordings), 1),
-        seed=shape.seed,
-        variants=_variants(shape, scenario),
-        vary=vary,
-        float32=shape.precision == "float32",
-        map=tuple(shape.report.map),
-        metric=shape.report.metric,
-        tune=shape.tune,
-        document=document,
-    )
+    base, scenario = _read_scenario(document, keys)
+    problems = [*_find_unknown_parts(keys, scenario)]
+    bags = _find_recordings(document, keys, recordings, problems)
+    given: dict[str, Any] = {name: getattr(keys, name) for name in CampaignKeys.model_fields}
+    given |= {"name": keys.name or path.stem, "flights": keys.flights * max(len(bags), 1)}
+    given |= {"vary": _expand_paths(keys, base, problems), "variants": _variants(keys, scenario)}
+    campaign = Campaign.model_construct(None, **given, document=document, base=base, recordings=bags)
     if campaign.cells > MAX_CELLS:
         problems.append(Problem(("vary",), f"{campaign.cells} combinations of grids: at most {MAX_CELLS}"))
-    problems += _unknown_axes(campaign)
+    for index, key in enumerate(campaign.report.map):
+        if key not in campaign.vary:
+            there = ", ".join(campaign.vary) or "nothing varies"
+            problems.append(Problem(("report", "map", index), f"'{key}' does not vary; there are: {there}"))
     if problems:
         raise document.error(problems)
     return campaign
 
 
 def _model_at(path: Keys) -> type[BaseModel]:
-    models = {"report": ReportShape, "tune": TuneShape, "source": SourceShape}
-    return models.get(str(path[0]) if path else "", CampaignShape)
+    models = {"report": ReportKeys, "tune": TuneKeys, "source": SourceKeys}
+    return models.get(str(path[0]) if path else "", CampaignKeys)
 
 
-def _distributions(shape: CampaignShape, base: Document) -> tuple[dict[str, Distribution], list[Problem]]:
-    found: dict[str, Distribution] = {}
-    problems: list[Problem] = []
-    for key, raw in shape.vary.items():
-        if key.split(".")[0] in RESERVED:
-            problems.append(Problem(("vary", key), f"'{key}' cannot vary: seeds are drawn, schemes crossed"))
-            continue
-        try:
-            found |= dict.fromkeys(_paths(key, base), distribution(raw))
-        except ValueError as error:
-            problems.append(Problem(("vary", key), str(error)))
-    return found, problems
+def _expand_paths(keys: CampaignKeys, base: Document, problems: list[Problem]) -> dict[str, Distribution]:
+    """Write out each path that varies: ``faults.*.value`` is one for each fault of the scenario."""
+    expanded: dict[str, Distribution] = {}
+    for key, drawn in keys.vary.items():
+        first, star, rest = key.partition(".*")
+        items = base.data.get(first)
+        if not star:
+            expanded[key] = drawn
+        elif isinstance(items, list):
+            count = len(cast("list[Any]", items))
+            expanded |= {f"{first}.{index}{rest}": drawn for index in range(count)}
+        else:
+            problems.append(Problem(("vary", key), f"'{first}' is no list of the scenario"))
+    return expanded
 
 
-def _paths(key: str, base: Document) -> list[str]:
-    """The paths that a key stands for: ``faults.*.value`` is one for each fault of the scenario."""
-    first, star, rest = key.partition(".*")
-    if not star:
-        return [key]
-    items = base.data.get(first)
-    if not isinstance(items, list):
-        raise ValueError(f"'{first}' is no list of the scenario")
-    return [f"{first}.{index}{rest}" for index in range(len(items))]  # pyright: ignore[reportUnknownArgumentType]
-
-
-def _base(document: Document, shape: CampaignShape) -> tuple[Document, Scenario]:
-    """The scenario that all flights are made of."""
-    beside = Path(document.source).parent / shape.scenario
+def _read_scenario(document: Document, keys: CampaignKeys) -> tuple[Document, Scenario]:
+    """Read the scenario that all flights are made of."""
+    beside = Path(document.source).parent / keys.scenario
     is_file = beside.suffix in (".yaml", ".yml") and beside.is_file()
     try:
-        path = beside if is_file else find_scenario(shape.scenario)
-        base = changed_document(path, shape.set, shape.gains)
+        base = changed_document(beside if is_file else find_scenario(keys.scenario), keys.set, keys.gains)
         return base, build_scenario(base)
     except ScenarioError as error:
         lines = str(error).splitlines()
         raise document.error([Problem(("scenario",), line) for line in lines]) from None
 
 
-def _source(
-    document: Document, shape: CampaignShape, recordings: Path | None, problems: list[Problem]
-) -> Source:
-    given, delay = shape.source, None
-    if given.delay is not None:
-        try:
-            delay = distribution(given.delay)
-        except ValueError as error:
-            problems.append(Problem(("source", "delay"), str(error)))
-    if given.kind != "recordings":
-        return Source(given.kind, delay=delay)
-    directory = recordings or Path(document.source).parent / given.directory
-    found = bags_in(directory) if recordings or given.directory else ()
-    if not found:
-        said = f"{directory}: holds no bag" if recordings or given.directory else "no directory is named"
+def _find_recordings(
+    document: Document, keys: CampaignKeys, instead: Path | None, problems: list[Problem]
+) -> tuple[Path, ...]:
+    if keys.source.kind != "recordings":
+        return ()
+    named = bool(instead or keys.source.directory)
+    directory = instead or Path(document.source).parent / keys.source.directory
+    bags = bags_in(directory) if named else ()
+    if not bags:
+        said = f"{directory}: holds no bag" if named else "no directory is named"
         problems.append(Problem(("source", "directory"), f"{said}; expected rosbag2 bags (--recordings)"))
-    return Source(given.kind, found, delay)
+    return bags
 
 
 def bags_in(directory: Path) -> tuple[Path, ...]:
@@ -311,48 +280,53 @@ def bags_in(directory: Path) -> tuple[Path, ...]:
     return tuple(sorted(path.parent for path in directory.glob("*/metadata.yaml")))
 
 
-def _wrong_parts(shape: CampaignShape, scenario: Scenario) -> Iterator[Problem]:
-    if shape.observers == OTHERS and (shape.controllers or shape.levels):
+def _find_unknown_parts(keys: CampaignKeys, scenario: Scenario) -> Iterator[Problem]:
+    if keys.observers == OTHERS and (keys.controllers or keys.levels):
         yield Problem(("observers",), "'others' cannot be crossed with controllers or levels")
-    lists = {
-        "schemes": (shape.schemes, tuple(scenario.schemes)),
-        "observers": (shape.observers, fault_observers.names()),
-        "controllers": (shape.controllers, controllers.names()),
-        "parameters": (list(shape.parameters), fault_observers.names()),
-        "levels": (list(shape.levels), fault_observers.names()),
+    known = {
+        "schemes": tuple(scenario.schemes),
+        "observers": fault_observers.names(),
+        "controllers": controllers.names(),
+        "parameters": fault_observers.names(),
+        "levels": fault_observers.names(),
     }
-    for key, (given, known) in lists.items():
-        for index, name in enumerate(given if isinstance(given, list) else ()):
-            if name not in known:
-                place = (key, index) if isinstance(getattr(shape, key), list) else (key, name)
-                yield Problem(place, f"no '{name}'; there are: {', '.join(known)}")
-            elif name in given[:index]:
+    for key, there in known.items():
+        given = getattr(keys, key)
+        names = [] if given in (ALL, OTHERS) else list(given)
+        for index, name in enumerate(names):
+            if name not in there:
+                place = name if isinstance(given, dict) else index
+                yield Problem((key, place), f"no '{name}'; there are: {', '.join(there)}")
+            elif name in names[:index]:
                 yield Problem((key, index), f"'{name}' is given twice")
 
 
-def _with_others(schemes: list[str], shape: CampaignShape, scenario: Scenario) -> Iterator[Variant]:
+def _with_others(
+    schemes: list[str], every: list[str], keys: CampaignKeys, scenario: Scenario
+) -> Iterator[Variant]:
     """Yield the schemes as they are, and the first with every registered observer that none of them has."""
     yield from (Variant(name, name, None, None) for name in schemes)
     flown = {scenario.schemes[name].observer.kind for name in schemes}
-    for name in (each for each in _all_observers() if each not in flown):
-        yield Variant(name, schemes[0], name, None, tuple(shape.parameters.get(name, {}).items()))
+    for name in (each for each in every if each not in flown):
+        yield Variant(name, schemes[0], name, None, tuple(keys.parameters.get(name, {}).items()))
 
 
-def _variants(shape: CampaignShape, scenario: Scenario) -> tuple[Variant, ...]:
+def _variants(keys: CampaignKeys, scenario: Scenario) -> tuple[Variant, ...]:
     """Schemes, crossed with observers and controllers where some are named."""
-    given = list(scenario.schemes) if shape.schemes == ALL else shape.schemes
+    given = list(scenario.schemes) if keys.schemes == ALL else keys.schemes
     schemes = [name for name in given if name in scenario.schemes] or [next(iter(scenario.schemes))]
-    if shape.observers == OTHERS:
-        return tuple(_with_others(schemes, shape, scenario))
-    named = _all_observers() if shape.observers == ALL else shape.observers
-    observers = [(name, name, shape.parameters.get(name, {})) for name in named]
+    every = [name for name in fault_observers.names() if name != NO_OBSERVER]
+    if keys.observers == OTHERS:
+        return tuple(_with_others(schemes, every, keys, scenario))
+    named = every if keys.observers == ALL else keys.observers
+    observers = [(name, name, keys.parameters.get(name, {})) for name in named]
     observers += [
-        (f"{name}@{value:g}", name, {**shape.parameters.get(name, {}), parameter: value})
-        for name, swept in shape.levels.items()
+        (f"{name}@{value:g}", name, {**keys.parameters.get(name, {}), parameter: value})
+        for name, swept in keys.levels.items()
         for parameter, values in swept.items()
         for value in values
     ]
-    own_scheme = len(schemes) > 1 or shape.source.kind == "loop" or not observers
+    own_scheme = len(schemes) > 1 or keys.source.is_loop or not observers
     return tuple(
         Variant(
             "+".join(filter(None, (scheme if own_scheme else None, name, controller))),
@@ -361,16 +335,5 @@ def _variants(shape: CampaignShape, scenario: Scenario) -> tuple[Variant, ...]:
         )
         for scheme in schemes
         for name, observer, parameters in observers or [(None, None, {})]
-        for controller in shape.controllers or [None]
+        for controller in keys.controllers or [None]
     )
-
-
-def _all_observers() -> list[str]:
-    return [name for name in fault_observers.names() if name != NO_OBSERVER]
-
-
-def _unknown_axes(campaign: Campaign) -> Iterator[Problem]:
-    for index, key in enumerate(campaign.map):
-        if key not in campaign.vary:
-            there = ", ".join(campaign.vary) or "nothing varies"
-            yield Problem(("report", "map", index), f"'{key}' does not vary; there are: {there}")

@@ -11,7 +11,9 @@ import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
 
-from quadftc_campaign.errors import ClusterError
+from quadftc_campaign.batch.jax_settings import environment
+from quadftc_campaign.batch.parts import Progress
+from quadftc_campaign.errors import CampaignError
 
 RETRIES = 3  # of a chunk whose worker is lost
 TOPIC = "quadftc-samples"  # on which workers say how far they are
@@ -32,7 +34,7 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
 
     Raises
     ------
-    ClusterError
+    CampaignError
         If there is no scheduler at the address, or it has no workers.
     """
     from distributed import Client, LocalCluster
@@ -41,14 +43,15 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
         try:
             client = Client(address, timeout=TIMEOUT, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
-            raise ClusterError(f"scheduler {address}: {_first_line(error)}") from None
+            raise CampaignError(f"scheduler {address}: {_first_line(error)}") from None
         with client:
             try:
                 client.wait_for_workers(1, timeout=TIMEOUT)
             except TimeoutError:
-                raise ClusterError(f"scheduler {address}: no worker after {TIMEOUT:g} s") from None
+                raise CampaignError(f"scheduler {address}: no worker after {TIMEOUT:g} s") from None
             yield client
         return
+    path = os.environ.get("PYTHONPATH")
     with (
         LocalCluster(
             n_workers=workers,
@@ -56,7 +59,7 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
             host="127.0.0.1",
             dashboard_address="127.0.0.1:0",  # any free port: it cannot be left out
             silence_logs=logging.ERROR,
-            env=_environment(),
+            env=environment() | NO_PROFILE | ({} if path is None else {"PYTHONPATH": path}),
         ) as cluster,
         Client(cluster, set_as_default=False) as client,
     ):
@@ -69,19 +72,8 @@ def devices(client: Any) -> str:
     return ", ".join(f"{count} x {name}" for name, count in sorted(found.items()))
 
 
-def _device() -> str:
-    """In a worker."""
-    _prepare()
-    import jax
-
-    return jax.devices()[0].device_kind
-
-
 def run_tasks(
-    client: Any,
-    function: Callable[..., Any],
-    arguments: Sequence[tuple[Any, ...]],
-    progress: Callable[[int], None],
+    client: Any, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], progress: Progress
 ) -> Iterator[tuple[int, Any]]:
     """Call a function in the workers; return place and result of each call as it is done.
 
@@ -93,11 +85,11 @@ def run_tasks(
     arguments : sequence of tuples
         The others, of each call.
     progress : callable
-        Called with the number of samples flown since the last call.
+        Gets the number of samples flown since its last call.
 
     Raises
     ------
-    ClusterError
+    CampaignError
         If a call is lost with its worker again and again.
     Exception
         What a call raises.
@@ -106,7 +98,7 @@ def run_tasks(
 
     client.subscribe_topic(TOPIC, lambda event: progress(event[1]))
     futures = {
-        client.submit(_called, function, each, retries=RETRIES, pure=False): place
+        client.submit(_call, function, each, retries=RETRIES, pure=False): place
         for place, each in enumerate(arguments)
     }
     try:
@@ -114,35 +106,34 @@ def run_tasks(
             try:
                 yield futures[future], future.result()
             except KilledWorker as error:
-                raise ClusterError(f"chunk {futures[future]}: {_first_line(error)}") from None
+                raise CampaignError(f"chunk {futures[future]}: {_first_line(error)}") from None
             future.release()
     finally:
         client.cancel(list(futures))
         client.unsubscribe_topic(TOPIC)
 
 
-def _called(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-    """A task, in a worker."""
+def _call(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+    """In a worker."""
     from distributed import get_worker
 
-    _prepare()
+    _set_environment()
     worker = get_worker()
     return function(*arguments, lambda samples: worker.log_event(TOPIC, samples))
 
 
-def _prepare() -> None:
-    """Set what JAX reads when it is imported: in workers that others have started, it is not set yet."""
-    from quadftc_campaign.batch.jax_settings import environment
+def _device() -> str:
+    """In a worker."""
+    _set_environment()
+    import jax
 
+    return jax.devices()[0].device_kind
+
+
+def _set_environment() -> None:
+    """Set what JAX reads when it is imported: in workers that others have started, it is not set yet."""
     if "jax" not in sys.modules:
         os.environ.update(environment())
-
-
-def _environment() -> dict[str, str]:
-    from quadftc_campaign.batch.jax_settings import environment
-
-    path = os.environ.get("PYTHONPATH")
-    return environment() | NO_PROFILE | ({} if path is None else {"PYTHONPATH": path})
 
 
 def _first_line(error: BaseException) -> str:

@@ -27,9 +27,9 @@ from quadftc_model.spec import format_spec
 
 Value = Any  # what may stand in a scenario: a number, a text, a list, a component
 
-CONTINUOUS = ("uniform", "log_uniform", "normal")
 DISCRETE = ("choice", "grid")
-KINDS = (*CONTINUOUS, *DISCRETE)
+KINDS = ("uniform", "log_uniform", "normal", *DISCRETE)
+KEYS = (*KINDS, "size", "sign")
 _NUMBER = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$")
 _MAX_SIZE = 16
 
@@ -68,15 +68,17 @@ class Distribution:
     def draw(self, generator: np.random.Generator) -> Value:
         """Draw a value as it stands in a scenario."""
         if self.values:
-            choices = (int(generator.integers(len(self.values))) for _ in range(self.size or 1))
-            drawn = [_settle(self.values[choice], generator) for choice in choices]
+            values = self.values
+            drawn = [
+                _draw_inside(values[int(generator.integers(len(values)))], generator)
+                for _ in range(self.size or 1)
+            ]
         else:
-            drawn = [self._with_unit(number) for number in self._numbers(generator)]
+            drawn = [f"{x!r} {self.unit}" if self.unit else x for x in self._draw_numbers(generator)]
         return drawn if self.size else drawn[0]
 
-    def _numbers(self, generator: np.random.Generator) -> list[float]:
-        low, high = self.bounds
-        count = self.size or 1
+    def _draw_numbers(self, generator: np.random.Generator) -> list[float]:
+        (low, high), count = self.bounds, self.size or 1
         if self.kind == "normal":
             numbers = generator.normal(low, high, count)
         elif self.kind == "uniform":
@@ -87,38 +89,29 @@ class Distribution:
             numbers = numbers * np.where(generator.random(count) < 0.5, -1.0, 1.0)
         return numbers.tolist()
 
-    def _with_unit(self, number: float) -> Value:
-        return f"{number!r} {self.unit}" if self.unit else number
-
 
 def distribution(raw: Any) -> Distribution:
-    """Read a distribution from a campaign file.
-
-    Raises
-    ------
-    ValueError
-        If it is wrong; the message says what was expected.
-    """
+    """Read a distribution from a campaign file; a ValueError says what was expected instead."""
     if not isinstance(raw, Mapping):
         raise ValueError(f"{raw!r}: expected a distribution, such as {{uniform: [0.5 deg, 5 deg]}}")
     given = cast("Mapping[Any, Any]", raw)
     for key in given:
-        if key not in (*KINDS, "size", "sign"):
-            raise ValueError(f"unknown key '{key}'{nearest(str(key), (*KINDS, 'size', 'sign'))}")
+        if key not in KEYS:
+            raise ValueError(f"unknown key '{key}'{nearest(str(key), KEYS)}")
     kinds = [key for key in given if key in KINDS]
     if len(kinds) != 1:
         raise ValueError(f"expected one of {', '.join(KINDS)}")
-    kind = kinds[0]
-    size = _size(given, kind)
+    kind, size, sign = kinds[0], given.get("size", 0), given.get("sign")
+    if "size" in given and (kind == "grid" or type(size) is not int or not 1 <= size <= _MAX_SIZE):
+        raise ValueError(f"size: {size!r}: expected a whole number of 1 to {_MAX_SIZE}; a grid has none")
     if kind in DISCRETE:
         if "sign" in given:
             raise ValueError(f"sign: a {kind} has none; list the values with their signs")
-        return Distribution(kind, values=_values(kind, given[kind]), size=size)
-    bounds, unit = _bounds(kind, given[kind])
-    signed = given.get("sign")
-    if signed not in (None, "random"):
-        raise ValueError(f"sign: {signed!r}: expected random")
-    return Distribution(kind, bounds, (), unit, size, signed is not None)
+        return Distribution(kind, values=_read_values(kind, given[kind]), size=size)
+    bounds, unit = _read_bounds(kind, given[kind])
+    if sign not in (None, "random"):
+        raise ValueError(f"sign: {sign!r}: expected random")
+    return Distribution(kind, bounds, (), unit, size, sign is not None)
 
 
 def plain(value: Value) -> Any:
@@ -140,55 +133,44 @@ def unit_of(value: Value) -> str:
     return match[2] if match else ""
 
 
-def _settle(value: Value, generator: np.random.Generator) -> Value:
-    """A choice, with what is to be drawn inside it drawn."""
+def _draw_inside(value: Value, generator: np.random.Generator) -> Value:
+    """Return a choice, with the distributions inside it drawn."""
     if not isinstance(value, Mapping):
         return value
-    component = cast("Mapping[str, Any]", value)
-    return {
-        key: each.draw(generator) if isinstance(each, Distribution) else each
-        for key, each in component.items()
-    }
+    items = cast("Mapping[str, Any]", value).items()
+    return {key: each.draw(generator) if isinstance(each, Distribution) else each for key, each in items}
 
 
-def _size(given: Mapping[Any, Any], kind: str) -> int:
-    size = given.get("size", 0)
-    if "size" in given and (kind == "grid" or type(size) is not int or not 1 <= size <= _MAX_SIZE):
-        raise ValueError(f"size: {size!r}: expected a whole number of 1 to {_MAX_SIZE}; a grid has none")
-    return size
-
-
-def _values(kind: str, raw: Any) -> tuple[Value, ...]:
+def _read_values(kind: str, raw: Any) -> tuple[Value, ...]:
     if not isinstance(raw, list) or not raw:
         raise ValueError(f"{kind}: {raw!r}: expected a list of values, at least one")
     values = cast("list[Any]", raw)
-    return tuple(values if kind == "grid" else map(_component, values))
+    return tuple(values if kind == "grid" else map(_read_choice, values))
 
 
-def _component(value: Value) -> Value:
-    """A choice; in a component, mappings are distributions."""
+def _read_choice(value: Value) -> Value:
+    """Read a choice; in a component, mappings are distributions."""
     if not isinstance(value, Mapping):
         return value
-    given = cast("Mapping[str, Any]", value)
-    return {key: distribution(each) if isinstance(each, Mapping) else each for key, each in given.items()}
+    items = cast("Mapping[str, Any]", value).items()
+    return {key: distribution(each) if isinstance(each, Mapping) else each for key, each in items}
 
 
-def _bounds(kind: str, raw: Any) -> tuple[tuple[float, float], str]:
+def _read_bounds(kind: str, raw: Any) -> tuple[tuple[float, float], str]:
     names = ("mean", "standard deviation") if kind == "normal" else ("low", "high")
     if not isinstance(raw, list) or len(cast("list[Any]", raw)) != 2:
         raise ValueError(f"{kind}: {raw!r}: expected [{', '.join(names)}]")
-    numbers: list[float] = []
-    units: list[str] = []
+    pairs: list[tuple[float, str]] = []
     for name, each in zip(names, cast("list[Any]", raw), strict=True):
         match = _NUMBER.match(str(each)) if isinstance(each, (int, float, str)) else None
         if match is None or isinstance(each, bool):
             raise ValueError(f"{kind}: {name} {each!r}: expected a number, with its unit if it has one")
-        numbers.append(float(match[1]))
-        units.append(match[2])
-    needed = {unit for number, unit in zip(numbers, units, strict=True) if unit or number != 0.0}
-    if len(needed) > 1:
-        raise ValueError(f"{kind}: {names[0]} in '{units[0]}', {names[1]} in '{units[1]}': expected one unit")
-    low, high = numbers
+        pairs.append((float(match[1]), match[2]))
+    (low, low_unit), (high, high_unit) = pairs
+    if len({unit for number, unit in pairs if unit or number != 0.0}) > 1:
+        raise ValueError(
+            f"{kind}: {names[0]} in '{low_unit}', {names[1]} in '{high_unit}': expected one unit"
+        )
     if kind == "normal" and not high > 0.0:
         raise ValueError(f"normal: standard deviation {high:g}: must be positive")
     if kind != "normal" and not low < high:
@@ -197,4 +179,4 @@ def _bounds(kind: str, raw: Any) -> tuple[tuple[float, float], str]:
         raise ValueError(f"{kind}: {names[0]} {low:g}, {names[1]} {high:g}: too large to draw from")
     if kind == "log_uniform" and not low > 0.0:
         raise ValueError(f"log_uniform: low {low:g}: must be positive")
-    return (low, high), max(units, key=len)
+    return (low, high), low_unit or high_unit

@@ -6,28 +6,19 @@ import copy
 import dataclasses
 import zlib
 from collections.abc import Mapping
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 import numpy as np
 
-from quadftc_campaign.batch.parts import FlightParts, Loop, Seeds
+from quadftc_campaign.batch.parts import FlightParts, Loop
 from quadftc_campaign.campaign_file import Campaign, Variant
-from quadftc_campaign.distributions import Value
+from quadftc_campaign.distributions import Value, plain
 from quadftc_campaign.errors import CampaignError
-from quadftc_flight.fault_schedule import FaultEvent
-from quadftc_flight.scenario import MAX_SEED, Document, Scenario, ScenarioError, build_scenario
+from quadftc_flight.scenario import MAX_SEED, Scenario, ScenarioError, build_scenario
 from quadftc_sim.assembly import period_ns, sample_count
 from quadftc_sim.injection import RESERVED
 
 SEED = "seed"
-
-
-class Flight(NamedTuple):
-    """One flight with one variant."""
-
-    scenario: Scenario
-    parts: FlightParts
-    events: tuple[FaultEvent, ...]
 
 
 def drawn(campaign: Campaign, number: int) -> dict[str, Value]:
@@ -53,28 +44,8 @@ def generator_of(campaign: Campaign, number: int, path: str) -> np.random.Genera
     return np.random.default_rng([campaign.seed, number, zlib.crc32(path.encode())])
 
 
-def flight_document(campaign: Campaign, number: int, variant: Variant) -> Document:
-    """Return the scenario of flight ``number``, with the scheme of a variant alone."""
-    values = {path: _scheduled(campaign, path, value) for path, value in drawn(campaign, number).items()}
-    document = campaign.base.with_values(values, f"flight {number}")
-    scheme = copy.deepcopy(document.data["schemes"][variant.scheme])
-    if variant.observer is not None:
-        scheme["observer"] = _replaced(scheme.get("observer"), variant.observer, dict(variant.parameters))
-    if variant.controller is not None:
-        scheme["controller"] = _replaced(scheme.get("controller"), variant.controller, {})
-    scheme["checks"] = []
-    document.data["schemes"] = {variant.scheme: scheme}
-    document.data["name"] = flight_name(campaign, number)
-    return document
-
-
-def flight_name(campaign: Campaign, number: int) -> str:
-    """Name of the scenario of flight ``number``."""
-    return f"{campaign.name[:48]}_flight_{number}"
-
-
 def flight_scenario(campaign: Campaign, number: int, variant: Variant) -> Scenario:
-    """Build the scenario of flight ``number``.
+    """Build the scenario of flight ``number``, with the scheme of a variant alone.
 
     Raises
     ------
@@ -87,16 +58,20 @@ def flight_scenario(campaign: Campaign, number: int, variant: Variant) -> Scenar
         last = campaign.flights - 1
         raise CampaignError(f"{campaign.document.source}: no flight {number}; there are 0 to {last}")
     try:
-        return build_scenario(flight_document(campaign, number, variant))
+        values = {path: _scheduled(campaign, path, value) for path, value in drawn(campaign, number).items()}
+        document = campaign.base.with_values(values, f"flight {number}")
+        scheme = copy.deepcopy(document.data["schemes"][variant.scheme])
+        if variant.observer is not None:
+            scheme["observer"] = _replaced(scheme.get("observer"), variant.observer, dict(variant.parameters))
+        if variant.controller is not None:
+            scheme["controller"] = _replaced(scheme.get("controller"), variant.controller, {})
+        scheme["checks"] = []
+        document.data["schemes"] = {variant.scheme: scheme}
+        document.data["name"] = f"{campaign.name[:48]}_flight_{number}"
+        return build_scenario(document)
     except ScenarioError as error:
         lines = (f"flight {number}: {line}" for line in str(error).splitlines())
         raise ScenarioError("\n".join(lines)) from None
-
-
-def flight(campaign: Campaign, number: int, variant: Variant) -> Flight:
-    """Build flight ``number`` with a variant, for the batch engine; errors as in `flight_scenario`."""
-    scenario = flight_scenario(campaign, number, variant)
-    return Flight(scenario, parts_of(scenario, variant.scheme), scenario.fault_events)
 
 
 def parts_of(scenario: Scenario, scheme: str | None = None) -> FlightParts:
@@ -114,7 +89,20 @@ def parts_of(scenario: Scenario, scheme: str | None = None) -> FlightParts:
         period_ns=period_ns(scenario.rate),
         count=sample_count(scenario.duration, scenario.rate),
     )
-    return FlightParts(loop, Seeds(scenario.seed, scenario.seed, tuple(range(1, len(scenario.faults) + 1))))
+    return FlightParts(loop, scenario.seed, tuple(range(1, len(scenario.faults) + 1)))
+
+
+def first_columns(campaign: Campaign, number: int, variant: Variant, scenario: Scenario) -> dict[str, Any]:
+    """Return what a row of the campaign's table says of its flight before any metric."""
+    scheme, is_loop = scenario.scheme(variant.scheme), campaign.source.is_loop
+    return {
+        "flight": number,
+        "variant": variant.name,
+        "observer": scheme.observer.kind,
+        "disturbance_observer": scheme.disturbance_observer.kind if is_loop else "none",
+        "controller": scheme.controller.kind if is_loop else "none",
+        **{path: plain(value) for path, value in drawn(campaign, number).items()},
+    }
 
 
 def _scheduled(campaign: Campaign, path: str, value: Value) -> Value:

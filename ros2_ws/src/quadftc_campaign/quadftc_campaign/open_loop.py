@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
+from quadftc_campaign.batch.parts import Progress
 from quadftc_campaign.campaign_file import Campaign, Variant
-from quadftc_campaign.distributions import plain
-from quadftc_campaign.flights import drawn, flight_scenario, generator_of
-from quadftc_campaign.table import Row, Rows
+from quadftc_campaign.flights import first_columns, flight_scenario, generator_of
+from quadftc_campaign.table import Row, Rows, fault_rows
 from quadftc_control.reference import combined
 from quadftc_flight.diagnosis_metrics import GRACE_TIME
 from quadftc_flight.diagnosis_metrics.columns import Columns
@@ -60,51 +60,33 @@ class OpenFlight(NamedTuple):
     delay: float  # [s], by which the faults come later than in the scenario
 
 
-def fly_open(
-    campaign: Campaign, numbers: Sequence[int], variant: Variant, progress: Callable[[int], None]
-) -> Rows:
+def fly_open(campaign: Campaign, numbers: Sequence[int], variant: Variant, progress: Progress) -> Rows:
     """Diagnose some flights of a campaign with a variant: one row for each flight and fault."""
     rows: Rows = []
     for number in numbers:
         scenario = flight_scenario(campaign, number, variant)
-        open_flight = prepare(campaign, number, scenario)
-        flight, events = run_observer(open_flight, scenario, variant)
-        values = {path: plain(value) for path, value in drawn(campaign, number).items()}
+        recording, faults, delay = prepare(campaign, number, scenario)
+        law = scenario.scheme(variant.scheme).observer.law
+        injector = FaultInjector(scenario.seed, (fault.injection for fault in faults))
+        flight = flight_of(recording, diagnose(recording, law, injector))
         common: Row = {
-            "flight": number,
-            "variant": variant.name,
-            "observer": scenario.scheme(variant.scheme).observer.kind,
-            "disturbance_observer": "none",
-            "controller": "none",
-            **values,
-            DELAY: open_flight.delay,
-            "recording": open_flight.recording.name,
+            **first_columns(campaign, number, variant, scenario),
+            DELAY: delay,
+            "recording": recording.name,
         }
-        rows += judge(flight, events, open_flight.faults, common)
-        progress(len(open_flight.recording))
+        rows += judge(flight, replay_events(recording, faults), faults, common)
+        progress(len(recording))
     return rows
 
 
 def prepare(campaign: Campaign, number: int, scenario: Scenario) -> OpenFlight:
     """Return the samples and the faults of flight ``number``, whose scenario is given."""
-    source, delay = campaign.source, 0.0
-    if source.delay is not None:
-        delay = quantity(source.delay.draw(generator_of(campaign, number, DELAY)), "s")
-    if not source.recordings:
-        return OpenFlight(simulate(scenario), _delayed(scenario.faults, delay, scenario.duration), delay)
-    recording = _read(source.recordings[number % len(source.recordings)])
-    return OpenFlight(recording, _delayed(scenario.faults, delay, recording.duration - GRACE_TIME), delay)
-
-
-def run_observer(
-    open_flight: OpenFlight, scenario: Scenario, variant: Variant
-) -> tuple[Flight, tuple[FaultEvent, ...]]:
-    """Put the faults on the samples and diagnose them; return what came out, and the faults axis by axis."""
-    recording, faults, _ = open_flight
-    law = scenario.scheme(variant.scheme).observer.law
-    injector = FaultInjector(scenario.seed, (fault.injection for fault in faults))
-    flight = flight_of(recording, diagnose(recording, law, injector))
-    return flight, replay_events(recording, faults)
+    delay, delays, bags = 0.0, campaign.source.delay, campaign.recordings
+    if delays is not None:
+        delay = quantity(delays.draw(generator_of(campaign, number, DELAY)), "s")
+    recording = _read(bags[number % len(bags)]) if bags else simulate(scenario)
+    end = recording.duration - GRACE_TIME if bags else scenario.duration
+    return OpenFlight(recording, _delayed(scenario.faults, delay, end), delay)
 
 
 def simulate(scenario: Scenario) -> Recording:
@@ -145,14 +127,15 @@ def judge(flight: Flight, events: Sequence[FaultEvent], faults: Sequence[Fault],
         **flatten(diagnosis),
         **score_counts(flight, events),
     }
-    if not records:
-        return [{**whole, "fault": None}]
     specs = {(axis, fault.injection.start): fault.spec for fault in faults for axis in fault.axes}
-    found: Rows = []
-    for index, (event, record) in enumerate(zip(events, records, strict=True)):
-        own = {**record, "spec": specs.get((event.axis, event.start)), **error_profile(flight, event)}
-        found.append({**whole, "fault": index, **{f"fault.{name}": each for name, each in own.items()}})
-    return found
+    judged = zip(events, records, strict=True) if records else ()
+    return fault_rows(
+        whole,
+        [
+            {**record, "spec": specs.get((event.axis, event.start)), **error_profile(flight, event)}
+            for event, record in judged
+        ],
+    )
 
 
 def error_profile(flight: Flight, event: FaultEvent) -> dict[str, list[float | None]]:
@@ -211,12 +194,18 @@ def flatten(nested: Mapping[str, Any], prefix: str = "") -> Row:
 
 def _delayed(faults: Sequence[Fault], delay: float, end: float) -> tuple[Fault, ...]:
     """The faults, later by a delay [s]; only those that are over before the end [s]."""
-    shifted = (
-        dataclasses.replace(one, start=round(one.start + delay, 9), stop=round(one.stop + delay, 9))
-        for one in (fault.injection for fault in faults)
-    )
-    pairs = zip(faults, shifted, strict=True)
-    return tuple(Fault(injection, fault.given) for fault, injection in pairs if injection.stop <= end)
+    later = [
+        Fault(
+            dataclasses.replace(
+                fault.injection,
+                start=round(fault.injection.start + delay, 9),
+                stop=round(fault.injection.stop + delay, 9),
+            ),
+            fault.given,
+        )
+        for fault in faults
+    ]
+    return tuple(fault for fault in later if fault.injection.stop <= end)
 
 
 def _where(there: NDArray[np.bool_], values: Float[NDArray[Any], " n"]) -> list[float | None]:

@@ -44,22 +44,29 @@ def table_of(rows: Rows) -> pl.DataFrame:
     return frame.cast(types)  # pyright: ignore[reportArgumentType]
 
 
+def fault_rows(whole: Row, records: Rows) -> Rows:
+    """Return the rows of a flight: one for each of its faults, or one for none."""
+    if not records:
+        return [{**whole, "fault": None}]
+    return [
+        {**whole, "fault": index, **{f"fault.{name}": value for name, value in record.items()}}
+        for index, record in enumerate(records)
+    ]
+
+
 def whole_flights(frame: pl.DataFrame) -> pl.DataFrame:
     """Return one row for each flight and variant."""
     return frame.unique(["flight", "variant"], keep="first", maintain_order=True)
 
 
 def summary_of(campaign: Campaign, frame: pl.DataFrame) -> dict[str, Any]:
-    """Summarise the table of a campaign, ready for JSON.
-
-    The same for the same table: it says nothing of when or where it was flown.
-    """
+    """Summarise the table of a campaign, ready for JSON; it says nothing of when or where it was flown."""
     return {
         "name": campaign.name,
         "description": campaign.description,
         "flights": campaign.flights,
         "seed": campaign.seed,
-        "precision": "float32" if campaign.float32 else "float64",
+        "precision": campaign.precision,
         "varied": {path: each.unit for path, each in campaign.vary.items()},
         "variants": {
             variant.name: _variant(campaign, frame.filter(pl.col("variant") == variant.name))

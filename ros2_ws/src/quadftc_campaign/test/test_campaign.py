@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 
 from quadftc_campaign.campaign_file import load_campaign
+from quadftc_campaign.campaign_run import CampaignRun
 from quadftc_campaign.cluster import cluster_client, run_tasks
 from quadftc_campaign.distributions import distribution, plain
-from quadftc_campaign.errors import CampaignError, ClusterError
+from quadftc_campaign.errors import CampaignError
 from quadftc_campaign.flights import drawn, flight_scenario
-from quadftc_campaign.flying import CampaignRun, chunks_of, fly_chunk, variant_of
+from quadftc_campaign.flying import chunks_of, fly_chunk, variant_of
 from quadftc_campaign.table import table_of
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.metrics import flight_metrics
@@ -349,7 +350,7 @@ def test_a_variant_or_flight_that_is_not_there_is_refused(campaign):
 def test_a_scheduler_that_is_not_there_is_said_in_one_line(monkeypatch):
     monkeypatch.setattr("quadftc_campaign.cluster.TIMEOUT", 0.3)
     with (
-        pytest.raises(ClusterError, match=r"scheduler tcp://127.0.0.1:1: "),
+        pytest.raises(CampaignError, match=r"scheduler tcp://127.0.0.1:1: "),
         cluster_client("tcp://127.0.0.1:1", 1),
     ):
         pass

@@ -1,8 +1,6 @@
 # pyright: basic
 """Tuning: where the search goes and where it may not go, what is refused, what is written."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -61,7 +59,7 @@ def made_up(campaign, gains, numbers):
 
 
 def searched(campaign, fly=made_up, **changes):
-    campaign = dataclasses.replace(campaign, tune=campaign.tune.model_copy(update=changes))
+    campaign = campaign.model_copy(update={"tune": campaign.tune.model_copy(update=changes)})
     search = Search(campaign, checked(campaign), fly)
     return search, list(search.steps())
 

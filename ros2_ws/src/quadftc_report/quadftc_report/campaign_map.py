@@ -52,7 +52,7 @@ class Maps(NamedTuple):
 
 def draw_maps(results: Results) -> Iterator[Picture]:
     """Yield the figure with the maps of all variants, or one that says why there is none."""
-    paths, metric = _mapped_paths(results.campaign), results.campaign.metric
+    paths, metric = _mapped_paths(results.campaign), results.campaign.report.metric
     if len(paths) < 2:
         return
     maps = maps_of(results)
@@ -71,14 +71,18 @@ def draw_maps(results: Results) -> Iterator[Picture]:
 def maps_of(results: Results) -> Maps | None:
     """Return the maps of a campaign; None if fewer than two values vary, or no cell has the metric."""
     campaign, frame = results.campaign, results.frame
-    paths, columns = _mapped_paths(campaign), _metric_columns(frame, campaign.metric)
+    paths, columns = _mapped_paths(campaign), _metric_columns(frame, campaign.report.metric)
     if len(paths) < 2 or not columns:
         return None
     both = campaign.vary[paths[0]], campaign.vary[paths[1]]
     most = _bins_for(frame["flight"].n_unique(), both)
     x, y = (bin_axis(frame, path, drawn, most) for path, drawn in zip(paths, both, strict=True))
-    of_faults = campaign.metric.startswith(FAULT)
-    metric = campaign.metric.replace(FAULT, "diagnosis.events.0.", 1) if of_faults else campaign.metric
+    of_faults = campaign.report.metric.startswith(FAULT)
+    metric = (
+        campaign.report.metric.replace(FAULT, "diagnosis.events.0.", 1)
+        if of_faults
+        else campaign.report.metric
+    )
     kind = describe(metric)[1]
     largest = pl.max_horizontal(pl.col(columns).cast(pl.Float64).fill_nan(None))
     value = SCALES.get(kind.unit, 1.0) * largest
@@ -141,7 +145,7 @@ def _bins_for(flights: int, both: tuple[Distribution, Distribution]) -> int:
 def _mapped_paths(campaign: Campaign) -> tuple[str, ...]:
     """The two varied values that the map is over; fewer: there is no map."""
     able = [path for path, drawn in campaign.vary.items() if drawn.size == 0]
-    wanted = [path for path in campaign.map if path in able]
+    wanted = [path for path in campaign.report.map if path in able]
     return tuple(wanted if len(set(wanted)) == len(wanted) == 2 else able[:2])
 
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -11,15 +10,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadftc_campaign.batch.inputs import is_random
-from quadftc_campaign.batch.loop_step import ClosedLoop, Delivery, LoopState, Row, StepInputs, Times
-from quadftc_campaign.batch.parts import Loop, in_precision, numbers_of, with_numbers
+from quadftc_campaign.batch.inputs import InputSource
+from quadftc_campaign.batch.loop_step import ClosedLoop, LoopState, Row, StepInputs, Times
+from quadftc_campaign.batch.parts import FlightParts, Progress, in_precision, with_numbers
 from quadftc_campaign.batch.staged_step import StagedStep
-from quadftc_campaign.batch.tally import Schedule, Tally, empty_tally, update_tally
-from quadftc_sim.injector import FaultDraws
+from quadftc_campaign.batch.tally import Outcome, Schedule, Tally, begin_tally, update_tally
+from quadftc_model.stepper import seconds
 
 QUICK_TO_COMPILE = {"xla_backend_optimization_level": 0}  # the beginning runs once
 MAX_SETTLING = 3  # steps in which the structure of a state may still change
+STRETCH = 500  # samples of one call of the compiled function; between calls sums are taken out
 
 
 class PerFlight(NamedTuple):
@@ -27,7 +27,7 @@ class PerFlight(NamedTuple):
 
     numbers: dict[str, Any]  # of its parts, by path
     schedule: Schedule
-    direction: dict[str, Any] | None = None  # in which some numbers change, for slopes
+    direction: dict[str, Any]  # in which some numbers change, for slopes
 
 
 class Carried(NamedTuple):
@@ -35,39 +35,7 @@ class Carried(NamedTuple):
 
     loop: LoopState
     tally: Tally
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Structure:
-    """Everything that flights must share to fly together.
-
-    Parameters
-    ----------
-    loop : Loop
-        The parts of one of the flights.
-    varying : tuple of str
-        Paths of the numbers that differ between flights.
-    events : int
-        Faults of an axis, at most.
-    late_start : bool
-        Whether a fault may keep the diagnosis from beginning with the first sample.
-    float32 : bool
-        Single precision in place of double.
-    tuned : tuple of str
-        Paths of the numbers whose change a flight is differentiated by; all of them vary.
-    """
-
-    loop: Loop
-    varying: tuple[str, ...]
-    events: int
-    late_start: bool
-    float32: bool
-    tuned: tuple[str, ...] = ()
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Of all floats."""
-        return np.dtype(np.float32 if self.float32 else np.float64)
+    slopes: Any = None  # `quadftc_campaign.batch.slopes.Slopes`
 
 
 class CompiledFlight:
@@ -75,45 +43,99 @@ class CompiledFlight:
 
     Parameters
     ----------
-    structure : Structure
+    flight : FlightParts
+        One of the flights.
+    per_flight : PerFlight
+        Of some flights, for its shapes.
+    late_start : bool
+        Whether the diagnosis may have to wait for a good sample, at the start or after a gap.
+    dtype : dtype
+        Of all floats.
     traced : bool
         Whether to keep every row, for traces of chosen flights.
     staged : bool
         Whether to rewrite the step for CPUs (`quadftc_campaign.batch.staged_step`), or to use ``jax.vmap``.
-
-    Raises
-    ------
-    ValueError
-        If a part cannot be compiled.
     """
 
-    def __init__(self, structure: Structure, traced: bool = False, staged: bool = True) -> None:
-        self.structure = dataclasses.replace(structure, loop=in_precision(structure.loop, structure.dtype))
-        self._traced = traced
-        inputs, per_flight, times = self._shapes()
-        bias = jax.ShapeDtypeStruct((3,), structure.dtype)
+    def __init__(
+        self,
+        flight: FlightParts,
+        per_flight: PerFlight,
+        late_start: bool,
+        dtype: np.dtype[Any],
+        traced: bool,
+        staged: bool,
+    ) -> None:
+        self._loop, self._late_start = in_precision(flight.loop, dtype), late_start
+        self._dtype, self._traced = dtype, traced
+        source = InputSource([flight], dtype)
+        inputs, times = source.next(1)
+        inputs, times = take(take(inputs, 0), 0, axis=-1), take(times, 0)
+        bias, per_flight = self._cast(take((source.bias, per_flight), 0, axis=-1))
         # the beginning takes samples until the state keeps its structure: some laws remember a few first
         for settling in range(MAX_SETTLING + 1):
-            self.first_samples = structure.loop.sensor.delay + 1 + settling
-            first = [(inputs, times)] * self.first_samples
+            self._first = self._loop.sensor.delay + 1 + settling
+            first = [(inputs, times)] * self._first
             state = jax.eval_shape(self._begin, bias, *zip(*first, strict=True), per_flight)[0]
             after = jax.eval_shape(self._step, state, (inputs, per_flight), times)[0]
             if jax.tree.structure(state) == jax.tree.structure(after):
                 break
         else:
             raise ValueError(f"after {MAX_SETTLING} steps a state still gets more parts")
-        self.needed_draws: Sequence[bool] = [True] * len(inputs.draws)
+        self._needed_draws: Sequence[bool] = [True] * len(inputs.draws)
         self._step_all: Any = jax.vmap(self._step, in_axes=(-1, -1, None), out_axes=-1)
         if staged:
-            self._step_all = StagedStep(self._step, state, (inputs, per_flight), times, self._shown)
-            self.needed_draws = self._step_all.needed[0].draws
+            self._step_all = StagedStep(self._step, state, (inputs, per_flight), times, _read_in_the_end)
+            self._needed_draws = self._step_all.needed[0].draws
         begin = jax.vmap(self._begin, in_axes=(-1, -1, None, -1), out_axes=-1)
         self.begin = jax.jit(begin, compiler_options=QUICK_TO_COMPILE)
-        self.fly = jax.jit(self._fly_stretch, donate_argnums=0)
+        self.fly_stretch = jax.jit(self._fly_stretch, donate_argnums=0)
 
-    def _shown(self, carried: Any) -> Any:
-        """Select the part of a state that the engine reads in the end."""
-        return carried.tally
+    def fly(
+        self, flights: Sequence[FlightParts], per_flight: PerFlight, count: int, progress: Progress
+    ) -> list[Outcome]:
+        """Fly a block of flights, one in each lane.
+
+        Parameters
+        ----------
+        flights : sequence of FlightParts
+        per_flight : PerFlight
+            Arrays (..., flights).
+        count : int
+            How many outcomes are wanted, of the first flights; the others fill the lanes.
+        progress : callable
+        """
+        first, loop = self._first, self._loop
+        source = InputSource(flights, self._dtype, self._needed_draws)
+        # the first samples, one by one
+        inputs, times = (
+            [take(tree, sample) for sample in range(first)] for tree in source.next(first, every=True)
+        )
+        per_flight = self._cast(per_flight)
+        state, rows = self.begin(source.bias, inputs, times, per_flight)
+        sums = to_float64(state.tally.sums)
+        trace = [jax.tree.map(lambda *leaves: np.stack(leaves), *rows)] if self._traced else []
+        progress(first * count)
+        # the rest, in stretches; a trace in one
+        stretch = max(loop.count - first, 1) if self._traced else STRETCH
+        for start in range(first, loop.count, stretch):
+            samples = min(stretch, loop.count - start)
+            inputs, times = source.next(samples)
+            if samples < stretch:  # as long as any other, so that nothing is compiled for it alone
+                inputs, times = jax.tree.map(_fill_up, (inputs, times))
+            state, rows = self.fly_stretch(state, inputs, times, per_flight, samples)
+            sums = jax.tree.map(np.add, sums, to_float64(state.tally.sums))
+            trace += [rows] if self._traced else []
+            progress(samples * count)
+        tally = to_float64(state.tally)
+        arrays = {
+            "sums": sums,
+            "marks": {**tally.ever, **tally.largest, **tally.smallest, **tally.last},
+            "slope": None if state.slopes is None else to_float64(state.slopes.sums),
+            "trace": jax.tree.map(lambda *parts: np.concatenate(parts), *trace) if self._traced else None,
+        }
+        rows_out, period = loop.count - loop.sensor.delay, seconds(loop.period_ns)
+        return [Outcome(rows=rows_out, period=period, **take(arrays, lane, axis=-1)) for lane in range(count)]
 
     def _begin(
         self, bias: Any, inputs: Sequence[StepInputs], times: Sequence[Times], per_flight: PerFlight
@@ -121,9 +143,9 @@ class CompiledFlight:
         """Take the first samples of one flight."""
         closed, schedule = self._closed_loop(per_flight), per_flight.schedule
         given = list(zip(inputs, times, strict=True))
-        first = self.structure.loop.sensor.delay + 1
+        first = self._loop.sensor.delay + 1
         state, row = closed.begin(bias, given[:first])
-        rows, tally = [row], update_tally(empty_tally(bias, self.structure.events), row, schedule)
+        rows, tally = [row], begin_tally(row, schedule)
         for each in given[first:]:
             state, row = closed.step(state, *each)
             tally = update_tally(tally, row, schedule)
@@ -151,44 +173,38 @@ class CompiledFlight:
 
         if self._traced:
             return jax.lax.scan(body, start, (inputs, times))
-
-        def sample(index: Any, carried: Carried) -> Carried:
-            return body(carried, jax.tree.map(lambda samples: samples[index], (inputs, times)))[0]
-
-        return jax.lax.fori_loop(0, count, sample, start), ()
+        return jax.lax.fori_loop(
+            0, count, lambda index, carried: body(carried, take((inputs, times), index))[0], start
+        ), ()
 
     def _closed_loop(self, per_flight: PerFlight) -> ClosedLoop:
-        loop = with_numbers(self.structure.loop, per_flight.numbers)
-        return ClosedLoop(loop, self.structure.late_start)
+        loop = with_numbers(self._loop, per_flight.numbers)
+        return ClosedLoop(loop, self._late_start)
 
     def _cast(self, tree: Any) -> Any:
         """Put every float in the precision of the structure: a state must keep its types."""
-        return jax.tree.map(lambda leaf: cast_float(jnp.asarray(leaf), self.structure.dtype), tree)
-
-    def _shapes(self) -> tuple[StepInputs, PerFlight, Times]:
-        """Shapes and types of the arguments of a step of one flight."""
-        structure = self.structure
-
-        def shape(*axes: int, dtype: Any = structure.dtype) -> jax.ShapeDtypeStruct:
-            return jax.ShapeDtypeStruct(axes, dtype)
-
-        one, flag, vector = shape(), shape(dtype=np.bool_), shape(3)
-        injections, numbers = structure.loop.injections, numbers_of(structure.loop)
-        faults = tuple(FaultDraws(vector, vector) if is_random(each) else None for each in injections)
-        loses = any(injection.channel == "imu" for injection in injections)
-        varying = {
-            path: shape(*numbers[path].shape, dtype=cast_float(numbers[path], structure.dtype).dtype)
-            for path in structure.varying
-        }
-        per_flight = PerFlight(
-            varying,
-            Schedule(*[shape(structure.events, 3)] * 3),
-            {path: varying[path] for path in structure.tuned} or None,
-        )
-        delivery = Delivery(flag, one, flag, one) if loses else None
-        return StepInputs((vector,) * 4, faults, delivery), per_flight, Times(one, one, one)
+        return jax.tree.map(lambda leaf: _cast_float(jnp.asarray(leaf), self._dtype), tree)
 
 
-def cast_float(array: Any, dtype: np.dtype[Any]) -> Any:
-    """Return an array in another precision, if it is one of floats."""
+def to_float64(arrays: Any) -> Any:
+    """Return a tree of arrays as NumPy arrays, floats in double precision."""
+    return jax.tree.map(lambda array: _cast_float(np.asarray(array), np.dtype(np.float64)), arrays)
+
+
+def take(arrays: Any, index: Any, axis: int = 0) -> Any:
+    """Return what is at an index of an axis, the first or the last (-1), in each array of a tree."""
+    place = index if axis == 0 else (..., index)
+    return jax.tree.map(lambda array: array[place], arrays)
+
+
+def _read_in_the_end(carried: Carried) -> Any:
+    """Select the part of a state that the engine reads in the end."""
+    return carried.tally, None if carried.slopes is None else carried.slopes.sums
+
+
+def _cast_float(array: Any, dtype: np.dtype[Any]) -> Any:
     return array.astype(dtype) if jnp.issubdtype(array.dtype, jnp.floating) else array
+
+
+def _fill_up(array: Any) -> Any:
+    return np.concatenate([array, np.zeros((STRETCH - len(array), *array.shape[1:]), array.dtype)])

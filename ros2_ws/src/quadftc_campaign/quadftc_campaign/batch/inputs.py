@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from quadftc_campaign.batch.loop_step import Delivery, StepInputs, Times
 from quadftc_campaign.batch.parts import FlightParts
-from quadftc_model.stepper import MAX_GAP, NANOSECONDS_PER_SECOND
+from quadftc_model.stepper import MAX_GAP, NANOSECONDS_PER_SECOND, seconds
 from quadftc_sim.fault import FaultInputs
 from quadftc_sim.injection import Injection, fault_generators
 from quadftc_sim.injector import FaultDraws
@@ -33,43 +33,42 @@ class InputSource:
         Which of the draws for attitude, gyro, accelerometer and gyro bias change anything.
     """
 
-    def __init__(self, flights: Sequence[FlightParts], dtype: np.dtype[Any], needed: Sequence[bool]) -> None:
-        self._loop = flights[0].loop
-        self._dtype = dtype
-        self._needed = needed
-        self._generators = [np.random.default_rng(flight.seeds.sensor) for flight in flights]
+    def __init__(
+        self, flights: Sequence[FlightParts], dtype: np.dtype[Any], needed: Sequence[bool] = (True,) * 4
+    ) -> None:
+        self._loop, self._dtype, self._needed = flights[0].loop, dtype, needed
+        self._generators = [np.random.default_rng(flight.seed) for flight in flights]
         bias = np.stack([each.uniform(-1.0, 1.0, 3) for each in self._generators], axis=-1)
         self.bias = bias.astype(dtype)  # (3, flights)
+        # a fault of the whole IMU acts before the flight, in the delivery
         self._faults = [
-            _FaultNumbers(flights, place) if is_random(injection) else None
-            for place, injection in enumerate(self._loop.injections)
+            _FaultNumbers(flights, place) if fault.law.is_random and fault.channel != "imu" else None
+            for place, fault in enumerate(self._loop.injections)
         ]
         self._delivery = _delivery(flights)
         self._index = 0
 
     def next(self, count: int, every: bool = False) -> tuple[StepInputs, Times]:
         """Return what ``count`` samples need, or all of it (``every``): arrays (count, ..., flights)."""
-        dtype, index = self._dtype, self._index + np.arange(count)
+        index = self._index + np.arange(count)
         self._index += count
         taken = index - self._loop.sensor.delay
-        start, stop = int(taken[0]), int(taken[-1]) + 1
-        faults = tuple(each.between(start, stop, dtype) if each else None for each in self._faults)
+        faults = tuple(
+            each and each.between(int(taken[0]), int(taken[-1]) + 1, self._dtype) for each in self._faults
+        )
         period = self._loop.period_ns
-        before, now, of_sample = (
-            (np.maximum(each, 0) * period / NANOSECONDS_PER_SECOND).astype(dtype)
+        times = (
+            (np.maximum(each, 0) * period / NANOSECONDS_PER_SECOND).astype(self._dtype)
             for each in (index - 1, index, taken)
         )
         delivery = self._delivery
         if delivery is not None:
             rows = np.clip(taken, 0, len(delivery.arrives) - 1)
+            chosen = (each[rows] for each in delivery)
             delivery = Delivery(
-                delivery.arrives[rows],
-                delivery.dt[rows].astype(dtype),
-                delivery.restarts[rows],
-                delivery.elapsed[rows].astype(dtype),
+                *(each if each.dtype == bool else each.astype(self._dtype) for each in chosen)
             )
-        inputs = StepInputs(self._draw(count, every), faults, delivery)
-        return inputs, Times(before, now, of_sample)
+        return StepInputs(self._draw(count, every), faults, delivery), Times(*times)
 
     def _draw(self, count: int, every: bool) -> tuple[NDArray[Any], ...]:
         """Draw the sensors' numbers; those that nothing needs are drawn too, and replaced by zeros."""
@@ -87,29 +86,19 @@ class InputSource:
         return blocks
 
 
-def is_random(injection: Injection) -> bool:
-    """Whether a step needs random numbers for a fault; one of the whole IMU acts before the flight."""
-    return injection.law.is_random and injection.channel != "imu"
-
-
 class _FaultNumbers:
     """Random numbers of one injection in all flights of a block."""
 
     def __init__(self, flights: Sequence[FlightParts], place: int) -> None:
-        self._rows = [_stepped_rows(flight, flight.loop.injections[place]) for flight in flights]
-        self._values = [
-            _draw_fault(flight, flight.seeds.numbers[place], len(rows))
-            for flight, rows in zip(flights, self._rows, strict=True)
-        ]
+        self._drawn = [_draw_fault(flight, place) for flight in flights]
 
     def between(self, start: int, stop: int, dtype: np.dtype[Any]) -> FaultDraws:
         """Return those of the samples from ``start`` to ``stop``, (samples, 3, flights); 0 if unused."""
-        normal, uniform = np.zeros((2, stop - start, 3, len(self._rows)))
-        for flight, (rows, values) in enumerate(zip(self._rows, self._values, strict=True)):
+        numbers = np.zeros((2, stop - start, 3, len(self._drawn)))
+        for flight, (rows, drawn) in enumerate(self._drawn):
             chosen = slice(*np.searchsorted(rows, (start, stop)))
-            normal[rows[chosen] - start, :, flight] = values[0][chosen]
-            uniform[rows[chosen] - start, :, flight] = values[1][chosen]
-        return FaultDraws(normal.astype(dtype), uniform.astype(dtype))
+            numbers[..., flight][:, rows[chosen] - start] = drawn[:, chosen]
+        return FaultDraws(*numbers.astype(dtype))
 
 
 def _delivery(flights: Sequence[FlightParts]) -> Delivery | None:
@@ -124,40 +113,35 @@ def _delivery(flights: Sequence[FlightParts]) -> Delivery | None:
     first = np.where(arrives.any(axis=0), np.argmax(arrives, axis=0) * period, 0)
     dt = (stamps - last) / NANOSECONDS_PER_SECOND
     restarts = arrives & ((last < 0) | (dt > MAX_GAP))
-    dt = np.where(restarts | ~arrives, period / NANOSECONDS_PER_SECOND, dt)
+    dt = np.where(restarts | ~arrives, seconds(period), dt)
     return Delivery(arrives, dt, restarts, np.maximum(stamps - first, 0) / NANOSECONDS_PER_SECOND)
 
 
 def _arrivals(flight: FlightParts) -> NDArray[np.bool_]:
     """Step the faults of the whole IMU through a flight: which of its samples arrive."""
-    loop, dt = flight.loop, flight.loop.period_ns / NANOSECONDS_PER_SECOND
+    loop = flight.loop
     arrives = np.ones(loop.count, np.bool_)
-    for injection, number in zip(loop.injections, flight.seeds.numbers, strict=True):
+    for place, (injection, number) in enumerate(zip(loop.injections, flight.fault_numbers, strict=True)):
         if injection.channel != "imu" or number == 0:
             continue
-        rows = _stepped_rows(flight, injection)
-        draws = zip(*_draw_fault(flight, number, len(rows)), strict=True)
+        rows, draws = _draw_fault(flight, place)
         state = injection.law.init(np.zeros(3))
-        for row, (normal, uniform) in zip(rows, draws, strict=True):
+        for row, normal, uniform in zip(rows.tolist(), *draws, strict=True):
             time = row * loop.period_ns / NANOSECONDS_PER_SECOND
             inputs = FaultInputs(np.zeros(3), time - injection.start, normal, uniform)
-            state, output = injection.law.step(state, inputs, dt)
+            state, output = injection.law.step(state, inputs, seconds(loop.period_ns))
             if time >= injection.start:
                 arrives[row] &= bool(output.valid)
     return arrives
 
 
-def _stepped_rows(flight: FlightParts, injection: Injection) -> NDArray[np.int64]:
-    """The samples for which a fault is stepped."""
+def _draw_fault(flight: FlightParts, place: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Return the samples (n,) for which a fault is stepped, and its normal and uniform numbers, (2, n, 3)."""
+    injection: Injection = flight.loop.injections[place]
     time = np.arange(flight.loop.count) * flight.loop.period_ns / NANOSECONDS_PER_SECOND
     steps = time < injection.stop
     if not injection.law.has_memory:
         steps &= injection.start <= time
-    return np.flatnonzero(steps)
-
-
-def _draw_fault(
-    flight: FlightParts, number: int, count: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    normal, uniform = fault_generators(flight.seeds.injector, number)
-    return normal.standard_normal((count, 3)), uniform.random((count, 3))
+    rows = np.flatnonzero(steps)
+    normal, uniform = fault_generators(flight.seed, flight.fault_numbers[place])
+    return rows, np.stack([normal.standard_normal((len(rows), 3)), uniform.random((len(rows), 3))])

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-WIDTH = "--xla_cpu_prefer_vector_width"
+WIDTH = "--xla_cpu_prefer_vector_width"  # the widest registers, of which XLA would use half
 SMALL_LOOP = "xla_cpu_small_while_loop_byte_threshold"  # what a loop reads and writes, at most [bytes]
 FLAGS = {
     WIDTH: f"{WIDTH}=512",
@@ -21,11 +21,7 @@ _precisions: set[bool] = set()  # whether this process computes in single precis
 
 
 def environment(cores: int = 1) -> dict[str, str]:
-    """Return the variables for a process that may use some cores.
-
-    They ask for the widest vector registers, of which XLA would use half; for one kernel per loop; and for as
-    many threads as cores. Flags that are set already stay as they are.
-    """
+    """Return the variables for a process that may use some cores; flags that are set already stay."""
     flags = os.environ.get("XLA_FLAGS", "")
     ours = [flag for name, flag in FLAGS.items() if name not in flags]
     return {"XLA_FLAGS": " ".join([*flags.split(), *ours]), "NPROC": str(cores)}
@@ -34,10 +30,7 @@ def environment(cores: int = 1) -> dict[str, str]:
 def settle_precision(float32: bool) -> None:
     """Set the precision of this process, for good: JAX keeps constants in the precision it met them in.
 
-    Raises
-    ------
-    ValueError
-        If this process computes in another one already.
+    ValueError is raised if this process computes in another one already.
     """
     import jax
 

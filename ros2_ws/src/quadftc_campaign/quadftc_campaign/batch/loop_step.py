@@ -108,13 +108,11 @@ class ClosedLoop:
     loop : Loop
         Its parts; their numbers may be tracers.
     late_start : bool
-        Whether there may be a flight in which the diagnosis cannot begin with the first sample.
+        Whether the diagnosis may have to wait for a good sample, at the start or after a gap.
     """
 
     def __init__(self, loop: Loop, late_start: bool) -> None:
-        self.loop = loop
-        self._late_start = late_start
-        self._dt = seconds(loop.period_ns)
+        self.loop, self._late_start, self._dt = loop, late_start, seconds(loop.period_ns)
 
     def begin(self, bias: Array, first: Sequence[tuple[StepInputs, Times]]) -> tuple[LoopState, Row]:
         """Fly until a sample leaves the IMU, and react to it.
@@ -126,87 +124,71 @@ class ClosedLoop:
         first : sequence of (StepInputs, Times)
             Of the first samples: one more than the IMU delays.
         """
-        zeros = namespace(bias).zeros_like(bias)
-        plant = self.loop.plant.init(quaternion_from_euler(zeros), zeros)
-        sensor = self.loop.sensor.init(self.loop.sensor.turn_on_bias(bias))
-        sample, pending = None, ()
-        for index, (inputs, times) in enumerate(first):
-            if index > 0:
-                plant = self.loop.plant.step(plant, zeros, times.before, self._dt)
-            sensor, sample, pending = self._measure(plant, sensor, pending, inputs, times)
-        if sample is None:
-            raise ValueError(f"{len(first)} samples: the IMU delays more")
+        zeros, loop = namespace(bias).zeros_like(bias), self.loop
         state = LoopState(
-            plant,
-            sensor,
-            pending,
-            begin(self.loop.injections, sample),
+            loop.plant.init(quaternion_from_euler(zeros), zeros),
+            loop.sensor.init(loop.sensor.turn_on_bias(bias)),
+            (),
+            (),
             AvionicsState(None, None, None, None, zeros),
         )
-        return self._finish(state, sample, *first[-1], first=True)
+        state, sample = self._measure(state, *first[0])
+        for inputs, times in first[1:]:
+            state, sample = self._measure(self._move(state, times), inputs, times)
+        if sample is None:
+            raise ValueError(f"{len(first)} samples: the IMU delays more")
+        state = state._replace(injections=begin(loop.injections, sample))
+        return self._react(state, sample, *first[-1], first=True)
 
     def step(self, state: LoopState, inputs: StepInputs, times: Times) -> tuple[LoopState, Row]:
         """Fly to the next sample, and react to the one that leaves the IMU then."""
-        plant = self.loop.plant.step(state.plant, state.avionics.torque, times.before, self._dt)
-        sensor, sample, pending = self._measure(plant, state.sensor, state.pending, inputs, times)
-        if sample is None:
-            raise ValueError("the IMU delays more than at the start")
-        state = state._replace(plant=plant, sensor=sensor, pending=pending)
-        return self._finish(state, sample, inputs, times, first=False)
+        state, sample = self._measure(self._move(state, times), inputs, times)
+        return self._react(state, cast("ImuSample", sample), inputs, times, first=False)
+
+    def _move(self, state: LoopState, times: Times) -> LoopState:
+        torque = state.avionics.torque
+        return state._replace(plant=self.loop.plant.step(state.plant, torque, times.before, self._dt))
 
     def _measure(
-        self,
-        plant: PlantState,
-        sensor: ImuState,
-        pending: tuple[Truth, ...],
-        inputs: StepInputs,
-        times: Times,
-    ) -> tuple[ImuState, ImuSample | None, tuple[Truth, ...]]:
-        draws = namespace(plant.q_xyzw).stack(inputs.draws, axis=-2)
-        sensor, sample = self.loop.sensor.step(sensor, plant.q_xyzw, plant.body_rate, draws, self._dt)
-        disturbance = self.loop.plant.disturbance_acceleration(times.now, plant.body_rate)
-        truth = Truth(euler_from_quaternion(plant.q_xyzw), plant.body_rate, disturbance)
-        return sensor, sample, (*pending, truth)
-
-    def _finish(
-        self, state: LoopState, sample: ImuSample, inputs: StepInputs, times: Times, first: bool
-    ) -> tuple[LoopState, Row]:
-        """Put the faults on a sample, react to it, and show it."""
-        dt = 0.0 if first else self._dt
-        injections, faulty = inject(
-            self.loop.injections, state.injections, sample, times.taken, dt, inputs.faults
-        )
-        truth, delivery = state.pending[0], inputs.delivery
-        avionics, reaction = self._react(state.avionics, faulty.sample, delivery, times, first)
-        row = Row(
-            time=times.taken,
-            delivered=namespace(sample.body_rate).asarray(True) if delivery is None else delivery.arrives,
-            angles=truth.angles,
-            body_rate=truth.body_rate,
-            disturbance=truth.disturbance,
-            fault=faulty.attitude,
-            **reaction,
-        )
-        return LoopState(state.plant, state.sensor, state.pending[1:], injections, avionics), row
+        self, state: LoopState, inputs: StepInputs, times: Times
+    ) -> tuple[LoopState, ImuSample | None]:
+        """Put a sample into the IMU; return the one that leaves it."""
+        q_xyzw, body_rate, *_ = state.plant
+        draws = namespace(q_xyzw).stack(inputs.draws, axis=-2)
+        sensor, sample = self.loop.sensor.step(state.sensor, q_xyzw, body_rate, draws, self._dt)
+        disturbance = self.loop.plant.disturbance_acceleration(times.now, body_rate)
+        truth = Truth(euler_from_quaternion(q_xyzw), body_rate, disturbance)
+        return state._replace(sensor=sensor, pending=(*state.pending, truth)), sample
 
     def _react(
-        self, before: AvionicsState, sample: ImuSample, delivery: Delivery | None, times: Times, first: bool
-    ) -> tuple[AvionicsState, dict[str, Any]]:
-        """Run the avionics over a sample; with the first one every law begins."""
+        self, state: LoopState, sample: ImuSample, inputs: StepInputs, times: Times, first: bool
+    ) -> tuple[LoopState, Row]:
+        """Put the faults on a sample and run the avionics over it; with the first one every law begins."""
+        loop, delivery, before = self.loop, inputs.delivery, state.avionics
+        injections, faulty = inject(
+            loop.injections, state.injections, sample, times.taken, 0.0 if first else self._dt, inputs.faults
+        )
         restarts: Array | bool = first or (False if delivery is None else delivery.restarts)
         dt = self._dt if delivery is None else delivery.dt
-        clean = sanitised(sample)
-        started, observer, estimate = self._diagnose(before, clean, dt, restarts, first)
-        disturbance_inputs = DisturbanceObserverInputs(
-            estimate.corrected.body_rate, estimate.corrected.rate_valid, before.torque
-        )
+        # fault observer
+        started, observer, estimate = self._diagnose(before, faulty.sample, dt, restarts, first)
+        corrected = estimate.corrected
+        # disturbance observer
+        rate_inputs = DisturbanceObserverInputs(corrected.body_rate, corrected.rate_valid, before.torque)
         disturbance_observer, disturbance = _advance(
-            self.loop.disturbance_observer, before.disturbance_observer, disturbance_inputs, dt, restarts
+            loop.disturbance_observer, before.disturbance_observer, rate_inputs, dt, restarts
         )
-        reference = self._reference(times.taken if delivery is None else delivery.elapsed)
-        controller_inputs = ControllerInputs(estimate.corrected, reference, disturbance)
+        # reference and controller
+        elapsed = times.taken if delivery is None else delivery.elapsed
+        wanted = combined(loop.references, elapsed)
+        asarray = namespace(elapsed).asarray
+        reference = AttitudeReference(*(asarray(each, dtype=elapsed.dtype) for each in wanted))
         controller, output = _advance(
-            self.loop.controller, before.controller, controller_inputs, dt, restarts
+            loop.controller,
+            before.controller,
+            ControllerInputs(corrected, reference, disturbance),
+            dt,
+            restarts,
         )
         after = AvionicsState(started, observer, disturbance_observer, controller, output.torque)
         if delivery is not None:
@@ -214,30 +196,36 @@ class ClosedLoop:
             unstarted = None if started is None else started & False
             unchanged = after._replace(started=unstarted, torque=before.torque) if first else before
             after = chosen(delivery.arrives, after, unchanged)
-        return after, {
-            "reference": reference.angles,
-            "estimate": estimate,
-            "disturbance_estimate": disturbance,
-            "output": output,
-        }
+        row = Row(
+            times.taken,
+            namespace(sample.body_rate).asarray(True) if delivery is None else delivery.arrives,
+            *state.pending[0],
+            faulty.attitude,
+            reference.angles,
+            estimate,
+            disturbance,
+            output,
+        )
+        return state._replace(pending=state.pending[1:], injections=injections, avionics=after), row
 
     def _diagnose(
-        self, before: AvionicsState, clean: ImuSample, dt: Any, restarts: Array | bool, first: bool
+        self, before: AvionicsState, sample: ImuSample, dt: Any, restarts: Array | bool, first: bool
     ) -> tuple[Array | None, Any, FaultEstimate]:
         """Advance the fault observer; it begins with the first sample that has attitude and rate."""
+        clean = sanitised(sample)
         started, ready = before.started, clean.attitude_valid & clean.rate_valid
-        begins: Array | bool = first or (False if started is None else restarts | ~started)
+        begins = restarts if first or started is None else restarts | ~started
         inputs = FaultObserverInputs(clean, before.torque)
         observer, estimate = _advance(self.loop.observer, before.observer, inputs, dt, begins)
         if not (self._late_start if first else started is not None):
             return None, observer, estimate
-        estimate = chosen(begins & ~ready, _starting(clean), estimate)
+        # until it can begin: as `quadftc_fdi.diagnosis.Diagnosis` says it
+        xp = namespace(clean.body_rate)
+        zeros, unknown = xp.zeros_like(clean.body_rate), xp.full_like(clean.body_rate, -1.0)
+        state = xp.full_like(zeros, STARTING, dtype=xp.uint8)
+        waiting = FaultEstimate(zeros, unknown, state, unknown, clean)
+        estimate = chosen(begins & ~ready, waiting, estimate)
         return ready if first else ready | ~cast("Array", begins), observer, estimate
-
-    def _reference(self, elapsed: Array) -> AttitudeReference:
-        xp = namespace(elapsed)
-        reference = combined(self.loop.references, elapsed)
-        return AttitudeReference(*(xp.asarray(each, dtype=elapsed.dtype) for each in reference))
 
 
 def _advance(law: Any, state: Any, inputs: Any, dt: Any, begins: Array | bool) -> tuple[Any, Any]:
@@ -246,11 +234,3 @@ def _advance(law: Any, state: Any, inputs: Any, dt: Any, begins: Array | bool) -
         return law.step(law.init(inputs), inputs, 0.0)
     after = law.step(state, inputs, dt)
     return after if begins is False else chosen(begins, law.step(law.init(inputs), inputs, 0.0), after)
-
-
-def _starting(clean: ImuSample) -> FaultEstimate:
-    """Estimate until the diagnosis can begin, as `quadftc_fdi.diagnosis.Diagnosis` gives it."""
-    xp = namespace(clean.body_rate)
-    zeros = xp.zeros_like(clean.body_rate)
-    state = xp.full_like(clean.body_rate, STARTING, dtype=xp.uint8)
-    return FaultEstimate(zeros, zeros - 1.0, state, zeros - 1.0, clean)

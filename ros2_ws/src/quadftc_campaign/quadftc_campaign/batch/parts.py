@@ -12,7 +12,7 @@ import copy
 import dataclasses
 import functools
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -29,7 +29,7 @@ from quadftc_sim.sensors import ImuSensor
 NEVER = math.inf  # s; start of a fault that only other flights of the batch have
 
 Numbers = NDArray[Any]
-Slot = tuple[int, Any]  # place among the faults, structure
+Progress = Callable[[int], None]  # gets the number of samples flown since its last call
 T = TypeVar("T")
 
 
@@ -49,20 +49,12 @@ class Loop:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Seeds:
-    """Seeds of the random numbers of a flight."""
-
-    sensor: int
-    injector: int
-    numbers: tuple[int, ...]  # of each injection, as the injector counts them; 0: not in this flight
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
 class FlightParts:
     """One flight of a batch."""
 
     loop: Loop
-    seeds: Seeds
+    seed: int  # of the sensor's and the injector's random numbers
+    fault_numbers: tuple[int, ...]  # of each injection, as the injector counts them; 0: not in this flight
 
 
 def with_common_faults(flights: Sequence[FlightParts]) -> list[FlightParts]:
@@ -70,23 +62,25 @@ def with_common_faults(flights: Sequence[FlightParts]) -> list[FlightParts]:
 
     So flights that differ only in the kinds of their faults are compiled and flown together.
     """
-    templates: dict[Slot, Injection] = {}
-    for flight in flights:
-        for place, injection in enumerate(flight.loop.injections):
-            templates.setdefault((place, structure_of(injection)), injection)
-    order = sorted(templates, key=lambda slot: slot[0])
-    absent = [dataclasses.replace(templates[slot], start=NEVER, stop=NEVER) for slot in order]
-    return [_fill_slots(flight, order, absent) for flight in flights]
-
-
-def _fill_slots(flight: FlightParts, order: Sequence[Slot], absent: Sequence[Injection]) -> FlightParts:
-    pairs = zip(flight.loop.injections, flight.seeds.numbers, strict=True)
-    present = {(place, structure_of(pair[0])): pair for place, pair in enumerate(pairs)}
-    filled = [present.get(slot, (template, 0)) for slot, template in zip(order, absent, strict=True)]
-    return FlightParts(
-        dataclasses.replace(flight.loop, injections=tuple(injection for injection, _ in filled)),
-        dataclasses.replace(flight.seeds, numbers=tuple(number for _, number in filled)),
-    )
+    # by place among the faults and structure: the fault of each flight, with its number
+    slots = [
+        {
+            (place, structure_of(fault)): (fault, number)
+            for place, (fault, number) in enumerate(zip(one.loop.injections, one.fault_numbers, strict=True))
+        }
+        for one in flights
+    ]
+    absent: dict[Any, tuple[Injection, int]] = {}
+    for faults in slots:
+        for slot, (fault, _) in faults.items():
+            absent.setdefault(slot, (dataclasses.replace(fault, start=NEVER, stop=NEVER), 0))
+    absent = {slot: absent[slot] for slot in sorted(absent, key=lambda slot: slot[0])}
+    filled: list[FlightParts] = []
+    for flight, faults in zip(flights, slots, strict=True):
+        pairs = [faults.get(slot, never) for slot, never in absent.items()]
+        loop = dataclasses.replace(flight.loop, injections=tuple(fault for fault, _ in pairs))
+        filled.append(FlightParts(loop, flight.seed, tuple(number for _, number in pairs)))
+    return filled
 
 
 def structure_of(part: Any) -> Any:
@@ -106,7 +100,7 @@ def numbers_of(part: Any) -> dict[str, Numbers]:
 
 def with_numbers(part: T, values: Mapping[str, Any]) -> T:
     """Return the part with other numbers, unchecked: they may be tracers of JAX."""
-    return _replace(part, "", values) if values else part
+    return _replace(part, "", values)
 
 
 def in_precision(part: T, dtype: np.dtype[Any]) -> T:
@@ -135,31 +129,22 @@ def _walk(part: Any, path: str = "") -> Iterator[tuple[str, Any, Numbers | None]
     yield path, part, number
     if number is None:
         for name, inside in _children(part):
-            yield from _walk(inside, _join(path, name))
+            yield from _walk(inside, f"{path}.{name}" if path else name)
 
 
 def _replace(part: Any, path: str, values: Mapping[str, Any]) -> Any:
     if path in values:
         return values[path]
-    if not any(name.startswith(_join(path, "")) for name in values):
+    start = f"{path}." if path else ""
+    if not any(name.startswith(start) for name in values):
         return part
-    changed = {
-        name: new
-        for name, inside in _children(part)
-        if (new := _replace(inside, _join(path, name), values)) is not inside
-    }
-    if not changed:
-        return part
+    inside = {name: _replace(each, f"{start}{name}", values) for name, each in _children(part)}
     if isinstance(part, tuple):
-        return tuple(changed.get(str(index), each) for index, each in enumerate(part))  # pyright: ignore
-    new_part = copy.copy(part)
-    for name, value in changed.items():
-        object.__setattr__(new_part, name, value)
-    return new_part
-
-
-def _join(path: str, name: str) -> str:
-    return f"{path}.{name}" if path else name
+        return tuple(inside.values())
+    changed = copy.copy(part)
+    for name, value in inside.items():
+        object.__setattr__(changed, name, value)
+    return changed
 
 
 def _as_number(part: Any) -> Numbers | None:
@@ -182,12 +167,8 @@ def _is_container(part: Any) -> bool:
 
 
 @functools.cache
-def _names(kind: type) -> tuple[str, ...]:
+def _names(kind: type) -> list[str]:
     """Names of the fields of a part, and of its cached properties (a mixer, say)."""
-    derived = (
-        name
-        for each in kind.__mro__
-        for name, value in vars(each).items()
-        if isinstance(value, functools.cached_property)
-    )
-    return (*(field.name for field in dataclasses.fields(kind)), *derived)
+    members = [(name, value) for each in kind.__mro__ for name, value in vars(each).items()]
+    derived = [name for name, value in members if isinstance(value, functools.cached_property)]
+    return [*(field.name for field in dataclasses.fields(kind)), *derived]

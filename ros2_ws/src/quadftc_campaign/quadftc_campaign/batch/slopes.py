@@ -16,70 +16,50 @@ import jax
 import jax.numpy as jnp
 
 from quadftc_campaign.batch.compiled import Carried, CompiledFlight, PerFlight
-from quadftc_campaign.batch.loop_step import LoopState, StepInputs, Times
-from quadftc_campaign.batch.tally import Sums, Tally
+from quadftc_campaign.batch.loop_step import StepInputs, Times
+from quadftc_campaign.batch.tally import Tally
 
 Floats = tuple[Any, ...]
 
 
 class Slopes(NamedTuple):
-    """Of all floats that are carried, by unit of the direction."""
+    """Floats that are carried, or their slopes by unit of the direction."""
 
     loop: Floats
-    tally: Floats
-
-
-class CarriedWithSlopes(NamedTuple):
-    """What goes from step to step."""
-
-    loop: LoopState
-    tally: Tally
-    slopes: Slopes
+    sums: dict[str, Any]  # of the whole flight: no stretch sets their slopes to zero
+    marks: Floats  # the rest of the tally
 
 
 class SlopeFlight(CompiledFlight):
-    """Functions that fly all flights of one structure, each with its slope along its direction.
-
-    The slopes of sums are those of the whole flight: no stretch sets them to zero.
-    """
-
-    def _shown(self, carried: CarriedWithSlopes) -> Any:
-        return carried.tally, carried.slopes.tally
+    """Functions that fly all flights of one structure, each with its slope along its direction."""
 
     def _begin(
         self, bias: Any, inputs: Sequence[StepInputs], times: Sequence[Times], per_flight: PerFlight
-    ) -> tuple[CarriedWithSlopes, list[Any]]:
+    ) -> tuple[Carried, list[Any]]:
         def begin(tuned: dict[str, Any]) -> tuple[Slopes, Carried]:
             state, _ = CompiledFlight._begin(self, bias, inputs, times, _with_tuned(per_flight, tuned))
             return _floats_of(state), state
 
         _, slopes, state = jax.jvp(begin, (_tuned(per_flight),), (per_flight.direction,), has_aux=True)
-        return CarriedWithSlopes(state.loop, state.tally, _finite(slopes)), []
+        return state._replace(slopes=_finite(slopes)), []
 
     def _step(
-        self, state: CarriedWithSlopes, inputs: tuple[StepInputs, PerFlight], times: Times
-    ) -> tuple[CarriedWithSlopes, Any]:
+        self, state: Carried, inputs: tuple[StepInputs, PerFlight], times: Times
+    ) -> tuple[Carried, Any]:
         step_inputs, per_flight = inputs
-        before = Carried(state.loop, state.tally)
 
         def step(floats: Slopes, tuned: dict[str, Any]) -> tuple[Slopes, Carried]:
-            carried = Carried(*map(_with_floats, before, floats))
             arguments = (step_inputs, _with_tuned(per_flight, tuned))
-            after, _ = CompiledFlight._step(self, carried, arguments, times)
+            after, _ = CompiledFlight._step(self, _with_floats(state, floats), arguments, times)
             return _floats_of(after), after
 
-        primals, tangents = (_floats_of(before), _tuned(per_flight)), (state.slopes, per_flight.direction)
+        primals, tangents = (_floats_of(state), _tuned(per_flight)), (state.slopes, per_flight.direction)
         _, slopes, after = jax.jvp(step, primals, tangents, has_aux=True)
-        return CarriedWithSlopes(after.loop, after.tally, _finite(slopes)), ()
-
-
-def slope_of_sums(carried: CarriedWithSlopes) -> Sums:
-    """Return the slopes of the sums of a flight: the first floats of the tally."""
-    return Sums(*carried.slopes.tally[: len(Sums._fields)])
+        return after._replace(slopes=_finite(slopes)), ()
 
 
 def _tuned(per_flight: PerFlight) -> dict[str, Any]:
-    return {path: per_flight.numbers[path] for path in per_flight.direction or {}}
+    return {path: per_flight.numbers[path] for path in per_flight.direction}
 
 
 def _with_tuned(per_flight: PerFlight, tuned: dict[str, Any]) -> PerFlight:
@@ -91,10 +71,18 @@ def _is_float(leaf: Any) -> bool:
 
 
 def _floats_of(carried: Carried) -> Slopes:
-    return Slopes(*(tuple(filter(_is_float, jax.tree.leaves(part))) for part in carried))
+    loop, marks = (
+        tuple(filter(_is_float, jax.tree.leaves(part))) for part in (carried.loop, carried.tally[1:])
+    )
+    return Slopes(loop, carried.tally.sums, marks)
 
 
-def _with_floats(tree: Any, floats: Floats) -> Any:
+def _with_floats(carried: Carried, floats: Slopes) -> Carried:
+    marks = _exchange(carried.tally[1:], floats.marks)
+    return Carried(_exchange(carried.loop, floats.loop), Tally(floats.sums, *marks))
+
+
+def _exchange(tree: Any, floats: Floats) -> Any:
     """Return the tree with other floats."""
     leaves, structure = jax.tree.flatten(tree)
     rest = iter(floats)

@@ -7,7 +7,7 @@ and set to zero every few hundred samples, and added in double precision.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,8 +21,17 @@ from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES, FAULTY, HEALTHY, RECOVERING, SUSPECT
 
 Floats = NDArray[np.float64]
+Arrays = dict[str, Array]  # by name, each (3,); those called event_ of each fault of an axis, (events, 3)
 
 ABOVE = float(np.radians(ESTIMATE_THRESHOLD_DEG))  # rad
+# root mean squares: the sum of squares of each, and the number of samples in it
+ROOTS = {
+    "tracking_rmse_deg": ("tracking", "delivered"),
+    "fault_estimate_rmse_deg": ("estimate", "known"),
+    "disturbance_estimate_rmse": ("disturbance", "delivered"),
+    "torque_rms": ("torque", "delivered"),
+}
+VARIATION = "torque_total_variation"
 
 
 class Schedule(NamedTuple):
@@ -33,180 +42,117 @@ class Schedule(NamedTuple):
     following: Array  # (events, 3) start of the next fault of the axis [s]
 
 
-class Sums(NamedTuple):
-    """What adds up; each (3,) but those of events (events, 3)."""
-
-    delivered: Array  # () samples
-    tracking: Array  # squares of attitude minus reference [rad²]
-    disturbance: Array  # squares of the error of its estimate [rad²/s⁴]
-    known: Array  # samples whose true fault is finite
-    estimate: Array  # squares of the error of the fault's estimate [rad²]
-    torque: Array  # squares [N² m²]
-    variation: Array  # absolute changes of the torque [N m]
-    saturated: Array  # samples with the torque cut
-    starting: Array  # samples before the diagnosis has begun
-    healthy: Array  # healthy, and with a state
-    alarms: Array  # times it was declared faulty while healthy
-    alarmed: Array  # samples declared faulty while healthy
-    event_known: Array  # samples whose true fault is finite
-    event_error: Array  # error of the estimate [rad]
-    event_squares: Array  # its squares [rad²]
-    event_tracking: Array  # squares [rad²]
-    event_delivered: Array  # samples
-    event_declared: Array  # of those, declared faulty
-
-
-class Marks(NamedTuple):
-    """What is remembered; each (3,) but those of events (events, 3)."""
-
-    tracking: Array  # largest [rad]
-    estimate: Array  # largest error of the fault's estimate [rad]
-    tilt: Array  # () least cosine of the angle to the vertical
-    finite: Array  # () bool: all numbers were finite
-    torque: Array  # last command [N m]
-    begun: Array  # () bool: there was one
-    declared: Array  # bool: in the last sample
-    score: Array  # largest estimate while healthy [rad]
-    event_sized: Array  # bool: the fault changes the reading
-    event_already: Array  # bool: declared in the last sample before
-    event_already_above: Array  # bool
-    event_detected: Array  # time of the first declaration [s]; infinite: none
-    event_above: Array  # time at which the estimate is first as large as a fault [s]
-    event_trusted: Array  # time at which the axis is trusted again [s]
-    event_error: Array  # largest error of the estimate [rad]
-    event_score: Array  # largest estimate [rad]
-
-
 class Tally(NamedTuple):
-    """Everything kept of a flight."""
+    """What is kept of the samples of a flight."""
 
-    sums: Sums
-    marks: Marks
+    sums: Arrays
+    ever: Arrays  # bool: it was so in some sample
+    largest: Arrays
+    smallest: Arrays
+    last: Arrays
 
 
 class Outcome(NamedTuple):
-    """What is left of one flight; arrays as in `Sums` and `Marks`, in double precision."""
+    """What is left of one flight, in double precision."""
 
-    sums: Sums
-    marks: Marks
+    sums: dict[str, Floats]  # as in `Tally`
+    marks: dict[str, Any]  # all else of the tally
     rows: int  # samples that left the IMU
     period: float  # of the samples [s]
+    slope: dict[str, Floats] | None = None  # of the sums, along the direction of the flight
+    trace: Row | None = None  # every sample, arrays (samples, ...)
 
     @property
     def span(self) -> float:
-        """Time from the first to the last of them [s]."""
+        """Time from the first to the last sample [s]."""
         return (self.rows - 1) * self.period
 
 
-class _Judged(NamedTuple):
-    """One sample, held against the schedule of the faults; (3,), those of events (events, 3)."""
-
-    tracking: Array  # attitude minus reference, without sign [rad]
-    size: Array  # of the fault's estimate [rad]
-    error: Array  # of the fault's estimate [rad]; 0 where the true fault is non-finite
-    known: Array  # bool: the true fault is finite
-    declared: Array  # bool: faulty
-    trusted: Array  # bool: healthy or suspect
-    healthy: Array  # bool: no fault acts, nor did just before
-    event: Array  # bool: the fault acts
-    after: Array  # bool: it has ended, and the next one has not begun
-    starts: Array  # bool: it has not begun
-
-
-def empty_tally(like: Array, events: int) -> Tally:
-    """Tally of no sample, for an array (..., 3)."""
-    xp = namespace(like)
-    one, axes = like[..., 0] * 0.0, xp.zeros_like(like)
-    each = xp.stack([axes] * events, axis=-2)
-    no, none, never = axes > 0.0, each > 0.0, each + np.inf
-    sums = [
-        one if name == "delivered" else each if name.startswith("event") else axes for name in Sums._fields
-    ]
-    marks = Marks(
-        *(axes, axes, one + 1.0, one == 0.0, axes, one > 0.0, no, axes),
-        *(none, none, none, never, never, never, each, each),
-    )
-    return Tally(Sums(*sums), marks)
+def begin_tally(row: Row, schedule: Schedule) -> Tally:
+    """Tally the first sample of a flight."""
+    xp = namespace(row.angles)
+    no, none = (xp.zeros_like(like, dtype=bool) for like in (row.angles, schedule.start))
+    marks = {"event_already": none, "event_already_above": none, "begun": no[..., 0]}
+    return _tally(row, schedule, {"torque": xp.zeros_like(row.angles), "declared": no, **marks})
 
 
 def update_tally(tally: Tally, row: Row, schedule: Schedule) -> Tally:
-    """Take a sample of one flight into its tally."""
-    judged = _judge(row, schedule)
-    return Tally(_add(tally.sums, tally.marks, row, judged), _mark(tally.marks, row, judged))
-
-
-def _judge(row: Row, schedule: Schedule) -> _Judged:
-    xp = namespace(row.angles)
-    there, time, state = row.delivered, row.time, row.estimate.state
-    known = there & xp.isfinite(row.fault)
-    inside = (schedule.start <= time) & (time < schedule.stop)
-    just_after = (schedule.stop <= time) & (time < schedule.stop + GRACE_TIME)
-    return _Judged(
-        tracking=xp.abs(wrap(row.angles - row.reference)),
-        size=xp.abs(row.estimate.fault),
-        error=xp.where(known, wrap(row.estimate.fault - row.fault), 0.0),
-        known=known,
-        declared=(state == FAULTY) | (state == RECOVERING),
-        trusted=(state == HEALTHY) | (state == SUSPECT),
-        healthy=there & ~(inside | just_after).any(axis=-2),
-        event=there & inside,
-        after=there & (schedule.stop <= time) & (time < schedule.following),
-        starts=there & (time < schedule.start),
+    """Add a sample of a flight to its tally."""
+    xp, new = namespace(row.angles), _tally(row, schedule, tally.last)
+    return Tally(
+        _merge(xp.add, tally.sums, new.sums),
+        _merge(xp.logical_or, tally.ever, new.ever),
+        _merge(xp.maximum, tally.largest, new.largest),
+        _merge(xp.minimum, tally.smallest, new.smallest),
+        new.last,
     )
 
 
-def _add(sums: Sums, marks: Marks, row: Row, judged: _Judged) -> Sums:
-    xp = namespace(row.angles)
-    there, torque, declared = row.delivered, row.output.torque, judged.declared
-    tracking, error, healthy, event = judged.tracking, judged.error, judged.healthy, judged.event
-    one, count = 1.0 * there, 1.0 * (event & judged.known)
-    terms = Sums(
-        delivered=one,
-        tracking=one * tracking**2,
-        disturbance=one * (row.disturbance_estimate - row.disturbance) ** 2,
-        known=1.0 * judged.known,
-        estimate=error**2,
-        torque=one * torque**2,
-        variation=xp.where(there & marks.begun, xp.abs(torque - marks.torque), 0.0),
-        saturated=1.0 * (there & row.output.saturated),
-        starting=1.0 * (there & ~(declared | judged.trusted)),
-        healthy=1.0 * healthy,
-        alarms=1.0 * (healthy & declared & ~marks.declared),
-        alarmed=1.0 * (healthy & declared),
-        event_known=count,
-        event_error=count * error,
-        event_squares=count * error**2,
-        event_tracking=1.0 * event * tracking**2,
-        event_delivered=1.0 * event,
-        event_declared=1.0 * (event & declared),
-    )
-    return Sums(*(total + term for total, term in zip(sums, terms, strict=True)))
+def _merge(operation: Callable[[Any, Any], Any], before: Arrays, new: Arrays) -> Arrays:
+    return {name: operation(before[name], new[name]) for name in before}
 
 
-def _mark(marks: Marks, row: Row, judged: _Judged) -> Marks:
+def _tally(row: Row, schedule: Schedule, last: Arrays) -> Tally:
+    """Tally one sample, after those of which the last is given."""
     xp = namespace(row.angles)
-    there, time, torque = row.delivered, row.time, row.output.torque
-    tracking, size, error, known, declared, trusted, healthy, event, after, starts = judged
-    above, event_known, cosine = size >= ABOVE, event & known, xp.cos(row.angles)
+    there, time, torque, state = row.delivered, row.time, row.output.torque, row.estimate.state
+    # what the diagnosis says, and how far it is off where the true fault is finite
+    declared, trusted = (state == FAULTY) | (state == RECOVERING), (state == HEALTHY) | (state == SUSPECT)
+    size, known = xp.abs(row.estimate.fault), there & xp.isfinite(row.fault)
+    error = xp.where(known, wrap(row.estimate.fault - row.fault), 0.0)
+    above, tracking, cosine = size >= ABOVE, xp.abs(wrap(row.angles - row.reference)), xp.cos(row.angles)
+    # which faults act, have ended with no other begun, and are still to come; healthy: none acts or just did
+    inside, over = (schedule.start <= time) & (time < schedule.stop), schedule.stop <= time
+    event, after, early = there & inside, there & over & (time < schedule.following), time < schedule.start
+    healthy = there & ~(inside | (over & (time < schedule.stop + GRACE_TIME))).any(axis=-2)
+    one, event_known = 1.0 * there, event & known
+    count = 1.0 * event_known
+    sums = {
+        "delivered": one,
+        "tracking": one * tracking**2,  # rad²
+        "disturbance": one * (row.disturbance_estimate - row.disturbance) ** 2,  # rad²/s⁴
+        "known": 1.0 * known,
+        "estimate": error**2,  # rad²
+        "torque": one * torque**2,  # N² m²
+        "variation": xp.where(there & last["begun"], xp.abs(torque - last["torque"]), 0.0),  # N m
+        "saturated": 1.0 * (there & row.output.saturated),
+        "starting": 1.0 * (there & ~(declared | trusted)),
+        "healthy": 1.0 * healthy,
+        "alarms": 1.0 * (healthy & declared & ~last["declared"]),
+        "alarmed": 1.0 * (healthy & declared),
+        "event_known": count,
+        "event_error": count * error,  # rad
+        "event_squares": count * error**2,  # rad²
+        "event_tracking": 1.0 * event * tracking**2,  # rad²
+        "event_delivered": 1.0 * event,
+        "event_declared": 1.0 * (event & declared),
+    }
     magnitude = (xp.abs(row.angles) + size + xp.abs(torque)).sum(axis=-1)
-    return Marks(
-        tracking=xp.maximum(marks.tracking, xp.where(there, tracking, 0.0)),
-        estimate=xp.maximum(marks.estimate, xp.abs(error)),
-        tilt=xp.minimum(marks.tilt, cosine[..., 0] * cosine[..., 1]),
-        finite=marks.finite & (xp.isfinite(magnitude) | ~there),
-        torque=xp.where(there, torque, marks.torque),
-        begun=marks.begun | there,
-        declared=xp.where(there, declared, marks.declared),
-        score=xp.maximum(marks.score, xp.where(healthy, size, 0.0)),
-        event_sized=marks.event_sized | (event_known & (row.fault != 0.0)),
-        event_already=xp.where(starts, declared, marks.event_already),
-        event_already_above=xp.where(starts, above, marks.event_already_above),
-        event_detected=xp.minimum(marks.event_detected, xp.where(event & declared, time, np.inf)),
-        event_above=xp.minimum(marks.event_above, xp.where(event & above, time, np.inf)),
-        event_trusted=xp.minimum(marks.event_trusted, xp.where(after & trusted, time, np.inf)),
-        event_error=xp.maximum(marks.event_error, xp.where(event_known, xp.abs(error), 0.0)),
-        event_score=xp.maximum(marks.event_score, xp.where(event, size, 0.0)),
-    )
+    ever = {
+        "not_finite": there & ~xp.isfinite(magnitude),
+        "event_sized": event_known & (row.fault != 0.0),  # the fault changes the reading
+    }
+    largest = {
+        "tracking": xp.where(there, tracking, 0.0),  # rad
+        "estimate": xp.abs(error),  # rad
+        "score": xp.where(healthy, size, 0.0),  # rad
+        "event_error": xp.where(event_known, xp.abs(error), 0.0),  # rad
+        "event_score": xp.where(event, size, 0.0),  # rad
+    }
+    smallest = {
+        "upright": cosine[..., 0] * cosine[..., 1],  # cosine of the angle to the vertical
+        "event_detected": xp.where(event & declared, time, np.inf),  # s
+        "event_above": xp.where(event & above, time, np.inf),  # s
+        "event_trusted": xp.where(after & trusted, time, np.inf),  # s
+    }
+    new_last = {
+        "torque": xp.where(there, torque, last["torque"]),  # N m
+        "begun": last["begun"] | there,
+        "declared": xp.where(there, declared, last["declared"]),
+        "event_already": xp.where(there & early, declared, last["event_already"]),  # before the fault
+        "event_already_above": xp.where(there & early, above, last["event_already_above"]),
+    }
+    return Tally(sums, ever, largest, smallest, new_last)
 
 
 def most_events(events: Sequence[FaultEvent]) -> int:
@@ -214,17 +160,27 @@ def most_events(events: Sequence[FaultEvent]) -> int:
     return max([1, *(sum(event.axis == axis for event in events) for axis in AXES)])
 
 
-def schedule_of(events: Sequence[FaultEvent], most: int) -> tuple[Floats, Floats, Floats]:
-    """Start, stop and start of the next fault of each axis (most, 3) [s]; infinite where there is none."""
-    start, stop, following = (np.full((most, len(AXES)), np.inf) for _ in range(3))
+def schedule_of(events: Sequence[FaultEvent], most: int) -> Schedule:
+    """Return the schedule of some faults, with room for ``most`` of them on each axis."""
+    schedule = Schedule(*(np.full((most, len(AXES)), np.inf) for _ in Schedule._fields))
     for axis, name in enumerate(AXES):
-        own = [event for event in events if event.axis == name]
-        start[: len(own), axis] = [event.start for event in own]
-        stop[: len(own), axis] = [event.stop for event in own]
-        for place, event in enumerate(own):
-            later = [other.start for other in own if other.start >= event.stop]
-            following[place, axis] = min(later, default=np.inf)
-    return start, stop, following
+        of_axis = [event for event in events if event.axis == name]
+        for place, event in enumerate(of_axis):
+            later = [other.start for other in of_axis if other.start >= event.stop]
+            for times, time in zip(
+                schedule, (event.start, event.stop, min(later, default=np.inf)), strict=True
+            ):
+                times[place, axis] = time
+    return schedule
+
+
+def metric_of(name: str, outcome: Outcome) -> Floats:
+    """Return one of `ROOTS` or `VARIATION`, (3,); NaN where no sample counts."""
+    if name == VARIATION:
+        return _if(outcome.span > 0.0, outcome.sums["variation"] / max(outcome.span, 1e-9))
+    squares, count = (outcome.sums[key] for key in ROOTS[name])
+    root = np.sqrt(_mean(squares, count))
+    return np.degrees(root) if name.endswith("_deg") else root
 
 
 def flight_record(outcome: Outcome) -> dict[str, Any]:
@@ -233,23 +189,30 @@ def flight_record(outcome: Outcome) -> dict[str, Any]:
     Those of an axis are called ``name.axis``. None: there is no value, as where no sample counts.
     """
     sums, marks = outcome.sums, outcome.marks
-    return {
-        "finite": bool(marks.finite),
-        **_axes("tracking_rmse_deg", np.degrees(_rms(sums.tracking, sums.delivered))),
-        **_axes("tracking_max_deg", np.degrees(_if(sums.delivered, marks.tracking))),
-        **_axes("fault_estimate_rmse_deg", np.degrees(_rms(sums.estimate, sums.known))),
-        **_axes("fault_estimate_max_deg", np.degrees(_if(sums.known, marks.estimate))),
-        **_axes("disturbance_estimate_rmse", _rms(sums.disturbance, sums.delivered)),
-        **_axes("torque_rms", _rms(sums.torque, sums.delivered)),
-        **_axes("torque_total_variation", _if(outcome.span > 0.0, sums.variation / max(outcome.span, 1e-9))),
-        **_axes("saturation_share", _mean(sums.saturated, sums.delivered)),
-        "max_tilt_deg": float(np.degrees(np.arccos(np.clip(marks.tilt, -1.0, 1.0)))),
-        **_axes("starting_share", _mean(sums.starting, sums.delivered)),
-        **_axes("healthy_time_s", sums.healthy * outcome.period),
-        **_axes("false_alarms", sums.alarms),
-        **_axes("false_alarm_time_s", sums.alarmed * outcome.period),
-        **_axes("healthy_estimate_max_deg", np.degrees(_if(sums.healthy, marks.score))),
+    of_axes = {
+        "tracking_rmse_deg": metric_of("tracking_rmse_deg", outcome),
+        "tracking_max_deg": np.degrees(_if(sums["delivered"], marks["tracking"])),
+        "fault_estimate_rmse_deg": metric_of("fault_estimate_rmse_deg", outcome),
+        "fault_estimate_max_deg": np.degrees(_if(sums["known"], marks["estimate"])),
+        "disturbance_estimate_rmse": metric_of("disturbance_estimate_rmse", outcome),
+        "torque_rms": metric_of("torque_rms", outcome),
+        VARIATION: metric_of(VARIATION, outcome),
+        "saturation_share": _mean(sums["saturated"], sums["delivered"]),
+        "max_tilt_deg": np.degrees(np.arccos(np.clip(marks["upright"], -1.0, 1.0))),
+        "starting_share": _mean(sums["starting"], sums["delivered"]),
+        "healthy_time_s": sums["healthy"] * outcome.period,
+        "false_alarms": sums["alarms"],
+        "false_alarm_time_s": sums["alarmed"] * outcome.period,
+        "healthy_estimate_max_deg": np.degrees(_if(sums["healthy"], marks["score"])),
     }
+    record: dict[str, Any] = {"finite": not marks["not_finite"]}
+    for name, values in of_axes.items():
+        if np.ndim(values) == 0:
+            record[name] = float(values)
+            continue
+        for axis, value in zip(AXES, np.asarray(values, np.float64).tolist(), strict=True):
+            record[f"{name}.{axis}"] = value if math.isfinite(value) else None
+    return record
 
 
 def fault_records(outcome: Outcome, events: Sequence[FaultEvent]) -> list[dict[str, Any]]:
@@ -263,54 +226,40 @@ def fault_records(outcome: Outcome, events: Sequence[FaultEvent]) -> list[dict[s
 
 
 def _fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]) -> dict[str, Any]:
-    sums, marks = outcome.sums, outcome.marks
-    known, stated = float(sums.event_known[at]), float(sums.event_delivered[at])
-    sized = bool(marks.event_sized[at]) and stated > 0.0
-    detected = _found(marks.event_detected[at], sized)
-    above = _found(marks.event_above[at], sized)
-    already, already_above = bool(marks.event_already[at]), bool(marks.event_already_above[at])
-    trusted = float(marks.event_trusted[at])
+    sums = {name: float(each[at]) for name, each in outcome.sums.items() if name.startswith("event")}
+    marks = {name: each[at].item() for name, each in outcome.marks.items() if name.startswith("event")}
+    known, stated = sums["event_known"], sums["event_delivered"]
+    sized = marks["event_sized"] and stated > 0.0
+    detected = math.isfinite(marks["event_detected"]) if sized else None
+    above = math.isfinite(marks["event_above"]) if sized else None
+    trusted = math.isfinite(marks["event_trusted"])
+
+    def delay(name: str, since: float, there: bool | None) -> float | None:
+        return marks[name] - since if there else None
+
     return {
         **event._asdict(),
         "detected": detected,
-        "already_declared": already if sized else None,
-        "detection_delay_s": _delay(marks.event_detected[at], event.start, detected and not already),
-        "declared_share": float(sums.event_declared[at]) / stated if stated else None,
-        "recovered": math.isfinite(trusted) if detected else None,
-        "recovery_delay_s": _delay(trusted, event.stop, detected and math.isfinite(trusted)),
+        "already_declared": marks["event_already"] if sized else None,
+        "detection_delay_s": delay("event_detected", event.start, detected and not marks["event_already"]),
+        "declared_share": sums["event_declared"] / stated if stated else None,
+        "recovered": trusted if detected else None,
+        "recovery_delay_s": delay("event_trusted", event.stop, detected and trusted),
         "above_threshold": above,
-        "above_threshold_delay_s": _delay(marks.event_above[at], event.start, above and not already_above),
-        "estimate_rmse_deg": math.degrees(math.sqrt(sums.event_squares[at] / known)) if known else None,
-        "estimate_bias_deg": math.degrees(sums.event_error[at] / known) if known else None,
-        "estimate_max_deg": math.degrees(marks.event_error[at]) if known else None,
-        "estimate_peak_deg": math.degrees(marks.event_score[at]) if stated else None,
-        "tracking_rmse_deg": math.degrees(math.sqrt(sums.event_tracking[at] / stated)) if stated else None,
+        "above_threshold_delay_s": delay(
+            "event_above", event.start, above and not marks["event_already_above"]
+        ),
+        "estimate_rmse_deg": math.degrees(math.sqrt(sums["event_squares"] / known)) if known else None,
+        "estimate_bias_deg": math.degrees(sums["event_error"] / known) if known else None,
+        "estimate_max_deg": math.degrees(marks["event_error"]) if known else None,
+        "estimate_peak_deg": math.degrees(marks["event_score"]) if stated else None,
+        "tracking_rmse_deg": math.degrees(math.sqrt(sums["event_tracking"] / stated)) if stated else None,
     }
-
-
-def _found(moment: float, sized: bool) -> bool | None:
-    return math.isfinite(moment) if sized else None
-
-
-def _delay(moment: float, since: float, there: bool | None) -> float | None:
-    return float(moment) - since if there else None
-
-
-def _rms(squares: Floats, count: Any) -> Floats:
-    return np.sqrt(_mean(squares, count))
 
 
 def _mean(total: Floats, count: Any) -> Floats:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-def _if(condition: Any, values: Floats) -> Floats:
+def _if(condition: Any, values: Any) -> Floats:
     return np.where(condition, values, np.nan)
-
-
-def _axes(name: str, values: Floats) -> dict[str, Any]:
-    numbers: list[float] = np.asarray(values, np.float64).tolist()
-    return {
-        f"{name}.{axis}": number if math.isfinite(number) else None
-        for axis, number in zip(AXES, numbers, strict=True)
-    }

@@ -1,19 +1,18 @@
-"""Gains that are tuned, and how the metrics of flights change with their logarithms."""
+"""Gains that are tuned, how metrics of flights change with their logarithms, and the cost made of metrics."""
 
 from __future__ import annotations
 
 import dataclasses
-import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_campaign.batch.parts import numbers_of
+from quadftc_campaign.batch.parts import Progress, numbers_of
+from quadftc_campaign.batch.tally import ROOTS, Outcome, metric_of
 from quadftc_campaign.campaign_file import Campaign, Variant
-from quadftc_campaign.flights import flight
-from quadftc_campaign.tune.cost import slope_of_term, term
+from quadftc_campaign.flights import flight_scenario, parts_of
 from quadftc_flight.scenario import ROLES, Part, Problem, Scheme
 from quadftc_model.parameters import parameters_of
 
@@ -25,18 +24,10 @@ TOGETHER = 256  # lanes: flights times gains
 
 
 class Gains(NamedTuple):
-    """Gains by name.
+    """Gains by name."""
 
-    Parameters
-    ----------
-    names : tuple of str
-        ``role.parameter``, such as ``controller.k_c1``.
-    values : tuple of arrays
-        Each () or (n,), positive.
-    """
-
-    names: tuple[str, ...]
-    values: tuple[Floats, ...]
+    names: tuple[str, ...]  # ``role.parameter``, such as ``controller.k_c1``
+    values: tuple[Floats, ...]  # each () or (n,), positive
 
     @property
     def logarithms(self) -> Floats:
@@ -51,7 +42,8 @@ class Gains(NamedTuple):
 
     def rounded(self) -> Gains:
         """Round to a few significant digits, as people write them."""
-        return self._replace(values=tuple(_round(value) for value in self.values))
+        rounded = np.vectorize(_round, otypes=[np.float64])
+        return self._replace(values=tuple(rounded(value) for value in self.values))
 
     def plain(self) -> dict[str, float | list[float]]:
         """Return numbers and lists, by name."""
@@ -84,24 +76,19 @@ def gains_of(campaign: Campaign, scheme: Scheme, names: Sequence[str]) -> Gains:
 def with_gains(campaign: Campaign, scheme: str, gains: Gains) -> Campaign:
     """Return the campaign with these gains."""
     values = {f"schemes.{scheme}.{name}": value for name, value in gains.plain().items()}
-    return dataclasses.replace(campaign, base=campaign.base.with_values(values, "tuned"))
+    return campaign.model_copy(update={"base": campaign.base.with_values(values, "tuned")})
 
 
 def directions(campaign: Campaign, variant: Variant, gains: Gains, number: int) -> list[Mapping[str, Floats]]:
-    """Return how the numbers of a flight's parts change by the logarithm of each gain.
+    """Return how the numbers of a flight's parts (`numbers_of`) change by the logarithm of each gain.
 
     The parts are built by their own code, from gains a little larger and smaller: that covers whatever a part
-    computes of its gains when it is built.
-
-    Returns
-    -------
-    list of mappings
-        For each gain, by path as in `quadftc_campaign.batch.parts.numbers_of`; all have the same paths.
+    computes of its gains when it is built. The mappings of all gains have the same paths.
     """
 
     def build(logarithms: Floats) -> dict[str, Any]:
         tried = with_gains(campaign, variant.scheme, gains.at(logarithms))
-        return numbers_of(flight(tried, number, variant).parts.loop)
+        return numbers_of(parts_of(flight_scenario(tried, number, variant)).loop)
 
     middle = gains.logarithms
     steps = DIFFERENCE * np.eye(len(middle))
@@ -115,34 +102,29 @@ def sensitivity(
     gains: Gains,
     metrics: Sequence[str],
     numbers: Sequence[int],
-    progress: Callable[[int], None] = lambda samples: None,
+    progress: Progress = lambda samples: None,
 ) -> Sensitivity:
-    """Fly some flights of a campaign with slopes, each once for each gain.
+    """Fly some flights of a campaign that has these gains, each once for each gain.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        With these gains.
-    gains : Gains
-    metrics : sequence of str
-        Of `quadftc_campaign.tune.cost.TERMS`.
-    numbers : sequence of int
-        Of the flights.
-    progress : callable
-        Called with the number of samples flown since the last call.
+    ``metrics`` are of `quadftc_campaign.campaign_file.COSTS`; ``progress`` gets the number of samples flown
+    since its last call.
     """
+    from quadftc_campaign.batch.engine import LANES, engine_of_process
+
     variant = campaign.variants[0]
     ways = directions(campaign, variant, gains, numbers[0])
-    flights = [flight(campaign, number, variant) for number in numbers]
-    flown = _engine(campaign.float32, tuple(ways[0])).slopes(
-        [each.parts for each in flights for _ in ways],
-        [each.events for each in flights for _ in ways],
-        ways * len(flights),
+    scenarios = [flight_scenario(campaign, number, variant) for number in numbers]
+    parts = [parts_of(scenario) for scenario in scenarios]
+    engine = engine_of_process(campaign.precision == "float32", LANES, tuple(ways[0]))
+    flown = engine.fly(
+        [each for each in parts for _ in ways],
+        [scenario.fault_events for scenario in scenarios for _ in ways],
         progress,
+        ways * len(parts),
     )
-    values = [[term(name, each.outcome) for name in metrics] for each in flown[:: len(ways)]]
-    slopes = [[slope_of_term(name, each.outcome, each.slope) for name in metrics] for each in flown]
-    shape = (len(flights), len(ways), len(metrics), 3)
+    values = [[metric_of(name, each) for name in metrics] for each in flown[:: len(ways)]]
+    slopes = [[_slope_of_metric(name, each) for name in metrics] for each in flown]
+    shape = (len(parts), len(ways), len(metrics), 3)
     return Sensitivity(np.array(values), np.array(slopes).reshape(shape))
 
 
@@ -151,18 +133,61 @@ def flights_together(gains: Gains) -> int:
     return max(TOGETHER // len(gains.logarithms), 1)
 
 
-@functools.cache
-def _engine(float32: bool, free: tuple[str, ...]) -> Any:
-    from quadftc_campaign.batch.engine import LANES, Engine
-    from quadftc_campaign.batch.jax_settings import keep_compiled
+@dataclasses.dataclass(frozen=True, eq=False)
+class Cost:
+    """A cost that is 1 at the start.
 
-    keep_compiled()
-    return Engine(float32, LANES, free)
+    Parameters
+    ----------
+    weights : mapping
+        Of each metric.
+    scale : array (metrics, 3)
+        Mean of each metric at the start; an axis on which it is 0 or has no value does not count.
+    """
+
+    weights: Mapping[str, float]
+    scale: Floats
+
+    @property
+    def _shares(self) -> Floats:
+        """Cost of a unit of each metric on each axis (metrics, 3)."""
+        counts = self.scale > 0.0
+        each: Floats = np.array([*self.weights.values()], np.float64)
+        weights = each[:, None] * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+        return weights / weights.sum() / np.where(counts, self.scale, 1.0)
+
+    def of(self, values: Floats) -> float:
+        """Return the mean cost of flights (flights, metrics, 3)."""
+        terms: Floats = np.where(self.scale > 0.0, values * self._shares, 0.0)
+        return float(terms.sum()) / len(terms)
+
+    def gradient(self, slopes: Floats) -> Floats:
+        """Return the slope (gains,) of the mean cost from those of metrics (flights, gains, metrics, 3)."""
+        return np.mean(np.sum(slopes * self._shares, axis=(2, 3)), axis=0)
 
 
-def _round(values: Floats) -> Floats:
-    numbers: list[float] = values.ravel().tolist()
-    return np.array([float(f"{number:.{DIGITS}g}") for number in numbers]).reshape(values.shape)
+def cost_from(weights: Mapping[str, float], values: Floats) -> Cost:
+    """Return the cost that is 1 for flights (flights, metrics, 3); `ValueError` if all metrics are 0."""
+    scale = np.asarray(np.mean(values, axis=0))
+    if not np.any(scale > 0.0):
+        raise ValueError(f"every metric is 0 from the start: {', '.join(weights)}")
+    return Cost(weights, scale)
+
+
+def _slope_of_metric(name: str, outcome: Outcome) -> Floats:
+    """Return the slope (3,) of a metric, from that of the sums; 0 where it is 0 or has no value."""
+    slope = outcome.slope or {}
+    if name not in ROOTS:
+        return np.asarray(slope["variation"] / outcome.span)
+    squares, count = ROOTS[name]
+    value, scale = metric_of(name, outcome), float(np.degrees(1.0)) if name.endswith("_deg") else 1.0
+    change = slope[squares] / np.maximum(outcome.sums[count], 1)
+    safe = np.where(value > 0.0, value, 1.0)
+    return np.where(value > 0.0, scale**2 * change / (2.0 * safe), 0.0)
+
+
+def _round(number: float) -> float:
+    return float(f"{number:.{DIGITS}g}")
 
 
 def _value(scheme: Scheme, name: str) -> Floats:

@@ -6,7 +6,6 @@ The search is Adam (Kingma and Ba, 2015) on the logarithms of gains, where the t
 
 from __future__ import annotations
 
-import dataclasses
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,15 +16,17 @@ import polars as pl
 from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
-from quadftc_campaign.campaign_file import Campaign
+from quadftc_campaign.batch.parts import Progress
+from quadftc_campaign.campaign_file import Campaign, TuneKeys
 from quadftc_campaign.cluster import cluster_client, run_tasks
 from quadftc_campaign.errors import CampaignError
-from quadftc_campaign.flying import FLIGHTS_A_CHUNK, fly_chunk
+from quadftc_campaign.flying import FLIGHTS_A_CHUNK, fly_chunk, pieces_of
 from quadftc_campaign.table import Rows, table_of
-from quadftc_campaign.tune.cost import Cost, cost_from, values_of
 from quadftc_campaign.tune.sensitivity import (
+    Cost,
     Gains,
     Sensitivity,
+    cost_from,
     flights_together,
     gains_of,
     sensitivity,
@@ -81,14 +82,12 @@ def checked(campaign: Campaign) -> Gains:
     CampaignError, ScenarioError
         If it says nothing of tuning, or nothing that can be done.
     """
-    source = campaign.document.source
-    if campaign.tune is None:
-        raise CampaignError(f"{source}: no key 'tune': expected gains, cost and steps")
+    names = _keys(campaign).gains
     first, *others = campaign.variants
     if others or first.observer or first.controller:
+        source = campaign.document.source
         raise CampaignError(f"{source}: tune: one scheme is tuned, without observers or controllers to cross")
-    scenario = build_scenario(campaign.base)
-    return gains_of(campaign, scenario.scheme(first.scheme), campaign.tune.gains)
+    return gains_of(campaign, build_scenario(campaign.base).scheme(first.scheme), names)
 
 
 def tune(
@@ -96,7 +95,7 @@ def tune(
     address: str | None,
     workers: int,
     told: Callable[[Step], None],
-    progress: Callable[[int], None] = lambda samples: None,
+    progress: Progress = lambda samples: None,
 ) -> Tuned:
     """Tune; nothing is written.
 
@@ -108,22 +107,21 @@ def tune(
     workers : int
         How many to start here.
     told : callable
-        Called with each step of the search.
+        Gets each step of the search.
     progress : callable
-        Called with the number of samples flown since the last call.
+        Gets the number of samples flown since its last call.
 
     Raises
     ------
-    CampaignError, ClusterError, ScenarioError, ValueError
+    CampaignError, ScenarioError, ValueError
         If it cannot be done.
     """
-    start = checked(campaign)
+    start, metrics = checked(campaign), tuple(_keys(campaign).cost)
     with cluster_client(address, workers) as client:
 
         def fly(with_them: Campaign, gains: Gains, numbers: Sequence[int]) -> Sensitivity:
             size = min(flights_together(gains), -(-len(numbers) // workers))
             pieces = [list(numbers[at : at + size]) for at in range(0, len(numbers), size)]
-            metrics = tuple(with_them.tune.cost) if with_them.tune else ()
             arguments = [(with_them, gains, metrics, piece) for piece in pieces]
             flown = dict(run_tasks(client, sensitivity, arguments, progress))
             parts: list[Sensitivity] = [flown[place] for place in range(len(pieces))]
@@ -132,8 +130,6 @@ def tune(
         search = Search(campaign, start, fly)
         for step in search.steps():
             told(step)
-        if search.cost is None:
-            raise ValueError("no step was made")
         before, after = _judge_gains(client, campaign, (start, search.result), search.cost, progress)
     return Tuned(start, search.result, search.failing, before, after)
 
@@ -141,31 +137,20 @@ def tune(
 class Search:
     """A search from the gains of a campaign's scheme.
 
-    Parameters
-    ----------
-    campaign : Campaign
-    gains : Gains
-        To start from.
-    fly : callable
+    After `steps`, ``cost`` and ``result`` are known; ``failing`` names the conditions of the theory that fail
+    from the start.
     """
 
+    cost: Cost
+    result: Gains
+
     def __init__(self, campaign: Campaign, gains: Gains, fly: Fly) -> None:
-        if campaign.tune is None:
-            raise ValueError("the campaign says nothing of tuning")
         self._campaign, self._gains, self._fly = campaign, gains, fly
-        self._tune = campaign.tune
-        self._scheme = campaign.variants[0].scheme
-        self.failing = self._failing(gains)  # conditions of the theory that fail from the start
-        self.cost: Cost | None = None  # known after the first step
+        self._tune, self._scheme = _keys(campaign), campaign.variants[0].scheme
+        self.failing = self._failing(gains)
 
     def steps(self) -> Iterator[Step]:
-        """Search; ``result`` is there afterwards.
-
-        Raises
-        ------
-        CampaignError
-            If flights crash from the start, or wherever a step leads.
-        """
+        """Search; a `CampaignError` if flights crash from the start, or wherever a step leads."""
         import optax
 
         optimiser = optax.adam(self._tune.rate)
@@ -186,7 +171,7 @@ class Search:
                     )
                 continue
             # a step of Adam, as far as the theory allows
-            if self.cost is None:
+            if not seen:
                 self.cost = cost_from(self._tune.cost, flown.values)
             gradient = self.cost.gradient(flown.slopes)
             yield Step(gains, self.cost.of(flown.values), float(np.linalg.norm(gradient)))
@@ -224,6 +209,12 @@ class Search:
         )
 
 
+def _keys(campaign: Campaign) -> TuneKeys:
+    if campaign.tune is None:
+        raise CampaignError(f"{campaign.document.source}: no key 'tune': expected gains, cost and steps")
+    return campaign.tune
+
+
 def _all_known(values: Floats) -> bool:
     """Whether every metric that counts is finite: those of a flight that crashed are not."""
     there = np.isfinite(values)
@@ -231,16 +222,15 @@ def _all_known(values: Floats) -> bool:
 
 
 def _judge_gains(
-    client: Any, campaign: Campaign, each: Sequence[Gains], cost: Cost, progress: Callable[[int], None]
+    client: Any, campaign: Campaign, each: Sequence[Gains], cost: Cost, progress: Progress
 ) -> list[Judged]:
     """Fly the flights after those of the campaign, with each of some gains."""
-    count = campaign.tune.held_out if campaign.tune else 0
-    numbers = list(range(campaign.flights, campaign.flights + count))
-    pieces = [numbers[at : at + FLIGHTS_A_CHUNK] for at in range(0, count, FLIGHTS_A_CHUNK)]
-    longer = dataclasses.replace(campaign, flights=campaign.flights + count)
+    total = campaign.flights + _keys(campaign).held_out
+    pieces = pieces_of(list(range(campaign.flights, total)), FLIGHTS_A_CHUNK)
+    longer = campaign.model_copy(update={"flights": total})
     tried = [with_gains(longer, campaign.variants[0].scheme, gains) for gains in each]
-    tasks = [(one, piece) for one in tried for piece in pieces]
     rows: list[Rows] = [[] for _ in each]
+    tasks = [(one, piece) for one in tried for piece in pieces]
     for place, flown in run_tasks(client, fly_chunk, tasks, progress):
         rows[place // len(pieces)] += flown
     return [_judge(table_of(some), cost) for some in rows]
@@ -249,9 +239,10 @@ def _judge_gains(
 def _judge(frame: pl.DataFrame, cost: Cost) -> Judged:
     """Judge the flights of a campaign's table."""
     flights = frame.unique("flight", keep="first", maintain_order=True)
-    values = np.array([values_of(row, cost.weights) for row in flights.iter_rows(named=True)])
+    columns = [f"{name}.{axis}" for name in cost.weights for axis in AXES]
+    values = flights.select(columns).to_numpy().reshape(-1, len(cost.weights), len(AXES))
     detected = frame["fault.detected"] if "fault.detected" in frame.columns else pl.Series(dtype=pl.Boolean)
-    means = np.nanmean(values, axis=(0, 2)) if len(values) else np.full(len(cost.weights), np.nan)
+    means = np.nanmean(values, axis=(0, 2))
     return Judged(
         cost=cost.of(values),
         metrics=dict(zip(cost.weights, map(float, means), strict=True)),
@@ -262,23 +253,15 @@ def _judge(frame: pl.DataFrame, cost: Cost) -> Judged:
 
 
 def write(tuned: Tuned, campaign: Campaign, path: Path) -> None:
-    """Write the file of the gains, with the command that found them and what they bring.
-
-    Raises
-    ------
-    CampaignError
-        If it cannot be written.
-    """
+    """Write the file of the gains, with the command that found them and what they bring."""
     before, after = tuned.before, tuned.after
-    scheme = campaign.variants[0].scheme
-    document = _gains_document(build_scenario(campaign.base), scheme, tuned.gains)
-    flights = campaign.tune.held_out if campaign.tune else 0
+    document = _gains_document(build_scenario(campaign.base), campaign.variants[0].scheme, tuned.gains)
     lines = [
         f"Gains for {document['vehicle']} with sensors of grade {document['grade']}, found by",
         "",
         f"  scripts/quadftc tune {campaign.document.source}",
         "",
-        f"Means over {flights} flights not used for it, before and after:",
+        f"Means over {_keys(campaign).held_out} flights not used for it, before and after:",
         *(f"  {name}: {before.metrics[name]:.4g} -> {after.metrics[name]:.4g}" for name in before.metrics),
         f"  cost: {before.cost:.4g} -> {after.cost:.4g}",
     ]

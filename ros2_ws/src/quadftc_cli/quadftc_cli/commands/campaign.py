@@ -102,7 +102,7 @@ def _fly_all(
     loaded: Campaign, file: Path, directory: Path, resume: bool, scheduler: str | None, workers: int | None
 ) -> int:
     cores = workers_here(workers, scheduler)
-    from quadftc_campaign.flying import CampaignRun
+    from quadftc_campaign.campaign_run import CampaignRun
     from quadftc_report.report import write_campaign_report
 
     screen = console()
@@ -111,7 +111,7 @@ def _fly_all(
     where = scheduler or f"{min(cores, max(extent.missing, 1))} of {len(os.sched_getaffinity(0))} cores here"
     screen.print(
         f"{loaded.name}: {loaded.flights} flights x {len(loaded.variants)} variants, "
-        f"{'float32' if loaded.float32 else 'float64'}, on {where}; "
+        f"{loaded.precision}, on {where}; "
         f"{extent.missing} of {extent.chunks} chunks to fly"
     )
     started = time.monotonic()
