@@ -327,13 +327,13 @@ def test_plant_flies_on_whatever_torque_comes(mode):
             for topic, stamp in data.draw(
                 st.lists(st.tuples(st.sampled_from(sorted(wired.topics)), STAMPS), min_size=3, max_size=20)
             ):
-                awaited = wired.node._driver.flight.awaited_ns or 0
+                awaited = wired.node.flight.awaited_ns or 0
                 wired.feed(topic, set_bad_stamp(spoilt(topic, awaited, data), stamp, awaited))
                 if mode == "realtime":
                     wired.node.tick()
             wired.take()
             for _ in range(5):
-                awaited = wired.node._driver.flight.awaited_ns
+                awaited = wired.node.flight.awaited_ns
                 wired.feed("torque/command", good("torque/command", awaited))
                 if mode == "realtime":
                     wired.node.tick()
