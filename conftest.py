@@ -30,17 +30,14 @@ SERIAL_FILES = {
     "test_bag_writer.py",
     "test_bench.py",
     "test_children.py",
-    "test_executables.py",
     "test_executor.py",
     "test_graph_realtime.py",
     "test_launch_graph.py",
     "test_play.py",
     "test_recorder_faults.py",
     "test_recorder_node.py",
-    "test_report_in_browser.py",
     "test_software_faults.py",
 }
-SERIAL_TESTS = {"test_processes_give_the_same_messages_as_one_process"}
 SERIAL_FIXTURES = {"bench"}
 
 # Tests that take seconds each, mostly to compile or to fly; `scripts/test --quick` leaves them out.
@@ -48,15 +45,17 @@ SLOW_FILES = {
     "test_bag_repair.py",
     "test_batch_engine.py",
     "test_campaign.py",
-    "test_campaign_report.py",
     "test_check_command.py",
     "test_cli.py",
+    "test_clock_jumps.py",
     "test_closed_loop.py",
     "test_examples.py",
+    "test_executables.py",
     "test_graph_lockstep.py",
     "test_open_loop.py",
     "test_replay_command.py",
     "test_report_command.py",
+    "test_report_in_browser.py",
     "test_slopes.py",
     "test_supervised.py",
     "test_theory_control.py",
@@ -101,11 +100,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if not isinstance(item, pytest.Function):
             continue
-        if (
-            item.path.name in SERIAL_FILES
-            or item.originalname in SERIAL_TESTS
-            or SERIAL_FIXTURES & set(item.fixturenames)
-        ):
+        if item.path.name in SERIAL_FILES or SERIAL_FIXTURES & set(item.fixturenames):
             item.add_marker(pytest.mark.serial)
         if item.path.name in SLOW_FILES:
             item.add_marker(pytest.mark.slow)

@@ -155,7 +155,6 @@ def test_a_gain_of_zero_is_refused(tmp_path):
         checked(campaign)
 
 
-@pytest.mark.serial
 def test_tuned_gains_fly_better_and_can_be_used(tmp_path, capsys):
     """A roll axis four times too soft, through gradients of real flights, to a file and into a scenario."""
     campaign = loaded(tmp_path)
