@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import functools
+import html
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
@@ -23,6 +25,7 @@ IN_A_ROW = 3  # entries of a legend, about
 POINTS = 500  # of a curve
 RATIO = 8.0  # between the largest and the smallest value, from which on a scale is logarithmic
 DECADES = 3.5  # longest logarithmic scale with ticks at 2 and 5
+escape = functools.partial(html.escape, quote=False)  # so that Plotly finds no markup
 RATES = "finds %{y:.1%} at %{x:.1%} false alarms<extra></extra>"
 
 
@@ -95,23 +98,21 @@ def detector_of(side: Side) -> tuple[Roc | None, Point | None]:
 
 def distributions(results: Results) -> Iterator[Picture]:
     """Yield the distributions of tracking, fault estimate and detection delay."""
-    sides = results.sides
-    note = "A flight that did not stay finite is worse than all others."
+    sides, note = results.sides, "A flight that did not stay finite is worse than all others."
     tracking = [(side, side.worst_tracking) for side in sides]
-    yield from _distribution("tracking", ("tracking RMSE of the worst axis", "deg", "flight"), tracking, note)
+    yield from _distribution("tracking", "tracking RMSE of the worst axis", "deg", "flight", tracking, note)
     note = "Without a fault observer the error is the fault itself."
     estimates = [(side, side.estimate_errors) for side in sides]
-    yield from _distribution("estimate", ("RMSE of the estimate", "deg", "fault"), estimates, note)
+    yield from _distribution("estimate", "RMSE of the estimate", "deg", "fault", estimates, note)
     note = "Where faults were missed, the curve ends below 100 %."
     delays = [(side, side.detection_delays) for side in sides if side.has_observer]
-    yield from _distribution("delay", ("detection delay", "s", "fault"), delays, note)
+    yield from _distribution("delay", "detection delay", "s", "fault", delays, note)
 
 
 def _distribution(
-    key: str, words: tuple[str, str, str], parts: Sequence[tuple[Side, Floats]], note: str
+    key: str, value: str, unit: str, thing: str, parts: Sequence[tuple[Side, Floats]], note: str
 ) -> Iterator[Picture]:
     """A figure of distributions; none if there is not a value."""
-    value, unit, thing = words
     curves = [(side, curve) for side, values in parts if (curve := ecdf(values)).total]
     finite = np.concatenate([curve.values for _, curve in curves]) if curves else np.zeros(0)
     if not len(finite):
@@ -131,10 +132,10 @@ def _distribution(
         drawing.add_scatter(
             x=np.maximum(x, start).astype(np.float32),
             y=np.concatenate([[0.0], curve.shares, [final]]).astype(np.float32),
-            name=escaped(side.name),
+            name=escape(side.name),
             line_shape="hv",
             customdata=[short(each) for each in x.tolist()],
-            hovertemplate=f"{escaped(side.name)}: %{{y:.1%}} at most %{{customdata}} {unit}<extra></extra>",
+            hovertemplate=f"{escape(side.name)}: %{{y:.1%}} at most %{{customdata}} {unit}<extra></extra>",
             **line_look(side.role, side.rank),
         )
     caption = f"Share of the {thing}s whose {value} is at most so much. {note}"
@@ -165,7 +166,7 @@ def characteristics(results: Results) -> Iterator[Picture]:
 
 
 def _add_characteristic(drawing: go.Figure, side: Side, curve: Roc, point: Point | None) -> None:
-    name, look, chosen = escaped(side.name), line_look(side.role, side.rank), _thin(len(curve.threshold))
+    name, look, chosen = escape(side.name), line_look(side.role, side.rank), _thin(len(curve.threshold))
     area = "1" if curve.area == 1.0 else f"{min(curve.area, 0.9999):.4g}"  # 1 only if it is
     drawing.add_scatter(
         x=curve.false_alarm_share[chosen].astype(np.float32),
@@ -194,11 +195,6 @@ def _add_characteristic(drawing: go.Figure, side: Side, curve: Roc, point: Point
 def variant_figure(entries: int, titles: tuple[str, str]) -> go.Figure:
     """Return an empty figure with room for the entries of its legend."""
     more = LEGEND_ROW * max(-(-entries // IN_A_ROW) - 1, 0)
-    x, y = (axis(escaped(title)) for title in titles)
+    x, y = (axis(escape(title)) for title in titles)
     others = {"showlegend": entries > 0, "hovermode": "closest", "xaxis": x, "yaxis": y}
     return empty_figure(HEIGHT + more, TOP + more, **others)
-
-
-def escaped(text: str) -> str:
-    """Return a text in which Plotly finds no markup."""
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.distributions import Distribution, plain
 from quadftc_campaign.table import whole_flights
 from quadftc_model.samples import AXES
-from quadftc_report.campaign_curves import RATIO, Picture, escaped, log_ticks, variant_figure
+from quadftc_report.campaign_curves import RATIO, Picture, escape, log_ticks, variant_figure
 from quadftc_report.campaign_results import Floats, Results, numbers
 from quadftc_report.draw_plotly import spec_of
 from quadftc_report.metric_kinds import SCALES, Kind, describe
@@ -60,7 +61,7 @@ def draw_maps(results: Results) -> Iterator[Picture]:
         yield Picture("map", "No map", f"No cell holds {FEWEST} flights with a '{metric}'.", {})
         return
     caption = (
-        f"Median of the {_metric_text(maps.kind)} in each cell, of its worst axis where it has several."
+        f"Median of the {maps.kind.heading} in each cell, of its worst axis where it has several."
         f" Cells with fewer than {FEWEST} flights are grey. A range is divided into parts with as many"
         " flights each."
     )
@@ -71,19 +72,14 @@ def draw_maps(results: Results) -> Iterator[Picture]:
 def maps_of(results: Results) -> Maps | None:
     """Return the maps of a campaign; None if fewer than two values vary, or no cell has the metric."""
     campaign, frame = results.campaign, results.frame
-    paths, columns = _mapped_paths(campaign), _metric_columns(frame, campaign.report.metric)
+    paths, metric = _mapped_paths(campaign), campaign.report.metric
+    columns, of_faults = _metric_columns(frame, metric), metric.startswith(FAULT)
     if len(paths) < 2 or not columns:
         return None
     both = campaign.vary[paths[0]], campaign.vary[paths[1]]
     most = _bins_for(frame["flight"].n_unique(), both)
     x, y = (bin_axis(frame, path, drawn, most) for path, drawn in zip(paths, both, strict=True))
-    of_faults = campaign.report.metric.startswith(FAULT)
-    metric = (
-        campaign.report.metric.replace(FAULT, "diagnosis.events.0.", 1)
-        if of_faults
-        else campaign.report.metric
-    )
-    kind = describe(metric)[1]
+    kind = describe(metric.replace(FAULT, "diagnosis.events.0.", 1) if of_faults else metric)[1]
     largest = pl.max_horizontal(pl.col(columns).cast(pl.Float64).fill_nan(None))
     value = SCALES.get(kind.unit, 1.0) * largest
     values = frame.select("flight", "variant", value=value, x=pl.Series(x.bins), y=pl.Series(y.bins))
@@ -138,7 +134,7 @@ def _key(value: Any) -> float | str:
 def _bins_for(flights: int, both: tuple[Distribution, Distribution]) -> int:
     """Into how many bins a continuous value is divided, so that a cell holds a few flights on average."""
     listed = [len(each.values) for each in both if each.values]
-    cells = flights / (WANTED * float(np.prod(listed, initial=1.0)))
+    cells = flights / (WANTED * math.prod(listed))
     return int(np.clip(np.floor(cells ** (1.0 / max(len(both) - len(listed), 1))), 2, MOST))
 
 
@@ -155,20 +151,16 @@ def _metric_columns(frame: pl.DataFrame, metric: str) -> list[str]:
     return [name for name in wanted if name in frame.columns and frame.schema[name].is_numeric()]
 
 
-def _metric_text(kind: Kind) -> str:
-    return f"{kind.label} [{kind.unit}]" if kind.unit else kind.label
-
-
 def _spec(key: str, maps: Maps, variant: str) -> dict[str, Any]:
     """Draw the map of a variant, in the colours that hold for all variants."""
     medians, (low, high) = maps.medians[variant], maps.span
-    bar: dict[str, Any] = {"title": {"text": f"median {_metric_text(maps.kind)}", "side": "right"}}
+    bar: dict[str, Any] = {"title": {"text": f"median {maps.kind.heading}", "side": "right"}}
     shown, edges = medians, (low, high)
     if low > 0.0 and high > RATIO * low:
         shown, edges = np.log10(np.maximum(shown, low)), (np.log10(low), np.log10(high))
         ticks = log_ticks(low, high)
         bar |= {**ticks, "tickvals": np.log10(ticks["tickvals"]).tolist()}
-    x, y = ([escaped(name) for name in axis.names] for axis in (maps.x, maps.y))
+    x, y = ([escape(name) for name in axis.names] for axis in (maps.x, maps.y))
     hover = [
         [f"{column}<br>{row}<br>{count} flights" for column, count in zip(x, counts, strict=True)]
         for row, counts in zip(y, maps.flights[variant].tolist(), strict=True)

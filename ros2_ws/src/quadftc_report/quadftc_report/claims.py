@@ -13,12 +13,14 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from quadftc_flight.metrics import SETTLED_ERROR_DEG, SETTLING_TIME
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES
+from quadftc_report import DATA
 from quadftc_report.comparison import Comparison, axis_metric, is_ideal
 from quadftc_report.wording import each_axis, short
 
@@ -26,8 +28,7 @@ Floats = NDArray[np.float64]
 Among = Sequence[Comparison[RecordedRun]]  # all comparisons of a report: some claims compare scenarios
 Finding = tuple[bool, str]  # whether a claim holds, and the numbers
 
-SCENARIOS = ("paper_faults", "paper_constant_disturbance", "paper_varying_disturbance")
-FAULTS, CONSTANT, VARYING = SCENARIOS
+FAULTS, CONSTANT, VARYING = "paper_faults", "paper_constant_disturbance", "paper_varying_disturbance"
 VEHICLE = ("qball_x4", False, {1.0})  # section 2; whether its motors lag, factors of its inertia
 PROPOSED = ("sliding_mode", "exosystem", "ismc")  # observer, disturbance observer, controller of the paper
 CONVENTIONAL = ("none", "none", "smc")  # and of what it compares with
@@ -53,14 +54,13 @@ class Evidence(NamedTuple):
 
 
 class Claim(NamedTuple):
-    """One statement of the paper, in our words, and how it is judged."""
+    """One statement of the paper, in our words, and the criterion; ``data/claims.yaml`` has them all."""
 
     key: str
-    scenarios: tuple[str, ...]  # names of those on which it is judged
+    scenarios: list[str]  # names of those on which it is judged
     place: str  # in the paper
     text: str
     criterion: str
-    judge: Callable[[Evidence, Among], Finding]
 
 
 class Judgement(NamedTuple):
@@ -79,7 +79,7 @@ def judge(comparison: Comparison[RecordedRun], among: Among = ()) -> list[Judgem
 
 def _judge(claim: Claim, comparison: Comparison[RecordedRun], among: Among) -> Judgement:
     try:
-        return Judgement(claim, *claim.judge(_evidence(comparison), among))
+        return Judgement(claim, *JUDGES[claim.key](_evidence(comparison), among))
     except NoVerdictError as why:
         return Judgement(claim, None, str(why))
 
@@ -158,22 +158,10 @@ def _is_bounded(label: str, path: str, bound: float, evidence: Evidence, _: Amon
     return bool(values.max() < bound), f"{label} {each_axis(values, 'deg')}"
 
 
-_faults_estimated = functools.partial(
-    _is_bounded, "error of the settled estimate", "fault_estimate_max_settled_deg", SETTLED_ERROR_DEG
-)
-_proposed_tracks = functools.partial(_is_bounded, "tracking RMSE", "tracking_rmse_deg", TRACKING_DEG)
-
-
 def _is_smaller(label: str, path: str, unit: str, evidence: Evidence, _: Among) -> Finding:
     """Compare a metric of the proposed run with that of the conventional one, axis by axis."""
     ours, theirs = (_metric(run, path) for run in evidence[:2])
     return bool(np.all(ours <= theirs)), f"{label} {each_axis(ours, unit)} against {each_axis(theirs, unit)}"
-
-
-_superior = functools.partial(_is_smaller, "tracking RMSE", "tracking_rmse_deg", "deg")
-_no_chattering = functools.partial(
-    _is_smaller, "total variation of the torque", "torque_total_variation", "N m/s"
-)
 
 
 def _follows_its_sensor(evidence: Evidence, _: Among) -> Finding:
@@ -227,102 +215,29 @@ def _more_affected(evidence: Evidence, among: Among) -> Finding:
     )
 
 
-_OURS = "the bound is ours, as the paper gives none"
-_TRACKED = f"Tracking RMSE below {TRACKING_DEG:g} deg on every axis; {_OURS}."
-
-CLAIMS = (
-    Claim(
-        "faults_estimated",
-        SCENARIOS,
-        "section 4, Figures 3 to 5",
-        "The faults of all three attitude sensors are estimated accurately, whatever the disturbances.",
-        f"From {SETTLING_TIME:g} s after each onset and end of a fault on, the estimate is off by less than"
-        f" {SETTLED_ERROR_DEG:g} deg; {_OURS}.",
-        _faults_estimated,
+_proposed_tracks = functools.partial(_is_bounded, "tracking RMSE", "tracking_rmse_deg", TRACKING_DEG)
+JUDGES: dict[str, Callable[[Evidence, Among], Finding]] = {
+    "faults_estimated": functools.partial(
+        _is_bounded, "error of the settled estimate", "fault_estimate_max_settled_deg", SETTLED_ERROR_DEG
     ),
-    Claim(
-        "conventional_follows_its_sensor",
-        (FAULTS,),
-        "section 4, Figures 6 to 8",
-        "Without fault diagnosis the attitude cannot follow the reference while its sensor is faulty.",
-        f"The compared control's tracking RMSE in each fault window is above {TRACKING_DEG:g} deg on every"
-        f" axis; {_OURS}.",
-        _follows_its_sensor,
+    "conventional_follows_its_sensor": _follows_its_sensor,
+    "roll_is_minus_one_degree": _roll_reads_wrong,
+    "proposed_follows": _proposed_tracks,
+    "conventional_leans_without_fault": _leans_without_fault,
+    "disturbance_compensated": _disturbance_estimated,
+    "tracking_maintained": _proposed_tracks,
+    "conventional_more_affected": _more_affected,
+    "tracking_still_maintained": _proposed_tracks,
+    "proposed_superior": functools.partial(_is_smaller, "tracking RMSE", "tracking_rmse_deg", "deg"),
+    "no_chattering": functools.partial(
+        _is_smaller, "total variation of the torque", "torque_total_variation", "N m/s"
     ),
-    Claim(
-        "roll_is_minus_one_degree",
-        (FAULTS,),
-        "section 4, Figure 6",
-        "From 20 to 40 s the compared control holds a roll of -1 deg where the reference is zero.",
-        "The mean roll in that window is -1 deg within 10 %; the tolerance is ours.",
-        _roll_reads_wrong,
-    ),
-    Claim(
-        "proposed_follows",
-        (FAULTS,),
-        "section 4, Figures 6 to 8",
-        "With the fault estimate the vehicle follows the reference very well in spite of the faults.",
-        _TRACKED,
-        _proposed_tracks,
-    ),
-    Claim(
-        "conventional_leans_without_fault",
-        (CONSTANT,),
-        "section 4, Figures 9 to 11",
-        "Once the disturbance acts, the compared control has tracking errors even without a fault.",
-        f"Its tracking RMSE from 7 to 20 s is above {TRACKING_DEG:g} deg, and above that before 5 s, on every"
-        f" axis; {_OURS}.",
-        _leans_without_fault,
-    ),
-    Claim(
-        "disturbance_compensated",
-        (CONSTANT,),
-        "section 4, Figures 9 to 11",
-        "The proposed control estimates the disturbance and compensates it.",
-        f"The error of its estimate is below {100.0 * REMAINDER:g} % of the disturbance, both RMS, on every"
-        f" axis; {_OURS}.",
-        _disturbance_estimated,
-    ),
-    Claim(
-        "tracking_maintained",
-        (CONSTANT,),
-        "section 4, Figures 9 to 11",
-        "The proposed control keeps its tracking under faults and a constant disturbance together.",
-        _TRACKED,
-        _proposed_tracks,
-    ),
-    Claim(
-        "conventional_more_affected",
-        (VARYING,),
-        "section 4, Figures 12 to 14",
-        "The compared control is more affected by the varying disturbance than in scenario 1.",
-        "Its tracking RMSE is larger than under the constant disturbance, on every axis; our measure. The"
-        " paper does not say how large its disturbances are.",
-        _more_affected,
-    ),
-    Claim(
-        "tracking_still_maintained",
-        (VARYING,),
-        "section 4, Figures 12 to 14",
-        "Under a varying disturbance, too, the proposed control tracks satisfactorily.",
-        _TRACKED,
-        _proposed_tracks,
-    ),
-    Claim(
-        "proposed_superior",
-        SCENARIOS,
-        "sections 4 and 5",
-        "The proposed control is superior to the conventional one.",
-        "Its tracking RMSE is not larger on any axis; the measure is ours.",
-        _superior,
-    ),
-    Claim(
-        "no_chattering",
-        SCENARIOS,
-        "abstract and section 5",
-        "With the disturbance observer the control does without chattering.",
-        "The total variation of its torque in a second is not larger than the conventional control's on any"
-        " axis; the measure is ours.",
-        _no_chattering,
-    ),
-)
+}
+_BOUNDS = {
+    "settling": SETTLING_TIME,
+    "settled": SETTLED_ERROR_DEG,
+    "tracking": TRACKING_DEG,
+    "remainder": 100.0 * REMAINDER,
+}
+_TEXTS = (DATA / "claims.yaml").read_text("utf-8").format(**_BOUNDS)
+CLAIMS = tuple(Claim(key, **texts) for key, texts in yaml.safe_load(_TEXTS).items())

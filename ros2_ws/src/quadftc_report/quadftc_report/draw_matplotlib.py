@@ -13,6 +13,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import MaxNLocator
 
+from quadftc_report import DATA
 from quadftc_report.decimation import choose_samples
 from quadftc_report.description import Figure, Panel
 from quadftc_report.style import GREY, line_style, shade_colour
@@ -26,27 +27,7 @@ DPI = 300
 LINE_WIDTH = 0.9  # pt
 FILL = 0.18  # opacity of areas
 HANDLE = 2.2  # times the font size; sample of a line in the legend
-STYLE: dict[str, Any] = {
-    "font.family": "DejaVu Sans",  # comes with Matplotlib: the same everywhere
-    "font.size": 8.0,
-    "axes.labelsize": 8.0,
-    "axes.linewidth": 0.6,
-    "xtick.labelsize": 7.5,
-    "ytick.labelsize": 7.5,
-    "xtick.direction": "in",
-    "ytick.direction": "in",
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "legend.fontsize": 7.0,
-    "axes.grid": True,
-    "grid.color": "#d9d9d9",
-    "grid.linewidth": 0.4,
-    "axes.axisbelow": True,
-    "axes.xmargin": 0.0,
-    "axes.formatter.useoffset": False,
-    "pdf.fonttype": 42,  # TrueType: text stays text
-    "path.simplify": False,  # what is drawn was chosen already
-}
+STYLE: dict[str, Any] = dict(mpl.rc_params_from_file(DATA / "print.mplstyle", use_default_template=False))
 
 
 def save_figure(figure: Figure, directory: Path) -> list[Path]:

@@ -22,13 +22,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_flight.flight import NO_STATE, Reading
+from quadftc_flight.flight import Reading
 from quadftc_flight.run_directory import NO_OBSERVER, RecordedRun
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES, FAULT_STATE_NAMES, FAULTY, RECOVERING, SUSPECT
 from quadftc_replay.replay_directory import RecordedReplay
 from quadftc_report.comparison import Comparison, has_observer
-from quadftc_report.description import Band, Envelope, Figure, Panel, Trace
+from quadftc_report.description import Band, Figure, Panel, Trace
 from quadftc_report.scene import Scene, column_of, envelope, known, worth
 
 Floats = NDArray[np.float64]
@@ -46,15 +46,15 @@ IN_VIEW = 0.5  # share of a limit that the torque has to come up to before the l
 def flight_figures(comparison: Comparison[RecordedRun]) -> list[Figure]:
     """Describe every figure of flights for which there is data."""
     scene, runs = Scene(comparison), comparison.runs
-    name = runs[0].scenario.name
-    return [
-        *_numbered(_faults(scene), PAPER_FIGURES.get((name, "fault"))),
+    figures = [
+        *_faults(scene),
         *_state(scene),
-        *_numbered(_tracking(scene), PAPER_FIGURES.get((name, "tracking"))),
+        *_tracking(scene),
         *_disturbance(scene),
         *_sliding_variable(scene, runs),
         *_torque(scene, runs),
     ]
+    return [_with_paper_number(figure, runs[0].scenario.name) for figure in figures]
 
 
 def replay_figures(comparison: Comparison[RecordedReplay]) -> list[Figure]:
@@ -68,11 +68,10 @@ def replay_figures(comparison: Comparison[RecordedReplay]) -> list[Figure]:
     ]
 
 
-def _numbered(figures: Iterator[Figure], first: int | None) -> Iterator[Figure]:
-    """Give the figures of the axes their numbers in the paper."""
-    for figure in figures:
-        axis = AXES.index(figure.key.rpartition("-")[2])
-        yield dataclasses.replace(figure, paper_figures=() if first is None else (first + axis,))
+def _with_paper_number(figure: Figure, scenario: str) -> Figure:
+    kind, axis = figure.key.split("-")[-2:]
+    first = PAPER_FIGURES.get((scenario, kind))
+    return figure if first is None else dataclasses.replace(figure, paper_figures=(first + AXES.index(axis),))
 
 
 def _faults(scene: Scene) -> Iterator[Figure]:
@@ -83,16 +82,15 @@ def _faults(scene: Scene) -> Iterator[Figure]:
         if not worth(*(trace.y for trace in (*truth, *estimates))):
             continue
         errors = scene.lines(runs, "fault_estimate", axis, "estimate", less="fault")
-        around: list[Envelope] = []
-        around_zero: list[Envelope] = []
-        for run, line in zip(runs, estimates, strict=True):
-            deviation = column_of(run, "fault_std_dev", axis)
-            if np.any(deviation >= 0.0):
-                around.append(envelope(line, line.y, deviation))
-                around_zero.append(envelope(line, 0.0, deviation))
-        look = {"title": "fault", "envelopes": tuple(around), "height": UPPER}
+        deviations = [column_of(run, "fault_std_dev", axis) for run in runs]
+        given = [
+            (line, each) for line, each in zip(estimates, deviations, strict=True) if np.any(each >= 0.0)
+        ]
+        around = tuple(envelope(line, line.y, each) for line, each in given)
+        around_zero = tuple(envelope(line, 0.0, each) for line, each in given)
+        look = {"title": "fault", "envelopes": around, "height": UPPER}
         upper = scene.panel(axis, [*truth, *estimates], f"{name} fault", "deg", **look)
-        lower = scene.panel(axis, errors, "error", "deg", title="error", envelopes=tuple(around_zero))
+        lower = scene.panel(axis, errors, "error", "deg", title="error", envelopes=around_zero)
         title = f"{name.capitalize()} fault and its estimate"
         caption = f"Fault of the {name} reading, its estimate, and the error of the estimate"
         yield scene.figure(f"fault-{name}", title, caption, [upper, lower])
@@ -103,13 +101,11 @@ def _state(scene: Scene) -> Iterator[Figure]:
     runs = [run for run in scene.runs if has_observer(run)]
     if not any(np.isin(run.flight.fault_state, (SUSPECT, FAULTY, RECOVERING)).any() for run in runs):
         return
-    words = tuple((float(state), word) for state, word in enumerate(FAULT_STATE_NAMES))
-    panels: list[Panel] = []
-    for axis, name in enumerate(AXES):
-        columns = [run.flight.fault_state[:, axis].astype(np.float64) for run in runs]
-        states = [np.where(column == NO_STATE, np.nan, column) for column in columns]
-        lines = [scene.trace(run, state) for run, state in zip(runs, states, strict=True)]
-        panels.append(scene.panel(axis, lines, name, "", ticks=words))
+    ticks = tuple((float(state), word) for state, word in enumerate(FAULT_STATE_NAMES))
+    panels = [
+        scene.panel(axis, scene.lines(runs, "fault_state", axis), name, "", ticks=ticks)
+        for axis, name in enumerate(AXES)
+    ]
     caption = "State that the fault observer gives each axis of its sensor"
     yield scene.figure("state", "State of the diagnosis", caption, panels)
 
@@ -128,11 +124,8 @@ def _tracking(scene: Scene) -> Iterator[Figure]:
 
 
 def _disturbance(scene: Scene) -> Iterator[Figure]:
-    runs = [
-        run
-        for run in scene.runs
-        if run.disturbance_observer != NO_OBSERVER and known(run.flight.disturbance_estimate)
-    ]
+    observing = [run for run in scene.runs if run.disturbance_observer != NO_OBSERVER]
+    runs = [run for run in observing if known(run.flight.disturbance_estimate)]
     panels: list[Panel] = []
     for axis, name in enumerate(AXES):
         truth = scene.truth(runs or scene.runs, "disturbance", axis, "disturbance d")
@@ -208,16 +201,17 @@ def _error(run: RecordedReplay, reading: Reading, axis: int) -> Floats:
 
 def _gyro(scene: Scene, runs: Sequence[RecordedReplay], longest: RecordedReplay) -> Iterator[Figure]:
     """The measured body rate, and what the observers add to it, where one of them does."""
-    rates = np.degrees(longest.measured.body_rate)
+    time, rates = longest.flight.time, np.degrees(longest.measured.body_rate)
     changes = [(run, np.degrees(run.corrected.body_rate - run.measured.body_rate)) for run in runs]
     changes = [(run, change) for run, change in changes if worth(change)]
-    measured: list[Panel] = []
-    added: list[Panel] = []
-    for axis, name in enumerate(AXES):
-        line = Trace("measured", "truth", longest.flight.time, rates[:, axis])
-        measured.append(scene.panel(axis, [line], name, "deg/s"))
-        lines = [scene.trace(run, change[:, axis]) for run, change in changes]
-        added.append(scene.panel(axis, lines, name, "deg/s"))
+    measured = [
+        scene.panel(axis, [Trace("measured", "truth", time, rates[:, axis])], name, "deg/s")
+        for axis, name in enumerate(AXES)
+    ]
+    added = [
+        scene.panel(axis, [scene.trace(run, change[:, axis]) for run, change in changes], name, "deg/s")
+        for axis, name in enumerate(AXES)
+    ]
     if known(rates):
         yield scene.figure("gyro", "Gyro as measured", "Body rate as the observers saw it", measured)
     if changes:

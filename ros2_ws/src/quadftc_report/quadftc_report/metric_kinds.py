@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, NamedTuple, cast
 
+import yaml
+
 from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG
 from quadftc_flight.metrics import entries
 from quadftc_model.samples import AXES
+from quadftc_report import DATA
 from quadftc_report.wording import period
 
 SETTLING = "fault_estimate_settling_s"
@@ -24,90 +27,15 @@ class Kind(NamedTuple):
     unit: str = ""
     less_is_better: bool = False
 
+    @property
+    def heading(self) -> str:
+        """Label and unit."""
+        return f"{self.label} [{self.unit}]" if self.unit else self.label
 
+
+_ROWS = yaml.safe_load((DATA / "metrics.yaml").read_text("utf-8"))
 SECTIONS: dict[str, dict[str, Kind]] = {
-    "Tracking": {
-        "tracking_rmse_deg": Kind("tracking RMSE", "deg", True),
-        "tracking_mean_deg": Kind("mean tracking error", "deg"),
-        "tracking_max_deg": Kind("largest tracking error", "deg", True),
-        "max_tilt_deg": Kind("largest tilt", "deg"),
-    },
-    "Fault estimate": {
-        "fault_max_deg": Kind("largest fault", "deg"),
-        "fault_estimate_max_settled_deg": Kind("largest error of the estimate, settled", "deg", True),
-        "fault_estimate_max_deg": Kind("largest error of the estimate", "deg", True),
-        "fault_estimate_rmse_deg": Kind("RMSE of the estimate", "deg", True),
-        "fault_estimate_rmse_inside_deg": Kind("RMSE, inside fault windows", "deg", True),
-        "fault_estimate_max_inside_deg": Kind("largest error, inside fault windows", "deg", True),
-        "fault_estimate_rmse_outside_deg": Kind("RMSE, outside fault windows", "deg", True),
-        "fault_estimate_max_outside_deg": Kind("largest error, outside fault windows", "deg", True),
-        SETTLING: Kind("fault estimate settles in", "ms", True),
-    },
-    "Disturbance and torque": {
-        "disturbance_estimate_rmse": Kind("RMSE of the disturbance estimate", "rad/s²", True),
-        "torque_rms": Kind("torque, RMS", "N m"),
-        "torque_total_variation": Kind("total variation of the torque", "N m/s", True),
-        "saturation_share": Kind("samples with the torque cut", "%", True),
-    },
-    "Detection of faults": {
-        "fault_count": Kind("faults"),
-        "missed": Kind("missed faults", "", True),
-        "already_declared": Kind("axis declared faulty before the onset", "", True),
-        "not_recovered": Kind("sensor not trusted again after a fault", "", True),
-        "fault_count_by_kind": Kind("faults"),
-        "missed_by_kind": Kind("missed faults", "", True),
-        "delay_median_s": Kind("detection delay, median", "ms", True),
-        "delay_max_s": Kind("detection delay, largest", "ms", True),
-        "onset_error_median_s": Kind("error of the onset, median", "ms", True),
-        "recovery_delay_median_s": Kind("trusted again after, median", "s", True),
-        "recovery_delay_max_s": Kind("trusted again after, at most", "s", True),
-        "detected": Kind("detected"),
-        "detection_delay_s": Kind("detection delay", "ms", True),
-        "onset_error_s": Kind("onset as it was reported, less the true one", "ms"),
-        "declared_share": Kind("share of the fault in which it is declared", "%"),
-        "declarations": Kind("times it was declared"),
-        "recovered": Kind("sensor trusted again"),
-        "recovery_delay_s": Kind("trusted again after", "s", True),
-        "threshold_deg": Kind("threshold", "deg"),
-        "already_above": Kind("estimate above it before the onset", "", True),
-        "above_threshold": Kind("estimate above the threshold"),
-        "above_threshold_already": Kind("estimate above it before the onset"),
-        "above_threshold_delay_s": Kind("estimate above it after", "ms", True),
-    },
-    "Estimate, fault by fault": {
-        "estimate_rmse_median_deg": Kind("RMSE, median", "deg", True),
-        "estimate_rmse_p95_deg": Kind("RMSE, 95th percentile", "deg", True),
-        "estimate_rmse_detected_median_deg": Kind("RMSE once detected, median", "deg", True),
-        "estimate_rmse_detected_p95_deg": Kind("RMSE once detected, 95th percentile", "deg", True),
-        "estimate_bias_mean_deg": Kind("mean error", "deg"),
-        "estimate_max_deg": Kind("largest error of the estimate", "deg", True),
-        "tracking_rmse_median_deg": Kind("tracking RMSE, median", "deg", True),
-        "tracking_rmse_p95_deg": Kind("tracking RMSE, 95th percentile", "deg", True),
-        "nees": Kind("NEES"),
-        "nees_low": Kind("NEES if consistent, at least"),
-        "nees_high": Kind("NEES if consistent, at most"),
-        "coverage_2_sigma": Kind("errors within two standard deviations", "%"),
-        "estimate_rmse_deg": Kind("RMSE of the estimate", "deg", True),
-        "estimate_bias_deg": Kind("mean error of the estimate", "deg"),
-        "estimate_rmse_detected_deg": Kind("RMSE of the estimate once detected", "deg", True),
-        "estimate_max_detected_deg": Kind("largest error of the estimate once detected", "deg", True),
-        "nees_samples": Kind("independent samples"),
-    },
-    "Healthy axes": {
-        "healthy_time_s": Kind("healthy time", "s"),
-        "false_alarms": Kind("false alarms", "", True),
-        "false_alarms_per_hour": Kind("false alarms an hour", "1/h", True),
-        "false_alarm_time_s": Kind("declared faulty", "s", True),
-        "false_alarm_share": Kind("declared faulty", "%", True),
-        "late_recovery_time_s": Kind("of it left over from a fault", "s", True),
-        "late_recovery_share": Kind("of it left over from a fault", "%", True),
-        "starting_share": Kind("samples before the diagnosis begins", "%", True),
-    },
-    "Isolation": {
-        "isolation_tested_s": Kind("faulty and healthy axes, some declared", "s"),
-        "isolation_correct_s": Kind("of it no healthy axis declared", "s"),
-        "isolation_accuracy": Kind("isolation accuracy", "%"),
-    },
+    title: {name: Kind(*row) for name, row in rows.items()} for title, rows in _ROWS.items()
 }
 _KINDS = {name: (section, kind) for section, kinds in SECTIONS.items() for name, kind in kinds.items()}
 _NOT_METRICS = ("start", "stop", "axes", "axis", "kind")  # of a window, of a fault

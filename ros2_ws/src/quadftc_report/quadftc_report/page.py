@@ -7,7 +7,6 @@ import dataclasses
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
-from urllib.parse import quote
 
 import jinja2
 import numpy as np
@@ -20,22 +19,14 @@ from quadftc_flight.scenario import Scenario
 from quadftc_model.samples import AXES
 from quadftc_model.stepper import MAX_GAP
 from quadftc_replay.replay_directory import Recorded, RecordedReplay
+from quadftc_report import comparison as about
 from quadftc_report.claims import Judgement, judge
-from quadftc_report.comparison import (
-    Comparison,
-    axis_metric,
-    has_observer,
-    is_ideal,
-    list_injections,
-    metric,
-    parts_of,
-    tell_run,
-)
+from quadftc_report.comparison import Comparison, is_ideal, metric
 from quadftc_report.description import Figure
 from quadftc_report.draw_plotly import plotly_figure, spec_of
 from quadftc_report.figures import flight_figures, replay_figures
-from quadftc_report.tables import Table, fact_table, metric_tables
-from quadftc_report.wording import counted, listing, plain, short
+from quadftc_report.tables import metric_tables
+from quadftc_report.wording import NOTHING, counted, listing, plain, short
 
 KEY_METRICS = {
     "tracking_rmse_deg": "tracking RMSE [deg]",
@@ -46,6 +37,8 @@ VERDICTS = {
     False: ("bad", "✗", "disagrees"),
     None: ("faint", "?", "cannot say"),
 }  # whether a claim holds -> look, sign, word
+
+Facts = dict[str, dict[str, list[str]]]  # group to name to the text of each run
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -97,20 +90,14 @@ def render(
     """
     runs = [run for part in (*parts, *replayed) for run in part.comparison.runs]
 
-    def files(figure: Figure) -> dict[str, str]:
-        kinds = ("png", "pdf") if folder is not None else ()
-        return {kind.upper(): quote(f"{folder}/{figure.key}.{kind}") for kind in kinds}
-
     return render_template(
         "report.html",
         ideal=[part for part in parts if part.ideal],
         real=[part for part in parts if not part.ideal],
         replayed=replayed,
+        about=about,
         axes=AXES,
         key_metrics=KEY_METRICS,
-        axis_metric=axis_metric,
-        has_observer=has_observer,
-        parts_of=parts_of,
         overview_heads=HEADINGS[1:],
         overview_row=lambda runs: show_row(pool(metric(run, "diagnosis") for run in runs)),
         several=pool_replays([part.comparison for part in replayed]),
@@ -118,11 +105,9 @@ def render(
         versions=listing(sorted({run.versions.get("quadftc", "unknown") for run in runs})),
         warnings=list(warnings),
         verdicts=VERDICTS,
-        tell=tell_run,
-        list_injections=list_injections,
         metric_tables=metric_tables,
         setup=_setup,
-        files=files,
+        folder=folder,
         spec=lambda figure: spec_of(plotly_figure(figure), figure.key),
     )
 
@@ -160,15 +145,29 @@ def pool_replays(comparisons: Sequence[Comparison[RecordedReplay]]) -> list[list
     return [runs for runs in groups.values() if len(runs) > 1]
 
 
-def _setup(comparison: Comparison[Any]) -> dict[str, Table]:
-    """Parameters and origin of the runs, by heading."""
+def _setup(comparison: Comparison[Any]) -> dict[str, Facts]:
+    """Parameters and origin of the runs side by side, by heading."""
     runs = comparison.runs
-    labels = [comparison.label(run) for run in runs]
-    note = "In SI units; where the runs differ, in bold."
     return {
-        "Parameters of every node": fact_table(note, labels, [run.parameters for run in runs]),
-        "Origin, versions and seed": fact_table("", labels, [{"": _origin(run)} for run in runs]),
+        "Parameters of every node": _side_by_side([run.parameters for run in runs]),
+        "Origin, versions and seed": _side_by_side([{"": _origin(run)} for run in runs]),
     }
+
+
+def _side_by_side(facts: Sequence[Mapping[str, Mapping[str, Any]]]) -> Facts:
+    found: Facts = {}
+    for index, (title, part) in ((index, item) for index, each in enumerate(facts) for item in each.items()):
+        group = found.setdefault(title, {})
+        for name, value in part.items():
+            group.setdefault(name, [NOTHING] * len(facts))[index] = _fact_text(value)
+    return found
+
+
+def _fact_text(value: Any) -> str:
+    items = value if isinstance(value, list) else [value]
+    if all(isinstance(item, str) for item in items):
+        return "\n".join(items) or NOTHING
+    return NOTHING if value is None else json.dumps(value, ensure_ascii=False, default=str)
 
 
 def _origin(run: Recorded) -> Mapping[str, Any]:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadftc_flight.flight import NO_STATE
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES
 from quadftc_replay.replay_directory import Recorded
@@ -88,6 +89,8 @@ class Scene:
 def column_of(run: Recorded, column: str, axis: int, less: str = "") -> Floats:
     """Return a column (n,) of a flight, less another one; angles in degrees, their differences wrapped."""
     values: Floats = getattr(run.flight, column)[:, axis]
+    if column == "fault_state":
+        return np.where(values == NO_STATE, np.nan, values)
     if less:
         values = np.asarray(wrap(values - getattr(run.flight, less)[:, axis]))
     return np.degrees(values) if column in _ANGLES else values

@@ -1,6 +1,6 @@
-"""The tables of a comparison: the metrics of its runs side by side, and facts about them.
+"""The tables of a comparison: the metrics of its runs side by side.
 
-Of metrics there is a column for each run and axis; each number names its path in ``summary.json``. Where less
+There is a column for each run and axis; each number names its path in ``summary.json``. Where less
 is better, the smallest value is marked as the best; a run that does not estimate at all is never best at
 estimating. Below every number stands its change against the baseline, the first run without a fault observer
 (the last run, if each has one): ``-95 %`` is a twentieth of the baseline's value; ten times it and more is a
@@ -9,9 +9,8 @@ factor, ``x 25``. There is no change against a baseline of zero, or across zero.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 from quadftc_flight.run_directory import NO_OBSERVER
 from quadftc_model.samples import AXES
@@ -39,13 +38,11 @@ Row = tuple[Cell, ...]  # the first cell is its heading
 
 
 class Table(NamedTuple):
-    """A table; below each label stand as many ``columns``, or a single one without heading."""
+    """A table of metrics; below the label of each run stand the axes."""
 
     caption: str
     labels: Sequence[str]
-    groups: Mapping[str, Sequence[Row]]  # by their heading; an empty one is not shown
-    look: str  # CSS class
-    columns: Sequence[str] = ()
+    groups: Mapping[str, Sequence[Row]]  # by their heading
 
 
 def metric_tables(comparison: Comparison[Recorded], what: str) -> list[Table]:
@@ -72,9 +69,9 @@ def metric_tables(comparison: Comparison[Recorded], what: str) -> list[Table]:
     shown = {title: rows for title, rows in sections.items() if rows}
     whole = {title: rows for title, rows in shown.items() if not title.startswith(DETAILS)}
     single = {title: rows for title, rows in shown.items() if title.startswith(DETAILS)}
-    tables = [Table(f"The whole {what}.{note}", labels, whole, "metrics", AXES)]
+    tables = [Table(f"The whole {what}.{note}", labels, whole)]
     if single:
-        tables.append(Table(f"Each fault window by itself.{note}", labels, single, "metrics", AXES))
+        tables.append(Table(f"Each fault window by itself.{note}", labels, single))
     return tables
 
 
@@ -88,7 +85,7 @@ def _row(leaf: Leaf, runs: Sequence[Recorded], baseline: int | None) -> Row:
     width = 1 if leaf.has_axes else len(AXES)
     starts = [cell._replace(look=f"{cell.look} run", columns=width) for cell in columns[0]]
     cells = [cell for group in zip(starts, *columns[1:], strict=True) for cell in group]
-    return Cell(f"{leaf.kind.label} [{leaf.kind.unit}]" if leaf.kind.unit else leaf.kind.label), *cells
+    return Cell(leaf.kind.heading), *cells
 
 
 def _cells(leaf: Leaf, axis: str | None, runs: Sequence[Recorded], baseline: int | None) -> list[Cell]:
@@ -149,31 +146,3 @@ def _estimates(run: Recorded, leaf: Leaf) -> bool:
     if name.startswith("fault_estimate") or (_is_diagnosis(leaf) and "tracking" not in leaf.path):
         return has_observer(run)
     return not name.startswith("disturbance_estimate") or run.disturbance_observer != NO_OBSERVER
-
-
-def fact_table(
-    caption: str, labels: Sequence[str], facts: Sequence[Mapping[str, Mapping[str, Any]]]
-) -> Table:
-    """Return a table of facts side by side: of each label group to name to value; bold where they differ."""
-    groups: dict[str, list[Row]] = {}
-    for title in dict.fromkeys(title for each in facts for title in each):
-        parts = [each.get(title, {}) for each in facts]
-        names = dict.fromkeys(name for part in parts for name in part)
-        groups[title] = [(Cell(name), *_fact_cells([part.get(name) for part in parts])) for name in names]
-    return Table(caption, labels, groups, "facts")
-
-
-def _fact_cells(values: Sequence[Any]) -> Row:
-    texts = [_fact_text(value) for value in values]
-    if len(set(texts)) == 1:
-        return (Cell(texts[0], "text", columns=len(texts)),)
-    return tuple(Cell(text, "text differs") for text in texts)
-
-
-def _fact_text(value: Any) -> str:
-    if value is None:
-        return NOTHING
-    items = cast("list[Any]", value) if isinstance(value, list) else [value]
-    if all(isinstance(item, str) for item in items):
-        return "\n".join(items) or NOTHING
-    return json.dumps(value, ensure_ascii=False, default=str)
