@@ -8,26 +8,27 @@ DIR/summary.json
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
+import itertools
 import json
 import os
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import polars as pl
 
-from quadftc_campaign.batch.parts import Progress
-from quadftc_campaign.campaign_file import Campaign
+from quadftc_campaign.batch.parts import Progress, structure_of
+from quadftc_campaign.campaign_file import Campaign, Variant
 from quadftc_campaign.cluster import cluster_client, devices, run_tasks
-from quadftc_campaign.errors import CampaignError
-from quadftc_campaign.flights import flight_scenario, parts_of
-from quadftc_campaign.flying import chunks_of, fly_chunk
-from quadftc_campaign.table import ORDER, summary_of, table_of
+from quadftc_campaign.errors import CampaignError, report_refusal
+from quadftc_campaign.flights import first_columns, flight_scenario, parts_of
+from quadftc_campaign.table import ORDER, Rows, fault_rows, summary_of, table_of
 
 MANIFEST, CHUNKS, FLIGHTS, SUMMARY = "campaign.json", "chunks", "flights.parquet", "summary.json"
 FORMAT = 2
+FLIGHTS_A_CHUNK = 256  # what a kill loses at most, of each worker; as many as are flown together
+OPEN_FLIGHTS_A_CHUNK = 4  # without the batch engine a flight takes seconds
 
 
 class Extent(NamedTuple):
@@ -54,18 +55,13 @@ class CampaignRun:
     def open(self, resume: bool) -> Extent:
         """Make the directory or go on with it; say how much is to be flown.
 
-        Raises
-        ------
-        CampaignError
-            If there is a campaign already and it is not to be resumed, or is another one, or the directory
-            cannot be used.
-        ScenarioError
-            If the first flight of a chunk cannot be built: better now than when hours are over.
+        A `CampaignError` refuses a directory with another campaign, or with this one if it is not to be
+        resumed. The first flight of each chunk is built: better an error now than when hours are over.
         """
         first = [flight_scenario(self.campaign, numbers[0], variant) for numbers, variant in self._chunks]
         directory, path = self._directory, self._directory / MANIFEST
         manifest = _describe(self.campaign, len(self._chunks))
-        with _report_refusal(directory):
+        with report_refusal(directory):
             if path.exists():
                 _compare(path, manifest, resume)
             elif directory.exists() and any(directory.iterdir()):
@@ -83,24 +79,7 @@ class CampaignRun:
         progress: Progress,
         told: Callable[[str], None] = lambda devices: None,
     ) -> None:
-        """Fly the chunks that are missing.
-
-        Parameters
-        ----------
-        address : str, optional
-            Of a Dask scheduler; None: start workers here.
-        workers : int
-            How many to start here.
-        progress : callable
-            Gets the number of samples flown since its last call.
-        told : callable
-            Gets what it is computed on, in words.
-
-        Raises
-        ------
-        CampaignError, ScenarioError, ValueError
-            If a chunk cannot be flown or written.
-        """
+        """Fly the chunks that are missing, on a cluster as in `cluster_client`; ``told`` gets its devices."""
         missing = self._missing
         if not missing:
             return
@@ -120,15 +99,69 @@ class CampaignRun:
             raise CampaignError(f"{self._directory / CHUNKS}: {error}") from None
         _write_table(frame, self._directory / FLIGHTS)
         summary, path = summary_of(self.campaign, frame), self._directory / SUMMARY
-        with _report_refusal(path):
+        with report_refusal(path):
             path.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
         return frame, summary
 
 
+def chunks_of(campaign: Campaign, size: int | None = None) -> list[list[int]]:
+    """Divide the flights into chunks of about equal size, each with flights of one structure.
+
+    What changes the structure (`quadftc_campaign.batch.parts`) from one combination of the grids to another,
+    such as the rate, keeps them apart. Others, such as inertias, are mixed: nothing is compiled for each.
+    Structures take turns, so that workers compile one each and not the same one at the same time.
+    """
+    cells, is_loop = campaign.cells, campaign.source.is_loop
+    size = size or (FLIGHTS_A_CHUNK if is_loop else OPEN_FLIGHTS_A_CHUNK)
+    groups: dict[Any, list[int]] = {}
+    for cell in range(min(cells, campaign.flights)):
+        structure = None
+        if is_loop and cells > 1:
+            structure = structure_of(parts_of(flight_scenario(campaign, cell, campaign.variants[0])).loop)
+        groups.setdefault(structure, []).extend(range(cell, campaign.flights, cells))
+    turns = itertools.zip_longest(*(pieces_of(sorted(numbers), size) for numbers in groups.values()))
+    return [chunk for turn in turns for chunk in turn if chunk is not None]
+
+
+def pieces_of(numbers: list[int], size: int) -> list[list[int]]:
+    """Divide a list into the fewest pieces of at most ``size``, all about equal."""
+    count = -(-len(numbers) // size)
+    edges = [len(numbers) * place // count for place in range(count + 1)]
+    return [numbers[low:high] for low, high in itertools.pairwise(edges)]
+
+
+def fly_chunk(campaign: Campaign, numbers: Sequence[int], progress: Progress = lambda samples: None) -> Rows:
+    """Fly some flights of a campaign with all its variants, in this process.
+
+    Returns one row for each flight, variant and fault (`quadftc_campaign.table`). A `ScenarioError` says that
+    drawn values make no scenario, a `ValueError` that a part cannot be flown in a batch.
+    """
+    if campaign.source.is_loop:
+        fly = _fly_loop
+    else:
+        from quadftc_campaign import open_loop
+
+        fly = open_loop.fly_open
+    return [row for variant in campaign.variants for row in fly(campaign, numbers, variant, progress)]
+
+
+def _fly_loop(campaign: Campaign, numbers: Sequence[int], variant: Variant, progress: Progress) -> Rows:
+    from quadftc_campaign.batch.engine import engine_of_process, lanes_for
+    from quadftc_campaign.batch.tally import fault_records, flight_record
+
+    engine = engine_of_process(campaign.precision == "float32", lanes_for(len(numbers)))
+    scenarios = [flight_scenario(campaign, number, variant) for number in numbers]
+    outcomes = engine.fly(list(map(parts_of, scenarios)), [one.fault_events for one in scenarios], progress)
+    rows: Rows = []
+    for number, scenario, outcome in zip(numbers, scenarios, outcomes, strict=True):
+        whole = first_columns(campaign, number, variant, scenario) | flight_record(outcome)
+        rows += fault_rows(whole, fault_records(outcome, scenario.fault_events))
+    return rows
+
+
 def _describe(campaign: Campaign, chunks: int) -> dict[str, Any]:
     """Describe what a campaign is made of, ready for JSON."""
-    base = json.dumps(campaign.base.data, sort_keys=True, default=str)
-    source = campaign.source
+    base, source = json.dumps(campaign.base.data, sort_keys=True, default=str), campaign.source
     manifest: dict[str, Any] = {
         "format": FORMAT,
         "name": campaign.name,
@@ -168,7 +201,7 @@ def _compare(path: Path, manifest: dict[str, Any], resume: bool) -> None:
 def _write_table(frame: pl.DataFrame, path: Path) -> None:
     """Write a table as Parquet, all of it or nothing."""
     part = path.with_name(f".{path.name}.part")
-    with _report_refusal(path, "; when it can be written, --resume goes on"):
+    with report_refusal(path, "; when it can be written, --resume goes on"):
         try:
             with part.open("wb") as file:
                 frame.write_parquet(file, compression="zstd", statistics=True)
@@ -177,12 +210,3 @@ def _write_table(frame: pl.DataFrame, path: Path) -> None:
             part.replace(path)
         finally:
             part.unlink(missing_ok=True)
-
-
-@contextlib.contextmanager
-def _report_refusal(path: Path, advice: str = "") -> Generator[None, None, None]:
-    """Turn what the system refuses into a `CampaignError`."""
-    try:
-        yield
-    except OSError as error:
-        raise CampaignError(f"{path}: {error.strerror or error}{advice}") from None

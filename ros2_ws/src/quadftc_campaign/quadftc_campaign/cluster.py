@@ -23,19 +23,9 @@ TIMEOUT = 30.0  # s, to reach a scheduler
 
 @contextlib.contextmanager
 def cluster_client(address: str | None, workers: int) -> Generator[Any, None, None]:
-    """Connect to a scheduler, or start one with workers on this machine.
+    """Connect to the scheduler at an address (``tcp://10.0.0.1:8786``); None: start one here, with workers.
 
-    Parameters
-    ----------
-    address : str, optional
-        Such as ``tcp://10.0.0.1:8786``; None: start a cluster here.
-    workers : int
-        Processes to start here, each for one core.
-
-    Raises
-    ------
-    CampaignError
-        If there is no scheduler at the address, or it has no workers.
+    A `CampaignError` says that there is no scheduler, or that it has no workers.
     """
     from distributed import Client, LocalCluster
 
@@ -75,24 +65,10 @@ def devices(client: Any) -> str:
 def run_tasks(
     client: Any, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], progress: Progress
 ) -> Iterator[tuple[int, Any]]:
-    """Call a function in the workers; return place and result of each call as it is done.
+    """Call a function in the workers; yield place and result of each call as it is done.
 
-    Parameters
-    ----------
-    client : distributed.Client
-    function : callable
-        Its last argument is like ``progress``.
-    arguments : sequence of tuples
-        The others, of each call.
-    progress : callable
-        Gets the number of samples flown since its last call.
-
-    Raises
-    ------
-    CampaignError
-        If a call is lost with its worker again and again.
-    Exception
-        What a call raises.
+    Its last argument is like ``progress``, the others are given. What it raises is raised here; a
+    `CampaignError` says that a call was lost with its worker again and again.
     """
     from distributed import KilledWorker, as_completed
 
@@ -123,7 +99,6 @@ def _call(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
 
 
 def _device() -> str:
-    """In a worker."""
     _set_environment()
     import jax
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import dataclasses
 import zlib
-from collections.abc import Mapping
 from typing import Any, cast
 
 import numpy as np
@@ -44,15 +43,19 @@ def generator_of(campaign: Campaign, number: int, path: str) -> np.random.Genera
     return np.random.default_rng([campaign.seed, number, zlib.crc32(path.encode())])
 
 
+def variant_of(campaign: Campaign, name: str | None) -> Variant:
+    """Return a variant by name (the first by default); a `CampaignError` if there is none of that name."""
+    for variant in campaign.variants:
+        if name in (None, variant.name):
+            return variant
+    there = ", ".join(variant.name for variant in campaign.variants)
+    raise CampaignError(f"{campaign.document.source}: no variant '{name}'; there are: {there}")
+
+
 def flight_scenario(campaign: Campaign, number: int, variant: Variant) -> Scenario:
     """Build the scenario of flight ``number``, with the scheme of a variant alone.
 
-    Raises
-    ------
-    CampaignError
-        If the campaign has no such flight.
-    ScenarioError
-        If the drawn values make no scenario; the message names the flight.
+    A `CampaignError` says that the campaign has no such flight, a `ScenarioError` what is wrong in which.
     """
     if not 0 <= number < campaign.flights:
         last = campaign.flights - 1
@@ -115,10 +118,9 @@ def _scheduled(campaign: Campaign, path: str, value: Value) -> Value:
     return {**{key: each for key, each in kept.items() if key in RESERVED}, **cast("dict[str, Any]", value)}
 
 
-def _replaced(given: Any, kind: str, parameters: Mapping[str, Any]) -> Any:
+def _replaced(given: Any, kind: str, parameters: dict[str, Any]) -> Any:
     """A part by its name; with the parameters that the scenario gives if it is the one that was there."""
-    there: Any = cast("dict[str, Any]", given).get("kind") if isinstance(given, dict) else given
+    spec = cast("dict[str, Any]", given if isinstance(given, dict) else {"kind": given})
     if not parameters:
-        return cast("Any", given) if there == kind else kind
-    own = cast("dict[str, Any]", given) if there == kind and isinstance(given, dict) else {"kind": kind}
-    return {**own, **parameters}
+        return cast("Any", given) if spec.get("kind") == kind else kind
+    return {**(spec if spec.get("kind") == kind else {"kind": kind}), **parameters}

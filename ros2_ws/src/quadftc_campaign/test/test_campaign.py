@@ -13,12 +13,11 @@ import numpy as np
 import pytest
 
 from quadftc_campaign.campaign_file import load_campaign
-from quadftc_campaign.campaign_run import CampaignRun
+from quadftc_campaign.campaign_run import CampaignRun, chunks_of, fly_chunk
 from quadftc_campaign.cluster import cluster_client, run_tasks
 from quadftc_campaign.distributions import distribution, plain
 from quadftc_campaign.errors import CampaignError
-from quadftc_campaign.flights import drawn, flight_scenario
-from quadftc_campaign.flying import chunks_of, fly_chunk, variant_of
+from quadftc_campaign.flights import drawn, flight_scenario, variant_of
 from quadftc_campaign.table import table_of
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.metrics import flight_metrics

@@ -11,9 +11,9 @@ from sensor_msgs.msg import Imu
 from message_objects import set_stamp
 from quadftc_bags.writer import BagWriter
 from quadftc_campaign.campaign_file import bags_in, load_campaign
+from quadftc_campaign.campaign_run import fly_chunk
 from quadftc_campaign.distributions import distribution, plain
 from quadftc_campaign.flights import flight_scenario
-from quadftc_campaign.flying import fly_chunk
 from quadftc_campaign.open_loop import AGES, WITHIN, error_profile, prepare, score_counts, simulate
 from quadftc_campaign.table import summary_of, table_of
 from quadftc_flight.diagnosis_metrics.roc import detection_scores, estimate_size, roc

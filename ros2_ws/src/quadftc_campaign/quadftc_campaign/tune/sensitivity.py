@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -20,7 +19,6 @@ Floats = NDArray[np.float64]
 
 DIFFERENCE = 1e-5  # of a logarithm, between two builds
 DIGITS = 4  # significant, of gains that are given out
-TOGETHER = 256  # lanes: flights times gains
 
 
 class Gains(NamedTuple):
@@ -42,7 +40,7 @@ class Gains(NamedTuple):
 
     def rounded(self) -> Gains:
         """Round to a few significant digits, as people write them."""
-        rounded = np.vectorize(_round, otypes=[np.float64])
+        rounded = np.vectorize(lambda number: float(f"{number:.{DIGITS}g}"), otypes=[np.float64])
         return self._replace(values=tuple(rounded(value) for value in self.values))
 
     def plain(self) -> dict[str, float | list[float]]:
@@ -104,11 +102,7 @@ def sensitivity(
     numbers: Sequence[int],
     progress: Progress = lambda samples: None,
 ) -> Sensitivity:
-    """Fly some flights of a campaign that has these gains, each once for each gain.
-
-    ``metrics`` are of `quadftc_campaign.campaign_file.COSTS`; ``progress`` gets the number of samples flown
-    since its last call.
-    """
+    """Fly some flights of a campaign that has these gains, each once for each gain; metrics: `COSTS`."""
     from quadftc_campaign.batch.engine import LANES, engine_of_process
 
     variant = campaign.variants[0]
@@ -128,50 +122,30 @@ def sensitivity(
     return Sensitivity(np.array(values), np.array(slopes).reshape(shape))
 
 
-def flights_together(gains: Gains) -> int:
-    """Return how many flights fill the lanes."""
-    return max(TOGETHER // len(gains.logarithms), 1)
+class Cost(NamedTuple):
+    """A cost that is 1 at the start."""
 
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Cost:
-    """A cost that is 1 at the start.
-
-    Parameters
-    ----------
-    weights : mapping
-        Of each metric.
-    scale : array (metrics, 3)
-        Mean of each metric at the start; an axis on which it is 0 or has no value does not count.
-    """
-
-    weights: Mapping[str, float]
-    scale: Floats
-
-    @property
-    def _shares(self) -> Floats:
-        """Cost of a unit of each metric on each axis (metrics, 3)."""
-        counts = self.scale > 0.0
-        each: Floats = np.array([*self.weights.values()], np.float64)
-        weights = each[:, None] * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-        return weights / weights.sum() / np.where(counts, self.scale, 1.0)
+    shares: Floats  # (metrics, 3) cost of a unit of each metric on each axis; 0: it does not count
 
     def of(self, values: Floats) -> float:
         """Return the mean cost of flights (flights, metrics, 3)."""
-        terms: Floats = np.where(self.scale > 0.0, values * self._shares, 0.0)
+        terms: Floats = np.where(self.shares > 0.0, values * self.shares, 0.0)
         return float(terms.sum()) / len(terms)
 
     def gradient(self, slopes: Floats) -> Floats:
         """Return the slope (gains,) of the mean cost from those of metrics (flights, gains, metrics, 3)."""
-        return np.mean(np.sum(slopes * self._shares, axis=(2, 3)), axis=0)
+        return np.mean(np.sum(slopes * self.shares, axis=(2, 3)), axis=0)
 
 
 def cost_from(weights: Mapping[str, float], values: Floats) -> Cost:
     """Return the cost that is 1 for flights (flights, metrics, 3); `ValueError` if all metrics are 0."""
     scale = np.asarray(np.mean(values, axis=0))
-    if not np.any(scale > 0.0):
+    counts = scale > 0.0  # not an axis on which a metric is 0 or has no value
+    if not np.any(counts):
         raise ValueError(f"every metric is 0 from the start: {', '.join(weights)}")
-    return Cost(weights, scale)
+    each: Floats = np.array([*weights.values()], np.float64)
+    shares = each[:, None] * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+    return Cost(shares / shares.sum() / np.where(counts, scale, 1.0))
 
 
 def _slope_of_metric(name: str, outcome: Outcome) -> Floats:
@@ -184,10 +158,6 @@ def _slope_of_metric(name: str, outcome: Outcome) -> Floats:
     change = slope[squares] / np.maximum(outcome.sums[count], 1)
     safe = np.where(value > 0.0, value, 1.0)
     return np.where(value > 0.0, scale**2 * change / (2.0 * safe), 0.0)
-
-
-def _round(number: float) -> float:
-    return float(f"{number:.{DIGITS}g}")
 
 
 def _value(scheme: Scheme, name: str) -> Floats:

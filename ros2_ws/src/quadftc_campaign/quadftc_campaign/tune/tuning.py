@@ -6,8 +6,7 @@ The search is Adam (Kingma and Ba, 2015) on the logarithms of gains, where the t
 
 from __future__ import annotations
 
-import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,21 +17,20 @@ from ruamel.yaml import YAML
 
 from quadftc_campaign.batch.parts import Progress
 from quadftc_campaign.campaign_file import Campaign, TuneKeys
+from quadftc_campaign.campaign_run import FLIGHTS_A_CHUNK, fly_chunk, pieces_of
 from quadftc_campaign.cluster import cluster_client, run_tasks
-from quadftc_campaign.errors import CampaignError
-from quadftc_campaign.flying import FLIGHTS_A_CHUNK, fly_chunk, pieces_of
-from quadftc_campaign.table import Rows, table_of
+from quadftc_campaign.errors import CampaignError, report_refusal
+from quadftc_campaign.table import Rows, table_of, whole_flights
 from quadftc_campaign.tune.sensitivity import (
     Cost,
     Gains,
     Sensitivity,
     cost_from,
-    flights_together,
     gains_of,
     sensitivity,
     with_gains,
 )
-from quadftc_flight.scenario import ROLES, Scenario, ScenarioError, build_scenario, grade_of
+from quadftc_flight.scenario import ROLES, ScenarioError, build_scenario, grade_of
 from quadftc_model.samples import AXES
 from quadftc_theory.checks import check_scenario
 
@@ -41,6 +39,7 @@ Floats = NDArray[np.float64]
 HALVINGS = 8  # of a step that leads to where a condition fails
 AVERAGED = 3  # the result is the mean of the last third of the steps
 LARGEST = 0.3  # of a logarithm in one step
+TOGETHER = 256  # lanes: flights times gains
 
 # flies flights with slopes: campaign with the gains, gains, numbers of the flights
 Fly = Callable[[Campaign, Gains, Sequence[int]], Sensitivity]
@@ -75,13 +74,7 @@ class Tuned(NamedTuple):
 
 
 def checked(campaign: Campaign) -> Gains:
-    """Return the gains that a campaign says to tune, as they are.
-
-    Raises
-    ------
-    CampaignError, ScenarioError
-        If it says nothing of tuning, or nothing that can be done.
-    """
+    """Return the gains that a campaign says to tune, as they are; an error if they cannot be tuned."""
     names = _keys(campaign).gains
     first, *others = campaign.variants
     if others or first.observer or first.controller:
@@ -97,35 +90,16 @@ def tune(
     told: Callable[[Step], None],
     progress: Progress = lambda samples: None,
 ) -> Tuned:
-    """Tune; nothing is written.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    address : str, optional
-        Of a Dask scheduler; None: start workers here.
-    workers : int
-        How many to start here.
-    told : callable
-        Gets each step of the search.
-    progress : callable
-        Gets the number of samples flown since its last call.
-
-    Raises
-    ------
-    CampaignError, ScenarioError, ValueError
-        If it cannot be done.
-    """
+    """Tune; nothing is written. ``told`` gets each step; the cluster is that of `cluster_client`."""
     start, metrics = checked(campaign), tuple(_keys(campaign).cost)
     with cluster_client(address, workers) as client:
 
         def fly(with_them: Campaign, gains: Gains, numbers: Sequence[int]) -> Sensitivity:
-            size = min(flights_together(gains), -(-len(numbers) // workers))
+            size = min(max(TOGETHER // len(gains.logarithms), 1), -(-len(numbers) // workers))
             pieces = [list(numbers[at : at + size]) for at in range(0, len(numbers), size)]
             arguments = [(with_them, gains, metrics, piece) for piece in pieces]
-            flown = dict(run_tasks(client, sensitivity, arguments, progress))
-            parts: list[Sensitivity] = [flown[place] for place in range(len(pieces))]
-            return Sensitivity(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+            flown = sorted(run_tasks(client, sensitivity, arguments, progress), key=lambda each: each[0])
+            return Sensitivity(*map(np.concatenate, zip(*(part for _, part in flown), strict=True)))
 
         search = Search(campaign, start, fly)
         for step in search.steps():
@@ -135,13 +109,10 @@ def tune(
 
 
 class Search:
-    """A search from the gains of a campaign's scheme.
+    """A search from the gains of a campaign's scheme."""
 
-    After `steps`, ``cost`` and ``result`` are known; ``failing`` names the conditions of the theory that fail
-    from the start.
-    """
-
-    cost: Cost
+    failing: frozenset[str]  # conditions of the theory that fail from the start
+    cost: Cost  # known after `steps`, as is the result
     result: Gains
 
     def __init__(self, campaign: Campaign, gains: Gains, fly: Fly) -> None:
@@ -160,15 +131,15 @@ class Search:
         while len(seen) < self._tune.steps:
             gains = self._gains.at(at)
             campaign = with_gains(self._campaign, self._scheme, gains)
-            flown = self._fly(campaign, gains, self._numbers(len(seen)))
+            count = min(self._tune.flights, campaign.flights)
+            turn = [(len(seen) * count + k) % campaign.flights for k in range(count)]
+            flown = self._fly(campaign, gains, turn)
             # where a flight crashes, go halfway back, and at last all the way
             if not np.all(np.isfinite(flown.slopes)) or not _all_known(flown.values):
                 tried += 1
                 at = 0.5 * (at + before) if tried < HALVINGS else before
                 if not seen or tried > HALVINGS:
-                    raise CampaignError(
-                        f"{self._campaign.document.source}: flights crash with {gains.plain()}"
-                    )
+                    raise CampaignError(f"{campaign.document.source}: flights crash with {gains.plain()}")
                 continue
             # a step of Adam, as far as the theory allows
             if not seen:
@@ -181,11 +152,6 @@ class Search:
             at = self._shorten(at, at + np.clip(np.asarray(update, np.float64), -LARGEST, LARGEST))
         last = seen[-max(len(seen) // AVERAGED, 1) :]
         self.result = self._gains.at(self._shorten(last[-1], np.mean(last, axis=0))).rounded()
-
-    def _numbers(self, step: int) -> list[int]:
-        """Flights of a step, in turn."""
-        count = min(self._tune.flights, self._campaign.flights)
-        return [(step * count + k) % self._campaign.flights for k in range(count)]
 
     def _shorten(self, start: Floats, end: Floats) -> Floats:
         """Return the end of a step, or a point on the way where no condition fails that held at first."""
@@ -203,10 +169,8 @@ class Search:
             scenario = build_scenario(tried.base)
         except ScenarioError as error:
             return frozenset([str(error)])
-        report = check_scenario(scenario, scenario.scheme(self._scheme))
-        return frozenset(
-            item.name for section in report.sections for item in section.conditions if item.failed
-        )
+        sections = check_scenario(scenario, scenario.scheme(self._scheme)).sections
+        return frozenset(item.name for section in sections for item in section.conditions if item.failed)
 
 
 def _keys(campaign: Campaign) -> TuneKeys:
@@ -233,19 +197,19 @@ def _judge_gains(
     tasks = [(one, piece) for one in tried for piece in pieces]
     for place, flown in run_tasks(client, fly_chunk, tasks, progress):
         rows[place // len(pieces)] += flown
-    return [_judge(table_of(some), cost) for some in rows]
+    return [_judge(table_of(some), cost, [*_keys(campaign).cost]) for some in rows]
 
 
-def _judge(frame: pl.DataFrame, cost: Cost) -> Judged:
+def _judge(frame: pl.DataFrame, cost: Cost, metrics: Sequence[str]) -> Judged:
     """Judge the flights of a campaign's table."""
-    flights = frame.unique("flight", keep="first", maintain_order=True)
-    columns = [f"{name}.{axis}" for name in cost.weights for axis in AXES]
-    values = flights.select(columns).to_numpy().reshape(-1, len(cost.weights), len(AXES))
+    flights = whole_flights(frame)
+    columns = [f"{name}.{axis}" for name in metrics for axis in AXES]
+    values = flights.select(columns).to_numpy().reshape(-1, len(metrics), len(AXES))
     detected = frame["fault.detected"] if "fault.detected" in frame.columns else pl.Series(dtype=pl.Boolean)
     means = np.nanmean(values, axis=(0, 2))
     return Judged(
         cost=cost.of(values),
-        metrics=dict(zip(cost.weights, map(float, means), strict=True)),
+        metrics=dict(zip(metrics, map(float, means), strict=True)),
         missed=int((~detected.drop_nulls()).sum()),
         false_alarms=sum(int(flights[f"false_alarms.{axis}"].sum()) for axis in AXES),
         crashed=int((~flights["finite"]).sum()),
@@ -255,7 +219,7 @@ def _judge(frame: pl.DataFrame, cost: Cost) -> Judged:
 def write(tuned: Tuned, campaign: Campaign, path: Path) -> None:
     """Write the file of the gains, with the command that found them and what they bring."""
     before, after = tuned.before, tuned.after
-    document = _gains_document(build_scenario(campaign.base), campaign.variants[0].scheme, tuned.gains)
+    document = _gains_document(campaign, tuned.gains)
     lines = [
         f"Gains for {document['vehicle']} with sensors of grade {document['grade']}, found by",
         "",
@@ -267,25 +231,23 @@ def write(tuned: Tuned, campaign: Campaign, path: Path) -> None:
     ]
     yaml: Any = YAML()
     yaml.default_flow_style = None
-    stream = io.StringIO()
-    yaml.dump(document, stream)
-    text = "".join(f"# {line}".rstrip() + "\n" for line in lines) + "\n" + stream.getvalue()
-    try:
+    with report_refusal(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CampaignError(f"{path}: {error.strerror}") from None
+        with path.open("w", encoding="utf-8") as file:
+            file.writelines(f"# {line}".rstrip() + "\n" for line in lines)
+            file.write("\n")
+            yaml.dump(document, file)
 
 
-def _gains_document(scenario: Scenario, scheme: str, gains: Gains) -> dict[str, Any]:
+def _gains_document(campaign: Campaign, gains: Gains) -> dict[str, Any]:
     """Return the content of the file of the gains: see `quadftc_flight.scenario.files`."""
-    parts: dict[str, dict[str, Any]] = {}
+    scenario = build_scenario(campaign.base)
+    scheme, parts = scenario.scheme(campaign.variants[0].scheme), dict[str, dict[str, Any]]()
     for name, value in gains.plain().items():
         role, _, parameter = name.partition(".")
-        parts.setdefault(role, {"kind": getattr(scenario.scheme(scheme), role).kind})[parameter] = value
-    document: Mapping[str, Any] = scenario.document.data
+        parts.setdefault(role, {"kind": getattr(scheme, role).kind})[parameter] = value
     return {
-        "vehicle": document["vehicle"],
+        "vehicle": scenario.document.data["vehicle"],
         "grade": grade_of(scenario.document),
         **{role: parts[role] for role in ROLES if role in parts},
     }

@@ -63,8 +63,7 @@ def campaign(
 
 def _fly_alone(loaded: Campaign, numbers: list[int], name: str | None, directory: Path, force: bool) -> int:
     """Fly chosen flights as ``quadftc run`` would."""
-    from quadftc_campaign.flights import flight_scenario
-    from quadftc_campaign.flying import variant_of
+    from quadftc_campaign.flights import flight_scenario, variant_of
 
     chosen = variant_of(loaded, name)
     scenarios = [flight_scenario(loaded, number, chosen) for number in dict.fromkeys(numbers)]
