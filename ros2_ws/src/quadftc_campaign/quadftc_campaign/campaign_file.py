@@ -186,20 +186,9 @@ class Campaign(CampaignKeys):
 
 
 def load_campaign(path: Path, flights: int | None = None, recordings: Path | None = None) -> Campaign:
-    """Load a campaign file.
+    """Load a campaign file; a `ScenarioError` has one line for each problem.
 
-    Parameters
-    ----------
-    path : Path
-    flights : int, optional
-        In place of the file's number.
-    recordings : Path, optional
-        In place of the directory of the file's source.
-
-    Raises
-    ------
-    ScenarioError
-        If anything is wrong with it: one line for each problem.
+    ``flights`` counts in place of the file's number, ``recordings`` in place of the directory of its source.
     """
     document = read_document(path)
     if flights is not None:

@@ -36,29 +36,14 @@ _MAX_SIZE = 16
 
 @dataclasses.dataclass(frozen=True)
 class Distribution:
-    """How a value is drawn.
-
-    Parameters
-    ----------
-    kind : str
-    bounds : tuple of two floats
-        Low and high, or mean and standard deviation; of ``choice`` and ``grid``: none.
-    values : tuple
-        Of ``choice`` and ``grid``.
-    unit : str
-        As written; empty: none.
-    size : int
-        Of a list; 0: a single value.
-    signed : bool
-        Whether every other value is turned round.
-    """
+    """How a value is drawn."""
 
     kind: str
-    bounds: tuple[float, float] = (0.0, 0.0)
-    values: tuple[Value, ...] = ()
-    unit: str = ""
-    size: int = 0
-    signed: bool = False
+    bounds: tuple[float, float] = (0.0, 0.0)  # low and high, or mean and standard deviation
+    values: tuple[Value, ...] = ()  # of ``choice`` and ``grid``, which have no bounds
+    unit: str = ""  # as written
+    size: int = 0  # of a list; 0: a single value
+    signed: bool = False  # whether every other value is turned round
 
     @property
     def is_grid(self) -> bool:
@@ -68,11 +53,8 @@ class Distribution:
     def draw(self, generator: np.random.Generator) -> Value:
         """Draw a value as it stands in a scenario."""
         if self.values:
-            values = self.values
-            drawn = [
-                _draw_inside(values[int(generator.integers(len(values)))], generator)
-                for _ in range(self.size or 1)
-            ]
+            places = (int(generator.integers(len(self.values))) for _ in range(self.size or 1))
+            drawn = [_draw_inside(self.values[place], generator) for place in places]
         else:
             drawn = [f"{x!r} {self.unit}" if self.unit else x for x in self._draw_numbers(generator)]
         return drawn if self.size else drawn[0]

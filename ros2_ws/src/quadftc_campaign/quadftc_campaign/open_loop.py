@@ -52,6 +52,9 @@ LOOP_METRICS = ("tracking_rmse_deg", "tracking_max_deg")  # no value here, but t
 WHOLE_METRICS = (*LOOP_METRICS, "fault_estimate_rmse_deg", "fault_estimate_max_deg")
 
 
+_read_recording = functools.lru_cache(maxsize=2)(recording_from_bag)
+
+
 class OpenFlight(NamedTuple):
     """Samples without faults, and the faults to put on them."""
 
@@ -69,11 +72,8 @@ def fly_open(campaign: Campaign, numbers: Sequence[int], variant: Variant, progr
         law = scenario.scheme(variant.scheme).observer.law
         injector = FaultInjector(scenario.seed, (fault.injection for fault in faults))
         flight = flight_of(recording, diagnose(recording, law, injector))
-        common: Row = {
-            **first_columns(campaign, number, variant, scenario),
-            DELAY: delay,
-            "recording": recording.name,
-        }
+        common = first_columns(campaign, number, variant, scenario)
+        common |= {DELAY: delay, "recording": recording.name}
         rows += judge(flight, replay_events(recording, faults), faults, common)
         progress(len(recording))
     return rows
@@ -84,7 +84,7 @@ def prepare(campaign: Campaign, number: int, scenario: Scenario) -> OpenFlight:
     delay, delays, bags = 0.0, campaign.source.delay, campaign.recordings
     if delays is not None:
         delay = quantity(delays.draw(generator_of(campaign, number, DELAY)), "s")
-    recording = _read(bags[number % len(bags)]) if bags else simulate(scenario)
+    recording = _read_recording(bags[number % len(bags)]) if bags else simulate(scenario)
     end = recording.duration - GRACE_TIME if bags else scenario.duration
     return OpenFlight(recording, _delayed(scenario.faults, delay, end), delay)
 
@@ -102,15 +102,14 @@ def simulate(scenario: Scenario) -> Recording:
     samples: list[ImuSample] = []
     for row in range(count):
         state, sample = sensor.step(state, q_xyzw[row], body_rate[row], draws[row], dt)
-        if sample is not None:
-            samples.append(sample)
+        samples.append(cast("ImuSample", sample))  # as nothing is delayed
     return Recording(
         name="simulated",
         path=Path("simulated"),
         topic="/imu/data",
         namespace="/",
         stamp_ns=EPOCH_NS + period_ns(scenario.rate) * np.arange(count, dtype=np.int64),
-        imu=ImuSample(*(np.stack(column) for column in zip(*samples, strict=True))),
+        imu=ImuSample(*map(np.stack, zip(*samples, strict=True))),
         torque=np.zeros((count, len(AXES))),
     )
 
@@ -128,25 +127,18 @@ def judge(flight: Flight, events: Sequence[FaultEvent], faults: Sequence[Fault],
         **score_counts(flight, events),
     }
     specs = {(axis, fault.injection.start): fault.spec for fault in faults for axis in fault.axes}
-    judged = zip(events, records, strict=True) if records else ()
-    return fault_rows(
-        whole,
-        [
-            {**record, "spec": specs.get((event.axis, event.start)), **error_profile(flight, event)}
-            for event, record in judged
-        ],
-    )
+    for event, record in zip(events, records, strict=True) if records else ():
+        record |= {"spec": specs.get((event.axis, event.start)), **error_profile(flight, event)}
+    return fault_rows(whole, records)
 
 
 def error_profile(flight: Flight, event: FaultEvent) -> dict[str, list[float | None]]:
     """Error and reported standard deviation [deg] at `AGES`; None while the axis is not declared faulty."""
     columns, axis = Columns(flight), AXES.index(event.axis)
     rows = columns.rows(event.start, event.stop)
-    if rows.stop == rows.start:
-        return {"errors_deg": [None] * len(AGES), "std_devs_deg": [None] * len(AGES)}
-    at = columns.time.searchsorted(event.start + np.asarray(AGES) - 1e-9)
-    at = np.minimum(at, rows.stop - 1)
-    declared, std_dev = columns.declared[at, axis], np.degrees(flight.fault_std_dev[at, axis])
+    at = np.minimum(columns.time.searchsorted(event.start + np.asarray(AGES) - 1e-9), rows.stop - 1)
+    declared = columns.declared[at, axis] & (rows.stop > rows.start)
+    std_dev = np.degrees(flight.fault_std_dev[at, axis])
     return {
         "errors_deg": _where(declared, columns.error[at, axis]),
         "std_devs_deg": _where(declared & (std_dev > 0.0), std_dev),
@@ -159,13 +151,9 @@ def score_counts(
     """Count what each level of a detector of the estimate would say; the counts of several flights add up.
 
     The level is one of the size of the estimate [rad], or, where the observer gives a standard deviation, of
-    the size over it [1].
-
-    Returns
-    -------
-    dict
-        ``roc.levels`` (m,); ``roc.alarms``: healthy samples at or above each, of ``roc.healthy``;
-        ``roc.found``: faults at or above each within `WITHIN` of the onset, of ``roc.faults``.
+    the size over it [1]. ``roc.alarms`` are healthy samples at or above each of ``roc.levels``, of
+    ``roc.healthy``; ``roc.found`` are faults at or above each within `WITHIN` of the onset, of
+    ``roc.faults``.
     """
     by_ratio = bool((flight.fault_std_dev > 0.0).any())
     score = estimate_over_std_dev if by_ratio else estimate_size
@@ -194,25 +182,14 @@ def flatten(nested: Mapping[str, Any], prefix: str = "") -> Row:
 
 def _delayed(faults: Sequence[Fault], delay: float, end: float) -> tuple[Fault, ...]:
     """The faults, later by a delay [s]; only those that are over before the end [s]."""
-    later = [
-        Fault(
-            dataclasses.replace(
-                fault.injection,
-                start=round(fault.injection.start + delay, 9),
-                stop=round(fault.injection.stop + delay, 9),
-            ),
-            fault.given,
-        )
-        for fault in faults
-    ]
-    return tuple(fault for fault in later if fault.injection.stop <= end)
+    later: list[Fault] = []
+    for injection, given in ((fault.injection, fault.given) for fault in faults):
+        start, stop = (round(time + delay, 9) for time in (injection.start, injection.stop))
+        if stop <= end:
+            later.append(Fault(dataclasses.replace(injection, start=start, stop=stop), given))
+    return tuple(later)
 
 
 def _where(there: NDArray[np.bool_], values: Float[NDArray[Any], " n"]) -> list[float | None]:
     known = (there & np.isfinite(values)).tolist()
     return [value if good else None for value, good in zip(values.tolist(), known, strict=True)]
-
-
-@functools.lru_cache(maxsize=2)
-def _read(bag: Path) -> Recording:
-    return recording_from_bag(bag)

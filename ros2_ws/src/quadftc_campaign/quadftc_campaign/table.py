@@ -80,13 +80,12 @@ def quantiles(frame: pl.DataFrame, names: Iterable[str]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name in names:
         column = frame[name].drop_nulls().drop_nans()
-        values: dict[str, Any] = {"count": len(column)}
+        values: dict[str, Any] = {}
         if len(column):
-            values |= {"mean": column.mean(), "min": column.min(), "max": column.max()}
+            values = {"mean": column.mean(), "min": column.min(), "max": column.max()}
             values |= {f"q{100 * q:g}": column.quantile(q, "linear") for q in QUANTILES}
-        found[name] = {
-            key: None if isinstance(v, float) and not math.isfinite(v) else v for key, v in values.items()
-        }
+        known = {key: value if math.isfinite(value) else None for key, value in values.items()}
+        found[name] = {"count": len(column), **known}
     return found
 
 

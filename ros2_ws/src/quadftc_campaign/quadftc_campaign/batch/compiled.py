@@ -39,32 +39,16 @@ class Carried(NamedTuple):
 
 
 class CompiledFlight:
-    """Functions that fly all flights of one structure, arrays with the flights last.
-
-    Parameters
-    ----------
-    flight : FlightParts
-        One of the flights.
-    per_flight : PerFlight
-        Of some flights, for its shapes.
-    late_start : bool
-        Whether the diagnosis may have to wait for a good sample, at the start or after a gap.
-    dtype : dtype
-        Of all floats.
-    traced : bool
-        Whether to keep every row, for traces of chosen flights.
-    staged : bool
-        Whether to rewrite the step for CPUs (`quadftc_campaign.batch.staged_step`), or to use ``jax.vmap``.
-    """
+    """Functions that fly all flights of one structure, arrays with the flights last."""
 
     def __init__(
         self,
-        flight: FlightParts,
-        per_flight: PerFlight,
-        late_start: bool,
-        dtype: np.dtype[Any],
-        traced: bool,
-        staged: bool,
+        flight: FlightParts,  # one of the flights
+        per_flight: PerFlight,  # of some flights, for its shapes
+        late_start: bool,  # as in `ClosedLoop`
+        dtype: np.dtype[Any],  # of all floats
+        traced: bool,  # whether to keep every row
+        staged: bool,  # whether to rewrite the step for CPUs (`StagedStep`), or to use ``jax.vmap``
     ) -> None:
         self._loop, self._late_start = in_precision(flight.loop, dtype), late_start
         self._dtype, self._traced = dtype, traced
@@ -94,17 +78,7 @@ class CompiledFlight:
     def fly(
         self, flights: Sequence[FlightParts], per_flight: PerFlight, count: int, progress: Progress
     ) -> list[Outcome]:
-        """Fly a block of flights, one in each lane.
-
-        Parameters
-        ----------
-        flights : sequence of FlightParts
-        per_flight : PerFlight
-            Arrays (..., flights).
-        count : int
-            How many outcomes are wanted, of the first flights; the others fill the lanes.
-        progress : callable
-        """
+        """Fly a block of flights, one in each lane; outcomes are wanted of the first ``count``."""
         first, loop = self._first, self._loop
         source = InputSource(flights, self._dtype, self._needed_draws)
         # the first samples, one by one
@@ -178,8 +152,7 @@ class CompiledFlight:
         ), ()
 
     def _closed_loop(self, per_flight: PerFlight) -> ClosedLoop:
-        loop = with_numbers(self._loop, per_flight.numbers)
-        return ClosedLoop(loop, self._late_start)
+        return ClosedLoop(with_numbers(self._loop, per_flight.numbers), self._late_start)
 
     def _cast(self, tree: Any) -> Any:
         """Put every float in the precision of the structure: a state must keep its types."""

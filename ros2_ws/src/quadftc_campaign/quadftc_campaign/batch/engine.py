@@ -50,8 +50,8 @@ class Engine:
     lanes : int, optional
         Flights that fly together; a batch of fewer is filled up. Default: as the flights are, up to `LANES`.
     free : sequence of str
-        Paths of numbers (`numbers_of`) that may change from one call to the next without another compilation;
-        those that differ between the flights of a call need not be named.
+        Paths of numbers (`numbers_of`) that may change between calls without another compilation, beside
+        those that differ between the flights of a call.
     staged : bool, optional
         Whether to rewrite the step (`quadftc_campaign.batch.staged_step`). Default: on a CPU.
     """
@@ -87,17 +87,8 @@ class Engine:
     ) -> list[Outcome]:
         """Fly all flights; ValueError if a part cannot be flown in a batch.
 
-        Parameters
-        ----------
-        flights : sequence of FlightParts
-        events : sequence of sequences of FaultEvent
-            The faults that each is judged by.
-        progress : callable
-            Gets the number of samples flown since its last call.
-        directions : sequence of mappings
-            For slopes of the sums: how some numbers of each flight change, by path (`numbers_of`).
-        traced : bool
-            Whether to keep every sample, too.
+        Each is judged by the faults in ``events``. For slopes of the sums, ``directions`` say how some
+        numbers of each flight change, by path (`numbers_of`). With ``traced``, every sample is kept, too.
         """
         flights = with_common_faults(flights)
         groups: dict[Any, list[int]] = {}
@@ -105,20 +96,16 @@ class Engine:
             groups.setdefault(structure_of(flight.loop), []).append(place)
         outcomes: dict[int, Outcome] = {}
         for structure, places in groups.items():
-            chosen, along = (
-                [flights[place] for place in places],
-                [directions[i] for i in places if directions],
-            )
-            compiled, per_flight = self._prepare(
-                structure, chosen, [events[i] for i in places], along, traced
-            )
+            chosen, judged_by = [flights[i] for i in places], [events[i] for i in places]
+            along = [directions[i] for i in places if directions]
+            compiled, per_flight = self._prepare(structure, chosen, judged_by, along, traced)
             lanes = self._lanes or lanes_for(len(places))
             for start in range(0, len(places), lanes):
                 block = places[start : start + lanes]
                 # the last flight fills the lanes that are left
                 rows = np.minimum(np.arange(start, start + lanes), start + len(block) - 1)
-                in_lanes = [chosen[row] for row in rows]
-                flown = compiled.fly(in_lanes, take(per_flight, rows, axis=-1), len(block), progress)
+                in_lanes, numbers = [chosen[row] for row in rows], take(per_flight, rows, axis=-1)
+                flown = compiled.fly(in_lanes, numbers, len(block), progress)
                 outcomes.update(zip(block, flown, strict=True))
         return [outcomes[place] for place in range(len(flights))]
 
@@ -145,11 +132,9 @@ class Engine:
         fixed = tuple(value.tobytes() for path, value in numbers[0].items() if path not in varying)
         whole_key = (key, fixed, tuple(varying), most, late_start, tuned, traced)
         if whole_key not in self._compiled:
-            kind = SlopeFlight if tuned else CompiledFlight
+            arguments = (flights[0], per_flight, late_start, self._dtype, traced, self._staged)
             try:
-                self._compiled[whole_key] = kind(
-                    flights[0], per_flight, late_start, self._dtype, traced, self._staged
-                )
+                self._compiled[whole_key] = (SlopeFlight if tuned else CompiledFlight)(*arguments)
             except UNTRACEABLE as error:
                 raise _name_culprit(error, flights[0].loop, varying) from error
         return self._compiled[whole_key], per_flight
@@ -180,11 +165,10 @@ def _name_culprit(error: Exception, loop: Loop, varying: Mapping[str, Any]) -> V
     role, part = "a part", None
     step = error.__traceback__
     while step is not None:
-        caller = step.tb_frame.f_locals.get("self")
+        caller, step = step.tb_frame.f_locals.get("self"), step.tb_next
         for path, each in _parts(loop):
-            if caller is not None and type(caller) is type(each):
+            if type(caller) is type(each):
                 role, part = path, each
-        step = step.tb_next
     where = role if part is None else f"{role} ({type(part).__name__})"
     numbers = [path for path in varying if path.startswith(f"{role}.")]
     reason = next(iter(str(error).strip().splitlines()), type(error).__name__)

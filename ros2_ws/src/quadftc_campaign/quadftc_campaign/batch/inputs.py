@@ -19,18 +19,14 @@ from quadftc_sim.injection import Injection, fault_generators
 from quadftc_sim.injector import FaultDraws
 from quadftc_sim.sensors import DRAWS
 
+# samples (n,) for which a fault is stepped, and its normal and uniform numbers, (2, n, 3)
+FaultNumbers = tuple[NDArray[np.int64], NDArray[np.float64]]
+
 
 class InputSource:
-    """Inputs of the steps of a block of flights, in the order of the samples.
+    """Inputs of the steps of a block of flights of one structure, in the order of the samples.
 
-    Parameters
-    ----------
-    flights : sequence of FlightParts
-        Of one structure.
-    dtype : dtype
-        Of all floats.
-    needed : sequence of bool
-        Which of the draws for attitude, gyro, accelerometer and gyro bias change anything.
+    ``needed`` says which of the draws for attitude, gyro, accelerometer and gyro bias change anything.
     """
 
     def __init__(
@@ -42,7 +38,9 @@ class InputSource:
         self.bias = bias.astype(dtype)  # (3, flights)
         # a fault of the whole IMU acts before the flight, in the delivery
         self._faults = [
-            _FaultNumbers(flights, place) if fault.law.is_random and fault.channel != "imu" else None
+            [_draw_fault(flight, place) for flight in flights]
+            if fault.law.is_random and fault.channel != "imu"
+            else None
             for place, fault in enumerate(self._loop.injections)
         ]
         self._delivery = _delivery(flights)
@@ -54,7 +52,7 @@ class InputSource:
         self._index += count
         taken = index - self._loop.sensor.delay
         faults = tuple(
-            each and each.between(int(taken[0]), int(taken[-1]) + 1, self._dtype) for each in self._faults
+            None if each is None else self._between(each, int(taken[0]), count) for each in self._faults
         )
         period = self._loop.period_ns
         times = (
@@ -85,20 +83,13 @@ class InputSource:
                     block[:, :, flight] = numbers[:, kind]
         return blocks
 
-
-class _FaultNumbers:
-    """Random numbers of one injection in all flights of a block."""
-
-    def __init__(self, flights: Sequence[FlightParts], place: int) -> None:
-        self._drawn = [_draw_fault(flight, place) for flight in flights]
-
-    def between(self, start: int, stop: int, dtype: np.dtype[Any]) -> FaultDraws:
-        """Return those of the samples from ``start`` to ``stop``, (samples, 3, flights); 0 if unused."""
-        numbers = np.zeros((2, stop - start, 3, len(self._drawn)))
-        for flight, (rows, drawn) in enumerate(self._drawn):
-            chosen = slice(*np.searchsorted(rows, (start, stop)))
-            numbers[..., flight][:, rows[chosen] - start] = drawn[:, chosen]
-        return FaultDraws(*numbers.astype(dtype))
+    def _between(self, drawn: Sequence[FaultNumbers], start: int, count: int) -> FaultDraws:
+        """Return the numbers of an injection for ``count`` samples, (count, 3, flights); 0 if unused."""
+        numbers = np.zeros((2, count, 3, len(drawn)))
+        for flight, (rows, values) in enumerate(drawn):
+            chosen = slice(*np.searchsorted(rows, (start, start + count)))
+            numbers[..., flight][:, rows[chosen] - start] = values[:, chosen]
+        return FaultDraws(*numbers.astype(self._dtype))
 
 
 def _delivery(flights: Sequence[FlightParts]) -> Delivery | None:
@@ -135,8 +126,8 @@ def _arrivals(flight: FlightParts) -> NDArray[np.bool_]:
     return arrives
 
 
-def _draw_fault(flight: FlightParts, place: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Return the samples (n,) for which a fault is stepped, and its normal and uniform numbers, (2, n, 3)."""
+def _draw_fault(flight: FlightParts, place: int) -> FaultNumbers:
+    """Draw the random numbers of an injection for a whole flight."""
     injection: Injection = flight.loop.injections[place]
     time = np.arange(flight.loop.count) * flight.loop.period_ns / NANOSECONDS_PER_SECOND
     steps = time < injection.stop

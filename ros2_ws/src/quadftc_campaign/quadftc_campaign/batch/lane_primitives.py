@@ -23,22 +23,12 @@ REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
 }
 
 
-def evaluate(
-    equation: Equation, known: dict[Var, Any], constants: dict[Var, Any], batched: set[Var], flights: int
-) -> list[Any]:
+def evaluate(equation: Equation, known: dict[Var, Any], batched: set[Var], flights: int) -> list[Any]:
     """Compute the outputs (..., flights) of an equation.
 
-    Parameters
-    ----------
-    equation : Equation
-    known : dict
-        Values of variables: those that are ``batched`` (..., flights), others as for one flight.
-    constants : dict
-        Values that are the same in all flights and steps.
-    batched : set
-    flights : int
+    Of the ``known`` values, those that are ``batched`` are (..., flights), others as for one flight.
     """
-    values = [value_of(atom, known, constants) for atom in equation.inputs]
+    values = [value_of(atom, known) for atom in equation.inputs]
     varies = [not isinstance(atom, core.Literal) and atom in batched for atom in equation.inputs]
     name, params = equation.name, equation.params
     shape = (*equation.outputs[0].aval.shape, flights)

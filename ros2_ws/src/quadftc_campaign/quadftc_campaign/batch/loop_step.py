@@ -101,14 +101,9 @@ class Row(NamedTuple):
 
 
 class ClosedLoop:
-    """The closed loop of one flight.
+    """The closed loop of one flight; the numbers of its parts may be tracers.
 
-    Parameters
-    ----------
-    loop : Loop
-        Its parts; their numbers may be tracers.
-    late_start : bool
-        Whether the diagnosis may have to wait for a good sample, at the start or after a gap.
+    ``late_start``: the diagnosis may have to wait for a good sample, at the start or after a gap.
     """
 
     def __init__(self, loop: Loop, late_start: bool) -> None:
@@ -117,21 +112,13 @@ class ClosedLoop:
     def begin(self, bias: Array, first: Sequence[tuple[StepInputs, Times]]) -> tuple[LoopState, Row]:
         """Fly until a sample leaves the IMU, and react to it.
 
-        Parameters
-        ----------
-        bias : array (3,)
-            Turn-on bias of the gyro, uniform in [-1, 1].
-        first : sequence of (StepInputs, Times)
-            Of the first samples: one more than the IMU delays.
+        ``bias`` (3,) is the turn-on bias of the gyro, uniform in [-1, 1]. The first samples are one more than
+        the IMU delays.
         """
         zeros, loop = namespace(bias).zeros_like(bias), self.loop
-        state = LoopState(
-            loop.plant.init(quaternion_from_euler(zeros), zeros),
-            loop.sensor.init(loop.sensor.turn_on_bias(bias)),
-            (),
-            (),
-            AvionicsState(None, None, None, None, zeros),
-        )
+        plant = loop.plant.init(quaternion_from_euler(zeros), zeros)
+        sensor = loop.sensor.init(loop.sensor.turn_on_bias(bias))
+        state = LoopState(plant, sensor, (), (), AvionicsState(None, None, None, None, zeros))
         state, sample = self._measure(state, *first[0])
         for inputs, times in first[1:]:
             state, sample = self._measure(self._move(state, times), inputs, times)
@@ -183,29 +170,17 @@ class ClosedLoop:
         wanted = combined(loop.references, elapsed)
         asarray = namespace(elapsed).asarray
         reference = AttitudeReference(*(asarray(each, dtype=elapsed.dtype) for each in wanted))
-        controller, output = _advance(
-            loop.controller,
-            before.controller,
-            ControllerInputs(corrected, reference, disturbance),
-            dt,
-            restarts,
-        )
+        inputs_now = ControllerInputs(corrected, reference, disturbance)
+        controller, output = _advance(loop.controller, before.controller, inputs_now, dt, restarts)
         after = AvionicsState(started, observer, disturbance_observer, controller, output.torque)
         if delivery is not None:
             # a withheld sample changes nothing; if it is the first, the states begun with it stay unused
             unstarted = None if started is None else started & False
             unchanged = after._replace(started=unstarted, torque=before.torque) if first else before
             after = chosen(delivery.arrives, after, unchanged)
-        row = Row(
-            times.taken,
-            namespace(sample.body_rate).asarray(True) if delivery is None else delivery.arrives,
-            *state.pending[0],
-            faulty.attitude,
-            reference.angles,
-            estimate,
-            disturbance,
-            output,
-        )
+        delivered = asarray(True) if delivery is None else delivery.arrives
+        said = (estimate, disturbance, output)
+        row = Row(times.taken, delivered, *state.pending[0], faulty.attitude, reference.angles, *said)
         return state._replace(pending=state.pending[1:], injections=injections, avionics=after), row
 
     def _diagnose(

@@ -32,16 +32,10 @@ CALLS = ("jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_v
 class StagedStep:
     """A step of one flight, done for many at once, every array with the flights last.
 
-    Parameters
-    ----------
-    step : callable
-        ``step(state, inputs, common) -> (state, output)``, of pytrees of arrays of one flight; traced once.
-        Everything that changes no output is left out.
-    state, inputs, common : pytrees
-        Arguments of ``step``, or their shapes (``jax.ShapeDtypeStruct``); ``common`` is the same for all
-        flights, and what follows from it alone is computed once.
-    shown : callable
-        ``shown(state)`` selects the parts of a state that somebody reads in the end.
+    ``step(state, inputs, common) -> (state, output)``, of pytrees of arrays of one flight, is traced once,
+    with these arguments or their shapes. ``common`` is the same for all flights: what follows from it alone
+    is computed once. ``shown(state)`` selects the parts of a state that somebody reads in the end; everything
+    that changes neither them nor an output is left out.
     """
 
     def __init__(
@@ -73,38 +67,33 @@ class StagedStep:
         """Step all flights: arrays (..., flights) in, except those of ``common``, and out."""
         leaves = jax.tree.leaves((state, inputs, common))
         flights = leaves[0].shape[-1]
-        known: dict[Var, Any] = dict(zip(self._inputs, leaves, strict=True))
+        known: dict[Var, Any] = self._constants | dict(zip(self._inputs, leaves, strict=True))
         for equation in self._preparations:
-            known.update(zip(equation.outputs, equation.bind(known, self._constants), strict=True))
+            known.update(zip(equation.outputs, equation.bind(known), strict=True))
         for stage in self._stages:
-            run = self._function(stage, flights)
-            outputs = run(*[known[var] for var in stage.inputs])
+            outputs = self._run_apart(stage, [known[var] for var in stage.inputs], flights)
             known.update(zip(stage.outputs, outputs, strict=True))
-        return jax.tree.unflatten(
-            self._structure, [self._output(atom, known, flights) for atom in self._outputs]
-        )
+        results = [self._output(atom, known, flights) for atom in self._outputs]
+        return jax.tree.unflatten(self._structure, results)
 
     def _output(self, atom: Atom, known: dict[Var, Any], flights: int) -> Any:
         if self._batched.intersection(variables([atom])):
             return known[atom]
-        value = jnp.asarray(value_of(atom, known, self._constants), atom.aval.dtype)
+        value = jnp.asarray(value_of(atom, known), atom.aval.dtype)
         return jnp.broadcast_to(value[..., None], (*value.shape, flights))
 
-    def _function(self, stage: Stage, flights: int) -> Callable[..., list[Any]]:
-        """Return a function of a stage that the compiler must leave as it is."""
+    def _run_apart(self, stage: Stage, inputs: Sequence[Any], flights: int) -> list[Any]:
+        """Compute a stage in a function that the compiler must leave as it is."""
 
         def run(*values: Any) -> list[Any]:
-            known = dict(zip(stage.inputs, values, strict=True))
+            known = self._constants | dict(zip(stage.inputs, values, strict=True))
             for equation in stage.equations:
-                outputs = evaluate(equation, known, self._constants, self._batched, flights)
+                outputs = evaluate(equation, known, self._batched, flights)
                 known.update(zip(equation.outputs, outputs, strict=True))
             return [known[var] for var in stage.outputs]
 
-        def run_apart(*values: Any) -> list[Any]:
-            with set_xla_metadata(inlineable="false"):
-                return jax.jit(run)(*values)
-
-        return run_apart
+        with set_xla_metadata(inlineable="false"):
+            return jax.jit(run)(*inputs)
 
     def _inline(self, closed: Any, arguments: Sequence[Atom]) -> list[Atom]:
         """Append the equations of a closed jaxpr, and those of the functions that it calls."""
@@ -129,8 +118,7 @@ class StagedStep:
     def _fold(self) -> list[Equation]:
         """Compute what depends on no argument; take out, and return, what depends on ``common`` alone."""
         common = set(self._inputs) - self._batched
-        remaining: list[Equation] = []
-        preparations: list[Equation] = []
+        remaining, preparations = list[Equation](), list[Equation]()
         for equation in self._equations:
             inputs = variables(equation.inputs)
             if self._batched.intersection(inputs):
@@ -141,7 +129,7 @@ class StagedStep:
                 common.update(equation.outputs)
             else:
                 with jax.ensure_compile_time_eval():
-                    values = equation.bind({}, self._constants)
+                    values = equation.bind(self._constants)
                 self._constants.update(zip(equation.outputs, map(np.asarray, values), strict=True))
         self._equations = remaining
         return preparations

@@ -7,6 +7,7 @@ it is used.
 
 from __future__ import annotations
 
+import collections
 import dataclasses
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -47,9 +48,9 @@ class Equation:
         """Of the primitive."""
         return str(self.primitive.name)
 
-    def bind(self, known: dict[Var, Any], constants: dict[Var, Any]) -> list[Any]:
+    def bind(self, known: dict[Var, Any]) -> list[Any]:
         """Compute the outputs for one flight."""
-        values = [jnp.asarray(value_of(atom, known, constants), atom.aval.dtype) for atom in self.inputs]
+        values = [jnp.asarray(value_of(atom, known), atom.aval.dtype) for atom in self.inputs]
         outputs = self.primitive.bind(*values, **self.params)
         return list(outputs) if self.primitive.multiple_results else [outputs]
 
@@ -68,32 +69,19 @@ def variables(atoms: Iterable[Atom]) -> list[Var]:
     return [atom for atom in atoms if not isinstance(atom, core.Literal)]
 
 
-def value_of(atom: Atom, known: dict[Var, Any], constants: dict[Var, Any]) -> Any:
+def value_of(atom: Atom, known: dict[Var, Any]) -> Any:
     """Return the value of a variable or literal."""
-    if isinstance(atom, core.Literal):
-        return atom.val
-    return known[atom] if atom in known else constants[atom]
+    return atom.val if isinstance(atom, core.Literal) else known[atom]
 
 
 class StageCutter:
-    """Cuts a step into stages.
-
-    Parameters
-    ----------
-    equations : sequence of Equation
-        In the order in which they can be computed.
-    outputs : sequence of atoms
-        Results of the step.
-    constants : set
-        Variables that every stage knows.
-    """
+    """Cuts a step into stages: its equations, in an order in which they can be computed, and its outputs."""
 
     def __init__(
         self, equations: Sequence[Equation], outputs: Sequence[Atom], constants: Iterable[Var]
     ) -> None:
-        self._equations = equations
-        self._outputs = variables(outputs)
-        self._constants = set(constants)
+        self._equations, self._outputs = equations, variables(outputs)
+        self._constants = set(constants)  # variables that every stage knows
         self._maker = {var: equation for equation in equations for var in equation.outputs}
         self._kept: set[Var] = set()  # results that end a stage
         self._cost: dict[Var, float] = {}  # of one number of a result, from what is kept
@@ -102,13 +90,11 @@ class StageCutter:
     def cut(self) -> list[Stage]:
         """Return the stages in the order in which they can be computed."""
         self._number()
-        members: list[list[Equation]] = [[] for _ in range(1 + max(self._stage.values(), default=0))]
-        for equation in self._equations:
-            members[self._stage[equation]].append(equation)
-        closures = [self._close(equations) for equations in members]
         stages: list[Stage] = []
         wanted = set(self._outputs)
-        for number, (equations, inputs) in reversed(list(enumerate(closures))):
+        for number in range(max(self._stage.values(), default=0), -1, -1):
+            members = [equation for equation in self._equations if self._stage[equation] == number]
+            equations, inputs = self._close(members)
             made = [var for equation in equations for var in equation.outputs]
             here = [var for var in made if var in wanted and self._stage[self._maker[var]] == number]
             stages.append(Stage(inputs, equations, here))
@@ -117,14 +103,15 @@ class StageCutter:
 
     def _number(self) -> None:
         """Give each equation its stage: after those whose kept results it needs."""
-        uses: dict[Var, int] = {}
-        for atoms in (*({*variables(equation.inputs)} for equation in self._equations), self._outputs):
-            for var in atoms:
-                uses[var] = uses.get(var, 0) + 1
+        uses = collections.Counter(self._outputs)
+        for equation in self._equations:
+            uses.update(set(variables(equation.inputs)))
         for equation in self._equations:
             stage, total = 0, 0.0
-            for atom, maker in self._made_inputs(equation):
-                before = self._stage[maker]
+            for atom in variables(equation.inputs):
+                if atom not in self._maker:  # an input of the step
+                    continue
+                before = self._stage[self._maker[atom]]
                 if self._cost[atom] > 0.0 and _repeats(equation, atom):
                     self._kept.add(atom)
                 if atom in self._kept:
@@ -137,7 +124,7 @@ class StageCutter:
             cost = price + times * total
             for var in equation.outputs:
                 self._cost[var] = cost
-                if cost > LARGEST or (cost > SHARED and uses.get(var, 0) > 1):
+                if cost > LARGEST or (cost > SHARED and uses[var] > 1):
                     self._kept.add(var)
 
     def _close(self, members: Sequence[Equation]) -> tuple[list[Equation], list[Var]]:
@@ -160,10 +147,6 @@ class StageCutter:
         for equation in members:
             include(equation)
         return list(included), list(outside)
-
-    def _made_inputs(self, equation: Equation) -> list[tuple[Var, Equation]]:
-        """The inputs of an equation that come from another one, with it."""
-        return [(var, self._maker[var]) for var in variables(equation.inputs) if var in self._maker]
 
 
 def _price(equation: Equation) -> tuple[float, float]:

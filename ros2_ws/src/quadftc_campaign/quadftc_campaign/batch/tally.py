@@ -156,8 +156,8 @@ def _tally(row: Row, schedule: Schedule, last: Arrays) -> Tally:
 
 
 def most_events(events: Sequence[FaultEvent]) -> int:
-    """Of any axis; at least one, so that there is something to compute with."""
-    return max([1, *(sum(event.axis == axis for event in events) for axis in AXES)])
+    """Return the number of events of the axis with most; at least one, to have something to compute with."""
+    return max(1, *(sum(event.axis == axis for event in events) for axis in AXES))
 
 
 def schedule_of(events: Sequence[FaultEvent], most: int) -> Schedule:
@@ -166,10 +166,8 @@ def schedule_of(events: Sequence[FaultEvent], most: int) -> Schedule:
     for axis, name in enumerate(AXES):
         of_axis = [event for event in events if event.axis == name]
         for place, event in enumerate(of_axis):
-            later = [other.start for other in of_axis if other.start >= event.stop]
-            for times, time in zip(
-                schedule, (event.start, event.stop, min(later, default=np.inf)), strict=True
-            ):
+            following = min((one.start for one in of_axis if one.start >= event.stop), default=np.inf)
+            for times, time in zip(schedule, (event.start, event.stop, following), strict=True):
                 times[place, axis] = time
     return schedule
 
