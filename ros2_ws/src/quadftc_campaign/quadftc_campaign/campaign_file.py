@@ -200,8 +200,7 @@ def load_campaign(path: Path, flights: int | None = None, recordings: Path | Non
     base, scenario = _read_scenario(document, keys)
     problems = [*_find_unknown_parts(keys, scenario)]
     bags = _find_recordings(document, keys, recordings, problems)
-    given: dict[str, Any] = {name: getattr(keys, name) for name in CampaignKeys.model_fields}
-    given |= {"name": keys.name or path.stem, "flights": keys.flights * max(len(bags), 1)}
+    given = dict(keys) | {"name": keys.name or path.stem, "flights": keys.flights * max(len(bags), 1)}
     given |= {"vary": _expand_paths(keys, base, problems), "variants": _variants(keys, scenario)}
     campaign = Campaign.model_construct(None, **given, document=document, base=base, recordings=bags)
     if campaign.cells > MAX_CELLS:
@@ -290,23 +289,16 @@ def _find_unknown_parts(keys: CampaignKeys, scenario: Scenario) -> Iterator[Prob
                 yield Problem((key, index), f"'{name}' is given twice")
 
 
-def _with_others(
-    schemes: list[str], every: list[str], keys: CampaignKeys, scenario: Scenario
-) -> Iterator[Variant]:
-    """Yield the schemes as they are, and the first with every registered observer that none of them has."""
-    yield from (Variant(name, name, None, None) for name in schemes)
-    flown = {scenario.schemes[name].observer.kind for name in schemes}
-    for name in (each for each in every if each not in flown):
-        yield Variant(name, schemes[0], name, None, tuple(keys.parameters.get(name, {}).items()))
-
-
 def _variants(keys: CampaignKeys, scenario: Scenario) -> tuple[Variant, ...]:
     """Schemes, crossed with observers and controllers where some are named."""
     given = list(scenario.schemes) if keys.schemes == ALL else keys.schemes
     schemes = [name for name in given if name in scenario.schemes] or [next(iter(scenario.schemes))]
     every = [name for name in fault_observers.names() if name != NO_OBSERVER]
-    if keys.observers == OTHERS:
-        return tuple(_with_others(schemes, every, keys, scenario))
+    if keys.observers == OTHERS:  # the schemes as they are, and the first with what none of them has
+        flown = {scenario.schemes[name].observer.kind for name in schemes}
+        others = ((name, keys.parameters.get(name, {})) for name in every if name not in flown)
+        as_they_are = [Variant(name, name, None, None) for name in schemes]
+        return (*as_they_are, *(Variant(n, schemes[0], n, None, tuple(p.items())) for n, p in others))
     named = every if keys.observers == ALL else keys.observers
     observers = [(name, name, keys.parameters.get(name, {})) for name in named]
     observers += [

@@ -12,18 +12,19 @@ import hashlib
 import itertools
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 import polars as pl
 
 from quadftc_campaign.batch.parts import Progress, structure_of
-from quadftc_campaign.campaign_file import Campaign, Variant
+from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.cluster import cluster_client, devices, run_tasks
 from quadftc_campaign.errors import CampaignError, report_refusal
 from quadftc_campaign.flights import first_columns, flight_scenario, parts_of
-from quadftc_campaign.table import ORDER, Rows, fault_rows, summary_of, table_of
+from quadftc_campaign.table import ORDER, Row, Rows, fault_rows, summary_of, table_of
+from quadftc_flight.scenario import Scenario
 
 MANIFEST, CHUNKS, FLIGHTS, SUMMARY = "campaign.json", "chunks", "flights.parquet", "summary.json"
 FORMAT = 2
@@ -136,27 +137,33 @@ def fly_chunk(campaign: Campaign, numbers: Sequence[int], progress: Progress = l
     Returns one row for each flight, variant and fault (`quadftc_campaign.table`). A `ScenarioError` says that
     drawn values make no scenario, a `ValueError` that a part cannot be flown in a batch.
     """
+    rows: Rows = []
     if campaign.source.is_loop:
         fly = _fly_loop
     else:
         from quadftc_campaign import open_loop
 
         fly = open_loop.fly_open
-    return [row for variant in campaign.variants for row in fly(campaign, numbers, variant, progress)]
+    for variant in campaign.variants:
+        scenarios = [flight_scenario(campaign, number, variant) for number in numbers]
+        flown = zip(numbers, scenarios, fly(campaign, numbers, scenarios, progress), strict=True)
+        for number, scenario, (whole, records) in flown:
+            rows += fault_rows(first_columns(campaign, number, variant, scenario) | whole, records)
+    return rows
 
 
-def _fly_loop(campaign: Campaign, numbers: Sequence[int], variant: Variant, progress: Progress) -> Rows:
+def _fly_loop(
+    campaign: Campaign, numbers: Sequence[int], scenarios: Sequence[Scenario], progress: Progress
+) -> Iterator[tuple[Row, Rows]]:
+    """Yield the metrics of each flight and of its faults, from the batch engine."""
     from quadftc_campaign.batch.engine import engine_of_process, lanes_for
     from quadftc_campaign.batch.tally import fault_records, flight_record
 
     engine = engine_of_process(campaign.precision == "float32", lanes_for(len(numbers)))
-    scenarios = [flight_scenario(campaign, number, variant) for number in numbers]
-    outcomes = engine.fly(list(map(parts_of, scenarios)), [one.fault_events for one in scenarios], progress)
-    rows: Rows = []
-    for number, scenario, outcome in zip(numbers, scenarios, outcomes, strict=True):
-        whole = first_columns(campaign, number, variant, scenario) | flight_record(outcome)
-        rows += fault_rows(whole, fault_records(outcome, scenario.fault_events))
-    return rows
+    events = [scenario.fault_events for scenario in scenarios]
+    outcomes = engine.fly(list(map(parts_of, scenarios)), events, progress)
+    for outcome, judged_by in zip(outcomes, events, strict=True):
+        yield flight_record(outcome), fault_records(outcome, judged_by)
 
 
 def _describe(campaign: Campaign, chunks: int) -> dict[str, Any]:

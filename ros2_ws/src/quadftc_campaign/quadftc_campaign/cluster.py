@@ -63,7 +63,10 @@ def devices(client: Any) -> str:
 
 
 def run_tasks(
-    client: Any, function: Callable[..., Any], arguments: Sequence[tuple[Any, ...]], progress: Progress
+    client: Any,
+    function: Callable[..., Any],
+    arguments: Sequence[tuple[Any, ...]],
+    progress: Progress = lambda samples: None,
 ) -> Iterator[tuple[int, Any]]:
     """Call a function in the workers; yield place and result of each call as it is done.
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, cast
 
 import numpy as np
@@ -54,7 +54,10 @@ class Distribution:
         """Draw a value as it stands in a scenario."""
         if self.values:
             places = (int(generator.integers(len(self.values))) for _ in range(self.size or 1))
-            drawn = [_draw_inside(self.values[place], generator) for place in places]
+            drawn = [
+                _inside(self.values[place], Distribution, lambda each: each.draw(generator))
+                for place in places
+            ]
         else:
             drawn = [f"{x!r} {self.unit}" if self.unit else x for x in self._draw_numbers(generator)]
         return drawn if self.size else drawn[0]
@@ -115,27 +118,20 @@ def unit_of(value: Value) -> str:
     return match[2] if match else ""
 
 
-def _draw_inside(value: Value, generator: np.random.Generator) -> Value:
-    """Return a choice, with the distributions inside it drawn."""
-    if not isinstance(value, Mapping):
-        return value
-    items = cast("Mapping[str, Any]", value).items()
-    return {key: each.draw(generator) if isinstance(each, Distribution) else each for key, each in items}
-
-
 def _read_values(kind: str, raw: Any) -> tuple[Value, ...]:
+    """Read the values of a choice or grid; in a component of a choice, mappings are distributions."""
     if not isinstance(raw, list) or not raw:
         raise ValueError(f"{kind}: {raw!r}: expected a list of values, at least one")
     values = cast("list[Any]", raw)
-    return tuple(values if kind == "grid" else map(_read_choice, values))
+    return tuple(values if kind == "grid" else (_inside(each, Mapping, distribution) for each in values))
 
 
-def _read_choice(value: Value) -> Value:
-    """Read a choice; in a component, mappings are distributions."""
+def _inside(value: Value, kind: type, change: Callable[[Any], Any]) -> Value:
+    """Return a component with what is of a kind in it changed; any other value as it is."""
     if not isinstance(value, Mapping):
         return value
     items = cast("Mapping[str, Any]", value).items()
-    return {key: distribution(each) if isinstance(each, Mapping) else each for key, each in items}
+    return {key: change(each) if isinstance(each, kind) else each for key, each in items}
 
 
 def _read_bounds(kind: str, raw: Any) -> tuple[tuple[float, float], str]:

@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
 from quadftc_campaign.batch.parts import Progress
-from quadftc_campaign.campaign_file import Campaign, Variant
-from quadftc_campaign.flights import first_columns, flight_scenario, generator_of
-from quadftc_campaign.table import Row, Rows, fault_rows
+from quadftc_campaign.campaign_file import Campaign
+from quadftc_campaign.flights import generator_of
+from quadftc_campaign.table import Row, Rows
 from quadftc_control.reference import combined
 from quadftc_flight.diagnosis_metrics import GRACE_TIME
 from quadftc_flight.diagnosis_metrics.columns import Columns
@@ -48,9 +48,8 @@ AGES = (0.1, 0.2, 0.5, 1.0, 2.0, 3.5, 5.0, 7.5, 10.0, 12.5, 15.0, 17.5, 20.0)  #
 WITHIN = 5.0  # s; a fault that is found later does not count in the ROC
 SIZES = np.radians(np.geomspace(0.02, 50.0, 86))  # rad; levels for the size of an estimate
 RATIOS = np.geomspace(0.5, 500.0, 76)  # 1; levels for its size over its standard deviation
-LOOP_METRICS = ("tracking_rmse_deg", "tracking_max_deg")  # no value here, but the reader looks for them
-WHOLE_METRICS = (*LOOP_METRICS, "fault_estimate_rmse_deg", "fault_estimate_max_deg")
-
+# those of tracking have no value here, but the reader looks for them
+WHOLE_METRICS = ("tracking_rmse_deg", "tracking_max_deg", "fault_estimate_rmse_deg", "fault_estimate_max_deg")
 
 _read_recording = functools.lru_cache(maxsize=2)(recording_from_bag)
 
@@ -63,20 +62,17 @@ class OpenFlight(NamedTuple):
     delay: float  # [s], by which the faults come later than in the scenario
 
 
-def fly_open(campaign: Campaign, numbers: Sequence[int], variant: Variant, progress: Progress) -> Rows:
-    """Diagnose some flights of a campaign with a variant: one row for each flight and fault."""
-    rows: Rows = []
-    for number in numbers:
-        scenario = flight_scenario(campaign, number, variant)
+def fly_open(
+    campaign: Campaign, numbers: Sequence[int], scenarios: Sequence[Scenario], progress: Progress
+) -> Iterator[tuple[Row, Rows]]:
+    """Diagnose some flights of a campaign; yield the metrics of each flight and of its faults."""
+    for number, scenario in zip(numbers, scenarios, strict=True):
         recording, faults, delay = prepare(campaign, number, scenario)
-        law = scenario.scheme(variant.scheme).observer.law
         injector = FaultInjector(scenario.seed, (fault.injection for fault in faults))
-        flight = flight_of(recording, diagnose(recording, law, injector))
-        common = first_columns(campaign, number, variant, scenario)
-        common |= {DELAY: delay, "recording": recording.name}
-        rows += judge(flight, replay_events(recording, faults), faults, common)
+        flight = flight_of(recording, diagnose(recording, scenario.scheme(None).observer.law, injector))
+        whole, records = _judge(flight, replay_events(recording, faults), faults)
         progress(len(recording))
-    return rows
+        yield {DELAY: delay, "recording": recording.name, **whole}, records
 
 
 def prepare(campaign: Campaign, number: int, scenario: Scenario) -> OpenFlight:
@@ -114,13 +110,11 @@ def simulate(scenario: Scenario) -> Recording:
     )
 
 
-def judge(flight: Flight, events: Sequence[FaultEvent], faults: Sequence[Fault], common: Row) -> Rows:
-    """Return the rows of a flight: what all share, and the metrics of each fault."""
+def _judge(flight: Flight, events: Sequence[FaultEvent], faults: Sequence[Fault]) -> tuple[Row, Rows]:
     metrics = flight_metrics(flight, (), events)
     diagnosis: dict[str, Any] = metrics["diagnosis"]
     records: list[Row] = diagnosis.pop("events")
     whole: Row = {
-        **common,
         "finite": bool(np.isfinite(flight.fault_estimate[flight.delivered]).all()),
         **flatten({name: metrics[name] for name in WHOLE_METRICS}),
         **flatten(diagnosis),
@@ -129,7 +123,7 @@ def judge(flight: Flight, events: Sequence[FaultEvent], faults: Sequence[Fault],
     specs = {(axis, fault.injection.start): fault.spec for fault in faults for axis in fault.axes}
     for event, record in zip(events, records, strict=True) if records else ():
         record |= {"spec": specs.get((event.axis, event.start)), **error_profile(flight, event)}
-    return fault_rows(whole, records)
+    return whole, records
 
 
 def error_profile(flight: Flight, event: FaultEvent) -> dict[str, list[float | None]]:

@@ -41,27 +41,14 @@ Events = Sequence[Sequence[FaultEvent]]
 
 
 class Engine:
-    """Flies batches; it keeps what it has compiled.
-
-    Parameters
-    ----------
-    float32 : bool
-        Single precision in place of double; the same for all engines of a process.
-    lanes : int, optional
-        Flights that fly together; a batch of fewer is filled up. Default: as the flights are, up to `LANES`.
-    free : sequence of str
-        Paths of numbers (`numbers_of`) that may change between calls without another compilation, beside
-        those that differ between the flights of a call.
-    staged : bool, optional
-        Whether to rewrite the step (`quadftc_campaign.batch.staged_step`). Default: on a CPU.
-    """
+    """Flies batches; it keeps what it has compiled."""
 
     def __init__(
         self,
-        float32: bool = False,
-        lanes: int | None = None,
-        free: Sequence[str] = (),
-        staged: bool | None = None,
+        float32: bool = False,  # precision; one process has one
+        lanes: int | None = None,  # flights that fly together; None: as the flights are, up to `LANES`
+        free: Sequence[str] = (),  # numbers (`numbers_of`) that may change without another compilation
+        staged: bool | None = None,  # whether to rewrite the step (`StagedStep`); None: on a CPU
     ) -> None:
         if lanes is not None and lanes < 1:
             raise ValueError(f"lanes = {lanes}: must be positive")

@@ -43,7 +43,7 @@ class InputSource:
             else None
             for place, fault in enumerate(self._loop.injections)
         ]
-        self._delivery = _delivery(flights)
+        self._delivery = _delivery(flights, dtype)
         self._index = 0
 
     def next(self, count: int, every: bool = False) -> tuple[StepInputs, Times]:
@@ -62,10 +62,7 @@ class InputSource:
         delivery = self._delivery
         if delivery is not None:
             rows = np.clip(taken, 0, len(delivery.arrives) - 1)
-            chosen = (each[rows] for each in delivery)
-            delivery = Delivery(
-                *(each if each.dtype == bool else each.astype(self._dtype) for each in chosen)
-            )
+            delivery = Delivery(*(each[rows] for each in delivery))
         return StepInputs(self._draw(count, every), faults, delivery), Times(*times)
 
     def _draw(self, count: int, every: bool) -> tuple[NDArray[Any], ...]:
@@ -92,7 +89,7 @@ class InputSource:
         return FaultDraws(*numbers.astype(self._dtype))
 
 
-def _delivery(flights: Sequence[FlightParts]) -> Delivery | None:
+def _delivery(flights: Sequence[FlightParts], dtype: np.dtype[Any]) -> Delivery | None:
     """Find the samples (samples, flights) that faults of the whole IMU withhold; None without such faults."""
     if not any(injection.channel == "imu" for flight in flights for injection in flight.loop.injections):
         return None
@@ -105,7 +102,8 @@ def _delivery(flights: Sequence[FlightParts]) -> Delivery | None:
     dt = (stamps - last) / NANOSECONDS_PER_SECOND
     restarts = arrives & ((last < 0) | (dt > MAX_GAP))
     dt = np.where(restarts | ~arrives, seconds(period), dt)
-    return Delivery(arrives, dt, restarts, np.maximum(stamps - first, 0) / NANOSECONDS_PER_SECOND)
+    elapsed = np.maximum(stamps - first, 0) / NANOSECONDS_PER_SECOND
+    return Delivery(arrives, dt.astype(dtype), restarts, elapsed.astype(dtype))
 
 
 def _arrivals(flight: FlightParts) -> NDArray[np.bool_]:

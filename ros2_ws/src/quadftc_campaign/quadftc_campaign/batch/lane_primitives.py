@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -70,10 +71,7 @@ def _reduce(x: Any, axes: Sequence[int], operation: Callable[[Any, Any], Any]) -
     """Reduce small axes, the sum written out."""
     kept = [axis for axis in range(x.ndim) if axis not in axes]
     terms = lax.transpose(x, (*axes, *kept)).reshape(-1, *(x.shape[axis] for axis in kept))
-    total = terms[0]
-    for index in range(1, terms.shape[0]):
-        total = operation(total, terms[index])
-    return total
+    return functools.reduce(operation, [terms[index] for index in range(terms.shape[0])])
 
 
 def _contract(

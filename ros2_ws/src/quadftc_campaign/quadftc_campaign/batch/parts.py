@@ -98,9 +98,20 @@ def numbers_of(part: Any) -> dict[str, Numbers]:
     return {path: number for path, _, number in _walk(part) if number is not None}
 
 
-def with_numbers(part: T, values: Mapping[str, Any]) -> T:
-    """Return the part with other numbers, unchecked: they may be tracers of JAX."""
-    return _replace(part, "", values)
+def with_numbers(part: Any, values: Mapping[str, Any], path: str = "") -> Any:
+    """Return the part at a path with other numbers, unchecked: they may be tracers of JAX."""
+    if path in values:
+        return values[path]
+    start = f"{path}." if path else ""
+    if not any(name.startswith(start) for name in values):
+        return part
+    inside = {name: with_numbers(each, values, f"{start}{name}") for name, each in _children(part)}
+    if isinstance(part, tuple):
+        return tuple(inside.values())
+    changed = copy.copy(part)
+    for name, value in inside.items():
+        object.__setattr__(changed, name, value)
+    return changed
 
 
 def in_precision(part: T, dtype: np.dtype[Any]) -> T:
@@ -130,21 +141,6 @@ def _walk(part: Any, path: str = "") -> Iterator[tuple[str, Any, Numbers | None]
     if number is None:
         for name, inside in _children(part):
             yield from _walk(inside, f"{path}.{name}" if path else name)
-
-
-def _replace(part: Any, path: str, values: Mapping[str, Any]) -> Any:
-    if path in values:
-        return values[path]
-    start = f"{path}." if path else ""
-    if not any(name.startswith(start) for name in values):
-        return part
-    inside = {name: _replace(each, f"{start}{name}", values) for name, each in _children(part)}
-    if isinstance(part, tuple):
-        return tuple(inside.values())
-    changed = copy.copy(part)
-    for name, value in inside.items():
-        object.__setattr__(changed, name, value)
-    return changed
 
 
 def _as_number(part: Any) -> Numbers | None:

@@ -15,7 +15,6 @@ import polars as pl
 from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
-from quadftc_campaign.batch.parts import Progress
 from quadftc_campaign.campaign_file import Campaign, TuneKeys
 from quadftc_campaign.campaign_run import FLIGHTS_A_CHUNK, fly_chunk, pieces_of
 from quadftc_campaign.cluster import cluster_client, run_tasks
@@ -50,7 +49,6 @@ class Step(NamedTuple):
 
     gains: Gains  # before it
     cost: float
-    slope: float  # norm of the gradient
 
 
 class Judged(NamedTuple):
@@ -88,7 +86,6 @@ def tune(
     address: str | None,
     workers: int,
     told: Callable[[Step], None],
-    progress: Progress = lambda samples: None,
 ) -> Tuned:
     """Tune; nothing is written. ``told`` gets each step; the cluster is that of `cluster_client`."""
     start, metrics = checked(campaign), tuple(_keys(campaign).cost)
@@ -98,13 +95,13 @@ def tune(
             size = min(max(TOGETHER // len(gains.logarithms), 1), -(-len(numbers) // workers))
             pieces = [list(numbers[at : at + size]) for at in range(0, len(numbers), size)]
             arguments = [(with_them, gains, metrics, piece) for piece in pieces]
-            flown = sorted(run_tasks(client, sensitivity, arguments, progress), key=lambda each: each[0])
+            flown = sorted(run_tasks(client, sensitivity, arguments), key=lambda each: each[0])
             return Sensitivity(*map(np.concatenate, zip(*(part for _, part in flown), strict=True)))
 
         search = Search(campaign, start, fly)
         for step in search.steps():
             told(step)
-        before, after = _judge_gains(client, campaign, (start, search.result), search.cost, progress)
+        before, after = _judge_gains(client, campaign, (start, search.result), search.cost)
     return Tuned(start, search.result, search.failing, before, after)
 
 
@@ -144,9 +141,8 @@ class Search:
             # a step of Adam, as far as the theory allows
             if not seen:
                 self.cost = cost_from(self._tune.cost, flown.values)
-            gradient = self.cost.gradient(flown.slopes)
-            yield Step(gains, self.cost.of(flown.values), float(np.linalg.norm(gradient)))
-            update, state = optimiser.update(gradient, state)
+            yield Step(gains, self.cost.of(flown.values))
+            update, state = optimiser.update(self.cost.gradient(flown.slopes), state)
             seen.append(at)
             before, tried = at, 0
             at = self._shorten(at, at + np.clip(np.asarray(update, np.float64), -LARGEST, LARGEST))
@@ -185,9 +181,7 @@ def _all_known(values: Floats) -> bool:
     return bool(np.all(there.all(axis=0) | ~there.any(axis=0))) and bool(there.any())
 
 
-def _judge_gains(
-    client: Any, campaign: Campaign, each: Sequence[Gains], cost: Cost, progress: Progress
-) -> list[Judged]:
+def _judge_gains(client: Any, campaign: Campaign, each: Sequence[Gains], cost: Cost) -> list[Judged]:
     """Fly the flights after those of the campaign, with each of some gains."""
     total = campaign.flights + _keys(campaign).held_out
     pieces = pieces_of(list(range(campaign.flights, total)), FLIGHTS_A_CHUNK)
@@ -195,7 +189,7 @@ def _judge_gains(
     tried = [with_gains(longer, campaign.variants[0].scheme, gains) for gains in each]
     rows: list[Rows] = [[] for _ in each]
     tasks = [(one, piece) for one in tried for piece in pieces]
-    for place, flown in run_tasks(client, fly_chunk, tasks, progress):
+    for place, flown in run_tasks(client, fly_chunk, tasks):
         rows[place // len(pieces)] += flown
     return [_judge(table_of(some), cost, [*_keys(campaign).cost]) for some in rows]
 
