@@ -200,7 +200,8 @@ def load_campaign(path: Path, flights: int | None = None, recordings: Path | Non
     base, scenario = _read_scenario(document, keys)
     problems = [*_find_unknown_parts(keys, scenario)]
     bags = _find_recordings(document, keys, recordings, problems)
-    given = dict(keys) | {"name": keys.name or path.stem, "flights": keys.flights * max(len(bags), 1)}
+    given: dict[str, Any] = dict(keys)
+    given |= {"name": keys.name or path.stem, "flights": keys.flights * max(len(bags), 1)}
     given |= {"vary": _expand_paths(keys, base, problems), "variants": _variants(keys, scenario)}
     campaign = Campaign.model_construct(None, **given, document=document, base=base, recordings=bags)
     if campaign.cells > MAX_CELLS:

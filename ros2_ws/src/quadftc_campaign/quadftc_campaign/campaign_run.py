@@ -190,9 +190,8 @@ def _describe(campaign: Campaign, chunks: int) -> dict[str, Any]:
 def _compare(path: Path, manifest: dict[str, Any], resume: bool) -> None:
     """Refuse a directory with another campaign, or with this one if it is not to be resumed."""
     if not resume:
-        raise CampaignError(
-            f"{path.parent}: holds a campaign; --resume goes on with it, or choose another --out"
-        )
+        advice = "--resume goes on with it, or choose another --out"
+        raise CampaignError(f"{path.parent}: holds a campaign; {advice}")
     try:
         there = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
@@ -200,9 +199,8 @@ def _compare(path: Path, manifest: dict[str, Any], resume: bool) -> None:
     if there != manifest:
         found = cast("dict[str, Any]", there if isinstance(there, dict) else {})
         keys = [key for key, value in manifest.items() if found.get(key) != value]
-        raise CampaignError(
-            f"{path}: another campaign ({', '.join(keys) or 'other keys'} differ); choose another --out"
-        )
+        names = ", ".join(keys) or "other keys"
+        raise CampaignError(f"{path}: another campaign ({names} differ); choose another --out")
 
 
 def _write_table(frame: pl.DataFrame, path: Path) -> None:

@@ -53,11 +53,9 @@ class Distribution:
     def draw(self, generator: np.random.Generator) -> Value:
         """Draw a value as it stands in a scenario."""
         if self.values:
-            places = (int(generator.integers(len(self.values))) for _ in range(self.size or 1))
-            drawn = [
-                _inside(self.values[place], Distribution, lambda each: each.draw(generator))
-                for place in places
-            ]
+            numbers = (int(generator.integers(len(self.values))) for _ in range(self.size or 1))
+            chosen = (self.values[number] for number in numbers)
+            drawn = [_inside(one, Distribution, lambda each: each.draw(generator)) for one in chosen]
         else:
             drawn = [f"{x!r} {self.unit}" if self.unit else x for x in self._draw_numbers(generator)]
         return drawn if self.size else drawn[0]
@@ -146,9 +144,8 @@ def _read_bounds(kind: str, raw: Any) -> tuple[tuple[float, float], str]:
         pairs.append((float(match[1]), match[2]))
     (low, low_unit), (high, high_unit) = pairs
     if len({unit for number, unit in pairs if unit or number != 0.0}) > 1:
-        raise ValueError(
-            f"{kind}: {names[0]} in '{low_unit}', {names[1]} in '{high_unit}': expected one unit"
-        )
+        units = f"{names[0]} in '{low_unit}', {names[1]} in '{high_unit}'"
+        raise ValueError(f"{kind}: {units}: expected one unit")
     if kind == "normal" and not high > 0.0:
         raise ValueError(f"normal: standard deviation {high:g}: must be positive")
     if kind != "normal" and not low < high:

@@ -120,7 +120,7 @@ def _scheduled(campaign: Campaign, path: str, value: Value) -> Value:
 
 def _replaced(given: Any, kind: str, parameters: dict[str, Any]) -> Any:
     """A part by its name; with the parameters that the scenario gives if it is the one that was there."""
-    spec = cast("dict[str, Any]", given if isinstance(given, dict) else {"kind": given})
+    spec = cast("dict[str, Any]", given) if isinstance(given, dict) else {"kind": given}
     if not parameters:
         return cast("Any", given) if spec.get("kind") == kind else kind
     return {**(spec if spec.get("kind") == kind else {"kind": kind}), **parameters}

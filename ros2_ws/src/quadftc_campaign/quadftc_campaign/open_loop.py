@@ -105,7 +105,7 @@ def simulate(scenario: Scenario) -> Recording:
         topic="/imu/data",
         namespace="/",
         stamp_ns=EPOCH_NS + period_ns(scenario.rate) * np.arange(count, dtype=np.int64),
-        imu=ImuSample(*map(np.stack, zip(*samples, strict=True))),
+        imu=ImuSample(*(np.stack(column) for column in zip(*samples, strict=True))),
         torque=np.zeros((count, len(AXES))),
     )
 

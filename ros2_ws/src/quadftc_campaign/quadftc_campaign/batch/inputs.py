@@ -54,11 +54,8 @@ class InputSource:
         faults = tuple(
             None if each is None else self._between(each, int(taken[0]), count) for each in self._faults
         )
-        period = self._loop.period_ns
-        times = (
-            (np.maximum(each, 0) * period / NANOSECONDS_PER_SECOND).astype(self._dtype)
-            for each in (index - 1, index, taken)
-        )
+        stamps_ns = (np.maximum(each, 0) * self._loop.period_ns for each in (index - 1, index, taken))
+        times = ((each / NANOSECONDS_PER_SECOND).astype(self._dtype) for each in stamps_ns)
         delivery = self._delivery
         if delivery is not None:
             rows = np.clip(taken, 0, len(delivery.arrives) - 1)

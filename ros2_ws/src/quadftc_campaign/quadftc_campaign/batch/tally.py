@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from quadftc_campaign.batch.loop_step import Row
 from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG, GRACE_TIME
+from quadftc_flight.diagnosis_metrics.columns import number
 from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_model.arrays import Array, namespace
 from quadftc_model.rotations import wrap
@@ -208,8 +209,7 @@ def flight_record(outcome: Outcome) -> dict[str, Any]:
         if np.ndim(values) == 0:
             record[name] = float(values)
             continue
-        for axis, value in zip(AXES, np.asarray(values, np.float64).tolist(), strict=True):
-            record[f"{name}.{axis}"] = value if math.isfinite(value) else None
+        record |= {f"{name}.{axis}": number(value) for axis, value in zip(AXES, values, strict=True)}
     return record
 
 
@@ -230,6 +230,7 @@ def _fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]) -> d
     sized = marks["event_sized"] and stated > 0.0
     detected = math.isfinite(marks["event_detected"]) if sized else None
     above = math.isfinite(marks["event_above"]) if sized else None
+    already, already_above = marks["event_already"], marks["event_already_above"]
     trusted = math.isfinite(marks["event_trusted"])
 
     def delay(name: str, since: float, there: bool | None) -> float | None:
@@ -238,15 +239,13 @@ def _fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]) -> d
     return {
         **event._asdict(),
         "detected": detected,
-        "already_declared": marks["event_already"] if sized else None,
-        "detection_delay_s": delay("event_detected", event.start, detected and not marks["event_already"]),
+        "already_declared": already if sized else None,
+        "detection_delay_s": delay("event_detected", event.start, detected and not already),
         "declared_share": sums["event_declared"] / stated if stated else None,
         "recovered": trusted if detected else None,
         "recovery_delay_s": delay("event_trusted", event.stop, detected and trusted),
         "above_threshold": above,
-        "above_threshold_delay_s": delay(
-            "event_above", event.start, above and not marks["event_already_above"]
-        ),
+        "above_threshold_delay_s": delay("event_above", event.start, above and not already_above),
         "estimate_rmse_deg": math.degrees(math.sqrt(sums["event_squares"] / known)) if known else None,
         "estimate_bias_deg": math.degrees(sums["event_error"] / known) if known else None,
         "estimate_max_deg": math.degrees(marks["event_error"]) if known else None,

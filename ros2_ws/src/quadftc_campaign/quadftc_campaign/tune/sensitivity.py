@@ -163,9 +163,8 @@ def _slope_of_metric(name: str, outcome: Outcome) -> Floats:
 def _value(scheme: Scheme, name: str) -> Floats:
     role, _, parameter = name.partition(".")
     if role not in ROLES or not parameter:
-        raise ValueError(
-            f"'{name}': expected role.parameter, such as controller.k_c1; roles: {', '.join(ROLES)}"
-        )
+        roles = ", ".join(ROLES)
+        raise ValueError(f"'{name}': expected role.parameter, such as controller.k_c1; roles: {roles}")
     part: Part = getattr(scheme, role)
     specs = parameters_of(part.law.__class__)
     numbers = [spec.name for spec in specs if isinstance(spec.default, (float, tuple))]
