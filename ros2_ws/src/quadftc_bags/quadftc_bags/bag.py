@@ -11,8 +11,9 @@ from __future__ import annotations
 
 import os
 from array import array
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from rosbags.typesys import get_types_from_idl, get_types_from_msg
 from quadftc_bags.cdr.arrays import Arrays, decode_topic
 from quadftc_bags.storage import (
     BagError,
-    CutShortError,
+    Damage,
     Record,
     is_sqlite,
     open_sqlite,
@@ -68,6 +69,7 @@ class TopicInfo:
     first_ns: int = 0  # log times of its first and last message [ns]; 0 without messages
     last_ns: int = 0
     qos: str = ""  # offered quality of service (a YAML list)
+    type_hash: str = ""
     encoding: str = "cdr"  # of the messages
     definition: Schema | None = None  # of the type
     messages: list[bytes] = field(default_factory=list[bytes])
@@ -97,28 +99,24 @@ class TopicInfo:
 
 
 class Bag:
-    """A bag in memory; made by `read_bag`.
+    """A bag in memory; made by `read_bag`."""
 
-    Attributes
-    ----------
-    path : Path
-        The bag's directory or file.
-    topics : dict of str to TopicInfo
-        The topics, by full name.
-    truncated : bool
-        The recording was cut short (killed recorder, full disk): everything up to the cut is here.
-    attachments : dict of str to bytes
-        Files stored in the bag, by name.
-    metadata : dict of str to dict of str to str
-        Metadata records, by name; ``rosbag2`` is rosbag2's own, ``quadftc`` tells what recorded the bag.
-    """
+    reads_past_damage = False
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.topics: dict[str, TopicInfo] = {}
-        self.truncated = False
-        self.attachments: dict[str, bytes] = {}
+    def __init__(self, path: Path, wanted: Collection[str] | None = None) -> None:
+        self.path = path  # directory or file
+        self.topics: dict[str, TopicInfo] = {}  # by full name
+        self.damages: list[Damage] = []  # what cannot be read, in the order of the file
+        self.attachments: dict[str, bytes] = {}  # files stored in the bag, by name
+        # records by name: ``rosbag2`` is rosbag2's own, ``quadftc`` tells what recorded the bag
         self.metadata: dict[str, dict[str, str]] = {}
+        self.left_out = 0  # messages of other topics than these
+        self._wanted = wanted
+
+    @property
+    def truncated(self) -> bool:
+        """The recording was cut short (killed recorder, full disk): everything up to the cut is here."""
+        return bool(self.damages)
 
     @property
     def remedy(self) -> str:
@@ -126,10 +124,7 @@ class Bag:
         return f"; to make it whole, run quadftc repair {self.path}" if self.truncated else ""
 
     def resolve(self, topic: str) -> str:
-        """Return a topic's full name: as given, with a leading slash, or in the only namespace that has it.
-
-        Raises BagError if no topic or more than one fits.
-        """
+        """Return a topic's full name: as given, or in the only namespace that has it; else BagError."""
         short = topic.strip("/")
         if topic in self.topics:
             return topic
@@ -144,10 +139,7 @@ class Bag:
         raise BagError(f"{self.path}: topic '{topic}' {problem}; topics there: {there}")
 
     def series(self, topic: str) -> Series:
-        """Return all messages of a topic as arrays; for the name see `resolve`.
-
-        Raises BagError if the topic is not there or its messages cannot be decoded.
-        """
+        """Return all messages of a topic (see `resolve`) as arrays; BagError if they cannot be decoded."""
         info = self.topics[self.resolve(topic)]
         try:
             fields = info.decode()
@@ -165,56 +157,55 @@ class Bag:
         return Series(info.name, info.type_name, stamp_ns, log_time, publish_time, fields)
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[tuple[str, int, bytes]]:
-        """Yield (full name, log time [ns], serialised message) in the order of log time; default: all topics.
-
-        Raises BagError if one of the topics is not there.
-        """
+        """Yield (full name, log time [ns], serialised message) in the order of log time; default: of all."""
         names = self.topics if topics is None else [self.resolve(topic) for topic in topics]
-        chosen = [self.topics[name] for name in names]
-        times = np.concatenate([np.array(info.log_times, np.int64) for info in chosen] or [np.empty(0)])
-        counts = [len(info.messages) for info in chosen]
-        which, starts = np.repeat(np.arange(len(chosen)), counts), np.cumsum([0, *counts])
-        for row in np.argsort(times, kind="stable").tolist():
-            info = chosen[int(which[row])]
-            yield info.name, int(times[row]), info.messages[row - int(starts[which[row]])]
+        rows = [
+            (name, time_ns, data)
+            for name in names
+            for time_ns, data in zip(self.topics[name].log_times, self.topics[name].messages, strict=True)
+        ]
+        yield from sorted(rows, key=itemgetter(1))
 
-    def load(self, file: Path, wanted: Collection[str] | None, keep: bool = True) -> None:
-        """Add the wanted topics of one file, without ``keep`` only their counts; `read_bag` does it."""
+    def load(self, records: Iterable[Record], keep: bool = True) -> Mapping[int, TopicInfo | None]:
+        """Add a file up to a damage, without ``keep`` no messages of it; return the topics by channel."""
         schemas: dict[int, Schema] = {}
-        channels: dict[int, TopicInfo] = {}
-
-        def is_wanted(topic: str) -> bool:
-            return wanted is None or any(_ends_with(topic, name) for name in wanted)
-
-        records = read_sqlite(file, is_wanted) if is_sqlite(file) else read_records(file)
-        try:
-            for record in records:
-                if isinstance(record, tuple):
-                    if topic := channels.get(record[0]):
-                        topic.add(*record[1:], keep=keep)
-                elif isinstance(record, Schema):
-                    schemas[record.id] = record
-                elif isinstance(record, Channel):
-                    if record.id not in channels and is_wanted(record.topic):
-                        channels[record.id] = self._add_topic(record, schemas.get(record.schema_id))
+        channels: dict[int, TopicInfo | None] = {}
+        for record in records:
+            if isinstance(record, tuple):
+                if topic := channels.get(record[0]):
+                    topic.add(*record[1:], keep=keep)
                 else:
-                    self._keep(record)
-        except CutShortError:
-            self.truncated = True
+                    self.left_out += 1
+            elif isinstance(record, Schema):
+                schemas.setdefault(record.id, record)  # of those that come again, as in the index, the first
+            elif isinstance(record, Channel):
+                present = channels.get(record.id)
+                channels[record.id] = present or self.topic_of(record, schemas.get(record.schema_id))
+            elif isinstance(record, Attachment):
+                self.attachments[record.name] = record.data
+            elif isinstance(record, Metadata):
+                self.metadata[record.name] = record.metadata
+            elif isinstance(record, Damage):
+                self.damages.append(record)
+                if not self.reads_past_damage:
+                    break
+        return channels
 
-    def _keep(self, record: Record) -> None:
-        if isinstance(record, Attachment):
-            self.attachments[record.name] = record.data
-        elif isinstance(record, Metadata):
-            self.metadata[record.name] = record.metadata
+    def wants(self, topic: str) -> bool:
+        """Return whether a topic, by its full name, is to be read."""
+        names = self._wanted
+        return names is None or any(f"/{topic.strip('/')}".endswith(f"/{name.strip('/')}") for name in names)
 
-    def _add_topic(self, channel: Channel, schema: Schema | None) -> TopicInfo:
-        type_name, qos = (
-            schema.name if schema else "unknown",
-            channel.metadata.get("offered_qos_profiles", ""),
-        )
+    def topic_of(self, channel: Channel, schema: Schema | None) -> TopicInfo | None:
+        """Return the topic of a channel, new or present; None if its messages are to be left out."""
+        if not self.wants(channel.topic):
+            return None
+        type_name, more = schema.name if schema else "unknown", channel.metadata
+        qos, type_hash = more.get("offered_qos_profiles", ""), more.get("topic_type_hash", "")
         encoding = channel.message_encoding
-        topic = TopicInfo(channel.topic, type_name, qos=qos, encoding=encoding, definition=schema)
+        topic = TopicInfo(
+            channel.topic, type_name, qos=qos, type_hash=type_hash, encoding=encoding, definition=schema
+        )
         present = self.topics.setdefault(channel.topic, topic)
         if present.type_name != type_name:
             types = f"{present.type_name} and {type_name}"
@@ -223,20 +214,15 @@ class Bag:
 
 
 def read_bag(path: str | os.PathLike[str], topics: Collection[str] | None = None) -> Bag:
-    """Read a bag.
+    """Read a bag: a rosbag2 directory, an ``.mcap`` or a ``.db3`` file.
 
-    Parameters
-    ----------
-    path : path
-        A rosbag2 directory, an ``.mcap`` or a ``.db3`` file.
-    topics : collection of str, optional
-        Keep only these (full, relative or short names), to save memory; default: all.
+    ``topics`` (full, relative or short names) are those to keep, to save memory; default: all.
 
     Raises BagError if there is no such bag, it is empty or no bag, or its metadata makes no sense.
     """
-    bag = Bag(Path(path))
+    bag = Bag(Path(path), topics)
     for file in storage_files(bag.path):
-        bag.load(file, topics)
+        bag.load(read_sqlite(file, bag.wants) if is_sqlite(file) else read_records(file))
     return bag
 
 
@@ -244,15 +230,9 @@ def bag_topics(path: Path) -> dict[str, TopicInfo]:
     """List the topics of a bag, with the number of their messages, without keeping any message."""
     if is_sqlite(path):
         with open_sqlite(path) as reader:
-            return {
-                name: TopicInfo(name, topic.msgtype or "", topic.msgcount)
-                for name, topic in reader.topics.items()
-            }
+            topics = reader.topics.items()
+            return {name: TopicInfo(name, topic.msgtype or "", topic.msgcount) for name, topic in topics}
     bag = Bag(path)
     for file in storage_files(path):
-        bag.load(file, None, keep=False)
+        bag.load(read_records(file), keep=False)
     return bag.topics
-
-
-def _ends_with(topic: str, name: str) -> bool:
-    return f"/{topic.strip('/')}".endswith(f"/{name.strip('/')}")

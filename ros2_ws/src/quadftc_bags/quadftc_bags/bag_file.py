@@ -14,24 +14,24 @@ import os
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from textwrap import indent
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 from mcap.data_stream import RecordBuilder
 from mcap.records import ChunkIndex
 from mcap.writer import CompressionType, Writer
 
-from quadftc_bags.bag_format import COMPRESSIONS, TopicRecord, bag_information
+from quadftc_bags.bag_format import COMPRESSIONS, TopicRecord, metadata_text
 
 KEPT_BY_WRITER = "_Writer__chunk_indices"  # private list of the library's writer
 _MEDIA_TYPES = {".yaml": "application/yaml", ".json": "application/json", ".txt": "text/plain"}
 
 
 class _Flushed(NamedTuple):
-    """What the operating system has."""
-
-    size: int  # bytes
+    size: int  # bytes that the operating system has
     counts: dict[str, int]  # messages by topic
     span_ns: tuple[int, int] | None  # first and last log time [ns]
 
@@ -43,8 +43,7 @@ class BagFile:
     bag's metadata and an MCAP metadata record named ``quadftc``. ``compression`` is one of `COMPRESSIONS`. A
     chunk with ``chunk_size`` bytes in messages is closed.
 
-    Raises FileExistsError if the directory exists; ValueError if the compression is unknown; OSError if the
-    directory cannot be written; the same from every other method.
+    Raises ValueError if the compression is unknown; OSError, as every other method, if it cannot write.
     """
 
     def __init__(
@@ -74,11 +73,14 @@ class BagFile:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._chunk_size = chunk_size
         self._open_size = 0
-        never = 2**63  # bytes; chunks are closed by flush alone, so that it is known where the last one ends
-        self._writer = Writer(_Output(self._file), never, CompressionType[compression.upper()])  # type: ignore[arg-type]
+        # Unbuffered, so that an error leaves nothing behind that would be written later; around a `RawIOBase`
+        # itself the library puts a buffer. Chunks are closed by `flush` alone, so that their ends are known.
+        write = partial(_write_all, self._file)
+        output: Any = SimpleNamespace(write=write, tell=self._file.tell, flush=self._file.flush)
+        self._writer = Writer(output, 2**63, CompressionType[compression.upper()])
         self._indices = ChunkIndices(self._writer, self.directory)
         self._writer.start("ros2", library="quadftc")
-        self._add_information()
+        self.add_record("rosbag2", {"serialized_metadata": self._metadata(self._flushed)})
         if self._custom:
             self._writer.add_metadata("quadftc", self._custom)
         for name, data in attachments.items():
@@ -126,7 +128,7 @@ class BagFile:
     def close(self) -> None:
         """Write the summary of the MCAP file and the final metadata."""
         self.flush()
-        self._add_information()
+        self.add_record("rosbag2", {"serialized_metadata": self._metadata(self._flushed)})
         self._writer.finish()
         self._indices.close()
         self.sync()
@@ -147,19 +149,16 @@ class BagFile:
         with suppress(OSError):
             self._write_metadata_file(self._flushed)
 
-    def _information(self, flushed: _Flushed) -> str:
+    def _metadata(self, flushed: _Flushed) -> str:
         topics = [(topic, flushed.counts.get(topic.name, 0)) for topic in tuple(self._topics)]
-        return bag_information(self.path.name, topics, flushed.span_ns, self._custom)
-
-    def _add_information(self) -> None:
-        self.add_record("rosbag2", {"serialized_metadata": self._information(self._flushed)})
+        return metadata_text(self.path.name, topics, flushed.span_ns, self._custom)
 
     def _write_metadata_file(self, flushed: _Flushed) -> None:
         target = self.directory / "metadata.yaml"
         partial = target.with_suffix(".yaml.part")
         try:
             with partial.open("w", encoding="utf-8") as stream:
-                stream.write("rosbag2_bagfile_information:\n" + indent(self._information(flushed), "  "))
+                stream.write("rosbag2_bagfile_information:\n" + indent(self._metadata(flushed), "  "))
                 stream.flush()
                 os.fsync(stream.fileno())
             partial.replace(target)
@@ -170,10 +169,7 @@ class BagFile:
 
 
 def is_being_written(path: Path) -> bool:
-    """Return whether a process of this machine has the file of a bag open as a `BagFile`.
-
-    Raises OSError if it cannot be opened.
-    """
+    """Return whether a process of this machine has the file of a bag open as a `BagFile`."""
     with path.open("rb") as stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -184,43 +180,32 @@ def is_being_written(path: Path) -> bool:
     return False
 
 
-class _Output:
-    """A file without a buffer, so that an error leaves nothing behind that would be written later.
-
-    (Around a `RawIOBase` itself the library puts a buffer.)
-    """
-
-    def __init__(self, file: io.FileIO) -> None:
-        self.tell, self.flush = file.tell, file.flush
-        self._file = file
-
-    def write(self, data: bytes) -> int:
-        rest = memoryview(data)
-        while rest:
-            rest = rest[self._file.write(rest) :]
-        return len(data)
+def _write_all(file: io.RawIOBase, data: bytes) -> None:
+    rest = memoryview(data)
+    while rest:
+        rest = rest[file.write(rest) :]
 
 
 class ChunkIndices:
-    """The index of the chunks, kept in a nameless file; it takes the place of a list of a new ``writer``.
+    """The index of the chunks in a nameless file, instead of a list of a new ``writer``.
 
     The library's writer keeps 1.5 kB for each chunk until the file is finished: 20 MB an hour, as chunks are
-    closed four times a second. Every method raises OSError if the file cannot be written. RuntimeError if the
-    writer of this version of the library has no such list.
+    closed four times a second. RuntimeError if the writer of this version of the library has no such list.
     """
 
     def __init__(self, writer: Writer, directory: Path) -> None:
         kept: Any = getattr(writer, KEPT_BY_WRITER, None)
         if kept != []:
             raise RuntimeError(f"mcap.writer.Writer has no {KEPT_BY_WRITER}")
-        self._file = tempfile.TemporaryFile(dir=directory, buffering=0)  # noqa: SIM115
+        self._file: Any = tempfile.TemporaryFile(dir=directory, buffering=0)  # noqa: SIM115
+        self.close = self._file.close
         setattr(writer, KEPT_BY_WRITER, self)
 
     def append(self, index: ChunkIndex) -> None:
         """Keep one entry, serialised."""
         builder = RecordBuilder()
         index.write(builder)
-        _Output(self._file).write(builder.end())
+        _write_all(self._file, builder.end())
 
     def __iter__(self) -> Iterator[ChunkIndices]:
         """Yield one object whose `write` writes all entries."""
@@ -231,7 +216,3 @@ class ChunkIndices:
         self._file.seek(0)
         while data := self._file.read(1 << 20):
             builder.write(data)
-
-    def close(self) -> None:
-        """Let go of the file."""
-        self._file.close()

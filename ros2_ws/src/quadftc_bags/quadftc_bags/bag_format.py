@@ -33,10 +33,7 @@ class TopicRecord(NamedTuple):
 
 
 def describe_topic(name: str, type_name: str, qos: QoSProfile) -> TopicRecord:
-    """Return the record of a topic whose publisher offers a quality of service.
-
-    Raises ValueError if the type is not installed.
-    """
+    """Return the record of a topic whose publisher offers ``qos``; ValueError for an unknown type."""
     interface = load_interface(type_name)
     return TopicRecord(name, type_name, interface.type_hash, offered_qos(qos), interface.text)
 
@@ -56,16 +53,16 @@ def offered_qos(profile: QoSProfile) -> str:
     )
 
 
-def bag_information(
+def metadata_text(
     file_name: str,
     topics: Sequence[tuple[TopicRecord, int]],
     span_ns: tuple[int, int] | None,
     custom: Mapping[str, str],
 ) -> str:
-    """Return the YAML text of the metadata of a bag of one file.
+    """Return the metadata of a bag of one file, as YAML.
 
-    ``topics`` come with their numbers of messages; ``span_ns`` is the first and last log time [ns], None
-    without messages; ``custom`` are the user's own entries.
+    ``topics`` come with their numbers of messages; ``span_ns`` is the first and last log time [ns];
+    ``custom`` are the user's own entries.
     """
     start, end = span_ns or (NEVER_NS, NEVER_NS)
     count = sum(number for _, number in topics)

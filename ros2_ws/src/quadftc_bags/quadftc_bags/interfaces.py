@@ -19,28 +19,21 @@ _PRIMITIVES = {"bool", "byte", "char", "float32", "float64", "string", "wstring"
 class Interface(NamedTuple):
     """A message type as a bag describes it."""
 
-    name: str  # ``package/msg/Name``
     text: str  # the definition followed by those of all types it uses (encoding ``ros2msg``)
     type_hash: str  # ``RIHS01_`` and 64 hexadecimal digits (REP-2016)
 
 
 def load_interface(type_name: str) -> Interface:
-    """Read a message type's definition and hash from the installed packages.
-
-    Raises ValueError if the name is not ``package/msg/Name`` or no such type is installed.
-    """
+    """Read a message type (``package/msg/Name``) from the installed packages; ValueError if there is none."""
     package, name = _split_type(type_name)
     text = "".join(_definitions(package, name, seen=set()))
     description = json.loads(_file(package, f"{name}.json").read_text("utf-8"))
     hashes = {entry["type_name"]: entry["hash_string"] for entry in description["type_hashes"]}
-    return Interface(type_name, text, hashes[type_name])
+    return Interface(text, hashes[type_name])
 
 
 def load_message_class(type_name: str) -> type:
-    """Import the Python class of a message type.
-
-    Raises ValueError if the name is not ``package/msg/Name`` or no such type is installed.
-    """
+    """Import the Python class of a message type; ValueError if no such type is installed."""
     package, name = _split_type(type_name)
     try:
         return getattr(importlib.import_module(f"{package}.msg"), name)

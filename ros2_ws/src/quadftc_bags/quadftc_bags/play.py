@@ -39,18 +39,9 @@ def play(
     Stamps inside the messages stay as recorded. Nothing waits for readers: who is not there misses messages.
     ValueError for a rate that is not positive, a bag that cannot be read, or a type that is not installed.
 
-    Parameters
-    ----------
-    path, topics
-        As of `read_bag`.
-    rate : float
-        Speed, as a multiple of the recorded one; > 0.
-    loop : bool
-        Begin again at the end; stamps then go back, too.
-    delay : float
-        Time between the creation of the publishers and the first message [s].
-    context : rclpy.context.Context, optional
-        Default: the default context, which is initialised and shut down here unless it is in use.
+    ``path`` and ``topics`` are as of `read_bag`; ``rate`` is a multiple of the recorded speed. With ``loop``
+    the bag begins again at its end; stamps then go back, too. The first message comes ``delay`` [s] after the
+    publishers. The default context is initialised and shut down here unless it is in use.
     """
     if not rate > 0.0:
         raise ValueError(f"rate: {rate}, expected > 0")

@@ -2,7 +2,7 @@
 
 What a killed recorder or a full disk leaves is a file without index whose last chunk may be cut, and metadata
 that are older than the file. A chunk that is cut or whose sum is wrong is left out: no message is guessed.
-`survey` finds out what there is, `repair` writes it.
+`Survey` finds out what there is, `repair` writes it.
 """
 
 from __future__ import annotations
@@ -11,18 +11,19 @@ import re
 import shutil
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 from mcap.reader import make_reader
-from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.records import Channel, Schema
 from ruamel.yaml import YAML, YAMLError
 
-from quadftc_bags.bag import TopicInfo
+from quadftc_bags.bag import Bag, TopicInfo
 from quadftc_bags.bag_file import BagFile, is_being_written
 from quadftc_bags.bag_format import TopicRecord
-from quadftc_bags.storage import BagError, Damage, bag_information, check_size, read_records
+from quadftc_bags.storage import BagError, bag_information, check_size, read_records
 
 CHUNK = 1024 * 1024  # bytes
 DEFINITIONS = ("ros2msg", "ros2idl")  # encodings of a type's definition that a bag may have
@@ -35,30 +36,44 @@ _WORDS = {  # of rmw, as recorded before ROS 2 Jazzy: numbers
 }
 
 
-@dataclass
-class Survey:
-    """What a file holds, and what of it cannot be read."""
+class Survey(Bag):
+    """What a file holds, and what of it cannot be read; BagError if there is no topic to keep."""
 
-    path: Path
-    size: int  # bytes
-    topics: dict[str, TopicInfo] = field(default_factory=dict[str, TopicInfo])  # that can be read
-    channels: dict[int, TopicRecord] = field(default_factory=dict[int, TopicRecord])
-    damages: list[Damage] = field(default_factory=list[Damage])  # in the order of the file
-    refused: dict[str, str] = field(default_factory=dict[str, str])  # topics unfit for ROS 2: the reason
-    unknown: int = 0  # messages of a topic that was refused, or whose name is nowhere in the file
-    is_indexed: bool = False  # the file ends as it should, with an index
-    attachments: dict[str, bytes] = field(default_factory=dict[str, bytes])
-    records: dict[str, dict[str, str]] = field(default_factory=dict[str, dict[str, str]])  # metadata records
+    reads_past_damage = True
 
-    @property
-    def messages(self) -> int:
-        """How many messages can be read."""
-        return sum(tally.count for tally in self.topics.values())
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.size = check_size(path)  # bytes
+        self.refused: dict[str, str] = {}  # topics unfit for ROS 2: the reason
+        self.channels = self.load(read_records(path), keep=False)
+        if not self.topics:
+            raise BagError(f"{path}: nothing to repair: {_nothing(self)}")
+        self.message_count = sum(topic.count for topic in self.topics.values())  # that can be read
+        self.is_indexed = False  # whether the file ends as it should, with an index
+        with suppress(Exception), path.open("rb") as stream:  # whatever the library makes of a cut index
+            summary: Any = make_reader(stream).get_summary()
+            self.is_indexed = summary.statistics.message_count == self.message_count
 
     @property
     def is_whole(self) -> bool:
         """Whether nothing is wrong with the file."""
-        return self.is_indexed and not (self.damages or self.refused or self.unknown)
+        return self.is_indexed and not (self.damages or self.refused or self.left_out)
+
+    def topic_of(self, channel: Channel, schema: Schema | None) -> TopicInfo | None:
+        """Return the topic of a channel that a ROS 2 bag can have; of others, note why it cannot."""
+        present = self.topics.get(channel.topic)
+        if channel.message_encoding != "cdr":
+            reason = f"its messages are '{channel.message_encoding}', not cdr"
+        elif schema is None:
+            reason = "the definition of its type is missing"
+        elif schema.encoding not in DEFINITIONS:
+            reason = f"its type is defined in '{schema.encoding}', not {' or '.join(DEFINITIONS)}"
+        elif present is not None and present.type_name != schema.name:
+            reason = f"a part of it has another type, {schema.name}"
+        else:
+            return super().topic_of(channel, schema)
+        self.refused[channel.topic] = reason
+        return None
 
 
 @dataclass(frozen=True)
@@ -72,17 +87,11 @@ class Repair:
 
 
 def repair(path: Path, out: Path | None = None, force: bool = False) -> Repair:
-    """Write a new bag that can be read whole.
+    """Write a new bag that can be read whole, of a bag of one MCAP file (directory or file).
 
-    Parameters
-    ----------
-    path : Path
-        Directory of a bag of one MCAP file, or the file.
-    out : Path, optional
-        Directory of the new bag. Without it a bag that is whole is left as it is; of others the new one is
-        ``<bag>-repaired`` beside it, or with ``force`` takes its place.
-    force : bool
-        Replace what is there.
+    Without ``out``, the new directory, a bag that is whole is left as it is; of others the new one is
+    ``<bag>-repaired`` beside it, or with ``force`` takes its place. With ``out``, ``force`` replaces what is
+    there.
 
     Raises BagError if it is no bag, there is nothing in it to be read, it is to be replaced while it is being
     recorded, or the new one cannot be written.
@@ -92,7 +101,7 @@ def repair(path: Path, out: Path | None = None, force: bool = False) -> Repair:
         recorded = file.is_file() and is_being_written(file)
     except OSError as error:
         raise BagError(f"{file}: {error.strerror}") from None
-    found = survey(file)
+    found = Survey(file)
     complaint = _complaint(path, found) if path.is_dir() else ""
     if out is None and found.is_whole and not complaint:
         return Repair(found, None, complaint)
@@ -112,55 +121,6 @@ def repair(path: Path, out: Path | None = None, force: bool = False) -> Repair:
     except OSError as error:
         raise BagError(f"{target}: {error.strerror or error}") from None
     return Repair(found, target, complaint, recorded)
-
-
-def survey(path: Path) -> Survey:
-    """Look through a file; BagError if it is not MCAP, or holds no topic that can be read."""
-    found = Survey(path, check_size(path))
-    schemas: dict[int, Schema] = {}
-    for record in read_records(path, found.damages.append):
-        if isinstance(record, tuple):
-            if topic := found.channels.get(record[0]):
-                found.topics[topic.name].add(*record[1:], keep=False)
-            else:
-                found.unknown += 1
-        elif isinstance(record, Attachment):
-            found.attachments[record.name] = record.data
-        elif isinstance(record, Metadata):
-            found.records[record.name] = record.metadata
-        elif isinstance(record, Schema):
-            schemas.setdefault(record.id, record)  # of those that come again, as in the index, the first
-        elif isinstance(record, Channel) and record.id not in found.channels:
-            _add_channel(found, record, schemas.get(record.schema_id))
-    if not found.topics:
-        raise BagError(f"{path}: nothing to repair: {_nothing(found)}")
-    try:
-        with path.open("rb") as stream:
-            summary: Any = make_reader(stream).get_summary()
-            found.is_indexed = summary is not None and summary.statistics.message_count == found.messages
-    except Exception:  # whatever the library makes of an index that is cut
-        found.is_indexed = False
-    return found
-
-
-def _add_channel(found: Survey, channel: Channel, schema: Schema | None) -> None:
-    """Add a topic that a ROS 2 bag can have, or the reason why it cannot."""
-    present = found.topics.get(channel.topic)
-    if channel.message_encoding != "cdr":
-        found.refused[channel.topic] = f"its messages are '{channel.message_encoding}', not cdr"
-    elif schema is None:
-        found.refused[channel.topic] = "the definition of its type is missing"
-    elif schema.encoding not in DEFINITIONS:
-        reason = f"its type is defined in '{schema.encoding}', not {' or '.join(DEFINITIONS)}"
-        found.refused[channel.topic] = reason
-    elif present is not None and present.type_name != schema.name:
-        found.refused[channel.topic] = f"a part of it has another type, {schema.name}"
-    else:
-        qos = _in_words(channel.metadata.get("offered_qos_profiles", ""))
-        type_hash, text = channel.metadata.get("topic_type_hash", ""), schema.data.decode("utf-8", "replace")
-        topic = TopicRecord(channel.topic, schema.name, type_hash, qos, text, schema.encoding)
-        found.channels[channel.id] = topic
-        found.topics.setdefault(channel.topic, TopicInfo(channel.topic, schema.name))
 
 
 def _nothing(found: Survey) -> str:
@@ -226,27 +186,35 @@ def _put(made: Path, target: Path) -> None:
 
 def _write(found: Survey, directory: Path) -> None:
     """Write what a survey found."""
-    custom = found.records.get("quadftc") or _custom_data(found.records.get("rosbag2", {}))
+    custom = found.metadata.get("quadftc") or _custom_data(found.metadata.get("rosbag2", {}))
     bag = BagFile(directory, found.attachments, custom, "zstd", CHUNK)
     try:
-        for name, entries in found.records.items():
+        for name, entries in found.metadata.items():
             if name not in OWN_RECORDS:
                 bag.add_record(name, entries)
-        topics: dict[str, int] = {}  # and their channels in the new bag
-        numbers: dict[int, int] = {}  # of channels: there -> here
-        # what is damaged is known from the survey
-        for record in read_records(found.path, lambda damage: None):
-            if isinstance(record, tuple) and record[0] in numbers:
-                bag.write(numbers[record[0]], record[1], record[2], bytes(record[3]))
+        numbers: dict[str, int] = {}  # of the topics in the new bag
+        channels: dict[int, int] = {}  # there -> here
+        for record in read_records(found.path):  # the survey has the damages
+            if isinstance(record, tuple) and record[0] in channels:
+                bag.write(channels[record[0]], record[1], record[2], bytes(record[3]))
             elif isinstance(record, Channel) and (topic := found.channels.get(record.id)):
-                if topic.name not in topics:
-                    bag.add_topic(topic)
-                    topics[topic.name] = len(topics) + 1
-                numbers[record.id] = topics[topic.name]
+                if topic.name not in numbers:
+                    bag.add_topic(_describe(topic))
+                    numbers[topic.name] = len(numbers) + 1
+                channels[record.id] = numbers[topic.name]
         bag.close()
     except BaseException:
         bag.abandon()
         raise
+
+
+def _describe(topic: TopicInfo) -> TopicRecord:
+    schema = topic.definition
+    assert schema is not None  # else the survey had refused the topic
+    text = schema.data.decode("utf-8", "replace")
+    return TopicRecord(
+        topic.name, topic.type_name, topic.type_hash, _in_words(topic.qos), text, schema.encoding
+    )
 
 
 def _custom_data(record: Mapping[str, str]) -> dict[str, str]:
@@ -286,8 +254,8 @@ def _complaint(directory: Path, found: Survey) -> str:
         return "metadata.yaml cannot be read"
     if names != [found.path.name]:
         return f"metadata.yaml tells of other files: {', '.join(names) or 'none'}"
-    if total != found.messages:
-        return f"metadata.yaml tells of {total} messages, {found.messages} are there"
-    if counts != {name: tally.count for name, tally in found.topics.items()}:
+    if total != found.message_count:
+        return f"metadata.yaml tells of {total} messages, {found.message_count} are there"
+    if counts != {name: topic.count for name, topic in found.topics.items()}:
         return "metadata.yaml tells of other topics, or of other numbers of messages"
     return ""

@@ -9,9 +9,10 @@ import contextlib
 import os
 import struct
 from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeAlias, cast
 
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -25,15 +26,12 @@ from ruamel.yaml import YAML, YAMLError
 if TYPE_CHECKING:
     from rosbags.rosbag2 import Reader
 
-Message: TypeAlias = tuple[int, int, int, memoryview]  # channel, log time, publish time [ns], data
-Record: TypeAlias = Header | Schema | Channel | Attachment | Metadata | Message
-
 _NONE = 0  # no opcode; zeros fill a file that lost its end with the power
 _HEAD = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _LATEST = 2**63 - 1  # ns; a later time is damage
 _CHUNK_SPAN = struct.Struct("<QQ")  # first and last log time, with which a chunk begins
-_READERS: dict[int, Callable[[ReadDataStream], Record]] = {
+_READERS: dict[int, Callable[[ReadDataStream], Header | Schema | Channel | Attachment | Metadata]] = {
     Opcode.HEADER: Header.read,
     Opcode.SCHEMA: Schema.read,
     Opcode.CHANNEL: Channel.read,
@@ -47,11 +45,8 @@ class BagError(ValueError):
     """A bag that cannot be read, or does not hold what was asked for; the text is one line."""
 
 
-class CutShortError(ValueError):
-    """The file ends, or stops making sense, before its footer."""
-
-
-class Damage(NamedTuple):
+@dataclass(frozen=True)
+class Damage:
     """A part of a file that cannot be read."""
 
     offset: int  # where it begins, and its length [bytes]
@@ -61,12 +56,8 @@ class Damage(NamedTuple):
     span_ns: tuple[int, int] | None  # first and last log time of a chunk [ns], if its beginning is there
 
 
-OnDamage = Callable[[Damage], None]
-
-
-def stop_at_damage(damage: Damage) -> None:
-    """Raise CutShortError: what comes behind a damage is not read."""
-    raise CutShortError
+Message: TypeAlias = tuple[int, int, int, memoryview]  # channel, log time, publish time [ns], data
+Record: TypeAlias = Header | Schema | Channel | Attachment | Metadata | Message | Damage
 
 
 def storage_files(path: Path) -> list[Path]:
@@ -78,8 +69,7 @@ def storage_files(path: Path) -> list[Path]:
         raise BagError(f"{path}: no such bag")
     if path.is_file():
         check_size(path)
-        return [path]
-    if is_sqlite(path):
+    if path.is_file() or is_sqlite(path):
         return [path]
     information = bag_information(path / "metadata.yaml")
     mode = str(information.get("compression_mode") or "").lower()
@@ -91,9 +81,8 @@ def storage_files(path: Path) -> list[Path]:
         raise BagError(f"{path}: no bag in this directory (neither metadata.yaml nor an .mcap file)")
     for file in files:
         if not file.is_file():
-            raise BagError(
-                f"{path}: metadata.yaml names {file.name}, which is missing; run quadftc repair {path}"
-            )
+            remedy = f"run quadftc repair {path}"
+            raise BagError(f"{path}: metadata.yaml names {file.name}, which is missing; {remedy}")
         if file.suffix != ".mcap":
             raise BagError(f"{path}: {file.name} is not MCAP; convert the bag with 'ros2 bag convert'")
         check_size(file)
@@ -130,25 +119,24 @@ def is_sqlite(path: Path) -> bool:
     return path.suffix == ".db3"
 
 
-def read_records(path: Path, on_damage: OnDamage = stop_at_damage) -> Iterator[Record]:
+def read_records(path: Path) -> Iterator[Record]:
     """Yield the records of an MCAP file; a message is a plain tuple.
 
     A chunk's records come where the chunk stands. Indexes and statistics are passed over. A chunk with a
-    wrong checksum and a missing end are reported to ``on_damage``, and passed over, too.
+    wrong checksum and a missing end come as a `Damage`; what comes before and behind is good.
 
-    Raises BagError if the file cannot be read or is not MCAP; by default CutShortError when the rest of the
-    file is missing or damaged; all that came before is good.
+    Raises BagError if the file cannot be read or is not MCAP.
     """
     try:
         with path.open("rb") as stream:
             if stream.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
                 raise BagError(f"{path}: not an MCAP file")
-            yield from _read_file(stream, on_damage)
+            yield from _read_file(stream)
     except OSError as error:
         raise BagError(f"{path}: {error.strerror or error}") from error
 
 
-def _read_file(stream: BinaryIO, on_damage: OnDamage) -> Iterator[Record]:
+def _read_file(stream: BinaryIO) -> Iterator[Record]:
     size = os.fstat(stream.fileno()).st_size
     is_index = False
     while True:
@@ -159,7 +147,7 @@ def _read_file(stream: BinaryIO, on_damage: OnDamage) -> Iterator[Record]:
             return
         if opcode == _NONE or length > size - stream.tell():
             span_ns = _chunk_span(opcode, stream.read(_CHUNK_SPAN.size))
-            on_damage(Damage(offset, size - offset, True, is_index, span_ns))
+            yield Damage(offset, size - offset, True, is_index, span_ns)
             return
         if opcode not in (Opcode.CHUNK, Opcode.MESSAGE, *_READERS):
             stream.seek(length, os.SEEK_CUR)
@@ -169,8 +157,7 @@ def _read_file(stream: BinaryIO, on_damage: OnDamage) -> Iterator[Record]:
         try:
             yield from _read_sequence(_chunk_data(body) if opcode == Opcode.CHUNK else head + body)
         except _DAMAGE:
-            span_ns = _chunk_span(opcode, body)
-            on_damage(Damage(offset, _HEAD.size + length, False, is_index, span_ns))
+            yield Damage(offset, _HEAD.size + length, False, is_index, _chunk_span(opcode, body))
 
 
 def _chunk_span(opcode: int, body: bytes) -> tuple[int, int] | None:
@@ -190,11 +177,11 @@ def _read_sequence(data: bytes) -> Iterator[Record]:
         start = position + _HEAD.size
         position = start + length
         if position > len(data):
-            raise CutShortError
+            raise ValueError("the last record is cut")
         if opcode == Opcode.MESSAGE:
             channel, _, log_time, publish_time = _MESSAGE.unpack_from(data, start)
             if log_time > _LATEST or publish_time > _LATEST:
-                raise CutShortError
+                raise ValueError("a time is none")
             yield channel, log_time, publish_time, view[start + _MESSAGE.size : position]
         elif opcode in _READERS:
             yield _READERS[opcode](ReadDataStream(BytesIO(view[start:position])))
@@ -241,10 +228,8 @@ def _sqlite_schema(connection: Any) -> Schema:
     from rosbags.interfaces import MessageDefinitionFormat
     from rosbags.typesys import Stores, get_typestore
 
-    number, name, definition = connection.id, connection.msgtype, connection.msgdef
-    if definition.format is MessageDefinitionFormat.IDL:
-        return Schema(number, definition.data.encode(), "ros2idl", name)
-    text = definition.data
-    if definition.format is MessageDefinitionFormat.NONE:
+    name, (form, text) = connection.msgtype, connection.msgdef
+    if form is MessageDefinitionFormat.NONE:
         text = get_typestore(Stores.ROS2_JAZZY).generate_msgdef(name, ros_version=2)[0]
-    return Schema(number, text.encode(), "ros2msg", name)
+    encoding = "ros2idl" if form is MessageDefinitionFormat.IDL else "ros2msg"
+    return Schema(connection.id, text.encode(), encoding, name)

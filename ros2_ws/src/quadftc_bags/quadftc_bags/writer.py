@@ -19,6 +19,7 @@ lock-step
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from bisect import bisect_left
@@ -94,10 +95,7 @@ class BagWriter:
         self._sync_due = time.monotonic() + SYNC_PERIOD
 
     def add_topic(self, topic: str, type_name: str, qos: QoSProfile) -> None:
-        """Declare a topic; ``qos`` is what its publisher offers.
-
-        Raises ValueError if the topic is there already or the type is not installed.
-        """
+        """Declare a topic whose publisher offers ``qos``; ValueError if it is there or its type unknown."""
         if topic in self._channels:
             raise ValueError(f"topic '{topic}': in the bag already")
         self.add(describe_topic(topic, type_name, qos))
@@ -110,10 +108,7 @@ class BagWriter:
         self._attempt(self._file.add_topic, topic)
 
     def write(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> bool:
-        """Store a serialised message; return whether it was accepted, which it is until `close`.
-
-        Raises KeyError if the topic has not been added.
-        """
+        """Store a serialised message, until `close`; return whether it was accepted."""
         channel = self._channels[topic]
         if self.closed:
             self._dropped[topic] += 1
@@ -142,13 +137,13 @@ class BagWriter:
 
     def flush(self) -> bool:
         """Wait until everything written before is on the disk; return whether it is."""
-        return not self.closed and self._attempt(self._flush_to_disk)
+        return not self.closed and self._attempt(self._flush_then, self._file.sync)
 
     def close(self) -> BagStatus:
         """End the file, and return how it went; a second call only returns that."""
         if not self.closed:
             self.closed = True
-            self._attempt(self._finish)
+            self._attempt(self._flush_then, self._file.close)
             self._threads.shutdown()
         return self.status
 
@@ -182,28 +177,21 @@ class BagWriter:
         if self._held is None:
             self._file.write(*message)
             return
-        channel, log_time_ns, publish_time_ns, data = message
-        data = self._cleaners[channel - 1].clean(data)
-        if self._held.add((channel, log_time_ns, publish_time_ns, data)):
-            for ready in self._held.take():
-                self._file.write(*ready)
-            self._file.flush()
+        channel, *times, data = message
+        if self._held.add((channel, *times, self._cleaners[channel - 1].clean(data))):
+            self._flush(self._held.move_cut())
 
-    def _flush(self) -> None:
-        if self._held is not None:
-            for message in self._held.take_all():
-                self._file.write(*message)
+    def _flush(self, before_ns: int | None = None) -> None:
+        """Hand all to the operating system; in lock-step what is before a log time [ns], if that is given."""
+        for message in self._held.take(before_ns) if self._held else ():
+            self._file.write(*message)
         self._file.flush()
 
-    def _flush_to_disk(self) -> None:
+    def _flush_then(self, action: Callable[[], None]) -> None:
+        """Flush, and act when no sync runs."""
         self._flush()
         self._wait_for_sync()
-        self._file.sync()
-
-    def _finish(self) -> None:
-        self._flush()
-        self._wait_for_sync()
-        self._file.close()
+        action()
 
     def _begin_sync(self) -> None:
         """Begin a sync unless the last one still runs; raises what went wrong the last time."""
@@ -238,20 +226,19 @@ class HeldMessages:
         self._newest_ns = max(self._newest_ns, log_time_ns)
         return self._newest_ns - CUT_DELAY_NS >= self._cut_ns + CUT_PERIOD_NS
 
-    def take(self) -> list[Message]:
-        """Take the messages before the newest cut, in the order (log time, channel)."""
+    def move_cut(self) -> int:
+        """Make the newest cut that is certain; return its log time [ns]."""
         self._cut_ns = (self._newest_ns - CUT_DELAY_NS) // CUT_PERIOD_NS * CUT_PERIOD_NS
-        self._messages.sort(key=itemgetter(1, 0))
-        split = bisect_left(self._messages, self._cut_ns, key=itemgetter(1))
-        taken, self._messages = self._messages[:split], self._messages[split:]
-        while self._arrivals and self._arrivals[0][0] < self._cut_ns:
-            self._arrivals.popleft()
-        return taken
+        return self._cut_ns
 
-    def take_all(self) -> list[Message]:
-        """Take all messages, in the order (log time, channel)."""
-        taken, self._messages = sorted(self._messages, key=itemgetter(1, 0)), []
-        self._arrivals.clear()
+    def take(self, before_ns: int | None) -> list[Message]:
+        """Take the messages before a log time [ns], by default all, in the order (log time, channel)."""
+        end_ns = math.inf if before_ns is None else before_ns
+        self._messages.sort(key=itemgetter(1, 0))
+        split = bisect_left(self._messages, end_ns, key=itemgetter(1))
+        taken, self._messages = self._messages[:split], self._messages[split:]
+        while self._arrivals and self._arrivals[0][0] < end_ns:
+            self._arrivals.popleft()
         return taken
 
     def is_stale(self, now: float) -> bool:

@@ -1,10 +1,10 @@
 """Recording by another process: what it costs the one that flies is a list, handed over now and then.
 
 A thread that writes would take the interpreter from the thread that flies, several hundred times a second. So
-`BagProcess` has the interface of `BagWriter`, which does the work in the other process. The two talk through
-a pair of sockets. The other process (`serve`) ends when it is told to close the bag, or when the one that
-flies has ended, in whatever way. It looks now and then for what has come instead of waiting for it: to wake
-another process takes longer than to hand over what there is.
+`BagProcess` has the interface of `BagWriter`, which does the work in the other process (`serve`), behind a
+pair of sockets. That process ends when it is told to close the bag, or when the one that flies has ended, in
+whatever way. It looks now and then for what has come instead of waiting for it: to wake another process takes
+longer than to hand over what there is.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ Input = Callable[[bytes, int, int], bool]
 class BagProcess:
     """Write one rosbag2 bag (MCAP) from one thread, by another process; the caller never waits for a disk.
 
-    In real time a full queue drops messages and counts them: with those of the graph, of 0.1 to 0.5 kB, the
-    queue does not grow beyond 50 MB. In lock-step a full queue makes the caller wait.
+    ``queue_size`` messages may wait. In real time a full queue drops messages and counts them: with those of
+    the graph, of 0.1 to 0.5 kB, it does not grow beyond 50 MB. In lock-step it makes the caller wait.
 
-    ``queue_size`` messages may wait. ``on_error`` is called once, with the text of the error that stopped the
-    recording. All else is as of `BagWriter`; if the other process does not start, an OSError is raised.
+    ``on_error`` is called once, with the text of the error that stopped the recording. All else is as of
+    `BagWriter`; OSError if the other process does not start.
     """
 
     def __init__(
@@ -97,10 +97,7 @@ class BagProcess:
         self._numbers[topic] = len(self._numbers) + 1
 
     def input(self, topic: str) -> Input:
-        """Return what queues a serialised message of a topic: ``(data, log time, publish time)``, in ns.
-
-        It returns whether the message was accepted. Raises KeyError if the topic has not been added.
-        """
+        """Return what queues ``(data, log time, publish time)`` [ns], and returns if it was accepted."""
         batch, number, pack = self._batch, self._numbers[topic], MESSAGE.pack
 
         def write(data: bytes, log_time_ns: int, publish_time_ns: int) -> bool:
@@ -121,7 +118,7 @@ class BagProcess:
         if self._closed or not self._hand_over(timeout):
             return False
         self._send(("flush",))
-        return self._wait_for(("flushed", "not flushed"), timeout) == "flushed"
+        return self._wait_for("flushed", timeout) and self._status.error is None
 
     def close(self) -> BagStatus:
         """As of `BagWriter`. A Ctrl-C meanwhile is raised when the bag is complete."""
@@ -141,10 +138,7 @@ class BagProcess:
         return dataclasses.replace(self._status, dropped=dict(self._dropped), lost=lost)
 
     def hand_over(self) -> None:
-        """Hand over what waits, in real time no more than the other process can take at once.
-
-        Call it four times a second, so that nothing waits longer.
-        """
+        """Hand over what waits, in real time no more than the other process takes at once: every 0.25 s."""
         if not self._closed and not self._hand_over(PATIENCE if self._lockstep else 0.0) and self._lockstep:
             self._give_up()
 
@@ -167,8 +161,8 @@ class BagProcess:
         """Hand over what waits; return whether the other process made room within ``patience`` [s]."""
         batch = self._batch
         while batch and (self._ended or self._writable.poll(1000.0 * patience)):
-            if not self._ended:
-                with suppress(OSError):  # that it has ended shows in what it says last
+            with suppress(OSError):  # that it has ended shows in what it says last
+                if not self._ended:
                     self._connection.send_bytes(MESSAGES + b"".join(batch[:BATCH]))
             self._accepted += len(batch[:BATCH])
             del batch[:BATCH]
@@ -184,7 +178,7 @@ class BagProcess:
             self._closed, self._limit = True, 0
             self._send(("close",))
         if not self._connection.closed:
-            if not self._wait_for(("closed",), PATIENCE) and not self._ended:
+            if not self._wait_for("closed", PATIENCE) and not self._ended:
                 self._give_up()
             self._end()
 
@@ -223,13 +217,13 @@ class BagProcess:
         if status.error is not None and known is None and self._on_error is not None:
             self._on_error(status.error)
 
-    def _wait_for(self, kinds: tuple[str, ...], timeout: float) -> str:
-        """Wait for one of some answers, up to a time [s]; return which, empty if none."""
+    def _wait_for(self, kind: str, timeout: float) -> bool:
+        """Wait for an answer, up to a time [s]; return whether it has come."""
         end = time.monotonic() + timeout
         while not self._ended and (rest := end - time.monotonic()) > 0.0:
-            if (kind := self._receive(rest)) in kinds:
-                return kind
-        return ""
+            if self._receive(rest) == kind:
+                return True
+        return False
 
     def _first_answer(self) -> Path:
         """Return the path of the bag."""
@@ -290,8 +284,8 @@ def _take(connection: Connection, writer: BagWriter, data: bytes) -> None:
         case ("topic", topic):
             writer.add(topic)
         case ("flush",):
-            flushed = writer.flush()
-            connection.send(("flushed" if flushed else "not flushed", writer.status))
+            writer.flush()
+            connection.send(("flushed", writer.status))
         case _:
             connection.send(("closed", writer.close()))
 

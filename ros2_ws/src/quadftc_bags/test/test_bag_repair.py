@@ -189,7 +189,7 @@ def test_bag_cut_in_any_record_keeps_every_chunk_before_the_cut(originals, compr
             assert place < chunks[0][1]
         else:
             assert done[1] == list(range(kept)), place
-            assert done[0].found.messages == kept
+            assert done[0].found.message_count == kept
 
 
 @settings(max_examples=60)
@@ -308,7 +308,7 @@ def test_bag_that_is_being_recorded_is_copied_but_not_replaced(tmp_path):
         recorder.close()
     for path, messages in ((tmp_path / "bag-repaired", 1), (bag, 2)):
         done = repair(path)  # nobody writes to it now, and nothing is wrong
-        assert (done.out, done.recorded, done.found.messages) == (None, False, messages)
+        assert (done.out, done.recorded, done.found.message_count) == (None, False, messages)
 
 
 def test_full_disk_while_repairing_is_one_line_and_leaves_nothing(originals, tmp_path, monkeypatch):
@@ -408,6 +408,6 @@ def test_reading_goes_on_behind_a_damaged_chunk_only_if_asked(originals, tmp_pat
     data[chunks[1][1] - 40] ^= 1
     (tmp_path / "run.mcap").write_bytes(data)
     assert read_bag(tmp_path / "run.mcap").truncated
-    kinds = [type(record) for record in read_records(tmp_path / "run.mcap", [].append)]
+    kinds = [type(record) for record in read_records(tmp_path / "run.mcap")]
     assert kinds[0] is Header
     assert kinds.count(tuple) == COUNT - chunks[1][2]

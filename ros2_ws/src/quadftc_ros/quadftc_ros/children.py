@@ -44,16 +44,11 @@ class Children:
 
     def ended(self) -> dict[str, int]:
         """Return the exit codes of those that have ended."""
-        codes = {name: process.poll() for name, process in self._processes.items()}
-        return {
-            name: code if code >= 0 else SIGNALLED - code for name, code in codes.items() if code is not None
-        }
+        codes = [(name, process.poll()) for name, process in self._processes.items()]
+        return {name: code if code >= 0 else SIGNALLED - code for name, code in codes if code is not None}
 
     def stop(self, patience: float = PATIENCE) -> int:
-        """Send SIGINT to each, wait up to ``patience`` [s], kill what does not listen.
-
-        Returns the worst exit code; 0 if all have ended well, or there are none.
-        """
+        """Send SIGINT to each, wait up to ``patience`` [s], kill the rest; return the worst exit code."""
         processes = self._processes.values()
         try:
             for process in processes:

@@ -25,9 +25,8 @@ class Diagnostics:
     def __init__(
         self, node: Node, hardware_id: str, refresh: Callable[[], None], tap: Tap | None = None
     ) -> None:
-        self._refresh = refresh
+        self._refresh, self._hardware_id = refresh, hardware_id
         self._name = node.get_fully_qualified_name().lstrip("/")
-        self._hardware_id = hardware_id
         profile = topic_profile("reliable", "realtime")
         self._publish = tapped(node.create_publisher(DiagnosticArray, "/diagnostics", profile), tap)
         self._statuses: dict[str, DiagnosticStatus] = {}
@@ -65,9 +64,8 @@ class Diagnostics:
 
     def tick(self, stamp_ns: int) -> None:
         """Publish if a second has passed since the last time, or something changed [stamp in ns]."""
-        if stamp_ns < self._due_ns and not self.changed and self._due_ns - stamp_ns <= NANOSECONDS:
-            return
-        self.publish(stamp_ns)
+        if self.changed or not 0 < self._due_ns - stamp_ns <= NANOSECONDS:
+            self.publish(stamp_ns)
 
     def publish(self, stamp_ns: int) -> None:
         """Publish all statuses now [stamp in ns; 0: before the flight]."""

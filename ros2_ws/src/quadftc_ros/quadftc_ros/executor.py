@@ -33,10 +33,7 @@ POLL = 0.25  # s; EventsExecutor.spin() without a timeout busy-loops in Jazzy 7.
 
 
 def make_executor(kind: str = "events", context: Any = None) -> Any:
-    """Make an executor: ``events`` (fast) or ``single`` (rclpy's default).
-
-    Raises ValueError if the kind is neither.
-    """
+    """Make an executor: ``events`` (fast) or ``single`` (rclpy's default)."""
     if kind not in EXECUTORS:
         raise ValueError(f"executor = {kind!r}: expected one of {', '.join(EXECUTORS)}")
     return EventsExecutor(context=context) if kind == "events" else SingleThreadedExecutor(context=context)
@@ -45,9 +42,8 @@ def make_executor(kind: str = "events", context: Any = None) -> Any:
 class Slice:
     """A time in which an executor serves its nodes: many callbacks in one call, unlike ``spin_once``.
 
-    As long as there is something to do, EventsExecutor takes no notice of a timeout: a callback that comes
-    often has to call :meth:`look`. Slices are long, as each leaks 32 bytes with the rclpy of the wheels
-    (7.1.5, made with pybind11 3): a function object that is not freed.
+    While there is work, EventsExecutor ignores a timeout: a callback that comes often has to call `look`.
+    Slices are long, as each leaks 32 bytes with the rclpy of the wheels (7.1.5, made with pybind11 3).
     """
 
     def __init__(self, executor: Any) -> None:
@@ -68,15 +64,12 @@ class Slice:
 
 
 class Paced(Protocol):
-    """A node that acts at times of its own: `tick` when it is due by the monotonic clock [ns].
-
-    It is ``unanswered`` while the other nodes may still be busy with its last act.
-    """
+    """A node that acts at times of its own."""
 
     @property
-    def due_ns(self) -> int: ...  # noqa: D102
+    def due_ns(self) -> int: ...  # noqa: D102  # by the monotonic clock
     @property
-    def unanswered(self) -> bool: ...  # noqa: D102
+    def unanswered(self) -> bool: ...  # noqa: D102  # the other nodes may be busy with its last act
     def tick(self) -> None: ...  # noqa: D102
 
 
@@ -84,9 +77,8 @@ class Pace:
     """Real time: an executor serves its nodes, and in between some of them act when they are due.
 
     A timer of rclpy wakes another thread first, and skips periods that it is late for. The executor is called
-    for each callback, as ``spin_until_future_complete`` of the wheels leaks (`Slice`). Before an act that
-    comes while the nodes are busy with the last one, they finish that one first. With ``poll`` the
-    executor looks for work again and again while there is none, so that the processor stays awake.
+    for each callback, as ``spin_until_future_complete`` of the wheels leaks (`Slice`). With ``poll`` it looks
+    for work again and again while there is none, so that the processor stays awake.
     """
 
     def __init__(self, executor: Any, paced: Sequence[Paced], poll: bool) -> None:
@@ -130,12 +122,10 @@ class StopSignals:
         self.requested = False
 
     def __enter__(self) -> StopSignals:
-        """Take the signals over."""
         self._previous = {number: signal.signal(number, self._on_signal) for number in STOPPING}
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Give them back."""
         for number, handler in self._previous.items():
             signal.signal(number, handler)
 
@@ -146,10 +136,10 @@ class StopSignals:
 
 
 def run_node(make: Callable[[], Node], paced: bool = False) -> int:
-    """Run one node until Ctrl-C, SIGTERM, shutdown or the death of its launcher.
+    """Run one node until Ctrl-C, SIGTERM, shutdown or the death of its launcher; return the exit code.
 
-    ``make`` makes the node after ``rclpy.init``; ``paced`` says whether it is `Paced`. Returns the exit code:
-    0, or 2 for wrong arguments or parameters.
+    ``make`` makes the node after ``rclpy.init``; ``paced`` says whether it is `Paced`. The code is 0, or 2
+    for wrong arguments or parameters.
     """
     executor, node = None, None
     try:

@@ -15,10 +15,9 @@ DEPTH = 64  # samples that may be incomplete at a time; older ones are given up
 
 
 class StampJoin:
-    """Call back with one message of each input, all of the same stamp.
+    """Call ``callback(stamp_ns, *messages)`` with one message of each input, all of the same stamp.
 
-    It calls ``callback(stamp_ns, *messages)``, in the order of the names in ``inputs``. An input whose stamps
-    go back has begun a new flight: what it left waiting of the old one is forgotten.
+    An input whose stamps go back has begun a new flight: what it left waiting of the old one is forgotten.
     """
 
     def __init__(self, inputs: Sequence[str], callback: Callable[..., None]) -> None:
@@ -31,7 +30,10 @@ class StampJoin:
     def put(self, name: str, stamp_ns: int, message: Any) -> None:
         """Add a message [stamp in ns]; calls back if it completes its sample."""
         if stamp_ns <= self._newest[name]:
-            self._forget(name, stamp_ns)
+            for known in [known for known in self._waiting if known >= stamp_ns]:
+                self._waiting[known].pop(name, None)
+                if not self._waiting[known]:
+                    del self._waiting[known]
         self._newest[name] = stamp_ns
         sample = self._waiting.setdefault(stamp_ns, {})
         sample[name] = message
@@ -42,26 +44,13 @@ class StampJoin:
             del self._waiting[min(self._waiting)]
             self.given_up += 1
 
-    def _forget(self, name: str, from_ns: int) -> None:
-        """Forget what waits of one input, from a stamp [ns] on."""
-        for stamp_ns in [known for known in self._waiting if known >= from_ns]:
-            self._waiting[stamp_ns].pop(name, None)
-            if not self._waiting[stamp_ns]:
-                del self._waiting[stamp_ns]
-
 
 class TorqueGate:
-    """Pairs each IMU sample with the torque that acted before it: the command of the sample before.
+    """Call ``callback(stamp_ns, message, torque)`` for IMU samples, with the torque that acted before each.
 
-    A torque that is not finite is replaced by the one before. In lock-step, a stamp that is not later than
-    the last begins a new flight.
-
-    Parameters
-    ----------
-    mode : str
-        In ``lockstep`` a sample waits until that very command has come; in ``realtime`` it gets the latest.
-    callback : callable
-        ``callback(stamp_ns, message, torque)``; the torque [N m] is an array (3,).
+    In real time that is the latest. In lock-step a sample waits for the command of the sample before; a stamp
+    that is not later than the last begins a new flight. A torque that is not finite is replaced by the one
+    before.
     """
 
     def __init__(self, mode: str, callback: Callable[[int, Any, Floats], None]) -> None:

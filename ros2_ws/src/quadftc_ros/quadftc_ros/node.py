@@ -46,11 +46,10 @@ class GraphParameters:
 
 
 class GraphNode(Node):
-    """Base of the graph's nodes; its name is that of the table of topics.
+    """Base of the graph's nodes, named as in the table of topics; ValueError for a wrong parameter.
 
     ``tap(topic)`` returns what gets a serialised copy of what the node publishes on a topic: a recorder in
-    the same process needs no subscriptions. Other arguments are those of ``rclpy.node.Node``. A wrong
-    parameter is a ValueError.
+    the same process needs no subscriptions. Other arguments are those of ``rclpy.node.Node``.
     """
 
     def __init__(self, name: str, tap: Tap | None = None, **kwargs: Any) -> None:
@@ -106,7 +105,7 @@ class GraphNode(Node):
         row, count = TOPICS[topic], self.diagnostics.count
         message_class = load_message_class(row.type_name)
         decode = decode or partial(read_message, message_class=message_class)
-        note = _note_nothing if self._trace is None else self._trace.taken(topic)
+        note = self._trace.taken(topic) if self._trace else lambda stamp_ns: None
         receive = receiver(topic, decoding(topic, callback, decode, count), count, note)
         profile = topic_profile(row.qos, self.mode)
         self._inputs[topic] = self.create_subscription(message_class, topic, receive, profile, raw=True)
@@ -155,8 +154,7 @@ class GraphNode(Node):
     def connections(self) -> dict[str, int]:
         """Return how many publishers (of an input) or readers (of an output) each topic has now."""
         counts = {topic: publisher.get_subscription_count() for topic, publisher in self._outputs.items()}
-        counts.update((topic, reader.get_publisher_count()) for topic, reader in self._inputs.items())
-        return counts
+        return counts | {topic: reader.get_publisher_count() for topic, reader in self._inputs.items()}
 
     def destroy_node(self) -> None:
         """Stop the timer before the rest, and save the trace."""
@@ -209,7 +207,3 @@ class GraphNode(Node):
         message = "; ".join(missing) if missing else "all connected"
         self.diagnostics.report("connections", WARN if missing else OK, message, **counts)
         self.diagnostics.publish(0 if self.lockstep else self.now_ns())
-
-
-def _note_nothing(stamp_ns: int) -> None:
-    """Take the place of a trace."""

@@ -38,11 +38,8 @@ def descriptor(spec: Parameter, read_only: bool = False) -> ParameterDescriptor:
     elif spec.is_vector and bounded:
         text.additional_constraints = f"each within [{spec.low:g}, {spec.high:g}]"
     elif bounded and type(spec.default) is float:
-        text.floating_point_range = [
-            FloatingPointRange(
-                from_value=max(spec.low, -_LARGEST), to_value=min(spec.high, _LARGEST), step=0.0
-            )
-        ]
+        low, high = max(spec.low, -_LARGEST), min(spec.high, _LARGEST)
+        text.floating_point_range = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
     elif bounded and type(spec.default) is int:
         low, high = max(spec.low, -_LARGEST_INT), min(spec.high, _LARGEST_INT)
         text.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
@@ -66,16 +63,17 @@ class NodeParameters:
         for own in parameters_of(component):
             spec = dataclasses.replace(own, name=prefix + own.name)
             default = list(spec.default) if isinstance(spec.default, tuple) else spec.default
-            if (given := self._given.get(spec.name)) is not None:
-                _check_given(spec, given)
+            if (given := self._given.get(spec.name)) is not None:  # checked as ROS would, but in one line
+                value = _plain(given.value)
+                wanted, words = _EXPECTED[type(spec.default)]
+                if given.type_ != wanted:
+                    raise ValueError(f"{spec.name} = {value!r}: expected {words}")
+                convert(spec, value)
             self._node.declare_parameter(spec.name, default, descriptor(spec, read_only))
             self._names.append(spec.name)
 
     def declare_list(self, name: str, doc: str) -> None:
-        """Declare a list of texts, empty by default; it is read once, at the start.
-
-        Raises ValueError if something else was given at the start.
-        """
+        """Declare a list of texts that is read once, at the start; ValueError if something else is given."""
         given = self._given.get(name)
         if given is not None and given.type_ != RosParameter.Type.STRING_ARRAY:
             raise ValueError(f"{name} = {given.value!r}: expected a list of texts (none: [''])")
@@ -121,16 +119,6 @@ class NodeParameters:
 
 
 def _plain(value: Any) -> Any:
-    """A value of rclpy: what is an array in one form or another is a list, without empty texts."""
-    if isinstance(value, (list, tuple, array.array)):
-        return [part for part in value if part != ""]
-    return value
-
-
-def _check_given(spec: Parameter, given: RosParameter) -> None:
-    """Check a value given at the start as ROS would, but say what is wrong in one line."""
-    value = _plain(given.value)
-    wanted, words = _EXPECTED[type(spec.default)]
-    if given.type_ != wanted:
-        raise ValueError(f"{spec.name} = {value!r}: expected {words}")
-    convert(spec, value)
+    """Return a value of rclpy; of any kind of array, a list without empty texts."""
+    is_array = isinstance(value, (list, tuple, array.array))
+    return [part for part in value if part != ""] if is_array else value

@@ -4,7 +4,7 @@ Subscriptions: the topics of `quadftc_ros.topics.TOPICS`, as serialised bytes; i
 nodes none, as these hand over what they publish. Publications: /diagnostics.
 
 The stored log time is in real time when the message was received; in lock-step it is the message's own stamp,
-so that two runs give the same bag. `quadftc_ros.recorder` decides what is stored.
+so that two runs give the same bag.
 """
 
 from __future__ import annotations
@@ -12,27 +12,28 @@ from __future__ import annotations
 import dataclasses
 import sys
 import time
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from quadftc_bags.bag_format import COMPRESSIONS
+from quadftc_bags.cdr.message import leading_stamp_ns
 from quadftc_bags.interfaces import load_message_class
 from quadftc_bags.writer import BagStatus
 from quadftc_bags.writer_process import BagProcess, Input
 from quadftc_model.parameters import parameter
+from quadftc_ros.conversions import END_NS
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
 from quadftc_ros.qos import topic_profile
-from quadftc_ros.recorder import choose_topics, flight_stamp_ns, judge, read_attachments
-from quadftc_ros.topics import Topic
+from quadftc_ros.topics import TOPICS, Topic
 from quadftc_ros.transport import Take
 from quadftc_ros.versions import versions
 
 RECEIVE_DEPTH = {"lockstep": 10000, "realtime": 1000}  # messages per topic that may wait for this node
 CHECK_PERIOD = 1.0  # s, between two looks at how the recording stands
-LEVELS = {"ok": OK, "warn": WARN, "error": ERROR}
 HAND_OVER_PERIOD = 0.25  # s, for which a message may wait for others to go to the other process with it
 
 
@@ -49,15 +50,6 @@ class RecorderNode(GraphNode):
 
     Unless it ``subscribes``, nodes in the same process give it their messages by its `tap`. A wrong parameter
     is a ValueError: the directory exists or cannot be made, a topic is unknown, an attachment unreadable.
-
-    Attributes
-    ----------
-    path : Path
-        The MCAP file being written.
-    process_id : int
-        Of the process that writes it.
-    received : int
-        Messages so far, stored or still waiting to be.
     """
 
     def __init__(self, *, subscribes: bool = True, **kwargs: Any) -> None:
@@ -68,8 +60,10 @@ class RecorderNode(GraphNode):
         values = self.settings.values()
         rows = choose_topics(values["topics"])
         self._writer = self._open(values)
-        self.path, self.process_id = self._writer.path, self._writer.process_id
-        self._newest_ns = self.received = 0
+        self.path = self._writer.path  # the MCAP file being written
+        self.process_id = self._writer.process_id  # of the process that writes it
+        self.received = 0  # messages so far, stored or still waiting to be
+        self._newest_ns = 0
         self._takes: dict[str, Take] = {}
         for row in rows:
             self._record(row, subscribes)
@@ -139,7 +133,7 @@ class RecorderNode(GraphNode):
         stamp_ns = flight_stamp_ns(data)
         if stamp_ns is None:
             self.diagnostics.count("messages without a stamp, not recorded")
-        elif stamp_ns:
+        elif stamp_ns:  # how many come before the flight depends on how fast the processes start
             self._flying = True
             self._newest_ns = stamp_ns
             self.received += 1
@@ -153,9 +147,48 @@ class RecorderNode(GraphNode):
     def _check(self) -> None:
         """Report how the recording stands; in lock-step, where all goes by samples, only what is wrong."""
         level, message, values = judge(self.status)
-        self.diagnostics.report("bag", LEVELS[level], message, **values)
-        if self.lockstep and level != "ok" and self.diagnostics.changed:
+        self.diagnostics.report("bag", level, message, **values)
+        if self.lockstep and level != OK and self.diagnostics.changed:
             self.diagnostics.publish(self._newest_ns)
+
+
+def flight_stamp_ns(data: bytes) -> int | None:
+    """Return the stamp [ns] of a serialised message, zero before the flight; None without."""
+    try:
+        stamp_ns = leading_stamp_ns(data)
+    except ValueError:
+        return None
+    return stamp_ns if 0 <= stamp_ns < END_NS else None
+
+
+def judge(status: BagStatus) -> tuple[bytes, str, Mapping[str, int]]:
+    """Return level, message and values of the diagnostics of a recording."""
+    dropped = sum(status.dropped.values())
+    values = {"stored": sum(status.counts.values()), "dropped": dropped, "lost": status.lost}
+    if status.error is not None:
+        return ERROR, f"recording has stopped: {status.error}", values
+    return (WARN, "messages were dropped", values) if dropped else (OK, "recording", values)
+
+
+def choose_topics(names: Sequence[str]) -> list[Topic]:
+    """Return rows of the table by name, all of them for no name; ValueError for an unknown name."""
+    unknown = sorted(set(names) - set(TOPICS))
+    if unknown:
+        raise ValueError(f"topics: unknown {', '.join(unknown)}; known are {', '.join(TOPICS)}")
+    return [TOPICS[name] for name in dict.fromkeys(names or TOPICS)]
+
+
+def read_attachments(paths: Sequence[Path]) -> dict[str, bytes]:
+    """Return the contents of files by name; ValueError for a name that comes twice or an unreadable file."""
+    attachments: dict[str, bytes] = {}
+    for path in paths:
+        if path.name in attachments:
+            raise ValueError(f"attachments: two files are named {path.name}")
+        try:
+            attachments[path.name] = path.read_bytes()
+        except OSError as error:
+            raise ValueError(f"attachments: {path}: {error.strerror}") from error
+    return attachments
 
 
 def main() -> int:

@@ -85,10 +85,9 @@ def missing_connections(node: str, counts: Mapping[str, int], recorders: int = 0
     missing: list[str] = []
     for topic, count in counts.items():
         row = TOPICS[topic]
+        wanted, kind = len(row.publishers), "publishers"
         if node in row.publishers:
             wanted, kind = len(row.readers) + recorders, "readers"
-        else:
-            wanted, kind = len(row.publishers), "publishers"
         if count < wanted:
             missing.append(f"{topic}: {count} of {wanted} {kind}")
     return missing
@@ -99,9 +98,6 @@ def crowded_topics(count_publishers: Callable[[str], int]) -> list[str]:
 
     ``count_publishers`` is that of a node in the namespace of the graph.
     """
-    counts = {name: count_publishers(name) for name in TOPICS if not name.startswith("/")}
-    return [
-        f"{name} has {count} publishers"
-        for name, count in counts.items()
-        if TOPICS[name].publishers and count > len(TOPICS[name].publishers)
-    ]
+    rows = [row for name, row in TOPICS.items() if row.publishers and not name.startswith("/")]
+    counts = [(row, count_publishers(row.name)) for row in rows]
+    return [f"{row.name} has {count} publishers" for row, count in counts if count > len(row.publishers)]

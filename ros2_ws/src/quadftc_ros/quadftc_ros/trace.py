@@ -39,10 +39,7 @@ class MessageTrace:
 
 
 def load_trace(path: Path) -> dict[str, NDArray[np.int64]]:
-    """Return what `MessageTrace.save` wrote.
-
-    By ``"taken <topic>"`` and ``"given <topic>"``, an array (n, 2) of stamp and time [ns].
-    """
+    """Return a saved trace: by "taken <topic>" and "given <topic>", (n, 2) of stamp and time [ns]."""
     with np.load(path, allow_pickle=False) as archive:
         return {name: archive[name].astype(np.int64) for name in archive.files}
 
@@ -64,6 +61,5 @@ class _Rows:
         self._end = end + 2
 
     def noted(self) -> NDArray[np.int64]:
-        """Array (n, 2)."""
         *whole, last = self._pieces
         return np.concatenate([*whole, last[: self._end]]).astype(np.int64).reshape(-1, 2)

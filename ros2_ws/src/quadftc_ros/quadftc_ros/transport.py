@@ -26,10 +26,7 @@ Tap = Callable[[str], Take | None]  # full name of a topic -> what gets its mess
 
 
 def tapped(publisher: Publisher, tap: Tap | None) -> Callable[[Any], None]:
-    """Return the ``publish`` of a publisher, which gives a copy to the tap, if there is one.
-
-    The message is serialised once, for both.
-    """
+    """Return the ``publish`` of a publisher; a tap gets a copy. The message is serialised once, for both."""
     send = publisher.publish
     take = None if tap is None else tap(publisher.topic_name)
     if take is None:

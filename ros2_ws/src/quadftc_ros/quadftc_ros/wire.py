@@ -1,4 +1,7 @@
-"""The messages that the graph exchanges with every sample: serialised bytes to arrays and back."""
+"""The messages that the graph exchanges with every sample: serialised bytes to arrays and back.
+
+Readers raise ValueError for bytes that are no such message.
+"""
 
 from __future__ import annotations
 
@@ -24,30 +27,30 @@ _status = NumberReader(FaultStatus)
 
 
 def imu_of(data: bytes) -> ImuSample:
-    """Sample of a serialised Imu; covariance element 0 marks absent channels; ValueError if it is no Imu."""
+    """Sample of a serialised Imu; covariance element 0 marks absent channels."""
     values = _imu(data)
     there = [np.bool_(values[at] != ABSENT) for at in (4, 16, 28)]
     return ImuSample(np.array(values[:4]), np.array(values[13:16]), np.array(values[25:28]), *there)
 
 
 def vector_of(data: bytes) -> Floats:
-    """Array (3,) of a serialised Vector3Stamped; ValueError if it is no such message."""
+    """Array (3,) of a serialised Vector3Stamped."""
     return np.array(_vector(data))
 
 
 def reference_in(data: bytes) -> AttitudeReference:
-    """Reference of a serialised AttitudeReference; ValueError if it is no such message."""
+    """Reference of a serialised AttitudeReference."""
     values = _reference(data)
     return AttitudeReference(np.array(values[:3]), np.array(values[3:6]), np.array(values[6:]))
 
 
 def fault_states_of(data: bytes) -> tuple[int, ...]:
-    """State of each axis of a serialised FaultStatus; ValueError if it is no such message."""
+    """State of each axis of a serialised FaultStatus."""
     return _status(data)[:3]
 
 
 def fault_status_of(data: bytes) -> FaultStatus:
-    """Message of a serialised FaultStatus; ValueError if it is no such message."""
+    """Message of a serialised FaultStatus."""
     return read_message(data, FaultStatus)
 
 
@@ -70,18 +73,13 @@ class ImuWire:
 
     def __call__(self, stamp_ns: int, sample: ImuSample) -> bytes:
         """Return the message of a sample of one vehicle."""
-        return self._write(
-            stamp_ns,
-            *sample.q_xyzw.tolist(),
-            0.0 if sample.attitude_valid else ABSENT,
-            *_UNKNOWN,
-            *sample.body_rate.tolist(),
-            0.0 if sample.rate_valid else ABSENT,
-            *_UNKNOWN,
-            *sample.specific_force.tolist(),
-            0.0 if sample.force_valid else ABSENT,
-            *_UNKNOWN,
+        attitude, rate, force = (
+            (0.0 if valid else ABSENT, *_UNKNOWN)
+            for valid in (sample.attitude_valid, sample.rate_valid, sample.force_valid)
         )
+        q_xyzw, body_rate = sample.q_xyzw.tolist(), sample.body_rate.tolist()
+        specific_force = sample.specific_force.tolist()
+        return self._write(stamp_ns, *q_xyzw, *attitude, *body_rate, *rate, *specific_force, *force)
 
 
 class ReferenceWire:
@@ -122,6 +120,5 @@ class ControlStatusWire:
     def __call__(self, stamp_ns: int, output: ControllerOutput, mode: int, compute_time: float) -> bytes:
         """Return the message of a control step of one vehicle; ``compute_time`` in seconds."""
         error, sliding, saturated = output.error, output.sliding_variable, output.saturated
-        return self._write(
-            stamp_ns, *error.tolist(), *sliding.tolist(), *saturated.tolist(), mode, compute_time
-        )
+        numbers = *error.tolist(), *sliding.tolist(), *saturated.tolist()
+        return self._write(stamp_ns, *numbers, mode, compute_time)

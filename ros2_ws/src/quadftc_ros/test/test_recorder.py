@@ -6,7 +6,8 @@ from rclpy.serialization import serialize_message
 
 from message_objects import VectorWriter
 from quadftc_bags.writer import BagStatus
-from quadftc_ros.recorder import choose_topics, flight_stamp_ns, judge, read_attachments
+from quadftc_ros.diagnostics import ERROR, OK, WARN
+from quadftc_ros.recorder_node import choose_topics, flight_stamp_ns, judge, read_attachments
 from quadftc_ros.topics import TOPICS
 
 
@@ -20,9 +21,9 @@ def test_lockstep_stores_by_stamp_and_leaves_out_what_has_none():
 @pytest.mark.parametrize(
     ("status", "level", "message"),
     [
-        (BagStatus({"/a": 3}, {}, 0, None), "ok", "recording"),
-        (BagStatus({"/a": 3}, {"/a": 1}, 0, None), "warn", "messages were dropped"),
-        (BagStatus({"/a": 3}, {"/a": 1}, 2, "full"), "error", "recording has stopped: full"),
+        (BagStatus({"/a": 3}, {}, 0, None), OK, "recording"),
+        (BagStatus({"/a": 3}, {"/a": 1}, 0, None), WARN, "messages were dropped"),
+        (BagStatus({"/a": 3}, {"/a": 1}, 2, "full"), ERROR, "recording has stopped: full"),
     ],
 )
 def test_error_outranks_dropped_messages(status, level, message):

@@ -19,15 +19,14 @@ Names of the arrays (n messages):
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces import Nodetype
-from rosbags.interfaces.typing import FieldDesc, Typesdict
+from rosbags.interfaces.typing import Typesdict
 from rosbags.typesys import Stores, get_typestore
 
-from quadftc_bags.cdr.layout import ORIGIN, Field, Layout, Leaf, Place, byte_order, find_layout, find_leaves
+from quadftc_bags.cdr.layout import ORIGIN, Leaf, Place, byte_order, find_layout, find_leaves
 
 Arrays = dict[str, NDArray[Any]]
 Bytes = NDArray[np.uint8]
@@ -41,35 +40,15 @@ def decode_topic(types: Typesdict, type_name: str, messages: Sequence[bytes]) ->
     """
     if not messages:
         return {}
-    leaves = _leaves(types, type_name)
-    if len({len(data) for data in messages}) == 1 and (layout := _common_layout(leaves, messages[0])):
+    leaves = find_leaves(types, type_name)
+    may_fit = all(leaf.is_sliced for leaf in leaves) and len({len(data) for data in messages}) == 1
+    if may_fit and (layout := find_layout(leaves, messages[0])):
         matrix = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
         # byte order and all lengths
         columns = matrix[:, [1] + [offset + k for offset, _ in layout.lengths for k in range(4)]]
         if bool(np.all(columns == columns[0])):
             return {place.leaf.name: _take(matrix, place) for place in layout.places}
     return _decode_each(types, type_name, leaves, messages)
-
-
-def _leaves(types: Typesdict, type_name: str) -> tuple[Leaf, ...]:
-    """Return the leaves of a message type by the definitions in a bag."""
-    return find_leaves(lambda name: [_field(*field) for field in types[name][1]], type_name)
-
-
-def _field(name: str, content: FieldDesc) -> Field:
-    length: int | None = None
-    element: Any = content
-    if content[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-        element, size = cast("tuple[Any, int]", content[1])
-        length = size if content[0] == Nodetype.ARRAY else -1
-    return Field(name, element[1][0] if element[0] == Nodetype.BASE else element[1], length)
-
-
-def _common_layout(leaves: Sequence[Leaf], sample: bytes) -> Layout | None:
-    """Return the layout of messages like ``sample``; None if some field cannot be one slice of them."""
-    if any(leaf.kind == "object" or (leaf.kind == "string" and leaf.length is not None) for leaf in leaves):
-        return None
-    return find_layout(leaves, sample)
 
 
 def _take(matrix: Bytes, place: Place) -> NDArray[Any]:
@@ -133,7 +112,7 @@ def _value(leaf: Leaf, message: Any) -> Any:
 def _column(leaf: Leaf, values: list[Any]) -> NDArray[Any]:
     """Stack the values of all messages; values of different lengths stay objects."""
     ragged = leaf.length == -1 and len({len(value) for value in values}) > 1
-    if leaf.kind != "object" and not ragged and not (leaf.kind == "string" and leaf.length is not None):
+    if leaf.is_sliced and not ragged:
         return np.array(values, dtype=np.dtype(leaf.code) if leaf.kind == "number" else None)
     column = np.empty(len(values), object)
     for row, value in enumerate(values):

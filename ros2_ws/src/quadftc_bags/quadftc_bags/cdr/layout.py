@@ -7,12 +7,16 @@ Messages of a type with equal length words have the same layout.
 
 from __future__ import annotations
 
-import re
 import struct
-from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple
+from collections.abc import Sequence
+from functools import cache
+from typing import Any, Literal, NamedTuple, cast
 
-from quadftc_bags.interfaces import load_message_class
+from rosbags.interfaces import Nodetype
+from rosbags.interfaces.typing import FieldDesc, Typesdict
+from rosbags.typesys import get_types_from_msg
+
+from quadftc_bags.interfaces import load_interface
 
 ORIGIN = 4  # bytes of encapsulation before the message; alignment counts from behind them
 PLAIN = (b"\x00\x00", b"\x00\x01")  # encapsulation of plain CDR, big and little endian
@@ -21,42 +25,28 @@ STAMP, FRAME_LENGTH, FRAME = 4, 12, 16  # offsets in a message that begins with 
 Kind = Literal["number", "time", "vector", "string", "object"]
 
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
-_CODES = {  # of numbers, the same for `struct` and NumPy
-    **dict.fromkeys(("bool", "boolean"), "?"),
-    **dict.fromkeys(("byte", "char", "octet"), "B"),
-    **dict.fromkeys(("float32", "float"), "f"),
-    **dict.fromkeys(("float64", "double"), "d"),
-    **{f"int{8 << power}": code for power, code in enumerate("bhiq")},
-    **{f"uint{8 << power}": code for power, code in enumerate("BHIQ")},
-}
-_FIELD_TYPE = re.compile(r"(sequence<)?([\w/]+)(?:<\d+>)?(?:(?:, \d+)?>)?(?:\[(\d+)\])?")
-
-
-class Field(NamedTuple):
-    """A field of a message type; ``base`` is a number, ``string`` or ``package/msg/Name``.
-
-    ``length`` is None for one element, -1 for a sequence, else the length of the array.
-    """
-
-    name: str
-    base: str
-    length: int | None
+_CODES = (  # of numbers, the same for `struct` and NumPy
+    {"bool": "?", "byte": "B", "char": "B", "float32": "f", "float64": "d"}
+    | {f"int{8 << power}": code for power, code in enumerate("bhiq")}
+    | {f"uint{8 << power}": code for power, code in enumerate("BHIQ")}
+)
 
 
 class Leaf(NamedTuple):
-    """A field, or a field of a nested message, that becomes one array.
-
-    ``path`` leads to it from the message, ``code`` is the type of its numbers, ``width`` how many one element
-    has, ``length`` that of `Field`; ``parts`` are the leaves of an element of an ``object``, None: not known.
-    """
+    """A field, or a field of a nested message, that becomes one array."""
 
     name: str
-    path: tuple[str, ...]
+    path: tuple[str, ...]  # from the message to it
     kind: Kind
-    code: str
-    width: int
-    length: int | None
-    parts: tuple[Leaf, ...] | None = None
+    code: str  # type of its numbers
+    width: int  # numbers of one element
+    length: int | None  # None for one element, -1 for a sequence, else the length of the array
+    parts: tuple[Leaf, ...] | None = None  # of an element of an ``object``; None: not known
+
+    @property
+    def is_sliced(self) -> bool:
+        """Whether it is one slice of every message of a layout."""
+        return self.kind != "object" and (self.kind != "string" or self.length is None)
 
 
 class Place(NamedTuple):
@@ -68,24 +58,13 @@ class Place(NamedTuple):
 
 
 class Layout:
-    """The layout of one message, found in one pass over it; struct.error or IndexError if it does not fit.
-
-    Attributes
-    ----------
-    end : int
-        Where the bytes end that mean something.
-    places : list of Place
-    lengths : list of (int, bytes)
-        Offset and bytes of each length word.
-    gaps : list of (int, int)
-        Start and stop of each padding.
-    """
+    """The layout of one message, found in one pass over it; struct.error or IndexError if it does not fit."""
 
     def __init__(self, leaves: Sequence[Leaf], data: bytes) -> None:
-        self.end = ORIGIN
+        self.end = ORIGIN  # where the bytes end that mean something
         self.places: list[Place] = []
-        self.lengths: list[tuple[int, bytes]] = []
-        self.gaps: list[tuple[int, int]] = []
+        self.lengths: list[tuple[int, bytes]] = []  # offset and bytes of each length word
+        self.gaps: list[tuple[int, int]] = []  # start and stop of each padding
         self._data = data
         self._word = struct.Struct(f"{byte_order(data)}I")
         self._pass_message(leaves)
@@ -144,11 +123,11 @@ class PaddingCleaner:
     memory. Two recordings of the same values would differ there. Cleaning is fast while strings and sequences
     keep their lengths.
 
-    Raises ValueError if the type (``package/msg/Name``) is not installed, or has a field of no known layout.
+    Raises ValueError if the type (``package/msg/Name``) is not installed.
     """
 
     def __init__(self, type_name: str) -> None:
-        self._leaves = find_leaves(installed_fields, type_name)
+        self._leaves = installed_leaves(type_name)
         self._layout: Layout | None = None
 
     def clean(self, data: bytes) -> bytes:
@@ -182,38 +161,29 @@ def find_layout(leaves: Sequence[Leaf], data: bytes) -> Layout | None:
         return None
 
 
-def installed_fields(type_name: str) -> list[Field]:
-    """Return the fields of an installed message type.
-
-    Raises ValueError if the type is not installed, or has a field that has no known layout (``wstring``).
-    """
-    message_class: Any = load_message_class(type_name)
-    types: dict[str, str] = message_class.get_fields_and_field_types()
-    return [_parse_field(name, text) for name, text in types.items()]
+@cache
+def installed_leaves(type_name: str) -> tuple[Leaf, ...]:
+    """Return the leaves of an installed message type (``package/msg/Name``); ValueError if it is not."""
+    return find_leaves(get_types_from_msg(load_interface(type_name).text, type_name), type_name)
 
 
 def find_leaves(
-    fields_of: Callable[[str], Sequence[Field]],
-    type_name: str,
-    path: tuple[str, ...] = (),
-    prefix: str = "",
+    types: Typesdict, type_name: str, path: tuple[str, ...] = (), prefix: str = ""
 ) -> tuple[Leaf, ...]:
     """Return the leaves of a message type in their order.
 
-    ``fields_of`` gives the fields of a type; ``path`` and ``prefix`` lead to a nested message.
+    ``types`` defines it and all it uses; ``path`` and ``prefix`` lead to a nested message.
     """
     leaves: list[Leaf] = []
-    for field in fields_of(type_name):
-        leaf = _leaf(fields_of, field, (*path, field.name), prefix + field.name)
+    for name, content in types[type_name][1]:
+        leaf = _leaf(types, content, (*path, name), prefix + name)
         is_nested = leaf.kind == "object" and leaf.length is None
         leaves.extend(leaf.parts if is_nested and leaf.parts else [leaf])
     return tuple(leaves)
 
 
-def _leaf(
-    fields_of: Callable[[str], Sequence[Field]], field: Field, path: tuple[str, ...], name: str
-) -> Leaf:
-    base, length = field.base, field.length
+def _leaf(types: Typesdict, content: FieldDesc, path: tuple[str, ...], name: str) -> Leaf:
+    base, length = _element(content)
     if base == "string":
         return Leaf(name, path, "string", "B", 1, length)
     if base in _CODES:
@@ -222,20 +192,20 @@ def _leaf(
         return Leaf(f"{name}_ns", path, "time", "i", 2, length)
     if "/" not in base:
         return Leaf(name, path, "object", "", 1, length)
-    inner = fields_of(base)
-    codes = {_CODES.get(each.base, "") if each.length is None else "" for each in inner}
-    if [each.name for each in inner] in (list("xyz"), list("xyzw")) and codes in ({"f"}, {"d"}):
+    inner = {field: _element(each) for field, each in types[base][1]}
+    codes = {_CODES.get(each, "") if count is None else "" for each, count in inner.values()}
+    if list(inner) in (list("xyz"), list("xyzw")) and codes in ({"f"}, {"d"}):
         suffix = "_xyzw" if len(inner) == 4 else ""
         return Leaf(name + suffix, path, "vector", codes.pop(), len(inner), length)
     prefix = "" if base == "std_msgs/msg/Header" and name == "header" else f"{name}."
-    return Leaf(name, path, "object", "", 1, length, find_leaves(fields_of, base, path, prefix))
+    return Leaf(name, path, "object", "", 1, length, find_leaves(types, base, path, prefix))
 
 
-def _parse_field(name: str, text: str) -> Field:
-    """Return a field from the name of its type in the generated Python class."""
-    match = _FIELD_TYPE.fullmatch(text)
-    base = match[2] if match else text
-    if match is None or not (base in _CODES or base == "string" or "/" in base):
-        raise ValueError(f"field '{name}' of type {text}: no known layout")
-    length = -1 if match[1] else int(match[3]) if match[3] else None
-    return Field(name, base.replace("/", "/msg/"), length)
+def _element(content: FieldDesc) -> tuple[str, int | None]:
+    """Return the type of a field's elements, and their number as in `Leaf`."""
+    length: int | None = None
+    element: Any = content
+    if content[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        element, size = cast("tuple[Any, int]", content[1])
+        length = size if content[0] == Nodetype.ARRAY else -1
+    return element[1][0] if element[0] == Nodetype.BASE else element[1], length

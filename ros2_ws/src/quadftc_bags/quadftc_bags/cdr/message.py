@@ -14,18 +14,8 @@ from typing import Any
 
 from rclpy.serialization import deserialize_message, serialize_message
 
-from quadftc_bags.cdr.layout import (
-    FRAME,
-    FRAME_LENGTH,
-    PLAIN,
-    STAMP,
-    PaddingCleaner,
-    byte_order,
-    find_layout,
-    find_leaves,
-    installed_fields,
-    item_size,
-)
+from quadftc_bags.cdr import layout
+from quadftc_bags.cdr.layout import FRAME, FRAME_LENGTH, PLAIN, STAMP
 
 NANOSECONDS = 1_000_000_000  # per second
 _ROOM = bytes(4096)  # more than the numbers of a message take
@@ -89,10 +79,10 @@ class NumberWriter:
     """
 
     def __init__(self, message: Any) -> None:
-        clean = PaddingCleaner(_type_name(type(message))).clean(serialize_message(message))
+        clean = layout.PaddingCleaner(_type_name(type(message))).clean(serialize_message(message))
         self._data = data = bytearray(clean)
         start, body = _find_numbers(type(message), clean)
-        self._set_stamp = partial(struct.Struct(f"{byte_order(clean)}iI").pack_into, data, STAMP)
+        self._set_stamp = partial(struct.Struct(f"{layout.byte_order(clean)}iI").pack_into, data, STAMP)
         self._set_numbers = partial(body.pack_into, data, start)
 
     def __call__(self, stamp_ns: int, *numbers: float) -> bytes:
@@ -108,13 +98,13 @@ def _type_name(message_class: type) -> str:
 
 def _find_numbers(message_class: type, data: bytes) -> tuple[int, struct.Struct]:
     """Return where the numbers behind the header begin, and what packs them; padding is zero."""
-    layout = find_layout(find_leaves(installed_fields, _type_name(message_class)), data)
-    assert layout is not None
-    _, _, *places = layout.places  # behind stamp and frame_id
+    found = layout.find_layout(layout.installed_leaves(_type_name(message_class)), data)
+    assert found is not None
+    _, _, *places = found.places  # behind stamp and frame_id
     start = position = places[0].offset
-    codes = byte_order(data)
+    codes = layout.byte_order(data)
     for leaf, offset, number in places:
         code = "iI" if leaf.kind == "time" else leaf.code * leaf.width
         codes += "x" * (offset - position) + code * number
-        position = offset + number * leaf.width * item_size(leaf)
+        position = offset + number * leaf.width * layout.item_size(leaf)
     return start, struct.Struct(codes)

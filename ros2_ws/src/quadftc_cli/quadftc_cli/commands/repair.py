@@ -53,15 +53,15 @@ def _lines(done: Repair) -> Iterator[str]:
     """Say what was kept and lost, and where the new bag is."""
     found = done.found
     start_ns, last_ns = _start_ns(found), max(tally.last_ns for tally in found.topics.values())
-    span = f", {_seconds(last_ns - start_ns)} s, last stamp {last_ns} ns" if found.messages else ""
+    span = f", {_seconds(last_ns - start_ns)} s, last stamp {last_ns} ns" if found.message_count else ""
     if done.out is None:
-        yield f"{found.path}: whole: {found.messages} messages{span}; nothing to repair"
+        yield f"{found.path}: whole: {found.message_count} messages{span}; nothing to repair"
         return
-    yield f"kept: {found.messages} messages on {len(found.topics)} topics{span}"
+    yield f"kept: {found.message_count} messages on {len(found.topics)} topics{span}"
     for damage in found.damages:
         yield _lost(damage, start_ns)
-    if found.unknown:
-        yield f"left out: {found.unknown} messages whose topic is not known"
+    if found.left_out:
+        yield f"left out: {found.left_out} messages whose topic is not known"
     for topic, reason in found.refused.items():
         yield f"left out: topic '{topic}': {reason}"
     if not found.is_indexed and not found.damages:
