@@ -21,7 +21,7 @@ from quadftc_flight.graph.processes import ProcessGraph
 from quadftc_flight.scenario import Scenario, Scheme, node_parameters
 from quadftc_ros.scheduling import ORDINARY, Scheduling
 from quadftc_ros.topics import TOPICS
-from quadftc_ros.trace import load_trace
+from quadftc_ros.transport import load_trace
 from quadftc_tools.bench.machine import Usage
 from quadftc_tools.results_table import results_table
 

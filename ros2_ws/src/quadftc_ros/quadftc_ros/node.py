@@ -24,8 +24,7 @@ from quadftc_ros.diagnostics import OK, WARN, Diagnostics, SampleTiming
 from quadftc_ros.parameters import NodeParameters
 from quadftc_ros.qos import service_profile, topic_profile
 from quadftc_ros.topics import TOPICS, missing_connections
-from quadftc_ros.trace import MessageTrace
-from quadftc_ros.transport import Tap, decoding, receiver, tapped
+from quadftc_ros.transport import MessageTrace, Tap, decoding, receiver, tapped
 
 MODES = ("lockstep", "realtime")
 HEARTBEAT = {"realtime": 1.0, "lockstep": 0.2}  # s; in lock-step only before the flight

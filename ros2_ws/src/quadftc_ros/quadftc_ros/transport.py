@@ -1,14 +1,20 @@
 # pyright: basic
 """Between rclpy and a node's callbacks: usable messages come in, others are counted; a tap copies what goes.
 
-A message is usable if its stamp is a time and its frame is that of its topic.
+A message is usable if its stamp is a time and its frame is that of its topic. A trace notes when messages
+come and go, by the monotonic clock, which all processes share.
 """
 
 from __future__ import annotations
 
+import time
+from array import array
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rclpy.publisher import Publisher
 from rclpy.serialization import serialize_message
 
@@ -16,11 +22,12 @@ from quadftc_bags.cdr.layout import FRAME, PLAIN
 from quadftc_bags.cdr.message import leading_frame, leading_stamp_ns
 from quadftc_ros.conversions import END_NS
 from quadftc_ros.topics import IMU, TOPICS
-from quadftc_ros.trace import Note
 
+PIECE = 65536  # messages of a trace: a minute at 1 kHz
 NO_STAMP = "stamp is no time"  # negative, or so late that no message can have it
 
 Count = Callable[[str], None]  # gets the reason why a message is refused
+Note = Callable[[int], None]  # gets the stamp of a message [ns]
 Take = Callable[[bytes], None]  # gets a message in CDR
 Tap = Callable[[str], Take | None]  # full name of a topic -> what gets its messages, if anything does
 
@@ -87,3 +94,52 @@ def decoding(
             callback(stamp_ns, value)
 
     return receive
+
+
+class MessageTrace:
+    """Times at which a node takes and gives messages, topic by topic.
+
+    A note takes a few tenths of a microsecond, in memory that is there already: memory that grew with the
+    flight would now and then take milliseconds.
+    """
+
+    def __init__(self) -> None:
+        self._rows: dict[str, _Rows] = {}
+
+    def taken(self, topic: str) -> Note:
+        """Return what notes that a message of a topic has come."""
+        return self._rows.setdefault(f"taken {topic}", _Rows()).note
+
+    def given(self, topic: str) -> Note:
+        """Return what notes that a message of a topic is about to be published."""
+        return self._rows.setdefault(f"given {topic}", _Rows()).note
+
+    def save(self, path: Path) -> None:
+        """Write the times as a NumPy archive, see `load_trace`; OSError if it cannot be written."""
+        np.savez(path, allow_pickle=False, **{name: rows.noted() for name, rows in self._rows.items()})
+
+
+def load_trace(path: Path) -> dict[str, NDArray[np.int64]]:
+    """Return a saved trace: by "taken <topic>" and "given <topic>", (n, 2) of stamp and time [ns]."""
+    with np.load(path, allow_pickle=False) as archive:
+        return {name: archive[name].astype(np.int64) for name in archive.files}
+
+
+class _Rows:
+    """Stamps and times [ns], in pieces of a fixed size."""
+
+    def __init__(self) -> None:
+        self._pieces = [array("q", bytes(16 * PIECE))]
+        self._end = 0  # in the last piece
+
+    def note(self, stamp_ns: int) -> None:
+        if self._end == 2 * PIECE:
+            self._pieces.append(array("q", bytes(16 * PIECE)))
+            self._end = 0
+        piece, end = self._pieces[-1], self._end
+        piece[end], piece[end + 1] = stamp_ns, time.monotonic_ns()
+        self._end = end + 2
+
+    def noted(self) -> NDArray[np.int64]:
+        *whole, last = self._pieces
+        return np.concatenate([*whole, last[: self._end]]).astype(np.int64).reshape(-1, 2)

@@ -18,7 +18,6 @@ from quadftc_ros.conversions import Floats
 from quadftc_ros.topics import BASE_FRAME, EARTH_FRAME, IMU_FRAME
 
 _UNKNOWN = (0.0,) * 8  # the rest of a covariance
-_NO_ONSET = (0,) * 6  # seconds and nanoseconds of three axes
 
 _imu = NumberReader(Imu)
 _vector = NumberReader(Vector3Stamped)
@@ -103,10 +102,8 @@ class FaultStatusWire:
     def __call__(self, stamp_ns: int, estimate: FaultEstimate) -> bytes:
         """Return the message of an estimate of one vehicle."""
         ages = estimate.onset_age.tolist()
-        onsets = _NO_ONSET
-        if max(ages) >= 0.0:
-            times = [stamp_ns - round(age * NANOSECONDS) if age >= 0.0 else 0 for age in ages]
-            onsets = [part for time_ns in times for part in divmod(time_ns, NANOSECONDS)]
+        times = [stamp_ns - round(age * NANOSECONDS) if age >= 0.0 else 0 for age in ages]
+        onsets = [part for time_ns in times for part in divmod(time_ns, NANOSECONDS)]
         state, fault, std_dev = estimate.state.tolist(), estimate.fault.tolist(), estimate.std_dev.tolist()
         return self._write(stamp_ns, *state, *fault, *std_dev, *onsets)
 

@@ -8,7 +8,7 @@ from geometry_msgs.msg import Vector3Stamped
 from rclpy.parameter import Parameter
 
 from quadftc_ros.node import GraphNode
-from quadftc_ros.trace import MessageTrace, load_trace
+from quadftc_ros.transport import MessageTrace, load_trace
 
 
 def test_times_are_read_back_in_order(tmp_path):
