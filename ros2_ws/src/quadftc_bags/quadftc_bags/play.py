@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Collection, Mapping
+from contextlib import ExitStack
 
 import rclpy
 from rclpy.context import Context
@@ -13,6 +14,7 @@ from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.utilities import ok, try_shutdown
 from ruamel.yaml import YAML, YAMLError
@@ -48,18 +50,13 @@ def play(
     bag = read_bag(path, topics)
     if not bag.topics:
         raise BagError(f"{bag.path}: nothing to play")
-    owned = context is None and not ok()
-    if owned:
-        rclpy.init()
-    node = None
-    try:
+    with ExitStack() as undo:
+        if context is None and not ok():
+            rclpy.init()
+            undo.callback(try_shutdown)
         node = Node("player", context=context, start_parameter_services=False)
+        undo.callback(node.destroy_node)
         return _publish(bag, node, rate, loop, delay)
-    finally:
-        if node is not None:
-            node.destroy_node()
-        if owned:
-            try_shutdown()
 
 
 def profile_from_record(text: str) -> QoSProfile:
@@ -83,13 +80,11 @@ def profile_from_record(text: str) -> QoSProfile:
 
 def _publish(bag: Bag, node: Node, rate: float, loop: bool, delay: float) -> int:
     """Publish until the end, or the shutdown of the node's context; return how many messages."""
+    publishers: dict[str, Publisher] = {}
     try:
-        publishers = {
-            name: node.create_publisher(
-                load_message_class(topic.type_name), name, profile_from_record(topic.qos)
-            )
-            for name, topic in bag.topics.items()
-        }
+        for name, topic in bag.topics.items():
+            message_class, profile = load_message_class(topic.type_name), profile_from_record(topic.qos)
+            publishers[name] = node.create_publisher(message_class, name, profile)
     except NameValidationException as error:
         raise BagError(f"{bag.path}: {' '.join(str(error).split())}") from None
     published = 0
