@@ -170,13 +170,11 @@ class BagFile:
 
 def is_being_written(path: Path) -> bool:
     """Return whether a process of this machine has the file of a bag open as a `BagFile`."""
-    with path.open("rb") as stream:
-        try:
+    try:
+        with path.open("rb") as stream:
             fcntl.flock(stream, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
-        except OSError:  # a file system without locks
-            return False
+    except OSError as error:  # another one: the file cannot be opened, or its file system has no locks
+        return isinstance(error, BlockingIOError)
     return False
 
 

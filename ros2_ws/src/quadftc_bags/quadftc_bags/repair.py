@@ -97,10 +97,7 @@ def repair(path: Path, out: Path | None = None, force: bool = False) -> Repair:
     recorded, or the new one cannot be written.
     """
     file = _storage_file(path)
-    try:
-        recorded = file.is_file() and is_being_written(file)
-    except OSError as error:
-        raise BagError(f"{file}: {error.strerror}") from None
+    recorded = file.is_file() and is_being_written(file)
     found = Survey(file)
     complaint = _complaint(path, found) if path.is_dir() else ""
     if out is None and found.is_whole and not complaint:

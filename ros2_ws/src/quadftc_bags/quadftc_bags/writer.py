@@ -177,8 +177,8 @@ class BagWriter:
         if self._held is None:
             self._file.write(*message)
             return
-        channel, *times, data = message
-        if self._held.add((channel, *times, self._cleaners[channel - 1].clean(data))):
+        data = self._cleaners[message[0] - 1].clean(message[3])
+        if self._held.add((*message[:3], data)):
             self._flush(self._held.move_cut())
 
     def _flush(self, before_ns: int | None = None) -> None:
