@@ -180,7 +180,7 @@ def test_units_become_si_and_vectors_lists():
         ("kind: bias", "kind: bais", "faults[0].kind", "no fault 'bais' (did you mean 'bias'?)"),
         ("kind: bias, ", "", "faults[0].kind", "missing key"),
         ("axes: roll", "axes: rol", "faults[0].axes", "'rol' is no axis"),
-        ("axes: roll", "axes: [roll, 2]", "faults[0].axes", "expected an axis or a list of axes"),
+        ("axes: roll", "axes: [roll, 2]", "faults[0].axes", "2 is no axis; expected roll, pitch"),
         ("channel: attitude", "channel: imu", "faults[0].channel", "bias can be on attitude, gyro"),
         ("channel: gyro", "channel: gyroscope", "faults[1].channel", "expected one of attitude, gyro"),
         ("stop: 5 s", "stop: 2 s", "faults[0].stop", "must be later than start = 3 s"),
@@ -325,7 +325,6 @@ def test_overrides_replace_and_add_values():
     assert scenario.schemes["plain"].observer.kind == "sliding_mode"
     assert scenario.disturbances == ()
     assert scenario.raw["faults"][0]["value"] == "2 deg"
-    assert scenario.text == TEXT
 
 
 @pytest.mark.parametrize(

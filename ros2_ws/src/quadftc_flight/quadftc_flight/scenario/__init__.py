@@ -1,3 +1,5 @@
+# pyright: reportUnusedImport=false
+# ruff: noqa: F401
 """Scenarios: one experiment a file, found by name, checked whole and built before anything flies.
 
 >>> scenario = load_scenario(find_scenario("paper_faults"))
@@ -11,44 +13,37 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from quadftc_flight.scenario.components import Fault as Fault
-from quadftc_flight.scenario.components import Part as Part
-from quadftc_flight.scenario.components import Setting as Setting
-from quadftc_flight.scenario.document import ROLES as ROLES
-from quadftc_flight.scenario.document import Document as Document
-from quadftc_flight.scenario.document import Keys as Keys
-from quadftc_flight.scenario.document import Problem as Problem
-from quadftc_flight.scenario.document import ScenarioError as ScenarioError
-from quadftc_flight.scenario.document import parse_document as parse_document
-from quadftc_flight.scenario.document import parse_value as parse_value
-from quadftc_flight.scenario.document import read_document as read_document
-from quadftc_flight.scenario.files import find_gains as find_gains
-from quadftc_flight.scenario.files import find_scenario as find_scenario
-from quadftc_flight.scenario.files import grade_of as grade_of
-from quadftc_flight.scenario.files import scenario_names as scenario_names
-from quadftc_flight.scenario.files import with_gains_of as with_gains_of
-from quadftc_flight.scenario.model import MAX_SEED as MAX_SEED
-from quadftc_flight.scenario.model import Check as Check
-from quadftc_flight.scenario.model import Name as Name
-from quadftc_flight.scenario.model import Scenario as Scenario
-from quadftc_flight.scenario.model import ScheduledFault as ScheduledFault
-from quadftc_flight.scenario.model import Scheme as Scheme
-from quadftc_flight.scenario.model import build_scenario as build_scenario
-from quadftc_flight.scenario.model import keys_of as keys_of
-from quadftc_flight.scenario.model import node_parameters as node_parameters
-from quadftc_flight.scenario.model import problems_of as problems_of
+from quadftc_flight.scenario.components import Fault, Part, Setting
+from quadftc_flight.scenario.document import (
+    ROLES,
+    Document,
+    Keys,
+    Problem,
+    ScenarioError,
+    parse_document,
+    parse_value,
+    read_document,
+)
+from quadftc_flight.scenario.files import find_gains, find_scenario, grade_of, scenario_names, with_gains_of
+from quadftc_flight.scenario.model import (
+    MAX_SEED,
+    Check,
+    Name,
+    Scenario,
+    ScheduledFault,
+    Scheme,
+    build_scenario,
+    keys_of,
+    node_parameters,
+    problems_of,
+)
 
 
 def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = (), gains: str = "") -> Scenario:
     """Load a scenario file; a ScenarioError has one line for each problem.
 
-    Parameters
-    ----------
-    path : path
-    overrides : sequence of str
-        Values to put in place of the file's: ``seed=3``, ``faults.0.value=2 deg``.
-    gains : str
-        Name or path of a file of tuned gains (`quadftc_flight.scenario.files`); overrides come after them.
+    ``overrides`` replace values of the file: ``seed=3``, ``faults.0.value=2 deg``. ``gains`` is the name or
+    path of a file of tuned gains (`quadftc_flight.scenario.files`); overrides come after them.
     """
     return build_scenario(changed_document(Path(path), overrides, gains))
 

@@ -13,12 +13,13 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
-from ruamel.yaml import YAML, YAMLError, nodes
+from ruamel.yaml import YAML, YAMLError
 
 from quadftc_model.hints import nearest
 
 Node = Any  # a node of ruamel.yaml, which has no complete types
 Keys = tuple[str | int, ...]  # where a value is: keys and indices from the root
+Change = tuple[Sequence[str | int], Any, str, str]  # path, new value, what gives it, how an error begins
 
 ROLES = ("observer", "disturbance_observer", "controller")  # keys of a scheme that may hold a name only
 MAX_SHOWN = 10  # problems in one report
@@ -42,7 +43,6 @@ class Document:
     """The contents of a file and where they come from."""
 
     source: str  # the file as the user named it
-    text: str  # its contents
     data: dict[str, Any]  # plain dicts, lists and scalars
     origins: dict[Keys, int | str]  # for each value its line (from 1), or the override that gave it
 
@@ -57,9 +57,7 @@ class Document:
 
     def replaced(self, path: Keys, value: Any, origin: str) -> Document:
         """Return the document with one value replaced, or added to a mapping; ``origin`` says by what."""
-        changed = self._copy()
-        changed._put(path, value, origin, f"{self.source}: {origin}")
-        return changed
+        return self._changed([(path, value, origin, f"{self.source}: {origin}")])
 
     def overridden(self, assignments: Iterable[str]) -> Document:
         """Apply overrides, one after the other.
@@ -67,44 +65,45 @@ class Document:
         Each is ``path=value``: the path dotted, with indices for lists; the value in YAML. A key that a
         mapping lacks is added. A path that leads nowhere is a ScenarioError that names what there is.
         """
-        changed = self._copy()
-        for assignment in assignments:
-            origin = f"override {assignment!r}"
-            where = f"{self.source}: {origin}"
-            target, equals, text = assignment.partition("=")
-            words = _words(target)
-            if not equals or not all(words):
-                raise ScenarioError(f"{where}: expected path=value, such as 'faults.0.value=2 deg'")
-            changed._put(words, parse_value(text, where), origin, where)
-        return changed
+        return self._changed(self._parse_override(assignment) for assignment in assignments)
 
     def with_values(self, values: Mapping[str, Any], origin: str) -> Document:
         """Put values in place of others by dotted path, as `overridden` does; ``origin`` is for messages."""
-        changed = self._copy()
-        for target, value in values.items():
-            because, where = f"{origin}, {target} = {value}", f"{self.source}: {origin}"
-            changed._put(_words(target), copy.deepcopy(value), because, where)
+        where = f"{self.source}: {origin}"
+        return self._changed(
+            (_words(target), copy.deepcopy(value), f"{origin}, {target} = {value}", where)
+            for target, value in values.items()
+        )
+
+    def _parse_override(self, assignment: str) -> Change:
+        origin = f"override {assignment!r}"
+        where = f"{self.source}: {origin}"
+        target, equals, text = assignment.partition("=")
+        words = _words(target)
+        if not equals or not all(words):
+            raise ScenarioError(f"{where}: expected path=value, such as 'faults.0.value=2 deg'")
+        return words, parse_value(text, where), origin, where
+
+    def _changed(self, changes: Iterable[Change]) -> Document:
+        """Put values in their places, through mappings that are made where they are missing."""
+        changed = Document(self.source, copy.deepcopy(self.data), dict(self.origins))
+        origins = changed.origins
+        for words, value, origin, where in changes:
+            place: Any = changed.data
+            path: Keys = ()
+            for word in words:
+                if not isinstance(place, (dict, list)):
+                    raise ScenarioError(f"{where}: {_dotted(path)} is a single value; it has no '{word}'")
+                key = _key(place, word, path, where)  # pyright: ignore[reportUnknownArgumentType]
+                path = (*path, key)
+                if len(path) < len(words):
+                    origins.setdefault(path, origin)
+                    place = _enter(place, key)
+            for known in [known for known in origins if known[: len(path)] == path]:
+                del origins[known]
+            cast("Any", place)[path[-1]] = value
+            origins[path] = origin
         return changed
-
-    def _copy(self) -> Document:
-        return Document(self.source, self.text, copy.deepcopy(self.data), dict(self.origins))
-
-    def _put(self, words: Sequence[str | int], value: Any, origin: str, where: str) -> None:
-        """Put a value in its place, through mappings that are made where they are missing."""
-        place: Any = self.data
-        path: Keys = ()
-        for word in words:
-            if not isinstance(place, (dict, list)):
-                raise ScenarioError(f"{where}: {_dotted(path)} is a single value; it has no '{word}'")
-            key = _key(place, word, path, where)  # pyright: ignore[reportUnknownArgumentType]
-            path = (*path, key)
-            if len(path) < len(words):
-                self.origins.setdefault(path, origin)
-                place = _enter(place, key)
-        for known in [known for known in self.origins if known[: len(path)] == path]:
-            del self.origins[known]
-        cast("Any", place)[path[-1]] = value
-        self.origins[path] = origin
 
     def _origin(self, path: Keys) -> int | str:
         while path and path not in self.origins:
@@ -143,8 +142,7 @@ def _enter(place: Any, key: str | int) -> Any:
     """Return what is in a place; where there is nothing yet, a new mapping."""
     inside: Any = cast("dict[Any, Any]", place).get(key) if isinstance(place, dict) else place[key]
     if inside is None or (isinstance(inside, str) and key in ROLES):
-        inside = {} if inside is None else {"kind": inside}
-        place[key] = inside
+        inside = place[key] = {} if inside is None else {"kind": inside}
     return inside
 
 
@@ -152,9 +150,7 @@ def read_document(path: Path) -> Document:
     """Read a YAML file; one that cannot be read, or holds no mapping, is a ScenarioError."""
     try:
         text = path.read_text("utf-8")
-    except UnicodeDecodeError as error:
-        raise ScenarioError(f"{path}: not UTF-8 text ({error.reason} at byte {error.start})") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError) as error:  # a file that is no UTF-8 text among them
         raise ScenarioError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     return parse_document(text, str(path))
 
@@ -165,9 +161,9 @@ def parse_document(text: str, source: str) -> Document:
     node = reader.compose(text)
     if node is None:
         raise ScenarioError(f"{source}:1: empty; expected a scenario")
-    if not _is(node, nodes.MappingNode):
+    if node.id != "mapping":
         raise ScenarioError(f"{source}:{_line(node)}: expected a mapping of keys such as 'duration: 80 s'")
-    document = Document(source, text, reader.value(node, ()), reader.origins)
+    document = Document(source, reader.value(node, ()), reader.origins)
     if reader.problems:
         raise document.error(reader.problems)
     return document
@@ -211,30 +207,29 @@ class _Reader:
         self.origins.setdefault(path, _line(node))
         self._count += 1
         if self._count > _MAX_VALUES or len(path) > _MAX_DEPTH:
-            if self._count <= _MAX_VALUES + 1:
+            if self._count <= _MAX_VALUES + 1:  # once; then no value is read any more
                 self.problems.append(Problem(path, "too large or too deep for a scenario"))
                 self._count = _MAX_VALUES + 1
             return None
-        if _is(node, nodes.MappingNode):
+        if node.id == "mapping":
             return self._mapping(node, path)
-        if _is(node, nodes.SequenceNode):
+        if node.id == "sequence":
             return [self.value(item, (*path, index)) for index, item in enumerate(node.value)]
         return self._scalar(node, path)
 
     def _mapping(self, node: Node, path: Keys) -> dict[str, Any]:
         values: dict[str, Any] = {}
         for key_node, value_node in node.value:
-            key = str(key_node.value) if _is(key_node, nodes.ScalarNode) else None
-            if key is None or key_node.tag == "tag:yaml.org,2002:merge":
-                inner, wrong = (*path, "<<" if key else "?"), "a key must be a text"
-            else:
-                inner = (*path, key)
+            is_text = key_node.id == "scalar"
+            key = str(key_node.value) if is_text else "?"
+            inner, wrong = (*path, key), "a key must be a text"
+            if is_text and key_node.tag != "tag:yaml.org,2002:merge":
                 wrong = f"given twice, first in line {self.origins[inner]}" if key in values else ""
             self.origins[inner] = _line(key_node)
             if wrong:
                 self.problems.append(Problem(inner, wrong))
             else:
-                values[str(key)] = self.value(value_node, inner)
+                values[key] = self.value(value_node, inner)
         return values
 
     def _scalar(self, node: Node, path: Keys) -> Any:
@@ -256,10 +251,6 @@ class _Reader:
 
 def _one_line(text: str) -> str:
     return " ".join(text.split())
-
-
-def _is(node: Node, kind: type) -> bool:
-    return isinstance(node, kind)
 
 
 def _line(node: Node) -> int:

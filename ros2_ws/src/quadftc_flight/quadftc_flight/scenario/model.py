@@ -146,11 +146,6 @@ class Scenario(_Shape):
         return self._document
 
     @property
-    def text(self) -> str:
-        """The text of the scenario file, without overrides."""
-        return self.document.text
-
-    @property
     def raw(self) -> dict[str, Any]:
         """The scenario as plain data, overrides applied."""
         return copy.deepcopy(self.document.data)
@@ -180,7 +175,9 @@ def build_scenario(document: Document) -> Scenario:
     try:
         scenario = Scenario.model_validate(document.data, context=Setting(document))
     except ValidationError as error:
-        raise document.error(problems_of(error, _model_at)) from None
+        models = {2: Scheme, 4: Check}  # of a scheme, and of a check in it
+        problems = problems_of(error, lambda path: models.get(len(path), Scenario))
+        raise document.error(problems) from None
     problems = [*_unstable_lag(scenario), *_wrong_checks(scenario)]
     if problems:
         raise document.error(problems)
@@ -218,28 +215,23 @@ def _wrong_checks(scenario: Scenario) -> Iterator[Problem]:
             yield Problem((*path, "metric"), f"'{check.metric}' is no number")
 
 
-def _model_at(path: Keys) -> type[BaseModel]:
-    """Return the model of a mapping: of a scheme, of a check in it, or of the scenario."""
-    return {2: Scheme, 4: Check}.get(len(path), Scenario)
-
-
 def keys_of(model: type[BaseModel]) -> list[str]:
     """Return the keys that a mapping of a file may have."""
     return [field.alias or name for name, field in model.model_fields.items()]
 
 
 _EXPECTED = {
-    "string_type": "a text",
-    "int_type": "a whole number",
-    "float_type": "a number",
-    "list_type": "a list",
-    "tuple_type": "a list",
-    "dict_type": "a mapping",
-    "model_type": "a mapping with 'kind'",
-    "finite_number": "a finite number",
-    "string_pattern_mismatch": "letters, digits, '_' and '-', at most 64",
-    "too_short": "at least one scheme",
-    "literal_error": "one of roll, pitch, yaw",
+    "string_type": "expected a text",
+    "int_type": "expected a whole number",
+    "float_type": "expected a number",
+    "list_type": "expected a list",
+    "tuple_type": "expected a list",
+    "dict_type": "expected a mapping",
+    "model_type": "expected a mapping with 'kind'",
+    "finite_number": "expected a finite number",
+    "string_pattern_mismatch": "expected letters, digits, '_' and '-', at most 64",
+    "too_short": "expected at least one scheme",
+    "literal_error": "expected one of roll, pitch, yaw",
 }
 
 
@@ -250,19 +242,18 @@ def problems_of(error: ValidationError, model_at: Callable[[Keys], type[BaseMode
 
 def _problem(details: dict[str, Any], model_at: Callable[[Keys], type[BaseModel]]) -> Problem:
     path: Keys = tuple(key for key in details["loc"] if key != "[key]")
-    kind = str(details["type"])
+    kind, context = str(details["type"]), details.get("ctx", {})
     if kind == "extra_forbidden":
         known = keys_of(model_at(path[:-1]))
-        return Problem(path, f"unknown key{nearest(str(path[-1]), known)}; known: {', '.join(known)}")
-    if kind == "missing":
-        return Problem(path, "missing key")
-    if kind == "component":
-        return Problem(path, details["ctx"]["text"])
-    if kind == "value_error":
-        return Problem(path, str(details["ctx"]["error"]))
-    expected = _EXPECTED.get(kind)
-    wrong = f"expected {expected}" if expected else details["msg"].replace("Input should be", "must be")
-    return Problem(path, f"{shown(details['input'])}: {wrong}")
+        text = f"unknown key{nearest(str(path[-1]), known)}; known: {', '.join(known)}"
+    elif kind in ("component", "value_error"):
+        text = str(context.get("text") or context.get("error"))
+    elif kind == "missing":
+        text = "missing key"
+    else:
+        wrong = details["msg"].replace("Input should be", "must be")
+        text = f"{shown(details['input'])}: {_EXPECTED.get(kind, wrong)}"
+    return Problem(path, text)
 
 
 def node_parameters(
