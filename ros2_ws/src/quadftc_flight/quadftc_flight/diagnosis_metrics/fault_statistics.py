@@ -26,8 +26,8 @@ ESTIMATE_THRESHOLD_DEG = 0.3  # deg; an estimate of this size says fault: 3 sigm
 ALL = "all"  # beside the kinds: faults of every kind
 SECONDS_PER_HOUR = 3600.0
 ALARMS = ("healthy_time_s", "false_alarms", "false_alarm_time_s", "late_recovery_time_s")
+ESTIMATE_ALARMS = ("healthy_time_s", "false_alarm_time_s")
 
-_ESTIMATE_ALARMS = ("healthy_time_s", "false_alarm_time_s")
 _ISOLATION = ("isolation_tested_s", "isolation_correct_s")
 _CONFUSIONS = ("confusion_single_s", "confusion_any_s", "confusion_by_kind_s")
 
@@ -98,13 +98,12 @@ def with_shares(totals: Mapping[str, PerAxis]) -> dict[str, Any]:
         result[name] = values
         if name == "healthy_time_s":
             continue
-        wholes, ratio = healthy, name.replace("_time_s", "_share")
+        wholes, ratio, total = healthy, name.replace("_time_s", "_share"), _total([*values.values()])
         if name == "false_alarms":
-            result["total_false_alarms"] = _total(list(values.values()))
+            result["total_false_alarms"] = total
             wholes, ratio = hours, "false_alarms_per_hour"
         result[ratio] = {axis: accuracy(values[axis], wholes[axis]) for axis in wholes}
-        total = accuracy(_total(list(values.values())), _total(list(wholes.values())))
-        result[f"total_{ratio}"] = total
+        result[f"total_{ratio}"] = accuracy(total, _total([*wholes.values()]))
     return result
 
 
@@ -122,7 +121,7 @@ def pool(diagnoses: Iterable[Record]) -> dict[str, Any]:
     flights = list(diagnoses)
     records = [record for flight in flights for record in flight["events"]]
     tested, correct = (_total([flight[name] for flight in flights]) for name in _ISOLATION)
-    sizes = _sums([flight["by_estimate"] for flight in flights], _ESTIMATE_ALARMS)
+    sizes = _sums([flight["by_estimate"] for flight in flights], ESTIMATE_ALARMS)
     return {
         "flights": len(flights),
         **fault_metrics(records),

@@ -6,7 +6,7 @@ A row stands for the median time between two. Rows without a state do not count.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -25,6 +25,7 @@ from quadftc_flight.diagnosis_metrics.columns import (
 )
 from quadftc_flight.diagnosis_metrics.fault_statistics import (
     ALARMS,
+    ESTIMATE_ALARMS,
     ESTIMATE_THRESHOLD_DEG,
     accuracy,
     estimate_fault_metrics,
@@ -52,7 +53,7 @@ class Detection(NamedTuple):
 
     detected: bool | None = None  # in some sample of the fault
     already: bool | None = None  # in the last sample before it: this is no detection of this fault
-    time: float | None = None  # of the first sample that says so [s]; None: missed, or said already
+    row: int | None = None  # of the first sample that says so; None: missed, or said already
 
 
 class Truth(NamedTuple):
@@ -70,17 +71,20 @@ def diagnosis_metrics(flight: Flight, events: Sequence[FaultEvent]) -> dict[str,
     """
     columns = Columns(flight)
     records = [_judge_fault(columns, event, events) for event in events]
-    by_state = truth(columns, events, [record["detected"] is not None for record in records])
-    by_estimate = truth(columns, events, [record["above_threshold"] is not None for record in records])
-    alarms = [_alarms(columns, by_state.healthy, axis) for axis in range(len(AXES))]
-    large = [_large_estimates(columns, by_estimate.healthy, axis) for axis in range(len(AXES))]
+    by_state, by_estimate = (
+        truth(columns, events, [record[verdict] is not None for record in records])
+        for verdict in ("detected", "above_threshold")
+    )
+    axes = range(len(AXES))
+    alarms = [_alarms(columns, by_state.healthy, axis) for axis in axes]
+    large = [_large_estimates(columns, by_estimate.healthy, axis) for axis in axes]
     counts = np.sum(flight.fault_state == STARTING, axis=0), np.sum(columns.known, axis=0)
     shares = [int(part) / int(whole) if whole else None for part, whole in zip(*counts, strict=True)]
     return {
         **fault_metrics(records),
-        **with_shares(_by_axis(alarms)),
+        **with_shares(_by_axis(ALARMS, alarms)),
         **_isolation(columns, by_state, events),
-        "by_estimate": {**estimate_fault_metrics(records), **with_shares(_by_axis(large))},
+        "by_estimate": {**estimate_fault_metrics(records), **with_shares(_by_axis(ESTIMATE_ALARMS, large))},
         "starting_share": dict(zip(AXES, shares, strict=True)),
         "events": records,
     }
@@ -113,65 +117,54 @@ def _judge_fault(columns: Columns, event: FaultEvent, events: Sequence[FaultEven
     """
     axis, rows = AXES.index(event.axis), columns.rows(event.start, event.stop)
     sized = has_size(columns, event)
-    known, estimate = columns.known[:, axis], columns.estimate[:, axis]
-    by_state = _detect(columns.time, known, columns.declared[:, axis], event, sized)
+    known, declared = columns.known[:, axis], columns.declared[:, axis]
+    estimate = columns.estimate[:, axis]
+    by_state = _detect(known, declared, rows, sized)
     above = np.abs(estimate) >= ESTIMATE_THRESHOLD_DEG  # false for NaN
-    by_estimate = _detect(columns.time, np.isfinite(estimate), above, event, sized)
-    said = columns.declared[rows, axis][known[rows]]
+    by_estimate = _detect(np.isfinite(estimate), above, rows, sized)
+    said = declared[rows][known[rows]]
     begins = int(said[0]) + int(np.sum(said[1:] & ~said[:-1])) if len(said) else None
+    onset = None if by_state.row is None else number(columns.onset[by_state.row, axis] - event.start)
     # the sensor may be trusted again until the next fault of its axis begins
     starts = [other.start for other in events if other.axis == event.axis and other.start >= event.stop]
+    after = columns.rows(event.stop, min(starts, default=math.inf))
+    trusted = _first(columns.trusted[:, axis] & known, after)
+    can_recover = by_state.detected and known[after].any()
     return {
         **event._asdict(),
         "fault_max_deg": largest(columns.fault[rows, axis]),
         "detected": by_state.detected,
         "already_declared": by_state.already,
-        "detection_delay_s": _since(by_state.time, event.start),
-        "onset_error_s": _onset_error(columns, axis, by_state.time, event.start),
+        "detection_delay_s": _delay(columns, by_state.row, event.start),
+        "onset_error_s": onset,
         "declared_share": mean(said),
         "declarations": begins,
-        **_recovery(columns, axis, event, min(starts, default=math.inf), by_state),
+        "recovered": trusted is not None if can_recover else None,
+        "recovery_delay_s": _delay(columns, trusted, event.stop) if can_recover else None,
         "above_threshold": by_estimate.detected,
         "above_threshold_already": by_estimate.already,
-        "above_threshold_delay_s": _since(by_estimate.time, event.start),
+        "above_threshold_delay_s": _delay(columns, by_estimate.row, event.start),
         **_estimate_errors(columns, axis, rows),
         "tracking_rmse_deg": rms(columns.tracking[rows, axis]),
     }
 
 
-def _detect(time: Floats, known: Mask, says: Mask, event: FaultEvent, sized: bool) -> Detection:
-    """Find the first known sample of an event in which a detector says fault (n,)."""
-    inside = known & (event.start <= time) & (time < event.stop)
-    if not sized or not inside.any():
+def _detect(known: Mask, says: Mask, rows: slice, sized: bool) -> Detection:
+    """Find the first known sample of a fault in which a detector says fault (n,)."""
+    if not sized or not known[rows].any():
         return Detection()
-    before = np.flatnonzero(known & (time < event.start))
+    before, row = np.flatnonzero(known[: rows.start]), _first(known & says, rows)
     already = bool(len(before) and says[before[-1]])
-    hits = np.flatnonzero(inside & says)
-    return Detection(bool(len(hits)), already, float(time[hits[0]]) if len(hits) and not already else None)
+    return Detection(row is not None, already, None if already else row)
 
 
-def _since(moment: float | None, start: float) -> float | None:
-    return None if moment is None else number(moment - start)
+def _first(mask: Mask, rows: slice) -> int | None:
+    hits = np.flatnonzero(mask[rows])
+    return rows.start + int(hits[0]) if len(hits) else None
 
 
-def _onset_error(columns: Columns, axis: int, detection: float | None, start: float) -> float | None:
-    """Onset as the observer says it at the detection, less the true one [s]."""
-    if detection is None:
-        return None
-    return number(columns.onset[int(np.searchsorted(columns.time, detection)), axis] - start)
-
-
-def _recovery(
-    columns: Columns, axis: int, event: FaultEvent, following: float, detection: Detection
-) -> Record:
-    """When the sensor is trusted again, after a fault that was found."""
-    rows = columns.rows(event.stop, following)
-    known = columns.known[rows, axis]
-    if not detection.detected or not known.any():
-        return {"recovered": None, "recovery_delay_s": None}
-    hits = np.flatnonzero(columns.trusted[rows, axis] & known)
-    moment = float(columns.time[rows][hits[0]]) if len(hits) else None
-    return {"recovered": moment is not None, "recovery_delay_s": _since(moment, event.stop)}
+def _delay(columns: Columns, row: int | None, start: float) -> float | None:
+    return None if row is None else number(columns.time[row] - start)
 
 
 def _estimate_errors(columns: Columns, axis: int, rows: slice) -> Record:
@@ -189,50 +182,40 @@ def _estimate_errors(columns: Columns, axis: int, rows: slice) -> Record:
 
 def _consistency(normalised: Floats) -> Record:
     """NEES with its band, and how often the error is within two standard deviations."""
+    names = ("nees", "nees_samples", "nees_low", "nees_high", "coverage_2_sigma")
     if not len(normalised):
-        return dict.fromkeys(("nees", "nees_samples", "nees_low", "nees_high", "coverage_2_sigma"))
+        return dict.fromkeys(names)
     samples = independent_samples(normalised)
-    low, high = consistency_band(samples)
-    return {
-        "nees": number(np.mean(normalised**2)),
-        "nees_samples": number(samples),
-        "nees_low": number(low),
-        "nees_high": number(high),
-        "coverage_2_sigma": number(np.mean(np.abs(normalised) <= COVERAGE_SIGMAS)),
-    }
+    share = np.mean(np.abs(normalised) <= COVERAGE_SIGMAS)
+    values = (np.mean(normalised**2), samples, *consistency_band(samples), share)
+    return dict(zip(names, map(number, values), strict=True))
 
 
-def _alarms(columns: Columns, is_healthy: Mask, axis: int) -> Record:
-    """What the states say of an axis that is healthy: false alarms, and what is left over from faults."""
+def _alarms(columns: Columns, is_healthy: Mask, axis: int) -> tuple[float | None, ...]:
+    """What the states say of an axis that is healthy: ``ALARMS``, with what is left over from faults."""
     known = columns.known[:, axis]
     if not known.any():
-        return dict.fromkeys(ALARMS)
+        return (None,) * len(ALARMS)
     declared, healthy = columns.declared[known, axis], is_healthy[known, axis]
     begins = declared & ~np.concatenate([[False], declared[:-1]])
     # whether the last declaration before or at a row began in healthy time
     last_begin = np.maximum.accumulate(np.where(begins, np.arange(len(begins)), 0))
     wrong = declared & healthy
-    values = (
-        _seconds(columns, healthy),
-        int(np.sum(begins & healthy)),
-        _seconds(columns, wrong),
-        _seconds(columns, wrong & ~healthy[last_begin]),
-    )
-    return dict(zip(ALARMS, values, strict=True))
+    left_over = wrong & ~healthy[last_begin]
+    false_alarms = int(np.sum(begins & healthy))
+    return _seconds(columns, healthy), false_alarms, _seconds(columns, wrong), _seconds(columns, left_over)
 
 
-def _large_estimates(columns: Columns, is_healthy: Mask, axis: int) -> Record:
-    """How long the estimate of an axis that is healthy is as large as a fault."""
+def _large_estimates(columns: Columns, is_healthy: Mask, axis: int) -> tuple[float | None, ...]:
+    """How long the estimate of an axis that is healthy is known, and as large as a fault."""
     size = np.abs(finite(columns.estimate[is_healthy[:, axis], axis]))
-    return {
-        "healthy_time_s": number(len(size) * columns.period),
-        "false_alarm_time_s": _seconds(columns, size >= ESTIMATE_THRESHOLD_DEG),
-    }
+    return number(len(size) * columns.period), _seconds(columns, size >= ESTIMATE_THRESHOLD_DEG)
 
 
-def _by_axis(values: Sequence[Record]) -> dict[str, Record]:
+def _by_axis(names: Sequence[str], values: Sequence[Sequence[Any]]) -> dict[str, Record]:
     """Turn the metrics of each axis into the axes of each metric."""
-    return {name: {axis: each[name] for axis, each in zip(AXES, values, strict=True)} for name in values[0]}
+    columns = zip(*values, strict=True)
+    return {name: dict(zip(AXES, column, strict=True)) for name, column in zip(names, columns, strict=True)}
 
 
 def _seconds(columns: Columns, mask: Mask) -> float | None:
@@ -254,46 +237,37 @@ def _isolation(columns: Columns, true: Truth, events: Sequence[FaultEvent]) -> d
     """
     counted = np.all(columns.known & (true.faulty | true.healthy), axis=1)
     declared, faulty = columns.declared & counted[:, None], true.faulty & counted[:, None]
-    wrong = np.any(declared & ~faulty, axis=1)
-    tested = np.any(declared, axis=1) & np.any(faulty, axis=1) & ~np.all(faulty, axis=1)
+    wrong, nothing = np.any(declared & ~faulty, axis=1), ~np.any(declared, axis=1)
+    tested = ~nothing & np.any(faulty, axis=1) & ~np.all(faulty, axis=1)
     total, correct = _seconds(columns, tested), _seconds(columns, tested & ~wrong)
+
+    def cross(rows: Mapping[str, Mask]) -> Matrix:
+        said = {**dict(zip(AXES, declared.T, strict=True)), NO_AXIS: nothing, TIME: True}
+        return {
+            name: {claim: _seconds(columns, row & there) for claim, there in said.items()}
+            for name, row in rows.items()
+        }
+
     faulty_axes = np.sum(faulty, axis=1)
     alone = faulty & (faulty_axes == 1)[:, None]
-    single = {NO_AXIS: _confusion_row(columns, declared, counted & (faulty_axes == 0))}
-    single |= {name: _confusion_row(columns, declared, alone[:, axis]) for axis, name in enumerate(AXES)}
-    every = {name: _confusion_row(columns, declared, faulty[:, axis]) for axis, name in enumerate(AXES)}
+    by_kind: dict[str, Any] = {}  # to the number of samples in each column
+    for event in events:
+        axis, rows = AXES.index(event.axis), columns.rows(event.start, event.stop)
+        there = faulty[rows, axis]
+        said = (declared[rows, axis], wrong[rows], nothing[rows], True)
+        counts = np.array([np.sum(there & claim) for claim in said])
+        by_kind[event.kind] = by_kind.get(event.kind, 0) + counts
+    names = ("own", "other", NO_AXIS, TIME)
     return {
         "isolation_tested_s": total,
         "isolation_correct_s": correct,
         "isolation_accuracy": accuracy(correct, total),
-        "confusion_single_s": single,
-        "confusion_any_s": every,
-        "confusion_by_kind_s": _confusion_by_kind(columns, declared, faulty, wrong, events),
-    }
-
-
-def _confusion_row(columns: Columns, declared: Mask, rows: Mask) -> dict[str, float | None]:
-    return {
-        **{name: _seconds(columns, declared[:, axis] & rows) for axis, name in enumerate(AXES)},
-        NO_AXIS: _seconds(columns, rows & ~np.any(declared, axis=1)),
-        TIME: _seconds(columns, rows),
-    }
-
-
-def _confusion_by_kind(
-    columns: Columns, declared: Mask, faulty: Mask, wrong: Mask, events: Sequence[FaultEvent]
-) -> Matrix:
-    """Confusion by kind of fault; ``declared`` and ``faulty`` hold the rows that count."""
-    masks: dict[str, list[list[Mask]]] = {}
-    for event in events:
-        axis, rows = AXES.index(event.axis), columns.rows(event.start, event.stop)
-        there, nothing = faulty[rows, axis], ~np.any(declared[rows], axis=1)
-        line = [declared[rows, axis] & there, wrong[rows] & there, nothing & there, there]
-        masks.setdefault(event.kind, []).append(line)
-    names = ("own", "other", NO_AXIS, TIME)
-    return {
-        kind: {
-            name: _seconds(columns, np.concatenate(parts)) for name, *parts in zip(names, *lines, strict=True)
-        }
-        for kind, lines in masks.items()
+        "confusion_single_s": cross(
+            {NO_AXIS: counted & (faulty_axes == 0), **dict(zip(AXES, alone.T, strict=True))}
+        ),
+        "confusion_any_s": cross(dict(zip(AXES, faulty.T, strict=True))),
+        "confusion_by_kind_s": {
+            kind: dict(zip(names, map(number, counts * columns.period), strict=True))
+            for kind, counts in by_kind.items()
+        },
     }
