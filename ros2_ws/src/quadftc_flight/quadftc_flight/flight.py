@@ -1,3 +1,4 @@
+# ruff: noqa: RUF009  (the columns are fields that carry their source)
 """A flight as arrays: what was true, estimated and commanded, a row for each stamp of the IMU.
 
 A `Flight` comes from the closed loop without ROS or, by `flight_from_bag`, from the recording of a graph. In
@@ -25,29 +26,10 @@ Floats = NDArray[np.float64]
 
 NO_STATE = 255  # fault state of a row without diagnosis
 
-_SOURCES = {
-    "angles": ("plant/attitude", "vector"),
-    "body_rate": ("plant/rate", "vector"),
-    "disturbance": ("disturbance/applied", "vector"),
-    "reference": ("attitude/reference", "angles"),
-    "fault": ("fault/injected", "vector"),
-    "fault_estimate": ("fault/estimate", "vector"),
-    "fault_std_dev": ("fault/status", "std_dev"),
-    "disturbance_estimate": ("disturbance/estimate", "vector"),
-    "torque": ("torque/command", "vector"),
-    "error": ("control/status", "error"),
-    "sliding_variable": ("control/status", "sliding_variable"),
-    "fault_state": ("fault/status", "state"),
-    "fault_onset_ns": ("fault/status", "onset_ns"),
-    "saturated": ("control/status", "saturated"),
-}  # column of a flight -> topic, field
-_KNOWN_WHEN_WITHHELD = ("angles", "body_rate", "disturbance")
-_UNKNOWN = {
-    "fault_state": np.full(3, NO_STATE, np.uint8),
-    "fault_onset_ns": np.zeros(3, np.int64),
-    "saturated": np.zeros(3, np.bool_),
-}  # what stands where nothing is known; in other columns, NaN
-VECTORS = tuple(name for name in _SOURCES if name not in _UNKNOWN)  # columns with three numbers
+
+def _column(topic: str, field: str = "vector", unknown: Any = np.nan) -> Any:
+    """Three numbers a row, of which a recording tells by a topic; ``unknown`` where nothing is known."""
+    return dataclasses.field(metadata={"source": (topic, field), "unknown": np.full(3, unknown)})
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -61,21 +43,22 @@ class Flight:
 
     stamp_ns: NDArray[np.int64]  # (n,) when the sample was taken
     time: Floats  # (n,) scenario time [s]: since the first sample
-    delivered: NDArray[np.bool_]  # (n,) False: the sample was withheld (dropout)
-    angles: Floats  # (n, 3) true Euler angles [rad]
-    body_rate: Floats  # (n, 3) true [rad/s]
-    reference: Floats  # (n, 3) Euler angles [rad]
-    fault: Floats  # (n, 3) true fault of the attitude [rad]
-    fault_estimate: Floats  # (n, 3) [rad]
-    fault_std_dev: Floats  # (n, 3) [rad]; -1: this observer gives none
-    fault_state: NDArray[np.uint8]  # (n, 3) as in quadftc_msgs/FaultStatus
-    fault_onset_ns: NDArray[np.int64]  # (n, 3) stamp of the onset of the present fault; 0: none
-    disturbance: Floats  # (n, 3) true, as an angular acceleration [rad/s²]
-    disturbance_estimate: Floats  # (n, 3) [rad/s²]
-    torque: Floats  # (n, 3) command [N m]
-    error: Floats  # (n, 3) attitude minus reference as the controller saw it [rad]
-    sliding_variable: Floats  # (n, 3) [rad/s]
-    saturated: NDArray[np.bool_]  # (n, 3) whether the torque was cut
+    delivered: NDArray[np.bool_]  # (n,) False: the sample was withheld (dropout); the others are (n, 3)
+    angles: Floats = _column("plant/attitude")  # true Euler angles [rad]
+    body_rate: Floats = _column("plant/rate")  # true [rad/s]
+    reference: Floats = _column("attitude/reference", "angles")  # Euler angles [rad]
+    fault: Floats = _column("fault/injected")  # true fault of the attitude [rad]
+    fault_estimate: Floats = _column("fault/estimate")  # [rad]
+    fault_std_dev: Floats = _column("fault/status", "std_dev")  # [rad]; -1: this observer gives none
+    # as in quadftc_msgs/FaultStatus; and the stamp of the onset of the present fault, 0: none
+    fault_state: NDArray[np.uint8] = _column("fault/status", "state", np.uint8(NO_STATE))
+    fault_onset_ns: NDArray[np.int64] = _column("fault/status", "onset_ns", np.int64(0))
+    disturbance: Floats = _column("disturbance/applied")  # true, as an angular acceleration [rad/s²]
+    disturbance_estimate: Floats = _column("disturbance/estimate")  # [rad/s²]
+    torque: Floats = _column("torque/command")  # command [N m]
+    error: Floats = _column("control/status", "error")  # attitude less reference, to the controller [rad]
+    sliding_variable: Floats = _column("control/status", "sliding_variable")  # [rad/s]
+    saturated: NDArray[np.bool_] = _column("control/status", "saturated", np.False_)  # the torque was cut
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
@@ -85,15 +68,19 @@ class Flight:
         return Flight(**{field.name: getattr(self, field.name)[:rows] for field in dataclasses.fields(self)})
 
 
+_KNOWN_WHEN_WITHHELD = ("angles", "body_rate", "disturbance")
+_COLUMNS = {field.name: field.metadata for field in dataclasses.fields(Flight) if field.metadata}
+VECTORS = tuple(name for name, column in _COLUMNS.items() if np.isnan(column["unknown"]).all())
+
+
 def unknown_flight(stamp_ns: Int[NDArray[np.int64], " n"]) -> Flight:
     """Return a flight of which nothing is known but the stamps; its columns are there to be filled."""
     count = len(stamp_ns)
-    unknown: dict[str, NDArray[Any]] = {**dict.fromkeys(VECTORS, np.full(3, np.nan)), **_UNKNOWN}
     return Flight(
         stamp_ns=stamp_ns,
         time=(stamp_ns - stamp_ns[0]) / NANOSECONDS_PER_SECOND,
         delivered=np.zeros(count, np.bool_),
-        **{name: np.tile(value, (count, 1)) for name, value in unknown.items()},
+        **{name: np.tile(column["unknown"], (count, 1)) for name, column in _COLUMNS.items()},
     )
 
 
@@ -121,10 +108,10 @@ def flight_from_bag(bag: Bag) -> Flight:
         raise BagError(f"{bag.path}: no message on imu/data")
     flight = unknown_flight(stamp_ns)
     flight.delivered[:] = np.isin(stamp_ns, delivered_ns)
-    for name, (topic, field) in _SOURCES.items():
-        column = getattr(flight, name)
+    for name, column in _COLUMNS.items():
         known = flight.delivered | (name in _KNOWN_WHEN_WITHHELD)
-        column[known] = _join_topic(bag, topic, field, stamp_ns, column[0].copy())[known]
+        joined = _join_topic(bag, *column["source"], stamp_ns, column["unknown"])
+        getattr(flight, name)[known] = joined[known]
     return flight
 
 

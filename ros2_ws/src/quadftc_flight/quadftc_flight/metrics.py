@@ -42,6 +42,7 @@ def flight_metrics(
     estimate = np.degrees(wrap(flight.fault_estimate - flight.fault))
     inside = _within(time, windows)
     moments = {moment for window in windows for moment in (window.start, window.stop)}
+    cosine = np.cos(flight.angles[:, 0]) * np.cos(flight.angles[:, 1])
     settled = ~_within(time, (FaultWindow(moment, moment + SETTLING_TIME, ()) for moment in moments))
     return {
         "tracking_rmse_deg": _per_axis(rms, tracking),
@@ -57,7 +58,8 @@ def flight_metrics(
         "fault_windows": [_window(window, time, tracking, estimate) for window in windows],
         "disturbance_estimate_rmse": _per_axis(rms, flight.disturbance_estimate - flight.disturbance),
         **_effort(flight),
-        "max_tilt_deg": largest(_tilt_deg(flight.angles)),
+        # angle between the body's z axis and the vertical
+        "max_tilt_deg": largest(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))),
         "diagnosis": diagnosis_metrics(flight, events_of_windows(windows) if events is None else events),
     }
 
@@ -138,12 +140,6 @@ def _within(time: Float[Floats, " n"], windows: Iterable[FaultWindow]) -> Bool[M
     for start, stop, _ in windows:
         mask |= (start <= time) & (time < stop)
     return mask
-
-
-def _tilt_deg(angles: Float[Floats, "n 3"]) -> Float[Floats, " n"]:
-    """Angle between the body's z axis and the vertical."""
-    cosine = np.cos(angles[:, 0]) * np.cos(angles[:, 1])
-    return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def _per_axis(figure: Figure, values: Floats) -> PerAxis:

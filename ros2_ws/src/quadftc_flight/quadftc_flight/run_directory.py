@@ -12,23 +12,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, cast
 
 import yaml
 
 from quadftc_bags.bag import Bag, BagError, read_bag
-from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import Flight, flight_from_bag, has_messages
-from quadftc_flight.scenario import (
-    Fault,
-    Part,
-    Scenario,
-    ScenarioError,
-    Scheme,
-    node_parameters,
-    parse_scenario,
-)
+from quadftc_flight.scenario import Scenario, ScenarioError, Scheme, node_parameters, parse_scenario
 from quadftc_flight.summary import compare_summaries, partial_summary, read_summary, summary
 
 SCENARIO, PARAMETERS, SUMMARY = "scenario.yaml", "parameters.yaml", "summary.json"
@@ -44,11 +36,8 @@ END_SLACK = 0.02  # s; what may be missing at the end of a flight in real time
 # what `parse_parameters` raises for a text that is no ROS parameter file
 NO_PARAMETERS = (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError, RecursionError)
 
-_ROLES = {
-    "observer": ("fault_observer", "observer"),
-    "disturbance_observer": ("disturbance_observer", "observer"),
-    "controller": ("controller", "controller"),
-}  # part of a scheme -> node, and the parameter that names the component
+# node of a part of a scheme -> the parameter that names the component
+_SELECTORS = {"fault_observer": "observer", "disturbance_observer": "observer", "controller": "controller"}
 
 Parameters = dict[str, dict[str, Any]]  # node, without its namespace, to its parameters
 
@@ -79,35 +68,12 @@ class RecordedRun(RunDirectory):
     scenario: Scenario  # from the bag, or from the file beside it
     scheme: Scheme  # the one that was flown
 
-    @property
-    def observer(self) -> str:
-        """Name of the fault observer."""
-        return self.scheme.observer.kind
-
-    @property
-    def disturbance_observer(self) -> str:
-        """Name of the disturbance observer."""
-        return self.scheme.disturbance_observer.kind
-
-    @property
-    def label(self) -> str:
-        """What tells it from those that it is compared with: its scheme."""
-        return self.scheme.name
-
-    @property
-    def faults(self) -> tuple[Fault, ...]:
-        """Faults of the scenario, on any channel."""
-        return self.scenario.faults
-
-    @property
-    def fault_events(self) -> tuple[FaultEvent, ...]:
-        """When which axis of the attitude is faulty."""
-        return self.scenario.fault_events
-
-    @property
-    def disturbances(self) -> tuple[Part, ...]:
-        """Disturbances of the scenario."""
-        return self.scenario.disturbances
+    label = property(attrgetter("scheme.name"))  # tells it from those that it is compared with
+    observer = property(attrgetter("scheme.observer.kind"))
+    disturbance_observer = property(attrgetter("scheme.disturbance_observer.kind"))
+    faults = property(attrgetter("scenario.faults"))  # on any channel
+    fault_events = property(attrgetter("scenario.fault_events"))  # when which axis of the attitude is faulty
+    disturbances = property(attrgetter("scenario.disturbances"))
 
     @property
     def duration(self) -> float:
@@ -134,9 +100,8 @@ def find_runs(paths: Sequence[Path]) -> list[Path]:
     if not paths:
         raise BagError("no runs given; expected bags, or directories of bags")
     found: dict[Path, Path] = {}
-    for path in map(Path, paths):
-        for run in _runs_at(path):
-            found.setdefault(run.resolve(), run)
+    for run in (run for path in paths for run in _runs_at(Path(path))):
+        found.setdefault(run.resolve(), run)
     return list(found.values())
 
 
@@ -297,11 +262,21 @@ def _read_scenario(bag: Bag, parameters: Parameters) -> Scenario:
 def _find_scheme(scenario: Scenario, parameters: Parameters, names: tuple[str, str], path: Path) -> Scheme:
     """Tell which scheme was flown: the parameters name its components; the summary or the run names it."""
     by_summary, by_run = names
-    fitting = [scheme for scheme in scenario.schemes.values() if _kinds_fit(scheme, parameters)]
+
+    def agrees(scheme: Scheme, selectors_only: bool) -> bool:
+        compiled = node_parameters(scenario, scheme)
+        return all(
+            parameters.get(node, {}).get(name, value) == value
+            for node, selector in _SELECTORS.items()
+            for name, value in compiled[node].items()
+            if name == selector or not selectors_only
+        )
+
+    fitting = [scheme for scheme in scenario.schemes.values() if agrees(scheme, selectors_only=True)]
     if not fitting:
         raise BagError(f"{path}: {PARAMETERS} fits none of the schemes {', '.join(scenario.schemes)}")
     narrower: tuple[Callable[[Scheme], bool], ...] = (
-        lambda scheme: bool(parameters) and _values_fit(scenario, scheme, parameters),
+        lambda scheme: agrees(scheme, selectors_only=False),
         lambda scheme: scheme.name == by_summary,
         lambda scheme: by_run.endswith(f"-{scheme.name}"),
     )
@@ -312,23 +287,6 @@ def _find_scheme(scenario: Scenario, parameters: Parameters, names: tuple[str, s
         wanted = f"expected {PARAMETERS}, 'scheme' in {SUMMARY}, or a name that ends with it"
         raise BagError(f"{path}: which of the schemes {names_of} was flown is not known; {wanted}")
     return fitting[0]
-
-
-def _kinds_fit(scheme: Scheme, parameters: Parameters) -> bool:
-    kinds = {role: getattr(scheme, role).kind for role in _ROLES}
-    return all(
-        parameters.get(node, {}).get(selector, kinds[role]) == kinds[role]
-        for role, (node, selector) in _ROLES.items()
-    )
-
-
-def _values_fit(scenario: Scenario, scheme: Scheme, parameters: Parameters) -> bool:
-    compiled = node_parameters(scenario, scheme)
-    return all(
-        parameters.get(node, {}).get(name, value) == value
-        for node, _ in _ROLES.values()
-        for name, value in compiled[node].items()
-    )
 
 
 def _shortcomings(run: RecordedRun) -> Iterator[str]:

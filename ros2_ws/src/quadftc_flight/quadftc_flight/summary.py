@@ -78,39 +78,32 @@ def check_results(metrics: Mapping[str, Any], checks: Iterable[Check]) -> list[C
             found: Any = look_up(metrics, check.metric)
         except KeyError:
             found = None
-        values: dict[str | None, Any] = {check.axis: found}
-        axes: tuple[str | None, ...] = (check.axis,)
-        if isinstance(found, dict):
-            values = cast("dict[str | None, Any]", found)
-            axes = AXES if check.axis is None else axes
-        for axis in axes:
-            raw = values.get(axis)
+        low = -math.inf if check.above is None else check.above
+        high = math.inf if check.below is None else check.below
+        bound = f"between {low:g} and {high:g}"
+        if math.isinf(low) or math.isinf(high):
+            bound = f"below {high:g}" if math.isinf(low) else f"above {low:g}"
+        values = dict(entries(found))
+        for axis in AXES if values and check.axis is None else (check.axis,):
+            raw = values.get(str(axis)) if values else found
             value = float(raw) if isinstance(raw, (int, float)) else None
-            results.append(CheckResult(check.metric, axis, value, *_hold(check, value)))
+            passed = value is not None and low < value < high
+            results.append(CheckResult(check.metric, axis, value, bound, passed))
     return results
-
-
-def _hold(check: Check, value: float | None) -> tuple[str, bool]:
-    """Return what a check requires, in words, and whether a value meets it."""
-    low = -math.inf if check.above is None else check.above
-    high = math.inf if check.below is None else check.below
-    bound = f"between {low:g} and {high:g}"
-    if math.isinf(low) or math.isinf(high):
-        bound = f"below {high:g}" if math.isinf(low) else f"above {low:g}"
-    return bound, value is not None and low < value < high
 
 
 def read_summary(file: Path) -> StoredSummary:
     """Read the summary beside a bag."""
-    if not file.is_file():
-        return StoredSummary({}, f"{file}: missing; computed from the bag")
+    data: Any = None
+    problem = "no mapping" if file.is_file() else "missing"
     try:
-        data: Any = json.loads(file.read_text("utf-8"), parse_constant=_refuse_constant)
+        if file.is_file():
+            data = json.loads(file.read_text("utf-8"), parse_constant=_refuse_constant)
     except (OSError, ValueError, RecursionError) as error:
-        return StoredSummary({}, f"{file}: broken ({type(error).__name__}); computed from the bag")
-    if not isinstance(data, dict):
-        return StoredSummary({}, f"{file}: no mapping; computed from the bag")
-    return StoredSummary(cast("dict[str, Any]", data), "")
+        problem = f"broken ({type(error).__name__})"
+    if isinstance(data, dict):
+        return StoredSummary(cast("dict[str, Any]", data), "")
+    return StoredSummary({}, f"{file}: {problem}; computed from the bag")
 
 
 def compare_summaries(
