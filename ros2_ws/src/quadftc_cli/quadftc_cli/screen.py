@@ -1,23 +1,23 @@
-"""What the commands print: lines, and the progress of what takes long."""
+"""What the commands print: lines, tables, and the progress of what takes long."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from types import TracebackType
 from typing import Protocol
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.progress import (
     BarColumn,
     Progress,
-    TaskID,
     TaskProgressColumn,
     TextColumn,
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-from typing_extensions import Self
+from rich.table import Table
+from rich.text import Text
 
 LINE_PERIOD = 5.0  # s between two lines of progress where there is no terminal
 STRIDE = 0.005  # share between two updates of a bar
@@ -41,13 +41,23 @@ def warn(lines: Iterable[str]) -> None:
     say(*(f"warning: {line}" for line in lines), stderr=True)
 
 
+def plain_table(left: Iterable[str], right: Iterable[str], title: str | None = None) -> Table:
+    """Table with a rule below its headings only: columns of words, then columns of numbers."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, title=title)
+    for heading in left:
+        table.add_column(Text(heading), no_wrap=True)
+    for heading in right:
+        table.add_column(Text(heading), justify="right", no_wrap=True)
+    return table
+
+
 class Update(Protocol):
     """Sets the share of a task (0 to 1) and a note behind its bar."""
 
     def __call__(self, share: float, /, note: str = "") -> None: ...  # noqa: D102
 
 
-class Bars:
+class Bars(Progress):
     """Show how far several tasks are: bars on a terminal, a line every few seconds elsewhere.
 
     Use as a context manager. ``still`` redraws on updates only: the thread that animates bars would delay a
@@ -55,45 +65,35 @@ class Bars:
     """
 
     def __init__(self, screen: Console, still: bool = False) -> None:
-        self._bars = Progress(
+        super().__init__(
             *(TextColumn("{task.description}"), BarColumn(), TaskProgressColumn()),
             *(TextColumn("{task.fields[note]}"), TimeElapsedColumn(), TimeRemainingColumn()),
             console=screen,
             auto_refresh=not still,
             disable=not screen.is_terminal,
         )
-        self._screen = screen
         self._still = still
-        self._shares: dict[TaskID, tuple[str, float]] = {}
+        self._shares: dict[str, float] = {}
         self._next_line = time.monotonic() + LINE_PERIOD
-
-    def __enter__(self) -> Self:
-        self._bars.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._bars.stop()
 
     def add(self, name: str) -> Update:
         """Add a task; return what sets its share."""
-        task = self._bars.add_task(name, total=1.0, note="")
-        self._shares[task] = (name, 0.0)
+        task = self.add_task(name, total=1.0, note="")
+        self._shares[name] = 0.0
 
         def update(share: float, /, note: str = "") -> None:
-            if share in (0.0, 1.0) or share - self._shares[task][1] >= STRIDE:
-                self._shares[task] = (name, share)
-                self._bars.update(task, completed=share, note=note, refresh=self._still)
+            if share in (0.0, 1.0) or share - self._shares[name] >= STRIDE:
+                self._shares[name] = share
+                self.update(task, completed=share, note=note, refresh=self._still)
                 self._print_line()
 
         return update
 
     def _print_line(self) -> None:
         """Without a terminal, print the shares of the tasks that are under way."""
-        if self._screen.is_terminal or time.monotonic() < self._next_line:
+        if self.console.is_terminal or time.monotonic() < self._next_line:
             return
         self._next_line = time.monotonic() + LINE_PERIOD
-        under_way = [f"{name} {share:.0%}" for name, share in self._shares.values() if 0.0 < share < 1.0]
+        under_way = [f"{name} {share:.0%}" for name, share in self._shares.items() if 0.0 < share < 1.0]
         if under_way:
             say(", ".join(under_way))

@@ -6,15 +6,13 @@ import dataclasses
 import json
 from typing import Any
 
-import numpy as np
 from pydantic_core import to_json
 
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, Scheme
-from quadftc_theory.circumstances import circumstances, circumstances_of_run
-from quadftc_theory.conditions import Circumstances, Condition, Trace, judge, judge_along
-from quadftc_theory.linear_model import attitude_model
-from quadftc_theory.structure_conditions import structure_conditions
+from quadftc_theory.circumstances import circumstances, circumstances_of_run, trace_of_run
+from quadftc_theory.conditions import Circumstances, Condition, judge, judge_along
+from quadftc_theory.linear_model import attitude_model, structure_conditions
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,9 +60,9 @@ def check_scenario(scenario: Scenario, scheme: Scheme, output: str = "imu") -> C
 
 def check_run(run: RecordedRun, output: str = "imu") -> CheckReport:
     """Judge the scheme of a recorded run: with the bounds of the recording, and along it."""
-    given = circumstances_of_run(run)
+    trace = trace_of_run(run)
+    given = circumstances_of_run(run, trace)
     report = _check(run.scenario, run.scheme, given, output)
-    trace = _trace(run)
     laws = (run.scheme.observer.law, run.scheme.controller.law)
     found = tuple(item for law in laws for item in judge_along(law, trace, given))
     along = (Section("along the recorded run", found),) if found else ()
@@ -72,13 +70,11 @@ def check_run(run: RecordedRun, output: str = "imu") -> CheckReport:
 
 
 def _check(scenario: Scenario, scheme: Scheme, given: Circumstances, output: str) -> CheckReport:
-    parts = {
-        "fault observer": scheme.observer,
-        "disturbance observer": scheme.disturbance_observer,
-        "controller": scheme.controller,
-    }
+    roles = ("fault observer", "disturbance observer", "controller")
+    parts = (scheme.observer, scheme.disturbance_observer, scheme.controller)
     sections = [
-        Section(f"{role}: {part.kind}", tuple(judge(part.law, given))) for role, part in parts.items()
+        Section(f"{role}: {part.kind}", tuple(judge(part.law, given)))
+        for role, part in zip(roles, parts, strict=True)
     ]
     asked = output != "imu"
     if asked or scheme.observer.kind != "none":
@@ -86,16 +82,3 @@ def _check(scenario: Scenario, scheme: Scheme, given: Circumstances, output: str
         model = attitude_model(output if asked else "angles")
         sections.append(Section(title, tuple(structure_conditions(model, needed=asked))))
     return CheckReport(scenario.name, scheme.name, None, tuple(sections), given)
-
-
-def _trace(run: RecordedRun) -> Trace:
-    """The delivered samples of a run."""
-    imu, flight = run.bag.series("imu/data"), run.flight
-    stamps, first = np.unique(imu.stamp_ns, return_index=True)
-    _, here, there = np.intersect1d(stamps, flight.stamp_ns, assume_unique=True, return_indices=True)
-    rows = first[here]
-    attitude, gyro = imu["orientation_xyzw"][rows].copy(), imu["angular_velocity"][rows].copy()
-    attitude[imu["orientation_covariance"][rows][:, 0] == -1.0] = np.nan  # absent, by REP-145
-    gyro[imu["angular_velocity_covariance"][rows][:, 0] == -1.0] = np.nan
-    names = ("stamp_ns", "torque", "angles", "body_rate", "sliding_variable", "saturated")
-    return Trace(q_xyzw=attitude, gyro=gyro, **{name: getattr(flight, name)[there] for name in names})

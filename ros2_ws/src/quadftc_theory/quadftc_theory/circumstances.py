@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import numpy as np
 
@@ -14,8 +15,8 @@ from quadftc_model.rotations import body_rates, quaternion_from_euler
 from quadftc_model.samples import AttitudeReference, ImuSample
 from quadftc_sim.assembly import period_ns, sample_count
 from quadftc_sim.injector import FaultInjector
-from quadftc_theory.conditions import Bound, Circumstances, Floats, Series
-from quadftc_theory.disturbance_conditions import estimation_error
+from quadftc_theory.conditions import Bound, Circumstances, Floats, Series, Trace
+from quadftc_theory.controller_conditions import estimation_error
 
 FAULT_RATE = 50.0  # Hz; at which the scheduled faults are looked at
 GROWN = 0.99  # 1; share of its peak at which a fault counts as grown
@@ -25,8 +26,7 @@ REFERENCE = "given: as on the reference"
 def circumstances(scenario: Scenario, scheme: Scheme) -> Circumstances:
     """Bounds from the scenario: its faults, disturbances and sensors; motion as on its reference."""
     sensor, dt = scenario.sensor, period_ns(scenario.rate) / 1e9
-    time = dt * np.arange(sample_count(scenario.duration, scenario.rate), dtype=np.float64)
-    motion = _motion(scenario, time)
+    time, motion = _motion(scenario, scenario.rate)
     rates: Floats = body_rates(motion.angles, motion.rates)
     disturbance = _disturbance(scenario, time, rates)
     generator = np.random.default_rng(scenario.seed)
@@ -54,34 +54,44 @@ def circumstances(scenario: Scenario, scheme: Scheme) -> Circumstances:
     )
 
 
-def circumstances_of_run(run: RecordedRun) -> Circumstances:
+def trace_of_run(run: RecordedRun) -> Trace:
+    """Return the delivered samples of a run."""
+    imu, flight = run.bag.series("imu/data"), run.flight
+    _, rows, there = np.intersect1d(imu.stamp_ns, flight.stamp_ns, return_indices=True)
+    attitude, gyro = imu["orientation_xyzw"][rows].copy(), imu["angular_velocity"][rows].copy()
+    attitude[imu["orientation_covariance"][rows][:, 0] == -1.0] = np.nan  # absent, by REP-145
+    gyro[imu["angular_velocity_covariance"][rows][:, 0] == -1.0] = np.nan
+    names = ("stamp_ns", "torque", "angles", "body_rate", "sliding_variable", "saturated")
+    return Trace(q_xyzw=attitude, gyro=gyro, **{name: getattr(flight, name)[there] for name in names})
+
+
+def circumstances_of_run(run: RecordedRun, trace: Trace) -> Circumstances:
     """Bounds from a recorded run, where the bag has the truth; from its scenario where it has not."""
     planned, flight = circumstances(run.scenario, run.scheme), run.flight
     drag = planned.vehicle.rotational_drag / run.scenario.plant.inertia * flight.body_rate
     disturbance = flight.disturbance - drag
-    known = np.all(np.isfinite(disturbance), axis=1)
-    both = known & np.all(np.isfinite(flight.disturbance_estimate), axis=1)
-    changes: dict[str, Bound | Series] = {}
+    error = disturbance - flight.disturbance_estimate
+    changes: dict[str, Any] = {}
     if np.any(np.isfinite(flight.angles)):
-        tilt = float(np.nanmax(np.abs(flight.angles[:, :2])))
-        changes["tilt"] = Bound(tilt, "rad", "trace")
+        changes["tilt"] = Bound(float(np.nanmax(np.abs(flight.angles[:, :2]))), "rad", "trace")
     if np.any(np.isfinite(flight.body_rate)):
         changes["body_rate"] = Bound(_largest_norm(flight.body_rate), "rad/s", "trace")
-        changes["gyro_bias"] = _gyro_bias(run) or planned.gyro_bias
+        changes["gyro_bias"] = _gyro_bias(trace) or planned.gyro_bias
     if np.any(np.isfinite(flight.fault)):
         changes["fault"] = Bound(_largest_norm(flight.fault), "rad", "trace")
-    if known.any():
-        changes["disturbance"] = Series(disturbance[known], "rad/s^2", "trace, drag included")
-    if both.any():
-        error = (disturbance - flight.disturbance_estimate)[both]
-        changes["disturbance_error"] = Series(error, "rad/s^2", "trace")
-    return dataclasses.replace(planned, **changes)  # pyright: ignore[reportArgumentType]
+    if len(known := _finite(disturbance)):
+        changes["disturbance"] = Series(known, "rad/s^2", "trace, drag included")
+    if len(known := _finite(error)):
+        changes["disturbance_error"] = Series(known, "rad/s^2", "trace")
+    return dataclasses.replace(planned, **changes)
 
 
-def _motion(scenario: Scenario, time: Floats) -> AttitudeReference:
-    """The reference at every time, (n, 3) each."""
+def _motion(scenario: Scenario, rate: float) -> tuple[Floats, AttitudeReference]:
+    """Times (n,) [s] at a rate [Hz], and the reference there, (n, 3) each."""
+    count = sample_count(scenario.duration, rate)
+    time = period_ns(rate) / 1e9 * np.arange(count, dtype=np.float64)
     found = combined([part.law for part in scenario.references], time[:, None])
-    return AttitudeReference(*(np.broadcast_to(each, (len(time), 3)) for each in found))
+    return time, AttitudeReference(*(np.broadcast_to(each, (count, 3)) for each in found))
 
 
 def _disturbance(scenario: Scenario, time: Floats, rates: Floats) -> Floats:
@@ -98,42 +108,39 @@ def _disturbance(scenario: Scenario, time: Floats, rates: Floats) -> Floats:
 def _attitude_faults(scenario: Scenario) -> tuple[float, float, float]:
     """Largest norm of the attitude fault [rad], slowest growth to a peak [rad/s], longest fault [s]."""
     injector = FaultInjector(scenario.seed, (fault.injection for fault in scenario.faults))
-    step_ns = period_ns(FAULT_RATE)
-    time = np.arange(sample_count(scenario.duration, FAULT_RATE), dtype=np.float64) * (step_ns / 1e9)
+    time, motion = _motion(scenario, FAULT_RATE)
     zeros, there = np.zeros(3), np.asarray(True)
-    samples = (
-        ImuSample(q, zeros, zeros, there, there, there)
-        for q in quaternion_from_euler(_motion(scenario, time).angles)
-    )
-    found = [injector.apply(k * step_ns, sample).attitude for k, sample in enumerate(samples)]
+    found = [
+        injector.apply(k * period_ns(FAULT_RATE), ImuSample(q, zeros, zeros, there, there, there)).attitude
+        for k, q in enumerate(quaternion_from_euler(motion.angles))
+    ]
     size = np.abs(np.nan_to_num(np.array(found, np.float64).reshape(-1, 3)))
     growth, length = math.inf, 0.0
     for window in scenario.fault_windows:
         rows = (window.start <= time) & (time < window.stop)
         length = max(length, window.stop - window.start)
         for column in size[rows].T:
-            if len(column) and column.max() > 0.0:
-                grown = int(np.argmax(column >= GROWN * column.max()))
+            if (peak := column.max(initial=0.0)) > 0.0:
+                grown = int(np.argmax(column >= GROWN * peak))
                 elapsed = max(float(time[rows][grown]) - window.start, 1.0 / scenario.rate)
                 growth = min(growth, float(column[grown]) / elapsed)
     return _largest_norm(size), growth, length
 
 
-def _gyro_bias(run: RecordedRun) -> Bound | None:
+def _gyro_bias(trace: Trace) -> Bound | None:
     """Mean of gyro minus true rate [rad/s], the largest axis; None without a gyro."""
-    series = run.bag.series("imu/data")
-    common, first, second = np.intersect1d(series.stamp_ns, run.flight.stamp_ns, return_indices=True)
-    error = series["angular_velocity"][first] - run.flight.body_rate[second]
-    error = error[np.all(np.isfinite(error), axis=1)]
-    if len(common) == 0 or len(error) == 0:
+    error = _finite(trace.gyro - trace.body_rate)
+    if len(error) == 0:
         return None
-    mean = np.mean(error, axis=0)
     # a mean of noise is not a bias: count it only where it stands out of its own scatter
-    scatter = 5.0 * np.std(error, axis=0) / math.sqrt(len(error))
+    mean, scatter = np.mean(error, axis=0), 5.0 * np.std(error, axis=0) / math.sqrt(len(error))
     return Bound(float(np.max(np.where(np.abs(mean) > scatter, np.abs(mean), 0.0))), "rad/s", "trace")
 
 
+def _finite(vectors: Floats) -> Floats:
+    """The rows without NaN or Inf."""
+    return vectors[np.all(np.isfinite(vectors), axis=1)]
+
+
 def _largest_norm(vectors: Floats) -> float:
-    norms = np.linalg.norm(vectors, axis=1)
-    norms = norms[np.isfinite(norms)]
-    return float(np.max(norms)) if len(norms) else 0.0
+    return float(np.max(np.linalg.norm(_finite(vectors), axis=1), initial=0.0))

@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 DEG = math.pi / 180.0
 
 _GROUP = "quadftc.conditions"  # entry points: a name of its own -> a module that registers conditions
-_OWN = ("sliding_mode_conditions", "baseline_conditions", "disturbance_conditions", "controller_conditions")
+_OWN = ("sliding_mode_conditions", "baseline_conditions", "controller_conditions")
 
 
 class Verdict(str, enum.Enum):
@@ -55,9 +55,21 @@ class Condition:
         return self.needed and self.verdict is Verdict.FAIL
 
 
-def verdict(holds: bool | np.bool_) -> Verdict:
-    """PASS or FAIL."""
-    return Verdict.PASS if holds else Verdict.FAIL
+def assess(
+    name: str,
+    holds: Any,
+    text: str,
+    /,
+    otherwise: Verdict = Verdict.FAIL,
+    needed: bool = True,
+    **numbers: Any,
+) -> Condition:
+    """Return a condition that passes where it holds, with its numbers."""
+    return Condition(name, Verdict.PASS if holds else otherwise, text, numbers, needed)
+
+
+#: The same for what no scheme needs: where it does not hold, the outcome depends on it.
+advise = functools.partial(assess, otherwise=Verdict.DEPENDS, needed=False)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,18 +123,18 @@ class Circumstances:
     @property
     def bounds(self) -> dict[str, Bound]:
         """Every bound by name; of a quantity over time, the largest magnitude of each axis."""
-        found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        found |= {
-            name: Bound(tuple(value.peak.tolist()), value.unit, value.origin)
-            for name, value in found.items()
-            if isinstance(value, Series)
-        }
-        return {name: value for name, value in found.items() if isinstance(value, Bound)}
+        found: dict[str, Bound] = {}
+        for name, value in vars(self).items():
+            if isinstance(value, Series):
+                found[name] = Bound(tuple(value.peak.tolist()), value.unit, value.origin)
+            elif isinstance(value, Bound):
+                found[name] = value
+        return found
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Trace:
-    """A recorded run as the Lyapunov functions need it: a row for each delivered sample, truth beside it."""
+    """A recorded run as the Lyapunov functions need it: a row for each delivered sample, with the truth."""
 
     stamp_ns: NDArray[np.int64]  # (n,)
     q_xyzw: Floats  # (n, 4) measured attitude
@@ -135,7 +147,13 @@ class Trace:
 
 
 def falls(
-    name: str, values: Floats, stamp_ns: NDArray[np.int64], required: Floats, outside: NDArray[np.bool_]
+    name: str,
+    values: Floats,
+    stamp_ns: NDArray[np.int64],
+    required: Floats,
+    outside: NDArray[np.bool_],
+    note: str = "",
+    **numbers: Any,
 ) -> Condition:
     """Judge a Lyapunov derivative along a run, outside the boundary layers only.
 
@@ -146,28 +164,37 @@ def falls(
     stamp_ns : array (n,)
     required, outside : array like values
         The rate at which it has to fall at least, negative; and where the state is outside its layer.
+    note, numbers
+        What else the condition says.
     """
-    judged = functools.partial(Condition, name, needed=False)
-    elapsed = (np.diff(stamp_ns) / 1e9).reshape((-1,) + (1,) * (values.ndim - 1))
-    slope = np.diff(values, axis=0) / elapsed
+
+    def said(outcome: Verdict, text: str, **shares: float | None) -> Condition:
+        return Condition(name, outcome, text + note, {**shares, **numbers}, needed=False)
+
+    slope = (np.diff(values.T) / (np.diff(stamp_ns) / 1e9)).T
     known = np.isfinite(slope)
-    counted = outside[:-1] & known & np.isfinite(required[:-1])
     if not known.any():
-        return judged(Verdict.DEPENDS, "the bag lacks the truth that this needs")
+        return said(Verdict.DEPENDS, "the bag lacks the truth that this needs")
+    counted = outside[:-1] & known & np.isfinite(required[:-1])
     share = int(counted.sum()) / int(known.sum())
     if not counted.any():
-        numbers = {"share_outside": share, "share_holding": None}
-        return judged(Verdict.PASS, "never outside the boundary layer: nothing has to fall", numbers)
+        text = "never outside the boundary layer: nothing has to fall"
+        return said(Verdict.PASS, text, share_outside=share, share_holding=None)
     holding = float(np.mean(slope[counted] <= required[:-1][counted]))
     text = f"outside the boundary layer for {100.0 * share:.3g} % of the run; falls fast enough in "
     text += f"{100.0 * holding:.4g} % of that"
     outcome = Verdict.PASS if holding == 1.0 else Verdict.DEPENDS if holding >= 0.95 else Verdict.FAIL
-    return judged(outcome, text, {"share_outside": share, "share_holding": holding})
+    return said(outcome, text, share_outside=share, share_holding=holding)
 
 
 def per_axis(values: Iterable[float], digits: int = 3) -> str:
     """Numbers of roll, pitch and yaw as ``1.2/1.2/0.4``."""
     return "/".join(f"{value:.{digits}g}" for value in values)
+
+
+def pairs(values: Any) -> list[Any]:
+    """Complex numbers as [real, imaginary], for JSON."""
+    return np.stack([np.real(values), np.imag(values)], axis=-1).tolist()
 
 
 @functools.singledispatch

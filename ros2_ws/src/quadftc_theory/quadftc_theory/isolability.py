@@ -23,11 +23,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
 from scipy.linalg import null_space
 from scipy.sparse.csgraph import connected_components
 
 from quadftc_model.vehicle import Vehicle
-from quadftc_theory.vehicle_equations import Assumptions, LinearModel, vehicle_model
+from quadftc_theory.vehicle_equations import CHOICES, Assumptions, LinearModel, vehicle_model
 
 CAUSALITIES = {"mixed": "mixed", "integral": "int", "derivative": "der"}  # ours: the library's
 GENERIC_S = 0.6180339887 + 0.4142135624j  # 1/s; no pole or zero of a model is there
@@ -35,6 +37,13 @@ RANK_TOLERANCE = 1e-9  # 1; of singular values, relative to the largest
 RESPONSE_TOLERANCE = 1e-7  # 1; a residual's response to a fault of size 1 below it is rounding
 
 _DERIVATIVE, _DERIVED = 3, 2  # codes of the library for x' and x in the constraint between them
+
+LASTING, CHANGING, NEVER, CANCELLED, ITSELF = "●", "○", "·", "!", ""
+
+LEGEND = (
+    f"{LASTING} also while the fault is constant   {CHANGING} only while it changes   {NEVER} never   "
+    f"{CANCELLED} by structure, but this vehicle's coefficients cancel"
+)
 
 Mask = NDArray[np.bool_]
 
@@ -85,26 +94,22 @@ class IsolabilityResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as lists, strings and truth values, for JSON."""
-        names = [field.name for field in dataclasses.fields(self)]
-        names += ["undetectable", "transient", "groups", "cancelled"]
+        names = [*vars(self), "undetectable", "transient", "groups", "cancelled"]
         values = {name: getattr(self, name) for name in names}
         return {
-            name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in values.items()
+            key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in values.items()
         }
 
     def _named(self, mask: Mask) -> tuple[str, ...]:
         return tuple(self.faults[i] for i in np.flatnonzero(mask))
 
 
-def analyse(
-    vehicle: Vehicle, assumptions: Assumptions | None = None, causality: str = "mixed"
-) -> IsolabilityResult:
+def analyse(vehicle: Vehicle, assumptions: Assumptions, causality: str = "mixed") -> IsolabilityResult:
     """Analyse a vehicle with its sensors. The first call takes seconds: it imports the library.
 
     ``causality`` (``mixed``, ``integral`` or ``derivative``) says whether residuals may integrate and
     differentiate.
     """
-    assumptions = Assumptions() if assumptions is None else assumptions
     described = dataclasses.asdict(assumptions) | {"sensor_set": list(assumptions.sensor_set)}
     result = analyse_model(vehicle_model(vehicle, assumptions), causality)
     return dataclasses.replace(result, assumptions=described)
@@ -127,17 +132,16 @@ def structural_isolability(model: LinearModel, causality: str) -> tuple[Mask, Ma
     # unknowns: states, derivatives of states, others; an equation x' = dx/dt for each state comes last
     count = len(model.states)
     used = np.hstack([model.A, model.E, model.B]) != 0.0
-    constraints = np.zeros((count, used.shape[1]))
-    constraints[:, : 2 * count] = np.hstack([_DERIVED * np.eye(count), _DERIVATIVE * np.eye(count)])
-    unknowns = np.vstack([used, constraints]).astype(np.int64)
-    faults = np.vstack([model.F != 0.0, np.zeros((count, model.F.shape[1]))]).astype(np.int64)
-    names = list(model.faults)
-    library_model = DiagnosisModel(
-        {"type": "MatrixStruc", "X": unknowns, "F": faults, "Z": [], "f": names}, name=model.name
+    constraints = _DERIVED * np.eye(count, used.shape[1]) + _DERIVATIVE * np.eye(
+        count, used.shape[1], k=count
     )
+    unknowns = np.vstack([used, constraints]).astype(np.int64)
+    faults = np.pad(model.F != 0.0, ((0, count), (0, 0))).astype(np.int64)
+    structure = {"type": "MatrixStruc", "X": unknowns, "F": faults, "Z": [], "f": list(model.faults)}
+    library_model = DiagnosisModel(structure, name=model.name)
     found, _ = library_model.DetectabilityAnalysis(causality=CAUSALITIES[causality])
     not_isolable = library_model.IsolabilityAnalysis(causality=CAUSALITIES[causality])
-    return np.array([name in found for name in names], dtype=np.bool_), np.asarray(not_isolable) == 0
+    return np.isin(model.faults, found), np.asarray(not_isolable) == 0
 
 
 def rank_isolability(model: LinearModel) -> tuple[Mask, Mask]:
@@ -165,7 +169,7 @@ def strong_isolability(model: LinearModel) -> tuple[Mask, Mask]:
     return _responses(unknowns, np.kron(powers, faults), faults)
 
 
-def _scaled(model: LinearModel) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _scaled(model: LinearModel) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """H0, H1 of H(s) = H0 + H1 s over the unknowns (states, others), and F, scaled.
 
     Equations, units of the unknowns and unit of time are scaled so that the logarithms of all coefficients
@@ -173,23 +177,16 @@ def _scaled(model: LinearModel) -> tuple[NDArray[np.float64], NDArray[np.float64
     for Gaussian elimination"). Ranks stay as they are, but rounding no longer hides them, as it would with
     an inertia of 1e-5 kg m².
     """
-    constant = np.hstack([model.A, model.B])
-    linear = np.hstack([model.E, np.zeros_like(model.B)])
-    equations, unknowns = constant.shape
-    power, row, column = np.nonzero(np.stack([constant, linear]))
-    count = np.arange(len(row))
-    logarithms = np.zeros((len(row), equations + unknowns + 1))
-    logarithms[count, row] = logarithms[count, equations + column] = 1.0
-    logarithms[:, -1] = power
-    size = np.log(np.abs(np.stack([constant, linear])[power, row, column]))
-    scale = np.exp(-np.linalg.lstsq(logarithms, size, rcond=None)[0])
-    factor = np.outer(scale[:equations], scale[equations:-1])
-    return constant * factor, linear * factor * scale[-1], np.where(model.F != 0.0, 1.0, 0.0)
+    powers = np.stack([np.hstack([model.A, model.B]), np.hstack([model.E, np.zeros_like(model.B)])])
+    _, equations, unknowns = powers.shape
+    power, row, column = places = np.nonzero(powers)
+    logarithms = np.hstack([np.eye(equations)[row], np.eye(unknowns)[column], power[:, None]])
+    scale = np.exp(-np.linalg.lstsq(logarithms, np.log(np.abs(powers[places])), rcond=None)[0])
+    constant, linear = powers * np.outer(scale[:equations], scale[equations:-1])
+    return constant, linear * scale[-1], np.where(model.F != 0.0, 1.0, 0.0)
 
 
-def _responses(
-    unknowns: NDArray[Any], blocks: NDArray[Any], faults: NDArray[np.float64]
-) -> tuple[Mask, Mask]:
+def _responses(unknowns: NDArray[Any], blocks: NDArray[Any], faults: NDArray[Any]) -> tuple[Mask, Mask]:
     """Whether rows N with N unknowns = 0, and for isolability N blocks_j = 0, respond to each fault.
 
     The response is that of the first entries of N, as many as ``faults`` has rows. Every ``n``-th column of
@@ -202,6 +199,47 @@ def _responses(
         basis = null_space(blind_to.T, rcond=RANK_TOLERANCE)[:equations]
         return np.linalg.norm(basis.T @ faults, axis=0) > RESPONSE_TOLERANCE
 
-    detectable = responds(unknowns)
     told_apart = [responds(np.hstack([unknowns, blocks[:, j::count]])) for j in range(count)]
-    return detectable, np.stack(told_apart, axis=1)
+    return responds(unknowns), np.stack(told_apart, axis=1)
+
+
+def isolability_table(result: IsolabilityResult) -> Table:
+    """Table with a row for each fault: whether it is seen, and told apart from the fault of each column.
+
+    Columns carry the numbers of the rows, so that 16 faults fit on a screen of 80 characters. The marks are
+    those of `LEGEND`.
+    """
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=0)
+    numbers = [str(number) for number in range(1, len(result.faults) + 1)]
+    for heading in ("", "fault", "seen", *numbers):
+        side = {"fault": "left", "seen": "center"}.get(heading, "right")
+        table.add_column(heading, justify=side, no_wrap=True)
+    seen = _marks(result.detectable, result.rank_detectable, result.strongly_detectable)
+    apart = _marks(result.isolable, result.rank_isolable, result.strongly_isolable)
+    np.fill_diagonal(apart, ITSELF)
+    for row in zip(numbers, result.faults, seen, *apart.T, strict=True):
+        table.add_row(*row)
+    return table
+
+
+def isolability_lines(result: IsolabilityResult) -> list[str]:
+    """What was assumed, and what the matrix says, in lines of plain text."""
+    assumed = [words[result.assumptions[key]] for key, words in CHOICES.items() if key in result.assumptions]
+    lines = [f"{result.name}: {', '.join([*assumed, f'{result.causality} causality'])}"]
+    pairs = [" / ".join(pair) for pair in dict.fromkeys(tuple(sorted(pair)) for pair in result.cancelled)]
+    for meaning, items in (
+        ("cannot be detected", result.undetectable),
+        ("detected only while they change", result.transient),
+        ("cannot be told apart", [" / ".join(group) for group in result.groups]),
+        ("told apart by structure only, coefficients cancel", pairs),
+    ):
+        if items:
+            lines.append(f"{meaning}: {', '.join(items)}")
+    if not result.undetectable and not result.groups:
+        lines.append("every fault can be told apart from every other")
+    return lines
+
+
+def _marks(structure: Mask, rank: Mask, strong: Mask) -> NDArray[np.str_]:
+    lasting = np.where(strong, LASTING, CHANGING)
+    return np.where(structure, np.where(rank, lasting, CANCELLED), NEVER)

@@ -1,5 +1,5 @@
 # pyright: basic
-"""The affine model (6) of Wang, Huang and Zhang (2021), its zeros, and Lemma 1 for any choice of outputs.
+"""The affine model (6) of Wang, Huang and Zhang (2021), Lemma 1 for any choice of outputs, and its zeros.
 
     (6)  x' = A x + D f(x) + B u + W Delta_d,   y = C x + F f_s,   x = [angles, body rate]
 
@@ -23,22 +23,29 @@ column rank (else a basis of its columns stands for W).
 
 Invariant zeros come from SLICOT (routine AB08ND, after Emami-Naeini and Van Dooren, 1982), which takes
 systems that are not square, too.
+
+The structural conditions (Assumption 1, Lemma 1, observability, zeros) ask nothing of the gains; where one of
+the ranks fails, no gain helps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import eig, null_space, orth, qr
 
+from quadftc_theory.conditions import Condition, Verdict, assess, pairs
+
 Matrix = NDArray[np.float64]
 
 ANGLES = ("roll", "pitch", "yaw")
 OUTPUTS = {"angles": ANGLES, "imu": (*ANGLES, "p", "q", "r")}
-TOLERANCE = 1e-9  # relative to the largest singular value; matrices here are of order one
+TOLERANCE = 1e-9  # of singular values; matrices here are of order one
+ZERO = 1e-9  # element of (11), or real part of a zero [rad/s], that counts as zero
 
 
 class AffineModel(NamedTuple):
@@ -106,14 +113,11 @@ def decouple(model: AffineModel) -> Decoupled:
     A, W, C, F, _ = model
     r, q, CW = rank(W), rank(F), C @ W
     if rank(CW) < r:
-        raise ValueError(
-            f"rank(C W) = {rank(CW)} < rank(W) = {r}: outputs do not see every disturbance at once"
-        )
-    together = rank(np.hstack([CW, F]))
-    if together < r + q:
-        raise ValueError(
-            f"rank [C W, F] = {together} < rank(W) + rank(F) = {r + q}: a fault looks like a disturbance"
-        )
+        why = "outputs do not see every disturbance at once"
+        raise ValueError(f"rank(C W) = {rank(CW)} < rank(W) = {r}: {why}")
+    if (together := rank(np.hstack([CW, F]))) < r + q:
+        why = "a fault looks like a disturbance"
+        raise ValueError(f"rank [C W, F] = {together} < rank(W) + rank(F) = {r + q}: {why}")
     N = _left_null_space(F)
     basis_of_W = _reduced(orth(W, rcond=TOLERANCE).T).T
     S1 = np.linalg.pinv(N @ C @ basis_of_W) @ N
@@ -140,10 +144,7 @@ def augment(parts: Decoupled) -> Augmented:
 
 def rank(matrix: Matrix) -> int:
     """Numerical rank; 0 for a matrix without rows or columns."""
-    if matrix.size == 0:
-        return 0
-    singular = np.linalg.svd(matrix, compute_uv=False)
-    return int(np.sum(singular > TOLERANCE * max(1.0, singular[0])))
+    return int(np.linalg.matrix_rank(matrix, tol=TOLERANCE))
 
 
 def stable(A: Matrix) -> bool:
@@ -172,6 +173,95 @@ def zero_directions(A: Matrix, F: Matrix, C: Matrix, s: complex) -> Matrix:
     n, q, p = len(A), F.shape[1], len(C)
     pencil = np.block([[A - s * np.eye(n), F], [C, np.zeros((p, q))]])
     return null_space(pencil, rcond=TOLERANCE)[n:].T
+
+
+def structure_conditions(model: AffineModel, needed: bool = True) -> list[Condition]:
+    """Judge a model (6); ``needed`` says whether the scheme under test is built on it."""
+    return [dataclasses.replace(item, needed=needed) for item in _structure_conditions(model)]
+
+
+def _structure_conditions(model: AffineModel) -> Iterator[Condition]:
+    of_CW, of_W = rank(model.C @ model.W), rank(model.W)
+    text = f"rank(C W) = {of_CW}, rank(W) = {of_W}"
+    if of_CW < of_W:
+        text += ": the output cannot tell every disturbance from its first derivative"
+    yield assess("Assumption 1, rank(C W) = rank(W)", of_CW == of_W, text, rank_CW=of_CW, rank_W=of_W)
+
+    p, r, q = len(model.C), of_W, rank(model.F)
+    text = f"p = {p} outputs, r = {r} disturbances, q = {q} faults: {p - r} {'>=' if p - r >= q else '<'} {q}"
+    if p - r < q:
+        text += f"; {r} outputs go into the disturbances, {p - r} are left for {q} faults"
+    yield assess("p - r >= q", p - r >= q, text, p=p, r=r, q=q)
+
+    try:
+        parts = decouple(model)
+    except ValueError as error:
+        yield assess("Lemma 1, (10)-(11)", False, f"infeasible, whatever the gains: {error}")
+        return
+    T, S, residual = parts.T, parts.S, parts.residual
+    text = f"T and S computed; the zero blocks of (11) are zero to {residual:.1e}, "
+    text += f"det T = {np.linalg.det(T):.3g}, det S = {np.linalg.det(S):.3g}"
+    numbers = {"residual": residual, "T": T.tolist(), "S": S.tolist()}
+    yield assess("Lemma 1, (10)-(11)", residual <= ZERO, text, **numbers)
+
+    system = augment(parts)
+    hidden, order = unobservable_modes(system.A, system.C), len(system.A)
+    text = f"not seen: modes at {_listed(hidden)} rad/s" if len(hidden) else f"all {order} states"
+    yield assess("(A-bar, C-bar) observable", not len(hidden), text, order=order, unobservable=len(hidden))
+
+    zeros = invariant_zeros(system.A, system.F, system.C)
+    outcome, text = _judge_zeros(model, system, zeros)
+    numbers = {"zeros": pairs(zeros.values), "normal_rank": zeros.normal_rank}
+    yield Condition("invariant zeros of (A-bar, F-bar, C-bar)", outcome, text, numbers)
+    yield _matching(system, zeros)
+
+
+def _judge_zeros(model: AffineModel, system: Augmented, zeros: Zeros) -> tuple[Verdict, str]:
+    """What the invariant zeros of (A-bar, F-bar, C-bar) mean for each fault."""
+    q = system.F.shape[1]
+    if zeros.normal_rank < q:
+        text = f"normal rank {zeros.normal_rank} < {q} faults: some faults leave no trace at any frequency"
+        return Verdict.FAIL, text
+    if len(zeros.values) == 0:
+        return Verdict.PASS, "none: every fault shows"
+    at = f"{len(zeros.values)} at s = {_listed(np.unique(np.round(zeros.values, 9)))} rad/s"
+    fastest = float(zeros.values.real.max())
+    if fastest > ZERO:
+        text = f"{at}: a fault growing as exp({fastest:.3g} t) leaves no trace; its estimate diverges"
+        return Verdict.FAIL, text
+    if np.all(np.abs(zeros.values) >= ZERO):
+        if fastest < 0.0:
+            return Verdict.PASS, f"{at}: hidden faults die out within {1.0 / -fastest:.3g} s"
+        return Verdict.DEPENDS, f"{at}: hidden"
+    touched = np.any(np.abs(zero_directions(system.A, system.F, system.C, 0.0)) > ZERO, axis=0)
+    names = ", ".join(name for name, hit in zip(model.fault_names, touched, strict=True) if hit)
+    text = f"{at}: a constant fault on {names} and the opposite constant error of its estimated angle look "
+    return Verdict.DEPENDS, text + "the same; right only from a healthy start and without gyro bias"
+
+
+def _matching(system: Augmented, zeros: Zeros) -> Condition:
+    """Whether some P-bar > 0 has both V2' < 0 and F-bar' P-bar = F0 C-bar, as (34) uses in silence.
+
+    By Corless and Tu (1998): if and only if rank(C-bar F-bar) = rank(F-bar) and the zeros are stable.
+    """
+    seen, of_F = rank(system.C @ system.F), rank(system.F)
+    decaying = bool(np.all(zeros.values.real < -ZERO))
+    outcome, text = Verdict.FAIL, "exists for no gain, as zeros are not stable: "
+    if seen < of_F:
+        text = f"rank(C-bar F-bar) = {seen} < rank(F-bar) = {of_F}: v2 cannot act against f_s"
+    elif decaying:
+        outcome, text = Verdict.PASS, "exists"
+    elif np.all(zeros.values.real < ZERO):
+        outcome = Verdict.DEPENDS
+        text += "V2 of Theorem 1 can at best stay level, it need not fall; errors along the zeros remain"
+    else:
+        text += "V2 of Theorem 1 grows"
+    numbers = {"rank_CF": seen, "rank_F": of_F, "zeros_stable": decaying}
+    return Condition("(34): P-bar with F-bar' P-bar = F0 C-bar", outcome, text, numbers)
+
+
+def _listed(values: Iterable[complex]) -> str:
+    return ", ".join(f"{value.real:.3g}" if abs(value.imag) < 1e-9 else f"{value:.3g}" for value in values)
 
 
 def _left_null_space(matrix: Matrix) -> Matrix:

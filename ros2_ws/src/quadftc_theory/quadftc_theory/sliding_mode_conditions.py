@@ -15,7 +15,6 @@ P-bar solves the Lyapunov equation of A-bar - L-bar C-bar with Q = I. Why V2 nee
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Iterator
 
@@ -27,9 +26,8 @@ from quadftc_model.rotations import wrap
 from quadftc_model.samples import FaultObserverInputs, ImuSample, sanitised
 from quadftc_model.stepper import Stepper
 from quadftc_theory import conditions
-from quadftc_theory.conditions import DEG, Circumstances, Condition, Floats, Trace, Verdict, falls, verdict
-from quadftc_theory.linear_model import attitude_model, augment, decouple, stable
-from quadftc_theory.structure_conditions import structure_conditions
+from quadftc_theory.conditions import DEG, Circumstances, Condition, Floats, Trace, advise, assess
+from quadftc_theory.linear_model import attitude_model, augment, decouple, stable, structure_conditions
 
 HEALTHY_TIME = 20.0  # s; over which a gyro bias can be averaged before a fault comes
 DETECTED = 2.33 + 3.29  # 1; standard deviations: missed once in 100 times, reported falsely once in 1000
@@ -41,53 +39,80 @@ NEGLIGIBLE_DRIFT = 0.05 * DEG  # rad; error of the estimate that counts as none 
 def sliding_mode_conditions(observer: SlidingMode, given: Circumstances) -> Iterator[Condition]:
     """Judge the observer in the circumstances given."""
     yield from structure_conditions(attitude_model())
-    yield from _hurwitz_and_bounds(observer, given)
+    name, bias = "(12): h1, the gyro, without fault and bias", given.gyro_bias.value
+    if "gyro" in given.faulty_channels:
+        yield assess(name, False, "the scenario puts a fault on the gyro: z1 and z2 are both wrong")
+    else:
+        text = f"gyro bias up to {bias / DEG:.3g} deg/s ({given.gyro_bias.origin}), no fault on the gyro"
+        yield assess(name, bias == 0.0, text, gyro_bias=bias)
+
+    a1, p1, eye = observer.a1, observer.p1, np.eye(3)
+    residual = float(abs(observer.q1 - 2.0 * a1 * p1))
+    text = f"poles at {-a1:.3g} rad/s; P1 = {p1:.3g} I solves its Lyapunov equation"
+    holds = stable(-a1 * eye) and p1 > 0.0 and residual < 1e-9 * observer.q1
+    yield assess("A1s Hurwitz, P1 > 0", holds, text, poles=[-a1] * 3, p1=p1, residual=residual)
+
+    system = augment(decouple(attitude_model()))
+    closed = system.A - np.vstack([observer.L1 * eye, observer.L2 * eye]) @ system.C
+    poles = np.linalg.eigvals(closed)
+    found = sorted({f"{pole:.3g}" if abs(pole.imag) > 1e-9 else f"{pole.real:.3g}" for pole in poles})
+    text = f"poles at {', '.join(found)} rad/s (each three times)"
+    yield assess("A-bar - L-bar C-bar Hurwitz", stable(closed), text, poles=conditions.pairs(poles))
+
+    fault, bound = given.fault.value, observer.epsilon_s
+    text = f"epsilon_s = {bound / DEG:.3g} deg, |f_s| up to {fault / DEG:.3g} deg ({given.fault.origin})"
+    yield assess("(9), (19): epsilon_s >= |f_s|", bound >= fault, text, epsilon_s=bound, fault=fault)
+    size, xi = given.disturbance.norm, observer.xi
+    text = f"xi = {xi:.3g} rad/s², |Delta_d| up to {size:.3g} rad/s² ({given.disturbance.origin})"
+    yield assess("(18): xi >= |Delta_d|", xi >= size, text, xi=xi, disturbance=size)
+
     yield from _gains(observer, given)
     yield from _leak_and_drift(observer, given)
 
 
 @conditions.conditions_along_of(SlidingMode)
-def lyapunov_conditions(observer: SlidingMode, trace: Trace, given: Circumstances) -> list[Condition]:
+def lyapunov_conditions(observer: SlidingMode, trace: Trace, given: Circumstances) -> Iterator[Condition]:
     """Judge (35) at every sample of a run. Without a margin it promises nothing, and V may not rise."""
-    eta_1, eta_2 = gain_margins(observer, given)
+    eta_1, eta_2 = (max(eta, 0.0) for eta in gain_margins(observer, given))
     z1, z2, e3 = _errors(observer, trace)
     size_1, p1 = np.linalg.norm(z1, axis=1), observer.p1
     one_step = float(np.median(np.diff(trace.stamp_ns))) / 1e9 * (observer.xi + observer.epsilon_1)
-    name = "(35): V1' <= -2 eta_1 |P1 z1~| along the run"
-    required = -2.0 * max(eta_1, 0.0) * p1 * size_1
-    first = falls(name, p1 * np.sum(z1 * z1, axis=1), trace.stamp_ns, required, size_1 > one_step)
+    name, V1 = "(35): V1' <= -2 eta_1 |P1 z1~| along the run", p1 * np.sum(z1 * z1, axis=1)
+    yield conditions.falls(name, V1, trace.stamp_ns, -2.0 * eta_1 * p1 * size_1, size_1 > one_step)
 
     # P-bar of one axis: (A-bar - L-bar C-bar)' P + P (A-bar - L-bar C-bar) = -I, the same on each
     closed = np.array([[0.0, -observer.L1], [1.0, -observer.L2]])
     P = np.asarray(solve_continuous_lyapunov(closed.T, -np.eye(2)), np.float64)
     z_bar = np.stack([z2, e3], axis=1)  # (n, 2, 3)
     P_z = np.einsum("ij,njk->nik", P, z_bar)
-    V2, size = np.sum(z_bar * P_z, axis=(1, 2)), np.linalg.norm(e3, axis=1)
-    name = "(35): V2' <= -2 eta_2 |P-bar z-bar~| along the run"
-    required = -2.0 * max(eta_2, 0.0) * np.sqrt(np.sum(P_z * P_z, axis=(1, 2)))
-    second = falls(name, V2, trace.stamp_ns, required, size > observer.delta)
-
-    largest = float(np.degrees(np.nanmax(np.abs(z2)))) if np.any(np.isfinite(z2)) else float("nan")
+    size, largest = np.linalg.norm(e3, axis=1), math.nan
+    if np.any(np.isfinite(z2)):
+        largest = float(np.degrees(np.nanmax(np.abs(z2))))
     layers = float(np.max(size)) / observer.delta
-    text = f"{second.text}; |e3| up to {layers:.3g} delta, angle error up to {largest:.3g} deg"
-    numbers = {**second.numbers, "largest_e3": float(np.max(size)), "largest_z2_deg": largest}
-    return [first, dataclasses.replace(second, text=text, numbers=numbers)]
+    yield conditions.falls(
+        "(35): V2' <= -2 eta_2 |P-bar z-bar~| along the run",
+        np.sum(z_bar * P_z, axis=(1, 2)),
+        trace.stamp_ns,
+        required=-2.0 * eta_2 * np.sqrt(np.sum(P_z * P_z, axis=(1, 2))),
+        outside=size > observer.delta,
+        note=f"; |e3| up to {layers:.3g} delta, angle error up to {largest:.3g} deg",
+        largest_e3=float(np.max(size)),
+        largest_z2_deg=largest,
+    )
 
 
 def _errors(observer: SlidingMode, trace: Trace) -> tuple[Floats, Floats, Floats]:
     """z1~, z2~ and h3 - h3^ (n, 3) of every sample."""
     stepper = Stepper[FaultObserverInputs, object](observer)  # pyright: ignore[reportArgumentType]
-    count = len(trace.stamp_ns)
-    z1, z2, e3 = (np.full((count, 3), np.nan) for _ in range(3))
+    z1, z2, e3 = (np.full(trace.angles.shape, np.nan) for _ in range(3))
     torque, there = np.zeros(3), np.asarray(True)
-    for k in range(count):
+    for k, stamp_ns in enumerate(trace.stamp_ns.tolist()):
         sample = sanitised(ImuSample(trace.q_xyzw[k], trace.gyro[k], np.zeros(3), there, there, there))
-        if stepper.step(int(trace.stamp_ns[k]), FaultObserverInputs(sample, torque)) is None:
+        if stepper.step(stamp_ns, FaultObserverInputs(sample, torque)) is None:
             continue
-        state = stepper.state
-        z1[k] = trace.body_rate[k] - state.z1
-        z2[k] = wrap(trace.angles[k] - state.z2)
-        e3[k] = state.e3
+        z1[k] = trace.body_rate[k] - stepper.state.z1
+        z2[k] = wrap(trace.angles[k] - stepper.state.z2)
+        e3[k] = stepper.state.e3
         if np.all(np.isfinite(trace.torque[k])):
             torque = trace.torque[k]
     return z1, z2, e3
@@ -99,10 +124,10 @@ def leak_time_constant(observer: SlidingMode, fault: float = 0.0) -> float:
     The larger the fault, the faster it leaks; 0 is the limit of small faults, (T7). Without L1-bar nothing
     leaks: inf.
     """
-    rho = observer.epsilon_s + observer.epsilon_2
-    left = 1.0 - min(fault / rho, 1.0)  # 1 - kappa
     if observer.L1 <= 0.0:
         return math.inf
+    rho = observer.epsilon_s + observer.epsilon_2
+    left = 1.0 - min(fault / rho, 1.0)  # 1 - kappa
     return (observer.L2 + rho / observer.delta * left**2) / (observer.L1 * left) if left > 0.0 else 0.0
 
 
@@ -131,7 +156,7 @@ def gain_margins(observer: SlidingMode, given: Circumstances) -> tuple[float, fl
     (29): corrected as in docs/theory.md, section 4, to epsilon_2 >= |z2~| + eta_2: what the injection has to
     hold against is the error of the angles itself, which a gyro bias builds up until the end.
     """
-    return observer.epsilon_1, observer.epsilon_2 - _state_error(observer, given)
+    return observer.epsilon_1, observer.epsilon_2 - given.gyro_bias.value * drift(observer, given.duration)
 
 
 def smallest_ramp(given: Circumstances) -> float:
@@ -139,65 +164,22 @@ def smallest_ramp(given: Circumstances) -> float:
 
     The gyro bias is averaged over ``HEALTHY_TIME``, the ramp over the length of the longest fault.
     """
-    walk = given.gyro_noise.value
-    length = given.fault_length.value or HEALTHY_TIME
-    if walk == 0.0:
+    if (walk := given.gyro_noise.value) == 0.0:
         return 0.0
+    length = given.fault_length.value or HEALTHY_TIME
     memory = given.attitude_noise.value * math.sqrt(given.dt) / walk  # s
     variance = sum(walk**2 / span * (1.0 + 2.0 * memory / span) for span in (HEALTHY_TIME, length))
     return DETECTED * math.sqrt(variance)
 
 
-def _state_error(observer: SlidingMode, given: Circumstances) -> float:
-    """Error of the angles [rad] that the gyro bias has built up by the end."""
-    return given.gyro_bias.value * drift(observer, given.duration)
-
-
-def _hurwitz_and_bounds(observer: SlidingMode, given: Circumstances) -> Iterator[Condition]:
-    bias = given.gyro_bias.value
-    faulty, text = (
-        "gyro" in given.faulty_channels,
-        "the scenario puts a fault on the gyro: z1 and z2 are both wrong",
-    )
-    if not faulty:
-        text = f"gyro bias up to {bias / DEG:.3g} deg/s ({given.gyro_bias.origin}), no fault on the gyro"
-    outcome, numbers = verdict(bias == 0.0 and not faulty), {} if faulty else {"gyro_bias": bias}
-    yield Condition("(12): h1, the gyro, without fault and bias", outcome, text, numbers)
-
-    a1, p1, eye = observer.a1, observer.p1, np.eye(3)
-    residual = float(np.max(np.abs((observer.q1 - 2.0 * a1 * p1) * eye)))
-    holds = stable(-a1 * eye) and p1 > 0.0 and residual < 1e-9 * observer.q1
-    text = f"poles at {-a1:.3g} rad/s; P1 = {p1:.3g} I solves its Lyapunov equation"
-    numbers = {"poles": [-a1] * 3, "p1": p1, "residual": residual}
-    yield Condition("A1s Hurwitz, P1 > 0", verdict(holds), text, numbers)
-
-    system = augment(decouple(attitude_model()))
-    closed = system.A - np.vstack([observer.L1 * eye, observer.L2 * eye]) @ system.C
-    poles = np.linalg.eigvals(closed)
-    found = sorted({f"{pole:.3g}" if abs(pole.imag) > 1e-9 else f"{pole.real:.3g}" for pole in poles})
-    text = f"poles at {', '.join(found)} rad/s (each three times)"
-    numbers = {"poles": [[pole.real, pole.imag] for pole in poles]}
-    yield Condition("A-bar - L-bar C-bar Hurwitz", verdict(stable(closed)), text, numbers)
-
-    fault, bound = given.fault.value, observer.epsilon_s
-    text = f"epsilon_s = {bound / DEG:.3g} deg, |f_s| up to {fault / DEG:.3g} deg ({given.fault.origin})"
-    numbers = {"epsilon_s": bound, "fault": fault}
-    yield Condition("(9), (19): epsilon_s >= |f_s|", verdict(bound >= fault), text, numbers)
-    size, xi = given.disturbance.norm, observer.xi
-    text = f"xi = {xi:.3g} rad/s², |Delta_d| up to {size:.3g} rad/s² ({given.disturbance.origin})"
-    yield Condition("(18): xi >= |Delta_d|", verdict(xi >= size), text, {"xi": xi, "disturbance": size})
-
-
 def _gains(observer: SlidingMode, given: Circumstances) -> Iterator[Condition]:
     eta_1, eta_2 = gain_margins(observer, given)
-    error, lipschitz = _state_error(observer, given), 0.0
+    text = f"epsilon_1 = {observer.epsilon_1:.3g} rad/s² > 0: A2-bar = 0 and f comes from the measured rate, "
+    text += f"so the error of the angles does not enter; eta_1 = {eta_1:.3g} rad/s²"
+    yield assess("(28): epsilon_1", eta_1 > 0.0, text, eta_1=eta_1)
+    error, lipschitz = given.gyro_bias.value * drift(observer, given.duration), 0.0
     if observer.kinematics == "full":
         lipschitz = kinematic_lipschitz(given.tilt.value, given.body_rate.value)
-    text = (
-        f"epsilon_1 = {observer.epsilon_1:.3g} rad/s² > 0: A2-bar = 0 and f comes from the measured rate, so "
-        f"the error of the angles does not enter; eta_1 = {eta_1:.3g} rad/s²"
-    )
-    yield Condition("(28): epsilon_1", verdict(eta_1 > 0.0), text, {"eta_1": eta_1})
     why = "gyro bias times duration" if error > 0.0 else "healthy start, no gyro bias"
     text = (
         f"epsilon_2 = {observer.epsilon_2 / DEG:.3g} deg, |z2~| up to {error / DEG:.3g} deg (assumed: "
@@ -206,29 +188,26 @@ def _gains(observer: SlidingMode, given: Circumstances) -> Iterator[Condition]:
         f"{given.body_rate.value / DEG:.3g} deg/s ({given.tilt.origin})"
     )
     numbers = {"epsilon_2": observer.epsilon_2, "eta_2": eta_2, "lipschitz": lipschitz, "state_error": error}
-    yield Condition("(29), corrected: epsilon_2 > |z2~|", verdict(eta_2 > 0.0), text, numbers)
+    yield assess("(29), corrected: epsilon_2 > |z2~|", eta_2 > 0.0, text, **numbers)
 
 
 def _leak_and_drift(observer: SlidingMode, given: Circumstances) -> Iterator[Condition]:
-    small, large = leak_time_constant(observer), leak_time_constant(observer, given.fault.value)
-    share = -math.expm1(-given.fault_length.value / large) if large > 0.0 else 1.0
+    fault, length = given.fault.value, given.fault_length.value
+    small, large = leak_time_constant(observer), leak_time_constant(observer, fault)
+    share = -math.expm1(-length / large) if large > 0.0 else 1.0
     text = (
         f"time constant {small:.4g} s = (L2 + (epsilon_s + epsilon_2)/delta)/L1 for small faults, "
-        f"{large:.4g} s at {given.fault.value / DEG:.3g} deg: of a constant fault of "
-        f"{given.fault_length.value:.3g} s, {100.0 * share:.2g} % leak away"
+        f"{large:.4g} s at {fault / DEG:.3g} deg: of a constant fault of {length:.3g} s, "
+        f"{100.0 * share:.2g} % leak away"
     )
-    outcome = Verdict.PASS if share <= NEGLIGIBLE_LEAK else Verdict.DEPENDS
     numbers = {"time_constant": small, "time_constant_at_fault": large, "share": share}
-    yield Condition("leak of the fault estimate", outcome, text, numbers, needed=False)
+    yield advise("leak of the fault estimate", share <= NEGLIGIBLE_LEAK, text, **numbers)
 
     each, bias = drift(observer, given.duration), given.gyro_bias.value
     error = each * bias
-    text = (
-        f"{each:.3g} deg after {given.duration:.3g} s for each deg/s of gyro bias; up to "
-        f"{error / DEG:.3g} deg with {bias / DEG:.3g} deg/s"
-    )
-    numbers = {"per_bias": each, "error": error}
-    yield Condition("drift by a gyro bias", verdict(error <= NEGLIGIBLE_DRIFT), text, numbers)
+    text = f"{each:.3g} deg after {given.duration:.3g} s for each deg/s of gyro bias; up to "
+    text += f"{error / DEG:.3g} deg with {bias / DEG:.3g} deg/s"
+    yield assess("drift by a gyro bias", error <= NEGLIGIBLE_DRIFT, text, per_bias=each, error=error)
 
     # a ramp slower than the gyro bias is known is a gyro bias, for any observer
     slowest, floor = given.fault_growth.value, smallest_ramp(given)
@@ -236,5 +215,4 @@ def _leak_and_drift(observer: SlidingMode, given: Circumstances) -> Iterator[Con
     text += f"{floor / DEG:.3g} deg/s for the best observer after {HEALTHY_TIME:.0f} healthy seconds (T18); "
     text += "no fault grows here" if math.isinf(slowest) else f"slowest here {slowest / DEG:.3g} deg/s"
     numbers = {"ramp": bias, "best": floor, "slowest_fault": None if math.isinf(slowest) else slowest}
-    outcome = Verdict.PASS if slowest > bias else Verdict.DEPENDS
-    yield Condition("smallest detectable ramp", outcome, text, numbers, needed=False)
+    yield advise("smallest detectable ramp", slowest > bias, text, **numbers)

@@ -66,24 +66,12 @@ CHOICES: Mapping[str, Mapping[str, str]] = {
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Assumptions:
-    """What is measured, what is known and what disturbs; ValueError if a name is unknown.
+    """What is measured (`SENSORS`), known and disturbing (`CHOICES`); ValueError if a name is unknown.
 
-    Parameters
-    ----------
-    sensor_set : sequence of str
-        Names out of `SENSORS`; kept in the order of that table.
-    motion : str
-        ``hover``: terms of second order vanish, the axes are decoupled. ``turn``: a steady banked turn, in
-        which attitude, rates and velocity are coupled.
-    actuators : str
-        ``axes``: the torque about each axis is commanded, and each can fail; the thrust is not known.
-        ``rotors``: the command of each rotor is known, and each can fail. ``unknown``: torques are not known.
-    disturbances : str
-        Torques about the body axes: ``faults`` to be told apart from all others, ``unknown_inputs`` that
-        every residual has to be blind to, or ``absent``.
-    air : str
-        ``still``: linear drag in still air. ``wind``: linear drag in an unknown wind on each axis.
-        ``no_drag``: the thrust is the only force besides the weight.
+    In a ``turn``, attitude, rates and velocity are coupled; in ``hover``, terms of second order vanish. Each
+    commanded torque or rotor can fail; with torques (``axes``), the thrust is not known. The disturbances are
+    torques about the body axes; residuals are blind to ``unknown_inputs``. Drag is linear, the wind unknown
+    on each axis; without drag, the thrust is the only force besides the weight.
     """
 
     sensor_set: Sequence[str] = ("attitude", "gyro")
@@ -143,16 +131,12 @@ def linearised(
     Each expression is zero in the absence of faults; the derivative of state ``x`` is the symbol ``dx``.
     ``point`` has the values of all symbols that are left in the derivatives of the equations.
     """
+    groups = ([f"d{state}" for state in states], states, unknowns, faults)
+    jacobian = sympy.Matrix(list(equations)).jacobian(_vector([name for names in groups for name in names]))
     values = {sympy.Symbol(symbol): value for symbol, value in point.items()}
-
-    def coefficients(names: Sequence[str]) -> NDArray[np.float64]:
-        if not names:
-            return np.zeros((len(equations), 0))
-        jacobian = sympy.Matrix(list(equations)).jacobian(_vector(names))
-        dense = np.array(jacobian.subs(values).tolist(), dtype=np.float64)
-        return np.where(np.abs(dense) < COEFFICIENT_ZERO, 0.0, dense)
-
-    matrices = map(coefficients, ([f"d{state}" for state in states], states, unknowns, faults))
+    dense = np.array(jacobian.subs(values).tolist(), dtype=np.float64)
+    dense[np.abs(dense) < COEFFICIENT_ZERO] = 0.0
+    matrices = np.split(dense, np.cumsum([len(names) for names in groups])[:-1], axis=1)
     return LinearModel(name, tuple(states), tuple(faults), *matrices)
 
 
@@ -164,12 +148,12 @@ def vehicle_model(
     The faults come in the order sensors, actuators, disturbances; each name is the part and the axis.
     """
     rotors = range(1, len(vehicle.rotors.positions) + 1)
-    commands = [f"c_{number}" for number in rotors] if assumptions.actuators == "rotors" else []
     actuators = {
         "axes": [f"actuator {axis}" for axis in AXES],
         "rotors": [f"rotor {number}" for number in rotors],
         "unknown": [],
     }[assumptions.actuators]
+    commands = [f"c_{number}" for number in rotors] if assumptions.actuators == "rotors" else []
     role = assumptions.disturbances
     disturbances = [] if role == "absent" else [f"disturbance {axis}" for axis in AXES]
     sensors = {
@@ -177,20 +161,18 @@ def vehicle_model(
         for sensor in assumptions.sensor_set
         for axis, measured in SENSORS[sensor].items()
     }
-    outputs = _vector([f"y {name}" for name in sensors])
+    outputs = _vector([f"y {name}" for name in sensors]) - _vector(list(sensors.values()))
+    wind = WIND if assumptions.air == "wind" else ()
+    blind_to = disturbances if role == "unknown_inputs" else []
     return linearised(
         f"{vehicle.name}, {'+'.join(assumptions.sensor_set)}",
         [
             *_motion(vehicle, disturbances, assumptions.air),
             *_actuation(vehicle, actuators, commands),
-            *(outputs - _vector(list(sensors.values())) - _vector(list(sensors))),
+            *(outputs - _vector(list(sensors))),
         ],
         states=STATES,
-        unknowns=[
-            *(*TORQUE, "thrust", *FORCE, *commands),
-            *(WIND if assumptions.air == "wind" else ()),
-            *(disturbances if role == "unknown_inputs" else ()),
-        ],
+        unknowns=[*TORQUE, "thrust", *FORCE, *commands, *wind, *blind_to],
         faults=[*sensors, *actuators, *(disturbances if role == "faults" else ())],
         point=motion_point(vehicle, assumptions) if point is None else point,
     )
@@ -208,17 +190,18 @@ def motion_point(vehicle: Vehicle, assumptions: Assumptions) -> dict[str, float]
     rate = turn * up
     thrust = np.array([0.0, 0.0, STANDARD_GRAVITY / up[2]])
     drag = np.diag(np.zeros(3) if assumptions.air == "no_drag" else DRAG)
-    cross = np.array([[0.0, -rate[2], rate[1]], [rate[2], 0.0, -rate[0]], [-rate[1], rate[0], 0.0]])
+    cross = np.cross(rate, np.eye(3)).T  # [omega x]
     velocity = np.linalg.lstsq(drag + cross, thrust - STANDARD_GRAVITY * up, rcond=None)[0]
+    vectors = {
+        RATES: rate,
+        VELOCITY: velocity,
+        TORQUE: vehicle.rotational_drag * rate + np.cross(rate, vehicle.inertia * rate),
+        FORCE: thrust - drag @ velocity,
+        WIND: np.zeros(3),
+    }
     values = dict.fromkeys([f"d{name}" for name in STATES], 0.0)
     values |= {"phi": phi, "theta": theta, "psi": 0.0, "dpsi": turn, "thrust": float(thrust[2])}
-    for names, vector in (
-        (RATES, rate),
-        (VELOCITY, velocity),
-        (TORQUE, vehicle.rotational_drag * rate + np.cross(rate, vehicle.inertia * rate)),
-        (FORCE, thrust - drag @ velocity),
-        (WIND, np.zeros(3)),
-    ):
+    for names, vector in vectors.items():
         values |= dict(zip(names, vector.tolist(), strict=True))
     return values
 
@@ -227,17 +210,13 @@ def _motion(vehicle: Vehicle, disturbances: Sequence[str], air: str) -> list[Any
     """Kinematics (4), rotation (1), (2), translation and specific force; each expression is zero."""
     sin, cos = sympy.sin, sympy.cos
     phi, theta, thrust = _vector(["phi", "theta", "thrust"])
-    omega, velocity, force, torque = (_vector(names) for names in (RATES, VELOCITY, FORCE, TORQUE))
-    angle_rates, acceleration, change = (
-        _vector([f"d{name}" for name in names]) for names in (ANGLES, RATES, VELOCITY)
-    )
+    omega, velocity, force, torque = map(_vector, (RATES, VELOCITY, FORCE, TORQUE))
+    derivatives = _vector([f"d{name}" for name in STATES])
     p, q, r = omega
     across = (sin(phi) * q + cos(phi) * r) / cos(theta)
     kinematics = sympy.Matrix([p + sin(theta) * across, cos(phi) * q - sin(phi) * r, across])
 
-    inertia, spin_drag = (
-        sympy.diag(*values.tolist()) for values in (vehicle.inertia, vehicle.rotational_drag)
-    )
+    inertia, spin_drag = (sympy.diag(*each.tolist()) for each in (vehicle.inertia, vehicle.rotational_drag))
     rotation = inertia.inv() * (torque - spin_drag * omega - omega.cross(inertia * omega))
     if disturbances:
         rotation += _vector(disturbances)
@@ -245,12 +224,9 @@ def _motion(vehicle: Vehicle, disturbances: Sequence[str], air: str) -> list[Any
     up = sympy.Matrix([-sin(theta), sin(phi) * cos(theta), cos(phi) * cos(theta)])
     speed = velocity - _vector(WIND) if air == "wind" else velocity
     drag = sympy.diag(*((0, 0, 0) if air == "no_drag" else DRAG))
-    return [
-        *(angle_rates - kinematics),
-        *(acceleration - rotation),
-        *(change - (force - omega.cross(velocity) - STANDARD_GRAVITY * up)),
-        *(force - (sympy.Matrix([0, 0, thrust]) - drag * speed)),
-    ]
+    translation = force - omega.cross(velocity) - STANDARD_GRAVITY * up
+    specific_force = sympy.Matrix([0, 0, thrust]) - drag * speed
+    return [*(derivatives - sympy.Matrix([*kinematics, *rotation, *translation])), *(force - specific_force)]
 
 
 def _actuation(vehicle: Vehicle, actuators: Sequence[str], commands: Sequence[str]) -> list[Any]:

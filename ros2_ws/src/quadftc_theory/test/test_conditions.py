@@ -26,7 +26,7 @@ from quadftc_theory.conditions import (
     judge_along,
     load_conditions,
 )
-from quadftc_theory.disturbance_conditions import estimation_error
+from quadftc_theory.controller_conditions import estimation_error
 from quadftc_theory.sliding_mode_conditions import (
     drift,
     kinematic_lipschitz,

@@ -7,13 +7,14 @@ import pytest
 from rich.console import Console
 
 from quadftc_model.vehicle import load_vehicle
-from quadftc_theory.isolability import IsolabilityResult, analyse
-from quadftc_theory.isolability_table import (
+from quadftc_theory.isolability import (
     CANCELLED,
     CHANGING,
     ITSELF,
     LASTING,
     NEVER,
+    IsolabilityResult,
+    analyse,
     isolability_lines,
     isolability_table,
 )

@@ -9,10 +9,10 @@ from quadftc_theory.linear_model import (
     attitude_model,
     invariant_zeros,
     stable,
+    structure_conditions,
     unobservable_modes,
     zero_directions,
 )
-from quadftc_theory.structure_conditions import structure_conditions
 
 
 def companion(numerator, denominator):

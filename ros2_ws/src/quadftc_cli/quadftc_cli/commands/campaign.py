@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
+from typer import Argument, Option
 
 from quadftc_campaign.errors import CampaignError
 from quadftc_cli.commands import GOOD, INTERRUPTED
@@ -20,6 +21,7 @@ from quadftc_cli.commands.options import SchedulerOption, WorkersOption, workers
 from quadftc_cli.screen import Bars, Update, console
 from quadftc_flight.runs import RunError, RunOptions, prepare, run_name
 from quadftc_flight.runs import run as run_scenario
+from quadftc_model.samples import AXES
 
 if TYPE_CHECKING:
     from quadftc_campaign.campaign_file import Campaign
@@ -31,20 +33,20 @@ SHOWN = (
 
 
 def campaign(
-    file: Annotated[Path, typer.Argument(help="Campaign file (see campaigns/).")],
-    out: Annotated[Path | None, typer.Option(help="Directory of the results; default: results/NAME.")] = None,
-    flights: Annotated[int | None, typer.Option(help="Number of flights in place of the file's.")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with what is in the directory.")] = False,
+    file: Annotated[Path, Argument(help="Campaign file (see campaigns/).")],
+    out: Annotated[Path | None, Option(help="Directory of the results; default: results/NAME.")] = None,
+    flights: Annotated[int | None, Option(help="Number of flights in place of the file's.")] = None,
+    resume: Annotated[bool, Option("--resume", help="Go on with what is in the directory.")] = False,
     scheduler: SchedulerOption = None,
     workers: WorkersOption = None,
     flight: Annotated[
         list[int],
-        typer.Option(help="Fly this one alone, through the node graph, and write its bag; may be repeated."),
+        Option(help="Fly this one alone, through the node graph, and write its bag; may be repeated."),
     ] = [],  # noqa: B006
-    variant: Annotated[str | None, typer.Option(help="Of that flight; default: the first.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace an earlier run of that flight.")] = False,
+    variant: Annotated[str | None, Option(help="Of that flight; default: the first.")] = None,
+    force: Annotated[bool, Option("--force", help="Replace an earlier run of that flight.")] = False,
     recordings: Annotated[
-        Path | None, typer.Option(help="Directory of rosbag2 bags for a campaign on recordings.")
+        Path | None, Option(help="Directory of rosbag2 bags for a campaign on recordings.")
     ] = None,
 ) -> None:
     """Fly a scenario thousands of times with drawn values; write table, summary and report."""
@@ -72,14 +74,19 @@ def _fly_alone(loaded: Campaign, numbers: list[int], name: str | None, directory
     prepare(runs, [run_name(*job) for job in jobs], force)
     screen = console()
     with Bars(screen) as bars:
-        follow = [functools.partial(_follow, bars.add(run_name(*job))) for job in jobs]
+        updates = [bars.add(run_name(*job)) for job in jobs]
         results = [
-            run_scenario(*job, runs, RunOptions(), each) for job, each in zip(jobs, follow, strict=True)
+            run_scenario(*job, runs, RunOptions(), functools.partial(_follow, update))
+            for job, update in zip(jobs, updates, strict=True)
         ]
     for job, result in zip(jobs, results, strict=True):
         if result is None:
             raise RunError(f"{runs}: the flight ended early")
-        screen.print(_flight_table(result))
+        table = Table("metric", *AXES, title=f"{result['name']}, {result['scheme']}")
+        for name, _ in SHOWN:
+            values = result["metrics"][name].values()
+            table.add_row(name, *("-" if value is None else f"{value:.6g}" for value in values))
+        screen.print(table)
         screen.print(f"bag and summary: {runs / run_name(*job)}")
     return GOOD
 
@@ -87,14 +94,6 @@ def _fly_alone(loaded: Campaign, numbers: list[int], name: str | None, directory
 def _follow(update: Update, share: float) -> bool:
     update(share)
     return True
-
-
-def _flight_table(result: dict[str, Any]) -> Table:
-    table = Table("metric", "roll", "pitch", "yaw", title=f"{result['name']}, {result['scheme']}")
-    for name, _ in SHOWN:
-        values = result["metrics"][name]
-        table.add_row(name, *("-" if values[axis] is None else f"{values[axis]:.6g}" for axis in values))
-    return table
 
 
 def _fly_all(
@@ -108,20 +107,13 @@ def _fly_all(
     flown = CampaignRun(loaded, directory)
     extent = flown.open(resume)
     where = scheduler or f"{min(cores, max(extent.missing, 1))} of {len(os.sched_getaffinity(0))} cores here"
-    screen.print(
-        f"{loaded.name}: {loaded.flights} flights x {len(loaded.variants)} variants, "
-        f"{loaded.precision}, on {where}; "
-        f"{extent.missing} of {extent.chunks} chunks to fly"
-    )
+    extents = f"{loaded.flights} flights x {len(loaded.variants)} variants, {loaded.precision}, on {where}"
+    screen.print(f"{loaded.name}: {extents}; {extent.missing} of {extent.chunks} chunks to fly")
     started = time.monotonic()
     try:
         with Bars(screen) as bars:
-            flown.fly(
-                scheduler,
-                cores,
-                _advance(bars.add("flying"), extent.samples, started),
-                lambda devices: screen.print(f"computed on {devices}"),
-            )
+            advance = _advance(bars.add("flying"), extent.samples, started)
+            flown.fly(scheduler, cores, advance, lambda devices: screen.print(f"computed on {devices}"))
     except KeyboardInterrupt:
         screen.print(f"interrupted; --resume goes on with what is in {directory}")
         return INTERRUPTED
@@ -129,10 +121,8 @@ def _fly_all(
     frame, summary = flown.finish()
     report = write_campaign_report(loaded, frame, summary, directory, str(file))
     if extent.missing:
-        screen.print(
-            f"{extent.samples:.3g} closed-loop steps in {seconds:.1f} s: "
-            f"{extent.samples / seconds:.3g} a second"
-        )
+        rate = f"{extent.samples / seconds:.3g} a second"
+        screen.print(f"{extent.samples:.3g} closed-loop steps in {seconds:.1f} s: {rate}")
     screen.print(_table(summary))
     screen.print(f"{frame.height} rows: {directory / 'flights.parquet'}")
     screen.print(f"numbers: {directory / 'summary.json'}; report: {report}")
@@ -154,13 +144,8 @@ def _advance(update: Update, total: int, started: float) -> Callable[[int], None
 
 def _table(summary: dict[str, Any]) -> Table:
     """Median and 95 % quantile of the worst axis, and what became of the faults."""
-    table = Table(
-        "variant",
-        "flights",
-        *(f"{words}: median / 95 %" for _, words in SHOWN),
-        "faults missed",
-        "delay: median / 95 %",
-    )
+    shown = (f"{words}: median / 95 %" for _, words in SHOWN)
+    table = Table("variant", "flights", *shown, "faults missed", "delay: median / 95 %")
     for name, each in summary["variants"].items():
         faults = each["faults"].get("all", {})
         delay = faults.get("metrics", {}).get("fault.detection_delay_s", {})
@@ -175,7 +160,7 @@ def _table(summary: dict[str, Any]) -> Table:
 
 
 def _worst(metrics: dict[str, Any], name: str) -> dict[str, Any]:
-    axes = [metrics[f"{name}.{axis}"] for axis in ("roll", "pitch", "yaw")]
+    axes = [metrics[f"{name}.{axis}"] for axis in AXES]
     return max(axes, key=lambda each: each.get("q50", -math.inf))
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import inspect
 from typing import Annotated, Any
 
-import typer
 from rich.table import Table
+from typer import Argument
 
 from quadftc_cli.screen import console
 from quadftc_control.controller import controllers
@@ -31,22 +31,17 @@ REGISTRIES: dict[str, Registry[Any]] = {
 KINDS = (*REGISTRIES, "vehicles", "scenarios")
 
 
-def list_(kind: Annotated[str, typer.Argument(help=" | ".join(KINDS) + "; default: all")] = "") -> None:
+def list_(kind: Annotated[str, Argument(help=" | ".join(KINDS) + "; default: all")] = "") -> None:
     """Show what there is, with parameters, units and defaults."""
-    for each in [kind] if kind else KINDS:
-        console().print(catalogue_table(each))
-
-
-def catalogue_table(kind: str) -> Table:
-    """Table of everything of one kind; ValueError if there is no such kind."""
-    if kind in REGISTRIES:
-        return _components(kind, REGISTRIES[kind])
-    if kind not in KINDS:
+    if kind and kind not in KINDS:
         raise ValueError(f"list: no '{kind}'; there are: {', '.join(KINDS)}")
-    return _vehicles() if kind == "vehicles" else _scenarios()
+    tables = {"vehicles": _vehicles, "scenarios": _scenarios}
+    for each in [kind] if kind else KINDS:
+        console().print(tables[each]() if each in tables else _components(each))
 
 
-def _components(kind: str, registry: Registry[Any]) -> Table:
+def _components(kind: str) -> Table:
+    registry = REGISTRIES[kind]
     table = _table(kind, "name", "what it is", "parameter", "default", "unit", "meaning")
     for name in registry.names():
         component = registry.get(name)
@@ -74,13 +69,9 @@ def _vehicles() -> Table:
     table = _table("vehicles", "name", "what it is", "inertia [kg m²]", "authority [N m]", "rotors")
     for name in vehicle_names():
         vehicle = load_vehicle(name)
-        table.add_row(
-            f"[bold]{name}[/]",
-            vehicle.description,
-            ", ".join(f"{value:.3g}" for value in vehicle.inertia),
-            ", ".join(f"{value:.3g}" for value in vehicle.authority),
-            str(len(vehicle.rotors.positions)),
-        )
+        listed = (", ".join(f"{x:.3g}" for x in values) for values in (vehicle.inertia, vehicle.authority))
+        rotors = str(len(vehicle.rotors.positions))
+        table.add_row(f"[bold]{name}[/]", vehicle.description, *listed, rotors)
     return table
 
 
@@ -92,14 +83,8 @@ def _scenarios() -> Table:
         except ScenarioError as error:
             table.add_row(f"[bold]{name}[/]", "", "", "", "", f"[red]{str(error).partition(chr(10))[0]}[/]")
             continue
-        table.add_row(
-            f"[bold]{name}[/]",
-            f"{found.duration:g} s",
-            f"{found.rate:g} Hz",
-            found.vehicle,
-            ", ".join(found.schemes),
-            " ".join(found.description.split()),
-        )
+        extent = (f"{found.duration:g} s", f"{found.rate:g} Hz", found.vehicle, ", ".join(found.schemes))
+        table.add_row(f"[bold]{name}[/]", *extent, " ".join(found.description.split()))
     return table
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
+from typer import Argument, Option
 
 from quadftc_bags.bag import BagError
-from quadftc_cli.commands import CHECK_FAILED, GOOD
+from quadftc_cli.commands import CHECK_FAILED
 from quadftc_cli.commands.options import (
     ControllerOption,
     DisturbanceObserverOption,
@@ -31,32 +32,31 @@ COLOURS = {Verdict.PASS: "green", Verdict.FAIL: "red", Verdict.DEPENDS: "yellow"
 
 def check(
     target: Annotated[
-        str, typer.Argument(metavar="SCENARIO|BAG", help="Scenario file or name, or a recorded run.")
+        str, Argument(metavar="SCENARIO|BAG", help="Scenario file or name, or a recorded run.")
     ],
-    scheme: Annotated[str, typer.Option(help="Scheme to judge; default: the scenario's first.")] = "",
+    scheme: Annotated[str, Option(help="Scheme to judge; default: the scenario's first.")] = "",
     observer: ObserverOption = "",
     disturbance_observer: DisturbanceObserverOption = "",
     controller: ControllerOption = "",
     set_: SetOption = [],  # noqa: B006
     gains: GainsOption = "",
     bag: Annotated[
-        Path | None, typer.Option(help="Recorded run: its bounds, and the Lyapunov functions along it.")
+        Path | None, Option(help="Recorded run: its bounds, and the Lyapunov functions along it.")
     ] = None,
     output: Annotated[
         Literal["imu", "angles"],
-        typer.Option(help="Model output y: angles and rates, or the paper's angles alone."),
+        Option(help="Model output y: angles and rates, or the paper's angles alone."),
     ] = "imu",
     isolability: Annotated[
-        bool,
-        typer.Option("--isolability", help="Instead: which faults can be detected and told apart."),
+        bool, Option("--isolability", help="Instead: which faults can be detected and told apart.")
     ] = False,
-    sensors: Annotated[str, typer.Option(help="For --isolability: sensors, by comma.")] = "attitude,gyro",
-    as_json: Annotated[bool, typer.Option("--json", help="For machines.")] = False,
+    sensors: Annotated[str, Option(help="For --isolability: sensors, by comma.")] = "attitude,gyro",
+    as_json: Annotated[bool, Option("--json", help="For machines.")] = False,
 ) -> None:
     """Say where the theory holds: one line for each condition, with its numbers."""
     if isolability:
         _isolability(load_scenario(find_scenario(target), set_).vehicle, sensors, as_json)
-        raise typer.Exit(GOOD)
+        return
     parts = (observer, disturbance_observer, controller)
     path = Path(target)
     is_bag = path.is_dir() or (path.is_file() and path.suffix not in (".yaml", ".yml"))
@@ -66,25 +66,24 @@ def check(
         report = check_scenario(scenario, scenario.scheme(scheme or None), output)
     else:
         if any((scheme, *parts, gains, *set_)):
-            raise BagError(
-                f"{recorded}: a recorded run is judged as it was flown; no scheme, parts, --gains, --set"
-            )
+            wrong = "a recorded run is judged as it was flown; no scheme, parts, --gains, --set"
+            raise BagError(f"{recorded}: {wrong}")
         run = read_run(recorded)
         warn(run.warnings)
         if bag is not None and (asked := load_scenario(find_scenario(target), []).name) != run.scenario.name:
             raise BagError(f"{bag}: is a run of scenario '{run.scenario.name}', not of '{asked}'")
         report = check_run(run, output)
     if as_json:
-        _say_json(report.to_dict())
+        say(json.dumps(report.to_dict(), indent=2, allow_nan=False))
     else:
         _print(report)
-    raise typer.Exit(GOOD if report.passed else CHECK_FAILED)
+    if not report.passed:
+        raise typer.Exit(CHECK_FAILED)
 
 
 def _isolability(vehicle: str, sensors: str, as_json: bool) -> None:
     """Print the matrices: disturbances to be told apart, and disturbances that every residual is blind to."""
-    from quadftc_theory.isolability import analyse
-    from quadftc_theory.isolability_table import LEGEND, isolability_lines, isolability_table
+    from quadftc_theory.isolability import LEGEND, analyse, isolability_lines, isolability_table
     from quadftc_theory.vehicle_equations import Assumptions
 
     names = tuple(name.strip() for name in sensors.split(",") if name.strip())
@@ -93,7 +92,7 @@ def _isolability(vehicle: str, sensors: str, as_json: bool) -> None:
         for role in ("faults", "unknown_inputs")
     ]
     if as_json:
-        _say_json([result.to_dict() for result in results])
+        say(json.dumps([result.to_dict() for result in results], indent=2, allow_nan=False))
         return
     for result in results:
         heading, *findings = isolability_lines(result)
@@ -101,10 +100,6 @@ def _isolability(vehicle: str, sensors: str, as_json: bool) -> None:
         console().print(isolability_table(result))
         say(*findings, "")
     say(LEGEND)
-
-
-def _say_json(found: Any) -> None:
-    say(json.dumps(found, indent=2, allow_nan=False))
 
 
 def _print(report: CheckReport) -> None:

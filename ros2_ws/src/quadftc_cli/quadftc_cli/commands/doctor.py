@@ -18,7 +18,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from std_msgs.msg import Header
 
 from quadftc_bags.interfaces import load_message_class
-from quadftc_cli.commands import CHECK_FAILED, GOOD
+from quadftc_cli.commands import CHECK_FAILED
 from quadftc_cli.screen import console
 from quadftc_flight.graph.plan import EXECUTABLES, GraphError
 from quadftc_flight.graph.processes import executable_path
@@ -35,7 +35,8 @@ LIBRARIES = ("numpy", "scipy", "mcap", "rosbags", "pydantic", "ruamel.yaml", "ty
 def doctor() -> None:
     """Check the installation; say what is missing and how to mend it."""
     healthy = [_examine(part, *row) for part, row in CHECKS.items()]
-    raise typer.Exit(GOOD if all(healthy) else CHECK_FAILED)
+    if not all(healthy):
+        raise typer.Exit(CHECK_FAILED)
 
 
 def _examine(part: str, check: Callable[[], str], mend: str) -> bool:
@@ -132,10 +133,7 @@ CHECKS: dict[str, tuple[Callable[[], str], str]] = {
     "libraries": (lambda: ", ".join(f"{name} {version(name)}" for name in LIBRARIES), "run scripts/setup"),
     "vehicles": (lambda: ", ".join(load_vehicle(name).name for name in vehicle_names()), MEND_FILE),
     "scenarios": (_scenarios, MEND_FILE),
-    "communication": (
-        _communication,
-        "check ROS_DOMAIN_ID, RMW_IMPLEMENTATION and the loopback network",
-    ),
+    "communication": (_communication, "check ROS_DOMAIN_ID, RMW_IMPLEMENTATION and the loopback network"),
     "discovery": (_discovery, "set ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"),
     "disk": (_disk, "free some space"),
 }

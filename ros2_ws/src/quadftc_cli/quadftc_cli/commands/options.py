@@ -5,29 +5,27 @@ from __future__ import annotations
 import os
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from quadftc_campaign.errors import CampaignError
 from quadftc_flight.scenario import Scenario, find_scenario, load_scenario, with_components
 
-ObserverOption = Annotated[str, typer.Option(help="Fault observer in place of the scheme's.")]
+ObserverOption = Annotated[str, Option(help="Fault observer in place of the scheme's.")]
 DisturbanceObserverOption = Annotated[
-    str, typer.Option("--disturbance-observer", help="Disturbance observer in place of the scheme's.")
+    str, Option("--disturbance-observer", help="Disturbance observer in place of the scheme's.")
 ]
-ControllerOption = Annotated[str, typer.Option(help="Controller in place of the scheme's.")]
+ControllerOption = Annotated[str, Option(help="Controller in place of the scheme's.")]
 SetOption = Annotated[
     list[str],
-    typer.Option("--set", help="Any value of the scenario: a.b=v, faults.0.value='2 deg'; may be repeated."),
+    Option("--set", help="Any value of the scenario: a.b=v, faults.0.value='2 deg'; may be repeated."),
 ]
 GainsOption = Annotated[
-    str, typer.Option(help="Tuned gains for the vehicle and its sensors: a name or a file (see gains/).")
+    str, Option(help="Tuned gains for the vehicle and its sensors: a name or a file (see gains/).")
 ]
 SchedulerOption = Annotated[
-    str | None, typer.Option(help="Dask scheduler that exists, tcp://HOST:PORT; default: this machine.")
+    str | None, Option(help="Dask scheduler that exists, tcp://HOST:PORT; default: this machine.")
 ]
-WorkersOption = Annotated[
-    int | None, typer.Option(help="Processes on this machine; default: one for each core.")
-]
+WorkersOption = Annotated[int | None, Option(help="Processes on this machine; default: one for each core.")]
 
 
 def load_with_parts(

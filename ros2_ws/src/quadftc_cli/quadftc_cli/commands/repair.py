@@ -7,25 +7,22 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
-import typer
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
+from typer import Argument, Option
 
 from quadftc_bags.repair import Repair, Survey
 from quadftc_bags.repair import repair as repair_bag
 from quadftc_bags.storage import Damage
-from quadftc_cli.screen import console, say
+from quadftc_cli.screen import console, plain_table, say
 
 
 def repair(
-    bag: Annotated[
-        Path, typer.Argument(metavar="BAG", help="A rosbag2 directory of one .mcap file, or the file.")
-    ],
+    bag: Annotated[Path, Argument(metavar="BAG", help="A rosbag2 directory of one .mcap file, or the file.")],
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="The repaired bag; default: BAG-repaired, beside BAG.")
+        Path | None, Option(metavar="DIR", help="The repaired bag; default: BAG-repaired, beside BAG.")
     ] = None,
     force: Annotated[
-        bool, typer.Option("--force", help="Replace DIR if it is there; without --out, replace BAG.")
+        bool, Option("--force", help="Replace DIR if it is there; without --out, replace BAG.")
     ] = False,
 ) -> None:
     """Make a bag that can be read whole of one that was cut short: killed recorder, full disk, power cut.
@@ -38,11 +35,7 @@ def repair(
 
 
 def _table(found: Survey) -> Table:
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for heading in ("topic", "type"):
-        table.add_column(heading, no_wrap=True)
-    for heading in ("messages", "last \\[s]"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    table = plain_table(("topic", "type"), ("messages", "last [s]"))
     for name, tally in sorted(found.topics.items()):
         last = _seconds(tally.last_ns - _start_ns(found)) if tally.count else "-"
         table.add_row(name, tally.type_name, str(tally.count), last)

@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
+from typer import Argument, Option
 
-from quadftc_cli.screen import Bars, console, say, warn
+from quadftc_cli.screen import Bars, console, plain_table, say, warn
 from quadftc_model.samples import AXES
 from quadftc_replay.plan import ReplayOptions
 
@@ -20,42 +19,33 @@ COLUMNS = {"always": "", "while faulty": "_inside", "while healthy": "_outside"}
 
 def replay(
     bag: Annotated[
-        Path,
-        typer.Argument(
-            metavar="BAG", help="A rosbag2 directory, an .mcap or .db3 file, or a PX4 log (.ulg)."
-        ),
+        Path, Argument(metavar="BAG", help="A rosbag2 directory, an .mcap or .db3 file, or a PX4 log (.ulg).")
     ],
-    topic: Annotated[
-        str, typer.Option(help="Topic of the IMU; default: the only one there is, or imu/data.")
-    ] = "",
+    topic: Annotated[str, Option(help="Topic of the IMU; default: the only one there is, or imu/data.")] = "",
     observer: Annotated[
-        str, typer.Option(help="Fault observer; default: the recorded one with its parameters.")
+        str, Option(help="Fault observer; default: the recorded one with its parameters.")
     ] = "",
-    set_: Annotated[
-        list[str], typer.Option("--set", help="Parameter of the observer: observer.L1=0.1.")
-    ] = [],  # noqa: B006
+    set_: Annotated[list[str], Option("--set", help="Parameter of the observer: observer.L1=0.1.")] = [],  # noqa: B006
     vehicle: Annotated[
-        str, typer.Option(help="Vehicle, by name or TOML file; default: the recorded one, or qball_x4.")
+        str, Option(help="Vehicle, by name or TOML file; default: the recorded one, or qball_x4.")
     ] = "",
     fault: Annotated[
         list[str],
-        typer.Option(
+        Option(
             metavar="SPEC",
             help="Overlay a fault: 'bias axis=roll value=3deg start=60s stop=80s'; may be repeated.",
         ),
     ] = [],  # noqa: B006
     faults: Annotated[
         list[Path],
-        typer.Option(metavar="FILE.yaml", help="Overlay the faults of a file: the key faults of a scenario."),
+        Option(metavar="FILE.yaml", help="Overlay the faults of a file: the key faults of a scenario."),
     ] = [],  # noqa: B006
-    seed: Annotated[int, typer.Option(help="Seed of random faults.")] = 0,
+    seed: Annotated[int, Option(help="Seed of random faults.")] = 0,
     skip_backwards: Annotated[
-        bool, typer.Option("--skip-backwards", help="Leave out samples whose stamp goes back.")
+        bool, Option("--skip-backwards", help="Leave out samples whose stamp goes back.")
     ] = False,
-    out: Annotated[Path, typer.Option(help="Directory of the replays.", metavar="DIR")] = Path("results"),
-    force: Annotated[
-        bool, typer.Option("--force", help="Replace an earlier replay of the same name.")
-    ] = False,
+    out: Annotated[Path, Option(help="Directory of the replays.", metavar="DIR")] = Path("results"),
+    force: Annotated[bool, Option("--force", help="Replace an earlier replay of the same name.")] = False,
 ) -> None:
     """Run a recorded IMU through the diagnosis, offline, with faults overlaid if asked; write a bag.
 
@@ -86,10 +76,7 @@ def replay(
 
 
 def _table(metrics: Mapping[str, Any]) -> Table:
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, title="error of the fault estimate, RMS / max \\[deg]")
-    table.add_column("axis")
-    for heading in COLUMNS:
-        table.add_column(heading, justify="right", no_wrap=True)
+    table = plain_table(["axis"], COLUMNS, "error of the fault estimate, RMS / max \\[deg]")
     for axis in AXES:
         pairs = [
             [metrics[f"fault_estimate_{kind}{end}_deg"][axis] for kind in ("rmse", "max")]

@@ -6,7 +6,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from quadftc_cli.screen import Bars, console, say, warn
 
@@ -14,16 +14,16 @@ from quadftc_cli.screen import Bars, console, say, warn
 def report(
     bags: Annotated[
         list[Path],
-        typer.Argument(
+        Argument(
             metavar="BAG|DIR",
             help="Runs and replays (rosbag2 directories, .mcap files), or directories of such.",
         ),
     ],
     out: Annotated[
-        Path, typer.Option(help="The HTML file; an earlier one is replaced.", metavar="FILE.html")
+        Path, Option(help="The HTML file; an earlier one is replaced.", metavar="FILE.html")
     ] = Path("report.html"),
     figures: Annotated[
-        bool, typer.Option(help="Write the figures as PNG and PDF, too, into a directory beside the page.")
+        bool, Option(help="Write the figures as PNG and PDF, too, into a directory beside the page.")
     ] = True,
 ) -> None:
     """Compare recorded runs and replays: one HTML page with figures and metrics, side by side.

@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
-from rich.text import Text
+from typer import Argument, Option
 
 from quadftc_cli.commands import CHECK_FAILED, GOOD, INTERRUPTED
 from quadftc_cli.commands.options import (
@@ -25,7 +24,7 @@ from quadftc_cli.commands.options import (
     SetOption,
     load_with_parts,
 )
-from quadftc_cli.screen import Bars, console
+from quadftc_cli.screen import Bars, console, plain_table
 from quadftc_flight.metrics import look_up
 from quadftc_flight.runs import RunError, RunOptions, prepare, run_name
 from quadftc_flight.runs import run as run_scenario
@@ -47,46 +46,41 @@ COLUMNS = (
 WIDE = 1000  # characters; wider than any table
 
 GraphOption = Annotated[
-    Literal["composed", "processes"], typer.Option(help="All nodes in one process, or a process each.")
+    Literal["composed", "processes"], Option(help="All nodes in one process, or a process each.")
 ]
 WaitOption = Annotated[
     Literal["sleep", "poll"],
-    typer.Option(help="Real time, between samples: sleep, or poll, which is faster and takes a whole core."),
+    Option(help="Real time, between samples: sleep, or poll, which is faster and takes a whole core."),
 ]
 PriorityOption = Annotated[
-    int,
-    typer.Option(
-        "--realtime-priority", metavar="1-99", help="Real time: priority of SCHED_RR, if permitted."
-    ),
+    int, Option("--realtime-priority", metavar="1-99", help="Real time: priority of SCHED_RR, if permitted.")
 ]
-CoreOption = Annotated[list[int], typer.Option(help="Real time: processor core to run on; may be repeated.")]
+CoreOption = Annotated[list[int], Option(help="Real time: processor core to run on; may be repeated.")]
 
 
 def run(
-    scenarios: Annotated[
-        list[str], typer.Argument(help="Scenario files, or names (see: quadftc list scenarios).")
-    ],
-    scheme: Annotated[str, typer.Option(help="Scheme to fly, or 'all'; default: the scenario's first.")] = "",
+    scenarios: Annotated[list[str], Argument(help="Scenario files, or names (see: quadftc list scenarios).")],
+    scheme: Annotated[str, Option(help="Scheme to fly, or 'all'; default: the scenario's first.")] = "",
     observer: ObserverOption = "",
     disturbance_observer: DisturbanceObserverOption = "",
     controller: ControllerOption = "",
     mode: Annotated[
         Literal["lockstep", "realtime"],
-        typer.Option(help="lockstep: as fast as it goes; realtime: by the wall clock."),
+        Option(help="lockstep: as fast as it goes; realtime: by the wall clock."),
     ] = "lockstep",
     graph: GraphOption = "composed",
-    namespace: Annotated[str, typer.Option(help="ROS namespace of the vehicle.")] = "",
-    rate: Annotated[str, typer.Option(help="Control rate, such as 500 or '500 Hz'.")] = "",
-    seed: Annotated[str, typer.Option(help="Seed of the random numbers.")] = "",
+    namespace: Annotated[str, Option(help="ROS namespace of the vehicle.")] = "",
+    rate: Annotated[str, Option(help="Control rate, such as 500 or '500 Hz'.")] = "",
+    seed: Annotated[str, Option(help="Seed of the random numbers.")] = "",
     set_: SetOption = [],  # noqa: B006
     gains: GainsOption = "",
-    out: Annotated[Path, typer.Option(help="Directory of the runs.")] = Path("results"),
+    out: Annotated[Path, Option(help="Directory of the runs.")] = Path("results"),
     wait: WaitOption = "sleep",
     realtime_priority: PriorityOption = 0,
     core: CoreOption = [],  # noqa: B006
-    force: Annotated[bool, typer.Option("--force", help="Replace earlier runs of the same name.")] = False,
+    force: Annotated[bool, Option("--force", help="Replace earlier runs of the same name.")] = False,
     jobs: Annotated[
-        int | None, typer.Option(min=1, help="Lock-step flights side by side; default: one for each core.")
+        int | None, Option(min=1, help="Lock-step flights side by side; default: one for each core.")
     ] = None,
 ) -> None:
     """Fly scenarios through the node graph; write a bag and a summary for each run."""
@@ -146,11 +140,7 @@ def _run_table(summaries: Sequence[Mapping[str, Any]], screen: Console) -> Table
 
 def _narrow_table(summaries: Sequence[Mapping[str, Any]], count: int) -> Table:
     """Table with the first ``count`` columns."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for heading in ("run", "axis"):
-        table.add_column(heading, no_wrap=True)
-    for heading, *_ in COLUMNS[:count]:
-        table.add_column(Text(heading), justify="right", no_wrap=True)
+    table = plain_table(("run", "axis"), (heading for heading, *_ in COLUMNS[:count]))
     table.add_column("checks\npassed", no_wrap=True)
     for item in summaries:
         factor = item["real_time_factor"]

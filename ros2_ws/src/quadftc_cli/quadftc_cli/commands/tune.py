@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
+from typer import Argument, Option
 
 from quadftc_campaign.errors import CampaignError
-from quadftc_cli.commands import CHECK_FAILED, GOOD, INTERRUPTED
+from quadftc_cli.commands import CHECK_FAILED, INTERRUPTED
 from quadftc_cli.commands.options import SchedulerOption, WorkersOption, workers_here
 from quadftc_cli.screen import Bars, console, say
 
@@ -20,12 +21,12 @@ if TYPE_CHECKING:
 
 
 def tune(
-    file: Annotated[Path, typer.Argument(help="Campaign file with a key 'tune' (see campaigns/).")],
-    out: Annotated[Path | None, typer.Option(help="File for the gains; default: gains/NAME.yaml.")] = None,
-    steps: Annotated[int | None, typer.Option(help="Steps of the search in place of the file's.")] = None,
+    file: Annotated[Path, Argument(help="Campaign file with a key 'tune' (see campaigns/).")],
+    out: Annotated[Path | None, Option(help="File for the gains; default: gains/NAME.yaml.")] = None,
+    steps: Annotated[int | None, Option(help="Steps of the search in place of the file's.")] = None,
     scheduler: SchedulerOption = None,
     workers: WorkersOption = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+    force: Annotated[bool, Option("--force", help="Replace the file.")] = False,
 ) -> None:
     """Tune gains by gradients through the closed loop; judge them on other flights."""
     from quadftc_campaign.campaign_file import load_campaign  # with what it needs, half a second
@@ -45,11 +46,10 @@ def tune(
     screen = console()
     numbers = f"{len(start.logarithms)} numbers in {', '.join(start.names)}"
     say(f"{loaded.name}: {numbers}; scheme {loaded.variants[0].scheme}")
-    total = loaded.tune.steps if loaded.tune else 1
+    total, done = loaded.tune.steps if loaded.tune else 1, itertools.count(1)
     try:
         with Bars(screen) as bars:
             update = bars.add("tuning")
-            done = itertools.count(1)
             found = tuned_for(
                 loaded, scheduler, cores, lambda step: update(next(done) / total, f"cost {step.cost:.4f}")
             )
@@ -62,7 +62,6 @@ def tune(
         raise typer.Exit(CHECK_FAILED)
     write(found, loaded, path)
     screen.print(f"gains: {path}")
-    raise typer.Exit(GOOD)
 
 
 def _show(found: Tuned) -> None:
@@ -80,10 +79,9 @@ def _show(found: Tuned) -> None:
         pair = (str(getattr(each, name)) for each in (found.before, found.after))
         held.add_row(name.replace("_", " "), *pair)
     screen.print(held)
-    if found.failing:
-        screen.print(f"conditions that failed before are not asked for: {'; '.join(sorted(found.failing))}")
-    else:
-        screen.print("quadftc check: every condition that the scheme needs holds, as before")
+    failing = f"conditions that failed before are not asked for: {'; '.join(sorted(found.failing))}"
+    holding = "quadftc check: every condition that the scheme needs holds, as before"
+    screen.print(failing if found.failing else holding)
 
 
 def _shown(value: float | list[float]) -> str:
