@@ -110,4 +110,4 @@ def _faultless_gyro(
 def _pitch(given: Circumstances) -> Condition:
     steep = given.tilt.value + given.fault.value
     text = f"up to {steep / DEG:.3g} deg with the fault; beyond {MAX_PITCH / DEG:.3g} deg it dead-reckons"
-    return assess("pitch away from 90 deg", steep < MAX_PITCH, text, tilt=steep)
+    return advise("pitch away from 90 deg", steep < MAX_PITCH, text, tilt=steep)

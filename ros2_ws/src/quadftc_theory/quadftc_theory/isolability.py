@@ -130,11 +130,9 @@ def structural_isolability(model: LinearModel, causality: str) -> tuple[Mask, Ma
     from faultdiagnosistoolbox import DiagnosisModel  # takes seconds
 
     # unknowns: states, derivatives of states, others; an equation x' = dx/dt for each state comes last
-    count = len(model.states)
+    count, others = len(model.states), model.B.shape[1]
     used = np.hstack([model.A, model.E, model.B]) != 0.0
-    constraints = _DERIVED * np.eye(count, used.shape[1]) + _DERIVATIVE * np.eye(
-        count, used.shape[1], k=count
-    )
+    constraints = np.pad(np.kron([_DERIVED, _DERIVATIVE], np.eye(count)), ((0, 0), (0, others)))
     unknowns = np.vstack([used, constraints]).astype(np.int64)
     faults = np.pad(model.F != 0.0, ((0, count), (0, 0))).astype(np.int64)
     structure = {"type": "MatrixStruc", "X": unknowns, "F": faults, "Z": [], "f": list(model.faults)}

@@ -74,18 +74,17 @@ def _fly_alone(loaded: Campaign, numbers: list[int], name: str | None, directory
     prepare(runs, [run_name(*job) for job in jobs], force)
     screen = console()
     with Bars(screen) as bars:
-        updates = [bars.add(run_name(*job)) for job in jobs]
+        shows = [functools.partial(_follow, bars.add(run_name(*job))) for job in jobs]
         results = [
-            run_scenario(*job, runs, RunOptions(), functools.partial(_follow, update))
-            for job, update in zip(jobs, updates, strict=True)
+            run_scenario(*job, runs, RunOptions(), show) for job, show in zip(jobs, shows, strict=True)
         ]
     for job, result in zip(jobs, results, strict=True):
         if result is None:
             raise RunError(f"{runs}: the flight ended early")
         table = Table("metric", *AXES, title=f"{result['name']}, {result['scheme']}")
-        for name, _ in SHOWN:
-            values = result["metrics"][name].values()
-            table.add_row(name, *("-" if value is None else f"{value:.6g}" for value in values))
+        for metric, _ in SHOWN:
+            values = result["metrics"][metric].values()
+            table.add_row(metric, *("-" if value is None else f"{value:.6g}" for value in values))
         screen.print(table)
         screen.print(f"bag and summary: {runs / run_name(*job)}")
     return GOOD
@@ -165,6 +164,4 @@ def _worst(metrics: dict[str, Any], name: str) -> dict[str, Any]:
 
 
 def _pair(values: dict[str, Any], unit: str) -> str:
-    if not values.get("count"):
-        return "-"
-    return f"{values['q50']:.3g} / {values['q95']:.3g} {unit}"
+    return f"{values['q50']:.3g} / {values['q95']:.3g} {unit}" if values.get("count") else "-"

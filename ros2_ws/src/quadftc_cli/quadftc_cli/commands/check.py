@@ -11,15 +11,7 @@ import typer
 from typer import Argument, Option
 
 from quadftc_bags.bag import BagError
-from quadftc_cli.commands import CHECK_FAILED
-from quadftc_cli.commands.options import (
-    ControllerOption,
-    DisturbanceObserverOption,
-    GainsOption,
-    ObserverOption,
-    SetOption,
-    load_with_parts,
-)
+from quadftc_cli.commands import CHECK_FAILED, options
 from quadftc_cli.screen import console, say, warn
 from quadftc_flight.run_directory import read_run
 from quadftc_flight.scenario import find_scenario, load_scenario
@@ -35,11 +27,11 @@ def check(
         str, Argument(metavar="SCENARIO|BAG", help="Scenario file or name, or a recorded run.")
     ],
     scheme: Annotated[str, Option(help="Scheme to judge; default: the scenario's first.")] = "",
-    observer: ObserverOption = "",
-    disturbance_observer: DisturbanceObserverOption = "",
-    controller: ControllerOption = "",
-    set_: SetOption = [],  # noqa: B006
-    gains: GainsOption = "",
+    observer: options.ObserverOption = "",
+    disturbance_observer: options.DisturbanceObserverOption = "",
+    controller: options.ControllerOption = "",
+    set_: options.SetOption = [],  # noqa: B006
+    gains: options.GainsOption = "",
     bag: Annotated[
         Path | None, Option(help="Recorded run: its bounds, and the Lyapunov functions along it.")
     ] = None,
@@ -62,7 +54,7 @@ def check(
     is_bag = path.is_dir() or (path.is_file() and path.suffix not in (".yaml", ".yml"))
     recorded = bag or (path if is_bag else None)
     if recorded is None:
-        scenario = load_with_parts(target, set_, gains, *parts)
+        scenario = options.load_with_parts(target, set_, gains, *parts)
         report = check_scenario(scenario, scenario.scheme(scheme or None), output)
     else:
         if any((scheme, *parts, gains, *set_)):

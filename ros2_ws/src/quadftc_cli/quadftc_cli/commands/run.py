@@ -15,15 +15,7 @@ from rich.measure import Measurement
 from rich.table import Table
 from typer import Argument, Option
 
-from quadftc_cli.commands import CHECK_FAILED, GOOD, INTERRUPTED
-from quadftc_cli.commands.options import (
-    ControllerOption,
-    DisturbanceObserverOption,
-    GainsOption,
-    ObserverOption,
-    SetOption,
-    load_with_parts,
-)
+from quadftc_cli.commands import CHECK_FAILED, GOOD, INTERRUPTED, options
 from quadftc_cli.screen import Bars, console, plain_table
 from quadftc_flight.metrics import look_up
 from quadftc_flight.runs import RunError, RunOptions, prepare, run_name
@@ -61,9 +53,9 @@ CoreOption = Annotated[list[int], Option(help="Real time: processor core to run 
 def run(
     scenarios: Annotated[list[str], Argument(help="Scenario files, or names (see: quadftc list scenarios).")],
     scheme: Annotated[str, Option(help="Scheme to fly, or 'all'; default: the scenario's first.")] = "",
-    observer: ObserverOption = "",
-    disturbance_observer: DisturbanceObserverOption = "",
-    controller: ControllerOption = "",
+    observer: options.ObserverOption = "",
+    disturbance_observer: options.DisturbanceObserverOption = "",
+    controller: options.ControllerOption = "",
     mode: Annotated[
         Literal["lockstep", "realtime"],
         Option(help="lockstep: as fast as it goes; realtime: by the wall clock."),
@@ -72,8 +64,8 @@ def run(
     namespace: Annotated[str, Option(help="ROS namespace of the vehicle.")] = "",
     rate: Annotated[str, Option(help="Control rate, such as 500 or '500 Hz'.")] = "",
     seed: Annotated[str, Option(help="Seed of the random numbers.")] = "",
-    set_: SetOption = [],  # noqa: B006
-    gains: GainsOption = "",
+    set_: options.SetOption = [],  # noqa: B006
+    gains: options.GainsOption = "",
     out: Annotated[Path, Option(help="Directory of the runs.")] = Path("results"),
     wait: WaitOption = "sleep",
     realtime_priority: PriorityOption = 0,
@@ -86,25 +78,24 @@ def run(
     """Fly scenarios through the node graph; write a bag and a summary for each run."""
     overrides = [*set_, *([f"rate={rate}"] if rate else []), *([f"seed={seed}"] if seed else [])]
     scheduling = Scheduling(wait, realtime_priority, tuple(core))
-    options = RunOptions(graph, mode, namespace, force, scheduling)
+    how = RunOptions(graph, mode, namespace, force, scheduling)
     flights: list[tuple[Scenario, Scheme]] = []
     for name in scenarios:
-        loaded = load_with_parts(name, overrides, gains, observer, disturbance_observer, controller)
+        loaded = options.load_with_parts(name, overrides, gains, observer, disturbance_observer, controller)
         chosen = list(loaded.schemes) if scheme == "all" else [loaded.scheme(scheme or None).name]
         flights += [(loaded, loaded.scheme(each)) for each in chosen]
     names = [run_name(*job) for job in flights]
     if len(set(names)) < len(names):
-        raise RunError(
-            f"{next(n for n in names if names.count(n) > 1)}: asked for twice; give scenarios other names"
-        )
+        twice = next(name for name in names if names.count(name) > 1)
+        raise RunError(f"{twice}: asked for twice; give scenarios other names")
     prepare(out, names, force)
     workers = 1 if mode == "realtime" else min(jobs or len(os.sched_getaffinity(0)), len(flights))
-    raise typer.Exit(_run_all(flights, out, options, workers))
+    raise typer.Exit(_run_all(flights, out, how, workers))
 
 
-def _run_all(jobs: list[tuple[Scenario, Scheme]], out: Path, options: RunOptions, workers: int) -> int:
+def _run_all(jobs: list[tuple[Scenario, Scheme]], out: Path, how: RunOptions, workers: int) -> int:
     screen = console()
-    with StopSignals() as stop, Bars(screen, still=options.mode == "realtime") as bars:
+    with StopSignals() as stop, Bars(screen, still=how.mode == "realtime") as bars:
         updates = [bars.add(run_name(*job)) for job in jobs]
 
         def follow(number: int, share: float) -> bool:
@@ -112,12 +103,10 @@ def _run_all(jobs: list[tuple[Scenario, Scheme]], out: Path, options: RunOptions
             return not stop.requested
 
         if workers > 1:
-            results = run_side_by_side(jobs, out, options, workers, follow)
+            results = run_side_by_side(jobs, out, how, workers, follow)
         else:
-            results = [
-                run_scenario(*job, out, options, functools.partial(follow, number))
-                for number, job in enumerate(jobs)
-            ]
+            shows = [functools.partial(follow, number) for number in range(len(jobs))]
+            results = [run_scenario(*job, out, how, show) for job, show in zip(jobs, shows, strict=True)]
     if stop.requested:
         screen.print(f"interrupted; what was flown is in {out}")
         return INTERRUPTED
