@@ -46,10 +46,8 @@ def augmented_kalman_conditions(observer: AugmentedKalman, given: Circumstances)
     within = attitude <= observer.attitude_noise and walk <= observer.gyro_noise
     yield assess("noise within the filter's model", within and bias <= 2.0 * observer.gyro_bias, text)
     floor = walk * math.sqrt(given.duration)
-    text = (
-        "the fault must be 0 at the first sample: the zeros at s = 0 keep what is wrong then; the angle "
-        f"random walk adds {floor / DEG:.3g} deg in {given.duration:.3g} s"
-    )
+    text = "the fault must be 0 at the first sample: the zeros at s = 0 keep what is wrong then; the angle "
+    text += f"random walk adds {floor / DEG:.3g} deg in {given.duration:.3g} s"
     yield advise("healthy start", False, text, floor=floor)
     yield _pitch(given)
 
@@ -80,19 +78,15 @@ def threshold_conditions(observer: Threshold, given: Circumstances) -> Iterator[
     size, growth, bias = given.fault.value, given.fault_growth.value, given.gyro_bias.value
     yield _faultless_gyro(given)
     slowest = "" if math.isinf(growth) else f", slowest {growth / DEG:.3g} deg/s"
-    text = (
-        f"finds a step or ramp of more than {observer.angle_threshold / DEG:.3g} deg, faster than "
-        f"{observer.rate_threshold / DEG:.3g} deg/s; here up to {size / DEG:.3g} deg{slowest}"
-    )
+    text = f"finds a step or ramp of more than {observer.angle_threshold / DEG:.3g} deg, faster than "
+    text += f"{observer.rate_threshold / DEG:.3g} deg/s; here up to {size / DEG:.3g} deg{slowest}"
     found = size == 0.0 or (size > observer.angle_threshold and growth > observer.rate_threshold)
     yield assess("faults above the thresholds", found, text, needed=False, fault=size)
     text, below = f"{bias / DEG:.3g} deg/s; above it, every axis is faulty", bias < observer.rate_threshold
     yield assess("gyro bias below rate_threshold", below, text, gyro_bias=bias)
     drift = bias * min(given.fault_length.value, observer.patience)
-    text = (
-        f"the residual has drifted by {drift / DEG:.3g} deg at the end of the longest fault; recovers "
-        f"below {observer.recovery_angle / DEG:.3g} deg, else after {observer.patience:.3g} s"
-    )
+    text = f"the residual has drifted by {drift / DEG:.3g} deg at the end of the longest fault; recovers "
+    text += f"below {observer.recovery_angle / DEG:.3g} deg, else after {observer.patience:.3g} s"
     within = drift < observer.recovery_angle
     yield assess("recovery within recovery_angle", within, text, needed=False, drift=drift)
     yield _pitch(given)

@@ -84,20 +84,14 @@ class Zeros(NamedTuple):
 
 
 def attitude_model(output: str = "imu", faulty: Sequence[str] = ANGLES) -> AffineModel:
-    """Return (6)-(7); ValueError if there is no such output.
+    """Return (6)-(7) with the output of an IMU message, or the ``angles`` alone as in the paper.
 
-    Parameters
-    ----------
-    output : str
-        ``imu``: angles and body rate; ``angles``: the angles alone, the paper's own choice.
-    faulty : sequence of str
-        The outputs with a fault: roll, pitch, yaw, p, q, r.
+    ``faulty`` are the outputs with a fault: roll, pitch, yaw, p, q, r. Other names raise ValueError.
     """
     if output not in OUTPUTS:
         raise ValueError(f"output = {output!r}: expected one of {', '.join(OUTPUTS)}")
     names = OUTPUTS[output]
-    unknown = [name for name in faulty if name not in names]
-    if unknown:
+    if unknown := [name for name in faulty if name not in names]:
         raise ValueError(f"faulty = {unknown[0]!r}: the outputs are {', '.join(names)}")
     return AffineModel(
         A=np.eye(6, k=3),

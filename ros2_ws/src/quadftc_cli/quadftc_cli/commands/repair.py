@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
-from rich.table import Table
 from typer import Argument, Option
 
 from quadftc_bags.repair import Repair, Survey
@@ -30,16 +29,13 @@ def repair(
     Says what was kept and what was lost. A bag with which nothing is wrong is left as it is.
     """
     done = repair_bag(bag, out, force)
-    console().print(_table(done.found))
-    say(*_lines(done))
-
-
-def _table(found: Survey) -> Table:
+    found = done.found
     table = plain_table(("topic", "type"), ("messages", "last [s]"))
     for name, tally in sorted(found.topics.items()):
         last = _seconds(tally.last_ns - _start_ns(found)) if tally.count else "-"
         table.add_row(name, tally.type_name, str(tally.count), last)
-    return table
+    console().print(table)
+    say(*_lines(done))
 
 
 def _lines(done: Repair) -> Iterator[str]:

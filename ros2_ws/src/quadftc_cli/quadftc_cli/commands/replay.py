@@ -3,17 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-from rich.table import Table
 from typer import Argument, Option
 
 from quadftc_cli.screen import Bars, console, plain_table, say, warn
 from quadftc_model.samples import AXES
 from quadftc_replay.plan import ReplayOptions
 
+FAULT_HELP = "Overlay a fault: 'bias axis=roll value=3deg start=60s stop=80s'; may be repeated."
+TITLE = "error of the fault estimate, RMS / max \\[deg]"
 COLUMNS = {"always": "", "while faulty": "_inside", "while healthy": "_outside"}  # heading, end of the metric
 
 
@@ -29,13 +29,7 @@ def replay(
     vehicle: Annotated[
         str, Option(help="Vehicle, by name or TOML file; default: the recorded one, or qball_x4.")
     ] = "",
-    fault: Annotated[
-        list[str],
-        Option(
-            metavar="SPEC",
-            help="Overlay a fault: 'bias axis=roll value=3deg start=60s stop=80s'; may be repeated.",
-        ),
-    ] = [],  # noqa: B006
+    fault: Annotated[list[str], Option(metavar="SPEC", help=FAULT_HELP)] = [],  # noqa: B006
     faults: Annotated[
         list[Path],
         Option(metavar="FILE.yaml", help="Overlay the faults of a file: the key faults of a scenario."),
@@ -71,12 +65,7 @@ def replay(
         f" {summary['duration']:.1f} s at {summary['rate']:.1f} Hz,"
         f" {summary['real_time_factor']:.1f} x real time; truth: {summary['truth']}"
     )
-    console().print(_table(summary["metrics"]))
-    say(f"bag and summary: {out / summary['bag']}")
-
-
-def _table(metrics: Mapping[str, Any]) -> Table:
-    table = plain_table(["axis"], COLUMNS, "error of the fault estimate, RMS / max \\[deg]")
+    metrics, table = summary["metrics"], plain_table(["axis"], COLUMNS, TITLE)
     for axis in AXES:
         pairs = [
             [metrics[f"fault_estimate_{kind}{end}_deg"][axis] for kind in ("rmse", "max")]
@@ -84,4 +73,5 @@ def _table(metrics: Mapping[str, Any]) -> Table:
         ]
         cells = (" / ".join("-" if value is None else f"{value:.3f}" for value in pair) for pair in pairs)
         table.add_row(axis, *cells)
-    return table
+    console().print(table)
+    say(f"bag and summary: {out / summary['bag']}")
