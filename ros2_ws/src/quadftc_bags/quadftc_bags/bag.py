@@ -126,11 +126,9 @@ class Bag:
     def resolve(self, topic: str) -> str:
         """Return a topic's full name: as given, or in the only namespace that has it; else BagError."""
         short = topic.strip("/")
-        if topic in self.topics:
-            return topic
-        for name in self.topics:
-            if name.strip("/") == short:
-                return name
+        exact = [name for name in self.topics if name.strip("/") == short]
+        if exact:
+            return topic if topic in exact else exact[0]
         names = [name for name in self.topics if name.endswith("/" + short)]
         if len(names) == 1:
             return names[0]
@@ -201,11 +199,8 @@ class Bag:
         if not self.wants(channel.topic):
             return None
         type_name, more = schema.name if schema else "unknown", channel.metadata
-        qos, type_hash = more.get("offered_qos_profiles", ""), more.get("topic_type_hash", "")
-        encoding = channel.message_encoding
-        topic = TopicInfo(
-            channel.topic, type_name, qos=qos, type_hash=type_hash, encoding=encoding, definition=schema
-        )
+        topic = TopicInfo(channel.topic, type_name, encoding=channel.message_encoding, definition=schema)
+        topic.qos, topic.type_hash = more.get("offered_qos_profiles", ""), more.get("topic_type_hash", "")
         present = self.topics.setdefault(channel.topic, topic)
         if present.type_name != type_name:
             types = f"{present.type_name} and {type_name}"

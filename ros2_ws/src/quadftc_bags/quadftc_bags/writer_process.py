@@ -227,10 +227,9 @@ class BagProcess:
 
     def _first_answer(self) -> Path:
         """Return the path of the bag."""
-        try:
+        answer = OSError("the process that was to write the bag has ended")
+        with suppress(EOFError, OSError):
             answer = self._connection.recv()
-        except (EOFError, OSError):
-            answer = OSError("the process that was to write the bag has ended")
         if isinstance(answer, Exception):
             self._closed = True
             self._end()

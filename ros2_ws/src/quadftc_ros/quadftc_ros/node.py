@@ -24,7 +24,7 @@ from quadftc_ros.diagnostics import OK, WARN, Diagnostics, SampleTiming
 from quadftc_ros.parameters import NodeParameters
 from quadftc_ros.qos import service_profile, topic_profile
 from quadftc_ros.topics import TOPICS, missing_connections
-from quadftc_ros.transport import MessageTrace, Tap, decoding, receiver, tapped
+from quadftc_ros.transport import MessageTrace, Note, Tap, decoding, receiver, tapped
 
 MODES = ("lockstep", "realtime")
 HEARTBEAT = {"realtime": 1.0, "lockstep": 0.2}  # s; in lock-step only before the flight
@@ -104,7 +104,7 @@ class GraphNode(Node):
         row, count = TOPICS[topic], self.diagnostics.count
         message_class = load_message_class(row.type_name)
         decode = decode or partial(read_message, message_class=message_class)
-        note = self._trace.taken(topic) if self._trace else lambda stamp_ns: None
+        note: Note = self._trace.taken(topic) if self._trace else lambda stamp_ns: None
         receive = receiver(topic, decoding(topic, callback, decode, count), count, note)
         profile = topic_profile(row.qos, self.mode)
         self._inputs[topic] = self.create_subscription(message_class, topic, receive, profile, raw=True)
@@ -198,7 +198,7 @@ class GraphNode(Node):
         self.report()
 
     def _beat(self) -> None:
-        """Publish the diagnostics; in lock-step only before the flight (stamp 0), where `sampled` does."""
+        """Publish the diagnostics; in lock-step only before the flight (stamp 0), then `sampled` does."""
         if self.lockstep and self._flying:
             return
         counts = self.connections()

@@ -8,9 +8,8 @@ clock      best effort, keep last 1      reliable, keep last 1000  /clock
 
 In lock-step none may be lost. The nodes wait for each other, but not for a recorder in another process: the
 depth is what it may lag behind. In real time IMU samples are not sent again: best effort, as in the
-sensor-data convention of ROS 2, also matches the drivers of real vehicles. The depth is more than the five of
-that convention. A node that was kept from working for 20 ms has ten samples to make up for at 500 Hz, which
-it does within a few periods; to an observer, a gap in its samples costs more.
+sensor-data convention of ROS 2, also matches the drivers of real vehicles. The depth is more than its five: a
+node that was kept from working for 20 ms makes up for ten samples faster than an observer for a gap.
 """
 
 from __future__ import annotations

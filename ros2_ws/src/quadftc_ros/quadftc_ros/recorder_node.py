@@ -88,8 +88,7 @@ class RecorderNode(GraphNode):
     def destroy_node(self) -> None:
         """Close the bag before the rest."""
         status = self.finish()
-        missing = sum(status.dropped.values()) + status.lost
-        if missing:
+        if missing := sum(status.dropped.values()) + status.lost:
             self.get_logger().error(f"{missing} messages are not in {self.path}")
         super().destroy_node()
 
