@@ -10,7 +10,6 @@ FAULTY where the estimate exceeds the threshold. Beyond 80 deg of pitch it flies
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import NamedTuple
 
@@ -30,7 +29,6 @@ class WashoutState(NamedTuple):
 
 
 @register("washout")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Washout(FaultObserver):
     """Compare the attitude with the gyro, and forget slowly."""
 

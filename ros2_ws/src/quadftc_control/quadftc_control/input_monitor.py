@@ -61,7 +61,6 @@ class Patience(Checked):
     off: float = parameter(0.5, unit="s", low=1e-3, doc="time without IMU until zero torque is commanded")
 
     def __post_init__(self) -> None:
-        """Check the parameters."""
         super().__post_init__()
         if self.off < self.hold:
             raise ValueError(f"off = {self.off:g} s: must not be less than hold = {self.hold:g} s")

@@ -85,7 +85,6 @@ class Checked:
     """Base of dataclasses that check their parameters when they are made."""
 
     def __post_init__(self) -> None:
-        """Check the parameters."""
         check(self)
 
 

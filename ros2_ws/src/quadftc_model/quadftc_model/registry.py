@@ -6,11 +6,18 @@ entry point of its group, by which packages outside this repository add theirs.
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import importlib.metadata
 import pkgutil
+import sys
 from collections.abc import Callable
 from typing import Generic, TypeVar
+
+if sys.version_info >= (3, 11):
+    from typing import dataclass_transform
+else:
+    from typing_extensions import dataclass_transform
 
 from quadftc_model.hints import nearest
 
@@ -29,10 +36,13 @@ class Registry(Generic[T]):
         self._components: dict[str, type[T]] = {}
         self._discovered = False
 
+    @dataclass_transform(eq_default=False, kw_only_default=True, frozen_default=True)
     def register(self, name: str) -> Callable[[type[T]], type[T]]:
-        """Class decorator that adds a component under ``name``."""
+        """Class decorator that makes a frozen dataclass, if it is none yet, and adds it under ``name``."""
 
         def add(component: type[T]) -> type[T]:
+            if "__dataclass_params__" not in vars(component):
+                component = dataclasses.dataclass(frozen=True, eq=False, kw_only=True)(component)
             present = self._components.get(name)
             if present is not None and _origin(present) != _origin(component):
                 raise ValueError(f"{self.kind} '{name}': registered twice ({present!r} and {component!r})")

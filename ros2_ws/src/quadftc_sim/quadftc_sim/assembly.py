@@ -10,10 +10,18 @@ from __future__ import annotations
 
 import dataclasses
 
-from quadftc_model.assembly import NodeParameters, build_named, build_prefixed, get, texts, vehicle_from
-from quadftc_model.parameters import build, parameter
+from quadftc_model.assembly import (
+    NodeParameters,
+    build_named,
+    build_prefixed,
+    components_from,
+    get,
+    texts,
+    vehicle_from,
+)
+from quadftc_model.parameters import parameter
 from quadftc_model.spec import parse_spec
-from quadftc_sim.disturbance import Disturbance, disturbances
+from quadftc_sim.disturbance import disturbances
 from quadftc_sim.injection import Injection, make_injection
 from quadftc_sim.injector import FaultInjector
 from quadftc_sim.plant import Plant
@@ -61,7 +69,7 @@ def sample_count(duration: float, rate: float) -> int:
 
 def simulator_from(parameters: NodeParameters, epoch_ns: int = EPOCH_NS) -> Simulator:
     """Build the simulator from the parameters of the plant node; its first stamp is ``epoch_ns``."""
-    laws = tuple(_disturbance_from(text) for text in texts(parameters, "disturbances"))
+    laws = tuple(components_from(disturbances, parameters, "disturbances"))
     plant = build_named(Plant, parameters, vehicle=vehicle_from(parameters), disturbances=laws)
     sensor = build_prefixed(ImuSensor, parameters, "imu")
     period = period_ns(get(parameters, "rate", float))
@@ -88,11 +96,3 @@ def injection_from(text: str) -> Injection:
         return make_injection(spec.kind, spec.values)
     except ValueError as error:
         raise ValueError(f"fault {text!r}: {error}") from None
-
-
-def _disturbance_from(text: str) -> Disturbance:
-    try:
-        spec = parse_spec(text)
-        return build(disturbances.get(spec.kind), spec.values)
-    except ValueError as error:
-        raise ValueError(f"disturbance {text!r}: {error}") from None

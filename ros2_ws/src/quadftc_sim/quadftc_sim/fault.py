@@ -11,7 +11,7 @@ import dataclasses
 from typing import Any, ClassVar, NamedTuple
 
 from quadftc_model.arrays import Array, namespace
-from quadftc_model.parameters import check
+from quadftc_model.parameters import Checked
 from quadftc_model.registry import Registry
 
 
@@ -32,7 +32,7 @@ class FaultOutput(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Fault(abc.ABC):
+class Fault(Checked, abc.ABC):
     """Base of all faults.
 
     ``step`` is called from the onset on; with ``has_memory``, on every sample before it too.
@@ -42,10 +42,6 @@ class Fault(abc.ABC):
     is_random: ClassVar[bool] = False
     channels: ClassVar[tuple[str, ...]] = ("attitude", "gyro", "accelerometer")
     whole_channel: ClassVar[bool] = False  # the fault cannot be put on some of the axes only
-
-    def __post_init__(self) -> None:
-        """Check the parameters."""
-        check(self)
 
     def init(self, value: Array) -> Any:
         """Return the state at the first sample (..., 3); most faults have none."""

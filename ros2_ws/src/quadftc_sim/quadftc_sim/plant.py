@@ -15,7 +15,7 @@ import numpy as np
 
 from quadftc_model.arrays import Array, Components, Quaternion, Vector, namespace
 from quadftc_model.integrators import Derivative, rk4
-from quadftc_model.parameters import check, parameter
+from quadftc_model.parameters import Checked, parameter
 from quadftc_model.rigid_body import angular_acceleration, propeller_momentum
 from quadftc_model.rotations import normalise, quaternion_rate
 from quadftc_model.rotors import commands_from_torque, torque_from_commands
@@ -32,7 +32,7 @@ class PlantState(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Plant:
+class Plant(Checked):
     """A vehicle in its disturbances.
 
     It may differ from the ``vehicle`` that observers and controller are designed for: in its moments of
@@ -51,8 +51,7 @@ class Plant:
     )
 
     def __post_init__(self) -> None:
-        """Check the parameters."""
-        check(self)
+        super().__post_init__()
         if self.motor_bandwidth > 0.0 and not self.motor_lag:
             raise ValueError(f"motor_bandwidth = {self.motor_bandwidth:g} rad/s: motor_lag is false")
 

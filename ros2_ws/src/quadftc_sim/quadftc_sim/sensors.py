@@ -12,7 +12,7 @@ import math
 from typing import NamedTuple
 
 from quadftc_model.arrays import Array, Quaternion, Vector, namespace
-from quadftc_model.parameters import check, parameter
+from quadftc_model.parameters import Checked, parameter
 from quadftc_model.rotations import earth_z_in_body, quaternion_from_rotation_vector, quaternion_product
 from quadftc_model.samples import STANDARD_GRAVITY, ImuSample
 
@@ -27,7 +27,7 @@ class ImuState(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class ImuSensor:
+class ImuSensor(Checked):
     """Sensor model of one IMU with its attitude; all zero: the ideal sensor of the paper."""
 
     attitude_noise: float = parameter(0.0, unit="rad", low=0.0, doc="attitude noise of a sample, 1 sigma")
@@ -36,10 +36,6 @@ class ImuSensor:
     gyro_bias_walk: float = parameter(0.0, unit="rad/s/sqrt(s)", low=0.0, doc="gyro rate random walk K")
     accelerometer_noise: float = parameter(0.0, unit="m/s^2", low=0.0, doc="accelerometer noise, 1 sigma")
     delay: int = parameter(0, low=0, high=100, doc="samples between measuring and publishing")
-
-    def __post_init__(self) -> None:
-        """Check the parameters."""
-        check(self)
 
     def turn_on_bias(self, uniform: Vector) -> Vector:
         """Gyro bias [rad/s] from numbers uniform in [-1, 1]."""

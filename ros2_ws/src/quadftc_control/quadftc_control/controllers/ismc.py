@@ -41,7 +41,6 @@ class IsmcState(NamedTuple):
 
 
 @register("ismc")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Ismc(Controller):
     """The paper's controller."""
 

@@ -9,7 +9,6 @@ low-passed; the disturbance estimate is not used.
 
 from __future__ import annotations
 
-import dataclasses
 from typing import NamedTuple
 
 from quadftc_control.controller import Controller, anti_windup, limited, register
@@ -30,7 +29,6 @@ class PidState(NamedTuple):
 
 
 @register("pid")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Pid(Controller):
     """Angle P, rate PID; gains are angular accelerations, so they fit a vehicle of any size."""
 

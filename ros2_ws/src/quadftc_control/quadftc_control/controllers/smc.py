@@ -9,7 +9,6 @@ boundary layer a constant one leaves an error of d phi / (k_c3 k_c2).
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 from quadftc_control.controller import Controller, limited, register
@@ -20,7 +19,6 @@ from quadftc_model.samples import ControllerInputs, ControllerOutput
 
 
 @register("smc")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Smc(Controller):
     """Sliding-mode control with a large switching gain."""
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 from quadftc_control.reference import Reference, register
 from quadftc_model.arrays import Array, namespace
 from quadftc_model.parameters import Axes, parameter
@@ -11,7 +9,6 @@ from quadftc_model.samples import AttitudeReference
 
 
 @register("hold")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Hold(Reference):
     """The same angles at all times."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 from quadftc_control.reference import Reference, register, smooth_rise
@@ -12,7 +11,6 @@ from quadftc_model.samples import AttitudeReference
 
 
 @register("step")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Step(Reference):
     """Rises over ``rise`` from ``start``, and falls likewise from ``stop``.
 
@@ -25,7 +23,6 @@ class Step(Reference):
     rise: float = parameter(2.0, unit="s", low=1e-3, high=1e6, doc="duration of rise and fall")
 
     def __post_init__(self) -> None:
-        """Check the parameters."""
         super().__post_init__()
         if self.stop <= self.start:
             raise ValueError(f"stop = {self.stop:g} s: must be later than start = {self.start:g} s")

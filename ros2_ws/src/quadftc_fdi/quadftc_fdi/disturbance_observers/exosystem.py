@@ -20,7 +20,6 @@ at exp(-bandwidth dt), all of them, which for the constant exosystem is lambda =
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 from typing import Any, NamedTuple
 
@@ -45,7 +44,6 @@ class ExosystemState(NamedTuple):
 
 
 @register("exosystem")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Exosystem(DisturbanceObserver):
     """Observer of constant, growing or oscillating disturbances, the same model on each axis."""
 

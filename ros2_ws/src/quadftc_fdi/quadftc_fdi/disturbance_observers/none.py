@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 from quadftc_fdi.disturbance_observer import DisturbanceObserver, register
@@ -11,7 +10,6 @@ from quadftc_model.samples import DisturbanceObserverInputs
 
 
 @register("none")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class NoDisturbanceObserver(DisturbanceObserver):
     """Says zero."""
 

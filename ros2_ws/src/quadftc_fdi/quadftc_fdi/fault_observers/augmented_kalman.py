@@ -37,7 +37,6 @@ and m - b^.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -77,7 +76,6 @@ class AugmentedKalmanState(NamedTuple):
 
 
 @register("augmented_kalman")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class AugmentedKalman(FaultObserver):
     """Kalman filter with the fault as a state; finds the gyro bias, and no fault that is there at first."""
 

@@ -34,7 +34,6 @@ without attitude is bridged with x - x^ + f_s = f_s^; so is one beyond 80 deg of
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import NamedTuple
 
@@ -66,7 +65,6 @@ class EdwardsSpurgeonState(NamedTuple):
 
 
 @register("edwards_spurgeon")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class EdwardsSpurgeon(FaultObserver):
     """Sensor fault from the equivalent injection; right without gyro bias and after a healthy start."""
 

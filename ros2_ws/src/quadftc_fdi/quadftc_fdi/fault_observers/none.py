@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 from quadftc_fdi.fault_observer import FaultObserver, assume_healthy, register
 from quadftc_model.arrays import namespace
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample
 
 
 @register("none")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class NoDiagnosis(FaultObserver):
     """Passes the sample on; an absent channel keeps its last value."""
 

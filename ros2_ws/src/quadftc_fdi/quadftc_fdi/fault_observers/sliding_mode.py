@@ -34,7 +34,6 @@ The integrals h3 and h3^ grow without bound and only their difference acts, so t
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import ClassVar, NamedTuple
 
@@ -61,7 +60,6 @@ class SlidingModeState(NamedTuple):
 
 
 @register("sliding_mode")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class SlidingMode(FaultObserver):
     """The paper's pair of observers; right in the paper's conditions: no gyro bias, and a healthy start."""
 

@@ -18,7 +18,6 @@ has ``wander = wander_moving = gyro_moving = gyro_shift = 0``.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import NamedTuple
 
@@ -71,7 +70,6 @@ class SupervisedState(NamedTuple):
 
 
 @register("supervised")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Supervised(FaultObserver):
     """Estimates the gyro's errors while an axis is healthy, and dead-reckons it while it is not."""
 

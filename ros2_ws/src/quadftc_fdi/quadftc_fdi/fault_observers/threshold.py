@@ -35,7 +35,6 @@ attitude beyond 80 deg of pitch counts as absent.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import NamedTuple
 
@@ -63,7 +62,6 @@ class ThresholdState(NamedTuple):
 
 
 @register("threshold")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Threshold(FaultObserver):
     """Switch to dead reckoning once gyro and attitude have disagreed for too long; finds large faults."""
 

@@ -1,14 +1,11 @@
 """Constant torque: an off-centre load, a steady side wind."""
 
-import dataclasses
-
 from quadftc_model.arrays import Array, namespace
 from quadftc_model.parameters import parameter
 from quadftc_sim.disturbance import Disturbance, register
 
 
 @register("constant")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Constant(Disturbance):
     """A torque that is constant from its start to its stop."""
 

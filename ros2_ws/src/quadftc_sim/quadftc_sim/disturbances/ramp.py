@@ -1,6 +1,5 @@
 """Torque that grows: fuel that shifts, ice, wind that freshens."""
 
-import dataclasses
 import math
 
 from quadftc_model.arrays import Array, namespace
@@ -9,7 +8,6 @@ from quadftc_sim.disturbance import Disturbance, register
 
 
 @register("ramp")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Ramp(Disturbance):
     """rate * (t - start), held once it has grown for ``rise``."""
 

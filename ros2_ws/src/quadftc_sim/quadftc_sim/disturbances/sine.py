@@ -1,14 +1,11 @@
 """Sinusoidal torque: gusts, a swinging load, a rotor out of balance."""
 
-import dataclasses
-
 from quadftc_model.arrays import Array, namespace
 from quadftc_model.parameters import parameter
 from quadftc_sim.disturbance import Disturbance, register
 
 
 @register("sine")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Sine(Disturbance):
     """amplitude * sin(frequency (t - start) + phase), each axis with its own numbers."""
 

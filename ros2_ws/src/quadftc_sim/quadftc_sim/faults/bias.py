@@ -1,6 +1,5 @@
 """A constant offset: a knock, a wrong calibration, a magnetic anomaly."""
 
-import dataclasses
 from typing import Any
 
 from quadftc_model.arrays import namespace
@@ -9,7 +8,6 @@ from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
 
 
 @register("bias")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Bias(Fault):
     """value + offset: the step f_s of Wang et al. (2021)."""
 

@@ -1,6 +1,5 @@
 """Values that come late: a slow filter, a congested bus; the stamp does not tell."""
 
-import dataclasses
 import math
 from typing import ClassVar, NamedTuple
 
@@ -16,7 +15,6 @@ class Past(NamedTuple):
 
 
 @register("delay")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Delay(Fault):
     """The value of ``delay`` ago, in whole samples."""
 

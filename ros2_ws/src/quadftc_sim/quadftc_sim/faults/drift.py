@@ -1,6 +1,5 @@
 """An offset that grows: temperature, ageing; an incipient fault."""
 
-import dataclasses
 import math
 from typing import Any
 
@@ -10,7 +9,6 @@ from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
 
 
 @register("drift")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Drift(Fault):
     """value + rate * elapsed, held once it has grown for ``rise``."""
 

@@ -1,6 +1,5 @@
 """Samples that are missing: the whole message (``imu``), or one channel of it, marked absent (REP-145)."""
 
-import dataclasses
 from typing import Any, ClassVar
 
 from quadftc_model.parameters import parameter
@@ -8,7 +7,6 @@ from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, register
 
 
 @register("dropout")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Dropout(Fault):
     """Each sample is missing with a probability; 1: all of them."""
 

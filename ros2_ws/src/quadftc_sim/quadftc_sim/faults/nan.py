@@ -1,6 +1,5 @@
 """Not a number: a driver that divides by zero, a message half written."""
 
-import dataclasses
 import math
 from typing import Any
 
@@ -9,7 +8,6 @@ from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
 
 
 @register("nan")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Nan(Fault):
     """NaN in place of the value."""
 

@@ -1,6 +1,5 @@
 """Noise on top: a loose connection, vibration, a failing converter."""
 
-import dataclasses
 from typing import Any, ClassVar
 
 from quadftc_model.arrays import namespace
@@ -9,7 +8,6 @@ from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
 
 
 @register("noise")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Noise(Fault):
     """value + white Gaussian noise."""
 

@@ -1,6 +1,5 @@
 """A wrong scale factor: a damaged or badly calibrated sensor."""
 
-import dataclasses
 from typing import Any
 
 from quadftc_model.arrays import namespace
@@ -9,7 +8,6 @@ from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
 
 
 @register("scale")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Scale(Fault):
     """value * (1 + factor): factor -1 is a sensor that reads zero."""
 

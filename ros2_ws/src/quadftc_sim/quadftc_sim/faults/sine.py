@@ -1,6 +1,5 @@
 """An offset that oscillates: a resonance, interference."""
 
-import dataclasses
 from typing import Any
 
 from quadftc_model.arrays import namespace
@@ -9,7 +8,6 @@ from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
 
 
 @register("sine")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Sine(Fault):
     """value + amplitude * sin(frequency * elapsed + phase)."""
 

@@ -1,6 +1,5 @@
 """Single samples far off: bit errors, electric discharge."""
 
-import dataclasses
 from typing import Any, ClassVar
 
 from quadftc_model.arrays import namespace
@@ -9,7 +8,6 @@ from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
 
 
 @register("spikes")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Spikes(Fault):
     """Spikes of a fixed size and random sign, as a Poisson process on each axis."""
 

@@ -1,6 +1,5 @@
 """A sensor that repeats its last good value: a frozen driver, a dead bus."""
 
-import dataclasses
 from typing import ClassVar
 
 from quadftc_model.arrays import Array, namespace
@@ -8,7 +7,6 @@ from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
 
 
 @register("stuck")
-@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Stuck(Fault):
     """The value at the onset, for as long as the fault lasts."""
 
