@@ -15,7 +15,9 @@ from quadftc_fdi.supervision.anchors import (
     update_anchors,
 )
 from quadftc_fdi.supervision.fault_track import (
+    GRADUAL,
     clear_healthy,
+    judge_recovery,
     start_track,
     track_fault,
     track_variance,
@@ -29,7 +31,6 @@ from quadftc_fdi.supervision.inertial_filter import (
     process_noise,
     start_filter,
 )
-from quadftc_fdi.supervision.recovery import GRADUAL, judge_recovery
 from quadftc_fdi.supervision.residual_tests import (
     ResidualVariances,
     averaging_weights,

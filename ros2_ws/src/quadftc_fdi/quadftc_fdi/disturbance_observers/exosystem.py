@@ -97,17 +97,10 @@ class Exosystem(DisturbanceObserver):
         eigenvalues = np.asarray(np.linalg.eigvals(Phi - np.outer(gain, CdGamma)), np.complex128)
         return np.asarray(np.log(eigenvalues) / dt)
 
-    @property
+    @functools.cached_property
     def C_d(self) -> Matrix:
         """C_d of (42), (n,): the first state of each block."""
-        return _output_of(self.model)
-
-
-@functools.lru_cache(maxsize=256)
-def _output_of(model: str) -> Matrix:
-    C_d = np.concatenate([np.eye(_SIZES[name])[0] for name in model.split("+")])
-    C_d.setflags(write=False)
-    return C_d
+        return np.concatenate([np.eye(_SIZES[name])[0] for name in self.model.split("+")])
 
 
 @cache_numbers

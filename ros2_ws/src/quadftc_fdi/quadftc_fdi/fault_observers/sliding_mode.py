@@ -146,18 +146,9 @@ def implicit_injection(
 ) -> tuple[Vector, Vector]:
     """Solve e = c - dt (linear e + injection), injection = rho e / (|e| + delta); return both.
 
-    With delta = 0 the injection is set-valued at e = 0: it then takes the value that keeps e there.
-
-    Parameters
-    ----------
-    c : array (..., 3)
-        The error without injection.
-    linear : float or array (..., 1)
-        Linear gain [1/s], not negative.
-    rho, delta : float
-        Size of the injection and its smoothing.
-    dt : float
-        Step [s]; with 0 the error stays c.
+    c (..., 3) is the error without injection, ``linear`` (..., 1) [1/s] a gain that is not negative, rho the
+    size of the injection and delta its smoothing. With delta = 0 the injection is set-valued at e = 0: it
+    then takes the value that keeps e there. With ``dt`` [s] of 0 the error stays c.
     """
     size = norm(c)
     if is_single(size):

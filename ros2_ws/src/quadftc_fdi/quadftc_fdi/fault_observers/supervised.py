@@ -6,10 +6,10 @@ tests watch its residuals. On a faulty axis the gyro carries the angle on: measu
 the fault, and the filter's covariance its uncertainty. docs/supervised.md explains the states of an axis and
 the reasons; the parts are in `quadftc_fdi.supervision`:
 
-    inertial_filter         predict by the gyro, correct by the healthy axes
-    anchors                 earlier states of the filter, to which it goes back
-    residual_tests          collect evidence, declare faults
-    fault_track, recovery   follow the fault, judge when the axis is trusted again
+    inertial_filter    predict by the gyro, correct by the healthy axes
+    anchors            earlier states of the filter, to which it goes back
+    residual_tests     collect evidence, declare faults
+    fault_track        follow the fault, judge when the axis is trusted again
 
 The defaults are for a MEMS IMU on a vehicle that moves, with an attitude that wanders (optical markers, an
 attitude filter), and a gyro whose bias changes a little in motion. A simulated sensor without such errors
@@ -34,7 +34,6 @@ from quadftc_fdi.fault_observer import (
 )
 from quadftc_fdi.supervision import anchors, fault_track, inertial_filter, residual_tests
 from quadftc_fdi.supervision.inertial_filter import ROTATION, FilterState, bias_variance, estimate_rate
-from quadftc_fdi.supervision.recovery import Recovery, judge_recovery
 from quadftc_fdi.supervision.residual_tests import ResidualVariances
 from quadftc_model import samples
 from quadftc_model.arrays import Array, Column, Mask, Vector, any_of, changed_where, exp, namespace, norm
@@ -159,15 +158,17 @@ class Supervised(FaultObserver):
         # 4. Track the faults, and judge which axes are trusted again.
         bias = bias_variance(estimate.P)
 
-        def follow_faults() -> Recovery:
+        def follow_faults() -> fault_track.Recovery:
             track = fault_track.track_fault(
                 state.track, residual, variances, found.alarm, evidence.suspicion, valid, gains, dt
             )
             spread = residual_tests.healthy_spread(variances, evidence.learned, weights)
-            judged = judge_recovery(track, faulty, predicted, spread, bias, self.recovery, self.patience, dt)
+            judged = fault_track.judge_recovery(
+                track, faulty, predicted, spread, bias, self.recovery, self.patience, dt
+            )
             return judged._replace(track=fault_track.clear_healthy(judged.track, faulty & ~judged.trusted))
 
-        judged = changed_where(faulty, follow_faults, Recovery(state.track, faulty, faulty))
+        judged = changed_where(faulty, follow_faults, fault_track.Recovery(state.track, faulty, faulty))
         track, recovered, outlasted = judged
         faulty = faulty & ~recovered
 
@@ -201,9 +202,7 @@ class Supervised(FaultObserver):
     ) -> tuple[FilterState, anchors.Anchors, Array, Array, Array]:
         """Carry filter and anchors to the sample by the mean of two gyro samples.
 
-        Returns
-        -------
-        Both, the body rate (..., 3) [rad/s], its decaying maximum [rad/s], and motion (rest 0, motion 1).
+        Also return the body rate (..., 3) [rad/s], its decaying maximum [rad/s], and motion (0 at rest, or 1).
         """
         omega = estimate_rate(state.filter.x, gyro)
         activity = namespace(gyro).maximum(norm(omega), state.activity * exp(-dt / MOVED))
@@ -225,10 +224,8 @@ class Supervised(FaultObserver):
     ) -> tuple[Array, Array, ResidualVariances, Array]:
         """Compare a measured attitude with the predicted ones.
 
-        Returns
-        -------
-        H (..., 3, 16), residuals (..., 3, 5) [rad] of filter and anchors, how large healthy ones are, and
-        where (..., 1) there is a measured attitude, and both are away from 90 deg of pitch.
+        Return H (..., 3, 16), the residuals (..., 3, 5) [rad] of filter and anchors, how large healthy ones
+        are, and where (..., 1) an attitude is measured, and both are away from 90 deg of pitch.
         """
         angles, measured = euler_from_quaternion(estimate.q_xyzw), euler_from_quaternion(imu.q_xyzw)
         H = inertial_filter.measurement_matrix(angles, omega)

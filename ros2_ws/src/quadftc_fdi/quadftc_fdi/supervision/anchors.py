@@ -84,21 +84,11 @@ def go_back_to_anchor(
 ) -> tuple[FilterState, Vector, Vector]:
     """Go back to an anchor where an axis asks for it.
 
-    But not to one from before the gyro bias was known, if it is known now: forgetting it costs more than the
-    fault has done.
-
-    Parameters
-    ----------
-    estimate, anchors, residuals, variances
-        The filter; its anchors with `all_residuals` [rad] and `predicted_variances` [rad²].
-    back, far : array (..., 3) bool
-        Axes that ask to go back, and those that need the old anchor; with the young one less is lost.
-    known : float
-        Standard deviation at which a gyro bias counts as known [rad/s].
-
-    Returns
-    -------
-    FilterState, its residual (..., 3) [rad], and the variance (..., 3) of its predicted angles [rad²].
+    ``back`` are these axes; those of ``far`` need the old anchor, as with the young one less is lost. But the
+    filter does not go back to before the gyro bias was known to ``known`` [rad/s], 1 sigma, if it is now:
+    forgetting the bias costs more than the fault has done. ``residuals`` [rad] are of `all_residuals`,
+    ``variances`` [rad²] of `predicted_variances`. Also return the residual (..., 3) [rad] of the filter, and
+    the variance (..., 3) of its predicted angles [rad²].
     """
     xp = namespace(back)
 
@@ -134,20 +124,10 @@ def update_anchors(
     dt: float,
     greatest_age: float,
 ) -> tuple[Anchors, One]:
-    """Note a correction of the filter; promote the young anchor when it is half of ``greatest_age`` [s] old.
+    """Note a correction dx of the filter; promote the young anchor at half of ``greatest_age`` [s].
 
-    Parameters
-    ----------
-    anchors, P, dx
-        The anchors; covariance of the filter now, and its correction.
-    restart, hold : array (..., 1) bool
-        Where both anchors move to the present state; where none is given up, as it may be needed soon.
-    dt, greatest_age : float
-        [s].
-
-    Returns
-    -------
-    Anchors, and where (..., 1) the young one has become the old one.
+    Where ``restart``, both anchors move to the present state, with the filter's covariance P. Where ``hold``,
+    none is given up, as it may be needed soon. Also return where the young one has become the old one.
     """
     xp = namespace(dx)
     age = (anchors.age + dt) * ~restart

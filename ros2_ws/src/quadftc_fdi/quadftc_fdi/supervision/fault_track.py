@@ -1,4 +1,4 @@
-r"""The tracked fault of each faulty axis: an alpha-beta filter that restarts at every jump.
+r"""The fault of each faulty axis, by an alpha-beta filter that restarts at every jump, and its end.
 
 With f the fault, v its slope, r the residual (measured minus predicted angle) and n samples since a jump:
 
@@ -6,6 +6,11 @@ With f the fault, v its slope, r the residual (measured minus predicted angle) a
 
 White noise of r comes through with the share (2 alpha² + 2 beta - 3 alpha beta) / (alpha (4 - 2 alpha -
 beta)) of its variance, beta = alpha² / (2 - alpha) (Blair 1993).
+
+A faulty axis is trusted again once its fault agrees with zero, stands still, and has done so long enough. A
+fault found early may be a slow ramp, which looks healthy for a while. So a fault that never visibly moved
+must look healthy for longer. A fault that stands still for ``patience`` seconds is taken for an error of the
+observer: otherwise a wrong start or a false alarm would never end.
 """
 
 from __future__ import annotations
@@ -17,13 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_fdi.supervision.residual_tests import ResidualVariances
-from quadftc_model.arrays import AnyArray, Mask, Vector, cache_numbers, namespace
+from quadftc_model.arrays import AnyArray, Column, Mask, Vector, cache_numbers, namespace
 
 if TYPE_CHECKING:
     from jaxtyping import Float
 
 AVERAGES = np.array([0.15, 0.6])  # s; two averages of a fault, whose difference shows that it moves
 JUMPS = 25.0  # 1; squared standard deviations beyond which a fault jumps
+AGREES, STANDS = 16.0, 9.0  # 1; squared standard deviations
+GRADUAL = 6.0  # 1; how many times as long a fault that never visibly moved must look healthy
+ALMOST_STILL = 0.0087  # rad, 0.5 deg; an error of the observer moves a little, as the vehicle does
 
 
 class Track(NamedTuple):
@@ -111,3 +119,43 @@ def track_variance(track: Track, variances: ResidualVariances, gains: TrackerGai
     """Variance [rad²] that the sensor's own noise gives the tracked fault."""
     share = namespace(track.samples).maximum(gains.noise, 1.0 / (track.samples + 1.0))
     return (variances.noise + variances.slow) * share
+
+
+class Recovery(NamedTuple):
+    """What is judged of each axis."""
+
+    track: Track
+    trusted: Mask  # the axis is trusted again
+    outlasted: Mask  # trusted although the fault is there: it outlasted our patience
+
+
+def judge_recovery(
+    track: Track,
+    faulty: Mask,
+    predicted: Vector,
+    spread: Vector,
+    bias_variance: Column,
+    recovery: float,
+    patience: float,
+    dt: float,
+) -> Recovery:
+    """Judge which faulty axes are trusted again: after looking healthy for ``recovery`` [s], or at ``patience``.
+
+    ``predicted`` [rad²] is the variance of the dead-reckoned angle, ``spread`` the `healthy_spread` [rad²],
+    ``bias_variance`` [rad²/s²] that of the gyro bias, at which the angle drifts, and ``dt`` [s] the step.
+    """
+    xp = namespace(predicted)
+    # Does it stand still? The two averages of a fault that moves differ.
+    short, long = track.means[..., 0], track.means[..., 1]
+    motion = short - long
+    motion_variance = spread + bias_variance * (AVERAGES[1] - AVERAGES[0]) ** 2
+    still = motion**2 < STANDS * motion_variance
+    moved = xp.maximum(track.moved, 1.0 * (motion**2 > JUMPS * motion_variance))
+    # Does it agree with zero, as far as dead reckoning knows?
+    agrees = short**2 < AGREES * (predicted + spread)
+    # Soon after a jump both averages are near their first value, and say nothing.
+    known = (track.age > AVERAGES[1]) & (track.samples * dt > AVERAGES[1])
+    outlasted = (track.age > patience) & (xp.abs(motion) < ALMOST_STILL)
+    calm = (track.calm + dt) * (faulty & known & ((still & agrees) | outlasted))
+    trusted = calm > recovery * xp.where(outlasted | (moved > 0.0), 1.0, GRADUAL)
+    return Recovery(track._replace(calm=calm, moved=moved), trusted, trusted & ~agrees)
