@@ -131,11 +131,7 @@ def body_rates(angles: Vector, angle_rates: Vector) -> Vector:
     phi_dot, theta_dot, psi_dot = components(angle_rates)
     across = c_theta * psi_dot
     return stacked(
-        [
-            phi_dot - s_theta * psi_dot,
-            c_phi * theta_dot + s_phi * across,
-            c_phi * across - s_phi * theta_dot,
-        ]
+        [phi_dot - s_theta * psi_dot, c_phi * theta_dot + s_phi * across, c_phi * across - s_phi * theta_dot]
     )
 
 

@@ -24,10 +24,7 @@ class Smc(Controller):
 
     k_c2: Axes = parameter((4.0, 4.0, 3.0), unit="1/s", low=0.0, doc="slope of the surface")
     k_c3: Axes = parameter(
-        (10.0, 10.0, 4.0),
-        unit="rad/s^2",
-        low=0.0,
-        doc="switching gain, above the bound D_d",
+        (10.0, 10.0, 4.0), unit="rad/s^2", low=0.0, doc="switching gain, above the bound D_d"
     )
     phi: Axes = parameter((0.5, 0.5, 0.5), unit="rad/s", low=1e-9, doc="Phi of (41)")
 
