@@ -124,30 +124,28 @@ class ControllerNode(GraphNode):
         if self.lockstep:
             self._join.put("imu", stamp_ns, imu)
             return
-        begin = perf_counter()
-        self._say(self._manager.take_corrected(stamp_ns, imu), begin)
+        self._act(self._manager.take_corrected, stamp_ns, imu)
 
     def _on_all(
         self, stamp_ns: int, imu: ImuSample, reference: AttitudeReference, disturbance: Floats
     ) -> None:
         """Lock-step: all inputs of one sample are there."""
-        begin = perf_counter()
-        self._say(self._manager.fly(stamp_ns, ControllerInputs(imu, reference, disturbance)), begin)
+        self._act(self._manager.fly, stamp_ns, ControllerInputs(imu, reference, disturbance))
 
     def _on_raw(self, stamp_ns: int, data: bytes) -> None:
         if not self.lockstep and self._manager.needs_raw(stamp_ns, data):
             self._fall_back(stamp_ns, data)
 
     def _on_fallback(self, stamp_ns: int, imu: ImuSample) -> None:
-        begin = perf_counter()
-        self._say(self._manager.take_raw(stamp_ns, imu), begin)
+        self._act(self._manager.take_raw, stamp_ns, imu)
 
     def _on_watchdog(self) -> None:
-        begin = perf_counter()
-        self._say(self._manager.watch(self.pace.now().nanoseconds), begin)
+        self._act(self._manager.watch, self.pace.now().nanoseconds)
 
-    def _say(self, command: Command | None, begin: float) -> None:
+    def _act(self, decide: Callable[..., Command | None], *inputs: Any) -> None:
         """Publish what is kept for observers that restart, then the torque and how it came about."""
+        begin = perf_counter()
+        command = decide(*inputs)
         for what, stamp_ns, value in self._manager.kept:
             self._publish_kept[what](value if what == "fault" else self._body(stamp_ns, value))
         self._manager.kept.clear()

@@ -36,14 +36,6 @@ class Command(NamedTuple):
     mode: Mode
 
 
-class Kept(NamedTuple):
-    """Something to publish for observers that restart; ``what`` is fault, gyro or disturbance."""
-
-    what: str
-    stamp_ns: int
-    value: Any  # a status message for fault, else an array (3,)
-
-
 class FlightManager:
     """Flies one vehicle on whatever comes.
 
@@ -65,10 +57,12 @@ class FlightManager:
         self.stamp_ns = 0  # of the last command [ns]; 0 before the first
         self._watched_ns, self._silent_since_ns = 0, 0
         self._missing = 0.0  # share of the disturbance estimate that is missing
-        self._trusted, self._estimate = False, (0, np.zeros(3))  # the last estimate, with its stamp
+        self._trusted = False  # the disturbance estimate
         self.reference: AttitudeReference | None = None
         self.reference_ns = 0
-        self.kept: list[Kept] = []  # to be published, oldest first; whoever publishes it clears it
+        # To publish for observers that restart, oldest first; whoever publishes it clears it: (what, stamp
+        # [ns], value), "fault" with a status message, "gyro" or "disturbance" with an array (3,).
+        self.kept: list[tuple[str, int, Any]] = []
 
     def configure(self, law: Controller, patience: Patience) -> None:
         """Change parameters in flight."""
@@ -93,13 +87,12 @@ class FlightManager:
         if not samples.is_usable(disturbance):
             self._count("disturbance/estimate: not finite")
             return np.zeros(3)
-        self._monitor.estimated(stamp_ns, disturbance)
-        self._estimate = stamp_ns, disturbance
+        self._monitor.estimate = stamp_ns, disturbance
         return disturbance
 
     def take_status(self, stamp_ns: int, data: bytes) -> None:
         """Note fault/status, serialised."""
-        self._last_words.note_status(data)
+        self._last_words.status = data
 
     def take_corrected(self, stamp_ns: int, imu: ImuSample) -> Command | None:
         """Fly on a sample of imu/corrected, unless it is late or its observer is not trusted yet."""
@@ -109,7 +102,7 @@ class FlightManager:
         elif self._monitor.is_late(stamp_ns):
             self._count("imu/corrected: late")
         elif self._monitor.use_corrected(stamp_ns, self._is_starting(stamp_ns, clean)):
-            self._last_words.note_corrected(stamp_ns, clean)
+            self._last_words.corrected = stamp_ns, clean
             return self._fly_on(stamp_ns, clean, Mode.FULL)
         return None
 
@@ -121,7 +114,7 @@ class FlightManager:
 
     def needs_raw(self, stamp_ns: int, data: bytes) -> bool:
         """Note imu/data, serialised; return whether to fly on it: pass it to `take_raw`, then."""
-        self._last_words.note_raw(stamp_ns, data)
+        self._last_words.raws.append((stamp_ns, data))
         had_diagnosis = not self._monitor.undiagnosed
         needed = self._monitor.use_raw(stamp_ns)
         if needed and had_diagnosis:
@@ -171,7 +164,7 @@ class FlightManager:
         if not trusted:
             mode = Mode.NO_DISTURBANCE_ESTIMATE if mode is Mode.FULL else mode
             if self._trusted:
-                self.kept.append(Kept("disturbance", *self._estimate))
+                self.kept.append(("disturbance", *self._monitor.estimate))
         self._trusted = trusted
         if self._missing != 1.0 - share:
             self._missing = 1.0 - share
@@ -191,7 +184,7 @@ class FlightManager:
         self._status, last_ns, correction = words
         fault = self._reader.faulty_part(self._status)
         self._transfer.expect(correction, fault if fault.any() and samples.is_usable(fault) else None)
-        self.kept += [Kept("gyro", last_ns, correction), Kept("fault", last_ns, self._status)]
+        self.kept += [("gyro", last_ns, correction), ("fault", last_ns, self._status)]
 
     def _keep_fault(self, stamp_ns: int, read: ImuSample, flown: ImuSample) -> None:
         """Keep what the fault has become, as far as that shows without a diagnosis."""
@@ -200,7 +193,7 @@ class FlightManager:
         fault = self._last_words.average_fault(stamp_ns, read, flown)
         if fault is not None:
             self._reader.revise(self._status, stamp_ns, fault, self._monitor.patience.jump)
-            self.kept.append(Kept("fault", stamp_ns, self._status))
+            self.kept.append(("fault", stamp_ns, self._status))
 
     def _command(self, stamp_ns: int, output: ControllerOutput, mode: Mode) -> Command:
         self._torque, self.stamp_ns, self._mode = output.torque, stamp_ns, mode

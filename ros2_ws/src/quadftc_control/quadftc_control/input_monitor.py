@@ -92,7 +92,7 @@ class InputMonitor:
         self.undiagnosed = False  # flies on imu/data
         self._raw_ns = 0  # stamp of the newest imu/data
         self._uncorrected, self._good, self._good_since_ns = 0, 0, 0
-        self._disturbance, self._disturbance_ns = np.zeros(3), 0
+        self.estimate = 0, np.zeros(3)  # the last disturbance estimate [rad/s²], behind its stamp [ns]
         self._estimated_ns: int | None = None  # stamp of the last call of `disturbance_at`
         self._share, self._unestimated, self._fresh = 0.0, True, 0
         self._back, self._back_ns = 0, 0
@@ -127,18 +127,14 @@ class InputMonitor:
             self.undiagnosed = False
         return not self.undiagnosed
 
-    def estimated(self, stamp_ns: int, disturbance: NDArray[np.float64]) -> None:
-        """Note a disturbance estimate [rad/s²] (3,) with its stamp [ns]."""
-        self._disturbance, self._disturbance_ns = disturbance, stamp_ns
-
     def disturbance_at(self, stamp_ns: int) -> tuple[NDArray[np.float64], float, bool]:
         """Return the estimate to use for the sample of a stamp [ns], its share, and whether it is trusted.
 
         The share is 1 in flight and 0 without estimate; it fades when the estimate gets old, and comes back
         when it is fresh again. At the first sample it is used at once.
         """
-        patience = self.patience
-        fresh = seconds(stamp_ns - self._disturbance_ns) <= patience.disturbance_age
+        patience, (estimated_ns, disturbance) = self.patience, self.estimate
+        fresh = seconds(stamp_ns - estimated_ns) <= patience.disturbance_age
         first, since_ns = self._estimated_ns is None, stamp_ns - (self._estimated_ns or stamp_ns)
         self._estimated_ns = stamp_ns
         self._fresh = self._fresh + 1 if fresh else 0
@@ -152,8 +148,8 @@ class InputMonitor:
         change = -dt / patience.disturbance_fade if self._unestimated else dt / patience.blend
         self._share = min(1.0, max(0.0, self._share + change))
         if self._share == 1.0:  # bit for bit
-            return self._disturbance, 1.0, not self._unestimated
-        return self._share * self._disturbance, self._share, not self._unestimated
+            return disturbance, 1.0, not self._unestimated
+        return self._share * disturbance, self._share, not self._unestimated
 
     def silence(self, elapsed: float) -> Mode:
         """Return the mode after ``elapsed`` seconds without any IMU sample."""

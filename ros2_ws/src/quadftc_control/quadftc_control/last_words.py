@@ -40,35 +40,23 @@ class MessageReader(NamedTuple):
 
 
 class LastWords:
-    """What both observers said last."""
+    """What both observers said last: the controller puts in what it hears."""
 
     def __init__(self, reader: MessageReader) -> None:
         self._reader = reader
         self._faults: list[Vector] = []
         self._since_ns = 0
-        self._raws: deque[tuple[int, bytes]] = deque(maxlen=DEPTH)
-        self._newest: tuple[int, ImuSample] | None = None
-        self._status: bytes | None = None
-
-    def note_raw(self, stamp_ns: int, data: bytes) -> None:
-        """Note imu/data [stamp in ns], serialised."""
-        self._raws.append((stamp_ns, data))
-
-    def note_corrected(self, stamp_ns: int, imu: ImuSample) -> None:
-        """Note imu/corrected that is in use [stamp in ns]."""
-        self._newest = stamp_ns, imu
-
-    def note_status(self, data: bytes) -> None:
-        """Note fault/status, serialised."""
-        self._status = data
+        self.raws: deque[tuple[int, bytes]] = deque(maxlen=DEPTH)  # imu/data: stamp [ns], serialised
+        self.corrected: tuple[int, ImuSample] | None = None  # the newest imu/corrected in use, with its stamp
+        self.status: bytes | None = None  # the newest fault/status, serialised
 
     @property
     def starting(self) -> bool:
         """Whether the fault observer says that an axis has not converged, or nothing readable."""
-        if self._status is None:
+        if self.status is None:
             return False
         try:
-            return STARTING in self._reader.states(self._status)
+            return STARTING in self._reader.states(self.status)
         except ValueError:
             return True
 
@@ -96,16 +84,16 @@ class LastWords:
         None if nothing helps at a sample of imu/data [stamp in ns]: nothing was heard, the observer was
         starting, or imu/data was missing for so long that all laws restart.
         """
-        if self._status is None or self._newest is None or self.starting:
+        if self.status is None or self.corrected is None or self.starting:
             return None
-        stamp_ns, corrected = self._newest
+        stamp_ns, corrected = self.corrected
         if seconds(now_ns - stamp_ns) > MAX_GAP:
             return None
-        data = next((data for each_ns, data in self._raws if each_ns == stamp_ns), None)
+        data = next((data for each_ns, data in self.raws if each_ns == stamp_ns), None)
         if data is None:
             return None
         try:
-            raw, status = self._reader.imu(data), self._reader.status(self._status)
+            raw, status = self._reader.imu(data), self._reader.status(self.status)
         except ValueError:
             return None
         known = raw.rate_valid and corrected.rate_valid

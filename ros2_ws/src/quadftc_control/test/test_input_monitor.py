@@ -82,12 +82,12 @@ def test_observer_that_starts_is_waited_for_but_not_for_ever(monitor):
 
 
 def test_disturbance_estimate_fades_when_it_gets_old_and_comes_back_gradually(monitor):
-    monitor.estimated(SECOND, ESTIMATE)
+    monitor.estimate = SECOND, ESTIMATE
     shares = {}
     for k in range(0, 1000, 4):  # ms
         stamp = SECOND + k * 1_000_000
         if k >= 600:
-            monitor.estimated(stamp, ESTIMATE)
+            monitor.estimate = stamp, ESTIMATE
         estimate, share, trusted = monitor.disturbance_at(stamp)
         np.testing.assert_allclose(estimate, share * ESTIMATE, atol=1e-12)
         shares[k] = share, trusted

@@ -22,12 +22,11 @@ if TYPE_CHECKING:
     Vector = Float[AnyArray, "*batch 3"]
     Quaternion = Float[AnyArray, "*batch 4"]  # x, y, z, w
     Components = Float[AnyArray, "*batch n"]
-    Matrix = Float[AnyArray, "*batch n m"]
     Flag = Bool[Any, "*batch"]  # np.bool_ for one vehicle, which NumPy does not type as an array
     Mask = Bool[AnyArray, "*batch 3"]
     States = UInt8[AnyArray, "*batch 3"]
 else:  # importing jaxtyping would cost every node its start-up time
-    AnyArray = Scalar = Column = Vector = Quaternion = Components = Matrix = Flag = Mask = States = Any
+    AnyArray = Scalar = Column = Vector = Quaternion = Components = Flag = Mask = States = Any
 
 
 def namespace(array: Array) -> Any:

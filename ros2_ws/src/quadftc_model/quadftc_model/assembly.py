@@ -13,7 +13,7 @@ closed loop alike. What is missing, unknown or wrong is a ValueError that gives 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from quadftc_model.parameters import build, parameters_of
@@ -76,15 +76,19 @@ def component_from(registry: Registry[T], parameters: NodeParameters, selector: 
 
 def components_from(registry: Registry[T], parameters: NodeParameters, name: str) -> list[T]:
     """Build the components that a list of specifications describes, such as ``step angles=5deg,0,0``."""
-    return [_component_of(registry, text) for text in texts(parameters, name)]
+
+    def make(kind: str, values: Mapping[str, Any]) -> T:
+        return build(registry.get(kind), values)
+
+    return [component_of(registry.kind, text, make) for text in texts(parameters, name)]
 
 
-def _component_of(registry: Registry[T], text: str) -> T:
+def component_of(kind: str, text: str, make: Callable[[str, Mapping[str, Any]], T]) -> T:
+    """Make a component from its specification; ``kind`` says in error messages what it is."""
     try:
-        spec = parse_spec(text)
-        return build(registry.get(spec.kind), spec.values)
+        return make(*parse_spec(text))
     except ValueError as error:
-        raise ValueError(f"{registry.kind} {text!r}: {error}") from None
+        raise ValueError(f"{kind} {text!r}: {error}") from None
 
 
 def vehicle_from(parameters: NodeParameters) -> Vehicle:

@@ -50,16 +50,10 @@ def parameter(
 ) -> Any:
     """Declare a parameter as a dataclass field, of the type of its default.
 
-    Parameters
-    ----------
-    unit : str
-        SI unit; in braces (``"{channel}"``) when it depends on the context, see :func:`build`.
-    doc : str
-        The meaning, one line; with the paper's symbol where it has one.
-    low, high : float
-        Bounds, inclusive, for each number. A number must be finite, unless the default is infinite.
-    choices : sequence of str
-        The values that a text may take; empty: any.
+    ``unit`` is the SI unit; in braces (``"{channel}"``) when it depends on the context, see :func:`build`.
+    ``doc`` is the meaning in one line, with the paper's symbol where it has one. ``low`` and ``high`` bound
+    each number, inclusive; a number must be finite, unless the default is infinite. ``choices`` are the
+    values that a text may take; empty: any.
     """
     details = {"unit": unit, "doc": doc, "low": low, "high": high, "choices": tuple(choices)}
     return dataclasses.field(default=default, metadata={"quadftc": details})  # type: ignore[arg-type]

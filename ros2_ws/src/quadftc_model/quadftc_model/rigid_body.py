@@ -46,14 +46,8 @@ def angular_acceleration(
     The drag acts on the body rate. The paper's (2) writes Euler angle rates, the same under its (5); those
     would drive a vehicle that is upside down, and have no bound at 90 deg of pitch.
 
-    Parameters
-    ----------
-    torque : array (..., 3)
-        Of the rotors, by the mixer, and the disturbance [N m].
-    momentum : array (...)
-        Of the propellers [N m s].
-    inertia : array (3,), optional
-        Principal moments [kg m²]; default: the vehicle's.
+    ``torque`` [N m] is that of the rotors, by the mixer, and the disturbance; ``momentum`` [N m s] (...) that
+    of the propellers; ``inertia`` [kg m²] (3,) the principal moments, by default the vehicle's.
     """
     inertia = vehicle.inertia if inertia is None else inertia
     total = torque + propeller_torque(body_rate, momentum) - vehicle.rotational_drag * body_rate

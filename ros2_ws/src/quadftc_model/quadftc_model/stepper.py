@@ -60,12 +60,8 @@ class Timing(enum.Enum):
 class Stepper(Generic[In, Out]):
     """One law with its state and the stamp of its last sample.
 
-    Parameters
-    ----------
-    law : Law
-    guard : callable, optional
-        Gets inputs and output of each step. It returns the output, or another in place of one that cannot be
-        used; then the law restarts at the next sample.
+    ``guard`` gets inputs and output of each step. It returns the output, or another in place of one that
+    cannot be used; then the law restarts at the next sample.
     """
 
     def __init__(self, law: Law[In, Out], guard: Callable[[In, Out], Out] | None = None) -> None:

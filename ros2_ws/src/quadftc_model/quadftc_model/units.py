@@ -36,14 +36,9 @@ _QUANTITY = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?inf
 
 
 def quantity(value: Any, unit: str) -> float:
-    """Return ``value`` in the SI unit ``unit``.
+    """Return a number (SI already), or a text such as ``"1 deg"``, ``"20ms"``, ``"3"``, in the SI ``unit``.
 
-    Parameters
-    ----------
-    value : float or str
-        A number (SI already) or a text such as ``"1 deg"``, ``"20ms"``, ``"3"``.
-    unit : str
-        The SI unit wanted, one of this module's table; any other unit takes numbers and its own name only.
+    A unit that is not in this module's table takes numbers and its own name only.
     """
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         number, spelling = float(value), ""

@@ -14,13 +14,13 @@ from quadftc_model.assembly import (
     NodeParameters,
     build_named,
     build_prefixed,
+    component_of,
     components_from,
     get,
     texts,
     vehicle_from,
 )
 from quadftc_model.parameters import parameter
-from quadftc_model.spec import parse_spec
 from quadftc_sim.disturbance import disturbances
 from quadftc_sim.injection import Injection, make_injection
 from quadftc_sim.injector import FaultInjector
@@ -91,8 +91,4 @@ def injector_from(parameters: NodeParameters) -> FaultInjector:
 
 def injection_from(text: str) -> Injection:
     """Make an injection from its specification."""
-    try:
-        spec = parse_spec(text)
-        return make_injection(spec.kind, spec.values)
-    except ValueError as error:
-        raise ValueError(f"fault {text!r}: {error}") from None
+    return component_of("fault", text, make_injection)

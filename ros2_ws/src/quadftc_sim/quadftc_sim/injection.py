@@ -42,17 +42,10 @@ class Injection:
 
 
 def make_injection(kind: str, values: Mapping[str, Any], now: float = 0.0) -> Injection:
-    """Make an injection from a name and raw values, as a scenario, a service or the command line gives them.
+    """Make an injection from the name of a fault and raw values, of a scenario, a service or a command.
 
-    Parameters
-    ----------
-    kind : str
-        Name of the fault.
-    values : mapping
-        ``channel`` (attitude by default), ``axes`` (names; all by default), ``start`` [s] from ``now``,
-        ``stop`` [s] or ``duration`` [s], and the fault's own parameters.
-    now : float
-        Scenario time that ``start`` and ``stop`` count from [s].
+    The values are ``channel`` (attitude by default), ``axes`` (names; all by default), ``start`` [s],
+    ``stop`` [s] or ``duration`` [s], and the fault's own parameters. Times count from ``now`` [s].
     """
     fault = faults.get(kind)
     channel = str(values.get("channel", "imu" if fault.channels == ("imu",) else "attitude"))

@@ -57,17 +57,9 @@ def inject(
     dt: float,
     draws: Sequence[FaultDraws | None],
 ) -> tuple[tuple[InjectionState, ...], Faulty]:
-    """Put the faults on a sample.
+    """Put the faults on a sample at a scenario time [s] (...,), ``dt`` [s] after the one before.
 
-    Parameters
-    ----------
-    injections, states : sequences
-        They act in their order.
-    sample : ImuSample
-    time, dt : array (...,), float
-        Scenario time and time since the sample before [s].
-    draws : sequence
-        One for each injection; None for faults that are not random.
+    The injections act in their order; ``draws`` has None for faults that are not random.
     """
     xp = namespace(sample.q_xyzw)
     values, time = _channels(sample), xp.asarray(time)
@@ -143,14 +135,9 @@ class _Scheduled:
 
 
 class FaultInjector:
-    """All faults of one IMU.
+    """All faults of one IMU: those scheduled from the start are numbered from 1.
 
-    Parameters
-    ----------
-    seed : int
-        Of the random faults (noise, spikes, dropout).
-    injections : iterable of Injection
-        Scheduled from the start, numbered from 1.
+    ``seed`` is that of the random faults (noise, spikes, dropout).
     """
 
     def __init__(self, seed: int = 0, injections: Iterable[Injection] = ()) -> None:

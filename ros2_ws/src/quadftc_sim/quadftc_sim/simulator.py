@@ -38,13 +38,7 @@ class Emission(NamedTuple):
 class Simulator:
     """One vehicle with its IMU, level and at rest at first.
 
-    Parameters
-    ----------
-    plant, sensor : Plant, ImuSensor
-    period_ns, epoch_ns : int
-        Control period, and stamp of the first sample: scenario time 0 [ns].
-    seed : int
-        Of the sensor's noise and bias.
+    ``epoch_ns`` is the stamp of the first sample, at scenario time 0; ``seed`` that of noise and bias.
     """
 
     def __init__(self, plant: Plant, sensor: ImuSensor, period_ns: int, epoch_ns: int, seed: int) -> None:
@@ -87,17 +81,9 @@ class Simulator:
 
 
 class PlantFlight:
-    """A flight, from its first emission to its last.
+    """A flight of ``count`` emissions (0: without end), from ``begin_ns`` on by the monotonic clock.
 
-    Parameters
-    ----------
-    simulator : Simulator
-    count : int
-        Emissions of the flight; 0: without end.
-    torque_timeout : float
-        When no torque has come for so long [s], zero torque acts.
-    begin_ns : int
-        When it begins, by the monotonic clock [ns].
+    When no torque has come for ``torque_timeout`` [s], zero torque acts.
     """
 
     def __init__(self, simulator: Simulator, count: int, torque_timeout: float, begin_ns: int) -> None:

@@ -30,7 +30,7 @@ from quadftc_model.parameters import Axes, parameter
 from quadftc_model.samples import ControllerInputs, ControllerOutput
 
 
-class IsmcState(NamedTuple):
+class State(NamedTuple):
     """Controller state at the last sample."""
 
     integral: Array  # (..., 3) of x1e [rad s], as of the last sample
@@ -65,17 +65,15 @@ class Ismc(Controller):
         factor = np.where(with_one > 0.0, gain / np.where(with_one > 0.0, with_one, 1.0), 1.0)
         return dataclasses.replace(self, k_c3=tuple(gain.tolist()), phi=tuple((factor * self.phi).tolist()))
 
-    def init(self, inputs: ControllerInputs) -> IsmcState:
+    def init(self, inputs: ControllerInputs) -> State:
         """Start on the sliding surface: S(t0) = 0."""
         track = tracking(inputs)
         xp = namespace(track.x1e)
         zeros = xp.zeros_like(track.x1e)
         start = xp.asarray(self.k_c2) * track.x1e + track.x1e_dot
-        return IsmcState(zeros, start, track.x1e, zeros, zeros)
+        return State(zeros, start, track.x1e, zeros, zeros)
 
-    def step(
-        self, state: IsmcState, inputs: ControllerInputs, dt: float
-    ) -> tuple[IsmcState, ControllerOutput]:
+    def step(self, state: State, inputs: ControllerInputs, dt: float) -> tuple[State, ControllerOutput]:
         """Compute the torque for a sample."""
         track = tracking(inputs)
         xp = namespace(track.x1e)
@@ -90,6 +88,4 @@ class Ismc(Controller):
         x1_ddot = inputs.reference.accelerations - k_c2 * x1e_dot - k_c1 * x1e - k_c3 * sat(S, phi)
         wanted = torque_for(self.vehicle, inputs, track, x1_ddot, inputs.disturbance)  # (45)
         given, cut = limited(self.vehicle, wanted)
-        return IsmcState(integral, state.start + excess, x1e, wanted, given), ControllerOutput(
-            given, x1e, S, cut
-        )
+        return State(integral, state.start + excess, x1e, wanted, given), ControllerOutput(given, x1e, S, cut)

@@ -19,7 +19,7 @@ from quadftc_model.rotations import body_rates
 from quadftc_model.samples import ControllerInputs, ControllerOutput
 
 
-class PidState(NamedTuple):
+class State(NamedTuple):
     """Controller state at the last sample."""
 
     integral: Array  # (..., 3) of minus the rate error [rad]
@@ -40,13 +40,13 @@ class Pid(Controller):
         190.0, unit="rad/s", low=1e-3, doc="low-pass of the rate before its derivative (30 Hz)"
     )
 
-    def init(self, inputs: ControllerInputs) -> PidState:
+    def init(self, inputs: ControllerInputs) -> State:
         """Start with the integral at zero."""
         rate = inputs.imu.body_rate
         zeros = namespace(rate).zeros_like(rate)
-        return PidState(zeros, rate, zeros, zeros)
+        return State(zeros, rate, zeros, zeros)
 
-    def step(self, state: PidState, inputs: ControllerInputs, dt: float) -> tuple[PidState, ControllerOutput]:
+    def step(self, state: State, inputs: ControllerInputs, dt: float) -> tuple[State, ControllerOutput]:
         """Compute the torque for a sample."""
         track = tracking(inputs)
         xp = namespace(track.x1e)
@@ -61,4 +61,4 @@ class Pid(Controller):
         wanted = self.vehicle.inertia * (k_p * error - k_i * integral - k_d * slope)
         given, cut = limited(self.vehicle, wanted)
         output = ControllerOutput(given, track.x1e, xp.zeros_like(error), cut)
-        return PidState(integral, filtered, wanted, given), output
+        return State(integral, filtered, wanted, given), output

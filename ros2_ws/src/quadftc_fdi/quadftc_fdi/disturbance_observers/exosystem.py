@@ -35,7 +35,7 @@ from quadftc_model.samples import DisturbanceObserverInputs
 Matrix = NDArray[np.float64]
 
 
-class ExosystemState(NamedTuple):
+class State(NamedTuple):
     """Observer state at the last sample."""
 
     zeta: Array  # (..., 3, n) estimate of the exosystem's state; its output is d^ [rad/s²]
@@ -57,22 +57,20 @@ class Exosystem(DisturbanceObserver):
         1.0, unit="rad/s", low=1e-6, doc="frequency of the harmonic exosystem, which must be known"
     )
 
-    def init(self, inputs: DisturbanceObserverInputs) -> ExosystemState:
+    def init(self, inputs: DisturbanceObserverInputs) -> State:
         """Start with no disturbance, at the first body rate."""
         rate = inputs.body_rate
         xp = namespace(rate)
         zeta = xp.stack([xp.zeros_like(rate)] * len(self.C_d), axis=-1)
-        return ExosystemState(zeta, rate, inputs.rate_valid)
+        return State(zeta, rate, inputs.rate_valid)
 
-    def resumed(self, inputs: DisturbanceObserverInputs, estimate: Vector) -> ExosystemState:
+    def resumed(self, inputs: DisturbanceObserverInputs, estimate: Vector) -> State:
         """Resume with the whole disturbance in the first block of (42)."""
         state = self.init(inputs)
         first = np.eye(len(self.C_d))[0]
         return state._replace(zeta=state.zeta + estimate[..., None] * first)
 
-    def step(
-        self, state: ExosystemState, inputs: DisturbanceObserverInputs, dt: float
-    ) -> tuple[ExosystemState, Vector]:
+    def step(self, state: State, inputs: DisturbanceObserverInputs, dt: float) -> tuple[State, Vector]:
         """Advance by ``dt`` [s]; a sample without body rate is predicted, not corrected."""
         if isinstance(dt, float) and dt == 0.0:
             return state, state.zeta @ self.C_d
@@ -89,7 +87,7 @@ class Exosystem(DisturbanceObserver):
         x2 = xp.where(inputs.rate_valid[..., None], rate, predicted)
         nu = xp.where(state.started[..., None], x2 - predicted, 0.0)
         zeta = state.zeta @ Phi.T + nu[..., None] * gain
-        return ExosystemState(zeta, x2, state.started | inputs.rate_valid), zeta @ self.C_d
+        return State(zeta, x2, state.started | inputs.rate_valid), zeta @ self.C_d
 
     def poles(self, dt: float) -> Matrix:
         """Poles (n,) [rad/s] of the observer stepped by ``dt`` [s]: log of the eigenvalues over dt."""

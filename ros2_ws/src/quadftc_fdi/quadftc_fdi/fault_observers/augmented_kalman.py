@@ -62,7 +62,7 @@ WINDOWS = (0.0, 0.03, 0.3, 1.5)  # s; T_j, the first is one sample
 UNKNOWN = 1.0  # rad; standard deviation of an angle that is absent at the first sample
 
 
-class AugmentedKalmanState(NamedTuple):
+class State(NamedTuple):
     """Filter state at the last sample. The errors in P: angles, gyro bias, fault."""
 
     q_xyzw: Quaternion  # attitude x^
@@ -97,7 +97,7 @@ class AugmentedKalman(FaultObserver):
     recovery_level: float = parameter(2.5, unit="1", low=0.0, doc="|f_s^| / std_dev that is none")
     recovery_time: float = parameter(1.0, unit="s", low=0.0, doc="how long it must be none to end the fault")
 
-    def init(self, inputs: FaultObserverInputs) -> AugmentedKalmanState:
+    def init(self, inputs: FaultObserverInputs) -> State:
         """Start on the measurement: the sensor counts as healthy at the first sample."""
         imu = inputs.imu
         xp = namespace(imu.body_rate)
@@ -107,13 +107,9 @@ class AugmentedKalman(FaultObserver):
         hidden = xp.concatenate([xp.eye(3), xp.zeros((3, 3)), -xp.eye(3)], axis=-1)  # x^ is off by the fault
         P = (std_devs**2)[..., None] * xp.eye(9) + self.initial_fault**2 * (hidden.T @ hidden)
         means = xp.stack([zeros] * len(WINDOWS), axis=-1)
-        return AugmentedKalmanState(
-            imu.q_xyzw, zeros, zeros, P, imu.body_rate, means, zeros, Detection.start(zeros)
-        )
+        return State(imu.q_xyzw, zeros, zeros, P, imu.body_rate, means, zeros, Detection.start(zeros))
 
-    def step(
-        self, state: AugmentedKalmanState, inputs: FaultObserverInputs, dt: float
-    ) -> tuple[AugmentedKalmanState, FaultEstimate]:
+    def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Predict on the gyro over ``dt`` [s], adapt, and correct by the attitude."""
         imu = inputs.imu
         xp = namespace(imu.body_rate)
@@ -163,9 +159,7 @@ class AugmentedKalman(FaultObserver):
         below = xp.concatenate([xp.swapaxes(across, -1, -2), others], axis=-1)
         return xp.concatenate([above, below], axis=-2)
 
-    def _adapt(
-        self, state: AugmentedKalmanState, r: Array, S_ii: Array, usable: Array, dt: float
-    ) -> tuple[AugmentedKalmanState, Array]:
+    def _adapt(self, state: State, r: Array, S_ii: Array, usable: Array, dt: float) -> tuple[State, Array]:
         """Means of the innovation, and what is added to P_f,ii (..., 3) [rad²]."""
         xp = namespace(r)
         starts = isinstance(dt, float) and dt == 0.0

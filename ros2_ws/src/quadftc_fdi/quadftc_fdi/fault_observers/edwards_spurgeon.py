@@ -54,7 +54,7 @@ from quadftc_model.samples import FaultEstimate, FaultObserverInputs
 DEG = math.pi / 180.0
 
 
-class EdwardsSpurgeonState(NamedTuple):
+class State(NamedTuple):
     """Observer state at the last sample."""
 
     q_xyzw: Quaternion  # attitude x^
@@ -77,15 +77,13 @@ class EdwardsSpurgeon(FaultObserver):
     recovery_level: float = parameter(0.15 * DEG, unit="rad", low=1e-9, doc="|f_s^| that is none")
     recovery_time: float = parameter(1.0, unit="s", low=0.0, doc="how long it must be none to end the fault")
 
-    def init(self, inputs: FaultObserverInputs) -> EdwardsSpurgeonState:
+    def init(self, inputs: FaultObserverInputs) -> State:
         """Start on the measurement: the sensor counts as healthy at the first sample."""
         imu = inputs.imu
         zeros = namespace(imu.body_rate).zeros_like(imu.body_rate)
-        return EdwardsSpurgeonState(imu.q_xyzw, zeros, zeros, imu.body_rate, Detection.start(zeros))
+        return State(imu.q_xyzw, zeros, zeros, imu.body_rate, Detection.start(zeros))
 
-    def step(
-        self, state: EdwardsSpurgeonState, inputs: FaultObserverInputs, dt: float
-    ) -> tuple[EdwardsSpurgeonState, FaultEstimate]:
+    def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Advance by ``dt`` [s] to the sample."""
         imu = inputs.imu
         xp = namespace(imu.body_rate)
@@ -107,4 +105,4 @@ class EdwardsSpurgeon(FaultObserver):
         )
         corrected = correct_sample(imu, q_xyzw, y2)
         estimate = detection.report(fault, xp.full_like(fault, -1.0), ~detection.low, corrected)
-        return EdwardsSpurgeonState(q_xyzw, e, fault, y2, detection), estimate
+        return State(q_xyzw, e, fault, y2, detection), estimate

@@ -45,7 +45,7 @@ from quadftc_model.rotations import euler_from_quaternion, euler_rates, quaterni
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs
 
 
-class SlidingModeState(NamedTuple):
+class State(NamedTuple):
     """Observer state at the last sample."""
 
     z1: Vector  # estimate of the body rate [rad/s]
@@ -84,17 +84,15 @@ class SlidingMode(FaultObserver):
         """P1 = p1 I, the Lyapunov matrix of A1s."""
         return self.q1 / (2.0 * self.a1)
 
-    def init(self, inputs: FaultObserverInputs) -> SlidingModeState:
+    def init(self, inputs: FaultObserverInputs) -> State:
         """Start on the measurement: the sensor counts as healthy at the first sample."""
         imu = inputs.imu
         zeros = namespace(imu.body_rate).zeros_like(imu.body_rate)
         angles = euler_from_quaternion(imu.q_xyzw)
         gain = zeros[..., :1]
-        return SlidingModeState(imu.body_rate, angles, zeros, gain, gain, zeros, zeros, zeros, imu.body_rate)
+        return State(imu.body_rate, angles, zeros, gain, gain, zeros, zeros, zeros, imu.body_rate)
 
-    def step(
-        self, state: SlidingModeState, inputs: FaultObserverInputs, dt: float
-    ) -> tuple[SlidingModeState, FaultEstimate]:
+    def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Advance both observers by ``dt`` [s] to the sample."""
         imu = inputs.imu
         xp = namespace(imu.body_rate)
@@ -103,9 +101,7 @@ class SlidingMode(FaultObserver):
         state = self._fault_observer(state, inputs, h1, dt)._replace(z1=z1, k1=k1, v1=v1, h1=h1)
         return state, assume_healthy(state.v2, correct_sample(imu, quaternion_from_euler(state.z2), h1))
 
-    def _rate_observer(
-        self, state: SlidingModeState, torque: Array, h1: Array, dt: float
-    ) -> tuple[Array, Array, Array]:
+    def _rate_observer(self, state: State, torque: Array, h1: Array, dt: float) -> tuple[Array, Array, Array]:
         """Observer (16) with (18) and (20): z1^, k1^ and v1 at the new sample."""
         inertia = self.vehicle.inertia
         D1_f = 0.5 * (gyroscopic_acceleration(inertia, state.h1) + gyroscopic_acceleration(inertia, h1))
@@ -115,9 +111,7 @@ class SlidingMode(FaultObserver):
         k1 = state.k1 + dt * self.l_k1 * self.p1**2 * norm(e1) ** 2
         return h1 - e1, k1, v1
 
-    def _fault_observer(
-        self, state: SlidingModeState, inputs: FaultObserverInputs, h1: Array, dt: float
-    ) -> SlidingModeState:
+    def _fault_observer(self, state: State, inputs: FaultObserverInputs, h1: Array, dt: float) -> State:
         """Observer (17) with (21), (26) and (27): z2^, e3, k2^, v2 and h2 - z2^ at the new sample."""
         imu = inputs.imu
         xp = namespace(h1)

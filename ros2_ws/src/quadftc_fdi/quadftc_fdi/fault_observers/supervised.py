@@ -54,7 +54,7 @@ SHOWN = 0.3  # 1; share of the recovery time from which an axis is shown as reco
 SPOILED = np.diag([1.0] * 3 + [0.1**2] * 3 + [1.0] * 9 + [0.0])
 
 
-class SupervisedState(NamedTuple):
+class State(NamedTuple):
     """Observer state at the last sample."""
 
     filter: FilterState
@@ -90,12 +90,12 @@ class Supervised(FaultObserver):
     recovery: float = parameter(0.6, unit="s", low=0.0, doc="how long a faulty axis must look healthy")
     patience: float = parameter(120.0, unit="s", low=1.0, doc="after which a fault that stands still ends")
 
-    def init(self, inputs: FaultObserverInputs) -> SupervisedState:
+    def init(self, inputs: FaultObserverInputs) -> State:
         """Start on the measurement, with the gyro unknown but for its data sheet."""
         imu = inputs.imu
         zeros = namespace(imu.body_rate).zeros_like(imu.body_rate)
         estimate = inertial_filter.start_filter(imu.q_xyzw, self._initial_std_devs())
-        return SupervisedState(
+        return State(
             filter=estimate,
             anchors=anchors.set_anchors(estimate.P),
             gyro=imu.body_rate,
@@ -107,7 +107,7 @@ class Supervised(FaultObserver):
             raw=zeros[..., :1] + 1.0,
         )
 
-    def resumed(self, inputs: FaultObserverInputs, last: LastWords) -> SupervisedState:
+    def resumed(self, inputs: FaultObserverInputs, last: LastWords) -> State:
         """Resume with the gyro bias as it was, and with the faults taken off the faulty axes."""
         xp = namespace(inputs.imu.body_rate)
         faulty = xp.asarray(last.faulty)
@@ -129,9 +129,7 @@ class Supervised(FaultObserver):
             raw=fresh.raw * 0.0,
         )
 
-    def step(
-        self, state: SupervisedState, inputs: FaultObserverInputs, dt: float
-    ) -> tuple[SupervisedState, FaultEstimate]:
+    def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Advance by ``dt`` [s] to the sample."""
         imu, xp = inputs.imu, namespace(inputs.imu.body_rate)
         weights = residual_tests.averaging_weights(dt, self.wander_memory)
@@ -188,7 +186,7 @@ class Supervised(FaultObserver):
         evidence = residual_tests.update_evidence(evidence, promoted, outdated)
         starting = bias > STARTED**2
         raw = xp.where(starting, state.raw, state.raw * exp(-dt / FADING))
-        state = SupervisedState(estimate, earlier, gyro, activity, motion, evidence, faulty, track, raw)
+        state = State(estimate, earlier, gyro, activity, motion, evidence, faulty, track, raw)
 
         return state, self._report(state, imu, scores.suspect, starting, predicted, variances, gains)
 
@@ -198,11 +196,11 @@ class Supervised(FaultObserver):
         return np.array([attitude] * 3 + [self.gyro_bias] * 3 + [self.gyro_scale] * 9 + [self.delay])
 
     def _predict(
-        self, state: SupervisedState, gyro: Array, dt: float
+        self, state: State, gyro: Array, dt: float
     ) -> tuple[FilterState, anchors.Anchors, Array, Array, Array]:
         """Carry filter and anchors to the sample by the mean of two gyro samples.
 
-        Also return the body rate (..., 3) [rad/s], its decaying maximum [rad/s], and motion (0 at rest, or 1).
+        Also return the body rate (..., 3) [rad/s], its decaying maximum [rad/s], and motion (0 or 1).
         """
         omega = estimate_rate(state.filter.x, gyro)
         activity = namespace(gyro).maximum(norm(omega), state.activity * exp(-dt / MOVED))
@@ -239,7 +237,7 @@ class Supervised(FaultObserver):
 
     def _report(
         self,
-        state: SupervisedState,
+        state: State,
         imu: ImuSample,
         suspect: Array,
         starting: Array,

@@ -48,7 +48,7 @@ from quadftc_model.samples import FAULTY, HEALTHY, FaultEstimate, FaultObserverI
 DEG = math.pi / 180.0
 
 
-class ThresholdState(NamedTuple):
+class State(NamedTuple):
     """Observer state at the last sample."""
 
     q_xyzw: Quaternion  # x^
@@ -76,17 +76,15 @@ class Threshold(FaultObserver):
     recovery_time: float = parameter(1.0, unit="s", low=0.0, doc="how long it must be none to end the fault")
     patience: float = parameter(30.0, unit="s", low=0.0, doc="longest dead reckoning")
 
-    def init(self, inputs: FaultObserverInputs) -> ThresholdState:
+    def init(self, inputs: FaultObserverInputs) -> State:
         """Start on the measurement: the sensor counts as healthy at the first sample."""
         imu = inputs.imu
         xp = namespace(imu.body_rate)
         zeros = xp.zeros_like(imu.body_rate)
         healthy = xp.full_like(zeros, HEALTHY, dtype=xp.uint8)
-        return ThresholdState(imu.q_xyzw, imu.body_rate, zeros, zeros, zeros, healthy, zeros, zeros)
+        return State(imu.q_xyzw, imu.body_rate, zeros, zeros, zeros, healthy, zeros, zeros)
 
-    def step(
-        self, state: ThresholdState, inputs: FaultObserverInputs, dt: float
-    ) -> tuple[ThresholdState, FaultEstimate]:
+    def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Advance by ``dt`` [s] to the sample."""
         imu = inputs.imu
         xp = namespace(imu.body_rate)
@@ -116,7 +114,7 @@ class Threshold(FaultObserver):
         corrected = correct_sample(imu, given, gyro)
         return state, FaultEstimate(fault, xp.full_like(age, -1.0), state.state, age, corrected)
 
-    def _switch(self, state: ThresholdState, a: Array, residual: Array, dt: float) -> ThresholdState:
+    def _switch(self, state: State, a: Array, residual: Array, dt: float) -> State:
         """Take the transitions of the table, with the new a and |y - x^|, each (..., 3)."""
         xp = namespace(a)
         was_switched = state.state >= FAULTY

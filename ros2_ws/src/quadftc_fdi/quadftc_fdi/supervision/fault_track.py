@@ -139,9 +139,10 @@ def judge_recovery(
     patience: float,
     dt: float,
 ) -> Recovery:
-    """Judge which faulty axes are trusted again: after looking healthy for ``recovery`` [s], or at ``patience``.
+    """Judge which faulty axes are trusted again.
 
-    ``predicted`` [rad²] is the variance of the dead-reckoned angle, ``spread`` the `healthy_spread` [rad²],
+    They must look healthy for ``recovery`` [s], or have stood still at the age of ``patience`` [s].
+    ``predicted`` [rad²] is the variance of the dead-reckoned angle, ``spread`` [rad²] is `healthy_spread`,
     ``bias_variance`` [rad²/s²] that of the gyro bias, at which the angle drifts, and ``dt`` [s] the step.
     """
     xp = namespace(predicted)
