@@ -19,12 +19,12 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_control.controller import controller_from, controllers
+from quadftc_control.controller import Controller, controller_from, controllers
 from quadftc_control.flight_manager import Command, FlightManager
 from quadftc_control.input_monitor import Mode, Patience
 from quadftc_control.last_words import MessageReader
 from quadftc_model.assembly import build_prefixed
-from quadftc_model.parameters import Value, parameter
+from quadftc_model.parameters import parameter
 from quadftc_model.samples import ALARMS, AttitudeReference, ControllerInputs, ImuSample, level_sample
 from quadftc_model.stepper import seconds, warm_up
 from quadftc_ros.conversions import Floats, array_of, revise_status
@@ -64,6 +64,10 @@ class ControllerParameters:
     controller: str = parameter("ismc", doc="name of the controller")
 
 
+def _build(values: Mapping[str, Any]) -> tuple[Controller, Patience]:
+    return controller_from(values), build_prefixed(Patience, values, "patience")
+
+
 def faulty_part(status: Any) -> Floats:
     """Return the estimate (3,) [rad] of a status message, zero on axes without an alarm."""
     return array_of(status.estimate) * np.isin(status.state, ALARMS)
@@ -81,13 +85,11 @@ class ControllerNode(GraphNode):
         name = self.settings.values()["controller"]
         self.settings.declare(controllers.get(name), f"{name}.")
         self.settings.declare(Patience, "patience.")
-        values = self.settings.values()
-        law = controller_from(values)
+        law, patience = _build(self.settings.values())
         still = AttitudeReference(np.zeros(3), np.zeros(3), np.zeros(3))
         warm_up(law, ControllerInputs(level_sample(), still, np.zeros(3)))
-        patience = build_prefixed(Patience, values, "patience")
         self._manager = FlightManager(law, patience, READER, self.diagnostics.count)
-        self.settings.on_change(self._rebuilt)
+        self.settings.on_change(_build, lambda built: self._manager.configure(*built))
         self._publish_torque = self.publishes("torque/command")
         self._publish_status = self.publishes("control/status")
         self._body, self._status = VectorWire(BASE_FRAME), ControlStatusWire()
@@ -105,10 +107,6 @@ class ControllerNode(GraphNode):
             }
             self._watchdog = self.create_timer(WATCH_PERIOD, self._on_watchdog, clock=self.pace)
         self.ready()
-
-    def _rebuilt(self, values: Mapping[str, Value]) -> Callable[[], None]:
-        law, patience = controller_from(values), build_prefixed(Patience, values, "patience")
-        return lambda: self._manager.configure(law, patience)
 
     def _on_reference(self, stamp_ns: int, reference: AttitudeReference) -> None:
         usable = self._manager.take_reference(stamp_ns, reference)

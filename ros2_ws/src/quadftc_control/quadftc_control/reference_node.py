@@ -11,14 +11,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import sys
-from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from quadftc_control.reference import SetpointFilter, reference_from
 from quadftc_model.assembly import build_prefixed
-from quadftc_model.parameters import Value, parameter
+from quadftc_model.parameters import parameter
 from quadftc_model.samples import AttitudeReference, is_usable
 from quadftc_model.stepper import Stepper, warm_up
 from quadftc_ros.conversions import Floats
@@ -50,13 +50,13 @@ class ReferenceNode(GraphNode):
             "references", "each: kind key=value..., e.g. 'step angles=5deg,0,0 start=5s'"
         )
         values = self.settings.values()
-        law: Any = build_prefixed(SetpointFilter, values, "setpoint")
-        self._filter = Stepper[Any, AttitudeReference](law)
+        build = partial(build_prefixed, SetpointFilter, prefix="setpoint")
+        self._filter = Stepper[Any, AttitudeReference](build(values))
         self._live = values["source"] == "topic"
         reference_from(values).at(0)  # as `warm_up` does
-        warm_up(law, np.zeros(3))
+        warm_up(self._filter.law, np.zeros(3))
         self._restart()
-        self.settings.on_change(self._rebuilt)
+        self.settings.on_change(build, partial(setattr, self._filter, "law"))
         self._publish = self.publishes("attitude/reference")
         self._message = ReferenceWire()
         self.driven_by("imu/data", self._on_imu, restart=self._restart, decode=bytes)  # for its stamp
@@ -64,10 +64,6 @@ class ReferenceNode(GraphNode):
             self.reads("attitude/setpoint", self._on_setpoint, decode=vector_of)
         self.diagnostics.report("source", OK, values["source"])
         self.ready()
-
-    def _rebuilt(self, values: Mapping[str, Value]) -> Callable[[], None]:
-        law = build_prefixed(SetpointFilter, values, "setpoint")
-        return lambda: setattr(self._filter, "law", law)
 
     def _restart(self) -> None:
         self._generator = reference_from(self.settings.values())

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from quadftc_fdi.disturbance_observer import (
     disturbance_observer_from,
     disturbance_observers,
 )
-from quadftc_model.parameters import Value, parameter
+from quadftc_model.parameters import parameter
 from quadftc_model.samples import DisturbanceObserverInputs, ImuSample, sanitised
 from quadftc_model.stepper import warm_up
 from quadftc_ros.conversions import Floats
@@ -52,7 +52,7 @@ class DisturbanceObserverNode(GraphNode):
         law = disturbance_observer_from(self.settings.values())
         self._estimation = DisturbanceEstimation(law)
         warm_up(law, DisturbanceObserverInputs(np.zeros(3), np.bool_(True), np.zeros(3)))
-        self.settings.on_change(self._rebuild)
+        self.settings.on_change(disturbance_observer_from, partial(setattr, self._estimation, "law"))
         self._publish, self._body = self.publishes("disturbance/estimate"), VectorWire(BASE_FRAME)
         self._gate = TorqueGate(self.mode, self._on_sample)
         restart = self._estimation.restart
@@ -62,10 +62,6 @@ class DisturbanceObserverNode(GraphNode):
             self.reads("disturbance/kept", self._estimation.offer, decode=vector_of)
         self.diagnostics.report("observer", OK, name)
         self.ready()
-
-    def _rebuild(self, values: Mapping[str, Value]) -> Callable[[], None]:
-        law = disturbance_observer_from(values)
-        return lambda: setattr(self._estimation, "law", law)
 
     def _on_torque(self, stamp_ns: int, torque: Floats) -> None:
         if not self._gate.put_torque(stamp_ns, torque):

@@ -10,9 +10,8 @@ Services: ~/reset (std_srvs/Trigger). A sample whose stamp repeats or goes back 
 from __future__ import annotations
 
 import dataclasses
-import functools
 import sys
-from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from std_msgs.msg import Header
 from quadftc_fdi.diagnosis import Diagnosis, KeptDiagnosis, describe_axes
 from quadftc_fdi.fault_observer import fault_observer_from, fault_observers
 from quadftc_model import samples
-from quadftc_model.parameters import Value, parameter
+from quadftc_model.parameters import parameter
 from quadftc_model.samples import ALARMS, FaultEstimate, FaultObserverInputs, ImuSample
 from quadftc_model.stepper import warm_up
 from quadftc_ros.conversions import Floats, array_of, stamp_of
@@ -51,7 +50,7 @@ class FaultObserverNode(GraphNode):
         self.settings.declare(fault_observers.get(name), f"{name}.")
         self._diagnosis = Diagnosis(fault_observer_from(self.settings.values()))
         warm_up(self._diagnosis.law, FaultObserverInputs(samples.level_sample(), np.zeros(3)))
-        self.settings.on_change(self._rebuild)
+        self.settings.on_change(fault_observer_from, partial(setattr, self._diagnosis, "law"))
         self._publish_corrected, self._imu = self.publishes("imu/corrected"), ImuWire()
         self._publish_estimate, self._earth = self.publishes("fault/estimate"), VectorWire(EARTH_FRAME)
         self._publish_status, self._status = self.publishes("fault/status"), FaultStatusWire()
@@ -61,16 +60,12 @@ class FaultObserverNode(GraphNode):
         self.reads("torque/command", self._on_torque, decode=vector_of)
         self._kept: dict[str, Any] = {}
         if not self.lockstep:
-            self.reads("gyro/kept", functools.partial(self._on_kept, "gyro"), decode=vector_of)
-            self.reads("fault/kept", functools.partial(self._on_kept, "fault"))
+            self.reads("gyro/kept", partial(self._on_kept, "gyro"), decode=vector_of)
+            self.reads("fault/kept", partial(self._on_kept, "fault"))
         self._estimate: FaultEstimate | None = None  # the last
         self._alarms: tuple[bool, ...] = (False, False, False)  # axes that are faulty
         self.diagnostics.report("observer", OK, name)
         self.ready()
-
-    def _rebuild(self, values: Mapping[str, Value]) -> Callable[[], None]:
-        law = fault_observer_from(values)
-        return lambda: setattr(self._diagnosis, "law", law)
 
     def _on_kept(self, what: str, stamp_ns: int, value: Any) -> None:
         self._kept[what] = value

@@ -7,14 +7,16 @@ import dataclasses
 import math
 import sys
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from quadftc_model.hints import nearest
-from quadftc_model.parameters import Parameter, Value, convert, parameters_of
+from quadftc_model.parameters import Parameter, convert, parameters_of
+
+T = TypeVar("T")
 
 _LARGEST = sys.float_info.max
 _LARGEST_INT = 2**63 - 1
@@ -92,27 +94,25 @@ class NodeParameters:
             if not self._node.has_parameter(name) and not name.startswith("qos_overrides.")
         ]
 
-    def on_change(self, rebuild: Callable[[Mapping[str, Value]], Callable[[], None]]) -> None:
-        """Follow changes at run time.
+    def on_change(self, build: Callable[[dict[str, Any]], T], use: Callable[[T], None]) -> None:
+        """Follow changes at run time: ``use(build(values))``, of the whole mapping.
 
-        ``rebuild(values)`` makes what the node runs on from the whole mapping, and returns a function that
-        puts it to use. If it raises ValueError, the change is refused with that message; the old values stay.
+        If ``build`` raises ValueError, the change is refused with that message; the old values stay.
         """
-        apply: list[Callable[[], None]] = []
+        built: list[T] = []
 
         def check(changes: list[RosParameter]) -> SetParametersResult:
             values = self.values()
             values.update({p.name: _plain(p.value) for p in changes if p.name in values})
             try:
-                made = rebuild(values)
+                built[:] = [build(values)]
             except ValueError as error:
                 return SetParametersResult(successful=False, reason=str(error))
-            apply[:] = [made]
             return SetParametersResult(successful=True)
 
         def put_to_use(changes: list[RosParameter]) -> None:
-            if any(p.name in self._names for p in changes) and apply:
-                apply.pop()()
+            if any(p.name in self._names for p in changes) and built:
+                use(built.pop())
 
         self._node.add_on_set_parameters_callback(check)
         self._node.add_post_set_parameters_callback(put_to_use)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from functools import partial
 
 import pytest
 from rclpy.node import Node
@@ -32,7 +33,7 @@ class Holder(Node):
         self.settings.declare(Law, "law.")
         self.settings.declare_list("names", "names of things")
         self.law = self.built(self.settings.values())
-        self.settings.on_change(self.rebuilt)
+        self.settings.on_change(self.rebuilt, partial(setattr, self, "law"))
 
     def built(self, values):
         return build(Law, {name.removeprefix("law."): v for name, v in values.items() if name != "names"})
@@ -41,7 +42,7 @@ class Holder(Node):
         law = self.built(values)
         if law.gain == 7.0 and law.count == 7:
             raise ValueError("law: gain and count must not both be 7")
-        return lambda: setattr(self, "law", law)
+        return law
 
 
 def test_descriptor_tells_unit_range_choices_and_meaning(bench):
