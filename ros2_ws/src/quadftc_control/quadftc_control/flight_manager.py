@@ -155,7 +155,7 @@ class FlightManager:
         if self.reference is None:
             self._count("no attitude/reference yet")
             return None
-        if not self._stepper.timing(stamp_ns).accepted:
+        if self._stepper.time_step(stamp_ns) is None:
             return None  # repeated: imu/corrected of a sample that imu/data has served already
         if self._mode is Mode.OFF and not self._monitor.is_back(stamp_ns):
             return self._command(stamp_ns, nothing_but(np.zeros(3)), Mode.OFF)

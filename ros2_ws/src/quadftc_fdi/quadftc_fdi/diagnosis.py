@@ -13,7 +13,7 @@ from quadftc_fdi.handover import ResumingStepper
 from quadftc_model import samples
 from quadftc_model.arrays import Mask, Vector
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample, sanitised
-from quadftc_model.stepper import Timing, seconds
+from quadftc_model.stepper import seconds
 
 
 class KeptDiagnosis(NamedTuple):
@@ -52,15 +52,15 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, KeptDiagnosi
         """
         clean = sanitised(sample)
         inputs = FaultObserverInputs(clean, torque)
-        kept, timing = self.words_for(stamp_ns), self.timing(stamp_ns)
+        kept, dt = self.words_for(stamp_ns), self.time_step(stamp_ns)
         complete = clean.attitude_valid and clean.rate_valid
         if kept is not None:
             last = kept.at(stamp_ns)
             if last is None:
                 self.drop_words()
-            elif complete and timing.accepted:
+            elif complete and dt is not None:
                 return self.take_over(stamp_ns, inputs, self.law.resumed(inputs, last))
-        if timing in (Timing.FIRST, Timing.RESTART) and not complete:
+        if dt == 0.0 and not complete:
             self.reset()
             return _starting_estimate(clean)
         return self.step(stamp_ns, inputs)

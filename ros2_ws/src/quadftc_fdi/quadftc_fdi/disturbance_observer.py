@@ -57,7 +57,7 @@ class DisturbanceEstimation(ResumingStepper[DisturbanceObserverInputs, Vector, V
         clean = sanitised(corrected)
         inputs = DisturbanceObserverInputs(clean.body_rate, clean.rate_valid, torque)
         last = self.words_for(stamp_ns)
-        if last is not None and inputs.rate_valid and self.timing(stamp_ns).accepted:
+        if last is not None and inputs.rate_valid and self.time_step(stamp_ns) is not None:
             return self.take_over(stamp_ns, inputs, self.law.resumed(inputs, last))
         return self.step(stamp_ns, inputs)
 

@@ -6,7 +6,6 @@ stamp, a stamp that goes back, and a gap alike.
 
 from __future__ import annotations
 
-import enum
 from collections.abc import Callable
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -42,21 +41,6 @@ def warm_up(law: Law[In, Any], inputs: In, dt: float = 0.004) -> None:
     law.step(state, inputs, dt)
 
 
-class Timing(enum.Enum):
-    """What a stamp means for a law."""
-
-    FIRST = "first"
-    NEXT = "next"
-    RESTART = "gap or jump of the clock"
-    REPEATED = "stamp repeated"
-    BACKWARDS = "stamp went back"
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the sample is used."""
-        return self not in (Timing.REPEATED, Timing.BACKWARDS)
-
-
 class Stepper(Generic[In, Out]):
     """One law with its state and the stamp of its last sample.
 
@@ -79,25 +63,24 @@ class Stepper(Generic[In, Out]):
         self.state = state
         return self._step(stamp_ns, inputs, 0.0)
 
-    def timing(self, stamp_ns: int) -> Timing:
-        """Say what a sample of this stamp [ns] would be."""
+    def time_step(self, stamp_ns: int) -> float | None:
+        """Return the time step [s] to a sample [ns]; None if its stamp repeats or went back: it is refused.
+
+        It is 0 where the law starts: at the first sample, and after a gap or a jump of the clock.
+        """
         if self.stamp_ns is None:
-            return Timing.FIRST
+            return 0.0
         elapsed = seconds(stamp_ns - self.stamp_ns)
         if abs(elapsed) > MAX_GAP:
-            return Timing.RESTART
-        if elapsed > 0.0:
-            return Timing.NEXT
-        return Timing.REPEATED if elapsed == 0.0 else Timing.BACKWARDS
+            return 0.0
+        return elapsed if elapsed > 0.0 else None
 
     def step(self, stamp_ns: int, inputs: In) -> Out | None:
-        """Advance the law to a sample [ns]; None if its stamp is repeated or went back."""
-        timing = self.timing(stamp_ns)
-        if not timing.accepted:
-            return None
-        if timing is Timing.NEXT and self.stamp_ns is not None:
-            return self._step(stamp_ns, inputs, seconds(stamp_ns - self.stamp_ns))
-        return self.resume(stamp_ns, inputs, self.law.init(inputs))
+        """Advance the law to a sample [ns]; None if it is refused."""
+        dt = self.time_step(stamp_ns)
+        if dt == 0.0:
+            return self.resume(stamp_ns, inputs, self.law.init(inputs))
+        return None if dt is None else self._step(stamp_ns, inputs, dt)
 
     def _step(self, stamp_ns: int, inputs: In, dt: float) -> Out:
         self.state, output = self.law.step(self.state, inputs, dt)

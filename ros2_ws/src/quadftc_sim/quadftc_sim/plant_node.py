@@ -55,7 +55,7 @@ class PlantOutput:
         self._publish_clock = node.publishes("/clock") if node.lockstep else None
         self._clock = Clock()
         self._stamp_ns = 0  # of the last emission
-        self._pending: Emission | None = None  # whose truth is still to be published
+        self.pending: Emission | None = None  # whose truth is still to be published
 
     def emit(self, emission: Emission | None) -> None:
         """Publish clock and sample; in real time the truth waits for `show_truth`. None: the flight ended."""
@@ -69,23 +69,19 @@ class PlantOutput:
             self._publish_clock(self._clock)
         if emission.sample is not None:  # first, as others wait for it
             self._publish_imu(self._imu(emission.sample_stamp_ns, emission.sample))
-        self._pending, self._stamp_ns = emission, emission.stamp_ns
+        self.pending, self._stamp_ns = emission, emission.stamp_ns
         if self._publish_clock is not None:
             self.show_truth()
 
     def show_truth(self) -> None:
         """Publish the truth of the last emission, if that has not been done."""
-        emission, self._pending = self._pending, None
+        emission, self.pending = self.pending, None
         if emission is None:
             return
         for publish, wire, name in self._truth:
             publish(wire(emission.stamp_ns, getattr(emission, name)))
         self._node.sampled(emission.stamp_ns)
         self._each_sample()
-
-    def forget(self) -> None:
-        """Leave the truth of the last emission unpublished: a new flight begins."""
-        self._pending = None
 
 
 class PlantNode(GraphNode):
@@ -179,7 +175,7 @@ class PlantNode(GraphNode):
     def _restart(self) -> None:
         self._stop_timer()
         self._make_flight(0)
-        self._output.forget()
+        self._output.pending = None
         if self.lockstep:
             self.start()
         else:
