@@ -45,7 +45,7 @@ def flight(disturbance, estimated=True):
         if k == LOST:
             transfer.expect(-BIAS, FAULT)
         if not raw or estimated:
-            monitor.estimated(stamp_ns, disturbance)
+            monitor.estimate = stamp_ns, disturbance
         used = transfer.used(stamp_ns, read, raw)
         estimate, share, _ = monitor.disturbance_at(stamp_ns)
         stepper.law = law.without_estimate(1.0 - share)
