@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +15,13 @@ from quadftc_model.rotations import wrap
 from quadftc_model.samples import FaultEstimate, ImuSample
 from quadftc_replay.imu_recording import Floats, Recording
 from quadftc_sim.injection import TRUTH
-from quadftc_sim.injector import FaultInjector
+from quadftc_sim.injector import FaultInjector, Faulty
 
 Progress = Callable[[float], None]  # called with the share of the samples that are done
 STRIDE = 256  # samples between two calls
 
 
-@dataclasses.dataclass(eq=False, kw_only=True)
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Diagnosed:
     """What became of each sample; in the rows of withheld samples all is NaN, zero or absent."""
 
@@ -30,30 +29,42 @@ class Diagnosed:
     seen: ImuSample  # what the observer saw: the samples with the overlaid faults; leading axis n
     overlaid: dict[str, Floats]  # channel to the overlaid fault (n, 3), of withheld samples too
     estimate: FaultEstimate  # leading axis n
-    unusable: int = 0  # samples with an estimate that could not be used; the observer restarted after each
+    unusable: int  # samples with an estimate that could not be used; the observer restarted after each
+
+
+UNSEEN = ImuSample(np.zeros(4), np.zeros(3), np.zeros(3), np.False_, np.False_, np.False_)
+UNSAID = FaultEstimate(
+    np.full(3, np.nan), np.full(3, np.nan), np.full(3, NO_STATE, np.uint8), np.full(3, np.nan), UNSEEN
+)
 
 
 def diagnose(
     recording: Recording, law: FaultObserver, injector: FaultInjector, progress: Progress | None = None
 ) -> Diagnosed:
     """Put the faults of an injector, which is used up, on the samples, and diagnose them."""
-    diagnosis, result = Diagnosis(law), _blank(len(recording))
+    diagnosis, injected, estimates = Diagnosis(law), list[Faulty](), list[FaultEstimate]()
     for row, stamp_ns in enumerate(recording.stamp_ns.tolist()):
-        # what the fault injector makes of the sample
-        injected = injector.apply(stamp_ns, ImuSample(*(column[row] for column in recording.imu)))
-        for channel, overlaid in result.overlaid.items():
-            overlaid[row] = getattr(injected, channel)
-        # what the observer makes of it, if it is not withheld
-        if injected.present:
-            estimate = diagnosis.diagnose(stamp_ns, injected.sample, recording.torque[row])
+        faulty = injector.apply(stamp_ns, ImuSample(*(column[row] for column in recording.imu)))
+        estimate = None
+        if faulty.present:
+            estimate = diagnosis.diagnose(stamp_ns, faulty.sample, recording.torque[row])
             assert estimate is not None  # stamps increase
-            result.delivered[row] = True
-            _set_row(result.seen, row, injected.sample)
-            _set_row(result.estimate, row, estimate)
+        injected.append(faulty)
+        estimates.append(estimate or UNSAID)
         if progress is not None and row % STRIDE == 0:
             progress(row / len(recording))
-    result.unusable = diagnosis.replaced
-    return result
+    *said, corrected = zip(*estimates, strict=True)
+    return Diagnosed(
+        delivered=np.array([each.present for each in injected], np.bool_),
+        seen=_stack([each.sample if each.present else UNSEEN for each in injected]),
+        overlaid={channel: np.stack([getattr(each, channel) for each in injected]) for channel in TRUTH},
+        estimate=FaultEstimate(*map(np.stack, said), _stack(corrected)),
+        unusable=diagnosis.replaced,
+    )
+
+
+def _stack(samples: Sequence[ImuSample]) -> ImuSample:
+    return ImuSample(*(np.stack(column) for column in zip(*samples, strict=True)))
 
 
 def flight_of(recording: Recording, diagnosed: Diagnosed) -> Flight:
@@ -74,27 +85,3 @@ def true_fault(recording: Recording, diagnosed: Diagnosed, channel: str) -> Floa
         return overlaid
     total = recording.faults[channel] + overlaid
     return wrap(total) if channel == "attitude" else total
-
-
-def _blank(count: int) -> Diagnosed:
-    seen, corrected = (
-        ImuSample(*(np.zeros((count, n)) for n in (4, 3, 3)), *(np.zeros(count, np.bool_) for _ in range(3)))
-        for _ in range(2)
-    )
-    fault, std_dev, onset_age = (np.full((count, 3), np.nan) for _ in range(3))
-    state = np.full((count, 3), NO_STATE, np.uint8)
-    return Diagnosed(
-        delivered=np.zeros(count, np.bool_),
-        seen=seen,
-        overlaid={channel: np.zeros((count, 3)) for channel in TRUTH},
-        estimate=FaultEstimate(fault, std_dev, state, onset_age, corrected),
-    )
-
-
-def _set_row(columns: tuple[Any, ...], row: int, values: tuple[Any, ...]) -> None:
-    """Set a row of columns, and of the columns inside them."""
-    for column, value in zip(columns, values, strict=True):
-        if isinstance(column, tuple):
-            _set_row(column, row, value)  # pyright: ignore[reportUnknownArgumentType]
-        else:
-            column[row] = value

@@ -171,12 +171,10 @@ def _is(name: str, topic: str) -> bool:
 
 def _torque_topic(topics: _Topics, namespace: str, is_foreign: bool) -> str | None:
     """The commands that belong to an IMU: of its namespace; beside a foreign IMU, the only ones there are."""
-    there = [
-        name for name, info in topics.items() if _is(name, TORQUE) and info.type_name == VECTOR and info.count
-    ]
-    if f"{namespace}{TORQUE}" in there:
-        return f"{namespace}{TORQUE}"
-    return there[0] if len(there) == 1 and is_foreign else None
+    filled = {name for name, info in topics.items() if info.type_name == VECTOR and info.count}
+    there = [name for name in filled if _is(name, TORQUE)]
+    own = f"{namespace}{TORQUE}"
+    return own if own in there else there[0] if len(there) == 1 and is_foreign else None
 
 
 def _truth_topics(topics: _Topics, namespace: str) -> list[str]:
@@ -207,9 +205,8 @@ def _read_truth(bag: Bag, topics: Collection[str], namespace: str, stamp_ns: Sta
     if scenario is None:
         windows = windows_of(stamp_ns, faults["attitude"])
         return faults, windows, events_of_windows(windows)
-    dropped, first_ns = f"{namespace}{DROPPED}", stamp_ns[0]
-    if dropped in topics:
-        first_ns = bag.series(dropped).stamp_ns.min()
+    dropped = f"{namespace}{DROPPED}"
+    first_ns = bag.series(dropped).stamp_ns.min() if dropped in topics else stamp_ns[0]
     late = max(0.0, float(int(stamp_ns[0]) - int(first_ns)) / NANOSECONDS_PER_SECOND)
     return faults, _shift(scenario.fault_windows, late), _shift(scenario.fault_events, late)
 

@@ -135,8 +135,7 @@ def clean_samples(imu: ImuSample, stamp_ns: Stamps, where: str) -> tuple[ImuSamp
             warnings.append(f"{where}: {count} samples without {words} ({details}); bridged")
     if not np.any(clean.attitude_valid & clean.rate_valid):
         raise BagError(f"{where}: no sample has both attitude and body rate; a diagnosis needs both to start")
-    gaps = int(np.sum(np.diff(stamp_ns) > MAX_GAP * NANOSECONDS_PER_SECOND))
-    if gaps:
+    if gaps := int(np.sum(np.diff(stamp_ns) > MAX_GAP * NANOSECONDS_PER_SECOND)):
         long = f"gaps of more than {MAX_GAP:g} s: {gaps}"
         warnings.append(f"{where}: {long}; the diagnosis restarts after each")
     return clean, warnings

@@ -11,14 +11,8 @@ from pathlib import Path
 
 from pydantic import BaseModel, ValidationError
 
-from quadftc_flight.fault_schedule import (
-    FaultEvent,
-    FaultWindow,
-    fault_events,
-    fault_windows,
-    merge_events,
-    merge_windows,
-)
+from quadftc_flight import fault_schedule
+from quadftc_flight.fault_schedule import FaultEvent, FaultWindow
 from quadftc_flight.scenario import (
     Fault,
     Problem,
@@ -47,17 +41,20 @@ def faults_from(files: Iterable[Path], specs: Iterable[str]) -> tuple[Fault, ...
 
 def replay_windows(recording: Recording, faults: Sequence[Fault]) -> tuple[FaultWindow, ...]:
     """When the attitude is faulty, by what was recorded and by what was overlaid."""
-    return merge_windows([*recording.fault_windows, *fault_windows(faults, recording.duration)])
+    overlaid = fault_schedule.fault_windows(faults, recording.duration)
+    return fault_schedule.merge_windows([*recording.fault_windows, *overlaid])
 
 
 def replay_events(recording: Recording, faults: Sequence[Fault]) -> tuple[FaultEvent, ...]:
     """Faults of the attitude axis by axis, by what was recorded and by what was overlaid."""
-    return merge_events([*recording.fault_events, *fault_events(faults, recording.duration)])
+    overlaid = fault_schedule.fault_events(faults, recording.duration)
+    return fault_schedule.merge_events([*recording.fault_events, *overlaid])
 
 
 def _parse_fault(spec: str) -> Fault:
-    given = tuple(name for name in parse_spec(spec).values if name not in RESERVED)
-    return Fault(injection_from(spec), given)
+    return Fault(
+        injection_from(spec), tuple(name for name in parse_spec(spec).values if name not in RESERVED)
+    )
 
 
 class _FaultsFile(BaseModel):
@@ -72,9 +69,8 @@ def _read_faults(file: Path) -> tuple[Fault, ...]:
         if key not in known
     ]
     if not document.data.get("faults"):
-        problems.append(
-            Problem((), "no faults; expected the key 'faults' with a list, as in a scenario file")
-        )
+        problem = "no faults; expected the key 'faults' with a list, as in a scenario file"
+        problems.append(Problem((), problem))
     try:
         faults = _FaultsFile.model_validate(document.data, context=Setting(document)).faults
     except ValidationError as error:

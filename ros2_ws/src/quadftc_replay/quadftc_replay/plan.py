@@ -12,7 +12,6 @@ import yaml
 
 from quadftc_bags.bag import BagError
 from quadftc_fdi.fault_observer import FaultObserver, fault_observer_from, fault_observers
-from quadftc_flight.run_directory import Parameters
 from quadftc_flight.scenario import Fault, parse_value
 from quadftc_model.assembly import get, node_values
 from quadftc_replay.diagnose import Diagnosed, Progress, diagnose, flight_of
@@ -64,12 +63,6 @@ class Replay:
         """Name of its directory and of its bag."""
         return f"{self.recording.name}-{self.observer.name}"
 
-    @property
-    def parameters(self) -> Parameters:
-        """Parameters of the nodes that would do the same in the graph."""
-        injector = {"seed": self.seed, **({"faults": self.origin.faults} if self.faults else {})}
-        return {"fault_injector": injector, "fault_observer": self.observer.parameters}
-
     @functools.cached_property
     def origin(self) -> ReplayOrigin:
         """What is replayed, as the bag will tell it."""
@@ -110,12 +103,12 @@ class Replay:
         }
 
     def parameter_file(self) -> str:
-        """Write the parameters as a ROS parameter file (YAML)."""
-        nodes = {
-            f"{self.recording.namespace}{node}": {"ros__parameters": dict(values)}
-            for node, values in self.parameters.items()
-        }
-        return yaml.safe_dump(nodes, sort_keys=False, default_flow_style=None, width=YAML_WIDTH)
+        """Write the parameters of the nodes that would do the same in the graph, as YAML for ROS."""
+        faults = {"faults": self.origin.faults} if self.faults else {}
+        nodes = {"fault_injector": {"seed": self.seed, **faults}, "fault_observer": self.observer.parameters}
+        namespace = self.recording.namespace
+        entries = {f"{namespace}{node}": {"ros__parameters": values} for node, values in nodes.items()}
+        return yaml.safe_dump(entries, sort_keys=False, default_flow_style=None, width=YAML_WIDTH)
 
 
 def plan_replay(path: Path, options: ReplayOptions) -> Replay:

@@ -95,10 +95,7 @@ class RecordedReplay(RunDirectory):
         """Name of the fault observer."""
         return self.origin.observer
 
-    @property
-    def label(self) -> str:
-        """What tells it from those that it is compared with: its observer."""
-        return self.origin.observer
+    label = observer  # what tells it from those that it is compared with
 
     @property
     def own_name(self) -> str:
@@ -183,12 +180,11 @@ def replay_metrics(
 ) -> dict[str, Any]:
     """Metrics of the diagnosis, as `flight_metrics` gives them; what takes a closed loop is None or gone."""
     found = flight_metrics(flight, windows, events)
-    metrics = {name: value for name, value in found.items() if name.startswith(DIAGNOSIS)}
-    metrics["fault_windows"] = [
+    found["fault_windows"] = [
         {name: value for name, value in window.items() if not name.startswith("tracking_")}
         for window in found["fault_windows"]
     ]
-    return metrics
+    return {name: value for name, value in found.items() if name.startswith(DIAGNOSIS)}
 
 
 def _read_origin(bag: Bag) -> tuple[ReplayOrigin, tuple[Fault, ...]]:
@@ -218,13 +214,10 @@ def _read_parameters(bag: Bag) -> Parameters:
 
 
 def _require_replay(bag: Bag) -> None:
-    missing = without_messages(bag, NEEDED)
-    if missing:
+    if missing := without_messages(bag, NEEDED):
         what = "cut short before its first estimate" if bag.truncated else "without its data"
-        raise BagError(
-            f"{bag.path}: a replay {what}: missing messages on {', '.join(missing)}; topics with messages"
-            f" there: {topics_text(bag)}{bag.remedy}"
-        )
+        there = f"topics with messages there: {topics_text(bag)}{bag.remedy}"
+        raise BagError(f"{bag.path}: a replay {what}: missing messages on {', '.join(missing)}; {there}")
 
 
 def _shortcomings(replay: RecordedReplay) -> Iterator[str]:
@@ -235,6 +228,5 @@ def _shortcomings(replay: RecordedReplay) -> Iterator[str]:
         yield f"{replay.path}: cut short at {end}; read up to there{replay.bag.remedy}"
     elif replay.bag.truncated:
         yield f"{replay.path}: cut short behind the last sample; {whole} are there{replay.bag.remedy}"
-    missing = without_messages(replay.bag, WANTED)
-    if missing:
+    if missing := without_messages(replay.bag, WANTED):
         yield f"{replay.path}: no message on {', '.join(missing)}; their figures are missing"

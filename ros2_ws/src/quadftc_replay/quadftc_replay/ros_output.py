@@ -1,17 +1,10 @@
 # pyright: basic
 """A replay as a rosbag2 bag that any ROS 2 tool opens, with a summary beside it.
 
-| topic | what |
-|---|---|
-| plant/imu | the samples as recorded: what went into the fault injector |
-| imu/data | the samples with the overlaid faults: what the observer saw |
-| fault/injected, fault/injected/gyro, fault/injected/accelerometer | truth: recorded and overlaid |
-| fault/dropped | stamps of samples that an overlaid fault withheld |
-| imu/corrected, fault/estimate, fault/status | what the observer said |
-| torque/command | as recorded, if it was |
-
-They are the topics of the graph, with its stamps: messages are stored under the time of their sample. What
-cannot be used of a recorded sample (not finite, no unit quaternion) is marked absent in imu/data.
+The topics are those of the graph, with its stamps: messages are stored under the time of their sample.
+plant/imu and torque/command are as recorded, imu/data is what the observer saw, fault/injected the recorded
+and the overlaid fault together. What cannot be used of a recorded sample (not finite, no unit quaternion) is
+marked absent in imu/data.
 """
 
 from __future__ import annotations
