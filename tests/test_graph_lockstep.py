@@ -183,7 +183,7 @@ def test_reset_flies_the_same_flight_again_whenever_it_comes(busy_scenario):
         graph.run(lambda samples: samples < 150)  # into the dropouts, less than a second: no gap to go by
         client = graph.nodes["reference"].create_client(Trigger, "plant/reset")
         answer = client.call_async(Trigger.Request())
-        while not (answer.done() and graph.plant.flight.finished):
+        while not (answer.done() and graph.nodes["plant"].flight.finished):
             graph._slice.spin(0.05)
         flown = fly(busy_scenario)
         wanted = flown.torque[flown.delivered]

@@ -42,9 +42,7 @@ class ComposedGraph(Graph):
             raise ValueError(f"vehicles: {len(names)} in the namespaces {', '.join(sorted(set(names)))}")
         super().__init__(executor)
         self._plan = plans[0]
-        self._vehicles: list[
-            dict[str, Any]
-        ] = []  # the nodes of each by name, with its recorder if it has one
+        self._vehicles: list[dict[str, Any]] = []  # the nodes of each by name, its recorder among them
         try:
             for plan in plans:
                 self._vehicles.append({})
@@ -65,19 +63,9 @@ class ComposedGraph(Graph):
             nodes[name] = self._add_node(NODE_CLASSES[name], plan.namespace, parameters, tap=tap, **options)
 
     @property
-    def recorder(self) -> RecorderNode | None:
-        """The recorder of the first vehicle."""
-        return self._vehicles[0].get(RECORDER)
-
-    @property
     def nodes(self) -> dict[str, Any]:
         """The nodes of the first vehicle, with its recorder."""
         return self._vehicles[0]
-
-    @property
-    def plant(self) -> PlantNode:
-        """The plant of the first vehicle."""
-        return self._vehicles[0]["plant"]
 
     def run(self, progress: Progress = always) -> float:
         """Fly until the durations of all plants are over; return the wall time of the flight [s].
@@ -102,13 +90,9 @@ class ComposedGraph(Graph):
         return wall
 
     def _missing(self) -> list[str]:
-        return [
-            f"{name}: {lack}"
-            for vehicle in self._vehicles
-            for name, node in vehicle.items()
-            if name != RECORDER
-            for lack in missing_connections(name, node.connections())
-        ]
+        nodes = [item for vehicle in self._vehicles for item in vehicle.items() if item[0] != RECORDER]
+        lacks = [(name, missing_connections(name, node.connections())) for name, node in nodes]
+        return [f"{name}: {lack}" for name, missing in lacks for lack in missing]
 
     def _watchers(self) -> list[PlantNode]:
         return [vehicle["plant"] for vehicle in self._vehicles]
@@ -116,15 +100,3 @@ class ComposedGraph(Graph):
     def _state(self) -> tuple[bool, int]:
         flights = [plant.flight for plant in self._watchers()]
         return all(flight.finished for flight in flights), sum(flight.emitted for flight in flights)
-
-    def close(self) -> None:
-        """Close the bags, end the nodes."""
-        for vehicle in self._vehicles:
-            if RECORDER in vehicle:
-                vehicle[RECORDER].finish()
-        self._executor.shutdown()
-        for vehicle in self._vehicles:
-            for name in sorted(vehicle, key=lambda name: name == RECORDER):  # the recorder last
-                vehicle[name].destroy_node()
-        self._vehicles = []
-        self._context.try_shutdown()

@@ -13,6 +13,7 @@ from rclpy.parameter import Parameter
 
 from quadftc_flight.graph.plan import CONNECT_TIMEOUT, SLICE, STALL_TIMEOUT, GraphError, Progress, always
 from quadftc_ros.executor import Slice, make_executor
+from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.topics import crowded_topics
 
 ALONE = "another graph runs in this ROS domain; stop it, or set another ROS_DOMAIN_ID"
@@ -27,16 +28,13 @@ class Graph(abc.ABC):
         self._context.init()
         self._executor = make_executor(executor, self._context)
         self._slice = Slice(self._executor)
+        self._nodes: list[Any] = []  # of this process
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    @abc.abstractmethod
-    def close(self) -> None:
-        """End the nodes, close the bags."""
 
     @abc.abstractmethod
     def _missing(self) -> list[str]:
@@ -63,7 +61,23 @@ class Graph(abc.ABC):
             **options,
         )
         self._executor.add_node(node)
+        self._nodes.append(node)
         return node
+
+    @property
+    def recorder(self) -> RecorderNode | None:
+        """The recorder of the first vehicle."""
+        return next((node for node in self._nodes if isinstance(node, RecorderNode)), None)
+
+    def close(self) -> None:
+        """Close the bags, end the nodes: the recorders last."""
+        self._nodes.sort(key=lambda node: isinstance(node, RecorderNode))
+        for recorder in (node for node in self._nodes if isinstance(node, RecorderNode)):
+            recorder.finish()
+        self._executor.shutdown()
+        while self._nodes:
+            self._nodes.pop(0).destroy_node()
+        self._context.try_shutdown()
 
     def wait_until_connected(self, progress: Progress = always) -> bool:
         """Wait until every node is matched with every other; return False if ``progress(0)`` did so before.

@@ -92,13 +92,12 @@ class ProcessGraph(Graph):
         super().__init__("events")
         self.plan = plan
         self.children = Children()
-        self.recorder: RecorderNode | None = None
         self._counts: dict[str, dict[str, int]] = {}
         self._calm: float | None = None  # when the processes have got to rest
         self._flying = self._finished = False
         self._samples = 0
         self._folder = tempfile.TemporaryDirectory(prefix="quadftc_")
-        self._node: Node | None = None
+        self._node: Any = None
         self._respawn = Respawn()
         # the recorder gives way to the nodes, and to nobody else
         self._scheduling = Scheduling(priority=max(0, plan.scheduling.priority - 1))
@@ -108,11 +107,10 @@ class ProcessGraph(Graph):
             with scheduled(plan.scheduling):  # which the processes inherit
                 self._started = self._commands()
                 self.children.start(self._started)
-        except SchedulingError as error:
+        except BaseException as error:
             self.close()
-            raise GraphError(str(error)) from None
-        except BaseException:
-            self.close()
+            if isinstance(error, SchedulingError):
+                raise GraphError(str(error)) from None
             raise
 
     def run(self, progress: Progress = always) -> float:
@@ -125,7 +123,7 @@ class ProcessGraph(Graph):
             stalled = f"no new sample of the plant for {STALL_TIMEOUT:g} s"
             wall, to_its_end = self._follow(self._slice.spin, progress, stalled)
             if to_its_end and self.recorder is not None:
-                self._drain()
+                self._drain(self.recorder)
         return wall
 
     def wait_until_connected(self, progress: Progress = always) -> bool:
@@ -152,14 +150,7 @@ class ProcessGraph(Graph):
         try:
             self.exit_code = self.children.stop()
         finally:
-            if self.recorder is not None:
-                self.recorder.finish()
-            self._executor.shutdown()
-            for node in (self.recorder, self._node):
-                if node is not None:
-                    node.destroy_node()
-            self.recorder = self._node = None
-            self._context.try_shutdown()
+            super().close()
             self._folder.cleanup()
 
     def _watch_and_record(self) -> None:
@@ -171,7 +162,7 @@ class ProcessGraph(Graph):
         self._report = node.create_publisher(DiagnosticArray, "/diagnostics", reliable)
         self._starter = node.create_client(Trigger, "plant/start")
         if plan.bag is not None:
-            self.recorder = self._add_node(RecorderNode, plan.namespace, plan.recorder_parameters())
+            self._add_node(RecorderNode, plan.namespace, plan.recorder_parameters())
 
     def _commands(self) -> dict[str, list[str]]:
         file = Path(self._folder.name, "parameters.yaml")
@@ -201,17 +192,11 @@ class ProcessGraph(Graph):
                 self._samples = int({pair.key: pair.value for pair in status.values}["samples"])
 
     def _missing(self) -> list[str]:
-        recorders = 0 if self.recorder is None else 1
+        recorders = int(self.recorder is not None)
         missing = [f"{name}: no word from it" for name in EXECUTABLES if name not in self._counts]
-        missing += [
-            f"{name}: {lack}"
-            for name, counts in self._counts.items()
-            for lack in missing_connections(name, counts, recorders)
-        ]
+        for name, counts in self._counts.items():
+            missing += [f"{name}: {lack}" for lack in missing_connections(name, counts, recorders)]
         return missing if missing or self._starter.service_is_ready() else ["no service plant/start"]
-
-    def _received(self) -> int:
-        return 0 if self.recorder is None else self.recorder.received
 
     def _begin_flight(self) -> None:
         future = self._starter.call_async(Trigger.Request())
@@ -225,15 +210,15 @@ class ProcessGraph(Graph):
         if answer is None or not answer.success:
             raise GraphError(f"plant/start: {answer.message if answer is not None else 'no answer'}")
 
-    def _drain(self) -> None:
+    def _drain(self, recorder: RecorderNode) -> None:
         """Spin on after the flight until all messages that were published have been recorded."""
         duration, few = RECORDED[self.plan.mode]
-        end, before = time.monotonic() + STALL_TIMEOUT, self._received()
+        end, before = time.monotonic() + STALL_TIMEOUT, recorder.received
         self._slice.spin(duration)
-        while self._received() - before > few:
+        while recorder.received - before > few:
             if time.monotonic() > end:
                 raise GraphError("messages go on after the end of the flight")
-            before = self._received()
+            before = recorder.received
             self._slice.spin(duration)
 
     def _check_alive(self) -> None:
@@ -257,7 +242,6 @@ class ProcessGraph(Graph):
 
     def _warn(self, words: str) -> None:
         """Say what became of a node, in the log and on /diagnostics."""
-        assert self._node is not None
         self._node.get_logger().warning(words)
         message = DiagnosticArray()
         message.header.stamp = time_message(self._node.get_clock().now().nanoseconds)
