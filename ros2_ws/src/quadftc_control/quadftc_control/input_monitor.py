@@ -92,7 +92,10 @@ class InputMonitor:
         self.undiagnosed = False  # flies on imu/data
         self._raw_ns = 0  # stamp of the newest imu/data
         self._uncorrected, self._good, self._good_since_ns = 0, 0, 0
-        self.estimate = 0, np.zeros(3)  # the last disturbance estimate [rad/s²], behind its stamp [ns]
+        self.estimate: tuple[int, NDArray[np.float64]] = (
+            0,
+            np.zeros(3),
+        )  # the last disturbance estimate [rad/s²], behind its stamp [ns]
         self._estimated_ns: int | None = None  # stamp of the last call of `disturbance_at`
         self._share, self._unestimated, self._fresh = 0.0, True, 0
         self._back, self._back_ns = 0, 0

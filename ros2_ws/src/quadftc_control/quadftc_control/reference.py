@@ -97,15 +97,16 @@ class SetpointFilter(Checked):
     bandwidth: float = parameter(3.0, unit="rad/s", low=1e-3, high=50.0, doc="natural frequency w")
     max_acceleration: float = parameter(5.0, unit="rad/s^2", low=1e-3, doc="bound of each component")
 
-    def init(self, setpoint: Array) -> AttitudeReference:
+    def init(self, inputs: Array) -> AttitudeReference:
         """Start at a setpoint (..., 3) [rad], still."""
-        zeros = namespace(setpoint).zeros_like(setpoint)
-        return AttitudeReference(setpoint, zeros, zeros)
+        zeros = namespace(inputs).zeros_like(inputs)
+        return AttitudeReference(inputs, zeros, zeros)
 
     def step(
-        self, last: AttitudeReference, setpoint: Array, dt: float
+        self, state: AttitudeReference, inputs: Array, dt: float
     ) -> tuple[AttitudeReference, AttitudeReference]:
-        """Advance by ``dt`` [s] towards a setpoint (..., 3) [rad]; the reference is the state."""
+        """Advance by ``dt`` [s] towards a setpoint (..., 3) [rad]; the state is the last reference."""
+        last, setpoint = state, inputs
         w = self.bandwidth
         wanted = w * w * wrap(setpoint - last.angles) - 2.0 * w * last.rates
         acceleration = clip(wanted, -self.max_acceleration, self.max_acceleration)

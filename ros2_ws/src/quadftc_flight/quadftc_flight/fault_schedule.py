@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 KINDS = {"bias": "step", "drift": "ramp"}  # fault of the catalogue -> word of the field, if it differs
 # as pydantic checks them where they are read from a file
-Axis = Annotated[str, GetPydanticSchema(lambda *_: literal_schema(list(AXES)))]
+Axis = Annotated[str, GetPydanticSchema(lambda _source, _handler: literal_schema(list(AXES)))]
 Time = Annotated[float, Field(ge=0.0, strict=True, allow_inf_nan=False)]  # s
 UNKNOWN_KIND = "fault"  # of a fault of which only the time is known
 

@@ -110,7 +110,8 @@ def flight_from_bag(bag: Bag) -> Flight:
     flight.delivered[:] = np.isin(stamp_ns, delivered_ns)
     for name, column in _COLUMNS.items():
         known = flight.delivered | (name in _KNOWN_WHEN_WITHHELD)
-        joined = _join_topic(bag, *column["source"], stamp_ns, column["unknown"])
+        topic, field = column["source"]
+        joined = _join_topic(bag, topic, field, stamp_ns, column["unknown"])
         getattr(flight, name)[known] = joined[known]
     return flight
 

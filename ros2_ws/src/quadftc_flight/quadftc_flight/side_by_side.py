@@ -77,7 +77,7 @@ def _start(process: BaseProcess) -> None:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
-def _receive(connection: Connection, process: BaseProcess) -> float | dict[str, Any] | Exception | None:
+def _receive(connection: Connection, process: BaseProcess) -> Any:
     """Take a share, a summary or an error; a process that died without a word is an error."""
     try:
         return connection.recv()

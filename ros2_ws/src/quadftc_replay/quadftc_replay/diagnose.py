@@ -58,7 +58,7 @@ def diagnose(
         delivered=np.array([each.present for each in injected], np.bool_),
         seen=_stack([each.sample if each.present else UNSEEN for each in injected]),
         overlaid={channel: np.stack([getattr(each, channel) for each in injected]) for channel in TRUTH},
-        estimate=FaultEstimate(*map(np.stack, said), _stack(corrected)),
+        estimate=FaultEstimate._make([*map(np.stack, said), _stack(corrected)]),
         unusable=diagnosis.replaced,
     )
 

@@ -27,7 +27,7 @@ DPI = 300
 LINE_WIDTH = 0.9  # pt
 FILL = 0.18  # opacity of areas
 HANDLE = 2.2  # times the font size; sample of a line in the legend
-STYLE: dict[str, Any] = dict(mpl.rc_params_from_file(DATA / "print.mplstyle", use_default_template=False))
+STYLE: Any = dict(mpl.rc_params_from_file(DATA / "print.mplstyle", use_default_template=False))
 
 
 def save_figure(figure: Figure, directory: Path) -> list[Path]:

@@ -8,7 +8,7 @@ Samples are stored as 32-bit numbers, which Plotly writes as base64: half the si
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import plotly.graph_objects as go
@@ -90,7 +90,8 @@ def plotly_figure(figure: Figure) -> go.Figure:
         top -= height + GAP
     # every name is in the legend once, and switches all that bear it
     shown: set[str] = set()
-    for item in (*drawing.data, *drawing.layout.shapes):
+    items: Any = (*drawing.data, *cast("Any", drawing.layout).shapes)
+    for item in items:
         item.update(legendgroup=item.name, showlegend=item.name not in shown)
         shown.add(item.name)
     return drawing

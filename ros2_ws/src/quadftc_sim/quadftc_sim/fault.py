@@ -10,7 +10,7 @@ import abc
 import dataclasses
 from typing import Any, ClassVar, NamedTuple
 
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Array, Scalar, namespace
 from quadftc_model.parameters import Checked
 from quadftc_model.registry import Registry
 
@@ -19,7 +19,7 @@ class FaultInputs(NamedTuple):
     """One sample of the channel, healthy."""
 
     value: Array  # (..., 3)
-    elapsed: float  # time since the onset [s]; negative before it
+    elapsed: Scalar  # time since the onset [s]; negative before it
     normal: Array  # (..., 3) standard normal numbers
     uniform: Array  # (..., 3) numbers uniform in [0, 1)
 
@@ -28,7 +28,7 @@ class FaultOutput(NamedTuple):
     """The channel as the fault leaves it."""
 
     value: Array  # (..., 3)
-    valid: Array  # (...,) bool; False: the channel is missing from this sample
+    valid: Any  # (...,) bool; False: the channel is missing from this sample
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

@@ -77,7 +77,7 @@ def inject(
         healthy = values[channel]
         zeros = xp.zeros_like(healthy)
         inputs = FaultInputs(healthy, time - injection.start, *(draw or (zeros, zeros)))
-        acts = (injection.start <= time) & (time < injection.stop)
+        acts: Any = (injection.start <= time) & (time < injection.stop)
         # A fault with a memory, such as a delay, sees the samples before its onset too.
         runs = acts | (time < injection.start) if injection.law.has_memory else acts
         before = chosen(state.begun, state.fault, injection.law.init(healthy))

@@ -194,7 +194,8 @@ def per_axis(values: Iterable[float], digits: int = 3) -> str:
 
 def pairs(values: Any) -> list[Any]:
     """Complex numbers as [real, imaginary], for JSON."""
-    return np.stack([np.real(values), np.imag(values)], axis=-1).tolist()
+    numbers: NDArray[np.complex128] = np.asarray(values, np.complex128)
+    return np.stack([numbers.real, numbers.imag], axis=-1).tolist()
 
 
 @functools.singledispatch

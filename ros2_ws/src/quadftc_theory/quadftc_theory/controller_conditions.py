@@ -6,6 +6,7 @@ And what any controller needs.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -150,12 +151,14 @@ def _switching_gain(controller: Ismc, given: Circumstances) -> Condition:
         text += f"too small for {time_short:.3g} s, first at {first:.3g} s: S may leave its layer"
     else:
         text += f"eta = {per_axis(eta)} rad/s²"
+    numbers: dict[str, Any] = {"k_c3": gain.tolist(), symbol: largest.tolist(), "eta": eta.tolist()}
     return assess(
         f"Theorem 2: k_c3 >= eta + {symbol}",
         not short.any(),
         text,
         otherwise=Verdict.DEPENDS if np.mean(short) <= BRIEF else Verdict.FAIL,
-        **{"k_c3": gain.tolist(), symbol: largest.tolist(), "eta": eta.tolist(), "time_short": time_short},
+        **numbers,
+        time_short=time_short,
     )
 
 

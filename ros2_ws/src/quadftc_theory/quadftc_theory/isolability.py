@@ -210,7 +210,7 @@ def isolability_table(result: IsolabilityResult) -> Table:
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=0)
     numbers = [str(number) for number in range(1, len(result.faults) + 1)]
     for heading in ("", "fault", "seen", *numbers):
-        side = {"fault": "left", "seen": "center"}.get(heading, "right")
+        side: Any = {"fault": "left", "seen": "center"}.get(heading, "right")
         table.add_column(heading, justify=side, no_wrap=True)
     seen = _marks(result.detectable, result.rank_detectable, result.strongly_detectable)
     apart = _marks(result.isolable, result.rank_isolable, result.strongly_isolable)

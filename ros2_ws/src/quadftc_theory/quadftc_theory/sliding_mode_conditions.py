@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_continuous_lyapunov  # pyright: ignore[reportUnknownVariableType]
@@ -187,7 +188,12 @@ def _gains(observer: SlidingMode, given: Circumstances) -> Iterator[Condition]:
         f"{lipschitz:.3g} 1/s at tilts up to {given.tilt.value / DEG:.3g} deg and rates up to "
         f"{given.body_rate.value / DEG:.3g} deg/s ({given.tilt.origin})"
     )
-    numbers = {"epsilon_2": observer.epsilon_2, "eta_2": eta_2, "lipschitz": lipschitz, "state_error": error}
+    numbers: dict[str, Any] = {
+        "epsilon_2": observer.epsilon_2,
+        "eta_2": eta_2,
+        "lipschitz": lipschitz,
+        "state_error": error,
+    }
     yield assess("(29), corrected: epsilon_2 > |z2~|", eta_2 > 0.0, text, **numbers)
 
 
@@ -200,7 +206,7 @@ def _leak_and_drift(observer: SlidingMode, given: Circumstances) -> Iterator[Con
         f"{large:.4g} s at {fault / DEG:.3g} deg: of a constant fault of {length:.3g} s, "
         f"{100.0 * share:.2g} % leak away"
     )
-    numbers = {"time_constant": small, "time_constant_at_fault": large, "share": share}
+    numbers: dict[str, Any] = {"time_constant": small, "time_constant_at_fault": large, "share": share}
     yield advise("leak of the fault estimate", share <= NEGLIGIBLE_LEAK, text, **numbers)
 
     each, bias = drift(observer, given.duration), given.gyro_bias.value
@@ -214,5 +220,9 @@ def _leak_and_drift(observer: SlidingMode, given: Circumstances) -> Iterator[Con
     text = f"{bias / DEG:.3g} deg/s, the gyro bias that this observer takes for zero; "
     text += f"{floor / DEG:.3g} deg/s for the best observer after {HEALTHY_TIME:.0f} healthy seconds (T18); "
     text += "no fault grows here" if math.isinf(slowest) else f"slowest here {slowest / DEG:.3g} deg/s"
-    numbers = {"ramp": bias, "best": floor, "slowest_fault": None if math.isinf(slowest) else slowest}
+    numbers: dict[str, Any] = {
+        "ramp": bias,
+        "best": floor,
+        "slowest_fault": None if math.isinf(slowest) else slowest,
+    }
     yield advise("smallest detectable ramp", slowest > bias, text, **numbers)

@@ -40,7 +40,11 @@ class Gains(NamedTuple):
 
     def rounded(self) -> Gains:
         """Round to a few significant digits, as people write them."""
-        rounded = np.vectorize(lambda number: float(f"{number:.{DIGITS}g}"), otypes=[np.float64])
+
+        def short(number: float) -> float:
+            return float(f"{number:.{DIGITS}g}")
+
+        rounded = np.vectorize(short, otypes=[np.float64])
         return self._replace(values=tuple(rounded(value) for value in self.values))
 
     def plain(self) -> dict[str, float | list[float]]:

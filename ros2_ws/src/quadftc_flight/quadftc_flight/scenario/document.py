@@ -101,7 +101,7 @@ class Document:
                     place = _enter(place, key)
             for known in [known for known in origins if known[: len(path)] == path]:
                 del origins[known]
-            cast("Any", place)[path[-1]] = value
+            cast("Any", place)[path[-1]] = value  # pyright: ignore[reportGeneralTypeIssues]
             origins[path] = origin
         return changed
 
