@@ -43,6 +43,7 @@ class Document:
     """The contents of a file and where they come from."""
 
     source: str  # the file as the user named it
+    text: str  # its contents
     data: dict[str, Any]  # plain dicts, lists and scalars
     origins: dict[Keys, int | str]  # for each value its line (from 1), or the override that gave it
 
@@ -86,7 +87,7 @@ class Document:
 
     def _changed(self, changes: Iterable[Change]) -> Document:
         """Put values in their places, through mappings that are made where they are missing."""
-        changed = Document(self.source, copy.deepcopy(self.data), dict(self.origins))
+        changed = Document(self.source, self.text, copy.deepcopy(self.data), dict(self.origins))
         origins = changed.origins
         for words, value, origin, where in changes:
             place: Any = changed.data
@@ -163,7 +164,7 @@ def parse_document(text: str, source: str) -> Document:
         raise ScenarioError(f"{source}:1: empty; expected a scenario")
     if node.id != "mapping":
         raise ScenarioError(f"{source}:{_line(node)}: expected a mapping of keys such as 'duration: 80 s'")
-    document = Document(source, reader.value(node, ()), reader.origins)
+    document = Document(source, text, reader.value(node, ()), reader.origins)
     if reader.problems:
         raise document.error(reader.problems)
     return document
