@@ -23,7 +23,7 @@ def set_stamp(header: Header, stamp_ns: int) -> None:
 
 
 class VectorWriter:
-    """Makes stamped vectors in a frame; each call returns the same message object, filled anew.
+    """Makes stamped vectors in a frame; each call returns the same message object, filled again.
 
     Publishing copies it.
     """
@@ -53,7 +53,7 @@ def imu_sample(message: Imu) -> ImuSample:
 
 
 class ImuWriter:
-    """Makes IMU messages; each call returns the same message object, filled anew (publishing copies it).
+    """Makes IMU messages; each call returns the same message object, filled again (publishing copies it).
 
     Covariances are unknown (0), or mark a channel absent (-1).
     """
@@ -77,7 +77,7 @@ class ImuWriter:
 
 
 class ReferenceWriter:
-    """Makes reference messages; each call returns the same message object, filled anew.
+    """Makes reference messages; each call returns the same message object, filled again.
 
     Publishing copies it.
     """
@@ -104,7 +104,7 @@ def reference_of(message: AttitudeReferenceMessage) -> AttitudeReference:
 
 
 class FaultStatusWriter:
-    """Makes status messages of the diagnosis; each call returns the same message object, filled anew.
+    """Makes status messages of the diagnosis; each call returns the same message object, filled again.
 
     Publishing copies it.
     """
@@ -132,7 +132,7 @@ class FaultStatusWriter:
 
 
 class ControlStatusWriter:
-    """Makes status messages of the control; each call returns the same message object, filled anew.
+    """Makes status messages of the control; each call returns the same message object, filled again.
 
     Publishing copies it.
     """

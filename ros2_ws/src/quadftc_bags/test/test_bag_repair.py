@@ -396,7 +396,7 @@ def test_command_says_what_was_kept_and_lost(originals, tmp_path):
         line.startswith(f"lost: {end - 10 - start} bytes, cut off at the end, at byte {start}: a chunk of")
         for line in lines
     )
-    assert "made anew: metadata.yaml (metadata.yaml is missing)" in lines
+    assert "rebuilt: metadata.yaml (metadata.yaml is missing)" in lines
     assert lines[-1] == f"repaired bag: {bag}-repaired"
     again = CliRunner().invoke(app, ["repair", f"{bag}-repaired"])
     assert again.output.splitlines()[-1].endswith("nothing to repair")

@@ -8,9 +8,9 @@ new source differ by a rotation delta, and their body rates by omega_o. From the
 with w = 1 at first. Towards imu/data, omega_o is what the diagnosis had last added to it (minus the gyro
 bias), and stays, w_o = 1. As to delta,
 
-* where the attitude was faulty, it is found anew at every sample, so that the body rate alone carries the
+* where the attitude was faulty, it is updated at every sample, so that the body rate alone carries the
   attitude on, whatever becomes of the fault; after a gap in imu/data it begins with the fault as last known;
-* where it was not, it is given up at once, and found anew should imu/data make a step that the body rate does
+* where it was not, it is given up at once, and found again should imu/data make a step that the body rate does
   not explain: then a fault has begun.
 
 A fault is taken off so for some time, in which a new observer can come, then given up, as errors of the body
@@ -113,7 +113,7 @@ class Transfer:
             self._blending = False
 
     def _watch(self, stamp_ns: int, sample: ImuSample, before: ImuSample, elapsed: float) -> None:
-        """Find anew by what imu/data is off."""
+        """Update by what imu/data is off."""
         if self._reckoning and sample.rate_valid and self._weight(stamp_ns) == 1.0:
             self._turn = _turn_between(sample, before, elapsed)
             return

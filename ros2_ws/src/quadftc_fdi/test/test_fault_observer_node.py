@@ -194,7 +194,7 @@ def test_reset_forgets_what_was_estimated(lockstep_bench):
         observer.step(0.02 * (k > 10), 0.0, 0.0)
     assert abs(observer.estimate()[0]) > 0.015
     assert lockstep_bench.call(Trigger, "fault_observer/reset").success
-    observer.step(0.02, 0.0, 0.0)  # to which it starts anew
+    observer.step(0.02, 0.0, 0.0)  # to which it restarts
     assert observer.estimate() == pytest.approx([0.0, 0.0, 0.0], abs=1e-6)
 
 
@@ -210,7 +210,7 @@ def test_parameters_of_the_chosen_observer_are_described_and_live(lockstep_bench
     assert lockstep_bench.get_parameter("fault_observer", "sliding_mode.L2") == 2.0 * before
     kept = observer.estimate()[0]
     observer.step(0.02, 0.0, 0.0)
-    assert observer.estimate()[0] == pytest.approx(kept, abs=5e-3)  # it goes on, it does not start anew
+    assert observer.estimate()[0] == pytest.approx(kept, abs=5e-3)  # it goes on, it does not restart
 
 
 def test_parameter_out_of_range_is_refused_with_the_bound(lockstep_bench):

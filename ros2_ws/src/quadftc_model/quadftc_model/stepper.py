@@ -15,7 +15,7 @@ In = TypeVar("In")
 Out = TypeVar("Out")
 
 NANOSECONDS_PER_SECOND = 1e9
-MAX_GAP = 1.0  # s; over a longer gap nothing can be carried: the law starts anew
+MAX_GAP = 1.0  # s; over a longer gap nothing can be carried: the law restarts
 
 
 def seconds(nanoseconds: int) -> float:

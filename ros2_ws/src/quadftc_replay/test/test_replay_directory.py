@@ -85,7 +85,7 @@ def bag_file(replayed: Path) -> Path:
 
 
 def without_attachments(directory: Path, path: Path, leave_out=()) -> Path:
-    """The messages of a bag written anew, without what is attached to it."""
+    """The messages of a bag written again, without what is attached to it."""
     bag = read_bag(directory)
     with BagWriter(path) as writer:
         for name, topic in bag.topics.items():

@@ -134,7 +134,7 @@ class GraphNode(Node):
             callback(stamp_ns, message)
 
         self.reads(topic, checked, decode)
-        self.offers_reset(restart, "starts anew at the next sample")
+        self.offers_reset(restart, "restarts at the next sample")
 
     def offers(self, name: str, service: type, answer: Callable[[Any, Any], Any]) -> None:
         """Create the service ``~/name``; ``answer(request, response)`` returns the response."""

@@ -64,7 +64,7 @@ def test_clock_that_was_set_back_begins_a_new_flight_in_real_time(bench):
 def test_reset_service_restarts(bench):
     node = bench.run(Counter)
     answer = bench.call(Trigger, "fault_observer/reset")
-    assert (answer.success, answer.message) == (True, "starts anew at the next sample")
+    assert (answer.success, answer.message) == (True, "restarts at the next sample")
     assert node.seen == ["restart"]
 
 

@@ -167,7 +167,7 @@ def test_reset_in_real_time_begins_a_flight_with_later_stamps(bench):
     bench.until(lambda: len(flight.imu) > count + 3)
     found = stamps(flight.imu)
     assert np.all(np.diff(found) > 0)
-    assert np.max(np.diff(found)) > 1e9  # for this long nothing was sent, so that all laws start anew
+    assert np.max(np.diff(found)) > 1e9  # for this long nothing was sent, so that all laws restart
 
 
 def test_timer_that_was_due_when_the_flight_was_reset_does_nothing(bench):

@@ -54,9 +54,9 @@ def _lines(done: Repair) -> Iterator[str]:
     for topic, reason in found.refused.items():
         yield f"left out: topic '{topic}': {reason}"
     if not found.is_indexed and not found.damages:
-        yield "made anew: the index of the file"
+        yield "rebuilt: the index of the file"
     if done.complaint:
-        yield f"made anew: metadata.yaml ({done.complaint})"
+        yield f"rebuilt: metadata.yaml ({done.complaint})"
     if done.recorded:
         yield "still being recorded: what comes after this is in the bag only"
     yield f"repaired bag: {done.out}"
