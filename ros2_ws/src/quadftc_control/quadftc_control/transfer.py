@@ -10,8 +10,8 @@ bias), and stays, w_o = 1. As to delta,
 
 * where the attitude was faulty, it is updated at every sample, so that the body rate alone carries the
   attitude on, whatever becomes of the fault; after a gap in imu/data it begins with the fault as last known;
-* where it was not, it is given up at once, and found again should imu/data make a step that the body rate does
-  not explain: then a fault has begun.
+* where it was not, it is given up at once, and found again should imu/data make a step that the body rate
+  does not explain: then a fault has begun.
 
 A fault is taken off so for some time, in which a new observer can come, then given up, as errors of the body
 rate add up, and faults end. Towards imu/corrected, delta is what has come of all that, given up at once.
