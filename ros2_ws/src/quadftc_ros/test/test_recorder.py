@@ -7,7 +7,7 @@ from rclpy.serialization import serialize_message
 from message_objects import VectorWriter
 from quadftc_bags.writer import BagStatus
 from quadftc_ros.diagnostics import ERROR, OK, WARN
-from quadftc_ros.recorder_node import choose_topics, flight_stamp_ns, judge, read_attachments
+from quadftc_ros.recorder import choose_topics, flight_stamp_ns, judge, read_attachments
 from quadftc_ros.topics import TOPICS
 
 

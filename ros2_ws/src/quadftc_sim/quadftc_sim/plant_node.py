@@ -17,71 +17,24 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from quadftc_model.samples import is_usable
 from quadftc_model.stepper import MAX_GAP, seconds
-from quadftc_ros.conversions import NANOSECONDS, Floats
+from quadftc_ros.conversions import Floats
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
-from quadftc_ros.topics import BASE_FRAME, EARTH_FRAME, missing_connections
-from quadftc_ros.wire import ImuWire, VectorWire, vector_of
+from quadftc_ros.topics import missing_connections
+from quadftc_ros.wire import vector_of
 from quadftc_sim.assembly import EPOCH_NS, PlantParameters, flight_from
 from quadftc_sim.plant import Plant
+from quadftc_sim.plant_output import PlantOutput
 from quadftc_sim.sensors import ImuSensor
-from quadftc_sim.simulator import NEVER_NS, Emission
+from quadftc_sim.simulator import NEVER_NS
 
 LATE = 0.1  # s; real time: from when on a flight behind the wall clock is reported
 PAUSE = MAX_GAP + 0.2  # s; real time: between two flights, so that the laws of all nodes restart
-
-
-class PlantOutput:
-    """What the plant publishes of an emission: the IMU sample at once, the truth when nobody waits for it.
-
-    ``each_sample()`` is called after each emission.
-    """
-
-    def __init__(self, node: GraphNode, each_sample: Callable[[], None]) -> None:
-        self._node, self._each_sample = node, each_sample
-        self._publish_imu, self._imu = node.publishes("plant/imu"), ImuWire()
-        body = VectorWire(BASE_FRAME)
-        self._truth = (
-            (node.publishes("plant/attitude"), VectorWire(EARTH_FRAME), "angles"),
-            (node.publishes("plant/rate"), body, "body_rate"),
-            (node.publishes("disturbance/applied"), body, "disturbance"),
-        )
-        self._publish_clock = node.publishes("/clock") if node.lockstep else None
-        self._clock = Clock()
-        self._stamp_ns = 0  # of the last emission
-        self.pending: Emission | None = None  # whose truth is still to be published
-
-    def emit(self, emission: Emission | None) -> None:
-        """Publish clock and sample; in real time the truth waits for `show_truth`. None: the flight ended."""
-        self.show_truth()
-        if emission is None:
-            self._node.diagnostics.changed = True
-            self._node.sampled(self._stamp_ns)
-            return
-        if self._publish_clock is not None:
-            self._clock.clock.sec, self._clock.clock.nanosec = divmod(emission.stamp_ns, NANOSECONDS)
-            self._publish_clock(self._clock)
-        if emission.sample is not None:  # first, as others wait for it
-            self._publish_imu(self._imu(emission.sample_stamp_ns, emission.sample))
-        self.pending, self._stamp_ns = emission, emission.stamp_ns
-        if self._publish_clock is not None:
-            self.show_truth()
-
-    def show_truth(self) -> None:
-        """Publish the truth of the last emission, if that has not been done."""
-        emission, self.pending = self.pending, None
-        if emission is None:
-            return
-        for publish, wire, name in self._truth:
-            publish(wire(emission.stamp_ns, getattr(emission, name)))
-        self._node.sampled(emission.stamp_ns)
-        self._each_sample()
 
 
 class PlantNode(GraphNode):
