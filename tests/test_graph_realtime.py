@@ -10,7 +10,8 @@ import pytest
 
 from node_bench import NodeBench
 from quadftc_bags.bag import read_bag
-from quadftc_flight.graph.plan import GraphPlan
+from quadftc_flight.graph import following
+from quadftc_flight.graph.plan import GraphError, GraphPlan
 from quadftc_flight.graph.processes import ProcessGraph
 from quadftc_flight.scenario import find_scenario, load_scenario, node_parameters, with_duration
 from quadftc_msgs.msg import ControlStatus
@@ -121,3 +122,24 @@ def test_faults_injected_in_flight_are_estimated(paper_scenario):
         graph.run(inject)
     assert answers[0].success
     assert truth[-1].vector.x == pytest.approx(0.05, abs=1e-9)
+
+
+def test_flight_ends_with_an_error_when_the_plant_hangs(paper_scenario, monkeypatch):
+    """The diagnostics of the other nodes go on; they must not pass for a flight."""
+    monkeypatch.setattr(following, "STALL_TIMEOUT", 2.0)  # s; the plant tells its samples every second
+    plan = GraphPlan(node_parameters(paper_scenario), "realtime")
+    with ProcessGraph(plan) as graph:
+        plant, stopped = graph.children.process_ids()["plant"], []
+
+        def follow(samples: int) -> bool:
+            if samples and not stopped:
+                stopped.append(samples)
+                os.kill(plant, signal.SIGSTOP)
+            return True
+
+        try:
+            with pytest.raises(GraphError, match=r"the flight stalled after .* no new sample"):
+                graph.run(follow)
+        finally:
+            os.kill(plant, signal.SIGCONT)
+    assert stopped
