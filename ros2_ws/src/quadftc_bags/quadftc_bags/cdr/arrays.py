@@ -19,11 +19,12 @@ Names of the arrays (n messages):
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.interfaces.typing import Typesdict
+from rosbags.interfaces import Nodetype
+from rosbags.interfaces.typing import FieldDesc, Typesdict
 from rosbags.typesys import Stores, get_typestore
 
 from quadftc_bags.cdr.layout import ORIGIN, Leaf, Place, byte_order, find_layout, find_leaves
@@ -40,7 +41,7 @@ def decode_topic(types: Typesdict, type_name: str, messages: Sequence[bytes]) ->
     """
     if not messages:
         return {}
-    leaves = find_leaves(types, type_name)
+    leaves = find_leaves(lambda name: [(each, *_element(field)) for each, field in types[name][1]], type_name)
     may_fit = all(leaf.is_sliced for leaf in leaves) and len({len(data) for data in messages}) == 1
     if may_fit and (layout := find_layout(leaves, messages[0])):
         matrix = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
@@ -49,6 +50,16 @@ def decode_topic(types: Typesdict, type_name: str, messages: Sequence[bytes]) ->
         if bool(np.all(columns == columns[0])):
             return {place.leaf.name: _take(matrix, place) for place in layout.places}
     return _decode_each(types, type_name, leaves, messages)
+
+
+def _element(content: FieldDesc) -> tuple[str, int | None]:
+    """Return the type of a field's elements, and their number as in `Leaf`."""
+    length: int | None = None
+    element: Any = content
+    if content[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
+        element, size = cast("tuple[Any, int]", content[1])
+        length = size if content[0] == Nodetype.ARRAY else -1
+    return element[1][0] if element[0] == Nodetype.BASE else element[1], length
 
 
 def _take(matrix: Bytes, place: Place) -> NDArray[Any]:

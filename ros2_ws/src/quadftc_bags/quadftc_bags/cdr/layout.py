@@ -7,26 +7,26 @@ Messages of a type with equal length words have the same layout.
 
 from __future__ import annotations
 
+import re
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, NamedTuple
 
-from rosbags.interfaces import Nodetype
-from rosbags.interfaces.typing import FieldDesc, Typesdict
-from rosbags.typesys import get_types_from_msg
-
-from quadftc_bags.interfaces import load_interface
+from quadftc_bags.interfaces import load_message_class
 
 ORIGIN = 4  # bytes of encapsulation before the message; alignment counts from behind them
 PLAIN = (b"\x00\x00", b"\x00\x01")  # encapsulation of plain CDR, big and little endian
 STAMP, FRAME_LENGTH, FRAME = 4, 12, 16  # offsets in a message that begins with a header
 
 Kind = Literal["number", "time", "vector", "string", "object"]
+# of a message type each field: its name, the type of its elements, and their number as in `Leaf`
+Fields = Callable[[str], Iterable[tuple[str, str, int | None]]]
 
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _CODES = (  # of numbers, the same for `struct` and NumPy
-    {"bool": "?", "byte": "B", "char": "B", "float32": "f", "float64": "d"}
+    {"bool": "?", "boolean": "?", "byte": "B", "char": "B", "octet": "B"}
+    | {"float32": "f", "float": "f", "float64": "d", "double": "d"}
     | {f"int{8 << power}": code for power, code in enumerate("bhiq")}
     | {f"uint{8 << power}": code for power, code in enumerate("BHIQ")}
 )
@@ -164,26 +164,31 @@ def find_layout(leaves: Sequence[Leaf], data: bytes) -> Layout | None:
 @cache
 def installed_leaves(type_name: str) -> tuple[Leaf, ...]:
     """Return the leaves of an installed message type (``package/msg/Name``); ValueError if it is not."""
-    return find_leaves(get_types_from_msg(load_interface(type_name).text, type_name), type_name)
+    return find_leaves(_installed_fields, type_name)
+
+
+def _installed_fields(type_name: str) -> Iterable[tuple[str, str, int | None]]:
+    """Read the fields off the message class, which writes ``sequence<a/B, 3>``, ``double[9]``, ``string<8>``."""
+    message_class: Any = load_message_class(type_name)
+    for name, text in message_class.get_fields_and_field_types().items():
+        base, size = re.search(r"([\w/]+)[^\[]*(?:\[(\d+)\])?$", text.removeprefix("sequence<")).groups()
+        length = -1 if text.startswith("sequence<") else size and int(size)
+        yield name, base.replace("/", "/msg/"), length
 
 
 def find_leaves(
-    types: Typesdict, type_name: str, path: tuple[str, ...] = (), prefix: str = ""
+    fields: Fields, type_name: str, path: tuple[str, ...] = (), prefix: str = ""
 ) -> tuple[Leaf, ...]:
-    """Return the leaves of a message type in their order.
-
-    ``types`` defines it and all it uses; ``path`` and ``prefix`` lead to a nested message.
-    """
+    """Return the leaves of a message type in their order; ``path`` and ``prefix`` lead to a nested message."""
     leaves: list[Leaf] = []
-    for name, content in types[type_name][1]:
-        leaf = _leaf(types, content, (*path, name), prefix + name)
+    for name, base, length in fields(type_name):
+        leaf = _leaf(fields, base, length, (*path, name), prefix + name)
         is_nested = leaf.kind == "object" and leaf.length is None
         leaves.extend(leaf.parts if is_nested and leaf.parts else [leaf])
     return tuple(leaves)
 
 
-def _leaf(types: Typesdict, content: FieldDesc, path: tuple[str, ...], name: str) -> Leaf:
-    base, length = _element(content)
+def _leaf(fields: Fields, base: str, length: int | None, path: tuple[str, ...], name: str) -> Leaf:
     if base == "string":
         return Leaf(name, path, "string", "B", 1, length)
     if base in _CODES:
@@ -192,20 +197,10 @@ def _leaf(types: Typesdict, content: FieldDesc, path: tuple[str, ...], name: str
         return Leaf(f"{name}_ns", path, "time", "i", 2, length)
     if "/" not in base:
         return Leaf(name, path, "object", "", 1, length)
-    inner = {field: _element(each) for field, each in types[base][1]}
-    codes = {_CODES.get(each, "") if count is None else "" for each, count in inner.values()}
-    if list(inner) in (list("xyz"), list("xyzw")) and codes in ({"f"}, {"d"}):
-        suffix = "_xyzw" if len(inner) == 4 else ""
-        return Leaf(name + suffix, path, "vector", codes.pop(), len(inner), length)
+    names = [field for field, _, _ in fields(base)]
+    codes = {_CODES.get(each, "") if count is None else "" for _, each, count in fields(base)}
+    if names in (list("xyz"), list("xyzw")) and codes in ({"f"}, {"d"}):
+        suffix = "_xyzw" if len(names) == 4 else ""
+        return Leaf(name + suffix, path, "vector", codes.pop(), len(names), length)
     prefix = "" if base == "std_msgs/msg/Header" and name == "header" else f"{name}."
-    return Leaf(name, path, "object", "", 1, length, find_leaves(types, base, path, prefix))
-
-
-def _element(content: FieldDesc) -> tuple[str, int | None]:
-    """Return the type of a field's elements, and their number as in `Leaf`."""
-    length: int | None = None
-    element: Any = content
-    if content[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-        element, size = cast("tuple[Any, int]", content[1])
-        length = size if content[0] == Nodetype.ARRAY else -1
-    return element[1][0] if element[0] == Nodetype.BASE else element[1], length
+    return Leaf(name, path, "object", "", 1, length, find_leaves(fields, base, path, prefix))

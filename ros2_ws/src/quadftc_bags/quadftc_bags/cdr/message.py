@@ -8,8 +8,7 @@ out of such an object. Both take several times as long as packing the numbers he
 from __future__ import annotations
 
 import struct
-from functools import partial
-from itertools import product
+from functools import cache, partial
 from typing import Any
 
 from rclpy.serialization import deserialize_message, serialize_message
@@ -18,6 +17,7 @@ from quadftc_bags.cdr import layout
 from quadftc_bags.cdr.layout import FRAME, FRAME_LENGTH, PLAIN, STAMP
 
 NANOSECONDS = 1_000_000_000  # per second
+_LENGTHS = struct.Struct(">I"), struct.Struct("<I")  # of frame_id, by byte order
 _ROOM = bytes(4096)  # more than the numbers of a message take
 
 
@@ -51,23 +51,15 @@ class NumberReader:
 
     def __init__(self, message_class: type) -> None:
         self._class = message_class
-        self._lengths = struct.Struct(">I"), struct.Struct("<I")
-        # by byte order, and length of frame_id modulo the largest alignment: gap behind frame_id, unpacker
-        self._bodies: list[list[tuple[int, Any]]] = [[], []]
-        for flag, length in product((0, 1), range(8)):
-            sample = bytes([0, flag, *bytes(10)]) + self._lengths[flag].pack(length) + _ROOM
-            start, body = _find_numbers(message_class, sample)
-            self._bodies[flag].append((start - FRAME - length, body.unpack_from))
 
     def __call__(self, data: bytes) -> tuple[Any, ...]:
         """Return the numbers in the order of the type's definition; ValueError if it is no such message."""
         if data[:2] not in PLAIN:
             data = serialize_message(read_message(data, self._class))
-        little = data[1]
         try:
-            (length,) = self._lengths[little].unpack_from(data, FRAME_LENGTH)
-            gap, unpack = self._bodies[little][length & 7]
-            return unpack(data, FRAME + length + gap)
+            (length,) = _LENGTHS[data[1]].unpack_from(data, FRAME_LENGTH)
+            start, body = _find_body(self._class, data[1], length & 7)
+            return body.unpack_from(data, start + (length & ~7))
         except struct.error:
             raise ValueError(f"not a {self._class.__name__}: {len(data)} bytes") from None
 
@@ -94,6 +86,13 @@ class NumberWriter:
 
 def _type_name(message_class: type) -> str:
     return f"{message_class.__module__.partition('.')[0]}/msg/{message_class.__name__}"
+
+
+@cache
+def _find_body(message_class: type, little: int, length: int) -> tuple[int, struct.Struct]:
+    """Return as `_find_numbers` does, for a byte order and a length of frame_id below the largest alignment."""
+    sample = bytes([0, little, *bytes(10)]) + _LENGTHS[little].pack(length) + _ROOM
+    return _find_numbers(message_class, sample)
 
 
 def _find_numbers(message_class: type, data: bytes) -> tuple[int, struct.Struct]:
