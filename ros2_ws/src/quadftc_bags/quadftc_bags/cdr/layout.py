@@ -168,18 +168,18 @@ def installed_leaves(type_name: str) -> tuple[Leaf, ...]:
 
 
 def _installed_fields(type_name: str) -> Iterable[tuple[str, str, int | None]]:
-    """Read the fields off the message class, which writes ``sequence<a/B, 3>``, ``double[9]``, ``string<8>``."""
+    """Read the fields off the class, which writes types such as ``sequence<a/B, 3>`` and ``double[9]``."""
     message_class: Any = load_message_class(type_name)
     for name, text in message_class.get_fields_and_field_types().items():
-        base, size = re.search(r"([\w/]+)[^\[]*(?:\[(\d+)\])?$", text.removeprefix("sequence<")).groups()
-        length = -1 if text.startswith("sequence<") else size and int(size)
-        yield name, base.replace("/", "/msg/"), length
+        ((sequence, base, size),) = re.findall(r"^(sequence<)?([\w/]+)[^\[]*(?:\[(\d+)\])?$", text)
+        length = int(size) if size else None
+        yield name, base.replace("/", "/msg/"), -1 if sequence else length
 
 
 def find_leaves(
     fields: Fields, type_name: str, path: tuple[str, ...] = (), prefix: str = ""
 ) -> tuple[Leaf, ...]:
-    """Return the leaves of a message type in their order; ``path`` and ``prefix`` lead to a nested message."""
+    """Return the leaves of a message type in order; ``path`` and ``prefix`` lead to a nested message."""
     leaves: list[Leaf] = []
     for name, base, length in fields(type_name):
         leaf = _leaf(fields, base, length, (*path, name), prefix + name)

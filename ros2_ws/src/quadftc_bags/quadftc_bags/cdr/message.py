@@ -90,7 +90,7 @@ def _type_name(message_class: type) -> str:
 
 @cache
 def _find_body(message_class: type, little: int, length: int) -> tuple[int, struct.Struct]:
-    """Return as `_find_numbers` does, for a byte order and a length of frame_id below the largest alignment."""
+    """Find the numbers for a byte order and a length of frame_id below 8, the largest alignment."""
     sample = bytes([0, little, *bytes(10)]) + _LENGTHS[little].pack(length) + _ROOM
     return _find_numbers(message_class, sample)
 
