@@ -140,6 +140,7 @@ def test_two_runs_give_the_same_messages(fly_graph, busy_scenario):
     assert [topic for topic in first if first[topic] != second[topic]] == []
 
 
+@pytest.mark.serial  # seven processes on a starved machine may lose messages for good
 def test_processes_give_the_same_messages_as_one_process(fly_graph, busy_scenario):
     composed = messages_by_topic(fly_graph(busy_scenario, "proposed")[0])
     processes = messages_by_topic(fly_graph(busy_scenario, "proposed", graph="processes")[0])

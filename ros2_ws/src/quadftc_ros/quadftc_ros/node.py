@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
@@ -28,6 +30,7 @@ from quadftc_ros.transport import MessageTrace, Note, Tap, decoding, receiver, t
 
 MODES = ("lockstep", "realtime")
 HEARTBEAT = {"realtime": 1.0, "lockstep": 0.2}  # s; in lock-step only before the flight
+PATIENCE = 5.0  # s, for readers that may have died
 
 
 @dataclasses.dataclass(frozen=True)
@@ -156,9 +159,11 @@ class GraphNode(Node):
         return counts | {topic: reader.get_publisher_count() for topic, reader in self._inputs.items()}
 
     def destroy_node(self) -> None:
-        """Stop the timer before the rest, and save the trace."""
+        """Stop the timer before the rest, and save the trace; in lock-step, lose no message."""
         if self.context.ok():
             self.destroy_timer(self._heartbeat)
+            if self.lockstep:
+                self._await_readers()
         if self._trace is not None:
             try:
                 self._trace.save(Path(self._trace_file))
@@ -166,6 +171,12 @@ class GraphNode(Node):
                 self.get_logger().error(f"trace = '{self._trace_file}': {error.strerror}")
             self._trace = None
         super().destroy_node()
+
+    def _await_readers(self) -> None:
+        """Wait until all readers have what was published; a lost message is sent again after seconds."""
+        end = time.monotonic() + PATIENCE
+        for publisher in self.publishers:
+            publisher.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
 
     def sampled(self, stamp_ns: int) -> None:
         """Call once for each sample, at its end: publishes /diagnostics if due or something changed."""

@@ -212,6 +212,12 @@ class ProcessGraph(Graph):
 
     def _drain(self, recorder: RecorderNode) -> None:
         """Spin on after the flight until all messages that were published have been recorded."""
+        self._spin_until_quiet(recorder)
+        if self.plan.mode == "lockstep":  # a node that ends waits until the recorder has its messages
+            self.exit_code = self.children.stop()
+            self._spin_until_quiet(recorder)
+
+    def _spin_until_quiet(self, recorder: RecorderNode) -> None:
         duration, few = RECORDED[self.plan.mode]
         end, before = time.monotonic() + STALL_TIMEOUT, recorder.received
         self._slice.spin(duration)
