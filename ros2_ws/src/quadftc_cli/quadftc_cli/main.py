@@ -47,22 +47,16 @@ class Subcommands(TyperGroup):
         for entry in entry_points(group=SUBCOMMANDS, name=cmd_name):
             found = entry.load()
             if not isinstance(found, typer.Typer):
-                single = typer.Typer(add_completion=False, rich_markup_mode=None)
-                single.command(cmd_name)(found)
-                found = single
+                function, found = found, typer.Typer(**PLAIN)
+                found.command(cmd_name)(function)
             command = typer.main.get_command(found)
             command.name = cmd_name
             return command
         return None
 
 
-app = typer.Typer(
-    cls=Subcommands,
-    add_completion=False,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
+PLAIN: dict[str, Any] = {"add_completion": False, "rich_markup_mode": None}
+app = typer.Typer(cls=Subcommands, no_args_is_help=True, pretty_exceptions_enable=False, **PLAIN)
 
 
 @app.callback()

@@ -6,16 +6,9 @@ import time
 from collections.abc import Iterable
 from typing import Protocol
 
+from rich import progress
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 from rich.table import Table
 from rich.text import Text
 
@@ -25,7 +18,7 @@ STRIDE = 0.005  # share between two updates of a bar
 
 def console(stderr: bool = False) -> Console:
     """Console that does not wrap in files and pipes, where the width is unknown."""
-    found = Console(stderr=stderr, highlight=False, soft_wrap=False)
+    found = Console(stderr=stderr, highlight=False)
     return found if found.is_terminal else Console(stderr=stderr, highlight=False, width=120)
 
 
@@ -57,7 +50,7 @@ class Update(Protocol):
     def __call__(self, share: float, /, note: str = "") -> None: ...  # noqa: D102
 
 
-class Bars(Progress):
+class Bars(progress.Progress):
     """Show how far several tasks are: bars on a terminal, a line every few seconds elsewhere.
 
     Use as a context manager. ``still`` redraws on updates only: the thread that animates bars would delay a
@@ -66,8 +59,8 @@ class Bars(Progress):
 
     def __init__(self, screen: Console, still: bool = False) -> None:
         super().__init__(
-            *(TextColumn("{task.description}"), BarColumn(), TaskProgressColumn()),
-            *(TextColumn("{task.fields[note]}"), TimeElapsedColumn(), TimeRemainingColumn()),
+            *("{task.description}", progress.BarColumn(), progress.TaskProgressColumn()),
+            *("{task.fields[note]}", progress.TimeElapsedColumn(), progress.TimeRemainingColumn()),
             console=screen,
             auto_refresh=not still,
             disable=not screen.is_terminal,
@@ -91,9 +84,7 @@ class Bars(Progress):
 
     def _print_line(self) -> None:
         """Without a terminal, print the shares of the tasks that are under way."""
-        if self.console.is_terminal or time.monotonic() < self._next_line:
-            return
-        self._next_line = time.monotonic() + LINE_PERIOD
         under_way = [f"{name} {share:.0%}" for name, share in self._shares.items() if 0.0 < share < 1.0]
-        if under_way:
+        if under_way and not self.console.is_terminal and time.monotonic() >= self._next_line:
+            self._next_line = time.monotonic() + LINE_PERIOD
             say(", ".join(under_way))

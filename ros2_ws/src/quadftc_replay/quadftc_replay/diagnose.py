@@ -32,10 +32,9 @@ class Diagnosed:
     unusable: int  # samples with an estimate that could not be used; the observer restarted after each
 
 
+_UNKNOWN = np.full(3, np.nan)
 UNSEEN = ImuSample(np.zeros(4), np.zeros(3), np.zeros(3), np.False_, np.False_, np.False_)
-UNSAID = FaultEstimate(
-    np.full(3, np.nan), np.full(3, np.nan), np.full(3, NO_STATE, np.uint8), np.full(3, np.nan), UNSEEN
-)
+UNSAID = FaultEstimate(_UNKNOWN, _UNKNOWN, np.full(3, NO_STATE, np.uint8), _UNKNOWN, UNSEEN)
 
 
 def diagnose(
@@ -72,8 +71,7 @@ def flight_of(recording: Recording, diagnosed: Diagnosed) -> Flight:
     rows, said, flight = diagnosed.delivered, diagnosed.estimate, unknown_flight(recording.stamp_ns)
     flight.delivered[:] = rows
     flight.fault[rows] = true_fault(recording, diagnosed, "attitude")[rows]
-    flight.fault_estimate[:], flight.fault_std_dev[:] = said.fault, said.std_dev
-    flight.fault_state[:] = said.state
+    flight.fault_estimate[:], flight.fault_std_dev[:], flight.fault_state[:] = said[:3]
     flight.fault_onset_ns[:] = onset_ns(recording.stamp_ns[:, None], said.onset_age)
     return flight
 

@@ -66,14 +66,15 @@ def recording_from_bag(path: Path, topic: str = "", skip_backwards: bool = False
     imu, where = bag.series(name), f"{path}: {name}"
     kept = keep_good_stamps(imu.stamp_ns, imu.log_time_ns, where, skip_backwards)
     samples, absences = clean_samples(_samples(imu, kept.rows), kept.stamp_ns, where)
-    messages = _messages(bag, name)
+    messages = [data for _, _, data in bag.messages([name])]
     passed_on = {UNTOUCHED: SerializedTopic(IMU, kept.stamp_ns, [messages[k] for k in kept.rows.tolist()])}
     # the torque that acted
     torque = np.zeros((len(kept.rows), 3))
     if torque_topic:
         commands = bag.series(torque_topic)
         torque = torque_before(kept.stamp_ns, commands.stamp_ns, commands["vector"])
-        passed_on[TORQUE] = SerializedTopic(VECTOR, commands.stamp_ns, _messages(bag, torque_topic))
+        messages = [data for _, _, data in bag.messages([torque_topic])]
+        passed_on[TORQUE] = SerializedTopic(VECTOR, commands.stamp_ns, messages)
     faults, windows, events = _read_truth(bag, truth, namespace, kept.stamp_ns)
     cut = [f"{path}: cut short; read up to there{bag.remedy}"] if bag.truncated else []
     return Recording(
@@ -119,12 +120,10 @@ def windows_of(stamp_ns: Stamps, fault: Floats) -> tuple[FaultWindow, ...]:
     """Return when a fault (n, 3) acts: a window for each time without a pause longer than ``PAUSE``."""
     acts = fault != 0.0  # true for NaN, too
     rows = np.flatnonzero(acts.any(axis=1))
-    if not len(rows):
-        return ()
     time = (stamp_ns - stamp_ns[0]) / NANOSECONDS_PER_SECOND
     breaks = np.flatnonzero(np.diff(time[rows]) > PAUSE) + 1
     windows: list[FaultWindow] = []
-    for part in np.split(rows, breaks):
+    for part in np.split(rows, breaks) if len(rows) else ():
         stop = time[min(int(part[-1]) + 1, len(time) - 1)]
         axes = tuple(axis for axis, on in zip(AXES, acts[part].any(axis=0), strict=True) if on)
         windows.append(FaultWindow(float(time[part[0]]), float(stop), axes))
@@ -139,18 +138,11 @@ def _samples(imu: Series, rows: NDArray[np.intp]) -> ImuSample:
     return ImuSample(*(imu[field][rows] for field in fields), *valid)
 
 
-def _messages(bag: Bag, topic: str) -> list[bytes]:
-    return [data for _, _, data in bag.messages([topic])]
-
-
 def _full_name(topics: _Topics, wanted: str, path: Path) -> str:
     """Full name of a topic: as given, with or without its slash, or in the only namespace that has it."""
     short = wanted.strip("/")
-    names = (
-        [name for name in topics if name == wanted]
-        or [name for name in topics if name.strip("/") == short]
-        or [name for name in topics if _is(name, short)]
-    )
+    names = [wanted] if wanted in topics else [name for name in topics if name.strip("/") == short]
+    names = names or [name for name in topics if _is(name, short)]
     if len(names) == 1:
         return names[0]
     problem = "is in more than one namespace" if names else "is not in the bag"
@@ -171,8 +163,7 @@ def _is(name: str, topic: str) -> bool:
 
 def _torque_topic(topics: _Topics, namespace: str, is_foreign: bool) -> str | None:
     """The commands that belong to an IMU: of its namespace; beside a foreign IMU, the only ones there are."""
-    filled = {name for name, info in topics.items() if info.type_name == VECTOR and info.count}
-    there = [name for name in filled if _is(name, TORQUE)]
+    there = [n for n, info in topics.items() if info.type_name == VECTOR and info.count and _is(n, TORQUE)]
     own = f"{namespace}{TORQUE}"
     return own if own in there else there[0] if len(there) == 1 and is_foreign else None
 
@@ -180,8 +171,8 @@ def _torque_topic(topics: _Topics, namespace: str, is_foreign: bool) -> str | No
 def _truth_topics(topics: _Topics, namespace: str) -> list[str]:
     """Topics that say which faults are in the samples behind the injector."""
     types = {f"{namespace}{topic}": VECTOR for topic in TRUTH.values()} | {f"{namespace}{DROPPED}": HEADER}
-    there = {name: topics[name] for name in types if name in topics}
-    return [name for name, info in there.items() if info.type_name == types[name] and info.count]
+    there = ((name, kind, topics[name]) for name, kind in types.items() if name in topics)
+    return [name for name, kind, info in there if info.type_name == kind and info.count]
 
 
 def _read_truth(bag: Bag, topics: Collection[str], namespace: str, stamp_ns: Stamps) -> _Truth:
@@ -198,11 +189,8 @@ def _read_truth(bag: Bag, topics: Collection[str], namespace: str, stamp_ns: Sta
     if "attitude" not in faults:
         return faults, (), ()
     try:
-        text = attached_text(bag, SCENARIO)
-        scenario = None if text is None else parse_scenario(text, f"{bag.path}: {SCENARIO}")
-    except ScenarioError:
-        scenario = None
-    if scenario is None:
+        scenario = parse_scenario(attached_text(bag, SCENARIO) or "", f"{bag.path}: {SCENARIO}")
+    except ScenarioError:  # none is there, too
         windows = windows_of(stamp_ns, faults["attitude"])
         return faults, windows, events_of_windows(windows)
     dropped = f"{namespace}{DROPPED}"

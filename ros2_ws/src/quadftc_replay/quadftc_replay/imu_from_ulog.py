@@ -122,20 +122,16 @@ def _gyro_topic(data: Mapping[str, Dataset], wanted: str, path: Path) -> str:
     there = [name for name in names if name in data]
     missing = [ATTITUDE] * (ATTITUDE not in data) + [" or ".join(names)] * (not there)
     if missing:
-        known = ", ".join(data) or "none"
-        raise BagError(
-            f"{path}: no data of {' and '.join(missing)}; of the topics that count there are: {known}"
-        )
+        known = f"of the topics that count there are: {', '.join(data) or 'none'}"
+        raise BagError(f"{path}: no data of {' and '.join(missing)}; {known}")
     return there[0]
 
 
 def _stamps(data: Dataset) -> Stamps:
     """Time of each sample [ns] (n,)."""
     micro = data["timestamp"].astype(np.int64)
-    if "timestamp_sample" in data:
-        sampled = data["timestamp_sample"].astype(np.int64)
-        micro = np.where(sampled > 0, sampled, micro)
-    return micro * 1000
+    sampled = data.get("timestamp_sample", micro).astype(np.int64)
+    return np.where(sampled > 0, sampled, micro) * 1000
 
 
 def _columns(data: Dataset, field: str, width: int, where: str) -> Floats:

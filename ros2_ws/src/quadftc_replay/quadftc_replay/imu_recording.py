@@ -73,7 +73,7 @@ def sampling_rate(stamp_ns: Stamps) -> float:
 
 
 class KeptSamples(NamedTuple):
-    """The samples of a recording that have a good stamp."""
+    """The samples of a recording that have a good stamp, and warnings about the others."""
 
     rows: NDArray[np.intp]  # which of the recorded samples
     stamp_ns: Stamps  # strictly increasing
@@ -93,7 +93,10 @@ def keep_good_stamps(
     if log_time_ns is not None and not np.any(stamp_ns):
         warnings.append(f"{where}: no stamp is set; the time of recording took their place")
         stamp_ns = log_time_ns
-    rows = np.flatnonzero(_is_set(stamp_ns))
+    # zero is no stamp, unless the clock plainly began there
+    others = stamp_ns[stamp_ns != 0]
+    began = len(others) and others.min() <= MAX_GAP * NANOSECONDS_PER_SECOND
+    rows = np.flatnonzero((stamp_ns != 0) | bool(began))
     stamps = stamp_ns[rows]
     before = np.maximum.accumulate(np.concatenate([[np.iinfo(np.int64).min], stamps]))[:-1]
     back = stamps < before
@@ -152,17 +155,9 @@ def torque_before(stamp_ns: Stamps, command_ns: Stamps, command: Floats) -> Floa
     return torques[np.searchsorted(command_ns[good][order], stamp_ns, side="left")]
 
 
-def _is_set(stamp_ns: Stamps) -> NDArray[np.bool_]:
-    """Which stamps are set: zero is none, unless the clock plainly began there."""
-    others = stamp_ns[stamp_ns != 0]
-    began = len(others) and others.min() <= MAX_GAP * NANOSECONDS_PER_SECOND
-    return np.ones(len(stamp_ns), np.bool_) if began else stamp_ns != 0
-
-
 def _first_step_back(stamps: Stamps, rows: NDArray[np.intp]) -> str:
-    steps = np.flatnonzero(np.diff(stamps) < 0)
-    first = int(steps[0])
-    more = f" (and {len(steps) - 1} more times)" if len(steps) > 1 else ""
+    first, *others = np.flatnonzero(np.diff(stamps) < 0).tolist()
+    more = f" (and {len(others)} more times)" if others else ""
     size = (stamps[first] - stamps[first + 1]) / NANOSECONDS_PER_SECOND
     return (
         f"time goes back by {size:.6g} s at message {int(rows[first + 1]) + 1}{more}; expected stamps that"

@@ -93,14 +93,12 @@ class Replay:
         flight, imu = flight_of(self.recording, diagnosed), self.recording.imu
         result = replay_summary(self.origin, self.observer.parameters, flight)
         metrics = result.pop("metrics")
-        return {
-            "name": self.name,
-            **result,
+        without = {
             "samples_without_attitude": int((~imu.attitude_valid).sum()),
             "samples_without_body_rate": int((~imu.rate_valid).sum()),
             "samples_without_estimate": diagnosed.unusable,
-            "metrics": metrics,
         }
+        return {"name": self.name, **result, **without, "metrics": metrics}
 
     def parameter_file(self) -> str:
         """Write the parameters of the nodes that would do the same in the graph, as YAML for ROS."""
@@ -125,11 +123,9 @@ def plan_replay(path: Path, options: ReplayOptions) -> Replay:
     read = recording_from_ulog if is_ulog(path) else recording_from_bag
     recording = read(path, options.topic, options.skip_backwards)
     for fault in faults:  # one that starts after the end would not act
-        if fault.injection.start >= recording.duration:
-            raise ValueError(
-                f"fault '{fault.spec}': start = {fault.injection.start:g} s: must be before the end of"
-                f" {recording.name}, {recording.duration:.3f} s"
-            )
+        if (start := fault.injection.start) >= recording.duration:
+            bound = f"must be before the end of {recording.name}, {recording.duration:.3f} s"
+            raise ValueError(f"fault '{fault.spec}': start = {start:g} s: {bound}")
     observer = choose_observer(recording, options.observer, options.vehicle, options.settings)
     return Replay(recording=recording, observer=observer, faults=faults, seed=options.seed)
 
@@ -139,24 +135,27 @@ def choose_observer(
 ) -> ChosenObserver:
     """Build the fault observer: that asked for, with its defaults, or that of the recording.
 
-    ``vehicle`` is a name or the path of a TOML file, a setting ``observer.<parameter>=value``, with a unit if
-    need be. What neither caller nor recording says is `DEFAULT_OBSERVER`, `DEFAULT_VEHICLE`.
+    ``vehicle`` is a name or the path of a TOML file, a setting ``observer.<parameter>=value``. What neither
+    caller nor recording says is `DEFAULT_OBSERVER`, `DEFAULT_VEHICLE`.
     """
     if recording.observer is None and not name:
         raise BagError(f"{recording.path}: parameters.yaml makes no sense; choose with --observer")
     recorded: Mapping[str, Any] = recording.observer or {}
-    parameters: dict[str, Any] = {
-        "vehicle": recorded.get("vehicle", DEFAULT_VEHICLE),
-        "observer": name or recorded.get("observer", DEFAULT_OBSERVER),
-    }
-    kind = get(parameters, "observer", str)
+    parameters: dict[str, Any] = {"vehicle": DEFAULT_VEHICLE, "observer": DEFAULT_OBSERVER}
+    parameters |= {key: recorded[key] for key in parameters if key in recorded}
+    kind = name or get(parameters, "observer", str)
+    parameters["observer"] = kind
     fault_observers.get(kind)
     if vehicle:
         parameters["vehicle"] = str(Path(vehicle).resolve()) if vehicle.endswith(".toml") else vehicle
     if not name:
         parameters |= {key: value for key, value in recorded.items() if key.startswith(f"{kind}.")}
     for setting in settings:
-        parameters |= _parse_setting(kind, setting)
+        target, equals, value = setting.partition("=")
+        parameter = target.strip().removeprefix(PREFIX)
+        if not equals or not target.strip().startswith(PREFIX) or not parameter:
+            raise ValueError(f"--set {setting!r}: expected {PREFIX}<parameter>=value")
+        parameters[f"{kind}.{parameter}"] = parse_value(value, f"--set {setting!r}")
     try:
         law = fault_observer_from(parameters)
     except ValueError as error:
@@ -165,11 +164,3 @@ def choose_observer(
         raise ValueError(f"{where}{error}") from None
     full = {"vehicle": parameters["vehicle"], "observer": kind, **node_values(law, kind)}
     return ChosenObserver(kind, law, full)
-
-
-def _parse_setting(kind: str, text: str) -> dict[str, Any]:
-    target, equals, value = text.partition("=")
-    parameter = target.strip().removeprefix(PREFIX)
-    if not equals or not target.strip().startswith(PREFIX) or not parameter:
-        raise ValueError(f"--set {text!r}: expected {PREFIX}<parameter>=value")
-    return {f"{kind}.{parameter}": parse_value(value, f"--set {text!r}")}

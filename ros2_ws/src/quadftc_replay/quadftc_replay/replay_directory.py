@@ -7,11 +7,12 @@ Directories of flights: `quadftc_flight.run_directory`.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from operator import attrgetter
 from typing import Annotated, Any, ClassVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_serializer
 
 from quadftc_bags.bag import Bag, BagError
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, Time
@@ -46,13 +47,7 @@ DIAGNOSIS = ("fault_", "diagnosis")  # how the metrics begin that make sense wit
 YAML_WIDTH = 120  # characters
 
 
-def _as_mappings(items: Iterable[FaultWindow | FaultEvent]) -> list[dict[str, Any]]:
-    return [item._asdict() for item in items]
-
-
 Count = Annotated[int, Field(ge=0, strict=True)]
-Windows = Annotated[tuple[FaultWindow, ...], PlainSerializer(_as_mappings)]
-Events = Annotated[tuple[FaultEvent, ...], PlainSerializer(_as_mappings)]
 
 
 class ReplayOrigin(BaseModel):
@@ -70,8 +65,12 @@ class ReplayOrigin(BaseModel):
     duration: Time  # of the recording [s]
     samples: Count  # that were replayed, withheld ones among them
     samples_left_out: dict[str, Count]  # reason to the number of recorded samples that were not replayed
-    fault_windows: Windows  # when the attitude is faulty, recorded and overlaid
-    fault_events: Events  # the same axis by axis, with the kind of fault
+    fault_windows: tuple[FaultWindow, ...]  # when the attitude is faulty, recorded and overlaid
+    fault_events: tuple[FaultEvent, ...]  # the same axis by axis, with the kind of fault
+
+    @field_serializer("fault_windows", "fault_events")
+    def _as_mappings(self, items: tuple[FaultWindow | FaultEvent, ...]) -> list[dict[str, Any]]:
+        return [item._asdict() for item in items]
 
     def description(self) -> str:
         """Write it as YAML."""
@@ -90,22 +89,13 @@ class RecordedReplay(RunDirectory):
     disturbance_observer: ClassVar[str] = NO_OBSERVER
     disturbances: ClassVar[tuple[Part, ...]] = ()  # none is known
 
-    @property
-    def observer(self) -> str:
-        """Name of the fault observer."""
-        return self.origin.observer
-
-    label = observer  # what tells it from those that it is compared with
+    observer = label = property(attrgetter("origin.observer"))  # tells it from those that it is compared with
+    fault_events = property(attrgetter("origin.fault_events"))  # when which axis of the attitude is faulty
 
     @property
     def own_name(self) -> str:
         """Its name, without that of the recording."""
         return self.name.removeprefix(f"{self.origin.recording}-")
-
-    @property
-    def fault_events(self) -> tuple[FaultEvent, ...]:
-        """When which axis of the attitude is faulty, by what was recorded and by what was overlaid."""
-        return self.origin.fault_events
 
     @property
     def duration(self) -> float:
@@ -128,7 +118,10 @@ def replay_from_bag(bag: Bag) -> RecordedReplay:
     """
     origin, faults = _read_origin(bag)
     parameters = _read_parameters(bag)
-    _require_replay(bag)
+    if missing := without_messages(bag, NEEDED):
+        what = "cut short before its first estimate" if bag.truncated else "without its data"
+        there = f"topics with messages there: {topics_text(bag)}{bag.remedy}"
+        raise BagError(f"{bag.path}: a replay {what}: missing messages on {', '.join(missing)}; {there}")
     stored = read_summary(beside(bag.path, SUMMARY))
     flight = flight_from_bag(bag)
     if len(flight) < MIN_SAMPLES:
@@ -146,11 +139,10 @@ def replay_from_bag(bag: Bag) -> RecordedReplay:
         measured=reading_from_bag(bag, "imu/data", flight.stamp_ns),
         corrected=reading_from_bag(bag, "imu/corrected", flight.stamp_ns),
     )
-    summary, warnings = replay.summary, [*_shortcomings(replay)]
+    summary, wrong = replay.summary, list[str]()
     if replay.is_whole:
         summary, wrong = compare_summaries(summary, stored, bag.path)
-        warnings += wrong
-    return dataclasses.replace(replay, summary=summary, warnings=tuple(warnings))
+    return dataclasses.replace(replay, summary=summary, warnings=(*_shortcomings(replay), *wrong))
 
 
 def replay_summary(origin: ReplayOrigin, observer: Mapping[str, Any], flight: Flight) -> dict[str, Any]:
@@ -160,9 +152,8 @@ def replay_summary(origin: ReplayOrigin, observer: Mapping[str, Any], flight: Fl
     """
     duration, events = origin.duration, origin.fault_events
     if len(flight) < origin.samples:
-        duration = float(flight.time[-1])
-        begun = [event for event in events if event.start < duration]
-        events = tuple(event._replace(stop=min(event.stop, duration)) for event in begun)
+        end = duration = float(flight.time[-1])
+        events = tuple(each._replace(stop=min(each.stop, end)) for each in events if each.start < end)
     return {
         **origin.model_dump(exclude={"fault_windows", "fault_events"}),
         "vehicle": observer.get("vehicle"),
@@ -180,44 +171,35 @@ def replay_metrics(
 ) -> dict[str, Any]:
     """Metrics of the diagnosis, as `flight_metrics` gives them; what takes a closed loop is None or gone."""
     found = flight_metrics(flight, windows, events)
-    found["fault_windows"] = [
-        {name: value for name, value in window.items() if not name.startswith("tracking_")}
-        for window in found["fault_windows"]
-    ]
+    for window in found["fault_windows"]:
+        for name in [name for name in window if name.startswith("tracking_")]:
+            del window[name]
     return {name: value for name, value in found.items() if name.startswith(DIAGNOSIS)}
 
 
 def _read_origin(bag: Bag) -> tuple[ReplayOrigin, tuple[Fault, ...]]:
     """Read what was replayed, and build the overlaid faults."""
-    text = attached_text(bag, DESCRIPTION) or ""
+    where, text = f"{bag.path}: {DESCRIPTION}", attached_text(bag, DESCRIPTION) or ""
     try:
         origin = ReplayOrigin.model_validate(yaml.safe_load(text))
         return origin, faults_from((), origin.faults)
     except (yaml.YAMLError, RecursionError):
-        raise BagError(f"{bag.path}: {DESCRIPTION} is no YAML") from None
+        raise BagError(f"{where} is no YAML") from None
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"])) or "the file"
-        raise BagError(f"{bag.path}: {DESCRIPTION}: {place}: {first['msg']}") from None
+        raise BagError(f"{where}: {place}: {first['msg']}") from None
     except ValueError as error:
-        raise BagError(f"{bag.path}: {DESCRIPTION}: {error}") from None
+        raise BagError(f"{where}: {error}") from None
 
 
 def _read_parameters(bag: Bag) -> Parameters:
-    text = attached_text(bag, PARAMETERS)
-    if text is None:
+    if (text := attached_text(bag, PARAMETERS)) is None:
         raise BagError(f"{bag.path}: a replay without {PARAMETERS} (attached to the bag, or beside it)")
     try:
         return parse_parameters(text)
     except NO_PARAMETERS:
         raise BagError(f"{bag.path}: {PARAMETERS} makes no sense; expected a ROS parameter file") from None
-
-
-def _require_replay(bag: Bag) -> None:
-    if missing := without_messages(bag, NEEDED):
-        what = "cut short before its first estimate" if bag.truncated else "without its data"
-        there = f"topics with messages there: {topics_text(bag)}{bag.remedy}"
-        raise BagError(f"{bag.path}: a replay {what}: missing messages on {', '.join(missing)}; {there}")
 
 
 def _shortcomings(replay: RecordedReplay) -> Iterator[str]:

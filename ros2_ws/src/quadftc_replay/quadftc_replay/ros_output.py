@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 
@@ -124,13 +123,13 @@ def _topics(plan: Replay, diagnosed: Diagnosed) -> dict[str, SerializedTopic]:
         DATA: _encode_imu(given, ImuSample(*(column[rows] for column in diagnosed.seen))),
         CORRECTED: _encode_imu(given, ImuSample(*(column[rows] for column in said.corrected))),
         "fault/status": _serialise("quadftc_msgs/msg/FaultStatus", given, FaultStatusWire(), estimates),
-        "fault/estimate": _encode_vector(EARTH_FRAME, given, said.fault[rows]),
+        "fault/estimate": _serialise(VECTOR, given, VectorWire(EARTH_FRAME), said.fault[rows]),
     }
     overlaid = {fault.injection.channel for fault in plan.faults}
     for channel, topic in TRUTH.items():
         if channel == "attitude" or channel in recording.faults or channel in overlaid:
-            frame = EARTH_FRAME if channel == "attitude" else IMU_FRAME
-            made[topic] = _encode_vector(frame, every, true_fault(recording, diagnosed, channel))
+            wire = VectorWire(EARTH_FRAME if channel == "attitude" else IMU_FRAME)
+            made[topic] = _serialise(VECTOR, every, wire, true_fault(recording, diagnosed, channel))
     if not rows.all():
         made[DROPPED] = _serialise(HEADER, every[~rows], _dropped, every[~rows])
     return {topic: made[topic] for topic in TOPICS if topic in made}
@@ -138,10 +137,6 @@ def _topics(plan: Replay, diagnosed: Diagnosed) -> dict[str, SerializedTopic]:
 
 def _encode_imu(stamp_ns: Stamps, samples: ImuSample) -> SerializedTopic:
     return _serialise(IMU, stamp_ns, ImuWire(), map(ImuSample, *samples))
-
-
-def _encode_vector(frame: str, stamp_ns: Stamps, values: NDArray[np.float64]) -> SerializedTopic:
-    return _serialise(VECTOR, stamp_ns, VectorWire(frame), values)
 
 
 def _dropped(stamp_ns: int, _: object) -> bytes:

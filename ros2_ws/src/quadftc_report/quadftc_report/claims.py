@@ -73,15 +73,14 @@ class Judgement(NamedTuple):
 
 def judge(comparison: Comparison[RecordedRun], among: Among = ()) -> list[Judgement]:
     """Judge the paper's claims on one scenario by its runs; there are none on other scenarios."""
-    claims = [claim for claim in CLAIMS if comparison.runs[0].scenario.name in claim.scenarios]
-    return [_judge(claim, comparison, among) for claim in claims]
 
+    def judge_claim(claim: Claim) -> Judgement:
+        try:
+            return Judgement(claim, *JUDGES[claim.key](_evidence(comparison), among))
+        except NoVerdictError as why:
+            return Judgement(claim, None, str(why))
 
-def _judge(claim: Claim, comparison: Comparison[RecordedRun], among: Among) -> Judgement:
-    try:
-        return Judgement(claim, *JUDGES[claim.key](_evidence(comparison), among))
-    except NoVerdictError as why:
-        return Judgement(claim, None, str(why))
+    return [judge_claim(each) for each in CLAIMS if comparison.runs[0].scenario.name in each.scenarios]
 
 
 def _evidence(comparison: Comparison[RecordedRun]) -> Evidence:
@@ -104,9 +103,8 @@ def _evidence(comparison: Comparison[RecordedRun]) -> Evidence:
             CONVENTIONAL in runs
         ),
     }
-    for problem, fulfilled in needed.items():
-        if not fulfilled:
-            raise NoVerdictError(problem)
+    if problems := [problem for problem, fulfilled in needed.items() if not fulfilled]:
+        raise NoVerdictError(problems[0])
     evidence = Evidence(runs[PROPOSED], runs[CONVENTIONAL])
     for run in evidence:
         if not run.is_whole:
@@ -188,9 +186,9 @@ def _roll_reads_wrong(evidence: Evidence, _: Among) -> Finding:
 def _leans_without_fault(evidence: Evidence, _: Among) -> Finding:
     flight = evidence.conventional.flight
     error = np.degrees(np.asarray(wrap(flight.angles - flight.reference)))
-    calm = flight.time < DISTURBANCE_ONSET
     disturbed = (flight.time >= DISTURBED[0]) & (flight.time < DISTURBED[1])
-    before, after = (np.sqrt(np.nanmean(error[rows] ** 2, axis=0)) for rows in (calm, disturbed))
+    both = flight.time < DISTURBANCE_ONSET, disturbed
+    before, after = (np.sqrt(np.nanmean(error[rows] ** 2, axis=0)) for rows in both)
     reason = f"tracking RMSE {each_axis(after, 'deg')} from 7 to 20 s; before 5 s {each_axis(before, 'deg')}"
     return bool(np.all(after > np.maximum(TRACKING_DEG, before))), reason
 
@@ -215,11 +213,12 @@ def _more_affected(evidence: Evidence, among: Among) -> Finding:
     )
 
 
-_proposed_tracks = functools.partial(_is_bounded, "tracking RMSE", "tracking_rmse_deg", TRACKING_DEG)
+_SETTLED = ("error of the settled estimate", "fault_estimate_max_settled_deg")
+_TRACKING = ("tracking RMSE", "tracking_rmse_deg")
+_VARIATION = ("total variation of the torque", "torque_total_variation")
+_proposed_tracks = functools.partial(_is_bounded, *_TRACKING, TRACKING_DEG)
 JUDGES: dict[str, Callable[[Evidence, Among], Finding]] = {
-    "faults_estimated": functools.partial(
-        _is_bounded, "error of the settled estimate", "fault_estimate_max_settled_deg", SETTLED_ERROR_DEG
-    ),
+    "faults_estimated": functools.partial(_is_bounded, *_SETTLED, SETTLED_ERROR_DEG),
     "conventional_follows_its_sensor": _follows_its_sensor,
     "roll_is_minus_one_degree": _roll_reads_wrong,
     "proposed_follows": _proposed_tracks,
@@ -228,16 +227,10 @@ JUDGES: dict[str, Callable[[Evidence, Among], Finding]] = {
     "tracking_maintained": _proposed_tracks,
     "conventional_more_affected": _more_affected,
     "tracking_still_maintained": _proposed_tracks,
-    "proposed_superior": functools.partial(_is_smaller, "tracking RMSE", "tracking_rmse_deg", "deg"),
-    "no_chattering": functools.partial(
-        _is_smaller, "total variation of the torque", "torque_total_variation", "N m/s"
-    ),
+    "proposed_superior": functools.partial(_is_smaller, *_TRACKING, "deg"),
+    "no_chattering": functools.partial(_is_smaller, *_VARIATION, "N m/s"),
 }
-_BOUNDS = {
-    "settling": SETTLING_TIME,
-    "settled": SETTLED_ERROR_DEG,
-    "tracking": TRACKING_DEG,
-    "remainder": 100.0 * REMAINDER,
-}
-_TEXTS = (DATA / "claims.yaml").read_text("utf-8").format(**_BOUNDS)
+_SHARES = {"tracking": TRACKING_DEG, "remainder": 100.0 * REMAINDER}
+_TEXTS = (DATA / "claims.yaml").read_text("utf-8")
+_TEXTS = _TEXTS.format(settling=SETTLING_TIME, settled=SETTLED_ERROR_DEG, **_SHARES)
 CLAIMS = tuple(Claim(key, **texts) for key, texts in yaml.safe_load(_TEXTS).items())

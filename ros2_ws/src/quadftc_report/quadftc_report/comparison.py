@@ -6,6 +6,7 @@ What they have in common, what was injected, and one sentence on each.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import math
 import re
@@ -47,12 +48,11 @@ class Comparison(Generic[Run_co]):
 
     def label(self, run: Recorded) -> str:
         """Name a recording by its scheme or observer, or by its own name if another has the same."""
-        if [each.label for each in self.runs].count(run.label) == 1:
-            return run.label
-        if [each.own_name for each in self.runs].count(run.own_name) == 1:
-            return run.own_name
-        place = next(index for index, each in enumerate(self.runs) if each is run)
-        return f"{run.own_name} ({place + 1})"
+        for labels in ([each.label for each in self.runs], [each.own_name for each in self.runs]):
+            label = labels[self.runs.index(run)]
+            if labels.count(label) == 1:
+                return label
+        return f"{run.own_name} ({self.runs.index(run) + 1})"
 
 
 def has_observer(run: Recorded) -> bool:
@@ -74,39 +74,28 @@ def is_ideal(comparison: Comparison[RecordedRun]) -> bool:
 
 def compare(runs: Iterable[Run], taken: Collection[str] = ()) -> list[Comparison[Run]]:
     """Group runs by scenario, and replays by recording and overlaid faults; ``taken``: keys in use."""
-    groups: dict[Hashable, list[Run]] = {}
+    groups: dict[tuple[str, Hashable], list[Run]] = {}
     for run in runs:
         groups.setdefault(_identity(run), []).append(run)
-    comparisons: list[Comparison[Run]] = []
-    keys = set(taken)
-    for group in groups.values():
-        key = name = _name(group[0])
-        number = 1
-        while key in keys:
-            number += 1
-            key = f"{name}-{number}"
+    comparisons, keys = list[Comparison[Run]](), set(taken)
+    for (name, _), group in groups.items():
+        names = itertools.chain([name], (f"{name}-{number}" for number in itertools.count(2)))
+        key = next(each for each in names if each not in keys)
         ordered = sorted(group, key=lambda run: not has_observer(run))  # stable
         comparisons.append(Comparison(tuple(ordered), key))
         keys.add(key)
     return comparisons
 
 
-def _name(run: Recorded) -> str:
-    if isinstance(run, RecordedReplay):
-        return "replay-" + re.sub(r"[^A-Za-z0-9_-]+", "_", run.origin.recording)
-    return run.scenario.name
-
-
-def _identity(run: Recorded) -> Hashable:
-    """All that the runs of a comparison have in common; a first stamp tells recordings of one name apart."""
+def _identity(run: Recorded) -> tuple[str, Hashable]:
+    """A name, and all that the runs have in common; a first stamp tells recordings of one name apart."""
     if isinstance(run, RecordedReplay):
         origin, first_ns = run.origin, int(run.flight.stamp_ns[0])
-        faults = tuple(origin.faults)
-        size = origin.samples, origin.duration
-        return origin.recording, origin.topic, first_ns, *size, faults, origin.seed
-    scenario = run.scenario
-    data = {key: value for key, value in scenario.raw.items() if key not in ("schemes", "description")}
-    return json.dumps({**data, "name": scenario.name}, sort_keys=True)
+        size, faults = (origin.samples, origin.duration), tuple(origin.faults)
+        name = "replay-" + re.sub(r"[^A-Za-z0-9_-]+", "_", origin.recording)
+        return name, (origin.recording, origin.topic, first_ns, *size, faults, origin.seed)
+    flown = {**run.scenario.raw, "name": run.scenario.name, "schemes": None, "description": None}
+    return run.scenario.name, json.dumps(flown, sort_keys=True)
 
 
 def metric(run: Recorded, path: str) -> Any:
@@ -151,14 +140,15 @@ def list_injections(run: Recorded) -> list[Injection]:
     """
     end, lines = run.duration, list[Injection]()
     faults = sorted(run.faults, key=lambda fault: fault.injection.start)
-    for injection, fault in ((fault.injection, fault) for fault in faults if fault.injection.start < end):
+    for fault in (fault for fault in faults if fault.injection.start < end):
+        injection = fault.injection
         whole = injection.law.whole_channel or len(fault.axes) == len(AXES)
         where = f"{injection.channel}: {'all axes' if whole else listing(fault.axes)}"
         units = CHANNEL_UNITS[injection.channel]
         what = _describe(injection.kind, injection.law, fault.given, fault.axes, units)
         lines.append((_when(injection, end), where, what))
-    for law, part in ((part.law, part) for part in run.disturbances if part.law.start < end):
-        lines.append((_when(law, end), "torque", _describe(part.kind, law, part.given, AXES, {})))
+    for part in (part for part in run.disturbances if part.law.start < end):
+        lines.append((_when(part.law, end), "torque", _describe(part.kind, part.law, part.given, AXES, {})))
     scheduled = {(fault.injection.start, axis) for fault in faults for axis in fault.axes}
     stray = np.ones(len(run.flight), np.bool_)
     for event in run.fault_events:

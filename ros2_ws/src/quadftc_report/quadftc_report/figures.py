@@ -17,7 +17,7 @@ A figure without data is left out. The angle without the faults is the measured 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from quadftc_flight.flight import Reading
 from quadftc_flight.run_directory import NO_OBSERVER, RecordedRun
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES, FAULT_STATE_NAMES, FAULTY, RECOVERING, SUSPECT
-from quadftc_replay.replay_directory import RecordedReplay
+from quadftc_replay.replay_directory import Recorded, RecordedReplay
 from quadftc_report.comparison import Comparison, has_observer
 from quadftc_report.description import Band, Figure, Panel, Trace
 from quadftc_report.scene import Scene, column_of, envelope, known, worth
@@ -40,32 +40,21 @@ PAPER_FIGURES = {
     ("paper_varying_disturbance", "tracking"): 12,
 }  # scenario and kind of figure -> number in the paper for roll; pitch and yaw follow
 UPPER = 1.5  # height of a panel with a panel of errors below
+ERROR = {"title": "error", "y_label": "error"}  # of the panel below
 IN_VIEW = 0.5  # share of a limit that the torque has to come up to before the limit is drawn
 
 
 def flight_figures(comparison: Comparison[RecordedRun]) -> list[Figure]:
     """Describe every figure of flights for which there is data."""
-    scene, runs = Scene(comparison), comparison.runs
-    figures = [
-        *_faults(scene),
-        *_state(scene),
-        *_tracking(scene),
-        *_disturbance(scene),
-        *_sliding_variable(scene, runs),
-        *_torque(scene, runs),
-    ]
-    return [_with_paper_number(figure, runs[0].scenario.name) for figure in figures]
+    scene, name = Scene(comparison), comparison.runs[0].scenario.name
+    kinds = (_faults, _state, _tracking, _disturbance, _sliding_variable, _torque)
+    return [_with_paper_number(figure, name) for describe in kinds for figure in describe(scene)]
 
 
 def replay_figures(comparison: Comparison[RecordedReplay]) -> list[Figure]:
     """Describe every figure of replays for which there is data."""
-    scene, longest = Scene(comparison), comparison.longest
-    return [
-        *_attitude(scene, comparison.runs, longest),
-        *_faults(scene),
-        *_state(scene),
-        *_gyro(scene, comparison.runs, longest),
-    ]
+    scene = Scene(comparison)
+    return [figure for describe in (_attitude, _faults, _state, _gyro) for figure in describe(scene)]
 
 
 def _with_paper_number(figure: Figure, scenario: str) -> Figure:
@@ -74,7 +63,7 @@ def _with_paper_number(figure: Figure, scenario: str) -> Figure:
     return figure if first is None else dataclasses.replace(figure, paper_figures=(first + AXES.index(axis),))
 
 
-def _faults(scene: Scene) -> Iterator[Figure]:
+def _faults(scene: Scene[Recorded]) -> Iterator[Figure]:
     runs = [run for run in scene.runs if has_observer(run) and known(run.flight.fault_estimate)]
     for axis, name in enumerate(AXES):
         truth = scene.truth(runs or scene.runs, "fault", axis, "true fault")
@@ -89,89 +78,92 @@ def _faults(scene: Scene) -> Iterator[Figure]:
         around = tuple(envelope(line, line.y, each) for line, each in given)
         around_zero = tuple(envelope(line, 0.0, each) for line, each in given)
         look = {"title": "fault", "envelopes": around, "height": UPPER}
-        upper = scene.panel(axis, [*truth, *estimates], f"{name} fault", "deg", **look)
-        lower = scene.panel(axis, errors, "error", "deg", title="error", envelopes=around_zero)
+        upper = scene.panel(axis, [*truth, *estimates], "fault", "deg", **look)
+        lower = scene.panel(axis, errors, "", "deg", **ERROR, envelopes=around_zero)
         title = f"{name.capitalize()} fault and its estimate"
         caption = f"Fault of the {name} reading, its estimate, and the error of the estimate"
         yield scene.figure(f"fault-{name}", title, caption, [upper, lower])
 
 
-def _state(scene: Scene) -> Iterator[Figure]:
+def _state(scene: Scene[Recorded]) -> Iterator[Figure]:
     """The state of each axis over time, where an observer ever doubts its sensor."""
     runs = [run for run in scene.runs if has_observer(run)]
     if not any(np.isin(run.flight.fault_state, (SUSPECT, FAULTY, RECOVERING)).any() for run in runs):
         return
     ticks = tuple((float(state), word) for state, word in enumerate(FAULT_STATE_NAMES))
-    panels = [
-        scene.panel(axis, scene.lines(runs, "fault_state", axis), name, "", ticks=ticks)
-        for axis, name in enumerate(AXES)
-    ]
+    panels = [scene.panel(k, scene.lines(runs, "fault_state", k), "", "", ticks=ticks) for k in range(3)]
     caption = "State that the fault observer gives each axis of its sensor"
     yield scene.figure("state", "State of the diagnosis", caption, panels)
 
 
-def _tracking(scene: Scene) -> Iterator[Figure]:
+def _tracking(scene: Scene[RecordedRun]) -> Iterator[Figure]:
     for axis, name in enumerate(AXES):
         reference = scene.truth(scene.runs, "reference", axis, "reference")
         angles = scene.lines(scene.runs, "angles", axis)
         errors = scene.lines(scene.runs, "angles", axis, less="reference")
-        if not known(*(trace.y for trace in errors)):
-            continue
-        upper = scene.panel(axis, [*reference, *angles], f"{name} angle", "deg", height=UPPER)
-        lower = scene.panel(axis, errors, "error", "deg", title="error")
-        caption = f"True {name} angle, its reference, and the tracking error"
-        yield scene.figure(f"tracking-{name}", f"{name.capitalize()} tracking", caption, [upper, lower])
+        if known(*(trace.y for trace in errors)):
+            upper = scene.panel(axis, [*reference, *angles], "angle", "deg", height=UPPER)
+            lower = scene.panel(axis, errors, "", "deg", **ERROR)
+            caption = f"True {name} angle, its reference, and the tracking error"
+            yield scene.figure(f"tracking-{name}", f"{name.capitalize()} tracking", caption, [upper, lower])
 
 
-def _disturbance(scene: Scene) -> Iterator[Figure]:
+def _disturbance(scene: Scene[RecordedRun]) -> Iterator[Figure]:
     observing = [run for run in scene.runs if run.disturbance_observer != NO_OBSERVER]
     runs = [run for run in observing if known(run.flight.disturbance_estimate)]
-    panels: list[Panel] = []
-    for axis, name in enumerate(AXES):
-        truth = scene.truth(runs or scene.runs, "disturbance", axis, "disturbance d")
-        estimates = scene.lines(runs, "disturbance_estimate", axis, "estimate of d")
-        panels.append(scene.panel(axis, [*truth, *estimates], f"{name} d", "rad/s²"))
-    if worth(*(trace.y for panel in panels for trace in panel.traces)):
+    lines = [
+        scene.truth(runs or scene.runs, "disturbance", axis, "disturbance d")
+        + scene.lines(runs, "disturbance_estimate", axis, "estimate of d")
+        for axis in range(3)
+    ]
+    if worth(*(trace.y for traces in lines for trace in traces)):
+        panels = [scene.panel(axis, traces, "d", "rad/s²") for axis, traces in enumerate(lines)]
         caption = "Disturbance d as an angular acceleration, and its estimate"
         yield scene.figure("disturbance", "Disturbance and its estimate", caption, panels)
 
 
-def _sliding_variable(scene: Scene, runs: Sequence[RecordedRun]) -> Iterator[Figure]:
-    runs = [run for run in runs if worth(run.flight.sliding_variable)]
-    panels: list[Panel] = []
-    for axis, name in enumerate(AXES):
-        bands: list[Band] = []
-        for run in runs:
-            phi = getattr(run.scheme.controller.law, "phi", None)
-            if phi is not None:
-                size = float(np.broadcast_to(phi, len(AXES))[axis])
-                bands.append(Band(-size, size, f"±Φ ({scene.label(run)})", *scene.look(run)))
-        lines = scene.lines(runs, "sliding_variable", axis)
-        panels.append(scene.panel(axis, lines, f"{name} S", "rad/s", bands=tuple(bands)))
+def _sliding_variable(scene: Scene[RecordedRun]) -> Iterator[Figure]:
+    runs = [run for run in scene.runs if worth(run.flight.sliding_variable)]
+    layers = [(run, getattr(run.scheme.controller.law, "phi", None)) for run in runs]
+    sizes = [(run, np.broadcast_to(phi, len(AXES)).tolist()) for run, phi in layers if phi is not None]
+    panels = [
+        scene.panel(
+            axis,
+            scene.lines(runs, "sliding_variable", axis),
+            "S",
+            "rad/s",
+            bands=tuple(
+                Band(-size[axis], size[axis], f"±Φ ({scene.label(run)})", *scene.look(run))
+                for run, size in sizes
+            ),
+        )
+        for axis in range(3)
+    ]
     if runs:
         title = "Sliding variable and its boundary layer"
         yield scene.figure("sliding_variable", title, "Sliding variable S with its boundary layer ±Φ", panels)
 
 
-def _torque(scene: Scene, runs: Sequence[RecordedRun]) -> Iterator[Figure]:
+def _torque(scene: Scene[RecordedRun]) -> Iterator[Figure]:
     """Torque command of each run, with the limits of the rotors where it comes near them."""
-    runs = [run for run in runs if known(run.flight.torque)]
+    runs = [run for run in scene.runs if known(run.flight.torque)]
     if not runs:
         return
-    authority: Floats = runs[0].scheme.controller.law.vehicle.authority
+    authority: list[float] = runs[0].scheme.controller.law.vehicle.authority.tolist()
     panels: list[Panel] = []
-    for axis, name in enumerate(AXES):
-        limit, lines = float(authority[axis]), scene.lines(runs, "torque", axis)
+    for axis, limit in enumerate(authority):
+        lines = scene.lines(runs, "torque", axis)
         largest = max(float(np.nanmax(np.abs(line.y))) for line in lines)
         bands = (Band(-limit, limit, "limits of the rotors", "limit"),) if largest > IN_VIEW * limit else ()
-        panels.append(scene.panel(axis, lines, f"{name} torque", "N m", bands=bands))
+        panels.append(scene.panel(axis, lines, "torque", "N m", bands=bands))
     bounds = ", ".join(f"{limit:.3g}" for limit in authority)
     caption = f"Torque command; the rotors can give {bounds} N m in roll, pitch, yaw"
     yield scene.figure("torque", "Torque command", caption, panels)
 
 
-def _attitude(scene: Scene, runs: Sequence[RecordedReplay], longest: RecordedReplay) -> Iterator[Figure]:
+def _attitude(scene: Scene[RecordedReplay]) -> Iterator[Figure]:
     """The measured angle, the angle without the fault, and what the observers pass on."""
+    longest = scene.longest
     for axis, name in enumerate(AXES):
         measured = longest.measured.angles[:, axis]
         if not known(measured):
@@ -181,13 +173,13 @@ def _attitude(scene: Scene, runs: Sequence[RecordedReplay], longest: RecordedRep
             angle = np.degrees(wrap(measured - longest.flight.fault[:, axis]))
             faultless.append(Trace("without the fault", "truth", time, angle))
         shown = Trace("measured", "truth", time, np.degrees(measured), rank=len(faultless))
-        given = [run for run in runs if known(run.corrected.angles[:, axis])]
+        given = [run for run in scene.runs if known(run.corrected.angles[:, axis])]
         lines = [scene.trace(run, np.degrees(run.corrected.angles[:, axis])) for run in given]
         errors = [scene.trace(run, _error(run, run.corrected, axis)) for run in given]
         if faultless:
             errors.insert(0, dataclasses.replace(shown, y=_error(longest, longest.measured, axis)))
-        upper = scene.panel(axis, [*faultless, shown, *lines], f"{name} angle", "deg", height=UPPER)
-        lower = scene.panel(axis, errors, "error", "deg", title="error")
+        upper = scene.panel(axis, [*faultless, shown, *lines], "angle", "deg", height=UPPER)
+        lower = scene.panel(axis, errors, "", "deg", **ERROR)
         title = f"{name.capitalize()} as measured and corrected"
         caption = f"{name.capitalize()} angle before and after the observers, and its error without the fault"
         yield scene.figure(f"attitude-{name}", title, caption, [upper, lower])
@@ -199,21 +191,17 @@ def _error(run: RecordedReplay, reading: Reading, axis: int) -> Floats:
     return np.degrees(wrap(reading.angles[:, axis] - faultless))
 
 
-def _gyro(scene: Scene, runs: Sequence[RecordedReplay], longest: RecordedReplay) -> Iterator[Figure]:
+def _gyro(scene: Scene[RecordedReplay]) -> Iterator[Figure]:
     """The measured body rate, and what the observers add to it, where one of them does."""
-    time, rates = longest.flight.time, np.degrees(longest.measured.body_rate)
-    changes = [(run, np.degrees(run.corrected.body_rate - run.measured.body_rate)) for run in runs]
+    time, rates = scene.longest.flight.time, np.degrees(scene.longest.measured.body_rate)
+    changes = [(run, np.degrees(run.corrected.body_rate - run.measured.body_rate)) for run in scene.runs]
     changes = [(run, change) for run, change in changes if worth(change)]
-    measured = [
-        scene.panel(axis, [Trace("measured", "truth", time, rates[:, axis])], name, "deg/s")
-        for axis, name in enumerate(AXES)
-    ]
-    added = [
-        scene.panel(axis, [scene.trace(run, change[:, axis]) for run, change in changes], name, "deg/s")
-        for axis, name in enumerate(AXES)
-    ]
     if known(rates):
-        yield scene.figure("gyro", "Gyro as measured", "Body rate as the observers saw it", measured)
+        measured = (Trace("measured", "truth", time, rate) for rate in rates.T)
+        panels = [scene.panel(axis, [trace], "", "deg/s") for axis, trace in enumerate(measured)]
+        yield scene.figure("gyro", "Gyro as measured", "Body rate as the observers saw it", panels)
     if changes:
+        added = ([scene.trace(run, change[:, axis]) for run, change in changes] for axis in range(3))
+        panels = [scene.panel(axis, traces, "", "deg/s") for axis, traces in enumerate(added)]
         title, caption = "Correction of the gyro", "Corrected less measured body rate"
-        yield scene.figure("gyro_correction", title, caption, added)
+        yield scene.figure("gyro_correction", title, caption, panels)

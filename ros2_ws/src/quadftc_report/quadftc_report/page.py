@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from typing import Any
 
 import jinja2
@@ -51,10 +52,7 @@ class Section:
     judgements: Sequence[Judgement] = ()  # of the paper's claims
     ideal: bool = True
 
-    @property
-    def key(self) -> str:
-        """Anchor of the section."""
-        return self.comparison.key
+    key = property(attrgetter("comparison.key"))  # anchor of the section
 
     @property
     def scenario(self) -> Scenario | None:
@@ -69,11 +67,8 @@ def flight_sections(comparisons: Sequence[Comparison[RecordedRun]]) -> list[Sect
         numbers = [number for figure in part.figures for number in figure.paper_figures]
         return not part.ideal, min(numbers, default=float("inf"))
 
-    made = [
-        Section(each, each.key, flight_figures(each), judge(each, comparisons), is_ideal(each))
-        for each in comparisons
-    ]
-    return sorted(made, key=order)
+    parts = ((each, each.key, flight_figures(each), judge(each, comparisons)) for each in comparisons)
+    return sorted((Section(*part, is_ideal(part[0])) for part in parts), key=order)
 
 
 def replay_sections(comparisons: Sequence[Comparison[RecordedReplay]]) -> list[Section]:
@@ -82,7 +77,7 @@ def replay_sections(comparisons: Sequence[Comparison[RecordedReplay]]) -> list[S
 
 
 def render(
-    parts: Sequence[Section], warnings: Iterable[str], replayed: Sequence[Section], folder: str | None
+    parts: Sequence[Section], warnings: Sequence[str], replayed: Sequence[Section], folder: str | None
 ) -> str:
     """Return the page of flights and replays, HTML that needs no other file.
 
@@ -103,7 +98,7 @@ def render(
         several=pool_replays([part.comparison for part in replayed]),
         heading=_heading(parts, replayed),
         versions=listing(sorted({run.versions.get("quadftc", "unknown") for run in runs})),
-        warnings=list(warnings),
+        warnings=warnings,
         verdicts=VERDICTS,
         metric_tables=metric_tables,
         setup=_setup,
@@ -128,10 +123,13 @@ def render_template(template: str, **values: Any) -> str:
 def _heading(parts: Sequence[Section], replayed: Sequence[Section]) -> str:
     """Title of the page: ``2 recorded runs of 1 scenario and 3 replays of 2 recordings``."""
     kinds = ((parts, "recorded run", "scenario"), (replayed, "replay", "recording"))
-    counts = (
-        (sum(len(part.comparison.runs) for part in of), one, len(of), among) for of, one, among in kinds
+    return listing(
+        [
+            f"{counted(sum(len(part.comparison.runs) for part in of), one)} of {counted(len(of), among)}"
+            for of, one, among in kinds
+            if of
+        ]
     )
-    return listing([f"{counted(n, one)} of {counted(m, among)}" for n, one, m, among in counts if m])
 
 
 def pool_replays(comparisons: Sequence[Comparison[RecordedReplay]]) -> list[list[RecordedReplay]]:
@@ -156,10 +154,11 @@ def _setup(comparison: Comparison[Any]) -> dict[str, Facts]:
 
 def _side_by_side(facts: Sequence[Mapping[str, Mapping[str, Any]]]) -> Facts:
     found: Facts = {}
-    for index, (title, part) in ((index, item) for index, each in enumerate(facts) for item in each.items()):
-        group = found.setdefault(title, {})
-        for name, value in part.items():
-            group.setdefault(name, [NOTHING] * len(facts))[index] = _fact_text(value)
+    for index, each in enumerate(facts):
+        for title, part in each.items():
+            group = found.setdefault(title, {})
+            for name, value in part.items():
+                group.setdefault(name, [NOTHING] * len(facts))[index] = _fact_text(value)
     return found
 
 
@@ -179,20 +178,19 @@ def _origin(run: Recorded) -> Mapping[str, Any]:
         recorded = f"{run.duration:g} of {run.scenario.duration:g}"
         own = {"seed": summary["seed"], "recorded [s]": recorded, "samples": summary["samples"]}
         return {**own, **common, "mode": summary.get("mode"), "graph": summary.get("graph"), **made_with}
-    origin, time = run.origin, run.flight.time
+    origin, delivered = run.origin, run.flight.delivered
+    readings = {"attitude": run.measured.angles, "body rate": run.measured.body_rate}
     left_out = [f"{count} ({reason})" for reason, count in origin.samples_left_out.items() if count]
     return {
         **{name: getattr(origin, name) for name in ("recording", "topic", "torque", "truth")},
         "replayed [s]": f"{run.duration:.6g} of {origin.duration:.6g}",
         "samples": f"{len(run.flight)} of {origin.samples}",
         **common,
-        "without a usable attitude": _unusable(run, run.measured.angles),
-        "without a usable body rate": _unusable(run, run.measured.body_rate),
-        f"gaps of more than {MAX_GAP:g} s": int(np.sum(np.diff(time) > MAX_GAP)),
+        **{
+            f"without a usable {name}": int(np.sum(delivered & ~np.isfinite(values).all(axis=1)))
+            for name, values in readings.items()
+        },
+        f"gaps of more than {MAX_GAP:g} s": int(np.sum(np.diff(run.flight.time) > MAX_GAP)),
         "left out of the recording": listing(left_out) or "0",
         **made_with,
     }
-
-
-def _unusable(run: RecordedReplay, values: np.ndarray) -> int:
-    return int(np.sum(run.flight.delivered & ~np.isfinite(values).all(axis=1)))

@@ -52,18 +52,9 @@ def write_report(
 ) -> ReportFiles:
     """Write the report on recorded runs and replays: a page that needs no other file and no network.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Runs and replays, or directories of such.
-    out : Path
-        The HTML file; nothing is replaced before all is written.
-    with_figures : bool
-        Whether to write the figures for print (PNG, PDF) into a directory beside the page.
-    progress : callable
-        Called with the current task, and the share of the work that is done.
-
-    A path without a run or replay that can be read raises BagError.
+    ``paths`` are runs and replays, or directories of such; one without any raises BagError. No file is
+    replaced before all are written. ``with_figures``: a directory beside the page gets the figures for print
+    (PNG, PDF). ``progress`` is called with the current task and the share of the work that is done.
     """
     folder = out.parent / f"{out.stem}_figures"
     _check_place(out, folder)
@@ -104,17 +95,16 @@ def write_report(
             made.replace(out)
     except OSError as error:
         raise ReportError(f"{out}: cannot be written: {error.strerror or error}") from None
-    flown, replayed_names = tuple(run.name for run in runs), tuple(run.name for run in replays)
-    return ReportFiles(out, folder if with_figures else None, flown, replayed_names, warnings)
+    names = (tuple(run.name for run in recorded) for recorded in (runs, replays))
+    return ReportFiles(out, folder if with_figures else None, *names, warnings)
 
 
 def write_campaign_report(
     campaign: Campaign, frame: pl.DataFrame, summary: dict[str, Any], directory: Path, command_file: str
 ) -> Path:
-    """Write ``DIRECTORY/report.html`` on a campaign and return its path; it needs no network.
+    """Write ``DIRECTORY/report.html`` on the table and summary of a campaign; return its path.
 
-    ``frame`` and ``summary`` are those of `quadftc_campaign.table`. ``command_file`` is the campaign file as
-    the user names it, for the commands that fly a flight again.
+    ``command_file``: the campaign file as the user names it, for the commands that fly a flight again.
     """
     from quadftc_report.campaign_page import render_campaign
     from quadftc_report.campaign_results import results_of

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, Generic
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from quadftc_flight.flight import NO_STATE
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES
 from quadftc_replay.replay_directory import Recorded
-from quadftc_report.comparison import Comparison
+from quadftc_report.comparison import Comparison, Run_co
 from quadftc_report.description import Envelope, Figure, Mark, Panel, Shade, Trace
 from quadftc_report.wording import plain
 
@@ -30,12 +30,13 @@ _NOTHING = 1e-9  # in any unit; a smaller number is zero
 _INSTANTS = 200  # at which a disturbance is evaluated to see whether it acts on an axis
 
 
-class Scene:
+class Scene(Generic[Run_co]):
     """The runs of a comparison with their looks, and the windows and moments of each axis."""
 
-    def __init__(self, comparison: Comparison[Recorded]) -> None:
+    def __init__(self, comparison: Comparison[Run_co]) -> None:
         self.key = comparison.key
         self.runs = comparison.runs
+        self.longest = comparison.longest
         self.label = comparison.label
         self.end = max(run.duration for run in self.runs)  # [s]
         compared = [run for run in self.runs if run is not comparison.proposed]
@@ -66,18 +67,13 @@ class Scene:
         shown = self.lines([first, *others], column, axis, name)
         return [dataclasses.replace(line, role=role, rank=rank) for rank, line in enumerate(shown)]
 
-    def panel(self, axis: int, traces: Iterable[Trace], y_label: str, unit: str, **others: Any) -> Panel:
-        """A panel of an axis, with its fault windows and the onsets of its disturbances."""
+    def panel(self, axis: int, traces: Iterable[Trace], quantity: str, unit: str, **others: Any) -> Panel:
+        """A panel of a quantity of an axis, with its fault windows and the onsets of its disturbances."""
         first = self.runs[0]  # faults and disturbances are the same in all
-        return Panel(
-            title=others.pop("title", AXES[axis]),
-            y_label=y_label,
-            unit=unit,
-            traces=tuple(_split_at_half_turns(trace, unit) for trace in traces if known(trace.y)),
-            shades=fault_shades(first, axis, self.end),
-            marks=disturbance_marks(first, axis, self.end),
-            **others,
-        )
+        shown = tuple(_split_at_half_turns(trace, unit) for trace in traces if known(trace.y))
+        windows, moments = fault_shades(first, axis, self.end), disturbance_marks(first, axis, self.end)
+        about = {"title": AXES[axis], "y_label": f"{AXES[axis]} {quantity}".strip(), "unit": unit, **others}
+        return Panel(traces=shown, shades=windows, marks=moments, **about)
 
     def figure(self, kind: str, title: str, caption: str, panels: Iterable[Panel]) -> Figure:
         """A figure of those panels that show anything; its caption names the runs that end early."""
@@ -118,13 +114,10 @@ def fault_shades(run: Recorded, axis: int, end: float) -> tuple[Shade, ...]:
     Windows of one kind that touch become one.
     """
     others = [each.injection for each in run.faults if each.injection.channel != "attitude"]
-    kinds = [FAULT_WINDOW, *sorted({f"{each.channel} {each.kind}" for each in others})]
+    named = [(f"{each.channel} {each.kind}", each) for each in others]
+    kinds = [FAULT_WINDOW, *sorted({name for name, _ in named})]
     periods = [(0, each.start, each.stop) for each in run.fault_events if each.axis == AXES[axis]]
-    periods += [
-        (kinds.index(f"{each.channel} {each.kind}"), each.start, each.stop)
-        for each in others
-        if each.mask[axis]
-    ]
+    periods += [(kinds.index(name), each.start, each.stop) for name, each in named if each.mask[axis]]
     shades: list[Shade] = []
     for rank, start, stop in sorted(periods):
         last = shades[-1] if shades else None

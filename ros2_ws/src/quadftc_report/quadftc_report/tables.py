@@ -66,13 +66,10 @@ def metric_tables(comparison: Comparison[Recorded], what: str) -> list[Table]:
         row = _row(leaf, runs, baseline)
         if not _is_diagnosis(leaf) or any(cell.data and cell.data["value"] for cell in row):
             sections.setdefault(leaf.section, []).append(row)
-    shown = {title: rows for title, rows in sections.items() if rows}
-    whole = {title: rows for title, rows in shown.items() if not title.startswith(DETAILS)}
-    single = {title: rows for title, rows in shown.items() if title.startswith(DETAILS)}
+    whole = {title: rows for title, rows in sections.items() if rows and not title.startswith(DETAILS)}
+    single = {title: rows for title, rows in sections.items() if rows and title.startswith(DETAILS)}
     tables = [Table(f"The whole {what}.{note}", labels, whole)]
-    if single:
-        tables.append(Table(f"Each fault window by itself.{note}", labels, single))
-    return tables
+    return [*tables, Table(f"Each fault window by itself.{note}", labels, single)] if single else tables
 
 
 def _is_diagnosis(leaf: Leaf) -> bool:
@@ -98,13 +95,12 @@ def _cells(leaf: Leaf, axis: str | None, runs: Sequence[Recorded], baseline: int
     base = values[baseline] if baseline is not None and compared else None
     best = None if verdicts else _best(leaf, values, runs)
     cells: list[Cell] = []
-    for index, run in enumerate(runs):
-        value, text = values[index], _text(leaf, found[index], full, run)
+    for index, (run, value) in enumerate(zip(runs, values, strict=True)):
         exact = "" if value is None else repr(value)
         data = {"run": run.name, "metric": leaf.path, "axis": axis or "", "value": exact}
         change = "" if index == baseline else _change(value, base)
         look = "number best" if index == best else "number"
-        cells.append(Cell(text, look, small=change, data=data))
+        cells.append(Cell(_text(leaf, found[index], full, run), look, small=change, data=data))
     return cells
 
 

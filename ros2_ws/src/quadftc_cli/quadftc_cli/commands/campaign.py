@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 import os
 import time
@@ -18,18 +17,18 @@ from typer import Argument, Option
 from quadftc_campaign.errors import CampaignError
 from quadftc_cli.commands import GOOD, INTERRUPTED
 from quadftc_cli.commands.options import SchedulerOption, WorkersOption, workers_here
+from quadftc_cli.commands.run import fly_jobs
 from quadftc_cli.screen import Bars, Update, console
-from quadftc_flight.runs import RunError, RunOptions, prepare, run_name
-from quadftc_flight.runs import run as run_scenario
+from quadftc_flight.runs import RunOptions
 from quadftc_model.samples import AXES
 
 if TYPE_CHECKING:
     from quadftc_campaign.campaign_file import Campaign
 
-SHOWN = (
-    ("tracking_rmse_deg", "tracking RMSE, worst axis"),
-    ("fault_estimate_rmse_deg", "estimate RMSE, worst axis"),
-)
+SHOWN = {
+    "tracking_rmse_deg": "tracking RMSE, worst axis",
+    "fault_estimate_rmse_deg": "estimate RMSE, worst axis",
+}
 
 
 def campaign(
@@ -51,48 +50,20 @@ def campaign(
 ) -> None:
     """Fly a scenario thousands of times with drawn values; write table, summary and report."""
     from quadftc_campaign.campaign_file import load_campaign  # with what it needs, half a second
+    from quadftc_campaign.flights import flight_scenario, variant_of
 
     loaded = load_campaign(file, flights, recordings)
     directory = out or Path("results") / loaded.name
-    if flight and not loaded.source.is_loop:
-        raise CampaignError("--flight: flies the closed loop; this campaign has samples alone")
     if flight:
-        raise typer.Exit(_fly_alone(loaded, flight, variant, directory, force))
+        if not loaded.source.is_loop:
+            raise CampaignError("--flight: flies the closed loop; this campaign has samples alone")
+        chosen = variant_of(loaded, variant)
+        scenarios = [flight_scenario(loaded, number, chosen) for number in dict.fromkeys(flight)]
+        jobs = [(scenario, scenario.scheme(chosen.scheme)) for scenario in scenarios]
+        raise typer.Exit(fly_jobs(jobs, directory / "runs", RunOptions(force=force)))
     if variant is not None:
         raise CampaignError("--variant: is for --flight; a campaign flies all variants")
     raise typer.Exit(_fly_all(loaded, file, directory, resume, scheduler, workers))
-
-
-def _fly_alone(loaded: Campaign, numbers: list[int], name: str | None, directory: Path, force: bool) -> int:
-    """Fly chosen flights as ``quadftc run`` would."""
-    from quadftc_campaign.flights import flight_scenario, variant_of
-
-    chosen = variant_of(loaded, name)
-    scenarios = [flight_scenario(loaded, number, chosen) for number in dict.fromkeys(numbers)]
-    jobs = [(scenario, scenario.scheme(chosen.scheme)) for scenario in scenarios]
-    runs = directory / "runs"
-    prepare(runs, [run_name(*job) for job in jobs], force)
-    screen = console()
-    with Bars(screen) as bars:
-        shows = [functools.partial(_follow, bars.add(run_name(*job))) for job in jobs]
-        results = [
-            run_scenario(*job, runs, RunOptions(), show) for job, show in zip(jobs, shows, strict=True)
-        ]
-    for job, result in zip(jobs, results, strict=True):
-        if result is None:
-            raise RunError(f"{runs}: the flight ended early")
-        table = Table("metric", *AXES, title=f"{result['name']}, {result['scheme']}")
-        for metric, _ in SHOWN:
-            values = result["metrics"][metric].values()
-            table.add_row(metric, *("-" if value is None else f"{value:.6g}" for value in values))
-        screen.print(table)
-        screen.print(f"bag and summary: {runs / run_name(*job)}")
-    return GOOD
-
-
-def _follow(update: Update, share: float) -> bool:
-    update(share)
-    return True
 
 
 def _fly_all(
@@ -143,18 +114,14 @@ def _advance(update: Update, total: int, started: float) -> Callable[[int], None
 
 def _table(summary: dict[str, Any]) -> Table:
     """Median and 95 % quantile of the worst axis, and what became of the faults."""
-    shown = (f"{words}: median / 95 %" for _, words in SHOWN)
+    shown = (f"{words}: median / 95 %" for words in SHOWN.values())
     table = Table("variant", "flights", *shown, "faults missed", "delay: median / 95 %")
     for name, each in summary["variants"].items():
         faults = each["faults"].get("all", {})
         delay = faults.get("metrics", {}).get("fault.detection_delay_s", {})
-        table.add_row(
-            name,
-            str(each["flights"]),
-            *(_pair(_worst(each["metrics"], metric), "deg") for metric, _ in SHOWN),
-            f"{faults['missed']} of {faults['judged']}" if faults else "-",
-            _pair(delay, "s"),
-        )
+        worst = [_pair(_worst(each["metrics"], metric), "deg") for metric in SHOWN]
+        missed = f"{faults['missed']} of {faults['judged']}" if faults else "-"
+        table.add_row(name, str(each["flights"]), *worst, missed, _pair(delay, "s"))
     return table
 
 

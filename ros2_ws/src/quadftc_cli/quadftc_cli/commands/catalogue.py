@@ -56,10 +56,9 @@ def _components(kind: str) -> Table:
 
 def _cells(row: Parameter) -> tuple[str, str, str, str]:
     default = row.default
-    if isinstance(default, tuple):
-        text = f"{default[0]:g}" if len(set(default)) == 1 else ", ".join(f"{value:g}" for value in default)
-    else:
-        text = f"{default:g}" if type(default) is float else str(default)
+    values = default if isinstance(default, tuple) else (default,)
+    words = [f"{value:g}" if type(value) is float else str(value) for value in values]
+    text = words[0] if len(set(words)) == 1 else ", ".join(words)
     unit = {"1": "", "{channel}": "as channel", "{channel_rate}": "channel/s"}.get(row.unit, row.unit)
     choices = f" ({', '.join(row.choices)})" if row.choices else ""
     return row.name, text, unit, row.doc + choices

@@ -14,7 +14,7 @@ from quadftc_bags.bag import BagError
 from quadftc_cli.commands import CHECK_FAILED, options
 from quadftc_cli.screen import console, say, warn
 from quadftc_flight.run_directory import read_run
-from quadftc_flight.scenario import find_scenario, load_scenario
+from quadftc_flight.scenario import find_scenario, load_scenario, with_components
 from quadftc_model.vehicle import load_vehicle
 from quadftc_theory.checks import CheckReport, check_run, check_scenario
 from quadftc_theory.conditions import Verdict
@@ -49,15 +49,15 @@ def check(
     if isolability:
         _isolability(load_scenario(find_scenario(target), set_).vehicle, sensors, as_json)
         return
-    parts = (observer, disturbance_observer, controller)
+    parts = {"observer": observer, "disturbance_observer": disturbance_observer, "controller": controller}
     path = Path(target)
     is_bag = path.is_dir() or (path.is_file() and path.suffix not in (".yaml", ".yml"))
     recorded = bag or (path if is_bag else None)
     if recorded is None:
-        scenario = options.load_with_parts(target, set_, gains, *parts)
+        scenario = with_components(load_scenario(find_scenario(target), set_, gains), **parts)
         report = check_scenario(scenario, scenario.scheme(scheme or None), output)
     else:
-        if any((scheme, *parts, gains, *set_)):
+        if any((scheme, *parts.values(), gains, *set_)):
             wrong = "a recorded run is judged as it was flown; no scheme, parts, --gains, --set"
             raise BagError(f"{recorded}: {wrong}")
         run = read_run(recorded)

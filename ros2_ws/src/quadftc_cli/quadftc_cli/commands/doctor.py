@@ -63,25 +63,19 @@ def _ros() -> str:
 
 def _messages() -> str:
     types = {row.type_name for row in TOPICS.values()}
-    for type_name in types:
-        load_message_class(type_name)
-    return f"{len(types)} message types load"
+    return f"{len([load_message_class(name) for name in types])} message types load"
 
 
 def _executables() -> str:
     names = [*EXECUTABLES.values(), ("quadftc_ros", "recorder"), ("quadftc_cli", "quadftc")]
-    for package, executable in names:
-        executable_path(package, executable)
-    return f"{len(names)} installed"
+    return f"{len([executable_path(*name) for name in names])} installed"
 
 
 def _scenarios() -> str:
-    names = scenario_names()
-    if not names:
+    loaded = [load_scenario(find_scenario(name)) for name in scenario_names()]
+    if not loaded:
         raise ScenarioError("none found")
-    for name in names:
-        load_scenario(find_scenario(name))
-    return f"{len(names)} load"
+    return f"{len(loaded)} load"
 
 
 def _communication() -> str:
@@ -95,12 +89,12 @@ def _communication() -> str:
         publisher = node.create_publisher(Header, "~/loop", 10)
         node.create_subscription(Header, "~/loop", lambda _: received.append(time.perf_counter()), 10)
         executor.add_node(node)
-        end = time.monotonic() + 5.0
-        while publisher.get_subscription_count() == 0 and time.monotonic() < end:
+        end = time.perf_counter() + 5.0
+        while publisher.get_subscription_count() == 0 and time.perf_counter() < end:
             executor.spin_once(timeout_sec=0.05)
         sent = time.perf_counter()
         publisher.publish(Header())
-        while not received and time.monotonic() < end:
+        while not received and time.perf_counter() < end:
             executor.spin_once(timeout_sec=0.05)
         if not received:
             raise GraphError("a message did not come back within 5 s")

@@ -8,7 +8,6 @@ from typing import Annotated
 from typer import Option
 
 from quadftc_campaign.errors import CampaignError
-from quadftc_flight.scenario import Scenario, find_scenario, load_scenario, with_components
 
 ObserverOption = Annotated[str, Option(help="Fault observer in place of the scheme's.")]
 DisturbanceObserverOption = Annotated[
@@ -26,15 +25,6 @@ SchedulerOption = Annotated[
     str | None, Option(help="Dask scheduler that exists, tcp://HOST:PORT; default: this machine.")
 ]
 WorkersOption = Annotated[int | None, Option(help="Processes on this machine; default: one for each core.")]
-
-
-def load_with_parts(
-    name: str, overrides: list[str], gains: str, observer: str, disturbance_observer: str, controller: str
-) -> Scenario:
-    """Load a scenario; replace the parts that are named in all of its schemes."""
-    scenario = load_scenario(find_scenario(name), overrides, gains)
-    kinds = {"observer": observer, "disturbance_observer": disturbance_observer, "controller": controller}
-    return with_components(scenario, **kinds)
 
 
 def workers_here(workers: int | None, scheduler: str | None) -> int:

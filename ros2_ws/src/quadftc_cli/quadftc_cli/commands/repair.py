@@ -9,7 +9,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from quadftc_bags.repair import Repair, Survey
+from quadftc_bags.repair import Repair
 from quadftc_bags.repair import repair as repair_bag
 from quadftc_bags.storage import Damage
 from quadftc_cli.screen import console, plain_table, say
@@ -29,19 +29,20 @@ def repair(
     Says what was kept and what was lost. A bag with which nothing is wrong is left as it is.
     """
     done = repair_bag(bag, out, force)
-    found = done.found
+    topics = done.found.topics
+    start_ns = min((tally.first_ns for tally in topics.values() if tally.count), default=0)
     table = plain_table(("topic", "type"), ("messages", "last [s]"))
-    for name, tally in sorted(found.topics.items()):
-        last = _seconds(tally.last_ns - _start_ns(found)) if tally.count else "-"
+    for name, tally in sorted(topics.items()):
+        last = _seconds(tally.last_ns - start_ns) if tally.count else "-"
         table.add_row(name, tally.type_name, str(tally.count), last)
     console().print(table)
-    say(*_lines(done))
+    say(*_lines(done, start_ns))
 
 
-def _lines(done: Repair) -> Iterator[str]:
+def _lines(done: Repair, start_ns: int) -> Iterator[str]:
     """Say what was kept and lost, and where the new bag is."""
     found = done.found
-    start_ns, last_ns = _start_ns(found), max(tally.last_ns for tally in found.topics.values())
+    last_ns = max(tally.last_ns for tally in found.topics.values())
     span = f", {_seconds(last_ns - start_ns)} s, last stamp {last_ns} ns" if found.message_count else ""
     if done.out is None:
         yield f"{found.path}: whole: {found.message_count} messages{span}; nothing to repair"
@@ -71,10 +72,6 @@ def _lost(damage: Damage, start_ns: int) -> str:
         first, last = (_seconds(each - start_ns) for each in damage.span_ns)
         what = f": a chunk of messages from {first} s to {last} s"
     return f"lost: {damage.size} bytes, {kind}, at byte {damage.offset}{what}"
-
-
-def _start_ns(found: Survey) -> int:
-    return min((tally.first_ns for tally in found.topics.values() if tally.count), default=0)
 
 
 def _seconds(time_ns: int) -> str:

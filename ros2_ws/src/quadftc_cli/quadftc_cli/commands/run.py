@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -20,7 +20,7 @@ from quadftc_cli.screen import Bars, console, plain_table
 from quadftc_flight.metrics import look_up
 from quadftc_flight.runs import RunError, RunOptions, prepare, run_name
 from quadftc_flight.runs import run as run_scenario
-from quadftc_flight.scenario import Scenario, Scheme
+from quadftc_flight.scenario import Scenario, Scheme, find_scenario, load_scenario, with_components
 from quadftc_flight.side_by_side import run_side_by_side
 from quadftc_model.samples import AXES
 from quadftc_ros.executor import StopSignals
@@ -77,26 +77,27 @@ def run(
 ) -> None:
     """Fly scenarios through the node graph; write a bag and a summary for each run."""
     overrides = [*set_, *([f"rate={rate}"] if rate else []), *([f"seed={seed}"] if seed else [])]
-    scheduling = Scheduling(wait, realtime_priority, tuple(core))
-    how = RunOptions(graph, mode, namespace, force, scheduling)
+    parts = {"observer": observer, "disturbance_observer": disturbance_observer, "controller": controller}
+    how = RunOptions(graph, mode, namespace, force, Scheduling(wait, realtime_priority, tuple(core)))
     flights: list[tuple[Scenario, Scheme]] = []
     for name in scenarios:
-        loaded = options.load_with_parts(name, overrides, gains, observer, disturbance_observer, controller)
+        loaded = with_components(load_scenario(find_scenario(name), overrides, gains), **parts)
         chosen = list(loaded.schemes) if scheme == "all" else [loaded.scheme(scheme or None).name]
         flights += [(loaded, loaded.scheme(each)) for each in chosen]
     names = [run_name(*job) for job in flights]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)
         raise RunError(f"{twice}: asked for twice; give scenarios other names")
-    prepare(out, names, force)
     workers = 1 if mode == "realtime" else min(jobs or len(os.sched_getaffinity(0)), len(flights))
-    raise typer.Exit(_run_all(flights, out, how, workers))
+    raise typer.Exit(fly_jobs(flights, out, how, workers))
 
 
-def _run_all(jobs: list[tuple[Scenario, Scheme]], out: Path, how: RunOptions, workers: int) -> int:
-    screen = console()
+def fly_jobs(jobs: list[tuple[Scenario, Scheme]], out: Path, how: RunOptions, workers: int = 1) -> int:
+    """Fly scenarios with their schemes, show what came out, and return the exit code."""
+    names, screen = [run_name(*job) for job in jobs], console()
+    prepare(out, names, how.force)
     with StopSignals() as stop, Bars(screen, still=how.mode == "realtime") as bars:
-        updates = [bars.add(run_name(*job)) for job in jobs]
+        updates = [bars.add(name) for name in names]
 
         def follow(number: int, share: float) -> bool:
             updates[number](share)
@@ -112,19 +113,21 @@ def _run_all(jobs: list[tuple[Scenario, Scheme]], out: Path, how: RunOptions, wo
         return INTERRUPTED
     summaries = [result for result in results if result is not None]
     screen.print(_run_table(summaries, screen))
-    for line in _failed_checks(summaries):
-        screen.print(f"[red]FAILED[/] {line}")
+    for item in summaries:
+        for check in (check for check in item["checks"] if not check["passed"]):
+            what = f"{check['metric']} {check['axis'] or ''}".rstrip()
+            value = f"{_number(check['value'], 1.0, 4)}, required {check['bound']}"
+            screen.print(f"[red]FAILED[/] {item['name']}-{item['scheme']}: {what} = {value}")
     screen.print(f"bags and summaries: {out}")
     return GOOD if all(item["passed"] for item in summaries) else CHECK_FAILED
 
 
 def _run_table(summaries: Sequence[Mapping[str, Any]], screen: Console) -> Table:
     """Table of runs: a row for each axis of each run, with as many columns as the screen has room for."""
-    for count in range(len(COLUMNS), 1, -1):
-        table = _narrow_table(summaries, count)
-        if Measurement.get(screen, screen.options.update(max_width=WIDE), table).maximum <= screen.width:
-            return table
-    return _narrow_table(summaries, 1)
+    wide = screen.options.update(max_width=WIDE)
+    tables = (_narrow_table(summaries, count) for count in range(len(COLUMNS), 0, -1))
+    fitting = (table for table in tables if Measurement.get(screen, wide, table).maximum <= screen.width)
+    return next(fitting, _narrow_table(summaries, 1))
 
 
 def _narrow_table(summaries: Sequence[Mapping[str, Any]], count: int) -> Table:
@@ -144,17 +147,6 @@ def _narrow_table(summaries: Sequence[Mapping[str, Any]], count: int) -> Table:
             table.add_row(words, axis, *cells, verdict if axis == AXES[0] else "")
         table.add_section()
     return table
-
-
-def _failed_checks(summaries: Iterable[Mapping[str, Any]]) -> list[str]:
-    """One line for each failed check."""
-    return [
-        f"{item['name']}-{item['scheme']}: {check['metric']} {check['axis'] or ''}".rstrip()
-        + f" = {_number(check['value'], 1.0, 4)}, required {check['bound']}"
-        for item in summaries
-        for check in item["checks"]
-        if not check["passed"]
-    ]
 
 
 def _metric(metrics: Any, path: str, axis: str) -> Any:
