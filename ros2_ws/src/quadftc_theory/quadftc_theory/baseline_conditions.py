@@ -19,9 +19,8 @@ from quadftc_theory.sliding_mode_conditions import NEGLIGIBLE_DRIFT, NEGLIGIBLE_
 def no_diagnosis_conditions(observer: NoDiagnosis, given: Circumstances) -> Iterator[Condition]:
     """Say what an undiagnosed fault does: the attitude settles where the sensor reads the reference."""
     size = given.fault.value
-    text = (
-        f"none: the attitude follows a fault f to -f; here up to {size / DEG:.3g} deg ({given.fault.origin})"
-    )
+    here = f"here up to {size / DEG:.3g} deg ({given.fault.origin})"
+    text = f"none: the attitude follows a fault f to -f; {here}"
     yield advise("fault tolerance", size <= 0.0, text, fault=size)
 
 

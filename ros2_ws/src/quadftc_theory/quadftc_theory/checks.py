@@ -11,7 +11,7 @@ from pydantic_core import to_json
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, Scheme
 from quadftc_theory.circumstances import circumstances, circumstances_of_run, trace_of_run
-from quadftc_theory.conditions import Circumstances, Condition, judge, judge_along
+from quadftc_theory.conditions import Circumstances, Condition, judge
 from quadftc_theory.linear_model import attitude_model, structure_conditions
 
 
@@ -64,7 +64,7 @@ def check_run(run: RecordedRun, output: str = "imu") -> CheckReport:
     given = circumstances_of_run(run, trace)
     report = _check(run.scenario, run.scheme, given, output)
     laws = (run.scheme.observer.law, run.scheme.controller.law)
-    found = tuple(item for law in laws for item in judge_along(law, trace, given))
+    found = tuple(item for law in laws for item in judge(law, given, along=trace))
     along = (Section("along the recorded run", found),) if found else ()
     return dataclasses.replace(report, bag=str(run.path), sections=report.sections + along)
 

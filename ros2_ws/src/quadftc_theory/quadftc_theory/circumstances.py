@@ -32,9 +32,8 @@ def circumstances(scenario: Scenario, scheme: Scheme) -> Circumstances:
     generator = np.random.default_rng(scenario.seed)
     noise: Floats = sensor.gyro_noise / math.sqrt(dt) * generator.standard_normal(rates.shape)
     error = estimation_error(scheme.disturbance_observer.law, disturbance, noise, dt)
-    fault, growth, length = _attitude_faults(scenario)
+    (fault, growth, length), given = _attitude_faults(scenario), "given: scheduled faults"
     accelerations = tuple(np.max(np.abs(motion.accelerations), axis=0).tolist())
-    given = "given: scheduled faults"
     return Circumstances(
         vehicle=scenario.plant.vehicle,
         dt=dt,
@@ -70,8 +69,7 @@ def circumstances_of_run(run: RecordedRun, trace: Trace) -> Circumstances:
     planned, flight = circumstances(run.scenario, run.scheme), run.flight
     drag = planned.vehicle.rotational_drag / run.scenario.plant.inertia * flight.body_rate
     disturbance = flight.disturbance - drag
-    error = disturbance - flight.disturbance_estimate
-    changes: dict[str, Any] = {}
+    changes: dict[str, Any] = {}  # what the truth tells
     if np.any(np.isfinite(flight.angles)):
         changes["tilt"] = Bound(float(np.nanmax(np.abs(flight.angles[:, :2]))), "rad", "trace")
     if np.any(np.isfinite(flight.body_rate)):
@@ -81,7 +79,7 @@ def circumstances_of_run(run: RecordedRun, trace: Trace) -> Circumstances:
         changes["fault"] = Bound(_largest_norm(flight.fault), "rad", "trace")
     if len(known := _finite(disturbance)):
         changes["disturbance"] = Series(known, "rad/s^2", "trace, drag included")
-    if len(known := _finite(error)):
+    if len(known := _finite(disturbance - flight.disturbance_estimate)):
         changes["disturbance_error"] = Series(known, "rad/s^2", "trace")
     return dataclasses.replace(planned, **changes)
 

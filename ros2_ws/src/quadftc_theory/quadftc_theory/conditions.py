@@ -123,13 +123,13 @@ class Circumstances:
     @property
     def bounds(self) -> dict[str, Bound]:
         """Every bound by name; of a quantity over time, the largest magnitude of each axis."""
-        found: dict[str, Bound] = {}
-        for name, value in vars(self).items():
-            if isinstance(value, Series):
-                found[name] = Bound(tuple(value.peak.tolist()), value.unit, value.origin)
-            elif isinstance(value, Bound):
-                found[name] = value
-        return found
+        found = {
+            name: Bound(tuple(each.peak.tolist()), each.unit, each.origin)
+            if isinstance(each, Series)
+            else each
+            for name, each in vars(self).items()
+        }
+        return {name: each for name, each in found.items() if isinstance(each, Bound)}
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -157,15 +157,9 @@ def falls(
 ) -> Condition:
     """Judge a Lyapunov derivative along a run, outside the boundary layers only.
 
-    Parameters
-    ----------
-    values : array (n,) or (n, k)
-        The Lyapunov function of each sample; of k functions, each by itself.
-    stamp_ns : array (n,)
-    required, outside : array like values
-        The rate at which it has to fall at least, negative; and where the state is outside its layer.
-    note, numbers
-        What else the condition says.
+    ``values`` (n,) or (n, k) are the Lyapunov functions at the samples, each by itself; ``required`` are the
+    rates at which they have to fall at least, negative; ``outside`` says where the state is outside its
+    layer. The condition says ``note`` and ``numbers``, too.
     """
 
     def said(outcome: Verdict, text: str, **shares: float | None) -> Condition:
@@ -215,16 +209,10 @@ conditions_of = _judge.register  #: decorates a function of (law, circumstances)
 conditions_along_of = _judge_along.register  #: decorates a function of (law, trace, circumstances)
 
 
-def judge(law: object, given: Circumstances) -> list[Condition]:
-    """Judge what the theory of a law asks for."""
+def judge(law: object, given: Circumstances, along: Trace | None = None) -> list[Condition]:
+    """Judge what the theory of a law asks for; with a recorded run, its Lyapunov functions ``along`` that."""
     load_conditions()
-    return list(_judge(law, given))
-
-
-def judge_along(law: object, trace: Trace, given: Circumstances) -> list[Condition]:
-    """Judge the Lyapunov functions of a law along a recorded run."""
-    load_conditions()
-    return list(_judge_along(law, trace, given))
+    return list(_judge(law, given) if along is None else _judge_along(law, along, given))
 
 
 @functools.cache

@@ -27,14 +27,8 @@ BRIEF = 0.01  # 1; share of the time for which a gain may be too small and Theor
 def estimation_error(observer: DisturbanceObserver, disturbance: Floats, noise: Floats, dt: float) -> Floats:
     """Run an observer on a disturbance and return d - d^ (44), (n, 3) [rad/s²].
 
-    Each axis turns alone and without torque, so that its rate is the integral of its disturbance.
-
-    Parameters
-    ----------
-    disturbance, noise : array (n, 3)
-        d over time [rad/s²], piecewise linear between the samples, and noise of the gyro [rad/s].
-    dt : float
-        Sampling period [s].
+    Each axis turns alone and without torque, so that its rate is the integral of its disturbance (n, 3)
+    [rad/s²], piecewise linear between the samples, plus the ``noise`` (n, 3) of the gyro [rad/s].
     """
     steps = 0.5 * dt * (disturbance[1:] + disturbance[:-1])
     rates = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]) + noise
@@ -70,12 +64,10 @@ def exosystem_conditions(observer: Exosystem, given: Circumstances) -> Iterator[
     error = given.disturbance_error
     largest, typical = error.peak, np.median(np.abs(error.values), axis=0)
     quiet = np.all(typical <= FOLLOWED * np.maximum(given.disturbance.peak, 1e-12) + 1e-9)
+    lag = "" if quiet else ", not 0: the disturbance is not of this exosystem, the estimate lags"
     text = f"exosystem '{observer.model}': error of the estimate below {per_axis(typical, 2)} rad/s² half"
-    text += " of the time"
-    text += "" if quiet else ", not 0: the disturbance is not of this exosystem, the estimate lags"
-    yield conditions.advise(
-        "Assumption 5: d of the exosystem (42)", quiet, text, median_error=typical.tolist()
-    )
+    name, text = "Assumption 5: d of the exosystem (42)", f"{text} of the time{lag}"
+    yield conditions.advise(name, quiet, text, median_error=typical.tolist())
     text = f"D_e = {per_axis(largest)} rad/s² at worst ({error.origin})"
     yield assess("Assumption 6: |d - d^| <= D_e", np.all(np.isfinite(largest)), text, D_e=largest.tolist())
 
@@ -88,10 +80,7 @@ def theorem_2_conditions(controller: Ismc, given: Circumstances) -> Iterator[Con
     gains = (controller.k_c2,) if isinstance(controller, Smc) else (controller.k_c2, controller.k_c1)
     roots = [np.roots([1.0, *axis]) for axis in zip(*gains, strict=True)]
     slowest = [float(np.max(each.real)) for each in roots]
-    text, poles = (
-        f"slowest pole of each axis at {per_axis(slowest)} rad/s",
-        list(map(conditions.pairs, roots)),
-    )
+    text, poles = f"slowest pole of each axis at {per_axis(slowest)} rad/s", [*map(conditions.pairs, roots)]
     yield assess("motion on S = 0 Hurwitz", max(slowest) < 0.0, text, poles=poles)
 
     yield _switching_gain(controller, given)
@@ -151,15 +140,11 @@ def _switching_gain(controller: Ismc, given: Circumstances) -> Condition:
         text += f"too small for {time_short:.3g} s, first at {first:.3g} s: S may leave its layer"
     else:
         text += f"eta = {per_axis(eta)} rad/s²"
+    name, otherwise = f"Theorem 2: k_c3 >= eta + {symbol}", Verdict.FAIL
+    if np.mean(short) <= BRIEF:
+        otherwise = Verdict.DEPENDS
     numbers: dict[str, Any] = {"k_c3": gain.tolist(), symbol: largest.tolist(), "eta": eta.tolist()}
-    return assess(
-        f"Theorem 2: k_c3 >= eta + {symbol}",
-        not short.any(),
-        text,
-        otherwise=Verdict.DEPENDS if np.mean(short) <= BRIEF else Verdict.FAIL,
-        **numbers,
-        time_short=time_short,
-    )
+    return assess(name, not short.any(), text, otherwise, **numbers, time_short=time_short)
 
 
 def _authority(k_c3: Floats, given: Circumstances) -> Condition:

@@ -31,7 +31,8 @@ from scipy.sparse.csgraph import connected_components
 from quadftc_model.vehicle import Vehicle
 from quadftc_theory.vehicle_equations import CHOICES, Assumptions, LinearModel, vehicle_model
 
-CAUSALITIES = {"mixed": "mixed", "integral": "int", "derivative": "der"}  # ours: the library's
+# Whether residuals may integrate, differentiate, or both: our name, and that of the library.
+CAUSALITIES = {"mixed": "mixed", "integral": "int", "derivative": "der"}
 GENERIC_S = 0.6180339887 + 0.4142135624j  # 1/s; no pole or zero of a model is there
 RANK_TOLERANCE = 1e-9  # 1; of singular values, relative to the largest
 RESPONSE_TOLERANCE = 1e-7  # 1; a residual's response to a fault of size 1 below it is rounding
@@ -95,21 +96,16 @@ class IsolabilityResult:
     def to_dict(self) -> dict[str, Any]:
         """Everything as lists, strings and truth values, for JSON."""
         names = [*vars(self), "undetectable", "transient", "groups", "cancelled"]
-        values = {name: getattr(self, name) for name in names}
-        return {
-            key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in values.items()
-        }
+        values = [getattr(self, name) for name in names]
+        lists = [value.tolist() if isinstance(value, np.ndarray) else value for value in values]
+        return dict(zip(names, lists, strict=True))
 
     def _named(self, mask: Mask) -> tuple[str, ...]:
         return tuple(self.faults[i] for i in np.flatnonzero(mask))
 
 
 def analyse(vehicle: Vehicle, assumptions: Assumptions, causality: str = "mixed") -> IsolabilityResult:
-    """Analyse a vehicle with its sensors. The first call takes seconds: it imports the library.
-
-    ``causality`` (``mixed``, ``integral`` or ``derivative``) says whether residuals may integrate and
-    differentiate.
-    """
+    """Analyse a vehicle with its sensors, at first for seconds."""
     described = dataclasses.asdict(assumptions) | {"sensor_set": list(assumptions.sensor_set)}
     result = analyse_model(vehicle_model(vehicle, assumptions), causality)
     return dataclasses.replace(result, assumptions=described)
@@ -145,8 +141,8 @@ def structural_isolability(model: LinearModel, causality: str) -> tuple[Mask, Ma
 def rank_isolability(model: LinearModel) -> tuple[Mask, Mask]:
     """Detectable faults (n,) and isolability (n, n) of the linear model, at a generic s.
 
-    Fault i is told apart from j if rank [H F_j F_i] > rank [H F_j], with H(s) the coefficients of the
-    unknowns: there is a row N(s) with N H = 0, N F_j = 0, N F_i != 0.
+    Fault i is told apart from j if, with H(s) the coefficients of the unknowns, there is a row N(s) with
+    N H = 0, N F_j = 0, N F_i != 0.
     """
     constant, linear, faults = _scaled(model)
     return _responses(constant + GENERIC_S * linear, faults, faults)
@@ -155,10 +151,9 @@ def rank_isolability(model: LinearModel) -> tuple[Mask, Mask]:
 def strong_isolability(model: LinearModel) -> tuple[Mask, Mask]:
     """Strongly detectable faults (n,) and strong isolability (n, n) of the linear model.
 
-    There is a polynomial row N(s) with N(s) H(s) = 0, N(s) F_j = 0 for all s, and N(0) F_i != 0. The
-    coefficients of N, up to the number of states, which bounds the degrees of a minimal basis, are put into
-    one row; the conditions are then linear equations (a parity space). A rank test at s = 0 alone would take
-    the equation of a mode at s = 0 that no sensor sees for a residual.
+    There is a polynomial row N(s) with N(s) H(s) = 0, N(s) F_j = 0 for all s, and N(0) F_i != 0. In one row,
+    its coefficients obey linear equations (a parity space); its degree is at most the number of states. A
+    rank test at s = 0 alone would take an unseen mode at s = 0 for a residual.
     """
     constant, linear, faults = _scaled(model)
     powers = np.eye(len(model.states) + 1)

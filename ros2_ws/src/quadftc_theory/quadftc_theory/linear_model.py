@@ -11,9 +11,8 @@ Lemma 1 splits the model where disturbances and faults part:
     (10)  z = T x,  h = S y
     (11)  S C T^-1 = [C1 0; 0 C4],  S F = [0; F2],  T W = [W1; 0]
 
-The first part is moved by disturbances and measured without fault; the second is free of disturbances and
-measured with the faults. The paper states the lemma under Assumption 1, rank(C W) = rank(W). That is not
-enough: the rows S1 must be blind to F and still see all of C W, which asks for
+The first part is measured without fault; the second is free of disturbances. The paper states the lemma under
+Assumption 1, rank(C W) = rank(W). That is not enough: S1 must be blind to F and still see all of C W, that is
 
     rank [C W, F] = rank(W) + rank(F),
 
@@ -21,11 +20,8 @@ and p - r >= q follows. Construction: N with N F = 0 (its rows span the left nul
 the left null space of C W, T1 = S1 C, T2 the left null space of W. Then C1 = I, and W1 = I where W has full
 column rank (else a basis of its columns stands for W).
 
-Invariant zeros come from SLICOT (routine AB08ND, after Emami-Naeini and Van Dooren, 1982), which takes
-systems that are not square, too.
-
-The structural conditions (Assumption 1, Lemma 1, observability, zeros) ask nothing of the gains; where one of
-the ranks fails, no gain helps.
+Invariant zeros come from SLICOT (AB08ND, after Emami-Naeini and Van Dooren, 1982), for systems that are not
+square, too. The structural conditions ask nothing of the gains: where one of the ranks fails, no gain helps.
 """
 
 from __future__ import annotations
@@ -41,6 +37,7 @@ from scipy.linalg import eig, null_space, orth, qr
 from quadftc_theory.conditions import Condition, Verdict, assess, pairs
 
 Matrix = NDArray[np.float64]
+Zeros = NDArray[np.complex128]  # (k,) [rad/s]
 
 ANGLES = ("roll", "pitch", "yaw")
 OUTPUTS = {"angles": ANGLES, "imu": (*ANGLES, "p", "q", "r")}
@@ -74,13 +71,6 @@ class Augmented(NamedTuple):
     A: Matrix  # A-bar (n + p - 2 r, n + p - 2 r)
     F: Matrix  # F-bar (..., q)
     C: Matrix  # C-bar (p - r, ...)
-
-
-class Zeros(NamedTuple):
-    """Invariant zeros of (A, F, C)."""
-
-    values: NDArray[np.complex128]  # (k,) [rad/s]
-    normal_rank: int  # of the transfer matrix C (s I - A)^-1 F
 
 
 def attitude_model(output: str = "imu", faulty: Sequence[str] = ANGLES) -> AffineModel:
@@ -152,14 +142,17 @@ def unobservable_modes(A: Matrix, C: Matrix) -> Matrix:
     return np.array([s for s in np.linalg.eigvals(A) if rank(np.vstack([A - s * np.eye(n), C])) < n])
 
 
-def invariant_zeros(A: Matrix, F: Matrix, C: Matrix) -> Zeros:
-    """Where the pencil [A - s I, F; C, 0] loses rank: inputs exp(s t) that leave no trace in the output."""
+def invariant_zeros(A: Matrix, F: Matrix, C: Matrix) -> tuple[Zeros, int]:
+    """Where the pencil [A - s I, F; C, 0] loses rank: inputs exp(s t) that leave no trace in the output.
+
+    Also return the normal rank of the transfer matrix C (s I - A)^-1 F.
+    """
     from slycot import ab08nd  # a second to load
 
     n, q, p = len(A), F.shape[1], len(C)
     finite, normal_rank, _, _, _, _, _, _, pencil_a, pencil_b = ab08nd(n, q, p, A, F, C, np.zeros((p, q)))
     values = eig(pencil_a[:finite, :finite], pencil_b[:finite, :finite], right=False)
-    return Zeros(np.sort_complex(np.asarray(values, np.complex128)), int(normal_rank))
+    return np.sort_complex(np.asarray(values, np.complex128)), int(normal_rank)
 
 
 def zero_directions(A: Matrix, F: Matrix, C: Matrix, s: complex) -> Matrix:
@@ -203,27 +196,25 @@ def _structure_conditions(model: AffineModel) -> Iterator[Condition]:
     text = f"not seen: modes at {_listed(hidden)} rad/s" if len(hidden) else f"all {order} states"
     yield assess("(A-bar, C-bar) observable", not len(hidden), text, order=order, unobservable=len(hidden))
 
-    zeros = invariant_zeros(system.A, system.F, system.C)
-    outcome, text = _judge_zeros(model, system, zeros)
-    numbers = {"zeros": pairs(zeros.values), "normal_rank": zeros.normal_rank}
+    zeros, normal_rank = invariant_zeros(system.A, system.F, system.C)
+    outcome, text = _judge_zeros(model, system, zeros, normal_rank)
+    numbers = {"zeros": pairs(zeros), "normal_rank": normal_rank}
     yield Condition("invariant zeros of (A-bar, F-bar, C-bar)", outcome, text, numbers)
     yield _matching(system, zeros)
 
 
-def _judge_zeros(model: AffineModel, system: Augmented, zeros: Zeros) -> tuple[Verdict, str]:
+def _judge_zeros(model: AffineModel, system: Augmented, zeros: Zeros, normal: int) -> tuple[Verdict, str]:
     """What the invariant zeros of (A-bar, F-bar, C-bar) mean for each fault."""
-    q = system.F.shape[1]
-    if zeros.normal_rank < q:
-        text = f"normal rank {zeros.normal_rank} < {q} faults: some faults leave no trace at any frequency"
-        return Verdict.FAIL, text
-    if len(zeros.values) == 0:
+    if normal < (q := system.F.shape[1]):
+        return Verdict.FAIL, f"normal rank {normal} < {q} faults: some faults leave no trace at any frequency"
+    if len(zeros) == 0:
         return Verdict.PASS, "none: every fault shows"
-    at = f"{len(zeros.values)} at s = {_listed(np.unique(np.round(zeros.values, 9)))} rad/s"
-    fastest = float(zeros.values.real.max())
+    at = f"{len(zeros)} at s = {_listed(np.unique(np.round(zeros, 9)))} rad/s"
+    fastest = float(zeros.real.max())
     if fastest > ZERO:
         text = f"{at}: a fault growing as exp({fastest:.3g} t) leaves no trace; its estimate diverges"
         return Verdict.FAIL, text
-    if np.all(np.abs(zeros.values) >= ZERO):
+    if np.all(np.abs(zeros) >= ZERO):
         if fastest < 0.0:
             return Verdict.PASS, f"{at}: hidden faults die out within {1.0 / -fastest:.3g} s"
         return Verdict.DEPENDS, f"{at}: hidden"
@@ -238,14 +229,13 @@ def _matching(system: Augmented, zeros: Zeros) -> Condition:
 
     By Corless and Tu (1998): if and only if rank(C-bar F-bar) = rank(F-bar) and the zeros are stable.
     """
-    seen, of_F = rank(system.C @ system.F), rank(system.F)
-    decaying = bool(np.all(zeros.values.real < -ZERO))
+    seen, of_F, decaying = rank(system.C @ system.F), rank(system.F), bool(np.all(zeros.real < -ZERO))
     outcome, text = Verdict.FAIL, "exists for no gain, as zeros are not stable: "
     if seen < of_F:
         text = f"rank(C-bar F-bar) = {seen} < rank(F-bar) = {of_F}: v2 cannot act against f_s"
     elif decaying:
         outcome, text = Verdict.PASS, "exists"
-    elif np.all(zeros.values.real < ZERO):
+    elif np.all(zeros.real < ZERO):
         outcome = Verdict.DEPENDS
         text += "V2 of Theorem 1 can at best stay level, it need not fall; errors along the zeros remain"
     else:
@@ -266,10 +256,9 @@ def _left_null_space(matrix: Matrix) -> Matrix:
 
 def _reduced(rows: Matrix) -> Matrix:
     """The same row space in reduced form, pivots chosen for a good condition."""
-    count = len(rows)
-    if count == 0:
+    if len(rows) == 0:
         return rows
-    pivots = np.sort(qr(rows, mode="economic", pivoting=True)[2][:count])
+    pivots = np.sort(qr(rows, mode="economic", pivoting=True)[2][: len(rows)])
     reduced = np.linalg.solve(rows[:, pivots], rows)
     reduced[np.abs(reduced) < TOLERANCE] = 0.0
     return np.asarray(reduced, np.float64)

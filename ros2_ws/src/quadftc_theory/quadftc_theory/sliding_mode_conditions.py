@@ -1,8 +1,7 @@
 """Where Theorem 1 of Wang, Huang and Zhang (2021) holds for the sliding-mode fault observer, and how well.
 
-Conditions on gains: A1s and A-bar - L-bar C-bar Hurwitz, (18), (26), (28), (29); and what the paper does not
-say: leak of the estimate, drift by a gyro bias, the smallest ramp that can be told from such a drift.
-docs/theory.md derives the formulas.
+Conditions on gains: A1s and A-bar - L-bar C-bar Hurwitz, (18), (26), (28), (29); and leak, drift and smallest
+ramp, which the paper leaves out. docs/theory.md derives the formulas.
 
 Along a recorded run, the Lyapunov functions (30) against (35):
 
@@ -41,10 +40,10 @@ def sliding_mode_conditions(observer: SlidingMode, given: Circumstances) -> Iter
     """Judge the observer in the circumstances given."""
     yield from structure_conditions(attitude_model())
     name, bias = "(12): h1, the gyro, without fault and bias", given.gyro_bias.value
+    text = f"gyro bias up to {bias / DEG:.3g} deg/s ({given.gyro_bias.origin}), no fault on the gyro"
     if "gyro" in given.faulty_channels:
         yield assess(name, False, "the scenario puts a fault on the gyro: z1 and z2 are both wrong")
     else:
-        text = f"gyro bias up to {bias / DEG:.3g} deg/s ({given.gyro_bias.origin}), no fault on the gyro"
         yield assess(name, bias == 0.0, text, gyro_bias=bias)
 
     a1, p1, eye = observer.a1, observer.p1, np.eye(3)
@@ -86,10 +85,8 @@ def lyapunov_conditions(observer: SlidingMode, trace: Trace, given: Circumstance
     P = np.asarray(solve_continuous_lyapunov(closed.T, -np.eye(2)), np.float64)
     z_bar = np.stack([z2, e3], axis=1)  # (n, 2, 3)
     P_z = np.einsum("ij,njk->nik", P, z_bar)
-    size, largest = np.linalg.norm(e3, axis=1), math.nan
-    if np.any(np.isfinite(z2)):
-        largest = float(np.degrees(np.nanmax(np.abs(z2))))
-    layers = float(np.max(size)) / observer.delta
+    size, layers = np.linalg.norm(e3, axis=1), float(np.max(np.linalg.norm(e3, axis=1))) / observer.delta
+    largest = float(np.degrees(np.nanmax(np.abs(z2)))) if np.any(np.isfinite(z2)) else math.nan
     yield conditions.falls(
         "(35): V2' <= -2 eta_2 |P-bar z-bar~| along the run",
         np.sum(z_bar * P_z, axis=(1, 2)),
@@ -188,13 +185,8 @@ def _gains(observer: SlidingMode, given: Circumstances) -> Iterator[Condition]:
         f"{lipschitz:.3g} 1/s at tilts up to {given.tilt.value / DEG:.3g} deg and rates up to "
         f"{given.body_rate.value / DEG:.3g} deg/s ({given.tilt.origin})"
     )
-    numbers: dict[str, Any] = {
-        "epsilon_2": observer.epsilon_2,
-        "eta_2": eta_2,
-        "lipschitz": lipschitz,
-        "state_error": error,
-    }
-    yield assess("(29), corrected: epsilon_2 > |z2~|", eta_2 > 0.0, text, **numbers)
+    numbers: dict[str, Any] = {"epsilon_2": observer.epsilon_2, "eta_2": eta_2, "lipschitz": lipschitz}
+    yield assess("(29), corrected: epsilon_2 > |z2~|", eta_2 > 0.0, text, **numbers, state_error=error)
 
 
 def _leak_and_drift(observer: SlidingMode, given: Circumstances) -> Iterator[Condition]:
@@ -220,9 +212,5 @@ def _leak_and_drift(observer: SlidingMode, given: Circumstances) -> Iterator[Con
     text = f"{bias / DEG:.3g} deg/s, the gyro bias that this observer takes for zero; "
     text += f"{floor / DEG:.3g} deg/s for the best observer after {HEALTHY_TIME:.0f} healthy seconds (T18); "
     text += "no fault grows here" if math.isinf(slowest) else f"slowest here {slowest / DEG:.3g} deg/s"
-    numbers: dict[str, Any] = {
-        "ramp": bias,
-        "best": floor,
-        "slowest_fault": None if math.isinf(slowest) else slowest,
-    }
-    yield advise("smallest detectable ramp", slowest > bias, text, **numbers)
+    known = None if math.isinf(slowest) else slowest
+    yield advise("smallest detectable ramp", slowest > bias, text, ramp=bias, best=floor, slowest_fault=known)

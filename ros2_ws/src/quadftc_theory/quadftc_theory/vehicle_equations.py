@@ -1,9 +1,8 @@
 # pyright: basic
 """The equations of a multirotor and its sensors for fault diagnosis: what is known, where faults come in.
 
-The unknowns are the state (angles, body rate, velocity), the torque, the thrust over mass, the specific force
-and what disturbs them; known are the outputs of the sensors and the commands. Every sensor axis and every
-actuator can have a fault of any shape in time.
+Unknown are the state (angles, body rate, velocity), torque, thrust over mass, specific force, disturbances;
+known are sensors and commands. Every sensor axis and actuator can have a fault of any shape in time.
 
 Kinematics (4) and rotation (1), (2) of Wang et al. (2021), without the propellers' gyroscopic torque.
 Translation and specific force of a rotorcraft with linear drag after Martin, Salaün (2010), "The true role of
@@ -126,11 +125,7 @@ def linearised(
     faults: Sequence[str],
     point: Mapping[str, float],
 ) -> LinearModel:
-    """Linear model of symbolic equations around a point.
-
-    Each expression is zero in the absence of faults; the derivative of state ``x`` is the symbol ``dx``.
-    ``point`` has the values of all symbols that are left in the derivatives of the equations.
-    """
+    """Linear model around ``point`` of expressions that are zero; the derivative of state ``x`` is ``dx``."""
     groups = ([f"d{state}" for state in states], states, unknowns, faults)
     jacobian = sympy.Matrix(list(equations)).jacobian(_vector([name for names in groups for name in names]))
     values = {sympy.Symbol(symbol): value for symbol, value in point.items()}
@@ -143,17 +138,16 @@ def linearised(
 def vehicle_model(
     vehicle: Vehicle, assumptions: Assumptions, point: Mapping[str, float] | None = None
 ) -> LinearModel:
-    """Equations of a vehicle with its sensors, around the motion assumed, or around another point.
+    """Equations of a vehicle with its sensors, around the motion assumed or another point.
 
-    The faults come in the order sensors, actuators, disturbances; each name is the part and the axis.
+    Faults are named by part and axis: sensors, actuators, then disturbances.
     """
-    rotors = range(1, len(vehicle.rotors.positions) + 1)
-    actuators = {
-        "axes": [f"actuator {axis}" for axis in AXES],
-        "rotors": [f"rotor {number}" for number in rotors],
-        "unknown": [],
-    }[assumptions.actuators]
-    commands = [f"c_{number}" for number in rotors] if assumptions.actuators == "rotors" else []
+    actuators, commands = [f"actuator {axis}" for axis in AXES], list[str]()
+    if assumptions.actuators == "rotors":
+        numbers = range(1, len(vehicle.rotors.positions) + 1)
+        actuators, commands = [f"rotor {each}" for each in numbers], [f"c_{each}" for each in numbers]
+    elif assumptions.actuators == "unknown":
+        actuators = []
     role = assumptions.disturbances
     disturbances = [] if role == "absent" else [f"disturbance {axis}" for axis in AXES]
     sensors = {
@@ -164,13 +158,11 @@ def vehicle_model(
     outputs = _vector([f"y {name}" for name in sensors]) - _vector(list(sensors.values()))
     wind = WIND if assumptions.air == "wind" else ()
     blind_to = disturbances if role == "unknown_inputs" else []
+    motion = _motion(vehicle, disturbances, assumptions.air)
+    actuation = _actuation(vehicle, actuators, commands)
     return linearised(
         f"{vehicle.name}, {'+'.join(assumptions.sensor_set)}",
-        [
-            *_motion(vehicle, disturbances, assumptions.air),
-            *_actuation(vehicle, actuators, commands),
-            *(outputs - _vector(list(sensors))),
-        ],
+        [*motion, *actuation, *(outputs - _vector(list(sensors)))],
         states=STATES,
         unknowns=[*TORQUE, "thrust", *FORCE, *commands, *wind, *blind_to],
         faults=[*sensors, *actuators, *(disturbances if role == "faults" else ())],
@@ -181,8 +173,7 @@ def vehicle_model(
 def motion_point(vehicle: Vehicle, assumptions: Assumptions) -> dict[str, float]:
     """The motion around which the equations are taken: a value for every unknown but the rotor commands.
 
-    Hover, or a steady turn at `TURN_RATE`, where only the yaw angle changes: the body rate is that of the
-    turn, the thrust carries the weight, and the velocity is that at which all forces balance.
+    Hover, or a steady turn, where only the yaw angle changes and all forces balance.
     """
     turning = assumptions.motion == "turn"
     phi, theta, turn = (TURN_ROLL, TURN_PITCH, TURN_RATE) if turning else (0.0, 0.0, 0.0)

@@ -23,7 +23,6 @@ from quadftc_theory.conditions import (
     conditions_of,
     falls,
     judge,
-    judge_along,
     load_conditions,
 )
 from quadftc_theory.controller_conditions import estimation_error
@@ -242,7 +241,7 @@ def test_v2_stays_in_its_layer_under_a_small_fault_and_leaves_it_under_one_above
     observer = SlidingMode(vehicle=QBALL)
     for size, inside in ((0.05, True), (0.7, False)):
         trace = still_trace(np.where(TIME > 2.0, size, 0.0))
-        found = named(judge_along(observer, trace, circumstances()), "(35): V2")
+        found = named(judge(observer, circumstances(), trace), "(35): V2")
         assert (found.numbers["share_outside"] == 0.0) is inside
         # |e3| = delta f / (rho - f) where rho = epsilon_s + epsilon_2 is above f
         if inside:
@@ -251,5 +250,5 @@ def test_v2_stays_in_its_layer_under_a_small_fault_and_leaves_it_under_one_above
 
 def test_a_gyro_bias_shows_as_the_error_of_the_angle_along_the_run():
     observer = SlidingMode(vehicle=QBALL)
-    found = named(judge_along(observer, still_trace(0.0 * TIME, 0.01), circumstances()), "(35): V2")
+    found = named(judge(observer, circumstances(), still_trace(0.0 * TIME, 0.01)), "(35): V2")
     assert found.numbers["largest_z2_deg"] == pytest.approx(math.degrees(0.01 * TIME[-1]), rel=0.02)

@@ -7,7 +7,7 @@ from quadftc_control.controller import controllers
 from quadftc_control.controllers.ismc import Ismc
 from quadftc_control.controllers.smc import Smc
 from quadftc_model.vehicle import load_vehicle
-from quadftc_theory.conditions import Bound, Circumstances, Series, Trace, Verdict, judge, judge_along
+from quadftc_theory.conditions import Bound, Circumstances, Series, Trace, Verdict, judge
 
 QBALL = load_vehicle("qball_x4")
 DT = 0.004
@@ -111,6 +111,6 @@ def test_s_has_to_come_back_at_eta_outside_its_layer(slope, verdict):
     error = QUIET + np.array([0.5, 0.0, 0.0])  # eta = 1.5 rad/s²
     S = QUIET.copy()
     S[:, 0] = np.maximum(3.0 + slope * TIME, 0.05)
-    (found,) = judge_along(Ismc(vehicle=QBALL), trace(S), circumstances(error=error))
+    (found,) = judge(Ismc(vehicle=QBALL), circumstances(error=error), trace(S))
     assert found.verdict is verdict
     assert found.numbers["share_outside"] > 0.0
