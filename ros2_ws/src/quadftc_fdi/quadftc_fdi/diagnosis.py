@@ -3,36 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator
 
 import numpy as np
 
-from quadftc_fdi.fault_observer import FaultObserver, LastWords
+from quadftc_fdi.fault_observer import FaultObserver, LastDiagnosis
 from quadftc_fdi.handover import ResumingStepper
 from quadftc_model import samples
-from quadftc_model.arrays import Mask, Vector
+from quadftc_model.arrays import Vector
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample, sanitised
 from quadftc_model.stepper import seconds
 
 
-class KeptDiagnosis(NamedTuple):
-    """The last words of a diagnosis that has died, as others have received them."""
-
-    fault: Vector  # [rad]
-    std_dev: Vector  # [rad]
-    faulty: Mask
-    onset_ns: Sequence[int]  # of each axis [ns]; 0: none
-    gyro_correction: Vector  # [rad/s]
-
-    def at(self, stamp_ns: int) -> LastWords | None:
-        """Return what an observer resumes from at a sample [ns]; None if it is not finite."""
-        ages = [seconds(max(0, stamp_ns - onset)) if onset else 0.0 for onset in self.onset_ns]
-        words = LastWords(self.fault, self.std_dev, self.faulty, np.array(ages), self.gyro_correction)
-        return words if all(np.all(np.isfinite(part)) for part in words) else None
-
-
-class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, KeptDiagnosis]):
+class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosis]):
     """A fault observer on a stream.
 
     It starts at the first sample that has both attitude and rate, and restarts so after a gap and after an
@@ -52,11 +35,11 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, KeptDiagnosi
         """
         clean = sanitised(sample)
         inputs = FaultObserverInputs(clean, torque)
-        kept, dt = self.words_for(stamp_ns), self.time_step(stamp_ns)
+        last, dt = self.words_for(stamp_ns), self.time_step(stamp_ns)
         complete = clean.attitude_valid and clean.rate_valid
-        if kept is not None:
-            last = kept.at(stamp_ns)
-            if last is None:
+        if last is not None:
+            last = last._replace(since=np.array([_age(stamp_ns, onset_ns) for onset_ns in last.onset_ns]))
+            if not all(np.all(np.isfinite(part)) for part in last):
                 self.drop_words()
             elif complete and dt is not None:
                 return self.take_over(stamp_ns, inputs, self.law.resumed(inputs, last))
@@ -78,11 +61,14 @@ def describe_axes(estimate: FaultEstimate) -> Iterator[tuple[str, int, dict[str,
         yield axis, state, values
 
 
+def _age(stamp_ns: int, onset_ns: int) -> float:
+    return seconds(max(0, stamp_ns - onset_ns)) if onset_ns else 0.0
+
+
 def _usable_estimate(inputs: FaultObserverInputs, estimate: FaultEstimate) -> FaultEstimate:
-    corrected = estimate.corrected
-    if samples.is_usable(estimate.fault, corrected.q_xyzw, corrected.body_rate):
-        return estimate
-    return _starting_estimate(inputs.imu)
+    fault, corrected = estimate.fault, estimate.corrected
+    usable = samples.is_usable(fault, corrected.q_xyzw, corrected.body_rate)
+    return estimate if usable else _starting_estimate(inputs.imu)
 
 
 def _starting_estimate(clean: ImuSample) -> FaultEstimate:

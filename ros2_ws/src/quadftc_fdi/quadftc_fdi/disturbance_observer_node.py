@@ -16,11 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_fdi.disturbance_observer import (
-    DisturbanceEstimation,
-    disturbance_observer_from,
-    disturbance_observers,
-)
+from quadftc_fdi import disturbance_observer as observer
 from quadftc_model.parameters import parameter
 from quadftc_model.samples import DisturbanceObserverInputs, ImuSample, sanitised
 from quadftc_model.stepper import warm_up
@@ -48,24 +44,20 @@ class DisturbanceObserverNode(GraphNode):
         super().__init__("disturbance_observer", **kwargs)
         self.settings.declare(ObserverParameters, read_only=True)
         name = self.settings.values()["observer"]
-        self.settings.declare(disturbance_observers.get(name), f"{name}.")
-        law = disturbance_observer_from(self.settings.values())
-        self._estimation = DisturbanceEstimation(law)
-        warm_up(law, DisturbanceObserverInputs(np.zeros(3), np.bool_(True), np.zeros(3)))
-        self.settings.on_change(disturbance_observer_from, partial(setattr, self._estimation, "law"))
+        self.settings.declare(observer.disturbance_observers.get(name), f"{name}.")
+        build = observer.disturbance_observer_from
+        self._estimation = observer.DisturbanceEstimation(build(self.settings.values()))
+        warm_up(self._estimation.law, DisturbanceObserverInputs(np.zeros(3), np.bool_(True), np.zeros(3)))
+        self.settings.on_change(build, partial(setattr, self._estimation, "law"))
         self._publish, self._body = self.publishes("disturbance/estimate"), VectorWire(BASE_FRAME)
-        self._gate = TorqueGate(self.mode, self._on_sample)
+        self._gate = TorqueGate(self.mode, self._on_sample, self.diagnostics.count)
         restart = self._estimation.restart
         self.driven_by("imu/corrected", self._gate.put_sample, restart=restart, decode=imu_of)
-        self.reads("torque/command", self._on_torque, decode=vector_of)
+        self.reads("torque/command", self._gate.put_torque, decode=vector_of)
         if not self.lockstep:
             self.reads("disturbance/kept", self._estimation.offer, decode=vector_of)
         self.diagnostics.report("observer", OK, name)
         self.ready()
-
-    def _on_torque(self, stamp_ns: int, torque: Floats) -> None:
-        if not self._gate.put_torque(stamp_ns, torque):
-            self.diagnostics.count("torque/command: not finite")
 
     def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats) -> None:
         replaced, resumed = self._estimation.replaced, self._estimation.resumed

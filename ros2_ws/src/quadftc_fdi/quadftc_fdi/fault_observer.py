@@ -5,6 +5,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -24,14 +25,15 @@ if TYPE_CHECKING:
 MAX_PITCH = math.radians(80.0)  # rad; steeper, roll and yaw are not defined well enough to be compared
 
 
-class LastWords(NamedTuple):
+class LastDiagnosis(NamedTuple):
     """What an observer knew that has died, as far as others have heard it."""
 
     fault: Vector  # attitude fault [rad]
     std_dev: Vector  # its standard deviation [rad]; -1: not known
     faulty: Mask  # a fault was confirmed and had not ended
-    since: Vector  # time since its onset, now [s]; 0 where there was none
     gyro_correction: Vector  # what it added to the gyro [rad/s]: minus the bias
+    onset_ns: Sequence[int] = (0, 0, 0)  # stamp of the onset of each axis [ns]; 0: none
+    since: Vector | float = 0.0  # time since these onsets, at the sample from which it is resumed [s]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -50,7 +52,7 @@ class FaultObserver(Checked, abc.ABC):
     def init(self, inputs: FaultObserverInputs) -> Any:
         """Return the state at the first sample."""
 
-    def resumed(self, inputs: FaultObserverInputs, last: LastWords) -> Any:
+    def resumed(self, inputs: FaultObserverInputs, last: LastDiagnosis) -> Any:
         """Return the state that resumes at a sample where another observer of this kind has died.
 
         Its fault is assumed to last; by default the observer starts at the attitude without it.

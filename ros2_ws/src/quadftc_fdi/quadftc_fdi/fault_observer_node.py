@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from std_msgs.msg import Header
 
-from quadftc_fdi.diagnosis import Diagnosis, KeptDiagnosis, describe_axes
-from quadftc_fdi.fault_observer import fault_observer_from, fault_observers
+from quadftc_fdi.diagnosis import Diagnosis, describe_axes
+from quadftc_fdi.fault_observer import LastDiagnosis, fault_observer_from, fault_observers
 from quadftc_model import samples
 from quadftc_model.parameters import parameter
 from quadftc_model.samples import ALARMS, FaultEstimate, FaultObserverInputs, ImuSample
@@ -54,10 +54,10 @@ class FaultObserverNode(GraphNode):
         self._publish_corrected, self._imu = self.publishes("imu/corrected"), ImuWire()
         self._publish_estimate, self._earth = self.publishes("fault/estimate"), VectorWire(EARTH_FRAME)
         self._publish_status, self._status = self.publishes("fault/status"), FaultStatusWire()
-        self._gate = TorqueGate(self.mode, self._on_sample)
+        self._gate = TorqueGate(self.mode, self._on_sample, self.diagnostics.count)
         restart = self._diagnosis.restart
         self.driven_by("imu/data", self._gate.put_sample, restart=restart, decode=imu_of)
-        self.reads("torque/command", self._on_torque, decode=vector_of)
+        self.reads("torque/command", self._gate.put_torque, decode=vector_of)
         self._kept: dict[str, Any] = {}
         if not self.lockstep:
             self.reads("gyro/kept", partial(self._on_kept, "gyro"), decode=vector_of)
@@ -72,18 +72,13 @@ class FaultObserverNode(GraphNode):
         if len(self._kept) < 2:
             return
         status = self._kept["fault"]
-        kept = KeptDiagnosis(
-            fault=array_of(status.estimate),
-            std_dev=array_of(status.std_dev),
-            faulty=np.isin(status.state, ALARMS),
-            onset_ns=[stamp_of(Header(stamp=time)) for time in status.onset],
-            gyro_correction=self._kept["gyro"],
+        fault, std_dev = array_of(status.estimate), array_of(status.std_dev)
+        faulty, onset_ns = (
+            np.isin(status.state, ALARMS),
+            [stamp_of(Header(stamp=time)) for time in status.onset],
         )
-        self._diagnosis.offer(stamp_ns, kept)
-
-    def _on_torque(self, stamp_ns: int, torque: Floats) -> None:
-        if not self._gate.put_torque(stamp_ns, torque):
-            self.diagnostics.count("torque/command: not finite")
+        last = LastDiagnosis(fault, std_dev, faulty, self._kept["gyro"], onset_ns)
+        self._diagnosis.offer(stamp_ns, last)
 
     def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats) -> None:
         replaced, resumed = self._diagnosis.replaced, self._diagnosis.resumed

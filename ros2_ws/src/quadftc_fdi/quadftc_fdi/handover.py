@@ -1,7 +1,7 @@
 """A law on a stream of samples that resumes where another one has died: at its first samples, once.
 
-A node cannot know whether it was started for a flight or in one. The words that the controller keeps for it
-(`quadftc_control.last_words`) tell: they are older than the node's first sample, and not by much.
+A node that was started in a flight finds words that the controller kept for it, a little older than its first
+sample (`quadftc_control.last_words`).
 """
 
 from __future__ import annotations

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from node_bench import imu_message, vector_message
-from quadftc_fdi.diagnosis import Diagnosis, KeptDiagnosis
+from quadftc_fdi.diagnosis import Diagnosis
 from quadftc_fdi.disturbance_observer import DisturbanceEstimation
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.disturbance_observers.exosystem import Exosystem
-from quadftc_fdi.fault_observer import LastWords, fault_observers
+from quadftc_fdi.fault_observer import LastDiagnosis, fault_observers
 from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_fdi.fault_observers.supervised import Supervised
 from quadftc_fdi.handover import LONGEST, ResumingStepper
@@ -30,7 +30,7 @@ DEG = np.pi / 180.0
 DT, PERIOD_NS, FIRST_NS = 0.004, 4_000_000, 10_000_000_000
 FAULT = np.array([2.0, 0.0, 0.0]) * DEG
 BIAS = np.array([0.8, -0.5, 0.3]) * DEG  # rad/s
-WORDS = LastWords(
+WORDS = LastDiagnosis(
     fault=FAULT,
     std_dev=np.array([0.05, 0.01, 0.01]) * DEG,
     faulty=np.array([True, False, False]),
@@ -125,7 +125,7 @@ def test_old_words_are_not_used():
     assert handover.words_for(FIRST_NS) is None
 
 
-KEPT = KeptDiagnosis(WORDS.fault, WORDS.std_dev, WORDS.faulty, (FIRST_NS - 4_000_000_000, 0, 0), -BIAS)
+KEPT = WORDS._replace(onset_ns=(FIRST_NS - 4_000_000_000, 0, 0), since=0.0)
 
 
 def test_diagnosis_resumes_at_the_first_complete_sample_after_the_words():

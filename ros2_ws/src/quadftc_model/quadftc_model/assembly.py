@@ -1,7 +1,6 @@
 """From the parameters of a node to the components it runs, and back.
 
-A node has a flat set of named parameters, as ROS 2 knows no deeper form. One names a component, whose own
-carry that name as a prefix:
+A node has a flat set of named parameters. One names a component, whose own carry that name as a prefix:
 
     observer: exosystem
     exosystem.model: constant
@@ -102,8 +101,5 @@ def node_values(component: Any, prefix: str) -> dict[str, NodeValue]:
     With an empty prefix they have their own names: the inverse of :func:`build_named`.
     """
     start = f"{prefix}." if prefix else ""
-    values = {spec.name: getattr(component, spec.name) for spec in parameters_of(component.__class__)}
-    return {
-        f"{start}{name}": list(value) if isinstance(value, tuple) else value  # pyright: ignore
-        for name, value in values.items()
-    }
+    names = [spec.name for spec in parameters_of(component.__class__)]
+    return {f"{start}{name}": _plain(getattr(component, name)) for name in names}

@@ -50,10 +50,9 @@ def parameter(
 ) -> Any:
     """Declare a parameter as a dataclass field, of the type of its default.
 
-    ``unit`` is the SI unit; in braces (``"{channel}"``) when it depends on the context, see :func:`build`.
-    ``doc`` is the meaning in one line, with the paper's symbol where it has one. ``low`` and ``high`` bound
-    each number, inclusive; a number must be finite, unless the default is infinite. ``choices`` are the
-    values that a text may take; empty: any.
+    The SI ``unit`` is in braces (``"{channel}"``) when it depends on the context, see :func:`build`. ``doc``
+    has the paper's symbol where there is one. ``low`` and ``high`` bound each number, inclusive; it must be
+    finite, unless the default is infinite. ``choices`` are the values that a text may take; empty: any.
     """
     details = {"unit": unit, "doc": doc, "low": low, "high": high, "choices": tuple(choices)}
     return dataclasses.field(default=default, metadata={"quadftc": details})  # type: ignore[arg-type]
@@ -69,17 +68,12 @@ def parameters_of(component: type) -> tuple[Parameter, ...]:
     )
 
 
-def check(instance: Any) -> None:
-    """Check every parameter of a dataclass instance against its bounds; for ``__post_init__``."""
-    for spec in parameters_of(instance.__class__):
-        _check_bounds(spec, getattr(instance, spec.name))
-
-
 class Checked:
-    """Base of dataclasses that check their parameters when they are made."""
+    """Base of dataclasses that check their parameters against their bounds when they are made."""
 
     def __post_init__(self) -> None:
-        check(self)
+        for spec in parameters_of(self.__class__):
+            _check_bounds(spec, getattr(self, spec.name))
 
 
 def build(
@@ -93,11 +87,10 @@ def build(
     specs = {spec.name: spec for spec in parameters_of(component)}
     converted: dict[str, Any] = {}
     for name, raw in values.items():
-        spec = specs.get(name)
-        if spec is None:
+        if name not in specs:
             known = ", ".join(specs) or "none"
             raise ValueError(f"{name}: unknown parameter{nearest(str(name), specs)}; known: {known}")
-        converted[name] = convert(spec, raw, units)
+        converted[name] = convert(specs[name], raw, units)
     return component(**context, **converted)
 
 

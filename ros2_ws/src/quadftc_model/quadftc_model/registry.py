@@ -1,14 +1,13 @@
 """Named components: one new file with one ``@register("name")`` adds an observer, a controller, a fault...
 
-A registry finds its own files: every module of its package is imported on the first look-up, and so is every
-entry point of its group, by which packages outside this repository add theirs.
+A registry finds its own files: it imports every module of its package on the first look-up. It imports the
+entry points of its group, by which other packages add theirs, for a name that is in none of these files.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import importlib
-import importlib.metadata
 import pkgutil
 import sys
 from collections.abc import Callable
@@ -34,7 +33,7 @@ class Registry(Generic[T]):
     def __init__(self, kind: str, package: str, group: str) -> None:
         self.kind, self._package, self._group = kind, package, group
         self._components: dict[str, type[T]] = {}
-        self._discovered = False
+        self._sources = [self._import_files, self._import_entry_points]  # not looked at yet
 
     @dataclass_transform(eq_default=False, kw_only_default=True, frozen_default=True)
     def register(self, name: str) -> Callable[[type[T]], type[T]]:
@@ -53,27 +52,33 @@ class Registry(Generic[T]):
 
     def names(self) -> tuple[str, ...]:
         """Return all names, sorted."""
-        self._discover()
+        while self._sources:
+            self._import_next()
         return tuple(sorted(self._components))
 
     def get(self, name: str) -> type[T]:
         """Return the component's class."""
-        self._discover()
-        component = self._components.get(name)
-        if component is None:
-            hint = nearest(str(name), self._components)
-            raise ValueError(f"no {self.kind} '{name}'{hint}; there are: {', '.join(self.names())}")
-        return component
+        while name not in self._components:
+            if not self._sources:
+                hint = nearest(str(name), self._components)
+                raise ValueError(f"no {self.kind} '{name}'{hint}; there are: {', '.join(self.names())}")
+            self._import_next()
+        return self._components[name]
 
-    def _discover(self) -> None:
-        if self._discovered:
-            return
+    def _import_next(self) -> None:
+        self._sources[0]()
+        del self._sources[0]  # only now: what cannot be imported fails at every look-up
+
+    def _import_files(self) -> None:
         package = importlib.import_module(self._package)
         for module in pkgutil.iter_modules(package.__path__):
             importlib.import_module(f"{self._package}.{module.name}")
+
+    def _import_entry_points(self) -> None:
+        import importlib.metadata  # takes 50 ms
+
         for entry in importlib.metadata.entry_points(group=self._group):
             self.register(entry.name)(entry.load())
-        self._discovered = True
 
 
 def _origin(component: type) -> tuple[str, str]:

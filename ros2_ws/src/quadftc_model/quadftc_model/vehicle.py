@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import importlib.metadata
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +18,8 @@ if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoints
 
 _DIRECTORY = Path(__file__).parent / "vehicles"
 _GROUP = "quadftc.vehicles"  # entry points: name -> path of a TOML file
@@ -107,7 +108,13 @@ class Vehicle:
 def vehicle_names() -> tuple[str, ...]:
     """Return the names of the vehicles that come with quadftc or are added by entry point."""
     own = {path.stem for path in _DIRECTORY.glob("*.toml")}
-    return tuple(sorted(own | {entry.name for entry in importlib.metadata.entry_points(group=_GROUP)}))
+    return tuple(sorted(own | _added().names))
+
+
+def _added(**selection: str) -> EntryPoints:
+    from importlib.metadata import entry_points  # takes 50 ms
+
+    return entry_points(group=_GROUP, **selection)
 
 
 def load_vehicle(name: str) -> Vehicle:
@@ -125,7 +132,7 @@ def _path_of(name: str) -> Path:
     path = _DIRECTORY / f"{name}.toml"
     if path.is_file():
         return path
-    for entry in importlib.metadata.entry_points(group=_GROUP, name=name):
+    for entry in _added(name=name):
         return Path(str(entry.load()))
     raise ValueError(
         f"no vehicle '{name}'; there are: {', '.join(vehicle_names())}; or give the path of a .toml file"
@@ -137,8 +144,7 @@ def _load(path: Path, changed_ns: int) -> Vehicle:
     """Read a file; again only when it has changed, as a campaign builds thousands of flights."""
     with path.open("rb") as file:
         table = tomllib.load(file)
-    rotors = table.pop("rotors", None)
-    if not isinstance(rotors, dict):
+    if not isinstance(rotors := table.pop("rotors", None), dict):
         raise ValueError("[rotors]: expected this table")
     built = Rotors(**_read_section(rotors, "rotors.", _ROTORS | dict.fromkeys(_NUMBERS, float)))  # pyright: ignore[reportUnknownArgumentType]
     return Vehicle(rotors=built, **_read_section(table, "", _BODY | dict.fromkeys(_TEXTS, str)))

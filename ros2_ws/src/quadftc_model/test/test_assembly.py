@@ -14,12 +14,12 @@ from quadftc_model.assembly import (
     texts,
     vehicle_from,
 )
-from quadftc_model.parameters import check, parameter
+from quadftc_model.parameters import Checked, parameter
 from quadftc_model.registry import Registry
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Law:
+class Law(Checked):
     """A component with a parameter of each type."""
 
     gains: tuple[float, ...] = parameter((1.0, 2.0, 3.0), low=0.0, doc="gains")
@@ -28,9 +28,6 @@ class Law:
     fast: bool = parameter(False, doc="a switch")
     model: str = parameter("plain", choices=("plain", "fancy"), doc="a choice")
     vehicle: object = None
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @pytest.fixture

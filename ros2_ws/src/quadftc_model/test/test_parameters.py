@@ -5,11 +5,11 @@ import math
 
 import pytest
 
-from quadftc_model.parameters import build, check, parameter, parameters_of
+from quadftc_model.parameters import Checked, build, parameter, parameters_of
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Component:
+class Component(Checked):
     """One parameter of every type."""
 
     context: str = "none"
@@ -20,9 +20,6 @@ class Component:
     shape: str = parameter("round", choices=("round", "square"), doc="a choice")
     end: float = parameter(math.inf, unit="s", low=0.0, doc="a time without end")
     size: float = parameter(1.0, unit="{channel}", low=0.0, doc="a number in the unit of its channel")
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 def test_parameters_are_the_fields_with_metadata_in_their_order():

@@ -243,7 +243,7 @@ def test_torque_is_paired_with_samples_as_the_graph_does_in_lockstep():
     commands = rng.standard_normal((len(stamps), 3))
     commands[rng.random(len(stamps)) < 0.1, 1] = np.nan
     given: list[np.ndarray] = []
-    gate = TorqueGate("lockstep", lambda stamp_ns, message, torque: given.append(torque))
+    gate = TorqueGate("lockstep", lambda stamp_ns, message, torque: given.append(torque), str)
     for stamp_ns, command in zip(stamps.tolist(), commands, strict=True):
         gate.put_sample(stamp_ns, None)
         gate.put_torque(stamp_ns, command)

@@ -50,12 +50,14 @@ class TorqueGate:
 
     In real time that is the latest. In lock-step a sample waits for the command of the sample before; a stamp
     that is not later than the last begins a new flight. A torque that is not finite is replaced by the one
-    before.
+    before, and ``count`` gets the reason.
     """
 
-    def __init__(self, mode: str, callback: Callable[[int, Any, Floats], None]) -> None:
+    def __init__(
+        self, mode: str, callback: Callable[[int, Any, Floats], None], count: Callable[[str], None]
+    ) -> None:
         self._lockstep = mode == "lockstep"
-        self._callback = callback
+        self._callback, self._count = callback, count
         self._samples: deque[tuple[int, Any]] = deque(maxlen=DEPTH)
         self._newest_ns = -1
         self._begin()
@@ -76,14 +78,14 @@ class TorqueGate:
         self._samples.append((stamp_ns, message))
         self._release()
 
-    def put_torque(self, stamp_ns: int, torque: Floats) -> bool:
-        """Add a command [stamp in ns, N m (3,)]; return whether it was finite."""
-        finite = is_usable(torque)
-        if finite:
+    def put_torque(self, stamp_ns: int, torque: Floats) -> None:
+        """Add a command [stamp in ns, N m (3,)]."""
+        if is_usable(torque):
             self._torque = torque
+        else:
+            self._count("torque/command: not finite")
         self._torque_stamp_ns = stamp_ns
         self._release()
-        return finite
 
     def _release(self) -> None:
         while self._samples and self._awaited_ns in (None, self._torque_stamp_ns):

@@ -64,8 +64,11 @@ def passed():
     return []
 
 
-def gate_of(mode, passed):
-    return TorqueGate(mode, lambda stamp, message, torque: passed.append((stamp, message, torque.tolist())))
+def gate_of(mode, passed, count=str):
+    def pass_on(stamp, message, torque):
+        passed.append((stamp, message, torque.tolist()))
+
+    return TorqueGate(mode, pass_on, count)
 
 
 def torque(size):
@@ -111,10 +114,13 @@ def test_real_time_takes_the_latest_command(passed):
 @pytest.mark.parametrize("mode", ["lockstep", "realtime"])
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_command_that_is_no_number_is_replaced_by_the_one_before(passed, mode, bad):
-    gate = gate_of(mode, passed)
+    counted = []
+    gate = gate_of(mode, passed, counted.append)
     gate.put_sample(1, "s1")
-    assert gate.put_torque(1, torque(10)) is True
+    gate.put_torque(1, torque(10))
     gate.put_sample(2, "s2")
-    assert gate.put_torque(2, np.array([1.0, bad, 1.0])) is False
+    assert not counted
+    gate.put_torque(2, np.array([1.0, bad, 1.0]))
+    assert counted == ["torque/command: not finite"]
     gate.put_sample(3, "s3")
     assert [row[2] for row in passed] == [[0.0] * 3, [10.0] * 3, [10.0] * 3]

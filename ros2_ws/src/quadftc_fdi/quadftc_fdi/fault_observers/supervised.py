@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from quadftc_fdi.fault_observer import (
     FaultObserver,
-    LastWords,
+    LastDiagnosis,
     comparable,
     correct_sample,
     register,
@@ -107,7 +107,7 @@ class Supervised(FaultObserver):
             raw=zeros[..., :1] + 1.0,
         )
 
-    def resumed(self, inputs: FaultObserverInputs, last: LastWords) -> State:
+    def resumed(self, inputs: FaultObserverInputs, last: LastDiagnosis) -> State:
         """Resume with the gyro bias as it was, and with the faults taken off the faulty axes."""
         xp = namespace(inputs.imu.body_rate)
         faulty = xp.asarray(last.faulty)
