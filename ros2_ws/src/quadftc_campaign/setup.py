@@ -19,5 +19,4 @@ setup(
     python_requires=">=3.10",
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
-    zip_safe=True,
 )

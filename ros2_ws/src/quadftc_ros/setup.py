@@ -19,7 +19,6 @@ setup(
     python_requires=">=3.10",
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
-    zip_safe=True,
     entry_points={
         "console_scripts": [
             "recorder = quadftc_ros.recorder_node:main",

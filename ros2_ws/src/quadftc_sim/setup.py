@@ -21,7 +21,6 @@ setup(
     python_requires=">=3.10",
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
-    zip_safe=True,
     entry_points={
         "console_scripts": [
             "plant = quadftc_sim.plant_node:main",

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from quadftc_model.arrays import Array, namespace
-from quadftc_model.assembly import NodeParameters, component_from, vehicle_from
+from quadftc_model.assembly import law_from
 from quadftc_model.parameters import Checked
 from quadftc_model.registry import Registry
 from quadftc_model.rotors import attainable
@@ -79,8 +79,4 @@ def anti_windup(integral: Array, error: Array, wanted: Array, given: Array, dt: 
 
 controllers: Registry[Any] = Registry("controller", "quadftc_control.controllers", "quadftc.controllers")
 register = controllers.register
-
-
-def controller_from(parameters: NodeParameters) -> Controller:
-    """Build the controller from its node's parameters: vehicle, controller, ``<controller>.<parameter>``."""
-    return component_from(controllers, parameters, "controller", vehicle=vehicle_from(parameters))
+controller_from = law_from(controllers, "controller")  # from the parameters of its node

@@ -12,8 +12,8 @@ What it decides in flight: `quadftc_control.flight_manager`.
 from __future__ import annotations
 
 import dataclasses
-import sys
 from collections.abc import Callable, Mapping
+from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -27,6 +27,7 @@ from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import parameter
 from quadftc_model.samples import ALARMS, AttitudeReference, ControllerInputs, ImuSample, level_sample
 from quadftc_model.stepper import seconds, warm_up
+from quadftc_ros import wire
 from quadftc_ros.conversions import Floats, array_of, revise_status
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
@@ -34,15 +35,6 @@ from quadftc_ros.join import StampJoin
 from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import BASE_FRAME
 from quadftc_ros.transport import decoding
-from quadftc_ros.wire import (
-    ControlStatusWire,
-    VectorWire,
-    fault_states_of,
-    fault_status_of,
-    imu_of,
-    reference_in,
-    vector_of,
-)
 
 REFERENCE_AGE = 0.5  # s; real time: age from which a reference is reported as stopped
 WATCH_PERIOD = 0.02  # s; real time: how often the controller looks whether samples still come
@@ -73,7 +65,7 @@ def faulty_part(status: Any) -> Floats:
     return array_of(status.estimate) * np.isin(status.state, ALARMS)
 
 
-READER = MessageReader(imu_of, fault_states_of, fault_status_of, faulty_part, revise_status)
+READER = MessageReader(wire.imu_of, wire.fault_states_of, wire.fault_status_of, faulty_part, revise_status)
 
 
 class ControllerNode(GraphNode):
@@ -92,15 +84,15 @@ class ControllerNode(GraphNode):
         self.settings.on_change(_build, lambda built: self._manager.configure(*built))
         self._publish_torque = self.publishes("torque/command")
         self._publish_status = self.publishes("control/status")
-        self._body, self._status = VectorWire(BASE_FRAME), ControlStatusWire()
+        self._body, self._status = wire.VectorWire(BASE_FRAME), wire.ControlStatusWire()
         self._mode: Mode | None = None
         self._join = StampJoin(("imu", "reference", "disturbance"), self._on_all)
-        self.driven_by("imu/corrected", self._on_corrected, restart=self._manager.restart, decode=imu_of)
-        self.reads("attitude/reference", self._on_reference, decode=reference_in)
-        self.reads("disturbance/estimate", self._on_disturbance, decode=vector_of)
+        self.driven_by("imu/corrected", self._on_corrected, restart=self._manager.restart, decode=wire.imu_of)
+        self.reads("attitude/reference", self._on_reference, decode=wire.reference_in)
+        self.reads("disturbance/estimate", self._on_disturbance, decode=wire.vector_of)
         self.reads("imu/data", self._on_raw, decode=bytes)
         self.reads("fault/status", self._manager.take_status, decode=bytes)
-        self._fall_back = decoding("imu/data", self._on_fallback, imu_of, self.diagnostics.count)
+        self._fall_back = decoding("imu/data", self._on_fallback, wire.imu_of, self.diagnostics.count)
         if not self.lockstep:
             self._publish_kept = {
                 what: self.publishes(f"{what}/kept") for what in ("fault", "gyro", "disturbance")
@@ -166,6 +158,4 @@ class ControllerNode(GraphNode):
             self.diagnostics.report("reference", WARN if old else OK, words)
 
 
-def main() -> None:
-    """Run the node."""
-    sys.exit(run_node(ControllerNode))
+main = partial(run_node, ControllerNode)

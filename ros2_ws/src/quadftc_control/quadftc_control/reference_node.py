@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import sys
 from functools import partial
 from typing import Any
 
@@ -87,6 +86,4 @@ class ReferenceNode(GraphNode):
         self.sampled(stamp_ns)
 
 
-def main() -> None:
-    """Run the node."""
-    sys.exit(run_node(ReferenceNode))
+main = partial(run_node, ReferenceNode)

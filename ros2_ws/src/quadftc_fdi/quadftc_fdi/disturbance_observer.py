@@ -10,7 +10,7 @@ import numpy as np
 
 from quadftc_fdi.handover import ResumingStepper
 from quadftc_model.arrays import Vector
-from quadftc_model.assembly import NodeParameters, component_from, vehicle_from
+from quadftc_model.assembly import law_from
 from quadftc_model.parameters import Checked
 from quadftc_model.registry import Registry
 from quadftc_model.samples import DisturbanceObserverInputs, ImuSample, is_usable, sanitised
@@ -66,8 +66,4 @@ disturbance_observers: Registry[Any] = Registry(
     "disturbance observer", "quadftc_fdi.disturbance_observers", "quadftc.disturbance_observers"
 )
 register = disturbance_observers.register
-
-
-def disturbance_observer_from(parameters: NodeParameters) -> DisturbanceObserver:
-    """Build the observer from the parameters of its node: vehicle, observer, ``<observer>.<parameter>``."""
-    return component_from(disturbance_observers, parameters, "observer", vehicle=vehicle_from(parameters))
+disturbance_observer_from = law_from(disturbance_observers, "observer")  # from the parameters of its node

@@ -10,7 +10,6 @@ Services: ~/reset (std_srvs/Trigger). A sample whose stamp repeats or goes back 
 from __future__ import annotations
 
 import dataclasses
-import sys
 from functools import partial
 from typing import Any
 
@@ -75,6 +74,4 @@ class DisturbanceObserverNode(GraphNode):
         self.sampled(stamp_ns)
 
 
-def main() -> None:
-    """Run the node."""
-    sys.exit(run_node(DisturbanceObserverNode))
+main = partial(run_node, DisturbanceObserverNode)

@@ -12,7 +12,7 @@ import numpy as np
 
 from quadftc_model import samples
 from quadftc_model.arrays import AnyArray, Mask, Quaternion, Vector, is_single, namespace
-from quadftc_model.assembly import NodeParameters, component_from, vehicle_from
+from quadftc_model.assembly import law_from
 from quadftc_model.parameters import Checked
 from quadftc_model.registry import Registry
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, turn
@@ -68,11 +68,7 @@ fault_observers: Registry[Any] = Registry(
     "fault observer", "quadftc_fdi.fault_observers", "quadftc.fault_observers"
 )
 register = fault_observers.register
-
-
-def fault_observer_from(parameters: NodeParameters) -> FaultObserver:
-    """Build the observer from the parameters of its node: vehicle, observer, ``<observer>.<parameter>``."""
-    return component_from(fault_observers, parameters, "observer", vehicle=vehicle_from(parameters))
+fault_observer_from = law_from(fault_observers, "observer")  # from the parameters of its node
 
 
 def without_fault(inputs: FaultObserverInputs, fault: Vector) -> FaultObserverInputs:

@@ -10,7 +10,6 @@ Services: ~/reset (std_srvs/Trigger). A sample whose stamp repeats or goes back 
 from __future__ import annotations
 
 import dataclasses
-import sys
 from functools import partial
 from typing import Any
 
@@ -116,6 +115,4 @@ class FaultObserverNode(GraphNode):
             )
 
 
-def main() -> None:
-    """Run the node."""
-    sys.exit(run_node(FaultObserverNode))
+main = partial(run_node, FaultObserverNode)

@@ -90,6 +90,11 @@ def component_of(kind: str, text: str, make: Callable[[str, Mapping[str, Any]], 
         raise ValueError(f"{kind} {text!r}: {error}") from None
 
 
+def law_from(registry: Registry[T], selector: str) -> Callable[[NodeParameters], T]:
+    """Return what builds the law of a node, which the parameter ``selector`` names, for its ``vehicle``."""
+    return lambda values: component_from(registry, values, selector, vehicle=vehicle_from(values))
+
+
 def vehicle_from(parameters: NodeParameters) -> Vehicle:
     """Load the vehicle that the parameter ``vehicle`` names."""
     return load_vehicle(get(parameters, "vehicle", str))

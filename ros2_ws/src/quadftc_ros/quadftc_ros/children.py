@@ -26,9 +26,8 @@ class Children:
     def start(self, commands: Mapping[str, Sequence[str]]) -> None:
         """Start processes, by name.
 
-        They inherit that signals are blocked until `run_node` can handle them: SIGINT is not lost on one that
-        is still importing, nor does it leave a traceback. And none interrupts this process between start and
-        note. Each has a session of its own: Ctrl-C in the terminal reaches this process alone.
+        They inherit that signals are blocked until `run_node` can handle them, so that SIGINT is not lost on
+        one that is still importing. Each has a session of its own: Ctrl-C reaches this process alone.
         """
         environment = {**os.environ, LAUNCHER: str(os.getpid())}
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)

@@ -42,7 +42,7 @@ def fill_vector(vector: Vector3, array: Floats) -> None:
 
 
 def revise_status(message: FaultStatus, stamp_ns: int, fault: Floats, certain: float) -> None:
-    """Put another fault (3,) [rad] into a status whose observer is gone; the header stays as it is.
+    """Put another fault (3,) [rad] into a status whose observer is gone, keeping the header.
 
     An axis that is off by more than ``certain`` [rad] counts as faulty, if it did not, since ``stamp_ns``.
     """

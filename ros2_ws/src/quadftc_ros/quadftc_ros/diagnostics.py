@@ -37,14 +37,12 @@ class Diagnostics:
 
     def report(self, part: str, level: bytes, message: str, **values: object) -> None:
         """Set the status of one part; a changed level or message is published with the next :meth:`tick`."""
-        status = self._statuses.get(part)
-        if status is None:
-            status = DiagnosticStatus(name=f"{self._name}: {part}", hardware_id=self._hardware_id)
-            self._statuses[part] = status
-            self.changed = True
+        if part not in self._statuses:
+            new = DiagnosticStatus(name=f"{self._name}: {part}", hardware_id=self._hardware_id)
+            self._statuses[part], self.changed = new, True
+        status = self._statuses[part]
         if (status.level, status.message) != (level, message):
-            status.level, status.message = level, message
-            self.changed = True
+            status.level, status.message, self.changed = level, message, True
         status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
 
     def forget(self, part: str) -> None:
@@ -58,9 +56,7 @@ class Diagnostics:
         """
         self.counts[event] += 1
         self._counted = True
-        samples = self._statuses.get("samples")
-        if samples is None or samples.level == OK:
-            self.changed = True
+        self.changed |= "samples" not in self._statuses or self._statuses["samples"].level == OK
 
     def tick(self, stamp_ns: int) -> None:
         """Publish if a second has passed since the last time, or something changed [stamp in ns]."""
@@ -82,8 +78,8 @@ class Diagnostics:
 class SampleTiming:
     """Rate and latency of the samples of the last second, or since the diagnostics before if that is longer.
 
-    Latency is the age of a sample, by its stamp, when the node is done with it. Without a ``clock``, that of
-    `sampled` and `values`, rates count by the stamps, and there is no latency.
+    Latency is the age of a sample when the node is done with it. Without a ``clock``, rates count by the
+    stamps, and there is no latency.
     """
 
     def __init__(self, clock: bool) -> None:

@@ -136,10 +136,9 @@ class StopSignals:
 
 
 def run_node(make: Callable[[], Node], paced: bool = False) -> int:
-    """Run one node until Ctrl-C, SIGTERM, shutdown or the death of its launcher; return the exit code.
+    """Run one node until Ctrl-C, SIGTERM, shutdown or the death of its launcher.
 
-    ``make`` makes the node after ``rclpy.init``; ``paced`` says whether it is `Paced`. The code is 0, or 2
-    for wrong arguments or parameters.
+    ``paced`` says whether it is `Paced`. Return the exit code: 0, or 2 for wrong arguments or parameters.
     """
     executor, node = None, None
     try:
@@ -147,7 +146,10 @@ def run_node(make: Callable[[], Node], paced: bool = False) -> int:
             # a launcher blocks the signals until they can be handled
             signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
             try:
-                _initialise()
+                try:
+                    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+                except RuntimeError as error:  # what rclpy makes of a wrong argument
+                    raise ValueError(f"ROS arguments: {error}") from None
                 node = make()
             except (ValueError, ParameterException) as error:
                 words = " ".join(str(error).split())
@@ -169,11 +171,3 @@ def run_node(make: Callable[[], Node], paced: bool = False) -> int:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
-
-
-def _initialise() -> None:
-    """Initialise ROS; a wrong argument is a ValueError, not the RuntimeError that rclpy makes of it."""
-    try:
-        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:
-        raise ValueError(f"ROS arguments: {error}") from None

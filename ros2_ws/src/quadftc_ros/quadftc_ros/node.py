@@ -50,8 +50,8 @@ class GraphParameters:
 class GraphNode(Node):
     """Base of the graph's nodes, named as in the table of topics; ValueError for a wrong parameter.
 
-    ``tap(topic)`` returns what gets a serialised copy of what the node publishes on a topic: a recorder in
-    the same process needs no subscriptions. Other arguments are those of ``rclpy.node.Node``.
+    ``tap(topic)`` returns what gets a serialised copy of what the node publishes on a topic, for a recorder
+    in the same process. Other arguments are those of ``rclpy.node.Node``.
     """
 
     def __init__(self, name: str, tap: Tap | None = None, **kwargs: Any) -> None:
@@ -88,7 +88,7 @@ class GraphNode(Node):
         publish = tapped(publisher, self._tap)
         if self._trace is None or topic == "/clock":  # which has no header
             return publish
-        note = self._trace.given(topic)
+        note = self._trace.noting(f"given {topic}")
 
         def noted(message: Any) -> None:
             note(leading_stamp_ns(message) if isinstance(message, bytes) else stamp_of(message))
@@ -107,7 +107,7 @@ class GraphNode(Node):
         row, count = TOPICS[topic], self.diagnostics.count
         message_class = load_message_class(row.type_name)
         decode = decode or partial(read_message, message_class=message_class)
-        note: Note = self._trace.taken(topic) if self._trace else lambda stamp_ns: None
+        note: Note = self._trace.noting(f"taken {topic}") if self._trace else lambda stamp_ns: None
         receive = receiver(topic, decoding(topic, callback, decode, count), count, note)
         profile = topic_profile(row.qos, self.mode)
         self._inputs[topic] = self.create_subscription(message_class, topic, receive, profile, raw=True)
@@ -121,12 +121,10 @@ class GraphNode(Node):
     ) -> None:
         """Subscribe to the topic whose samples drive the node, as `reads` does.
 
-        ``restart()`` makes the next sample the first. It is called when a new flight begins, which shows in
-        stamps that go back: in lock-step by any amount, in real time by more than a sample that was overtaken
-        could be late. The service ``~/reset`` calls it, too.
+        ``restart()`` makes the next sample the first. The service ``~/reset`` calls it, and a new flight,
+        which shows in stamps that go back: in lock-step by any amount, in real time by more than `MAX_GAP`.
         """
-        tolerance_ns = -1 if self.lockstep else round(MAX_GAP * NANOSECONDS)
-        newest_ns = -1
+        tolerance_ns, newest_ns = -1 if self.lockstep else round(MAX_GAP * NANOSECONDS), -1
 
         def checked(stamp_ns: int, message: Any) -> None:
             nonlocal newest_ns

@@ -6,10 +6,10 @@ reliable   reliable, keep last 100       reliable, keep last 1000  estimates, to
 latched    reliable, transient local, 1  the same                  what a late reader needs
 clock      best effort, keep last 1      reliable, keep last 1000  /clock
 
-In lock-step none may be lost. The nodes wait for each other, but not for a recorder in another process: the
-depth is what it may lag behind. In real time IMU samples are not sent again: best effort, as in the
-sensor-data convention of ROS 2, also matches the drivers of real vehicles. The depth is more than its five: a
-node that was kept from working for 20 ms makes up for ten samples faster than an observer for a gap.
+In lock-step none may be lost: the depth is what a recorder in another process may lag behind. In real time
+IMU samples are not sent again: best effort, as in the sensor-data convention of ROS 2, also matches real
+drivers. The depth is more than its five, as a node that was held up works off samples faster than an
+observer recovers from a gap.
 """
 
 from __future__ import annotations
@@ -37,6 +37,5 @@ def topic_profile(kind: QosClass, mode: str) -> QoSProfile:
 
 def service_profile() -> QoSProfile:
     """Return the profile of services whose requests may come in bursts."""
-    return QoSProfile(
-        depth=SERVICE_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.VOLATILE
-    )
+    volatile = DurabilityPolicy.VOLATILE
+    return QoSProfile(depth=SERVICE_DEPTH, reliability=ReliabilityPolicy.RELIABLE, durability=volatile)

@@ -11,6 +11,7 @@ import ctypes
 import dataclasses
 import os
 from collections.abc import Callable, Generator
+from functools import partial
 from pathlib import Path
 
 WAITS = ("sleep", "poll")
@@ -37,10 +38,8 @@ class Scheduling:
         if self.priority and not low <= self.priority <= high:
             raise ValueError(f"realtime priority = {self.priority}: expected {low} to {high}")
         if self.priority and self.wait == "poll":
-            raise ValueError(
-                "realtime priority: not while polling, as Linux stops a real-time thread that never rests"
-                " for 50 ms in every second"
-            )
+            why = "Linux stops a real-time thread that never rests for 50 ms in every second"
+            raise ValueError(f"realtime priority: not while polling, as {why}")
         if self.cores and (absent := sorted(set(self.cores) - set(range(os.cpu_count() or 1)))):
             raise ValueError(f"cores: there is no core {', '.join(map(str, absent))} on this machine")
 
@@ -62,11 +61,11 @@ def scheduled(scheduling: Scheduling) -> Generator[None, None, None]:
         if scheduling.priority:
             number = scheduling.priority
             policy, param = os.sched_getscheduler(0), os.sched_getparam(0)
-            _allowed(
-                lambda: os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(number)),
-                f"realtime priority {number}",
-                f"; allow it by 'ulimit -r {number}', rtprio in /etc/security/limits.conf, or CAP_SYS_NICE",
+            remedy = (
+                f"; allow it by 'ulimit -r {number}', rtprio in /etc/security/limits.conf, or CAP_SYS_NICE"
             )
+            ask = partial(os.sched_setscheduler, 0, os.SCHED_RR, os.sched_param(number))
+            _allowed(ask, f"realtime priority {number}", remedy)
             undo.callback(os.sched_setscheduler, 0, policy, param)
         yield
 

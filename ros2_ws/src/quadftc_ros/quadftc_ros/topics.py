@@ -85,11 +85,10 @@ def missing_connections(node: str, counts: Mapping[str, int], recorders: int = 0
     missing: list[str] = []
     for topic, count in counts.items():
         row = TOPICS[topic]
-        wanted, kind = len(row.publishers), "publishers"
-        if node in row.publishers:
-            wanted, kind = len(row.readers) + recorders, "readers"
+        gives = node in row.publishers
+        wanted = len(row.readers) + recorders if gives else len(row.publishers)
         if count < wanted:
-            missing.append(f"{topic}: {count} of {wanted} {kind}")
+            missing.append(f"{topic}: {count} of {wanted} {'readers' if gives else 'publishers'}")
     return missing
 
 

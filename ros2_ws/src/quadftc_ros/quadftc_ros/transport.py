@@ -2,7 +2,7 @@
 """Between rclpy and a node's callbacks: usable messages come in, others are counted; a tap copies what goes.
 
 A message is usable if its stamp is a time and its frame is that of its topic. A trace notes when messages
-come and go, by the monotonic clock, which all processes share.
+come and go, by the monotonic clock.
 """
 
 from __future__ import annotations
@@ -99,20 +99,15 @@ def decoding(
 class MessageTrace:
     """Times at which a node takes and gives messages, topic by topic.
 
-    A note takes a few tenths of a microsecond, in memory that is there already: memory that grew with the
-    flight would now and then take milliseconds.
+    A note takes tenths of a microsecond, in memory that is there already: growing it can take milliseconds.
     """
 
     def __init__(self) -> None:
         self._rows: dict[str, _Rows] = {}
 
-    def taken(self, topic: str) -> Note:
-        """Return what notes that a message of a topic has come."""
-        return self._rows.setdefault(f"taken {topic}", _Rows()).note
-
-    def given(self, topic: str) -> Note:
-        """Return what notes that a message of a topic is about to be published."""
-        return self._rows.setdefault(f"given {topic}", _Rows()).note
+    def noting(self, event: str) -> Note:
+        """Return what notes messages that are "taken <topic>" or, before they are published, "given <topic>"."""
+        return self._rows.setdefault(event, _Rows()).note
 
     def save(self, path: Path) -> None:
         """Write the times as a NumPy archive, see `load_trace`; OSError if it cannot be written."""

@@ -13,13 +13,13 @@ from quadftc_ros.transport import MessageTrace, load_trace
 
 def test_times_are_read_back_in_order(tmp_path):
     trace = MessageTrace()
-    taken, given = trace.taken("imu/data"), trace.given("imu/corrected")
+    taken, given = trace.noting("taken imu/data"), trace.noting("given imu/corrected")
     begin = time.monotonic_ns()
     for stamp in (3, 5, 8):
         taken(stamp)
         given(stamp)
     end = time.monotonic_ns()
-    trace.taken("torque/command")
+    trace.noting("taken torque/command")
     trace.save(tmp_path / "trace.npz")
     found = load_trace(tmp_path / "trace.npz")
     assert set(found) == {"taken imu/data", "given imu/corrected", "taken torque/command"}

@@ -10,7 +10,7 @@ the schedule restarts with the next sample, faults injected by service are gone)
 
 from __future__ import annotations
 
-import sys
+from functools import partial
 from typing import Any
 
 from std_msgs.msg import Header
@@ -123,6 +123,4 @@ def _values_of(request: InjectFault.Request) -> dict[str, Any]:
     return {**values, **dict(zip(names, numbers, strict=True))}
 
 
-def main() -> None:
-    """Run the node."""
-    sys.exit(run_node(FaultInjectorNode))
+main = partial(run_node, FaultInjectorNode)

@@ -12,9 +12,9 @@ The plant makes time: it does not follow /clock, whatever use_sim_time says.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from std_srvs.srv import Trigger
@@ -174,6 +174,4 @@ class PlantNode(GraphNode):
         return response
 
 
-def main() -> None:
-    """Run the node."""
-    sys.exit(run_node(lambda: PlantNode(timed=False), paced=True))
+main = partial(run_node, partial(PlantNode, timed=False), paced=True)

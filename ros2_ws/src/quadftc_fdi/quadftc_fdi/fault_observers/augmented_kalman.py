@@ -40,15 +40,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-from quadftc_fdi.fault_observer import (
-    MAX_PITCH,
-    Detection,
-    FaultObserver,
-    comparable,
-    correct_sample,
-    dead_reckon,
-    register,
-)
+from quadftc_fdi import fault_observer
+from quadftc_fdi.fault_observer import FaultObserver, comparable, correct_sample, dead_reckon, register
 from quadftc_model.arrays import AnyArray, Array, Quaternion, Vector, components, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
@@ -72,7 +65,7 @@ class State(NamedTuple):
     gyro: Vector  # [rad/s]
     means: Float[AnyArray, "*batch 3 4"]  # m_ij [rad]
     alert: Vector  # how long n_f is still that of a faulty axis [s]
-    detection: Detection
+    detection: fault_observer.Detection
 
 
 @register("augmented_kalman")
@@ -107,7 +100,9 @@ class AugmentedKalman(FaultObserver):
         hidden = xp.concatenate([xp.eye(3), xp.zeros((3, 3)), -xp.eye(3)], axis=-1)  # x^ is off by the fault
         P = (std_devs**2)[..., None] * xp.eye(9) + self.initial_fault**2 * (hidden.T @ hidden)
         means = xp.stack([zeros] * len(WINDOWS), axis=-1)
-        return State(imu.q_xyzw, zeros, zeros, P, imu.body_rate, means, zeros, Detection.start(zeros))
+        return State(
+            imu.q_xyzw, zeros, zeros, P, imu.body_rate, means, zeros, fault_observer.Detection.start(zeros)
+        )
 
     def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Predict on the gyro over ``dt`` [s], adapt, and correct by the attitude."""
@@ -195,7 +190,9 @@ def kinematic_matrices(
     Pitch is kept within ``MAX_PITCH``, so that both are bounded.
     """
     xp = namespace(angles)
-    phi, theta, _ = components(xp.minimum(xp.maximum(angles, -MAX_PITCH), MAX_PITCH))
+    phi, theta, _ = components(
+        xp.minimum(xp.maximum(angles, -fault_observer.MAX_PITCH), fault_observer.MAX_PITCH)
+    )
     phi = components(angles)[0]
     _, q, r = components(body_rate)
     s, c, t, sec = xp.sin(phi), xp.cos(phi), xp.tan(theta), 1.0 / xp.cos(theta)

@@ -37,14 +37,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from quadftc_fdi.fault_observer import (
-    Detection,
-    FaultObserver,
-    comparable,
-    correct_sample,
-    dead_reckon,
-    register,
-)
+from quadftc_fdi import fault_observer
+from quadftc_fdi.fault_observer import FaultObserver, comparable, correct_sample, dead_reckon, register
 from quadftc_fdi.fault_observers.sliding_mode import implicit_injection
 from quadftc_model.arrays import Quaternion, Vector, exp, namespace
 from quadftc_model.parameters import parameter
@@ -61,7 +55,7 @@ class State(NamedTuple):
     e: Vector  # z_f - z_f^ [rad]
     fault: Vector  # f_s^ [rad]
     gyro: Vector  # y2 [rad/s]
-    detection: Detection
+    detection: fault_observer.Detection
 
 
 @register("edwards_spurgeon")
@@ -81,7 +75,7 @@ class EdwardsSpurgeon(FaultObserver):
         """Start on the measurement: the sensor counts as healthy at the first sample."""
         imu = inputs.imu
         zeros = namespace(imu.body_rate).zeros_like(imu.body_rate)
-        return State(imu.q_xyzw, zeros, zeros, imu.body_rate, Detection.start(zeros))
+        return State(imu.q_xyzw, zeros, zeros, imu.body_rate, fault_observer.Detection.start(zeros))
 
     def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Advance by ``dt`` [s] to the sample."""

@@ -24,14 +24,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_fdi.fault_observer import (
-    FaultObserver,
-    LastDiagnosis,
-    comparable,
-    correct_sample,
-    register,
-    without_fault,
-)
+from quadftc_fdi import fault_observer
+from quadftc_fdi.fault_observer import FaultObserver, comparable, correct_sample, register, without_fault
 from quadftc_fdi.supervision import anchors, fault_track, inertial_filter, residual_tests
 from quadftc_fdi.supervision.inertial_filter import ROTATION, FilterState, bias_variance, estimate_rate
 from quadftc_fdi.supervision.residual_tests import ResidualVariances
@@ -107,7 +101,7 @@ class Supervised(FaultObserver):
             raw=zeros[..., :1] + 1.0,
         )
 
-    def resumed(self, inputs: FaultObserverInputs, last: LastDiagnosis) -> State:
+    def resumed(self, inputs: FaultObserverInputs, last: fault_observer.LastDiagnosis) -> State:
         """Resume with the gyro bias as it was, and with the faults taken off the faulty axes."""
         xp = namespace(inputs.imu.body_rate)
         faulty = xp.asarray(last.faulty)
