@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import abc
 import dataclasses
 from collections.abc import Callable
 from typing import Any
@@ -10,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from quadftc_model.arrays import Array, namespace
-from quadftc_model.assembly import law_from
-from quadftc_model.parameters import Checked
+from quadftc_model.assembly import VehicleLaw, law_from
 from quadftc_model.registry import Registry
 from quadftc_model.rotors import attainable
 from quadftc_model.samples import ControllerInputs, ControllerOutput, is_usable
@@ -20,21 +18,11 @@ from quadftc_model.vehicle import Vehicle
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Controller(Checked, abc.ABC):
+class Controller(VehicleLaw[ControllerInputs, ControllerOutput]):
     """Base of all controllers: from attitude, body rate, reference and disturbance estimate to a torque.
 
     The torque of every controller has gone through :func:`limited`: the rotors can give it.
     """
-
-    vehicle: Vehicle
-
-    @abc.abstractmethod
-    def init(self, inputs: ControllerInputs) -> Any:
-        """Return the state at the first sample."""
-
-    @abc.abstractmethod
-    def step(self, state: Any, inputs: ControllerInputs, dt: float) -> tuple[Any, ControllerOutput]:
-        """Advance by ``dt`` [s] to a sample; 0 at the first one."""
 
     def without_estimate(self, missing: float) -> Controller:
         """Return the law to fly with where ``missing`` (0..1) of the disturbance estimate is missing.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import abc
 import dataclasses
 from typing import Any
 
@@ -10,30 +9,18 @@ import numpy as np
 
 from quadftc_fdi.handover import ResumingStepper
 from quadftc_model.arrays import Vector
-from quadftc_model.assembly import law_from
-from quadftc_model.parameters import Checked
+from quadftc_model.assembly import VehicleLaw, law_from
 from quadftc_model.registry import Registry
 from quadftc_model.samples import DisturbanceObserverInputs, ImuSample, is_usable, sanitised
-from quadftc_model.vehicle import Vehicle
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class DisturbanceObserver(Checked, abc.ABC):
+class DisturbanceObserver(VehicleLaw[DisturbanceObserverInputs, Vector]):
     """Base of all disturbance observers: from body rates and torques to d of (36) [rad/s²]."""
-
-    vehicle: Vehicle
-
-    @abc.abstractmethod
-    def init(self, inputs: DisturbanceObserverInputs) -> Any:
-        """Return the state at the first sample."""
 
     def resumed(self, inputs: DisturbanceObserverInputs, estimate: Vector) -> Any:
         """Return the state that resumes from the last estimate [rad/s²] of another; by default a new one."""
         return self.init(inputs)
-
-    @abc.abstractmethod
-    def step(self, state: Any, inputs: DisturbanceObserverInputs, dt: float) -> tuple[Any, Vector]:
-        """Advance by ``dt`` [s] to a sample (0 at the first one); return the estimate [rad/s²]."""
 
 
 class DisturbanceEstimation(ResumingStepper[DisturbanceObserverInputs, Vector, Vector]):

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import abc
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from quadftc_model import samples
-from quadftc_model.arrays import AnyArray, Mask, Quaternion, Vector, is_single, namespace
-from quadftc_model.assembly import law_from
-from quadftc_model.parameters import Checked
+from quadftc_model.arrays import AnyArray, Bool, Mask, Quaternion, Vector, is_single, namespace
+from quadftc_model.assembly import VehicleLaw, law_from
 from quadftc_model.registry import Registry
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, turn
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample
-from quadftc_model.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from jaxtyping import Bool
 
 MAX_PITCH = math.radians(80.0)  # rad; steeper, roll and yaw are not defined well enough to be compared
 
@@ -37,7 +31,7 @@ class LastDiagnosis(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class FaultObserver(Checked, abc.ABC):
+class FaultObserver(VehicleLaw[FaultObserverInputs, FaultEstimate]):
     """Base of all fault observers: from IMU samples and torques to an estimate of the attitude fault.
 
     ``init`` and ``step`` take arrays with any leading axes. They bridge a sample whose attitude or rate is
@@ -46,22 +40,12 @@ class FaultObserver(Checked, abc.ABC):
 
     has_detector: ClassVar[bool] = True  # False: its status never says faulty, its estimate has to be judged
 
-    vehicle: Vehicle
-
-    @abc.abstractmethod
-    def init(self, inputs: FaultObserverInputs) -> Any:
-        """Return the state at the first sample."""
-
     def resumed(self, inputs: FaultObserverInputs, last: LastDiagnosis) -> Any:
         """Return the state that resumes at a sample where another observer of this kind has died.
 
         Its fault is assumed to last; by default the observer starts at the attitude without it.
         """
         return self.init(without_fault(inputs, last.fault))
-
-    @abc.abstractmethod
-    def step(self, state: Any, inputs: FaultObserverInputs, dt: float) -> tuple[Any, FaultEstimate]:
-        """Advance by ``dt`` [s] to a sample; 0 at the first one."""
 
 
 fault_observers: Registry[Any] = Registry(

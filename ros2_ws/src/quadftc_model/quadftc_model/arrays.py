@@ -12,21 +12,28 @@ import numpy as np
 T = TypeVar("T")
 Array = Any  # of any array library and shape; prefer the types with a shape
 
-# Shapes for signatures. A type checker takes every array for NumPy's; arrays of JAX come in the same places.
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, UInt8
-
-    AnyArray = np.ndarray[Any, np.dtype[Any]]
-    Scalar = Float[AnyArray, "*batch"] | float
-    Column = Float[AnyArray, "*batch 1"]
-    Vector = Float[AnyArray, "*batch 3"]
-    Quaternion = Float[AnyArray, "*batch 4"]  # x, y, z, w
-    Components = Float[AnyArray, "*batch n"]
-    Flag = Bool[Any, "*batch"]  # np.bool_ for one vehicle, which NumPy does not type as an array
-    Mask = Bool[AnyArray, "*batch 3"]
-    States = UInt8[AnyArray, "*batch 3"]
 else:  # importing jaxtyping would cost every node its start-up time
-    AnyArray = Scalar = Column = Vector = Quaternion = Components = Flag = Mask = States = Any
+
+    class Float:
+        """An array with a shape, which only a type checker reads."""
+
+        def __class_getitem__(cls, _: object) -> Any:
+            return Any
+
+    Bool = UInt8 = Float
+
+# Shapes for signatures. A type checker takes every array for NumPy's; arrays of JAX come in the same places.
+AnyArray = np.ndarray[Any, np.dtype[Any]]
+Scalar = Float[AnyArray, "*batch"] | float
+Column = Float[AnyArray, "*batch 1"]
+Vector = Float[AnyArray, "*batch 3"]
+Quaternion = Float[AnyArray, "*batch 4"]  # x, y, z, w
+Components = Float[AnyArray, "*batch n"]
+Flag = Bool[Any, "*batch"]  # np.bool_ for one vehicle, which NumPy does not type as an array
+Mask = Bool[AnyArray, "*batch 3"]
+States = UInt8[AnyArray, "*batch 3"]
 
 
 def namespace(array: Array) -> Any:

@@ -12,18 +12,36 @@ closed loop alike. What is missing, unknown or wrong is a ValueError that gives 
 
 from __future__ import annotations
 
+import abc
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
-from quadftc_model.parameters import build, parameters_of
+from quadftc_model.parameters import Checked, build, parameters_of
 from quadftc_model.registry import Registry
 from quadftc_model.spec import parse_spec
+from quadftc_model.stepper import In, Out
 from quadftc_model.vehicle import Vehicle, load_vehicle
 
 NodeValue = bool | int | float | str | Sequence[float] | Sequence[str]
 NodeParameters = Mapping[str, Any]  # name -> NodeValue; arrays may be of any kind, as rclpy gives them
 
 T = TypeVar("T")
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class VehicleLaw(Checked, abc.ABC, Generic[In, Out]):
+    """Base of the laws of a vehicle: explicit state, no clock, parameters in its fields."""
+
+    vehicle: Vehicle
+
+    @abc.abstractmethod
+    def init(self, inputs: In) -> Any:
+        """Return the state at the first sample."""
+
+    @abc.abstractmethod
+    def step(self, state: Any, inputs: In, dt: float) -> tuple[Any, Out]:
+        """Advance by ``dt`` [s] to a sample; 0 at the first one."""
 
 
 def get(parameters: NodeParameters, name: str, kind: type[T]) -> T:

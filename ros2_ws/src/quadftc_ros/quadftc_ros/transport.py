@@ -106,7 +106,7 @@ class MessageTrace:
         self._rows: dict[str, _Rows] = {}
 
     def noting(self, event: str) -> Note:
-        """Return what notes messages that are "taken <topic>" or, before they are published, "given <topic>"."""
+        """Return what notes messages "taken <topic>" or, before they are published, "given <topic>"."""
         return self._rows.setdefault(event, _Rows()).note
 
     def save(self, path: Path) -> None:

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from quadftc_flight.scenario import find_scenario, load_scenario
-from quadftc_theory.checks import check_scenario
-from quadftc_theory.circumstances import circumstances
+from quadftc_theory.checks import check_scenario, circumstances
 from quadftc_theory.conditions import Verdict
 
 

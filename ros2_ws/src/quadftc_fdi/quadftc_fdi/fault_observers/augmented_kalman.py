@@ -38,17 +38,14 @@ and m - b^.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from quadftc_fdi import fault_observer
 from quadftc_fdi.fault_observer import FaultObserver, comparable, correct_sample, dead_reckon, register
-from quadftc_model.arrays import AnyArray, Array, Quaternion, Vector, components, namespace
+from quadftc_model.arrays import AnyArray, Array, Float, Quaternion, Vector, components, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
 
 DEG = math.pi / 180.0
 WINDOWS = (0.0, 0.03, 0.3, 1.5)  # s; T_j, the first is one sample

@@ -12,24 +12,18 @@ of the error state, so nothing is computed twice:
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from quadftc_fdi.supervision import inertial_filter
 from quadftc_fdi.supervision.inertial_filter import MEASURED, SIZE, Covariance, FilterState, MeasurementMatrix
-from quadftc_model.arrays import Array, Column, Mask, Vector, any_of, changed_where, namespace, product
+from quadftc_model import arrays
+from quadftc_model.arrays import Array, Column, Float, Mask, Vector, any_of, changed_where, namespace, product
 
-if TYPE_CHECKING:
-    from jaxtyping import Bool, Float
-
-    from quadftc_model.arrays import AnyArray
-
-    Residuals = Float[AnyArray, "*batch 3 5"]
-    Predicted = Float[AnyArray, "*batch 3 3"]
-    One = Bool[AnyArray, "*batch 1"]
-else:
-    Residuals = Predicted = One = Array
+Residuals = Float[arrays.AnyArray, "*batch 3 5"]
+Predicted = Float[arrays.AnyArray, "*batch 3 3"]
+One = arrays.Bool[arrays.AnyArray, "*batch 1"]
 
 OLD, YOUNG = 3, 4  # columns of the residuals; the three before are of the filter itself
 IS_ANCHOR = np.array([0.0, 0.0, 0.0, 1.0, 1.0])
@@ -42,8 +36,8 @@ PROMOTION = np.array(
 class Anchors(NamedTuple):
     """Two earlier states of the filter, relative to it."""
 
-    corrections: Float[AnyArray, "*batch 16 5"]  # of the filter since; the first three columns are zero
-    P: Float[AnyArray, "*batch 2 16 16"]  # covariance now, the older anchor first
+    corrections: Float[arrays.AnyArray, "*batch 16 5"]  # of the filter since; columns 0 to 2 are zero
+    P: Float[arrays.AnyArray, "*batch 2 16 16"]  # covariance now, the older anchor first
     age: Column  # of the younger [s]
 
 

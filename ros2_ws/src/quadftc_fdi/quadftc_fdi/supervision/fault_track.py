@@ -16,16 +16,13 @@ observer: otherwise a wrong start or a false alarm would never end.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_fdi.supervision.residual_tests import ResidualVariances
-from quadftc_model.arrays import AnyArray, Column, Mask, Vector, cache_numbers, namespace
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from quadftc_model.arrays import AnyArray, Column, Float, Mask, Vector, cache_numbers, namespace
 
 AVERAGES = np.array([0.15, 0.6])  # s; two averages of a fault, whose difference shows that it moves
 JUMPS = 25.0  # 1; squared standard deviations beyond which a fault jumps

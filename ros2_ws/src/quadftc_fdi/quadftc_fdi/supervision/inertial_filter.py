@@ -19,23 +19,18 @@ and P says how uncertain that is. Arrays have any leading axes; no branch depend
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_model import arrays
-from quadftc_model.arrays import Array, Column, Mask, Quaternion, Vector, is_single, namespace, product
+from quadftc_model.arrays import Array, Column, Float, Mask, Quaternion, Vector, is_single, namespace, product
 from quadftc_model.rotations import away_from_zero, turn
 
-if TYPE_CHECKING:
-    from jaxtyping import Float
-
-    Errors = Float[arrays.AnyArray, "*batch 16"]
-    Covariance = Float[arrays.AnyArray, "*batch 16 16"]  # of the error state
-    MeasurementMatrix = Float[arrays.AnyArray, "*batch 3 16"]
-else:
-    Errors = Covariance = MeasurementMatrix = Array
+Errors = Float[arrays.AnyArray, "*batch 16"]
+Covariance = Float[arrays.AnyArray, "*batch 16 16"]  # of the error state
+MeasurementMatrix = Float[arrays.AnyArray, "*batch 3 16"]
 
 SIZE = 16  # of the error state
 ROTATION, BIAS, DELAY = slice(0, 3), slice(3, 6), 15

@@ -15,16 +15,14 @@ disturbs them all, and going back to an anchor loses the evidence against them.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_fdi.supervision.anchors import OLD, PROMOTION, YOUNG, One, Predicted, Residuals
-from quadftc_model.arrays import AnyArray, Mask, Vector, any_of, cache_numbers, changed_where, namespace
-
-if TYPE_CHECKING:
-    from jaxtyping import Float
+from quadftc_model import arrays
+from quadftc_model.arrays import Float, Mask, Vector, any_of, cache_numbers, changed_where, namespace
 
 MEANS = np.array([0.05, 0.15, 0.5, 0.25, 0.25])  # s; averaging times, the last two of the anchors
 LEVELS = np.array([1.08, 1.0, 1.0, 0.95, 0.95])  # 1; of the threshold, as short averages have more chances
@@ -52,7 +50,7 @@ class Evidence(NamedTuple):
 
     means: Residuals  # averages of the residuals [rad]
     learned: Residuals  # squares of the averages over what the model says [1]
-    sums: Float[AnyArray, "*batch 3 2"]  # cumulative sums, upwards and downwards [1]
+    sums: Float[arrays.AnyArray, "*batch 3 2"]  # cumulative sums, upwards and downwards [1]
     suspicion: Vector  # how long an axis has been suspect [s]
 
 
