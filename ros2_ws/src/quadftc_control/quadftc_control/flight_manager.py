@@ -55,7 +55,7 @@ class FlightManager:
         self._status: Any = None  # last status of an observer that is silent, if it helps one that restarts
         self._mode: Mode | None = None
         self.stamp_ns = 0  # of the last command [ns]; 0 before the first
-        self._watched_ns, self._silent_since_ns = 0, 0
+        self._watched_ns = self._silent_since_ns = 0
         self._missing = 0.0  # share of the disturbance estimate that is missing
         self._trusted = False  # the disturbance estimate
         self.reference: AttitudeReference | None = None
@@ -177,9 +177,9 @@ class FlightManager:
 
     def _lose_diagnosis(self, stamp_ns: int) -> None:
         """Keep what a fault observer that restarts needs, and tell the transfer what is known of imu/data."""
-        words, self._status = self._last_words.recall(stamp_ns), None
+        self._status = None
         self._transfer.expect(None, None)
-        if words is None:
+        if (words := self._last_words.recall(stamp_ns)) is None:
             return
         self._status, last_ns, correction = words
         fault = self._reader.faulty_part(self._status)
@@ -190,8 +190,7 @@ class FlightManager:
         """Keep what the fault has become, as far as that shows without a diagnosis."""
         if self._status is None or not self._transfer.known:
             return
-        fault = self._last_words.average_fault(stamp_ns, read, flown)
-        if fault is not None:
+        if (fault := self._last_words.average_fault(stamp_ns, read, flown)) is not None:
             self._reader.revise(self._status, stamp_ns, fault, self._monitor.patience.jump)
             self.kept.append(("fault", stamp_ns, self._status))
 

@@ -92,10 +92,7 @@ class InputMonitor:
         self.undiagnosed = False  # flies on imu/data
         self._raw_ns = 0  # stamp of the newest imu/data
         self._uncorrected, self._good, self._good_since_ns = 0, 0, 0
-        self.estimate: tuple[int, NDArray[np.float64]] = (
-            0,
-            np.zeros(3),
-        )  # the last disturbance estimate [rad/s²], behind its stamp [ns]
+        self.estimate = 0, np.zeros(3)  # stamp [ns] of the last disturbance estimate, and that [rad/s²]
         self._estimated_ns: int | None = None  # stamp of the last call of `disturbance_at`
         self._share, self._unestimated, self._fresh = 0.0, True, 0
         self._back, self._back_ns = 0, 0
@@ -142,11 +139,9 @@ class InputMonitor:
         self._estimated_ns = stamp_ns
         self._fresh = self._fresh + 1 if fresh else 0
         if first:
-            self._unestimated, self._share = not fresh, float(fresh)
-        elif not fresh:
-            self._unestimated = True
-        elif self._fresh >= patience.return_samples:
-            self._unestimated = False
+            self._share = float(fresh)
+        if first or not fresh or self._fresh >= patience.return_samples:
+            self._unestimated = not fresh
         dt = max(0.0, seconds(since_ns))
         change = -dt / patience.disturbance_fade if self._unestimated else dt / patience.blend
         self._share = min(1.0, max(0.0, self._share + change))

@@ -1,7 +1,6 @@
 """The last words of both observers, kept for observers that restart.
 
-An observer that dies loses its state, and what it published for late readers. The controller hears both
-observers. When one falls silent, the controller publishes for late readers:
+When an observer falls silent, the controller publishes for one that is started in its place:
 
 * ``fault/kept``: the last fault/status. While the controller knows by how much imu/data is off without it,
   that fault replaces the old one 20 times a second, because a fault may change;
@@ -89,12 +88,10 @@ class LastWords:
         stamp_ns, corrected = self.corrected
         if seconds(now_ns - stamp_ns) > MAX_GAP:
             return None
-        data = next((data for each_ns, data in self.raws if each_ns == stamp_ns), None)
-        if data is None:
-            return None
         try:
+            data = next(data for each_ns, data in self.raws if each_ns == stamp_ns)
             raw, status = self._reader.imu(data), self._reader.status(self.status)
-        except ValueError:
+        except (StopIteration, ValueError):  # not heard, or not readable
             return None
         known = raw.rate_valid and corrected.rate_valid
         correction = corrected.body_rate - raw.body_rate if known else np.zeros(3)

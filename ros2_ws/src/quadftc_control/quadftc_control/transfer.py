@@ -14,7 +14,7 @@ bias), and stays, w_o = 1. As to delta,
   does not explain: then a fault has begun.
 
 A fault is taken off so for some time, in which a new observer can come, then given up, as errors of the body
-rate add up, and faults end. Towards imu/corrected, delta is what has come of all that, given up at once.
+rate add up, and faults end. Towards imu/corrected, delta is what has come of that, given up at once.
 """
 
 from __future__ import annotations
@@ -56,8 +56,7 @@ class Transfer:
     def expect(self, rate_correction: NDArray[np.float64] | None, fault: NDArray[np.float64] | None) -> None:
         """Say what is known of imu/data, before it is used in place of imu/corrected.
 
-        That is what the diagnosis has last added to its body rate [rad/s], and the fault of its attitude as
-        last known [rad]; None if it is not known or there was none.
+        What the diagnosis has last added to its body rate [rad/s], and its last fault [rad]; None: not known.
         """
         self._rate_correction, self._fault = rate_correction, fault
 
@@ -99,12 +98,11 @@ class Transfer:
         """Begin with another source."""
         self._reckoning = raw and self._fault is not None
         self._rate_stays = raw and self._rate_correction is not None
+        self._rate = np.zeros(3)
         if raw and self._rate_correction is not None:
             self._rate = self._rate_correction
         elif before is not None and before.rate_valid and sample.rate_valid:
             self._rate = before.body_rate - sample.body_rate
-        else:
-            self._rate = np.zeros(3)
         if before is not None:
             self._begin(stamp_ns, _turn_between(sample, before, elapsed), held=self._reckoning)
         elif raw and self._fault is not None:

@@ -10,16 +10,8 @@ from __future__ import annotations
 
 import dataclasses
 
-from quadftc_model.assembly import (
-    NodeParameters,
-    build_named,
-    build_prefixed,
-    component_of,
-    components_from,
-    get,
-    texts,
-    vehicle_from,
-)
+from quadftc_model import assembly
+from quadftc_model.assembly import NodeParameters, get
 from quadftc_model.parameters import parameter
 from quadftc_sim.disturbance import disturbances
 from quadftc_sim.injection import Injection, make_injection
@@ -69,26 +61,26 @@ def sample_count(duration: float, rate: float) -> int:
 
 def simulator_from(parameters: NodeParameters, epoch_ns: int = EPOCH_NS) -> Simulator:
     """Build the simulator from the parameters of the plant node; its first stamp is ``epoch_ns``."""
-    laws = tuple(components_from(disturbances, parameters, "disturbances"))
-    plant = build_named(Plant, parameters, vehicle=vehicle_from(parameters), disturbances=laws)
-    sensor = build_prefixed(ImuSensor, parameters, "imu")
+    laws = tuple(assembly.components_from(disturbances, parameters, "disturbances"))
+    context = {"vehicle": assembly.vehicle_from(parameters), "disturbances": laws}
+    plant = assembly.build_named(Plant, parameters, **context)
+    sensor = assembly.build_prefixed(ImuSensor, parameters, "imu")
     period = period_ns(get(parameters, "rate", float))
     return Simulator(plant, sensor, period, epoch_ns, get(parameters, "seed", int))
 
 
 def flight_from(parameters: NodeParameters, epoch_ns: int, begin_ns: int) -> PlantFlight:
     """Build a flight of the plant node: stamp of its first sample, and monotonic time of its begin [ns]."""
-    count = sample_count(get(parameters, "duration", float), get(parameters, "rate", float))
-    timeout = get(parameters, "torque_timeout", float)
-    return PlantFlight(simulator_from(parameters, epoch_ns), count, timeout, begin_ns)
+    duration, rate, timeout = (get(parameters, key, float) for key in ("duration", "rate", "torque_timeout"))
+    return PlantFlight(simulator_from(parameters, epoch_ns), sample_count(duration, rate), timeout, begin_ns)
 
 
 def injector_from(parameters: NodeParameters) -> FaultInjector:
     """Build the fault injector with its scheduled faults, numbered from 1 in their order."""
-    injections = [injection_from(text) for text in texts(parameters, "faults")]
+    injections = [injection_from(text) for text in assembly.texts(parameters, "faults")]
     return FaultInjector(get(parameters, "seed", int), injections)
 
 
 def injection_from(text: str) -> Injection:
     """Make an injection from its specification."""
-    return component_of("fault", text, make_injection)
+    return assembly.component_of("fault", text, make_injection)

@@ -78,8 +78,8 @@ class FaultInjectorNode(GraphNode):
     def report(self) -> None:
         """Report the faults that act."""
         active = {
-            f"{number}": f"{injection.kind} on {injection.channel} until {injection.stop:g} s"
-            for number, injection in self._injector.active.items()
+            str(number): f"{fault.kind} on {fault.channel} until {fault.stop:g} s"
+            for number, fault in self._injector.active.items()
         }
         self.diagnostics.report("faults", WARN if active else OK, f"{len(active)} faults act", **active)
 
@@ -116,11 +116,9 @@ def _values_of(request: InjectFault.Request) -> dict[str, Any]:
     if not request.duration >= 0.0:
         raise ValueError(f"duration = {request.duration:g} s: must not be negative")
     values: dict[str, Any] = {"start": request.start, "axes": list(request.axes)}
-    if request.channel:
-        values["channel"] = request.channel
-    if request.duration > 0.0:
-        values["duration"] = request.duration
-    return {**values, **dict(zip(names, numbers, strict=True))}
+    values |= {"channel": request.channel} if request.channel else {}
+    values |= {"duration": request.duration} if request.duration > 0.0 else {}
+    return values | dict(zip(names, numbers, strict=True))
 
 
 main = partial(run_node, FaultInjectorNode)

@@ -86,22 +86,13 @@ def inject(
         values[channel] = xp.where(acts[..., None] & injection.mask, output.value, healthy)
         there[channel] = there[channel] & (output.valid | ~acts)
         turned = turned | acts if channel == "attitude" else turned
+    attitude, gyro, force, _ = values.values()
+    *valid, present = there.values()
     # An attitude without a fault is kept as it is: a detour by Euler angles would round it.
-    faulty = ImuSample(
-        xp.where(turned[..., None], quaternion_from_euler(values["attitude"]), sample.q_xyzw),
-        values["gyro"],
-        values["accelerometer"],
-        there["attitude"],
-        there["gyro"],
-        there["accelerometer"],
-    )
-    return tuple(new_states), Faulty(
-        faulty,
-        there["imu"],
-        xp.where(turned[..., None], wrap(values["attitude"] - angles), 0.0),
-        values["gyro"] - sample.body_rate,
-        values["accelerometer"] - sample.specific_force,
-    )
+    q_xyzw = xp.where(turned[..., None], quaternion_from_euler(attitude), sample.q_xyzw)
+    fault = xp.where(turned[..., None], wrap(attitude - angles), 0.0)
+    truth = (fault, gyro - sample.body_rate, force - sample.specific_force)
+    return tuple(new_states), Faulty(ImuSample(q_xyzw, gyro, force, *valid), present, *truth)
 
 
 def _channels(sample: ImuSample) -> dict[str, Array]:
@@ -122,16 +113,12 @@ class _Scheduled:
     generators: tuple[np.random.Generator, np.random.Generator]  # normal, uniform
     state: InjectionState | None = None
 
-    def runs(self, time: float) -> bool:
-        """Whether the fault acts at a scenario time [s], or has to see the sample for its memory."""
-        injection = self.injection
-        return time < injection.stop and (injection.start <= time or injection.law.has_memory)
-
     def draw(self) -> FaultDraws | None:
         """Return the random numbers of the next sample."""
+        if not self.injection.law.is_random:
+            return None
         normal, uniform = self.generators
-        is_random = self.injection.law.is_random
-        return FaultDraws(normal.standard_normal(3), uniform.random(3)) if is_random else None
+        return FaultDraws(normal.standard_normal(3), uniform.random(3))
 
 
 class FaultInjector:
@@ -168,16 +155,14 @@ class FaultInjector:
     def add(self, injection: Injection) -> int:
         """Schedule an injection; return its number."""
         self._count += 1
-        generators = fault_generators(self._seed, self._count)
-        self._scheduled[self._count] = _Scheduled(injection, generators)
+        self._scheduled[self._count] = _Scheduled(injection, fault_generators(self._seed, self._count))
         return self._count
 
     def clear(self, number: int = 0) -> int:
         """End one injection, or all (0); return how many ended."""
-        numbers = [known for known in self._scheduled if number in (0, known)]
-        for known in numbers:
-            del self._scheduled[known]
-        return len(numbers)
+        before = len(self._scheduled)
+        self._scheduled = {known: each for known, each in self._scheduled.items() if number not in (0, known)}
+        return before - len(self._scheduled)
 
     def apply(self, stamp_ns: int, sample: ImuSample) -> Faulty:
         """Put the faults on the sample of a stamp [ns]; the first sample's is scenario time 0."""
@@ -186,9 +171,9 @@ class FaultInjector:
         dt = seconds(stamp_ns - self._stamp_ns)
         self._stamp_ns = stamp_ns
         time = self.now
-        for number in [n for n, each in self._scheduled.items() if each.injection.stop <= time]:
-            del self._scheduled[number]
-        running = [each for each in self._scheduled.values() if each.runs(time)]
+        self._scheduled = {n: each for n, each in self._scheduled.items() if time < each.injection.stop}
+        scheduled = [(each, each.injection) for each in self._scheduled.values()]
+        running = [each for each, fault in scheduled if fault.start <= time or fault.law.has_memory]
         if not running:  # mostly; the step costs as much as an observer
             zeros = np.zeros(3)
             return Faulty(sample, np.bool_(True), zeros, zeros, zeros)

@@ -52,9 +52,9 @@ class PlantOutput:
 
     def show_truth(self) -> None:
         """Publish the truth of the last emission, if that has not been done."""
-        emission, self.pending = self.pending, None
-        if emission is None:
+        if (emission := self.pending) is None:
             return
+        self.pending = None
         for publish, wire, name in self._truth:
             publish(wire(emission.stamp_ns, getattr(emission, name)))
         self._node.sampled(emission.stamp_ns)

@@ -52,28 +52,17 @@ class ImuSensor(Checked):
 
         ``draws`` (..., 4, 3) are standard normal numbers, ``dt`` is the sampling period [s].
         """
-        sample = self._measure(state.gyro_bias, q_xyzw, body_rate, draws, dt)
+        tilt = quaternion_from_rotation_vector(self.attitude_noise * draws[..., 0, :])
+        noise = self.gyro_noise / math.sqrt(dt) * draws[..., 1, :]
+        force = STANDARD_GRAVITY * earth_z_in_body(q_xyzw) + self.accelerometer_noise * draws[..., 2, :]
+        there = namespace(q_xyzw).ones_like(q_xyzw[..., 0], dtype=bool)
+        rate = body_rate + state.gyro_bias + noise
+        sample = ImuSample(quaternion_product(q_xyzw, tilt), rate, force, there, there, there)
         bias = state.gyro_bias + self.gyro_bias_walk * math.sqrt(dt) * draws[..., 3, :]
         pending = (*state.pending, sample)
         if len(pending) <= self.delay:
             return ImuState(bias, pending), None
         return ImuState(bias, pending[1:]), pending[0]
-
-    def _measure(
-        self, bias: Vector, q_xyzw: Quaternion, body_rate: Vector, draws: Array, dt: float
-    ) -> ImuSample:
-        xp = namespace(q_xyzw)
-        tilt = quaternion_from_rotation_vector(self.attitude_noise * draws[..., 0, :])
-        there = xp.ones_like(q_xyzw[..., 0], dtype=bool)
-        return ImuSample(
-            q_xyzw=quaternion_product(q_xyzw, tilt),
-            body_rate=body_rate + bias + self.gyro_noise / math.sqrt(dt) * draws[..., 1, :],
-            specific_force=STANDARD_GRAVITY * earth_z_in_body(q_xyzw)
-            + self.accelerometer_noise * draws[..., 2, :],
-            attitude_valid=there,
-            rate_valid=there,
-            force_valid=there,
-        )
 
 
 _DEG = math.pi / 180.0

@@ -1,10 +1,9 @@
 """A flight, sample by sample, without ROS.
 
-A `Simulator` is plant, sensor and random numbers behind ``start`` and ``advance``. A `PlantFlight` is what
-the plant node does with one between its messages. The torque that acts for a period is the last that has come
-when the period ends. In lock-step that is the torque of the sample at its beginning. In real time it mostly
-comes long before the end. Then the period is flown at once, so that at its end the next sample only has to be
-sent.
+A `Simulator` is plant, sensor and random numbers. A `PlantFlight` is what the plant node does with one.
+The torque that acts for a period is the last that has come when the period ends: in lock-step
+that of the sample at its beginning. In real time it mostly comes long before the end, and the period is flown
+at once.
 """
 
 from __future__ import annotations
