@@ -15,10 +15,10 @@ DOCUMENTS = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs
 FLY = """
 import numpy as np
 from quadftc_flight.closed_loop import fly
-from quadftc_flight.scenario import find_scenario, load_scenario, with_controller, with_duration
+from quadftc_flight.scenario import find_scenario, load_scenario, with_components, with_duration
 
 scenario = with_duration(load_scenario(find_scenario("paper_faults")), 8.0)
-flight = fly(with_controller(scenario, "pd"), "proposed")
+flight = fly(with_components(scenario, controller="pd"), "proposed")
 print(np.degrees(np.abs(flight.angles - flight.reference)).max(), np.degrees(np.abs(flight.reference)).max())
 """
 

@@ -14,10 +14,10 @@ EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 FLY = """
 import numpy as np
 from quadftc_flight.closed_loop import fly
-from quadftc_flight.scenario import find_scenario, load_scenario, with_duration, with_observer
+from quadftc_flight.scenario import find_scenario, load_scenario, with_components, with_duration
 
 scenario = with_duration(load_scenario(find_scenario("paper_faults")), 24.0)
-flight = fly(with_observer(scenario, "washout"), "proposed")
+flight = fly(with_components(scenario, observer="washout"), "proposed")
 print(np.degrees(np.abs(flight.angles - flight.reference)).max(), np.degrees(np.abs(flight.fault)).max())
 """
 

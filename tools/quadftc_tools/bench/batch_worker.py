@@ -11,7 +11,7 @@ from quadftc_flight.scenario import (
     Scenario,
     find_scenario,
     load_scenario,
-    with_controller,
+    with_components,
     with_duration,
     with_seed,
 )
@@ -55,7 +55,7 @@ def bare_scenario(duration: float, motor_lag: bool = False) -> Scenario:
     changes = ["faults=[]", f"plant.motor_lag={str(motor_lag).lower()}"]
     changes += [f"schemes.{name}.checks=[]" for name in load_scenario(path).schemes]
     scenario = with_duration(load_scenario(path, changes), duration)
-    return with_controller(scenario, BARE_CONTROLLER, BARE_SCHEME)
+    return with_components(scenario, BARE_SCHEME, controller=BARE_CONTROLLER)
 
 
 def _engine(job: Job, scenario: Scenario, scheme: str) -> Subject:

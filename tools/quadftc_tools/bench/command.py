@@ -20,8 +20,8 @@ from quadftc_flight.scenario import (
     Scenario,
     find_scenario,
     load_scenario,
+    with_components,
     with_duration,
-    with_observer,
     with_rate,
 )
 from quadftc_ros.executor import StopSignals
@@ -208,7 +208,7 @@ def batch(
 
 def _scenario(observer: str, duration: float, rate: float) -> Scenario:
     loaded = with_duration(load_scenario(find_scenario(SCENARIO), [NO_DELAY]), duration)
-    return with_observer(with_rate(loaded, rate), observer)
+    return with_components(with_rate(loaded, rate), observer=observer)
 
 
 def _bars() -> Progress:

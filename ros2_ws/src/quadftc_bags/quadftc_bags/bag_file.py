@@ -1,9 +1,8 @@
 # pyright: basic
 """One rosbag2 directory being written: ``metadata.yaml`` and one MCAP file, as rosbag2 Jazzy writes them.
 
-Everything here happens in the caller's thread; only ``sync``, which waits for the disk, may run in another.
-After ``flush`` a killed process loses nothing written before; after a ``sync`` that follows, nor does a power
-cut.
+Only ``sync``, which waits for the disk, may run in another thread than the caller's. After ``flush`` a killed
+process loses nothing written before; after a ``sync`` that follows, nor does a power cut.
 """
 
 from __future__ import annotations
@@ -37,13 +36,12 @@ class _Flushed(NamedTuple):
 
 
 class BagFile:
-    """Create a rosbag2 directory, which must not exist, and write messages to it.
+    """Create a rosbag2 directory, else FileExistsError, and write messages to it.
 
     ``attachments`` are files to store inside the bag, by name. ``metadata`` becomes ``custom_data`` of the
-    bag's metadata and an MCAP metadata record named ``quadftc``. ``compression`` is one of `COMPRESSIONS`. A
-    chunk with ``chunk_size`` bytes in messages is closed.
-
-    Raises ValueError if the compression is unknown; OSError, as every other method, if it cannot write.
+    bag's metadata and an MCAP metadata record named ``quadftc``. A ``compression`` that is none of
+    `COMPRESSIONS` is a ValueError. A chunk is closed when it has ``chunk_size`` bytes in messages. Every
+    method but ``abandon`` raises OSError if it cannot write.
     """
 
     def __init__(
@@ -80,9 +78,9 @@ class BagFile:
         self._writer = Writer(output, 2**63, CompressionType[compression.upper()])
         self._indices = ChunkIndices(self._writer, self.directory)
         self._writer.start("ros2", library="quadftc")
-        self.add_record("rosbag2", {"serialized_metadata": self._metadata(self._flushed)})
+        self._add_own_record()
         if self._custom:
-            self._writer.add_metadata("quadftc", self._custom)
+            self.add_record("quadftc", self._custom)
         for name, data in attachments.items():
             media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
             self._writer.add_attachment(0, 0, name, media_type, data)
@@ -128,7 +126,7 @@ class BagFile:
     def close(self) -> None:
         """Write the summary of the MCAP file and the final metadata."""
         self.flush()
-        self.add_record("rosbag2", {"serialized_metadata": self._metadata(self._flushed)})
+        self._add_own_record()
         self._writer.finish()
         self._indices.close()
         self.sync()
@@ -149,22 +147,24 @@ class BagFile:
         with suppress(OSError):
             self._write_metadata_file(self._flushed)
 
+    def _add_own_record(self) -> None:
+        self.add_record("rosbag2", {"serialized_metadata": self._metadata(self._flushed)})
+
     def _metadata(self, flushed: _Flushed) -> str:
         topics = [(topic, flushed.counts.get(topic.name, 0)) for topic in tuple(self._topics)]
         return metadata_text(self.path.name, topics, flushed.span_ns, self._custom)
 
     def _write_metadata_file(self, flushed: _Flushed) -> None:
         target = self.directory / "metadata.yaml"
-        partial = target.with_suffix(".yaml.part")
+        part = target.with_suffix(".yaml.part")
         try:
-            with partial.open("w", encoding="utf-8") as stream:
+            with part.open("w", encoding="utf-8") as stream:
                 stream.write("rosbag2_bagfile_information:\n" + indent(self._metadata(flushed), "  "))
                 stream.flush()
                 os.fsync(stream.fileno())
-            partial.replace(target)
+            part.replace(target)
         except OSError:
-            with suppress(OSError):
-                partial.unlink()
+            part.unlink(missing_ok=True)
             raise
 
 
@@ -185,10 +185,9 @@ def _write_all(file: io.RawIOBase, data: bytes) -> None:
 
 
 class ChunkIndices:
-    """The index of the chunks in a nameless file, instead of a list of a new ``writer``.
+    """The index of the chunks in a nameless file; a new ``writer`` has a list that grows by 20 MB an hour.
 
-    The library's writer keeps 1.5 kB for each chunk until the file is finished: 20 MB an hour, as chunks are
-    closed four times a second. RuntimeError if the writer of this version of the library has no such list.
+    RuntimeError if the writer of this version of the library has no such list.
     """
 
     def __init__(self, writer: Writer, directory: Path) -> None:

@@ -1,20 +1,15 @@
 # pyright: basic
 """Writing a bag while it is recorded, so that little is lost by whoever kills the process or cuts the power.
 
-Four times a second `BagWriter` hands everything to the operating system. A killed recorder therefore loses
-less than a second, however slow the disk, and what is there can be read. Twice a second another thread makes
-the disk take it and updates ``metadata.yaml``, for the case of a power cut.
+Four times a second `BagWriter` hands everything to the operating system: a killed recorder loses less than a
+second, however slow the disk. Twice a second another thread makes the disk take it and updates
+``metadata.yaml``, for the case of a power cut.
 
-Two ways of working:
-
-real time
-    Messages are stored in the order of arrival.
-lock-step
-    Messages are stored in the order (log time, topic) and chunks are cut at multiples of 0.1 s of log time.
-    So two runs with the same messages give the same file, byte by byte, whatever the threads did; padding
-    inside the messages is set to zero for that. A message is held for up to 0.3 s of log time, but not longer
-    than 0.75 s: in flights slower than 0.4 of real time crash safety comes first, and only the order within
-    each topic is the same.
+In real time messages are stored in the order of arrival, in lock-step in the order (log time, topic), in
+chunks cut at multiples of 0.1 s of log time, with zero padding inside the messages. So two runs with the same
+messages give the same file, byte by byte. A message is held for up to 0.3 s of log time, but not longer than
+0.75 s: in flights slower than 0.4 of real time crash safety comes first, and only the order within each topic
+is the same.
 """
 
 from __future__ import annotations
@@ -26,7 +21,7 @@ from bisect import bisect_left
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from operator import itemgetter
 from typing import TYPE_CHECKING
@@ -58,14 +53,11 @@ class BagStatus:
     error: str | None  # what stopped the recording (disk full, for instance)
 
 
-class BagWriter:
+class BagWriter(AbstractContextManager["BagWriter"]):
     """Write one rosbag2 bag (MCAP) from one thread, which may have to wait for the file, not for the disk.
 
-    Call `tick` when no messages come. Parameters are those of `BagFile`; for ``lockstep`` see the module's
-    text.
-
-    Raises FileExistsError if the directory exists; ValueError if the compression is unknown; OSError if the
-    directory cannot be written. Later errors are never raised: see ``status``.
+    Call `tick` when no messages come. Parameters and errors are those of `BagFile`; for ``lockstep`` see the
+    module's text. Later errors are never raised: see ``status``.
     """
 
     def __init__(
@@ -154,9 +146,6 @@ class BagWriter:
         lost = 0 if self._error is None else self._accepted - sum(counts.values())
         return BagStatus(counts, dict(self._dropped), lost, self._error)
 
-    def __enter__(self) -> BagWriter:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self.close()
 
@@ -178,8 +167,8 @@ class BagWriter:
             self._file.write(*message)
             return
         data = self._cleaners[message[0] - 1].clean(message[3])
-        if self._held.add((*message[:3], data)):
-            self._flush(self._held.move_cut())
+        if cut_ns := self._held.add((*message[:3], data)):
+            self._flush(cut_ns)
 
     def _flush(self, before_ns: int | None = None) -> None:
         """Hand all to the operating system; in lock-step what is before a log time [ns], if that is given."""
@@ -215,8 +204,8 @@ class HeldMessages:
         self._newest_ns = 0
         self._arrivals: deque[tuple[int, float]] = deque()  # log time not reached before [ns], wall time [s]
 
-    def add(self, message: Message) -> bool:
-        """Add a message; return whether log time has moved on far enough to cut a chunk."""
+    def add(self, message: Message) -> int | None:
+        """Add a message; return the log time [ns] of the next cut, if it is certain what is before it."""
         log_time_ns = message[1]
         if not self._arrivals or log_time_ns > self._arrivals[-1][0]:
             self._arrivals.append((log_time_ns, time.monotonic()))
@@ -224,12 +213,11 @@ class HeldMessages:
         if self._cut_ns is None:
             self._cut_ns = log_time_ns - log_time_ns % CUT_PERIOD_NS
         self._newest_ns = max(self._newest_ns, log_time_ns)
-        return self._newest_ns - CUT_DELAY_NS >= self._cut_ns + CUT_PERIOD_NS
-
-    def move_cut(self) -> int:
-        """Make the newest cut that is certain; return its log time [ns]."""
-        self._cut_ns = (self._newest_ns - CUT_DELAY_NS) // CUT_PERIOD_NS * CUT_PERIOD_NS
-        return self._cut_ns
+        cut_ns = (self._newest_ns - CUT_DELAY_NS) // CUT_PERIOD_NS * CUT_PERIOD_NS
+        if cut_ns <= self._cut_ns:
+            return None
+        self._cut_ns = cut_ns
+        return cut_ns
 
     def take(self, before_ns: int | None) -> list[Message]:
         """Take the messages before a log time [ns], by default all, in the order (log time, channel)."""

@@ -2,9 +2,8 @@
 
 A thread that writes would take the interpreter from the thread that flies, several hundred times a second. So
 `BagProcess` has the interface of `BagWriter`, which does the work in the other process (`serve`), behind a
-pair of sockets. That process ends when it is told to close the bag, or when the one that flies has ended, in
-whatever way. It looks now and then for what has come instead of waiting for it: to wake another process takes
-longer than to hand over what there is.
+pair of sockets. That process ends when it is told to close the bag, or when the one that flies has ended. It
+looks now and then for what has come: to wake another process takes longer than to hand over what there is.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -44,14 +43,13 @@ NICENESS = 10  # the one that flies comes first
 Input = Callable[[bytes, int, int], bool]
 
 
-class BagProcess:
+class BagProcess(AbstractContextManager["BagProcess"]):
     """Write one rosbag2 bag (MCAP) from one thread, by another process; the caller never waits for a disk.
 
     ``queue_size`` messages may wait. In real time a full queue drops messages and counts them: with those of
-    the graph, of 0.1 to 0.5 kB, it does not grow beyond 50 MB. In lock-step it makes the caller wait.
-
-    ``on_error`` is called once, with the text of the error that stopped the recording. All else is as of
-    `BagWriter`; OSError if the other process does not start.
+    the graph, of 0.1 to 0.5 kB, it stays below 50 MB. In lock-step it makes the caller wait. ``on_error`` is
+    called once, with the text of the error that stopped the recording. All else is as of `BagWriter`; OSError
+    if the other process does not start.
     """
 
     def __init__(
@@ -142,9 +140,6 @@ class BagProcess:
         if not self._closed and not self._hand_over(PATIENCE if self._lockstep else 0.0) and self._lockstep:
             self._give_up()
 
-    def __enter__(self) -> BagProcess:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self.close()
 
@@ -212,7 +207,7 @@ class BagProcess:
         return kind
 
     def _note(self, status: BagStatus) -> None:
-        """Keep what is known of the recording; its first error is reported."""
+        """Keep the state of the recording; report its first error."""
         known, self._status = self._status.error, status
         if status.error is not None and known is None and self._on_error is not None:
             self._on_error(status.error)

@@ -192,7 +192,7 @@ def load_campaign(path: Path, flights: int | None = None, recordings: Path | Non
     """
     document = read_document(path)
     if flights is not None:
-        document = document.replaced(("flights",), flights, f"flights {flights}")
+        document = document.replaced({("flights",): flights}, f"flights {flights}")
     try:
         keys = CampaignKeys.model_validate(document.data)
     except ValidationError as error:

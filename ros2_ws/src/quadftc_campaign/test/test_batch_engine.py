@@ -152,7 +152,7 @@ def busy(*faults, **parts):
     scenario = parse_scenario(
         BUSY, overrides=[f"schemes.tested.{role}={name}" for role, name in parts.items()]
     )
-    document = scenario.document.replaced(("faults",), [dict(fault) for fault in faults], "test")
+    document = scenario.document.replaced({("faults",): [dict(fault) for fault in faults]}, "test")
     return build_scenario(document)
 
 
@@ -183,7 +183,7 @@ def test_every_observer_and_controller_flies_alike(place):
 
 
 def with_plant(scenario, **options):
-    return build_scenario(scenario.document.replaced(("plant",), options, "test"))
+    return build_scenario(scenario.document.replaced({("plant",): options}, "test"))
 
 
 def test_a_flight_alone_is_one_kernel_and_says_what_the_metrics_say():

@@ -11,7 +11,7 @@ The directory of a replay holds the same, but for a scenario: `quadftc_replay.re
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, cast
@@ -92,10 +92,9 @@ class RecordedRun(RunDirectory):
 
 
 def find_runs(paths: Sequence[Path]) -> list[Path]:
-    """Find runs: each path is a run (directory or ``.mcap`` file), or a directory of run directories.
+    """Find runs, each once: a path is a run (directory or ``.mcap`` file), or a directory of run directories.
 
-    Those of one directory come in the order of their names; what else is in it is passed over. No run comes
-    twice. A path that does not exist or holds no run raises BagError.
+    Those of one directory come in the order of their names. A path without any is a BagError.
     """
     if not paths:
         raise BagError("no runs given; expected bags, or directories of bags")
@@ -111,10 +110,7 @@ def read_run(path: Path) -> RecordedRun:
 
 
 def run_from_bag(bag: Bag) -> RecordedRun:
-    """Make sense of the bag of a run, and check its parts and the files beside it against each other.
-
-    A bag that is not one of this software's, or holds too little to be judged, is a BagError; one line.
-    """
+    """Check the parts of a run's bag and the files beside it against each other; BagError if it is no run."""
     _require_run(bag)
     stored = read_summary(beside(bag.path, SUMMARY))
     name, warnings = run_name(bag.path), list[str]()
@@ -158,10 +154,7 @@ def beside(path: Path, name: str) -> Path:
 
 
 def attached_text(bag: Bag, name: str) -> str | None:
-    """Return an attachment, else the file beside the bag; None if there is neither.
-
-    If it cannot be read, BagError is raised.
-    """
+    """Return an attachment, else the file beside the bag; None without both, BagError if it is unreadable."""
     file = beside(bag.path, name)
     try:
         data = bag.attachments.get(name) or (file.read_bytes() if file.is_file() else b"")
@@ -262,31 +255,25 @@ def _read_scenario(bag: Bag, parameters: Parameters) -> Scenario:
 def _find_scheme(scenario: Scenario, parameters: Parameters, names: tuple[str, str], path: Path) -> Scheme:
     """Tell which scheme was flown: the parameters name its components; the summary or the run names it."""
     by_summary, by_run = names
-
-    def agrees(scheme: Scheme, selectors_only: bool) -> bool:
-        compiled = node_parameters(scenario, scheme)
-        return all(
-            parameters.get(node, {}).get(name, value) == value
-            for node, selector in _SELECTORS.items()
-            for name, value in compiled[node].items()
-            if name == selector or not selectors_only
-        )
-
-    fitting = [scheme for scheme in scenario.schemes.values() if agrees(scheme, selectors_only=True)]
-    if not fitting:
+    ranks: dict[str, tuple[bool, ...]] = {}  # whether each hint fits, from the strongest to the weakest
+    for name in scenario.schemes:
+        compiled = node_parameters(scenario, name)
+        wrong = {
+            key
+            for node in _SELECTORS
+            for key, value in compiled[node].items()
+            if parameters.get(node, {}).get(key, value) != value
+        }
+        is_flown = wrong.isdisjoint(_SELECTORS.values())
+        ranks[name] = (is_flown, not wrong, name == by_summary, by_run.endswith(f"-{name}"))
+    best = max(ranks.values())
+    if not best[0]:
         raise BagError(f"{path}: {PARAMETERS} fits none of the schemes {', '.join(scenario.schemes)}")
-    narrower: tuple[Callable[[Scheme], bool], ...] = (
-        lambda scheme: agrees(scheme, selectors_only=False),
-        lambda scheme: scheme.name == by_summary,
-        lambda scheme: by_run.endswith(f"-{scheme.name}"),
-    )
-    for fits in narrower:
-        fitting = [scheme for scheme in fitting if fits(scheme)] or fitting
+    fitting = [name for name, rank in ranks.items() if rank == best]
     if len(fitting) > 1:
-        names_of = ", ".join(scheme.name for scheme in fitting)
         wanted = f"expected {PARAMETERS}, 'scheme' in {SUMMARY}, or a name that ends with it"
-        raise BagError(f"{path}: which of the schemes {names_of} was flown is not known; {wanted}")
-    return fitting[0]
+        raise BagError(f"{path}: which of the schemes {', '.join(fitting)} was flown is not known; {wanted}")
+    return scenario.schemes[fitting[0]]
 
 
 def _shortcomings(run: RecordedRun) -> Iterator[str]:

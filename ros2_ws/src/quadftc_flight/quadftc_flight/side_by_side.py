@@ -7,11 +7,12 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Sequence
-from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from multiprocessing.connection import Connection
 from multiprocessing.synchronize import Event
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from quadftc_flight.graph.plan import GraphError
 from quadftc_flight.runs import RunOptions, run
@@ -19,13 +20,12 @@ from quadftc_flight.scenario import Scenario, Scheme
 from quadftc_ros.executor import STOPPING
 
 Job = tuple[Scenario, Scheme]
-Follow = Callable[[int, float], bool]
 
 STRIDE = 0.01  # share of a flight between two reports of a process
 
 
 def run_side_by_side(
-    jobs: Sequence[Job], out: Path, options: RunOptions, workers: int, follow: Follow
+    jobs: Sequence[Job], out: Path, options: RunOptions, workers: int, follow: Callable[[int, float], bool]
 ) -> list[dict[str, Any] | None]:
     """Fly jobs in processes of their own; return their summaries in order, None for one that was ended early.
 
@@ -35,55 +35,38 @@ def run_side_by_side(
     """
     context = multiprocessing.get_context("spawn")
     stop = context.Event()
-    waiting = list(enumerate(jobs))
-    under_way: dict[Connection, tuple[int, BaseProcess]] = {}
-    results: list[dict[str, Any] | None] = [None] * len(jobs)
-    try:
-        while waiting or under_way:
-            while waiting and len(under_way) < workers:
-                number, job = waiting.pop(0)
-                here, there = context.Pipe(duplex=False)
-                process = context.Process(target=_run_one, args=(*job, out, options, stop, there))
-                _start(process)
-                there.close()
-                under_way[here] = number, process
-            for connection in cast("list[Connection]", wait(list(under_way), timeout=0.5)):
-                number, process = under_way[connection]
-                message = _receive(connection, process)
-                if isinstance(message, Exception):
-                    raise message
-                is_over = not isinstance(message, float)
-                if is_over:
-                    del under_way[connection]
-                    process.join()
-                    results[number] = message
-                # a flight that was ended early has no summary, and got no further
-                if message is not None and not follow(number, 1.0 if is_over else message):
-                    stop.set()
-                    waiting.clear()
-    finally:
-        stop.set()
-        for _, process in under_way.values():
-            process.join()
-    return results
 
-
-def _start(process: BaseProcess) -> None:
-    """Start a process in which signals are blocked: whoever started it says when to end."""
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
-    try:
+    def fly(number: int, job: Job) -> dict[str, Any] | None:
+        if stop.is_set():
+            return None
+        here, there = context.Pipe(duplex=False)
+        process = context.Process(target=_run_one, args=(*job, out, options, stop, there))
         process.start()
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        there.close()
+        while True:
+            try:
+                answer = here.recv()
+            except EOFError:
+                process.join()
+                answer = GraphError(f"a process of a flight died with code {process.exitcode}")
+            if isinstance(answer, Exception):
+                stop.set()
+                raise answer
+            is_over = not isinstance(answer, float)
+            # a flight that was ended early has no summary, and got no further
+            if answer is not None and not follow(number, 1.0 if is_over else answer):
+                stop.set()
+            if is_over:
+                process.join()
+                return answer
 
-
-def _receive(connection: Connection, process: BaseProcess) -> Any:
-    """Take a share, a summary or an error; a process that died without a word is an error."""
-    try:
-        return connection.recv()
-    except EOFError:
-        process.join()
-        return GraphError(f"a process of a flight died with code {process.exitcode}")
+    # signals are blocked in the threads, and so in their processes: whoever started them says when to end
+    block = partial(signal.pthread_sigmask, signal.SIG_BLOCK, STOPPING)
+    with ThreadPoolExecutor(workers, initializer=block) as threads:
+        try:
+            return list(threads.map(fly, range(len(jobs)), jobs))
+        finally:
+            stop.set()
 
 
 def _run_one(

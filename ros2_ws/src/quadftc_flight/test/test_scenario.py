@@ -19,9 +19,8 @@ from quadftc_flight.scenario import (
     node_parameters,
     parse_scenario,
     scenario_names,
-    with_controller,
+    with_components,
     with_duration,
-    with_observer,
     with_rate,
     with_seed,
 )
@@ -354,14 +353,14 @@ def test_helpers_change_one_thing():
     scenario = parse_scenario(TEXT)
     assert with_rate(scenario, "1 kHz").rate == 1000.0
     assert with_seed(scenario, 3).seed == 3
-    changed = with_controller(with_observer(scenario, "none"), "smc", "plain")
+    changed = with_components(with_components(scenario, observer="none"), "plain", controller="smc")
     assert [scheme.observer.kind for scheme in changed.schemes.values()] == ["none", "none"]
     assert [scheme.controller.kind for scheme in changed.schemes.values()] == ["ismc", "smc"]
     assert scenario.schemes["ours"].observer.kind == "sliding_mode"  # the original is as it was
     with pytest.raises(ScenarioError, match=r"observer non: .*did you mean 'none'"):
-        with_observer(scenario, "non", "plain")
+        with_components(scenario, "plain", observer="non")
     with pytest.raises(ScenarioError, match=r"no scheme 'plan'.*did you mean 'plain'"):
-        with_controller(scenario, "smc", "plan")
+        with_components(scenario, "plan", controller="smc")
 
 
 def test_the_beginning_of_a_scenario_has_what_starts_in_it():

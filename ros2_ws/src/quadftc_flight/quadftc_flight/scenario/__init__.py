@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -63,12 +63,12 @@ def parse_scenario(text: str, source: str = "scenario.yaml", overrides: Sequence
 
 def with_rate(scenario: Scenario, rate: float | str) -> Scenario:
     """Return the scenario at another rate [Hz, or a text with its unit]."""
-    return _changed(scenario, {("rate",): rate}, f"rate {rate}")
+    return build_scenario(scenario.document.replaced({("rate",): rate}, f"rate {rate}"))
 
 
 def with_seed(scenario: Scenario, seed: int) -> Scenario:
     """Return the scenario with another seed."""
-    return _changed(scenario, {("seed",): seed}, f"seed {seed}")
+    return build_scenario(scenario.document.replaced({("seed",): seed}, f"seed {seed}"))
 
 
 def with_components(scenario: Scenario, scheme: str | None = None, **kinds: str) -> Scenario:
@@ -79,19 +79,9 @@ def with_components(scenario: Scenario, scheme: str | None = None, **kinds: str)
     schemes = list(scenario.schemes) if scheme is None else [scenario.scheme(scheme).name]
     for role, kind in kinds.items():
         if kind:
-            changes = {("schemes", name, role): kind for name in schemes}
-            scenario = _changed(scenario, changes, f"{role} {kind}")
+            changes: dict[Keys, Any] = {("schemes", name, role): kind for name in schemes}
+            scenario = build_scenario(scenario.document.replaced(changes, f"{role} {kind}"))
     return scenario
-
-
-def with_observer(scenario: Scenario, kind: str, scheme: str | None = None) -> Scenario:
-    """Return the scenario with another fault observer; see `with_components`."""
-    return with_components(scenario, scheme, observer=kind)
-
-
-def with_controller(scenario: Scenario, kind: str, scheme: str | None = None) -> Scenario:
-    """Return the scenario with another controller; see `with_components`."""
-    return with_components(scenario, scheme, controller=kind)
 
 
 def with_duration(scenario: Scenario, duration: float) -> Scenario:
@@ -100,26 +90,19 @@ def with_duration(scenario: Scenario, duration: float) -> Scenario:
     What would start later is left out, and so are the checks, which were made for the whole flight.
     """
     changes: dict[Keys, Any] = {("duration",): duration}
+    changes |= {("schemes", scheme, "checks"): [] for scheme in scenario.schemes}
     scheduled: dict[str, list[Any]] = {
         "references": [part.law for part in scenario.references],
         "disturbances": [part.law for part in scenario.disturbances],
         "faults": [fault.injection for fault in scenario.faults],
     }
     for key, laws in scheduled.items():
-        pairs = list(zip(scenario.raw[key], laws, strict=True)) if laws else []
+        pairs = zip(scenario.raw.get(key) or (), laws, strict=True)
         kept = [_cut(item, law, duration) for item, law in pairs if getattr(law, "start", 0.0) < duration]
         changes |= {(key,): kept} if laws else {}
-    changes |= {("schemes", scheme, "checks"): [] for scheme in scenario.schemes}
-    return _changed(scenario, changes, f"duration {duration:g} s")
+    return build_scenario(scenario.document.replaced(changes, f"duration {duration:g} s"))
 
 
 def _cut(item: dict[str, Any], law: Any, duration: float) -> dict[str, Any]:
     late = getattr(law, "stop", 0.0) > duration
     return {name: value for name, value in item.items() if not (late and name in ("stop", "duration"))}
-
-
-def _changed(scenario: Scenario, changes: Mapping[Any, Any], origin: str) -> Scenario:
-    document = scenario.document
-    for path, value in changes.items():
-        document = document.replaced(path, value, origin)
-    return build_scenario(document)

@@ -56,15 +56,15 @@ class Document:
             lines.append(f"{self.source}: and {len(found) - MAX_SHOWN} more")
         return ScenarioError("\n".join(lines))
 
-    def replaced(self, path: Keys, value: Any, origin: str) -> Document:
-        """Return the document with one value replaced, or added to a mapping; ``origin`` says by what."""
-        return self._changed([(path, value, origin, f"{self.source}: {origin}")])
+    def replaced(self, changes: Mapping[Keys, Any], origin: str) -> Document:
+        """Return the document with values replaced, or added to mappings; ``origin`` says by what."""
+        where = f"{self.source}: {origin}"
+        return self._changed((path, value, origin, where) for path, value in changes.items())
 
     def overridden(self, assignments: Iterable[str]) -> Document:
-        """Apply overrides, one after the other.
+        """Apply overrides ``path=value``: the path dotted, with indices for lists; the value in YAML.
 
-        Each is ``path=value``: the path dotted, with indices for lists; the value in YAML. A key that a
-        mapping lacks is added. A path that leads nowhere is a ScenarioError that names what there is.
+        A key that a mapping lacks is added. A path that leads nowhere is a ScenarioError.
         """
         return self._changed(self._parse_override(assignment) for assignment in assignments)
 

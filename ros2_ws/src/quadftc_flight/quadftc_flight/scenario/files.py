@@ -114,7 +114,7 @@ def with_gains_of(document: Document, path: Path) -> Document:
             given = _mapping(raw) or {"kind": raw}
             if part is not None and given.get("kind") == part.kind:
                 values = {**given, **(part.model_extra or {})}
-                changed = changed.replaced(("schemes", name, role), values, f"gains {path}")
+                changed = changed.replaced({("schemes", name, role): values}, f"gains {path}")
     if changed is document and not problems:
         problems.append(Problem((), f"no scheme of {document.source} has a part of these kinds"))
     if problems:
