@@ -209,11 +209,9 @@ class Bag:
 
 
 def read_bag(path: str | os.PathLike[str], topics: Collection[str] | None = None) -> Bag:
-    """Read a bag: a rosbag2 directory, an ``.mcap`` or a ``.db3`` file.
+    """Read a bag: a rosbag2 directory, an ``.mcap`` or a ``.db3`` file; BagError if it is none.
 
     ``topics`` (full, relative or short names) are those to keep, to save memory; default: all.
-
-    Raises BagError if there is no such bag, it is empty or no bag, or its metadata makes no sense.
     """
     bag = Bag(Path(path), topics)
     for file in storage_files(bag.path):

@@ -59,10 +59,9 @@ def metadata_text(
     span_ns: tuple[int, int] | None,
     custom: Mapping[str, str],
 ) -> str:
-    """Return the metadata of a bag of one file, as YAML.
+    """Return the metadata of a bag of one file, as YAML; ``custom`` are the user's own entries.
 
-    ``topics`` come with their numbers of messages; ``span_ns`` is the first and last log time [ns];
-    ``custom`` are the user's own entries.
+    ``topics`` come with their numbers of messages; ``span_ns`` is the first and last log time [ns].
     """
     start, end = span_ns or (NEVER_NS, NEVER_NS)
     count = sum(number for _, number in topics)

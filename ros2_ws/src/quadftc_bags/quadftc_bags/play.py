@@ -38,12 +38,10 @@ def play(
 ) -> int:
     """Publish a bag until its end, or until Ctrl-C or the shutdown of the context; return how many messages.
 
-    Stamps inside the messages stay as recorded. Nothing waits for readers: who is not there misses messages.
-    ValueError for a rate that is not positive, a bag that cannot be read, or a type that is not installed.
-
     ``path`` and ``topics`` are as of `read_bag`; ``rate`` is a multiple of the recorded speed. With ``loop``
-    the bag begins again at its end; stamps then go back, too. The first message comes ``delay`` [s] after the
-    publishers. The default context is initialised and shut down here unless it is in use.
+    the bag begins again at its end. Stamps stay as recorded. The first message comes ``delay`` [s] after the
+    publishers; nothing waits for readers. The default context is initialised and shut down here unless it is
+    in use. ValueError for a rate that is not positive, an unreadable bag, or a type that is not installed.
     """
     if not rate > 0.0:
         raise ValueError(f"rate: {rate}, expected > 0")

@@ -61,10 +61,7 @@ Record: TypeAlias = Header | Schema | Channel | Attachment | Metadata | Message 
 
 
 def storage_files(path: Path) -> list[Path]:
-    """Return the files of a bag (directory or file) in their order; of a SQLite bag, the bag itself.
-
-    Raises BagError if there are none, or one is missing or empty.
-    """
+    """Return the files of a bag in order, of a SQLite bag itself; BagError if one is missing or empty."""
     if not path.exists():
         raise BagError(f"{path}: no such bag")
     if path.is_file():
@@ -81,8 +78,8 @@ def storage_files(path: Path) -> list[Path]:
         raise BagError(f"{path}: no bag in this directory (neither metadata.yaml nor an .mcap file)")
     for file in files:
         if not file.is_file():
-            remedy = f"run quadftc repair {path}"
-            raise BagError(f"{path}: metadata.yaml names {file.name}, which is missing; {remedy}")
+            what = f"metadata.yaml names {file.name}, which is missing"
+            raise BagError(f"{path}: {what}; run quadftc repair {path}")
         if file.suffix != ".mcap":
             raise BagError(f"{path}: {file.name} is not MCAP; convert the bag with 'ros2 bag convert'")
         check_size(file)
@@ -120,12 +117,10 @@ def is_sqlite(path: Path) -> bool:
 
 
 def read_records(path: Path) -> Iterator[Record]:
-    """Yield the records of an MCAP file; a message is a plain tuple.
+    """Yield the records of an MCAP file, those of a chunk where it stands, without indexes and statistics.
 
-    A chunk's records come where the chunk stands. Indexes and statistics are passed over. A chunk with a
-    wrong checksum and a missing end come as a `Damage`; what comes before and behind is good.
-
-    Raises BagError if the file cannot be read or is not MCAP.
+    A chunk with a wrong checksum and a missing end come as a `Damage`; what comes before and behind is good.
+    BagError if the file cannot be read or is not MCAP.
     """
     try:
         with path.open("rb") as stream:

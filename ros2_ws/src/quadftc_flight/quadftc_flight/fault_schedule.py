@@ -55,10 +55,7 @@ def merge_windows(windows: Iterable[FaultWindow]) -> tuple[FaultWindow, ...]:
 
 
 def fault_events(faults: Iterable[Fault], duration: float) -> tuple[FaultEvent, ...]:
-    """Return the events of the faults on the attitude, in a flight of that duration [s].
-
-    What begins later does not count, what ends later is cut.
-    """
+    """Return the events of the faults on the attitude that begin in a flight of that duration [s]."""
     return merge_events(
         FaultEvent(axis, KINDS.get(item.kind, item.kind), item.start, min(item.stop, duration))
         for axes, item in ((fault.axes, fault.injection) for fault in faults)

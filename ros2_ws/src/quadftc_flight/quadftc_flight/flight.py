@@ -37,8 +37,7 @@ class Flight:
     """One row for each IMU sample that was taken, in the order of the stamps.
 
     What is unknown in a row is NaN (``fault_state``: ``NO_STATE``; ``fault_onset_ns``: 0; ``saturated``:
-    False). In the row of a withheld sample this is all but the motion and the disturbance; in a bag, every
-    message that is missing.
+    False): of a withheld sample all but the motion and the disturbance; in a bag, what is missing.
     """
 
     stamp_ns: NDArray[np.int64]  # (n,) when the sample was taken
@@ -92,10 +91,9 @@ def onset_ns(stamp_ns: int | NDArray[np.int64], onset_age: Floats) -> NDArray[np
 
 
 def flight_from_bag(bag: Bag) -> Flight:
-    """Join the topics of a recorded flight by stamp.
+    """Join the topics of a recorded flight by stamp, those of ``imu/data`` and ``fault/dropped``.
 
-    The rows are the stamps of ``imu/data`` and ``fault/dropped``. A topic that is missing leaves its columns
-    unknown. If the bag holds no IMU sample, or a topic cannot be decoded, BagError is raised.
+    A missing topic leaves its columns unknown; no IMU sample, or an undecodable topic, is a BagError.
     """
     from quadftc_bags.bag import BagError
 
@@ -136,10 +134,7 @@ def reading_from_bag(bag: Bag, topic: str, stamp_ns: Int[NDArray[np.int64], " n"
 
 
 def join_rows(series: Series, field: str, stamp_ns: NDArray[np.int64], unknown: NDArray[Any]) -> NDArray[Any]:
-    """Return a field (n, k) of the messages with these stamps (n,); ``unknown`` (k,) where there is none.
-
-    Of several messages with one stamp, the first counts.
-    """
+    """Return a field (n, k) of the first message with each stamp (n,); ``unknown`` (k,) without one."""
     column = np.tile(unknown, (len(stamp_ns), 1))
     stamps, first = np.unique(series.stamp_ns, return_index=True)
     _, here, there = np.intersect1d(stamp_ns, stamps, assume_unique=True, return_indices=True)

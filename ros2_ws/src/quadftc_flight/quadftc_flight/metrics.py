@@ -32,10 +32,9 @@ SETTLED_ERROR_DEG = 0.05  # deg; the estimate has settled when its error stays b
 def flight_metrics(
     flight: Flight, windows: Sequence[FaultWindow], events: Sequence[FaultEvent] | None = None
 ) -> dict[str, Any]:
-    """Compute every metric, ready for JSON: numbers, None, mappings of axes; and lists of such.
+    """Compute every metric, ready for JSON; ``windows`` divide the time into inside and outside a fault.
 
-    ``windows`` divide the time into inside and outside a fault. ``events`` are the faults that the diagnosis
-    is judged by; default: those of the windows, of a kind not known.
+    ``events`` are the faults that the diagnosis is judged by; default: those of the windows.
     """
     time = flight.time
     tracking = np.degrees(wrap(flight.angles - flight.reference))
@@ -65,19 +64,13 @@ def flight_metrics(
 
 
 def known_metrics(window_count: int, events: Sequence[FaultEvent] = ()) -> dict[str, Any]:
-    """Return the metrics of a flight with that many fault windows and these events, for their names.
-
-    They have no values but what is counted without a flight.
-    """
+    """Return the metrics of a flight with that many fault windows and these events, for their names."""
     nowhere = dataclasses.replace(unknown_flight(np.arange(2)), time=np.array([-2.0, -1.0]))
     return flight_metrics(nowhere, [FaultWindow(0.0, 1.0, AXES)] * window_count, events)
 
 
 def look_up(metrics: Any, path: str) -> Any:
-    """Return the metric of a dotted path, such as ``fault_windows.0.tracking_mean_deg.roll``.
-
-    If there is none, the argument of the KeyError is what is not there, and what there is instead.
-    """
+    """Return the metric of a dotted path, such as ``fault_windows.0.tracking_mean_deg.roll``, or KeyError."""
     place = metrics
     for word in path.split("."):
         names = dict(entries(place))

@@ -88,9 +88,8 @@ def run(
 ) -> dict[str, Any] | None:
     """Fly one scheme of a scenario; return the summary that is written beside the bag, None if ended early.
 
-    ``out`` is the directory of all runs. A GraphError says if the graph does not start or stalls, messages
-    were lost on the way to the bag, or the recording stopped, as on a full disk: then after the flight, and
-    the bag can be read up to there.
+    ``out`` is the directory of all runs. A GraphError says if the graph does not start or stalls; after the
+    flight, if messages were lost or the recording stopped, as on a full disk: the bag has what is before.
     """
     bag = out / run_name(scenario, scheme)
     with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
@@ -140,8 +139,7 @@ def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> tupl
         wall_time = graph.run(follow)
         recorder = graph.recorder
         assert recorder is not None  # the plan has a bag
-        status = recorder.finish()
-    return (wall_time if going_on else None), status
+        return (wall_time if going_on else None), recorder.finish()
 
 
 def _write(file: Path, text: str) -> None:

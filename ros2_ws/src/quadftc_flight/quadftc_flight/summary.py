@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, cast
 
 from quadftc_flight.flight import Flight
 from quadftc_flight.metrics import entries, flight_metrics, look_up
-from quadftc_flight.scenario import Check, Scenario, Scheme
+from quadftc_flight.scenario import ROLES, Check, Scenario, Scheme
 from quadftc_model.samples import AXES
 
 ROUNDING = 1e-6  # relative; the same metrics on another processor differ by less
@@ -44,13 +44,8 @@ def summary(flight: Flight, scenario: Scenario, scheme: Scheme, wall_time: float
     return {
         "name": scenario.name,
         "scheme": scheme.name,
-        "observer": scheme.observer.kind,
-        "disturbance_observer": scheme.disturbance_observer.kind,
-        "controller": scheme.controller.kind,
-        "vehicle": scenario.vehicle,
-        "rate": scenario.rate,
-        "duration": scenario.duration,
-        "seed": scenario.seed,
+        **{role: getattr(scheme, role).kind for role in ROLES},
+        **{key: getattr(scenario, key) for key in ("vehicle", "rate", "duration", "seed")},
         "samples": len(flight),
         "samples_withheld": int((~flight.delivered).sum()),
         "wall_time_s": wall_time,
@@ -94,15 +89,13 @@ def check_results(metrics: Mapping[str, Any], checks: Iterable[Check]) -> list[C
 
 def read_summary(file: Path) -> StoredSummary:
     """Read the summary beside a bag."""
-    data: Any = None
     problem = "no mapping" if file.is_file() else "missing"
     try:
-        if file.is_file():
-            data = json.loads(file.read_text("utf-8"), parse_constant=_refuse_constant)
+        data: Any = file.is_file() and json.loads(file.read_text("utf-8"), parse_constant=_refuse_constant)
+        if isinstance(data, dict):
+            return StoredSummary(cast("dict[str, Any]", data), "")
     except (OSError, ValueError, RecursionError) as error:
         problem = f"broken ({type(error).__name__})"
-    if isinstance(data, dict):
-        return StoredSummary(cast("dict[str, Any]", data), "")
     return StoredSummary({}, f"{file}: {problem}; computed from the bag")
 
 

@@ -10,7 +10,7 @@ from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
-from quadftc_bags.cdr.message import NANOSECONDS, NumberReader, NumberWriter, read_message
+from quadftc_bags.cdr.message import NANOSECONDS, NumberWriter, read_message, read_numbers
 from quadftc_model.samples import ABSENT, AttitudeReference, ControllerOutput, FaultEstimate, ImuSample
 from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
 from quadftc_msgs.msg import ControlStatus, FaultStatus
@@ -19,33 +19,28 @@ from quadftc_ros.topics import BASE_FRAME, EARTH_FRAME, IMU_FRAME
 
 _UNKNOWN = (0.0,) * 8  # the rest of a covariance
 
-_imu = NumberReader(Imu)
-_vector = NumberReader(Vector3Stamped)
-_reference = NumberReader(AttitudeReferenceMessage)
-_status = NumberReader(FaultStatus)
-
 
 def imu_of(data: bytes) -> ImuSample:
     """Sample of a serialised Imu; covariance element 0 marks absent channels."""
-    values = _imu(data)
+    values = read_numbers(data, Imu)
     there = [np.bool_(values[at] != ABSENT) for at in (4, 16, 28)]
     return ImuSample(np.array(values[:4]), np.array(values[13:16]), np.array(values[25:28]), *there)
 
 
 def vector_of(data: bytes) -> Floats:
     """Array (3,) of a serialised Vector3Stamped."""
-    return np.array(_vector(data))
+    return np.array(read_numbers(data, Vector3Stamped))
 
 
 def reference_in(data: bytes) -> AttitudeReference:
     """Reference of a serialised AttitudeReference."""
-    values = _reference(data)
+    values = read_numbers(data, AttitudeReferenceMessage)
     return AttitudeReference(np.array(values[:3]), np.array(values[3:6]), np.array(values[6:]))
 
 
 def fault_states_of(data: bytes) -> tuple[int, ...]:
     """State of each axis of a serialised FaultStatus."""
-    return _status(data)[:3]
+    return read_numbers(data, FaultStatus)[:3]
 
 
 def fault_status_of(data: bytes) -> FaultStatus:

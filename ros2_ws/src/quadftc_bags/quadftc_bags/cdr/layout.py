@@ -119,11 +119,8 @@ class Layout:
 class PaddingCleaner:
     """Make messages of one topic depend on their values only: padding is zero, nothing follows the end.
 
-    Fast DDS leaves the bytes between fields, and sometimes a few behind the last field, as it finds them in
-    memory. Two recordings of the same values would differ there. Cleaning is fast while strings and sequences
-    keep their lengths.
-
-    Raises ValueError if the type (``package/msg/Name``) is not installed.
+    Fast DDS leaves the bytes between fields, and a few behind the last, as it finds them in memory. Cleaning
+    is fast while strings and sequences keep their lengths. ValueError if the type is not installed.
     """
 
     def __init__(self, type_name: str) -> None:

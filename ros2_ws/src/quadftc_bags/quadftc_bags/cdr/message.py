@@ -46,22 +46,16 @@ def read_message(data: bytes, message_class: type) -> Any:
         raise ValueError(f"not a {message_class.__name__}: {error}") from None
 
 
-class NumberReader:
-    """Read the numbers of messages that are a header and then numbers of fixed count."""
-
-    def __init__(self, message_class: type) -> None:
-        self._class = message_class
-
-    def __call__(self, data: bytes) -> tuple[Any, ...]:
-        """Return the numbers in the order of the type's definition; ValueError if it is no such message."""
-        if data[:2] not in PLAIN:
-            data = serialize_message(read_message(data, self._class))
-        try:
-            (length,) = _LENGTHS[data[1]].unpack_from(data, FRAME_LENGTH)
-            start, body = _find_body(self._class, data[1], length & 7)
-            return body.unpack_from(data, start + (length & ~7))
-        except struct.error:
-            raise ValueError(f"not a {self._class.__name__}: {len(data)} bytes") from None
+def read_numbers(data: bytes, message_class: type) -> tuple[Any, ...]:
+    """Return the numbers of a message that is a header and numbers of fixed count, else a ValueError."""
+    if data[:2] not in PLAIN:
+        data = serialize_message(read_message(data, message_class))
+    try:
+        (length,) = _LENGTHS[data[1]].unpack_from(data, FRAME_LENGTH)
+        start, body = _find_body(message_class, data[1], length & 7)
+        return body.unpack_from(data, start + (length & ~7))
+    except struct.error:
+        raise ValueError(f"not a {message_class.__name__}: {len(data)} bytes") from None
 
 
 class NumberWriter:

@@ -57,9 +57,8 @@ _ESTIMATE_FIGURES: dict[str, tuple[str, Figure]] = {
 def fault_metrics(records: Sequence[Record]) -> dict[str, Any]:
     """Sum up the records of faults; those that cannot be judged do not count.
 
-    Delays are those of the faults that were found. The band of the mean NEES takes each fault for one
-    independent sample: the error made in telling a fault from the attitude stays in the estimate until the
-    sensor is trusted again.
+    The band of the mean NEES takes each fault for one independent sample: the error made in telling a fault
+    from the attitude stays in the estimate until the sensor is trusted again.
     """
     groups = _groups(records, "detected")
     judged, by_kind = groups[ALL], {kind: members for kind, members in groups.items() if kind != ALL}
@@ -102,33 +101,35 @@ def with_shares(totals: Mapping[str, PerAxis]) -> dict[str, Any]:
         if name == "false_alarms":
             result["total_false_alarms"] = total
             wholes, ratio = hours, "false_alarms_per_hour"
-        result[ratio] = {axis: accuracy(values[axis], wholes[axis]) for axis in wholes}
-        result[f"total_{ratio}"] = accuracy(total, _total([*wholes.values()]))
+        result[ratio] = {axis: _ratio(values[axis], wholes[axis]) for axis in wholes}
+        result[f"total_{ratio}"] = _ratio(total, _total([*wholes.values()]))
     return result
 
 
-def accuracy(correct: float | None, tested: float | None) -> float | None:
-    """Return a ratio, such as the isolation accuracy; None where it was not put to the test."""
-    return number(correct / tested) if correct is not None and tested else None
+def isolation_metrics(tested: float | None, correct: float | None) -> dict[str, Any]:
+    """Return the times [s] in which the isolation was tested and correct, and its accuracy."""
+    names = (*_ISOLATION, "isolation_accuracy")
+    return dict(zip(names, (tested, correct, _ratio(correct, tested)), strict=True))
+
+
+def _ratio(part: float | None, whole: float | None) -> float | None:
+    return number(part / whole) if part is not None and whole else None
 
 
 def pool(diagnoses: Iterable[Record]) -> dict[str, Any]:
     """Sum up the diagnosis of many flights, ``summary["metrics"]["diagnosis"]`` of each.
 
-    What is returned is as of one flight, without ``events`` and ``starting_share``; with the number of
-    ``flights``.
+    The result is as of one flight, without ``events`` and ``starting_share``, with the number of ``flights``.
     """
     flights = list(diagnoses)
     records = [record for flight in flights for record in flight["events"]]
-    tested, correct = (_total([flight[name] for flight in flights]) for name in _ISOLATION)
+    times = (_total([flight[name] for flight in flights]) for name in _ISOLATION)
     sizes = _sums([flight["by_estimate"] for flight in flights], ESTIMATE_ALARMS)
     return {
         "flights": len(flights),
         **fault_metrics(records),
         **with_shares(_sums(flights, ALARMS)),
-        "isolation_tested_s": tested,
-        "isolation_correct_s": correct,
-        "isolation_accuracy": accuracy(correct, tested),
+        **isolation_metrics(*times),
         **_sums(flights, _CONFUSIONS),
         "by_estimate": {**estimate_fault_metrics(records), **with_shares(sizes)},
     }

@@ -1,9 +1,8 @@
 # pyright: basic
 """Receiver operating characteristic: what a threshold on a score costs in false alarms, and what it finds.
 
-The score is what a detector would hold against a threshold. For an observer whose estimate is zero until its
-detector says fault, a score made of the estimate says nothing of that detector's threshold: fly it with
-several thresholds and count what its states say.
+The score is what a detector would hold against a threshold. Where the estimate is zero until the observer's
+detector says fault, a score made of it says nothing of that detector: fly it with several thresholds.
 """
 
 from __future__ import annotations
@@ -34,21 +33,12 @@ class Roc(NamedTuple):
 
 
 def roc(score: ArrayLike, faulty: ArrayLike) -> Roc:
-    """Return the curve of scores (n,) of which it is known whether they come from a fault (n,).
-
-    A ValueError if a score is not finite, or there are none of faults, or none of what is healthy.
-    """
-    scores, labels = np.asarray(score, np.float64), np.asarray(faulty, np.bool_)
-    if scores.shape != labels.shape or scores.ndim != 1:
-        raise ValueError(
-            f"score and faulty: shapes {scores.shape} and {labels.shape}: expected one shape (n,)"
-        )
-    if not np.isfinite(scores).all():
-        raise ValueError("score: holds NaN or infinity; leave out what has no score")
+    """Return the curve of finite scores (n,), by whether each comes from a fault (n,); else a ValueError."""
+    labels = np.asarray(faulty, np.bool_)
     if labels.all() or not labels.any():
-        missing = "healthy" if labels.all() and len(labels) else "faulty"
+        missing = "healthy" if labels.any() else "faulty"
         raise ValueError(f"faulty: no {missing} score among {len(labels)}; a curve needs both")
-    false_alarms, detections, thresholds = roc_curve(labels, scores)
+    false_alarms, detections, thresholds = roc_curve(labels, score)
     return Roc(thresholds, false_alarms, detections, float(auc(false_alarms, detections)))
 
 

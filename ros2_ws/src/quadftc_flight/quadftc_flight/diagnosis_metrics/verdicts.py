@@ -27,9 +27,9 @@ from quadftc_flight.diagnosis_metrics.fault_statistics import (
     ALARMS,
     ESTIMATE_ALARMS,
     ESTIMATE_THRESHOLD_DEG,
-    accuracy,
     estimate_fault_metrics,
     fault_metrics,
+    isolation_metrics,
     with_shares,
 )
 from quadftc_flight.fault_schedule import FaultEvent
@@ -66,8 +66,8 @@ class Truth(NamedTuple):
 def diagnosis_metrics(flight: Flight, events: Sequence[FaultEvent]) -> dict[str, Any]:
     """Judge the diagnosis of a flight, ready for JSON; of one axis, no event overlaps another.
 
-    ``events`` holds a record of each fault. The metrics of all faults have a value for each kind of fault and
-    for ``all``; those of healthy time and isolation have a value for each axis.
+    The metrics of all faults have a value for each kind of fault and for ``all``; those of healthy time and
+    isolation have one for each axis.
     """
     columns = Columns(flight)
     records = [_judge_fault(columns, event, events) for event in events]
@@ -110,10 +110,9 @@ def truth(columns: Columns, events: Sequence[FaultEvent], judged: Sequence[bool]
 
 
 def _judge_fault(columns: Columns, event: FaultEvent, events: Sequence[FaultEvent]) -> Record:
-    """Judge one fault.
+    """Judge one fault; ``detected`` is None where there is nothing to detect.
 
-    ``detected`` is None where there is nothing to detect: the flight ends before, the state is not known, or
-    the fault leaves the reading as it is (a channel that is absent, a scale factor of zero).
+    That is: the flight ends before, the state is not known, or the fault leaves the reading as it is.
     """
     axis, rows = AXES.index(event.axis), columns.rows(event.start, event.stop)
     sized = has_size(columns, event)
@@ -226,20 +225,18 @@ def _seconds(columns: Columns, mask: Mask) -> float | None:
 def _isolation(columns: Columns, true: Truth, events: Sequence[FaultEvent]) -> dict[str, Any]:
     """Hold what is declared against what is faulty, in seconds: confusion matrices, isolation accuracy.
 
-    Rows of the matrices are the truth, columns what is declared. Several axes may be declared at once, so the
-    entries of a row may add up to more than its time, ``time``. The time in which an axis is in the grace
-    after a fault does not count.
+    Rows of the matrices are the truth, columns what is declared; as several axes may be, a row may add up to
+    more than its time, ``time``. The grace after the fault of any axis does not count.
 
     ``confusion_single_s``: where no other axis is faulty; ``confusion_any_s``: whatever the others are;
     ``confusion_by_kind_s``: whether the faulty axis itself, a healthy one (other), or none is declared;
     ``isolation_tested_s``: how long something is declared while some axes are faulty and others are healthy;
-    ``isolation_correct_s``: how long of it no healthy axis is; ``isolation_accuracy``: the share.
+    ``isolation_correct_s``: how long of it no healthy axis is.
     """
     counted = np.all(columns.known & (true.faulty | true.healthy), axis=1)
     declared, faulty = columns.declared & counted[:, None], true.faulty & counted[:, None]
     wrong, nothing = np.any(declared & ~faulty, axis=1), ~np.any(declared, axis=1)
     tested = ~nothing & np.any(faulty, axis=1) & ~np.all(faulty, axis=1)
-    total, correct = _seconds(columns, tested), _seconds(columns, tested & ~wrong)
 
     def cross(rows: Mapping[str, Mask]) -> Matrix:
         said = {**dict(zip(AXES, declared.T, strict=True)), NO_AXIS: nothing, TIME: True}
@@ -259,9 +256,7 @@ def _isolation(columns: Columns, true: Truth, events: Sequence[FaultEvent]) -> d
         by_kind[event.kind] = by_kind.get(event.kind, 0) + counts
     names = ("own", "other", NO_AXIS, TIME)
     return {
-        "isolation_tested_s": total,
-        "isolation_correct_s": correct,
-        "isolation_accuracy": accuracy(correct, total),
+        **isolation_metrics(_seconds(columns, tested), _seconds(columns, tested & ~wrong)),
         "confusion_single_s": cross(
             {NO_AXIS: counted & (faulty_axes == 0), **dict(zip(AXES, alone.T, strict=True))}
         ),

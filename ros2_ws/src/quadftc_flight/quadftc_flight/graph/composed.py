@@ -30,10 +30,10 @@ NODE_CLASSES: dict[str, type[Any]] = {
 
 
 class ComposedGraph(Graph):
-    """All nodes of one or more plans in this process; a context manager.
+    """All nodes of plans, each of a vehicle in a namespace of its own, in this process; a context manager.
 
-    Each plan is of a vehicle in a namespace of its own; ``executor`` is ``events`` or ``single``. Wrong
-    parameters of a node, a bag that cannot be made, and two vehicles in one namespace are a ValueError.
+    ``executor`` is ``events`` or ``single``. Wrong parameters of a node, a bag that cannot be made, and two
+    vehicles in one namespace are a ValueError.
     """
 
     def __init__(self, *plans: GraphPlan, executor: str = "events") -> None:
@@ -70,8 +70,7 @@ class ComposedGraph(Graph):
     def run(self, progress: Progress = always) -> float:
         """Fly until the durations of all plants are over; return the wall time of the flight [s].
 
-        A GraphError says if the nodes do not find each other, no sample comes for too long, or the machine
-        does not allow the scheduling.
+        A GraphError says if nodes do not find each other, samples stop, or the scheduling is not allowed.
         """
         if not self.wait_until_connected(progress):
             return 0.0

@@ -55,10 +55,7 @@ class Respawn:
         self.restarts: Counter[str] = Counter()
 
     def died(self, name: str, now: float) -> float | None:
-        """Note a death at a time [s], once until `started`; return the delay [s], None if it died too often.
-
-        Noted again before it was started, the delay is what is left of it.
-        """
+        """Note a death at a time [s], once until `started`; return the delay left [s], or None: too many."""
         if name in self._due:
             return max(0.0, self._due[name] - now)
         deaths = [each for each in self._deaths.get(name, ()) if now - each <= MEMORY]
@@ -83,9 +80,8 @@ class Respawn:
 class ProcessGraph(Graph):
     """The nodes of a plan as processes; a context manager. It ends only what it started, and all of that.
 
-    Nothing outlives it: should this process be killed, the nodes notice and stop by themselves. A wrong
-    namespace and a bag that cannot be made are a ValueError; a node that is not installed and a scheduling
-    that the machine does not allow are a GraphError.
+    Should this process be killed, the nodes stop by themselves. A wrong namespace and a bag that cannot be
+    made are a ValueError; a node that is not installed and a scheduling that is not allowed, a GraphError.
     """
 
     def __init__(self, plan: GraphPlan) -> None:

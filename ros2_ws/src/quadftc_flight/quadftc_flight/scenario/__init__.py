@@ -42,8 +42,8 @@ from quadftc_flight.scenario.model import (
 def load_scenario(path: str | os.PathLike[str], overrides: Sequence[str] = (), gains: str = "") -> Scenario:
     """Load a scenario file; a ScenarioError has one line for each problem.
 
-    ``overrides`` replace values of the file: ``seed=3``, ``faults.0.value=2 deg``. ``gains`` is the name or
-    path of a file of tuned gains (`quadftc_flight.scenario.files`); overrides come after them.
+    ``overrides`` replace values: ``seed=3``, ``faults.0.value=2 deg``, also those of ``gains``, the name or
+    path of a file of tuned gains (`quadftc_flight.scenario.files`).
     """
     return build_scenario(changed_document(Path(path), overrides, gains))
 

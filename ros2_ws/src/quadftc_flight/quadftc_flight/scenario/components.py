@@ -61,13 +61,10 @@ class Fault:
     def spec(self) -> str:
         """The specification, in SI, from which the same injection can be made."""
         injection = self.injection
-        values: dict[str, Any] = {"channel": injection.channel}
-        if len(self.axes) < len(AXES):
-            values["axes"] = self.axes
-        values["start"] = injection.start
-        if math.isfinite(injection.stop):
-            values["stop"] = injection.stop
-        return format_spec(injection.kind, {**values, **_given_values(injection.law, self.given)})
+        axes = {"axes": self.axes} if len(self.axes) < len(AXES) else {}
+        stop = {"stop": injection.stop} if math.isfinite(injection.stop) else {}
+        schedule = {"channel": injection.channel, **axes, "start": injection.start, **stop}
+        return format_spec(injection.kind, {**schedule, **_given_values(injection.law, self.given)})
 
 
 def _given_values(law: Any, given: Sequence[str]) -> dict[str, Any]:
@@ -198,10 +195,7 @@ def build_sensor(raw: Any) -> ImuSensor:
 def part_builder(
     registry: Registry[Any], *, of_vehicle: bool
 ) -> Callable[[Any, ValidationInfo], Part | None]:
-    """Return what builds a component of a registry.
-
-    One that depends on the vehicle may be given by its name alone; without a vehicle it is None.
-    """
+    """Return what builds a component of a registry; one ``of_vehicle`` may be given by its name alone."""
 
     def build_part(raw: Any, info: ValidationInfo) -> Part | None:
         setting, mistakes = cast("Setting", info.context), _Mistakes()

@@ -113,8 +113,7 @@ class Document:
 
     def _report(self, origin: int | str, problem: Problem) -> str:
         where = f"{self.source}:{origin}" if isinstance(origin, int) else f"{self.source}: {origin}"
-        parts = [where, *([_dotted(problem.path)] if problem.path else []), _one_line(problem.text)]
-        return ": ".join(parts)
+        return ": ".join(filter(None, (where, _dotted(problem.path), _one_line(problem.text))))
 
 
 def _words(target: str) -> list[str]:
@@ -123,8 +122,7 @@ def _words(target: str) -> list[str]:
 
 def _dotted(path: Keys) -> str:
     """Write a path as people read it: ``faults[0].value``."""
-    text = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in path)
-    return text.removeprefix(".")
+    return "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in path).removeprefix(".")
 
 
 def _key(place: dict[str, Any] | list[Any], word: str | int, path: Keys, where: str) -> str | int:

@@ -91,10 +91,7 @@ class _GainsFile(BaseModel):
 
 
 def with_gains_of(document: Document, path: Path) -> Document:
-    """Put the gains of a file into all schemes of a scenario.
-
-    A ScenarioError says if the file is wrong, is for another vehicle or other sensors, or fits no part.
-    """
+    """Put the gains of a file into all schemes of a scenario; ScenarioError if they do not fit."""
     file = read_document(path)
     try:
         gains = _GainsFile.model_validate(file.data)

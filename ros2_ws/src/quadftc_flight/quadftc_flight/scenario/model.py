@@ -243,17 +243,14 @@ def problems_of(error: ValidationError, model_at: Callable[[Keys], type[BaseMode
 def _problem(details: dict[str, Any], model_at: Callable[[Keys], type[BaseModel]]) -> Problem:
     path: Keys = tuple(key for key in details["loc"] if key != "[key]")
     kind, context = str(details["type"]), details.get("ctx", {})
+    wrong = details["msg"].replace("Input should be", "must be")
+    text = f"{shown(details['input'])}: {_EXPECTED.get(kind, wrong)}"
     if kind == "extra_forbidden":
         known = keys_of(model_at(path[:-1]))
         text = f"unknown key{nearest(str(path[-1]), known)}; known: {', '.join(known)}"
     elif kind in ("component", "value_error"):
         text = str(context.get("text") or context.get("error"))
-    elif kind == "missing":
-        text = "missing key"
-    else:
-        wrong = details["msg"].replace("Input should be", "must be")
-        text = f"{shown(details['input'])}: {_EXPECTED.get(kind, wrong)}"
-    return Problem(path, text)
+    return Problem(path, "missing key" if kind == "missing" else text)
 
 
 def node_parameters(
@@ -279,10 +276,7 @@ def node_parameters(
 
     return {
         "plant": {
-            "vehicle": scenario.vehicle,
-            "rate": scenario.rate,
-            "duration": scenario.duration,
-            "seed": scenario.seed,
+            **{name: getattr(scenario, name) for name in ("vehicle", "rate", "duration", "seed")},
             **node_values(scenario.plant, ""),
             "disturbances": [part.spec for part in scenario.disturbances],
             **node_values(scenario.sensor, "imu"),
