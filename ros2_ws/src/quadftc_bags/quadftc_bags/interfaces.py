@@ -6,14 +6,11 @@ import importlib
 import json
 import re
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
 _SEPARATOR = "=" * 80
-_FIELD_TYPE = re.compile(r"^[ \t]*([a-zA-Z][\w/]*)(?:<=\d+)?(?:\[[^\]]*\])?\s", re.MULTILINE)
-_INTEGERS = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
-_PRIMITIVES = {"bool", "byte", "char", "float32", "float64", "string", "wstring"} | _INTEGERS
 
 
 class Interface(NamedTuple):
@@ -41,6 +38,18 @@ def load_message_class(type_name: str) -> type:
         raise ValueError(f"message type '{type_name}': not installed ({error})") from error
 
 
+def installed_fields(type_name: str) -> list[tuple[str, str, int | None]]:
+    """Return each field: name, type of its elements, and their number (None: one, -1: a sequence)."""
+    fields: list[tuple[str, str, int | None]] = []
+    message_class: Any = load_message_class(type_name)
+    # texts such as sequence<a/B, 3> and double[9]
+    for name, text in message_class.get_fields_and_field_types().items():
+        ((sequence, base, size),) = re.findall(r"^(sequence<)?([\w/]+)[^\[]*(?:\[(\d+)\])?$", text)
+        length = int(size) if size else None
+        fields.append((name, base.replace("/", "/msg/"), -1 if sequence else length))
+    return fields
+
+
 def _split_type(type_name: str) -> tuple[str, str]:
     parts = type_name.split("/")
     if len(parts) != 3 or parts[1] != "msg" or not all(parts):
@@ -50,14 +59,14 @@ def _split_type(type_name: str) -> tuple[str, str]:
 
 def _definitions(package: str, name: str, seen: set[str]) -> list[str]:
     """Return a type's own text and, depth first and sorted, those it uses, each once behind its separator."""
-    text = _file(package, f"{name}.msg").read_text("utf-8")
-    pieces = [text]
-    used = set(_FIELD_TYPE.findall(text)) - _PRIMITIVES
-    for dependency in sorted(each if "/" in each else f"{package}/{each}" for each in used):
+    pieces = [_file(package, f"{name}.msg").read_text("utf-8")]
+    for dependency in sorted(
+        {base for _, base, _ in installed_fields(f"{package}/msg/{name}") if "/" in base}
+    ):
         if dependency not in seen:
             seen.add(dependency)
-            inner, _, inner_name = dependency.partition("/")
-            pieces.append(f"\n{_SEPARATOR}\nMSG: {dependency}\n")
+            inner, inner_name = _split_type(dependency)
+            pieces.append(f"\n{_SEPARATOR}\nMSG: {inner}/{inner_name}\n")
             pieces.extend(_definitions(inner, inner_name, seen))
     return pieces
 

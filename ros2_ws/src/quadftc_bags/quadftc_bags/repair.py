@@ -1,8 +1,7 @@
 """Repairing a bag: what can be read of it, written to a new, whole one, with the metadata that rosbag2 wants.
 
-What a killed recorder or a full disk leaves is a file without index whose last chunk may be cut, and metadata
-that are older than the file. A chunk that is cut or whose sum is wrong is left out: no message is guessed.
-`Survey` finds out what there is, `repair` writes it.
+A killed recorder or a full disk leaves a file without index whose last chunk may be cut, and old metadata. A
+chunk that is cut or whose sum is wrong is left out: no message is guessed.
 """
 
 from __future__ import annotations
@@ -91,10 +90,8 @@ def repair(path: Path, out: Path | None = None, force: bool = False) -> Repair:
 
     Without ``out``, the new directory, a bag that is whole is left as it is; of others the new one is
     ``<bag>-repaired`` beside it, or with ``force`` takes its place. With ``out``, ``force`` replaces what is
-    there.
-
-    Raises BagError if it is no bag, there is nothing in it to be read, it is to be replaced while it is being
-    recorded, or the new one cannot be written.
+    there. BagError if nothing can be read, or the new bag cannot be written or would replace one that is
+    being recorded.
     """
     file = _storage_file(path)
     recorded = file.is_file() and is_being_written(file)
@@ -137,10 +134,7 @@ def _storage_file(path: Path) -> Path:
         raise BagError(f"{path}: no such bag")
     if not path.is_dir():
         return path
-    try:
-        files = sorted(path.glob("*.mcap"))
-    except OSError as error:
-        raise BagError(f"{path}: {error.strerror}") from None
+    files = sorted(path.glob("*.mcap"))
     if not files:
         raise BagError(f"{path}: no .mcap file in this directory; nothing to repair")
     if len(files) > 1:
@@ -189,16 +183,14 @@ def _write(found: Survey, directory: Path) -> None:
         for name, entries in found.metadata.items():
             if name not in OWN_RECORDS:
                 bag.add_record(name, entries)
-        numbers: dict[str, int] = {}  # of the topics in the new bag
         channels: dict[int, int] = {}  # there -> here
         for record in read_records(found.path):  # the survey has the damages
             if isinstance(record, tuple) and record[0] in channels:
                 bag.write(channels[record[0]], record[1], record[2], bytes(record[3]))
             elif isinstance(record, Channel) and (topic := found.channels.get(record.id)):
-                if topic.name not in numbers:
+                if topic.name not in bag.counts:
                     bag.add_topic(_describe(topic))
-                    numbers[topic.name] = len(numbers) + 1
-                channels[record.id] = numbers[topic.name]
+                channels[record.id] = list(bag.counts).index(topic.name) + 1
         bag.close()
     except BaseException:
         bag.abandon()

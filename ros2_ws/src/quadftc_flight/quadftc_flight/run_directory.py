@@ -189,10 +189,9 @@ def topics_text(bag: Bag) -> str:
 
 def versions_of(stored: Mapping[str, Any], bag: Bag) -> dict[str, str]:
     """Return what a recording was made with: by its summary, else by the bag."""
-    given: Any = stored.get("versions")
-    if not isinstance(given, dict):
-        given = bag.metadata.get("quadftc", {})
-    return {str(key): str(value) for key, value in cast("dict[Any, Any]", given).items() if key != "mode"}
+    told: Any = stored.get("versions")
+    given: dict[Any, Any] = told if isinstance(told, dict) else bag.metadata.get("quadftc", {})
+    return {str(key): str(value) for key, value in given.items() if key != "mode"}
 
 
 def _runs_at(path: Path) -> list[Path]:

@@ -74,7 +74,7 @@ def test_score_that_separates_has_area_one_and_guessing_one_half():
         ([1.0, 2.0], [True, True], "no healthy score among 2"),
         ([1.0, 2.0], [False, False], "no faulty score among 2"),
         ([], [], "no faulty score among 0"),
-        ([1.0, 2.0], [True], "inconsistent"),
+        ([1.0, 2.0], [True, False, True], "inconsistent"),
     ],
 )
 def test_scores_that_give_no_curve_are_refused(score, labels, message):

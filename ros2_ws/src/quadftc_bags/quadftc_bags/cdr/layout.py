@@ -7,13 +7,12 @@ Messages of a type with equal length words have the same layout.
 
 from __future__ import annotations
 
-import re
 import struct
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
-from quadftc_bags.interfaces import load_message_class
+from quadftc_bags.interfaces import installed_fields
 
 ORIGIN = 4  # bytes of encapsulation before the message; alignment counts from behind them
 PLAIN = (b"\x00\x00", b"\x00\x01")  # encapsulation of plain CDR, big and little endian
@@ -161,16 +160,7 @@ def find_layout(leaves: Sequence[Leaf], data: bytes) -> Layout | None:
 @cache
 def installed_leaves(type_name: str) -> tuple[Leaf, ...]:
     """Return the leaves of an installed message type (``package/msg/Name``); ValueError if it is not."""
-    return find_leaves(_installed_fields, type_name)
-
-
-def _installed_fields(type_name: str) -> Iterable[tuple[str, str, int | None]]:
-    """Read the fields off the class, which writes types such as ``sequence<a/B, 3>`` and ``double[9]``."""
-    message_class: Any = load_message_class(type_name)
-    for name, text in message_class.get_fields_and_field_types().items():
-        ((sequence, base, size),) = re.findall(r"^(sequence<)?([\w/]+)[^\[]*(?:\[(\d+)\])?$", text)
-        length = int(size) if size else None
-        yield name, base.replace("/", "/msg/"), -1 if sequence else length
+    return find_leaves(installed_fields, type_name)
 
 
 def find_leaves(

@@ -7,8 +7,7 @@
     disturbance_observer: {kind: exosystem, bandwidth: 9.1}
     controller: {kind: ismc, k_c1: [14.6, 17.1, 9.9]}
 
-A scheme takes the gains of those of its parts that are of the kind the file names. So one file serves all
-schemes of a scenario.
+A scheme takes the gains of its parts of the kinds that the file names; so one file serves all schemes.
 """
 
 from __future__ import annotations
@@ -28,9 +27,8 @@ SEARCH_PATH = "QUADFTC_SCENARIO_PATH"  # environment variable: directories, sepa
 
 
 def find_scenario(name_or_path: str) -> Path:
-    """Find a scenario file: by its path, or by its name in one of the `scenario_directories`."""
-    advice = f"give a path, or set {SEARCH_PATH}"
-    return _find_file(name_or_path, scenario_directories(), "scenario", advice)
+    """Find a scenario by path, or by name in $QUADFTC_SCENARIO_PATH, ./scenarios, the repository's."""
+    return _find_file(name_or_path, _scenario_folders(), "scenario", f"give a path, or set {SEARCH_PATH}")
 
 
 def find_gains(name_or_path: str) -> Path:
@@ -40,11 +38,10 @@ def find_gains(name_or_path: str) -> Path:
 
 def scenario_names() -> tuple[str, ...]:
     """Return the names of all scenarios that can be found without a path, sorted."""
-    return _names_in(scenario_directories())
+    return _names_in(_scenario_folders())
 
 
-def scenario_directories() -> tuple[Path, ...]:
-    """Return where scenarios are looked for: $QUADFTC_SCENARIO_PATH, ./scenarios, the repository's."""
+def _scenario_folders() -> tuple[Path, ...]:
     given = [Path(part) for part in os.environ.get(SEARCH_PATH, "").split(os.pathsep) if part]
     return (*given, *_folders_named("scenarios"))
 
