@@ -190,7 +190,7 @@ def topics_text(bag: Bag) -> str:
 def versions_of(stored: Mapping[str, Any], bag: Bag) -> dict[str, str]:
     """Return what a recording was made with: by its summary, else by the bag."""
     told: Any = stored.get("versions")
-    given: dict[Any, Any] = told if isinstance(told, dict) else bag.metadata.get("quadftc", {})
+    given = cast("dict[Any, Any]", told) if isinstance(told, dict) else bag.metadata.get("quadftc", {})
     return {str(key): str(value) for key, value in given.items() if key != "mode"}
 
 
