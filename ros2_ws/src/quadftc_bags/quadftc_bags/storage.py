@@ -184,8 +184,7 @@ def _read_sequence(data: bytes) -> Iterator[Record]:
 
 def _chunk_data(body: bytes) -> bytes:
     """Return the records inside a chunk, after checking their sum."""
-    chunk = Chunk.read(ReadDataStream(BytesIO(body)))
-    stream, size = get_chunk_data_stream(chunk, validate_crc=True)
+    stream, size = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(body))), validate_crc=True)
     return stream.read(size)
 
 
@@ -209,22 +208,17 @@ def open_sqlite(path: Path) -> Generator[Reader, None, None]:
 
 def read_sqlite(path: Path, is_wanted: Callable[[str], bool]) -> Iterator[Record]:
     """Yield the schemas and channels of the wanted topics as `read_records` does, then their messages."""
-    with open_sqlite(path) as reader:
-        chosen = [each for each in reader.connections if is_wanted(each.topic)]
-        for each in chosen:
-            yield _sqlite_schema(each)
-            yield Channel(each.id, each.topic, "cdr", {}, each.id)
-        for connection, log_time, data in reader.messages(chosen) if chosen else ():
-            yield connection.id, log_time, log_time, memoryview(data)
-
-
-def _sqlite_schema(connection: Any) -> Schema:
-    """Return the stored definition of a type; where none is stored, the one that ROS 2 Jazzy has."""
     from rosbags.interfaces import MessageDefinitionFormat
     from rosbags.typesys import Stores, get_typestore
 
-    name, (form, text) = connection.msgtype, connection.msgdef
-    if form is MessageDefinitionFormat.NONE:
-        text = get_typestore(Stores.ROS2_JAZZY).generate_msgdef(name, ros_version=2)[0]
-    encoding = "ros2idl" if form is MessageDefinitionFormat.IDL else "ros2msg"
-    return Schema(connection.id, text.encode(), encoding, name)
+    with open_sqlite(path) as reader:
+        chosen = [each for each in reader.connections if is_wanted(each.topic)]
+        for each in chosen:
+            form, text = each.msgdef
+            if form is MessageDefinitionFormat.NONE:  # then the type is as ROS 2 Jazzy has it
+                text = get_typestore(Stores.ROS2_JAZZY).generate_msgdef(each.msgtype, ros_version=2)[0]
+            encoding = "ros2idl" if form is MessageDefinitionFormat.IDL else "ros2msg"
+            yield Schema(each.id, text.encode(), encoding, each.msgtype)
+            yield Channel(each.id, each.topic, "cdr", {}, each.id)
+        for connection, log_time, data in reader.messages(chosen) if chosen else ():
+            yield connection.id, log_time, log_time, memoryview(data)

@@ -56,15 +56,11 @@ class Respawn:
 
     def died(self, name: str, now: float) -> float | None:
         """Note a death at a time [s], once until `started`; return the delay left [s], or None: too many."""
-        if name in self._due:
-            return max(0.0, self._due[name] - now)
-        deaths = [each for each in self._deaths.get(name, ()) if now - each <= MEMORY]
-        self._deaths[name] = [*deaths, now]
-        if len(deaths) >= MOST_DEATHS:
-            return None
-        delay = min(LAST_DELAY, FIRST_DELAY * 2.0 ** len(deaths))
-        self._due[name] = now + delay
-        return delay
+        if name not in self._due:
+            deaths = [each for each in self._deaths.get(name, ()) if now - each <= MEMORY]
+            self._deaths[name] = [*deaths, now]
+            self._due[name] = now + min(LAST_DELAY, FIRST_DELAY * 2.0 ** len(deaths))
+        return None if len(self._deaths[name]) > MOST_DEATHS else max(0.0, self._due[name] - now)
 
     def waits(self, name: str) -> bool:
         """Return whether a node is dead and known to be."""
