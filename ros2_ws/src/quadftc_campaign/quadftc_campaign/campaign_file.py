@@ -38,15 +38,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, cast
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    Field,
-    PlainValidator,
-    ValidationError,
-    field_validator,
-)
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
 from quadftc_campaign.batch.tally import ROOTS, VARIATION
 from quadftc_campaign.distributions import Distribution, distribution
@@ -86,8 +78,13 @@ def _check_path(path: str) -> str:
     return path
 
 
-def _read_delay(raw: Any) -> Distribution | None:
-    return None if raw is None else distribution(raw)
+def _check_cost(cost: dict[str, float]) -> dict[str, float]:
+    for name, weight in cost.items():
+        if name not in COSTS:
+            raise ValueError(f"no '{name}'; there are: {', '.join(COSTS)}")
+        if not 0.0 < weight < math.inf:
+            raise ValueError(f"{name} = {weight}: must be positive and finite")
+    return cost
 
 
 Drawn = Annotated[Distribution, PlainValidator(distribution)]
@@ -99,7 +96,7 @@ class SourceKeys(_Keys):
 
     kind: Literal["loop", "motion", "recordings"] = "loop"
     directory: str = ""
-    delay: Annotated[Distribution | None, PlainValidator(_read_delay)] = None
+    delay: Drawn | None = None
 
     @property
     def is_loop(self) -> bool:
@@ -118,21 +115,11 @@ class TuneKeys(_Keys):
     """What ``quadftc tune`` does with the campaign."""
 
     gains: list[str] = Field(min_length=1)
-    cost: dict[str, float] = Field(min_length=1)
+    cost: Annotated[dict[str, float], AfterValidator(_check_cost)] = Field(min_length=1)
     flights: int = Field(default=32, ge=1, le=MAX_FLIGHTS)
     steps: int = Field(default=30, ge=1, le=10_000)
     rate: float = Field(default=0.05, gt=0.0, le=1.0)
     held_out: int = Field(default=256, ge=1, le=MAX_FLIGHTS)
-
-    @field_validator("cost")
-    @classmethod
-    def _known(cls, cost: dict[str, float]) -> dict[str, float]:
-        for name, weight in cost.items():
-            if name not in COSTS:
-                raise ValueError(f"no '{name}'; there are: {', '.join(COSTS)}")
-            if not 0.0 < weight < math.inf:
-                raise ValueError(f"{name} = {weight}: must be positive and finite")
-        return cost
 
 
 class CampaignKeys(_Keys):
@@ -198,18 +185,26 @@ def load_campaign(path: Path, flights: int | None = None, recordings: Path | Non
     except ValidationError as error:
         raise document.error(problems_of(error, _model_at)) from None
     base, scenario = _read_scenario(document, keys)
-    problems = [*_find_unknown_parts(keys, scenario)]
-    bags = _find_recordings(document, keys, recordings, problems)
+    problems, bags = [*_find_unknown_parts(keys, scenario)], tuple[Path, ...]()
+    if keys.source.kind == "recordings":
+        named = recordings or keys.source.directory
+        directory = recordings or path.parent / keys.source.directory
+        bags = bags_in(directory) if named else ()
+        said = f"{directory}: holds no bag" if named else "no directory is named"
+        wrong = Problem(("source", "directory"), f"{said}; expected rosbag2 bags (--recordings)")
+        problems += [] if bags else [wrong]
     given: dict[str, Any] = dict(keys)
     given |= {"name": keys.name or path.stem, "flights": keys.flights * max(len(bags), 1)}
     given |= {"vary": _expand_paths(keys, base, problems), "variants": _variants(keys, scenario)}
     campaign = Campaign.model_construct(None, **given, document=document, base=base, recordings=bags)
     if campaign.cells > MAX_CELLS:
         problems.append(Problem(("vary",), f"{campaign.cells} combinations of grids: at most {MAX_CELLS}"))
-    for index, key in enumerate(campaign.report.map):
-        if key not in campaign.vary:
-            there = ", ".join(campaign.vary) or "nothing varies"
-            problems.append(Problem(("report", "map", index), f"'{key}' does not vary; there are: {there}"))
+    there = ", ".join(campaign.vary) or "nothing varies"
+    problems += (
+        Problem(("report", "map", index), f"'{key}' does not vary; there are: {there}")
+        for index, key in enumerate(campaign.report.map)
+        if key not in campaign.vary
+    )
     if problems:
         raise document.error(problems)
     return campaign
@@ -248,20 +243,6 @@ def _read_scenario(document: Document, keys: CampaignKeys) -> tuple[Document, Sc
         raise document.error([Problem(("scenario",), line) for line in lines]) from None
 
 
-def _find_recordings(
-    document: Document, keys: CampaignKeys, instead: Path | None, problems: list[Problem]
-) -> tuple[Path, ...]:
-    if keys.source.kind != "recordings":
-        return ()
-    named = bool(instead or keys.source.directory)
-    directory = instead or Path(document.source).parent / keys.source.directory
-    bags = bags_in(directory) if named else ()
-    if not bags:
-        said = f"{directory}: holds no bag" if named else "no directory is named"
-        problems.append(Problem(("source", "directory"), f"{said}; expected rosbag2 bags (--recordings)"))
-    return bags
-
-
 def bags_in(directory: Path) -> tuple[Path, ...]:
     """Return the bags in a directory, or the directory if it is one; empty: there is none."""
     if (directory / "metadata.yaml").is_file():
@@ -272,13 +253,8 @@ def bags_in(directory: Path) -> tuple[Path, ...]:
 def _find_unknown_parts(keys: CampaignKeys, scenario: Scenario) -> Iterator[Problem]:
     if keys.observers == OTHERS and (keys.controllers or keys.levels):
         yield Problem(("observers",), "'others' cannot be crossed with controllers or levels")
-    known = {
-        "schemes": tuple(scenario.schemes),
-        "observers": fault_observers.names(),
-        "controllers": controllers.names(),
-        "parameters": fault_observers.names(),
-        "levels": fault_observers.names(),
-    }
+    known = {"schemes": tuple(scenario.schemes), "controllers": controllers.names()}
+    known |= dict.fromkeys(("observers", "parameters", "levels"), fault_observers.names())
     for key, there in known.items():
         given = getattr(keys, key)
         names = [] if given in (ALL, OTHERS) else list(given)

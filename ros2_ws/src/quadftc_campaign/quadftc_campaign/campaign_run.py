@@ -28,6 +28,7 @@ from quadftc_flight.scenario import Scenario
 
 MANIFEST, CHUNKS, FLIGHTS, SUMMARY = "campaign.json", "chunks", "flights.parquet", "summary.json"
 FORMAT = 2
+ANOTHER = "choose another --out"
 FLIGHTS_A_CHUNK = 256  # what a kill loses at most, of each worker; as many as are flown together
 OPEN_FLIGHTS_A_CHUNK = 4  # without the batch engine a flight takes seconds
 
@@ -37,7 +38,7 @@ class Extent(NamedTuple):
 
     chunks: int
     missing: int
-    samples: int  # of the chunks that are missing, all variants
+    samples: int  # of the chunks that are missing
 
 
 class CampaignRun:
@@ -66,7 +67,7 @@ class CampaignRun:
             if path.exists():
                 _compare(path, manifest, resume)
             elif directory.exists() and any(directory.iterdir()):
-                raise CampaignError(f"{directory}: is not empty, and holds no campaign; choose another --out")
+                raise CampaignError(f"{directory}: is not empty, and holds no campaign; {ANOTHER}")
             (directory / CHUNKS).mkdir(parents=True, exist_ok=True)
             path.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
         missing = self._missing
@@ -141,9 +142,7 @@ def fly_chunk(campaign: Campaign, numbers: Sequence[int], progress: Progress = l
     if campaign.source.is_loop:
         fly = _fly_loop
     else:
-        from quadftc_campaign import open_loop
-
-        fly = open_loop.fly_open
+        from quadftc_campaign.open_loop import fly_open as fly
     for variant in campaign.variants:
         scenarios = [flight_scenario(campaign, number, variant) for number in numbers]
         flown = zip(numbers, scenarios, fly(campaign, numbers, scenarios, progress), strict=True)
@@ -190,17 +189,15 @@ def _describe(campaign: Campaign, chunks: int) -> dict[str, Any]:
 def _compare(path: Path, manifest: dict[str, Any], resume: bool) -> None:
     """Refuse a directory with another campaign, or with this one if it is not to be resumed."""
     if not resume:
-        advice = "--resume goes on with it, or choose another --out"
-        raise CampaignError(f"{path.parent}: holds a campaign; {advice}")
+        raise CampaignError(f"{path.parent}: holds a campaign; --resume goes on with it, or {ANOTHER}")
     try:
         there = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
-        raise CampaignError(f"{path}: is no JSON; choose another --out") from None
+        raise CampaignError(f"{path}: is no JSON; {ANOTHER}") from None
     if there != manifest:
         found = cast("dict[str, Any]", there if isinstance(there, dict) else {})
-        keys = [key for key, value in manifest.items() if found.get(key) != value]
-        names = ", ".join(keys) or "other keys"
-        raise CampaignError(f"{path}: another campaign ({names} differ); choose another --out")
+        names = ", ".join(key for key, value in manifest.items() if found.get(key) != value)
+        raise CampaignError(f"{path}: another campaign ({names or 'other keys'} differ); {ANOTHER}")
 
 
 def _write_table(frame: pl.DataFrame, path: Path) -> None:

@@ -29,36 +29,29 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
     """
     from distributed import Client, LocalCluster
 
-    if address is not None:
-        try:
-            client = Client(address, timeout=TIMEOUT, set_as_default=False)
-        except (OSError, ValueError, TimeoutError) as error:
-            raise CampaignError(f"scheduler {address}: {_first_line(error)}") from None
-        with client:
-            try:
-                client.wait_for_workers(1, timeout=TIMEOUT)
-            except TimeoutError:
-                raise CampaignError(f"scheduler {address}: no worker after {TIMEOUT:g} s") from None
-            yield client
-        return
     path = os.environ.get("PYTHONPATH")
-    with (
-        LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",  # any free port: it cannot be left out
-            silence_logs=logging.ERROR,
-            env=environment() | NO_PROFILE | ({} if path is None else {"PYTHONPATH": path}),
-        ) as cluster,
-        Client(cluster, set_as_default=False) as client,
-    ):
+    with contextlib.ExitStack() as stack:
+        target = address or stack.enter_context(
+            LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",  # any free port: it cannot be left out
+                silence_logs=logging.ERROR,
+                env=environment() | NO_PROFILE | ({} if path is None else {"PYTHONPATH": path}),
+            )
+        )
+        try:
+            client = stack.enter_context(Client(target, timeout=TIMEOUT, set_as_default=False))
+            client.wait_for_workers(1, timeout=TIMEOUT)
+        except (OSError, ValueError) as error:  # TimeoutError is an OSError
+            raise CampaignError(f"scheduler {address or 'here'}: {_first_line(error)}") from None
         yield client
 
 
 def devices(client: Any) -> str:
     """Say what the workers compute on, such as ``2 x cpu``."""
-    found = collections.Counter(client.run(_device).values())
+    found = collections.Counter(client.run(_find_device).values())
     return ", ".join(f"{count} x {name}" for name, count in sorted(found.items()))
 
 
@@ -101,7 +94,7 @@ def _call(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
     return function(*arguments, lambda samples: worker.log_event(TOPIC, samples))
 
 
-def _device() -> str:
+def _find_device() -> str:
     _set_environment()
     import jax
 

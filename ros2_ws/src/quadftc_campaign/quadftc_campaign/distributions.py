@@ -61,13 +61,11 @@ class Distribution:
         return drawn if self.size else drawn[0]
 
     def _draw_numbers(self, generator: np.random.Generator) -> list[float]:
-        (low, high), count = self.bounds, self.size or 1
-        if self.kind == "normal":
-            numbers = generator.normal(low, high, count)
-        elif self.kind == "uniform":
-            numbers = generator.uniform(low, high, count)
+        bounds, count = self.bounds, self.size or 1
+        if self.kind == "log_uniform":
+            numbers = np.exp(generator.uniform(*map(math.log, bounds), count))
         else:
-            numbers = np.exp(generator.uniform(math.log(low), math.log(high), count))
+            numbers = (generator.normal if self.kind == "normal" else generator.uniform)(*bounds, count)
         if self.signed:
             numbers = numbers * np.where(generator.random(count) < 0.5, -1.0, 1.0)
         return numbers.tolist()
@@ -143,15 +141,16 @@ def _read_bounds(kind: str, raw: Any) -> tuple[tuple[float, float], str]:
             raise ValueError(f"{kind}: {name} {each!r}: expected a number, with its unit if it has one")
         pairs.append((float(match[1]), match[2]))
     (low, low_unit), (high, high_unit) = pairs
-    if len({unit for number, unit in pairs if unit or number != 0.0}) > 1:
-        units = f"{names[0]} in '{low_unit}', {names[1]} in '{high_unit}'"
-        raise ValueError(f"{kind}: {units}: expected one unit")
-    if kind == "normal" and not high > 0.0:
-        raise ValueError(f"normal: standard deviation {high:g}: must be positive")
-    if kind != "normal" and not low < high:
-        raise ValueError(f"{kind}: low {low:g}, high {high:g}: an empty range")
-    if not math.isfinite(high - low):
-        raise ValueError(f"{kind}: {names[0]} {low:g}, {names[1]} {high:g}: too large to draw from")
-    if kind == "log_uniform" and not low > 0.0:
-        raise ValueError(f"log_uniform: low {low:g}: must be positive")
+    units = {unit for number, unit in pairs if unit or number != 0.0}
+    both = f"{names[0]} {low:g}, {names[1]} {high:g}"
+    refusals = {
+        f"{names[0]} in '{low_unit}', {names[1]} in '{high_unit}': expected one unit": len(units) > 1,
+        f"standard deviation {high:g}: must be positive": kind == "normal" and not high > 0.0,
+        f"{both}: an empty range": kind != "normal" and not low < high,
+        f"{both}: too large to draw from": not math.isfinite(high - low),
+        f"low {low:g}: must be positive": kind == "log_uniform" and not low > 0.0,
+    }
+    for refusal, applies in refusals.items():
+        if applies:
+            raise ValueError(f"{kind}: {refusal}")
     return (low, high), low_unit or high_unit

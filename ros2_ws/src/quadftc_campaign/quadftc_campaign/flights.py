@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import zlib
 from typing import Any, cast
@@ -61,13 +60,13 @@ def flight_scenario(campaign: Campaign, number: int, variant: Variant) -> Scenar
         last = campaign.flights - 1
         raise CampaignError(f"{campaign.document.source}: no flight {number}; there are 0 to {last}")
     try:
-        values = {path: _scheduled(campaign, path, value) for path, value in drawn(campaign, number).items()}
+        values = {path: _schedule(campaign, path, value) for path, value in drawn(campaign, number).items()}
         document = campaign.base.with_values(values, f"flight {number}")
-        scheme = copy.deepcopy(document.data["schemes"][variant.scheme])
-        if variant.observer is not None:
-            scheme["observer"] = _replaced(scheme.get("observer"), variant.observer, dict(variant.parameters))
-        if variant.controller is not None:
-            scheme["controller"] = _replaced(scheme.get("controller"), variant.controller, {})
+        scheme = dict(document.data["schemes"][variant.scheme])
+        parts = {"observer": (variant.observer, variant.parameters), "controller": (variant.controller, ())}
+        for role, (kind, parameters) in parts.items():
+            if kind is not None:
+                scheme[role] = _replace(scheme.get(role), kind, dict(parameters))
         scheme["checks"] = []
         document.data["schemes"] = {variant.scheme: scheme}
         document.data["name"] = f"{campaign.name[:48]}_flight_{number}"
@@ -108,7 +107,7 @@ def first_columns(campaign: Campaign, number: int, variant: Variant, scenario: S
     }
 
 
-def _scheduled(campaign: Campaign, path: str, value: Value) -> Value:
+def _schedule(campaign: Campaign, path: str, value: Value) -> Value:
     """A drawn component; a fault keeps the axes and times of the one in its place, unless they are drawn."""
     place, _, index = path.partition(".")
     if place != "faults" or not index.isdecimal() or not isinstance(value, dict):
@@ -118,7 +117,7 @@ def _scheduled(campaign: Campaign, path: str, value: Value) -> Value:
     return {**{key: each for key, each in kept.items() if key in RESERVED}, **cast("dict[str, Any]", value)}
 
 
-def _replaced(given: Any, kind: str, parameters: dict[str, Any]) -> Any:
+def _replace(given: Any, kind: str, parameters: dict[str, Any]) -> Any:
     """A part by its name; with the parameters that the scenario gives if it is the one that was there."""
     spec = cast("dict[str, Any]", given) if isinstance(given, dict) else {"kind": given}
     if not parameters:

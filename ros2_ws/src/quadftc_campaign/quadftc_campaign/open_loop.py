@@ -82,7 +82,12 @@ def prepare(campaign: Campaign, number: int, scenario: Scenario) -> OpenFlight:
         delay = quantity(delays.draw(generator_of(campaign, number, DELAY)), "s")
     recording = _read_recording(bags[number % len(bags)]) if bags else simulate(scenario)
     end = recording.duration - GRACE_TIME if bags else scenario.duration
-    return OpenFlight(recording, _delayed(scenario.faults, delay, end), delay)
+    faults: list[Fault] = []
+    for injection, given in ((fault.injection, fault.given) for fault in scenario.faults):
+        start, stop = (round(time + delay, 9) for time in (injection.start, injection.stop))
+        if stop <= end:  # what the samples are too short for is left out
+            faults.append(Fault(dataclasses.replace(injection, start=start, stop=stop), given))
+    return OpenFlight(recording, tuple(faults), delay)
 
 
 def simulate(scenario: Scenario) -> Recording:
@@ -167,21 +172,9 @@ def flatten(nested: Mapping[str, Any], prefix: str = "") -> Row:
     """Return nested mappings as one, with dotted names."""
     flat: Row = {}
     for name, value in nested.items():
-        if isinstance(value, Mapping):
-            flat |= flatten(cast("Mapping[str, Any]", value), f"{prefix}{name}.")
-        else:
-            flat[f"{prefix}{name}"] = value
+        inside = cast("Mapping[str, Any]", value) if isinstance(value, Mapping) else None
+        flat |= {f"{prefix}{name}": value} if inside is None else flatten(inside, f"{prefix}{name}.")
     return flat
-
-
-def _delayed(faults: Sequence[Fault], delay: float, end: float) -> tuple[Fault, ...]:
-    """The faults, later by a delay [s]; only those that are over before the end [s]."""
-    later: list[Fault] = []
-    for injection, given in ((fault.injection, fault.given) for fault in faults):
-        start, stop = (round(time + delay, 9) for time in (injection.start, injection.stop))
-        if stop <= end:
-            later.append(Fault(dataclasses.replace(injection, start=start, stop=stop), given))
-    return tuple(later)
 
 
 def _where(there: NDArray[np.bool_], values: Float[NDArray[Any], " n"]) -> list[float | None]:

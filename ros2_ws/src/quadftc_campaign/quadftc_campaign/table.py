@@ -46,12 +46,11 @@ def table_of(rows: Rows) -> pl.DataFrame:
 
 def fault_rows(whole: Row, records: Rows) -> Rows:
     """Return the rows of a flight: one for each of its faults, or one for none."""
-    if not records:
-        return [{**whole, "fault": None}]
-    return [
+    rows: Rows = [
         {**whole, "fault": index, **{f"fault.{name}": value for name, value in record.items()}}
         for index, record in enumerate(records)
     ]
+    return rows or [{**whole, "fault": None}]
 
 
 def whole_flights(frame: pl.DataFrame) -> pl.DataFrame:
@@ -78,46 +77,35 @@ def summary_of(campaign: Campaign, frame: pl.DataFrame) -> dict[str, Any]:
 def quantiles(frame: pl.DataFrame, names: Iterable[str]) -> dict[str, Any]:
     """Quantiles, mean and extremes of columns; null where no row has a value."""
     found: dict[str, Any] = {}
-    for name in names:
-        column = frame[name].drop_nulls().drop_nans()
+    for column in (frame[name].drop_nulls().drop_nans() for name in names):
         values: dict[str, Any] = {}
         if len(column):
             values = {"mean": column.mean(), "min": column.min(), "max": column.max()}
             values |= {f"q{100 * q:g}": column.quantile(q, "linear") for q in QUANTILES}
         known = {key: value if math.isfinite(value) else None for key, value in values.items()}
-        found[name] = {"count": len(column), **known}
+        found[column.name] = {"count": len(column), **known}
     return found
 
 
 def _variant(campaign: Campaign, frame: pl.DataFrame) -> dict[str, Any]:
-    flights = whole_flights(frame)
-    faults = frame.filter(pl.col("fault").is_not_null())
+    flights, faults = whole_flights(frame), frame.filter(pl.col("fault").is_not_null())
     kinds: list[str] = faults["fault.kind"].unique().sort().to_list() if "fault.kind" in frame.columns else []
-    left_out = {*NOT_METRICS, *campaign.vary}
-    whole = [name for name in _numbers(frame, faults=False) if name not in left_out]
+    parts = {kind: faults.filter(pl.col("fault.kind") == kind) for kind in kinds}
+    parts |= {"all": faults} if kinds else {}
+    left_out = {*NOT_METRICS, *TIMES, *campaign.vary}
+    metrics = [name for name, kind in frame.schema.items() if kind.is_numeric() and name not in left_out]
+    of_faults = [name for name in metrics if name.startswith("fault.")]
     return {
         "flights": flights.height,
         "not_finite": int((~flights["finite"]).sum()),
-        "metrics": quantiles(flights, whole),
+        "metrics": quantiles(flights, [name for name in metrics if name not in of_faults]),
         "faults": {
-            kind: _faults(faults if kind == "all" else faults.filter(pl.col("fault.kind") == kind))
-            for kind in (*kinds, "all")
-            if kinds
+            kind: {
+                "count": part.height,
+                "judged": int(part["fault.detected"].is_not_null().sum()),
+                "missed": int((part["fault.detected"] == False).sum()),  # noqa: E712
+                "metrics": quantiles(part, of_faults),
+            }
+            for kind, part in parts.items()
         },
     }
-
-
-def _faults(frame: pl.DataFrame) -> dict[str, Any]:
-    names = [name for name in _numbers(frame, faults=True) if name not in TIMES]
-    return {
-        "count": frame.height,
-        "judged": int(frame["fault.detected"].is_not_null().sum()),
-        "missed": int((frame["fault.detected"] == False).sum()),  # noqa: E712
-        "metrics": quantiles(frame, names),
-    }
-
-
-def _numbers(frame: pl.DataFrame, faults: bool) -> list[str]:
-    """Names of the columns of numbers: those of faults, or the others."""
-    names = (name for name, kind in frame.schema.items() if kind.is_numeric())
-    return [name for name in names if name.startswith("fault.") == faults]

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -35,7 +35,8 @@ class Carried(NamedTuple):
 
     loop: LoopState
     tally: Tally
-    slopes: Any = None  # `quadftc_campaign.batch.slopes.Slopes`
+    # of loop and tally, None for what is no float; no stretch sets those of the sums to zero
+    slopes: Any = None
 
 
 class CompiledFlight:
@@ -105,7 +106,7 @@ class CompiledFlight:
         arrays = {
             "sums": sums,
             "marks": {**tally.ever, **tally.largest, **tally.smallest, **tally.last},
-            "slope": None if state.slopes is None else to_float64(state.slopes.sums),
+            "slope": None if state.slopes is None else to_float64(state.slopes[1].sums),
             "trace": jax.tree.map(lambda *parts: np.concatenate(parts), *trace) if self._traced else None,
         }
         rows_out, period = loop.count - loop.sensor.delay, seconds(loop.period_ns)
@@ -159,6 +160,32 @@ class CompiledFlight:
         return jax.tree.map(lambda leaf: _cast_float(jnp.asarray(leaf), self._dtype), tree)
 
 
+class SlopeFlight(CompiledFlight):
+    """Functions that fly all flights of one structure, each with its slope along its direction.
+
+    Forward mode: beside every float that a flight carries goes its slope along one direction of the gains. A
+    flight of any length takes the same memory, and a gradient takes one lane for each gain. The slope follows
+    the branch that was taken: it leaves out what a gain does by moving a decision (a detection, say) to
+    another sample. Where a function has no slope (a norm at zero), it counts as 0.
+    """
+
+    def _begin(
+        self, bias: Any, inputs: Sequence[StepInputs], times: Sequence[Times], per_flight: PerFlight
+    ) -> tuple[Carried, list[Any]]:
+        begin = super()._begin
+        return _differentiate(lambda _, tuned: begin(bias, inputs, times, tuned)[0], (), (), per_flight), []
+
+    def _step(
+        self, state: Carried, inputs: tuple[StepInputs, PerFlight], times: Times
+    ) -> tuple[Carried, Any]:
+        step, (step_inputs, per_flight) = super()._step, inputs
+
+        def fly(floats: Any, tuned: PerFlight) -> Carried:
+            return step(_with_floats(state, floats), (step_inputs, tuned), times)[0]
+
+        return _differentiate(fly, _floats_of(state), state.slopes, per_flight), ()
+
+
 def to_float64(arrays: Any) -> Any:
     """Return a tree of arrays as NumPy arrays, floats in double precision."""
     return jax.tree.map(lambda array: _cast_float(np.asarray(array), np.dtype(np.float64)), arrays)
@@ -172,7 +199,7 @@ def take(arrays: Any, index: Any, axis: int = 0) -> Any:
 
 def _read_in_the_end(carried: Carried) -> Any:
     """Select the part of a state that the engine reads in the end."""
-    return carried.tally, None if carried.slopes is None else carried.slopes.sums
+    return carried.tally, None if carried.slopes is None else carried.slopes[1].sums
 
 
 def _cast_float(array: Any, dtype: np.dtype[Any]) -> Any:
@@ -181,3 +208,32 @@ def _cast_float(array: Any, dtype: np.dtype[Any]) -> Any:
 
 def _fill_up(array: Any) -> Any:
     return np.concatenate([array, np.zeros((STRETCH - len(array), *array.shape[1:]), array.dtype)])
+
+
+def _differentiate(
+    fly: Callable[[Any, PerFlight], Carried], floats: Any, slopes: Any, per_flight: PerFlight
+) -> Carried:
+    """Return what ``fly`` returns for floats with these slopes, and the slopes of that."""
+
+    def run(floats: Any, tuned: dict[str, Any]) -> tuple[Any, Carried]:
+        after = fly(floats, per_flight._replace(numbers=per_flight.numbers | tuned))
+        return _floats_of(after), after
+
+    tuned = {path: per_flight.numbers[path] for path in per_flight.direction}
+    _, new, after = jax.jvp(run, (floats, tuned), (slopes, per_flight.direction), has_aux=True)
+    return after._replace(slopes=jax.tree.map(lambda each: jnp.where(jnp.isfinite(each), each, 0.0), new))
+
+
+def _floats_of(carried: Carried) -> Any:
+    def keep(leaf: Any) -> Any:
+        return leaf if jnp.issubdtype(jnp.result_type(leaf), jnp.floating) else None
+
+    return jax.tree.map(keep, (carried.loop, carried.tally))
+
+
+def _with_floats(carried: Carried, floats: Any) -> Carried:
+    def exchange(number: Any, leaf: Any) -> Any:
+        return leaf if number is None else number
+
+    parts = (carried.loop, carried.tally)
+    return Carried(*jax.tree.map(exchange, floats, parts, is_leaf=lambda each: each is None))

@@ -11,6 +11,7 @@ settings on its first import: see `quadftc_campaign.batch.jax_settings`.
 from __future__ import annotations
 
 import functools
+import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -18,7 +19,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_campaign.batch.compiled import CompiledFlight, PerFlight, take
+from quadftc_campaign.batch.compiled import CompiledFlight, PerFlight, SlopeFlight, take
 from quadftc_campaign.batch.jax_settings import keep_compiled, settle_precision
 from quadftc_campaign.batch.parts import (
     FlightParts,
@@ -29,8 +30,7 @@ from quadftc_campaign.batch.parts import (
     structure_of,
     with_common_faults,
 )
-from quadftc_campaign.batch.slopes import SlopeFlight
-from quadftc_campaign.batch.tally import Outcome, Schedule, most_events, schedule_of
+from quadftc_campaign.batch.tally import Outcome, schedule_of
 from quadftc_flight.fault_schedule import FaultEvent
 
 LANES = 128  # flights that fly together: their state stays in the cache
@@ -108,16 +108,19 @@ class Engine:
         tuned = tuple(directions[0]) if directions else ()
         numbers = [numbers_of(flight.loop) for flight in flights]
         varying = differing(numbers, self._free | set(tuned))
-        most = max(map(most_events, events))
-        schedules = zip(*(schedule_of(each, most) for each in events), strict=True)
         per_flight = PerFlight(
             {path: np.moveaxis(values, 0, -1) for path, values in varying.items()},
-            Schedule(*(np.stack(times, axis=-1) for times in schedules)),
+            schedule_of(events),
             {path: np.stack([direction[path] for direction in directions], axis=-1) for path in tuned},
         )
-        late_start = any(map(_may_start_late, flights))
+        # a fault may leave nothing to begin with: on the first sample, or on one after a gap
+        late_start = any(
+            fault.channel == "imu" or (fault.start <= 0.0 and fault.channel in ("attitude", "gyro"))
+            for flight in flights
+            for fault in flight.loop.injections
+        )
         fixed = tuple(value.tobytes() for path, value in numbers[0].items() if path not in varying)
-        whole_key = (key, fixed, tuple(varying), most, late_start, tuned, traced)
+        whole_key = (key, fixed, tuple(varying), len(per_flight.schedule.start), late_start, tuned, traced)
         if whole_key not in self._compiled:
             arguments = (flights[0], per_flight, late_start, self._dtype, traced, self._staged)
             try:
@@ -139,24 +142,14 @@ def lanes_for(flights: int) -> int:
     return min(LANES, 1 << max(flights - 1, 0).bit_length())
 
 
-def _may_start_late(flight: FlightParts) -> bool:
-    """Whether a fault may leave nothing to begin with: on the first sample, or on one after a gap."""
-    return any(
-        fault.channel == "imu" or (fault.start <= 0.0 and fault.channel in ("attitude", "gyro"))
-        for fault in flight.loop.injections
-    )
-
-
 def _name_culprit(error: Exception, loop: Loop, varying: Mapping[str, Any]) -> ValueError:
     """Return the error that names the part whose method raised ``error`` while it was traced."""
-    role, part = "a part", None
-    step = error.__traceback__
-    while step is not None:
-        caller, step = step.tb_frame.f_locals.get("self"), step.tb_next
-        for path, each in _parts(loop):
-            if type(caller) is type(each):
-                role, part = path, each
-    where = role if part is None else f"{role} ({type(part).__name__})"
+    role, where = "", "a part"
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        kind = type(frame.f_locals.get("self"))
+        for path, part in _parts(loop):
+            if kind is type(part):
+                role, where = path, f"{path} ({kind.__name__})"
     numbers = [path for path in varying if path.startswith(f"{role}.")]
     reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
     advice = "a law must not branch on data or ask for numbers; see CONTRIBUTING.md"

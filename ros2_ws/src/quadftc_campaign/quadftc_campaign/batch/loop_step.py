@@ -57,14 +57,6 @@ class StepInputs(NamedTuple):
     delivery: Delivery | None  # None: every sample arrives
 
 
-class Truth(NamedTuple):
-    """Motion of the vehicle when a sample was taken."""
-
-    angles: Array  # (3,) [rad]
-    body_rate: Array  # (3,) [rad/s]
-    disturbance: Array  # (3,) [rad/s²]
-
-
 class AvionicsState(NamedTuple):
     """State of everything behind the IMU."""
 
@@ -80,7 +72,8 @@ class LoopState(NamedTuple):
 
     plant: PlantState
     sensor: ImuState
-    pending: tuple[Truth, ...]  # of the samples inside the IMU, oldest first
+    # of the samples inside the IMU, oldest first: true Euler angles, body rate and disturbance, as in `Row`
+    pending: tuple[tuple[Array, Array, Array], ...]
     injections: tuple[InjectionState, ...]
     avionics: AvionicsState
 
@@ -144,8 +137,8 @@ class ClosedLoop:
         draws = namespace(q_xyzw).stack(inputs.draws, axis=-2)
         sensor, sample = self.loop.sensor.step(state.sensor, q_xyzw, body_rate, draws, self._dt)
         disturbance = self.loop.plant.disturbance_acceleration(times.now, body_rate)
-        truth = Truth(euler_from_quaternion(q_xyzw), body_rate, disturbance)
-        return state._replace(sensor=sensor, pending=(*state.pending, truth)), sample
+        motion = (euler_from_quaternion(q_xyzw), body_rate, disturbance)
+        return state._replace(sensor=sensor, pending=(*state.pending, motion)), sample
 
     def _react(
         self, state: LoopState, sample: ImuSample, inputs: StepInputs, times: Times, first: bool

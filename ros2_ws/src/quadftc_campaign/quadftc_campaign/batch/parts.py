@@ -70,11 +70,9 @@ def with_common_faults(flights: Sequence[FlightParts]) -> list[FlightParts]:
         }
         for one in flights
     ]
-    absent: dict[Any, tuple[Injection, int]] = {}
-    for faults in slots:
-        for slot, (fault, _) in faults.items():
-            absent.setdefault(slot, (dataclasses.replace(fault, start=NEVER, stop=NEVER), 0))
-    absent = {slot: absent[slot] for slot in sorted(absent, key=lambda slot: slot[0])}
+    there = {slot: fault for faults in slots for slot, (fault, _) in faults.items()}
+    order = sorted(there, key=lambda slot: slot[0])
+    absent = {slot: (dataclasses.replace(there[slot], start=NEVER, stop=NEVER), 0) for slot in order}
     filled: list[FlightParts] = []
     for flight, faults in zip(flights, slots, strict=True):
         pairs = [faults.get(slot, never) for slot, never in absent.items()]

@@ -32,6 +32,7 @@ from quadftc_campaign.batch.stages import (
     Stage,
     StageCutter,
     Var,
+    bind,
     value_of,
     variables,
 )
@@ -61,10 +62,12 @@ class StagedStep:
             raise ValueError("the state after a step has other parts than before")
         carried, per_flight = len(jax.tree.leaves(state)), len(jax.tree.leaves((state, inputs)))
         self._structure = jax.tree.structure(shapes)
-        self._constants: dict[Var, Any] = {}
-        self._equations: list[Equation] = []
-        self._inputs: list[Var] = list(closed.jaxpr.invars)
-        self._outputs = self._inline(closed, self._inputs)
+        one = [jax.ShapeDtypeStruct(var.aval.shape, var.aval.dtype) for var in closed.jaxpr.invars]
+        flat = jax.make_jaxpr(functools.partial(_inline, closed))(*one)
+        self._constants: dict[Var, Any] = dict(zip(flat.jaxpr.constvars, flat.consts, strict=True))
+        self._equations: list[Equation] = list(flat.jaxpr.eqns)
+        self._inputs: list[Var] = list(flat.jaxpr.invars)
+        self._outputs: list[Atom] = list(flat.jaxpr.outvars)
         self._batched = set(self._inputs[:per_flight])
         self._preparations = self._fold()
         places = jax.tree.unflatten(jax.tree.structure(state), range(carried))
@@ -79,18 +82,13 @@ class StagedStep:
         flights = leaves[0].shape[-1]
         known: dict[Var, Any] = self._constants | dict(zip(self._inputs, leaves, strict=True))
         for equation in self._preparations:
-            known.update(zip(equation.outputs, equation.bind(known), strict=True))
+            known.update(zip(equation.outvars, bind(equation, known), strict=True))
         for stage in self._stages:
             outputs = self._run_apart(stage, [known[var] for var in stage.inputs], flights)
             known.update(zip(stage.outputs, outputs, strict=True))
-        results = [self._output(atom, known, flights) for atom in self._outputs]
-        return jax.tree.unflatten(self._structure, results)
-
-    def _output(self, atom: Atom, known: dict[Var, Any], flights: int) -> Any:
-        if self._batched.intersection(variables([atom])):
-            return known[atom]
-        value = jnp.asarray(value_of(atom, known), atom.aval.dtype)
-        return jnp.broadcast_to(value[..., None], (*value.shape, flights))
+        values = [jnp.asarray(value_of(atom, known), atom.aval.dtype) for atom in self._outputs]
+        pairs = zip(values, _varies(self._outputs, self._batched), strict=True)
+        return jax.tree.unflatten(self._structure, [_over_flights(*pair, flights) for pair in pairs])
 
     def _run_apart(self, stage: Stage, inputs: Sequence[Any], flights: int) -> list[Any]:
         """Compute a stage in a function that the compiler must leave as it is."""
@@ -99,48 +97,28 @@ class StagedStep:
             known = self._constants | dict(zip(stage.inputs, values, strict=True))
             for equation in stage.equations:
                 outputs = _evaluate(equation, known, self._batched, flights)
-                known.update(zip(equation.outputs, outputs, strict=True))
+                known.update(zip(equation.outvars, outputs, strict=True))
             return [known[var] for var in stage.outputs]
 
         with set_xla_metadata(inlineable="false"):
             return jax.jit(run)(*inputs)
-
-    def _inline(self, closed: Any, arguments: Sequence[Atom]) -> list[Atom]:
-        """Append the equations of a closed jaxpr, and those of the functions that it calls."""
-        jaxpr = closed.jaxpr
-        self._constants.update(zip(jaxpr.constvars, closed.consts, strict=True))
-        renamed: dict[Var, Atom] = dict(zip(jaxpr.invars, arguments, strict=True))
-
-        def rename(atom: Atom) -> Atom:
-            return atom if isinstance(atom, core.Literal) else renamed.get(atom, atom)
-
-        for equation in jaxpr.eqns:
-            inputs = tuple(map(rename, equation.invars))
-            if equation.primitive.name in CALLS:
-                called = equation.params.get("jaxpr") or equation.params["call_jaxpr"]
-                outputs = self._inline(_rename_variables(called), inputs)
-                renamed.update(zip(equation.outvars, outputs, strict=True))
-            else:
-                outvars = tuple(equation.outvars)
-                self._equations.append(Equation(equation.primitive, equation.params, inputs, outvars))
-        return [rename(atom) for atom in jaxpr.outvars]
 
     def _fold(self) -> list[Equation]:
         """Compute what depends on no argument; take out, and return, what depends on ``common`` alone."""
         common = set(self._inputs) - self._batched
         remaining, preparations = list[Equation](), list[Equation]()
         for equation in self._equations:
-            inputs = variables(equation.inputs)
+            inputs = variables(equation.invars)
             if self._batched.intersection(inputs):
                 remaining.append(equation)
-                self._batched.update(equation.outputs)
+                self._batched.update(equation.outvars)
             elif common.intersection(inputs):
                 preparations.append(equation)
-                common.update(equation.outputs)
+                common.update(equation.outvars)
             else:
                 with jax.ensure_compile_time_eval():
-                    values = equation.bind(self._constants)
-                self._constants.update(zip(equation.outputs, map(np.asarray, values), strict=True))
+                    values = bind(equation, self._constants)
+                self._constants.update(zip(equation.outvars, map(np.asarray, values), strict=True))
         self._equations = remaining
         return preparations
 
@@ -154,9 +132,9 @@ class StagedStep:
             needed = set(variables(self._outputs[index] for index in wanted))
             kept: list[Equation] = []
             for equation in reversed(self._equations):
-                if needed.intersection(equation.outputs):
+                if needed.intersection(equation.outvars):
                     kept.append(equation)
-                    needed.update(variables(equation.inputs))
+                    needed.update(variables(equation.invars))
             more = {index for index in range(carried) if self._inputs[index] in needed} - wanted
             if not more:
                 break
@@ -167,11 +145,19 @@ class StagedStep:
         return [var in needed for var in self._inputs]
 
 
-def _rename_variables(called: Any) -> Any:
-    """Return a closed jaxpr with variables of its own: a function called twice must not define them twice."""
-    closed = called if hasattr(called, "consts") else core.ClosedJaxpr(called, ())
-    shapes = [jax.ShapeDtypeStruct(var.aval.shape, var.aval.dtype) for var in closed.jaxpr.invars]
-    return jax.make_jaxpr(core.jaxpr_as_fun(closed))(*shapes)
+def _inline(closed: Any, *arguments: Any) -> list[Any]:
+    """Evaluate a jaxpr, the functions that it calls in their places."""
+    jaxpr, constants = (closed.jaxpr, closed.consts) if hasattr(closed, "consts") else (closed, ())
+    known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*constants, *arguments], strict=True))
+    for equation in jaxpr.eqns:
+        values, params = [value_of(atom, known) for atom in equation.invars], equation.params
+        if equation.primitive.name in CALLS:
+            outputs = _inline(params.get("jaxpr") or params["call_jaxpr"], *values)
+        else:
+            outputs = equation.primitive.bind(*values, **params)
+            outputs = outputs if equation.primitive.multiple_results else [outputs]
+        known.update(zip(equation.outvars, outputs, strict=True))
+    return [value_of(atom, known) for atom in jaxpr.outvars]
 
 
 def _evaluate(equation: Equation, known: dict[Var, Any], batched: set[Var], flights: int) -> list[Any]:
@@ -179,10 +165,9 @@ def _evaluate(equation: Equation, known: dict[Var, Any], batched: set[Var], flig
 
     Of the ``known`` values, those that are ``batched`` are (..., flights), others as for one flight.
     """
-    values = [value_of(atom, known) for atom in equation.inputs]
-    varies = [not isinstance(atom, core.Literal) and atom in batched for atom in equation.inputs]
-    name, params = equation.name, equation.params
-    shape = (*equation.outputs[0].aval.shape, flights)
+    values = [value_of(atom, known) for atom in equation.invars]
+    varies, params, name = _varies(equation.invars, batched), equation.params, equation.primitive.name
+    shape = (*equation.outvars[0].aval.shape, flights)
     x = values[0]
     if name == "slice":
         strides = params["strides"] or (1,) * (x.ndim - 1)
@@ -202,7 +187,7 @@ def _evaluate(equation: Equation, known: dict[Var, Any], batched: set[Var], flig
         return [_reduce(x, params["axes"], REDUCTIONS[name])]
     if name == "dot_general":
         total = _contract(values, varies, *params["dimension_numbers"])
-        return [jnp.broadcast_to(total, shape).astype(equation.outputs[0].aval.dtype)]
+        return [jnp.broadcast_to(total, shape).astype(equation.outvars[0].aval.dtype)]
     over = jax.vmap(
         lambda *arguments: equation.primitive.bind(*arguments, **params),
         in_axes=[-1 if each else None for each in varies],
@@ -210,6 +195,10 @@ def _evaluate(equation: Equation, known: dict[Var, Any], batched: set[Var], flig
     )
     outputs = over(*values)
     return list(outputs) if equation.primitive.multiple_results else [outputs]
+
+
+def _varies(atoms: Sequence[Atom], batched: set[Var]) -> list[bool]:
+    return [not isinstance(atom, core.Literal) and atom in batched for atom in atoms]
 
 
 def _over_flights(value: Any, varies: bool, flights: int) -> Any:

@@ -8,9 +8,8 @@ it is used.
 from __future__ import annotations
 
 import collections
-import dataclasses
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,6 +18,7 @@ from jax.extend import core
 
 Var = Any  # jax.extend.core.Var
 Atom = Any  # Var or Literal
+Equation = Any  # jax.extend.core.JaxprEqn: a primitive on values of one flight
 
 SHARED = 8.0  # a result used more than once is kept if it costs more than this
 LARGEST = 300.0  # a result is kept if it costs more than this in any case
@@ -41,29 +41,7 @@ REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
 }
 
 
-@dataclasses.dataclass(frozen=True, eq=False)
-class Equation:
-    """A primitive on values of one flight."""
-
-    primitive: Any
-    params: dict[str, Any]
-    inputs: tuple[Atom, ...]
-    outputs: tuple[Var, ...]
-
-    @property
-    def name(self) -> str:
-        """Of the primitive."""
-        return str(self.primitive.name)
-
-    def bind(self, known: dict[Var, Any]) -> list[Any]:
-        """Compute the outputs for one flight."""
-        values = [jnp.asarray(value_of(atom, known), atom.aval.dtype) for atom in self.inputs]
-        outputs = self.primitive.bind(*values, **self.params)
-        return list(outputs) if self.primitive.multiple_results else [outputs]
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Stage:
+class Stage(NamedTuple):
     """Equations from some results to others."""
 
     inputs: list[Var]
@@ -81,6 +59,13 @@ def value_of(atom: Atom, known: dict[Var, Any]) -> Any:
     return atom.val if isinstance(atom, core.Literal) else known[atom]
 
 
+def bind(equation: Equation, known: dict[Var, Any]) -> list[Any]:
+    """Compute the outputs of an equation for one flight."""
+    values = [jnp.asarray(value_of(atom, known), atom.aval.dtype) for atom in equation.invars]
+    outputs = equation.primitive.bind(*values, **equation.params)
+    return list(outputs) if equation.primitive.multiple_results else [outputs]
+
+
 class StageCutter:
     """Cuts a step into stages: its equations, in an order in which they can be computed, and its outputs."""
 
@@ -89,7 +74,7 @@ class StageCutter:
     ) -> None:
         self._equations, self._outputs = equations, variables(outputs)
         self._constants = set(constants)  # variables that every stage knows
-        self._maker = {var: equation for equation in equations for var in equation.outputs}
+        self._maker = {var: equation for equation in equations for var in equation.outvars}
         self._kept: set[Var] = set()  # results that end a stage
         self._cost: dict[Var, float] = {}  # of one number of a result, from what is kept
         self._stage: dict[Equation, int] = {}
@@ -102,7 +87,7 @@ class StageCutter:
         for number in range(max(self._stage.values(), default=0), -1, -1):
             members = [equation for equation in self._equations if self._stage[equation] == number]
             equations, inputs = self._close(members)
-            made = [var for equation in equations for var in equation.outputs]
+            made = [var for equation in equations for var in equation.outvars]
             here = [var for var in made if var in wanted and self._stage[self._maker[var]] == number]
             stages.append(Stage(inputs, equations, here))
             wanted.update(inputs)
@@ -112,10 +97,10 @@ class StageCutter:
         """Give each equation its stage: after those whose kept results it needs."""
         uses = collections.Counter(self._outputs)
         for equation in self._equations:
-            uses.update(set(variables(equation.inputs)))
+            uses.update(set(variables(equation.invars)))
         for equation in self._equations:
             stage, total = 0, 0.0
-            for atom in variables(equation.inputs):
+            for atom in variables(equation.invars):
                 if atom not in self._maker:  # an input of the step
                     continue
                 before = self._stage[self._maker[atom]]
@@ -129,7 +114,7 @@ class StageCutter:
             self._stage[equation] = stage
             price, times = _price(equation)
             cost = price + times * total
-            for var in equation.outputs:
+            for var in equation.outvars:
                 self._cost[var] = cost
                 if cost > LARGEST or (cost > SHARED and uses[var] > 1):
                     self._kept.add(var)
@@ -141,7 +126,7 @@ class StageCutter:
         pending = set(members)
 
         def include(equation: Equation) -> None:
-            for atom in variables(equation.inputs):
+            for atom in variables(equation.invars):
                 maker = self._maker.get(atom)
                 if atom in self._constants or maker in included or maker in pending:
                     continue
@@ -158,20 +143,22 @@ class StageCutter:
 
 def _price(equation: Equation) -> tuple[float, float]:
     """Cost of one number of the result, and how often each input is computed for it."""
-    if equation.name in FREE:
+    name = equation.primitive.name
+    if name in FREE:
         return 0.0, 1.0
-    if equation.name == "dot_general":
+    if name == "dot_general":
         (axes, _), _ = equation.params["dimension_numbers"]
-    elif equation.name in REDUCTIONS:
+    elif name in REDUCTIONS:
         axes = equation.params["axes"]
     else:
-        return DEAR.get(equation.name, 1.0), 1.0
-    terms = float(np.prod([equation.inputs[0].aval.shape[axis] for axis in axes]))
-    return (2.0 * terms if equation.name == "dot_general" else terms), terms
+        return DEAR.get(name, 1.0), 1.0
+    terms = float(np.prod([equation.invars[0].aval.shape[axis] for axis in axes]))
+    return (2.0 * terms if name == "dot_general" else terms), terms
 
 
 def _repeats(equation: Equation, atom: Atom) -> bool:
     """Whether each number of an input goes into several of the result."""
-    if equation.name in ("concatenate", "stack"):
+    name = equation.primitive.name
+    if name in ("concatenate", "stack"):
         return False
-    return equation.name == "dot_general" or equation.outputs[0].aval.size > atom.aval.size
+    return name == "dot_general" or equation.outvars[0].aval.size > atom.aval.size

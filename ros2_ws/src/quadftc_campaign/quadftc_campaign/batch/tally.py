@@ -6,8 +6,9 @@ and set to zero every few hundred samples, and added in double precision.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,11 +37,11 @@ VARIATION = "torque_total_variation"
 
 
 class Schedule(NamedTuple):
-    """When the attitude of a flight is faulty."""
+    """When the attitude of a flight is faulty, (events, 3): the faults of each axis."""
 
-    start: Array  # (events, 3) of the faults of each axis [s]; infinite: no more
-    stop: Array  # (events, 3)
-    following: Array  # (events, 3) start of the next fault of the axis [s]
+    start: Array  # [s]; infinite: no more
+    stop: Array  # [s]
+    following: Array  # start of the next fault of the axis [s]
 
 
 class Tally(NamedTuple):
@@ -80,17 +81,12 @@ def begin_tally(row: Row, schedule: Schedule) -> Tally:
 def update_tally(tally: Tally, row: Row, schedule: Schedule) -> Tally:
     """Add a sample of a flight to its tally."""
     xp, new = namespace(row.angles), _tally(row, schedule, tally.last)
-    return Tally(
-        _merge(xp.add, tally.sums, new.sums),
-        _merge(xp.logical_or, tally.ever, new.ever),
-        _merge(xp.maximum, tally.largest, new.largest),
-        _merge(xp.minimum, tally.smallest, new.smallest),
-        new.last,
+    operations = (xp.add, xp.logical_or, xp.maximum, xp.minimum)
+    merged = (
+        {name: operation(before[name], now[name]) for name in before}
+        for operation, before, now in zip(operations, tally[:-1], new[:-1], strict=True)
     )
-
-
-def _merge(operation: Callable[[Any, Any], Any], before: Arrays, new: Arrays) -> Arrays:
-    return {name: operation(before[name], new[name]) for name in before}
+    return Tally(*merged, new.last)
 
 
 def _tally(row: Row, schedule: Schedule, last: Arrays) -> Tally:
@@ -156,20 +152,20 @@ def _tally(row: Row, schedule: Schedule, last: Arrays) -> Tally:
     return Tally(sums, ever, largest, smallest, new_last)
 
 
-def most_events(events: Sequence[FaultEvent]) -> int:
-    """Return the number of events of the axis with most; at least one, to have something to compute with."""
-    return max(1, *(sum(event.axis == axis for event in events) for axis in AXES))
-
-
-def schedule_of(events: Sequence[FaultEvent], most: int) -> Schedule:
-    """Return the schedule of some faults, with room for ``most`` of them on each axis."""
-    schedule = Schedule(*(np.full((most, len(AXES)), np.inf) for _ in Schedule._fields))
-    for axis, name in enumerate(AXES):
-        of_axis = [event for event in events if event.axis == name]
-        for place, event in enumerate(of_axis):
-            following = min((one.start for one in of_axis if one.start >= event.stop), default=np.inf)
+def schedule_of(flights: Sequence[Sequence[FaultEvent]]) -> Schedule:
+    """Return the schedule of flights with these faults, arrays (events, 3, flights)."""
+    of_axes = {
+        (flight, axis): [event for event in events if event.axis == name]
+        for flight, events in enumerate(flights)
+        for axis, name in enumerate(AXES)
+    }
+    most = max(1, *map(len, of_axes.values()))  # at least one, to have something to compute with
+    schedule = Schedule(*(np.full((most, len(AXES), len(flights)), np.inf) for _ in Schedule._fields))
+    for (flight, axis), events in of_axes.items():
+        for place, event in enumerate(events):
+            following = min((one.start for one in events if one.start >= event.stop), default=np.inf)
             for times, time in zip(schedule, (event.start, event.stop, following), strict=True):
-                times[place, axis] = time
+                times[place, axis, flight] = time
     return schedule
 
 
@@ -206,21 +202,18 @@ def flight_record(outcome: Outcome) -> dict[str, Any]:
     }
     record: dict[str, Any] = {"finite": not marks["not_finite"]}
     for name, values in of_axes.items():
-        if np.ndim(values) == 0:
+        if np.ndim(values):
+            record |= {f"{name}.{axis}": number(value) for axis, value in zip(AXES, values, strict=True)}
+        else:
             record[name] = float(values)
-            continue
-        record |= {f"{name}.{axis}": number(value) for axis, value in zip(AXES, values, strict=True)}
     return record
 
 
 def fault_records(outcome: Outcome, events: Sequence[FaultEvent]) -> list[dict[str, Any]]:
     """Metrics of each fault, as in the records of `quadftc_flight.diagnosis_metrics`."""
-    places: dict[str, int] = dict.fromkeys(AXES, 0)
-    records: list[dict[str, Any]] = []
-    for event in events:
-        records.append(_fault_record(outcome, event, (places[event.axis], AXES.index(event.axis))))
-        places[event.axis] += 1
-    return records
+    places = {axis: itertools.count() for axis in AXES}
+    at = [(next(places[event.axis]), AXES.index(event.axis)) for event in events]
+    return [_fault_record(outcome, *each) for each in zip(events, at, strict=True)]
 
 
 def _fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]) -> dict[str, Any]:

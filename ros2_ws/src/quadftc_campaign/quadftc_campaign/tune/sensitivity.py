@@ -40,12 +40,8 @@ class Gains(NamedTuple):
 
     def rounded(self) -> Gains:
         """Round to a few significant digits, as people write them."""
-
-        def short(number: float) -> float:
-            return float(f"{number:.{DIGITS}g}")
-
-        rounded = np.vectorize(short, otypes=[np.float64])
-        return self._replace(values=tuple(rounded(value) for value in self.values))
+        short = np.vectorize(lambda number: float(f"{number:.{DIGITS}g}"), otypes=[np.float64])
+        return self._replace(values=tuple(map(short, self.values)))
 
     def plain(self) -> dict[str, float | list[float]]:
         """Return numbers and lists, by name."""
@@ -126,30 +122,24 @@ def sensitivity(
     return Sensitivity(np.array(values), np.array(slopes).reshape(shape))
 
 
-class Cost(NamedTuple):
-    """A cost that is 1 at the start."""
-
-    shares: Floats  # (metrics, 3) cost of a unit of each metric on each axis; 0: it does not count
-
-    def of(self, values: Floats) -> float:
-        """Return the mean cost of flights (flights, metrics, 3)."""
-        terms: Floats = np.where(self.shares > 0.0, values * self.shares, 0.0)
-        return float(terms.sum()) / len(terms)
-
-    def gradient(self, slopes: Floats) -> Floats:
-        """Return the slope (gains,) of the mean cost from those of metrics (flights, gains, metrics, 3)."""
-        return np.mean(np.sum(slopes * self.shares, axis=(2, 3)), axis=0)
+def mean_cost(shares: Floats, values: Floats) -> float:
+    """Return the mean cost of flights (flights, metrics, 3), with the shares of `shares_of_cost`."""
+    terms: Floats = np.where(shares > 0.0, values * shares, 0.0)
+    return float(terms.sum()) / len(terms)
 
 
-def cost_from(weights: Mapping[str, float], values: Floats) -> Cost:
-    """Return the cost that is 1 for flights (flights, metrics, 3); `ValueError` if all metrics are 0."""
+def shares_of_cost(weights: Mapping[str, float], values: Floats) -> Floats:
+    """Return the cost (metrics, 3) of a unit of each metric on each axis; 0: it does not count.
+
+    The cost of flights (flights, metrics, 3) with these values is 1; `ValueError` if all metrics are 0.
+    """
     scale = np.asarray(np.mean(values, axis=0))
     counts = scale > 0.0  # not an axis on which a metric is 0 or has no value
     if not np.any(counts):
         raise ValueError(f"every metric is 0 from the start: {', '.join(weights)}")
     each: Floats = np.array([*weights.values()], np.float64)
     shares = each[:, None] * counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
-    return Cost(shares / shares.sum() / np.where(counts, scale, 1.0))
+    return shares / shares.sum() / np.where(counts, scale, 1.0)
 
 
 def _slope_of_metric(name: str, outcome: Outcome) -> Floats:
@@ -160,8 +150,7 @@ def _slope_of_metric(name: str, outcome: Outcome) -> Floats:
     squares, count = ROOTS[name]
     value, scale = metric_of(name, outcome), float(np.degrees(1.0)) if name.endswith("_deg") else 1.0
     change = slope[squares] / np.maximum(outcome.sums[count], 1)
-    safe = np.where(value > 0.0, value, 1.0)
-    return np.where(value > 0.0, scale**2 * change / (2.0 * safe), 0.0)
+    return np.where(value > 0.0, scale**2 * change / (2.0 * np.where(value > 0.0, value, 1.0)), 0.0)
 
 
 def _value(scheme: Scheme, name: str) -> Floats:

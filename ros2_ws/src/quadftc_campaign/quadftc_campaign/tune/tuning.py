@@ -21,12 +21,12 @@ from quadftc_campaign.cluster import cluster_client, run_tasks
 from quadftc_campaign.errors import CampaignError, report_refusal
 from quadftc_campaign.table import Rows, table_of, whole_flights
 from quadftc_campaign.tune.sensitivity import (
-    Cost,
     Gains,
     Sensitivity,
-    cost_from,
     gains_of,
+    mean_cost,
     sensitivity,
+    shares_of_cost,
     with_gains,
 )
 from quadftc_flight.scenario import ROLES, ScenarioError, build_scenario, grade_of
@@ -42,13 +42,6 @@ TOGETHER = 256  # lanes: flights times gains
 
 # flies flights with slopes: campaign with the gains, gains, numbers of the flights
 Fly = Callable[[Campaign, Gains, Sequence[int]], Sensitivity]
-
-
-class Step(NamedTuple):
-    """One step of the search."""
-
-    gains: Gains  # before it
-    cost: float
 
 
 class Judged(NamedTuple):
@@ -81,13 +74,8 @@ def checked(campaign: Campaign) -> Gains:
     return gains_of(campaign, build_scenario(campaign.base).scheme(first.scheme), names)
 
 
-def tune(
-    campaign: Campaign,
-    address: str | None,
-    workers: int,
-    told: Callable[[Step], None],
-) -> Tuned:
-    """Tune; nothing is written. ``told`` gets each step; the cluster is that of `cluster_client`."""
+def tune(campaign: Campaign, address: str | None, workers: int, told: Callable[[float], None]) -> Tuned:
+    """Tune; nothing is written. ``told`` gets the cost at each step; for the cluster see `cluster_client`."""
     start, metrics = checked(campaign), tuple(_keys(campaign).cost)
     with cluster_client(address, workers) as client:
 
@@ -99,9 +87,9 @@ def tune(
             return Sensitivity(*map(np.concatenate, zip(*(part for _, part in flown), strict=True)))
 
         search = Search(campaign, start, fly)
-        for step in search.steps():
-            told(step)
-        before, after = _judge_gains(client, campaign, (start, search.result), search.cost)
+        for _, cost in search.steps():
+            told(cost)
+        before, after = _judge_gains(client, campaign, (start, search.result), search.shares)
     return Tuned(start, search.result, search.failing, before, after)
 
 
@@ -109,7 +97,7 @@ class Search:
     """A search from the gains of a campaign's scheme."""
 
     failing: frozenset[str]  # conditions of the theory that fail from the start
-    cost: Cost  # known after `steps`, as is the result
+    shares: Floats  # of the cost, as in `shares_of_cost`; known after `steps`, as is the result
     result: Gains
 
     def __init__(self, campaign: Campaign, gains: Gains, fly: Fly) -> None:
@@ -117,22 +105,27 @@ class Search:
         self._tune, self._scheme = _keys(campaign), campaign.variants[0].scheme
         self.failing = self._failing(gains)
 
-    def steps(self) -> Iterator[Step]:
-        """Search; a `CampaignError` if flights crash from the start, or wherever a step leads."""
+    def steps(self) -> Iterator[tuple[Gains, float]]:
+        """Search; yield gains and cost before each step.
+
+        A `CampaignError` says that flights crash from the start, or wherever a step leads.
+        """
         import optax
 
         optimiser = optax.adam(self._tune.rate)
-        at, tried = self._gains.logarithms, 0
+        at = before = self._gains.logarithms
         state: Any = optimiser.init(at)
-        before, seen = at, []
+        tried, seen = 0, []
         while len(seen) < self._tune.steps:
             gains = self._gains.at(at)
             campaign = with_gains(self._campaign, self._scheme, gains)
             count = min(self._tune.flights, campaign.flights)
             turn = [(len(seen) * count + k) % campaign.flights for k in range(count)]
             flown = self._fly(campaign, gains, turn)
-            # where a flight crashes, go halfway back, and at last all the way
-            if not np.all(np.isfinite(flown.slopes)) or not _all_known(flown.values):
+            # where a flight crashes, whose metrics are not finite, go halfway back, and at last all the way
+            known = np.isfinite(flown.values)
+            counts = known.any(axis=0)
+            if not (np.isfinite(flown.slopes).all() and counts.any() and (known == counts).all()):
                 tried += 1
                 at = 0.5 * (at + before) if tried < HALVINGS else before
                 if not seen or tried > HALVINGS:
@@ -140,9 +133,10 @@ class Search:
                 continue
             # a step of Adam, as far as the theory allows
             if not seen:
-                self.cost = cost_from(self._tune.cost, flown.values)
-            yield Step(gains, self.cost.of(flown.values))
-            update, state = optimiser.update(self.cost.gradient(flown.slopes), state)
+                self.shares = shares_of_cost(self._tune.cost, flown.values)
+            yield gains, mean_cost(self.shares, flown.values)
+            gradient = np.mean(np.sum(flown.slopes * self.shares, axis=(2, 3)), axis=0)
+            update, state = optimiser.update(gradient, state)
             seen.append(at)
             before, tried = at, 0
             at = self._shorten(at, at + np.clip(np.asarray(update, np.float64), -LARGEST, LARGEST))
@@ -175,13 +169,7 @@ def _keys(campaign: Campaign) -> TuneKeys:
     return campaign.tune
 
 
-def _all_known(values: Floats) -> bool:
-    """Whether every metric that counts is finite: those of a flight that crashed are not."""
-    there = np.isfinite(values)
-    return bool(np.all(there.all(axis=0) | ~there.any(axis=0))) and bool(there.any())
-
-
-def _judge_gains(client: Any, campaign: Campaign, each: Sequence[Gains], cost: Cost) -> list[Judged]:
+def _judge_gains(client: Any, campaign: Campaign, each: Sequence[Gains], shares: Floats) -> list[Judged]:
     """Fly the flights after those of the campaign, with each of some gains."""
     total = campaign.flights + _keys(campaign).held_out
     pieces = pieces_of(list(range(campaign.flights, total)), FLIGHTS_A_CHUNK)
@@ -191,18 +179,17 @@ def _judge_gains(client: Any, campaign: Campaign, each: Sequence[Gains], cost: C
     tasks = [(one, piece) for one in tried for piece in pieces]
     for place, flown in run_tasks(client, fly_chunk, tasks):
         rows[place // len(pieces)] += flown
-    return [_judge(table_of(some), cost, [*_keys(campaign).cost]) for some in rows]
+    return [_judge(table_of(some), shares, [*_keys(campaign).cost]) for some in rows]
 
 
-def _judge(frame: pl.DataFrame, cost: Cost, metrics: Sequence[str]) -> Judged:
-    """Judge the flights of a campaign's table."""
+def _judge(frame: pl.DataFrame, shares: Floats, metrics: Sequence[str]) -> Judged:
     flights = whole_flights(frame)
     columns = [f"{name}.{axis}" for name in metrics for axis in AXES]
     values = flights.select(columns).to_numpy().reshape(-1, len(metrics), len(AXES))
     detected = frame["fault.detected"] if "fault.detected" in frame.columns else pl.Series(dtype=pl.Boolean)
     means = np.nanmean(values, axis=(0, 2))
     return Judged(
-        cost=cost.of(values),
+        cost=mean_cost(shares, values),
         metrics=dict(zip(metrics, map(float, means), strict=True)),
         missed=int((~detected.drop_nulls()).sum()),
         false_alarms=sum(int(flights[f"false_alarms.{axis}"].sum()) for axis in AXES),
@@ -211,9 +198,17 @@ def _judge(frame: pl.DataFrame, cost: Cost, metrics: Sequence[str]) -> Judged:
 
 
 def write(tuned: Tuned, campaign: Campaign, path: Path) -> None:
-    """Write the file of the gains, with the command that found them and what they bring."""
-    before, after = tuned.before, tuned.after
-    document = _gains_document(campaign, tuned.gains)
+    """Write a file of gains (`quadftc_flight.scenario.files`), with what they bring."""
+    before, after, scenario = tuned.before, tuned.after, build_scenario(campaign.base)
+    scheme, parts = scenario.scheme(campaign.variants[0].scheme), dict[str, dict[str, Any]]()
+    for name, value in tuned.gains.plain().items():
+        role, _, parameter = name.partition(".")
+        parts.setdefault(role, {"kind": getattr(scheme, role).kind})[parameter] = value
+    document = {
+        "vehicle": scenario.document.data["vehicle"],
+        "grade": grade_of(scenario.document),
+        **{role: parts[role] for role in ROLES if role in parts},
+    }
     lines = [
         f"Gains for {document['vehicle']} with sensors of grade {document['grade']}, found by",
         "",
@@ -231,17 +226,3 @@ def write(tuned: Tuned, campaign: Campaign, path: Path) -> None:
             file.writelines(f"# {line}".rstrip() + "\n" for line in lines)
             file.write("\n")
             yaml.dump(document, file)
-
-
-def _gains_document(campaign: Campaign, gains: Gains) -> dict[str, Any]:
-    """Return the content of the file of the gains: see `quadftc_flight.scenario.files`."""
-    scenario = build_scenario(campaign.base)
-    scheme, parts = scenario.scheme(campaign.variants[0].scheme), dict[str, dict[str, Any]]()
-    for name, value in gains.plain().items():
-        role, _, parameter = name.partition(".")
-        parts.setdefault(role, {"kind": getattr(scheme, role).kind})[parameter] = value
-    return {
-        "vehicle": scenario.document.data["vehicle"],
-        "grade": grade_of(scenario.document),
-        **{role: parts[role] for role in ROLES if role in parts},
-    }

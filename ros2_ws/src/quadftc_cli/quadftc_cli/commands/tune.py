@@ -51,7 +51,7 @@ def tune(
         with Bars(screen) as bars:
             update = bars.add("tuning")
             found = tuned_for(
-                loaded, scheduler, cores, lambda step: update(next(done) / total, f"cost {step.cost:.4f}")
+                loaded, scheduler, cores, lambda cost: update(next(done) / total, f"cost {cost:.4f}")
             )
     except KeyboardInterrupt:
         screen.print("interrupted; nothing is written")
