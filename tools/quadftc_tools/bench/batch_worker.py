@@ -68,7 +68,7 @@ def _engine(job: Job, scenario: Scenario, scheme: str) -> Subject:
     scenarios = (with_seed(scenario, seed) for seed in seeds)
     parts = [parts_of(each, scheme) for each in scenarios]
     drawing = _time_inputs()
-    engine = Engine(job["float32"], staged=job.get("staged"))
+    engine, device = Engine(job["float32"], staged=job.get("staged")), jax.devices()[0]
 
     def run() -> Run:
         before, samples = drawing[0], list[int]()
@@ -80,7 +80,7 @@ def _engine(job: Job, scenario: Scenario, scheme: str) -> Subject:
     chosen = scenario.scheme(scheme)
     laws = (chosen.observer.kind, chosen.disturbance_observer.kind, chosen.controller.kind)
     what = {
-        "by": f"quadftc, JAX {jax.__version__}, {engine.device}",
+        "by": f"quadftc, JAX {jax.__version__}, {device.platform} ({device.device_kind})",
         "states": "attitude and body rate (7), observers and controller",
         "integrator": f"RK4, {scenario.rate:g} Hz",
         "control": "fault observer {}, disturbance observer {}, controller {}".format(*laws),

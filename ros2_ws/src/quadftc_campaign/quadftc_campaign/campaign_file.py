@@ -41,7 +41,7 @@ from typing import Annotated, Any, Literal, NamedTuple, cast
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
 from quadftc_campaign.batch.tally import ROOTS, VARIATION
-from quadftc_campaign.distributions import Distribution, distribution
+from quadftc_campaign.distributions import GRID, Distribution, distribution
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_flight.run_directory import NO_OBSERVER
@@ -97,11 +97,6 @@ class SourceKeys(_Keys):
     kind: Literal["loop", "motion", "recordings"] = "loop"
     directory: str = ""
     delay: Drawn | None = None
-
-    @property
-    def is_loop(self) -> bool:
-        """Whether the flights are those of the closed loop."""
-        return self.kind == "loop"
 
 
 class ReportKeys(_Keys):
@@ -165,11 +160,7 @@ class Campaign(CampaignKeys):
     @property
     def cells(self) -> int:
         """How many combinations the grids have."""
-        return math.prod(len(each.values) for each in self.vary.values() if each.is_grid)
-
-    def with_steps(self, steps: int) -> Campaign:
-        """Return the campaign with another number of steps of tuning."""
-        return self.model_copy(update={"tune": self.tune and self.tune.model_copy(update={"steps": steps})})
+        return math.prod(len(each.values) for each in self.vary.values() if each.kind == GRID)
 
 
 def load_campaign(path: Path, flights: int | None = None, recordings: Path | None = None) -> Campaign:
@@ -284,7 +275,7 @@ def _variants(keys: CampaignKeys, scenario: Scenario) -> tuple[Variant, ...]:
         for parameter, values in swept.items()
         for value in values
     ]
-    own_scheme = len(schemes) > 1 or keys.source.is_loop or not observers
+    own_scheme = len(schemes) > 1 or keys.source.kind == "loop" or not observers
     return tuple(
         Variant(
             "+".join(filter(None, (scheme if own_scheme else None, name, controller))),

@@ -8,11 +8,12 @@ DIR/summary.json
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import itertools
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -21,9 +22,9 @@ import polars as pl
 from quadftc_campaign.batch.parts import Progress, structure_of
 from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.cluster import cluster_client, devices, run_tasks
-from quadftc_campaign.errors import CampaignError, report_refusal
+from quadftc_campaign.errors import CampaignError
 from quadftc_campaign.flights import first_columns, flight_scenario, parts_of
-from quadftc_campaign.table import ORDER, Row, Rows, fault_rows, summary_of, table_of
+from quadftc_campaign.table import ORDER, Row, Rows, summary_of, table_of
 from quadftc_flight.scenario import Scenario
 
 MANIFEST, CHUNKS, FLIGHTS, SUMMARY = "campaign.json", "chunks", "flights.parquet", "summary.json"
@@ -39,6 +40,15 @@ class Extent(NamedTuple):
     chunks: int
     missing: int
     samples: int  # of the chunks that are missing
+
+
+@contextlib.contextmanager
+def report_refusal(path: Path, advice: str = "") -> Generator[None, None, None]:
+    """Turn what the system refuses into a `CampaignError`."""
+    try:
+        yield
+    except OSError as error:
+        raise CampaignError(f"{path}: {error.strerror or error}{advice}") from None
 
 
 class CampaignRun:
@@ -113,7 +123,7 @@ def chunks_of(campaign: Campaign, size: int | None = None) -> list[list[int]]:
     such as the rate, keeps them apart. Others, such as inertias, are mixed: nothing is compiled for each.
     Structures take turns, so that workers compile one each and not the same one at the same time.
     """
-    cells, is_loop = campaign.cells, campaign.source.is_loop
+    cells, is_loop = campaign.cells, campaign.source.kind == "loop"
     size = size or (FLIGHTS_A_CHUNK if is_loop else OPEN_FLIGHTS_A_CHUNK)
     groups: dict[Any, list[int]] = {}
     for cell in range(min(cells, campaign.flights)):
@@ -139,7 +149,7 @@ def fly_chunk(campaign: Campaign, numbers: Sequence[int], progress: Progress = l
     drawn values make no scenario, a `ValueError` that a part cannot be flown in a batch.
     """
     rows: Rows = []
-    if campaign.source.is_loop:
+    if campaign.source.kind == "loop":
         fly = _fly_loop
     else:
         from quadftc_campaign.open_loop import fly_open as fly
@@ -147,7 +157,10 @@ def fly_chunk(campaign: Campaign, numbers: Sequence[int], progress: Progress = l
         scenarios = [flight_scenario(campaign, number, variant) for number in numbers]
         flown = zip(numbers, scenarios, fly(campaign, numbers, scenarios, progress), strict=True)
         for number, scenario, (whole, records) in flown:
-            rows += fault_rows(first_columns(campaign, number, variant, scenario) | whole, records)
+            flight = first_columns(campaign, number, variant, scenario) | whole
+            faults = ({f"fault.{name}": value for name, value in each.items()} for each in records)
+            of_faults = [{**flight, "fault": index, **fault} for index, fault in enumerate(faults)]
+            rows += of_faults or [{**flight, "fault": None}]
     return rows
 
 
@@ -179,7 +192,7 @@ def _describe(campaign: Campaign, chunks: int) -> dict[str, Any]:
         "scenario": hashlib.sha256(base.encode()).hexdigest(),
         "chunks": chunks,
     }
-    if not source.is_loop:
+    if source.kind != "loop":
         bags = [bag.name for bag in campaign.recordings]
         parameters = [[list(pair) for pair in variant.parameters] for variant in campaign.variants]
         manifest |= {"source": [source.kind, repr(source.delay), *bags], "parameters": parameters}

@@ -27,7 +27,8 @@ from quadftc_model.spec import format_spec
 
 Value = Any  # what may stand in a scenario: a number, a text, a list, a component
 
-DISCRETE = ("choice", "grid")
+GRID = "grid"  # the flights go through its values in turn
+DISCRETE = ("choice", GRID)
 KINDS = ("uniform", "log_uniform", "normal", *DISCRETE)
 KEYS = (*KINDS, "size", "sign")
 _NUMBER = re.compile(r"^\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*$")
@@ -44,11 +45,6 @@ class Distribution:
     unit: str = ""  # as written
     size: int = 0  # of a list; 0: a single value
     signed: bool = False  # whether every other value is turned round
-
-    @property
-    def is_grid(self) -> bool:
-        """Whether the flights go through the values in turn."""
-        return self.kind == "grid"
 
     def draw(self, generator: np.random.Generator) -> Value:
         """Draw a value as it stands in a scenario."""
@@ -83,7 +79,7 @@ def distribution(raw: Any) -> Distribution:
     if len(kinds) != 1:
         raise ValueError(f"expected one of {', '.join(KINDS)}")
     kind, size, sign = kinds[0], given.get("size", 0), given.get("sign")
-    if "size" in given and (kind == "grid" or type(size) is not int or not 1 <= size <= _MAX_SIZE):
+    if "size" in given and (kind == GRID or type(size) is not int or not 1 <= size <= _MAX_SIZE):
         raise ValueError(f"size: {size!r}: expected a whole number of 1 to {_MAX_SIZE}; a grid has none")
     if kind in DISCRETE:
         if "sign" in given:
@@ -119,7 +115,7 @@ def _read_values(kind: str, raw: Any) -> tuple[Value, ...]:
     if not isinstance(raw, list) or not raw:
         raise ValueError(f"{kind}: {raw!r}: expected a list of values, at least one")
     values = cast("list[Any]", raw)
-    return tuple(values if kind == "grid" else (_inside(each, Mapping, distribution) for each in values))
+    return tuple(values if kind == GRID else (_inside(each, Mapping, distribution) for each in values))
 
 
 def _inside(value: Value, kind: type, change: Callable[[Any], Any]) -> Value:

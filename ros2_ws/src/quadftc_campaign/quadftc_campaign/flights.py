@@ -10,7 +10,7 @@ import numpy as np
 
 from quadftc_campaign.batch.parts import FlightParts, Loop
 from quadftc_campaign.campaign_file import Campaign, Variant
-from quadftc_campaign.distributions import Value, plain
+from quadftc_campaign.distributions import GRID, Value, plain
 from quadftc_campaign.errors import CampaignError
 from quadftc_flight.scenario import MAX_SEED, Scenario, ScenarioError, build_scenario
 from quadftc_sim.assembly import period_ns, sample_count
@@ -28,7 +28,7 @@ def drawn(campaign: Campaign, number: int) -> dict[str, Value]:
     found: dict[str, Value] = {}
     cell = number % campaign.cells
     for path, each in campaign.vary.items():
-        if each.is_grid:
+        if each.kind == GRID:
             found[path] = each.values[cell % len(each.values)]
             cell //= len(each.values)
         else:
@@ -96,7 +96,7 @@ def parts_of(scenario: Scenario, scheme: str | None = None) -> FlightParts:
 
 def first_columns(campaign: Campaign, number: int, variant: Variant, scenario: Scenario) -> dict[str, Any]:
     """Return what a row of the campaign's table says of its flight before any metric."""
-    scheme, is_loop = scenario.scheme(variant.scheme), campaign.source.is_loop
+    scheme, is_loop = scenario.scheme(variant.scheme), campaign.source.kind == "loop"
     return {
         "flight": number,
         "variant": variant.name,

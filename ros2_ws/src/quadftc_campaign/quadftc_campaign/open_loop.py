@@ -12,7 +12,7 @@ import dataclasses
 import functools
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -54,14 +54,6 @@ WHOLE_METRICS = ("tracking_rmse_deg", "tracking_max_deg", "fault_estimate_rmse_d
 _read_recording = functools.lru_cache(maxsize=2)(recording_from_bag)
 
 
-class OpenFlight(NamedTuple):
-    """Samples without faults, and the faults to put on them."""
-
-    recording: Recording
-    faults: tuple[Fault, ...]
-    delay: float  # [s], by which the faults come later than in the scenario
-
-
 def fly_open(
     campaign: Campaign, numbers: Sequence[int], scenarios: Sequence[Scenario], progress: Progress
 ) -> Iterator[tuple[Row, Rows]]:
@@ -70,13 +62,29 @@ def fly_open(
         recording, faults, delay = prepare(campaign, number, scenario)
         injector = FaultInjector(scenario.seed, (fault.injection for fault in faults))
         flight = flight_of(recording, diagnose(recording, scenario.scheme(None).observer.law, injector))
-        whole, records = _judge(flight, replay_events(recording, faults), faults)
+        events = replay_events(recording, faults)
+        metrics = flight_metrics(flight, (), events)
+        diagnosis: dict[str, Any] = metrics["diagnosis"]
+        records: Rows = diagnosis.pop("events")
+        specs = {(axis, fault.injection.start): fault.spec for fault in faults for axis in fault.axes}
+        for event, record in zip(events, records, strict=True) if records else ():
+            record |= {"spec": specs.get((event.axis, event.start)), **error_profile(flight, event)}
         progress(len(recording))
-        yield {DELAY: delay, "recording": recording.name, **whole}, records
+        yield (
+            {
+                DELAY: delay,
+                "recording": recording.name,
+                "finite": bool(np.isfinite(flight.fault_estimate[flight.delivered]).all()),
+                **flatten({name: metrics[name] for name in WHOLE_METRICS}),
+                **flatten(diagnosis),
+                **score_counts(flight, events),
+            },
+            records,
+        )
 
 
-def prepare(campaign: Campaign, number: int, scenario: Scenario) -> OpenFlight:
-    """Return the samples and the faults of flight ``number``, whose scenario is given."""
+def prepare(campaign: Campaign, number: int, scenario: Scenario) -> tuple[Recording, list[Fault], float]:
+    """Return samples without faults of flight ``number``, the faults to put on them, and their delay [s]."""
     delay, delays, bags = 0.0, campaign.source.delay, campaign.recordings
     if delays is not None:
         delay = quantity(delays.draw(generator_of(campaign, number, DELAY)), "s")
@@ -87,7 +95,7 @@ def prepare(campaign: Campaign, number: int, scenario: Scenario) -> OpenFlight:
         start, stop = (round(time + delay, 9) for time in (injection.start, injection.stop))
         if stop <= end:  # what the samples are too short for is left out
             faults.append(Fault(dataclasses.replace(injection, start=start, stop=stop), given))
-    return OpenFlight(recording, tuple(faults), delay)
+    return recording, faults, delay
 
 
 def simulate(scenario: Scenario) -> Recording:
@@ -113,22 +121,6 @@ def simulate(scenario: Scenario) -> Recording:
         imu=ImuSample(*(np.stack(column) for column in zip(*samples, strict=True))),
         torque=np.zeros((count, len(AXES))),
     )
-
-
-def _judge(flight: Flight, events: Sequence[FaultEvent], faults: Sequence[Fault]) -> tuple[Row, Rows]:
-    metrics = flight_metrics(flight, (), events)
-    diagnosis: dict[str, Any] = metrics["diagnosis"]
-    records: list[Row] = diagnosis.pop("events")
-    whole: Row = {
-        "finite": bool(np.isfinite(flight.fault_estimate[flight.delivered]).all()),
-        **flatten({name: metrics[name] for name in WHOLE_METRICS}),
-        **flatten(diagnosis),
-        **score_counts(flight, events),
-    }
-    specs = {(axis, fault.injection.start): fault.spec for fault in faults for axis in fault.axes}
-    for event, record in zip(events, records, strict=True) if records else ():
-        record |= {"spec": specs.get((event.axis, event.start)), **error_profile(flight, event)}
-    return whole, records
 
 
 def error_profile(flight: Flight, event: FaultEvent) -> dict[str, list[float | None]]:

@@ -44,15 +44,6 @@ def table_of(rows: Rows) -> pl.DataFrame:
     return frame.cast(types)  # pyright: ignore[reportArgumentType]
 
 
-def fault_rows(whole: Row, records: Rows) -> Rows:
-    """Return the rows of a flight: one for each of its faults, or one for none."""
-    rows: Rows = [
-        {**whole, "fault": index, **{f"fault.{name}": value for name, value in record.items()}}
-        for index, record in enumerate(records)
-    ]
-    return rows or [{**whole, "fault": None}]
-
-
 def whole_flights(frame: pl.DataFrame) -> pl.DataFrame:
     """Return one row for each flight and variant."""
     return frame.unique(["flight", "variant"], keep="first", maintain_order=True)

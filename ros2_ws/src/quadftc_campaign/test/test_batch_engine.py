@@ -190,7 +190,7 @@ def test_a_flight_alone_is_one_kernel_and_says_what_the_metrics_say():
     """Without a trace; the loop over its samples is compiled as a whole."""
     scenario = busy({"kind": "bias", "value": 0.03, "start": 1.0, "stop": 2.0})
     parts, events, engine = [parts_of(scenario)], [scenario.fault_events], Engine()
-    compiled, _ = engine._prepare(structure_of(parts[0].loop), parts, events, (), False)
+    compiled, _ = engine._prepare(parts, events, (), False)
     made = []
 
     def fly_as_compiled(*arguments):

@@ -193,8 +193,8 @@ def test_recordings_are_flown_in_turn_and_faults_come_later(tmp_path):
         assert 0.0 < row["source.delay"] < 10.0
         assert row["fault.start"] == pytest.approx(1.0 + row["source.delay"], abs=1e-8)
     scenario = flight_scenario(campaign, 0, campaign.variants[0])
-    delayed = prepare(campaign, 0, scenario)
-    assert len(delayed.faults) == 2
+    _, faults, _ = prepare(campaign, 0, scenario)
+    assert len(faults) == 2
 
 
 def test_faults_that_a_recording_is_too_short_for_are_left_out(tmp_path):
@@ -204,7 +204,7 @@ def test_faults_that_a_recording_is_too_short_for_are_left_out(tmp_path):
     )
     campaign = written(tmp_path, text, recordings=tmp_path / "bags")
     scenario = flight_scenario(campaign, 0, campaign.variants[0])
-    assert [fault.axes for fault in prepare(campaign, 0, scenario).faults] == [("roll",)]
+    assert [fault.axes for fault in prepare(campaign, 0, scenario)[1]] == [("roll",)]
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from quadftc_campaign.batch.inputs import InputSource
+from quadftc_campaign.batch.inputs import ALL_DRAWS, InputSource
 from quadftc_campaign.batch.loop_step import ClosedLoop, LoopState, Row, StepInputs, Times
 from quadftc_campaign.batch.parts import FlightParts, Progress, in_precision, with_numbers
 from quadftc_campaign.batch.staged_step import StagedStep
-from quadftc_campaign.batch.tally import Outcome, Schedule, Tally, begin_tally, update_tally
+from quadftc_campaign.batch.tally import Outcome, Schedule, Tally, update_tally
 from quadftc_model.stepper import seconds
 
 QUICK_TO_COMPILE = {"xla_backend_optimization_level": 0}  # the beginning runs once
@@ -37,6 +37,10 @@ class Carried(NamedTuple):
     tally: Tally
     # of loop and tally, None for what is no float; no stretch sets those of the sums to zero
     slopes: Any = None
+
+    def shown(self) -> Any:
+        """Return what `CompiledFlight.fly` reads in the end."""
+        return self.tally, self.slopes and self.slopes[1].sums
 
 
 class CompiledFlight:
@@ -67,10 +71,10 @@ class CompiledFlight:
                 break
         else:
             raise ValueError(f"after {MAX_SETTLING} steps a state still gets more parts")
-        self._needed_draws: Sequence[bool] = [True] * len(inputs.draws)
+        self._needed_draws: Sequence[bool] = ALL_DRAWS
         self._step_all: Any = jax.vmap(self._step, in_axes=(-1, -1, None), out_axes=-1)
         if staged:
-            self._step_all = StagedStep(self._step, state, (inputs, per_flight), times, _read_in_the_end)
+            self._step_all = StagedStep(self._step, state, (inputs, per_flight), times, Carried.shown)
             self._needed_draws = self._step_all.needed[0].draws
         begin = jax.vmap(self._begin, in_axes=(-1, -1, None, -1), out_axes=-1)
         self.begin = jax.jit(begin, compiler_options=QUICK_TO_COMPILE)
@@ -81,11 +85,9 @@ class CompiledFlight:
     ) -> list[Outcome]:
         """Fly a block of flights, one in each lane; outcomes are wanted of the first ``count``."""
         first, loop = self._first, self._loop
-        source = InputSource(flights, self._dtype, self._needed_draws)
+        source = InputSource(flights, self._dtype)
         # the first samples, one by one
-        inputs, times = (
-            [take(tree, sample) for sample in range(first)] for tree in source.next(first, every=True)
-        )
+        inputs, times = ([take(tree, sample) for sample in range(first)] for tree in source.next(first))
         per_flight = self._cast(per_flight)
         state, rows = self.begin(source.bias, inputs, times, per_flight)
         sums = to_float64(state.tally.sums)
@@ -95,9 +97,10 @@ class CompiledFlight:
         stretch = max(loop.count - first, 1) if self._traced else STRETCH
         for start in range(first, loop.count, stretch):
             samples = min(stretch, loop.count - start)
-            inputs, times = source.next(samples)
+            inputs, times = source.next(samples, self._needed_draws)
             if samples < stretch:  # as long as any other, so that nothing is compiled for it alone
-                inputs, times = jax.tree.map(_fill_up, (inputs, times))
+                wanted = (inputs, times)
+                inputs, times = jax.tree.map(lambda a: np.resize(a, (stretch, *a.shape[1:])), wanted)
             state, rows = self.fly_stretch(state, inputs, times, per_flight, samples)
             sums = jax.tree.map(np.add, sums, to_float64(state.tally.sums))
             trace += [rows] if self._traced else []
@@ -106,11 +109,12 @@ class CompiledFlight:
         arrays = {
             "sums": sums,
             "marks": {**tally.ever, **tally.largest, **tally.smallest, **tally.last},
-            "slope": None if state.slopes is None else to_float64(state.slopes[1].sums),
+            "slope": to_float64(state.slopes and state.slopes[1].sums),
             "trace": jax.tree.map(lambda *parts: np.concatenate(parts), *trace) if self._traced else None,
         }
-        rows_out, period = loop.count - loop.sensor.delay, seconds(loop.period_ns)
-        return [Outcome(rows=rows_out, period=period, **take(arrays, lane, axis=-1)) for lane in range(count)]
+        period = seconds(loop.period_ns)
+        span = (loop.count - loop.sensor.delay - 1) * period
+        return [Outcome(span=span, period=period, **take(arrays, lane, axis=-1)) for lane in range(count)]
 
     def _begin(
         self, bias: Any, inputs: Sequence[StepInputs], times: Sequence[Times], per_flight: PerFlight
@@ -120,7 +124,7 @@ class CompiledFlight:
         given = list(zip(inputs, times, strict=True))
         first = self._loop.sensor.delay + 1
         state, row = closed.begin(bias, given[:first])
-        rows, tally = [row], begin_tally(row, schedule)
+        rows, tally = [row], update_tally(None, row, schedule)
         for each in given[first:]:
             state, row = closed.step(state, *each)
             tally = update_tally(tally, row, schedule)
@@ -197,17 +201,8 @@ def take(arrays: Any, index: Any, axis: int = 0) -> Any:
     return jax.tree.map(lambda array: array[place], arrays)
 
 
-def _read_in_the_end(carried: Carried) -> Any:
-    """Select the part of a state that the engine reads in the end."""
-    return carried.tally, None if carried.slopes is None else carried.slopes[1].sums
-
-
 def _cast_float(array: Any, dtype: np.dtype[Any]) -> Any:
     return array.astype(dtype) if jnp.issubdtype(array.dtype, jnp.floating) else array
-
-
-def _fill_up(array: Any) -> Any:
-    return np.concatenate([array, np.zeros((STRETCH - len(array), *array.shape[1:]), array.dtype)])
 
 
 def _differentiate(

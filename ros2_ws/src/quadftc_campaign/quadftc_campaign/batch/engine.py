@@ -11,8 +11,10 @@ settings on its first import: see `quadftc_campaign.batch.jax_settings`.
 from __future__ import annotations
 
 import functools
+import os
 import traceback
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -20,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_campaign.batch.compiled import CompiledFlight, PerFlight, SlopeFlight, take
-from quadftc_campaign.batch.jax_settings import keep_compiled, settle_precision
+from quadftc_campaign.batch.jax_settings import settle_precision
 from quadftc_campaign.batch.parts import (
     FlightParts,
     Loop,
@@ -38,6 +40,7 @@ UNTRACEABLE = (TypeError, AttributeError, NotImplementedError, ValueError)
 
 Floats = NDArray[np.float64]
 Events = Sequence[Sequence[FaultEvent]]
+Directions = Sequence[Mapping[str, Floats]]
 
 
 class Engine:
@@ -58,18 +61,12 @@ class Engine:
         self._compiled: dict[Any, CompiledFlight] = {}
         self._staged = jax.default_backend() == "cpu" if staged is None else staged
 
-    @property
-    def device(self) -> str:
-        """The device that computes, in words."""
-        device = jax.devices()[0]
-        return f"{device.platform} ({device.device_kind})"
-
     def fly(
         self,
         flights: Sequence[FlightParts],
         events: Events,
         progress: Progress = lambda samples: None,
-        directions: Sequence[Mapping[str, Floats]] = (),
+        directions: Directions = (),
         traced: bool = False,
     ) -> list[Outcome]:
         """Fly all flights; ValueError if a part cannot be flown in a batch.
@@ -82,10 +79,10 @@ class Engine:
         for place, flight in enumerate(flights):
             groups.setdefault(structure_of(flight.loop), []).append(place)
         outcomes: dict[int, Outcome] = {}
-        for structure, places in groups.items():
+        for places in groups.values():
             chosen, judged_by = [flights[i] for i in places], [events[i] for i in places]
             along = [directions[i] for i in places if directions]
-            compiled, per_flight = self._prepare(structure, chosen, judged_by, along, traced)
+            compiled, per_flight = self._prepare(chosen, judged_by, along, traced)
             lanes = self._lanes or lanes_for(len(places))
             for start in range(0, len(places), lanes):
                 block = places[start : start + lanes]
@@ -97,12 +94,7 @@ class Engine:
         return [outcomes[place] for place in range(len(flights))]
 
     def _prepare(
-        self,
-        key: Any,
-        flights: Sequence[FlightParts],
-        events: Events,
-        directions: Sequence[Mapping[str, Floats]],
-        traced: bool,
+        self, flights: Sequence[FlightParts], events: Events, directions: Directions, traced: bool
     ) -> tuple[CompiledFlight, PerFlight]:
         """Compile flights of one structure; what they do not share is returned, arrays (..., flights)."""
         tuned = tuple(directions[0]) if directions else ()
@@ -120,20 +112,23 @@ class Engine:
             for fault in flight.loop.injections
         )
         fixed = tuple(value.tobytes() for path, value in numbers[0].items() if path not in varying)
-        whole_key = (key, fixed, tuple(varying), len(per_flight.schedule.start), late_start, tuned, traced)
-        if whole_key not in self._compiled:
+        most = len(per_flight.schedule.start)
+        key = (structure_of(flights[0].loop), fixed, tuple(varying), most, late_start, tuned, traced)
+        if key not in self._compiled:
             arguments = (flights[0], per_flight, late_start, self._dtype, traced, self._staged)
             try:
-                self._compiled[whole_key] = (SlopeFlight if tuned else CompiledFlight)(*arguments)
+                self._compiled[key] = (SlopeFlight if tuned else CompiledFlight)(*arguments)
             except UNTRACEABLE as error:
                 raise _name_culprit(error, flights[0].loop, varying) from error
-        return self._compiled[whole_key], per_flight
+        return self._compiled[key], per_flight
 
 
 @functools.cache
 def engine_of_process(float32: bool, lanes: int, free: tuple[str, ...] = ()) -> Engine:
     """Return the engine of this process for such flights; what it compiles is kept on disk, too."""
-    keep_compiled()
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    jax.config.update("jax_compilation_cache_dir", str(cache / "quadftc" / "jax"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
     return Engine(float32, lanes, free)
 
 

@@ -21,18 +21,14 @@ from quadftc_sim.sensors import DRAWS
 
 # samples (n,) for which a fault is stepped, and its normal and uniform numbers, (2, n, 3)
 FaultNumbers = tuple[NDArray[np.int64], NDArray[np.float64]]
+ALL_DRAWS = (True,) * DRAWS[0]  # for attitude, gyro, accelerometer and gyro bias
 
 
 class InputSource:
-    """Inputs of the steps of a block of flights of one structure, in the order of the samples.
+    """Inputs of the steps of a block of flights of one structure, in the order of the samples."""
 
-    ``needed`` says which of the draws for attitude, gyro, accelerometer and gyro bias change anything.
-    """
-
-    def __init__(
-        self, flights: Sequence[FlightParts], dtype: np.dtype[Any], needed: Sequence[bool] = (True,) * 4
-    ) -> None:
-        self._loop, self._dtype, self._needed = flights[0].loop, dtype, needed
+    def __init__(self, flights: Sequence[FlightParts], dtype: np.dtype[Any]) -> None:
+        self._loop, self._dtype = flights[0].loop, dtype
         self._generators = [np.random.default_rng(flight.seed) for flight in flights]
         bias = np.stack([each.uniform(-1.0, 1.0, 3) for each in self._generators], axis=-1)
         self.bias = bias.astype(dtype)  # (3, flights)
@@ -46,8 +42,8 @@ class InputSource:
         self._delivery = _delivery(flights, dtype)
         self._index = 0
 
-    def next(self, count: int, every: bool = False) -> tuple[StepInputs, Times]:
-        """Return what ``count`` samples need, or all of it (``every``): arrays (count, ..., flights)."""
+    def next(self, count: int, needed: Sequence[bool] = ALL_DRAWS) -> tuple[StepInputs, Times]:
+        """Return the inputs of ``count`` samples, (count, ..., flights); draws not ``needed`` are zero."""
         index = self._index + np.arange(count)
         self._index += count
         taken = index - self._loop.sensor.delay
@@ -60,15 +56,13 @@ class InputSource:
         if delivery is not None:
             rows = np.clip(taken, 0, len(delivery.arrives) - 1)
             delivery = Delivery(*(each[rows] for each in delivery))
-        return StepInputs(self._draw(count, every), faults, delivery), Times(*times)
+        return StepInputs(self._draw(count, needed), faults, delivery), Times(*times)
 
-    def _draw(self, count: int, every: bool) -> tuple[NDArray[Any], ...]:
+    def _draw(self, count: int, needed: Sequence[bool]) -> tuple[NDArray[Any], ...]:
         """Draw the sensors' numbers; those that nothing needs are drawn too, and replaced by zeros."""
-        flights = len(self._generators)
-        unused = np.broadcast_to(np.zeros((), self._dtype), (count, 3, flights))
-        blocks = tuple(
-            np.empty((count, 3, flights), self._dtype) if every or need else unused for need in self._needed
-        )
+        shape = (count, 3, len(self._generators))
+        unused = np.broadcast_to(np.zeros((), self._dtype), shape)
+        blocks = tuple(np.empty(shape, self._dtype) if need else unused for need in needed)
         numbers = np.empty((count, *DRAWS))
         for flight, generator in enumerate(self._generators):
             generator.standard_normal(out=numbers)

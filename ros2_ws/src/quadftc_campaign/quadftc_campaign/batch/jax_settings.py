@@ -1,4 +1,4 @@
-"""Settings of JAX for the batch engine: flags, which JAX reads on its first import, precision, and the cache.
+"""Settings of JAX for the batch engine: flags, which JAX reads on its first import, and precision.
 
 XLA cuts a step into hundreds of kernels, and the call of a kernel takes longer than one flight's numbers in
 it. Loops that XLA takes for small become one kernel with their bodies; a flag here says that all are small.
@@ -8,7 +8,6 @@ A loop with something that cannot be compiled so (a sort, a call of LAPACK) stay
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 WIDTH = "--xla_cpu_prefer_vector_width"  # the widest registers, of which XLA would use half
 SMALL_LOOP = "xla_cpu_small_while_loop_byte_threshold"  # what a loop reads and writes, at most [bytes]
@@ -39,12 +38,3 @@ def settle_precision(float32: bool) -> None:
         raise ValueError(f"precision {wanted}: this process computes in {there}; start another")
     _precisions.add(float32)
     jax.config.update("jax_enable_x64", not float32)  # pyright: ignore[reportUnknownMemberType]
-
-
-def keep_compiled() -> None:
-    """Keep compiled flights in ``$XDG_CACHE_HOME/quadftc/jax``, for other processes and the next time."""
-    import jax
-
-    place = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "quadftc" / "jax"
-    jax.config.update("jax_compilation_cache_dir", str(place))  # pyright: ignore[reportUnknownMemberType]
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)  # pyright: ignore[reportUnknownMemberType]

@@ -5,11 +5,8 @@
 leaves it to XLA where intermediate results are kept. XLA's compiler for CPUs fuses a sum into everything
 that uses it, and computes it again for each use. Here the flights are last, and the step is cut into
 functions that the compiler must not merge (`quadftc_campaign.batch.stages`). The numbers are those of
-``vmap`` up to rounding.
-
-With `supervised` this is 7.7 times as fast as plain ``vmap`` (7.2 to 8.0 over four repeats), with
-`proposed` 1.8 times (1.7 to 2.1): 128 and 256 flights of `mems_faults`, double precision. ``quadftc bench
-batch`` measures both.
+``vmap`` up to rounding. With `supervised` this is 7.7 times as fast, with `proposed` 1.8 times: 128 and 256
+flights of `mems_faults`, double precision, by ``quadftc bench batch``.
 """
 
 from __future__ import annotations
@@ -33,7 +30,7 @@ from quadftc_campaign.batch.stages import (
     StageCutter,
     Var,
     bind,
-    value_of,
+    values_of,
     variables,
 )
 
@@ -82,26 +79,27 @@ class StagedStep:
         flights = leaves[0].shape[-1]
         known: dict[Var, Any] = self._constants | dict(zip(self._inputs, leaves, strict=True))
         for equation in self._preparations:
-            known.update(zip(equation.outvars, bind(equation, known), strict=True))
+            values = bind(equation, values_of(equation.invars, known))
+            known.update(zip(equation.outvars, values, strict=True))
         for stage in self._stages:
-            outputs = self._run_apart(stage, [known[var] for var in stage.inputs], flights)
-            known.update(zip(stage.outputs, outputs, strict=True))
-        values = [jnp.asarray(value_of(atom, known), atom.aval.dtype) for atom in self._outputs]
-        pairs = zip(values, _varies(self._outputs, self._batched), strict=True)
-        return jax.tree.unflatten(self._structure, [_over_flights(*pair, flights) for pair in pairs])
+            known |= self._run_apart(stage, known, flights)
+        values, varies = values_of(self._outputs, known), _varies(self._outputs, self._batched)
+        results = [_over_flights(*pair, flights) for pair in zip(values, varies, strict=True)]
+        return jax.tree.unflatten(self._structure, results)
 
-    def _run_apart(self, stage: Stage, inputs: Sequence[Any], flights: int) -> list[Any]:
-        """Compute a stage in a function that the compiler must leave as it is."""
+    def _run_apart(self, stage: Stage, known: dict[Var, Any], flights: int) -> dict[Var, Any]:
+        """Compute the outputs of a stage in a function that the compiler must leave as it is."""
+        inputs, equations, outputs = stage
 
         def run(*values: Any) -> list[Any]:
-            known = self._constants | dict(zip(stage.inputs, values, strict=True))
-            for equation in stage.equations:
-                outputs = _evaluate(equation, known, self._batched, flights)
-                known.update(zip(equation.outvars, outputs, strict=True))
-            return [known[var] for var in stage.outputs]
+            inside = self._constants | dict(zip(inputs, values, strict=True))
+            for equation in equations:
+                results = _evaluate(equation, inside, self._batched, flights)
+                inside.update(zip(equation.outvars, results, strict=True))
+            return [inside[var] for var in outputs]
 
         with set_xla_metadata(inlineable="false"):
-            return jax.jit(run)(*inputs)
+            return dict(zip(outputs, jax.jit(run)(*(known[var] for var in inputs)), strict=True))
 
     def _fold(self) -> list[Equation]:
         """Compute what depends on no argument; take out, and return, what depends on ``common`` alone."""
@@ -117,7 +115,7 @@ class StagedStep:
                 common.update(equation.outvars)
             else:
                 with jax.ensure_compile_time_eval():
-                    values = bind(equation, self._constants)
+                    values = bind(equation, values_of(equation.invars, self._constants))
                 self._constants.update(zip(equation.outvars, map(np.asarray, values), strict=True))
         self._equations = remaining
         return preparations
@@ -150,14 +148,13 @@ def _inline(closed: Any, *arguments: Any) -> list[Any]:
     jaxpr, constants = (closed.jaxpr, closed.consts) if hasattr(closed, "consts") else (closed, ())
     known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*constants, *arguments], strict=True))
     for equation in jaxpr.eqns:
-        values, params = [value_of(atom, known) for atom in equation.invars], equation.params
+        values, params = values_of(equation.invars, known), equation.params
         if equation.primitive.name in CALLS:
             outputs = _inline(params.get("jaxpr") or params["call_jaxpr"], *values)
         else:
-            outputs = equation.primitive.bind(*values, **params)
-            outputs = outputs if equation.primitive.multiple_results else [outputs]
+            outputs = bind(equation, values)
         known.update(zip(equation.outvars, outputs, strict=True))
-    return [value_of(atom, known) for atom in jaxpr.outvars]
+    return values_of(jaxpr.outvars, known)
 
 
 def _evaluate(equation: Equation, known: dict[Var, Any], batched: set[Var], flights: int) -> list[Any]:
@@ -165,7 +162,7 @@ def _evaluate(equation: Equation, known: dict[Var, Any], batched: set[Var], flig
 
     Of the ``known`` values, those that are ``batched`` are (..., flights), others as for one flight.
     """
-    values = [value_of(atom, known) for atom in equation.invars]
+    values = values_of(equation.invars, known)
     varies, params, name = _varies(equation.invars, batched), equation.params, equation.primitive.name
     shape = (*equation.outvars[0].aval.shape, flights)
     x = values[0]
@@ -188,13 +185,8 @@ def _evaluate(equation: Equation, known: dict[Var, Any], batched: set[Var], flig
     if name == "dot_general":
         total = _contract(values, varies, *params["dimension_numbers"])
         return [jnp.broadcast_to(total, shape).astype(equation.outvars[0].aval.dtype)]
-    over = jax.vmap(
-        lambda *arguments: equation.primitive.bind(*arguments, **params),
-        in_axes=[-1 if each else None for each in varies],
-        out_axes=-1,
-    )
-    outputs = over(*values)
-    return list(outputs) if equation.primitive.multiple_results else [outputs]
+    axes = [-1 if each else None for each in varies]
+    return jax.vmap(lambda *each: bind(equation, each), in_axes=axes, out_axes=-1)(*values)
 
 
 def _varies(atoms: Sequence[Atom], batched: set[Var]) -> list[bool]:

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import collections
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.extend import core
@@ -19,6 +18,7 @@ from jax.extend import core
 Var = Any  # jax.extend.core.Var
 Atom = Any  # Var or Literal
 Equation = Any  # jax.extend.core.JaxprEqn: a primitive on values of one flight
+Stage = tuple[list[Var], list[Equation], list[Var]]  # equations from some results to others
 
 SHARED = 8.0  # a result used more than once is kept if it costs more than this
 LARGEST = 300.0  # a result is kept if it costs more than this in any case
@@ -41,27 +41,18 @@ REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {
 }
 
 
-class Stage(NamedTuple):
-    """Equations from some results to others."""
-
-    inputs: list[Var]
-    equations: list[Equation]
-    outputs: list[Var]
-
-
 def variables(atoms: Iterable[Atom]) -> list[Var]:
     """Return the atoms that are no literals."""
     return [atom for atom in atoms if not isinstance(atom, core.Literal)]
 
 
-def value_of(atom: Atom, known: dict[Var, Any]) -> Any:
-    """Return the value of a variable or literal."""
-    return atom.val if isinstance(atom, core.Literal) else known[atom]
+def values_of(atoms: Iterable[Atom], known: dict[Var, Any]) -> list[Any]:
+    """Return the values of variables and literals."""
+    return [atom.val if isinstance(atom, core.Literal) else known[atom] for atom in atoms]
 
 
-def bind(equation: Equation, known: dict[Var, Any]) -> list[Any]:
-    """Compute the outputs of an equation for one flight."""
-    values = [jnp.asarray(value_of(atom, known), atom.aval.dtype) for atom in equation.invars]
+def bind(equation: Equation, values: Sequence[Any]) -> list[Any]:
+    """Compute the outputs of an equation from the values of its inputs."""
     outputs = equation.primitive.bind(*values, **equation.params)
     return list(outputs) if equation.primitive.multiple_results else [outputs]
 
@@ -89,7 +80,7 @@ class StageCutter:
             equations, inputs = self._close(members)
             made = [var for equation in equations for var in equation.outvars]
             here = [var for var in made if var in wanted and self._stage[self._maker[var]] == number]
-            stages.append(Stage(inputs, equations, here))
+            stages.append((inputs, equations, here))
             wanted.update(inputs)
         return stages[::-1]
 

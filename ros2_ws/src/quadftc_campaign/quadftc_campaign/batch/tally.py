@@ -59,28 +59,20 @@ class Outcome(NamedTuple):
 
     sums: dict[str, Floats]  # as in `Tally`
     marks: dict[str, Any]  # all else of the tally
-    rows: int  # samples that left the IMU
+    span: float  # time from the first to the last sample [s]
     period: float  # of the samples [s]
     slope: dict[str, Floats] | None = None  # of the sums, along the direction of the flight
     trace: Row | None = None  # every sample, arrays (samples, ...)
 
-    @property
-    def span(self) -> float:
-        """Time from the first to the last sample [s]."""
-        return (self.rows - 1) * self.period
 
-
-def begin_tally(row: Row, schedule: Schedule) -> Tally:
-    """Tally the first sample of a flight."""
+def update_tally(tally: Tally | None, row: Row, schedule: Schedule) -> Tally:
+    """Add a sample of a flight to its tally; None: it is the first."""
     xp = namespace(row.angles)
-    no, none = (xp.zeros_like(like, dtype=bool) for like in (row.angles, schedule.start))
-    marks = {"event_already": none, "event_already_above": none, "begun": no[..., 0]}
-    return _tally(row, schedule, {"torque": xp.zeros_like(row.angles), "declared": no, **marks})
-
-
-def update_tally(tally: Tally, row: Row, schedule: Schedule) -> Tally:
-    """Add a sample of a flight to its tally."""
-    xp, new = namespace(row.angles), _tally(row, schedule, tally.last)
+    if tally is None:
+        no, none = (xp.zeros_like(like, dtype=bool) for like in (row.angles, schedule.start))
+        marks = {"event_already": none, "event_already_above": none, "begun": no[..., 0]}
+        return _tally(row, schedule, {"torque": xp.zeros_like(row.angles), "declared": no, **marks})
+    new = _tally(row, schedule, tally.last)
     operations = (xp.add, xp.logical_or, xp.maximum, xp.minimum)
     merged = (
         {name: operation(before[name], now[name]) for name in before}

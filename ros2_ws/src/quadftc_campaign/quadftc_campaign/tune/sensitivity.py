@@ -96,11 +96,7 @@ def directions(campaign: Campaign, variant: Variant, gains: Gains, number: int) 
 
 
 def sensitivity(
-    campaign: Campaign,
-    gains: Gains,
-    metrics: Sequence[str],
-    numbers: Sequence[int],
-    progress: Progress = lambda samples: None,
+    campaign: Campaign, gains: Gains, metrics: Sequence[str], numbers: Sequence[int], progress: Progress
 ) -> Sensitivity:
     """Fly some flights of a campaign that has these gains, each once for each gain; metrics: `COSTS`."""
     from quadftc_campaign.batch.engine import LANES, engine_of_process

@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import polars as pl
 from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
 from quadftc_campaign.campaign_file import Campaign, TuneKeys
-from quadftc_campaign.campaign_run import FLIGHTS_A_CHUNK, fly_chunk, pieces_of
+from quadftc_campaign.campaign_run import FLIGHTS_A_CHUNK, fly_chunk, pieces_of, report_refusal
 from quadftc_campaign.cluster import cluster_client, run_tasks
-from quadftc_campaign.errors import CampaignError, report_refusal
+from quadftc_campaign.errors import CampaignError
 from quadftc_campaign.table import Rows, table_of, whole_flights
 from quadftc_campaign.tune.sensitivity import (
     Gains,
@@ -179,22 +178,22 @@ def _judge_gains(client: Any, campaign: Campaign, each: Sequence[Gains], shares:
     tasks = [(one, piece) for one in tried for piece in pieces]
     for place, flown in run_tasks(client, fly_chunk, tasks):
         rows[place // len(pieces)] += flown
-    return [_judge(table_of(some), shares, [*_keys(campaign).cost]) for some in rows]
-
-
-def _judge(frame: pl.DataFrame, shares: Floats, metrics: Sequence[str]) -> Judged:
-    flights = whole_flights(frame)
+    metrics, judged = [*_keys(campaign).cost], list[Judged]()
     columns = [f"{name}.{axis}" for name in metrics for axis in AXES]
-    values = flights.select(columns).to_numpy().reshape(-1, len(metrics), len(AXES))
-    detected = frame["fault.detected"] if "fault.detected" in frame.columns else pl.Series(dtype=pl.Boolean)
-    means = np.nanmean(values, axis=(0, 2))
-    return Judged(
-        cost=mean_cost(shares, values),
-        metrics=dict(zip(metrics, map(float, means), strict=True)),
-        missed=int((~detected.drop_nulls()).sum()),
-        false_alarms=sum(int(flights[f"false_alarms.{axis}"].sum()) for axis in AXES),
-        crashed=int((~flights["finite"]).sum()),
-    )
+    for frame in map(table_of, rows):
+        flights = whole_flights(frame)
+        values = flights.select(columns).to_numpy().reshape(-1, len(metrics), len(AXES))
+        there = "fault.detected" in frame.columns
+        judged += [
+            Judged(
+                cost=mean_cost(shares, values),
+                metrics=dict(zip(metrics, np.nanmean(values, axis=(0, 2)).tolist(), strict=True)),
+                missed=int((~frame["fault.detected"].drop_nulls()).sum()) if there else 0,
+                false_alarms=sum(int(flights[f"false_alarms.{axis}"].sum()) for axis in AXES),
+                crashed=int((~flights["finite"]).sum()),
+            )
+        ]
+    return judged
 
 
 def write(tuned: Tuned, campaign: Campaign, path: Path) -> None:

@@ -55,7 +55,7 @@ def campaign(
     loaded = load_campaign(file, flights, recordings)
     directory = out or Path("results") / loaded.name
     if flight:
-        if not loaded.source.is_loop:
+        if loaded.source.kind != "loop":
             raise CampaignError("--flight: flies the closed loop; this campaign has samples alone")
         chosen = variant_of(loaded, variant)
         scenarios = [flight_scenario(loaded, number, chosen) for number in dict.fromkeys(flight)]

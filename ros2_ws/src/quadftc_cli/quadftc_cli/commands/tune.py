@@ -39,7 +39,7 @@ def tune(
     if steps is not None and loaded.tune is not None:
         if steps < 1:
             raise CampaignError(f"--steps {steps}: must be positive")
-        loaded = loaded.with_steps(steps)
+        loaded = loaded.model_copy(update={"tune": loaded.tune.model_copy(update={"steps": steps})})
     path = out or Path("gains") / f"{loaded.name}.yaml"
     if path.exists() and not force:
         raise CampaignError(f"{path}: exists; --force replaces it")
