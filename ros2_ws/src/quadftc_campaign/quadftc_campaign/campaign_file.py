@@ -230,8 +230,7 @@ def _read_scenario(document: Document, keys: CampaignKeys) -> tuple[Document, Sc
         base = changed_document(beside if is_file else find_scenario(keys.scenario), keys.set, keys.gains)
         return base, build_scenario(base)
     except ScenarioError as error:
-        lines = str(error).splitlines()
-        raise document.error([Problem(("scenario",), line) for line in lines]) from None
+        raise document.error(Problem(("scenario",), each) for each in str(error).splitlines()) from None
 
 
 def bags_in(directory: Path) -> tuple[Path, ...]:

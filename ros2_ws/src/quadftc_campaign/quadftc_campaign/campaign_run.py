@@ -143,16 +143,17 @@ def pieces_of(numbers: list[int], size: int) -> list[list[int]]:
 
 
 def fly_chunk(campaign: Campaign, numbers: Sequence[int], progress: Progress = lambda samples: None) -> Rows:
-    """Fly some flights of a campaign with all its variants, in this process.
+    """Fly some flights of a campaign with all its variants here; return rows of `quadftc_campaign.table`.
 
-    Returns one row for each flight, variant and fault (`quadftc_campaign.table`). A `ScenarioError` says that
-    drawn values make no scenario, a `ValueError` that a part cannot be flown in a batch.
+    A `ScenarioError`: drawn values make no scenario. A `ValueError`: a part cannot be flown in a batch.
     """
     rows: Rows = []
     if campaign.source.kind == "loop":
         fly = _fly_loop
     else:
-        from quadftc_campaign.open_loop import fly_open as fly
+        from quadftc_campaign import open_loop
+
+        fly = open_loop.fly_open
     for variant in campaign.variants:
         scenarios = [flight_scenario(campaign, number, variant) for number in numbers]
         flown = zip(numbers, scenarios, fly(campaign, numbers, scenarios, progress), strict=True)

@@ -57,11 +57,11 @@ class Distribution:
         return drawn if self.size else drawn[0]
 
     def _draw_numbers(self, generator: np.random.Generator) -> list[float]:
-        bounds, count = self.bounds, self.size or 1
+        (low, high), count = self.bounds, self.size or 1
         if self.kind == "log_uniform":
-            numbers = np.exp(generator.uniform(*map(math.log, bounds), count))
+            numbers = np.exp(generator.uniform(math.log(low), math.log(high), count))
         else:
-            numbers = (generator.normal if self.kind == "normal" else generator.uniform)(*bounds, count)
+            numbers = (generator.normal if self.kind == "normal" else generator.uniform)(low, high, count)
         if self.signed:
             numbers = numbers * np.where(generator.random(count) < 0.5, -1.0, 1.0)
         return numbers.tolist()

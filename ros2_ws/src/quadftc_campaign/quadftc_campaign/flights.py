@@ -66,7 +66,7 @@ def flight_scenario(campaign: Campaign, number: int, variant: Variant) -> Scenar
         parts = {"observer": (variant.observer, variant.parameters), "controller": (variant.controller, ())}
         for role, (kind, parameters) in parts.items():
             if kind is not None:
-                scheme[role] = _replace(scheme.get(role), kind, dict(parameters))
+                scheme[role] = _replace(scheme.get(role), kind, parameters)
         scheme["checks"] = []
         document.data["schemes"] = {variant.scheme: scheme}
         document.data["name"] = f"{campaign.name[:48]}_flight_{number}"
@@ -117,9 +117,9 @@ def _schedule(campaign: Campaign, path: str, value: Value) -> Value:
     return {**{key: each for key, each in kept.items() if key in RESERVED}, **cast("dict[str, Any]", value)}
 
 
-def _replace(given: Any, kind: str, parameters: dict[str, Any]) -> Any:
+def _replace(given: Any, kind: str, parameters: tuple[tuple[str, Any], ...]) -> Any:
     """A part by its name; with the parameters that the scenario gives if it is the one that was there."""
     spec = cast("dict[str, Any]", given) if isinstance(given, dict) else {"kind": given}
     if not parameters:
         return cast("Any", given) if spec.get("kind") == kind else kind
-    return {**(spec if spec.get("kind") == kind else {"kind": kind}), **parameters}
+    return {**(spec if spec.get("kind") == kind else {"kind": kind}), **dict(parameters)}

@@ -69,18 +69,16 @@ def fly_open(
         specs = {(axis, fault.injection.start): fault.spec for fault in faults for axis in fault.axes}
         for event, record in zip(events, records, strict=True) if records else ():
             record |= {"spec": specs.get((event.axis, event.start)), **error_profile(flight, event)}
+        whole: Row = {
+            DELAY: delay,
+            "recording": recording.name,
+            "finite": bool(np.isfinite(flight.fault_estimate[flight.delivered]).all()),
+            **flatten({name: metrics[name] for name in WHOLE_METRICS}),
+            **flatten(diagnosis),
+            **score_counts(flight, events),
+        }
         progress(len(recording))
-        yield (
-            {
-                DELAY: delay,
-                "recording": recording.name,
-                "finite": bool(np.isfinite(flight.fault_estimate[flight.delivered]).all()),
-                **flatten({name: metrics[name] for name in WHOLE_METRICS}),
-                **flatten(diagnosis),
-                **score_counts(flight, events),
-            },
-            records,
-        )
+        yield whole, records
 
 
 def prepare(campaign: Campaign, number: int, scenario: Scenario) -> tuple[Recording, list[Fault], float]:

@@ -28,8 +28,8 @@ ORDER = ("flight", "variant", "fault")
 FLAGS = ("finite", "fault.detected", "fault.already_declared", "fault.recovered", "fault.above_threshold")
 WHOLE = ("flight", "seed", "fault")  # columns of whole numbers
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
-NOT_METRICS = ("flight", "variant", "observer", "disturbance_observer", "controller", "seed", "fault")
-TIMES = ("fault.start", "fault.stop")
+# columns of numbers that are no metrics
+NOT_METRICS = ("flight", "seed", "fault", "fault.start", "fault.stop")
 
 
 def table_of(rows: Rows) -> pl.DataFrame:
@@ -83,7 +83,7 @@ def _variant(campaign: Campaign, frame: pl.DataFrame) -> dict[str, Any]:
     kinds: list[str] = faults["fault.kind"].unique().sort().to_list() if "fault.kind" in frame.columns else []
     parts = {kind: faults.filter(pl.col("fault.kind") == kind) for kind in kinds}
     parts |= {"all": faults} if kinds else {}
-    left_out = {*NOT_METRICS, *TIMES, *campaign.vary}
+    left_out = {*NOT_METRICS, *campaign.vary}
     metrics = [name for name, kind in frame.schema.items() if kind.is_numeric() and name not in left_out]
     of_faults = [name for name in metrics if name.startswith("fault.")]
     return {

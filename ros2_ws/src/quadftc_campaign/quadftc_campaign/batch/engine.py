@@ -13,7 +13,7 @@ from __future__ import annotations
 import functools
 import os
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -139,10 +139,16 @@ def lanes_for(flights: int) -> int:
 
 def _name_culprit(error: Exception, loop: Loop, varying: Mapping[str, Any]) -> ValueError:
     """Return the error that names the part whose method raised ``error`` while it was traced."""
+    # everything in the loop that has a step, by its path
+    roles = ("plant", "sensor", "observer", "disturbance_observer", "controller")
+    parts: dict[str, Any] = {role: getattr(loop, role) for role in roles}
+    parts |= {f"injections.{i}.law": each.law for i, each in enumerate(loop.injections)}
+    parts |= {f"references.{i}": each for i, each in enumerate(loop.references)}
+    parts |= {f"plant.disturbances.{i}": each for i, each in enumerate(loop.plant.disturbances)}
     role, where = "", "a part"
     for frame, _ in traceback.walk_tb(error.__traceback__):
         kind = type(frame.f_locals.get("self"))
-        for path, part in _parts(loop):
+        for path, part in parts.items():
             if kind is type(part):
                 role, where = path, f"{path} ({kind.__name__})"
     numbers = [path for path in varying if path.startswith(f"{role}.")]
@@ -151,12 +157,3 @@ def _name_culprit(error: Exception, loop: Loop, varying: Mapping[str, Any]) -> V
     if numbers:
         advice += f". It can if {', '.join(numbers)} are the same in all flights"
     return ValueError(f"{where} cannot be flown in a batch: {reason}; {advice}")
-
-
-def _parts(loop: Loop) -> Iterator[tuple[str, Any]]:
-    """Everything in the loop that has a step, by its path."""
-    for role in ("plant", "sensor", "observer", "disturbance_observer", "controller"):
-        yield role, getattr(loop, role)
-    yield from ((f"injections.{i}.law", each.law) for i, each in enumerate(loop.injections))
-    yield from ((f"references.{i}", each) for i, each in enumerate(loop.references))
-    yield from ((f"plant.disturbances.{i}", each) for i, each in enumerate(loop.plant.disturbances))

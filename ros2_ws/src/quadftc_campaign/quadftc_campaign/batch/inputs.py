@@ -1,7 +1,4 @@
-"""Inputs of the steps of a batch: times, random numbers, and which samples arrive.
-
-The random numbers are those that each flight would draw alone, from NumPy's generators.
-"""
+"""Inputs of the steps of a batch: times, samples that arrive, and random numbers as of each flight alone."""
 
 from __future__ import annotations
 

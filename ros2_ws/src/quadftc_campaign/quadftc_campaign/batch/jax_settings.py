@@ -27,10 +27,7 @@ def environment(cores: int = 1) -> dict[str, str]:
 
 
 def settle_precision(float32: bool) -> None:
-    """Set the precision of this process, for good: JAX keeps constants in the precision it met them in.
-
-    ValueError is raised if this process computes in another one already.
-    """
+    """Set the precision of this process, for good, as JAX keeps constants; ValueError if it has another."""
     import jax
 
     if _precisions and float32 not in _precisions:

@@ -94,19 +94,16 @@ class Row(NamedTuple):
 
 
 class ClosedLoop:
-    """The closed loop of one flight; the numbers of its parts may be tracers.
-
-    ``late_start``: the diagnosis may have to wait for a good sample, at the start or after a gap.
-    """
+    """The closed loop of one flight; the numbers of its parts may be tracers."""
 
     def __init__(self, loop: Loop, late_start: bool) -> None:
+        # late start: the diagnosis may have to wait for a good sample, at the start or after a gap
         self.loop, self._late_start, self._dt = loop, late_start, seconds(loop.period_ns)
 
     def begin(self, bias: Array, first: Sequence[tuple[StepInputs, Times]]) -> tuple[LoopState, Row]:
-        """Fly until a sample leaves the IMU, and react to it.
+        """Fly the first samples, one more than the IMU delays, and react to the one that leaves it.
 
-        ``bias`` (3,) is the turn-on bias of the gyro, uniform in [-1, 1]. The first samples are one more than
-        the IMU delays.
+        ``bias`` (3,) is the turn-on bias of the gyro, uniform in [-1, 1].
         """
         zeros, loop = namespace(bias).zeros_like(bias), self.loop
         plant = loop.plant.init(quaternion_from_euler(zeros), zeros)

@@ -24,12 +24,8 @@ SHARED = 8.0  # a result used more than once is kept if it costs more than this
 LARGEST = 300.0  # a result is kept if it costs more than this in any case
 
 # Relative cost of one number of a result; every other primitive costs 1.
-FREE = frozenset(
-    [
-        *("slice", "squeeze", "reshape", "broadcast_in_dim", "transpose", "expand_dims", "concatenate"),
-        *("convert_element_type", "stack", "rev", "copy", "stop_gradient"),
-    ]
-)
+FREE = {"slice", "squeeze", "reshape", "broadcast_in_dim", "transpose", "expand_dims", "concatenate"}
+FREE |= {"convert_element_type", "stack", "rev", "copy", "stop_gradient"}
 DEAR = {"sin": 20.0, "cos": 20.0, "tan": 30.0, "atan2": 30.0, "asin": 30.0, "acos": 30.0, "exp": 15.0}
 DEAR |= {"log": 15.0, "pow": 40.0, "div": 4.0, "sqrt": 4.0, "tanh": 20.0}
 REDUCTIONS: dict[str, Callable[[Any, Any], Any]] = {

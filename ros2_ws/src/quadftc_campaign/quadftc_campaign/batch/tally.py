@@ -171,10 +171,7 @@ def metric_of(name: str, outcome: Outcome) -> Floats:
 
 
 def flight_record(outcome: Outcome) -> dict[str, Any]:
-    """Metrics of the whole flight, by name.
-
-    Those of an axis are called ``name.axis``. None: there is no value, as where no sample counts.
-    """
+    """Metrics of the whole flight by name, or by ``name.axis``; None where no sample counts."""
     sums, marks = outcome.sums, outcome.marks
     of_axes = {
         "tracking_rmse_deg": metric_of("tracking_rmse_deg", outcome),
