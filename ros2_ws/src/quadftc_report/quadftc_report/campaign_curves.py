@@ -14,7 +14,6 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from quadftc_flight.diagnosis_metrics.roc import Roc, roc
-from quadftc_model.samples import AXES
 from quadftc_report.campaign_results import Floats, Results, Side, known, numbers
 from quadftc_report.draw_plotly import TOP, axis, empty_figure, line_look, spec_of
 from quadftc_report.wording import plain, short
@@ -26,6 +25,7 @@ POINTS = 500  # of a curve
 RATIO = 8.0  # between the largest and the smallest value, from which on a scale is logarithmic
 DECADES = 3.5  # longest logarithmic scale with ticks at 2 and 5
 escape = functools.partial(html.escape, quote=False)  # so that Plotly finds no markup
+SHARES = {"range": [-0.02, 1.03], "tickformat": ".0%"}  # axis
 RATES = "finds %{y:.1%} at %{x:.1%} false alarms<extra></extra>"
 
 
@@ -84,14 +84,13 @@ def detector_of(side: Side) -> tuple[Roc | None, Point | None]:
     the variant never estimates, never declares anything.
     """
     peaks = known(numbers(side.faults, "fault.estimate_peak_deg"))
-    calm = known(np.concatenate([numbers(side.flights, f"healthy_estimate_max_deg.{axis}") for axis in AXES]))
+    calm = known(side.by_axis("healthy_estimate_max_deg"))
     scores = np.concatenate([peaks, calm])
     useful = len(peaks) > 0 and len(calm) > 0 and bool(np.any(scores > 0.0))
     curve = roc(scores, np.arange(len(scores)) < len(peaks)) if useful else None
     found = known(numbers(side.faults, "fault.detected"))
-    healthy = [(numbers(side.flights, f"healthy_time_s.{axis}") > 0.0, axis) for axis in AXES]
-    counts = [numbers(side.flights, f"false_alarms.{axis}")[there] for there, axis in healthy]
-    alarms = known(np.concatenate(counts))
+    healthy, counts = (side.by_axis(name) for name in ("healthy_time_s", "false_alarms"))
+    alarms = known(counts[healthy > 0.0])
     says = len(found) and len(alarms) and (np.any(found) or np.any(alarms))
     return curve, (float(np.mean(alarms > 0.0)), float(np.mean(found))) if says else None
 
@@ -114,17 +113,18 @@ def _distribution(
 ) -> Iterator[Picture]:
     """A figure of distributions; none if there is not a value."""
     curves = [(side, curve) for side, values in parts if (curve := ecdf(values)).total]
-    finite = np.concatenate([curve.values for _, curve in curves]) if curves else np.zeros(0)
+    finite = np.concatenate([np.zeros(0), *(curve.values for _, curve in curves)])
     if not len(finite):
         return
     positive = finite[finite > 0.0] if np.any(finite > 0.0) else np.ones(1)
     low, high = float(positive.min()), float(positive.max())
     start, end, x_axis = 0.0, 1.05 * high, {"range": [0.0, 1.05 * high]}
     if high > RATIO * low:
-        start, end = low / 2.0, 1.1 * high  # zeros stand at the left end
+        start, end = low / 2.0, 1.1 * high
+        note += " Zeros stand at the left end." if np.any(finite <= 0.0) else ""
         x_axis = {"type": "log", "range": [math.log10(start), math.log10(end)], **log_ticks(start, end)}
     drawing = variant_figure(len(curves), (f"{value} [{unit}]", f"share of the {thing}s"))
-    drawing.update_layout(xaxis=x_axis, yaxis={"range": [-0.02, 1.03], "tickformat": ".0%"})
+    drawing.update_layout(xaxis=x_axis, yaxis=SHARES)
     for side, curve in curves:
         # from below the first step to the end of the axis
         x = np.concatenate([[start], curve.values, [end]])
@@ -150,9 +150,7 @@ def characteristics(results: Results) -> Iterator[Picture]:
     if not shown:
         return
     titles = "share of healthy axes with a false alarm", "share of faults found"
-    drawing = variant_figure(len(shown), titles)
-    shares = {"range": [-0.02, 1.03], "tickformat": ".0%"}
-    drawing.update_layout(xaxis=shares, yaxis=shares)
+    drawing = variant_figure(len(shown), titles).update_layout(xaxis=SHARES, yaxis=SHARES)
     diagonal = {"name": "guessing", "hoverinfo": "skip", "showlegend": False}
     drawing.add_scatter(x=[0, 1], y=[0, 1], **diagonal, **line_look("limit", 0))
     for side, curve, point in shown:
@@ -178,17 +176,15 @@ def _add_characteristic(drawing: go.Figure, side: Side, curve: Roc, point: Point
         **look,
     )
     if point is not None:
+        alone = {"mode": "markers", "legendgroup": name, "showlegend": False, "cliponaxis": False}
         drawing.add_scatter(
             x=[point[0]],
             y=[point[1]],
             name=f"{name}, its own detector",
-            legendgroup=name,
-            showlegend=False,
-            mode="markers",
-            cliponaxis=False,
-            zorder=2000,
             marker={"color": look["line"]["color"], "size": 10, "line": {"width": 1.5, "color": "#fff"}},
             hovertemplate=f"{name}, its own detector: {RATES}",
+            **alone,
+            zorder=2000,
         )
 
 

@@ -27,7 +27,8 @@ FEWEST = 5  # flights in a cell that is shown
 MOST = 8  # bins of a continuous value
 WANTED = 8  # flights in a cell, on average
 FAULT = "fault."  # how columns of faults begin
-COLOURS = "Cividis"  # even steps, the same for colour-blind readers
+# even steps, the same for colour-blind readers
+LOOK = {"colorscale": "Cividis", "xgap": 1, "ygap": 1, "textfont": {"size": 10}, "hoverongaps": False}
 MISSING = "#dcdcdc"  # of cells with too few flights
 READABLE = 10  # columns of a map in which the numbers have room
 
@@ -56,14 +57,12 @@ def draw_maps(results: Results) -> Iterator[Picture]:
     paths, metric = _mapped_paths(results.campaign), results.campaign.report.metric
     if len(paths) < 2:
         return
-    maps = maps_of(results)
-    if maps is None:
+    if (maps := maps_of(results)) is None:
         yield Picture("map", "No map", f"No cell holds {FEWEST} flights with a '{metric}'.", {})
         return
     caption = (
-        f"Median of the {maps.kind.heading} in each cell, of its worst axis where it has several."
-        f" Cells with fewer than {FEWEST} flights are grey. A range is divided into parts with as many"
-        " flights each."
+        f"Median of the {maps.kind.heading} in each cell, of its worst axis where it has several. Cells with"
+        f" fewer than {FEWEST} flights are grey. A range is divided into parts with as many flights each."
     )
     plots = {name: _spec(f"map-{index}", maps, name) for index, name in enumerate(maps.medians)}
     yield Picture("map", f"Over {paths[0]} and {paths[1]}", caption, plots)
@@ -105,8 +104,7 @@ def bin_axis(frame: pl.DataFrame, path: str, drawn: Distribution, most: int) -> 
     values = numbers(frame, path)
     known = values[np.isfinite(values)]
     edges = np.unique(np.quantile(known, np.linspace(0.0, 1.0, most + 1))) if len(known) else np.zeros(1)
-    if len(edges) == 1:
-        edges = np.array([edges[0], edges[0]])
+    edges = np.repeat(edges, 2) if len(edges) == 1 else edges
     names = tuple(f"{low} to {high}" for low, high in itertools.pairwise(map(digits, edges.tolist())))
     bins = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, len(names) - 1)
     bins = np.where(np.isfinite(values), bins, -1).astype(np.intp)
@@ -115,13 +113,10 @@ def bin_axis(frame: pl.DataFrame, path: str, drawn: Distribution, most: int) -> 
 
 def _listed(frame: pl.DataFrame, path: str, drawn: Distribution) -> BinAxis:
     """One bin for each value; numbers in their order."""
-    names = {
-        _key(plain(value)): str(plain(value) if isinstance(value, dict) else value) for value in drawn.values
-    }
+    names = {_key(plain(each)): str(plain(each) if isinstance(each, dict) else each) for each in drawn.values}
     keys = sorted(names) if all(isinstance(key, float) for key in names) else list(names)
-    place = {key: index for index, key in enumerate(keys)}
     there: list[Any] = frame[path].to_list() if path in frame.columns else [None] * frame.height
-    bins = np.array([place.get(_key(value), -1) for value in there], np.intp)
+    bins = np.array([keys.index(key) if (key := _key(value)) in names else -1 for value in there], np.intp)
     return BinAxis(path, tuple(names[key] for key in keys), bins)
 
 
@@ -176,15 +171,11 @@ def _spec(key: str, maps: Maps, variant: str) -> dict[str, Any]:
         z=[[None if np.isnan(value) else value for value in row] for row in shown.tolist()],
         zmin=edges[0],
         zmax=edges[1] if edges[1] > edges[0] else edges[0] + 1.0,
-        colorscale=COLOURS,
-        colorbar={**bar, "thickness": 14, "outlinewidth": 0},
-        xgap=1,
-        ygap=1,
         text=[["" if np.isnan(value) else short(value) for value in row] for row in medians.tolist()],
         texttemplate="%{text}" if len(x) <= READABLE else "",
-        textfont={"size": 10},
         customdata=hover,
         hovertemplate=f"%{{customdata}}<br>median %{{text}} {maps.kind.unit}<extra></extra>",
-        hoverongaps=False,
+        colorbar={**bar, "thickness": 14, "outlinewidth": 0},
+        **LOOK,
     )
     return spec_of(drawing, key)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Mapping
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -55,11 +56,8 @@ def render_campaign(results: Results, directory: Path, command_file: str) -> str
     that fly a flight again.
     """
     campaign, sides = results.campaign, results.sides
-    pictures = {
-        "Distributions": list(distributions(results)),
-        "Map": list(draw_maps(results)),
-        "Detection": list(characteristics(results)),
-    }
+    kinds = {"Distributions": distributions, "Map": draw_maps, "Detection": characteristics}
+    pictures = {title: list(draw(results)) for title, draw in kinds.items()}
     worst = (
         ("Largest tracking errors", ("worst axis", "tracking RMSE [deg]"), map(_worst_flights, sides)),
         ("Worst fault estimates", ("fault", "RMSE of the estimate [deg]"), map(_worst_faults, sides)),
@@ -86,7 +84,7 @@ def render_campaign(results: Results, directory: Path, command_file: str) -> str
         of_flights=OF_FLIGHTS,
         pictures={title: figures for title, figures in pictures.items() if figures},
         worst=[each for each in shown if any(each[2].values())],
-        drawn_heads=[_drawn_head(path, drawn) for path, drawn in campaign.vary.items()],
+        drawn_heads=[_drawn_head(path, drawn, results.frame) for path, drawn in campaign.vary.items()],
         drawn_text=_drawn_text,
         again=again,
     )
@@ -98,10 +96,8 @@ def _tell(side: Side) -> str:
     said = [f"{broken} of {counted(flights, 'flight')} did NOT stay finite"] if broken else []
     tracking = known(side.worst_tracking)
     if len(tracking):
-        median, high = np.quantile(tracking, (0.5, 0.95))
-        said.append(
-            f"tracks its worst axis with a median RMSE of {short(median)} deg, 95 % {short(high)} deg"
-        )
+        sizes = [f"{short(each)} deg" for each in np.quantile(tracking, (0.5, 0.95))]
+        said.append(f"tracks its worst axis with a median RMSE of {sizes[0]}, 95 % {sizes[1]}")
     judged = known(numbers(side.faults, "fault.detected"))
     delays = known(numbers(side.faults, "fault.detection_delay_s"))
     if not side.has_observer:
@@ -125,18 +121,17 @@ def _worst_flights(side: Side) -> list[_Worst]:
     """The flights with the largest tracking errors."""
     found: list[_Worst] = []
     for row, value in _largest(side.flights, side.worst_tracking):
-        sizes = {axis: row.get(f"tracking_rmse_deg.{axis}") for axis in AXES}
-        there = {axis: size for axis, size in sizes.items() if size is not None and np.isfinite(value)}
-        found.append(_Worst(row, max(there, key=lambda axis: there[axis], default=NOTHING), value))
+        sizes = ((row.get(f"tracking_rmse_deg.{axis}"), axis) for axis in AXES)
+        there = [each for each in sizes if each[0] is not None and np.isfinite(value)]
+        found.append(_Worst(row, max(there, key=itemgetter(0), default=(0.0, NOTHING))[1], value))
     return found
 
 
 def _worst_faults(side: Side) -> list[_Worst]:
     """The faults with the worst estimates, but for flights that did not stay finite."""
-    values = numbers(side.faults, "fault.estimate_rmse_deg") if side.has_observer else np.zeros(0)
-    values[np.isinf(side.estimate_errors[: len(values)])] = np.nan
+    errors = side.estimate_errors if side.has_observer else np.zeros(0)
     found: list[_Worst] = []
-    for row, value in _largest(side.faults, values):
+    for row, value in _largest(side.faults, np.where(np.isinf(errors), np.nan, errors)):
         when = period(row["fault.start"], row["fault.stop"])
         found.append(_Worst(row, f"{row['fault.kind']} on {row['fault.axis']}, {when}", value))
     return found
@@ -149,12 +144,13 @@ def _largest(frame: pl.DataFrame, values: Floats) -> list[tuple[Mapping[str, Any
     return [(frame.row(place, named=True), float(values[place])) for place in chosen]
 
 
-def _drawn_head(path: str, drawn: Distribution) -> str:
-    """The path of a drawn value, with its unit if it always has the same."""
+def _drawn_head(path: str, drawn: Distribution, frame: pl.DataFrame) -> tuple[str, str]:
+    """The path of a drawn value, with its unit if it always has the same; and the look of its column."""
     units = {unit_of(value) for value in drawn.values} or {drawn.unit}
     unit = units.pop() if len(units) == 1 and not drawn.size else ""
     name = path.replace(".", ".\u200b")
-    return f"{name} [{unit}]" if unit else name
+    is_number = path in frame.columns and frame.schema[path].is_numeric()
+    return f"{name} [{unit}]" if unit else name, "number" if is_number else ""
 
 
 def _drawn_text(value: Any) -> str:

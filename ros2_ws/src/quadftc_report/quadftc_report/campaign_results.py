@@ -51,8 +51,8 @@ class Side:
     @functools.cached_property
     def worst_tracking(self) -> Floats:
         """Tracking RMSE of the worst axis of each flight [deg]; infinite if it did not stay finite."""
-        axes = np.stack([numbers(self.flights, f"tracking_rmse_deg.{axis}") for axis in AXES])
-        return np.where(_stayed_finite(self.flights), np.fmax.reduce(axes), np.inf)
+        worst = np.fmax.reduce(self.by_axis("tracking_rmse_deg").reshape(len(AXES), -1))
+        return np.where(_stayed_finite(self.flights), worst, np.inf)
 
     @functools.cached_property
     def estimate_errors(self) -> Floats:
@@ -67,11 +67,14 @@ class Side:
         delays = numbers(self.faults, "fault.detection_delay_s")[~np.isnan(found)]
         return np.where(np.isnan(delays), np.inf, delays)
 
+    def by_axis(self, name: str, axes: Sequence[str] = AXES) -> Floats:
+        """Return a column of each axis of all flights, axis after axis."""
+        return np.concatenate([numbers(self.flights, f"{name}.{axis}") for axis in axes])
+
     def alarms_per_hour(self, axes: Sequence[str] = AXES) -> float | None:
         """Return the false alarms in an hour of a healthy axis [1/h]; None: no axis was healthy."""
-        hours = sum(np.nansum(numbers(self.flights, f"healthy_time_s.{axis}")) for axis in axes) / HOUR
-        alarms = sum(np.nansum(numbers(self.flights, f"false_alarms.{axis}")) for axis in axes)
-        return float(alarms / hours) if hours > 0.0 else None
+        hours = np.nansum(self.by_axis("healthy_time_s", axes)) / HOUR
+        return float(np.nansum(self.by_axis("false_alarms", axes)) / hours) if hours > 0.0 else None
 
 
 class Results(NamedTuple):

@@ -130,7 +130,9 @@ def tell_run(comparison: Comparison[Recorded], run: Recorded) -> str:
     if checks and run.is_whole:
         passed = sum(check["passed"] for check in checks)
         said.append(f"passes {passed} of {counted(len(checks), 'check')}")
-    return f"'{comparison.label(run)}' ({parts_of(run)}) {'; '.join(said)}."
+    label = comparison.label(run)
+    parts = "" if isinstance(run, RecordedReplay) and label == run.observer else f" ({parts_of(run)})"
+    return f"'{label}'{parts} {'; '.join(said)}."
 
 
 def list_injections(run: Recorded) -> list[Injection]:

@@ -27,6 +27,8 @@ DPI = 300
 LINE_WIDTH = 0.9  # pt
 FILL = 0.18  # opacity of areas
 HANDLE = 2.2  # times the font size; sample of a line in the legend
+LEGEND = {"handlelength": HANDLE, "handletextpad": 0.4, "columnspacing": 1.0, "labelspacing": 0.25}
+NO_FRAME = {"frameon": False, "borderpad": 0.0, "borderaxespad": 0.4}
 STYLE: Any = dict(mpl.rc_params_from_file(DATA / "print.mplstyle", use_default_template=False))
 
 
@@ -105,17 +107,6 @@ def _legend(canvas: Canvas, entries: dict[str, Any]) -> int:
     width = LETTER * max(map(len, labels)) + (HANDLE + 0.4 + 1.0) * STYLE["legend.fontsize"] / 72.0
     columns = max(int(WIDTH / width), 1)
     order = [label for column in range(columns) for label in labels[column::columns]]
-    canvas.legend(
-        [entries[label] for label in order],
-        order,
-        loc="outside upper center",
-        ncols=columns,
-        frameon=False,
-        borderpad=0.0,
-        borderaxespad=0.4,
-        handlelength=HANDLE,
-        handletextpad=0.4,
-        columnspacing=1.0,
-        labelspacing=0.25,
-    )
+    handles = [entries[label] for label in order]
+    canvas.legend(handles, order, loc="outside upper center", ncols=columns, **LEGEND, **NO_FRAME)
     return -(-len(labels) // columns)

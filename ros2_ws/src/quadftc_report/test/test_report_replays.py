@@ -240,8 +240,8 @@ def test_replay_that_was_cut_is_drawn_to_its_end_and_named():
 
 def test_sentence_tells_what_the_observer_made_of_it():
     watchful, none = told(*map(made_replay, PAIR))
-    assert watchful == "'watchful' (fault observer watchful) detects 1 of 1 fault with 0 false alarms."
-    assert none == "'none' (fault observer none) has no fault observer."
+    assert watchful == "'watchful' detects 1 of 1 fault with 0 false alarms."
+    assert none == "'none' has no fault observer."
 
 
 def test_injections_are_the_overlaid_faults_and_those_of_the_recording():

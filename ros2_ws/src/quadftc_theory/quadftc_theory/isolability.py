@@ -23,8 +23,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 from scipy.linalg import null_space
 from scipy.sparse.csgraph import connected_components
 
@@ -38,13 +36,6 @@ RANK_TOLERANCE = 1e-9  # 1; of singular values, relative to the largest
 RESPONSE_TOLERANCE = 1e-7  # 1; a residual's response to a fault of size 1 below it is rounding
 
 _DERIVATIVE, _DERIVED = 3, 2  # codes of the library for x' and x in the constraint between them
-
-LASTING, CHANGING, NEVER, CANCELLED, ITSELF = "●", "○", "·", "!", ""
-
-LEGEND = (
-    f"{LASTING} also while the fault is constant   {CHANGING} only while it changes   {NEVER} never   "
-    f"{CANCELLED} by structure, but this vehicle's coefficients cancel"
-)
 
 Mask = NDArray[np.bool_]
 
@@ -196,25 +187,6 @@ def _responses(unknowns: NDArray[Any], blocks: NDArray[Any], faults: NDArray[Any
     return responds(unknowns), np.stack(told_apart, axis=1)
 
 
-def isolability_table(result: IsolabilityResult) -> Table:
-    """Table with a row for each fault: whether it is seen, and told apart from the fault of each column.
-
-    Columns carry the numbers of the rows, so that 16 faults fit on a screen of 80 characters. The marks are
-    those of `LEGEND`.
-    """
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=0)
-    numbers = [str(number) for number in range(1, len(result.faults) + 1)]
-    for heading in ("", "fault", "seen", *numbers):
-        side: Any = {"fault": "left", "seen": "center"}.get(heading, "right")
-        table.add_column(heading, justify=side, no_wrap=True)
-    seen = _marks(result.detectable, result.rank_detectable, result.strongly_detectable)
-    apart = _marks(result.isolable, result.rank_isolable, result.strongly_isolable)
-    np.fill_diagonal(apart, ITSELF)
-    for row in zip(numbers, result.faults, seen, *apart.T, strict=True):
-        table.add_row(*row)
-    return table
-
-
 def isolability_lines(result: IsolabilityResult) -> list[str]:
     """What was assumed, and what the matrix says, in lines of plain text."""
     assumed = [words[result.assumptions[key]] for key, words in CHOICES.items() if key in result.assumptions]
@@ -231,8 +203,3 @@ def isolability_lines(result: IsolabilityResult) -> list[str]:
     if not result.undetectable and not result.groups:
         lines.append("every fault can be told apart from every other")
     return lines
-
-
-def _marks(structure: Mask, rank: Mask, strong: Mask) -> NDArray[np.str_]:
-    lasting = np.where(strong, LASTING, CHANGING)
-    return np.where(structure, np.where(rank, lasting, CANCELLED), NEVER)

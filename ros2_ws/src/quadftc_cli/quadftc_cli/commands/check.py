@@ -5,9 +5,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import numpy as np
 import typer
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
 from typer import Argument, Option
 
 from quadftc_bags.bag import BagError
@@ -19,7 +22,17 @@ from quadftc_model.vehicle import load_vehicle
 from quadftc_theory.checks import CheckReport, check_run, check_scenario
 from quadftc_theory.conditions import Verdict
 
+if TYPE_CHECKING:
+    from quadftc_theory.isolability import IsolabilityResult
+
 COLOURS = {Verdict.PASS: "green", Verdict.FAIL: "red", Verdict.DEPENDS: "yellow"}
+
+# marks of a fault: what a residual does, and why
+LASTING, CHANGING, NEVER, CANCELLED, ITSELF = "●", "○", "·", "!", ""
+LEGEND = (
+    f"{LASTING} also while the fault is constant   {CHANGING} only while it changes   {NEVER} never   "
+    f"{CANCELLED} by structure, but this vehicle's coefficients cancel"
+)
 
 
 def check(
@@ -75,7 +88,7 @@ def check(
 
 def _isolability(vehicle: str, sensors: str, as_json: bool) -> None:
     """Print the matrices: disturbances to be told apart, and disturbances that every residual is blind to."""
-    from quadftc_theory.isolability import LEGEND, analyse, isolability_lines, isolability_table
+    from quadftc_theory.isolability import analyse, isolability_lines
     from quadftc_theory.vehicle_equations import Assumptions
 
     names = tuple(name.strip() for name in sensors.split(",") if name.strip())
@@ -92,6 +105,29 @@ def _isolability(vehicle: str, sensors: str, as_json: bool) -> None:
         console().print(isolability_table(result))
         say(*findings, "")
     say(LEGEND)
+
+
+def isolability_table(result: IsolabilityResult) -> Table:
+    """Show for each fault whether it is seen, and told apart from the fault of each column; marks: `LEGEND`.
+
+    Columns carry the numbers of the rows, so that 16 faults fit on a screen of 80 characters.
+    """
+    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=0)
+    numbers = [str(number) for number in range(1, len(result.faults) + 1)]
+    for heading in ("", "fault", "seen", *numbers):
+        side: Any = {"fault": "left", "seen": "center"}.get(heading, "right")
+        table.add_column(heading, justify=side, no_wrap=True)
+    seen = _marks(result.detectable, result.rank_detectable, result.strongly_detectable)
+    apart = _marks(result.isolable, result.rank_isolable, result.strongly_isolable)
+    np.fill_diagonal(apart, ITSELF)
+    for row in zip(numbers, result.faults, seen, *apart.T, strict=True):
+        table.add_row(*row)
+    return table
+
+
+def _marks(structure: Any, rank: Any, strong: Any) -> Any:
+    lasting = np.where(strong, LASTING, CHANGING)
+    return np.where(structure, np.where(rank, lasting, CANCELLED), NEVER)
 
 
 def _print(report: CheckReport) -> None:
