@@ -20,9 +20,7 @@ setup(
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
     entry_points={
-        "console_scripts": [
-            "quadftc = quadftc_cli.main:main",
-        ],
+        "console_scripts": ["quadftc = quadftc_cli.main:main"],
         # A package of yours adds a subcommand by an entry point of this group: a function or a typer.Typer.
         "quadftc.commands": [
             "run = quadftc_cli.commands.run:run",

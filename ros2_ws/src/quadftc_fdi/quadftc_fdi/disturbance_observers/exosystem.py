@@ -5,8 +5,7 @@
     (43)  z' = (A_d - lambda C_d) z + A_d mu - lambda (C_d mu + f(x2) + B_u u)
           zeta^ = z + mu,  mu = lambda x2
 
-Each axis has its own zeta. The paper's (43) prints C where C_d is meant. Its error obeys zeta~' = (A_d -
-lambda C_d) zeta~ whatever the vehicle does.
+Each axis has its own zeta; (43) prints C for C_d. Its error obeys zeta~' = (A_d - lambda C_d) zeta~.
 
 Discretisation. In terms of zeta^, (43) is zeta^' = A_d zeta^ + lambda (x2' - f - B_u u - C_d zeta^).
 Integrated over a sample, with Phi = exp(A_d dt) and Gamma = int_0^dt exp(A_d s) ds exact and the trapezoidal

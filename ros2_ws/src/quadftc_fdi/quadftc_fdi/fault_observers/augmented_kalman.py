@@ -5,10 +5,9 @@ Huang and Zhang (2021), for our sensors. x are the Euler angles, b the gyro bias
 
     x' = E(x) (m - b - n_g),   b' = n_b,   f_s' = n_f,   y = x + f_s + E(x) n_y
 
-in one extended Kalman filter of nine states, coupled by the full kinematics (4). (Per axis, decoupled, b
-would be in Euler rates, and no constant as soon as the vehicle turns.) The references split it into a filter
-without fault and one of the fault alone; that is algebraically this filter (Hsieh and Chen 1999), and
-cheaper only where matrices are large.
+in one extended Kalman filter of nine states, coupled by the full kinematics (4), as b in Euler rates is no
+constant when the vehicle turns. The references split it into a filter without fault and one of the fault
+alone; that is algebraically this filter (Hsieh and Chen 1999).
 
 Adaptation. A fault begins faster than its random walk says. As in the adaptive two-stage filter (Kim, Lee
 and Park 2009) a forgetting factor lambda_i >= 1 raises the variance of f_s,i until the innovation r_i is as
@@ -21,18 +20,15 @@ and lambda_i = 1 where no mean is out of bounds. (With a gate of 1 noise alone k
 gyro bias is hardly learnt.) The means restart after lambda > 1. On a faulty axis, and for ``alert_time``
 after that, the random walk of f_s is ``faulty_walk``, so that f_s takes what changes, and not b.
 
-What it cannot do. x and f_s appear only as their sum, and both may be constant: the model has three
-invariant zeros at s = 0. An angle error and a constant fault are told apart by the initial condition alone,
-f_s(0) = 0 up to ``initial_fault``, below which std_dev never falls. So a fault that is there at the first
-sample is taken for attitude and stays so (in a turn, a wrong roll or pitch shows a little in the other axes);
-the angle random walk accumulates in x and, with the other sign, in f_s; and an error made in telling a fault
-from the attitude (at its onset, or by the error of b^ times its length) stays for ever: this filter
-never trusts the sensor again after the fault. std_dev is the filter's own. Errors of the attitude that
-are not white are faults to it.
+What it cannot do. x and f_s appear only as their sum, and both may be constant: the model has three invariant
+zeros at s = 0. Only the initial condition f_s(0) = 0, up to ``initial_fault``, tells an angle error from a
+constant fault; std_dev never falls below it. A fault at the first sample is taken for attitude and stays so.
+The angle random walk accumulates in x and, with the other sign, in f_s. An error made in telling a fault from
+the attitude (at its onset, or by the error of b^ times its length) stays for ever: this filter never trusts
+the sensor again after the fault. Errors of the attitude that are not white are faults to it.
 
-The attitude is carried as a quaternion, on the mean of two gyro samples; only errors are Euler angles. Beyond
-80 deg of pitch they are not used: the filter then dead-reckons. The corrected sample is the filter's attitude
-and m - b^.
+The attitude is a quaternion, carried on the mean of two gyro samples; only errors are Euler angles. Beyond 80
+deg of pitch the filter dead-reckons. The corrected sample is its attitude and m - b^.
 """
 
 from __future__ import annotations

@@ -8,9 +8,8 @@ first-order filter of y1 makes an actuator fault of the sensor fault:
     z_f' = -a_f z_f + a_f (x + f_s)         the filter, which is run; its output z_f is known
 
 In the canonical form of [13], x1 = x is not measured and x2 = z_f is; A11 = 0, A21 = a_f I, A22 = -a_f I, and
-f_s acts on x2 alone, through D2 = a_f I. (The output y2 has an observer of its own in that form. Its
-injection reconstructs the disturbance, and nothing of it enters here: it is left out.) The observer, with
-e = z_f - z_f^:
+f_s acts on x2 alone, through D2 = a_f I. (The observer of y2 in that form reconstructs the disturbance, and
+is left out.) The observer, with e = z_f - z_f^:
 
     x^'   = E(x^) y2 + (l / a_f) nu
     z_f^' = -a_f z_f^ + a_f x^ + (a_s - a_f) e + nu,    nu = rho e / |e|,   rho > a_f |f_s|
@@ -22,10 +21,9 @@ gives
     f_s^ = nu_eq / a_f
 
 What it cannot do. The reduced motion has the poles of the plant, which are at 0 ([14] asks for a stable
-plant): they are the invariant zeros at s = 0 of our sensors. So l must not be 0, and any l > 0 takes a fault
-for an angle error at that rate: a constant f_s^ leaks away with time constant 1 / l, and with a small l a
-gyro bias b moves f_s^ by -b t. It is right without gyro bias and after a healthy start, as the observer of
-the paper. On the sliding surface f_s^ is the low-passed difference of measured and dead-reckoned angles.
+plant): the invariant zeros at s = 0 of our sensors. So l must not be 0: a constant f_s^ leaks away with time
+constant 1 / l, and with a small l a gyro bias b moves f_s^ by -b t. It is right without gyro bias and after a
+healthy start. On the sliding surface f_s^ is the low-passed difference of measured and dead-reckoned angles.
 
 Time stepping. nu is discontinuous and is stepped implicitly, see ``implicit_injection``: e is 0 after one
 sample within the reach dt rho, without chattering. Only the difference e acts, so e is the state. A sample

@@ -1,8 +1,8 @@
 r"""The sliding-mode fault observer of Wang, Huang and Zhang (2021), equations (10)-(29).
 
-Set-up. With the gyro as a second, fault-free output, y = [angles + f_s; body rate], the transformation
-(10)-(11) is a permutation: z1 = body rate, z2 = angles, A1 = A2 = A4 = 0, A3 = I, C1 = C4 = I, F2 = I, W1 =
-I, B1 = J^-1, and
+Set-up. With the gyro as a second, fault-free output, y = [angles + f_s; body rate], (10)-(11) is a
+permutation: z1 = body rate, z2 = angles, A1 = A2 = A4 = 0, A3 = I, C1 = C4 = I, F2 = I, W1 = I, B1 = J^-1,
+and
 
     (12)  z1' = D1 f(x) + J^-1 u + Delta_d,        h1 = z1
     (13)  z2' = z1 + D2 f(x),                      h2 = z2 + f_s
@@ -25,11 +25,9 @@ Observers, with e1 = h1 - z1^, e3 = h3 - h3^ (all gains scalar times I, so that 
 Time stepping. The stiff injections (18) and (26) are solved implicitly: with everything else known, e+ = c -
 dt (a e+ + rho e+ / (|e+| + delta)) leaves e+ parallel to c, and |e+| is the root of a quadratic. That does
 not chatter at any step, however stiff (epsilon_s + epsilon_2) / delta is. z2^ takes the trapezoidal rule, of
-order 2. e3 takes h2 - z2^ at the new sample: its mean over the step would put f_s^ half a sample late. What
-is left in f_s^ of order 1, dt f_s'' / 2 times delta / (epsilon_s + epsilon_2), shows from 1000 Hz on with the
-default delta.
-
-The integrals h3 and h3^ grow without bound and only their difference acts, so the difference is the state.
+order 2. e3 takes h2 - z2^ at the new sample: its mean over the step would put f_s^ half a sample late. An
+error of order 1 is left in f_s^, dt f_s'' / 2 times delta / (epsilon_s + epsilon_2). Of h3 and h3^, which
+grow without bound, only the difference acts, and is the state.
 """
 
 from __future__ import annotations
@@ -140,9 +138,8 @@ def implicit_injection(
 ) -> tuple[Vector, Vector]:
     """Solve e = c - dt (linear e + injection), injection = rho e / (|e| + delta); return both.
 
-    c (..., 3) is the error without injection, ``linear`` (..., 1) [1/s] a gain that is not negative, rho the
-    size of the injection and delta its smoothing. With delta = 0 the injection is set-valued at e = 0: it
-    then takes the value that keeps e there. With ``dt`` [s] of 0 the error stays c.
+    c (..., 3) is the error without injection, ``linear`` (..., 1) [1/s] a gain that is not negative. With
+    delta = 0 the injection takes the value that keeps e at 0. With ``dt`` [s] of 0 the error stays c.
     """
     size = norm(c)
     if is_single(size):

@@ -1,19 +1,17 @@
 r"""Supervised diagnosis: learn the gyro while the attitude is healthy, fly on the gyro while it is not.
 
 The paper's observer does not know the bias of a real gyro (docs/theory.md, sections 4 and 8). Here a Kalman
-filter estimates bias, scale, alignment and delay of the gyro against the attitude of the healthy axes, and
-tests watch its residuals. On a faulty axis the gyro carries the angle on: measured minus predicted angle is
-the fault, and the filter's covariance its uncertainty. docs/supervised.md explains the states of an axis and
-the reasons; the parts are in `quadftc_fdi.supervision`:
+filter estimates the gyro's errors against the attitude of the healthy axes, and tests watch its residuals. On
+a faulty axis the gyro carries the angle on: measured minus predicted angle is the fault. docs/supervised.md
+explains the states of an axis and the reasons; the parts are in `quadftc_fdi.supervision`:
 
     inertial_filter    predict by the gyro, correct by the healthy axes
     anchors            earlier states of the filter, to which it goes back
     residual_tests     collect evidence, declare faults
     fault_track        follow the fault, judge when the axis is trusted again
 
-The defaults are for a MEMS IMU on a vehicle that moves, with an attitude that wanders (optical markers, an
-attitude filter), and a gyro whose bias changes a little in motion. A simulated sensor without such errors
-has ``wander = wander_moving = gyro_moving = gyro_shift = 0``.
+The defaults are for a MEMS IMU on a vehicle that moves: its attitude wanders, and its gyro bias changes a
+little. A simulated sensor without such errors has ``wander = wander_moving = gyro_moving = gyro_shift = 0``.
 """
 
 from __future__ import annotations
@@ -192,10 +190,7 @@ class Supervised(FaultObserver):
     def _predict(
         self, state: State, gyro: Array, dt: float
     ) -> tuple[FilterState, anchors.Anchors, Array, Array, Array]:
-        """Carry filter and anchors to the sample by the mean of two gyro samples.
-
-        Also return the body rate (..., 3) [rad/s], its decaying maximum [rad/s], and motion (0 or 1).
-        """
+        """Carry filter and anchors by the mean of two gyro samples; also return rate, activity, motion."""
         omega = estimate_rate(state.filter.x, gyro)
         activity = namespace(gyro).maximum(norm(omega), state.activity * exp(-dt / MOVED))
         motion = ((activity - RESTING) / (MOVING - RESTING)).clip(0.0, 1.0)

@@ -7,9 +7,9 @@ difference d goes through a first-order low pass, 0.95 d + 0.05 (difference) at 
     a <- max(0, a + (|d| - rate_threshold) dt),      faulty: a > angle_threshold
 
 Here the same law compares the gyro with the measured attitude y, each Euler angle by itself. x^ is the
-attitude dead-reckoned on the gyro and, where a = 0, pulled to y with time constant T. Its residual r = y - x^
-changes, but for the pull, by the difference that is to be judged, so there is nothing to differentiate: with
-g = dt / (T + dt) and r^- the residual that the sample before left,
+attitude dead-reckoned on the gyro and, where a = 0, pulled to y with time constant T. But for the pull, its
+residual r = y - x^ changes by the difference in question: with g = dt / (T + dt) and r^- the residual left
+before,
 
     rho <- (1 - g) (rho + r - r^-),    d = rho / T      low pass of y' less the rate from the gyro, exactly
     x^ <- x^ + g r                       where a = 0
@@ -24,13 +24,12 @@ before the fault, and is what is switched to.
     RECOVERING   FAULTY, and |y - x^| < recovery_angle        x^                   y - x^
 
 RECOVERING ends in FAULTY when the residual is larger again, and in HEALTHY after ``recovery_time``. (PX4
-itself lets a fall at rate_threshold as soon as d is small, and so forgives any constant fault.) Dead
-reckoning is given up after ``patience``: the measured attitude is believed again, whatever it says.
+itself lets a fall as soon as d is small, and so forgives any constant fault.) After ``patience`` the measured
+attitude is believed again, whatever it says.
 
 What it cannot do. A step of less than angle_threshold, and anything slower than rate_threshold, is never
-found. No gyro bias is estimated: on a faulty axis the attitude and the estimate drift at the bias, and if the
-residual has drifted out of recovery_angle by the end of the fault, only ``patience`` ends the state. An
-attitude beyond 80 deg of pitch counts as absent.
+found. On a faulty axis attitude and estimate drift at the gyro bias; once the residual has drifted out of
+recovery_angle, only ``patience`` ends the state. An attitude beyond 80 deg of pitch counts as absent.
 """
 
 from __future__ import annotations

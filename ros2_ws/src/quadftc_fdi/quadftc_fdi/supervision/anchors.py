@@ -78,11 +78,11 @@ def go_back_to_anchor(
 ) -> tuple[FilterState, Vector, Vector]:
     """Go back to an anchor where an axis asks for it.
 
-    ``back`` are these axes; those of ``far`` need the old anchor, as with the young one less is lost. But the
-    filter does not go back to before the gyro bias was known to ``known`` [rad/s], 1 sigma, if it is now:
-    forgetting the bias costs more than the fault has done. ``residuals`` [rad] are of `all_residuals`,
-    ``variances`` [rad²] of `predicted_variances`. Also return the residual (..., 3) [rad] of the filter, and
-    the variance (..., 3) of its predicted angles [rad²].
+    ``back`` are these axes; those of ``far`` need the old anchor. But the filter does not go back to before
+    the gyro bias was known to ``known`` [rad/s], 1 sigma, if it is now: forgetting the bias costs more than
+    the fault has done. ``residuals`` [rad] are of `all_residuals`, ``variances`` [rad²] of
+    `predicted_variances`. Also return residual (..., 3) [rad] and variance (..., 3) [rad²] of the filter's
+    predicted angles.
     """
     xp = namespace(back)
 

@@ -7,10 +7,9 @@ With f the fault, v its slope, r the residual (measured minus predicted angle) a
 White noise of r comes through with the share (2 alpha² + 2 beta - 3 alpha beta) / (alpha (4 - 2 alpha -
 beta)) of its variance, beta = alpha² / (2 - alpha) (Blair 1993).
 
-A faulty axis is trusted again once its fault agrees with zero, stands still, and has done so long enough. A
-fault found early may be a slow ramp, which looks healthy for a while. So a fault that never visibly moved
-must look healthy for longer. A fault that stands still for ``patience`` seconds is taken for an error of the
-observer: otherwise a wrong start or a false alarm would never end.
+A faulty axis is trusted again once its fault agrees with zero, stands still, and has done so long enough: for
+longer if it never visibly moved, as it may be a slow ramp. A fault that stands still for ``patience`` seconds
+is taken for an error of the observer: otherwise a wrong start or a false alarm would never end.
 """
 
 from __future__ import annotations
