@@ -113,8 +113,8 @@ class ControllerNode(GraphNode):
     def _on_corrected(self, stamp_ns: int, imu: ImuSample) -> None:
         if self.lockstep:
             self._join.put("imu", stamp_ns, imu)
-            return
-        self._act(self._manager.take_corrected, stamp_ns, imu)
+        else:
+            self._act(self._manager.take_corrected, stamp_ns, imu)
 
     def _on_all(
         self, stamp_ns: int, imu: ImuSample, reference: AttitudeReference, disturbance: Floats

@@ -1,13 +1,14 @@
 """Where the attitude shall be: the interface of references, their registry, and two sources of them.
 
-A scenario adds up references, Euler angles with two derivatives over scenario time; live setpoints go through
-a filter.
+A scenario adds up references, Euler angles with two derivatives; live setpoints go through a filter.
 """
 
 from __future__ import annotations
 
 import abc
 import dataclasses
+import functools
+import operator
 from collections.abc import Sequence
 from typing import Any
 
@@ -36,13 +37,8 @@ class Reference(Checked, abc.ABC):
 
 def combined(references: Sequence[Reference], time: Array) -> AttitudeReference:
     """Sum of references at ``time`` [s]; with none, level and still."""
-    if not references:
-        zeros = np.zeros(3)
-        return AttitudeReference(zeros, zeros, zeros)
-    total = references[0].sample(time)
-    for reference in references[1:]:
-        total = AttitudeReference(*(a + b for a, b in zip(total, reference.sample(time), strict=True)))
-    return total
+    parts = [each.sample(time) for each in references] or [AttitudeReference(*np.zeros((3, 3)))]
+    return functools.reduce(lambda a, b: AttitudeReference(*map(operator.add, a, b)), parts)
 
 
 def smooth_rise(fraction: Array) -> tuple[Array, Array, Array]:
@@ -106,9 +102,8 @@ class SetpointFilter(Checked):
         self, state: AttitudeReference, inputs: Array, dt: float
     ) -> tuple[AttitudeReference, AttitudeReference]:
         """Advance by ``dt`` [s] towards a setpoint (..., 3) [rad]; the state is the last reference."""
-        last, setpoint = state, inputs
-        w = self.bandwidth
-        wanted = w * w * wrap(setpoint - last.angles) - 2.0 * w * last.rates
+        last, w = state, self.bandwidth
+        wanted = w * w * wrap(inputs - last.angles) - 2.0 * w * last.rates
         acceleration = clip(wanted, -self.max_acceleration, self.max_acceleration)
         rates = last.rates + dt * acceleration
         reference = AttitudeReference(last.angles + 0.5 * dt * (last.rates + rates), rates, acceleration)

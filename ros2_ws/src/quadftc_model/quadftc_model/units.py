@@ -16,12 +16,7 @@ _SPELLINGS: dict[str, dict[str, float]] = {
     "rad": {"rad": 1.0, "deg": _DEG, "mrad": 1e-3},
     "rad/s": {"rad/s": 1.0, "deg/s": _DEG},
     "rad/s^2": {"rad/s^2": 1.0, "rad/s²": 1.0, "deg/s^2": _DEG, "deg/s²": _DEG},
-    "rad/sqrt(s)": {
-        "rad/sqrt(s)": 1.0,
-        "rad/s/sqrt(Hz)": 1.0,
-        "deg/s/sqrt(Hz)": _DEG,
-        "deg/sqrt(h)": _DEG / 60.0,
-    },
+    "rad/sqrt(s)": {"rad/sqrt(s)": 1, "rad/s/sqrt(Hz)": 1, "deg/s/sqrt(Hz)": _DEG, "deg/sqrt(h)": _DEG / 60},
     "rad/s/sqrt(s)": {"rad/s/sqrt(s)": 1.0, "deg/s/sqrt(s)": _DEG},
     "s": {"s": 1.0, "ms": 1e-3, "min": 60.0},
     "1/s": {"1/s": 1.0, "Hz": 1.0},

@@ -160,18 +160,16 @@ def _read_section(table: dict[str, Any], prefix: str, kinds: dict[str, Any]) -> 
 def _read(key: str, value: Any, kind: Any) -> Any:
     """Return a text, a number or an array as the vehicle holds it."""
     if kind is str:
-        expected = "a text"
-        if isinstance(value, str):
-            return value
+        found, expected = value if isinstance(value, str) else None, "a text"
     elif kind is float:
+        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
         expected = f"a finite number, not beyond {_LARGEST:g}"
-        if isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= _LARGEST:
-            return float(value)
+        found = float(value) if is_number and abs(value) <= _LARGEST else None
     else:
         expected = f"finite numbers of shape {kind}, -1 being any length, none beyond {_LARGEST:g}"
-        array = _array_of(value, kind)
-        if array is not None:
-            return array
+        found = _array_of(value, kind)
+    if found is not None:
+        return found
     shown = repr(value)
     shown = shown if len(shown) <= 100 else f"{shown[:97]}..."
     raise ValueError(f"{key} = {shown}: expected {expected}")

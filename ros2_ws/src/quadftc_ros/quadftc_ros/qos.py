@@ -8,8 +8,8 @@ clock      best effort, keep last 1      reliable, keep last 1000  /clock
 
 In lock-step none may be lost: the depth is what a recorder in another process may lag behind. In real time
 IMU samples are not sent again: best effort, as in the sensor-data convention of ROS 2, also matches real
-drivers. The depth is more than its five, as a node that was held up works off samples faster than an
-observer recovers from a gap.
+drivers. The depth is more than its five, as a node that was held up works samples off faster than an observer
+a gap.
 """
 
 from __future__ import annotations

@@ -20,11 +20,8 @@ CHANNEL_UNITS: dict[str, dict[str, str]] = {
     "accelerometer": {"channel": "m/s^2", "channel_rate": "m/s^3"},
     "imu": {},
 }
-TRUTH = {
-    "attitude": "fault/injected",
-    "gyro": "fault/injected/gyro",
-    "accelerometer": "fault/injected/accelerometer",
-}  # channel -> topic of its true fault
+TRUTH = {"attitude": "fault/injected"}  # channel -> topic of its true fault
+TRUTH |= {channel: f"fault/injected/{channel}" for channel in ("gyro", "accelerometer")}
 AXES = {"roll": 0, "pitch": 1, "yaw": 2, "x": 0, "y": 1, "z": 2}
 RESERVED = ("channel", "axes", "axis", "start", "stop", "duration")
 
@@ -64,9 +61,8 @@ def _mask(kind: str, fault: Any, values: Mapping[str, Any]) -> NDArray[np.bool_]
         raise ValueError("axes: given twice, as axis too")
     names: list[Any] = [*given] if isinstance(given, (list, tuple)) else [given]
     if names and fault.whole_channel:
-        raise ValueError(
-            f"axes = {', '.join(map(str, names))}: {kind} takes the whole channel; leave axes out"
-        )
+        given = ", ".join(map(str, names))
+        raise ValueError(f"axes = {given}: {kind} takes the whole channel; leave axes out")
     mask = np.zeros(3, dtype=bool)
     for name in names or ("x", "y", "z"):
         if not isinstance(name, str) or name not in AXES:

@@ -1,8 +1,7 @@
 """The plant: the attitude of a multirotor under rotor torques and disturbances.
 
-Equations: rigid body (1), torques (2) and full kinematics (4) of Wang et al. (2021); the attitude is
-integrated as a unit quaternion, which gives the same motion as (4) and has no singularity. Runge-Kutta of
-order 4 at the control rate or finer.
+Equations: rigid body (1), torques (2) and full kinematics (4) of Wang et al. (2021), by Runge-Kutta of order
+4. A unit quaternion gives the same motion as (4) and has no singularity.
 """
 
 from __future__ import annotations
@@ -63,9 +62,8 @@ class Plant(Checked):
     @functools.cached_property
     def motor_time_constant(self) -> float:
         """Time constant of the motor lag [s]."""
-        if self.motor_bandwidth > 0.0:
-            return 1.0 / self.motor_bandwidth
-        return self.vehicle.rotors.time_constant
+        own = self.vehicle.rotors.time_constant
+        return 1.0 / self.motor_bandwidth if self.motor_bandwidth > 0.0 else own
 
     def init(self, q_xyzw: Quaternion, body_rate: Vector) -> PlantState:
         """State at an attitude and a body rate [rad/s], rotors at trim."""
