@@ -7,9 +7,8 @@ from hypothesis import strategies as st
 
 from quadftc_control.controller import controllers
 from quadftc_model.assembly import build_prefixed, node_values
-from quadftc_model.integrators import rk4
 from quadftc_model.parameters import parameters_of
-from quadftc_model.rigid_body import angular_acceleration, propeller_momentum
+from quadftc_model.rigid_body import angular_acceleration, propeller_momentum, rk4
 from quadftc_model.rotations import euler_from_quaternion, normalise, quaternion_from_euler, quaternion_rate
 from quadftc_model.rotors import commands_from_torque, torque_from_commands
 from quadftc_model.samples import AttitudeReference, ControllerInputs, ImuSample

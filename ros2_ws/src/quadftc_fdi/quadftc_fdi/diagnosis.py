@@ -8,11 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from quadftc_fdi.fault_observer import FaultObserver, LastDiagnosis
-from quadftc_fdi.handover import ResumingStepper
 from quadftc_model import samples
 from quadftc_model.arrays import Vector
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample, sanitised
-from quadftc_model.stepper import seconds
+from quadftc_model.stepper import ResumingStepper, seconds
 
 
 class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosis]):

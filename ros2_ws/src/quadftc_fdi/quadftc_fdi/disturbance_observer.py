@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_fdi.handover import ResumingStepper
 from quadftc_model.arrays import Vector
 from quadftc_model.assembly import VehicleLaw, law_from
 from quadftc_model.registry import Registry
 from quadftc_model.samples import DisturbanceObserverInputs, ImuSample, is_usable, sanitised
+from quadftc_model.stepper import ResumingStepper
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)

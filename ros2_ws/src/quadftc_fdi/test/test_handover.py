@@ -11,7 +11,6 @@ from quadftc_fdi.disturbance_observers.exosystem import Exosystem
 from quadftc_fdi.fault_observer import LastDiagnosis, fault_observers
 from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_fdi.fault_observers.supervised import Supervised
-from quadftc_fdi.handover import LONGEST, ResumingStepper
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import (
     FAULTY,
@@ -21,7 +20,7 @@ from quadftc_model.samples import (
     FaultObserverInputs,
     level_sample,
 )
-from quadftc_model.stepper import Stepper
+from quadftc_model.stepper import OLDEST_WORDS, ResumingStepper, Stepper
 from quadftc_model.vehicle import load_vehicle
 from quadftc_msgs.msg import FaultStatus
 from quadftc_ros.conversions import time_message
@@ -121,7 +120,7 @@ def test_last_words_are_used_once_by_who_began_after_them():
 
 def test_old_words_are_not_used():
     handover = ResumingStepper(Exosystem(vehicle=QBALL))
-    handover.offer(FIRST_NS - round((LONGEST + 0.1) * 1e9), "words")
+    handover.offer(FIRST_NS - round((OLDEST_WORDS + 0.1) * 1e9), "words")
     assert handover.words_for(FIRST_NS) is None
 
 

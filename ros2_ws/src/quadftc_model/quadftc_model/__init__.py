@@ -1,1 +1,1 @@
-"""Rotations, rigid body, rotors and mixer, vehicles, integrators and the registry (pure)."""
+"""Rotations, rigid body, rotors and mixer, vehicles and the registry (pure)."""

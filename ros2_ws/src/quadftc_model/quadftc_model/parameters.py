@@ -76,6 +76,18 @@ class Checked:
             _check_bounds(spec, getattr(self, spec.name))
 
 
+class Timed(Checked):
+    """Base of those that act from ``start`` to ``stop`` [s]."""
+
+    start: float
+    stop: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.stop <= self.start:
+            raise ValueError(f"stop = {self.stop:g} s: must be later than start = {self.start:g} s")
+
+
 def build(
     component: type[T], values: Mapping[str, Any], *, units: Mapping[str, str] | None = None, **context: Any
 ) -> T:

@@ -1,14 +1,19 @@
 """The rigid body of the multirotor: rotor torques, propeller gyroscopics, drag and disturbances turn it.
 
 Equations (1) and (2) of Wang et al. (2021), derived again with every torque divided by the inertia (their (3)
-leaves two of them undivided).
+leaves two of them undivided); and the integrator of such equations.
 """
 
 from __future__ import annotations
 
-from quadftc_model.arrays import Components, Scalar, Vector, components, stacked
+from collections.abc import Callable
+
+from quadftc_model.arrays import Array, Components, Scalar, Vector, components, stacked
 from quadftc_model.rotors import propeller_speeds
 from quadftc_model.vehicle import Vehicle
+
+State = tuple[Array, ...]
+Derivative = Callable[[float, State], State]  # of (time, state)
 
 
 def gyroscopic_acceleration(inertia: Vector, body_rate: Vector) -> Vector:
@@ -52,3 +57,20 @@ def angular_acceleration(
     inertia = vehicle.inertia if inertia is None else inertia
     total = torque + propeller_torque(body_rate, momentum) - vehicle.rotational_drag * body_rate
     return gyroscopic_acceleration(inertia, body_rate) + total / inertia
+
+
+def rk4(derivative: Derivative, time: float, state: State, dt: float) -> State:
+    """One step ``dt`` [s] of the classical Runge-Kutta method of order 4, from ``time`` [s] on."""
+    half = 0.5 * dt
+    k1 = derivative(time, state)
+    k2 = derivative(time + half, _shifted(state, k1, half))
+    k3 = derivative(time + half, _shifted(state, k2, half))
+    k4 = derivative(time + dt, _shifted(state, k3, dt))
+    sixth = dt / 6.0
+    return tuple(
+        x + sixth * (a + 2.0 * (b + c) + d) for x, a, b, c, d in zip(state, k1, k2, k3, k4, strict=True)
+    )
+
+
+def _shifted(state: State, slope: State, step: float) -> State:
+    return tuple(x + step * k for x, k in zip(state, slope, strict=True))

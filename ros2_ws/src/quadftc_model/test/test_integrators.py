@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from quadftc_model.integrators import rk4
+from quadftc_model.rigid_body import rk4
 
 
 def error(steps):

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadftc_model.integrators import rk4
 from quadftc_model.rigid_body import (
     angular_acceleration,
     gyroscopic_acceleration,
     propeller_momentum,
     propeller_torque,
+    rk4,
 )
 from quadftc_model.rotations import normalise, quaternion_product, quaternion_rate
 from quadftc_model.rotors import propeller_speeds

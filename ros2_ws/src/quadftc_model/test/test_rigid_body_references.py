@@ -8,8 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
-from quadftc_model.integrators import rk4
-from quadftc_model.rigid_body import angular_acceleration, propeller_momentum
+from quadftc_model.rigid_body import angular_acceleration, propeller_momentum, rk4
 from quadftc_model.rotations import normalise, quaternion_rate
 from quadftc_model.vehicle import load_vehicle
 

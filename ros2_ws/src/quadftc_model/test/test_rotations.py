@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadftc_model.integrators import rk4
+from quadftc_model.rigid_body import rk4
 from quadftc_model.rotations import (
     MIN_COS_PITCH,
     body_acceleration,

@@ -8,21 +8,16 @@ import math
 from typing import Any
 
 from quadftc_model.arrays import Array, namespace, whole_nanoseconds
-from quadftc_model.parameters import Checked, parameter
+from quadftc_model.parameters import Timed, parameter
 from quadftc_model.registry import Registry
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Disturbance(Checked, abc.ABC):
+class Disturbance(Timed, abc.ABC):
     """Base of all disturbances: they act from ``start`` to ``stop`` and are zero outside."""
 
     start: float = parameter(0.0, unit="s", low=0.0, doc="onset, scenario time")
     stop: float = parameter(math.inf, unit="s", low=0.0, doc="end, scenario time")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.stop <= self.start:
-            raise ValueError(f"stop = {self.stop} s: must be later than start = {self.start} s")
 
     @abc.abstractmethod
     def shape(self, elapsed: Array) -> Array:

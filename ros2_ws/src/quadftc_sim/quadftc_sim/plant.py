@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_model.arrays import Array, Components, Quaternion, Vector, namespace
-from quadftc_model.integrators import Derivative, rk4
 from quadftc_model.parameters import Checked, parameter
-from quadftc_model.rigid_body import angular_acceleration, propeller_momentum
+from quadftc_model.rigid_body import Derivative, angular_acceleration, propeller_momentum, rk4
 from quadftc_model.rotations import normalise, quaternion_rate
 from quadftc_model.rotors import commands_from_torque, torque_from_commands
 from quadftc_model.vehicle import Vehicle

@@ -67,7 +67,7 @@ def test_batch_of_times_equals_the_loop(name):
 @EVERY_DISTURBANCE
 @pytest.mark.parametrize(("start", "stop"), [(2.0, 2.0), (2.0, 1.0)])
 def test_window_that_ends_before_it_starts_is_refused(name, start, stop):
-    with pytest.raises(ValueError, match=f"stop = {stop} s: must be later than start = {start} s"):
+    with pytest.raises(ValueError, match=f"stop = {stop:g} s: must be later than start = {start:g} s"):
         build(disturbances.get(name), {"start": start, "stop": stop})
 
 

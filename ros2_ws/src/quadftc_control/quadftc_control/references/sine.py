@@ -6,12 +6,12 @@ import math
 
 from quadftc_control.reference import Reference, register, smooth_rise
 from quadftc_model.arrays import Array, namespace
-from quadftc_model.parameters import Axes, parameter
+from quadftc_model.parameters import Axes, Timed, parameter
 from quadftc_model.samples import AttitudeReference
 
 
 @register("sine")
-class Sine(Reference):
+class Sine(Timed, Reference):
     """amplitude * sin(frequency (t - start) + phase), with a smooth envelope from ``start`` to ``stop``."""
 
     amplitude: Axes = parameter((0.0, 0.0, 0.0), unit="rad", low=-100.0, high=100.0, doc="its size")
@@ -20,11 +20,6 @@ class Sine(Reference):
     start: float = parameter(0.0, unit="s", low=0.0, doc="begin of the fade-in, scenario time")
     stop: float = parameter(math.inf, unit="s", low=0.0, doc="begin of the fade-out, scenario time")
     fade: float = parameter(2.0, unit="s", low=1e-3, high=1e6, doc="duration of fade-in and fade-out")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.stop <= self.start:
-            raise ValueError(f"stop = {self.stop:g} s: must be later than start = {self.start:g} s")
 
     def sample(self, time: Array) -> AttitudeReference:
         """Return the oscillation at ``time`` [s]."""

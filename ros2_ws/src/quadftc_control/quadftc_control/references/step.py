@@ -6,12 +6,12 @@ import math
 
 from quadftc_control.reference import Reference, register, smooth_rise
 from quadftc_model.arrays import Array, namespace
-from quadftc_model.parameters import Axes, parameter
+from quadftc_model.parameters import Axes, Timed, parameter
 from quadftc_model.samples import AttitudeReference
 
 
 @register("step")
-class Step(Reference):
+class Step(Timed, Reference):
     """Rises over ``rise`` from ``start``, and falls likewise from ``stop``.
 
     Angle, rate and acceleration are continuous.
@@ -21,11 +21,6 @@ class Step(Reference):
     start: float = parameter(0.0, unit="s", low=0.0, doc="begin of the rise, scenario time")
     stop: float = parameter(math.inf, unit="s", low=0.0, doc="begin of the fall, scenario time")
     rise: float = parameter(2.0, unit="s", low=1e-3, high=1e6, doc="duration of rise and fall")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.stop <= self.start:
-            raise ValueError(f"stop = {self.stop:g} s: must be later than start = {self.start:g} s")
 
     def sample(self, time: Array) -> AttitudeReference:
         """Return the step at ``time`` [s]."""
