@@ -28,8 +28,7 @@ ORDER = ("flight", "variant", "fault")
 FLAGS = ("finite", "fault.detected", "fault.already_declared", "fault.recovered", "fault.above_threshold")
 WHOLE = ("flight", "seed", "fault")  # columns of whole numbers
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
-# columns of numbers that are no metrics
-NOT_METRICS = ("flight", "seed", "fault", "fault.start", "fault.stop")
+NOT_METRICS = ("flight", "seed", "fault", "fault.start", "fault.stop")  # columns of numbers
 
 
 def table_of(rows: Rows) -> pl.DataFrame:

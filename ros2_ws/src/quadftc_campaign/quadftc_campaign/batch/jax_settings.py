@@ -11,10 +11,7 @@ import os
 
 WIDTH = "--xla_cpu_prefer_vector_width"  # the widest registers, of which XLA would use half
 SMALL_LOOP = "xla_cpu_small_while_loop_byte_threshold"  # what a loop reads and writes, at most [bytes]
-FLAGS = {
-    WIDTH: f"{WIDTH}=512",
-    SMALL_LOOP: f"--xla_backend_extra_options={SMALL_LOOP}={2**62}",
-}
+FLAGS = {WIDTH: f"{WIDTH}=512", SMALL_LOOP: f"--xla_backend_extra_options={SMALL_LOOP}={2**62}"}
 
 _precisions: set[bool] = set()  # whether this process computes in single precision, once it is known
 
