@@ -1,14 +1,10 @@
 """What the controller decides in flight: which IMU it flies on, what it commands, what it keeps for others.
 
-The order of a step, for each sample that comes:
+For each sample that comes, `InputMonitor` says which IMU is used and whether the disturbance estimate is
+trusted (the mode), `Transfer` makes the change from one IMU to another continuous, the control law gives the
+torque, and `LastWords` keeps what both observers said last, for observers that restart.
 
-1. `InputMonitor` says which IMU is used and whether the disturbance estimate is trusted (the mode);
-2. `Transfer` makes the change from one IMU to another continuous;
-3. the control law gives the torque;
-4. `LastWords` keeps what both observers said last, for observers that restart.
-
-Pure: samples and stamps come in, a `Command` comes out, and `kept` collects what is published beside it. The
-node `quadftc_control.controller_node` connects this to topics.
+Pure: samples and stamps come in, a `Command` comes out, and `kept` collects what is published beside it.
 """
 
 from __future__ import annotations

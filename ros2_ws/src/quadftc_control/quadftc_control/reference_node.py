@@ -45,9 +45,8 @@ class ReferenceNode(GraphNode):
         super().__init__("reference", **kwargs)
         self.settings.declare(ReferenceParameters, read_only=True)
         self.settings.declare(SetpointFilter, "setpoint.")
-        self.settings.declare_list(
-            "references", "each: kind key=value..., e.g. 'step angles=5deg,0,0 start=5s'"
-        )
+        example = "step angles=5deg,0,0 start=5s"
+        self.settings.declare_list("references", f"each: kind key=value..., e.g. '{example}'")
         values = self.settings.values()
         build = partial(build_prefixed, SetpointFilter, prefix="setpoint")
         self._filter = Stepper[Any, AttitudeReference](build(values))

@@ -17,9 +17,9 @@ from quadftc_model.stepper import ResumingStepper, seconds
 class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosis]):
     """A fault observer on a stream.
 
-    It starts at the first sample that has both attitude and rate, and restarts so after a gap and after an
-    estimate that cannot be used. Every later sample with a new stamp gives an estimate and a corrected
-    sample, whatever is wrong with it.
+    It starts at the first sample with attitude and rate, also after a gap and an estimate that cannot be
+    used. Every later sample with a new stamp gives an estimate and a corrected sample, whatever is wrong with
+    it.
     """
 
     law: FaultObserver

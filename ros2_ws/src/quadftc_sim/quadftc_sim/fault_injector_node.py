@@ -35,9 +35,8 @@ class FaultInjectorNode(GraphNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("fault_injector", **kwargs)
         self.settings.declare(InjectorParameters, read_only=True)
-        self.settings.declare_list(
-            "faults", "each: kind key=value..., e.g. 'bias axes=roll value=1deg start=20s'"
-        )
+        example = "bias axes=roll value=1deg start=20s"
+        self.settings.declare_list("faults", f"each: kind key=value..., e.g. '{example}'")
         self._active: tuple[int, ...] = ()
         self._told = {"attitude"}  # channels whose truth is published
         self._restart()

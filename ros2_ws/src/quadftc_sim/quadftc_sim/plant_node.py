@@ -52,9 +52,8 @@ class PlantNode(GraphNode):
         self.settings.declare(PlantParameters, read_only=True)
         self.settings.declare(Plant, read_only=True)
         self.settings.declare(ImuSensor, "imu.", read_only=True)
-        self.settings.declare_list(
-            "disturbances", "each: kind key=value..., e.g. 'constant start=5s amplitude=0.1Nm'"
-        )
+        example = "constant start=5s amplitude=0.1Nm"
+        self.settings.declare_list("disturbances", f"each: kind key=value..., e.g. '{example}'")
         self._values = self.settings.values()
         self._output = PlantOutput(self, each_sample)
         self._make_flight(0)

@@ -110,8 +110,7 @@ def collect_evidence(
 ) -> tuple[Evidence, Scores]:
     """Test the residuals [rad] of one sample on the axes trusted so far and measured in it.
 
-    An axis is faulty at ``threshold`` standard deviations, whose healthy size is learned over ``learning``
-    seconds.
+    An axis is faulty at ``threshold`` standard deviations; what is healthy is learned over ``learning`` [s].
     """
     xp = namespace(residuals)
     taken = trusted[..., None]
