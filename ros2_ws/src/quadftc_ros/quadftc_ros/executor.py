@@ -77,8 +77,7 @@ class Pace:
     """Real time: an executor serves its nodes, and in between some of them act when they are due.
 
     A timer of rclpy wakes another thread first, and skips periods that it is late for. The executor is called
-    for each callback, as slices leak (`Slice`); with ``poll`` without rest, so that the processor stays
-    awake.
+    for each callback, as slices leak (`Slice`). With ``poll`` it never rests: the processor stays awake.
     """
 
     def __init__(self, executor: Any, paced: Sequence[Paced], poll: bool) -> None:
