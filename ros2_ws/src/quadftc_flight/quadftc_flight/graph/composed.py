@@ -61,6 +61,7 @@ class ComposedGraph(Graph):
             options = {"each_sample": self._slice.look, "timed": False} if name == "plant" else {}
             parameters = plan.node_parameters(name)
             nodes[name] = self._add_node(NODE_CLASSES[name], plan.namespace, parameters, tap=tap, **options)
+        self._watchers.append(nodes["plant"])
 
     @property
     def nodes(self) -> dict[str, Any]:
@@ -74,7 +75,7 @@ class ComposedGraph(Graph):
         """
         if not self.wait_until_connected(progress):
             return 0.0
-        scheduling, plants = self._plan.scheduling, self._watchers()
+        scheduling, plants = self._plan.scheduling, self._watchers
         pace = Pace(self._executor, plants, poll=scheduling.wait == "poll")
         spin = self._slice.spin if self._plan.mode == "lockstep" else pace.spin
         try:
@@ -93,9 +94,6 @@ class ComposedGraph(Graph):
         lacks = [(name, missing_connections(name, node.connections())) for name, node in nodes]
         return [f"{name}: {lack}" for name, missing in lacks for lack in missing]
 
-    def _watchers(self) -> list[PlantNode]:
-        return [vehicle["plant"] for vehicle in self._vehicles]
-
     def _state(self) -> tuple[bool, int]:
-        flights = [plant.flight for plant in self._watchers()]
+        flights = [plant.flight for plant in self._watchers]
         return all(flight.finished for flight in flights), sum(flight.emitted for flight in flights)

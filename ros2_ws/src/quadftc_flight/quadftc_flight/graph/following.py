@@ -29,6 +29,7 @@ class Graph(abc.ABC):
         self._executor = make_executor(executor, self._context)
         self._slice = Slice(self._executor)
         self._nodes: list[Any] = []  # of this process
+        self._watchers: list[Any] = []  # a node of each vehicle
 
     def __enter__(self) -> Self:
         return self
@@ -39,10 +40,6 @@ class Graph(abc.ABC):
     @abc.abstractmethod
     def _missing(self) -> list[str]:
         """Say which connections between the nodes are missing."""
-
-    @abc.abstractmethod
-    def _watchers(self) -> list[Any]:
-        """Return a node of each vehicle."""
 
     @abc.abstractmethod
     def _state(self) -> tuple[bool, int]:
@@ -92,7 +89,7 @@ class Graph(abc.ABC):
             if not progress(0):
                 return False
             self._slice.spin(0.05)
-        for node in self._watchers():
+        for node in self._watchers:
             if crowd := crowded_topics(node.count_publishers):
                 raise GraphError(f"{crowd[0]}: {ALONE}")
         return True

@@ -131,9 +131,6 @@ class ProcessGraph(Graph):
                 self._slice.spin(0.1)
         return True
 
-    def _watchers(self) -> list[Any]:
-        return [self._node]
-
     def _state(self) -> tuple[bool, int]:
         return self._finished, self._samples
 
@@ -148,6 +145,7 @@ class ProcessGraph(Graph):
     def _watch_and_record(self) -> None:
         plan, reliable = self.plan, topic_profile("reliable", self.plan.mode)
         self._node = node = self._add_node(Node, plan.namespace, {}, node_name="launch_graph")
+        self._watchers.append(node)
         prefix = node.get_namespace().strip("/")
         self._names = {f"{prefix}/{name}".lstrip("/"): name for name in EXECUTABLES}  # as in /diagnostics
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, reliable)

@@ -217,15 +217,14 @@ def build_fault(raw: Any, info: ValidationInfo) -> Fault:
     """Build a scheduled fault."""
     mistakes, given = _Mistakes(), _mapping(raw)
     kind, law = mistakes.kind_in(faults, given)
-    own = {name: value for name, value in given.items() if name not in RESERVED}
-    schedule = {name: value for name, value in given.items() if name in RESERVED}
+    schedule = {name: given.pop(name) for name in RESERVED if name in given}
     channel = schedule.get("channel", law.channels[0])
     if isinstance(channel, str) and channel in law.channels:  # else there is no telling the units
-        own = mistakes.convert(law, own, ("kind", *RESERVED), CHANNEL_UNITS[channel])
-    injection = mistakes.build(lambda: make_injection(kind, {**schedule, **own}), own)
+        given = mistakes.convert(law, given, ("kind", *RESERVED), CHANNEL_UNITS[channel])
+    injection = mistakes.build(lambda: make_injection(kind, {**schedule, **given}), given)
     times = {"start": injection.start, "stop" if "stop" in schedule else "duration": injection.stop}
     mistakes.check_times(times, cast("Setting", info.context).duration)
-    return Fault(injection, tuple(own))
+    return Fault(injection, tuple(given))
 
 
 def _mapping(raw: Any, expected: str = "a mapping with 'kind'") -> dict[str, Any]:
