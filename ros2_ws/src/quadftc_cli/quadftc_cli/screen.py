@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
-from typing import Protocol
+from collections.abc import Callable, Iterable
 
 from rich import progress
 from rich.box import SIMPLE_HEAD
@@ -14,6 +13,8 @@ from rich.text import Text
 
 LINE_PERIOD = 5.0  # s between two lines of progress where there is no terminal
 STRIDE = 0.005  # share between two updates of a bar
+
+Update = Callable[..., None]  # sets the share of a task (0 to 1) and, if given, a note behind its bar
 
 
 def console(stderr: bool = False) -> Console:
@@ -42,12 +43,6 @@ def plain_table(left: Iterable[str], right: Iterable[str], title: str | None = N
     for heading in right:
         table.add_column(Text(heading), justify="right", no_wrap=True)
     return table
-
-
-class Update(Protocol):
-    """Sets the share of a task (0 to 1) and a note behind its bar."""
-
-    def __call__(self, share: float, /, note: str = "") -> None: ...  # noqa: D102
 
 
 class Bars(progress.Progress):

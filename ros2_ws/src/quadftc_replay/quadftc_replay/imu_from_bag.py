@@ -21,15 +21,8 @@ from quadftc_flight.run_directory import NO_PARAMETERS, PARAMETERS, SCENARIO, at
 from quadftc_flight.scenario import ScenarioError, parse_scenario
 from quadftc_model.samples import ABSENT, AXES, ImuSample
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
-from quadftc_replay.imu_recording import (
-    Floats,
-    Recording,
-    SerializedTopic,
-    Stamps,
-    clean_samples,
-    keep_good_stamps,
-    torque_before,
-)
+from quadftc_replay import imu_recording
+from quadftc_replay.imu_recording import Floats, Recording, SerializedTopic, Stamps
 from quadftc_sim.injection import TRUTH
 
 IMU = "sensor_msgs/msg/Imu"
@@ -64,15 +57,15 @@ def recording_from_bag(path: Path, topic: str = "", skip_backwards: bool = False
     # the samples
     bag = read_bag(path, [name, *truth, *([torque_topic] if torque_topic else [])])
     imu, where = bag.series(name), f"{path}: {name}"
-    kept = keep_good_stamps(imu.stamp_ns, imu.log_time_ns, where, skip_backwards)
-    samples, absences = clean_samples(_samples(imu, kept.rows), kept.stamp_ns, where)
+    kept = imu_recording.keep_good_stamps(imu.stamp_ns, imu.log_time_ns, where, skip_backwards)
+    samples, absences = imu_recording.clean_samples(_samples(imu, kept.rows), kept.stamp_ns, where)
     messages = [data for _, _, data in bag.messages([name])]
     passed_on = {UNTOUCHED: SerializedTopic(IMU, kept.stamp_ns, [messages[k] for k in kept.rows.tolist()])}
     # the torque that acted
     torque = np.zeros((len(kept.rows), 3))
     if torque_topic:
         commands = bag.series(torque_topic)
-        torque = torque_before(kept.stamp_ns, commands.stamp_ns, commands["vector"])
+        torque = imu_recording.torque_before(kept.stamp_ns, commands.stamp_ns, commands["vector"])
         messages = [data for _, _, data in bag.messages([torque_topic])]
         passed_on[TORQUE] = SerializedTopic(VECTOR, commands.stamp_ns, messages)
     faults, windows, events = _read_truth(bag, truth, namespace, kept.stamp_ns)

@@ -57,14 +57,10 @@ class Recording:
         return len(self.stamp_ns)
 
     @property
-    def time(self) -> Floats:
-        """Time of each sample since the first [s] (n,)."""
-        return (self.stamp_ns - self.stamp_ns[0]) / NANOSECONDS_PER_SECOND
-
-    @property
     def duration(self) -> float:
         """Time from the first sample to the end of the last sample's period [s]."""
-        return float(self.time[-1]) + 1.0 / sampling_rate(self.stamp_ns)
+        span_ns = int(self.stamp_ns[-1] - self.stamp_ns[0])
+        return span_ns / NANOSECONDS_PER_SECOND + 1.0 / sampling_rate(self.stamp_ns)
 
 
 def sampling_rate(stamp_ns: Stamps) -> float:

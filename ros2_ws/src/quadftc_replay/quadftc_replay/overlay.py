@@ -11,18 +11,9 @@ from pathlib import Path
 
 from pydantic import BaseModel, ValidationError
 
-from quadftc_flight import fault_schedule
+from quadftc_flight import fault_schedule, scenario
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow
-from quadftc_flight.scenario import (
-    Fault,
-    Problem,
-    Scenario,
-    ScheduledFault,
-    Setting,
-    keys_of,
-    problems_of,
-    read_document,
-)
+from quadftc_flight.scenario import Fault, Problem, Scenario, ScheduledFault, Setting
 from quadftc_model.hints import nearest
 from quadftc_model.spec import parse_spec
 from quadftc_replay.imu_recording import Recording
@@ -62,7 +53,7 @@ class _FaultsFile(BaseModel):
 
 
 def _read_faults(file: Path) -> tuple[Fault, ...]:
-    document, known = read_document(file), keys_of(Scenario)
+    document, known = scenario.read_document(file), scenario.keys_of(Scenario)
     problems = [
         Problem((key,), f"unknown key{nearest(key, known)}; expected 'faults', as in a scenario file")
         for key in document.data
@@ -74,7 +65,7 @@ def _read_faults(file: Path) -> tuple[Fault, ...]:
     try:
         faults = _FaultsFile.model_validate(document.data, context=Setting(document)).faults
     except ValidationError as error:
-        raise document.error([*problems, *problems_of(error, lambda _: Scenario)]) from None
+        raise document.error([*problems, *scenario.problems_of(error, lambda _: Scenario)]) from None
     if problems:
         raise document.error(problems)
     return faults

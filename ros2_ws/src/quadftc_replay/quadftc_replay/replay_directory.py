@@ -15,26 +15,11 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_serializer
 
 from quadftc_bags.bag import Bag, BagError
+from quadftc_flight import run_directory
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, Time
 from quadftc_flight.flight import Flight, Reading, flight_from_bag, reading_from_bag
 from quadftc_flight.metrics import flight_metrics
-from quadftc_flight.run_directory import (
-    DESCRIPTION,
-    NO_OBSERVER,
-    NO_PARAMETERS,
-    PARAMETERS,
-    SUMMARY,
-    Parameters,
-    RecordedRun,
-    RunDirectory,
-    attached_text,
-    beside,
-    parse_parameters,
-    run_name,
-    topics_text,
-    versions_of,
-    without_messages,
-)
+from quadftc_flight.run_directory import DESCRIPTION, PARAMETERS, SUMMARY, RecordedRun, RunDirectory
 from quadftc_flight.scenario import Fault, Part
 from quadftc_flight.summary import compare_summaries, read_summary
 from quadftc_replay.imu_recording import sampling_rate
@@ -86,7 +71,7 @@ class RecordedReplay(RunDirectory):
     measured: Reading  # what the observer saw, overlaid faults included; a row for each of the flight
     corrected: Reading  # what it passed on
 
-    disturbance_observer: ClassVar[str] = NO_OBSERVER
+    disturbance_observer: ClassVar[str] = run_directory.NO_OBSERVER
     disturbances: ClassVar[tuple[Part, ...]] = ()  # none is known
 
     observer = label = property(attrgetter("origin.observer"))  # tells it from those that it is compared with
@@ -117,23 +102,28 @@ def replay_from_bag(bag: Bag) -> RecordedReplay:
     If it is none, or holds too little to be judged, BagError is raised; one line.
     """
     origin, faults = _read_origin(bag)
-    parameters = _read_parameters(bag)
-    if missing := without_messages(bag, NEEDED):
+    if (text := run_directory.attached_text(bag, PARAMETERS)) is None:
+        raise BagError(f"{bag.path}: a replay without {PARAMETERS} (attached to the bag, or beside it)")
+    try:
+        parameters = run_directory.parse_parameters(text)
+    except run_directory.NO_PARAMETERS:
+        raise BagError(f"{bag.path}: {PARAMETERS} makes no sense; expected a ROS parameter file") from None
+    if missing := run_directory.without_messages(bag, NEEDED):
         what = "cut short before its first estimate" if bag.truncated else "without its data"
-        there = f"topics with messages there: {topics_text(bag)}{bag.remedy}"
+        there = f"topics with messages there: {run_directory.topics_text(bag)}{bag.remedy}"
         raise BagError(f"{bag.path}: a replay {what}: missing messages on {', '.join(missing)}; {there}")
-    stored = read_summary(beside(bag.path, SUMMARY))
+    stored = read_summary(run_directory.beside(bag.path, SUMMARY))
     flight = flight_from_bag(bag)
     if len(flight) < MIN_SAMPLES:
         raise BagError(f"{bag.path}: a replay of {len(flight)} samples; expected at least {MIN_SAMPLES}")
     replay = RecordedReplay(
-        name=run_name(bag.path),
+        name=run_directory.run_name(bag.path),
         path=bag.path,
         bag=bag,
         parameters=parameters,
         flight=flight,
         summary=replay_summary(origin, parameters.get("fault_observer", {}), flight),
-        versions=versions_of(stored.data, bag),
+        versions=run_directory.versions_of(stored.data, bag),
         origin=origin,
         faults=faults,
         measured=reading_from_bag(bag, "imu/data", flight.stamp_ns),
@@ -179,7 +169,7 @@ def replay_metrics(
 
 def _read_origin(bag: Bag) -> tuple[ReplayOrigin, tuple[Fault, ...]]:
     """Read what was replayed, and build the overlaid faults."""
-    where, text = f"{bag.path}: {DESCRIPTION}", attached_text(bag, DESCRIPTION) or ""
+    where, text = f"{bag.path}: {DESCRIPTION}", run_directory.attached_text(bag, DESCRIPTION) or ""
     try:
         origin = ReplayOrigin.model_validate(yaml.safe_load(text))
         return origin, faults_from((), origin.faults)
@@ -193,15 +183,6 @@ def _read_origin(bag: Bag) -> tuple[ReplayOrigin, tuple[Fault, ...]]:
         raise BagError(f"{where}: {error}") from None
 
 
-def _read_parameters(bag: Bag) -> Parameters:
-    if (text := attached_text(bag, PARAMETERS)) is None:
-        raise BagError(f"{bag.path}: a replay without {PARAMETERS} (attached to the bag, or beside it)")
-    try:
-        return parse_parameters(text)
-    except NO_PARAMETERS:
-        raise BagError(f"{bag.path}: {PARAMETERS} makes no sense; expected a ROS parameter file") from None
-
-
 def _shortcomings(replay: RecordedReplay) -> Iterator[str]:
     """What the bag lacks."""
     whole = f"{replay.origin.duration:.1f} s"
@@ -210,5 +191,5 @@ def _shortcomings(replay: RecordedReplay) -> Iterator[str]:
         yield f"{replay.path}: cut short at {end}; read up to there{replay.bag.remedy}"
     elif replay.bag.truncated:
         yield f"{replay.path}: cut short behind the last sample; {whole} are there{replay.bag.remedy}"
-    if missing := without_messages(replay.bag, WANTED):
+    if missing := run_directory.without_messages(replay.bag, WANTED):
         yield f"{replay.path}: no message on {', '.join(missing)}; their figures are missing"

@@ -138,9 +138,8 @@ def _distribution(
             hovertemplate=f"{escape(side.name)}: %{{y:.1%}} at most %{{customdata}} {unit}<extra></extra>",
             **line_look(side.role, side.rank),
         )
-    caption = f"Share of the {thing}s whose {value} is at most so much. {note}"
-    spec = spec_of(drawing, f"ecdf-{key}")
-    yield Picture(f"ecdf-{key}", f"{value[0].upper()}{value[1:]}", caption, {"": spec})
+    caption, key = f"Share of the {thing}s whose {value} is at most so much. {note}", f"ecdf-{key}"
+    yield Picture(key, f"{value[0].upper()}{value[1:]}", caption, {"": spec_of(drawing, key)})
 
 
 def characteristics(results: Results) -> Iterator[Picture]:

@@ -72,7 +72,9 @@ def maps_of(results: Results) -> Maps | None:
     """Return the maps of a campaign; None if fewer than two values vary, or no cell has the metric."""
     campaign, frame = results.campaign, results.frame
     paths, metric = _mapped_paths(campaign), campaign.report.metric
-    columns, of_faults = _metric_columns(frame, metric), metric.startswith(FAULT)
+    wanted = [metric] if metric in frame.columns else [f"{metric}.{axis}" for axis in AXES]
+    columns = [name for name in wanted if name in frame.columns and frame.schema[name].is_numeric()]
+    of_faults = metric.startswith(FAULT)
     if len(paths) < 2 or not columns:
         return None
     both = campaign.vary[paths[0]], campaign.vary[paths[1]]
@@ -138,12 +140,6 @@ def _mapped_paths(campaign: Campaign) -> tuple[str, ...]:
     able = [path for path, drawn in campaign.vary.items() if drawn.size == 0]
     wanted = [path for path in campaign.report.map if path in able]
     return tuple(wanted if len(set(wanted)) == len(wanted) == 2 else able[:2])
-
-
-def _metric_columns(frame: pl.DataFrame, metric: str) -> list[str]:
-    """The column of a metric, or those of its axes; none: there are no such numbers."""
-    wanted = [metric] if metric in frame.columns else [f"{metric}.{axis}" for axis in AXES]
-    return [name for name in wanted if name in frame.columns and frame.schema[name].is_numeric()]
 
 
 def _spec(key: str, maps: Maps, variant: str) -> dict[str, Any]:

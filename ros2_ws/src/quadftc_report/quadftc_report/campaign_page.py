@@ -22,6 +22,7 @@ from quadftc_report.page import render_template
 from quadftc_report.wording import NOTHING, counted, duration, period, plain, short
 
 LISTED = 5  # worst flights of each variant
+_Worst = tuple[Mapping[str, Any], str, float]  # row of the table, where, size [deg]; infinite: not finite
 _LONG_NUMBER = re.compile(r"[-+]?\d+\.\d{4,}(?:[eE][-+]?\d+)?")
 
 
@@ -109,32 +110,24 @@ def _tell(side: Side) -> str:
     return f"'{side.name}' ({side.parts}): {'; '.join(said)}."
 
 
-class _Worst(NamedTuple):
-    """One of the worst flights of a variant."""
-
-    row: Mapping[str, Any]  # of the table
-    where: str
-    value: float  # [deg]; infinite: it did not stay finite
-
-
 def _worst_flights(side: Side) -> list[_Worst]:
     """The flights with the largest tracking errors."""
     found: list[_Worst] = []
     for row, value in _largest(side.flights, side.worst_tracking):
         sizes = ((row.get(f"tracking_rmse_deg.{axis}"), axis) for axis in AXES)
         there = [each for each in sizes if each[0] is not None and np.isfinite(value)]
-        found.append(_Worst(row, max(there, key=itemgetter(0), default=(0.0, NOTHING))[1], value))
+        found.append((row, max(there, key=itemgetter(0), default=(0.0, NOTHING))[1], value))
     return found
 
 
 def _worst_faults(side: Side) -> list[_Worst]:
     """The faults with the worst estimates, but for flights that did not stay finite."""
     errors = side.estimate_errors if side.has_observer else np.zeros(0)
-    found: list[_Worst] = []
-    for row, value in _largest(side.faults, np.where(np.isinf(errors), np.nan, errors)):
-        when = period(row["fault.start"], row["fault.stop"])
-        found.append(_Worst(row, f"{row['fault.kind']} on {row['fault.axis']}, {when}", value))
-    return found
+    worst = _largest(side.faults, np.where(np.isinf(errors), np.nan, errors))
+    where = "{0[fault.kind]} on {0[fault.axis]}, {1}"
+    return [
+        (row, where.format(row, period(row["fault.start"], row["fault.stop"])), value) for row, value in worst
+    ]
 
 
 def _largest(frame: pl.DataFrame, values: Floats) -> list[tuple[Mapping[str, Any], float]]:

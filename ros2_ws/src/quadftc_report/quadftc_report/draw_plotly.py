@@ -42,19 +42,15 @@ def spec_of(drawing: go.Figure, key: str) -> dict[str, Any]:
 
 def empty_figure(height: float, top: float, **layout: Any) -> go.Figure:
     """Return a figure without lines; its width is that of its place."""
-    legend = {"orientation": "h", "x": 0.0, "xanchor": "left", "y": 1.02, "yanchor": "bottom"}
-    drawing = go.Figure(
-        layout={
-            "template": "plotly_white",
-            "height": height,
-            "margin": {"l": 72, "r": 16, "t": top, "b": 48},
-            "font": {"family": FONT, "size": 13},
-            "hoverlabel": {"namelength": -1},
-            "dragmode": "zoom",
-            "legend": {**legend, "bgcolor": "rgba(0,0,0,0)"},
-        }
-    )
-    return drawing.update_layout(layout)
+    place = {"orientation": "h", "x": 0.0, "xanchor": "left", "y": 1.02, "yanchor": "bottom"}
+    look = {
+        "template": "plotly_white",
+        "margin": {"l": 72, "r": 16, "t": top, "b": 48},
+        "font": {"family": FONT, "size": 13},
+        "hoverlabel": {"namelength": -1},
+        "legend": {**place, "bgcolor": "rgba(0,0,0,0)"},
+    }
+    return go.Figure(layout={**look, "height": height, "dragmode": "zoom"}).update_layout(layout)
 
 
 def axis(title: str, **others: Any) -> dict[str, Any]:
@@ -81,8 +77,12 @@ def plotly_figure(figure: Figure) -> go.Figure:
     top = total
     for number, (panel, height) in enumerate(zip(figure.panels, heights, strict=True), 1):
         suffix = str(number) if number > 1 else ""
-        domain = [max((top - height) / total, 0.0), min(top / total, 1.0)]
-        drawing.update_layout({f"yaxis{suffix}": _y_axis(panel, domain)})
+        look: dict[str, Any] = {"domain": [max((top - height) / total, 0.0), min(top / total, 1.0)]}
+        if panel.ticks:
+            values, texts = zip(*panel.ticks, strict=True)
+            look |= {"tickvals": values, "ticktext": texts, "range": list(panel.tick_span)}
+        y_axis = axis(panel.axis_label(), anchor="x", nticks=7, minexponent=5, **look)
+        drawing.update_layout({f"yaxis{suffix}": y_axis})
         for item in _traces(panel, figure.span):
             drawing.add_trace(go.Scatter(**item, yaxis=f"y{suffix}"))
         for item in _shapes(panel):
@@ -95,14 +95,6 @@ def plotly_figure(figure: Figure) -> go.Figure:
         item.update(legendgroup=item.name, showlegend=item.name not in shown)
         shown.add(item.name)
     return drawing
-
-
-def _y_axis(panel: Panel, domain: list[float]) -> dict[str, Any]:
-    words = {}
-    if panel.ticks:
-        values, texts = zip(*panel.ticks, strict=True)
-        words = {"tickvals": values, "ticktext": texts, "range": list(panel.tick_span)}
-    return axis(panel.axis_label(), domain=domain, anchor="x", nticks=7, minexponent=5, **words)
 
 
 def _traces(panel: Panel, span: tuple[float, float]) -> Iterator[dict[str, Any]]:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -18,7 +17,7 @@ from quadftc_campaign.errors import CampaignError
 from quadftc_cli.commands import GOOD, INTERRUPTED
 from quadftc_cli.commands.options import SchedulerOption, WorkersOption, workers_here
 from quadftc_cli.commands.run import fly_jobs
-from quadftc_cli.screen import Bars, Update, console
+from quadftc_cli.screen import Bars, console
 from quadftc_flight.runs import RunOptions
 from quadftc_model.samples import AXES
 
@@ -79,10 +78,16 @@ def _fly_all(
     where = scheduler or f"{min(cores, max(extent.missing, 1))} of {len(os.sched_getaffinity(0))} cores here"
     extents = f"{loaded.flights} flights x {len(loaded.variants)} variants, {loaded.precision}, on {where}"
     screen.print(f"{loaded.name}: {extents}; {extent.missing} of {extent.chunks} chunks to fly")
-    started = time.monotonic()
+    started, steps = time.monotonic(), list[int]()
+
+    def advance(samples: int) -> None:
+        steps.append(samples)
+        rate = sum(steps) / (time.monotonic() - started)
+        update(sum(steps) / max(extent.samples, 1), f"{rate / 1e6:.2f} M steps/s")
+
     try:
         with Bars(screen) as bars:
-            advance = _advance(bars.add("flying"), extent.samples, started)
+            update = bars.add("flying")
             flown.fly(scheduler, cores, advance, lambda devices: screen.print(f"computed on {devices}"))
     except KeyboardInterrupt:
         screen.print(f"interrupted; --resume goes on with what is in {directory}")
@@ -97,19 +102,6 @@ def _fly_all(
     screen.print(f"{frame.height} rows: {directory / 'flights.parquet'}")
     screen.print(f"numbers: {directory / 'summary.json'}; report: {report}")
     return GOOD
-
-
-def _advance(update: Update, total: int, started: float) -> Callable[[int], None]:
-    """Return what counts samples flown and shows their share and rate."""
-    flown = 0
-
-    def advance(samples: int) -> None:
-        nonlocal flown
-        flown += samples
-        rate = flown / (time.monotonic() - started)
-        update(flown / max(total, 1), f"{rate / 1e6:.2f} M steps/s")
-
-    return advance
 
 
 def _table(summary: dict[str, Any]) -> Table:
