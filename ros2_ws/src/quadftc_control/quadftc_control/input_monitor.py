@@ -16,8 +16,8 @@ import enum
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadftc_model.arrays import Vector
 from quadftc_model.parameters import Checked, parameter
 from quadftc_model.stepper import seconds
 
@@ -76,7 +76,7 @@ class HeldTorque:
         self.mean = np.zeros(3)  # [N m]
         self._stamp_ns = 0
 
-    def add(self, stamp_ns: int, torque: NDArray[np.float64]) -> None:
+    def add(self, stamp_ns: int, torque: Vector) -> None:
         """Note the torque (3,) [N m] of a sample [ns]; what is older than a gap does not count."""
         elapsed = seconds(stamp_ns - self._stamp_ns)
         self._stamp_ns = stamp_ns
@@ -92,7 +92,10 @@ class InputMonitor:
         self.undiagnosed = False  # flies on imu/data
         self._raw_ns = 0  # stamp of the newest imu/data
         self._uncorrected, self._good, self._good_since_ns = 0, 0, 0
-        self.estimate = 0, np.zeros(3)  # stamp [ns] of the last disturbance estimate, and that [rad/s²]
+        self.estimate: tuple[int, Vector] = (
+            0,
+            np.zeros(3),
+        )  # the last of the disturbance: stamp [ns], [rad/s²]
         self._estimated_ns: int | None = None  # stamp of the last call of `disturbance_at`
         self._share, self._unestimated, self._fresh = 0.0, True, 0
         self._back, self._back_ns = 0, 0
@@ -127,7 +130,7 @@ class InputMonitor:
             self.undiagnosed = False
         return not self.undiagnosed
 
-    def disturbance_at(self, stamp_ns: int) -> tuple[NDArray[np.float64], float, bool]:
+    def disturbance_at(self, stamp_ns: int) -> tuple[Vector, float, bool]:
         """Return the estimate to use for the sample of a stamp [ns], its share, and whether it is trusted.
 
         The share is 1 in flight and 0 without estimate; it fades when the estimate gets old, and comes back

@@ -111,10 +111,10 @@ def vehicle_names() -> tuple[str, ...]:
     return tuple(sorted(own | _added().names))
 
 
-def _added(**selection: str) -> EntryPoints:
+def _added() -> EntryPoints:
     from importlib.metadata import entry_points  # takes 50 ms
 
-    return entry_points(group=_GROUP, **selection)
+    return entry_points(group=_GROUP)
 
 
 def load_vehicle(name: str) -> Vehicle:
@@ -132,7 +132,7 @@ def _path_of(name: str) -> Path:
     path = _DIRECTORY / f"{name}.toml"
     if path.is_file():
         return path
-    for entry in _added(name=name):
+    for entry in _added().select(name=name):
         return Path(str(entry.load()))
     raise ValueError(
         f"no vehicle '{name}'; there are: {', '.join(vehicle_names())}; or give the path of a .toml file"

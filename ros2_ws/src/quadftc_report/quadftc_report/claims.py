@@ -232,5 +232,5 @@ JUDGES: dict[str, Callable[[Evidence, Among], Finding]] = {
 }
 _SHARES = {"tracking": TRACKING_DEG, "remainder": 100.0 * REMAINDER}
 _TEXTS = (DATA / "claims.yaml").read_text("utf-8")
-_TEXTS = _TEXTS.format(settling=SETTLING_TIME, settled=SETTLED_ERROR_DEG, **_SHARES)
-CLAIMS = tuple(Claim(key, **texts) for key, texts in yaml.safe_load(_TEXTS).items())
+_FILLED = _TEXTS.format(settling=SETTLING_TIME, settled=SETTLED_ERROR_DEG, **_SHARES)
+CLAIMS = tuple(Claim(key, **texts) for key, texts in yaml.safe_load(_FILLED).items())

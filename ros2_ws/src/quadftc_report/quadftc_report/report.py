@@ -95,8 +95,8 @@ def write_report(
             made.replace(out)
     except OSError as error:
         raise ReportError(f"{out}: cannot be written: {error.strerror or error}") from None
-    names = (tuple(run.name for run in recorded) for recorded in (runs, replays))
-    return ReportFiles(out, folder if with_figures else None, *names, warnings)
+    flown, replayed = (tuple(run.name for run in recorded) for recorded in (runs, replays))
+    return ReportFiles(out, folder if with_figures else None, flown, replayed, warnings)
 
 
 def write_campaign_report(

@@ -20,8 +20,10 @@ CHANNEL_UNITS: dict[str, dict[str, str]] = {
     "accelerometer": {"channel": "m/s^2", "channel_rate": "m/s^3"},
     "imu": {},
 }
-TRUTH = {"attitude": "fault/injected"}  # channel -> topic of its true fault
-TRUTH |= {channel: f"fault/injected/{channel}" for channel in ("gyro", "accelerometer")}
+TRUTH = {  # channel -> topic of its true fault
+    "attitude": "fault/injected",
+    **{channel: f"fault/injected/{channel}" for channel in ("gyro", "accelerometer")},
+}
 AXES = {"roll": 0, "pitch": 1, "yaw": 2, "x": 0, "y": 1, "z": 2}
 RESERVED = ("channel", "axes", "axis", "start", "stop", "duration")
 

@@ -74,11 +74,11 @@ def update_tally(tally: Tally | None, row: Row, schedule: Schedule) -> Tally:
         return _tally(row, schedule, {"torque": xp.zeros_like(row.angles), "declared": no, **marks})
     new = _tally(row, schedule, tally.last)
     operations = (xp.add, xp.logical_or, xp.maximum, xp.minimum)
-    merged = (
+    sums, ever, largest, smallest = (
         {name: operation(before[name], now[name]) for name in before}
         for operation, before, now in zip(operations, tally[:-1], new[:-1], strict=True)
     )
-    return Tally(*merged, new.last)
+    return Tally(sums, ever, largest, smallest, new.last)
 
 
 def _tally(row: Row, schedule: Schedule, last: Arrays) -> Tally:

@@ -40,7 +40,10 @@ class Gains(NamedTuple):
 
     def rounded(self) -> Gains:
         """Round to a few significant digits, as people write them."""
-        short = np.vectorize(lambda number: float(f"{number:.{DIGITS}g}"), otypes=[np.float64])
+
+        def short(numbers: Floats) -> Floats:
+            return np.array([float(f"{each:.{DIGITS}g}") for each in numbers.flat]).reshape(numbers.shape)
+
         return self._replace(values=tuple(map(short, self.values)))
 
     def plain(self) -> dict[str, float | list[float]]:
