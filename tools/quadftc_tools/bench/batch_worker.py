@@ -73,7 +73,7 @@ def _engine(job: Job, scenario: Scenario, scheme: str) -> Subject:
     def run() -> Run:
         before, samples = drawing[0], list[int]()
         outcomes = engine.fly(parts, [scenario.fault_events] * len(parts), samples.append)
-        if any(outcome.marks["not_finite"] for outcome in outcomes):
+        if any(outcome.marks["unusable"] for outcome in outcomes):
             raise ValueError("a flight has non-finite values")
         return Run(sum(samples), drawing[0] - before)
 

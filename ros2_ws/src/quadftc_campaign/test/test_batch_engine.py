@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from quadftc_campaign.batch.engine import Engine
+from quadftc_campaign.batch.loop_step import Row
 from quadftc_campaign.batch.parts import structure_of, with_common_faults
 from quadftc_campaign.batch.staged_step import StagedStep
-from quadftc_campaign.batch.tally import fault_records, flight_record
+from quadftc_campaign.batch.tally import Schedule, fault_records, flight_record, schedule_of, update_tally
 from quadftc_campaign.flights import parts_of
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
@@ -25,7 +26,7 @@ from quadftc_flight.scenario import (
     parse_scenario,
     with_seed,
 )
-from quadftc_model.samples import AXES, STARTING
+from quadftc_model.samples import AXES, STARTING, ControllerOutput, FaultEstimate
 from quadftc_model.units import quantity
 from quadftc_sim.assembly import EPOCH_NS
 from quadftc_sim.fault import faults as fault_kinds
@@ -358,6 +359,17 @@ def test_single_precision_is_near_double(flown_alone):
         assert one[name] != other[name]
     with pytest.raises(ValueError, match="this process computes in float64"):
         Engine(float32=True)
+
+
+@pytest.mark.parametrize(("size", "usable"), [(0.9e6, True), (1.1e6, False), (np.nan, False)])
+def test_a_flight_with_an_unusable_estimate_is_marked(size, usable):
+    """There the closed loop would restart the law."""
+    zero, no = np.zeros(3), np.zeros(3, dtype=bool)
+    estimate = FaultEstimate(zero, zero, np.zeros(3), zero, None)
+    output = ControllerOutput(zero, zero, zero, no)
+    row = Row(0.0, np.True_, zero, zero, zero, zero, zero, estimate, np.array([0.0, size, 0.0]), output)
+    schedule = Schedule(*(times[..., 0] for times in schedule_of([[]])))
+    assert update_tally(None, row, schedule).ever["unusable"] == (not usable)
 
 
 def test_a_part_that_asks_for_its_numbers_is_refused_by_name():

@@ -20,7 +20,7 @@ from quadftc_flight.diagnosis_metrics.columns import number
 from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_model.arrays import Array, namespace
 from quadftc_model.rotations import wrap
-from quadftc_model.samples import AXES, FAULTY, HEALTHY, RECOVERING, SUSPECT
+from quadftc_model.samples import AXES, FAULTY, HEALTHY, RECOVERING, SUSPECT, UNUSABLE
 
 Floats = NDArray[np.float64]
 Arrays = dict[str, Array]  # by name, each (3,); those called event_ of each fault of an axis, (events, 3)
@@ -116,9 +116,9 @@ def _tally(row: Row, schedule: Schedule, last: Arrays) -> Tally:
         "event_delivered": 1.0 * event,
         "event_declared": 1.0 * (event & declared),
     }
-    magnitude = (xp.abs(row.angles) + size + xp.abs(torque)).sum(axis=-1)
+    magnitude = (xp.abs(row.angles) + size + xp.abs(row.disturbance_estimate) + xp.abs(torque)).sum(axis=-1)
     ever = {
-        "not_finite": there & ~xp.isfinite(magnitude),
+        "unusable": there & ~(magnitude < UNUSABLE),  # the closed loop restarts a law then
         "event_sized": event_known & (row.fault != 0.0),  # the fault changes the reading
     }
     largest = {
@@ -189,7 +189,7 @@ def flight_record(outcome: Outcome) -> dict[str, Any]:
         "false_alarm_time_s": sums["alarmed"] * outcome.period,
         "healthy_estimate_max_deg": np.degrees(_if(sums["healthy"], marks["score"])),
     }
-    record: dict[str, Any] = {"finite": not marks["not_finite"]}
+    record: dict[str, Any] = {"finite": not marks["unusable"]}
     for name, values in of_axes.items():
         if np.ndim(values):
             record |= {f"{name}.{axis}": number(value) for axis, value in zip(AXES, values, strict=True)}
