@@ -21,6 +21,7 @@ from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.scenario import load_scenario
+from quadftc_flight.summary import refuse_wrong_checks
 from quadftc_ros.executor import run_node
 from quadftc_sim.assembly import sample_count
 from quadftc_sim.fault_injector_node import FaultInjectorNode
@@ -93,6 +94,7 @@ def _program(action: Callable[[Path], None]) -> Program:
 def _fly(path: Path) -> None:
     """Fly the beginning of every scheme; values must be finite until the vehicle diverges."""
     scenario = load_scenario(path)
+    refuse_wrong_checks(scenario)
     for scheme in scenario.schemes:
         count = min(FLOWN, sample_count(scenario.duration, scenario.rate))
         flight = fly(scenario.model_copy(update={"duration": count / scenario.rate}), scheme)

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any, NamedTuple, cast
 
 from quadftc_flight.flight import Flight
-from quadftc_flight.metrics import entries, flight_metrics, look_up
+from quadftc_flight.metrics import entries, flight_metrics, known_metrics, look_up
 from quadftc_flight.scenario import ROLES, Check, Scenario, Scheme
+from quadftc_flight.scenario.document import Problem
 from quadftc_model.samples import AXES
 
 ROUNDING = 1e-6  # relative; the same metrics on another processor differ by less
@@ -35,6 +36,12 @@ class StoredSummary(NamedTuple):
 
     data: dict[str, Any]  # empty if there is none
     problem: str  # what is wrong with the file, if anything
+
+
+def refuse_wrong_checks(scenario: Scenario) -> None:
+    """Raise a ScenarioError if there are checks on metrics that no flight of a scenario has."""
+    if problems := list(_wrong_checks(scenario)):
+        raise scenario.document.error(problems)
 
 
 def summary(flight: Flight, scenario: Scenario, scheme: Scheme, wall_time: float | None) -> dict[str, Any]:
@@ -63,6 +70,27 @@ def partial_summary(
     unchecked = scheme.model_copy(update={"checks": ()})
     origin = {key: stored[key] for key in ("mode", "graph") if isinstance(stored.get(key), str)}
     return {**origin, **summary(flight, scenario, unchecked, None), "passed": None}
+
+
+def _wrong_checks(scenario: Scenario) -> Iterator[Problem]:
+    """Find the checks on metrics that no flight of this scenario has."""
+    checks = [
+        (("schemes", name, "checks", index), check)
+        for name, scheme in scenario.schemes.items()
+        for index, check in enumerate(scheme.checks)
+    ]
+    metrics = known_metrics(len(scenario.fault_windows), scenario.fault_events) if checks else {}
+    for path, check in checks:
+        try:
+            found = look_up(metrics, check.metric)
+        except KeyError as error:
+            yield Problem((*path, "metric"), str(error.args[0]))
+            continue
+        has_axes = isinstance(found, dict) and set(cast("dict[str, Any]", found)) == set(AXES)
+        if check.axis is not None and not has_axes:
+            yield Problem((*path, "axis"), f"'{check.metric}' has no axes")
+        elif not has_axes and found is not None and not isinstance(found, (int, float)):
+            yield Problem((*path, "metric"), f"'{check.metric}' is no number")
 
 
 def check_results(metrics: Mapping[str, Any], checks: Iterable[Check]) -> list[CheckResult]:

@@ -24,6 +24,7 @@ from quadftc_flight.scenario import (
     with_rate,
     with_seed,
 )
+from quadftc_flight.summary import refuse_wrong_checks
 from quadftc_model.assembly import node_values
 from quadftc_sim.assembly import injector_from, simulator_from
 from quadftc_sim.fault import faults
@@ -71,7 +72,7 @@ schemes:
 
 def refusal(text: str, overrides=()) -> list[str]:
     with pytest.raises(ScenarioError) as caught:
-        parse_scenario(text, "tried.yaml", overrides)
+        refuse_wrong_checks(parse_scenario(text, "tried.yaml", overrides))
     return str(caught.value).splitlines()
 
 

@@ -22,6 +22,7 @@ from quadftc_flight.runs import RunError, RunOptions, prepare, run_name
 from quadftc_flight.runs import run as run_scenario
 from quadftc_flight.scenario import Scenario, Scheme, find_scenario, load_scenario, with_components
 from quadftc_flight.side_by_side import run_side_by_side
+from quadftc_flight.summary import refuse_wrong_checks
 from quadftc_model.samples import AXES
 from quadftc_ros.executor import StopSignals
 from quadftc_ros.scheduling import Scheduling
@@ -82,6 +83,7 @@ def run(
     flights: list[tuple[Scenario, Scheme]] = []
     for name in scenarios:
         loaded = with_components(load_scenario(find_scenario(name), overrides, gains), **parts)
+        refuse_wrong_checks(loaded)
         chosen = list(loaded.schemes) if scheme == "all" else [loaded.scheme(scheme or None).name]
         flights += [(loaded, loaded.scheme(each)) for each in chosen]
     names = [run_name(*job) for job in flights]

@@ -20,13 +20,11 @@ from quadftc_control.reference import references
 from quadftc_fdi.disturbance_observer import disturbance_observers
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, fault_events, fault_windows
-from quadftc_flight.metrics import known_metrics, look_up
 from quadftc_flight.scenario import components
 from quadftc_flight.scenario.components import Fault, Part, Setting, part_builder, shown
 from quadftc_flight.scenario.document import Document, Keys, Problem, ScenarioError
 from quadftc_model.assembly import NodeValue, node_values
 from quadftc_model.hints import nearest
-from quadftc_model.samples import AXES
 from quadftc_model.units import quantity
 from quadftc_sim.disturbance import disturbances
 from quadftc_sim.plant import Plant
@@ -178,8 +176,7 @@ def build_scenario(document: Document) -> Scenario:
         models = {2: Scheme, 4: Check}  # of a scheme, and of a check in it
         problems = problems_of(error, lambda path: models.get(len(path), Scenario))
         raise document.error(problems) from None
-    problems = [*_unstable_lag(scenario), *_wrong_checks(scenario)]
-    if problems:
+    if problems := list(_unstable_lag(scenario)):
         raise document.error(problems)
     return scenario
 
@@ -192,27 +189,6 @@ def _unstable_lag(scenario: Scenario) -> Iterator[Problem]:
     if plant.motor_lag and plant.substeps < needed:
         lag = f"{steps * rate:.4g} rad/s of motor lag at {rate:g} Hz"
         yield Problem(("plant", "substeps"), f"{plant.substeps}: {lag} need {needed} at least")
-
-
-def _wrong_checks(scenario: Scenario) -> Iterator[Problem]:
-    """Find the checks on metrics that no flight of this scenario has."""
-    checks = [
-        (("schemes", name, "checks", index), check)
-        for name, scheme in scenario.schemes.items()
-        for index, check in enumerate(scheme.checks)
-    ]
-    metrics = known_metrics(len(scenario.fault_windows), scenario.fault_events) if checks else {}
-    for path, check in checks:
-        try:
-            found = look_up(metrics, check.metric)
-        except KeyError as error:
-            yield Problem((*path, "metric"), str(error.args[0]))
-            continue
-        has_axes = isinstance(found, dict) and set(cast("dict[str, Any]", found)) == set(AXES)
-        if check.axis is not None and not has_axes:
-            yield Problem((*path, "axis"), f"'{check.metric}' has no axes")
-        elif not has_axes and found is not None and not isinstance(found, (int, float)):
-            yield Problem((*path, "metric"), f"'{check.metric}' is no number")
 
 
 def keys_of(model: type[BaseModel]) -> list[str]:
