@@ -15,8 +15,8 @@ from quadftc_flight.scenario import (
     load_scenario,
     node_parameters,
     parse_scenario,
+    with_components,
     with_duration,
-    with_observer,
     with_seed,
 )
 from quadftc_flight.summary import summary
@@ -82,7 +82,8 @@ def test_supervised_diagnosis_costs_nothing_without_faults():
         error = (flight.angles - flight.reference)[flight.time > 15.0]
         return np.sqrt(np.nanmean(error**2, axis=0))
 
-    assert np.all(tracking(scenario) < 1.05 * tracking(with_observer(scenario, "none", "supervised")))
+    without = with_components(scenario, "supervised", observer="none")
+    assert np.all(tracking(scenario) < 1.05 * tracking(without))
 
 
 @pytest.mark.parametrize("name", PAPER)

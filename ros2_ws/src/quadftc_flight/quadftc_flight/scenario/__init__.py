@@ -84,11 +84,6 @@ def with_components(scenario: Scenario, scheme: str | None = None, **kinds: str)
     return scenario
 
 
-def with_observer(scenario: Scenario, kind: str, scheme: str | None = None) -> Scenario:
-    """Return the scenario with another fault observer; see `with_components`."""
-    return with_components(scenario, scheme, observer=kind)
-
-
 def with_duration(scenario: Scenario, duration: float) -> Scenario:
     """Return the beginning of a scenario, up to ``duration`` [s]: as the whole one flies it.
 
