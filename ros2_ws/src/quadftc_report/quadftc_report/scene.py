@@ -72,9 +72,8 @@ class Scene(Generic[Run_co]):
         first = self.runs[0]  # faults and disturbances are the same in all
         shown = tuple(_split_at_half_turns(trace, unit) for trace in traces if known(trace.y))
         windows, moments = fault_shades(first, axis, self.end), disturbance_marks(first, axis, self.end)
-        label = f"{AXES[axis]} {quantity}".strip()
-        others = {"title": AXES[axis], **others}
-        return Panel(traces=shown, shades=windows, marks=moments, y_label=label, unit=unit, **others)
+        others = {"title": AXES[axis], "y_label": f"{AXES[axis]} {quantity}".strip(), **others}
+        return Panel(traces=shown, shades=windows, marks=moments, unit=unit, **others)
 
     def figure(self, kind: str, title: str, caption: str, panels: Iterable[Panel]) -> Figure:
         """A figure of those panels that show anything; its caption names the runs that end early."""
