@@ -90,7 +90,7 @@ def test_the_search_stays_where_the_theory_holds(tmp_path):
         found.slopes[:] = 1.0
         return found
 
-    search, _ = searched(campaign, downhill, steps=60, rate=0.2)
+    search, _ = searched(campaign, downhill, steps=15, rate=0.5)
     assert not search.failing
     scheme = campaign.variants[0].scheme
     assert not search._failing(search.result)

@@ -31,7 +31,7 @@ CHECKED = {
     **{(name, "proposed"): None for name in PAPER},
     ("paper_faults", "conventional"): None,
     ("mems_catalogue", "supervised"): None,
-    ("mems_varying_disturbance", "supervised"): None,
+    ("mems_varying_disturbance", "supervised"): 45.0,
     ("mems_faults", "supervised"): 45.0,
     ("mems_constant_disturbance", "supervised"): 45.0,
 }
