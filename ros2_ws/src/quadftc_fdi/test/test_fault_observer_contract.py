@@ -185,6 +185,7 @@ def test_parameter_out_of_bounds_is_refused_by_name(name):
                 dataclasses.replace(observer(name), **{spec.name: spec.low - 1.0})
 
 
+@pytest.mark.slow
 @EVERY_OBSERVER
 def test_jax_gives_the_same_numbers(name):
     """One law, two array libraries: compiled, and with the state carried by its loop."""

@@ -16,8 +16,9 @@ from quadftc_flight.diagnosis_metrics.columns import consistency_band, independe
 from quadftc_flight.diagnosis_metrics.fault_statistics import show_row
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, events_of_windows
 from quadftc_flight.flight import NO_STATE, VECTORS, Flight, unknown_flight
-from quadftc_flight.metrics import flight_metrics, known_metrics, look_up
+from quadftc_flight.metrics import flight_metrics, known_metrics
 from quadftc_flight.scenario import ScenarioError, parse_scenario
+from quadftc_flight.summary import refuse_wrong_checks
 from quadftc_model.samples import AXES, FAULTY, HEALTHY, RECOVERING, STARTING, SUSPECT
 
 DEG = math.pi / 180.0
@@ -358,15 +359,14 @@ def test_scheduled_faults_are_events_in_the_words_of_the_field():
     ["diagnosis.delay_max_s.ramp", "diagnosis.false_alarm_share", "diagnosis.events.3.recovery_delay_s"],
 )
 def test_check_can_name_metrics_of_diagnosis(metric):
-    scenario = parse_scenario(SCENARIO.replace("METRIC", metric))
-    look_up(known_metrics(0, scenario.fault_events), metric)
+    refuse_wrong_checks(parse_scenario(SCENARIO.replace("METRIC", metric)))
 
 
 def test_check_on_a_kind_of_fault_that_is_not_scheduled_is_refused():
     with pytest.raises(
         ScenarioError, match="no 'spikes'; there is: all, step\\+sine, step\\+noise, ramp, stuck"
     ):
-        parse_scenario(SCENARIO.replace("METRIC", "diagnosis.delay_max_s.spikes"))
+        refuse_wrong_checks(parse_scenario(SCENARIO.replace("METRIC", "diagnosis.delay_max_s.spikes")))
 
 
 def two_flights() -> list[dict[str, Any]]:
