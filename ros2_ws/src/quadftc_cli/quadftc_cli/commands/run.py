@@ -83,7 +83,6 @@ def run(
     flights: list[tuple[Scenario, Scheme]] = []
     for name in scenarios:
         loaded = with_components(load_scenario(find_scenario(name), overrides, gains), **parts)
-        refuse_wrong_checks(loaded)
         chosen = list(loaded.schemes) if scheme == "all" else [loaded.scheme(scheme or None).name]
         flights += [(loaded, loaded.scheme(each)) for each in chosen]
     names = [run_name(*job) for job in flights]
@@ -96,6 +95,8 @@ def run(
 
 def fly_jobs(jobs: list[tuple[Scenario, Scheme]], out: Path, how: RunOptions, workers: int = 1) -> int:
     """Fly scenarios with their schemes, show what came out, and return the exit code."""
+    for scenario, _ in jobs:
+        refuse_wrong_checks(scenario)
     names, screen = [run_name(*job) for job in jobs], console()
     prepare(out, names, how.force)
     with StopSignals() as stop, Bars(screen, still=how.mode == "realtime") as bars:
