@@ -5,8 +5,8 @@
 leaves it to XLA where intermediate results are kept. XLA's compiler for CPUs fuses a sum into everything
 that uses it, and computes it again for each use. Here the flights are last, and the step is cut into
 functions that the compiler must not merge (`quadftc_campaign.batch.stages`). The numbers are those of
-``vmap`` up to rounding. With `supervised` this is 7.7 times as fast, with `proposed` 1.8 times: 128 and 256
-flights of `mems_faults`, double precision, by ``quadftc bench batch``.
+``vmap`` up to rounding. With `supervised` this is 4 to 8 times as fast, depending on the machine; with the
+scheme `proposed` between no gain and 1.8 times (``quadftc bench batch``, docs/performance.md).
 """
 
 from __future__ import annotations
