@@ -92,10 +92,8 @@ class InputMonitor:
         self.undiagnosed = False  # flies on imu/data
         self._raw_ns = 0  # stamp of the newest imu/data
         self._uncorrected, self._good, self._good_since_ns = 0, 0, 0
-        self.estimate: tuple[int, Vector] = (
-            0,
-            np.zeros(3),
-        )  # the last of the disturbance: stamp [ns], [rad/s²]
+        # the last disturbance estimate: stamp [ns], and value [rad/s²]
+        self.estimate: tuple[int, Vector] = (0, np.zeros(3))
         self._estimated_ns: int | None = None  # stamp of the last call of `disturbance_at`
         self._share, self._unestimated, self._fresh = 0.0, True, 0
         self._back, self._back_ns = 0, 0

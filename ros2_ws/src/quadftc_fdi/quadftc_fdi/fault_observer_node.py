@@ -72,10 +72,8 @@ class FaultObserverNode(GraphNode):
             return
         status = self._kept["fault"]
         fault, std_dev = array_of(status.estimate), array_of(status.std_dev)
-        faulty, onset_ns = (
-            np.isin(status.state, ALARMS),
-            [stamp_of(Header(stamp=time)) for time in status.onset],
-        )
+        faulty = np.isin(status.state, ALARMS)
+        onset_ns = [stamp_of(Header(stamp=time)) for time in status.onset]
         last = LastDiagnosis(fault, std_dev, faulty, self._kept["gyro"], onset_ns)
         self._diagnosis.offer(stamp_ns, last)
 

@@ -18,6 +18,7 @@ from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, Scheme
 from quadftc_model.rotations import body_rates, quaternion_from_euler
 from quadftc_model.samples import AttitudeReference, ImuSample
+from quadftc_model.stepper import seconds
 from quadftc_sim.assembly import period_ns, sample_count
 from quadftc_sim.injector import FaultInjector
 from quadftc_theory.conditions import Bound, Circumstances, Condition, Floats, Series, Trace, judge
@@ -100,7 +101,7 @@ def _check(scenario: Scenario, scheme: Scheme, given: Circumstances, output: str
 
 def circumstances(scenario: Scenario, scheme: Scheme) -> Circumstances:
     """Bounds from the scenario: its faults, disturbances and sensors; motion as on its reference."""
-    sensor, dt = scenario.sensor, period_ns(scenario.rate) / 1e9
+    sensor, dt = scenario.sensor, seconds(period_ns(scenario.rate))
     time, motion = _motion(scenario, scenario.rate)
     rates: Floats = body_rates(motion.angles, motion.rates)
     disturbance = _disturbance(scenario, time, rates)
@@ -162,7 +163,7 @@ def circumstances_of_run(run: RecordedRun, trace: Trace) -> Circumstances:
 def _motion(scenario: Scenario, rate: float) -> tuple[Floats, AttitudeReference]:
     """Times (n,) [s] at a rate [Hz], and the reference there, (n, 3) each."""
     count = sample_count(scenario.duration, rate)
-    time = period_ns(rate) / 1e9 * np.arange(count, dtype=np.float64)
+    time = seconds(period_ns(rate)) * np.arange(count, dtype=np.float64)
     found = combined([part.law for part in scenario.references], time[:, None])
     return time, AttitudeReference(*(np.broadcast_to(each, (count, 3)) for each in found))
 
