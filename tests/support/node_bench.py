@@ -6,6 +6,7 @@ Nothing here measures time or sleeps; what does not happen within `PATIENCE` is 
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
@@ -72,7 +73,11 @@ class NodeBench:
         """Start a node with parameters."""
         given = {"mode": self.mode, **parameters}
         overrides = [Parameter(name, value=value) for name, value in given.items()]
-        node = node_class(context=self.context, namespace=self._namespace, parameter_overrides=overrides)  # type: ignore[call-arg]
+        try:
+            node = node_class(context=self.context, namespace=self._namespace, parameter_overrides=overrides)  # type: ignore[call-arg]
+        except Exception as error:
+            _destroy_half_made(error)
+            raise
         return self._add(node)
 
     def listen(self, topic: str) -> list[Any]:
@@ -177,3 +182,15 @@ def vector_message(
 ) -> Vector3Stamped:
     """Message of a stamped vector."""
     return VectorWriter(frame)(stamp_ns, np.array(vector, float))
+
+
+def _destroy_half_made(error: Exception) -> None:
+    """Destroy the node whose constructor raised ``error``.
+
+    Left to the garbage collector, it may be destroyed while the next bench starts, and Fast DDS then can
+    wait for ever (ros2/rmw_fastrtps, issue 666).
+    """
+    made = [frame.f_locals.get("self") for frame, _ in traceback.walk_tb(error.__traceback__)]
+    node = next((each for each in made if isinstance(each, Node)), None)
+    if node is not None:
+        Node.destroy_node(node)  # its own class may need what was not made
