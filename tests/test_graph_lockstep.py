@@ -73,6 +73,13 @@ def test_graph_equals_the_closed_loop_on_the_paper_s_scenario(fly_graph, scheme)
     assert_equal_bit_for_bit(flight, fly(scenario, scheme))
 
 
+def test_graph_equals_the_closed_loop_with_an_attitude_that_wanders(fly_graph):
+    changes = ["name=wandering", "sensors={grade: ahrs, delay: 2}"]
+    scenario = with_duration(load_scenario(SCENARIOS / "busy.yaml", changes), 1.5)
+    directory, _ = fly_graph(scenario, "conventional")
+    assert_equal_bit_for_bit(flight_from_bag(read_bag(directory)), fly(scenario, "conventional"))
+
+
 class RunawayObserver(SlidingMode):
     """Its estimate, and then its body rate, grow beyond all bounds until it restarts."""
 

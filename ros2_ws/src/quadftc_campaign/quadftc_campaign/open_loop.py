@@ -37,7 +37,7 @@ from quadftc_replay.imu_recording import Recording
 from quadftc_replay.overlay import replay_events
 from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count
 from quadftc_sim.injector import FaultInjector
-from quadftc_sim.sensors import DRAWS
+from quadftc_sim.sensor_draws import SensorDraws
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -103,9 +103,8 @@ def simulate(scenario: Scenario) -> Recording:
     motion = combined([part.law for part in scenario.references], time)
     angles, rates = (np.broadcast_to(each, (count, len(AXES))) for each in (motion.angles, motion.rates))
     q_xyzw, body_rate = quaternion_from_euler(angles), body_rates(angles, rates)
-    generator, sensor = np.random.default_rng(scenario.seed), dataclasses.replace(scenario.sensor, delay=0)
-    state = sensor.init(sensor.turn_on_bias(generator.uniform(-1.0, 1.0, len(AXES))))
-    draws = generator.standard_normal((count, *DRAWS))
+    random, sensor = SensorDraws(scenario.seed), dataclasses.replace(scenario.sensor, delay=0)
+    state, draws = sensor.turn_on(random.turn_on), random.next(count, sensor.wanders)
     samples: list[ImuSample] = []
     for row in range(count):
         state, sample = sensor.step(state, q_xyzw[row], body_rate[row], draws[row], dt)

@@ -237,6 +237,23 @@ def test_vehicles_of_several_inertias_and_motors_are_one_structure():
         assert_same_flight(flight, fly(scenario))
 
 
+def test_sensors_with_and_without_slow_errors_are_one_structure():
+    base = busy(observer="none").document
+    grades = [{"grade": name, "delay": 2} for name in ("mems", "ahrs", "tactical")]
+    batch = [build_scenario(base.replaced({("sensors",): grade}, "test")) for grade in grades]
+    parts = [parts_of(scenario) for scenario in batch]
+    assert len({structure_of(flight.loop) for flight in parts}) == 1
+    for scenario, (_, flight) in zip(batch, traced(parts, batch), strict=True):
+        assert_same_flight(flight, fly(scenario))
+
+
+@pytest.mark.parametrize("staged", [True, False])
+def test_a_sensor_that_wanders_flies_alike(staged):
+    sensor = {"grade": "ahrs", "attitude_wander_moving": 0.05, "delay": 1}
+    flown = build_scenario(busy(observer="none").document.replaced({("sensors",): sensor}, "test"))
+    assert_flies_alike(flown, staged)
+
+
 def test_every_fault_on_every_channel_flies_alike():
     faults = [
         {"kind": kind, "channel": channel, "start": 0.3 + 0.2 * index, "duration": 0.5, **parameters}

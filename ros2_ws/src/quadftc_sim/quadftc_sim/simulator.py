@@ -17,7 +17,8 @@ from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import ImuSample
 from quadftc_model.stepper import seconds
 from quadftc_sim.plant import Plant
-from quadftc_sim.sensors import DRAWS, ImuSensor
+from quadftc_sim.sensor_draws import SensorDraws
+from quadftc_sim.sensors import ImuSensor
 
 NEVER_NS = sys.maxsize
 
@@ -45,8 +46,8 @@ class Simulator:
         self.plant, self.sensor, self.period_ns = plant, sensor, period_ns
         self._epoch_ns = self._stamp_ns = epoch_ns
         self._dt = seconds(period_ns)
-        self._generator = np.random.default_rng(seed)
-        self._sensor_state = sensor.init(sensor.turn_on_bias(self._generator.uniform(-1.0, 1.0, 3)))
+        self._random = SensorDraws(seed)
+        self._sensor_state = sensor.turn_on(self._random.turn_on)
         self._state = plant.init(quaternion_from_euler(np.zeros(3)), np.zeros(3))
 
     @property
@@ -66,7 +67,7 @@ class Simulator:
 
     def _emit(self) -> Emission:
         q_xyzw, body_rate, _ = self._state
-        draws = self._generator.standard_normal(DRAWS)
+        draws = self._random.next(1, self.sensor.wanders)[0]
         self._sensor_state, sample = self.sensor.step(self._sensor_state, q_xyzw, body_rate, draws, self._dt)
         return Emission(
             stamp_ns=self._stamp_ns,

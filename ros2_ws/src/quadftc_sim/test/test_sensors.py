@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from quadftc_model.parameters import build
-from quadftc_model.rotations import normalise, quaternion_product
-from quadftc_sim.sensors import DRAWS, GRADES, STANDARD_GRAVITY, ImuSensor
+from quadftc_model.rotations import normalise, quaternion_from_rotation_vector, quaternion_product
+from quadftc_sim.sensor_draws import DRAWS, WHITE, SensorDraws
+from quadftc_sim.sensors import GRADES, STANDARD_GRAVITY, WANDER_TIMES, ImuSensor
 
 LEVEL, STILL = np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3)
 COUNT = 40_000  # sigma of a standard deviation: 1 / sqrt(2 * 3 * COUNT) = 0.2 %
@@ -28,7 +29,7 @@ def batch(sensor, dt):
 def test_ideal_grade_returns_the_truth():
     sensor = build(ImuSensor, GRADES["ideal"])
     rate = np.array([0.1, -0.2, 0.3])
-    state = sensor.init(sensor.turn_on_bias(np.ones(3)))
+    state = sensor.turn_on(SensorDraws(1).turn_on)
     _, sample = sensor.step(state, attitude(), rate, draws(), 0.004)
     assert np.array_equal(sample.q_xyzw, attitude())
     assert np.array_equal(sample.body_rate, rate)
@@ -78,8 +79,76 @@ def test_noise_of_the_channels_is_independent():
 
 
 def test_turn_on_bias_spans_its_bound():
-    bias = ImuSensor(gyro_bias=0.02).turn_on_bias(np.array([-1.0, 0.5, 1.0]))
-    np.testing.assert_allclose(bias, [-0.02, 0.01, 0.02], rtol=1e-15)
+    drawn = SensorDraws(1).turn_on._replace(uniform=np.array([-1.0, 0.5, 1.0]))
+    state = ImuSensor(gyro_bias=0.02).turn_on(drawn)
+    np.testing.assert_allclose(state.gyro_bias, [-0.02, 0.01, 0.02], rtol=1e-15)
+
+
+def test_white_noise_is_that_of_the_seed_with_and_without_slow_errors():
+    lean, full, generator = SensorDraws(3), SensorDraws(3), np.random.default_rng(3)
+    assert np.array_equal(lean.turn_on.uniform, generator.uniform(-1.0, 1.0, 3))
+    white, numbers = generator.standard_normal((3, WHITE, 3)), [full.next(count, True) for count in (1, 2)]
+    assert np.array_equal(lean.next(3, slow=False), white)
+    assert np.array_equal(np.concatenate(numbers)[:, :WHITE], white)
+
+
+def test_sensor_without_slow_errors_measures_to_the_bit_by_white_noise_alone():
+    grade, numbers, rate = GRADES["mems"] | {"delay": 0}, draws(), np.array([0.1, -0.2, 0.3])
+    sensor, bias = build(ImuSensor, grade), np.array([0.01, 0.0, -0.01])
+    _, sample = sensor.step(sensor.init(bias), attitude(), rate, numbers, 0.004)
+    tilt = quaternion_from_rotation_vector(grade["attitude_noise"] * numbers[0])
+    assert np.array_equal(sample.q_xyzw, quaternion_product(attitude(), tilt))
+    noise = grade["gyro_noise"] / np.sqrt(0.004) * numbers[1]
+    assert np.array_equal(sample.body_rate, rate + bias + noise)
+
+
+def wandering(rate, seconds=40.0, dt=0.01, vehicles=400, **parameters):
+    """Attitude errors [rad] (samples, vehicles, 3) of level vehicles, seen while they turn at a rate."""
+    sensor, generator = ImuSensor(**parameters), np.random.default_rng(6)
+    level, turning = np.broadcast_to(LEVEL, (vehicles, 4)), np.full((vehicles, 3), rate)
+    start = SensorDraws(0).turn_on._replace(wander=generator.standard_normal((vehicles, 3, 3)))
+    state, errors = sensor.turn_on(start), []
+    for _ in range(round(seconds / dt)):
+        state, sample = sensor.step(state, level, turning, generator.standard_normal((vehicles, *DRAWS)), dt)
+        errors.append(2.0 * sample.q_xyzw[:, :3])
+    return np.stack(errors)
+
+
+def test_slow_error_keeps_its_standard_deviation_from_the_start():
+    errors = wandering(0.0, seconds=4.0, attitude_wander=0.004)
+    assert np.std(errors[0]) == pytest.approx(0.004, rel=0.05)
+    assert np.std(errors[-100:]) == pytest.approx(0.004, rel=0.05)
+
+
+def test_slow_error_is_correlated_over_its_correlation_times():
+    errors = wandering(0.0, attitude_wander=0.004)
+    for lag in (0.1, 1.0):
+        apart = round(lag / 0.01)
+        measured = np.mean(errors[apart:] * errors[:-apart]) / np.mean(errors**2)
+        assert measured == pytest.approx(np.mean(np.exp(-lag / np.array(WANDER_TIMES))), abs=0.02)
+
+
+def test_slow_error_grows_with_the_rate_after_a_while():
+    errors = wandering(0.5, seconds=15.0, attitude_wander=0.001, attitude_wander_moving=0.002)
+    assert np.std(errors[0]) == pytest.approx(0.001, rel=0.05)
+    assert np.std(errors[1000:]) == pytest.approx(0.001 + 0.002 * 1.5, rel=0.05)
+
+
+def test_attitude_lags_the_gyro():
+    angle, rate = 0.3, 8.0
+    turned = np.array([0.0, np.sin(angle / 2), 0.0, np.cos(angle / 2)])
+    sensor = ImuSensor(attitude_lag=0.01)
+    _, sample = sensor.step(sensor.init(STILL), turned, np.array([0.0, rate, 0.0]), draws(), 0.004)
+    earlier = (angle - 0.01 * rate) / 2
+    np.testing.assert_allclose(sample.q_xyzw, [0.0, np.sin(earlier), 0.0, np.cos(earlier)], atol=1e-12)
+
+
+def test_gyro_error_is_a_matrix_drawn_once():
+    sensor, drawn = ImuSensor(gyro_scale=0.01), SensorDraws(5).turn_on
+    state, rate = sensor.turn_on(drawn), np.array([2.0, -1.0, 3.0])
+    for _ in range(2):
+        state, sample = sensor.step(state, LEVEL, rate, draws(), 0.004)
+        np.testing.assert_allclose(sample.body_rate, rate + 0.01 * drawn.gyro @ rate, rtol=1e-12)
 
 
 def test_bias_is_added_to_the_rate():

@@ -14,11 +14,11 @@ from quadftc_model.stepper import MAX_GAP, NANOSECONDS_PER_SECOND, seconds
 from quadftc_sim.fault import FaultInputs
 from quadftc_sim.injection import Injection, fault_generators
 from quadftc_sim.injector import FaultDraws
-from quadftc_sim.sensors import DRAWS
+from quadftc_sim.sensor_draws import DRAWS, WHITE, SensorDraws, TurnOn
 
 # samples (n,) for which a fault is stepped, and its normal and uniform numbers, (2, n, 3)
 FaultNumbers = tuple[NDArray[np.int64], NDArray[np.float64]]
-ALL_DRAWS = (True,) * DRAWS[0]  # for attitude, gyro, accelerometer and gyro bias
+ALL_DRAWS = (True,) * DRAWS[0]  # see `quadftc_sim.sensor_draws`
 
 
 class InputSource:
@@ -26,9 +26,10 @@ class InputSource:
 
     def __init__(self, flights: Sequence[FlightParts], dtype: np.dtype[Any]) -> None:
         self._loop, self._dtype = flights[0].loop, dtype
-        self._generators = [np.random.default_rng(flight.seed) for flight in flights]
-        bias = np.stack([each.uniform(-1.0, 1.0, 3) for each in self._generators], axis=-1)
-        self.bias = bias.astype(dtype)  # (3, flights)
+        self._random = [SensorDraws(flight.seed) for flight in flights]
+        turn_on = zip(*(each.turn_on for each in self._random), strict=True)
+        # of the IMU, (..., flights)
+        self.turn_on = TurnOn(*(np.stack(column, axis=-1).astype(dtype) for column in turn_on))
         # a fault of the whole IMU acts before the flight, in the delivery
         self._faults = [
             [_draw_fault(flight, place) for flight in flights]
@@ -56,13 +57,13 @@ class InputSource:
         return StepInputs(self._draw(count, needed), faults, delivery), Times(*times)
 
     def _draw(self, count: int, needed: Sequence[bool]) -> tuple[NDArray[Any], ...]:
-        """Draw the sensors' numbers; those that nothing needs are drawn too, and replaced by zeros."""
-        shape = (count, 3, len(self._generators))
+        """Draw the sensors' numbers; those that nothing needs are zero."""
+        shape = (count, 3, len(self._random))
         unused = np.broadcast_to(np.zeros((), self._dtype), shape)
         blocks = tuple(np.empty(shape, self._dtype) if need else unused for need in needed)
-        numbers = np.empty((count, *DRAWS))
-        for flight, generator in enumerate(self._generators):
-            generator.standard_normal(out=numbers)
+        slow = any(needed[WHITE:])  # a stream is drawn whole, or not at all
+        for flight, random in enumerate(self._random):
+            numbers = random.next(count, slow)
             for kind, block in enumerate(blocks):
                 if block is not unused:
                     block[:, :, flight] = numbers[:, kind]

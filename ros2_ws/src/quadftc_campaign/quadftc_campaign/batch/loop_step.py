@@ -29,6 +29,7 @@ from quadftc_model.samples import (
 from quadftc_model.stepper import seconds
 from quadftc_sim.injector import FaultDraws, InjectionState, begin, inject
 from quadftc_sim.plant import PlantState
+from quadftc_sim.sensor_draws import TurnOn
 from quadftc_sim.sensors import ImuState
 
 
@@ -52,7 +53,7 @@ class Delivery(NamedTuple):
 class StepInputs(NamedTuple):
     """Random numbers of a step, and whether its sample arrives."""
 
-    draws: tuple[Array, ...]  # four of (3,), standard normal: attitude, gyro, accelerometer, gyro bias
+    draws: tuple[Array, ...]  # of (3,), standard normal, for the IMU: see `quadftc_sim.sensor_draws`
     faults: tuple[FaultDraws | None, ...]  # of each injection
     delivery: Delivery | None  # None: every sample arrives
 
@@ -100,15 +101,15 @@ class ClosedLoop:
         # late start: the diagnosis may have to wait for a good sample, at the start or after a gap
         self.loop, self._late_start, self._dt = loop, late_start, seconds(loop.period_ns)
 
-    def begin(self, bias: Array, first: Sequence[tuple[StepInputs, Times]]) -> tuple[LoopState, Row]:
+    def begin(self, turn_on: TurnOn, first: Sequence[tuple[StepInputs, Times]]) -> tuple[LoopState, Row]:
         """Fly the first samples, one more than the IMU delays, and react to the one that leaves it.
 
-        ``bias`` (3,) is the turn-on bias of the gyro, uniform in [-1, 1].
+        ``turn_on`` are the random numbers that the IMU begins with.
         """
-        zeros, loop = namespace(bias).zeros_like(bias), self.loop
+        zeros, loop = namespace(turn_on.uniform).zeros_like(turn_on.uniform), self.loop
         plant = loop.plant.init(quaternion_from_euler(zeros), zeros)
-        sensor = loop.sensor.init(loop.sensor.turn_on_bias(bias))
-        state = LoopState(plant, sensor, (), (), AvionicsState(None, None, None, None, zeros))
+        avionics = AvionicsState(None, None, None, None, zeros)
+        state = LoopState(plant, loop.sensor.turn_on(turn_on), (), (), avionics)
         state, sample = self._measure(state, *first[0])
         for inputs, times in first[1:]:
             state, sample = self._measure(self._move(state, times), inputs, times)

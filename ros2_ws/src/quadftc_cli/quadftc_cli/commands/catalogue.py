@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from typing import Annotated, Any
 
 from rich.table import Table
@@ -19,6 +20,7 @@ from quadftc_model.registry import Registry
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 from quadftc_sim.disturbance import disturbances
 from quadftc_sim.fault import faults
+from quadftc_sim.sensors import GRADES, ImuSensor
 
 REGISTRIES: dict[str, Registry[Any]] = {
     "observers": fault_observers,
@@ -28,14 +30,14 @@ REGISTRIES: dict[str, Registry[Any]] = {
     "faults": faults,
     "disturbances": disturbances,
 }
-KINDS = (*REGISTRIES, "vehicles", "scenarios")
+KINDS = (*REGISTRIES, "sensors", "vehicles", "scenarios")
 
 
 def list_(kind: Annotated[str, Argument(help=" | ".join(KINDS) + "; default: all")] = "") -> None:
     """Show what there is, with parameters, units and defaults."""
     if kind and kind not in KINDS:
         raise ValueError(f"list: no '{kind}'; there are: {', '.join(KINDS)}")
-    tables = {"vehicles": _vehicles, "scenarios": _scenarios}
+    tables = {"sensors": _sensors, "vehicles": _vehicles, "scenarios": _scenarios}
     for each in [kind] if kind else KINDS:
         console().print(tables[each]() if each in tables else _components(each))
 
@@ -62,6 +64,17 @@ def _cells(row: Parameter) -> tuple[str, str, str, str]:
     unit = {"1": "", "{channel}": "as channel", "{channel_rate}": "channel/s"}.get(row.unit, row.unit)
     choices = f" ({', '.join(row.choices)})" if row.choices else ""
     return row.name, text, unit, row.doc + choices
+
+
+def _sensors() -> Table:
+    """Tabulate the grades of the IMU, angles in degrees."""
+    table = _table("sensors", "parameter", *GRADES, "unit", "meaning")
+    for row in parameters_of(ImuSensor):
+        unit = row.unit.replace("rad", "deg")
+        factor = math.degrees(1.0) if unit != row.unit else 1.0
+        values = [f"{factor * grade.get(row.name, 0.0):.3g}" for grade in GRADES.values()]
+        table.add_row(f"[bold]{row.name}[/]", *values, "" if unit == "1" else unit, row.doc)
+    return table
 
 
 def _vehicles() -> Table:

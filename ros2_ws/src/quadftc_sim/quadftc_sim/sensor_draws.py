@@ -1,0 +1,48 @@
+"""The random numbers of a simulated IMU, in two streams.
+
+Those of turn-on bias and white noise come from the seed of the flight. Those of slow errors come from a
+stream of their own, so that a sensor without slow errors gets the same numbers whether others have them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from quadftc_model.arrays import Array, Vector
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy.typing import NDArray
+
+WHITE = 4  # rows of three a sample needs: attitude, gyro, accelerometer, bias random walk
+SLOW = 3  # further rows where the attitude wanders: one for each correlation time
+DRAWS = (WHITE + SLOW, 3)
+
+
+class TurnOn(NamedTuple):
+    """Random numbers of a flight."""
+
+    uniform: Vector  # (3,) within [-1, 1], of the gyro bias
+    gyro: Array  # (3, 3) standard normal, of scale and misalignment
+    wander: Array  # (3, 3) standard normal, of the slow error at the start
+
+
+class SensorDraws:
+    """Draws the random numbers of one IMU, in the order of the flight; ``turn_on`` are those it begins with.
+
+    ``seed`` is that of the flight. The slow stream is [seed, 0, 1]; faults count from [seed, 1, 0].
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._white, self._slow = np.random.default_rng(seed), np.random.default_rng([seed, 0, 1])
+        uniform, normal = self._white.uniform(-1.0, 1.0, 3), self._slow.standard_normal((2, SLOW, 3))
+        self.turn_on = TurnOn(uniform, *normal)
+
+    def next(self, count: int, slow: bool) -> Float[NDArray[Any], "count rows 3"]:
+        """Draw standard normal numbers for ``count`` samples: `DRAWS` each, or those of white noise alone."""
+        white = self._white.standard_normal((count, WHITE, 3))
+        if not slow:
+            return white
+        return np.concatenate((white, self._slow.standard_normal((count, SLOW, 3))), axis=1)
