@@ -1,0 +1,42 @@
+"""package.xml of every Python package names what the package imports, and nothing that it does not."""
+
+import ast
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+PACKAGES = sorted(path.parent for path in Path(__file__).parents[1].glob("ros2_ws/src/*/setup.py"))
+ROSDEP = {"numpy": "python3-numpy", "scipy": "python3-scipy", "yaml": "python3-yaml"}
+# what has no key in rosdep, or an older version there: named in a comment, as PyPI calls it
+DISTRIBUTIONS = {"ruamel": "ruamel.yaml", "sklearn": "scikit-learn", "typing_extensions": "typing-extensions"}
+
+
+def imported_by(package):
+    """Top-level names that the modules of a package import."""
+    names = set()
+    for file in (package / package.name).rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                names |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                names.add(str(node.module).partition(".")[0])
+    return names - sys.stdlib_module_names - {package.name, "tomllib"}
+
+
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
+def test_manifest_names_what_the_package_imports(package):
+    manifest = (package / "package.xml").read_text(encoding="utf-8")
+    keys = set(re.findall(r"<exec_depend>(.*)</exec_depend>", manifest))
+    comment = re.search(r"<!-- From PyPI \(requirements/app.in\): (.*?) -->", manifest)
+    from_pypi = set(comment[1].split(", ")) if comment else set()
+    imports = imported_by(package)
+    ours_and_ros = {name for name in imports if name.startswith("quadftc_") or name in keys}
+    others = {ROSDEP.get(name) or DISTRIBUTIONS.get(name, name) for name in imports - ours_and_ros}
+    wanted = ours_and_ros | others
+    assert wanted - keys - from_pypi == set()
+    # messages may be named in a table, nodes in a launch file
+    unused = {key for key in keys | from_pypi if not key.endswith(("_msgs", "_srvs", "_interfaces"))} - wanted
+    launched = "".join(file.read_text(encoding="utf-8") for file in package.glob("launch/*.py"))
+    assert {key for key in unused - {"ros2service"} if key not in launched} == set()
