@@ -24,10 +24,20 @@ from quadftc_model.samples import HEALTHY as TRUSTED
 from quadftc_sim.sensors import GRADES, ImuSensor
 from quadftc_tools.study.bound import AVERAGING, attitude_std_dev, fault_bound
 from quadftc_tools.study.diagnosis import make
+from quadftc_tools.study.diagnosis_quiet import (
+    GROUPS,
+    QUIET,
+    healthy_table,
+    outlier_table,
+    quiet_results,
+    sum_up_healthy,
+    sum_up_long,
+    sum_up_outliers,
+)
 from quadftc_tools.study.diagnosis_results import (
     CRITERIA,
     SCENARIO,
-    SETTINGS,
+    TITLES,
     characteristics,
     consistency,
     operating_point,
@@ -45,7 +55,7 @@ from quadftc_tools.study.diagnosis_tables import (
 from quadftc_tools.study.page import publish, with_tables
 
 ROOT = Path(__file__).resolve().parents[2]
-SIMULATION = CRITERIA["simulation"]
+MEMS = CRITERIA["mems"]
 RATE = 250.0  # Hz
 PER_AXIS = {"roll": 0.0, "pitch": 0.0, "yaw": 0.0}
 HEALTHY = {"roll": 1200.0, "pitch": 1200.0, "yaw": 1200.0}  # s: an hour in all
@@ -61,6 +71,7 @@ EVENT: dict[str, Any] = {
     "onset_error_s": 0.0,
     "recovered": True,
     "recovery_delay_s": 0.7,
+    "declared_after_s": 0.7,
     "above_threshold": True,
     "above_threshold_already": False,
     "above_threshold_delay_s": 0.004,
@@ -69,6 +80,7 @@ EVENT: dict[str, Any] = {
     "estimate_max_deg": 0.2,
     "estimate_rmse_detected_deg": 0.05,
     "estimate_max_detected_deg": 0.2,
+    "declared_share": 1.0,
     "nees": 1.1,
     "coverage_2_sigma": 0.95,
     "tracking_rmse_deg": None,
@@ -88,6 +100,7 @@ def flown(number: int, variant: str, event: dict[str, Any] | None = None, **kind
         "false_alarms": {"roll": 2, "pitch": 0, "yaw": 0},
         "false_alarm_time_s": {"roll": 36.0, "pitch": 0.0, "yaw": 0.0},
         "late_recovery_time_s": PER_AXIS,
+        "longest_false_alarm_s": {"roll": 20.0, "pitch": 0.0, "yaw": 0.0},
         "isolation_tested_s": 19.0,
         "isolation_correct_s": 18.0,
         "confusion_single_s": {"none": {**line, "time": 40.0}, "roll": line},
@@ -134,9 +147,7 @@ def rows_of(table: str) -> dict[str, list[str]]:
 
 def test_metrics_are_those_of_the_records_and_bold_where_they_reach_the_target():
     rows = rows_of(
-        metric_table(
-            SIMULATION, {"supervised": sum_up(frame_of({})), "threshold": sum_up(frame_of({}, MISSED))}
-        )
+        metric_table(MEMS, {"supervised": sum_up(frame_of({})), "threshold": sum_up(frame_of({}, MISSED))})
     )
     assert rows[""] == ["target", "`supervised`", "`threshold`"]
     assert rows["faults"] == ["-", "1", "2"]
@@ -147,13 +158,14 @@ def test_metrics_are_those_of_the_records_and_bold_where_they_reach_the_target()
     assert rows["RMSE of the estimate, median / 95 %"][2] == "0.775 / 1.43 deg"
     assert rows["false alarms, share of healthy time"] == ["0 %", "1 %", "1 %"]
     assert rows["false alarms per hour"] == ["-", "2", "2"]
+    assert rows["longest false alarm"] == ["-", "20 s", "20 s"]
     assert rows["recovery delay, median / 95 %"] == ["-", "700 / 700 ms", "700 / 700 ms"]
     assert rows["errors within 2 standard deviations"] == ["-", "95 %", "95 %"]
 
 
 def test_observer_without_detector_is_judged_by_the_size_of_its_estimate():
     never = {"detected": False, "detection_delay_s": None}
-    rows = rows_of(metric_table(SIMULATION, {"sliding_mode": sum_up(frame_of(never))}))
+    rows = rows_of(metric_table(MEMS, {"sliding_mode": sum_up(frame_of(never))}))
     assert rows["missed (declared before the onset)"] == ["0 (0)", "**0 (0)**"]
     assert rows["delay, step, max"] == ["20 ms", "**4 ms**"]
     assert rows["false alarms, share of healthy time"] == ["0 %", "10 %"]
@@ -163,7 +175,7 @@ def test_observer_without_detector_is_judged_by_the_size_of_its_estimate():
 def test_faults_are_counted_by_kind_and_size():
     spec = f"bias channel=attitude axes=roll start=20.0 stop=40.0 value={math.radians(5.0)!r}"
     biggest = {"already_declared": True, "spec": spec}
-    lines = fault_table(SIMULATION, {"supervised": sum_up(frame_of({}, MISSED, biggest))}).splitlines()
+    lines = fault_table(MEMS, {"supervised": sum_up(frame_of({}, MISSED, biggest))}).splitlines()
     assert "| step | 1 to 2 deg | 0 | 0, 0 |" in lines
     assert "| step | 2 to 5 deg | 2 | 1, 0 |" in lines  # 2 belongs to it, and 5; one was declared before
     assert "| ramp | 0.05 to 0.1 deg/s | 1 | 1, 1 |" in lines
@@ -181,6 +193,36 @@ def test_isolation_is_in_shares_of_the_time():
     assert "| roll faulty | 95 % | 5 % | 0 % | 5 % | 40 s |" in lines
     assert "| step | 95 % | 5 % | 5 % | 40 s |" in lines
     assert lines[-1] == "Isolation accuracy of `supervised`: 94.7 % of 38 s."
+
+
+def test_alarms_of_healthy_flights_are_those_of_each_recording_and_of_all():
+    rows = [{**flown(number, "supervised"), "recording": name} for number, name in enumerate("ab")]
+    rows[1] |= {"false_alarms.roll": 0, "false_alarm_time_s.roll": 0.0, "longest_false_alarm_s.roll": 0.0}
+    found = sum_up_healthy(table_of(rows))
+    assert found["a"] == {"share": pytest.approx(0.01), "alarms": 2.0, "longest_s": 20.0}
+    lines = healthy_table({"supervised": found}).splitlines()
+    assert lines[2:] == ["| a | 1 % (2, longest 20 s) |", "| b | 0 % |", "| all | 0.5 % (2, longest 20 s) |"]
+
+
+def test_outliers_are_counted_by_their_length_and_the_declaration_after_them_is_timed():
+    silent = {"detected": False, "declared_after_s": 0.0, "stop": 20.004}
+    late = {"detected": False, "declared_after_s": 0.3, "stop": 20.1}
+    events = (silent, late, {**late, "declared_after_s": 0.1}, {**late, "already_declared": True})
+    found = sum_up_outliers(frame_of(*events, {**silent, "kind": "noise", "stop": 20.8}))
+    assert [found[name]["count"] for name in GROUPS] == [1, 2, 1]
+    assert found[GROUPS[1]] == {"count": 2, "declared": 2, "after_median_s": 0.2, "after_max_s": 0.3}
+    assert outlier_table({"supervised": found}).splitlines()[2:] == [
+        f"| {GROUPS[0]} | 1 | 0 |",
+        f"| {GROUPS[1]} | 2 | 2, after the end 200 / 300 ms |",
+        f"| {GROUPS[2]} | 1 | 0 |",
+    ]
+
+
+def test_steps_that_last_are_summed_up_over_all_of_them():
+    found = sum_up_long(frame_of({"declared_share": 1.0}, {**MISSED, "declared_share": 0.5}))
+    assert (found["count"], found["missed"]) == (2, 1)
+    assert (found["declared_share_mean"], found["declared_share_min"]) == (0.75, 0.5)
+    assert found["coverage_2_sigma_min"] == 0.95
 
 
 def test_error_and_standard_deviation_are_held_against_the_bound_of_their_window():
@@ -246,8 +288,9 @@ def results() -> dict[str, Any]:
     )
     manifest = {"seed": 1}
     return {
-        "simulation": setting_results("simulation", both, None, manifest),
-        "simulation_one_axis": setting_results("simulation_one_axis", frame_of({}), None, manifest),
+        "mems": setting_results("mems", both, None, manifest),
+        "mems_one_axis": setting_results("mems_one_axis", frame_of({}), None, manifest),
+        **{name: quiet_results(name, both, manifest) for name in QUIET},
     }
 
 
@@ -255,13 +298,13 @@ def test_campaigns_become_tables_and_figures_the_same_each_time(tmp_path: Path):
     both = pl.concat(
         [frame_of({}, MISSED), frame_of({}, MISSED, variant="threshold")], how="diagonal_relaxed"
     )
-    for name, frame in {"simulation": both, "simulation_one_axis": frame_of({})}.items():
+    for name, frame in {"mems": both, "mems_one_axis": frame_of({}), "long": both}.items():
         directory = tmp_path / f"study_diagnosis_{name}"
         directory.mkdir()
         frame.write_parquet(directory / "flights.parquet")
         (directory / "campaign.json").write_text('{"seed": 1}')
     made, drawers = make(tmp_path)
-    names = ("flown", "simulation", "faults-simulation", "worst-simulation", "isolation-simulation", "bound")
+    names = ("flown", "mems", "faults-mems", "worst-mems", "isolation-mems", "bound", "long")
     assert set(made) == set(names)
     page = tmp_path / "diagnosis.md"
     page.write_text("".join(f"<!-- table: {name} -->\n<!-- end -->\n" for name in names))
@@ -282,18 +325,18 @@ def test_directory_without_campaigns_is_refused(tmp_path: Path):
 def test_document_of_the_repository_has_a_place_for_every_table():
     text = (ROOT / "docs" / "diagnosis.md").read_text(encoding="utf-8")
     assert with_tables(text, {}, "docs/diagnosis.md") == text
-    for of_simulation in tables(results()):
-        for name in (of_simulation, of_simulation.replace("simulation", "recordings")):
-            assert text.count(f"<!-- table: {name} -->") == 1
+    names = {"tactical", "ahrs", "flips", "recordings-each", *tables(results())}
+    for name in names | {name.replace("mems", "recordings") for name in names}:
+        assert text.count(f"<!-- table: {name} -->") == 1
 
 
-@pytest.mark.parametrize("name", [*SETTINGS, "simulation_levels", "recordings_levels"])
+@pytest.mark.parametrize("name", [*TITLES, *QUIET, "mems_levels", "recordings_levels"])
 def test_campaigns_of_the_study_load_with_every_observer(name: str, tmp_path: Path):
     (tmp_path / "still").mkdir()
     (tmp_path / "still" / "metadata.yaml").touch()
     campaign = load_campaign(ROOT / "campaigns" / f"study_diagnosis_{name}.yaml", recordings=tmp_path)
     names = {variant.name for variant in campaign.variants}
-    if name in CRITERIA:
+    if name in CRITERIA or name in QUIET:
         assert {"sliding_mode", "augmented_kalman", "edwards_spurgeon", "threshold", "supervised"} <= names
         assert "none" not in names
     for variant in campaign.variants:
@@ -301,8 +344,9 @@ def test_campaigns_of_the_study_load_with_every_observer(name: str, tmp_path: Pa
         law = scenario.scheme("diagnosis").observer.law
         if variant.name == "supervised":
             assert getattr(law, "tracking") == AVERAGING  # noqa: B009  # so does the bound
+        assert variant.parameters == () or "@" in variant.name  # every observer has its defaults
         axes = [fault.axes for fault in scenario.faults[:3]]
-        assert name.endswith("one_axis") or axes == [("roll",), ("pitch",), ("yaw",)]
+        assert "one_axis" in name or axes == ([] if "healthy" in name else [("roll",), ("pitch",), ("yaw",)])
 
 
 # --- bound

@@ -15,7 +15,8 @@ from typing import Any
 import polars as pl
 
 from quadftc_tools.study.diagnosis_figures import FIGURES
-from quadftc_tools.study.diagnosis_results import SETTINGS, setting_results
+from quadftc_tools.study.diagnosis_quiet import QUIET, quiet_results
+from quadftc_tools.study.diagnosis_results import TITLES, setting_results
 from quadftc_tools.study.diagnosis_tables import tables
 from quadftc_tools.study.page import FLIGHTS, Drawers, run_study
 
@@ -26,18 +27,21 @@ FILE = "diagnosis.json"
 def read_results(directory: Path) -> dict[str, Any]:
     """Return the results of the campaigns in a directory, ready for JSON; ValueError if there is none."""
     paths = {path.parent.name: path for path in directory.glob(f"{PREFIX}*/{FLIGHTS}")}
-    found = {
-        name: setting_results(
-            name,
-            pl.read_parquet(paths[PREFIX + name]),
-            _levels(paths.get(f"{PREFIX}{name}_levels")),
-            json.loads((directory / (PREFIX + name) / "campaign.json").read_text(encoding="utf-8")),
-        )
-        for name in SETTINGS
-        if PREFIX + name in paths
-    }
+    found: dict[str, Any] = {}
+    for name in (*TITLES, *QUIET):
+        if PREFIX + name not in paths:
+            continue
+        frame = pl.read_parquet(paths[PREFIX + name])
+        manifest = json.loads((directory / (PREFIX + name) / "campaign.json").read_text(encoding="utf-8"))
+        if name in QUIET:
+            found[name] = quiet_results(name, frame, manifest)
+        else:
+            levels = _levels(paths.get(f"{PREFIX}{name}_levels"))
+            found[name] = setting_results(name, frame, levels, manifest)
     if not found:
-        raise ValueError(f"{directory}: holds no campaign of this study; expected {PREFIX}{SETTINGS[0]}")
+        raise ValueError(
+            f"{directory}: holds no campaign of this study; expected {PREFIX}{next(iter(TITLES))}"
+        )
     return found
 
 

@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from quadftc_campaign.open_loop import AGES
 from quadftc_model.samples import AXES
-from quadftc_tools.study.diagnosis_results import BOUNDED, CRITERIA, Criteria
+from quadftc_tools.study.diagnosis_quiet import QUIET
+from quadftc_tools.study.diagnosis_results import BOUNDED, CRITERIA, FIGURED, Criteria
+from quadftc_tools.study.numbers import (
+    Values,
+    write_band,
+    write_bracketed,
+    write_count,
+    write_degrees,
+    write_number,
+    write_numbers,
+    write_per_cent,
+    write_times,
+)
 from quadftc_tools.study.page import NOTHING, has_detector, markdown
 
 Json = Mapping[str, Any]
-Values = tuple[float | None, ...]
 
 MARK = "¹"  # behind the names of observers without a detector
 SHOWN_AGES = (1.0, 5.0, 10.0, 20.0)  # s, of the table of the bound
 WORST = 8  # faults in the table of the worst
 UNITS = {"step": "deg", "ramp": "deg/s", "sine": "deg"}
-_DIGITS = 3  # significant
 
 
 class _Row(NamedTuple):
@@ -36,10 +47,16 @@ def tables(results: Json) -> dict[str, str]:
     found = {"flown": flown_table(results)}
     for name, result in results.items():
         observers = result["observers"]
-        if name not in CRITERIA:
+        if name in QUIET:
+            found[name] = QUIET[name][2](observers)
+        if name.endswith("_one_axis"):
             found[f"isolation-{name.removesuffix('_one_axis')}"] = isolation_table(observers[BOUNDED])
+        if name in CRITERIA:
+            found[name] = metric_table(CRITERIA[name], observers)
+        if name in CRITERIA and result.get("each"):
+            found[f"{name}-each"] = recording_table(result["each"])
+        if name not in FIGURED:
             continue
-        found[name] = metric_table(CRITERIA[name], observers)
         found[f"faults-{name}"] = fault_table(CRITERIA[name], observers)
         if BOUNDED in observers:
             found[f"worst-{name}"] = worst_table(observers[BOUNDED]["faults"])
@@ -53,9 +70,8 @@ def flown_table(results: Json) -> str:
     """How much was flown."""
     rows: list[Sequence[str]] = []
     for result in results.values():
-        pooled = [observer["pooled"] for observer in result["observers"].values()]
         bags = f"{len(result['bags'])} recordings: {', '.join(result['bags'])}" if result["bags"] else NOTHING
-        counts = (str(max(each[name] for each in pooled)) for name in ("flights", "fault_count"))
+        counts = (str(result[name]) for name in ("flights", "faults"))
         rows.append((result["title"], *counts, str(result["seed"]), bags))
     return markdown(("setting", "flights", "faults", "seed", "made from"), rows)
 
@@ -74,19 +90,23 @@ def metric_table(criteria: Criteria, observers: Json) -> str:
 def _rows(criteria: Criteria) -> tuple[_Row, ...]:
     rmse = (criteria.rmse_median_deg, criteria.rmse_p95_deg)
     return (
-        _Row("faults", ("faults",), _count),
-        _Row("missed (declared before the onset)", ("missed", "already"), _bracketed, (0, 0)),
-        _Row("delay, step, max", ("step",), _times, (criteria.step_max_s,), True),
-        _Row("delay, ramp, median", ("ramp",), _times, (criteria.ramp_median_s,), True),
-        _Row("delay, sine, median", ("sine",), _times, (criteria.sine_median_s,), True),
-        _Row("RMSE of the estimate, median / 95 %", ("rmse_median", "rmse_p95"), _degrees, rmse),
-        _Row("error of the estimate, max", ("max",), _degrees),
-        _Row("false alarms, share of healthy time", ("share",), _per_cent, (criteria.false_alarm_share,)),
-        _Row("false alarms per hour", ("per_hour",), _numbers),
-        _Row("recovery delay, median / 95 %", ("recovery", "recovery_p95"), _times),
-        _Row("not recovered", ("not_recovered",), _count),
-        _Row("NEES [chi-square band, 95 %]", ("nees", "nees_low", "nees_high"), _band),
-        _Row("errors within 2 standard deviations", ("coverage_2_sigma",), _per_cent),
+        _Row("faults", ("faults",), write_count),
+        _Row("missed (declared before the onset)", ("missed", "already"), write_bracketed, (0, 0)),
+        _Row("delay, step, max", ("step",), write_times, (criteria.step_max_s,), True),
+        _Row("delay, step, median", ("step_median",), write_times),
+        _Row("delay, ramp, median", ("ramp",), write_times, (criteria.ramp_median_s,), True),
+        _Row("delay, sine, median", ("sine",), write_times, (criteria.sine_median_s,), True),
+        _Row("RMSE of the estimate, median / 95 %", ("rmse_median", "rmse_p95"), write_degrees, rmse),
+        _Row("error of the estimate, max", ("max",), write_degrees),
+        _Row(
+            "false alarms, share of healthy time", ("share",), write_per_cent, (criteria.false_alarm_share,)
+        ),
+        _Row("false alarms per hour", ("per_hour",), write_numbers),
+        _Row("longest false alarm", ("longest",), write_times),
+        _Row("recovery delay, median / 95 %", ("recovery", "recovery_p95"), write_times),
+        _Row("not recovered", ("not_recovered",), write_count),
+        _Row("NEES [chi-square band, 95 %]", ("nees", "nees_low", "nees_high"), write_band),
+        _Row("errors within 2 standard deviations", ("coverage_2_sigma",), write_per_cent),
     )
 
 
@@ -107,13 +127,25 @@ def _view(observer: str, pooled: Json) -> dict[str, float | None]:
         "missed": said["missed"],
         "already": said["already_declared" if detector else "already_above"],
         "step": said["delay_max_s"].get("step"),
+        "step_median": said["delay_median_s"].get("step"),
         "ramp": said["delay_median_s"].get("ramp"),
         "sine": said["delay_median_s"].get("sine"),
         "share": said["total_false_alarm_share"],
         "per_hour": pooled["total_false_alarms_per_hour"] if detector else None,
+        "longest": max(pooled["longest_false_alarm_s"].values()) if detector else None,
         "not_recovered": pooled["not_recovered"] if detector else None,
         **{name: pooled[metric]["all"] for name, metric in of_all.items()},
     }
+
+
+def recording_table(recordings: Json) -> str:
+    """Every metric of `BOUNDED` on each recording."""
+    views = [_view(BOUNDED, pooled) for pooled in recordings.values()]
+    rows = [
+        (row.label, *(_cell(row._replace(limits=None), view) for view in views))
+        for row in _rows(CRITERIA["recordings"])
+    ]
+    return markdown((f"`{BOUNDED}`", *(name.partition("_")[0] for name in recordings)), rows)
 
 
 def _cell(row: _Row, view: Json) -> str:
@@ -154,7 +186,8 @@ def _failures(observer: str, faults: Sequence[Json], criteria: Criteria) -> str:
     if not has_detector(observer):
         judged, already = ("above_threshold", "above_threshold_already")
     missed = sum(fault[judged] is False or bool(fault[already]) for fault in faults)
-    bad = sum((fault["estimate_rmse_deg"] or 0.0) > criteria.rmse_p95_deg for fault in faults)
+    worst = math.inf if criteria.rmse_p95_deg is None else criteria.rmse_p95_deg
+    bad = sum((fault["estimate_rmse_deg"] or 0.0) > worst for fault in faults)
     return f"{missed}, {bad}"
 
 
@@ -164,11 +197,11 @@ def worst_table(faults: Sequence[Json]) -> str:
     rows = [
         (
             fault["flight"],
-            f"{fault['axis']}, {_short(fault['start'])} s",
+            f"{fault['axis']}, {write_number(fault['start'])} s",
             _words(fault),
             _found(fault),
-            _degrees((fault["estimate_rmse_deg"],)),
-            _degrees((fault["estimate_max_deg"],)),
+            write_degrees((fault["estimate_rmse_deg"],)),
+            write_degrees((fault["estimate_max_deg"],)),
         )
         for fault in ordered
     ]
@@ -176,14 +209,14 @@ def worst_table(faults: Sequence[Json]) -> str:
 
 
 def _words(fault: Json) -> str:
-    at = "" if fault["frequency"] is None else f" at {_short(fault['frequency'])} rad/s"
-    return f"{fault['kind']} of {_short(fault['size'])} {UNITS[fault['kind']]}{at}"
+    at = "" if fault["frequency"] is None else f" at {write_number(fault['frequency'])} rad/s"
+    return f"{fault['kind']} of {write_number(fault['size'])} {UNITS[fault['kind']]}{at}"
 
 
 def _found(fault: Json) -> str:
     if fault["detected"] is False:
         return "missed"
-    return "declared before" if fault["already_declared"] else _times((fault["detection_delay_s"],))
+    return "declared before" if fault["already_declared"] else write_times((fault["detection_delay_s"],))
 
 
 def isolation_table(result: Json) -> str:
@@ -197,7 +230,10 @@ def isolation_table(result: Json) -> str:
         (kind, *_shares(line, ("own", "other", "none")))
         for kind, line in pooled["confusion_by_kind_s"].items()
     ]
-    accuracy, tested = _per_cent((pooled["isolation_accuracy"],)), _times((pooled["isolation_tested_s"],))
+    accuracy, tested = (
+        write_per_cent((pooled["isolation_accuracy"],)),
+        write_times((pooled["isolation_tested_s"],)),
+    )
     return "\n\n".join(
         (
             markdown(("truth", *(f"{axis} declared" for axis in AXES), "none declared", "time"), axes),
@@ -209,67 +245,26 @@ def isolation_table(result: Json) -> str:
 
 def _shares(line: Json, columns: Iterable[str]) -> tuple[str, ...]:
     time = line["time"]
-    shares = [_per_cent((line[column] / time,)) if time else NOTHING for column in columns]
-    return (*shares, _times((time,)))
+    shares = [write_per_cent((line[column] / time,)) if time else NOTHING for column in columns]
+    return (*shares, write_times((time,)))
 
 
 def bound_table(consistency: Json) -> str:
     """Error and standard deviation over the bound."""
     columns: dict[str, tuple[str, Callable[[Values], str]]] = {
-        "declared": ("declared", _per_cent),
-        "bound_deg": ("bound", _degrees),
-        "std_dev_deg": ("reported std dev, median", _degrees),
-        "std_dev_over_bound": ("over the bound, median", _numbers),
-        "rms_deg": ("error, RMS", _degrees),
-        "rms_over_bound": ("RMS over the bound", _numbers),
-        "central_over_bound": ("68 % of the errors within, over it", _numbers),
+        "declared": ("declared", write_per_cent),
+        "bound_deg": ("bound", write_degrees),
+        "std_dev_deg": ("reported std dev, median", write_degrees),
+        "std_dev_over_bound": ("over the bound, median", write_numbers),
+        "rms_deg": ("error, RMS", write_degrees),
+        "rms_over_bound": ("RMS over the bound", write_numbers),
+        "central_over_bound": ("68 % of the errors within, over it", write_numbers),
     }
     rows = [
         (
-            _times((age,)),
+            write_times((age,)),
             *(write((consistency[name][AGES.index(age)],)) for name, (_, write) in columns.items()),
         )
         for age in SHOWN_AGES
     ]
     return markdown(("since onset", *(head for head, _ in columns.values())), rows)
-
-
-def _numbers(values: Values) -> str:
-    return " / ".join(map(_short, values))
-
-
-def _count(values: Values) -> str:
-    return " / ".join(NOTHING if value is None else f"{value:.0f}" for value in values)
-
-
-def _bracketed(values: Values) -> str:
-    first, second = values
-    return NOTHING if first is None or second is None else f"{first:.0f} ({second:.0f})"
-
-
-def _degrees(values: Values) -> str:
-    return NOTHING if None in values else f"{_numbers(values)} deg"
-
-
-def _per_cent(values: Values) -> str:
-    return " / ".join(NOTHING if value is None else f"{_short(100.0 * value)} %" for value in values)
-
-
-def _times(values: Values) -> str:
-    known = [value for value in values if value is not None]
-    if len(known) < len(values):
-        return NOTHING
-    if max(known) >= 1.0:
-        return f"{_numbers(values)} s"
-    return f"{' / '.join(_short(1e3 * value) for value in known)} ms"
-
-
-def _band(values: Values) -> str:
-    nees, low, high = values
-    return NOTHING if nees is None else f"{_short(nees)} [{_short(low)}, {_short(high)}]"
-
-
-def _short(value: float | None) -> str:
-    if value is None:
-        return NOTHING
-    return f"{value:.0f}" if abs(value) >= 10.0**_DIGITS else f"{value:.{_DIGITS}g}"

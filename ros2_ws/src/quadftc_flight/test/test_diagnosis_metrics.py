@@ -168,6 +168,27 @@ def test_grace_after_a_fault_is_no_false_alarm_and_what_lasts_longer_is_left_ove
     assert (within["false_alarms"]["roll"], within["false_alarm_time_s"]["roll"]) == (0, 0.0)
 
 
+def test_longest_false_alarm_is_that_of_the_flight_and_of_the_pool():
+    two = {"pitch": [(5.0, 5.5, FAULTY), (6.0, 6.8, RECOVERING)], "roll": [(12.0, 26.0, FAULTY)]}
+    found, calm = judged(states=two), judged()
+    longest = {"roll": 20.0 + GRACE_TIME, "pitch": 0.8, "yaw": 0.0}
+    longest["roll"] = 26.0 - longest["roll"]  # the rest is fault and grace
+    assert found["longest_false_alarm_s"] == pytest.approx(longest)
+    assert pool([calm, found])["longest_false_alarm_s"] == pytest.approx(longest)
+    older = {name: value for name, value in calm.items() if name != "longest_false_alarm_s"}
+    assert pool([older])["longest_false_alarm_s"] == {}
+
+
+def test_declaration_after_the_end_of_a_fault_is_timed_whether_or_not_it_was_found():
+    missed = {"roll": [(20.1, 20.4, FAULTY), (21.0, 21.5, SUSPECT)]}
+    (event,) = judged(states=missed)["events"]
+    assert event["detected"] is False
+    assert event["declared_after_s"] == pytest.approx(0.4)
+    assert judged()["events"][0]["declared_after_s"] == 0.0
+    always = judged(states={"roll": [(0.0, DURATION, FAULTY)]})["events"][0]
+    assert always["declared_after_s"] == pytest.approx(GRACE_TIME)
+
+
 def test_samples_withheld_do_not_break_an_alarm_and_do_not_count_as_time():
     flight = flight_of(NO_FAULT, {"roll": [(5.0, 6.0, FAULTY)]})
     flight.fault_state[530:560] = NO_STATE

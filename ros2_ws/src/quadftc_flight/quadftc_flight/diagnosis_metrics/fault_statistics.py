@@ -129,6 +129,7 @@ def pool(diagnoses: Iterable[Record]) -> dict[str, Any]:
         "flights": len(flights),
         **fault_metrics(records),
         **with_shares(_sums(flights, ALARMS)),
+        "longest_false_alarm_s": _longest([flight.get("longest_false_alarm_s") or {} for flight in flights]),
         **isolation_metrics(*times),
         **_sums(flights, _CONFUSIONS),
         "by_estimate": {**estimate_fault_metrics(records), **with_shares(sizes)},
@@ -163,6 +164,13 @@ def _count(records: Sequence[Record], field: str, value: bool) -> int | None:
 
 def _sums(parts: Sequence[Record], names: Iterable[str]) -> dict[str, Any]:
     return {name: _total([part[name] for part in parts]) or {} for name in names}
+
+
+def _longest(parts: Sequence[PerAxis]) -> PerAxis:
+    """Return the largest value of each axis; None where no part has one."""
+    axes = dict.fromkeys(axis for part in parts for axis in part)
+    known = {axis: [part[axis] for part in parts if part.get(axis) is not None] for axis in axes}
+    return {axis: max(values, default=None) for axis, values in known.items()}
 
 
 def _total(parts: Sequence[Any]) -> Any:

@@ -83,6 +83,9 @@ def diagnosis_metrics(flight: Flight, events: Sequence[FaultEvent]) -> dict[str,
     return {
         **fault_metrics(records),
         **with_shares(_by_axis(ALARMS, alarms)),
+        "longest_false_alarm_s": {
+            name: _longest_alarm(columns, by_state.healthy, axis) for axis, name in enumerate(AXES)
+        },
         **_isolation(columns, by_state, events),
         "by_estimate": {**estimate_fault_metrics(records), **with_shares(_by_axis(ESTIMATE_ALARMS, large))},
         "starting_share": dict(zip(AXES, shares, strict=True)),
@@ -127,6 +130,8 @@ def _judge_fault(columns: Columns, event: FaultEvent, events: Sequence[FaultEven
     # the sensor may be trusted again until the next fault of its axis begins
     starts = [other.start for other in events if other.axis == event.axis and other.start >= event.stop]
     after = columns.rows(event.stop, min(starts, default=math.inf))
+    grace = columns.rows(event.stop, min([*starts, event.stop + GRACE_TIME]))
+    still = np.flatnonzero(declared[grace])
     trusted = _first(columns.trusted[:, axis] & known, after)
     can_recover = by_state.detected and known[after].any()
     return {
@@ -140,6 +145,7 @@ def _judge_fault(columns: Columns, event: FaultEvent, events: Sequence[FaultEven
         "declarations": begins,
         "recovered": trusted is not None if can_recover else None,
         "recovery_delay_s": _delay(columns, trusted, event.stop) if can_recover else None,
+        "declared_after_s": number((still[-1] + 1) * columns.period) if len(still) else 0.0,
         "above_threshold": by_estimate.detected,
         "above_threshold_already": by_estimate.already,
         "above_threshold_delay_s": _delay(columns, by_estimate.row, event.start),
@@ -203,6 +209,15 @@ def _alarms(columns: Columns, is_healthy: Mask, axis: int) -> tuple[float | None
     left_over = wrong & ~healthy[last_begin]
     false_alarms = int(np.sum(begins & healthy))
     return _seconds(columns, healthy), false_alarms, _seconds(columns, wrong), _seconds(columns, left_over)
+
+
+def _longest_alarm(columns: Columns, is_healthy: Mask, axis: int) -> float | None:
+    """Return for how long an axis that is healthy is declared without a break, at most [s]."""
+    known = columns.known[:, axis]
+    wrong = (columns.declared & is_healthy)[known, axis]
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], wrong, [False]])))
+    lengths = np.diff(edges)[::2]  # from each begin to its end
+    return number(np.max(lengths, initial=0) * columns.period) if known.any() else None
 
 
 def _large_estimates(columns: Columns, is_healthy: Mask, axis: int) -> tuple[float | None, ...]:

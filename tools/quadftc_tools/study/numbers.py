@@ -1,0 +1,58 @@
+"""Numbers in the tables of the studies: three digits, with the unit; `NOTHING` where one is not known."""
+
+from __future__ import annotations
+
+from quadftc_tools.study.page import NOTHING
+
+Values = tuple[float | None, ...]
+
+_DIGITS = 3  # significant
+
+
+def write_numbers(values: Values) -> str:
+    """Write numbers, without a unit."""
+    return " / ".join(map(write_number, values))
+
+
+def write_count(values: Values) -> str:
+    """Write whole numbers."""
+    return " / ".join(NOTHING if value is None else f"{value:.0f}" for value in values)
+
+
+def write_bracketed(values: Values) -> str:
+    """Write a whole number, and another in brackets."""
+    first, second = values
+    return NOTHING if first is None or second is None else f"{first:.0f} ({second:.0f})"
+
+
+def write_degrees(values: Values) -> str:
+    """Write angles [deg]."""
+    return NOTHING if None in values else f"{write_numbers(values)} deg"
+
+
+def write_per_cent(values: Values) -> str:
+    """Write shares as per cent."""
+    return " / ".join(NOTHING if value is None else f"{write_number(100.0 * value)} %" for value in values)
+
+
+def write_times(values: Values) -> str:
+    """Write times [s], short ones in milliseconds."""
+    known = [value for value in values if value is not None]
+    if len(known) < len(values):
+        return NOTHING
+    if max(known) >= 1.0:
+        return f"{write_numbers(values)} s"
+    return f"{' / '.join(write_number(1e3 * value) for value in known)} ms"
+
+
+def write_band(values: Values) -> str:
+    """Write a number and the band in which it should be."""
+    nees, low, high = values
+    return NOTHING if nees is None else f"{write_number(nees)} [{write_number(low)}, {write_number(high)}]"
+
+
+def write_number(value: float | None) -> str:
+    """Write a number."""
+    if value is None:
+        return NOTHING
+    return f"{value:.0f}" if abs(value) >= 10.0**_DIGITS else f"{value:.{_DIGITS}g}"
