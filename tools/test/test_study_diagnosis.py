@@ -330,7 +330,7 @@ def test_document_of_the_repository_has_a_place_for_every_table():
         assert text.count(f"<!-- table: {name} -->") == 1
 
 
-@pytest.mark.parametrize("name", [*TITLES, *QUIET, "mems_levels", "recordings_levels"])
+@pytest.mark.parametrize("name", [*TITLES, *QUIET, "mems_levels"])
 def test_campaigns_of_the_study_load_with_every_observer(name: str, tmp_path: Path):
     (tmp_path / "still").mkdir()
     (tmp_path / "still" / "metadata.yaml").touch()
