@@ -8,14 +8,14 @@ from quadftc_fdi.supervision.inertial_filter import (
     SIZE,
     apply_correction,
     correct,
+    earlier_variances,
     estimate_rate,
-    euler_matrix,
     measurement_matrix,
     predict,
     predict_angles,
-    process_noise,
     start_filter,
 )
+from quadftc_fdi.supervision.transition import ProcessNoise
 from quadftc_model.rotations import (
     euler_from_quaternion,
     euler_rates,
@@ -28,7 +28,14 @@ from quadftc_model.rotations import (
 DEG = math.pi / 180.0
 DT = 0.004
 START = np.concatenate([[0.1 * DEG] * 3, [1.0 * DEG] * 3, [0.01] * 9, [0.01]])
-NOISE = process_noise(np.array([(0.007 * DEG) ** 2 * DT]), np.array([0.0]))
+NOISE = ProcessNoise(np.array([(0.007 * DEG) ** 2 * DT]), np.array([0.0]))
+NONE = ProcessNoise(np.array([0.0]), np.array([0.0]))
+
+
+def ahead(state, gyro, noise=NONE):
+    """State after a step, without anchors, and the transition."""
+    after, _, F = predict(state, np.zeros((*gyro.shape[:-1], 0, SIZE, SIZE)), gyro, noise, DT)
+    return after, F
 
 
 def some_state(seed=0):
@@ -39,9 +46,9 @@ def some_state(seed=0):
 
 def test_the_transition_is_the_derivative_of_the_propagation():
     state, gyro = some_state()
-    after, F = predict(state, gyro, np.zeros((SIZE, SIZE)), DT)
+    after, F = ahead(state, gyro)
     for column, step in enumerate(1e-6 * np.eye(SIZE)):
-        moved, _ = predict(apply_correction(state, step), gyro, np.zeros((SIZE, SIZE)), DT)
+        moved, _ = ahead(apply_correction(state, step), gyro)
         turn = quaternion_product(after.q_xyzw * [-1, -1, -1, 1], moved.q_xyzw)
         found = np.concatenate([2.0 * turn[:3], moved.x - after.x]) / 1e-6
         np.testing.assert_allclose(
@@ -54,23 +61,49 @@ def test_the_measurement_matrix_is_the_derivative_of_the_prediction():
     state = state._replace(x=np.zeros(13))
 
     def reading(at):
-        angles = euler_from_quaternion(at.q_xyzw)
-        return predict_angles(at, angles, measurement_matrix(angles, estimate_rate(at.x, gyro)))
+        return predict_angles(at, estimate_rate(at.x, gyro)).angles
 
-    angles = euler_from_quaternion(state.q_xyzw)
-    H = measurement_matrix(angles, estimate_rate(state.x, gyro))
+    H = predict_angles(state, estimate_rate(state.x, gyro)).H
     for column, step in enumerate(1e-6 * np.eye(SIZE)):
         np.testing.assert_allclose(
             (reading(apply_correction(state, step)) - reading(state)) / 1e-6, H[:, column], atol=1e-4
         )
 
 
-def test_the_euler_matrix_is_that_of_the_kinematics_and_finite_at_the_pole():
+def test_the_measurement_matrix_is_that_of_the_kinematics_and_finite_at_the_pole():
     angles, omega = np.array([0.3, -0.7, 2.0]), np.array([0.1, 0.2, -0.3])
-    np.testing.assert_allclose(euler_matrix(angles) @ omega, euler_rates(angles, omega))
+    H, gain, slope = measurement_matrix(angles, omega)
+    np.testing.assert_allclose(H[:, :3] @ omega, euler_rates(angles, omega))
+    np.testing.assert_allclose(slope, -euler_rates(angles, omega))
+    np.testing.assert_array_equal(H[:, -1], slope)
+    np.testing.assert_allclose(gain, np.sum(H[:, :3] ** 2, axis=-1))
     batch = np.stack([angles, [0.1, math.pi / 2.0, 0.0], [0.0, 0.0, 0.0]])
-    assert np.all(np.isfinite(euler_matrix(batch)))
-    np.testing.assert_allclose(euler_matrix(batch)[0], euler_matrix(angles))
+    each = measurement_matrix(batch, np.stack([omega] * 3))
+    assert np.all(np.isfinite(each[0]))
+    for found, expected in zip(each, (H, gain, slope), strict=True):
+        np.testing.assert_allclose(found[0], expected)
+
+
+def test_one_vehicle_and_a_batch_agree():
+    state, gyro = some_state()
+    walk = ProcessNoise(np.array([1e-6]), np.array([1e-7]))
+    residual, used = np.array([0.01, -0.02, 0.03]), np.array([True, False, True])
+
+    def stepped(batch):
+        state = state_of(batch)
+        earlier = np.stack([state.P, 2.0 * state.P], axis=-3)
+        state, earlier, F = predict(state, earlier, np.broadcast_to(gyro, (*batch, 3)), walk, DT)
+        prediction = predict_angles(state, estimate_rate(state.x, np.broadcast_to(gyro, (*batch, 3))))
+        variance = np.full((*batch, 3), 1e-6)
+        state, _ = correct(state, prediction, np.broadcast_to(residual, (*batch, 3)), variance, used)
+        moved = F.of(np.broadcast_to(np.eye(SIZE), (*batch, SIZE, SIZE)))
+        return *state, moved, earlier, earlier_variances(earlier, prediction.H), *prediction
+
+    def state_of(batch):
+        return type(state)(*(np.broadcast_to(part, (*batch, *part.shape)) for part in state))
+
+    for one, many in zip(stepped(()), stepped((2,)), strict=True):
+        np.testing.assert_allclose(many, np.stack([one, one]), rtol=1e-9, atol=1e-15)
 
 
 def flown(flights, seconds, seed):
@@ -88,16 +121,14 @@ def flown(flights, seconds, seed):
         q = quaternion_product(q, quaternion_from_rotation_vector(omega * DT))
         walk = 0.007 * DEG / math.sqrt(DT) * rng.normal(size=(flights, 3))
         gyro = np.linalg.solve(np.eye(3) + M, (omega + bias)[..., None])[..., 0] + walk
-        state, _ = predict(state, gyro, NOISE, DT)
-        angles = euler_from_quaternion(state.q_xyzw)
-        H = measurement_matrix(angles, estimate_rate(state.x, gyro))
+        state, _ = ahead(state, gyro, NOISE)
+        prediction = predict_angles(state, estimate_rate(state.x, gyro))
         late = quaternion_product(q, quaternion_from_rotation_vector(-omega * tau))
         read = quaternion_product(
             late, quaternion_from_rotation_vector(0.1 * DEG * rng.normal(size=(flights, 3)))
         )
-        residual = wrap(euler_from_quaternion(read) - predict_angles(state, angles, H))
-        variance = (0.1 * DEG) ** 2 * np.sum(H[..., :3] ** 2, axis=-1)
-        state, _ = correct(state, H, residual, variance, everything)
+        residual = wrap(euler_from_quaternion(read) - prediction.angles)
+        state, _ = correct(state, prediction, residual, (0.1 * DEG) ** 2 * prediction.gain, everything)
     turn = quaternion_product(state.q_xyzw * [-1, -1, -1, 1], q)
     wrong = np.concatenate([2.0 * turn[:, :3], truth[:, 3:] - state.x], axis=1)
     return wrong, state.P
@@ -117,7 +148,7 @@ def test_bias_scale_alignment_and_delay_are_found_with_an_honest_covariance():
 
 def test_an_axis_that_is_left_out_is_not_corrected():
     state, gyro = some_state()
-    angles = euler_from_quaternion(state.q_xyzw)
-    H = measurement_matrix(angles, estimate_rate(state.x, gyro))
-    _, dx = correct(state, H, np.array([1.0, 0.0, 0.0]), np.full(3, 1e-6), np.array([False, True, True]))
+    prediction = predict_angles(state, estimate_rate(state.x, gyro))
+    used = np.array([False, True, True])
+    _, dx = correct(state, prediction, np.array([1.0, 0.0, 0.0]), np.full(3, 1e-6), used)
     np.testing.assert_array_equal(dx, 0.0)

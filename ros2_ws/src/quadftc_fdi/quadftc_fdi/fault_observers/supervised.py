@@ -27,8 +27,23 @@ from quadftc_fdi.fault_observer import FaultObserver, comparable, correct_sample
 from quadftc_fdi.supervision import anchors, fault_track, inertial_filter, residual_tests
 from quadftc_fdi.supervision.inertial_filter import ROTATION, FilterState, bias_variance, estimate_rate
 from quadftc_fdi.supervision.residual_tests import ResidualVariances
+from quadftc_fdi.supervision.transition import ProcessNoise
 from quadftc_model import samples
-from quadftc_model.arrays import Array, Column, Mask, Vector, any_of, changed_where, exp, namespace, norm
+from quadftc_model.arrays import (
+    Array,
+    Column,
+    Mask,
+    Vector,
+    any_of,
+    changed_where,
+    clip,
+    components,
+    exp,
+    larger,
+    namespace,
+    norm,
+    stacked,
+)
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, wrap
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample
@@ -132,7 +147,7 @@ class Supervised(FaultObserver):
         estimate, earlier, omega, activity, motion = self._predict(state, gyro, dt)
 
         # 2. Test the residuals of the trusted axes.
-        H, residuals, variances, valid = self._compare(estimate, earlier, imu, omega, motion)
+        prediction, residuals, variances, valid = self._compare(estimate, earlier, imu, omega, motion)
         trusted = ~state.faulty & valid
         evidence, scores = residual_tests.collect_evidence(
             state.evidence, residuals, variances, trusted, weights, dt, self.threshold, self.learning
@@ -141,9 +156,10 @@ class Supervised(FaultObserver):
         # 3. Declare faults; go back to an anchor where one was found late, as it has misled the filter.
         found = residual_tests.declare_faults(scores, evidence.suspicion, trusted, self.threshold)
         faulty, late = state.faulty | found.alarm, found.alarm & ~found.sudden
-        estimate, residual, predicted = anchors.go_back_to_anchor(
-            estimate, earlier, residuals, variances.predicted, late, found.creeping, STARTED
+        estimate, prediction, residual = anchors.go_back_to_anchor(
+            estimate, prediction, earlier, residuals, late, found.creeping, STARTED
         )
+        predicted = inertial_filter.angle_variances(prediction.HPH)
 
         # 4. Track the faults, and judge which axes are trusted again.
         bias = bias_variance(estimate.P)
@@ -164,10 +180,14 @@ class Supervised(FaultObserver):
 
         # 5. Correct the filter by the axes that are neither faulty nor suspect. Where a fault has outlasted
         # our patience, the filter was wrong: its rotation becomes uncertain, and the sensor is believed.
-        estimate = changed_where(outlasted, lambda: _doubt(estimate, residual * outlasted), estimate)
+        def doubt() -> tuple[FilterState, inertial_filter.Prediction]:
+            P = estimate.P + _doubt(residual * outlasted)
+            return estimate._replace(P=P), inertial_filter.predict_again(prediction, P)
+
+        estimate, prediction = changed_where(outlasted, doubt, (estimate, prediction))
         variance = variances.noise + variances.slow * weights.white_equivalent
         used = valid & ~faulty & ~scores.suspect
-        estimate, dx = inertial_filter.correct(estimate, H, residual, variance, used)
+        estimate, dx = inertial_filter.correct(estimate, prediction, residual, variance, used)
 
         # 6. Renew the anchors; restart the tests where what they remember no longer counts.
         restart = any_of(late | outlasted)
@@ -192,37 +212,41 @@ class Supervised(FaultObserver):
     ) -> tuple[FilterState, anchors.Anchors, Array, Array, Array]:
         """Carry filter and anchors by the mean of two gyro samples; also return rate, activity, motion."""
         omega = estimate_rate(state.filter.x, gyro)
-        activity = namespace(gyro).maximum(norm(omega), state.activity * exp(-dt / MOVED))
-        motion = ((activity - RESTING) / (MOVING - RESTING)).clip(0.0, 1.0)
-        walk = (self.gyro_noise**2 + (self.gyro_moving * norm(gyro)) ** 2) * dt
+        (turning,), (measured,) = components(norm(omega)), components(norm(gyro))
+        (activity,), (before,) = components(state.activity), components(state.motion)
+        activity = larger(turning, activity * exp(-dt / MOVED))
+        motion = clip((activity - RESTING) / (MOVING - RESTING), 0.0, 1.0)
+        walk = (self.gyro_noise**2 + (self.gyro_moving * measured) ** 2) * dt
 
         def widen() -> Array:  # by how far off the rate may be in a gap
-            off = 0.5 * norm(gyro - state.gyro) + 0.1 * norm(gyro)
+            off = 0.5 * components(norm(gyro - state.gyro))[0] + 0.1 * measured
             return walk + (dt > GAP) * (off * dt) ** 2
 
         rotation = changed_where(dt > GAP, widen, walk)
-        bias = self.gyro_bias_walk**2 * dt + self.gyro_shift**2 * abs(motion - state.motion)
-        Q = inertial_filter.process_noise(rotation, bias)
-        estimate, F = inertial_filter.predict(state.filter, 0.5 * (gyro + state.gyro), Q, dt)
-        return estimate, anchors.predict_anchors(state.anchors, F, Q), omega, activity, motion
+        bias = self.gyro_bias_walk**2 * dt + self.gyro_shift**2 * abs(motion - before)
+        noise = ProcessNoise(stacked([rotation]), stacked([bias]))
+        mean = 0.5 * (gyro + state.gyro)
+        estimate, P, F = inertial_filter.predict(state.filter, state.anchors.P, mean, noise, dt)
+        earlier = anchors.Anchors(F.of(state.anchors.corrections), P, state.anchors.age)
+        return estimate, earlier, omega, stacked([activity]), stacked([motion])
 
     def _compare(
         self, estimate: FilterState, earlier: anchors.Anchors, imu: ImuSample, omega: Array, motion: Array
-    ) -> tuple[Array, Array, ResidualVariances, Array]:
+    ) -> tuple[inertial_filter.Prediction, Array, ResidualVariances, Array]:
         """Compare a measured attitude with the predicted ones.
 
-        Return H (..., 3, 16), the residuals (..., 3, 5) [rad] of filter and anchors, how large healthy ones
+        Return the prediction, the residuals (..., 3, 5) [rad] of filter and anchors, how large healthy ones
         are, and where (..., 1) an attitude is measured, and both are away from 90 deg of pitch.
         """
-        angles, measured = euler_from_quaternion(estimate.q_xyzw), euler_from_quaternion(imu.q_xyzw)
-        H = inertial_filter.measurement_matrix(angles, omega)
-        residual = wrap(measured - inertial_filter.predict_angles(estimate, angles, H))
+        prediction = inertial_filter.predict_angles(estimate, omega)
+        measured = euler_from_quaternion(imu.q_xyzw)
+        residual = wrap(measured - prediction.angles)
+        residuals, predicted = anchors.compare_anchors(earlier, prediction, residual)
         slow = self.wander + (self.wander_moving - self.wander) * motion
-        noise = self.attitude_noise**2 * (H[..., ROTATION] ** 2).sum(axis=-1)
-        predicted = anchors.predicted_variances(estimate.P, earlier, H)
+        noise = self.attitude_noise**2 * prediction.gain
         variances = ResidualVariances(noise, slow**2 + 0.0 * noise, predicted)
-        valid = imu.attitude_valid[..., None] & comparable(angles, measured)
-        return H, anchors.all_residuals(residual, earlier, H), variances, valid
+        valid = imu.attitude_valid[..., None] & comparable(prediction.angles, measured)
+        return prediction, residuals, variances, valid
 
     def _report(
         self,
@@ -252,10 +276,10 @@ class Supervised(FaultObserver):
         return FaultEstimate(track.fault, xp.sqrt(variance), states, age, corrected)
 
 
-def _doubt(estimate: FilterState, residual: Array) -> FilterState:
-    """Make the rotation uncertain by a residual (..., 3) [rad], and the gyro's errors with it.
+def _doubt(residual: Array) -> Array:
+    """Covariance (..., 16, 16) of a rotation that was wrong by a residual (..., 3) [rad].
 
-    As long as the rotation was wrong, so were the axes in which the filter learned them.
+    As long as the rotation was wrong, so were the axes in which the filter learned the gyro's errors.
     """
     size = namespace(residual).sum(residual**2, axis=-1)
-    return estimate._replace(P=estimate.P + size[..., None, None] * SPOILED)
+    return size[..., None, None] * SPOILED

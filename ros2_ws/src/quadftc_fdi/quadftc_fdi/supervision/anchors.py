@@ -17,96 +17,101 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_fdi.supervision import inertial_filter
-from quadftc_fdi.supervision.inertial_filter import MEASURED, SIZE, Covariance, FilterState, MeasurementMatrix
+from quadftc_fdi.supervision.inertial_filter import MEASURED, FilterState, Prediction
+from quadftc_fdi.supervision.transition import SIZE, Covariance, Covariances
 from quadftc_model import arrays
-from quadftc_model.arrays import Array, Column, Float, Mask, Vector, any_of, changed_where, namespace, product
+from quadftc_model.arrays import (
+    Array,
+    Column,
+    Float,
+    Mask,
+    Vector,
+    any_of,
+    changed_where,
+    namespace,
+    product,
+)
 
 Residuals = Float[arrays.AnyArray, "*batch 3 5"]
 Predicted = Float[arrays.AnyArray, "*batch 3 3"]
 One = arrays.Bool[arrays.AnyArray, "*batch 1"]
 
 OLD, YOUNG = 3, 4  # columns of the residuals; the three before are of the filter itself
-IS_ANCHOR = np.array([0.0, 0.0, 0.0, 1.0, 1.0])
 # x @ PROMOTION: the column of the young anchor moves to the old one, and starts at zero
 PROMOTION = np.array(
     [[1.0, 0, 0, 0, 0], [0, 1.0, 0, 0, 0], [0, 0, 1.0, 0, 0], [0, 0, 0, 0, 0], [0, 0, 0, 1.0, 0]]
 )
+TO_RESIDUALS = np.eye(5)[OLD:]
+NEXT_ONE = np.array([[0.0, 0.0], [1.0, 0.0]])  # corrections @ NEXT_ONE: the same, for the two anchors
 
 
 class Anchors(NamedTuple):
-    """Two earlier states of the filter, relative to it."""
+    """Two earlier states of the filter, relative to it; the older first."""
 
-    corrections: Float[arrays.AnyArray, "*batch 16 5"]  # of the filter since; columns 0 to 2 are zero
-    P: Float[arrays.AnyArray, "*batch 2 16 16"]  # covariance now, the older anchor first
+    corrections: Float[arrays.AnyArray, "*batch 16 2"]  # of the filter since
+    P: Covariances  # now
     age: Column  # of the younger [s]
 
 
 def set_anchors(P: Covariance) -> Anchors:
     """Set both at the present state of a filter with covariance P."""
-    xp = namespace(P)
-    batch = P.shape[:-2]
-    return Anchors(xp.zeros((*batch, SIZE, 5)), xp.stack([P, P], axis=-3), xp.zeros((*batch, 1)))
+    xp, batch = namespace(P), P.shape[:-2]
+    return Anchors(xp.zeros((*batch, SIZE, 2)), xp.stack([P, P], axis=-3), xp.zeros((*batch, 1)))
 
 
-def predict_anchors(anchors: Anchors, F: inertial_filter.Transition, Q: Covariance) -> Anchors:
-    """Take a step with the transition and the noise of the filter."""
-    xp = namespace(Q)
-    P = xp.stack([F.around(anchors.P[..., each, :, :]) + Q for each in (0, 1)], axis=-3)
-    return anchors._replace(corrections=F.of(anchors.corrections), P=P)
+def compare_anchors(
+    anchors: Anchors, prediction: Prediction, residual: Vector
+) -> tuple[Residuals, Predicted]:
+    """Compare the measured angles with those of the anchors, given the prediction of the filter.
 
-
-def all_residuals(residual: Vector, anchors: Anchors, H: MeasurementMatrix) -> Residuals:
-    """Residuals [rad] of the filter (three times), the old and the young anchor."""
-    return residual[..., None] + product(H, anchors.corrections, MEASURED)
-
-
-def predicted_variances(P: Covariance, anchors: Anchors, H: MeasurementMatrix) -> Predicted:
-    """Variance (..., angle, source) of the angles [rad²] that filter, old and young anchor predict."""
-    covariances = namespace(P).concatenate([P[..., None, :, :], anchors.P], axis=-3)
-    each = H[..., None, :, :]
-    return (product(each, covariances, MEASURED) * each).sum(axis=-1).swapaxes(-1, -2)
+    Return the residuals [rad] of the filter (three times), the old and the young anchor, and the variances
+    (..., angle, source) of the angles [rad²] that filter, old and young anchor predict.
+    """
+    H, now = prediction.H, inertial_filter.angle_variances(prediction.HPH)[..., None, :]
+    shifts = product(H, anchors.corrections, MEASURED)
+    residuals = residual[..., None] + product(shifts, TO_RESIDUALS)
+    earlier = inertial_filter.earlier_variances(anchors.P, H)
+    return residuals, namespace(now).concatenate([now, earlier], axis=-2).swapaxes(-1, -2)
 
 
 def go_back_to_anchor(
     estimate: FilterState,
+    prediction: Prediction,
     anchors: Anchors,
     residuals: Residuals,
-    variances: Predicted,
     back: Mask,
     far: Mask,
     known: float,
-) -> tuple[FilterState, Vector, Vector]:
+) -> tuple[FilterState, Prediction, Vector]:
     """Go back to an anchor where an axis asks for it.
 
     ``back`` are these axes; those of ``far`` need the old anchor. But the filter does not go back to before
     the gyro bias was known to ``known`` [rad/s], 1 sigma, if it is now: forgetting the bias costs more than
-    the fault has done. ``residuals`` [rad] are of `all_residuals`, ``variances`` [rad²] of
-    `predicted_variances`. Also return residual (..., 3) [rad] and variance (..., 3) [rad²] of the filter's
-    predicted angles.
+    the fault has done. ``residuals`` [rad] are of `compare_anchors`. Also return the prediction and the
+    residual (..., 3) [rad] of the filter.
     """
     xp = namespace(back)
 
-    def go_back() -> tuple[FilterState, Array, Array]:
+    def go_back() -> tuple[FilterState, Prediction, Vector]:
         # which anchor: a bias may be known half as well, in variance, as now
+        old, young = (anchors.P[..., which, :, :] for which in (0, 1))
         limit = xp.maximum(known**2, 2.0 * inertial_filter.bias_variance(estimate.P))
-        old_knows, young_knows = (
-            inertial_filter.bias_variance(anchors.P[..., k, :, :]) <= limit for k in (0, 1)
-        )
+        old_knows, young_knows = (inertial_filter.bias_variance(each) <= limit for each in (old, young))
         returns, to_old = any_of(back) & young_knows, any_of(far) & old_knows
 
-        def choose(now: Array, young: Array, old: Array) -> Array:
+        def choose(now: Array, old: Array, young: Array) -> Array:
             extra = (None,) * (now.ndim - returns.ndim)
             return xp.where(returns[(..., *extra)], xp.where(to_old[(..., *extra)], old, young), now)
 
-        # take back the corrections since then; covariance, residual and variance are those of the anchor
+        # take back the corrections since then; covariance and residual are those of the anchor
         c = anchors.corrections
-        dx = choose(xp.zeros_like(c[..., 0]), c[..., YOUNG], c[..., OLD])
-        P = choose(estimate.P, anchors.P[..., 1, :, :], anchors.P[..., 0, :, :])
-        residual = choose(residuals[..., 0], residuals[..., YOUNG], residuals[..., OLD])
-        variance = choose(variances[..., 0], variances[..., 2], variances[..., 1])
-        return inertial_filter.apply_correction(estimate._replace(P=P), -dx), residual, variance
+        dx = choose(xp.zeros_like(c[..., 0]), c[..., 0], c[..., 1])
+        P = choose(estimate.P, old, young)
+        residual = choose(*(residuals[..., k] for k in (0, OLD, YOUNG)))
+        moved = inertial_filter.apply_correction(estimate._replace(P=P), -dx)
+        return moved, inertial_filter.predict_again(prediction, P), residual
 
-    return changed_where(back, go_back, (estimate, residuals[..., 0], variances[..., 0]))
+    return changed_where(back, go_back, (estimate, prediction, residuals[..., 0]))
 
 
 def update_anchors(
@@ -123,19 +128,18 @@ def update_anchors(
     Where ``restart``, both anchors move to the present state, with the filter's covariance P. Where ``hold``,
     none is given up, as it may be needed soon. Also return where the young one has become the old one.
     """
-    xp = namespace(dx)
-    age = (anchors.age + dt) * ~restart
+    age = anchors.age + dt
     promoted = (age > 0.5 * greatest_age) & ~hold
-    kept = Anchors(anchors.corrections + dx[..., None] * IS_ANCHOR, anchors.P, age * ~promoted)
+    changes = restart | promoted
+    kept = Anchors(anchors.corrections + dx[..., None], anchors.P, age)
 
     def replace() -> Anchors:
-        now = P[..., None, :, :]
-        covariance = xp.where(restart[..., None, None], now, kept.P)
-        next_ones = xp.concatenate([covariance[..., 1:, :, :], now], axis=-3)
-        corrections = kept.corrections * ~restart[..., None]
-        return kept._replace(
-            corrections=xp.where(promoted[..., None], corrections @ PROMOTION, corrections),
-            P=xp.where(promoted[..., None, None], next_ones, covariance),
-        )
+        xp, now = namespace(dx), P[..., None, :, :]
+        again, moved = restart[..., None], changes[..., None]
+        c = xp.where(moved, (kept.corrections * ~again) @ NEXT_ONE, kept.corrections)
+        old, young = kept.P[..., :1, :, :], kept.P[..., 1:, :, :]
+        old = xp.where(again[..., None], now, xp.where(moved[..., None], young, old))
+        young = xp.where(moved[..., None], now, young)
+        return Anchors(c, xp.concatenate([old, young], axis=-3), age * ~changes)
 
-    return changed_where(restart | promoted, replace, kept), promoted
+    return changed_where(changes, replace, kept), promoted

@@ -6,9 +6,7 @@
 The error state has 16 elements: rotation delta in body axes, b (3), M (9, by rows), tau (1). The attitude
 itself is a quaternion, so only the Euler angles of the measurement are singular.
 
-    delta' = -omega x delta + delta_M g - delta_b
-    F = [[A, G], [0, I]],   A = I - [omega]x dt,   G = dt [-I, I (x) g', 0]
-    predict   P <- F P F' + Q
+    predict   P <- F P F' + Q,   F: `transition`
     correct   S = H P H' + R,   K = P H' S^-1,   dx = K (h - h^),   P <- P - K S K'
               H = E [I, 0, 0, -omega]
 
@@ -24,16 +22,36 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from quadftc_fdi.supervision import transition
+from quadftc_fdi.supervision.transition import (
+    BIAS,
+    DELAY,
+    ROTATION,
+    SIZE,
+    Covariance,
+    Covariances,
+    ProcessNoise,
+    Transition,
+)
 from quadftc_model import arrays
-from quadftc_model.arrays import Array, Column, Float, Mask, Quaternion, Vector, is_single, namespace, product
-from quadftc_model.rotations import away_from_zero, turn
+from quadftc_model.arrays import (
+    Array,
+    Column,
+    Float,
+    Mask,
+    Quaternion,
+    Vector,
+    components,
+    is_single,
+    namespace,
+    product,
+    stacked,
+)
+from quadftc_model.rotations import away_from_zero, euler_from_quaternion, turn
 
 Errors = Float[arrays.AnyArray, "*batch 16"]
-Covariance = Float[arrays.AnyArray, "*batch 16 16"]  # of the error state
 MeasurementMatrix = Float[arrays.AnyArray, "*batch 3 16"]
 
-SIZE = 16  # of the error state
-ROTATION, BIAS, DELAY = slice(0, 3), slice(3, 6), 15
 MEASURED = (0, 1, 2, DELAY)  # columns of H that are not zero
 LEFT_OUT = 1e6  # rad²; variance of a measurement that is left out
 
@@ -43,7 +61,17 @@ class FilterState(NamedTuple):
 
     q_xyzw: Quaternion
     x: Float[arrays.AnyArray, "*batch 13"]  # b [rad/s], M by rows [1], tau [s]
-    P: Covariance  # covariance of the error state
+    P: Covariance  # of the error state
+
+
+class Prediction(NamedTuple):
+    """What the attitude sensor should read, and how uncertain that is."""
+
+    angles: Vector  # Euler angles of tau ago [rad]
+    H: MeasurementMatrix
+    gain: Vector  # variance of each angle for one of 1 rad² about each body axis
+    PH: Float[arrays.AnyArray, "*batch 16 3"]  # P H'
+    HPH: Float[arrays.AnyArray, "*batch 3 3"]  # covariance of the angles [rad²]
 
 
 def start_filter(q_xyzw: Quaternion, std_devs: NDArray[np.float64]) -> FilterState:
@@ -55,23 +83,30 @@ def start_filter(q_xyzw: Quaternion, std_devs: NDArray[np.float64]) -> FilterSta
 
 def estimate_rate(x: Float[arrays.AnyArray, "*batch 13"], gyro: Vector) -> Vector:
     """Body rate omega = (I + M) g - b [rad/s] of a gyro sample."""
-    if is_single(x):
-        return gyro + x[3:12].reshape(3, 3).dot(gyro) - x[:3]
-    M = x[..., 3:12].reshape(*x.shape[:-1], 3, 3)
-    return gyro + product(M, gyro[..., None])[..., 0] - x[..., :3]
+    x0, x1, x2, xx, xy, xz, yx, yy, yz, zx, zy, zz, _ = components(x)
+    p, q, r = components(gyro)
+    return stacked(
+        [
+            p + (xx * p + xy * q + xz * r) - x0,
+            q + (yx * p + yy * q + yz * r) - x1,
+            r + (zx * p + zy * q + zz * r) - x2,
+        ]
+    )
 
 
-def predict(state: FilterState, gyro: Vector, Q: Covariance, dt: float) -> tuple[FilterState, Transition]:
-    """Turn by a gyro sample [rad/s], the mean over the step ``dt`` [s]; return the transition F, too."""
+def predict(
+    state: FilterState, earlier: Covariances, gyro: Vector, noise: ProcessNoise, dt: float
+) -> tuple[FilterState, Covariances, Transition]:
+    """Turn by a gyro sample [rad/s], the mean over the step ``dt`` [s].
+
+    ``earlier`` are covariances of states that run on the gyro alone. Return them after the step, and the
+    transition F, too.
+    """
     omega = estimate_rate(state.x, gyro)
-    F = transition(omega, gyro, dt)
-    return FilterState(turn(state.q_xyzw, omega * dt), state.x, F.around(state.P) + Q), F
-
-
-def process_noise(rotation: Column, bias: Column) -> Covariance:
-    """Covariance Q that a step adds, of the variances of rotation and bias of each axis."""
-    diagonal = rotation * _ROTATION_NOISE + bias * _BIAS_NOISE
-    return diagonal.reshape(*rotation.shape[:-1], SIZE, SIZE)
+    F = transition.transition(omega, gyro, dt)
+    P = F.around(namespace(gyro).concatenate([state.P[..., None, :, :], earlier], axis=-3), noise)
+    q_xyzw = turn(state.q_xyzw, omega * dt)
+    return FilterState(q_xyzw, state.x, P[..., 0, :, :]), P[..., 1:, :, :], F
 
 
 def bias_variance(P: Covariance) -> Column:
@@ -87,140 +122,108 @@ def apply_correction(state: FilterState, dx: Errors) -> FilterState:
     return FilterState(turn(state.q_xyzw, dx[..., ROTATION]), state.x + dx[..., 3:], state.P)
 
 
-def predict_angles(state: FilterState, angles: Vector, H: MeasurementMatrix) -> Vector:
-    """Euler angles h^ that the attitude sensor should read: those of ``tau`` ago."""
-    return angles + H[..., DELAY] * state.x[..., 12:13]
+def predict_angles(state: FilterState, omega: Vector) -> Prediction:
+    """Predict the Euler angles that the attitude sensor should read, at a body rate [rad/s]."""
+    angles = euler_from_quaternion(state.q_xyzw)
+    H, gain, slopes = measurement_matrix(angles, omega)
+    PH, HPH = _seen(state.P, H)
+    return Prediction(angles + slopes * state.x[..., 12:13], H, gain, PH, HPH)
 
 
-def measurement_matrix(angles: Vector, omega: Vector) -> MeasurementMatrix:
-    """H = E [I, 0, 0, -omega] at Euler angles and body rate."""
-    E = euler_matrix(angles)
+def predict_again(prediction: Prediction, P: Covariance) -> Prediction:
+    """Return the prediction with another covariance of the error state."""
+    PH, HPH = _seen(P, prediction.H)
+    return prediction._replace(PH=PH, HPH=HPH)
+
+
+def _seen(P: Covariance, H: MeasurementMatrix) -> tuple[Array, Array]:
+    """P H' and H P H'."""
+    PH = product(P, H.swapaxes(-1, -2), MEASURED)
+    return PH, product(H, PH, MEASURED)
+
+
+def angle_variances(HPH: Float[arrays.AnyArray, "*batch 3 3"]) -> Vector:
+    """Variances of the predicted angles [rad²]: the diagonal of their covariance."""
+    return HPH.reshape(*HPH.shape[:-2], 9)[..., ::4]
+
+
+def earlier_variances(earlier: Covariances, H: MeasurementMatrix) -> Float[arrays.AnyArray, "*batch n 3"]:
+    """Variances of the angles [rad²] with other covariances of the error state."""
+    if type(earlier) is np.ndarray and earlier.ndim == 3:
+        PH = earlier.reshape(-1, SIZE).dot(H.T).reshape(-1, SIZE, 3)
+        return (PH * H.T).sum(axis=1)
+    each = H[..., None, :, :]
+    return (product(each, earlier, MEASURED) * each).sum(axis=-1)
+
+
+def measurement_matrix(angles: Vector, omega: Vector) -> tuple[MeasurementMatrix, Vector, Vector]:
+    """H = E [I, 0, 0, -omega] at Euler angles and body rate; the squares of the rows of E, and -E omega."""
+    E = _euler_matrix(angles)
+    p, q, r = components(omega)
+    rows = E[:3], E[3:6], E[6:]
+    slopes = [-(a * p + b * q + c * r) for a, b, c in rows]
+    gain, slope = stacked([a * a + b * b + c * c for a, b, c in rows]), stacked(slopes)
     if is_single(omega):
-        return E @ (omega @ _DELAYED + _DIRECT).reshape(3, SIZE)
+        return np.array(E + slopes).dot(_PLACES).reshape(3, SIZE), gain, slope
     xp = namespace(omega)
+    rotation = xp.stack(E, axis=-1).reshape(*angles.shape, 3)
     unseen = xp.zeros((*omega.shape[:-1], 3, DELAY - 3))
-    return xp.concatenate([E, unseen.astype(E.dtype), -product(E, omega[..., None])], axis=-1)
+    return (
+        xp.concatenate([rotation, unseen.astype(rotation.dtype), slope[..., None]], axis=-1),
+        gain,
+        slope,
+    )
 
 
-def euler_matrix(angles: Vector) -> Float[arrays.AnyArray, "*batch 3 3"]:
-    """E of (4), x1' = E(x1) omega, with the cosine of pitch kept away from zero."""
-    xp = namespace(angles)
-    s_phi, s_theta, _ = arrays.components(xp.sin(angles))
-    c_phi, c_theta, _ = arrays.components(xp.cos(angles))
-    one, zero = (1.0, 0.0) if isinstance(s_phi, float) else (xp.ones_like(s_phi), xp.zeros_like(s_phi))
-    secant = one / away_from_zero(c_theta)
+def _euler_matrix(angles: Vector) -> list[Array]:
+    """Rows of E in (4), x1' = E(x1) omega, one after the other; the cosine of pitch is kept from zero."""
+    phi, theta, _ = components(angles)
+    single, xp = isinstance(phi, float), namespace(angles)
+    sin, cos = (math.sin, math.cos) if single else (xp.sin, xp.cos)
+    s_phi, c_phi, s_theta = sin(phi), cos(phi), sin(theta)
+    secant = 1.0 / away_from_zero(cos(theta))
     tangent = s_theta * secant
-    E = [one, s_phi * tangent, c_phi * tangent, zero, c_phi, -s_phi, zero, s_phi * secant, c_phi * secant]
-    return arrays.stacked(E).reshape(*angles.shape, 3)
+    one, zero = (1.0, 0.0) if single else (xp.ones_like(s_phi), xp.zeros_like(s_phi))
+    return [one, s_phi * tangent, c_phi * tangent, zero, c_phi, -s_phi, zero, s_phi * secant, c_phi * secant]
 
 
 def correct(
-    state: FilterState, H: MeasurementMatrix, residual: Vector, variance: Vector, used: Mask
+    state: FilterState, prediction: Prediction, residual: Vector, variance: Vector, used: Mask
 ) -> tuple[FilterState, Errors]:
     """Correct by the axes that are used: residual h - h^ [rad], diagonal of R [rad²]; return dx, too."""
-    xp = namespace(residual)
-    PH = product(state.P, H.swapaxes(-1, -2), MEASURED)
-    S = product(H, PH, MEASURED) + xp.where(used, variance, LEFT_OUT)[..., None] * _AXES
+    xp, PH, HPH = namespace(residual), prediction.PH, prediction.HPH
     # With S = L L' and W = P H' L'^-1: K = W L^-1, and K S K' = W W' is symmetric to the last bit.
-    L_inverse_T = _inverse_cholesky_T(S)
-    W = product(PH, L_inverse_T)
-    white = product(L_inverse_T.swapaxes(-1, -2), xp.where(used, residual, 0.0)[..., None])
-    dx = product(W, white)[..., 0]
+    a, b, c, d, e, f = _inverse_cholesky(HPH, xp.where(used, variance, LEFT_OUT))
+    x, y, z = components(residual * used)
+    zero = 0.0 * a
+    W = product(PH, stacked([a, b, d, zero, c, e, zero, zero, f]).reshape(HPH.shape))
+    white = stacked([a * x, b * x + c * y, d * x + e * y + f * z])
+    dx = product(W, white[..., None])[..., 0]
     P = state.P - product(W, W.swapaxes(-1, -2))
     return apply_correction(state._replace(P=P), dx), dx
 
 
-def _inverse_cholesky_T(S: Array) -> Array:
-    """L'^-1 (..., 3, 3) of the Cholesky factor L of a symmetric positive definite matrix (..., 3, 3)."""
-    a, _, _, b, d, _, c, e, f = arrays.components(S.reshape(*S.shape[:-2], 9))
-    sqrt = math.sqrt if isinstance(a, float) else namespace(S).sqrt
-    i00 = 1.0 / sqrt(a)
+def _inverse_cholesky(HPH: Array, R: Vector) -> tuple[Array, ...]:
+    """Lower triangle of L^-1, row by row, with L L' = H P H' + diag(R)."""
+    a, _, _, b, d, _, c, e, f = components(HPH.reshape(*HPH.shape[:-2], 9))
+    x, y, z = components(R)
+    sqrt = math.sqrt if isinstance(a, float) else namespace(R).sqrt
+    i00 = 1.0 / sqrt(a + x)
     l10, l20 = b * i00, c * i00
-    i11 = 1.0 / sqrt(d - l10 * l10)
+    i11 = 1.0 / sqrt(d + y - l10 * l10)
     l21 = (e - l20 * l10) * i11
-    i22 = 1.0 / sqrt(f - l20 * l20 - l21 * l21)
+    i22 = 1.0 / sqrt(f + z - l20 * l20 - l21 * l21)
     i10 = -l10 * i00 * i11
-    i20, i21 = -(l20 * i00 + l21 * i10) * i22, -l21 * i11 * i22
-    zero = 0.0 * a
-    return arrays.stacked([i00, i10, i20, zero, i11, i21, zero, zero, i22]).reshape(S.shape)
+    return i00, i10, i11, -(l20 * i00 + l21 * i10) * i22, -l21 * i11 * i22, i22
 
 
-class MatrixTransition(NamedTuple):
-    """Transition of the error of one vehicle; NumPy is quickest with F as a matrix."""
-
-    F: Array  # (16, 16)
-
-    def of(self, x: Array) -> Array:
-        """F x of columns (16, n)."""
-        return self.F @ x
-
-    def around(self, P: Covariance) -> Covariance:
-        """F P F', symmetric."""
-        FPF = self.F @ P @ self.F.T
-        return 0.5 * (FPF + FPF.T)
+def _places() -> NDArray[np.float64]:
+    """H as (E by rows, -E omega) @ (12, 48)."""
+    parts = np.zeros((12, 3, SIZE))
+    for row in range(3):
+        parts[3 * row : 3 * row + 3, row, ROTATION] = np.eye(3)
+        parts[9 + row, row, DELAY] = 1.0
+    return parts.reshape(12, -1)
 
 
-class BlockTransition(NamedTuple):
-    """Transition of the errors of a batch: A and g dt alone are a twentieth of the work."""
-
-    A: Array  # (..., 3, 3)
-    g: Array  # (..., 3) gyro times dt
-    dt: float
-
-    def of(self, x: Array) -> Array:
-        """F x of columns (..., 16, n)."""
-        rotation = product(self.A, x[..., ROTATION, :]) + self._G(x[..., 3:, :])
-        return namespace(x).concatenate([rotation, x[..., 3:, :]], axis=-2)
-
-    def around(self, P: Covariance) -> Covariance:
-        """F P F', symmetric."""
-        xp = namespace(P)
-        R, C, D = P[..., :3, :3], P[..., :3, 3:], P[..., 3:, 3:]
-        across = product(self.A, C) + self._G(D)
-        half = product(self.A, R) + self._G(C.swapaxes(-1, -2))
-        G_across = self._G(across.swapaxes(-1, -2)).swapaxes(-1, -2)
-        rotation = product(half, self.A.swapaxes(-1, -2)) + G_across
-        rotation = 0.5 * (rotation + rotation.swapaxes(-1, -2))
-        above = xp.concatenate([rotation, across], axis=-1)
-        below = xp.concatenate([across.swapaxes(-1, -2), D], axis=-1)
-        return xp.concatenate([above, below], axis=-2)
-
-    def _G(self, x: Array) -> Array:
-        """G x of bias, alignment and delay (..., 13, n)."""
-        g = arrays.components(self.g)
-        aligned = [g[i][..., None, None] * x[..., 3 + i : 12 : 3, :] for i in range(3)]
-        return sum(aligned, -self.dt * x[..., :3, :])
-
-
-Transition = MatrixTransition | BlockTransition
-
-
-def transition(omega: Vector, gyro: Vector, dt: float) -> Transition:
-    """Transition over ``dt`` [s] at a body rate and a gyro sample [rad/s]."""
-    if is_single(omega):
-        parts = np.concatenate([omega * dt, gyro * dt, (dt, 1.0)])
-        return MatrixTransition((parts @ _TRANSITION).reshape(SIZE, SIZE))
-    xp = namespace(omega)
-    p, q, r = arrays.components(omega * dt)
-    one = xp.ones_like(p)
-    A = [one, r, -q, -r, one, p, q, -p, one]
-    return BlockTransition(xp.stack(A, axis=-1).reshape(*omega.shape, 3), gyro * dt, dt)
-
-
-def _transition() -> NDArray[np.float64]:
-    """F as (omega dt, g dt, dt, 1) @ (8, 256): -[omega]x, g against the rows of M, the bias, and I."""
-    parts = np.zeros((8, SIZE, SIZE))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        parts[i, j, k], parts[i, k, j] = 1.0, -1.0  # -[omega]x
-        for row in range(3):
-            parts[3 + i, row, 6 + 3 * row + i] = 1.0
-    parts[6, ROTATION, BIAS], parts[7] = -np.eye(3), np.eye(SIZE)
-    return parts.reshape(8, -1)
-
-
-_AXES = np.eye(3)
-_TRANSITION = _transition()
-_ROTATION_NOISE = np.diag(np.eye(SIZE)[ROTATION].sum(axis=0)).ravel()  # Q (256,) with variance 1 of each
-_BIAS_NOISE = np.diag(np.eye(SIZE)[BIAS].sum(axis=0)).ravel()
-_DIRECT = np.eye(3, SIZE).ravel()  # [I, 0, 0, -omega] as omega @ (3, 48) + (48,)
-_DELAYED = np.where(np.eye(3, dtype=bool)[..., None] & (np.arange(SIZE) == DELAY), -1.0, 0.0).reshape(3, -1)
+_PLACES = _places()

@@ -1,0 +1,118 @@
+"""Transition of the error state of `inertial_filter` over a step: F = [[A, G], [0, I]].
+
+    delta' = -omega x delta + delta_M g - delta_b
+    A = I - [omega]x dt,   G = dt [-I, I (x) g', 0]
+
+Only the upper three rows do anything. NumPy is quickest with them as one matrix, a batch with A and g dt.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_model import arrays
+from quadftc_model.arrays import Array, Column, Float, Vector, components, is_single, namespace, product
+
+Covariance = Float[arrays.AnyArray, "*batch 16 16"]  # of the error state
+Covariances = Float[arrays.AnyArray, "*batch n 16 16"]
+
+SIZE = 16  # of the error state
+ROTATION, BIAS, DELAY = slice(0, 3), slice(3, 6), 15
+
+
+class ProcessNoise(NamedTuple):
+    """Variances that a step adds on each axis."""
+
+    rotation: Column  # [rad²]
+    bias: Column  # of the gyro [rad²/s²]
+
+
+class MatrixTransition(NamedTuple):
+    """Transition of the error of one vehicle."""
+
+    upper: Array  # (3, 16), the rows of F that are not those of the identity
+
+    def of(self, x: Array) -> Array:
+        """F x of columns (16, n)."""
+        result = x.copy()
+        result[:3] = self.upper.dot(x)
+        return result
+
+    def around(self, P: Covariances, noise: ProcessNoise) -> Covariances:
+        """F P F' and the noise."""
+        upper_T, count = self.upper.T, len(P)
+        left = P.reshape(-1, SIZE).dot(upper_T).reshape(count, SIZE, 3)
+        above = left.swapaxes(1, 2)
+        result = P.copy()
+        result[:, :, :3], result[:, :3] = left, above
+        result[:, :3, :3] = above.reshape(-1, SIZE).dot(upper_T).reshape(count, 3, 3)
+        diagonals = result.reshape(count, -1)[:, :: SIZE + 1]
+        diagonals[:, ROTATION] += noise.rotation
+        diagonals[:, BIAS] += noise.bias
+        return result
+
+
+class BlockTransition(NamedTuple):
+    """Transition of the errors of a batch: A and g dt alone are a twentieth of the work."""
+
+    A: Array  # (..., 3, 3)
+    g: Array  # (..., 3) gyro times dt
+    dt: float
+
+    def of(self, x: Array) -> Array:
+        """F x of columns (..., 16, n)."""
+        return namespace(x).concatenate([self._upper(x), x[..., 3:, :]], axis=-2)
+
+    def around(self, P: Covariances, noise: ProcessNoise) -> Covariances:
+        """F P F' and the noise, symmetric."""
+        Q = noise.rotation[..., None] * _ROTATION_NOISE + noise.bias[..., None] * _BIAS_NOISE
+        each = [self._around(P[..., index, :, :]) + Q for index in range(P.shape[-3])]
+        return namespace(P).stack(each, axis=-3)
+
+    def _around(self, P: Covariance) -> Covariance:
+        xp = namespace(P)
+        above = self._upper(P)
+        rotation, across = self._upper(above.swapaxes(-1, -2)), above[..., 3:]
+        rotation = 0.5 * (rotation + rotation.swapaxes(-1, -2))
+        above = xp.concatenate([rotation, across], axis=-1)
+        below = xp.concatenate([across.swapaxes(-1, -2), P[..., 3:, 3:]], axis=-1)
+        return xp.concatenate([above, below], axis=-2)
+
+    def _upper(self, x: Array) -> Array:
+        """Upper three rows (..., 3, n) of F x."""
+        g = components(self.g)
+        aligned = [g[i][..., None, None] * x[..., 6 + i : 15 : 3, :] for i in range(3)]
+        return product(self.A, x[..., ROTATION, :]) + sum(aligned, -self.dt * x[..., BIAS, :])
+
+
+Transition = MatrixTransition | BlockTransition
+
+
+def transition(omega: Vector, gyro: Vector, dt: float) -> Transition:
+    """Transition over ``dt`` [s] at a body rate and a gyro sample [rad/s]."""
+    if is_single(omega):
+        parts = [x * dt for x in (*omega.tolist(), *gyro.tolist(), 1.0)]
+        return MatrixTransition((np.array(parts).dot(_UPPER) + _IDENTITY).reshape(3, SIZE))
+    xp = namespace(omega)
+    p, q, r = components(omega * dt)
+    one = xp.ones_like(p)
+    A = [one, r, -q, -r, one, p, q, -p, one]
+    return BlockTransition(xp.stack(A, axis=-1).reshape(*omega.shape, 3), gyro * dt, dt)
+
+
+def _upper() -> NDArray[np.float64]:
+    """Upper rows of F - I as (omega dt, g dt, dt) @ (7, 48): -[omega]x, g against the rows of M, and -dt."""
+    parts = np.zeros((7, 3, SIZE))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        parts[i, j, k], parts[i, k, j] = 1.0, -1.0  # -[omega]x
+        for row in range(3):
+            parts[3 + i, row, 6 + 3 * row + i] = 1.0
+    parts[6, :, BIAS] = -np.eye(3)
+    return parts.reshape(7, -1)
+
+
+_UPPER, _IDENTITY = _upper(), np.eye(3, SIZE).ravel()
+_ROTATION_NOISE, _BIAS_NOISE = (np.diag(np.eye(SIZE)[which].sum(axis=0)) for which in (ROTATION, BIAS))
