@@ -141,7 +141,7 @@ def step_costs(batches: int) -> Iterator[dict[str, Any]]:
 
     Yields ``observer``, and ``best_us`` and ``median_us`` of batches of 250 steps.
     """
-    from quadftc_campaign.open_loop import simulate
+    from quadftc_campaign.open_motion import simulate
     from quadftc_tools.study.diagnosis_results import SCENARIO
 
     short = [f"duration={STEP_DURATION} s", f"rate={STEP_RATE} Hz", "faults=[]"]

@@ -31,7 +31,7 @@ MANIFEST, CHUNKS, FLIGHTS, SUMMARY = "campaign.json", "chunks", "flights.parquet
 FORMAT = 2
 ANOTHER = "choose another --out"
 FLIGHTS_A_CHUNK = 256  # what a kill loses at most, of each worker; as many as are flown together
-OPEN_FLIGHTS_A_CHUNK = 4  # without the batch engine a flight takes seconds
+OPEN_FLIGHTS_A_CHUNK = 24  # without the batch engine: these are in memory together, some 10 MB each
 
 
 class Extent(NamedTuple):

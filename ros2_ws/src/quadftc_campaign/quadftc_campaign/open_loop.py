@@ -1,9 +1,7 @@
 """Flights without a control loop: IMU samples with faults on them, through a fault observer alone.
 
-The samples are simulated, or those of a recording whose IMU is healthy. A simulated vehicle follows the
-references of its scenario exactly, seen by the IMU of the scenario. Nothing acts on the vehicle that an
-observer could know, so the torque is zero. The faults are those of the scenario; on a recording that is too
-short for one of them, this one is left out.
+The samples are simulated (`quadftc_campaign.open_motion`), or those of a recording whose IMU is healthy. The
+faults are those of the scenario; on a recording that is too short for one of them, this one is left out.
 """
 
 from __future__ import annotations
@@ -11,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -19,8 +16,9 @@ import numpy as np
 from quadftc_campaign.batch.parts import Progress
 from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.flights import generator_of
+from quadftc_campaign.open_batch import OpenFlight, diagnose_all
+from quadftc_campaign.open_motion import simulate, simulate_all
 from quadftc_campaign.table import Row, Rows
-from quadftc_control.reference import combined
 from quadftc_flight.diagnosis_metrics import GRACE_TIME
 from quadftc_flight.diagnosis_metrics.columns import Columns
 from quadftc_flight.diagnosis_metrics.roc import detection_scores, estimate_over_std_dev, estimate_size
@@ -28,16 +26,12 @@ from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import Flight
 from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.scenario import Fault, Scenario
-from quadftc_model.rotations import body_rates, quaternion_from_euler
-from quadftc_model.samples import AXES, ImuSample
+from quadftc_model.samples import AXES
 from quadftc_model.units import quantity
-from quadftc_replay.diagnose import diagnose, flight_of
+from quadftc_replay.diagnose import flight_of
 from quadftc_replay.imu_from_bag import recording_from_bag
 from quadftc_replay.imu_recording import Recording
 from quadftc_replay.overlay import replay_events
-from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count
-from quadftc_sim.injector import FaultInjector
-from quadftc_sim.sensor_draws import SensorDraws
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -58,10 +52,16 @@ def fly_open(
     campaign: Campaign, numbers: Sequence[int], scenarios: Sequence[Scenario], progress: Progress
 ) -> Iterator[tuple[Row, Rows]]:
     """Diagnose some flights of a campaign; yield the metrics of each flight and of its faults."""
-    for number, scenario in zip(numbers, scenarios, strict=True):
-        recording, faults, delay = prepare(campaign, number, scenario)
-        injector = FaultInjector(scenario.seed, (fault.injection for fault in faults))
-        flight = flight_of(recording, diagnose(recording, scenario.scheme(None).observer.law, injector))
+    simulated = [None] * len(scenarios) if campaign.recordings else simulate_all(scenarios)
+    given = zip(numbers, scenarios, simulated, strict=True)
+    prepared = [prepare(campaign, *each) for each in given]
+    flights = [
+        OpenFlight(recording, tuple(fault.injection for fault in faults), scenario.seed)
+        for (recording, faults, _), scenario in zip(prepared, scenarios, strict=True)
+    ]
+    laws = [scenario.scheme(None).observer.law for scenario in scenarios]
+    for (recording, faults, delay), diagnosed in zip(prepared, diagnose_all(flights, laws), strict=True):
+        flight = flight_of(recording, diagnosed)
         events = replay_events(recording, faults)
         metrics = flight_metrics(flight, (), events)
         diagnosis: dict[str, Any] = metrics["diagnosis"]
@@ -81,12 +81,17 @@ def fly_open(
         yield whole, records
 
 
-def prepare(campaign: Campaign, number: int, scenario: Scenario) -> tuple[Recording, list[Fault], float]:
-    """Return samples without faults of flight ``number``, the faults to put on them, and their delay [s]."""
+def prepare(
+    campaign: Campaign, number: int, scenario: Scenario, simulated: Recording | None = None
+) -> tuple[Recording, list[Fault], float]:
+    """Return samples without faults of flight ``number``, the faults to put on them, and their delay [s].
+
+    ``simulated`` are the samples of a campaign without recordings, if they are there already.
+    """
     delay, delays, bags = 0.0, campaign.source.delay, campaign.recordings
     if delays is not None:
         delay = quantity(delays.draw(generator_of(campaign, number, DELAY)), "s")
-    recording = _read_recording(bags[number % len(bags)]) if bags else simulate(scenario)
+    recording = _read_recording(bags[number % len(bags)]) if bags else simulated or simulate(scenario)
     end = recording.duration - GRACE_TIME if bags else scenario.duration
     faults: list[Fault] = []
     for injection, given in ((fault.injection, fault.given) for fault in scenario.faults):
@@ -94,30 +99,6 @@ def prepare(campaign: Campaign, number: int, scenario: Scenario) -> tuple[Record
         if stop <= end:  # what the samples are too short for is left out
             faults.append(Fault(dataclasses.replace(injection, start=start, stop=stop), given))
     return recording, faults, delay
-
-
-def simulate(scenario: Scenario) -> Recording:
-    """Simulate the healthy IMU of a vehicle that follows the references exactly, sample by sample."""
-    count, dt = sample_count(scenario.duration, scenario.rate), 1.0 / scenario.rate
-    time = np.arange(count, dtype=np.float64)[:, None] * dt
-    motion = combined([part.law for part in scenario.references], time)
-    angles, rates = (np.broadcast_to(each, (count, len(AXES))) for each in (motion.angles, motion.rates))
-    q_xyzw, body_rate = quaternion_from_euler(angles), body_rates(angles, rates)
-    random, sensor = SensorDraws(scenario.seed), dataclasses.replace(scenario.sensor, delay=0)
-    state, draws = sensor.turn_on(random.turn_on), random.next(count, sensor.wanders)
-    samples: list[ImuSample] = []
-    for row in range(count):
-        state, sample = sensor.step(state, q_xyzw[row], body_rate[row], draws[row], dt)
-        samples.append(cast("ImuSample", sample))  # as nothing is delayed
-    return Recording(
-        name="simulated",
-        path=Path("simulated"),
-        topic="/imu/data",
-        namespace="/",
-        stamp_ns=EPOCH_NS + period_ns(scenario.rate) * np.arange(count, dtype=np.int64),
-        imu=ImuSample(*(np.stack(column) for column in zip(*samples, strict=True))),
-        torque=np.zeros((count, len(AXES))),
-    )
 
 
 def error_profile(flight: Flight, event: FaultEvent) -> dict[str, list[float | None]]:

@@ -14,13 +14,17 @@ from quadftc_campaign.campaign_file import bags_in, load_campaign
 from quadftc_campaign.campaign_run import fly_chunk
 from quadftc_campaign.distributions import distribution, plain
 from quadftc_campaign.flights import flight_scenario
-from quadftc_campaign.open_loop import AGES, WITHIN, error_profile, prepare, score_counts, simulate
+from quadftc_campaign.open_batch import OpenFlight, diagnose_all
+from quadftc_campaign.open_loop import AGES, WITHIN, error_profile, prepare, score_counts
+from quadftc_campaign.open_motion import simulate, simulate_all
 from quadftc_campaign.table import summary_of, table_of
 from quadftc_flight.diagnosis_metrics.roc import detection_scores, estimate_size, roc
 from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import VECTORS, Flight
-from quadftc_flight.scenario import ScenarioError, parse_scenario
+from quadftc_flight.scenario import ScenarioError, parse_scenario, with_seed
 from quadftc_model.samples import AXES, FAULTY
+from quadftc_replay.diagnose import diagnose
+from quadftc_sim.injector import FaultInjector
 from quadftc_sim.sensors import GRADES
 
 DEG = math.pi / 180.0
@@ -108,6 +112,53 @@ def test_simulated_samples_have_the_noise_of_the_grade():
     tilt = 2.0 * np.diff(recording.imu.q_xyzw[600:], n=3, axis=0)[:, :3]
     assert np.std(tilt) / math.sqrt(20.0) == pytest.approx(grade["attitude_noise"], rel=0.03)
     assert len(recording) == 40 * 250
+
+
+def test_scenarios_simulated_together_are_those_simulated_alone():
+    scenarios = [parse_scenario(BASE.replace("mems", grade)) for grade in ("mems", "ahrs", "mems")]
+    scenarios = [with_seed(each, seed) for seed, each in enumerate(scenarios)]
+    for together, scenario in zip(simulate_all(scenarios), scenarios, strict=True):
+        alone = simulate(scenario)
+        np.testing.assert_allclose(together.imu.q_xyzw, alone.imu.q_xyzw, rtol=0.0, atol=1e-15)
+        np.testing.assert_allclose(together.imu.body_rate, alone.imu.body_rate, rtol=0.0, atol=1e-15)
+    assert not np.array_equal(simulate(scenarios[0]).imu.body_rate, simulate(scenarios[2]).imu.body_rate)
+
+
+FAULTS = """
+faults:
+  - {kind: bias, axes: roll, value: 2 deg, start: 1 s, stop: 2 s}
+  - {kind: noise, axes: [roll, yaw], sigma: 1 deg, start: 1.5 s, stop: 3 s}
+  - {kind: spikes, axes: pitch, amplitude: 5 deg, rate: 5, start: 1 s, stop: 3 s}
+  - {kind: nan, axes: pitch, start: 2.5 s, stop: 2.6 s}
+  - {kind: drift, channel: gyro, rate: 1 deg/s^2, start: 1 s, stop: 3 s}
+"""
+BEGINNING = "  - {kind: nan, channel: attitude, start: 0 s, stop: 0.2 s}\n"
+MEMORY = "  - {kind: delay, delay: 0.05 s, start: 1 s, stop: 2 s}\n"
+
+
+@pytest.mark.parametrize("observer", ["supervised", "threshold"])
+@pytest.mark.parametrize("more", ["", BEGINNING, MEMORY])
+def test_flights_diagnosed_together_are_those_diagnosed_alone(observer, more):
+    head, _, rest = BASE.partition("faults:")
+    text = head + FAULTS + more + rest[rest.index("schemes:") :].replace("supervised", observer)
+    scenarios = [with_seed(parse_scenario(text), seed) for seed in range(3)]
+    injections = [tuple(fault.injection for fault in each.faults) for each in scenarios]
+    injections[2] = injections[2][1:]  # not all have the same faults
+    flights = [
+        OpenFlight(simulate(scenario), each, scenario.seed)
+        for scenario, each in zip(scenarios, injections, strict=True)
+    ]
+    laws = [scenario.scheme(None).observer.law for scenario in scenarios]
+    for flight, law, together in zip(flights, laws, diagnose_all(flights, laws), strict=True):
+        alone = diagnose(flight.recording, law, FaultInjector(flight.seed, flight.injections))
+        assert np.nanmax(np.abs(alone.overlaid["attitude"])) > 0.03  # the faults were there
+        for name, wanted in alone.overlaid.items():
+            np.testing.assert_array_equal(together.overlaid[name], wanted, err_msg=name)
+        np.testing.assert_array_equal(together.delivered, alone.delivered)
+        np.testing.assert_array_equal(together.estimate.state, alone.estimate.state)
+        for name in ("fault", "std_dev", "onset_age"):
+            found, wanted = getattr(together.estimate, name), getattr(alone.estimate, name)
+            np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-12, err_msg=name)
 
 
 def test_each_fault_of_each_observer_is_a_row(tmp_path):
