@@ -5,20 +5,16 @@ import math
 import numpy as np
 
 from quadftc_fdi.supervision.inertial_filter import (
-    SIZE,
     apply_correction,
     correct,
-    earlier_variances,
     estimate_rate,
-    measurement_matrix,
     predict,
-    predict_angles,
     start_filter,
 )
-from quadftc_fdi.supervision.transition import ProcessNoise
+from quadftc_fdi.supervision.measurement import earlier_variances, predict_angles
+from quadftc_fdi.supervision.transition import SIZE, ProcessNoise
 from quadftc_model.rotations import (
     euler_from_quaternion,
-    euler_rates,
     quaternion_from_euler,
     quaternion_from_rotation_vector,
     quaternion_product,
@@ -34,7 +30,8 @@ NONE = ProcessNoise(np.array([0.0]), np.array([0.0]))
 
 def ahead(state, gyro, noise=NONE):
     """State after a step, without anchors, and the transition."""
-    after, _, F = predict(state, np.zeros((*gyro.shape[:-1], 0, SIZE, SIZE)), gyro, noise, DT)
+    earlier = np.zeros((*gyro.shape[:-1], 0, SIZE, SIZE))
+    after, _, F = predict(state, earlier, gyro, 0.0 * gyro, noise, DT)
     return after, F
 
 
@@ -56,32 +53,23 @@ def test_the_transition_is_the_derivative_of_the_propagation():
         )  # F is of first order in dt
 
 
-def test_the_measurement_matrix_is_the_derivative_of_the_prediction():
-    state, gyro = some_state()
-    state = state._replace(x=np.zeros(13))
+def test_an_accelerated_rotation_is_integrated_to_third_order():
+    """About an axis that turns, as the rate changes linearly within each step."""
 
-    def reading(at):
-        return predict_angles(at, estimate_rate(at.x, gyro)).angles
+    def error(steps):
+        dt, state = 0.4 / steps, start_filter(np.array([0.0, 0.0, 0.0, 1.0]), START)
+        none = np.zeros((0, SIZE, SIZE))
+        for k in range(steps):
+            before, after = (
+                np.array([14.0, 3.0, 0.0]) + t * np.array([0.0, 5.0, 30.0]) for t in (k * dt, k * dt + dt)
+            )
+            state, _, _ = predict(state, none, 0.5 * (before + after), after - before, NONE, dt)
+        return state.q_xyzw
 
-    H = predict_angles(state, estimate_rate(state.x, gyro)).H
-    for column, step in enumerate(1e-6 * np.eye(SIZE)):
-        np.testing.assert_allclose(
-            (reading(apply_correction(state, step)) - reading(state)) / 1e-6, H[:, column], atol=1e-4
-        )
-
-
-def test_the_measurement_matrix_is_that_of_the_kinematics_and_finite_at_the_pole():
-    angles, omega = np.array([0.3, -0.7, 2.0]), np.array([0.1, 0.2, -0.3])
-    H, gain, slope = measurement_matrix(angles, omega)
-    np.testing.assert_allclose(H[:, :3] @ omega, euler_rates(angles, omega))
-    np.testing.assert_allclose(slope, -euler_rates(angles, omega))
-    np.testing.assert_array_equal(H[:, -1], slope)
-    np.testing.assert_allclose(gain, np.sum(H[:, :3] ** 2, axis=-1))
-    batch = np.stack([angles, [0.1, math.pi / 2.0, 0.0], [0.0, 0.0, 0.0]])
-    each = measurement_matrix(batch, np.stack([omega] * 3))
-    assert np.all(np.isfinite(each[0]))
-    for found, expected in zip(each, (H, gain, slope), strict=True):
-        np.testing.assert_allclose(found[0], expected)
+    exact = error(2000)
+    coarse, fine = (np.linalg.norm(error(steps) - exact) for steps in (100, 200))
+    assert coarse / fine > 12.0
+    assert coarse < 1e-5
 
 
 def test_one_vehicle_and_a_batch_agree():
@@ -92,12 +80,14 @@ def test_one_vehicle_and_a_batch_agree():
     def stepped(batch):
         state = state_of(batch)
         earlier = np.stack([state.P, 2.0 * state.P], axis=-3)
-        state, earlier, F = predict(state, earlier, np.broadcast_to(gyro, (*batch, 3)), walk, DT)
+        state, earlier, F = predict(
+            state, earlier, np.broadcast_to(gyro, (*batch, 3)), np.broadcast_to(gyro, (*batch, 3)), walk, DT
+        )
         prediction = predict_angles(state, estimate_rate(state.x, np.broadcast_to(gyro, (*batch, 3))))
         variance = np.full((*batch, 3), 1e-6)
         state, _ = correct(state, prediction, np.broadcast_to(residual, (*batch, 3)), variance, used)
         moved = F.of(np.broadcast_to(np.eye(SIZE), (*batch, SIZE, SIZE)))
-        return *state, moved, earlier, earlier_variances(earlier, prediction.H), *prediction
+        return *state, moved, earlier, earlier_variances(earlier, prediction.H), *map(np.asarray, prediction)
 
     def state_of(batch):
         return type(state)(*(np.broadcast_to(part, (*batch, *part.shape)) for part in state))

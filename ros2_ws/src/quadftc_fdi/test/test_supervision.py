@@ -24,9 +24,9 @@ from quadftc_fdi.supervision.fault_track import (
 from quadftc_fdi.supervision.inertial_filter import (
     correct,
     predict,
-    predict_angles,
     start_filter,
 )
+from quadftc_fdi.supervision.measurement import predict_angles
 from quadftc_fdi.supervision.residual_tests import (
     ResidualVariances,
     averaging_weights,
@@ -58,9 +58,9 @@ class Flown:
         noise = ProcessNoise(np.array([1e-9]), np.array([0.0]))
         for _ in range(round(seconds / DT)):
             self.gyro = 0.2 * rng.standard_normal(3)
-            self.filter, P, F = predict(self.filter, self.anchors.P, self.gyro, noise, DT)
+            self.filter, P, F = predict(self.filter, self.anchors.P, self.gyro, ZEROS, noise, DT)
             self.anchors = self.anchors._replace(corrections=F.of(self.anchors.corrections), P=P)
-            self.twin, _, _ = predict(self.twin, P, self.gyro, noise, DT)
+            self.twin, _, _ = predict(self.twin, P, self.gyro, ZEROS, noise, DT)
             self.prediction = predict_angles(self.filter, self.gyro)
             residual = 0.2 * SIGMA * rng.standard_normal(3)
             self.filter, dx = correct(self.filter, self.prediction, residual, np.full(3, SIGMA**2), EVERY)

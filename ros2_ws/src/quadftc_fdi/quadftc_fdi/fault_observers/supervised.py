@@ -5,7 +5,7 @@ filter estimates the gyro's errors against the attitude of the healthy axes, and
 a faulty axis the gyro carries the angle on: measured minus predicted angle is the fault. docs/supervised.md
 explains the states of an axis and the reasons; the parts are in `quadftc_fdi.supervision`:
 
-    inertial_filter    predict by the gyro, correct by the healthy axes
+    inertial_filter    predict by the gyro (`transition`), correct by the healthy axes (`measurement`)
     anchors            earlier states of the filter, to which it goes back
     residual_tests     collect evidence, declare faults
     fault_track        follow the fault, judge when the axis is trusted again
@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_fdi import fault_observer
-from quadftc_fdi.fault_observer import FaultObserver, comparable, correct_sample, register, without_fault
-from quadftc_fdi.supervision import anchors, fault_track, inertial_filter, residual_tests
-from quadftc_fdi.supervision.inertial_filter import ROTATION, FilterState, bias_variance, estimate_rate
+from quadftc_fdi.fault_observer import FaultObserver, correct_sample, register, without_fault
+from quadftc_fdi.supervision import anchors, fault_track, inertial_filter, measurement, residual_tests
+from quadftc_fdi.supervision.inertial_filter import GAP, bias_variance, estimate_rate
 from quadftc_fdi.supervision.residual_tests import ResidualVariances
-from quadftc_fdi.supervision.transition import ProcessNoise
+from quadftc_fdi.supervision.transition import ROTATION, FilterState, ProcessNoise
 from quadftc_model import samples
 from quadftc_model.arrays import (
     Array,
@@ -45,7 +45,7 @@ from quadftc_model.arrays import (
     stacked,
 )
 from quadftc_model.parameters import parameter
-from quadftc_model.rotations import euler_from_quaternion, wrap
+from quadftc_model.rotations import euler_from_quaternion
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample
 
 DEG = math.pi / 180.0
@@ -55,7 +55,6 @@ KEPT = 0.05 * DEG  # rad/s; a gyro bias taken over from an observer that has die
 RESTING, MOVING = 0.1, 0.35  # rad/s; a vehicle rests below, and moves above, as far as slow errors go
 MOVED = 8.0  # s; how long it counts as moving afterwards (time constant)
 FADING = 2.0  # s; in which a new gyro bias leaves the corrected rate: at once, it would jolt the flight
-GAP = 0.15  # s; longer than the period of any IMU: the rate in a gap is a guess
 SHOWN = 0.3  # 1; share of the recovery time from which an axis is shown as recovering
 # covariance of what a wrong rotation has spoiled: itself, the bias (at 0.1 rad/s), the alignment
 SPOILED = np.diag([1.0] * 3 + [0.1**2] * 3 + [1.0] * 9 + [0.0])
@@ -84,7 +83,7 @@ class Supervised(FaultObserver):
     wander_moving: float = parameter(0.2 * DEG, unit="rad", low=0.0, doc="the same while moving")
     wander_memory: float = parameter(0.15, unit="s", low=1e-3, doc="correlation time of the slow error")
     gyro_noise: float = parameter(0.007 * DEG, unit="rad/sqrt(s)", low=1e-8, doc="angle random walk N")
-    gyro_moving: float = parameter(0.001, unit="sqrt(s)", low=0.0, doc="what N grows by per body rate")
+    gyro_moving: float = parameter(0.00125, unit="sqrt(s)", low=0.0, doc="what N grows by per body rate")
     gyro_shift: float = parameter(0.02 * DEG, unit="rad/s", low=0.0, doc="gyro bias by motion, 1 sigma")
     gyro_bias: float = parameter(1.5 * DEG, unit="rad/s", low=1e-6, doc="turn-on gyro bias, 1 sigma")
     gyro_bias_walk: float = parameter(2e-4 * DEG, unit="rad/s/sqrt(s)", low=0.0, doc="rate random walk K")
@@ -147,8 +146,10 @@ class Supervised(FaultObserver):
         estimate, earlier, omega, activity, motion = self._predict(state, gyro, dt)
 
         # 2. Test the residuals of the trusted axes.
-        prediction, residuals, variances, valid = self._compare(estimate, earlier, imu, omega, motion)
-        trusted = ~state.faulty & valid
+        prediction, residuals, variances, valid, testable = self._compare(
+            estimate, earlier, imu, omega, motion
+        )
+        trusted = ~state.faulty & testable
         evidence, scores = residual_tests.collect_evidence(
             state.evidence, residuals, variances, trusted, weights, dt, self.threshold, self.learning
         )
@@ -159,7 +160,7 @@ class Supervised(FaultObserver):
         estimate, prediction, residual = anchors.go_back_to_anchor(
             estimate, prediction, earlier, residuals, late, found.creeping, STARTED
         )
-        predicted = inertial_filter.angle_variances(prediction.HPH)
+        predicted = measurement.angle_variances(prediction.HPH)
 
         # 4. Track the faults, and judge which axes are trusted again.
         bias = bias_variance(estimate.P)
@@ -180,9 +181,9 @@ class Supervised(FaultObserver):
 
         # 5. Correct the filter by the axes that are neither faulty nor suspect. Where a fault has outlasted
         # our patience, the filter was wrong: its rotation becomes uncertain, and the sensor is believed.
-        def doubt() -> tuple[FilterState, inertial_filter.Prediction]:
+        def doubt() -> tuple[FilterState, measurement.Prediction]:
             P = estimate.P + _doubt(residual * outlasted)
-            return estimate._replace(P=P), inertial_filter.predict_again(prediction, P)
+            return estimate._replace(P=P), measurement.predict_again(prediction, P)
 
         estimate, prediction = changed_where(outlasted, doubt, (estimate, prediction))
         variance = variances.noise + variances.slow * weights.white_equivalent
@@ -226,27 +227,29 @@ class Supervised(FaultObserver):
         bias = self.gyro_bias_walk**2 * dt + self.gyro_shift**2 * abs(motion - before)
         noise = ProcessNoise(stacked([rotation]), stacked([bias]))
         mean = 0.5 * (gyro + state.gyro)
-        estimate, P, F = inertial_filter.predict(state.filter, state.anchors.P, mean, noise, dt)
+        change = gyro - state.gyro
+        estimate, P, F = inertial_filter.predict(state.filter, state.anchors.P, mean, change, noise, dt)
         earlier = anchors.Anchors(F.of(state.anchors.corrections), P, state.anchors.age)
         return estimate, earlier, omega, stacked([activity]), stacked([motion])
 
     def _compare(
         self, estimate: FilterState, earlier: anchors.Anchors, imu: ImuSample, omega: Array, motion: Array
-    ) -> tuple[inertial_filter.Prediction, Array, ResidualVariances, Array]:
+    ) -> tuple[measurement.Prediction, Array, ResidualVariances, Array, Array]:
         """Compare a measured attitude with the predicted ones.
 
         Return the prediction, the residuals (..., 3, 5) [rad] of filter and anchors, how large healthy ones
-        are, and where (..., 1) an attitude is measured, and both are away from 90 deg of pitch.
+        are, which angles (..., 3) are measured and can be used, and which can be tested.
         """
-        prediction = inertial_filter.predict_angles(estimate, omega)
-        measured = euler_from_quaternion(imu.q_xyzw)
-        residual = wrap(measured - prediction.angles)
+        prediction = measurement.predict_angles(estimate, omega)
+        residual = measurement.nearest_residual(prediction, euler_from_quaternion(imu.q_xyzw))
         residuals, predicted = anchors.compare_anchors(earlier, prediction, residual)
         slow = self.wander + (self.wander_moving - self.wander) * motion
         noise = self.attitude_noise**2 * prediction.gain
-        variances = ResidualVariances(noise, slow**2 + 0.0 * noise, predicted)
-        valid = imu.attitude_valid[..., None] & comparable(prediction.angles, measured)
-        return prediction, residuals, variances, valid
+        variances = ResidualVariances(noise, slow**2 * prediction.gain, predicted)
+        sensor = variances.noise + variances.slow
+        usable, testable = measurement.defined(prediction, estimate.P, sensor)
+        there = imu.attitude_valid[..., None]
+        return prediction, residuals, variances, there & usable, there & testable
 
     def _report(
         self,

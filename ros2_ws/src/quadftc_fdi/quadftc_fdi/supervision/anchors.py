@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_fdi.supervision import inertial_filter
-from quadftc_fdi.supervision.inertial_filter import MEASURED, FilterState, Prediction
-from quadftc_fdi.supervision.transition import SIZE, Covariance, Covariances
+from quadftc_fdi.supervision import inertial_filter, measurement
+from quadftc_fdi.supervision.measurement import MEASURED, Prediction
+from quadftc_fdi.supervision.transition import SIZE, Covariance, Covariances, FilterState
 from quadftc_model import arrays
 from quadftc_model.arrays import (
     Array,
@@ -67,10 +67,10 @@ def compare_anchors(
     Return the residuals [rad] of the filter (three times), the old and the young anchor, and the variances
     (..., angle, source) of the angles [rad²] that filter, old and young anchor predict.
     """
-    H, now = prediction.H, inertial_filter.angle_variances(prediction.HPH)[..., None, :]
+    H, now = prediction.H, measurement.angle_variances(prediction.HPH)[..., None, :]
     shifts = product(H, anchors.corrections, MEASURED)
     residuals = residual[..., None] + product(shifts, TO_RESIDUALS)
-    earlier = inertial_filter.earlier_variances(anchors.P, H)
+    earlier = measurement.earlier_variances(anchors.P, H)
     return residuals, namespace(now).concatenate([now, earlier], axis=-2).swapaxes(-1, -2)
 
 
@@ -109,7 +109,7 @@ def go_back_to_anchor(
         P = choose(estimate.P, old, young)
         residual = choose(*(residuals[..., k] for k in (0, OLD, YOUNG)))
         moved = inertial_filter.apply_correction(estimate._replace(P=P), -dx)
-        return moved, inertial_filter.predict_again(prediction, P), residual
+        return moved, measurement.predict_again(prediction, P), residual
 
     return changed_where(back, go_back, (estimate, prediction, residuals[..., 0]))
 

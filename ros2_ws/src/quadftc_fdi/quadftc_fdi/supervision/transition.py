@@ -1,7 +1,7 @@
 """Transition of the error state of `inertial_filter` over a step: F = [[A, G], [0, I]].
 
     delta' = -omega x delta + delta_M g - delta_b
-    A = I - [omega]x dt,   G = dt [-I, I (x) g', 0]
+    A = exp(-[omega dt]x),   G = dt [-I, I (x) g', 0]          A to second order, so that nothing grows
 
 Only the upper three rows do anything. NumPy is quickest with them as one matrix, a batch with A and g dt.
 """
@@ -14,13 +14,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_model import arrays
-from quadftc_model.arrays import Array, Column, Float, Vector, components, is_single, namespace, product
+from quadftc_model.arrays import (
+    Array,
+    Column,
+    Float,
+    Quaternion,
+    Vector,
+    components,
+    is_single,
+    namespace,
+    product,
+)
 
 Covariance = Float[arrays.AnyArray, "*batch 16 16"]  # of the error state
 Covariances = Float[arrays.AnyArray, "*batch n 16 16"]
 
 SIZE = 16  # of the error state
 ROTATION, BIAS, DELAY = slice(0, 3), slice(3, 6), 15
+
+
+class FilterState(NamedTuple):
+    """Estimate and covariance."""
+
+    q_xyzw: Quaternion
+    x: Float[arrays.AnyArray, "*batch 13"]  # b [rad/s], M by rows [1], tau [s]
+    P: Covariance  # of the error state
 
 
 class ProcessNoise(NamedTuple):
@@ -93,26 +111,25 @@ Transition = MatrixTransition | BlockTransition
 
 def transition(omega: Vector, gyro: Vector, dt: float) -> Transition:
     """Transition over ``dt`` [s] at a body rate and a gyro sample [rad/s]."""
+    x, y, z = components(omega * dt)
+    xx, yy, zz, xy, xz, yz = 0.5 * x * x, 0.5 * y * y, 0.5 * z * z, 0.5 * x * y, 0.5 * x * z, 0.5 * y * z
+    A = [1.0 - yy - zz, xy + z, xz - y, xy - z, 1.0 - xx - zz, yz + x, xz + y, yz - x, 1.0 - xx - yy]
     if is_single(omega):
-        parts = [x * dt for x in (*omega.tolist(), *gyro.tolist(), 1.0)]
-        return MatrixTransition((np.array(parts).dot(_UPPER) + _IDENTITY).reshape(3, SIZE))
-    xp = namespace(omega)
-    p, q, r = components(omega * dt)
-    one = xp.ones_like(p)
-    A = [one, r, -q, -r, one, p, q, -p, one]
-    return BlockTransition(xp.stack(A, axis=-1).reshape(*omega.shape, 3), gyro * dt, dt)
+        parts = A + [each * dt for each in (*gyro.tolist(), 1.0)]
+        return MatrixTransition(np.array(parts).dot(_UPPER).reshape(3, SIZE))
+    return BlockTransition(namespace(omega).stack(A, axis=-1).reshape(*omega.shape, 3), gyro * dt, dt)
 
 
 def _upper() -> NDArray[np.float64]:
-    """Upper rows of F - I as (omega dt, g dt, dt) @ (7, 48): -[omega]x, g against the rows of M, and -dt."""
-    parts = np.zeros((7, 3, SIZE))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        parts[i, j, k], parts[i, k, j] = 1.0, -1.0  # -[omega]x
-        for row in range(3):
-            parts[3 + i, row, 6 + 3 * row + i] = 1.0
-    parts[6, :, BIAS] = -np.eye(3)
-    return parts.reshape(7, -1)
+    """Upper rows of F as (A by rows, g dt, dt) @ (13, 48): A, minus dt for the bias, g for the rows of M."""
+    parts = np.zeros((13, 3, SIZE))
+    for row in range(3):
+        for column in range(3):
+            parts[3 * row + column, row, column] = 1.0
+            parts[9 + column, row, 6 + 3 * row + column] = 1.0
+    parts[12, :, BIAS] = -np.eye(3)
+    return parts.reshape(13, -1)
 
 
-_UPPER, _IDENTITY = _upper(), np.eye(3, SIZE).ravel()
+_UPPER = _upper()
 _ROTATION_NOISE, _BIAS_NOISE = (np.diag(np.eye(SIZE)[which].sum(axis=0)) for which in (ROTATION, BIAS))

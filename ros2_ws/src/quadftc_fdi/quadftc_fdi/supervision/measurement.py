@@ -1,0 +1,157 @@
+"""What an attitude sensor should read: Euler angles, at any attitude.
+
+    h = x1(q exp(-omega tau)),   H = E [I + [omega tau]x, 0, 0, -omega]         E of (4)
+
+A noise that is alike about all body axes is E E' in the angles: 1 / cos(pitch) times as large in roll and
+yaw, with correlation sin(pitch), and as it is in pitch. A fault of roll is a rotation about the body's x
+axis, one of pitch about the y axis after yaw, one of yaw about the earth's z axis. So they differ at any
+attitude except the poles, 90 deg of pitch.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_fdi.supervision.transition import DELAY, ROTATION, SIZE, Covariance, Covariances, FilterState
+from quadftc_model import arrays
+from quadftc_model.arrays import (
+    Array,
+    Float,
+    Mask,
+    Vector,
+    changed_where,
+    components,
+    is_single,
+    larger,
+    namespace,
+    product,
+    stacked,
+)
+from quadftc_model.rotations import euler_from_quaternion, turn, wrap
+
+MeasurementMatrix = Float[arrays.AnyArray, "*batch 3 16"]
+
+MEASURED = (0, 1, 2, DELAY)  # columns of H that are not zero
+MIN_COS = 0.003  # 1; cosine of pitch in E: within 0.17 deg of a pole, roll and yaw are always left out
+DEFINED = 0.1  # rad; 1 sigma: an error of roll or yaw of three of them is that of a linear function to 5 %
+BEYOND = np.array([1.0, -1.0, 1.0])  # times the angles, plus pi: the same attitude, with pitch beyond 90 deg
+
+
+class Prediction(NamedTuple):
+    """What the attitude sensor should read, and how uncertain that is."""
+
+    angles: Vector  # Euler angles of tau ago [rad]
+    H: MeasurementMatrix
+    gain: Vector  # variance of each angle for one of 1 rad² about each body axis
+    lean: Float[arrays.AnyArray, "*batch"] | float  # sine of pitch
+    PH: Float[arrays.AnyArray, "*batch 16 3"]  # P H'
+    HPH: Float[arrays.AnyArray, "*batch 3 3"]  # covariance of the angles [rad²]
+
+
+def predict_angles(state: FilterState, omega: Vector) -> Prediction:
+    """Predict the Euler angles that the attitude sensor should read, at a body rate [rad/s]."""
+    since = omega * state.x[..., 12:13]
+    angles = euler_from_quaternion(turn(state.q_xyzw, -since))
+    H, gain, lean = measurement_matrix(angles, omega, since)
+    PH, HPH = _seen(state.P, H)
+    return Prediction(angles, H, gain, lean, PH, HPH)
+
+
+def nearest_residual(prediction: Prediction, measured: Vector) -> Vector:
+    """Measured minus predicted Euler angles [rad], (..., 3).
+
+    (phi, theta, psi) and (phi + pi, pi - theta, psi + pi) are one attitude. Of these two, the angles nearer
+    to the predicted ones are the measured ones: so pitch goes on beyond 90 deg.
+    """
+    near = wrap(measured - prediction.angles)
+    other = wrap(measured * BEYOND + math.pi - prediction.angles)
+    xp, weight = namespace(near), 1.0 / prediction.gain
+    farther = ((near**2 - other**2) * weight).sum(axis=-1, keepdims=True) > 0.0
+    return changed_where(farther, lambda: xp.where(farther, other, near), near)
+
+
+def defined(prediction: Prediction, P: Covariance, variance: Vector) -> tuple[Mask, Mask]:
+    """Whether an angle can correct the filter, and whether it can be tested.
+
+    Pitch always corrects it. Close to 90 deg, roll and yaw do not where the sensor's own noise moves them by
+    more than `DEFINED`. ``variance`` [rad²] is that of its angles. An angle cannot be tested where the
+    prediction is so uncertain that the angle is no linear function of the attitude: for roll and yaw, that
+    it moves them by `DEFINED` more than far from the pole; for pitch, that its square counts (the pole
+    repels pitch), against the noise.
+    """
+    diagonal = P.reshape(*P.shape[:-2], SIZE * SIZE)[..., : 3 * SIZE : SIZE + 1]
+    (roll, pitch, yaw), (gain, _, _), parts = map(components, (variance, prediction.gain, diagonal))
+    known = larger(larger(parts[0], parts[1]), parts[2])
+    usable = (larger(roll, yaw) < DEFINED**2) & (gain < 0.99 / MIN_COS**2)
+    clear, straight = usable & ((gain - 1.0) * known < DEFINED**2), (gain - 1.0) * known**2 < 0.25 * pitch
+    return _mask([usable, usable | True, usable]), _mask([clear, straight, clear])
+
+
+def _mask(flags: list[Any]) -> Mask:
+    return np.array(flags) if isinstance(flags[0], bool) else namespace(flags[0]).stack(flags, axis=-1)
+
+
+def predict_again(prediction: Prediction, P: Covariance) -> Prediction:
+    """Return the prediction with another covariance of the error state."""
+    PH, HPH = _seen(P, prediction.H)
+    return prediction._replace(PH=PH, HPH=HPH)
+
+
+def _seen(P: Covariance, H: MeasurementMatrix) -> tuple[Array, Array]:
+    """P H' and H P H'."""
+    PH = product(P, H.swapaxes(-1, -2), MEASURED)
+    return PH, product(H, PH, MEASURED)
+
+
+def angle_variances(HPH: Float[arrays.AnyArray, "*batch 3 3"]) -> Vector:
+    """Variances of the predicted angles [rad²]: the diagonal of their covariance."""
+    return HPH.reshape(*HPH.shape[:-2], 9)[..., ::4]
+
+
+def earlier_variances(earlier: Covariances, H: MeasurementMatrix) -> Float[arrays.AnyArray, "*batch n 3"]:
+    """Variances of the angles [rad²] with other covariances of the error state."""
+    if type(earlier) is np.ndarray and earlier.ndim == 3:
+        PH = earlier.reshape(-1, SIZE).dot(H.T).reshape(-1, SIZE, 3)
+        return (PH * H.T).sum(axis=1)
+    each = H[..., None, :, :]
+    return (product(each, earlier, MEASURED) * each).sum(axis=-1)
+
+
+def measurement_matrix(
+    angles: Vector, omega: Vector, since: Vector
+) -> tuple[MeasurementMatrix, Vector, Array]:
+    """H at Euler angles, body rate [rad/s] and rotation since then [rad]; also gain and sine of pitch."""
+    phi, theta, _ = components(angles)
+    single, xp = isinstance(phi, float), namespace(angles)
+    sin, cos = (math.sin, math.cos) if single else (xp.sin, xp.cos)
+    s_phi, c_phi, s_theta = sin(phi), cos(phi), sin(theta)
+    secant = 1.0 / larger(cos(theta), MIN_COS)  # these angles have no pitch beyond 90 deg
+    one, zero = (1.0, 0.0) if single else (xp.ones_like(s_phi), xp.zeros_like(s_phi))
+    tangent = s_theta * secant
+    E = (one, s_phi * tangent, c_phi * tangent), (zero, c_phi, -s_phi), (zero, s_phi * secant, c_phi * secant)
+    (p, q, r), (x, y, z) = components(omega), components(since)
+    slopes = [-(a * p + b * q + c * r) for a, b, c in E]
+    turned = [each for a, b, c in E for each in (a + b * z - c * y, b + c * x - a * z, c + a * y - b * x)]
+    square = secant * secant
+    gain = stacked([square, one, square])
+    if is_single(omega):
+        return np.array(turned + slopes).dot(_PLACES).reshape(3, SIZE), gain, s_theta
+    rotation = xp.stack(turned, axis=-1).reshape(*angles.shape, 3)
+    unseen = xp.zeros((*omega.shape[:-1], 3, DELAY - 3), rotation.dtype)
+    return xp.concatenate([rotation, unseen, xp.stack(slopes, axis=-1)[..., None]], axis=-1), gain, s_theta
+
+
+def _places() -> NDArray[np.float64]:
+    """H as (E by rows, -E omega) @ (12, 48)."""
+    parts = np.zeros((12, 3, SIZE))
+    for row in range(3):
+        parts[3 * row : 3 * row + 3, row, ROTATION] = np.eye(3)
+        parts[9 + row, row, DELAY] = 1.0
+    return parts.reshape(12, -1)
+
+
+_PLACES = _places()
