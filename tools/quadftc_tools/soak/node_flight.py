@@ -65,7 +65,7 @@ references:
   - {kind: step, angles: [3 deg, -2 deg, 5 deg], start: 1 s, stop: 3 s, rise: 1 s}
 schemes:
   supervised:
-    observer: {kind: supervised, wander: 0 deg, wander_moving: 0 deg, gyro_moving: 0, gyro_shift: 0}
+    observer: supervised
     disturbance_observer: exosystem
     controller: ismc
 """

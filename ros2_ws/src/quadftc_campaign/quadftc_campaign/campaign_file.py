@@ -14,7 +14,7 @@ seed: 1
 schemes: [supervised]              # of the scenario, or all; or observers and controllers to cross:
 observers: [sliding_mode, supervised]    # or all: every registered fault observer; or others: not crossed,
                                          # but the first scheme also with every one that no scheme has
-parameters: {supervised: {wander: 0 deg}}            # of observers named there, beside the scenario's
+parameters: {supervised: {recovery: 1 s}}            # of observers named there, beside the scenario's
 levels: {supervised: {threshold: [3, 8]}}            # more variants: supervised@3, supervised@8
 controllers: [ismc, pid]
 vary:

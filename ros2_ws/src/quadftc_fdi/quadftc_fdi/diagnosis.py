@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
@@ -48,15 +48,21 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
         return self.step(stamp_ns, inputs)
 
 
-def describe_axes(estimate: FaultEstimate) -> Iterator[tuple[str, int, dict[str, str]]]:
-    """Return name, fault state and values for people of each axis of an estimate."""
+def describe_axes(
+    estimate: FaultEstimate, more: Mapping[str, Vector] | None = None
+) -> Iterator[tuple[str, int, dict[str, str]]]:
+    """Return name, fault state and values for people of each axis of an estimate.
+
+    ``more`` is what the observer says of itself besides, by name.
+    """
     columns = (each.tolist() for each in estimate[:4])
-    for axis, size, std_dev, state, age in zip(samples.AXES, *columns, strict=True):
+    for row, (axis, size, std_dev, state, age) in enumerate(zip(samples.AXES, *columns, strict=True)):
         values = {"size_deg": f"{round(math.degrees(size), 3) + 0.0:.3f}"}  # no -0.000
         if std_dev >= 0.0:
             values["sigma_deg"] = f"{math.degrees(std_dev):.3f}"
         if age >= 0.0:
             values["age_s"] = f"{age:.2f}"
+        values |= {name: f"{float(each[row]):.3g}" for name, each in (more or {}).items()}
         yield axis, state, values
 
 

@@ -47,6 +47,10 @@ class FaultObserver(VehicleLaw[FaultObserverInputs, FaultEstimate]):
         """
         return self.init(without_fault(inputs, last.fault))
 
+    def describe(self, state: Any) -> dict[str, Vector]:
+        """Return what else the observer knows, for people, by name and axis; none by default."""
+        return {}
+
 
 fault_observers: Registry[Any] = Registry(
     "fault observer", "quadftc_fdi.fault_observers", "quadftc.fault_observers"

@@ -106,7 +106,9 @@ class FaultObserverNode(GraphNode):
         """Report the fault of each axis of the attitude, if anybody looks for it."""
         if self._estimate is None or self._observer == "none":
             return
-        for axis, state, values in describe_axes(self._estimate):
+        law, memory = self._diagnosis.law, self._diagnosis.state
+        more = {} if memory is None else law.describe(memory)
+        for axis, state, values in describe_axes(self._estimate, more):
             level = OK if state in (samples.STARTING, samples.HEALTHY) else WARN
             self.diagnostics.report(
                 f"attitude fault {axis}", level, samples.FAULT_STATE_NAMES[state], **values

@@ -36,7 +36,6 @@ WORDS = LastDiagnosis(
     since=np.array([4.0, 0.0, 0.0]),
     gyro_correction=-BIAS,
 )
-SIMULATED = {"wander": 0.0, "wander_moving": 0.0, "gyro_moving": 0.0, "gyro_shift": 0.0}
 QBALL = load_vehicle("qball_x4")
 
 
@@ -50,7 +49,7 @@ def resting(seed=3):
 
 
 def test_supervised_goes_on_with_fault_and_bias():
-    observer, samples = Supervised(vehicle=QBALL, **SIMULATED), resting()
+    observer, samples = Supervised(vehicle=QBALL), resting()
     stepper, first = Stepper(observer), next(samples)
     found = [stepper.resume(FIRST_NS, first, observer.resumed(first, WORDS))]
     found += [stepper.step(FIRST_NS + k * PERIOD_NS, next(samples)) for k in range(1, 1250)]  # 5 s
@@ -65,13 +64,13 @@ def test_supervised_goes_on_with_fault_and_bias():
 
 
 def test_supervised_without_last_words_takes_the_fault_for_the_attitude():
-    observer, samples = Supervised(vehicle=QBALL, **SIMULATED), resting()
+    observer, samples = Supervised(vehicle=QBALL), resting()
     estimate = Stepper(observer).step(FIRST_NS, next(samples))
     assert euler_from_quaternion(estimate.corrected.q_xyzw)[0] / DEG == pytest.approx(2.0, abs=0.5)
 
 
 def test_supervised_that_has_taken_over_trusts_the_sensor_when_its_fault_ends():
-    observer, samples = Supervised(vehicle=QBALL, **SIMULATED), resting()
+    observer, samples = Supervised(vehicle=QBALL), resting()
     stepper = Stepper(observer)
     first = next(samples)
     stepper.resume(FIRST_NS, first, observer.resumed(first, WORDS))
@@ -128,7 +127,7 @@ KEPT = WORDS._replace(onset_ns=(FIRST_NS - 4_000_000_000, 0, 0), since=0.0)
 
 
 def test_diagnosis_resumes_at_the_first_complete_sample_after_the_words():
-    diagnosis, samples = Diagnosis(Supervised(vehicle=QBALL, **SIMULATED)), resting()
+    diagnosis, samples = Diagnosis(Supervised(vehicle=QBALL)), resting()
     diagnosis.offer(FIRST_NS - 1_000_000_000, KEPT)
     blind = level_sample()._replace(attitude_valid=np.bool_(False))
     estimate = diagnosis.diagnose(FIRST_NS, blind, np.zeros(3))
@@ -139,7 +138,7 @@ def test_diagnosis_resumes_at_the_first_complete_sample_after_the_words():
 
 
 def test_words_that_are_not_finite_are_dropped():
-    diagnosis, samples = Diagnosis(Supervised(vehicle=QBALL, **SIMULATED)), resting()
+    diagnosis, samples = Diagnosis(Supervised(vehicle=QBALL)), resting()
     diagnosis.offer(FIRST_NS - 1_000_000_000, KEPT._replace(gyro_correction=np.full(3, np.nan)))
     for k in range(3):
         estimate = diagnosis.diagnose(FIRST_NS + k * PERIOD_NS, next(samples).imu, np.zeros(3))

@@ -7,11 +7,11 @@ explains the states of an axis and the reasons; the parts are in `quadftc_fdi.su
 
     inertial_filter    predict by the gyro (`transition`), correct by the healthy axes (`measurement`)
     anchors            earlier states of the filter, to which it goes back
+    sensor_noise       learn the noise of the attitude
     residual_tests     collect evidence, declare faults
     fault_track        follow the fault, judge when the axis is trusted again
 
-The defaults are for a MEMS IMU on a vehicle that moves: its attitude wanders, and its gyro bias changes a
-little. A simulated sensor without such errors has ``wander = wander_moving = gyro_moving = gyro_shift = 0``.
+The noise of the attitude is learned. What is assumed of the gyro fits MEMS IMUs of every grade.
 """
 
 from __future__ import annotations
@@ -24,9 +24,15 @@ from numpy.typing import NDArray
 
 from quadftc_fdi import fault_observer
 from quadftc_fdi.fault_observer import FaultObserver, correct_sample, register, without_fault
-from quadftc_fdi.supervision import anchors, fault_track, inertial_filter, measurement, residual_tests
+from quadftc_fdi.supervision import (
+    anchors,
+    fault_track,
+    inertial_filter,
+    measurement,
+    residual_tests,
+    sensor_noise,
+)
 from quadftc_fdi.supervision.inertial_filter import GAP, bias_variance, estimate_rate
-from quadftc_fdi.supervision.residual_tests import ResidualVariances
 from quadftc_fdi.supervision.transition import ROTATION, FilterState, ProcessNoise
 from quadftc_model import samples
 from quadftc_model.arrays import (
@@ -52,9 +58,12 @@ DEG = math.pi / 180.0
 UNKNOWN = 10.0  # 1; standard deviations of the attitude's noise: as good as nothing known
 STARTED = 0.1 * DEG  # rad/s; the gyro bias is known to this when the observer has started
 KEPT = 0.05 * DEG  # rad/s; a gyro bias taken over from an observer that has died is known to this
-RESTING, MOVING = 0.1, 0.35  # rad/s; a vehicle rests below, and moves above, as far as slow errors go
-MOVED = 8.0  # s; how long it counts as moving afterwards (time constant)
+SHORT = 2.0  # s; a fault that ends sooner was none
+RESTING, MOVING = 0.2, 0.6  # rad/s; a vehicle rests below, and moves above, as far as slow errors go
+MOVED = 2.0  # s; how long it counts as moving afterwards (time constant)
 FADING = 2.0  # s; in which a new gyro bias leaves the corrected rate: at once, it would jolt the flight
+KNOCK = 0.5  # rad/s; a rate that bends by more from sample to sample has passages that the gyro misses
+MISSED = 0.3  # 1; share of such a bend that is missed
 SHOWN = 0.3  # 1; share of the recovery time from which an axis is shown as recovering
 # covariance of what a wrong rotation has spoiled: itself, the bias (at 0.1 rad/s), the alignment
 SPOILED = np.diag([1.0] * 3 + [0.1**2] * 3 + [1.0] * 9 + [0.0])
@@ -66,32 +75,31 @@ class State(NamedTuple):
     filter: FilterState
     anchors: anchors.Anchors
     gyro: Vector  # [rad/s]
+    gyro_before: Vector  # of the sample before [rad/s]
     activity: Column  # decaying maximum of the body rate [rad/s]
     motion: Column  # rest 0, motion 1
+    noise: sensor_noise.SensorNoise
     evidence: residual_tests.Evidence
     faulty: Mask
     track: fault_track.Track
     raw: Column  # share of the gyro as it is in the corrected body rate
+    rejected: Mask  # the last sample was an outlier
+    outliers: Vector  # outliers so far, and bursts of them
 
 
 @register("supervised")
 class Supervised(FaultObserver):
     """Estimates the gyro's errors while an axis is healthy, and dead-reckons it while it is not."""
 
-    attitude_noise: float = parameter(0.1 * DEG, unit="rad", low=1e-6, doc="white noise of a sample, 1 sigma")
-    wander: float = parameter(0.1 * DEG, unit="rad", low=0.0, doc="slow error of the attitude, 1 sigma")
-    wander_moving: float = parameter(0.2 * DEG, unit="rad", low=0.0, doc="the same while moving")
-    wander_memory: float = parameter(0.15, unit="s", low=1e-3, doc="correlation time of the slow error")
     gyro_noise: float = parameter(0.007 * DEG, unit="rad/sqrt(s)", low=1e-8, doc="angle random walk N")
     gyro_moving: float = parameter(0.00125, unit="sqrt(s)", low=0.0, doc="what N grows by per body rate")
-    gyro_shift: float = parameter(0.02 * DEG, unit="rad/s", low=0.0, doc="gyro bias by motion, 1 sigma")
+    gyro_shift: float = parameter(0.025 * DEG, unit="rad/s", low=0.0, doc="gyro bias by motion, 1 sigma")
     gyro_bias: float = parameter(1.5 * DEG, unit="rad/s", low=1e-6, doc="turn-on gyro bias, 1 sigma")
     gyro_bias_walk: float = parameter(2e-4 * DEG, unit="rad/s/sqrt(s)", low=0.0, doc="rate random walk K")
     gyro_scale: float = parameter(0.01, unit="1", low=0.0, doc="scale and alignment errors, 1 sigma")
     delay: float = parameter(0.01, unit="s", low=0.0, doc="delay of attitude against gyro, 1 sigma")
     threshold: float = parameter(5.5, unit="1", low=1.0, doc="standard deviations at which an axis is faulty")
     anchor_age: float = parameter(6.0, unit="s", low=0.1, doc="how old an anchor gets")
-    learning: float = parameter(200.0, unit="s", low=1.0, doc="time over which residuals are learned")
     tracking: float = parameter(0.06, unit="s", low=1e-3, doc="averaging time of the estimate of a fault")
     recovery: float = parameter(0.6, unit="s", low=0.0, doc="how long a faulty axis must look healthy")
     patience: float = parameter(120.0, unit="s", low=1.0, doc="after which a fault that stands still ends")
@@ -105,12 +113,16 @@ class Supervised(FaultObserver):
             filter=estimate,
             anchors=anchors.set_anchors(estimate.P),
             gyro=imu.body_rate,
+            gyro_before=imu.body_rate,
             activity=zeros[..., :1],
             motion=zeros[..., :1],
+            noise=sensor_noise.start_noise(zeros),
             evidence=residual_tests.start_evidence(zeros),
             faulty=zeros > 1.0,
             track=fault_track.start_track(zeros),
             raw=zeros[..., :1] + 1.0,
+            rejected=zeros > 1.0,
+            outliers=zeros,
         )
 
     def resumed(self, inputs: FaultObserverInputs, last: fault_observer.LastDiagnosis) -> State:
@@ -121,7 +133,7 @@ class Supervised(FaultObserver):
         fresh = self.init(without_fault(inputs, fault))
         # the angles of faulty axes are known as well as their faults, the bias better than at a start
         std_devs = xp.zeros((*fault.shape[:-1], 16)) + self._initial_std_devs()
-        known = xp.sqrt(xp.maximum(last.std_dev, 0.0) ** 2 + self.attitude_noise**2)
+        known = xp.sqrt(xp.maximum(last.std_dev, 0.0) ** 2 + sensor_noise.WHITE**2)
         rotation = xp.where(faulty, known, std_devs[..., ROTATION])
         std_devs = xp.concatenate([rotation, xp.zeros_like(fault) + KEPT, std_devs[..., 6:]], axis=-1)
         P = std_devs[..., None] ** 2 * np.eye(16)
@@ -138,21 +150,22 @@ class Supervised(FaultObserver):
     def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Advance by ``dt`` [s] to the sample."""
         imu, xp = inputs.imu, namespace(inputs.imu.body_rate)
-        weights = residual_tests.averaging_weights(dt, self.wander_memory)
-        gains = fault_track.tracker_gains(dt, self.tracking)
+        weights, gains = residual_tests.averaging_weights(dt), fault_track.tracker_gains(dt, self.tracking)
 
         # 1. Predict: the gyro carries filter and anchors to this sample. An absent gyro keeps its last value.
         gyro = xp.where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
         estimate, earlier, omega, activity, motion = self._predict(state, gyro, dt)
 
-        # 2. Test the residuals of the trusted axes.
-        prediction, residuals, variances, valid, testable = self._compare(
-            estimate, earlier, imu, omega, motion
+        # 2. Test the residuals of the trusted axes, and learn from healthy ones.
+        prediction, residuals, predicted, sensor, valid, testable = self._compare(
+            estimate, earlier, imu, omega, state.noise.cautious
         )
-        trusted = ~state.faulty & testable
-        evidence, scores = residual_tests.collect_evidence(
-            state.evidence, residuals, variances, trusted, weights, dt, self.threshold, self.learning
+        spread, trusted = predicted @ weights.predicted, ~state.faulty & testable
+        evidence, scores, squares = residual_tests.collect_evidence(
+            state.evidence, residuals, sensor + spread, trusted, weights, dt, self.threshold
         )
+        sound = trusted & ~(scores.suspect | scores.outlier)
+        noise = sensor_noise.learn_noise(state.noise, squares, prediction.gain, spread, motion, sound, dt)
 
         # 3. Declare faults; go back to an anchor where one was found late, as it has misled the filter.
         found = residual_tests.declare_faults(scores, evidence.suspicion, trusted, self.threshold)
@@ -167,16 +180,18 @@ class Supervised(FaultObserver):
 
         def follow_faults() -> fault_track.Recovery:
             track = fault_track.track_fault(
-                state.track, residual, variances, found.alarm, evidence.suspicion, valid, gains, dt
+                state.track, residual, sensor, found.alarm, found.abrupt, evidence.suspicion, valid, gains, dt
             )
-            spread = residual_tests.healthy_spread(variances, evidence.learned, weights)
+            cautious = sensor_noise.cautious_spread(motion, prediction.gain)
             judged = fault_track.judge_recovery(
-                track, faulty, predicted, spread, bias, self.recovery, self.patience, dt
+                track, faulty, predicted, sensor, cautious, bias, self.recovery, self.patience, dt
             )
             return judged._replace(track=fault_track.clear_healthy(judged.track, faulty & ~judged.trusted))
 
-        judged = changed_where(faulty, follow_faults, fault_track.Recovery(state.track, faulty, faulty))
-        track, recovered, outlasted = judged
+        judged = changed_where(
+            faulty, follow_faults, fault_track.Recovery(state.track, faulty, faulty, state.track.age)
+        )
+        track, recovered, outlasted = judged[:3]
         faulty = faulty & ~recovered
 
         # 5. Correct the filter by the axes that are neither faulty nor suspect. Where a fault has outlasted
@@ -186,8 +201,10 @@ class Supervised(FaultObserver):
             return estimate._replace(P=P), measurement.predict_again(prediction, P)
 
         estimate, prediction = changed_where(outlasted, doubt, (estimate, prediction))
-        variance = variances.noise + variances.slow * weights.white_equivalent
-        used = valid & ~faulty & ~scores.suspect
+        variance = xp.maximum(
+            sensor[..., sensor_noise.SAMPLE], sensor[..., sensor_noise.LONG] * weights.white
+        )
+        used = valid & ~faulty & ~scores.suspect & ~scores.outlier
         estimate, dx = inertial_filter.correct(estimate, prediction, residual, variance, used)
 
         # 6. Renew the anchors; restart the tests where what they remember no longer counts.
@@ -197,15 +214,29 @@ class Supervised(FaultObserver):
         )
         outdated = faulty | recovered | restart | (dt > GAP)
         evidence = residual_tests.update_evidence(evidence, promoted, outdated)
+        short = recovered & (judged.age < SHORT)
+        noise = sensor_noise.settle_noise(noise, promoted, any_of(found.alarm), short, motion)
         starting = bias > STARTED**2
         raw = xp.where(starting, state.raw, state.raw * exp(-dt / FADING))
-        state = State(estimate, earlier, gyro, activity, motion, evidence, faulty, track, raw)
+        outliers = _count_outliers(state, scores.outlier, faulty, short)
+        memory = noise, evidence, faulty, track, raw, scores.outlier, outliers
+        state = State(estimate, earlier, gyro, state.gyro, activity, motion, *memory)
 
-        return state, self._report(state, imu, scores.suspect, starting, predicted, variances, gains)
+        return state, self._report(state, imu, scores.suspect, starting, residual, predicted, sensor)
+
+    def describe(self, state: State) -> dict[str, Vector]:
+        """Return what is learned of the sensor and counted, for people, by name and axis."""
+        noise = state.noise.exact
+        noise_deg = namespace(noise).sqrt(noise) / DEG
+        return {
+            "outliers": state.outliers,
+            "noise_deg": noise_deg[..., sensor_noise.SAMPLE],
+            "slow_noise_deg": noise_deg[..., sensor_noise.LONG],
+        }
 
     def _initial_std_devs(self) -> NDArray[np.float64]:
         """Standard deviations (16,) of the error state before the first measurement."""
-        attitude = UNKNOWN * max(self.attitude_noise, self.wander)
+        attitude = UNKNOWN * sensor_noise.WHITE
         return np.array([attitude] * 3 + [self.gyro_bias] * 3 + [self.gyro_scale] * 9 + [self.delay])
 
     def _predict(
@@ -217,7 +248,9 @@ class Supervised(FaultObserver):
         (activity,), (before,) = components(state.activity), components(state.motion)
         activity = larger(turning, activity * exp(-dt / MOVED))
         motion = clip((activity - RESTING) / (MOVING - RESTING), 0.0, 1.0)
+        (bend,) = components(norm(gyro - 2.0 * state.gyro + state.gyro_before))
         walk = (self.gyro_noise**2 + (self.gyro_moving * measured) ** 2) * dt
+        walk = walk + (MISSED * dt * larger(bend - KNOCK, 0.0)) ** 2
 
         def widen() -> Array:  # by how far off the rate may be in a gap
             off = 0.5 * components(norm(gyro - state.gyro))[0] + 0.1 * measured
@@ -233,23 +266,26 @@ class Supervised(FaultObserver):
         return estimate, earlier, omega, stacked([activity]), stacked([motion])
 
     def _compare(
-        self, estimate: FilterState, earlier: anchors.Anchors, imu: ImuSample, omega: Array, motion: Array
-    ) -> tuple[measurement.Prediction, Array, ResidualVariances, Array, Array]:
+        self,
+        estimate: FilterState,
+        earlier: anchors.Anchors,
+        imu: ImuSample,
+        omega: Array,
+        cautious: sensor_noise.Statistics,
+    ) -> tuple[measurement.Prediction, Array, Array, Array, Array, Array]:
         """Compare a measured attitude with the predicted ones.
 
-        Return the prediction, the residuals (..., 3, 5) [rad] of filter and anchors, how large healthy ones
-        are, which angles (..., 3) are measured and can be used, and which can be tested.
+        Return the prediction, the residuals (..., 3, 5) [rad] of filter and anchors, the variances
+        (..., 3, 3) [rad²] of what they predict and (..., 3, 6) of the sensor in the tests, which angles
+        (..., 3) are measured and can be used, and which can be tested.
         """
         prediction = measurement.predict_angles(estimate, omega)
         residual = measurement.nearest_residual(prediction, euler_from_quaternion(imu.q_xyzw))
         residuals, predicted = anchors.compare_anchors(earlier, prediction, residual)
-        slow = self.wander + (self.wander_moving - self.wander) * motion
-        noise = self.attitude_noise**2 * prediction.gain
-        variances = ResidualVariances(noise, slow**2 * prediction.gain, predicted)
-        sensor = variances.noise + variances.slow
-        usable, testable = measurement.defined(prediction, estimate.P, sensor)
+        sensor = cautious * prediction.gain[..., None]
+        usable, testable = measurement.defined(prediction, estimate.P, sensor[..., sensor_noise.SAMPLE])
         there = imu.attitude_valid[..., None]
-        return prediction, residuals, variances, there & usable, there & testable
+        return prediction, residuals, predicted, sensor, there & usable, there & testable
 
     def _report(
         self,
@@ -257,9 +293,9 @@ class Supervised(FaultObserver):
         imu: ImuSample,
         suspect: Array,
         starting: Array,
+        residual: Array,
         predicted: Array,
-        variances: ResidualVariances,
-        gains: fault_track.TrackerGains,
+        sensor: Array,
     ) -> FaultEstimate:
         faulty, track, xp = state.faulty, state.track, namespace(imu.body_rate)
         omega = estimate_rate(state.filter.x, state.gyro)
@@ -271,12 +307,15 @@ class Supervised(FaultObserver):
         def report_faults() -> tuple[Array, Array, Array]:
             out = xp.where(track.calm > SHOWN * self.recovery, samples.RECOVERING, samples.FAULTY)
             states = xp.where(faulty, out, trusted).astype(xp.uint8)
-            variance = predicted + faulty * fault_track.track_variance(track, variances, gains)
+            variance = predicted + faulty * fault_track.track_variance(track, sensor)
             return states, variance, xp.where(faulty, track.age, -1.0)
 
         none = (trusted, predicted, faulty - 1.0)
         states, variance, age = changed_where(faulty, report_faults, none)
-        return FaultEstimate(track.fault, xp.sqrt(variance), states, age, corrected)
+        # an outlier is a fault of one sample
+        off = state.rejected & ~faulty
+        fault = changed_where(off, lambda: track.fault + off * residual, track.fault)
+        return FaultEstimate(fault, xp.sqrt(variance), states, age, corrected)
 
 
 def _doubt(residual: Array) -> Array:
@@ -286,3 +325,12 @@ def _doubt(residual: Array) -> Array:
     """
     size = namespace(residual).sum(residual**2, axis=-1)
     return size[..., None, None] * SPOILED
+
+
+def _count_outliers(state: State, outlier: Mask, faulty: Mask, short: Mask) -> Vector:
+    """Count an outlier when the next sample agrees, and a burst of them when its fault has ended soon."""
+
+    def count() -> Vector:
+        return state.outliers + ((state.rejected & ~outlier & ~faulty) | short)
+
+    return changed_where(state.rejected | short, count, state.outliers)

@@ -4,12 +4,14 @@ With f the fault, v its slope, r the residual (measured minus predicted angle) a
 
     f^ = f + v dt,   e = r - f^,   f <- f^ + max(alpha, 1 / (n + 1)) e,   v <- v + (beta / dt) e
 
-White noise of r comes through with the share (2 alpha² + 2 beta - 3 alpha beta) / (alpha (4 - 2 alpha -
-beta)) of its variance, beta = alpha² / (2 - alpha) (Blair 1993).
+with beta = alpha² / (2 - alpha).
 
-A faulty axis is trusted again once its fault agrees with zero, stands still, and has done so long enough: for
-longer if it never visibly moved, as it may be a slow ramp. A fault that stands still for ``patience`` seconds
-is taken for an error of the observer: otherwise a wrong start or a false alarm would never end.
+A faulty axis is trusted again once its fault agrees with zero, stands still, and has done so long enough:
+the shorter the fault, the sooner. Zero alone is not enough: the uncertainty of dead reckoning grows, and in
+the end every fault agrees with it. A fault that was seen to leave zero must be seen to come back, by a jump
+or by moving; and every fault must be down to half of its peak, in standard deviations. A fault that stands
+still for ``patience`` seconds is taken for an error of the observer: otherwise a wrong start or a false alarm
+would never end.
 """
 
 from __future__ import annotations
@@ -20,13 +22,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_fdi.supervision.residual_tests import ResidualVariances
+from quadftc_fdi.supervision.sensor_noise import MIDDLE, SAMPLE, SHORT, Statistics
 from quadftc_model.arrays import AnyArray, Column, Float, Mask, Vector, cache_numbers, namespace
 
 AVERAGES = np.array([0.15, 0.6])  # s; two averages of a fault, whose difference shows that it moves
 JUMPS = 25.0  # 1; squared standard deviations beyond which a fault jumps
 AGREES, STANDS = 16.0, 9.0  # 1; squared standard deviations
-GRADUAL = 6.0  # 1; how many times as long a fault that never visibly moved must look healthy
+CLOSE = 6.0  # 1; the same of a fault that was never seen to move: it may be a slow ramp
+UNKNOWN = 0.5  # 1; the same of a fault of which dead reckoning no longer knows anything
+RETURNED = 0.25  # 1; share of the peak
+SEEN = 0.3  # s; so long after a jump or a visible motion it is decided whether the fault has left zero
+QUICK, SOONEST = 0.3, 0.15  # 1, s; share of a fault's age for which its axis must look healthy, and the least
+LONG_AGO = 1e3  # s
 ALMOST_STILL = 0.0087  # rad, 0.5 deg; an error of the observer moves a little, as the vehicle does
 
 
@@ -36,7 +43,9 @@ class Track(NamedTuple):
     fault: Vector  # [rad]
     slope: Vector  # [rad/s]
     samples: Vector  # since the last jump
-    moved: Vector  # 1: it has jumped, or visibly moved, since it was found
+    still: Vector  # time since it was last seen to jump or to move [s]
+    peak: Vector  # largest squared deviation from zero, in variances
+    away: Vector  # 1: it was seen to leave zero, and not yet to come back
     means: Float[AnyArray, "*batch 3 2"]  # two averages of it [rad]
     age: Vector  # time since the onset [s]
     calm: Vector  # how long the axis has looked healthy again [s]
@@ -48,7 +57,6 @@ class TrackerGains(NamedTuple):
     mean: NDArray[np.float64]  # (2,) of a sample in the two averages
     alpha: float  # of a sample in the fault
     beta_dt: float  # [1/s] in its slope: beta / dt
-    noise: float  # share of white noise in the variance of the fault
     settled: float  # samples after a jump before the slope moves
 
 
@@ -58,12 +66,10 @@ def tracker_gains(dt: float, tracking: float) -> TrackerGains:
     starts = isinstance(dt, float) and dt == 0.0
     alpha = 1.4 * dt / (tracking + dt)
     beta = alpha**2 / (2.0 - alpha)
-    noise = (2.0 * alpha**2 + 2.0 * beta - 3.0 * alpha * beta) / (4.0 - 2.0 * alpha - beta)
     return TrackerGains(
         mean=dt / (AVERAGES + dt),
         alpha=alpha,
         beta_dt=0.0 if starts else beta / dt,
-        noise=1.0 if starts else noise / alpha,
         settled=math.inf if starts else 1.4 / alpha,
     )
 
@@ -71,14 +77,16 @@ def tracker_gains(dt: float, tracking: float) -> TrackerGains:
 def start_track(like: Vector) -> Track:
     """Return a track without faults."""
     zeros = namespace(like).zeros_like(like)
-    return Track(zeros, zeros, zeros, zeros, namespace(like).zeros((*like.shape, 2)), zeros, zeros)
+    means = namespace(like).zeros((*like.shape, 2))
+    return Track(zeros, zeros, zeros, zeros, zeros, zeros, means, zeros, zeros)
 
 
 def track_fault(
     track: Track,
     residual: Vector,
-    variances: ResidualVariances,
+    variances: Statistics,
     alarm: Mask,
+    abrupt: Mask,
     suspicion: Vector,
     valid: Mask,
     gains: TrackerGains,
@@ -91,17 +99,18 @@ def track_fault(
     xp = namespace(residual)
     expected = track.fault + track.slope * dt
     error = residual - expected
-    jump = alarm | (error**2 > JUMPS * (variances.noise + variances.slow))
+    jump = alarm | (error**2 > JUMPS * variances[..., SAMPLE])
     # right after a jump the fault is the mean of the samples since, and the slope waits
-    samples = (track.samples + 1.0) * ~jump
-    alpha = xp.maximum(gains.alpha, 1.0 / (samples + 1.0)) * valid
-    means = track.means + valid[..., None] * gains.mean * (residual[..., None] - track.means)
+    samples = (track.samples + valid) * ~jump
+    mean = 1.0 / (samples + 1.0)
+    alpha = xp.maximum(gains.alpha, mean) * valid
+    average = xp.maximum(gains.mean, mean[..., None]) * valid[..., None]
     return track._replace(
         fault=expected + alpha * error,
         slope=(track.slope + gains.beta_dt * valid * error) * (samples > gains.settled),
         samples=samples,
-        moved=xp.maximum(track.moved, 1.0 * jump) * ~alarm,
-        means=xp.where(jump[..., None], residual[..., None], means),
+        still=xp.where(alarm, LONG_AGO * ~abrupt, (track.still + dt) * ~jump),
+        means=track.means + average * (residual[..., None] - track.means),
         age=xp.where(alarm, suspicion, track.age + dt),
     )
 
@@ -111,10 +120,10 @@ def clear_healthy(track: Track, faulty: Mask) -> Track:
     return Track(*(part * (faulty if part.ndim == faulty.ndim else faulty[..., None]) for part in track))
 
 
-def track_variance(track: Track, variances: ResidualVariances, gains: TrackerGains) -> Vector:
-    """Variance [rad²] that the sensor's own noise gives the tracked fault."""
-    share = namespace(track.samples).maximum(gains.noise, 1.0 / (track.samples + 1.0))
-    return (variances.noise + variances.slow) * share
+def track_variance(track: Track, variances: Statistics) -> Vector:
+    """Variance [rad²] that the sensor's noise gives the tracked fault."""
+    xp = namespace(track.samples)
+    return xp.maximum(variances[..., SHORT], variances[..., SAMPLE] / (track.samples + 1.0))
 
 
 class Recovery(NamedTuple):
@@ -123,13 +132,15 @@ class Recovery(NamedTuple):
     track: Track
     trusted: Mask  # the axis is trusted again
     outlasted: Mask  # trusted although the fault is there: it outlasted our patience
+    age: Vector  # of the fault [s], also of one that is over
 
 
 def judge_recovery(
     track: Track,
     faulty: Mask,
     predicted: Vector,
-    spread: Vector,
+    variances: Statistics,
+    cautious: Vector,
     bias_variance: Column,
     recovery: float,
     patience: float,
@@ -137,22 +148,33 @@ def judge_recovery(
 ) -> Recovery:
     """Judge which faulty axes are trusted again.
 
-    They must look healthy for ``recovery`` [s], or have stood still at the age of ``patience`` [s].
-    ``predicted`` [rad²] is the variance of the dead-reckoned angle, ``spread`` [rad²] is `healthy_spread`,
-    ``bias_variance`` [rad²/s²] that of the gyro bias, at which the angle drifts, and ``dt`` [s] the step.
+    They must look healthy for a share of the fault's age, at most for ``recovery`` [s], or have stood still
+    at the age of ``patience`` [s]. ``predicted`` [rad²] is the variance of the dead-reckoned angle,
+    ``variances`` [rad²] are those of the sensor, ``cautious`` [rad²] that of an average over 0.15 s by the
+    prior, ``bias_variance`` [rad²/s²] that of the gyro bias, at which the angle drifts, ``dt`` [s] the step.
     """
     xp = namespace(predicted)
+    spread = variances[..., MIDDLE]
     # Does it stand still? The two averages of a fault that moves differ.
     short, long = track.means[..., 0], track.means[..., 1]
     motion = short - long
     motion_variance = spread + bias_variance * (AVERAGES[1] - AVERAGES[0]) ** 2
-    still = motion**2 < STANDS * motion_variance
-    moved = xp.maximum(track.moved, 1.0 * (motion**2 > JUMPS * motion_variance))
+    moves = motion**2 / motion_variance
+    still = xp.where(moves > JUMPS, 0.0, track.still)
     # Does it agree with zero, as far as dead reckoning knows?
-    agrees = short**2 < AGREES * (predicted + spread)
-    # Soon after a jump both averages are near their first value, and say nothing.
-    known = (track.age > AVERAGES[1]) & (track.samples * dt > AVERAGES[1])
+    off = short**2 / (predicted + xp.maximum(spread, cautious))
+    peak = xp.maximum(track.peak, off)
+    # A fault that was seen to leave zero is there until it is seen to come back.
+    away = xp.where(still < SEEN, off > AGREES, track.away > 0.0)
+    limit = xp.where(away, UNKNOWN, xp.where(still < LONG_AGO, AGREES, CLOSE))
+    agrees = off < xp.minimum(limit, RETURNED * peak)
     outlasted = (track.age > patience) & (xp.abs(motion) < ALMOST_STILL)
-    calm = (track.calm + dt) * (faulty & known & ((still & agrees) | outlasted))
-    trusted = calm > recovery * xp.where(outlasted | (moved > 0.0), 1.0, GRADUAL)
-    return Recovery(track._replace(calm=calm, moved=moved), trusted, trusted & ~agrees)
+    calm = (track.calm + dt) * (faulty & (((moves < STANDS) & agrees) | outlasted))
+    enough = xp.where(outlasted, recovery, (QUICK * track.age).clip(SOONEST, recovery))
+    trusted = faulty & (calm > enough)
+    return Recovery(
+        track._replace(calm=calm, still=still, away=1.0 * away, peak=peak),
+        trusted,
+        trusted & ~agrees,
+        track.age,
+    )
