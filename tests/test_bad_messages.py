@@ -25,6 +25,7 @@ from quadftc_bags.interfaces import load_message_class
 from quadftc_control.controller import controllers
 from quadftc_control.controller_node import ControllerNode
 from quadftc_control.reference_node import ReferenceNode
+from quadftc_fdi.attitude_estimator_node import AttitudeEstimatorNode
 from quadftc_fdi.disturbance_observer import disturbance_observers
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer import fault_observers
@@ -51,6 +52,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")  # numbers tha
 
 # node, its parameters, the topic that drives it, and the one that answers a sample
 NODES = {
+    "attitude_estimator": (AttitudeEstimatorNode, {"rate": 250.0}, "imu/data_raw", "imu/data"),
     "fault_injector": (FaultInjectorNode, {}, "plant/imu", "imu/data"),
     **{
         f"fault_observer {name}": (FaultObserverNode, {"observer": name}, "imu/data", "imu/corrected")
@@ -232,6 +234,8 @@ def test_stamps_that_are_no_time_are_counted_and_the_message_refused(case):
 @pytest.mark.parametrize(
     ("case", "topic", "spoil", "counted"),
     [
+        ("attitude_estimator", "imu/data_raw", "stamp", "imu/data_raw: stamp repeated or went back"),
+        ("attitude_estimator", "imu/data_raw", "rate", "imu/data_raw: body rate absent or unusable"),
         ("fault_injector", "plant/imu", "stamp", "plant/imu: stamp repeated or went back"),
         ("fault_observer sliding_mode", "imu/data", "stamp", "imu/data: stamp repeated or went back"),
         ("fault_observer sliding_mode", "imu/data", "rate", "imu/data: body rate absent or unusable"),

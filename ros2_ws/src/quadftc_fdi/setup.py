@@ -22,6 +22,7 @@ setup(
     entry_points={
         "console_scripts": [
             "fault_observer = quadftc_fdi.fault_observer_node:main",
+            "attitude_estimator = quadftc_fdi.attitude_estimator_node:main",
             "disturbance_observer = quadftc_fdi.disturbance_observer_node:main",
         ],
     },

@@ -14,6 +14,8 @@ from typing import Literal
 QosClass = Literal["sensor", "reliable", "latched", "clock"]
 
 IMU = "sensor_msgs/msg/Imu"
+FIELD = "sensor_msgs/msg/MagneticField"
+POSE = "geometry_msgs/msg/PoseStamped"
 VECTOR = "geometry_msgs/msg/Vector3Stamped"
 HEADER = "std_msgs/msg/Header"
 FAULT_STATUS = "quadftc_msgs/msg/FaultStatus"
@@ -40,6 +42,7 @@ class Topic:
 
 
 NODES = ("plant", "fault_injector", "fault_observer", "disturbance_observer", "controller", "reference")
+OPTIONAL_NODES = ("attitude_estimator",)  # no part of a flight in simulation
 
 
 def _topic(name: str, type_name: str, publishers: str, readers: str, qos: QosClass, frame: str = "") -> Topic:
@@ -52,6 +55,10 @@ _ROWS = (
     _topic("plant/imu", IMU, "plant", "fault_injector", "sensor", IMU_FRAME),
     _topic("imu/data", IMU, "fault_injector", "fault_observer reference controller", "sensor", IMU_FRAME),
     _topic("imu/corrected", IMU, "fault_observer", "disturbance_observer controller", "sensor", IMU_FRAME),
+    # a driver without attitude: `attitude_estimator` makes imu/data of these
+    _topic("imu/data_raw", IMU, "", "attitude_estimator", "sensor", IMU_FRAME),
+    _topic("imu/mag", FIELD, "", "attitude_estimator", "sensor", IMU_FRAME),
+    _topic("mocap/pose", POSE, "", "attitude_estimator", "sensor", EARTH_FRAME),
     _topic("fault/estimate", VECTOR, "fault_observer", "", "reliable", EARTH_FRAME),
     _topic("fault/status", FAULT_STATUS, "fault_observer", "controller", "reliable", IMU_FRAME),
     _topic("disturbance/estimate", VECTOR, "disturbance_observer", "controller", "reliable", BASE_FRAME),

@@ -6,8 +6,8 @@ Readers raise ValueError for bytes that are no such message.
 from __future__ import annotations
 
 import numpy as np
-from geometry_msgs.msg import Vector3Stamped
-from sensor_msgs.msg import Imu
+from geometry_msgs.msg import PoseStamped, Vector3Stamped
+from sensor_msgs.msg import Imu, MagneticField
 from std_msgs.msg import Header
 
 from quadftc_bags.cdr.message import NANOSECONDS, NumberWriter, read_message, read_numbers
@@ -30,6 +30,16 @@ def imu_of(data: bytes) -> ImuSample:
 def vector_of(data: bytes) -> Floats:
     """Array (3,) of a serialised Vector3Stamped."""
     return np.array(read_numbers(data, Vector3Stamped))
+
+
+def field_of(data: bytes) -> Floats:
+    """Magnetic field (3,) [T] of a serialised MagneticField."""
+    return np.array(read_numbers(data, MagneticField)[:3])
+
+
+def attitude_of(data: bytes) -> Floats:
+    """Attitude q_xyzw (4,) of a serialised PoseStamped."""
+    return np.array(read_numbers(data, PoseStamped)[3:])
 
 
 def reference_in(data: bytes) -> AttitudeReference:
@@ -60,17 +70,23 @@ class VectorWire:
 
 
 class ImuWire:
-    """Makes serialised IMU messages; covariances are unknown (0), or mark a channel absent (-1)."""
+    """Makes serialised IMU messages.
+
+    Covariances are unknown (0), or mark a channel absent (-1); that of the attitude may be given.
+    """
 
     def __init__(self) -> None:
         self._write = NumberWriter(Imu(header=Header(frame_id=IMU_FRAME)))
 
-    def __call__(self, stamp_ns: int, sample: ImuSample) -> bytes:
-        """Return the message of a sample of one vehicle."""
+    def __call__(self, stamp_ns: int, sample: ImuSample, variance: Floats | None = None) -> bytes:
+        """Return the message of a sample of one vehicle; ``variance`` (3,) of the attitude [rad²]."""
         attitude, rate, force = (
             (0.0 if valid else ABSENT, *_UNKNOWN)
             for valid in (sample.attitude_valid, sample.rate_valid, sample.force_valid)
         )
+        if variance is not None:
+            x, y, z = variance.tolist()
+            attitude = (x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z)
         q_xyzw, body_rate = sample.q_xyzw.tolist(), sample.body_rate.tolist()
         specific_force = sample.specific_force.tolist()
         return self._write(stamp_ns, *q_xyzw, *attitude, *body_rate, *rate, *specific_force, *force)

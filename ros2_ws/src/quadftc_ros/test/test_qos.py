@@ -11,7 +11,7 @@ from rclpy.qos import (
 )
 
 from quadftc_ros.qos import service_profile, topic_profile
-from quadftc_ros.topics import NODES, TOPICS
+from quadftc_ros.topics import NODES, OPTIONAL_NODES, TOPICS
 
 MODES = ("realtime", "lockstep")
 CLASSES = ("sensor", "reliable", "latched", "clock")
@@ -74,7 +74,7 @@ def test_service_takes_bursts():
 
 def test_table_names_nodes_of_the_graph_only():
     named = {node for row in TOPICS.values() for node in (*row.publishers, *row.readers)}
-    assert named == set(NODES)
+    assert named == {*NODES, *OPTIONAL_NODES}
 
 
 def test_every_topic_but_the_common_ones_follows_the_namespace():
