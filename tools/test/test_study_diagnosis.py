@@ -218,6 +218,11 @@ def test_outliers_are_counted_by_their_length_and_the_declaration_after_them_is_
     ]
 
 
+def test_a_fault_and_its_axes_may_both_be_drawn():
+    drawn = {"faults.0": "bias", "faults.0.axes": "roll"}
+    assert sum_up(table_of([{**flown(0, "supervised"), **drawn}]))["pooled"]["fault_count"] == 1
+
+
 def test_steps_that_last_are_summed_up_over_all_of_them():
     found = sum_up_long(frame_of({"declared_share": 1.0}, {**MISSED, "declared_share": 0.5}))
     assert (found["count"], found["missed"]) == (2, 1)

@@ -145,7 +145,8 @@ def sum_up(frame: pl.DataFrame, bags: int = 0) -> dict[str, Any]:
 def diagnoses(frame: pl.DataFrame) -> list[dict[str, Any]]:
     """Return the metrics of the diagnosis of each flight, as ``summary.json`` has them, from the table."""
     scalars = [name for name, kind in frame.schema.items() if kind != pl.List]
-    flights = whole_flights(frame).select(name for name in scalars if not name.startswith("fault."))
+    drawn = ("fault.", "faults.")  # of one fault; a fault and its axes may both be drawn
+    flights = whole_flights(frame).select(name for name in scalars if not name.startswith(drawn))
     events: dict[tuple[int, str], list[dict[str, Any]]] = {}
     of_fault = ("flight", "variant", *(name for name in scalars if name.startswith("fault.")))
     for row in frame.filter(pl.col("fault").is_not_null()).select(of_fault).to_dicts():
