@@ -44,8 +44,12 @@ POSE_HOLD = 0.5  # s; an older pose gives the heading alone
 class EstimatorParameters:
     """Parameters of the attitude estimator."""
 
-    rate: float = parameter(0.0, unit="Hz", low=0.0, doc="of the IMU; 0: measured over the first 50 samples")
-    mag_rate: float = parameter(0.0, unit="Hz", low=0.0, doc="of the magnetometer; 0: measured as `rate` is")
+    rate: float = parameter(
+        0.0, unit="Hz", low=0.0, high=1e4, doc="of the IMU; 0: measured over the first 50 samples"
+    )
+    mag_rate: float = parameter(
+        0.0, unit="Hz", low=0.0, high=1e4, doc="of the magnetometer; 0: measured if `rate` is, otherwise none"
+    )
     pose_noise: float = parameter(0.1 * DEG, unit="rad", low=1e-6, doc="noise of a pose, 1 sigma")
 
 
@@ -133,7 +137,7 @@ class AttitudeEstimator:
         if not rate and (self._samples < SETTLING or span <= 0.0):
             return None
         self._period = 1.0 / rate if rate else span / (self._samples - 1)
-        if not mag_rate and self._fields > 1:
+        if not (rate or mag_rate) and self._fields > 1:
             mag_rate = self._fields / span
         self._has_field = mag_rate > 0.0
         return VQF(self._period, self._period, 1.0 / mag_rate if self._has_field else self._period)

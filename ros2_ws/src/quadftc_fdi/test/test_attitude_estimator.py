@@ -92,6 +92,14 @@ def test_a_magnetometer_gives_the_heading():
     assert not estimator.take_field(np.array([np.nan, 0.0, 0.0]))
 
 
+def test_a_field_before_the_first_sample_of_a_given_rate_is_not_measured():
+    motion = Motion(duration=0.1)
+    estimator = AttitudeEstimator(EstimatorParameters(rate=RATE))
+    assert all(estimator.take_field(FIELD) for _ in range(3))
+    assert fly(motion, estimator)[-1] is not None
+    assert estimator.heading_source == "gyro alone: it drifts"
+
+
 def test_poses_give_attitude_and_heading_also_when_they_come_late():
     motion = Motion(yaw=2.0)
     estimator, estimates = AttitudeEstimator(EstimatorParameters(rate=RATE)), []

@@ -1,13 +1,13 @@
 """Residual tests of an attitude sensor, axis by axis: three kinds of evidence, and when they declare a fault.
 
 Residuals r are measured minus predicted Euler angles. Healthy ones are the sensor's white noise, a slow
-error (attitude filters and markers wander, more so in motion) and the error of the prediction. The model
-says how large these are; the tests learn what is larger than the model says. On each axis:
+error (attitude filters and markers wander, more so in motion) and the error of the prediction. How large the
+first two are is learned (`sensor_noise`); the filter knows the third. On each axis:
 
     m <- m + w (r - m),   m² / var(m)        averages over 0.05, 0.15 and 0.5 s: incipient faults
                                              averages over 0.25 s of the residuals of the two anchors
                                              (`anchors`): faults so slow that the filter follows them
-    s <- s + min(r / sigma, 8) - 3           cumulative sum (Page 1954), both ways: abrupt faults
+    s <- s + min(r / sigma, 4.4) - 2.5       cumulative sum (Page 1954), both ways: abrupt faults
 
 When one axis is declared faulty, a lower level is enough on the others. What disturbs one axis often
 disturbs them all, and going back to an anchor loses the evidence against them.
