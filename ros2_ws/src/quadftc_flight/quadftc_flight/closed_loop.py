@@ -32,6 +32,7 @@ def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = 
     plant = dataclasses.replace(scenario.plant, disturbances=disturbances)
     simulator = Simulator(plant, scenario.sensor, period_ns(scenario.rate), epoch_ns, scenario.seed)
     injector = FaultInjector(scenario.seed, (fault.injection for fault in scenario.faults))
+    channels = {fault.injection.channel for fault in scenario.faults}
     diagnosis = Diagnosis(chosen.observer.law)
     disturbance_observer = DisturbanceEstimation(chosen.disturbance_observer.law)
     reference = ReferenceGenerator([part.law for part in scenario.references])
@@ -63,6 +64,10 @@ def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = 
         # what is known now of the sample
         flight.delivered[taken] = True
         flight.fault[taken], flight.fault_estimate[taken] = injected.attitude, estimate.fault
+        if "gyro" in channels:
+            flight.gyro_fault[taken] = injected.gyro
+        if "accelerometer" in channels:
+            flight.accelerometer_fault[taken] = injected.accelerometer
         flight.fault_std_dev[taken], flight.fault_state[taken] = estimate.std_dev, estimate.state
         flight.fault_onset_ns[taken] = onset_ns(stamp_ns, estimate.onset_age)
         flight.disturbance_estimate[taken], flight.reference[taken] = disturbance, wanted.angles

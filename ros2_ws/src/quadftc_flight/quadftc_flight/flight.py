@@ -47,6 +47,8 @@ class Flight:
     body_rate: Floats = _column("plant/rate")  # true [rad/s]
     reference: Floats = _column("attitude/reference", "angles")  # Euler angles [rad]
     fault: Floats = _column("fault/injected")  # true fault of the attitude [rad]
+    gyro_fault: Floats = _column("fault/injected/gyro")  # true [rad/s]
+    accelerometer_fault: Floats = _column("fault/injected/accelerometer")  # true [m/s²]
     fault_estimate: Floats = _column("fault/estimate")  # [rad]
     fault_std_dev: Floats = _column("fault/status", "std_dev")  # [rad]; -1: this observer gives none
     # as in quadftc_msgs/FaultStatus; and the stamp of the onset of the present fault, 0: none

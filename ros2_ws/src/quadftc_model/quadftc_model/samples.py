@@ -22,6 +22,7 @@ AXES = ("roll", "pitch", "yaw")  # of what has three elements in attitude
 STARTING, HEALTHY, SUSPECT, FAULTY, RECOVERING = range(5)  # fault states, as in quadftc_msgs/FaultStatus
 ALARMS = (FAULTY, RECOVERING)  # a fault is confirmed, and not known to be gone
 FAULT_STATE_NAMES = ("starting", "healthy", "suspect", "faulty", "recovering")
+FAULT_KINDS = ("", "offset", "stuck", "noise", "absent", "unknown")  # "": no fault
 
 
 class ImuSample(NamedTuple):
@@ -57,6 +58,26 @@ class FaultObserverInputs(NamedTuple):
     torque: Vector  # [N m]
 
 
+class SensorEstimate(NamedTuple):
+    """What is said of one sensor, axis by axis; sizes in its SI unit (rad, rad/s, m/s²)."""
+
+    state: States  # STARTING ... RECOVERING
+    size: Vector  # of the fault: reading minus truth; 0 without a fault
+    std_dev: Vector  # of the size; -1: unknown
+    onset_age: Vector  # time since the onset of the present fault [s]; -1: no fault
+    probability: Vector  # that this axis of this sensor is faulty now [1]
+    kind: States  # what the fault looks like, an index into `FAULT_KINDS`
+    ambiguous: Mask  # declared, but the fault may as well be that of the other sensor of the axis
+
+
+class SensorDiagnosis(NamedTuple):
+    """Which sensor is faulty: attitude (roll, pitch, yaw), gyro and accelerometer (x, y, z)."""
+
+    attitude: SensorEstimate
+    gyro: SensorEstimate
+    accelerometer: SensorEstimate
+
+
 class FaultEstimate(NamedTuple):
     """What a fault observer says."""
 
@@ -65,6 +86,7 @@ class FaultEstimate(NamedTuple):
     state: States  # STARTING ... RECOVERING
     onset_age: Vector  # time since the onset of the present fault [s]; -1: no fault
     corrected: ImuSample  # the sample as the controller shall see it
+    sensors: SensorDiagnosis | None = None  # None: the observer takes all but the attitude for healthy
 
 
 class DisturbanceObserverInputs(NamedTuple):
