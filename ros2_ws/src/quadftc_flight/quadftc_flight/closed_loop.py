@@ -9,6 +9,7 @@ lock-step. The nodes build the same parts from their parameters, so both fly the
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Set
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from quadftc_flight.flight import Flight, onset_ns, unknown_flight
 from quadftc_flight.scenario import Scenario, Scheme
 from quadftc_model.samples import ControllerInputs
 from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count
-from quadftc_sim.injector import FaultInjector
+from quadftc_sim.injector import FaultInjector, Faulty
 from quadftc_sim.simulator import Simulator
 
 
@@ -63,14 +64,20 @@ def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = 
         torque = output.torque
         # what is known now of the sample
         flight.delivered[taken] = True
-        flight.fault[taken], flight.fault_estimate[taken] = injected.attitude, estimate.fault
-        if "gyro" in channels:
-            flight.gyro_fault[taken] = injected.gyro
-        if "accelerometer" in channels:
-            flight.accelerometer_fault[taken] = injected.accelerometer
+        _note_truth(flight, taken, injected, channels)
+        flight.fault_estimate[taken] = estimate.fault
         flight.fault_std_dev[taken], flight.fault_state[taken] = estimate.std_dev, estimate.state
         flight.fault_onset_ns[taken] = onset_ns(stamp_ns, estimate.onset_age)
         flight.disturbance_estimate[taken], flight.reference[taken] = disturbance, wanted.angles
         flight.torque[taken], flight.saturated[taken] = torque, output.saturated
         flight.error[taken], flight.sliding_variable[taken] = output.error, output.sliding_variable
     return flight.first(max(count - delay, 0))  # the samples that came out before the end
+
+
+def _note_truth(flight: Flight, row: int, injected: Faulty, channels: Set[str]) -> None:
+    """Note the true faults of a sample; those of gyro and accelerometer if the scenario has some."""
+    flight.fault[row] = injected.attitude
+    if "gyro" in channels:
+        flight.gyro_fault[row] = injected.gyro
+    if "accelerometer" in channels:
+        flight.accelerometer_fault[row] = injected.accelerometer

@@ -148,13 +148,24 @@ class Supervised(FaultObserver):
         )
 
     def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
-        """Advance by ``dt`` [s] to the sample."""
-        imu, xp = inputs.imu, namespace(inputs.imu.body_rate)
+        """Advance by ``dt`` [s] to the sample. An absent gyro keeps its last value."""
+        imu = inputs.imu
+        gyro = namespace(state.gyro).where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
+        return self.advance(state, imu, gyro, 0.0, dt)
+
+    def advance(
+        self, state: State, imu: ImuSample, gyro: Vector, doubt: Vector | float, dt: float
+    ) -> tuple[State, FaultEstimate]:
+        """Advance by ``dt`` [s] on a body rate [rad/s] in place of the sample's.
+
+        ``doubt`` [rad²] is what it may be wrong by in this step, as a rotation about each axis, besides the
+        noise of a gyro.
+        """
+        xp = namespace(gyro)
         weights, gains = residual_tests.averaging_weights(dt), fault_track.tracker_gains(dt, self.tracking)
 
-        # 1. Predict: the gyro carries filter and anchors to this sample. An absent gyro keeps its last value.
-        gyro = xp.where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
-        estimate, earlier, omega, activity, motion = self._predict(state, gyro, dt)
+        # 1. Predict: the gyro carries filter and anchors to this sample.
+        estimate, earlier, omega, activity, motion = self._predict(state, gyro, doubt, dt)
 
         # 2. Test the residuals of the trusted axes, and learn from healthy ones.
         prediction, residuals, predicted, sensor, valid, testable = self._compare(
@@ -240,7 +251,7 @@ class Supervised(FaultObserver):
         return np.array([attitude] * 3 + [self.gyro_bias] * 3 + [self.gyro_scale] * 9 + [self.delay])
 
     def _predict(
-        self, state: State, gyro: Array, dt: float
+        self, state: State, gyro: Array, doubt: Array, dt: float
     ) -> tuple[FilterState, anchors.Anchors, Array, Array, Array]:
         """Carry filter and anchors by the mean of two gyro samples; also return rate, activity, motion."""
         omega = estimate_rate(state.filter.x, gyro)
@@ -258,7 +269,7 @@ class Supervised(FaultObserver):
 
         rotation = changed_where(dt > GAP, widen, walk)
         bias = self.gyro_bias_walk**2 * dt + self.gyro_shift**2 * abs(motion - before)
-        noise = ProcessNoise(stacked([rotation]), stacked([bias]))
+        noise = ProcessNoise(stacked([rotation]) + doubt, stacked([bias]))
         mean = 0.5 * (gyro + state.gyro)
         change = gyro - state.gyro
         estimate, P, F = inertial_filter.predict(state.filter, state.anchors.P, mean, change, noise, dt)

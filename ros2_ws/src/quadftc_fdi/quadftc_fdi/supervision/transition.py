@@ -42,9 +42,9 @@ class FilterState(NamedTuple):
 
 
 class ProcessNoise(NamedTuple):
-    """Variances that a step adds on each axis."""
+    """Variances that a step adds on each axis, or alike on all."""
 
-    rotation: Column  # [rad²]
+    rotation: Vector | Column  # [rad²]
     bias: Column  # of the gyro [rad²/s²]
 
 
@@ -86,7 +86,8 @@ class BlockTransition(NamedTuple):
 
     def around(self, P: Covariances, noise: ProcessNoise) -> Covariances:
         """F P F' and the noise, symmetric."""
-        Q = noise.rotation[..., None] * _ROTATION_NOISE + noise.bias[..., None] * _BIAS_NOISE
+        variances = (noise.rotation * np.ones(3)) @ _ROTATION + (noise.bias * np.ones(3)) @ _BIAS
+        Q = variances[..., None] * np.eye(SIZE)
         each = [self._around(P[..., index, :, :]) + Q for index in range(P.shape[-3])]
         return namespace(P).stack(each, axis=-3)
 
@@ -132,4 +133,4 @@ def _upper() -> NDArray[np.float64]:
 
 
 _UPPER = _upper()
-_ROTATION_NOISE, _BIAS_NOISE = (np.diag(np.eye(SIZE)[which].sum(axis=0)) for which in (ROTATION, BIAS))
+_ROTATION, _BIAS = (np.eye(SIZE)[which] for which in (ROTATION, BIAS))  # (3, 16)
