@@ -92,3 +92,19 @@ def test_sine_has_amplitude_frequency_and_phase():
     law = build(disturbances.get("sine"), values)
     expected = [0.1 * math.sin(0.7), 0.2 * math.cos(1.4), 0.3 * math.sin(2.1)]
     np.testing.assert_allclose(law.torque(1.7), expected, rtol=1e-12)
+
+
+def test_gusts_have_their_size_and_last_as_long_as_they_should():
+    law = build(
+        disturbances.get("gusts"), {"std_dev": [0.1, 0.2, 0.3], "correlation_time": 0.5, "history": 7}
+    )
+    torque = law.torque(np.arange(0.0, 2000.0, 0.05)[:, None])
+    np.testing.assert_allclose(torque.std(axis=0), [0.1, 0.2, 0.3], rtol=0.02)
+    after_one = np.mean(torque[:-10] * torque[10:], axis=0) / np.var(torque, axis=0)
+    np.testing.assert_allclose(after_one, math.exp(-1.0), atol=0.05)
+    assert np.max(np.abs(np.corrcoef(torque.T) - np.eye(3))) < 0.1
+
+
+def test_gusts_of_another_history_are_others():
+    first, second = (build(disturbances.get("gusts"), {"std_dev": 0.1, "history": n}) for n in (1, 2))
+    assert np.all(first.torque(1.0) != second.torque(1.0))
