@@ -1,5 +1,6 @@
 """Campaigns without a control loop: simulated and recorded samples with drawn faults, diagnosed."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -20,7 +21,7 @@ from quadftc_campaign.open_motion import simulate, simulate_all
 from quadftc_campaign.table import summary_of, table_of
 from quadftc_flight.diagnosis_metrics.roc import detection_scores, estimate_size, roc
 from quadftc_flight.fault_schedule import FaultEvent
-from quadftc_flight.flight import VECTORS, Flight
+from quadftc_flight.flight import VECTORS, Flight, unknown_flight
 from quadftc_flight.scenario import ScenarioError, parse_scenario, with_seed
 from quadftc_model.samples import AXES, FAULTY
 from quadftc_replay.diagnose import diagnose
@@ -69,12 +70,9 @@ def flight_with(**columns) -> Flight:
     """30 s at 100 Hz; what is not given is zero."""
     count = 3000
     stamp_ns = np.arange(1, count + 1) * 10_000_000
-    return Flight(
-        stamp_ns=stamp_ns,
-        time=(stamp_ns - stamp_ns[0]) / 1e9,
+    return dataclasses.replace(
+        unknown_flight(stamp_ns),
         delivered=np.ones(count, np.bool_),
-        fault_onset_ns=np.zeros((count, 3), np.int64),
-        saturated=np.zeros((count, 3), np.bool_),
         **{name: np.zeros((count, 3)) for name in VECTORS}
         | {"fault_state": np.ones((count, 3), np.uint8)}
         | columns,

@@ -4,14 +4,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadftc_fdi.fault_observer import FaultObserver, LastDiagnosis
 from quadftc_model import samples
 from quadftc_model.arrays import Vector
-from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample, sanitised
-from quadftc_model.stepper import ResumingStepper, seconds
+from quadftc_model.samples import (
+    ALARMS,
+    FAULT_KINDS,
+    FaultEstimate,
+    FaultObserverInputs,
+    ImuSample,
+    SensorEstimate,
+    sanitised,
+)
+from quadftc_model.stepper import NANOSECONDS_PER_SECOND, ResumingStepper, seconds
+
+REPORT_PERIOD_NS = 100_000_000  # ns; the topic ``diagnosis`` comes at 10 Hz, and at once on a change
+BODY_AXES = ("x", "y", "z")
+# of each component that an observer may watch: the names of its elements, and the unit of a fault
+COMPONENTS: Mapping[str, tuple[tuple[str, ...], str]] = {
+    "attitude": (samples.AXES, "rad"),
+    "gyro": (BODY_AXES, "rad/s"),
+    "accelerometer": (BODY_AXES, "m/s^2"),
+}
+_CONFUSED_WITH = {"attitude": "gyro", "gyro": "attitude"}  # on the same axis
 
 
 class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosis]):
@@ -48,6 +67,97 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
         return self.step(stamp_ns, inputs)
 
 
+class ComponentFault(NamedTuple):
+    """A fault that is confirmed and not known to be gone, as quadftc_msgs/ComponentFault says it."""
+
+    component: str  # of `COMPONENTS`
+    element: str  # of the component
+    kind: str  # of `FAULT_KINDS`
+    state: int  # FAULTY or RECOVERING
+    size: float  # reading minus truth, in ``unit``
+    std_dev: float  # of the size; -1: the observer gives none
+    unit: str
+    probability: float  # that the element is faulty now [1]; -1: the observer gives none
+    ambiguous_with: tuple[str, ...]  # "component/element" that may be the faulty one instead
+    onset_ns: int  # stamp of the onset [ns]
+
+
+class Report(NamedTuple):
+    """What is said of all components at a sample, as quadftc_msgs/Diagnosis says it."""
+
+    stamp_ns: int  # of the sample [ns]
+    watched: tuple[str, ...]  # components that the observer diagnoses; healthy where there is no fault
+    faults: tuple[ComponentFault, ...]
+
+
+def report_faults(stamp_ns: int, estimate: FaultEstimate) -> Report:
+    """Say the confirmed faults of an estimate of one vehicle, of a sample [ns]."""
+    sensors = watched_sensors(estimate)
+    found = [fault for name, each in sensors.items() for fault in _confirmed(stamp_ns, name, each)]
+    return Report(stamp_ns, tuple(sensors), tuple(found))
+
+
+def is_due(report: Report, last: Report | None) -> bool:
+    """Return whether a report is to be published, ``last`` being the one published before.
+
+    It is where a component, state, kind or ambiguity has changed, and with the first sample of every
+    `REPORT_PERIOD_NS` of the clock of the stamps.
+    """
+    if last is None or report.stamp_ns < last.stamp_ns:
+        return True
+    if report.stamp_ns // REPORT_PERIOD_NS != last.stamp_ns // REPORT_PERIOD_NS:
+        return True
+    return report.watched != last.watched or _verdicts(report) != _verdicts(last)
+
+
+def watched_sensors(estimate: FaultEstimate) -> dict[str, SensorEstimate]:
+    """Return what an estimate says of each component that its observer diagnoses."""
+    if estimate.sensors is not None:
+        return estimate.sensors._asdict()
+    unknown = np.full_like(estimate.fault, -1.0)
+    kind = np.full_like(estimate.state, FAULT_KINDS.index("unknown"))
+    clear = np.zeros(estimate.fault.shape, np.bool_)
+    state, fault, std_dev, age = estimate.state, estimate.fault, estimate.std_dev, estimate.onset_age
+    return {"attitude": SensorEstimate(state, fault, std_dev, age, unknown, kind, clear)}
+
+
+def onset_ns(stamp_ns: int, age: float) -> int:
+    """Return the stamp [ns] of an onset by its age [s] at a sample [ns]; 0: there is none."""
+    return stamp_ns - round(age * NANOSECONDS_PER_SECOND) if age >= 0.0 else 0
+
+
+def _confirmed(stamp_ns: int, component: str, sensor: SensorEstimate) -> Iterator[ComponentFault]:
+    if not any(state in ALARMS for state in sensor.state.tolist()):
+        return
+    elements, unit = COMPONENTS[component]
+    columns: list[list[Any]] = [column.tolist() for column in sensor]
+    for axis, (state, size, std_dev, age, probability, kind, ambiguous) in enumerate(
+        zip(*columns, strict=True)
+    ):
+        if state not in ALARMS:
+            continue
+        other = _CONFUSED_WITH.get(component)
+        rivals = (f"{other}/{COMPONENTS[other][0][axis]}",) if ambiguous and other else ()
+        yield ComponentFault(
+            component=component,
+            element=elements[axis],
+            kind=FAULT_KINDS[kind] or "unknown",
+            state=state,
+            size=size,
+            std_dev=std_dev,
+            unit=unit,
+            probability=probability,
+            ambiguous_with=rivals,
+            onset_ns=onset_ns(stamp_ns, age),
+        )
+
+
+def _verdicts(report: Report) -> list[tuple[object, ...]]:
+    return [
+        (each.component, each.element, each.kind, each.state, each.ambiguous_with) for each in report.faults
+    ]
+
+
 def describe_axes(
     estimate: FaultEstimate, more: Mapping[str, Vector] | None = None
 ) -> Iterator[tuple[str, int, dict[str, str]]]:
@@ -73,6 +183,8 @@ def _age(stamp_ns: int, onset_ns: int) -> float:
 def _usable_estimate(inputs: FaultObserverInputs, estimate: FaultEstimate) -> FaultEstimate:
     fault, corrected = estimate.fault, estimate.corrected
     usable = samples.is_usable(fault, corrected.q_xyzw, corrected.body_rate)
+    for sensor in estimate.sensors or ():
+        usable = usable and samples.is_usable(*sensor[1:5])
     return estimate if usable else _starting_estimate(inputs.imu)
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from quadftc_flight.reported import note_reports, reports_from
 from quadftc_model.rotations import euler_from_quaternion
 from quadftc_model.samples import ABSENT
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
@@ -25,6 +26,7 @@ if TYPE_CHECKING:  # reading bags takes libraries that the closed loop does with
 Floats = NDArray[np.float64]
 
 NO_STATE = 255  # fault state of a row without diagnosis
+DIAGNOSIS = "diagnosis"  # the topic, whose messages hold until the next one
 
 
 def _column(topic: str, field: str = "vector", unknown: Any = np.nan) -> Any:
@@ -36,8 +38,8 @@ def _column(topic: str, field: str = "vector", unknown: Any = np.nan) -> Any:
 class Flight:
     """One row for each IMU sample that was taken, in the order of the stamps.
 
-    What is unknown in a row is NaN (``fault_state``: ``NO_STATE``; ``fault_onset_ns``: 0; ``saturated``:
-    False): of a withheld sample all but the motion and the disturbance; in a bag, what is missing.
+    What is unknown in a row is NaN (states: ``NO_STATE``; onsets: 0; ``saturated`` and ambiguities: False):
+    of a withheld sample all but the motion and the disturbance; in a bag, what is missing.
     """
 
     stamp_ns: NDArray[np.int64]  # (n,) when the sample was taken
@@ -54,6 +56,19 @@ class Flight:
     # as in quadftc_msgs/FaultStatus; and the stamp of the onset of the present fault, 0: none
     fault_state: NDArray[np.uint8] = _column("fault/status", "state", np.uint8(NO_STATE))
     fault_onset_ns: NDArray[np.int64] = _column("fault/status", "onset_ns", np.int64(0))
+    # what the topic `diagnosis` said last; probabilities [1] and std_dev -1: this observer gives none
+    attitude_probability: Floats = _column(DIAGNOSIS)  # that this axis of the attitude is faulty
+    attitude_ambiguous: NDArray[np.bool_] = _column(DIAGNOSIS, unknown=np.False_)  # it may be the gyro
+    gyro_state: NDArray[np.uint8] = _column(DIAGNOSIS, unknown=np.uint8(NO_STATE))  # NO_STATE: not watched
+    gyro_estimate: Floats = _column(DIAGNOSIS)  # of its fault [rad/s]
+    gyro_std_dev: Floats = _column(DIAGNOSIS)  # [rad/s]
+    gyro_onset_ns: NDArray[np.int64] = _column(DIAGNOSIS, unknown=np.int64(0))
+    gyro_probability: Floats = _column(DIAGNOSIS)
+    gyro_ambiguous: NDArray[np.bool_] = _column(DIAGNOSIS, unknown=np.False_)  # it may be the attitude
+    accelerometer_state: NDArray[np.uint8] = _column(DIAGNOSIS, unknown=np.uint8(NO_STATE))
+    accelerometer_estimate: Floats = _column(DIAGNOSIS)  # of its fault [m/s²]
+    accelerometer_std_dev: Floats = _column(DIAGNOSIS)  # [m/s²]
+    accelerometer_onset_ns: NDArray[np.int64] = _column(DIAGNOSIS, unknown=np.int64(0))
     disturbance: Floats = _column("disturbance/applied")  # true, as an angular acceleration [rad/s²]
     disturbance_estimate: Floats = _column("disturbance/estimate")  # [rad/s²]
     torque: Floats = _column("torque/command")  # command [N m]
@@ -111,8 +126,12 @@ def flight_from_bag(bag: Bag) -> Flight:
     for name, column in _COLUMNS.items():
         known = flight.delivered | (name in _KNOWN_WHEN_WITHHELD)
         topic, field = column["source"]
+        if topic == DIAGNOSIS:
+            continue
         joined = _join_topic(bag, topic, field, stamp_ns, column["unknown"])
         getattr(flight, name)[known] = joined[known]
+    if has_messages(bag, DIAGNOSIS):
+        note_reports(flight, reports_from(bag.series(DIAGNOSIS)))
     return flight
 
 

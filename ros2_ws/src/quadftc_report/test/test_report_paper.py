@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from quadftc_bags.bag import Bag
-from quadftc_flight.flight import VECTORS, Flight
+from quadftc_flight.flight import VECTORS, Flight, unknown_flight
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, find_scenario, load_scenario
 from quadftc_flight.summary import summary
@@ -40,13 +40,11 @@ def ideal_flight(name: str, observer: bool, size: float = 1.0) -> Flight:
         columns |= {"angles": 2.0 * DEG * columns["disturbance"] - faulty, "torque": faulty}
     stamps = 1_000_000_000 + np.round(1e9 * TIME).astype(np.int64)
     count = len(TIME)
-    return Flight(
-        stamp_ns=stamps,
+    return dataclasses.replace(
+        unknown_flight(stamps),
         time=TIME,
         delivered=np.ones(count, np.bool_),
         fault_state=np.ones((count, 3), np.uint8),
-        fault_onset_ns=np.zeros((count, 3), np.int64),
-        saturated=np.zeros((count, 3), np.bool_),
         **columns,
     )
 

@@ -13,7 +13,7 @@ import pytest
 from quadftc_bags.bag import Bag
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, fault_events
-from quadftc_flight.flight import NO_STATE, VECTORS, Flight, Reading
+from quadftc_flight.flight import NO_STATE, Flight, Reading, unknown_flight
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import parse_scenario
 from quadftc_flight.summary import summary
@@ -59,21 +59,17 @@ def made_replay(
     found = 0 if observer == "none" else 1
     state = np.full((COUNT, 3), HEALTHY, np.uint8)
     state[:50], state[450:600, 0] = STARTING, FAULTY if found else HEALTHY
-    unknown = np.full((COUNT, 3), np.nan)
-    flight = Flight(
+    flight = dataclasses.replace(
+        unknown_flight(stamp_ns),
         **{
-            **dict.fromkeys(VECTORS, unknown),
-            "stamp_ns": stamp_ns,
             "time": PERIOD * np.arange(COUNT),
             "delivered": np.ones(COUNT, np.bool_),
             "fault": columns((0, slice(400, 600), np.radians(3.0))) if events else columns(),
             "fault_estimate": found * columns((0, slice(450, 600), np.radians(2.5))),
             "fault_std_dev": np.full((COUNT, 3), np.radians(0.3) if found else -1.0),
             "fault_state": state,
-            "fault_onset_ns": np.zeros((COUNT, 3), np.int64),
-            "saturated": np.zeros((COUNT, 3), np.bool_),
             **changes,
-        }
+        },
     )
     measured = Reading(flight.fault + 0.2, columns() + 0.1)
     measured.angles[700:720] = np.nan

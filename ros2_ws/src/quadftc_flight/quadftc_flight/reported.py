@@ -1,0 +1,76 @@
+"""What the topic ``diagnosis`` said of each component, as columns of a flight.
+
+A report holds until the next one, at most to the end of its `REPORT_PERIOD_NS`: it comes at once on a change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_fdi.diagnosis import COMPONENTS, REPORT_PERIOD_NS, ComponentFault, Report
+from quadftc_model.samples import HEALTHY
+
+if TYPE_CHECKING:
+    from quadftc_bags.bag import Series
+    from quadftc_flight.flight import Flight
+
+# of an element that the observer does not watch, and of one that is healthy
+UNWATCHED: dict[str, Any] = {
+    "state": np.uint8(255),
+    "estimate": np.nan,
+    "std_dev": np.nan,
+    "onset_ns": np.int64(0),
+    "probability": np.nan,
+    "ambiguous": np.False_,
+}
+WATCHED = {**UNWATCHED, "state": np.uint8(HEALTHY), "estimate": 0.0, "std_dev": -1.0, "probability": 0.0}
+
+
+def note_reports(flight: Flight, reports: Sequence[Report]) -> None:
+    """Fill the columns ``<component>_<quantity>`` of a flight that the published reports tell of."""
+    if not reports:
+        return
+    reports = sorted(reports, key=lambda report: report.stamp_ns)
+    stamps = np.array([report.stamp_ns for report in reports], np.int64)
+    latest = np.searchsorted(stamps, flight.stamp_ns, side="right") - 1
+    held = flight.delivered & (latest >= 0)
+    held &= stamps[latest] // REPORT_PERIOD_NS == flight.stamp_ns // REPORT_PERIOD_NS
+    for component in COMPONENTS:
+        for quantity, said in _columns_of(component, reports).items():
+            column = getattr(flight, f"{component}_{quantity}", None)
+            if column is not None:
+                column[held] = said[latest[held]]
+
+
+def reports_from(series: Series) -> list[Report]:
+    """Return the messages of the topic ``diagnosis``."""
+    rows = zip(series.stamp_ns.tolist(), series["watched"], series["faults"], strict=True)
+    return [Report(stamp_ns, tuple(watched), tuple(map(_fault_of, said))) for stamp_ns, watched, said in rows]
+
+
+def _fault_of(message: Any) -> ComponentFault:
+    onset_ns = message.onset.sec * 1_000_000_000 + message.onset.nanosec
+    values = {name: getattr(message, name) for name in ComponentFault._fields if name != "onset_ns"}
+    values["ambiguous_with"] = tuple(message.ambiguous_with)
+    return ComponentFault(**values, onset_ns=onset_ns)
+
+
+def _columns_of(component: str, reports: Sequence[Report]) -> dict[str, NDArray[Any]]:
+    """Return what each report says of the elements of a component, by quantity (n, 3)."""
+    elements, _ = COMPONENTS[component]
+    watched = np.array([component in report.watched for report in reports])[:, None]
+    columns = {name: np.where(watched, WATCHED[name], UNWATCHED[name]).repeat(3, 1) for name in WATCHED}
+    for row, report in enumerate(reports):
+        for fault in report.faults:
+            if fault.component != component or fault.element not in elements:
+                continue
+            at = row, elements.index(fault.element)
+            columns["state"][at], columns["onset_ns"][at] = fault.state, fault.onset_ns
+            columns["estimate"][at], columns["std_dev"][at] = fault.size, fault.std_dev
+            columns["probability"][at] = fault.probability
+            columns["ambiguous"][at] = bool(fault.ambiguous_with)
+    return columns
