@@ -130,11 +130,11 @@ def changed_where(mask: Array | bool, change: Callable[[], T], unchanged: T) -> 
     Then NumPy saves the work: most of the time nothing happens. Other libraries, whose masks may have no
     values yet, always do it.
     """
-    if isinstance(mask, bool):
+    if isinstance(mask, (bool, np.bool_)):
         return change() if mask else unchanged
     if is_single(mask):
         return change() if True in mask.tolist() else unchanged
-    if isinstance(mask, (np.ndarray, np.bool_)) and not mask.any():  # pyright: ignore[reportUnknownMemberType]
+    if isinstance(mask, np.ndarray) and not mask.any():  # pyright: ignore[reportUnknownMemberType]
         return unchanged
     return change()
 
@@ -165,7 +165,9 @@ def cache_numbers(function: Callable[..., T]) -> Callable[..., T]:
 
     @functools.wraps(function)
     def call(*arguments: Any) -> T:
-        plain = all(isinstance(each, (float, str)) for each in arguments)
-        return cached(*arguments) if plain else function(*arguments)
+        for each in arguments:
+            if not isinstance(each, (float, str)):
+                return function(*arguments)
+        return cached(*arguments)
 
     return call

@@ -7,6 +7,8 @@ arrays whose last axis holds the components, with any leading axes, in NumPy or 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +18,10 @@ from quadftc_model.arrays import Quaternion, Scalar, Vector, clip, components, i
 MIN_COS_PITCH = 1e-6  # 1; the Euler rates of (4) are bounded by this close to +-90 deg of pitch
 
 
-def wrap(angle: arrays.AnyArray) -> arrays.AnyArray:
+def wrap(angle: Scalar) -> Any:
     """Wrap angles [rad] into [-pi, pi]; angles inside already are returned unchanged, bit for bit."""
+    if isinstance(angle, float):
+        return math.remainder(angle, 2.0 * math.pi)
     xp = namespace(angle)
     return angle - 2.0 * math.pi * xp.rint(angle / (2.0 * math.pi))
 
@@ -54,16 +58,18 @@ def euler_from_quaternion(q_xyzw: Quaternion) -> Vector:
 
 def quaternion_product(p_xyzw: Quaternion, q_xyzw: Quaternion) -> Quaternion:
     """Hamilton product p q (..., 4): first the rotation q, then p."""
-    px, py, pz, pw = components(p_xyzw)
-    qx, qy, qz, qw = components(q_xyzw)
-    return stacked(
-        [
-            pw * qx + px * qw + py * qz - pz * qy,
-            pw * qy - px * qz + py * qw + pz * qx,
-            pw * qz + px * qy - py * qx + pz * qw,
-            pw * qw - px * qx - py * qy - pz * qz,
-        ]
-    )
+    return stacked(_product(components(p_xyzw), components(q_xyzw)))
+
+
+def _product(p: Sequence[Any], q: Sequence[Any]) -> list[Any]:
+    px, py, pz, pw = p
+    qx, qy, qz, qw = q
+    return [
+        pw * qx + px * qw + py * qz - pz * qy,
+        pw * qy - px * qz + py * qw + pz * qx,
+        pw * qz + px * qy - py * qx + pz * qw,
+        pw * qw - px * qx - py * qy - pz * qz,
+    ]
 
 
 def quaternion_rate(q_xyzw: Quaternion, body_rate: Vector) -> Quaternion:
@@ -78,12 +84,7 @@ def quaternion_rate(q_xyzw: Quaternion, body_rate: Vector) -> Quaternion:
 def quaternion_from_rotation_vector(rotation_vector: Vector) -> Quaternion:
     """Unit quaternion (..., 4) of a rotation vector [rad] (..., 3); exactly (0, 0, 0, 1) for zero."""
     if is_single(rotation_vector):
-        x, y, z = rotation_vector.tolist()
-        half = 0.5 * math.sqrt(x * x + y * y + z * z)
-        if not half < math.inf:  # not a number, as with arrays
-            return np.full(4, math.nan)
-        scale = 0.5 * math.sin(half) / half if half > 0.0 else 0.5
-        return np.array([x * scale, y * scale, z * scale, math.cos(half)])
+        return np.array(_turned_by(rotation_vector.tolist()))
     xp = namespace(rotation_vector)
     half_angle = 0.5 * arrays.norm(rotation_vector)
     zero = half_angle == 0.0
@@ -92,17 +93,30 @@ def quaternion_from_rotation_vector(rotation_vector: Vector) -> Quaternion:
     return xp.concatenate([0.5 * rotation_vector * xp.where(zero, 1.0, xp.sin(safe) / safe), cosine], axis=-1)
 
 
+def _turned_by(rotation_vector: list[float]) -> list[float]:
+    x, y, z = rotation_vector
+    half = 0.5 * math.sqrt(x * x + y * y + z * z)
+    if not half < math.inf:  # not a number, as with arrays
+        return [math.nan] * 4
+    scale = 0.5 * math.sin(half) / half if half > 0.0 else 0.5
+    return [x * scale, y * scale, z * scale, math.cos(half)]
+
+
 def normalise(q_xyzw: Quaternion) -> Quaternion:
     """Quaternion (..., 4) scaled to unit length; it must not be zero."""
-    if is_single(q_xyzw):
-        x, y, z, w = q_xyzw.tolist()
-        length = math.sqrt(x * x + y * y + z * z + w * w) or math.nan
-        return np.array([x / length, y / length, z / length, w / length])
-    return q_xyzw / arrays.norm(q_xyzw)
+    return _normalised(q_xyzw.tolist()) if is_single(q_xyzw) else q_xyzw / arrays.norm(q_xyzw)
+
+
+def _normalised(q_xyzw: list[float]) -> Quaternion:
+    x, y, z, w = q_xyzw
+    length = math.sqrt(x * x + y * y + z * z + w * w) or math.nan
+    return np.array([x / length, y / length, z / length, w / length])
 
 
 def turn(q_xyzw: Quaternion, rotation_vector: Vector) -> Quaternion:
     """Unit quaternion (..., 4) turned further by a rotation vector in body axes [rad] (..., 3)."""
+    if is_single(q_xyzw) and is_single(rotation_vector):
+        return _normalised(_product(q_xyzw.tolist(), _turned_by(rotation_vector.tolist())))
     return normalise(quaternion_product(q_xyzw, quaternion_from_rotation_vector(rotation_vector)))
 
 
