@@ -23,7 +23,7 @@ DOMAINS = range(1, 81)  # of those that ROS 2 can have on any Linux
 
 # Compiling took most of the tests' time, and the flights are short. The last two flags halve it again.
 QUICK_TO_COMPILE = (
-    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
+    "--xla_backend_optimization_level=1 --xla_llvm_disable_expensive_passes=true"
     " --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
 )
 
