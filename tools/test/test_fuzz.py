@@ -90,6 +90,7 @@ def test_good_input_is_not_refused(name, seeds, sandbox):
         "bag": ({**bag, f"bag/{seeds.mcap}": seeds.loose}, ["check", "bag"]),
         "SQLite bag": ({f"bag/{file}": data for file, data in seeds.sqlite.items()}, ["replay", "bag"]),
         "PX4 log": ({"log.ulg": seeds.ulog}, ["replay", "log.ulg"]),
+        "Crazyflie log": ({"log00": seeds.usdlog}, ["replay", "log00"]),
         "faults overlaid": ({"log.ulg": seeds.ulog}, ["replay", "log.ulg", "--fault", "bias value=1deg"]),
         "arguments": ({"s.yaml": SCENARIO}, ["run", "s.yaml", "--rate", "100"]),
     }

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from functools import cached_property
 from pathlib import Path
 
@@ -189,6 +190,19 @@ class Seeds:
             rate = generator.normal(0.0, 0.01, 3).tolist()
             parts.append(_ulog("D", struct.pack("<HQ3fi3f", 1, stamp, *rate, 0, 0.0, 0.0, -9.81)))
         return b"".join(parts)
+
+    @cached_property
+    def usdlog(self) -> bytes:
+        """A log of a Crazyflie's uSD card, of 0.4 s."""
+        names = [f"gyro.{axis}(f)" for axis in "xyz"] + [f"stateEstimate.q{axis}(f)" for axis in "xyzw"]
+        parts = [struct.pack("<BHHH", 0xBC, 2, 1, 65535), b"fixedFrequency\0", struct.pack("<H", len(names))]
+        parts += [f"{name}\0".encode() for name in names]
+        generator = np.random.default_rng(1)
+        for k in range(100):
+            rate = generator.normal(0.0, 0.5, 3).tolist()
+            parts.append(struct.pack("<HQ7f", 65535, 3_000_000 + 4000 * k, *rate, 0.0, 0.0, 0.0, 1.0))
+        data = b"".join(parts)
+        return data + struct.pack("<I", zlib.crc32(data))
 
     def _file(self, name: str, data: bytes) -> Path:
         self._folder.mkdir(parents=True, exist_ok=True)

@@ -212,6 +212,10 @@ def _ulog(draw: Draw, seeds: Seeds) -> Input:
     return {"log.ulg": bad_bytes(draw, seeds.ulog)}, ["replay", "log.ulg", "--out", "out"]
 
 
+def _usdlog(draw: Draw, seeds: Seeds) -> Input:
+    return {"log00": bad_bytes(draw, seeds.usdlog)}, ["replay", "log00", "--out", "out"]
+
+
 def _faults(draw: Draw, seeds: Seeds) -> Input:
     files = {"log.ulg": seeds.ulog, "f.yaml": bad_yaml(draw, FAULTS)}
     spec = bad_argument(draw, pick(draw, SPECS))
@@ -239,6 +243,7 @@ TARGETS = {
         Target("bag", _bag, _quadftc, 3.0),
         Target("SQLite bag", _sqlite, _quadftc),
         Target("PX4 log", _ulog, _quadftc),
+        Target("Crazyflie log", _usdlog, _quadftc),
         Target("faults overlaid", _faults, _quadftc, 0.5),
         Target("arguments", _arguments, _quadftc, 1.5),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,9 +17,11 @@ from quadftc_model.assembly import get, node_values
 from quadftc_replay.diagnose import Diagnosed, Progress, diagnose, flight_of
 from quadftc_replay.imu_from_bag import recording_from_bag
 from quadftc_replay.imu_from_ulog import is_ulog, recording_from_ulog
+from quadftc_replay.imu_from_usdlog import recording_from_usdlog
 from quadftc_replay.imu_recording import Recording
 from quadftc_replay.overlay import faults_from, replay_events, replay_windows
 from quadftc_replay.replay_directory import YAML_WIDTH, ReplayOrigin, replay_summary
+from quadftc_replay.usdlog import is_usdlog
 from quadftc_sim.injector import FaultInjector
 
 DEFAULT_OBSERVER = "supervised"
@@ -31,7 +33,7 @@ PREFIX = "observer."  # of a parameter that is set
 class ReplayOptions:
     """What to replay, and how."""
 
-    topic: str = ""  # of the IMU (of the gyro in a PX4 log); empty: see `recording_from_bag`
+    topic: str = ""  # of the IMU (PX4: of the gyro; Crazyflie: the event); empty: see `recording_from_bag`
     observer: str = ""  # empty: as recorded, see `choose_observer`
     settings: tuple[str, ...] = ()  # ``observer.<parameter>=value``
     vehicle: str = ""  # empty: as recorded
@@ -112,22 +114,29 @@ class Replay:
 def plan_replay(path: Path, options: ReplayOptions) -> Replay:
     """Read a recording and build everything; nothing is written.
 
-    It is a rosbag2 directory, an ``.mcap`` or ``.db3`` file, or a PX4 log (``.ulg``). A ValueError says why
-    it cannot be used (`BagError`), or which option is wrong.
+    It is a rosbag2 directory, an ``.mcap`` or ``.db3`` file, a PX4 log (``.ulg``), or a log of a Crazyflie's
+    uSD card (told by its first byte). A ValueError says why it cannot be used (`BagError`), or which option
+    is wrong.
     """
     faults = faults_from(options.fault_files, options.faults)
     if options.seed < 0:
         raise ValueError(f"seed = {options.seed}: must not be negative")
     if not path.exists():
         raise BagError(f"{path}: no such bag")
-    read = recording_from_ulog if is_ulog(path) else recording_from_bag
-    recording = read(path, options.topic, options.skip_backwards)
+    recording = _reader(path)(path, options.topic, options.skip_backwards)
     for fault in faults:  # one that starts after the end would not act
         if (start := fault.injection.start) >= recording.duration:
             bound = f"must be before the end of {recording.name}, {recording.duration:.3f} s"
             raise ValueError(f"fault '{fault.spec}': start = {start:g} s: {bound}")
     observer = choose_observer(recording, options.observer, options.vehicle, options.settings)
     return Replay(recording=recording, observer=observer, faults=faults, seed=options.seed)
+
+
+def _reader(path: Path) -> Callable[[Path, str, bool], Recording]:
+    """What reads a recording."""
+    if is_ulog(path):
+        return recording_from_ulog
+    return recording_from_usdlog if is_usdlog(path) else recording_from_bag
 
 
 def choose_observer(

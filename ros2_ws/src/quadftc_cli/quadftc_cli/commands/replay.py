@@ -19,7 +19,11 @@ COLUMNS = {"always": "", "while faulty": "_inside", "while healthy": "_outside"}
 
 def replay(
     bag: Annotated[
-        Path, Argument(metavar="BAG", help="A rosbag2 directory, an .mcap or .db3 file, or a PX4 log (.ulg).")
+        Path,
+        Argument(
+            metavar="BAG",
+            help="A rosbag2 directory, an .mcap or .db3 file, a PX4 log (.ulg), a Crazyflie's uSD log.",
+        ),
     ],
     topic: Annotated[str, Option(help="Topic of the IMU; default: the only one there is, or imu/data.")] = "",
     observer: Annotated[

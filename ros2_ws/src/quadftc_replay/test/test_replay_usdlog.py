@@ -1,0 +1,288 @@
+"""Logs of a Crazyflie's uSD card: every byte of the format, units and frames, damage, and what is refused."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from quadftc_bags.bag import BagError
+from quadftc_model.rotations import body_rates, euler_from_quaternion, quaternion_from_euler
+from quadftc_replay.imu_from_usdlog import flight_from_usdlog, recording_from_usdlog
+from quadftc_replay.plan import ReplayOptions, plan_replay
+from quadftc_replay.usdlog import is_usdlog, read_usdlog
+
+FIXED = "fixedFrequency"
+ID = 65535
+PERIOD_US = 4000
+BOOT_US = 3_000_000
+COUNT = 300
+GYRO = ("gyro.x(f)", "gyro.y(f)", "gyro.z(f)")
+QUATERNION = tuple(f"stateEstimate.q{axis}(f)" for axis in "xyzw")
+DEGREES = ("stateEstimate.roll(f)", "stateEstimate.pitch(f)", "stateEstimate.yaw(f)")
+LEE = tuple(f"ctrlLee.{name}{axis}(f)" for name in ("omega", "rpy", "torque") for axis in "xyz")
+LOGS = next(
+    (
+        parent / "shared/data/crazyflie"
+        for parent in Path(__file__).resolve().parents
+        if (parent / "shared/data/crazyflie").is_dir()
+    ),
+    None,
+)
+
+
+def log_bytes(events: dict[int, tuple[str, tuple[str, ...]]], rows: list[tuple], version: int = 2) -> bytes:
+    """Write a log by the description of the format; a row is id, time and values."""
+    parts = [struct.pack("<BHH", 0xBC, version, len(events))]
+    for key, (name, variables) in events.items():
+        parts += [struct.pack("<H", key), f"{name}\0".encode(), struct.pack("<H", len(variables))]
+        parts += [f"{variable}\0".encode() for variable in variables]
+    formats = {key: "".join(each[-2] for each in variables) for key, (_, variables) in events.items()}
+    for key, time, *values in rows:
+        parts.append(struct.pack(f"<H{'Q' if version == 2 else 'I'}{formats[key]}", key, time, *values))
+    data = b"".join(parts)
+    return data + struct.pack("<I", zlib.crc32(data))
+
+
+def angles_at(time: float) -> np.ndarray:
+    return np.array([0.3 * np.sin(3.0 * time), 0.2 * np.sin(2.0 * time), 0.4 + 0.5 * time])
+
+
+def angle_rates_at(time: float) -> np.ndarray:
+    return np.array([0.9 * np.cos(3.0 * time), 0.4 * np.cos(2.0 * time), 0.5])
+
+
+def flight(attitude: tuple[str, ...] = QUATERNION, count: int = COUNT, begin: int = BOOT_US) -> bytes:
+    """A turning flight, with gyro [deg/s] and attitude."""
+    rows = []
+    for k in range(count):
+        time = 1e-6 * PERIOD_US * k
+        rate = np.degrees(body_rates(angles_at(time), angle_rates_at(time)))
+        if attitude == QUATERNION:
+            values = quaternion_from_euler(angles_at(time))
+        else:
+            values = np.degrees(angles_at(time)) * [1.0, -1.0, 1.0]
+        rows.append((ID, begin + k * PERIOD_US, *rate, *values))
+    return log_bytes({ID: (FIXED, GYRO + attitude)}, rows)
+
+
+def write(tmp_path: Path, data: bytes) -> Path:
+    path = tmp_path / "log00"
+    path.write_bytes(data)
+    return path
+
+
+def refusal(path: Path, **options) -> str:
+    with pytest.raises(BagError) as caught:
+        recording_from_usdlog(path, **options)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(str(path))
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("attitude", [QUATERNION, DEGREES])
+def test_log_gives_si_units_and_the_frame_of_ros(tmp_path, attitude):
+    recording = recording_from_usdlog(write(tmp_path, flight(attitude)))
+    time = PERIOD_US * 1e-6 * np.arange(COUNT)
+    np.testing.assert_array_equal(recording.stamp_ns, (BOOT_US + PERIOD_US * np.arange(COUNT)) * 1000)
+    expected = [body_rates(angles_at(each), angle_rates_at(each)) for each in time]
+    np.testing.assert_allclose(recording.imu.body_rate, expected, atol=1e-6)
+    angles = euler_from_quaternion(recording.imu.q_xyzw)
+    np.testing.assert_allclose(angles, [angles_at(each) for each in time], atol=1e-6)
+    assert not recording.imu.force_valid.any()
+    assert recording.torque_topic is None
+    assert recording.warnings == ()
+
+
+def test_controller_gives_rate_attitude_and_the_torque_that_acted_since_the_sample_before(tmp_path):
+    rows = [
+        (ID, BOOT_US + k * PERIOD_US, 0.1, 0.2, 0.3, 0.0, 0.4, 0.0, 1e-4 * k, 0.0, -1e-4) for k in range(5)
+    ]
+    recording = recording_from_usdlog(write(tmp_path, log_bytes({ID: (FIXED, LEE)}, rows)))
+    np.testing.assert_allclose(recording.imu.body_rate[2], [0.1, 0.2, 0.3], rtol=1e-6)
+    np.testing.assert_allclose(euler_from_quaternion(recording.imu.q_xyzw[2]), [0.0, 0.4, 0.0], atol=1e-6)
+    np.testing.assert_allclose(recording.torque[:, 0], [0.0, 0.0, 1e-4, 2e-4, 3e-4], rtol=1e-6)
+    assert recording.torque_topic == f"{FIXED}: ctrlLee.torquex, ctrlLee.torquey, ctrlLee.torquez"
+
+
+def test_old_frame_of_the_firmware_has_the_sign_of_pitch_turned(tmp_path):
+    names = ("stateEstimateZ.rateRoll(h)", "stateEstimateZ.ratePitch(h)", "stateEstimateZ.rateYaw(h)")
+    motors = tuple(f"motor.m{k}(I)" for k in (1, 2, 3, 4))
+    rows = [(7, 10 * k, 100, -200, 300, 0, 65535, 13107, 0) for k in range(3)]
+    read = flight_from_usdlog(write(tmp_path, log_bytes({7: ("estimate", names + motors)}, rows, version=1)))
+    assert read.stamp_ns.tolist() == [0, 10_000_000, 20_000_000]  # version 1 counts milliseconds
+    np.testing.assert_allclose(read.body_rate[1], [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(read.motors[1], [0.0, 1.0, 0.2, 0.0])
+    assert read.q_xyzw is None
+
+
+def test_events_of_several_kinds_are_told_apart(tmp_path):
+    events = {
+        ID: (FIXED, GYRO + QUATERNION),
+        3: ("estTDOA", ("anchor(B)", "distance(e)")),
+        4: ("never", ("x(i)",)),
+    }
+    rows = []
+    for k in range(20):
+        rows.append((ID, BOOT_US + k * PERIOD_US, 1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0))
+        rows += [(3, BOOT_US + k * PERIOD_US + 7, k, 0.5)] * (k % 3)
+    log = read_usdlog(write(tmp_path, log_bytes(events, rows)))
+    assert log.warnings == ()
+    assert {name: len(event.stamp_ns) for name, event in log.events.items()} == {
+        FIXED: 20,
+        "estTDOA": 19,
+        "never": 0,
+    }
+    assert log.events["estTDOA"].columns["anchor"].max() == 19
+    assert set(log.events["estTDOA"].columns["distance"]) == {0.5}
+
+
+def test_rare_events_of_a_whole_log_are_kept(tmp_path):
+    rows = [(1, 3_600_000_000 * k, k) for k in range(4)]  # an hour between two
+    log = read_usdlog(write(tmp_path, log_bytes({1: ("landed", ("count(B)",))}, rows)))
+    assert log.events["landed"].columns["count"].tolist() == [0, 1, 2, 3]
+    assert log.warnings == ()
+
+
+def test_log_is_replayed_with_an_overlaid_fault(tmp_path):
+    path = write(tmp_path, flight())
+    plan = plan_replay(path, ReplayOptions(observer="none", faults=("bias axis=yaw value=5deg start=0.6s",)))
+    metrics = plan.summary(plan.diagnose())["metrics"]
+    assert metrics["fault_estimate_rmse_inside_deg"]["yaw"] == pytest.approx(5.0)
+
+
+def test_log_cut_short_is_read_up_to_the_cut(tmp_path):
+    data = flight()
+    row = 10 + 4 * 7
+    recording = recording_from_usdlog(write(tmp_path, data[: -4 - 100 * row - 5]))
+    assert len(recording) == COUNT - 101
+    assert "cut short or damaged, no check sum (CRC-32) that matches" in recording.warnings[0]
+    assert f"; {row - 5} bytes behind the last row" in recording.warnings[0]
+
+
+def test_row_that_is_damaged_costs_no_other_row(tmp_path):
+    data = bytearray(flight())
+    row = 10 + 4 * 7
+    begin = len(data) - 4 - COUNT * row
+    data[begin + 50 * row] ^= 0xFF  # id
+    data[begin + 90 * row + 8] ^= 0x10  # time: years later
+    recording = recording_from_usdlog(write(tmp_path, bytes(data)))
+    assert len(recording) == COUNT - 2
+    assert f"{2 * row} bytes at 2 places are no rows" in recording.warnings[0]
+
+
+def test_changed_value_shows_in_the_check_sum(tmp_path):
+    data = bytearray(flight())
+    data[-10] ^= 1
+    recording = recording_from_usdlog(write(tmp_path, bytes(data)))
+    assert len(recording) == COUNT
+    assert "no check sum (CRC-32) that matches" in recording.warnings[0]
+
+
+def stamped(tmp_path: Path, stamps_us: list[int]) -> Path:
+    rows = [(ID, stamp, 1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0) for stamp in stamps_us]
+    return write(tmp_path, log_bytes({ID: (FIXED, GYRO + QUATERNION)}, rows))
+
+
+def test_stamps_that_repeat_or_go_back_are_left_out_and_counted_or_refused(tmp_path):
+    path = stamped(tmp_path, [4000, 8000, 8000, 6000, 12000, 900_000_000])
+    assert f"{FIXED}: time goes back by 0.002 s at message 4" in refusal(path)
+    recording = recording_from_usdlog(path, skip_backwards=True)
+    assert (recording.stamp_ns // 1000).tolist() == [4000, 8000, 12000, 900_000_000]
+    assert dict(recording.rejected) == {"stamp went back": 1, "stamp repeated": 1}
+    assert "gaps of more than" in recording.warnings[-1]
+
+
+@pytest.mark.parametrize(
+    ("variables", "words"),
+    [
+        (GYRO, "no attitude was logged; expected stateEstimate.qx, stateEstimate.qy"),
+        (QUATERNION, "no body rate; expected gyro.x, gyro.y, gyro.z or ctrlLee.omegax"),
+        (("gyro.x(f)",), "variables there: fixedFrequency: gyro.x"),
+    ],
+)
+def test_log_that_cannot_be_diagnosed_says_what_is_missing(tmp_path, variables, words):
+    rows = [(ID, BOOT_US + k * PERIOD_US, *[0.0] * len(variables)) for k in range(5)]
+    assert words in refusal(write(tmp_path, log_bytes({ID: (FIXED, variables)}, rows)))
+
+
+def test_wrong_event_is_refused_with_those_there(tmp_path):
+    assert "no event 'imu/data'; events there: fixedFrequency" in refusal(
+        write(tmp_path, flight()), topic="imu/data"
+    )
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"", "magic at byte 0: end of the file; expected a whole header"),
+        (b"\x00" * 9, "magic at byte 0: 0x0; expected 0xbc"),
+        (b"\xbc\x03\x00\x01\x00", "version at byte 1: 3; expected 1 or 2"),
+        (b"\xbc\x02\x00\x00\x00", "number of events at byte 3: 0; expected at least 1"),
+        (b"\xbc\x02\x00\x01\x00\xff\xffabc", "name of an event at byte 7: end of the file"),
+        (
+            b"\xbc\x02\x00\x01\x00\xff\xffa\x80\x00",
+            r"name of an event at byte 7: b'a\x80'; expected printable",
+        ),
+        (b"\xbc\x02\x00\x01\x00\xff\xffa\x00\x01", "number of variables of 'a' at byte 9: end of the file"),
+        (log_bytes({1: ("a", ("x(f)", "x(f)"))}, []), "event 'a' at byte 7: variable 'x' again"),
+        (log_bytes({1: ("a", ("x(f)",)), 2: ("a", ("y(f)",))}, []), "event at byte 16: 'a' with id 2 again"),
+        (log_bytes({1: ("a", ("x(s)",))}, []), "variable of 'a' at byte 11: 'x(s)'; expected name(type)"),
+        (log_bytes({1: ("a", GYRO)}, []), "no row of a"),
+    ],
+)
+def test_wrong_header_is_refused_with_byte_field_and_expectation(tmp_path, data, words):
+    assert words in refusal(write(tmp_path, data))
+
+
+def test_log_is_known_by_its_first_byte(tmp_path):
+    assert is_usdlog(write(tmp_path, flight(count=3)))
+    (tmp_path / "other").write_bytes(b"ULog")
+    assert not is_usdlog(tmp_path / "other")
+    assert not is_usdlog(tmp_path)
+
+
+GOOD = flight(count=40)
+
+
+@given(st.data())
+def test_any_damage_is_read_or_refused_in_one_line(tmp_path_factory, data):
+    damaged = bytearray(GOOD)
+    for _ in range(data.draw(st.integers(0, 4))):
+        place = data.draw(st.integers(0, len(damaged) - 1))
+        damaged[place] = data.draw(st.integers(0, 255))
+    length = data.draw(st.integers(0, len(damaged)))
+    path = write(tmp_path_factory.mktemp("damaged"), bytes(damaged[:length]))
+    try:
+        recording = recording_from_usdlog(path)
+    except BagError:
+        refusal(path)  # again, in one line
+        return
+    assert np.all(np.diff(recording.stamp_ns) > 0)
+    assert np.all(np.isfinite(recording.imu.body_rate))
+    if bytes(damaged[:length]) != GOOD:
+        assert recording.warnings
+
+
+@pytest.mark.skipif(LOGS is None, reason="no recorded logs beside the repository (shared/data/crazyflie)")
+def test_real_logs_are_whole_and_their_attitude_turns_with_their_gyro():
+    assert LOGS is not None
+    for path in sorted((LOGS / "crazyswarm2").glob("log*")):
+        recording = recording_from_usdlog(path)
+        assert not any("check sum" in warning for warning in recording.warnings), path
+        # over the whole log, the rates of the angles correlate with those that the gyro gives
+        time = 1e-9 * recording.stamp_ns
+        angles = euler_from_quaternion(recording.imu.q_xyzw)
+        for axis in (0, 1):
+            turned = np.gradient(angles[:, axis], time)
+            assert np.corrcoef(turned, recording.imu.body_rate[:, axis])[0, 1] > 0.2, (path, axis)
+    for name in ("log10", "log15"):
+        read = flight_from_usdlog(LOGS / "sysid" / name)
+        assert read.motors is not None
+        assert read.motors.max() <= 1.0
+        assert np.linalg.norm(read.specific_force[:1000], axis=1).mean() == pytest.approx(9.81, rel=0.02)
