@@ -52,12 +52,12 @@ def diagnose(
         estimates.append(estimate or UNSAID)
         if progress is not None and row % STRIDE == 0:
             progress(row / len(recording))
-    *said, corrected = zip(*estimates, strict=True)
+    *said, corrected, _ = zip(*estimates, strict=True)
     return Diagnosed(
         delivered=np.array([each.present for each in injected], np.bool_),
         seen=_stack([each.sample if each.present else UNSEEN for each in injected]),
         overlaid={channel: np.stack([getattr(each, channel) for each in injected]) for channel in TRUTH},
-        estimate=FaultEstimate._make([*map(np.stack, said), _stack(corrected)]),
+        estimate=FaultEstimate._make([*map(np.stack, said), _stack(corrected), None]),
         unusable=diagnosis.replaced,
     )
 
@@ -71,6 +71,9 @@ def flight_of(recording: Recording, diagnosed: Diagnosed) -> Flight:
     rows, said, flight = diagnosed.delivered, diagnosed.estimate, unknown_flight(recording.stamp_ns)
     flight.delivered[:] = rows
     flight.fault[rows] = true_fault(recording, diagnosed, "attitude")[rows]
+    for channel, column in (("gyro", flight.gyro_fault), ("accelerometer", flight.accelerometer_fault)):
+        if channel in recording.faults or np.any(diagnosed.overlaid[channel]):
+            column[rows] = true_fault(recording, diagnosed, channel)[rows]
     flight.fault_estimate[:], flight.fault_std_dev[:], flight.fault_state[:] = said[:3]
     flight.fault_onset_ns[:] = onset_ns(recording.stamp_ns[:, None], said.onset_age)
     return flight
