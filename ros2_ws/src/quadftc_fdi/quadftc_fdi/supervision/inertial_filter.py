@@ -94,7 +94,7 @@ def predict(
     (x, y, z), (a, b, c) = components(omega), components(change)
     third = dt**2 / 12.0 * (dt < GAP)
     cone = y * c - z * b, z * a - x * c, x * b - y * a
-    turned = stacked([dt * w + third * v for w, v in zip((x, y, z), cone, strict=True)])
+    turned = stacked([dt * x + third * cone[0], dt * y + third * cone[1], dt * z + third * cone[2]])
     return FilterState(turn(state.q_xyzw, turned), state.x, P[..., 0, :, :]), P[..., 1:, :, :], F
 
 

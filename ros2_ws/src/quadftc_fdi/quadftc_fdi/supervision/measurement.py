@@ -38,7 +38,7 @@ MeasurementMatrix = Float[arrays.AnyArray, "*batch 3 16"]
 MEASURED = (0, 1, 2, DELAY)  # columns of H that are not zero
 MIN_COS = 0.003  # 1; cosine of pitch in E: within 0.17 deg of a pole, roll and yaw are always left out
 DEFINED = 0.1  # rad; 1 sigma: an error of roll or yaw of three of them is that of a linear function to 5 %
-BEYOND = np.array([1.0, -1.0, 1.0])  # times the angles, plus pi: the same attitude, with pitch beyond 90 deg
+BEYOND = (1.0, -1.0, 1.0)  # times the angles, plus pi: the same attitude, with pitch beyond 90 deg
 
 
 class Prediction(NamedTuple):
@@ -67,11 +67,13 @@ def nearest_residual(prediction: Prediction, measured: Vector) -> Vector:
     (phi, theta, psi) and (phi + pi, pi - theta, psi + pi) are one attitude. Of these two, the angles nearer
     to the predicted ones are the measured ones: so pitch goes on beyond 90 deg.
     """
-    near = wrap(measured - prediction.angles)
-    other = wrap(measured * BEYOND + math.pi - prediction.angles)
-    xp, weight = namespace(near), 1.0 / prediction.gain
-    farther = ((near**2 - other**2) * weight).sum(axis=-1, keepdims=True) > 0.0
-    return changed_where(farther, lambda: xp.where(farther, other, near), near)
+    gains, angles = components(prediction.gain), list(zip(components(measured), components(prediction.angles)))
+    near = [wrap(h - x) for h, x in angles]
+    other = [wrap(sign * h + math.pi - x) for sign, (h, x) in zip(BEYOND, angles)]
+    farther = sum([(a * a - b * b) / gain for a, b, gain in zip(near, other, gains)]) > 0.0
+    flag = farther if isinstance(farther, bool) else farther[..., None]
+    near = stacked(near)
+    return changed_where(flag, lambda: namespace(near).where(flag, stacked(other), near), near)
 
 
 def defined(prediction: Prediction, P: Covariance, variance: Vector) -> tuple[Mask, Mask]:

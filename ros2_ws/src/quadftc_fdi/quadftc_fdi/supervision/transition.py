@@ -64,12 +64,9 @@ class MatrixTransition(NamedTuple):
         upper_T, count = self.upper.T, len(P)
         left = P.reshape(-1, SIZE).dot(upper_T).reshape(count, SIZE, 3)
         above = left.swapaxes(1, 2)
-        result = P.copy()
+        result = P + noise.bias * _BIAS_NOISE
         result[:, :, :3], result[:, :3] = left, above
-        result[:, :3, :3] = above.reshape(-1, SIZE).dot(upper_T).reshape(count, 3, 3)
-        diagonals = result.reshape(count, -1)[:, :: SIZE + 1]
-        diagonals[:, ROTATION] += noise.rotation
-        diagonals[:, BIAS] += noise.bias
+        result[:, :3, :3] = above.dot(upper_T) + noise.rotation * _ROTATION_NOISE
         return result
 
 
@@ -112,25 +109,25 @@ Transition = MatrixTransition | BlockTransition
 
 def transition(omega: Vector, gyro: Vector, dt: float) -> Transition:
     """Transition over ``dt`` [s] at a body rate and a gyro sample [rad/s]."""
-    x, y, z = components(omega * dt)
+    x, y, z = [each * dt for each in components(omega)]
     xx, yy, zz, xy, xz, yz = 0.5 * x * x, 0.5 * y * y, 0.5 * z * z, 0.5 * x * y, 0.5 * x * z, 0.5 * y * z
     A = [1.0 - yy - zz, xy + z, xz - y, xy - z, 1.0 - xx - zz, yz + x, xz + y, yz - x, 1.0 - xx - yy]
     if is_single(omega):
-        parts = A + [each * dt for each in (*gyro.tolist(), 1.0)]
-        return MatrixTransition(np.array(parts).dot(_UPPER).reshape(3, SIZE))
+        p, q, r = gyro.tolist()
+        return MatrixTransition(np.array([*A, p * dt, q * dt, r * dt, -dt, 0.0]).take(_UPPER))
     return BlockTransition(namespace(omega).stack(A, axis=-1).reshape(*omega.shape, 3), gyro * dt, dt)
 
 
-def _upper() -> NDArray[np.float64]:
-    """Upper rows of F as (A by rows, g dt, dt) @ (13, 48): A, minus dt for the bias, g for the rows of M."""
-    parts = np.zeros((13, 3, SIZE))
+def _upper() -> NDArray[np.int64]:
+    """Where each element of F's upper rows stands among A (by rows), g dt, -dt and 0."""
+    places = np.full((3, SIZE), 13)
     for row in range(3):
-        for column in range(3):
-            parts[3 * row + column, row, column] = 1.0
-            parts[9 + column, row, 6 + 3 * row + column] = 1.0
-    parts[12, :, BIAS] = -np.eye(3)
-    return parts.reshape(13, -1)
+        places[row, ROTATION] = 3 * row + np.arange(3)
+        places[row, 3 + row] = 12
+        places[row, 6 + 3 * row : 9 + 3 * row] = 9 + np.arange(3)
+    return places
 
 
 _UPPER = _upper()
-_ROTATION, _BIAS = (np.eye(SIZE)[which] for which in (ROTATION, BIAS))  # (3, 16)
+_ROTATION, _BIAS = np.eye(SIZE)[ROTATION], np.eye(SIZE)[BIAS]
+_ROTATION_NOISE, _BIAS_NOISE = np.eye(3), np.diag(_BIAS.sum(axis=0))
