@@ -66,6 +66,11 @@ def stacked(parts: Sequence[Scalar]) -> Components:
     return namespace(parts[0]).stack(parts, axis=-1)
 
 
+def largest(vector: Components) -> Any:
+    """Largest component along the last axis, (..., n) -> (...)."""
+    return max(vector.tolist()) if is_single(vector) else functools.reduce(larger, components(vector))
+
+
 def norm(vector: Components) -> Column:
     """Euclidean norm over the last axis, (..., n) -> (..., 1); its derivative at zero is 0, not NaN."""
     if is_single(vector):

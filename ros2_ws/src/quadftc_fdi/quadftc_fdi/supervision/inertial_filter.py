@@ -32,9 +32,11 @@ from quadftc_fdi.supervision.transition import (
     SIZE,
     Covariance,
     Covariances,
+    Errors,
     FilterState,
     ProcessNoise,
     Transition,
+    variances,
 )
 from quadftc_model import arrays
 from quadftc_model.arrays import (
@@ -47,13 +49,12 @@ from quadftc_model.arrays import (
     components,
     is_single,
     larger,
+    largest,
     namespace,
     product,
     stacked,
 )
 from quadftc_model.rotations import turn
-
-Errors = Float[arrays.AnyArray, "*batch 16"]
 
 GAP = 0.15  # s; longer than the period of any IMU: the rate in a gap is a guess
 LEFT_OUT = 1e6  # rad²; variance of a measurement that is left out
@@ -100,10 +101,7 @@ def predict(
 
 def bias_variance(P: Covariance) -> Column:
     """Largest variance of the gyro bias [rad²/s²] over the axes."""
-    diagonal = P.reshape(*P.shape[:-2], SIZE * SIZE)[..., :: SIZE + 1]
-    if is_single(diagonal):
-        return np.array([max(diagonal[BIAS].tolist())])
-    return diagonal[..., BIAS].max(axis=-1, keepdims=True)
+    return stacked([largest(variances(P)[..., BIAS])])
 
 
 def apply_correction(state: FilterState, dx: Errors) -> FilterState:
@@ -123,16 +121,14 @@ def correct(
     zero = 0.0 * a
     W = product(PH, stacked([a, b, d, zero, c, e, zero, zero, f]).reshape(HPH.shape))
     white = stacked([a * x, b * x + c * y, d * x + e * y + f * z])
-    dx = product(W, white[..., None])[..., 0]
+    dx = W.dot(white) if is_single(white) else product(W, white[..., None])[..., 0]
     P = state.P - product(W, W.swapaxes(-1, -2))
-    return apply_correction(state._replace(P=P), dx), dx
+    return apply_correction(FilterState(state.q_xyzw, state.x, P), dx), dx
 
 
 def _second_order(prediction: Prediction, P: Covariance) -> Vector:
     """Variance of the angles [rad²] that H leaves out: near a pole they are no linear functions."""
-    diagonal = P.reshape(*P.shape[:-2], SIZE * SIZE)[..., : 3 * SIZE : SIZE + 1]
-    (gain, _, _), (x, y, z) = components(prediction.gain), components(diagonal)
-    known = larger(larger(x, y), z)
+    (gain, _, _), known = components(prediction.gain), largest(variances(P)[..., ROTATION])
     bent = (gain - 1.0) * known
     return stacked([0.5 * bent * bent, 0.25 * bent * known, 0.5 * bent * bent])
 

@@ -10,13 +10,22 @@ attitude except the poles, 90 deg of pitch.
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_fdi.supervision.transition import DELAY, ROTATION, SIZE, Covariance, Covariances, FilterState
+from quadftc_fdi.supervision.transition import (
+    DELAY,
+    ROTATION,
+    SIZE,
+    Covariance,
+    Covariances,
+    FilterState,
+    variances,
+)
 from quadftc_model import arrays
 from quadftc_model.arrays import (
     Array,
@@ -27,6 +36,7 @@ from quadftc_model.arrays import (
     components,
     is_single,
     larger,
+    largest,
     namespace,
     product,
     stacked,
@@ -38,7 +48,6 @@ MeasurementMatrix = Float[arrays.AnyArray, "*batch 3 16"]
 MEASURED = (0, 1, 2, DELAY)  # columns of H that are not zero
 MIN_COS = 0.003  # 1; cosine of pitch in E: within 0.17 deg of a pole, roll and yaw are always left out
 DEFINED = 0.1  # rad; 1 sigma: an error of roll or yaw of three of them is that of a linear function to 5 %
-BEYOND = (1.0, -1.0, 1.0)  # times the angles, plus pi: the same attitude, with pitch beyond 90 deg
 
 
 class Prediction(NamedTuple):
@@ -67,13 +76,13 @@ def nearest_residual(prediction: Prediction, measured: Vector) -> Vector:
     (phi, theta, psi) and (phi + pi, pi - theta, psi + pi) are one attitude. Of these two, the angles nearer
     to the predicted ones are the measured ones: so pitch goes on beyond 90 deg.
     """
-    gains, angles = components(prediction.gain), list(zip(components(measured), components(prediction.angles)))
-    near = [wrap(h - x) for h, x in angles]
-    other = [wrap(sign * h + math.pi - x) for sign, (h, x) in zip(BEYOND, angles)]
-    farther = sum([(a * a - b * b) / gain for a, b, gain in zip(near, other, gains)]) > 0.0
-    flag = farther if isinstance(farther, bool) else farther[..., None]
-    near = stacked(near)
-    return changed_where(flag, lambda: namespace(near).where(flag, stacked(other), near), near)
+    (a, b, c), (x, y, z), (gain, _, _) = map(components, (measured, prediction.angles, prediction.gain))
+    near = [wrap(a - x), wrap(b - y), wrap(c - z)]
+    other = [wrap(a + math.pi - x), wrap(math.pi - b - y), wrap(c + math.pi - z)]
+    roll, pitch, yaw = [u * u - v * v for u, v in zip(near, other)]  # noqa: B905
+    farther, residual = stacked([roll + gain * pitch + yaw]) > 0.0, stacked(near)
+    choose = functools.partial(namespace(residual).where, farther)
+    return changed_where(farther, lambda: choose(stacked(other), residual), residual)
 
 
 def defined(prediction: Prediction, P: Covariance, variance: Vector) -> tuple[Mask, Mask]:
@@ -85,11 +94,11 @@ def defined(prediction: Prediction, P: Covariance, variance: Vector) -> tuple[Ma
     it moves them by `DEFINED` more than far from the pole; for pitch, that its square counts (the pole
     repels pitch), against the noise.
     """
-    diagonal = P.reshape(*P.shape[:-2], SIZE * SIZE)[..., : 3 * SIZE : SIZE + 1]
-    (roll, pitch, yaw), (gain, _, _), parts = map(components, (variance, prediction.gain, diagonal))
-    known = larger(larger(parts[0], parts[1]), parts[2])
+    (roll, pitch, yaw), (gain, _, _) = components(variance), components(prediction.gain)
+    known = largest(variances(P)[..., ROTATION])
+    bent = (gain - 1.0) * known
     usable = (larger(roll, yaw) < DEFINED**2) & (gain < 0.99 / MIN_COS**2)
-    clear, straight = usable & ((gain - 1.0) * known < DEFINED**2), (gain - 1.0) * known**2 < 0.25 * pitch
+    clear, straight = usable & (bent < DEFINED**2), bent * known < 0.25 * pitch
     return _mask([usable, usable | True, usable]), _mask([clear, straight, clear])
 
 
@@ -118,7 +127,7 @@ def earlier_variances(earlier: Covariances, H: MeasurementMatrix) -> Float[array
     """Variances of the angles [rad²] with other covariances of the error state."""
     if type(earlier) is np.ndarray and earlier.ndim == 3:
         PH = earlier.reshape(-1, SIZE).dot(H.T).reshape(-1, SIZE, 3)
-        return (PH * H.T).sum(axis=1)
+        return angle_variances(H @ PH)
     each = H[..., None, :, :]
     return (product(each, earlier, MEASURED) * each).sum(axis=-1)
 
@@ -141,19 +150,18 @@ def measurement_matrix(
     square = secant * secant
     gain = stacked([square, one, square])
     if is_single(omega):
-        return np.array(turned + slopes).dot(_PLACES).reshape(3, SIZE), gain, s_theta
+        return np.array([*turned, *slopes, 0.0]).take(_PLACES), gain, s_theta
     rotation = xp.stack(turned, axis=-1).reshape(*angles.shape, 3)
     unseen = xp.zeros((*omega.shape[:-1], 3, DELAY - 3), rotation.dtype)
     return xp.concatenate([rotation, unseen, xp.stack(slopes, axis=-1)[..., None]], axis=-1), gain, s_theta
 
 
-def _places() -> NDArray[np.float64]:
-    """H as (E by rows, -E omega) @ (12, 48)."""
-    parts = np.zeros((12, 3, SIZE))
-    for row in range(3):
-        parts[3 * row : 3 * row + 3, row, ROTATION] = np.eye(3)
-        parts[9 + row, row, DELAY] = 1.0
-    return parts.reshape(12, -1)
+def _places() -> NDArray[np.int64]:
+    """Where each element of H stands among its rotation part (by rows), its last column and 0."""
+    places = np.full((3, SIZE), 12)
+    places[:, ROTATION] = np.arange(9).reshape(3, 3)
+    places[:, DELAY] = 9 + np.arange(3)
+    return places
 
 
 _PLACES = _places()

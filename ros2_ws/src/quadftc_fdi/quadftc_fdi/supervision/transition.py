@@ -28,6 +28,7 @@ from quadftc_model.arrays import (
 
 Covariance = Float[arrays.AnyArray, "*batch 16 16"]  # of the error state
 Covariances = Float[arrays.AnyArray, "*batch n 16 16"]
+Errors = Float[arrays.AnyArray, "*batch 16"]
 
 SIZE = 16  # of the error state
 ROTATION, BIAS, DELAY = slice(0, 3), slice(3, 6), 15
@@ -46,6 +47,13 @@ class ProcessNoise(NamedTuple):
 
     rotation: Vector | Column  # [rad²]
     bias: Column  # of the gyro [rad²/s²]
+
+
+def variances(P: Covariance) -> Errors:
+    """Diagonal of a covariance."""
+    if type(P) is np.ndarray and P.ndim == 2:  # pyright: ignore[reportUnknownMemberType]
+        return P.diagonal()
+    return P.reshape(*P.shape[:-2], SIZE * SIZE)[..., :: SIZE + 1]
 
 
 class MatrixTransition(NamedTuple):
