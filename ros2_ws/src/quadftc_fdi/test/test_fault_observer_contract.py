@@ -67,8 +67,8 @@ def flown(law, sequence, start=None):
 
 
 def columns(estimate):
-    """All arrays of an estimate."""
-    return (*estimate[:-1], *estimate.corrected)
+    """All arrays of an estimate, without those of each sensor."""
+    return (*(getattr(estimate, name) for name in SHAPES), *estimate.corrected)
 
 
 @EVERY_OBSERVER
