@@ -82,7 +82,8 @@ def comparable(angles: Vector, others: Vector) -> Bool[AnyArray, "*batch 1"]:
 
 def correct_sample(imu: ImuSample, q_xyzw: Quaternion, body_rate: Vector) -> ImuSample:
     """Put the observer's attitude and body rate [rad/s] into a sample."""
-    return imu._replace(q_xyzw=q_xyzw, body_rate=body_rate, attitude_valid=imu.attitude_valid | True)
+    _, _, force, attitude_valid, rate_valid, force_valid = imu
+    return ImuSample(q_xyzw, body_rate, force, attitude_valid | True, rate_valid, force_valid)
 
 
 def assume_healthy(fault: Vector, corrected: ImuSample) -> FaultEstimate:

@@ -39,6 +39,7 @@ from quadftc_model.arrays import (
     Array,
     Column,
     Mask,
+    States,
     Vector,
     any_of,
     changed_where,
@@ -48,6 +49,7 @@ from quadftc_model.arrays import (
     larger,
     namespace,
     norm,
+    product,
     stacked,
 )
 from quadftc_model.parameters import parameter
@@ -64,6 +66,7 @@ MOVED = 2.0  # s; how long it counts as moving afterwards (time constant)
 FADING = 2.0  # s; in which a new gyro bias leaves the corrected rate: at once, it would jolt the flight
 KNOCK = 0.5  # rad/s; a rate that bends by more from sample to sample has passages that the gyro misses
 MISSED = 0.3  # 1; share of such a bend that is missed
+HEALTHY = np.uint8(samples.HEALTHY)
 SHOWN = 0.3  # 1; share of the recovery time from which an axis is shown as recovering
 # covariance of what a wrong rotation has spoiled: itself, the bias (at 0.1 rad/s), the alignment
 SPOILED = np.diag([1.0] * 3 + [0.1**2] * 3 + [1.0] * 9 + [0.0])
@@ -85,6 +88,33 @@ class State(NamedTuple):
     raw: Column  # share of the gyro as it is in the corrected body rate
     rejected: Mask  # the last sample was an outlier
     outliers: Vector  # outliers so far, and bursts of them
+
+
+class Reading(NamedTuple):
+    """A measured attitude beside the predicted ones."""
+
+    prediction: measurement.Prediction
+    residuals: anchors.Residuals  # [rad] of the filter and the anchors
+    predicted: anchors.Predicted  # variances [rad²] of the angles that these predict
+    sensor: sensor_noise.Statistics  # variances [rad²] of the sensor in the tests
+    valid: Mask  # measured, and can correct the filter
+    testable: Mask
+
+
+class Verdict(NamedTuple):
+    """What is judged of each axis, and where the filter is then."""
+
+    estimate: FilterState
+    prediction: measurement.Prediction
+    residual: Vector  # [rad]
+    predicted: Vector  # variances of the predicted angles [rad²]
+    bias: Column  # variance of the gyro bias [rad²/s²]
+    faulty: Mask
+    recovered: Mask  # trusted again
+    short: Mask  # trusted again so soon that there was no fault
+    alarm: anchors.One  # a fault is declared
+    restart: anchors.One  # the filter has gone back or was wrong: anchors and tests restart
+    track: fault_track.Track
 
 
 @register("supervised")
@@ -161,79 +191,118 @@ class Supervised(FaultObserver):
         ``doubt`` [rad²] is what it may be wrong by in this step, as a rotation about each axis, besides the
         noise of a gyro.
         """
-        xp = namespace(gyro)
-        weights, gains = residual_tests.averaging_weights(dt), fault_track.tracker_gains(dt, self.tracking)
+        weights = residual_tests.averaging_weights(dt)
 
         # 1. Predict: the gyro carries filter and anchors to this sample.
         estimate, earlier, omega, activity, motion = self._predict(state, gyro, doubt, dt)
 
         # 2. Test the residuals of the trusted axes, and learn from healthy ones.
-        prediction, residuals, predicted, sensor, valid, testable = self._compare(
-            estimate, earlier, imu, omega, state.noise.cautious
-        )
-        spread, trusted = predicted @ weights.predicted, ~state.faulty & testable
+        reading = self._compare(estimate, earlier, imu, omega, state.noise.cautious)
+        sensor, spread = reading.sensor, product(reading.predicted, weights.predicted)
+        trusted = ~state.faulty & reading.testable
         evidence, scores, squares = residual_tests.collect_evidence(
-            state.evidence, residuals, sensor + spread, trusted, weights, dt, self.threshold
+            state.evidence, reading.residuals, sensor + spread, trusted, weights, dt, self.threshold
         )
-        sound = trusted & ~(scores.suspect | scores.outlier)
-        noise = sensor_noise.learn_noise(state.noise, squares, prediction.gain, spread, motion, sound, dt)
+        odd, suspect = scores.suspect | scores.outlier, state.faulty | scores.suspect
+        gain = reading.prediction.gain
+        noise = sensor_noise.learn_noise(state.noise, squares, gain, spread, motion, trusted & ~odd, dt)
 
-        # 3. Declare faults; go back to an anchor where one was found late, as it has misled the filter.
+        # 3. Declare faults and follow them, where there may be any.
+        def judge() -> Verdict:
+            return self._judge(state, estimate, earlier, reading, evidence, scores, trusted, motion, dt)
+
+        verdict = changed_where(suspect, judge, _all_healthy(state, estimate, reading))
+
+        # 4. Correct the filter by the axes that are neither faulty nor suspect.
+        single, long = sensor[..., sensor_noise.SAMPLE], sensor[..., sensor_noise.LONG]
+        variance = larger(single, long * weights.white)
+        used = reading.valid & ~(verdict.faulty | odd)
+        estimate, prediction, residual = verdict[:3]
+        estimate, dx = inertial_filter.correct(estimate, prediction, residual, variance, used)
+
+        # 5. Renew the anchors; restart the tests where what they remember no longer counts.
+        hold = any_of(scores.suspect)
+        earlier, promoted = anchors.update_anchors(
+            earlier, estimate.P, dx, verdict.restart, hold, dt, self.anchor_age
+        )
+
+        def renew() -> tuple[residual_tests.Evidence, sensor_noise.SensorNoise, Vector]:
+            outdated = verdict.faulty | verdict.recovered | verdict.restart | (dt > GAP)
+            return (
+                residual_tests.update_evidence(evidence, promoted, outdated),
+                sensor_noise.settle_noise(noise, promoted, verdict.alarm, verdict.short, motion),
+                _count_outliers(state, scores.outlier, verdict.faulty, verdict.short),
+            )
+
+        news = suspect | state.rejected | promoted | (dt > GAP)
+        evidence, noise, outliers = changed_where(news, renew, (evidence, noise, state.outliers))
+        starting = verdict.bias > STARTED**2
+        raw = namespace(gyro).where(starting, state.raw, state.raw * exp(-dt / FADING))
+        memory = noise, evidence, verdict.faulty, verdict.track, raw, scores.outlier, outliers
+        state = State(estimate, earlier, gyro, state.gyro, activity, motion, *memory)
+        return state, self._report(state, imu, scores.suspect, starting, verdict, sensor)
+
+    def _judge(
+        self,
+        state: State,
+        estimate: FilterState,
+        earlier: anchors.Anchors,
+        reading: Reading,
+        evidence: residual_tests.Evidence,
+        scores: residual_tests.Scores,
+        trusted: Mask,
+        motion: Column,
+        dt: float,
+    ) -> Verdict:
+        """Declare faults, follow those that are there, and judge which axes are trusted again."""
+        # Go back to an anchor where a fault was found late, as it has misled the filter.
         found = residual_tests.declare_faults(scores, evidence.suspicion, trusted, self.threshold)
         faulty, late = state.faulty | found.alarm, found.alarm & ~found.sudden
         estimate, prediction, residual = anchors.go_back_to_anchor(
-            estimate, prediction, earlier, residuals, late, found.creeping, STARTED
+            estimate, reading.prediction, earlier, reading.residuals, late, found.creeping, STARTED
         )
-        predicted = measurement.angle_variances(prediction.HPH)
+        predicted, bias = measurement.angle_variances(prediction.HPH), bias_variance(estimate.P)
 
-        # 4. Track the faults, and judge which axes are trusted again.
-        bias = bias_variance(estimate.P)
-
-        def follow_faults() -> fault_track.Recovery:
-            track = fault_track.track_fault(
-                state.track, residual, sensor, found.alarm, found.abrupt, evidence.suspicion, valid, gains, dt
-            )
-            cautious = sensor_noise.cautious_spread(motion, prediction.gain)
-            judged = fault_track.judge_recovery(
-                track, faulty, predicted, sensor, cautious, bias, self.recovery, self.patience, dt
-            )
-            return judged._replace(track=fault_track.clear_healthy(judged.track, faulty & ~judged.trusted))
-
-        judged = changed_where(
-            faulty, follow_faults, fault_track.Recovery(state.track, faulty, faulty, state.track.age)
+        # Track the faults.
+        gains = fault_track.tracker_gains(dt, self.tracking)
+        track = fault_track.track_fault(
+            state.track,
+            residual,
+            reading.sensor,
+            found.alarm,
+            found.abrupt,
+            evidence.suspicion,
+            reading.valid,
+            gains,
+            dt,
         )
-        track, recovered, outlasted = judged[:3]
+        cautious = sensor_noise.cautious_spread(motion, prediction.gain)
+        judged = fault_track.judge_recovery(
+            track, faulty, predicted, reading.sensor, cautious, bias, self.recovery, self.patience, dt
+        )
+        recovered, outlasted = judged.trusted, judged.outlasted
         faulty = faulty & ~recovered
 
-        # 5. Correct the filter by the axes that are neither faulty nor suspect. Where a fault has outlasted
-        # our patience, the filter was wrong: its rotation becomes uncertain, and the sensor is believed.
-        def doubt() -> tuple[FilterState, measurement.Prediction]:
+        # Where a fault has outlasted our patience, the filter was wrong: its rotation becomes uncertain, and
+        # the sensor is believed.
+        def spoil() -> tuple[FilterState, measurement.Prediction]:
             P = estimate.P + _doubt(residual * outlasted)
             return estimate._replace(P=P), measurement.predict_again(prediction, P)
 
-        estimate, prediction = changed_where(outlasted, doubt, (estimate, prediction))
-        variance = xp.maximum(
-            sensor[..., sensor_noise.SAMPLE], sensor[..., sensor_noise.LONG] * weights.white
+        estimate, prediction = changed_where(outlasted, spoil, (estimate, prediction))
+        return Verdict(
+            estimate,
+            prediction,
+            residual,
+            predicted,
+            bias,
+            faulty,
+            recovered,
+            short=recovered & (judged.age < SHORT),
+            alarm=any_of(found.alarm),
+            restart=any_of(late | outlasted),
+            track=fault_track.clear_healthy(judged.track, faulty),
         )
-        used = valid & ~faulty & ~scores.suspect & ~scores.outlier
-        estimate, dx = inertial_filter.correct(estimate, prediction, residual, variance, used)
-
-        # 6. Renew the anchors; restart the tests where what they remember no longer counts.
-        restart = any_of(late | outlasted)
-        earlier, promoted = anchors.update_anchors(
-            earlier, estimate.P, dx, restart, any_of(scores.suspect), dt, self.anchor_age
-        )
-        outdated = faulty | recovered | restart | (dt > GAP)
-        evidence = residual_tests.update_evidence(evidence, promoted, outdated)
-        short = recovered & (judged.age < SHORT)
-        noise = sensor_noise.settle_noise(noise, promoted, any_of(found.alarm), short, motion)
-        starting = bias > STARTED**2
-        raw = xp.where(starting, state.raw, state.raw * exp(-dt / FADING))
-        outliers = _count_outliers(state, scores.outlier, faulty, short)
-        memory = noise, evidence, faulty, track, raw, scores.outlier, outliers
-        state = State(estimate, earlier, gyro, state.gyro, activity, motion, *memory)
-
-        return state, self._report(state, imu, scores.suspect, starting, residual, predicted, sensor)
 
     def describe(self, state: State) -> dict[str, Vector]:
         """Return what is learned of the sensor and counted, for people, by name and axis."""
@@ -283,50 +352,45 @@ class Supervised(FaultObserver):
         imu: ImuSample,
         omega: Array,
         cautious: sensor_noise.Statistics,
-    ) -> tuple[measurement.Prediction, Array, Array, Array, Array, Array]:
-        """Compare a measured attitude with the predicted ones.
-
-        Return the prediction, the residuals (..., 3, 5) [rad] of filter and anchors, the variances
-        (..., 3, 3) [rad²] of what they predict and (..., 3, 6) of the sensor in the tests, which angles
-        (..., 3) are measured and can be used, and which can be tested.
-        """
+    ) -> Reading:
+        """Compare a measured attitude with the predicted ones."""
         prediction = measurement.predict_angles(estimate, omega)
         residual = measurement.nearest_residual(prediction, euler_from_quaternion(imu.q_xyzw))
         residuals, predicted = anchors.compare_anchors(earlier, prediction, residual)
         sensor = cautious * prediction.gain[..., None]
         usable, testable = measurement.defined(prediction, estimate.P, sensor[..., sensor_noise.SAMPLE])
         there = imu.attitude_valid[..., None]
-        return prediction, residuals, predicted, sensor, there & usable, there & testable
+        return Reading(prediction, residuals, predicted, sensor, there & usable, there & testable)
 
     def _report(
-        self,
-        state: State,
-        imu: ImuSample,
-        suspect: Array,
-        starting: Array,
-        residual: Array,
-        predicted: Array,
-        sensor: Array,
+        self, state: State, imu: ImuSample, suspect: Mask, starting: Column, verdict: Verdict, sensor: Array
     ) -> FaultEstimate:
         faulty, track, xp = state.faulty, state.track, namespace(imu.body_rate)
         omega = estimate_rate(state.filter.x, state.gyro)
         corrected = correct_sample(imu, state.filter.q_xyzw, omega + state.raw * (state.gyro - omega))
-        started = xp.where(suspect, samples.SUSPECT, samples.HEALTHY)
-        trusted = xp.where(starting, samples.STARTING, started).astype(xp.uint8)
-        predicted = xp.maximum(predicted, 0.0)
+        predicted = xp.maximum(verdict.predicted, 0.0)
 
-        def report_faults() -> tuple[Array, Array, Array]:
+        def report_all() -> tuple[Vector, Vector, States, Vector]:
+            started = xp.where(suspect, samples.SUSPECT, samples.HEALTHY)
+            trusted = xp.where(starting, samples.STARTING, started)
             out = xp.where(track.calm > SHOWN * self.recovery, samples.RECOVERING, samples.FAULTY)
             states = xp.where(faulty, out, trusted).astype(xp.uint8)
             variance = predicted + faulty * fault_track.track_variance(track, sensor)
-            return states, variance, xp.where(faulty, track.age, -1.0)
+            # an outlier is a fault of one sample
+            fault = track.fault + (state.rejected & ~faulty) * verdict.residual
+            return fault, xp.sqrt(variance), states, xp.where(faulty, track.age, -1.0)
 
-        none = (trusted, predicted, faulty - 1.0)
-        states, variance, age = changed_where(faulty, report_faults, none)
-        # an outlier is a fault of one sample
-        off = state.rejected & ~faulty
-        fault = changed_where(off, lambda: track.fault + off * residual, track.fault)
-        return FaultEstimate(fault, xp.sqrt(variance), states, age, corrected)
+        healthy = track.fault, xp.sqrt(predicted), faulty + HEALTHY, faulty - 1.0
+        special = faulty | suspect | state.rejected | starting
+        return FaultEstimate(*changed_where(special, report_all, healthy), corrected)
+
+
+def _all_healthy(state: State, estimate: FilterState, reading: Reading) -> Verdict:
+    """Return what is judged where no axis is faulty or suspect."""
+    prediction, residuals, predicted = reading[:3]
+    none, no, bias = state.faulty, state.faulty[..., :1], bias_variance(estimate.P)
+    first = estimate, prediction, residuals[..., 0], predicted[..., 0], bias
+    return Verdict(*first, none, none, none, no, no, state.track)
 
 
 def _doubt(residual: Array) -> Array:
