@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from accusing_observer import registered
 from std_srvs.srv import Trigger
 
 from node_bench import NodeBench
@@ -18,10 +19,11 @@ from quadftc_fdi.disturbance_observers.exosystem import Exosystem
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_fdi.fault_observers.sliding_mode import SlidingMode
 from quadftc_flight.closed_loop import fly
-from quadftc_flight.flight import Flight, flight_from_bag
+from quadftc_flight.flight import NO_STATE, Flight, flight_from_bag
 from quadftc_flight.graph.composed import ComposedGraph
 from quadftc_flight.graph.plan import GraphPlan
 from quadftc_flight.scenario import find_scenario, load_scenario, node_parameters, with_duration
+from quadftc_model.samples import FAULTY, HEALTHY, RECOVERING
 
 SCENARIOS = Path(__file__).parent / "scenarios"
 # the step, the disturbance and the faults of a paper's scenario within the first seconds
@@ -138,6 +140,21 @@ def test_graph_equals_the_closed_loop_when_laws_give_what_cannot_be_used(fly_gra
         assert 1e4 < np.max(sizes) < 1e6  # it ran away, and was stopped:
         assert np.any((sizes[:-1] > 1e4) & (sizes[1:] == 0.0))
     assert_equal_bit_for_bit(flight, fly(with_duration(scenario, 1.9), "proposed"))
+
+
+def test_graph_equals_the_closed_loop_in_what_is_said_of_each_sensor(fly_graph):
+    with registered() as name:
+        changes = [f"name={name}", f"schemes.conventional.observer={name}"]
+        scenario = load_scenario(SCENARIOS / "busy.yaml", changes)
+        directory, _ = fly_graph(scenario, "conventional")
+        bag = read_bag(directory)
+        flight, expected = flight_from_bag(bag), fly(scenario, "conventional")
+    assert_equal_bit_for_bit(flight, expected)
+    for state in (flight.gyro_state, flight.accelerometer_state):
+        assert {HEALTHY, FAULTY, RECOVERING, NO_STATE} == set(np.unique(state))  # NO_STATE: samples withheld
+    assert flight.gyro_ambiguous.any()
+    assert flight.attitude_ambiguous.any()
+    assert np.any(flight.gyro_onset_ns > 0)
 
 
 def test_two_runs_give_the_same_messages(fly_graph, busy_scenario):

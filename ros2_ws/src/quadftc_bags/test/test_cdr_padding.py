@@ -14,16 +14,19 @@ from std_msgs.msg import Header
 
 from quadftc_bags.cdr.layout import PaddingCleaner
 from quadftc_bags.interfaces import load_interface
-from quadftc_msgs.msg import AttitudeReference, ControlStatus, FaultStatus
+from quadftc_msgs.msg import AttitudeReference, ComponentFault, ControlStatus, Diagnosis, FaultStatus
 
 HEADER = Header(stamp=Time(sec=3, nanosec=7), frame_id="imu_link")
 STATUS = DiagnosticStatus(name="a: b", message="odd", values=[KeyValue(key="k", value="v"), KeyValue()])
+GYRO = ComponentFault(component="gyro", element="x", size=0.3, unit="rad/s", ambiguous_with=["attitude/roll"])
 MESSAGES = [
     Imu(header=HEADER),
     Vector3Stamped(header=HEADER, vector=Vector3(x=1.0)),
     FaultStatus(header=HEADER, onset=[Time(sec=1), Time(), Time(nanosec=2)]),
     AttitudeReference(header=HEADER),
     ControlStatus(header=HEADER, mode=2, compute_time=1e-4),
+    Diagnosis(header=HEADER, watched=["attitude", "gyro"], faults=[GYRO, ComponentFault(kind="noise"), GYRO]),
+    Diagnosis(header=HEADER),
     HEADER,
     DiagnosticArray(header=HEADER, status=[STATUS, DiagnosticStatus(), STATUS]),
     JointState(header=HEADER, name=["a", "bcd"], position=[1.0, 2.0]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +14,8 @@ from quadftc_model.arrays import Vector
 from quadftc_model.samples import (
     ALARMS,
     FAULT_KINDS,
+    ComponentFault,
+    DiagnosisReport,
     FaultEstimate,
     FaultObserverInputs,
     ImuSample,
@@ -23,6 +25,7 @@ from quadftc_model.samples import (
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND, ResumingStepper, seconds
 
 REPORT_PERIOD_NS = 100_000_000  # ns; the topic ``diagnosis`` comes at 10 Hz, and at once on a change
+SEVEREST_FIRST = (samples.FAULTY, samples.RECOVERING, samples.SUSPECT, samples.STARTING, samples.HEALTHY)
 BODY_AXES = ("x", "y", "z")
 # of each component that an observer may watch: the names of its elements, and the unit of a fault
 COMPONENTS: Mapping[str, tuple[tuple[str, ...], str]] = {
@@ -30,6 +33,9 @@ COMPONENTS: Mapping[str, tuple[tuple[str, ...], str]] = {
     "gyro": (BODY_AXES, "rad/s"),
     "accelerometer": (BODY_AXES, "m/s^2"),
 }
+_UNKNOWN = np.full(3, -1.0)
+_UNKNOWN_KIND = np.full(3, FAULT_KINDS.index("unknown"), np.uint8)
+_CLEAR = np.zeros(3, np.bool_)
 _CONFUSED_WITH = {"attitude": "gyro", "gyro": "attitude"}  # on the same axis
 
 
@@ -45,6 +51,7 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
 
     def __init__(self, law: FaultObserver) -> None:
         super().__init__(law, _usable_estimate)
+        self._published: DiagnosisReport | None = None
 
     def diagnose(self, stamp_ns: int, sample: ImuSample, torque: Vector) -> FaultEstimate | None:
         """Diagnose a sample [ns] as received; None if its stamp is repeated or went back.
@@ -66,38 +73,30 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
             return _starting_estimate(clean)
         return self.step(stamp_ns, inputs)
 
+    def watched(self, estimate: FaultEstimate) -> dict[str, SensorEstimate]:
+        """Return what an estimate says of each component that the observer diagnoses."""
+        return watched_sensors(estimate) if self.law.has_detector else {}
 
-class ComponentFault(NamedTuple):
-    """A fault that is confirmed and not known to be gone, as quadftc_msgs/ComponentFault says it."""
-
-    component: str  # of `COMPONENTS`
-    element: str  # of the component
-    kind: str  # of `FAULT_KINDS`
-    state: int  # FAULTY or RECOVERING
-    size: float  # reading minus truth, in ``unit``
-    std_dev: float  # of the size; -1: the observer gives none
-    unit: str
-    probability: float  # that the element is faulty now [1]; -1: the observer gives none
-    ambiguous_with: tuple[str, ...]  # "component/element" that may be the faulty one instead
-    onset_ns: int  # stamp of the onset [ns]
+    def report(self, stamp_ns: int, estimate: FaultEstimate) -> DiagnosisReport | None:
+        """Return the report on a sample [ns]; None if none is due. Call it with every estimate."""
+        report = report_faults(stamp_ns, self.watched(estimate))
+        if not is_due(report, self._published):
+            return None
+        self._published = report
+        return report
 
 
-class Report(NamedTuple):
-    """What is said of all components at a sample, as quadftc_msgs/Diagnosis says it."""
+def report_faults(stamp_ns: int, sensors: Mapping[str, SensorEstimate]) -> DiagnosisReport:
+    """Return the confirmed faults of the components of one vehicle at a sample [ns].
 
-    stamp_ns: int  # of the sample [ns]
-    watched: tuple[str, ...]  # components that the observer diagnoses; healthy where there is no fault
-    faults: tuple[ComponentFault, ...]
-
-
-def report_faults(stamp_ns: int, estimate: FaultEstimate) -> Report:
-    """Say the confirmed faults of an estimate of one vehicle, of a sample [ns]."""
-    sensors = watched_sensors(estimate)
-    found = [fault for name, each in sensors.items() for fault in _confirmed(stamp_ns, name, each)]
-    return Report(stamp_ns, tuple(sensors), tuple(found))
+    A component is watched once the observer has converged on all its elements.
+    """
+    watched = [name for name, sensor in sensors.items() if samples.STARTING not in sensor.state.tolist()]
+    found = [fault for name, sensor in sensors.items() for fault in _confirmed(stamp_ns, name, sensor)]
+    return DiagnosisReport(stamp_ns, tuple(watched), tuple(found))
 
 
-def is_due(report: Report, last: Report | None) -> bool:
+def is_due(report: DiagnosisReport, last: DiagnosisReport | None) -> bool:
     """Return whether a report is to be published, ``last`` being the one published before.
 
     It is where a component, state, kind or ambiguity has changed, and with the first sample of every
@@ -111,14 +110,11 @@ def is_due(report: Report, last: Report | None) -> bool:
 
 
 def watched_sensors(estimate: FaultEstimate) -> dict[str, SensorEstimate]:
-    """Return what an estimate says of each component that its observer diagnoses."""
+    """Return what an estimate says of each component; of the attitude alone, if it says no more."""
     if estimate.sensors is not None:
         return estimate.sensors._asdict()
-    unknown = np.full_like(estimate.fault, -1.0)
-    kind = np.full_like(estimate.state, FAULT_KINDS.index("unknown"))
-    clear = np.zeros(estimate.fault.shape, np.bool_)
     state, fault, std_dev, age = estimate.state, estimate.fault, estimate.std_dev, estimate.onset_age
-    return {"attitude": SensorEstimate(state, fault, std_dev, age, unknown, kind, clear)}
+    return {"attitude": SensorEstimate(state, fault, std_dev, age, _UNKNOWN, _UNKNOWN_KIND, _CLEAR)}
 
 
 def onset_ns(stamp_ns: int, age: float) -> int:
@@ -130,10 +126,8 @@ def _confirmed(stamp_ns: int, component: str, sensor: SensorEstimate) -> Iterato
     if not any(state in ALARMS for state in sensor.state.tolist()):
         return
     elements, unit = COMPONENTS[component]
-    columns: list[list[Any]] = [column.tolist() for column in sensor]
-    for axis, (state, size, std_dev, age, probability, kind, ambiguous) in enumerate(
-        zip(*columns, strict=True)
-    ):
+    rows: Any = zip(*(column.tolist() for column in sensor), strict=True)
+    for axis, (state, size, std_dev, age, probability, kind, ambiguous) in enumerate(rows):
         if state not in ALARMS:
             continue
         other = _CONFUSED_WITH.get(component)
@@ -152,7 +146,7 @@ def _confirmed(stamp_ns: int, component: str, sensor: SensorEstimate) -> Iterato
         )
 
 
-def _verdicts(report: Report) -> list[tuple[object, ...]]:
+def _verdicts(report: DiagnosisReport) -> list[tuple[object, ...]]:
     return [
         (each.component, each.element, each.kind, each.state, each.ambiguous_with) for each in report.faults
     ]
@@ -166,6 +160,8 @@ def describe_axes(
     ``more`` is what the observer says of itself besides, by name.
     """
     columns = (each.tolist() for each in estimate[:4])
+    named = _confirmed(0, "attitude", estimate.sensors.attitude) if estimate.sensors else ()
+    doubts = {fault.element: _describe_doubts(fault) for fault in named}
     for row, (axis, size, std_dev, state, age) in enumerate(zip(samples.AXES, *columns, strict=True)):
         values = {"size_deg": f"{round(math.degrees(size), 3) + 0.0:.3f}"}  # no -0.000
         if std_dev >= 0.0:
@@ -173,7 +169,34 @@ def describe_axes(
         if age >= 0.0:
             values["age_s"] = f"{age:.2f}"
         values |= {name: f"{float(each[row]):.3g}" for name, each in (more or {}).items()}
+        values |= doubts.get(axis, {})
         yield axis, state, values
+
+
+def describe_component(component: str, sensor: SensorEstimate) -> tuple[int, dict[str, str]]:
+    """Return the fault state of a component that is worst, and for people the values of its faulty elements.
+
+    Those of the gyro are in deg/s.
+    """
+    elements, _ = COMPONENTS[component]
+    name, scale = ("deg_s", math.degrees(1.0)) if component == "gyro" else ("m_s2", 1.0)
+    values: dict[str, str] = {}
+    for fault in _confirmed(0, component, sensor):
+        element, age = fault.element, sensor.onset_age[elements.index(fault.element)]
+        values[element] = f"{samples.FAULT_STATE_NAMES[fault.state]}, {fault.kind}"
+        values[f"{element}_size_{name}"] = f"{scale * fault.size:.3f}"
+        if fault.std_dev >= 0.0:
+            values[f"{element}_sigma_{name}"] = f"{scale * fault.std_dev:.3f}"
+        if age >= 0.0:
+            values[f"{element}_age_s"] = f"{age:.2f}"
+        values |= {f"{element}_{key}": text for key, text in _describe_doubts(fault).items()}
+    states = sensor.state.tolist()
+    return next(state for state in SEVEREST_FIRST if state in states), values
+
+
+def _describe_doubts(fault: ComponentFault) -> dict[str, str]:
+    doubts = {"probability": f"{fault.probability:.2f}"} if fault.probability >= 0.0 else {}
+    return doubts | ({"or": ", ".join(fault.ambiguous_with)} if fault.ambiguous_with else {})
 
 
 def _age(stamp_ns: int, onset_ns: int) -> float:
@@ -190,5 +213,5 @@ def _usable_estimate(inputs: FaultObserverInputs, estimate: FaultEstimate) -> Fa
 
 def _starting_estimate(clean: ImuSample) -> FaultEstimate:
     """Return the estimate before the observer has started: no fault is known, the sample passes."""
-    unknown = np.full(3, -1.0)
-    return FaultEstimate(np.zeros(3), unknown, np.full(3, samples.STARTING, np.uint8), unknown, clean)
+    state = np.full(3, samples.STARTING, np.uint8)
+    return FaultEstimate(np.zeros(3), _UNKNOWN, state, _UNKNOWN, clean)

@@ -3,7 +3,7 @@
 
 Inputs: imu/data; torque/command (observer (16) of the paper needs the torque that acted). In real time
 fault/kept and gyro/kept: restarted in flight, the node resumes where the one before has died.
-Outputs: imu/corrected, fault/estimate, fault/status.
+Outputs: imu/corrected, fault/estimate, fault/status; diagnosis at 10 Hz and at once on a change.
 Services: ~/reset (std_srvs/Trigger). A sample whose stamp repeats or goes back is refused and counted.
 """
 
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from std_msgs.msg import Header
 
-from quadftc_fdi.diagnosis import Diagnosis, describe_axes
+from quadftc_fdi.diagnosis import Diagnosis, describe_axes, describe_component
 from quadftc_fdi.fault_observer import LastDiagnosis, fault_observer_from, fault_observers
 from quadftc_model import samples
 from quadftc_model.parameters import parameter
@@ -28,7 +28,7 @@ from quadftc_ros.executor import run_node
 from quadftc_ros.join import TorqueGate
 from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import EARTH_FRAME
-from quadftc_ros.wire import FaultStatusWire, ImuWire, VectorWire, imu_of, vector_of
+from quadftc_ros.wire import DiagnosisWire, FaultStatusWire, ImuWire, VectorWire, imu_of, vector_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,6 +53,7 @@ class FaultObserverNode(GraphNode):
         self._publish_corrected, self._imu = self.publishes("imu/corrected"), ImuWire()
         self._publish_estimate, self._earth = self.publishes("fault/estimate"), VectorWire(EARTH_FRAME)
         self._publish_status, self._status = self.publishes("fault/status"), FaultStatusWire()
+        self._publish_report, self._report = self.publishes("diagnosis"), DiagnosisWire()
         self._gate = TorqueGate(self.mode, self._on_sample, self.diagnostics.count)
         restart = self._diagnosis.restart
         self.driven_by("imu/data", self._gate.put_sample, restart=restart, decode=imu_of)
@@ -62,7 +63,7 @@ class FaultObserverNode(GraphNode):
             self.reads("gyro/kept", partial(self._on_kept, "gyro"), decode=vector_of)
             self.reads("fault/kept", partial(self._on_kept, "fault"))
         self._estimate: FaultEstimate | None = None  # the last
-        self._alarms: tuple[bool, ...] = (False, False, False)  # axes that are faulty
+        self._alarms: list[bool] = [False] * 3  # elements that are faulty
         self.diagnostics.report("observer", OK, name)
         self.ready()
 
@@ -87,6 +88,9 @@ class FaultObserverNode(GraphNode):
         self._publish_corrected(self._imu(stamp_ns, estimate.corrected))
         self._publish_estimate(self._earth(stamp_ns, estimate.fault))
         self._publish_status(self._status(stamp_ns, estimate))
+        report = self._diagnosis.report(stamp_ns, estimate)
+        if report is not None:
+            self._publish_report(self._report(report))
         if self._diagnosis.resumed > resumed:
             self.get_logger().info("resumes where a fault observer has died")
         if self._diagnosis.replaced > replaced:
@@ -96,23 +100,28 @@ class FaultObserverNode(GraphNode):
         if not samples.sanitised(sample).attitude_valid:
             self.diagnostics.count("imu/data: attitude absent or unusable")
         self._estimate = estimate
-        alarms = tuple(state in ALARMS for state in estimate.state.tolist())  # suspicions come and go
+        states = [estimate.state, *(sensor.state for sensor in estimate.sensors or ())]
+        alarms = [state in ALARMS for column in states for state in column.tolist()]  # suspicions come and go
         if alarms != self._alarms:
             self._alarms = alarms
             self.diagnostics.changed = True
         self.sampled(stamp_ns)
 
     def report(self) -> None:
-        """Report the fault of each axis of the attitude, if anybody looks for it."""
+        """Report the fault of each axis of the attitude and of each other sensor, if anybody looks for it."""
         if self._estimate is None or self._observer == "none":
             return
         law, memory = self._diagnosis.law, self._diagnosis.state
         more = {} if memory is None else law.describe(memory)
         for axis, state, values in describe_axes(self._estimate, more):
-            level = OK if state in (samples.STARTING, samples.HEALTHY) else WARN
-            self.diagnostics.report(
-                f"attitude fault {axis}", level, samples.FAULT_STATE_NAMES[state], **values
-            )
+            self._report_fault(f"attitude fault {axis}", state, values)
+        for component, sensor in self._diagnosis.watched(self._estimate).items():
+            if component != "attitude":
+                self._report_fault(f"{component} fault", *describe_component(component, sensor))
+
+    def _report_fault(self, part: str, state: int, values: dict[str, str]) -> None:
+        level = OK if state in (samples.STARTING, samples.HEALTHY) else WARN
+        self.diagnostics.report(part, level, samples.FAULT_STATE_NAMES[state], **values)
 
 
 main = partial(run_node, FaultObserverNode)

@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 import pytest
+from accusing_observer import registered
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import ReliabilityPolicy
+from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
 from message_objects import FaultStatusWriter, imu_sample
@@ -267,6 +269,58 @@ def test_diagnostics_tell_the_fault_of_each_axis(lockstep_bench):
     assert 0.0 < float(values["sigma_deg"]) < 0.5
     assert observer.status[pitch].level == DiagnosticStatus.OK
     assert "age_s" not in values_of(observer.status[pitch])
+
+
+@pytest.fixture
+def accused(lockstep_bench):
+    """An observer that says of each sensor what is wrong with it, and what it has reported."""
+    with registered() as name:
+        reports = lockstep_bench.listen("diagnosis")
+        yield Observer(lockstep_bench, observer=name), reports
+
+
+def turn(observer, rate, count=1):
+    for _ in range(count):
+        observer.step(message=imu_message(observer.stamp_ns, body_rate=(0.0, rate, 0.0)))
+
+
+def test_report_is_published_at_once_on_a_change_and_ten_times_a_second(accused, lockstep_bench):
+    observer, reports = accused
+    turn(observer, 0.0, 30)  # 0.12 s
+    turn(observer, 0.25, 5)
+    turn(observer, 0.0, 1)
+    lockstep_bench.until(lambda: len(reports) == 4)
+    samples_ns = [stamp_of(report) - FIRST_NS for report in reports]
+    assert samples_ns == [0, 25 * PERIOD_NS, 30 * PERIOD_NS, 35 * PERIOD_NS]
+    assert [len(report.faults) for report in reports] == [0, 0, 1, 0]
+    assert reports[2].header.frame_id == "imu_link"
+    assert reports[2].watched == ["attitude", "gyro", "accelerometer"]
+    (fault,) = reports[2].faults
+    assert (fault.component, fault.element, fault.kind, fault.unit) == ("gyro", "y", "offset", "rad/s")
+    assert (fault.state, fault.size, fault.std_dev) == (FAULTY, 0.25, 0.025)
+    assert fault.ambiguous_with == ["attitude/pitch"]
+    assert stamp_of(Header(stamp=fault.onset)) == FIRST_NS + 30 * PERIOD_NS
+
+
+def test_diagnostics_tell_the_fault_of_each_sensor(accused, lockstep_bench):
+    observer, _ = accused
+    turn(observer, 0.0)
+    gyro, accelerometer = "fault_observer: gyro fault", "fault_observer: accelerometer fault"
+    turn(observer, 0.5, 3)
+    lockstep_bench.until(lambda: observer.status[gyro].level == DiagnosticStatus.WARN)  # at once
+    assert observer.status[gyro].message == "faulty"
+    assert values_of(observer.status[gyro])["y_size_deg_s"] == "28.648"
+    healthy = observer.status[accelerometer]
+    assert (healthy.level, healthy.message, healthy.values) == (DiagnosticStatus.OK, "healthy", [])
+    assert observer.status["fault_observer: attitude fault roll"].message == "healthy"
+
+
+def test_observer_of_the_attitude_alone_has_no_status_of_the_gyro(lockstep_bench):
+    observer = Observer(lockstep_bench, observer="supervised")
+    for _ in range(300):
+        observer.step()
+    lockstep_bench.until(lambda: "fault_observer: attitude fault roll" in observer.status)
+    assert "fault_observer: gyro fault" not in observer.status
 
 
 def test_without_diagnosis_no_axis_is_called_healthy(lockstep_bench):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from accusing_observer import registered
 
 from node_bench import imu_message, vector_message
 from quadftc_fdi.diagnosis import Diagnosis
@@ -188,6 +189,28 @@ def test_fault_observer_node_takes_over(bench):
     bench.until(lambda: (fly(), states[-1].state[0] == FAULTY)[1])
     assert states[-1].estimate.x == pytest.approx(FAULT[0], abs=1e-4)
     assert states[-1].onset[0] == kept.onset[0]
+
+
+def test_observer_of_all_sensors_resumes_and_reports_at_once(bench):
+    with registered() as name:
+        bench.run(FaultObserverNode, observer=name)
+    imu, gyro, words = bench.talk("imu/data"), bench.talk("gyro/kept"), bench.talk("fault/kept")
+    reports = bench.listen("diagnosis")
+    bench.connect()
+    kept = FaultStatus(state=WORDS.faulty * FAULTY + ~WORDS.faulty * HEALTHY)
+    kept.header.stamp = time_message(FIRST_NS - 2_000_000_000)
+    gyro(vector_message(FIRST_NS - 2_000_000_000, (-0.4, 0.0, 0.0)))  # of a gyro that was faulty
+    words(kept)
+    sent = 0
+
+    def named():
+        nonlocal sent
+        imu(imu_message(FIRST_NS + sent * PERIOD_NS, FAULT, (0.4, 0.0, 0.0)))
+        sent += 1
+        return any(fault.component == "gyro" for report in reports for fault in report.faults)
+
+    bench.until(named)
+    assert reports[0].faults
 
 
 def test_disturbance_observer_node_takes_over(bench):

@@ -15,12 +15,12 @@ import numpy as np
 
 from quadftc_control.controller import stepper_of
 from quadftc_control.reference import ReferenceGenerator
-from quadftc_fdi.diagnosis import Diagnosis, Report, is_due, report_faults
+from quadftc_fdi.diagnosis import Diagnosis
 from quadftc_fdi.disturbance_observer import DisturbanceEstimation
 from quadftc_flight.flight import Flight, onset_ns, unknown_flight
 from quadftc_flight.reported import note_reports
 from quadftc_flight.scenario import Scenario, Scheme
-from quadftc_model.samples import ControllerInputs, FaultEstimate
+from quadftc_model.samples import ControllerInputs, DiagnosisReport, FaultEstimate
 from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count
 from quadftc_sim.injector import FaultInjector, Faulty
 from quadftc_sim.simulator import Simulator
@@ -41,7 +41,7 @@ def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = 
     controller = stepper_of(chosen.controller.law, lambda: torque)
 
     torque = np.zeros(3)  # command of the last sample [N m]
-    reports = list[Report]()  # those that the node publishes
+    reports = list[DiagnosisReport]()  # on the topic `diagnosis`
     count, delay = sample_count(scenario.duration, scenario.rate), simulator.sensor.delay
     flight = unknown_flight(epoch_ns + simulator.period_ns * np.arange(count))
     for row in range(count):
@@ -67,7 +67,8 @@ def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = 
         # what is known now of the sample
         flight.delivered[taken] = True
         _note_truth(flight, taken, injected, channels)
-        _note_estimate(flight, taken, estimate, reports)
+        _note_estimate(flight, taken, estimate)
+        reports += filter(None, [diagnosis.report(stamp_ns, estimate)])
         flight.disturbance_estimate[taken], flight.reference[taken] = disturbance, wanted.angles
         flight.torque[taken], flight.saturated[taken] = torque, output.saturated
         flight.error[taken], flight.sliding_variable[taken] = output.error, output.sliding_variable
@@ -84,12 +85,8 @@ def _note_truth(flight: Flight, row: int, injected: Faulty, channels: Set[str]) 
         flight.accelerometer_fault[row] = injected.accelerometer
 
 
-def _note_estimate(flight: Flight, row: int, estimate: FaultEstimate, reports: list[Report]) -> None:
-    """Note what the fault observer says of a sample, and the report on it if it is to be published."""
-    stamp_ns = int(flight.stamp_ns[row])
+def _note_estimate(flight: Flight, row: int, estimate: FaultEstimate) -> None:
+    """Note what the fault observer says of the attitude."""
     flight.fault_estimate[row], flight.fault_std_dev[row] = estimate.fault, estimate.std_dev
     flight.fault_state[row] = estimate.state
-    flight.fault_onset_ns[row] = onset_ns(stamp_ns, estimate.onset_age)
-    report = report_faults(stamp_ns, estimate)
-    if is_due(report, reports[-1] if reports else None):
-        reports.append(report)
+    flight.fault_onset_ns[row] = onset_ns(int(flight.stamp_ns[row]), estimate.onset_age)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_fdi.diagnosis import COMPONENTS, REPORT_PERIOD_NS, ComponentFault, Report
-from quadftc_model.samples import HEALTHY
+from quadftc_fdi.diagnosis import COMPONENTS, REPORT_PERIOD_NS
+from quadftc_model.samples import HEALTHY, ComponentFault, DiagnosisReport
 
 if TYPE_CHECKING:
     from quadftc_bags.bag import Series
@@ -30,7 +30,7 @@ UNWATCHED: dict[str, Any] = {
 WATCHED = {**UNWATCHED, "state": np.uint8(HEALTHY), "estimate": 0.0, "std_dev": -1.0, "probability": 0.0}
 
 
-def note_reports(flight: Flight, reports: Sequence[Report]) -> None:
+def note_reports(flight: Flight, reports: Sequence[DiagnosisReport]) -> None:
     """Fill the columns ``<component>_<quantity>`` of a flight that the published reports tell of."""
     if not reports:
         return
@@ -46,10 +46,13 @@ def note_reports(flight: Flight, reports: Sequence[Report]) -> None:
                 column[held] = said[latest[held]]
 
 
-def reports_from(series: Series) -> list[Report]:
+def reports_from(series: Series) -> list[DiagnosisReport]:
     """Return the messages of the topic ``diagnosis``."""
     rows = zip(series.stamp_ns.tolist(), series["watched"], series["faults"], strict=True)
-    return [Report(stamp_ns, tuple(watched), tuple(map(_fault_of, said))) for stamp_ns, watched, said in rows]
+    return [
+        DiagnosisReport(stamp_ns, tuple(watched), tuple(map(_fault_of, said)))
+        for stamp_ns, watched, said in rows
+    ]
 
 
 def _fault_of(message: Any) -> ComponentFault:
@@ -59,7 +62,7 @@ def _fault_of(message: Any) -> ComponentFault:
     return ComponentFault(**values, onset_ns=onset_ns)
 
 
-def _columns_of(component: str, reports: Sequence[Report]) -> dict[str, NDArray[Any]]:
+def _columns_of(component: str, reports: Sequence[DiagnosisReport]) -> dict[str, NDArray[Any]]:
     """Return what each report says of the elements of a component, by quantity (n, 3)."""
     elements, _ = COMPONENTS[component]
     watched = np.array([component in report.watched for report in reports])[:, None]

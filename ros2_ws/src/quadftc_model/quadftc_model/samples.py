@@ -1,6 +1,7 @@
 """What flows between the parts: the IMU sample, the reference, the outputs of observers and controllers.
 
-Every type is a NamedTuple of arrays with any leading axes (none on board, one for a batch of flights).
+Every type is a NamedTuple of arrays with any leading axes (none on board, one for a batch of flights). Only a
+`DiagnosisReport` is of one vehicle.
 """
 
 from __future__ import annotations
@@ -87,6 +88,29 @@ class FaultEstimate(NamedTuple):
     onset_age: Vector  # time since the onset of the present fault [s]; -1: no fault
     corrected: ImuSample  # the sample as the controller shall see it
     sensors: SensorDiagnosis | None = None  # None: the observer takes all but the attitude for healthy
+
+
+class ComponentFault(NamedTuple):
+    """A fault that is confirmed and not known to be gone, as quadftc_msgs/ComponentFault says it."""
+
+    component: str  # attitude, gyro, accelerometer
+    element: str  # roll, pitch, yaw of the attitude; else x, y, z
+    kind: str  # of `FAULT_KINDS`
+    state: int  # FAULTY or RECOVERING
+    size: float  # reading minus truth, in ``unit``
+    std_dev: float  # of the size; -1: the observer gives none
+    unit: str
+    probability: float  # that the element is faulty now [1]; -1: the observer gives none
+    ambiguous_with: tuple[str, ...]  # "component/element" that may be the faulty one instead
+    onset_ns: int  # stamp of the onset [ns]
+
+
+class DiagnosisReport(NamedTuple):
+    """What is said of all components at a sample, as quadftc_msgs/Diagnosis says it."""
+
+    stamp_ns: int  # of the sample [ns]
+    watched: tuple[str, ...]  # components that are diagnosed now: healthy where there is no fault
+    faults: tuple[ComponentFault, ...]
 
 
 class DisturbanceObserverInputs(NamedTuple):

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from quadftc_fdi.diagnosis import Diagnosis
 from quadftc_fdi.fault_observer import FaultObserver
 from quadftc_flight.flight import NO_STATE, Flight, onset_ns, unknown_flight
+from quadftc_flight.reported import note_reports
 from quadftc_model.rotations import wrap
-from quadftc_model.samples import FaultEstimate, ImuSample
+from quadftc_model.samples import DiagnosisReport, FaultEstimate, ImuSample
 from quadftc_replay.imu_recording import Floats, Recording
 from quadftc_sim.injection import TRUTH
 from quadftc_sim.injector import FaultInjector, Faulty
@@ -28,7 +29,8 @@ class Diagnosed:
     delivered: NDArray[np.bool_]  # (n,) False: an overlaid fault withheld the sample
     seen: ImuSample  # what the observer saw: the samples with the overlaid faults; leading axis n
     overlaid: dict[str, Floats]  # channel to the overlaid fault (n, 3), of withheld samples too
-    estimate: FaultEstimate  # leading axis n
+    estimate: FaultEstimate  # leading axis n; what is said of other sensors is in the reports
+    reports: list[DiagnosisReport]  # those that the node would publish
     unusable: int  # samples with an estimate that could not be used; the observer restarted after each
 
 
@@ -42,12 +44,14 @@ def diagnose(
 ) -> Diagnosed:
     """Put the faults of an injector, which is used up, on the samples, and diagnose them."""
     diagnosis, injected, estimates = Diagnosis(law), list[Faulty](), list[FaultEstimate]()
+    reports = list[DiagnosisReport]()
     for row, stamp_ns in enumerate(recording.stamp_ns.tolist()):
         faulty = injector.apply(stamp_ns, ImuSample(*(column[row] for column in recording.imu)))
         estimate = None
         if faulty.present:
             estimate = diagnosis.diagnose(stamp_ns, faulty.sample, recording.torque[row])
             assert estimate is not None  # stamps increase
+            reports += filter(None, [diagnosis.report(stamp_ns, estimate)])
         injected.append(faulty)
         estimates.append(estimate or UNSAID)
         if progress is not None and row % STRIDE == 0:
@@ -58,6 +62,7 @@ def diagnose(
         seen=_stack([each.sample if each.present else UNSEEN for each in injected]),
         overlaid={channel: np.stack([getattr(each, channel) for each in injected]) for channel in TRUTH},
         estimate=FaultEstimate._make([*map(np.stack, said), _stack(corrected), None]),
+        reports=reports,
         unusable=diagnosis.replaced,
     )
 
@@ -76,6 +81,7 @@ def flight_of(recording: Recording, diagnosed: Diagnosed) -> Flight:
             column[rows] = true_fault(recording, diagnosed, channel)[rows]
     flight.fault_estimate[:], flight.fault_std_dev[:], flight.fault_state[:] = said[:3]
     flight.fault_onset_ns[:] = onset_ns(recording.stamp_ns[:, None], said.onset_age)
+    note_reports(flight, diagnosed.reports)
     return flight
 
 

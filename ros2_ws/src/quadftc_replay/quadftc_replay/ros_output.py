@@ -33,9 +33,9 @@ from quadftc_replay.imu_recording import SerializedTopic, Stamps
 from quadftc_replay.plan import Replay, ReplayOptions, plan_replay
 from quadftc_ros.conversions import time_message
 from quadftc_ros.qos import topic_profile
-from quadftc_ros.topics import EARTH_FRAME, IMU_FRAME, TOPICS
+from quadftc_ros.topics import DIAGNOSIS, EARTH_FRAME, IMU_FRAME, TOPICS
 from quadftc_ros.versions import versions
-from quadftc_ros.wire import FaultStatusWire, ImuWire, VectorWire
+from quadftc_ros.wire import DiagnosisWire, FaultStatusWire, ImuWire, VectorWire
 from quadftc_sim.injection import TRUTH
 
 CHUNK = 1024 * 1024  # bytes
@@ -125,6 +125,10 @@ def _topics(plan: Replay, diagnosed: Diagnosed) -> dict[str, SerializedTopic]:
         "fault/status": _serialise("quadftc_msgs/msg/FaultStatus", given, FaultStatusWire(), estimates),
         "fault/estimate": _serialise(VECTOR, given, VectorWire(EARTH_FRAME), said.fault[rows]),
     }
+    stamps = np.array([report.stamp_ns for report in diagnosed.reports], np.int64)
+    write_report = DiagnosisWire()
+    messages = [write_report(report) for report in diagnosed.reports]
+    made["diagnosis"] = SerializedTopic(DIAGNOSIS, stamps, messages)
     overlaid = {fault.injection.channel for fault in plan.faults}
     for channel, topic in TRUTH.items():
         if channel == "attitude" or channel in recording.faults or channel in overlaid:

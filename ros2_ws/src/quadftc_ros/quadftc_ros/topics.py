@@ -19,6 +19,7 @@ POSE = "geometry_msgs/msg/PoseStamped"
 VECTOR = "geometry_msgs/msg/Vector3Stamped"
 HEADER = "std_msgs/msg/Header"
 FAULT_STATUS = "quadftc_msgs/msg/FaultStatus"
+DIAGNOSIS = "quadftc_msgs/msg/Diagnosis"
 REFERENCE = "quadftc_msgs/msg/AttitudeReference"
 CONTROL_STATUS = "quadftc_msgs/msg/ControlStatus"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
@@ -61,6 +62,7 @@ _ROWS = (
     _topic("mocap/pose", POSE, "", "attitude_estimator", "sensor", EARTH_FRAME),
     _topic("fault/estimate", VECTOR, "fault_observer", "", "reliable", EARTH_FRAME),
     _topic("fault/status", FAULT_STATUS, "fault_observer", "controller", "reliable", IMU_FRAME),
+    _topic("diagnosis", DIAGNOSIS, "fault_observer", "", "reliable", IMU_FRAME),
     _topic("disturbance/estimate", VECTOR, "disturbance_observer", "controller", "reliable", BASE_FRAME),
     _topic("attitude/reference", REFERENCE, "reference", "controller", "reliable", EARTH_FRAME),
     _topic("attitude/setpoint", VECTOR, "", "reference", "reliable", EARTH_FRAME),

@@ -1,4 +1,4 @@
-"""The messages that the graph exchanges with every sample: serialised bytes to arrays and back.
+"""The messages that the graph exchanges: serialised bytes to arrays and back.
 
 Readers raise ValueError for bytes that are no such message.
 """
@@ -7,15 +7,25 @@ from __future__ import annotations
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu, MagneticField
 from std_msgs.msg import Header
 
+from quadftc_bags.cdr.layout import PaddingCleaner
 from quadftc_bags.cdr.message import NANOSECONDS, NumberWriter, read_message, read_numbers
-from quadftc_model.samples import ABSENT, AttitudeReference, ControllerOutput, FaultEstimate, ImuSample
+from quadftc_model import samples
+from quadftc_model.samples import (
+    ABSENT,
+    AttitudeReference,
+    ControllerOutput,
+    DiagnosisReport,
+    FaultEstimate,
+    ImuSample,
+)
 from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
-from quadftc_msgs.msg import ControlStatus, FaultStatus
-from quadftc_ros.conversions import Floats
-from quadftc_ros.topics import BASE_FRAME, EARTH_FRAME, IMU_FRAME
+from quadftc_msgs.msg import ComponentFault, ControlStatus, Diagnosis, FaultStatus
+from quadftc_ros.conversions import Floats, time_message
+from quadftc_ros.topics import BASE_FRAME, DIAGNOSIS, EARTH_FRAME, IMU_FRAME
 
 _UNKNOWN = (0.0,) * 8  # the rest of a covariance
 
@@ -117,6 +127,27 @@ class FaultStatusWire:
         onsets = [part for time_ns in times for part in divmod(time_ns, NANOSECONDS)]
         state, fault, std_dev = estimate.state.tolist(), estimate.fault.tolist(), estimate.std_dev.tolist()
         return self._write(stamp_ns, *state, *fault, *std_dev, *onsets)
+
+
+class DiagnosisWire:
+    """Makes serialised reports on all components."""
+
+    def __init__(self) -> None:
+        self._header = Header(frame_id=IMU_FRAME)
+        self._clean = PaddingCleaner(DIAGNOSIS).clean
+
+    def __call__(self, report: DiagnosisReport) -> bytes:
+        """Return the message of a report."""
+        self._header.stamp = time_message(report.stamp_ns)
+        faults = [_fault_message(fault) for fault in report.faults]
+        message = Diagnosis(header=self._header, watched=list(report.watched), faults=faults)
+        return self._clean(serialize_message(message))
+
+
+def _fault_message(fault: samples.ComponentFault) -> ComponentFault:
+    values = fault._asdict()
+    onset, rivals = time_message(values.pop("onset_ns")), list(values.pop("ambiguous_with"))
+    return ComponentFault(**values, ambiguous_with=rivals, onset=onset)
 
 
 class ControlStatusWire:

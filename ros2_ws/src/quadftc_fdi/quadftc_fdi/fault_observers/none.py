@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from quadftc_fdi.fault_observer import FaultObserver, assume_healthy, register
 from quadftc_model.arrays import namespace
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample
@@ -10,6 +12,8 @@ from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample
 @register("none")
 class NoDiagnosis(FaultObserver):
     """Passes the sample on; an absent channel keeps its last value."""
+
+    has_detector: ClassVar[bool] = False
 
     def init(self, inputs: FaultObserverInputs) -> ImuSample:
         """Remember the first sample."""
