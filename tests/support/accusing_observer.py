@@ -7,11 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, ClassVar
 
-import numpy as np
-
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_fdi.fault_observers.none import NoDiagnosis
-from quadftc_model.arrays import Vector
+from quadftc_model.arrays import Vector, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion
 from quadftc_model.samples import (
@@ -39,35 +37,39 @@ class AccusingObserver(NoDiagnosis):
 
     def init(self, inputs: FaultObserverInputs) -> Any:
         """Start without a fault."""
-        return super().init(inputs), np.full((3, 3), -1.0)
+        xp = namespace(inputs.imu.body_rate)
+        return super().init(inputs), xp.stack([xp.zeros_like(inputs.imu.body_rate) - 1.0] * 3)
 
     def step(self, state: Any, inputs: FaultObserverInputs, dt: float) -> tuple[Any, FaultEstimate]:
         """Accuse what is large at a sample."""
         before, ages = state
         before, estimate = super().step(before, inputs, dt)
         used = estimate.corrected
-        readings = euler_from_quaternion(used.q_xyzw), used.body_rate, used.specific_force * [1.0, 1.0, 0.0]
+        xp = namespace(used.body_rate)
+        horizontal = used.specific_force * xp.asarray([1.0, 1.0, 0.0])
+        readings = euler_from_quaternion(used.q_xyzw), used.body_rate, horizontal
         levels = self.angle, self.rate, self.force
         sensors = SensorDiagnosis(*(accuse(*each, dt) for each in zip(readings, levels, ages, strict=True)))
         attitude = sensors.attitude
         said = FaultEstimate(*attitude[1:3], attitude.state, attitude.onset_age, used, sensors)
-        return (before, np.stack([sensor.onset_age for sensor in sensors])), said
+        return (before, xp.stack([sensor.onset_age for sensor in sensors])), said
 
 
 def accuse(reading: Vector, level: float, age: Vector, dt: float) -> SensorEstimate:
     """Take a reading for the fault where it is large; ``age`` [s] is that at the sample before."""
-    size = np.abs(reading)
+    xp = namespace(reading)
+    size = xp.abs(reading)
     was_faulty = age >= 0.0
     faulty = (size > level) | (was_faulty & (size > 0.5 * level))
-    state = np.where(faulty, np.where(size > level, FAULTY, RECOVERING), HEALTHY).astype(np.uint8)
-    kind = np.where(size > 2.0 * level, FAULT_KINDS.index("noise"), FAULT_KINDS.index("offset"))
+    state = xp.where(faulty, xp.where(size > level, FAULTY, RECOVERING), HEALTHY).astype(xp.uint8)
+    kind = xp.where(size > 2.0 * level, FAULT_KINDS.index("noise"), FAULT_KINDS.index("offset"))
     return SensorEstimate(
         state=state,
-        size=np.where(faulty, reading, 0.0),
-        std_dev=np.where(faulty, 0.1 * size, -1.0),
-        onset_age=np.where(faulty, np.where(was_faulty, age + dt, 0.0), -1.0),
+        size=xp.where(faulty, reading, 0.0),
+        std_dev=xp.where(faulty, 0.1 * size, -1.0),
+        onset_age=xp.where(faulty, xp.where(was_faulty, age + dt, 0.0), -1.0),
         probability=size / (size + level),
-        kind=np.where(faulty, kind, 0).astype(np.uint8),
+        kind=xp.where(faulty, kind, 0).astype(xp.uint8),
         ambiguous=faulty & (size < 1.5 * level),
     )
 

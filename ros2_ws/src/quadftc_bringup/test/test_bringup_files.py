@@ -68,6 +68,17 @@ def test_layout_shows_an_existing_field(path):
             message_class = load_message_class(f"{package}/msg/{message}")
 
 
+def test_layout_shows_whole_messages_of_existing_topics():
+    layout = json.loads((PACKAGE / "foxglove" / "quadftc.json").read_text())
+    shown = [
+        panel["topicPath"].removeprefix("/")
+        for panel in layout["configById"].values()
+        if "topicPath" in panel
+    ]
+    assert shown == ["diagnosis"]
+    assert set(shown) <= set(TOPICS)
+
+
 def test_layout_places_every_panel_once():
     layout = json.loads((PACKAGE / "foxglove" / "quadftc.json").read_text())
     placed = re.findall(r"\w+!\w+", json.dumps(layout["layout"]))

@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_campaign.batch.parts import numbers_of, structure_of
-from quadftc_fdi.fault_observer import FaultObserver
+from quadftc_fdi.diagnosis import report_flight
+from quadftc_fdi.fault_observer import FaultObserver, await_start
+from quadftc_model.arrays import rows_of
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
-from quadftc_model.samples import STARTING, UNUSABLE, FaultEstimate, FaultObserverInputs, ImuSample, sanitised
+from quadftc_model.samples import UNUSABLE, FaultEstimate, FaultObserverInputs, ImuSample, sanitised
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND, Stepper
 from quadftc_replay.diagnose import Diagnosed, diagnose
 from quadftc_replay.imu_recording import Recording
@@ -113,18 +115,25 @@ def _diagnose_together(
     said = _step_through(law, recording.stamp_ns, seen, torque, complete[:, 0])
     usable = [
         np.all(np.abs(each) < UNUSABLE, axis=(0, 2))  # false for NaN
-        for each in (said.fault, said.corrected.q_xyzw, said.corrected.body_rate)
+        for each in (said.fault, said.corrected.q_xyzw, said.corrected.body_rate, *_sizes(said))
     ]
+    lanes = [rows_of(said, (slice(None), lane)) for lane in range(len(faulty))]
     return [
         Diagnosed(
             delivered=np.ones(len(recording), np.bool_),
             seen=one.sample,
             overlaid={channel: getattr(one, channel) for channel in TRUTH},
-            estimate=_lane(said, lane),
+            estimate=own,
+            reports=report_flight(law, recording.stamp_ns, own),
             unusable=0 if all(each[lane] for each in usable) else 1,
         )
-        for lane, one in enumerate(faulty)
+        for lane, (one, own) in enumerate(zip(faulty, lanes, strict=True))
     ]
+
+
+def _sizes(said: FaultEstimate) -> list[Any]:
+    """Return what is said of sensors in numbers."""
+    return [column for sensor in said.sensors or () for column in sensor[1:5]]
 
 
 def _step_through(
@@ -136,29 +145,26 @@ def _step_through(
 ) -> FaultEstimate:
     """Diagnose samples (n, flights, ...), as `quadftc_fdi.diagnosis.Diagnosis` does those of one flight."""
     stepper: Stepper[FaultObserverInputs, FaultEstimate] = Stepper(law)
-    estimates: list[FaultEstimate] = []
+    estimates: list[FaultEstimate | None] = []  # None: before the observer has started
     for row, stamp in enumerate(stamp_ns.tolist()):
-        sample = ImuSample(*(column[row] for column in seen))
+        sample = rows_of(seen, row)
         if stepper.time_step(stamp) == 0.0 and not complete[row]:
             stepper.reset()
-            estimates.append(_starting(sample))
+            estimates.append(None)
             continue
         estimate = stepper.step(stamp, FaultObserverInputs(sample, torque[row]))
         assert estimate is not None  # stamps increase
         estimates.append(estimate)
-    *said, corrected = zip(*estimates, strict=True)
-    columns = (np.stack(column) for column in zip(*corrected, strict=True))
-    return FaultEstimate._make([*map(np.stack, said), ImuSample(*columns)])
+    says_more = any(each is not None and each.sensors is not None for each in estimates)
+    for row, each in enumerate(estimates):
+        if each is None:
+            estimates[row] = await_start(rows_of(seen, row), says_more)
+    return _stack(estimates)
 
 
-def _starting(sample: ImuSample) -> FaultEstimate:
-    """Return what is said of flights before the observer has started."""
-    zeros = np.zeros_like(sample.body_rate)
-    state = np.full(zeros.shape, STARTING, np.uint8)
-    return FaultEstimate(zeros, zeros - 1.0, state, zeros - 1.0, sample)
-
-
-def _lane(said: FaultEstimate, lane: int) -> FaultEstimate:
-    *columns, corrected = said
-    own = ImuSample(*(column[:, lane] for column in corrected))
-    return FaultEstimate._make([*(column[:, lane] for column in columns), own])
+def _stack(rows: Sequence[Any]) -> Any:
+    """Stack nested tuples of arrays."""
+    first: Any = rows[0]
+    if isinstance(first, tuple):
+        return rows[0].__class__(*map(_stack, zip(*rows, strict=True)))
+    return None if first is None else np.stack(rows)

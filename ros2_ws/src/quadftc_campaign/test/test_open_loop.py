@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from accusing_observer import registered
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu
@@ -134,7 +135,14 @@ BEGINNING = "  - {kind: nan, channel: attitude, start: 0 s, stop: 0.2 s}\n"
 MEMORY = "  - {kind: delay, delay: 0.05 s, start: 1 s, stop: 2 s}\n"
 
 
-@pytest.mark.parametrize("observer", ["supervised", "threshold"])
+@pytest.fixture
+def accusing():
+    with registered():
+        yield
+
+
+@pytest.mark.usefixtures("accusing")
+@pytest.mark.parametrize("observer", ["supervised", "threshold", "accusing"])
 @pytest.mark.parametrize("more", ["", BEGINNING, MEMORY])
 def test_flights_diagnosed_together_are_those_diagnosed_alone(observer, more):
     head, _, rest = BASE.partition("faults:")
@@ -157,6 +165,11 @@ def test_flights_diagnosed_together_are_those_diagnosed_alone(observer, more):
         for name in ("fault", "std_dev", "onset_age"):
             found, wanted = getattr(together.estimate, name), getattr(alone.estimate, name)
             np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-12, err_msg=name)
+        assert [each._replace(faults=()) for each in together.reports] == [
+            each._replace(faults=()) for each in alone.reports
+        ]
+        for found, wanted in zip(together.reports, alone.reports, strict=True):
+            assert [each[:4] for each in found.faults] == [each[:4] for each in wanted.faults]
 
 
 def test_each_fault_of_each_observer_is_a_row(tmp_path):

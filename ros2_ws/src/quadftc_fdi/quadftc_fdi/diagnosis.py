@@ -7,10 +7,11 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from quadftc_fdi.fault_observer import FaultObserver, LastDiagnosis
+from quadftc_fdi.fault_observer import FaultObserver, LastDiagnosis, await_start
 from quadftc_model import samples
-from quadftc_model.arrays import Vector
+from quadftc_model.arrays import Vector, rows_of
 from quadftc_model.samples import (
     ALARMS,
     FAULT_KINDS,
@@ -70,16 +71,12 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
                 return self.take_over(stamp_ns, inputs, self.law.resumed(inputs, last))
         if dt == 0.0 and not complete:
             self.reset()
-            return _starting_estimate(clean)
+            return await_start(clean, of_sensors=False)
         return self.step(stamp_ns, inputs)
-
-    def watched(self, estimate: FaultEstimate) -> dict[str, SensorEstimate]:
-        """Return what an estimate says of each component that the observer diagnoses."""
-        return watched_sensors(estimate) if self.law.has_detector else {}
 
     def report(self, stamp_ns: int, estimate: FaultEstimate) -> DiagnosisReport | None:
         """Return the report on a sample [ns]; None if none is due. Call it with every estimate."""
-        report = report_faults(stamp_ns, self.watched(estimate))
+        report = report_faults(stamp_ns, watched_sensors(self.law, estimate))
         if not is_due(report, self._published):
             return None
         self._published = report
@@ -109,8 +106,24 @@ def is_due(report: DiagnosisReport, last: DiagnosisReport | None) -> bool:
     return report.watched != last.watched or _verdicts(report) != _verdicts(last)
 
 
-def watched_sensors(estimate: FaultEstimate) -> dict[str, SensorEstimate]:
-    """Return what an estimate says of each component; of the attitude alone, if it says no more."""
+def report_flight(
+    law: FaultObserver, stamp_ns: NDArray[np.int64], estimates: FaultEstimate
+) -> list[DiagnosisReport]:
+    """Return the reports that are due on the estimates of a flight, one for each sample [ns] (n,)."""
+    sensors = watched_sensors(law, estimates).items()
+    codes = [np.zeros((len(stamp_ns), 1), np.int64), *(_verdict_codes(*each) for each in sensors)]
+    verdicts = np.concatenate(codes, axis=1)
+    due = np.diff(stamp_ns // REPORT_PERIOD_NS, prepend=-1) != 0
+    due[1:] |= np.any(verdicts[1:] != verdicts[:-1], axis=1)
+    rows = np.flatnonzero(due).tolist()
+    said = [watched_sensors(law, rows_of(estimates, row)) for row in rows]
+    return [report_faults(int(stamp_ns[row]), each) for row, each in zip(rows, said, strict=True)]
+
+
+def watched_sensors(law: FaultObserver, estimate: FaultEstimate) -> dict[str, SensorEstimate]:
+    """Return what the estimate of an observer says of each component that it diagnoses."""
+    if not law.has_detector:
+        return {}
     if estimate.sensors is not None:
         return estimate.sensors._asdict()
     state, fault, std_dev, age = estimate.state, estimate.fault, estimate.std_dev, estimate.onset_age
@@ -150,6 +163,14 @@ def _verdicts(report: DiagnosisReport) -> list[tuple[object, ...]]:
     return [
         (each.component, each.element, each.kind, each.state, each.ambiguous_with) for each in report.faults
     ]
+
+
+def _verdict_codes(component: str, sensor: SensorEstimate) -> NDArray[np.int64]:
+    """Return a number (n, 3) for all that a report says of each element besides sizes and times."""
+    state, kind = np.int64(sensor.state), np.int64(sensor.kind)
+    kind = np.where(kind == 0, FAULT_KINDS.index("unknown"), kind)
+    code = 256 * state + 2 * kind + (sensor.ambiguous & (component in _CONFUSED_WITH))
+    return np.where(np.isin(state, ALARMS), code, state == samples.STARTING)
 
 
 def describe_axes(
@@ -208,10 +229,4 @@ def _usable_estimate(inputs: FaultObserverInputs, estimate: FaultEstimate) -> Fa
     usable = samples.is_usable(fault, corrected.q_xyzw, corrected.body_rate)
     for sensor in estimate.sensors or ():
         usable = usable and samples.is_usable(*sensor[1:5])
-    return estimate if usable else _starting_estimate(inputs.imu)
-
-
-def _starting_estimate(clean: ImuSample) -> FaultEstimate:
-    """Return the estimate before the observer has started: no fault is known, the sample passes."""
-    state = np.full(3, samples.STARTING, np.uint8)
-    return FaultEstimate(np.zeros(3), _UNKNOWN, state, _UNKNOWN, clean)
+    return estimate if usable else await_start(inputs.imu, of_sensors=False)

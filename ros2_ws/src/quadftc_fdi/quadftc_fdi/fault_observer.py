@@ -14,7 +14,13 @@ from quadftc_model.arrays import AnyArray, Bool, Mask, Quaternion, Vector, is_si
 from quadftc_model.assembly import VehicleLaw, law_from
 from quadftc_model.registry import Registry
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, turn
-from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample
+from quadftc_model.samples import (
+    FaultEstimate,
+    FaultObserverInputs,
+    ImuSample,
+    SensorDiagnosis,
+    SensorEstimate,
+)
 
 MAX_PITCH = math.radians(80.0)  # rad; steeper, roll and yaw are not defined well enough to be compared
 
@@ -91,6 +97,19 @@ def assume_healthy(fault: Vector, corrected: ImuSample) -> FaultEstimate:
     xp = namespace(fault)
     unknown, state = xp.full_like(fault, -1.0), xp.full_like(fault, samples.HEALTHY, dtype=xp.uint8)
     return FaultEstimate(fault, unknown, state, unknown, corrected)
+
+
+def await_start(sample: ImuSample, of_sensors: bool) -> FaultEstimate:
+    """Return the estimate before an observer has started: no fault is known, the sample passes.
+
+    ``of_sensors``: the observer diagnoses gyro and accelerometer, too.
+    """
+    xp = namespace(sample.body_rate)
+    zeros, unknown = xp.zeros_like(sample.body_rate), xp.full_like(sample.body_rate, -1.0)
+    state = xp.full_like(zeros, samples.STARTING, dtype=xp.uint8)
+    sensor = SensorEstimate(state, zeros, unknown, unknown, zeros, xp.zeros_like(state), zeros > 0.0)
+    sensors = SensorDiagnosis(sensor, sensor, sensor) if of_sensors else None
+    return FaultEstimate(zeros, unknown, state, unknown, sample, sensors)
 
 
 class Detection(NamedTuple):

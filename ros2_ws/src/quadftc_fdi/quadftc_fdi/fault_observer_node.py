@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from std_msgs.msg import Header
 
-from quadftc_fdi.diagnosis import Diagnosis, describe_axes, describe_component
+from quadftc_fdi.diagnosis import Diagnosis, describe_axes, describe_component, watched_sensors
 from quadftc_fdi.fault_observer import LastDiagnosis, fault_observer_from, fault_observers
 from quadftc_model import samples
 from quadftc_model.parameters import parameter
@@ -115,7 +115,7 @@ class FaultObserverNode(GraphNode):
         more = {} if memory is None else law.describe(memory)
         for axis, state, values in describe_axes(self._estimate, more):
             self._report_fault(f"attitude fault {axis}", state, values)
-        for component, sensor in self._diagnosis.watched(self._estimate).items():
+        for component, sensor in watched_sensors(law, self._estimate).items():
             if component != "attitude":
                 self._report_fault(f"{component} fault", *describe_component(component, sensor))
 

@@ -161,6 +161,15 @@ def chosen(mask: Array, new: Any, old: Any) -> Any:
     return namespace(new).where(mask.reshape(mask.shape + (1,) * (new.ndim - mask.ndim)), new, old)
 
 
+def rows_of(part: Any, index: Any) -> Any:
+    """Return the elements at an index of every array of nested tuples; what is None stays so."""
+    if isinstance(part, tuple):
+        parts = cast("tuple[Any, ...]", part)
+        kind: Any = type(parts)
+        return kind(*(rows_of(each, index) for each in parts))
+    return None if part is None else part[index]
+
+
 def cache_numbers(function: Callable[..., T]) -> Callable[..., T]:
     """Keep the results for arguments that are all floats or texts, of which a flight has few.
 

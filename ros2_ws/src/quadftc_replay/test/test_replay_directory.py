@@ -205,7 +205,7 @@ def test_topics_that_are_missing_are_named(replayed, tmp_path):
     bare = without_attachments(replayed, tmp_path / "a", leave_out=("/fault/status", "/fault/estimate"))
     for name in ("replay.yaml", "parameters.yaml"):
         shutil.copy(replayed / name, bare)
-    assert "missing messages on fault/estimate, fault/status; topics with messages there: /f" in refusal(bare)
+    assert "missing messages on fault/estimate, fault/status; topics with messages there: /d" in refusal(bare)
     partly = without_attachments(replayed, tmp_path / "b", leave_out=("/imu/corrected",))
     for name in ("replay.yaml", "parameters.yaml", "summary.json"):
         shutil.copy(replayed / name, partly)

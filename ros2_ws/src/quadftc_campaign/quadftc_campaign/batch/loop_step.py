@@ -13,10 +13,10 @@ from typing import Any, NamedTuple, cast
 
 from quadftc_campaign.batch.parts import Loop
 from quadftc_control.reference import combined
+from quadftc_fdi.fault_observer import await_start
 from quadftc_model.arrays import Array, chosen, namespace
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import (
-    STARTING,
     AttitudeReference,
     ControllerInputs,
     ControllerOutput,
@@ -186,10 +186,7 @@ class ClosedLoop:
         if not (self._late_start if first else started is not None):
             return None, observer, estimate
         # until it can begin: as `quadftc_fdi.diagnosis.Diagnosis` says it
-        xp = namespace(clean.body_rate)
-        zeros, unknown = xp.zeros_like(clean.body_rate), xp.full_like(clean.body_rate, -1.0)
-        state = xp.full_like(zeros, STARTING, dtype=xp.uint8)
-        waiting = FaultEstimate(zeros, unknown, state, unknown, clean)
+        waiting = await_start(clean, of_sensors=estimate.sensors is not None)
         estimate = chosen(begins & ~ready, waiting, estimate)
         return ready if first else ready | ~cast("Array", begins), observer, estimate
 
