@@ -11,7 +11,7 @@ from quadftc_fdi.supervision.inertial_filter import (
     predict,
     start_filter,
 )
-from quadftc_fdi.supervision.measurement import earlier_variances, predict_angles
+from quadftc_fdi.supervision.measurement import predict_angles
 from quadftc_fdi.supervision.transition import SIZE, ProcessNoise
 from quadftc_model.rotations import (
     euler_from_quaternion,
@@ -80,14 +80,14 @@ def test_one_vehicle_and_a_batch_agree():
     def stepped(batch):
         state = state_of(batch)
         earlier = np.stack([state.P, 2.0 * state.P], axis=-3)
-        state, earlier, F = predict(
+        state, P, F = predict(
             state, earlier, np.broadcast_to(gyro, (*batch, 3)), np.broadcast_to(gyro, (*batch, 3)), walk, DT
         )
-        prediction = predict_angles(state, estimate_rate(state.x, np.broadcast_to(gyro, (*batch, 3))))
+        prediction = predict_angles(state, estimate_rate(state.x, np.broadcast_to(gyro, (*batch, 3))), P)
         variance = np.full((*batch, 3), 1e-6)
         state, _ = correct(state, prediction, np.broadcast_to(residual, (*batch, 3)), variance, used)
         moved = F.of(np.broadcast_to(np.eye(SIZE), (*batch, SIZE, SIZE)))
-        return *state, moved, earlier, earlier_variances(earlier, prediction.H), *map(np.asarray, prediction)
+        return *state, moved, P, *map(np.asarray, prediction)
 
     def state_of(batch):
         return type(state)(*(np.broadcast_to(part, (*batch, *part.shape)) for part in state))

@@ -68,13 +68,14 @@ class Flown:
         for _ in range(round(seconds / DT)):
             self.gyro = 0.2 * rng.standard_normal(3)
             self.filter, P, F = predict(self.filter, self.anchors.P, self.gyro, ZEROS, noise, DT)
-            self.anchors = self.anchors._replace(corrections=F.of(self.anchors.corrections), P=P)
+            self.anchors = self.anchors._replace(corrections=F.of(self.anchors.corrections), P=P[1:])
             self.twin, _, _ = predict(self.twin, P, self.gyro, ZEROS, noise, DT)
             self.prediction = predict_angles(self.filter, self.gyro)
             residual = 0.2 * SIGMA * rng.standard_normal(3)
             self.filter, dx = correct(self.filter, self.prediction, residual, np.full(3, SIGMA**2), EVERY)
             self.anchors, _ = update_anchors(self.anchors, self.filter.P, dx, NO, NO, DT, 1e9)
-        self.prediction = predict_angles(self.filter, self.gyro)
+        P = np.concatenate([self.filter.P[None], self.anchors.P])
+        self.prediction = predict_angles(self.filter, self.gyro, P)
         self.residuals, self.variances = compare_anchors(self.anchors, self.prediction, ZEROS)
 
     def go_back(self, back, known=1.0):

@@ -83,6 +83,11 @@ def norm(vector: Components) -> Column:
     return xp.where(zero, 0.0, xp.sqrt(xp.where(zero, 1.0, square)))
 
 
+def length(vector: Components) -> Any:
+    """Euclidean norm over the last axis as :func:`norm`, (..., n) -> (...)."""
+    return math.hypot(*vector.tolist()) if is_single(vector) else norm(vector)[..., 0]
+
+
 def whole_nanoseconds(time: Array) -> Array:
     """Round a time [s] to the nanosecond: 2.996 + 0.002 + 0.002 is 3, in whatever order it is added."""
     if isinstance(time, float):

@@ -33,7 +33,7 @@ from quadftc_fdi.supervision import (
     sensor_noise,
 )
 from quadftc_fdi.supervision.inertial_filter import GAP, bias_variance, estimate_rate
-from quadftc_fdi.supervision.transition import ROTATION, FilterState, ProcessNoise
+from quadftc_fdi.supervision.transition import ROTATION, Covariances, FilterState, ProcessNoise
 from quadftc_model import samples
 from quadftc_model.arrays import (
     Array,
@@ -47,8 +47,8 @@ from quadftc_model.arrays import (
     components,
     exp,
     larger,
+    length,
     namespace,
-    norm,
     product,
     stacked,
 )
@@ -194,10 +194,10 @@ class Supervised(FaultObserver):
         weights = residual_tests.averaging_weights(dt)
 
         # 1. Predict: the gyro carries filter and anchors to this sample.
-        estimate, earlier, omega, activity, motion = self._predict(state, gyro, doubt, dt)
+        estimate, earlier, P, omega, activity, motion = self._predict(state, gyro, doubt, dt)
 
         # 2. Test the residuals of the trusted axes, and learn from healthy ones.
-        reading = self._compare(estimate, earlier, imu, omega, state.noise.cautious)
+        reading = self._compare(estimate, earlier, P, imu, omega, state.noise.cautious)
         sensor, spread = reading.sensor, product(reading.predicted, weights.predicted)
         trusted = ~state.faulty & reading.testable
         evidence, scores, squares = residual_tests.collect_evidence(
@@ -261,7 +261,7 @@ class Supervised(FaultObserver):
         estimate, prediction, residual = anchors.go_back_to_anchor(
             estimate, reading.prediction, earlier, reading.residuals, late, found.creeping, STARTED
         )
-        predicted, bias = measurement.angle_variances(prediction.HPH), bias_variance(estimate.P)
+        predicted, bias = prediction.variances[..., 0, :], bias_variance(estimate.P)
 
         # Track the faults.
         gains = fault_track.tracker_gains(dt, self.tracking)
@@ -321,40 +321,44 @@ class Supervised(FaultObserver):
 
     def _predict(
         self, state: State, gyro: Array, doubt: Array, dt: float
-    ) -> tuple[FilterState, anchors.Anchors, Array, Array, Array]:
-        """Carry filter and anchors by the mean of two gyro samples; also return rate, activity, motion."""
-        omega = estimate_rate(state.filter.x, gyro)
-        (turning,), (measured,) = components(norm(omega)), components(norm(gyro))
+    ) -> tuple[FilterState, anchors.Anchors, Covariances, Vector, Column, Column]:
+        """Carry filter and anchors by the mean of two gyro samples.
+
+        Also return their covariances together, rate, activity and motion.
+        """
+        omega, change = estimate_rate(state.filter.x, gyro), gyro - state.gyro
+        turning, measured = length(omega), length(gyro)
         (activity,), (before,) = components(state.activity), components(state.motion)
         activity = larger(turning, activity * exp(-dt / MOVED))
         motion = clip((activity - RESTING) / (MOVING - RESTING), 0.0, 1.0)
-        (bend,) = components(norm(gyro - 2.0 * state.gyro + state.gyro_before))
+        bend = length(change - (state.gyro - state.gyro_before))
         walk = (self.gyro_noise**2 + (self.gyro_moving * measured) ** 2) * dt
         walk = walk + (MISSED * dt * larger(bend - KNOCK, 0.0)) ** 2
 
         def widen() -> Array:  # by how far off the rate may be in a gap
-            off = 0.5 * components(norm(gyro - state.gyro))[0] + 0.1 * measured
+            off = 0.5 * length(change) + 0.1 * measured
             return walk + (dt > GAP) * (off * dt) ** 2
 
         rotation = changed_where(dt > GAP, widen, walk)
         bias = self.gyro_bias_walk**2 * dt + self.gyro_shift**2 * abs(motion - before)
         noise = ProcessNoise(stacked([rotation]) + doubt, stacked([bias]))
-        mean = 0.5 * (gyro + state.gyro)
-        change = gyro - state.gyro
+        mean = gyro - 0.5 * change
         estimate, P, F = inertial_filter.predict(state.filter, state.anchors.P, mean, change, noise, dt)
-        earlier = anchors.Anchors(F.of(state.anchors.corrections), P, state.anchors.age)
-        return estimate, earlier, omega, stacked([activity]), stacked([motion])
+        corrections, age = F.of(state.anchors.corrections), state.anchors.age
+        earlier = anchors.Anchors(corrections, P[..., 1:, :, :], age)
+        return estimate, earlier, P, omega, stacked([activity]), stacked([motion])
 
     def _compare(
         self,
         estimate: FilterState,
         earlier: anchors.Anchors,
+        P: Covariances,
         imu: ImuSample,
-        omega: Array,
+        omega: Vector,
         cautious: sensor_noise.Statistics,
     ) -> Reading:
         """Compare a measured attitude with the predicted ones."""
-        prediction = measurement.predict_angles(estimate, omega)
+        prediction = measurement.predict_angles(estimate, omega, P)
         residual = measurement.nearest_residual(prediction, euler_from_quaternion(imu.q_xyzw))
         residuals, predicted = anchors.compare_anchors(earlier, prediction, residual)
         sensor = cautious * prediction.gain[..., None]

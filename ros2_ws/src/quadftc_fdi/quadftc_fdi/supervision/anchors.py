@@ -62,16 +62,14 @@ def set_anchors(P: Covariance) -> Anchors:
 def compare_anchors(
     anchors: Anchors, prediction: Prediction, residual: Vector
 ) -> tuple[Residuals, Predicted]:
-    """Compare the measured angles with those of the anchors, given the prediction of the filter.
+    """Compare the measured angles with those of the anchors, given the prediction by filter and anchors.
 
     Return the residuals [rad] of the filter (three times), the old and the young anchor, and the variances
     (..., angle, source) of the angles [rad²] that filter, old and young anchor predict.
     """
-    H, now = prediction.H, measurement.angle_variances(prediction.HPH)[..., None, :]
-    shifts = product(H, anchors.corrections, MEASURED)
+    shifts = product(prediction.H, anchors.corrections, MEASURED)
     residuals = residual[..., None] + product(shifts, TO_RESIDUALS)
-    earlier = measurement.earlier_variances(anchors.P, H)
-    return residuals, namespace(now).concatenate([now, earlier], axis=-2).swapaxes(-1, -2)
+    return residuals, prediction.variances.swapaxes(-1, -2)
 
 
 def go_back_to_anchor(

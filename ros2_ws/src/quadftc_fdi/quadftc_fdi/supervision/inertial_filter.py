@@ -47,7 +47,6 @@ from quadftc_model.arrays import (
     Quaternion,
     Vector,
     components,
-    is_single,
     larger,
     largest,
     namespace,
@@ -85,8 +84,8 @@ def predict(
 ) -> tuple[FilterState, Covariances, Transition]:
     """Turn by the mean of two gyro samples [rad/s], ``dt`` [s] apart, and their difference.
 
-    ``earlier`` are covariances of states that run on the gyro alone. Return them after the step, and the
-    transition F, too.
+    ``earlier`` are covariances of states that run on the gyro alone. Also return the covariances after the
+    step, first that of the state, and the transition F.
     """
     omega = estimate_rate(state.x, gyro)
     F = transition.transition(omega, gyro, dt)
@@ -96,7 +95,7 @@ def predict(
     third = dt**2 / 12.0 * (dt < GAP)
     cone = y * c - z * b, z * a - x * c, x * b - y * a
     turned = stacked([dt * x + third * cone[0], dt * y + third * cone[1], dt * z + third * cone[2]])
-    return FilterState(turn(state.q_xyzw, turned), state.x, P[..., 0, :, :]), P[..., 1:, :, :], F
+    return FilterState(turn(state.q_xyzw, turned), state.x, P[..., 0, :, :]), P, F
 
 
 def bias_variance(P: Covariance) -> Column:
@@ -118,10 +117,10 @@ def correct(
     R = xp.where(used, variance + _second_order(prediction, state.P), LEFT_OUT)
     a, b, c, d, e, f = _inverse_cholesky(HPH, R, prediction.lean)
     x, y, z = components(residual * used)
-    zero = 0.0 * a
-    W = product(PH, stacked([a, b, d, zero, c, e, zero, zero, f]).reshape(HPH.shape))
-    white = stacked([a * x, b * x + c * y, d * x + e * y + f * z])
-    dx = W.dot(white) if is_single(white) else product(W, white[..., None])[..., 0]
+    zero, u, v, w = 0.0 * a, a * x, b * x + c * y, d * x + e * y + f * z
+    factors = [a, b, d, a * u + b * v + d * w, zero, c, e, c * v + e * w, zero, zero, f, f * w]
+    W_dx = product(PH, stacked(factors).reshape(*HPH.shape[:-1], 4))
+    W, dx = W_dx[..., :3], W_dx[..., 3]
     P = state.P - product(W, W.swapaxes(-1, -2))
     return apply_correction(FilterState(state.q_xyzw, state.x, P), dx), dx
 

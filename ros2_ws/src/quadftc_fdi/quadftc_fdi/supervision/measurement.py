@@ -10,7 +10,6 @@ attitude except the poles, 90 deg of pitch.
 
 from __future__ import annotations
 
-import functools
 import math
 from typing import Any, NamedTuple
 
@@ -59,15 +58,18 @@ class Prediction(NamedTuple):
     lean: Float[arrays.AnyArray, "*batch"] | float  # sine of pitch
     PH: Float[arrays.AnyArray, "*batch 16 3"]  # P H'
     HPH: Float[arrays.AnyArray, "*batch 3 3"]  # covariance of the angles [rad²]
+    variances: Float[arrays.AnyArray, "*batch n 3"]  # its diagonal, and those by other covariances
 
 
-def predict_angles(state: FilterState, omega: Vector) -> Prediction:
-    """Predict the Euler angles that the attitude sensor should read, at a body rate [rad/s]."""
+def predict_angles(state: FilterState, omega: Vector, P: Covariances | None = None) -> Prediction:
+    """Predict the Euler angles that the attitude sensor should read, at a body rate [rad/s].
+
+    P are covariances of the error state, first that of the filter, which is the only one by default.
+    """
     since = omega * state.x[..., 12:13]
     angles = euler_from_quaternion(turn(state.q_xyzw, -since))
     H, gain, lean = measurement_matrix(angles, omega, since)
-    PH, HPH = _seen(state.P, H)
-    return Prediction(angles, H, gain, lean, PH, HPH)
+    return Prediction(angles, H, gain, lean, *_seen(state.P[..., None, :, :] if P is None else P, H))
 
 
 def nearest_residual(prediction: Prediction, measured: Vector) -> Vector:
@@ -76,13 +78,18 @@ def nearest_residual(prediction: Prediction, measured: Vector) -> Vector:
     (phi, theta, psi) and (phi + pi, pi - theta, psi + pi) are one attitude. Of these two, the angles nearer
     to the predicted ones are the measured ones: so pitch goes on beyond 90 deg.
     """
-    (a, b, c), (x, y, z), (gain, _, _) = map(components, (measured, prediction.angles, prediction.gain))
-    near = [wrap(a - x), wrap(b - y), wrap(c - z)]
-    other = [wrap(a + math.pi - x), wrap(math.pi - b - y), wrap(c + math.pi - z)]
-    roll, pitch, yaw = [u * u - v * v for u, v in zip(near, other)]  # noqa: B905
-    farther, residual = stacked([roll + gain * pitch + yaw]) > 0.0, stacked(near)
-    choose = functools.partial(namespace(residual).where, farther)
-    return changed_where(farther, lambda: choose(stacked(other), residual), residual)
+    (a, b, c), (x, y, z) = components(measured), components(prediction.angles)
+    roll, pitch, yaw = wrap(a - x), wrap(b - y), wrap(c - z)
+    near = stacked([roll, pitch, yaw])
+
+    def choose() -> Vector:
+        xp, weight = namespace(near), 1.0 / prediction.gain
+        other = stacked([wrap(a + math.pi - x), wrap(math.pi - b - y), wrap(c + math.pi - z)])
+        farther = ((near**2 - other**2) * weight).sum(axis=-1, keepdims=True) > 0.0
+        return xp.where(farther, other, near)
+
+    # nearer in pitch the others are never, so they must be so in roll or yaw
+    return changed_where(larger(abs(roll), abs(yaw)) > 0.5 * math.pi, choose, near)
 
 
 def defined(prediction: Prediction, P: Covariance, variance: Vector) -> tuple[Mask, Mask]:
@@ -108,28 +115,21 @@ def _mask(flags: list[Any]) -> Mask:
 
 def predict_again(prediction: Prediction, P: Covariance) -> Prediction:
     """Return the prediction with another covariance of the error state."""
-    PH, HPH = _seen(P, prediction.H)
-    return prediction._replace(PH=PH, HPH=HPH)
+    PH, HPH, variances = _seen(P[..., None, :, :], prediction.H)
+    return prediction._replace(PH=PH, HPH=HPH, variances=variances)
 
 
-def _seen(P: Covariance, H: MeasurementMatrix) -> tuple[Array, Array]:
-    """P H' and H P H'."""
-    PH = product(P, H.swapaxes(-1, -2), MEASURED)
-    return PH, product(H, PH, MEASURED)
-
-
-def angle_variances(HPH: Float[arrays.AnyArray, "*batch 3 3"]) -> Vector:
-    """Variances of the predicted angles [rad²]: the diagonal of their covariance."""
-    return HPH.reshape(*HPH.shape[:-2], 9)[..., ::4]
-
-
-def earlier_variances(earlier: Covariances, H: MeasurementMatrix) -> Float[arrays.AnyArray, "*batch n 3"]:
-    """Variances of the angles [rad²] with other covariances of the error state."""
-    if type(earlier) is np.ndarray and earlier.ndim == 3:
-        PH = earlier.reshape(-1, SIZE).dot(H.T).reshape(-1, SIZE, 3)
-        return angle_variances(H @ PH)
-    each = H[..., None, :, :]
-    return (product(each, earlier, MEASURED) * each).sum(axis=-1)
+def _seen(P: Covariances, H: MeasurementMatrix) -> tuple[Array, Array, Array]:
+    """P H' and H P H' of the first covariance, and the diagonals of H P H' of all."""
+    if type(P) is np.ndarray and P.ndim == 3:
+        seen = P.reshape(-1, SIZE).dot(H.T).reshape(-1, SIZE, 3)
+        covariances = H @ seen
+        return seen[0], covariances[0], covariances.reshape(-1, 9)[:, ::4]
+    PH = product(P[..., 0, :, :], H.swapaxes(-1, -2), MEASURED)
+    HPH, each = product(H, PH, MEASURED), H[..., None, :, :]
+    others = (product(each, P[..., 1:, :, :], MEASURED) * each).sum(axis=-1)
+    diagonal = HPH.reshape(*HPH.shape[:-2], 1, 9)[..., ::4]
+    return PH, HPH, namespace(HPH).concatenate([diagonal, others], axis=-2)
 
 
 def measurement_matrix(
@@ -141,12 +141,17 @@ def measurement_matrix(
     sin, cos = (math.sin, math.cos) if single else (xp.sin, xp.cos)
     s_phi, c_phi, s_theta = sin(phi), cos(phi), sin(theta)
     secant = 1.0 / larger(cos(theta), MIN_COS)  # these angles have no pitch beyond 90 deg
-    one, zero = (1.0, 0.0) if single else (xp.ones_like(s_phi), xp.zeros_like(s_phi))
+    one = 1.0 if single else xp.ones_like(s_phi)
     tangent = s_theta * secant
-    E = (one, s_phi * tangent, c_phi * tangent), (zero, c_phi, -s_phi), (zero, s_phi * secant, c_phi * secant)
+    a, b, c, d = s_phi * tangent, c_phi * tangent, s_phi * secant, c_phi * secant
     (p, q, r), (x, y, z) = components(omega), components(since)
-    slopes = [-(a * p + b * q + c * r) for a, b, c in E]
-    turned = [each for a, b, c in E for each in (a + b * z - c * y, b + c * x - a * z, c + a * y - b * x)]
+    # E = [[1, a, b], [0, c_phi, -s_phi], [0, c, d]]; E + E [omega tau]x, and -E omega
+    turned = [
+        *(1.0 + a * z - b * y, a + b * x - z, b + y - a * x),
+        *(c_phi * z + s_phi * y, c_phi - s_phi * x, -s_phi - c_phi * x),
+        *(c * z - d * y, c + d * x, d - c * x),
+    ]
+    slopes = [-(p + a * q + b * r), s_phi * r - c_phi * q, -(c * q + d * r)]
     square = secant * secant
     gain = stacked([square, one, square])
     if is_single(omega):
