@@ -20,7 +20,7 @@ from std_msgs.msg import Header
 
 from quadftc_bags.bag import Bag, BagError, Series, read_bag
 from quadftc_bags.writer import BagWriter
-from quadftc_msgs.msg import AttitudeReference, ControlStatus, FaultStatus
+from quadftc_msgs.msg import AttitudeReference, ComponentFault, ControlStatus, Diagnosis, FaultStatus
 
 RELIABLE = QoSProfile(depth=10)
 
@@ -108,6 +108,37 @@ def test_fault_status_comes_back_bit_for_bit(messages):
         assert series[name].tobytes() == bits([xyz(getattr(m, name)) for m in messages])
     assert series["onset_ns"].tolist() == [[nanoseconds(t) for t in m.onset] for m in messages]
     assert series.stamp_ns.tolist() == [nanoseconds(m.header.stamp) for m in messages]
+
+
+component_faults = st.builds(
+    ComponentFault,
+    component=st.sampled_from(["attitude", "gyro", ""]),
+    element=st.sampled_from(["roll", "x", "Größe"]),
+    size=floats,
+    ambiguous_with=st.lists(st.sampled_from(["gyro/x", "attitude/roll", ""]), max_size=2),
+    onset=times,
+)
+diagnoses = st.builds(
+    Diagnosis,
+    header=headers,
+    watched=st.lists(st.sampled_from(["attitude", "gyro"]), max_size=2),
+    faults=st.lists(component_faults, max_size=3),
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(diagnoses, min_size=1, max_size=6))
+def test_diagnosis_comes_back_whatever_number_of_faults_it_has(messages):
+    series = series_of(messages)
+    assert series.stamp_ns.tolist() == [nanoseconds(m.header.stamp) for m in messages]
+    assert [list(names) for names in series["watched"]] == [m.watched for m in messages]
+    for found, message in zip(series["faults"], messages, strict=True):
+        assert len(found) == len(message.faults)
+        for fault, wanted in zip(found, message.faults, strict=True):
+            assert (fault.component, fault.element) == (wanted.component, wanted.element)
+            assert bits([fault.size]) == bits([wanted.size])
+            assert list(fault.ambiguous_with) == wanted.ambiguous_with
+            assert nanoseconds(fault.onset) == nanoseconds(wanted.onset)
 
 
 def test_control_status_and_reference_have_their_fields():

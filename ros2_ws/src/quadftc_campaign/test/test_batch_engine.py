@@ -5,8 +5,10 @@ import json
 import subprocess
 import sys
 
+import jax
 import numpy as np
 import pytest
+from accusing_observer import registered
 
 from quadftc_campaign.batch.engine import Engine
 from quadftc_campaign.batch.loop_step import Row
@@ -15,10 +17,12 @@ from quadftc_campaign.batch.staged_step import StagedStep
 from quadftc_campaign.batch.tally import Schedule, fault_records, flight_record, schedule_of, update_tally
 from quadftc_campaign.flights import parts_of
 from quadftc_control.controller import controllers
+from quadftc_fdi.diagnosis import report_flight
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import NO_STATE, VECTORS, onset_ns, unknown_flight
 from quadftc_flight.metrics import flight_metrics
+from quadftc_flight.reported import note_reports
 from quadftc_flight.scenario import (
     build_scenario,
     find_scenario,
@@ -26,7 +30,8 @@ from quadftc_flight.scenario import (
     parse_scenario,
     with_seed,
 )
-from quadftc_model.samples import AXES, STARTING, ControllerOutput, FaultEstimate
+from quadftc_model.arrays import rows_of
+from quadftc_model.samples import AXES, FAULTY, HEALTHY, STARTING, ControllerOutput, FaultEstimate
 from quadftc_model.units import quantity
 from quadftc_sim.assembly import EPOCH_NS
 from quadftc_sim.fault import faults as fault_kinds
@@ -297,6 +302,24 @@ def test_a_diagnosis_that_has_to_wait_for_a_sample_waits_alike(faults, observer,
     expected = assert_flies_alike(busy(*faults, observer=observer), staged)
     assert np.any(expected.fault_state == STARTING)
     assert not np.all(expected.delivered)
+
+
+def test_what_is_said_of_each_sensor_is_said_alike():
+    bias = {"kind": "bias", "channel": "gyro", "axes": "x", "value": 0.3, "start": 1.0, "stop": 2.0}
+    with registered() as observer:
+        scenario = busy(*NOTHING_AT_FIRST, bias, observer=observer)
+        expected = assert_flies_alike(scenario)
+        ((outcome, flight),) = traced([parts_of(scenario)], [scenario])
+        rows = np.flatnonzero(flight.delivered)
+        said = rows_of(jax.tree.map(np.asarray, outcome.trace.estimate), rows)
+        note_reports(flight, report_flight(scenario.scheme(None).observer.law, flight.stamp_ns[rows], said))
+    assert {HEALTHY, FAULTY, NO_STATE} <= set(np.unique(expected.gyro_state[:, 0]))
+    for name in ("gyro_state", "gyro_ambiguous", "accelerometer_state", "attitude_ambiguous"):
+        np.testing.assert_array_equal(getattr(flight, name), getattr(expected, name), err_msg=name)
+    for name in ("gyro_estimate", "gyro_std_dev", "gyro_probability", "accelerometer_estimate"):
+        found, wanted = getattr(flight, name), getattr(expected, name)
+        np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=AGREE, err_msg=name)
+    assert np.max(np.abs(flight.gyro_onset_ns - expected.gyro_onset_ns)) <= 1000  # ns
 
 
 def test_a_staged_step_is_the_vmapped_step():

@@ -21,13 +21,17 @@ from message_objects import (
     VectorWriter,
     imu_sample,
     reference_of,
+    set_stamp,
 )
 from quadftc_bags.cdr.layout import PaddingCleaner
+from quadftc_model import samples
 from quadftc_model.samples import AttitudeReference, ControllerOutput, FaultEstimate, ImuSample, level_sample
 from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
+from quadftc_msgs.msg import ComponentFault, Diagnosis
 from quadftc_ros.conversions import array_of
 from quadftc_ros.wire import (
     ControlStatusWire,
+    DiagnosisWire,
     FaultStatusWire,
     ImuWire,
     ReferenceWire,
@@ -163,6 +167,25 @@ def test_fault_status_is_written_as_rclpy_does(stamp_ns, numbers, state, ages, o
     for age in (others, ages):
         estimate = FaultEstimate(numbers[0], numbers[1], state, age, level_sample())
         assert same_message(wire(stamp_ns, estimate), writer(stamp_ns, estimate))
+
+
+@given(
+    STAMPS, doubles(3), st.lists(st.sampled_from(["gyro/x", "attitude/roll"]), max_size=2), st.integers(0, 3)
+)
+def test_diagnosis_is_written_as_rclpy_does(stamp_ns, numbers, rivals, count):
+    size, std_dev, probability = numbers.tolist()
+    fault = samples.ComponentFault(
+        "gyro", "x", "stuck", 3, size, std_dev, "rad/s", probability, tuple(rivals), stamp_ns
+    )
+    wanted = Diagnosis(watched=["gyro"] * count)
+    set_stamp(wanted.header, stamp_ns)
+    wanted.header.frame_id = "imu_link"
+    said = {"component": "gyro", "element": "x", "kind": "stuck", "state": 3, "unit": "rad/s"}
+    said |= {"size": size, "std_dev": std_dev, "probability": probability}
+    onset = wanted.header.stamp
+    wanted.faults = [ComponentFault(**said, ambiguous_with=rivals, onset=onset) for _ in range(count)]
+    report = samples.DiagnosisReport(stamp_ns, ("gyro",) * count, (fault,) * count)
+    assert same_message(DiagnosisWire()(report), wanted)
 
 
 @given(STAMPS, doubles((3, 3)), arrays(np.bool_, 3), st.integers(0, 4), st.floats(0.0, 1.0))
