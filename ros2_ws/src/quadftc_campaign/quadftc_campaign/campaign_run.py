@@ -24,7 +24,7 @@ from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.cluster import cluster_client, devices, run_tasks
 from quadftc_campaign.errors import CampaignError
 from quadftc_campaign.flights import first_columns, flight_scenario, parts_of
-from quadftc_campaign.table import ORDER, Row, Rows, summary_of, table_of
+from quadftc_campaign.table import ORDER, Row, Rows, summary_of, table_of, with_ratios
 from quadftc_flight.scenario import Scenario
 
 MANIFEST, CHUNKS, FLIGHTS, SUMMARY = "campaign.json", "chunks", "flights.parquet", "summary.json"
@@ -106,7 +106,7 @@ class CampaignRun:
         """Join the chunks, and summarise; both are written, or it is a `CampaignError`."""
         try:
             frames = list(map(pl.read_parquet, self._paths))
-            frame = pl.concat(frames, how="diagonal_relaxed").sort(ORDER, nulls_last=True)
+            frame = with_ratios(pl.concat(frames, how="diagonal_relaxed").sort(ORDER, nulls_last=True))
         except Exception as error:
             raise CampaignError(f"{self._directory / CHUNKS}: {error}") from None
         _write_table(frame, self._directory / FLIGHTS)

@@ -22,7 +22,8 @@ from quadftc_campaign.table import Row, Rows
 from quadftc_flight.diagnosis_metrics import GRACE_TIME
 from quadftc_flight.diagnosis_metrics.columns import Columns
 from quadftc_flight.diagnosis_metrics.roc import detection_scores, estimate_over_std_dev, estimate_size
-from quadftc_flight.fault_schedule import FaultEvent
+from quadftc_flight.diagnosis_metrics.which_sensor import summed_confusion
+from quadftc_flight.fault_schedule import FaultEvent, attitude_events
 from quadftc_flight.flight import Flight
 from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.scenario import Fault, Scenario
@@ -62,8 +63,9 @@ def fly_open(
     laws = [scenario.scheme(None).observer.law for scenario in scenarios]
     for (recording, faults, delay), diagnosed in zip(prepared, diagnose_all(flights, laws), strict=True):
         flight = flight_of(recording, diagnosed)
-        events = replay_events(recording, faults)
-        metrics = flight_metrics(flight, (), events)
+        every = replay_events(recording, faults)
+        events = attitude_events(every)
+        metrics = flight_metrics(flight, (), every)
         diagnosis: dict[str, Any] = metrics["diagnosis"]
         records: Rows = diagnosis.pop("events")
         specs = {(axis, fault.injection.start): fault.spec for fault in faults for axis in fault.axes}
@@ -75,6 +77,7 @@ def fly_open(
             "finite": bool(np.isfinite(flight.fault_estimate[flight.delivered]).all()),
             **flatten({name: metrics[name] for name in WHOLE_METRICS}),
             **flatten(diagnosis),
+            **summed_confusion(metrics["sensors"]),
             **score_counts(flight, events),
         }
         progress(len(recording))

@@ -18,6 +18,9 @@ from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
+from quadftc_flight.diagnosis_metrics.which_sensor import SAID, TRUE
+from quadftc_flight.run_directory import NO_OBSERVER
+
 if TYPE_CHECKING:
     from quadftc_campaign.campaign_file import Campaign
 
@@ -25,9 +28,17 @@ Row = dict[str, Any]
 Rows = list[Row]
 
 ORDER = ("flight", "variant", "fault")
-FLAGS = ("finite", "fault.detected", "fault.already_declared", "fault.recovered", "fault.above_threshold")
+FLAGS = (
+    *("finite", "lost", "fault.named", "fault.already_named", "fault.detected", "fault.already_declared"),
+    *("fault.recovered", "fault.above_threshold"),
+)
 WHOLE = ("flight", "seed", "fault")  # columns of whole numbers
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
+CONFUSION = "sensors.confusion_s"  # how the columns of the confusion matrix begin
+ERRORS = (
+    "attitude_error_max_deg",
+    "attitude_error_rms_deg",
+)  # that are held against those without a diagnosis
 NOT_METRICS = ("flight", "seed", "fault", "fault.start", "fault.stop")  # columns of numbers
 
 
@@ -77,17 +88,55 @@ def quantiles(frame: pl.DataFrame, names: Iterable[str]) -> dict[str, Any]:
     return found
 
 
+def with_ratios(frame: pl.DataFrame) -> pl.DataFrame:
+    """Relate the attitude error of each flight to that without a diagnosis, as ``<metric>_ratio``.
+
+    That is of a variant with the fault observer ``none`` and the same disturbance observer and controller, on
+    the same flight; there are no such columns if no variant is one.
+    """
+    parts = ["flight", "disturbance_observer", "controller"]
+    found = whole_flights(frame).filter(pl.col("observer") == NO_OBSERVER)
+    if ERRORS[0] not in frame.columns or not 0 < found.height < whole_flights(frame).height:
+        return frame
+    plain = found.unique(parts, keep="first").select(
+        *parts, *(pl.col(name).alias(f"{name}_ratio") for name in ERRORS)
+    )
+    joined = frame.join(plain, on=parts, how="left", maintain_order="left")
+    return joined.with_columns(
+        (pl.col(name) / pl.col(f"{name}_ratio")).alias(f"{name}_ratio") for name in ERRORS
+    )
+
+
+def _kind(frame: pl.DataFrame) -> pl.Expr:
+    """The kind of a fault; of another sensor than the attitude with its name: ``gyro step``."""
+    if "fault.component" not in frame.columns:
+        return pl.col("fault.kind").alias("kind")
+    sensor = (
+        pl.when(pl.col("fault.component") != "attitude")
+        .then(pl.col("fault.component") + " ")
+        .otherwise(pl.lit(""))
+    )
+    return (sensor.fill_null("") + pl.col("fault.kind")).alias("kind")
+
+
 def _variant(campaign: Campaign, frame: pl.DataFrame) -> dict[str, Any]:
     flights, faults = whole_flights(frame), frame.filter(pl.col("fault").is_not_null())
-    kinds: list[str] = faults["fault.kind"].unique().sort().to_list() if "fault.kind" in frame.columns else []
-    parts = {kind: faults.filter(pl.col("fault.kind") == kind) for kind in kinds}
-    parts |= {"all": faults} if kinds else {}
+    kinds = faults.with_columns(_kind(frame)).partition_by("kind", as_dict=True) if faults.height else {}
+    parts = dict(sorted((str(key[0]), part) for key, part in kinds.items()))
+    parts |= {"all": faults} if parts else {}
     left_out = {*NOT_METRICS, *campaign.vary}
-    metrics = [name for name, kind in frame.schema.items() if kind.is_numeric() and name not in left_out]
+    numeric = [name for name, kind in frame.schema.items() if kind.is_numeric() and name not in left_out]
+    metrics = [name for name in numeric if not name.startswith(CONFUSION)]
     of_faults = [name for name in metrics if name.startswith("fault.")]
     return {
         "flights": flights.height,
         "not_finite": int((~flights["finite"]).sum()),
+        "lost": int(flights["lost"].sum()) if "lost" in flights.columns else None,
+        "confusion_s": {
+            true: {said: flights[f"{CONFUSION}.{true}.{said}"].sum() for said in SAID}
+            for true in TRUE
+            if f"{CONFUSION}.{true}.{SAID[0]}" in flights.columns
+        },
         "metrics": quantiles(flights, [name for name in metrics if name not in of_faults]),
         "faults": {
             kind: {

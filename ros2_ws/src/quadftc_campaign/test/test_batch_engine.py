@@ -21,7 +21,7 @@ from quadftc_fdi.diagnosis import report_flight
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import NO_STATE, VECTORS, onset_ns, unknown_flight
-from quadftc_flight.metrics import flight_metrics
+from quadftc_flight.metrics import flight_metrics, look_up
 from quadftc_flight.reported import note_reports
 from quadftc_flight.scenario import (
     build_scenario,
@@ -90,14 +90,21 @@ def assert_same_metrics(outcome, flight, scenario, tolerance=1e-9):
     diagnosis = expected["diagnosis"]
     for name, value in flight_record(outcome).items():
         metric, _, axis = name.partition(".")
+        if metric == "sensors":
+            wanted = look_up(expected, name)
+            wanted = sum(wanted.values()) if isinstance(wanted, dict) else wanted
+            assert value == pytest.approx(wanted, rel=1e-6, abs=tolerance), name
+            continue
         there = expected if metric in expected else diagnosis
         if metric in ("finite", "healthy_estimate_max_deg"):
             continue
         wanted = there[metric][axis] if axis else there[metric]
         assert value == pytest.approx(wanted, rel=1e-6, abs=tolerance), name
     records = fault_records(outcome, scenario.fault_events)
-    assert len(records) == len(diagnosis["events"])
-    for record, wanted in zip(records, diagnosis["events"], strict=True):
+    of_attitude, of_sensors = iter(diagnosis["events"]), expected["sensors"]["events"]
+    assert len(records) == len(of_sensors)
+    for record, named in zip(records, of_sensors, strict=True):
+        wanted = named | (next(of_attitude) if record["component"] == "attitude" else {})
         for name, value in record.items():
             if isinstance(value, str) or value is None:
                 assert value == wanted.get(name)
@@ -411,7 +418,7 @@ def test_a_flight_with_an_unusable_estimate_is_marked(size, usable):
     zero, no = np.zeros(3), np.zeros(3, dtype=bool)
     estimate = FaultEstimate(zero, zero, np.zeros(3), zero, None)
     output = ControllerOutput(zero, zero, zero, no)
-    row = Row(0.0, np.True_, zero, zero, zero, zero, zero, estimate, np.array([0.0, size, 0.0]), output)
+    row = Row(0.0, np.True_, *[zero] * 7, estimate, np.array([0.0, size, 0.0]), output)
     schedule = Schedule(*(times[..., 0] for times in schedule_of([[]])))
     assert update_tally(None, row, schedule).ever["unusable"] == (not usable)
 

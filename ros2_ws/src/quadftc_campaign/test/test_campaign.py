@@ -18,7 +18,7 @@ from quadftc_campaign.cluster import cluster_client, run_tasks
 from quadftc_campaign.distributions import distribution, plain
 from quadftc_campaign.errors import CampaignError
 from quadftc_campaign.flights import drawn, flight_scenario, variant_of
-from quadftc_campaign.table import table_of
+from quadftc_campaign.table import table_of, with_ratios
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.scenario import ScenarioError
@@ -367,3 +367,19 @@ def test_a_scheduler_that_is_not_there_is_said_in_one_line(monkeypatch):
         cluster_client("tcp://127.0.0.1:1", 1),
     ):
         pass
+
+
+def test_attitude_errors_are_related_to_those_of_the_same_flight_without_a_diagnosis():
+    def row(flight, observer, controller, error, fault=None):
+        parts = {"observer": observer, "disturbance_observer": "exosystem", "controller": controller}
+        errors = {"attitude_error_max_deg": error, "attitude_error_rms_deg": 0.1 * error}
+        return {"flight": flight, "variant": observer + controller, "fault": fault, **parts, **errors}
+
+    rows = [row(0, "none", "ismc", 2.0, 0), row(0, "none", "ismc", 2.0, 1), row(1, "none", "ismc", 4.0)]
+    rows += [row(0, "supervised", "ismc", 3.0, 0), row(1, "supervised", "ismc", 2.0)]
+    rows += [row(0, "supervised", "pid", 9.0)]
+    found = with_ratios(table_of(rows))
+    assert found["attitude_error_max_deg_ratio"].to_list() == [1.0, 1.0, 1.0, 1.5, 0.5, None]
+    assert found["attitude_error_rms_deg_ratio"].to_list() == pytest.approx([1.0, 1.0, 1.0, 1.5, 0.5, None])
+    alone = table_of(rows[3:])
+    assert with_ratios(alone).columns == alone.columns

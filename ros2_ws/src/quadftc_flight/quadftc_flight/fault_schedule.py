@@ -1,4 +1,4 @@
-"""When which axis of the attitude is faulty by schedule: the truth that metrics judge a flight by."""
+"""When which axis of which sensor is faulty by schedule: the truth that metrics judge a flight by."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ if TYPE_CHECKING:
     from quadftc_flight.scenario.components import Fault
 
 KINDS = {"bias": "step", "drift": "ramp"}  # fault of the catalogue -> word of the field, if it differs
+SENSORS = ("attitude", "gyro", "accelerometer")  # that can be faulty, axis by axis
 # as pydantic checks them where they are read from a file
 Axis = Annotated[str, GetPydanticSchema(lambda _source, _handler: literal_schema(list(AXES)))]
+Sensor = Annotated[str, GetPydanticSchema(lambda _source, _handler: literal_schema(list(SENSORS)))]
 Time = Annotated[float, Field(ge=0.0, strict=True, allow_inf_nan=False)]  # s
 UNKNOWN_KIND = "fault"  # of a fault of which only the time is known
 
@@ -29,12 +31,13 @@ class FaultWindow(NamedTuple):
 
 
 class FaultEvent(NamedTuple):
-    """A time in which one axis of the attitude is faulty without a break."""
+    """A time in which one axis of a sensor is faulty without a break."""
 
-    axis: Axis
+    axis: Axis  # of a gyro and an accelerometer: roll is x, pitch y, yaw z
     kind: str  # step, ramp, sine, ...; of faults that overlap, all: step+sine
     start: Time  # [s]
     stop: Time  # [s]; the first moment without the fault
+    component: Sensor = "attitude"
 
 
 def fault_windows(faults: Iterable[Fault], duration: float) -> tuple[FaultWindow, ...]:
@@ -55,13 +58,21 @@ def merge_windows(windows: Iterable[FaultWindow]) -> tuple[FaultWindow, ...]:
 
 
 def fault_events(faults: Iterable[Fault], duration: float) -> tuple[FaultEvent, ...]:
-    """Return the events of the faults on the attitude that begin in a flight of that duration [s]."""
+    """Return the events of the faults on a sensor that begin in a flight of that duration [s].
+
+    A gyro or accelerometer that misses an axis is missing as a whole: its message marks no single axis.
+    """
     return merge_events(
-        FaultEvent(axis, KINDS.get(item.kind, item.kind), item.start, min(item.stop, duration))
+        FaultEvent(axis, KINDS.get(item.kind, item.kind), item.start, min(item.stop, duration), item.channel)
         for axes, item in ((fault.axes, fault.injection) for fault in faults)
-        if item.channel == "attitude" and item.start < duration
-        for axis in axes
+        if item.channel in SENSORS and item.start < duration
+        for axis in (AXES if item.channel != "attitude" and item.kind == "nan" else axes)
     )
+
+
+def attitude_events(events: Iterable[FaultEvent]) -> list[FaultEvent]:
+    """Return those of the attitude."""
+    return [event for event in events if event.component == "attitude"]
 
 
 def events_of_windows(windows: Iterable[FaultWindow]) -> tuple[FaultEvent, ...]:
@@ -72,10 +83,10 @@ def events_of_windows(windows: Iterable[FaultWindow]) -> tuple[FaultEvent, ...]:
 
 
 def merge_events(events: Iterable[FaultEvent]) -> tuple[FaultEvent, ...]:
-    """Return the events in the order of time; those of one axis that overlap become one."""
-    merged: dict[str, list[FaultEvent]] = {axis: [] for axis in AXES}
+    """Return the events in the order of time; those of one axis of a sensor that overlap become one."""
+    merged: dict[tuple[str, str], list[FaultEvent]] = {(name, axis): [] for name in SENSORS for axis in AXES}
     for event in sorted(events, key=lambda event: event.start):
-        of_axis = merged[event.axis]
+        of_axis = merged[event.component, event.axis]
         if of_axis and event.start < (last := of_axis[-1]).stop:
             kinds = dict.fromkeys([*last.kind.split("+"), event.kind])
             of_axis[-1] = last._replace(kind="+".join(kinds), stop=max(last.stop, event.stop))

@@ -7,6 +7,7 @@ do not count; where no row counts, the metric is None.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from quadftc_flight.diagnosis_metrics.columns import Figure, Floats, Mask, largest, mean, number, rms
 from quadftc_flight.diagnosis_metrics.verdicts import diagnosis_metrics
+from quadftc_flight.diagnosis_metrics.which_sensor import attitude_error, sensor_metrics
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, events_of_windows
 from quadftc_flight.flight import Flight, unknown_flight
 from quadftc_model.hints import nearest
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 PerAxis = dict[str, float | None]
 
 SETTLING_TIME = 0.2  # s; how long after an onset or an end the estimate may be off
+LOST = math.radians(60.0)  # rad; a vehicle that is tilted or off so far is lost
 SETTLED_ERROR_DEG = 0.05  # deg; the estimate has settled when its error stays below
 
 
@@ -41,7 +44,7 @@ def flight_metrics(
     estimate = np.degrees(wrap(flight.fault_estimate - flight.fault))
     inside = _within(time, windows)
     moments = {moment for window in windows for moment in (window.start, window.stop)}
-    cosine = np.cos(flight.angles[:, 0]) * np.cos(flight.angles[:, 1])
+    tilt, error = _tilt(flight.angles), attitude_error(flight)
     settled = ~_within(time, (FaultWindow(moment, moment + SETTLING_TIME, ()) for moment in moments))
     return {
         "tracking_rmse_deg": _per_axis(rms, tracking),
@@ -57,9 +60,12 @@ def flight_metrics(
         "fault_windows": [_window(window, time, tracking, estimate) for window in windows],
         "disturbance_estimate_rmse": _per_axis(rms, flight.disturbance_estimate - flight.disturbance),
         **_effort(flight),
-        # angle between the body's z axis and the vertical
-        "max_tilt_deg": largest(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))),
+        "max_tilt_deg": largest(np.degrees(tilt)),
+        "attitude_error_rms_deg": rms(error),
+        "attitude_error_max_deg": largest(error),
+        "lost": _is_lost(flight, tilt),
         "diagnosis": diagnosis_metrics(flight, events_of_windows(windows) if events is None else events),
+        "sensors": sensor_metrics(flight, events or ()),
     }
 
 
@@ -87,6 +93,18 @@ def entries(place: Any) -> Iterator[tuple[str, Any]]:
         yield from cast("dict[str, Any]", place).items()
     elif isinstance(place, list):
         yield from ((str(index), item) for index, item in enumerate(cast("list[Any]", place)))
+
+
+def _tilt(angles: Floats) -> Floats:
+    """Angle between the body's z axis and the vertical [rad] (n,)."""
+    return np.arccos(np.clip(np.cos(angles[:, 0]) * np.cos(angles[:, 1]), -1.0, 1.0))
+
+
+def _is_lost(flight: Flight, tilt: Floats) -> bool:
+    """Whether the vehicle once tilts by `LOST` where its reference does not, or an angle is off by that."""
+    tilted = (tilt > LOST) & ~(_tilt(flight.reference) > LOST)
+    off = np.abs(wrap(flight.angles - flight.reference)) > LOST
+    return bool(np.any(tilted) or np.any(off))
 
 
 def _window(window: FaultWindow, time: Floats, tracking: Floats, estimate: Floats) -> dict[str, Any]:

@@ -72,7 +72,7 @@ class RecordedRun(RunDirectory):
     observer = property(attrgetter("scheme.observer.kind"))
     disturbance_observer = property(attrgetter("scheme.disturbance_observer.kind"))
     faults = property(attrgetter("scenario.faults"))  # on any channel
-    fault_events = property(attrgetter("scenario.fault_events"))  # when which axis of the attitude is faulty
+    fault_events = property(attrgetter("scenario.fault_events"))  # when which axis of which sensor is faulty
     disturbances = property(attrgetter("scenario.disturbances"))
 
     @property

@@ -14,7 +14,7 @@ import pytest
 from quadftc_flight.diagnosis_metrics import GRACE_TIME, diagnosis_metrics, pool
 from quadftc_flight.diagnosis_metrics.columns import consistency_band, independent_samples
 from quadftc_flight.diagnosis_metrics.fault_statistics import show_row
-from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, events_of_windows
+from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, attitude_events, events_of_windows
 from quadftc_flight.flight import NO_STATE, VECTORS, Flight, unknown_flight
 from quadftc_flight.metrics import flight_metrics, known_metrics
 from quadftc_flight.scenario import ScenarioError, parse_scenario
@@ -367,12 +367,15 @@ schemes: {only: {controller: smc, checks: [{metric: METRIC, below: 1}]}}
 
 def test_scheduled_faults_are_events_in_the_words_of_the_field():
     events = parse_scenario(SCENARIO.replace("METRIC", "diagnosis.missed")).fault_events
-    assert events == (
+    assert [event[:4] for event in attitude_events(events)] == [
         ("roll", "step+sine", 4.0, 12.0),  # they overlap
         ("yaw", "step+noise", 4.0, 9.0),
         ("pitch", "ramp", 5.0, 30.0),  # until the end of the flight
         ("roll", "stuck", 12.0, 14.0),  # follows without a break
-    )
+    ]
+    assert [event for event in events if event.component == "gyro"] == [
+        (axis, "step", 1.0, 30.0, "gyro") for axis in AXES
+    ]
 
 
 @pytest.mark.parametrize(

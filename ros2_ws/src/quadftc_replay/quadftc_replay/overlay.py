@@ -37,7 +37,7 @@ def replay_windows(recording: Recording, faults: Sequence[Fault]) -> tuple[Fault
 
 
 def replay_events(recording: Recording, faults: Sequence[Fault]) -> tuple[FaultEvent, ...]:
-    """Faults of the attitude axis by axis, by what was recorded and by what was overlaid."""
+    """Faults of each sensor axis by axis, by what was recorded and by what was overlaid."""
     overlaid = fault_schedule.fault_events(faults, recording.duration)
     return fault_schedule.merge_events([*recording.fault_events, *overlaid])
 

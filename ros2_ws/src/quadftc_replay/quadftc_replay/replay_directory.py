@@ -28,7 +28,7 @@ from quadftc_replay.overlay import faults_from
 NEEDED = ("imu/data", "fault/injected", "fault/estimate", "fault/status")  # topics
 WANTED = ("imu/corrected",)  # topics; without one its figures are missing
 MIN_SAMPLES = 2  # as many as a recording that is replayed has
-DIAGNOSIS = ("fault_", "diagnosis")  # how the metrics begin that make sense without a closed loop
+DIAGNOSIS = ("fault_", "diagnosis", "sensors")  # how the metrics begin that make sense without a closed loop
 YAML_WIDTH = 120  # characters
 
 

@@ -285,7 +285,7 @@ def test_recorded_faults_have_the_windows_of_their_scenario_from_the_first_sampl
     ((start, stop, axes),) = recording.fault_windows
     assert (start, stop, axes) == (pytest.approx(0.04), pytest.approx(0.09), ("pitch",))
     (event,) = recording.fault_events
-    assert event == ("pitch", event.kind, start, stop)
+    assert event == ("pitch", event.kind, start, stop, "attitude")
     assert recording.faults["attitude"][:, 0].tolist() == [0.0] * 4 + [0.1] * 5 + [0.0] * 10
 
 

@@ -18,6 +18,7 @@ from quadftc_model.samples import AXES
 from quadftc_report.campaign_curves import characteristics, distributions
 from quadftc_report.campaign_map import draw_maps
 from quadftc_report.campaign_results import Floats, Results, Side, known, numbers
+from quadftc_report.confusion import COLUMNS, confusion_of
 from quadftc_report.page import render_template
 from quadftc_report.wording import NOTHING, counted, duration, period, plain, short
 
@@ -83,6 +84,8 @@ def render_campaign(results: Results, directory: Path, command_file: str) -> str
         headings=HEADINGS,
         of_faults=OF_FAULTS,
         of_flights=OF_FLIGHTS,
+        confused=[confusion_of(side.name, side.summary.get("confusion_s", {})) for side in sides],
+        said=COLUMNS,
         pictures={title: figures for title, figures in pictures.items() if figures},
         worst=[each for each in shown if any(each[2].values())],
         drawn_heads=[_drawn_head(path, drawn, results.frame) for path, drawn in campaign.vary.items()],
@@ -99,6 +102,11 @@ def _tell(side: Side) -> str:
     if len(tracking):
         sizes = [f"{short(each)} deg" for each in np.quantile(tracking, (0.5, 0.95))]
         said.append(f"tracks its worst axis with a median RMSE of {sizes[0]}, 95 % {sizes[1]}")
+    if lost := side.summary.get("lost"):
+        said.append(f"LOSES the vehicle in {lost} of {counted(flights, 'flight')}")
+    worst = known(numbers(side.flights, "attitude_error_max_deg_ratio"))
+    if side.has_observer and len(worst):
+        said.append(f"is off by at most {short(float(np.max(worst)))} times as much as without a diagnosis")
     judged = known(numbers(side.faults, "fault.detected"))
     delays = known(numbers(side.faults, "fault.detection_delay_s"))
     if not side.has_observer:

@@ -15,6 +15,7 @@ from typing import Any, Generic, TypeVar, cast
 
 import numpy as np
 
+from quadftc_flight.fault_schedule import attitude_events
 from quadftc_flight.metrics import look_up
 from quadftc_flight.run_directory import NO_OBSERVER, RecordedRun
 from quadftc_model.parameters import parameters_of
@@ -153,7 +154,7 @@ def list_injections(run: Recorded) -> list[Injection]:
         lines.append((_when(part.law, end), "torque", _describe(part.kind, part.law, part.given, AXES, {})))
     scheduled = {(fault.injection.start, axis) for fault in faults for axis in fault.axes}
     stray = np.ones(len(run.flight), np.bool_)
-    for event in run.fault_events:
+    for event in attitude_events(run.fault_events):
         stray &= (run.flight.time < event.start) | (run.flight.time >= event.stop)
         if event.start < end and (event.start, event.axis) not in scheduled:
             lines.append((_when(event, end), f"attitude: {event.axis}", f"{event.kind}, in the recording"))

@@ -14,7 +14,11 @@ from quadftc_report import DATA
 from quadftc_report.wording import period
 
 SETTLING = "fault_estimate_settling_s"
-DETAILS = ("Fault window", "Diagnosis of")  # how the sections of single faults and kinds of faults begin
+DETAILS = (
+    "Fault window",
+    "Diagnosis of",
+    "Naming of",
+)  # how the sections of single faults and kinds of faults begin
 BY_SIZE = f"Diagnosis of faults by an estimate above {ESTIMATE_THRESHOLD_DEG:g} deg"
 CONFUSION = "Diagnosis of which axis is faulty, against what is declared"
 SCALES = {"%": 100.0, "ms": 1e3}  # of units that are not those of the summary
@@ -38,7 +42,8 @@ SECTIONS: dict[str, dict[str, Kind]] = {
     title: {name: Kind(*row) for name, row in rows.items()} for title, rows in _ROWS.items()
 }
 _KINDS = {name: (section, kind) for section, kinds in SECTIONS.items() for name, kind in kinds.items()}
-_NOT_METRICS = ("start", "stop", "axes", "axis", "kind")  # of a window, of a fault
+# of a window, of a fault; and what has a table of its own
+_NOT_METRICS = ("start", "stop", "axes", "axis", "kind", "component", "confusion_s")
 _FAULTY = {"confusion_single_s": "only {} faulty", "confusion_any_s": "{} faulty"}
 _DECLARED = {
     "none": "nothing declared",
@@ -72,18 +77,22 @@ def list_metrics(metrics: Any, prefix: str = "", title: str = "") -> Iterator[Le
 
 def _title(value: Any, prefix: str, name: str) -> str:
     """The section of one fault window or one fault; empty: it is neither."""
-    if prefix not in ("fault_windows.", "diagnosis.events."):
+    if prefix not in ("fault_windows.", "diagnosis.events.", "sensors.events."):
         return ""
     entry = cast("dict[str, Any]", value)
     when = period(entry["start"], entry["stop"])
     if prefix == "fault_windows.":
         return f"Fault window {int(name) + 1}, from {when}"
+    if prefix == "sensors.events.":
+        return f"Naming of the sensor: {entry['component']} {entry['kind']} on {entry['axis']}, from {when}"
     return f"Diagnosis of the {entry['kind']} on {entry['axis']}, from {when}"
 
 
 def describe(path: str) -> tuple[str, Kind]:
     """Return section and kind of the metric at a path; an unknown one has its own name as its label."""
     part, *words = path.split(".")
+    if part == "sensors":
+        return _describe_naming(words)
     if part != "diagnosis":
         return _look_up(words[1] if part == "fault_windows" else part)
     if words[0] == "events":
@@ -100,6 +109,15 @@ def describe(path: str) -> tuple[str, Kind]:
     if by_estimate:
         return BY_SIZE, kind._replace(label=", ".join([kind.label, *faults]))
     return f"Diagnosis of faults by kind: {faults[0]}" if faults else section, kind
+
+
+def _describe_naming(words: list[str]) -> tuple[str, Kind]:
+    """Section and kind of a metric of which sensor is named: of a fault, of a sensor, or of all."""
+    if words[0] == "events":
+        return _look_up(words[2])
+    _, kind = _look_up(words[0])
+    sensor = [word for word in words[1:] if word != "all"]
+    return "Which sensor is named", kind._replace(label=": ".join([*sensor, kind.label]))
 
 
 def _look_up(name: str) -> tuple[str, Kind]:

@@ -23,6 +23,7 @@ from quadftc_replay.replay_directory import Recorded, RecordedReplay
 from quadftc_report import comparison as about
 from quadftc_report.claims import Judgement, judge
 from quadftc_report.comparison import Comparison, is_ideal, metric
+from quadftc_report.confusion import COLUMNS, Confusion, confusion_of
 from quadftc_report.description import Figure
 from quadftc_report.draw_plotly import plotly_figure, spec_of
 from quadftc_report.figures import flight_figures, replay_figures
@@ -101,6 +102,8 @@ def render(
         warnings=warnings,
         verdicts=VERDICTS,
         metric_tables=metric_tables,
+        confusion_tables=_confusions,
+        said=COLUMNS,
         setup=_setup,
         folder=folder,
         spec=lambda figure: spec_of(plotly_figure(figure), figure.key),
@@ -141,6 +144,19 @@ def pool_replays(comparisons: Sequence[Comparison[RecordedReplay]]) -> list[list
         for key, run in first.items():
             groups.setdefault(key, []).append(run)
     return [runs for runs in groups.values() if len(runs) > 1]
+
+
+def _confusions(comparison: Comparison[Any]) -> list[Confusion]:
+    """Which sensor each run names, over all axes."""
+    found: list[Confusion | None] = []
+    for run in comparison.runs:
+        matrix = metric(run, "sensors.confusion_s") or {}
+        seconds = {
+            true: {said: sum(time or 0.0 for time in axes.values()) for said, axes in row.items()}
+            for true, row in matrix.items()
+        }
+        found.append(confusion_of(comparison.label(run), seconds))
+    return [each for each in found if each is not None]
 
 
 def _setup(comparison: Comparison[Any]) -> dict[str, Facts]:

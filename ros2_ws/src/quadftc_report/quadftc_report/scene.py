@@ -12,6 +12,7 @@ from typing import Any, Generic
 import numpy as np
 from numpy.typing import NDArray
 
+from quadftc_flight.fault_schedule import attitude_events
 from quadftc_flight.flight import NO_STATE
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES
@@ -116,7 +117,8 @@ def fault_shades(run: Recorded, axis: int, end: float) -> tuple[Shade, ...]:
     others = [each.injection for each in run.faults if each.injection.channel != "attitude"]
     named = [(f"{each.channel} {each.kind}", each) for each in others]
     kinds = [FAULT_WINDOW, *sorted({name for name, _ in named})]
-    periods = [(0, each.start, each.stop) for each in run.fault_events if each.axis == AXES[axis]]
+    events = attitude_events(run.fault_events)
+    periods = [(0, each.start, each.stop) for each in events if each.axis == AXES[axis]]
     periods += [(kinds.index(name), each.start, each.stop) for name, each in named if each.mask[axis]]
     shades: list[Shade] = []
     for rank, start, stop in sorted(periods):

@@ -73,7 +73,7 @@ def metric_tables(comparison: Comparison[Recorded], what: str) -> list[Table]:
 
 
 def _is_diagnosis(leaf: Leaf) -> bool:
-    return leaf.path.startswith("diagnosis.")
+    return leaf.path.startswith(("diagnosis.", "sensors."))
 
 
 def _row(leaf: Leaf, runs: Sequence[Recorded], baseline: int | None) -> Row:

@@ -112,7 +112,7 @@ class Engine:
             for fault in flight.loop.injections
         )
         fixed = tuple(value.tobytes() for path, value in numbers[0].items() if path not in varying)
-        most = len(per_flight.schedule.start)
+        most = per_flight.schedule.start.shape[1]
         key = (structure_of(flights[0].loop), fixed, tuple(varying), most, late_start, tuned, traced)
         if key not in self._compiled:
             arguments = (flights[0], per_flight, late_start, self._dtype, traced, self._staged)

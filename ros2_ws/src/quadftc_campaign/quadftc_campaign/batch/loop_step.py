@@ -88,6 +88,8 @@ class Row(NamedTuple):
     body_rate: Array  # (3,) true [rad/s]
     disturbance: Array  # (3,) true [rad/s²]
     fault: Array  # (3,) true fault of the attitude [rad]
+    gyro_fault: Array  # (3,) [rad/s]
+    accelerometer_fault: Array  # (3,) [m/s²]
     reference: Array  # (3,) Euler angles [rad]
     estimate: FaultEstimate
     disturbance_estimate: Array  # (3,) [rad/s²]
@@ -171,7 +173,8 @@ class ClosedLoop:
             after = chosen(delivery.arrives, after, unchanged)
         delivered = asarray(True) if delivery is None else delivery.arrives
         said = (estimate, disturbance, output)
-        row = Row(times.taken, delivered, *state.pending[0], faulty.attitude, reference.angles, *said)
+        truth = (faulty.attitude, faulty.gyro, faulty.accelerometer)
+        row = Row(times.taken, delivered, *state.pending[0], *truth, reference.angles, *said)
         return state._replace(pending=state.pending[1:], injections=injections, avionics=after), row
 
     def _diagnose(

@@ -17,13 +17,17 @@ from numpy.typing import NDArray
 from quadftc_campaign.batch.loop_step import Row
 from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG, GRACE_TIME
 from quadftc_flight.diagnosis_metrics.columns import number
-from quadftc_flight.fault_schedule import FaultEvent
+from quadftc_flight.diagnosis_metrics.which_sensor import SAID, TRUE, UNSEEN, Naming, confusion, name_sensors
+from quadftc_flight.fault_schedule import SENSORS, FaultEvent
+from quadftc_flight.metrics import LOST
 from quadftc_model.arrays import Array, namespace
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES, FAULTY, HEALTHY, RECOVERING, SUSPECT, UNUSABLE
 
 Floats = NDArray[np.float64]
-Arrays = dict[str, Array]  # by name, each (3,); those called event_ of each fault of an axis, (events, 3)
+# by name, each (3,); those called event_ of each fault of the attitude, (events, 3); those called fault_ of
+# each fault of a sensor, (sensors, events, 3)
+Arrays = dict[str, Array]
 
 ABOVE = float(np.radians(ESTIMATE_THRESHOLD_DEG))  # rad
 # root mean squares: the sum of squares of each, and the number of samples in it
@@ -37,11 +41,17 @@ VARIATION = "torque_total_variation"
 
 
 class Schedule(NamedTuple):
-    """When the attitude of a flight is faulty, (events, 3): the faults of each axis."""
+    """When the sensors of a flight are faulty, (sensors, events, 3): the faults of each axis."""
 
     start: Array  # [s]; infinite: no more
     stop: Array  # [s]
     following: Array  # start of the next fault of the axis [s]
+    unseen: Array  # 1: the reading is missing, which its true fault does not show; else 0
+
+    @property
+    def of_attitude(self) -> Schedule:
+        """Of the attitude alone, (events, 3)."""
+        return Schedule(*(each[SENSORS.index("attitude")] for each in self))
 
 
 class Tally(NamedTuple):
@@ -70,7 +80,8 @@ def update_tally(tally: Tally | None, row: Row, schedule: Schedule) -> Tally:
     xp = namespace(row.angles)
     if tally is None:
         no, none = (xp.zeros_like(like, dtype=bool) for like in (row.angles, schedule.start))
-        marks = {"event_already": none, "event_already_above": none, "begun": no[..., 0]}
+        marks = {"event_already": none[0], "event_already_above": none[0], "begun": no[..., 0]}
+        marks |= {"fault_already": none, "named": none[:, 0]}
         return _tally(row, schedule, {"torque": xp.zeros_like(row.angles), "declared": no, **marks})
     new = _tally(row, schedule, tally.last)
     operations = (xp.add, xp.logical_or, xp.maximum, xp.minimum)
@@ -83,6 +94,71 @@ def update_tally(tally: Tally | None, row: Row, schedule: Schedule) -> Tally:
 
 def _tally(row: Row, schedule: Schedule, last: Arrays) -> Tally:
     """Tally one sample, after those of which the last is given."""
+    parts = zip(
+        _tally_attitude(row, schedule.of_attitude, last), _tally_sensors(row, schedule, last), strict=True
+    )
+    return Tally(*(attitude | sensors for attitude, sensors in parts))
+
+
+def _tally_sensors(row: Row, schedule: Schedule, last: Arrays) -> Tally:
+    """Tally which sensor is named, as `quadftc_flight.diagnosis_metrics.which_sensor` judges it."""
+    xp = namespace(row.angles)
+    there, time, naming = row.delivered, row.time, _naming(row)
+    # which faults act, by sensor and axis, and which sensors are healthy
+    inside = there & (schedule.start <= time) & (time < schedule.stop)
+    grace = (schedule.stop <= time) & (time < schedule.stop + GRACE_TIME)
+    faulty = inside.any(axis=-2)
+    healthy = there & ~(faulty | grace.any(axis=-2))
+    named, wrong = naming.named, naming.named & healthy
+    anything = naming.named.any(axis=-2) | naming.ambiguous
+    truth = xp.stack((row.fault, row.gyro_fault, row.accelerometer_fault), axis=-2)
+    error = xp.abs(wrap(row.angles - row.reference))
+    size = xp.sqrt((error**2).sum(axis=-1))
+    tilted, wanted = (xp.cos(each[..., 0]) * xp.cos(each[..., 1]) for each in (row.angles, row.reference))
+    limit = math.cos(LOST)
+    lost = (tilted < limit) & (wanted >= limit) | (error > LOST).any(axis=-1)
+    sums = {
+        "confusion": 1.0 * confusion(faulty, healthy, naming),
+        "sensors_healthy": 1.0 * healthy.sum(axis=-1),
+        "misnamings": 1.0 * (wrong & ~last["named"]).sum(axis=-1),
+        "misnamed": 1.0 * wrong.sum(axis=-1),
+        "fault_delivered": 1.0 * inside,
+        "fault_named": 1.0 * (inside & named[..., None, :]),
+        "fault_ambiguous": 1.0 * (inside & naming.ambiguous),
+        "fault_misnamed": 1.0 * (inside & wrong.any(axis=-2)),
+    }
+    ever = {
+        "lost": there & lost,
+        "fault_sized": inside & ((truth[..., None, :] != 0.0) | (schedule.unseen > 0.0)),  # NaN, too
+    }
+    largest = {
+        "error": xp.where(there, size, 0.0),  # rad
+        "fault_error": xp.where(inside, size, 0.0),  # rad
+    }
+    smallest = {
+        "fault_named_at": xp.where(inside & named[..., None, :], time, np.inf),  # s
+        "fault_alarm_at": xp.where(inside & anything, time, np.inf),  # s
+    }
+    early = there & (time < schedule.start)
+    new_last = {
+        "named": xp.where(there, named, last["named"]),
+        "fault_already": xp.where(early, named[..., None, :], last["fault_already"]),
+    }
+    return Tally(sums, ever, largest, smallest, new_last)
+
+
+def _naming(row: Row) -> Naming:
+    """Return what is said of the sensors; where nothing is said of one, it is taken for healthy."""
+    sensors, state = row.estimate.sensors, row.estimate.state
+    no = namespace(state).zeros_like(state, dtype=bool)
+    if sensors is None:
+        return name_sensors((state, 0 * state, 0 * state), (no, no, no))
+    states = (state, sensors.gyro.state, sensors.accelerometer.state)
+    return name_sensors(states, (sensors.attitude.ambiguous, sensors.gyro.ambiguous, no))
+
+
+def _tally_attitude(row: Row, schedule: Schedule, last: Arrays) -> Tally:
+    """Tally motion, torque and the diagnosis of the attitude."""
     xp = namespace(row.angles)
     there, time, torque, state = row.delivered, row.time, row.output.torque, row.estimate.state
     # what the diagnosis says, and how far it is off where the true fault is finite
@@ -145,19 +221,22 @@ def _tally(row: Row, schedule: Schedule, last: Arrays) -> Tally:
 
 
 def schedule_of(flights: Sequence[Sequence[FaultEvent]]) -> Schedule:
-    """Return the schedule of flights with these faults, arrays (events, 3, flights)."""
+    """Return the schedule of flights with these faults, arrays (sensors, events, 3, flights)."""
     of_axes = {
-        (flight, axis): [event for event in events if event.axis == name]
+        (sensor, axis, flight): [one for one in events if (one.component, one.axis) == (component, name)]
         for flight, events in enumerate(flights)
+        for sensor, component in enumerate(SENSORS)
         for axis, name in enumerate(AXES)
     }
     most = max(1, *map(len, of_axes.values()))  # at least one, to have something to compute with
-    schedule = Schedule(*(np.full((most, len(AXES), len(flights)), np.inf) for _ in Schedule._fields))
-    for (flight, axis), events in of_axes.items():
+    shape = len(SENSORS), most, len(AXES), len(flights)
+    schedule = Schedule(*(np.full(shape, value) for value in (np.inf, np.inf, np.inf, 0.0)))
+    for (sensor, axis, flight), events in of_axes.items():
         for place, event in enumerate(events):
             following = min((one.start for one in events if one.start >= event.stop), default=np.inf)
-            for times, time in zip(schedule, (event.start, event.stop, following), strict=True):
-                times[place, axis, flight] = time
+            unseen = float(UNSEEN in event.kind)
+            for column, value in zip(schedule, (event.start, event.stop, following, unseen), strict=True):
+                column[sensor, place, axis, flight] = value
     return schedule
 
 
@@ -189,20 +268,78 @@ def flight_record(outcome: Outcome) -> dict[str, Any]:
         "false_alarm_time_s": sums["alarmed"] * outcome.period,
         "healthy_estimate_max_deg": np.degrees(_if(sums["healthy"], marks["score"])),
     }
-    record: dict[str, Any] = {"finite": not marks["unusable"]}
+    of_axes |= {
+        "attitude_error_rms_deg": np.degrees(np.sqrt(_mean(sums["tracking"].sum(), sums["delivered"]))),
+        "attitude_error_max_deg": np.degrees(_if(sums["delivered"] > 0.0, marks["error"])),
+    }
+    record: dict[str, Any] = {
+        "finite": not marks["unusable"],
+        "lost": bool(marks["lost"] or marks["unusable"]),
+        **_sensor_record(sums, outcome.period),
+    }
     for name, values in of_axes.items():
         if np.ndim(values):
             record |= {f"{name}.{axis}": number(value) for axis, value in zip(AXES, values, strict=True)}
         else:
-            record[name] = float(values)
+            record[name] = number(values)
     return record
 
 
+def _sensor_record(sums: dict[str, Floats], period: float) -> dict[str, float]:
+    """Which sensors are named, over all axes; as in ``sensors`` of the metrics."""
+    confused = sums["confusion"].sum(axis=-1) * period
+    names = {
+        "false_namings": "misnamings",
+        "false_naming_time_s": "misnamed",
+        "healthy_time_s": "sensors_healthy",
+    }
+    scales = {"false_namings": 1.0}
+    return {
+        f"sensors.confusion_s.{true}.{said}": float(confused[row, column])
+        for row, true in enumerate(TRUE)
+        for column, said in enumerate(SAID)
+    } | {
+        f"sensors.{name}.{sensor}": float(sums[key][place]) * scales.get(name, period)
+        for name, key in names.items()
+        for place, sensor in enumerate(SENSORS)
+    }
+
+
 def fault_records(outcome: Outcome, events: Sequence[FaultEvent]) -> list[dict[str, Any]]:
-    """Metrics of each fault, as in the records of `quadftc_flight.diagnosis_metrics`."""
-    places = {axis: itertools.count() for axis in AXES}
-    at = [(next(places[event.axis]), AXES.index(event.axis)) for event in events]
-    return [_fault_record(outcome, *each) for each in zip(events, at, strict=True)]
+    """Metrics of each fault, as in the records of `quadftc_flight.diagnosis_metrics`.
+
+    Those of the attitude have what is known of its estimate, those of each sensor whether it was named.
+    """
+    places = {(sensor, axis): itertools.count() for sensor in SENSORS for axis in AXES}
+    records: list[dict[str, Any]] = []
+    for event in events:
+        place, axis = next(places[event.component, event.axis]), AXES.index(event.axis)
+        records.append(_naming_record(outcome, event, (SENSORS.index(event.component), place, axis)))
+        if event.component == "attitude":
+            records[-1] |= _fault_record(outcome, event, (place, axis))
+    return records
+
+
+def _naming_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int, int]) -> dict[str, Any]:
+    sums = {name: float(each[at]) for name, each in outcome.sums.items() if name.startswith("fault_")}
+    marks = {name: each[at].item() for name, each in outcome.marks.items() if name.startswith("fault_")}
+    stated = sums["fault_delivered"]
+    judged = marks["fault_sized"] and stated > 0.0
+    named, already = math.isfinite(marks["fault_named_at"]), marks["fault_already"]
+    alarmed = math.isfinite(marks["fault_alarm_at"])
+    shares = {
+        f"{name}_share": sums[f"fault_{name}"] / stated if stated else None
+        for name in ("named", "ambiguous", "misnamed")
+    }
+    return {
+        **event._asdict(),
+        "named": named if judged else None,
+        "already_named": already if judged else None,
+        "naming_delay_s": marks["fault_named_at"] - event.start if judged and named and not already else None,
+        "alarm_delay_s": marks["fault_alarm_at"] - event.start if judged and alarmed else None,
+        **shares,
+        "attitude_error_max_deg": math.degrees(marks["fault_error"]) if stated else None,
+    }
 
 
 def _fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]) -> dict[str, Any]:

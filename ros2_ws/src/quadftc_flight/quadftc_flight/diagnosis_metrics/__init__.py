@@ -7,6 +7,7 @@ would say, for observers without a detector. Every metric: docs/diagnosis.md.
 """
 
 from quadftc_flight.diagnosis_metrics.fault_statistics import ESTIMATE_THRESHOLD_DEG, pool
-from quadftc_flight.diagnosis_metrics.verdicts import GRACE_TIME, diagnosis_metrics
+from quadftc_flight.diagnosis_metrics.verdicts import diagnosis_metrics
+from quadftc_flight.diagnosis_metrics.which_sensor import GRACE_TIME, sensor_metrics
 
-__all__ = ["ESTIMATE_THRESHOLD_DEG", "GRACE_TIME", "diagnosis_metrics", "pool"]
+__all__ = ["ESTIMATE_THRESHOLD_DEG", "GRACE_TIME", "diagnosis_metrics", "pool", "sensor_metrics"]

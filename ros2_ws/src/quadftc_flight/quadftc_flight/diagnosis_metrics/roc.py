@@ -16,7 +16,7 @@ from sklearn.metrics import auc, roc_curve
 
 from quadftc_flight.diagnosis_metrics.columns import Columns, Floats, finite
 from quadftc_flight.diagnosis_metrics.verdicts import has_size, truth
-from quadftc_flight.fault_schedule import FaultEvent
+from quadftc_flight.fault_schedule import FaultEvent, attitude_events
 from quadftc_flight.flight import Flight
 from quadftc_model.samples import AXES
 
@@ -50,7 +50,7 @@ def detection_scores(
     A fault has a size, and a score within ``within`` [s] of its onset and before its end. Healthy is an axis
     as for the false-alarm share of `diagnosis_metrics`: outside faults and the grace after them.
     """
-    columns, scores = Columns(flight), score(flight)
+    columns, scores, events = Columns(flight), score(flight), attitude_events(events)
     healthy = finite(scores[truth(columns, events, [True] * len(events)).healthy])
     highest: list[float] = []
     for event in (event for event in events if has_size(columns, event)):

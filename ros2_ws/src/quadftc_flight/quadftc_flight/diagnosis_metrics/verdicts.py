@@ -32,7 +32,8 @@ from quadftc_flight.diagnosis_metrics.fault_statistics import (
     isolation_metrics,
     with_shares,
 )
-from quadftc_flight.fault_schedule import FaultEvent
+from quadftc_flight.diagnosis_metrics.which_sensor import GRACE_TIME
+from quadftc_flight.fault_schedule import FaultEvent, attitude_events
 from quadftc_flight.flight import Flight
 from quadftc_model.samples import AXES, STARTING
 
@@ -40,7 +41,6 @@ if TYPE_CHECKING:
     from jaxtyping import Bool
 
 COVERAGE_SIGMAS = 2.0  # standard deviations; 95.4 % of the errors of a consistent estimate are within
-GRACE_TIME = 5.0  # s; after the end of a fault, to find out that it is over: neither healthy nor faulty
 NO_AXIS = "none"  # the row of the time without a fault, the column of the time in which nothing is declared
 TIME = "time"  # the column of the time of a row
 
@@ -64,12 +64,12 @@ class Truth(NamedTuple):
 
 
 def diagnosis_metrics(flight: Flight, events: Sequence[FaultEvent]) -> dict[str, Any]:
-    """Judge the diagnosis of a flight, ready for JSON; of one axis, no event overlaps another.
+    """Judge the diagnosis of the attitude, ready for JSON; of one axis, no event overlaps another.
 
     The metrics of all faults have a value for each kind of fault and for ``all``; those of healthy time and
     isolation have one for each axis.
     """
-    columns = Columns(flight)
+    columns, events = Columns(flight), attitude_events(events)
     records = [_judge_fault(columns, event, events) for event in events]
     by_state, by_estimate = (
         truth(columns, events, [record[verdict] is not None for record in records])

@@ -164,7 +164,7 @@ class Scenario(_Shape):
 
     @property
     def fault_events(self) -> tuple[FaultEvent, ...]:
-        """The scheduled faults of the attitude, axis by axis, with their kind."""
+        """The scheduled faults of each sensor, axis by axis, with their kind."""
         return fault_events(self.faults, self.duration)
 
 
