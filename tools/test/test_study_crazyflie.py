@@ -142,6 +142,20 @@ def test_alarms_are_counted_in_flight_and_elsewhere_and_spoil_no_rate():
     assert found.found == (1.0, 1.0)
 
 
+def test_test_that_always_names_something_has_no_step_to_find():
+    @dataclasses.dataclass(frozen=True)
+    class Always:
+        def start(self, sample: Sample) -> tuple[()]:
+            return ()
+
+        def step(self, state: tuple[()], sample: Sample, dt: float) -> tuple[tuple[()], Named]:
+            return state, Named(np.ones(sample.gyro.shape, np.bool_), np.zeros(sample.gyro.shape, np.bool_))
+
+    result = judge(Always(), recorded(flight(2.0)))
+    assert rates([result], 0.2) == (0, (0.0, 0.0), 0.0)
+    assert not np.isfinite(delays([result])).any()
+
+
 def test_onsets_are_in_flight_and_leave_time_to_be_found():
     motion = flight()
     rows = onset_rows(recorded(motion, flying=motion.time < 4.0))

@@ -34,7 +34,7 @@ from quadftc_tools.study.acceleration_model import (
 )
 from quadftc_tools.study.gyro_steps import SIZES, GyroTest, JumpTest, Mask, Recorded, Result
 from quadftc_tools.study.numbers import write_number, write_times
-from quadftc_tools.study.page import markdown, with_tables
+from quadftc_tools.study.page import NOTHING, markdown, with_tables
 
 PAGE = "diagnosis.md"
 VEHICLE = "crazyflie_2x"
@@ -235,7 +235,8 @@ def _step_cells(results: Sequence[Result]) -> list[str]:
     elsewhere = sum(int(result.alarms_elsewhere.sum()) for result in results)
     hours = sum(result.hours for result in results)
     per_hour = f"{alarms} in {3600.0 * hours:.0f} s ({write_number(alarms / hours)} per hour)"
-    return [*cells, write_times((float(np.median(delays)), float(delays.max()))), per_hour, str(elsewhere)]
+    delay = float(np.median(delays)), float(delays.max())
+    return [*cells, write_times(delay) if np.isfinite(delay[0]) else NOTHING, per_hour, str(elsewhere)]
 
 
 def make(directory: Path) -> dict[str, str]:

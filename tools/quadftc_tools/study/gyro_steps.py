@@ -222,7 +222,7 @@ def _judge_steps(test: GyroTest, recorded: Recorded, onset: int, state: Any, nam
 
 
 class Rates(NamedTuple):
-    """How good a test is with steps of one size; shares of those that came while nothing was named."""
+    """How good a test is with steps of one size that came while nothing was named; 0 if there are none."""
 
     steps: int
     found: tuple[float, ...]  # within each deadline
@@ -235,10 +235,11 @@ def rates(results: Sequence[Result], size: float) -> Rates:
     healthy = ~np.concatenate([result.verdicts.before[:, rows] for result in results])
     delay: Floats = np.concatenate([result.verdicts.delay[:, rows] for result in results])[healthy]
     alone: Mask = np.concatenate([result.verdicts.alone[:, rows] for result in results])[healthy]
-    late = np.nextafter(np.array(DEADLINES), 1.0)
-    found = [float(np.mean(delay <= deadline)) for deadline in late]
-    isolated = float(np.mean((delay <= late[-1]) & alone))
-    return Rates(int(healthy.sum()), tuple(found), isolated)
+    late: list[float] = np.nextafter(np.array(DEADLINES), 1.0).tolist()
+    found = [delay <= deadline for deadline in late]
+    count = max(len(delay), 1)
+    shares = [float(each.sum()) / count for each in (*found, found[-1] & alone)]
+    return Rates(len(delay), tuple(shares[:-1]), shares[-1])
 
 
 def delays(results: Sequence[Result]) -> Floats:
