@@ -13,6 +13,8 @@ from functools import partial
 
 import numpy as np
 import pytest
+from accusing_observer import NAME as ACCUSING
+from accusing_observer import registered
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
@@ -56,7 +58,7 @@ NODES = {
     "fault_injector": (FaultInjectorNode, {}, "plant/imu", "imu/data"),
     **{
         f"fault_observer {name}": (FaultObserverNode, {"observer": name}, "imu/data", "imu/corrected")
-        for name in fault_observers.names()
+        for name in (*fault_observers.names(), ACCUSING)
     },
     **{
         f"disturbance_observer {name}": (
@@ -110,6 +112,13 @@ PASSED_ON = (
     "fault/injected/gyro",
     "fault/injected/accelerometer",
 )  # by the injector
+
+
+@pytest.fixture(autouse=True, scope="module")
+def accusing():
+    """An observer that speaks of all sensors."""
+    with registered():
+        yield
 
 
 def good(topic, stamp_ns):

@@ -6,7 +6,6 @@ Every type is a NamedTuple of arrays with any leading axes (none on board, one f
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -146,8 +145,8 @@ def is_usable(*vectors: Vector | Quaternion) -> bool:
 def sanitised(sample: ImuSample) -> ImuSample:
     """Mark as absent what cannot be used, with finite numbers in its place.
 
-    That is NaN, Inf, a quaternion off unit length, and a body rate beyond `MAX_BODY_RATE`. Good channels are
-    returned unchanged, bit for bit.
+    That is NaN, Inf, a quaternion off unit length, a body rate beyond `MAX_BODY_RATE`, and a specific force
+    beyond `UNUSABLE`. Good channels are returned unchanged, bit for bit.
     """
     if is_single(sample.q_xyzw) and _all_good(sample):
         return sample
@@ -157,7 +156,8 @@ def sanitised(sample: ImuSample) -> ImuSample:
     attitude_valid = sample.attitude_valid & unit
     turning = sum(abs(x) for x in components(sample.body_rate))
     rate_valid = sample.rate_valid & (turning <= MAX_BODY_RATE)  # false for NaN and Inf, too
-    force_valid = sample.force_valid & xp.isfinite(sum(abs(x) for x in components(sample.specific_force)))
+    pushed = sum(abs(x) for x in components(sample.specific_force))
+    force_valid = sample.force_valid & (pushed < UNUSABLE)
     level = xp.asarray([0.0, 0.0, 0.0, 1.0])
     return ImuSample(
         q_xyzw=xp.where(attitude_valid[..., None], sample.q_xyzw, level),
@@ -177,4 +177,4 @@ def _all_good(sample: ImuSample) -> bool:
     turning = sum([abs(x) for x in sample.body_rate.tolist()])
     force = sum([abs(x) for x in sample.specific_force.tolist()])
     unit = abs(squared - 1.0) <= 2.0 * UNIT_NORM_TOLERANCE
-    return unit and turning <= MAX_BODY_RATE and force < math.inf  # false for NaN, too
+    return unit and turning <= MAX_BODY_RATE and force < UNUSABLE  # false for NaN, too
