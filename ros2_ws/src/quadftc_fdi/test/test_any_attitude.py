@@ -64,7 +64,7 @@ def test_only_roll_and_yaw_within_a_degree_of_the_pole_are_undefined():
     for pitch, expected in ((80.0, True), (88.5, True), (89.5, False), (-89.9, False)):
         state, omega = predicted([5.0, pitch, 0.0])
         prediction = predict_angles(state, omega)
-        for clear in defined(prediction, P, (0.05 * DEG) ** 2 * prediction.gain):
+        for clear in defined(prediction, P, (0.05 * DEG) ** 2 * prediction.gain, np.True_):
             np.testing.assert_array_equal(clear, [expected, True, expected])
 
 
@@ -72,7 +72,9 @@ def test_where_little_is_known_roll_and_yaw_correct_the_filter_but_are_not_teste
     for pitch, testable in ((0.0, [True] * 3), (70.0, [False] * 3)):
         state, omega = predicted([5.0, pitch, 0.0])
         prediction = predict_angles(state, omega)
-        usable, tested = defined(prediction, (3.0 * DEG) ** 2 * np.eye(SIZE), 1e-5 * prediction.gain)
+        usable, tested = defined(
+            prediction, (3.0 * DEG) ** 2 * np.eye(SIZE), 1e-5 * prediction.gain, np.True_
+        )
         assert np.all(usable)
         np.testing.assert_array_equal(tested, testable)
 

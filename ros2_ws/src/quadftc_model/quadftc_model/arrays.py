@@ -127,6 +127,18 @@ def larger(x: Scalar, y: Scalar) -> Array:
     return max(x, y) if isinstance(x, float) else namespace(x).maximum(x, y)
 
 
+def column(x: Array) -> Array:
+    """Give an array (...) an axis of length 1 at its end; a float or a bool stays as it is."""
+    return x if isinstance(x, (float, bool)) else x[..., None]
+
+
+def pick(flag: Array, x: Array, y: Array) -> Array:
+    """Return ``x`` where a flag holds and ``y`` elsewhere; all three may be single values."""
+    if isinstance(flag, bool):
+        return x if flag else y
+    return namespace(flag).where(flag, x, y)
+
+
 def any_of(mask: Array) -> Array:
     """Whether any is true over the last axis, kept as an axis of length 1: (..., n) bool -> (..., 1) bool."""
     if is_single(mask):

@@ -44,11 +44,13 @@ from quadftc_model.arrays import (
     any_of,
     changed_where,
     clip,
+    column,
     components,
     exp,
     larger,
     length,
     namespace,
+    pick,
     product,
     stacked,
 )
@@ -113,6 +115,7 @@ class Verdict(NamedTuple):
     recovered: Mask  # trusted again
     short: Mask  # trusted again so soon that there was no fault
     alarm: anchors.One  # a fault is declared
+    hold: anchors.One  # an axis is suspect: no anchor is given up
     restart: anchors.One  # the filter has gone back or was wrong: anchors and tests restart
     track: fault_track.Track
 
@@ -180,8 +183,11 @@ class Supervised(FaultObserver):
     def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Advance by ``dt`` [s] to the sample. An absent gyro keeps its last value."""
         imu = inputs.imu
-        gyro = namespace(state.gyro).where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
-        return self.advance(state, imu, gyro, 0.0, dt)
+
+        def keep() -> Vector:
+            return namespace(state.gyro).where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
+
+        return self.advance(state, imu, changed_where(~imu.rate_valid, keep, imu.body_rate), 0.0, dt)
 
     def advance(
         self, state: State, imu: ImuSample, gyro: Vector, doubt: Vector | float, dt: float
@@ -203,7 +209,7 @@ class Supervised(FaultObserver):
         evidence, scores, squares = residual_tests.collect_evidence(
             state.evidence, reading.residuals, sensor + spread, trusted, weights, dt, self.threshold
         )
-        odd, suspect = scores.suspect | scores.outlier, state.faulty | scores.suspect
+        odd = scores.suspect | scores.outlier
         gain = reading.prediction.gain
         noise = sensor_noise.learn_noise(state.noise, squares, gain, spread, motion, trusted & ~odd, dt)
 
@@ -211,7 +217,8 @@ class Supervised(FaultObserver):
         def judge() -> Verdict:
             return self._judge(state, estimate, earlier, reading, evidence, scores, trusted, motion, dt)
 
-        verdict = changed_where(suspect, judge, _all_healthy(state, estimate, reading))
+        special = state.faulty | odd
+        verdict = changed_where(special, judge, _all_healthy(state, estimate, reading))
 
         # 4. Correct the filter by the axes that are neither faulty nor suspect.
         single, long = sensor[..., sensor_noise.SAMPLE], sensor[..., sensor_noise.LONG]
@@ -221,9 +228,8 @@ class Supervised(FaultObserver):
         estimate, dx = inertial_filter.correct(estimate, prediction, residual, variance, used)
 
         # 5. Renew the anchors; restart the tests where what they remember no longer counts.
-        hold = any_of(scores.suspect)
         earlier, promoted = anchors.update_anchors(
-            earlier, estimate.P, dx, verdict.restart, hold, dt, self.anchor_age
+            earlier, estimate.P, dx, verdict.restart, verdict.hold, dt, self.anchor_age
         )
 
         def renew() -> tuple[residual_tests.Evidence, sensor_noise.SensorNoise, Vector]:
@@ -234,13 +240,15 @@ class Supervised(FaultObserver):
                 _count_outliers(state, scores.outlier, verdict.faulty, verdict.short),
             )
 
-        news = suspect | state.rejected | promoted | (dt > GAP)
+        news = special | state.rejected | promoted | (dt > GAP)
         evidence, noise, outliers = changed_where(news, renew, (evidence, noise, state.outliers))
-        starting = verdict.bias > STARTED**2
-        raw = namespace(gyro).where(starting, state.raw, state.raw * exp(-dt / FADING))
+        (bias,), (raw,) = components(verdict.bias), components(state.raw)
+        starting = bias > STARTED**2
+        raw = stacked([pick(starting, raw, raw * exp(-dt / FADING))])
         memory = noise, evidence, verdict.faulty, verdict.track, raw, scores.outlier, outliers
         state = State(estimate, earlier, gyro, state.gyro, activity, motion, *memory)
-        return state, self._report(state, imu, scores.suspect, starting, verdict, sensor)
+        starting = column(starting)
+        return state, self._report(state, imu, scores.suspect, starting, special | starting, verdict, sensor)
 
     def _judge(
         self,
@@ -300,6 +308,7 @@ class Supervised(FaultObserver):
             recovered,
             short=recovered & (judged.age < SHORT),
             alarm=any_of(found.alarm),
+            hold=any_of(scores.suspect),
             restart=any_of(late | outlasted),
             track=fault_track.clear_healthy(judged.track, faulty),
         )
@@ -341,7 +350,7 @@ class Supervised(FaultObserver):
 
         rotation = changed_where(dt > GAP, widen, walk)
         bias = self.gyro_bias_walk**2 * dt + self.gyro_shift**2 * abs(motion - before)
-        noise = ProcessNoise(stacked([rotation]) + doubt, stacked([bias]))
+        noise = ProcessNoise(column(rotation) + doubt, column(bias))
         mean = gyro - 0.5 * change
         estimate, P, F = inertial_filter.predict(state.filter, state.anchors.P, mean, change, noise, dt)
         corrections, age = F.of(state.anchors.corrections), state.anchors.age
@@ -362,12 +371,19 @@ class Supervised(FaultObserver):
         residual = measurement.nearest_residual(prediction, euler_from_quaternion(imu.q_xyzw))
         residuals, predicted = anchors.compare_anchors(earlier, prediction, residual)
         sensor = cautious * prediction.gain[..., None]
-        usable, testable = measurement.defined(prediction, estimate.P, sensor[..., sensor_noise.SAMPLE])
-        there = imu.attitude_valid[..., None]
-        return Reading(prediction, residuals, predicted, sensor, there & usable, there & testable)
+        variance = sensor[..., sensor_noise.SAMPLE]
+        masks = measurement.defined(prediction, estimate.P, variance, imu.attitude_valid)
+        return Reading(prediction, residuals, predicted, sensor, *masks)
 
     def _report(
-        self, state: State, imu: ImuSample, suspect: Mask, starting: Column, verdict: Verdict, sensor: Array
+        self,
+        state: State,
+        imu: ImuSample,
+        suspect: Mask,
+        starting: Array,
+        special: Mask,
+        verdict: Verdict,
+        sensor: Array,
     ) -> FaultEstimate:
         faulty, track, xp = state.faulty, state.track, namespace(imu.body_rate)
         omega = estimate_rate(state.filter.x, state.gyro)
@@ -385,7 +401,6 @@ class Supervised(FaultObserver):
             return fault, xp.sqrt(variance), states, xp.where(faulty, track.age, -1.0)
 
         healthy = track.fault, xp.sqrt(predicted), faulty + HEALTHY, faulty - 1.0
-        special = faulty | suspect | state.rejected | starting
         return FaultEstimate(*changed_where(special, report_all, healthy), corrected)
 
 
@@ -394,7 +409,7 @@ def _all_healthy(state: State, estimate: FilterState, reading: Reading) -> Verdi
     prediction, residuals, predicted = reading[:3]
     none, no, bias = state.faulty, state.faulty[..., :1], bias_variance(estimate.P)
     first = estimate, prediction, residuals[..., 0], predicted[..., 0], bias
-    return Verdict(*first, none, none, none, no, no, state.track)
+    return Verdict(*first, none, none, none, no, no, no, state.track)
 
 
 def _doubt(residual: Array) -> Array:

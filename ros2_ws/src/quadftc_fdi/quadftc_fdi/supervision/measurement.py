@@ -28,6 +28,7 @@ from quadftc_fdi.supervision.transition import (
 from quadftc_model import arrays
 from quadftc_model.arrays import (
     Array,
+    Flag,
     Float,
     Mask,
     Vector,
@@ -92,8 +93,8 @@ def nearest_residual(prediction: Prediction, measured: Vector) -> Vector:
     return changed_where(larger(abs(roll), abs(yaw)) > 0.5 * math.pi, choose, near)
 
 
-def defined(prediction: Prediction, P: Covariance, variance: Vector) -> tuple[Mask, Mask]:
-    """Whether an angle can correct the filter, and whether it can be tested.
+def defined(prediction: Prediction, P: Covariance, variance: Vector, there: Flag) -> tuple[Mask, Mask]:
+    """Whether an angle can correct the filter, and whether it can be tested, if the attitude is ``there``.
 
     Pitch always corrects it. Close to 90 deg, roll and yaw do not where the sensor's own noise moves them by
     more than `DEFINED`. ``variance`` [rad²] is that of its angles. An angle cannot be tested where the
@@ -104,13 +105,15 @@ def defined(prediction: Prediction, P: Covariance, variance: Vector) -> tuple[Ma
     (roll, pitch, yaw), (gain, _, _) = components(variance), components(prediction.gain)
     known = largest(variances(P)[..., ROTATION])
     bent = (gain - 1.0) * known
-    usable = (larger(roll, yaw) < DEFINED**2) & (gain < 0.99 / MIN_COS**2)
-    clear, straight = usable & (bent < DEFINED**2), bent * known < 0.25 * pitch
-    return _mask([usable, usable | True, usable]), _mask([clear, straight, clear])
+    usable = there & (larger(roll, yaw) < DEFINED**2) & (gain < 0.99 / MIN_COS**2)
+    clear, straight = usable & (bent < DEFINED**2), there & (bent * known < 0.25 * pitch)
+    return _mask([usable, there, usable]), _mask([clear, straight, clear])
 
 
 def _mask(flags: list[Any]) -> Mask:
-    return np.array(flags) if isinstance(flags[0], bool) else namespace(flags[0]).stack(flags, axis=-1)
+    if isinstance(flags[0], (bool, np.bool_)):
+        return np.array(flags)
+    return namespace(flags[0]).stack(flags, axis=-1)
 
 
 def predict_again(prediction: Prediction, P: Covariance) -> Prediction:

@@ -45,8 +45,8 @@ class FilterState(NamedTuple):
 class ProcessNoise(NamedTuple):
     """Variances that a step adds on each axis, or alike on all."""
 
-    rotation: Vector | Column  # [rad²]
-    bias: Column  # of the gyro [rad²/s²]
+    rotation: Vector | Column | float  # [rad²]
+    bias: Column | float  # of the gyro [rad²/s²]
 
 
 def variances(P: Covariance) -> Errors:
