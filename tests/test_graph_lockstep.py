@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from accusing_observer import registered
 from std_srvs.srv import Trigger
 
+from accusing_observer import registered
 from node_bench import NodeBench
 from quadftc_bags.bag import read_bag
 from quadftc_control.controller import controllers
