@@ -13,14 +13,14 @@ from functools import partial
 
 import numpy as np
 import pytest
+from accusing_observer import NAME as ACCUSING
+from accusing_observer import registered
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.serialization import serialize_message
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from accusing_observer import NAME as ACCUSING
-from accusing_observer import registered
 from message_objects import set_stamp
 from node_bench import imu_message
 from quadftc_bags.interfaces import load_message_class

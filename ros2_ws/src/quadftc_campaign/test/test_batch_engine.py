@@ -8,8 +8,8 @@ import sys
 import jax
 import numpy as np
 import pytest
-
 from accusing_observer import registered
+
 from quadftc_campaign.batch.engine import Engine
 from quadftc_campaign.batch.loop_step import Row
 from quadftc_campaign.batch.parts import structure_of, with_common_faults

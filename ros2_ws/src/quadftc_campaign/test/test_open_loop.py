@@ -5,11 +5,11 @@ import math
 
 import numpy as np
 import pytest
+from accusing_observer import registered
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu
 
-from accusing_observer import registered
 from message_objects import set_stamp
 from quadftc_bags.writer import BagWriter
 from quadftc_campaign.campaign_file import bags_in, load_campaign

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from accusing_observer import AccusingObserver
+
 from quadftc_fdi.diagnosis import Diagnosis, describe_axes, describe_component, is_due, report_faults
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler

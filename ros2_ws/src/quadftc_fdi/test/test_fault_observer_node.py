@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from accusing_observer import registered
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import ReliabilityPolicy
 from std_msgs.msg import Header
 from std_srvs.srv import Trigger
 
-from accusing_observer import registered
 from message_objects import FaultStatusWriter, imu_sample
 from node_bench import imu_message, vector_message
 from quadftc_fdi.fault_observer_node import FaultObserverNode

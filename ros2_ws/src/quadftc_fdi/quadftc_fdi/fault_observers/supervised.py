@@ -211,7 +211,8 @@ class Supervised(FaultObserver):
         )
         odd = scores.suspect | scores.outlier
         gain = reading.prediction.gain
-        noise = sensor_noise.learn_noise(state.noise, squares, gain, spread, motion, trusted & ~odd, dt)
+        sound = trusted & ~odd & (doubt == 0.0)
+        noise = sensor_noise.learn_noise(state.noise, squares, gain, spread, motion, sound, dt)
 
         # 3. Declare faults and follow them, where there may be any.
         def judge() -> Verdict:
@@ -225,7 +226,10 @@ class Supervised(FaultObserver):
         variance = larger(single, long * weights.white)
         used = reading.valid & ~(verdict.faulty | odd)
         estimate, prediction, residual = verdict[:3]
+        uncorrected = estimate
         estimate, dx = inertial_filter.correct(estimate, prediction, residual, variance, used)
+        if not isinstance(doubt, float):
+            estimate, dx = inertial_filter.keep_gyro(uncorrected, estimate, dx, any_of(doubt > 0.0))
 
         # 5. Renew the anchors; restart the tests where what they remember no longer counts.
         earlier, promoted = anchors.update_anchors(

@@ -46,6 +46,7 @@ from quadftc_model.arrays import (
     Mask,
     Quaternion,
     Vector,
+    changed_where,
     components,
     larger,
     largest,
@@ -56,6 +57,7 @@ from quadftc_model.arrays import (
 from quadftc_model.rotations import turn
 
 GAP = 0.15  # s; longer than the period of any IMU: the rate in a gap is a guess
+_OF_GYRO = np.outer(np.arange(SIZE) >= BIAS.start, np.arange(SIZE) >= BIAS.start)
 LEFT_OUT = 1e6  # rad²; variance of a measurement that is left out
 
 
@@ -123,6 +125,22 @@ def correct(
     W, dx = W_dx[..., :3], W_dx[..., 3]
     P = state.P - product(W, W.swapaxes(-1, -2))
     return apply_correction(FilterState(state.q_xyzw, state.x, P), dx), dx
+
+
+def keep_gyro(before: FilterState, after: FilterState, dx: Errors, kept: Mask) -> tuple[FilterState, Errors]:
+    """Undo what a correction has taught of the gyro, where it is not the gyro that was compared.
+
+    The attitude keeps its correction: Schmidt's (1966) filter, which considers errors that it does not
+    estimate. ``kept`` (..., 1) says where.
+    """
+
+    def undo() -> tuple[FilterState, Errors]:
+        xp = namespace(dx)
+        P = xp.where(kept[..., None] & _OF_GYRO, before.P, after.P)
+        rotation = dx * ~(kept & (np.arange(SIZE) >= BIAS.start))
+        return FilterState(after.q_xyzw, xp.where(kept, before.x, after.x), P), rotation
+
+    return changed_where(kept, undo, (after, dx))
 
 
 def _second_order(prediction: Prediction, P: Covariance) -> Vector:

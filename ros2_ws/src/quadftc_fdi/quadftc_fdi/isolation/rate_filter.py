@@ -1,0 +1,125 @@
+r"""Body rate from attitude, gyro and torque: a Kalman filter that can do without any one of them.
+
+Each body axis has its own filter of angle, rate and unknown acceleration. The torque drives it,
+
+    omega' = f(omega) + u / J + d,   d' = white noise of density q,   angle' = omega
+
+and each sample corrects it by the attitude (the rotation between measured and predicted one, in body axes)
+and by the gyro, as far as they are used. Without the gyro, its rate is a virtual gyro.
+
+What the torque model does not know is noise of the rate: a rotor lag and a wrong inertia err by a share of
+the torque's fast changes, which d cannot follow.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from quadftc_model.arrays import Mask, Quaternion, Scalar, Vector, exp, namespace
+from quadftc_model.rotations import quaternion_product, turn
+
+LAG = 0.03  # s; changes of the torque that are slower are followed by d
+UNSURE = 0.5  # 1; share of faster changes that the rotors may not follow, or follow otherwise
+UNKNOWN_RATE, UNKNOWN_ACCELERATION = 0.5, 1.0  # rad/s, rad/s²; at the start, 1 sigma
+
+
+class RateFilter(NamedTuple):
+    """Estimate, and the covariances of angle (a), rate (r) and acceleration (d) on each axis."""
+
+    q_xyzw: Quaternion
+    rate: Vector  # [rad/s]
+    acceleration: Vector  # d [rad/s²]
+    slow: Vector  # acceleration by the torque, without its fast changes [rad/s²]
+    aa: Vector
+    ar: Vector
+    ad: Vector
+    rr: Vector
+    rd: Vector
+    dd: Vector
+
+
+def start_rate_filter(q_xyzw: Quaternion, rate: Vector, drive: Vector, variance: Scalar) -> RateFilter:
+    """Start at an attitude with its variance [rad²], a body rate and an acceleration by the torque."""
+    zeros = namespace(rate).zeros_like(rate)
+    unknown = zeros + UNKNOWN_RATE**2, zeros + UNKNOWN_ACCELERATION**2
+    return RateFilter(
+        q_xyzw, rate, zeros, drive, variance + zeros, zeros, zeros, unknown[0], zeros, unknown[1]
+    )
+
+
+def predict(state: RateFilter, drive: Vector, gyroscopic: Vector, q: Scalar, dt: float) -> RateFilter:
+    """Predict by the accelerations [rad/s²] of the torque and of the body's own rotation.
+
+    ``q`` [rad²/s⁵] is the density of the noise that moves d.
+    """
+    rate = state.rate
+    acceleration = drive + gyroscopic + state.acceleration
+    q_xyzw = turn(state.q_xyzw, dt * rate + 0.5 * dt * dt * acceleration)
+    slow = state.slow + (1.0 - exp(-dt / LAG)) * (drive - state.slow)
+    missed = UNSURE * dt * (drive - slow)
+    h = 0.5 * dt * dt
+    aa = state.aa + dt * state.ar + h * state.ad
+    ar = state.ar + dt * state.rr + h * state.rd
+    ad = state.ad + dt * state.rd + h * state.dd
+    rr, rd = state.rr + dt * state.rd, state.rd + dt * state.dd
+    return RateFilter(
+        q_xyzw,
+        rate + dt * acceleration,
+        state.acceleration,
+        slow,
+        aa + dt * ar + h * ad,
+        ar + dt * ad,
+        ad,
+        rr + dt * rd + missed * missed,
+        rd,
+        state.dd + q * dt,
+    )
+
+
+def rotation_to(state: RateFilter, q_xyzw: Quaternion) -> Vector:
+    """Rotation from the predicted attitude to a measured one, in body axes [rad]; small angles."""
+    xp = namespace(q_xyzw)
+    conjugate = state.q_xyzw * xp.asarray([-1.0, -1.0, -1.0, 1.0])
+    error = quaternion_product(conjugate, q_xyzw)
+    return 2.0 * error[..., :3] * xp.sign(error[..., 3:])
+
+
+def correct_by_attitude(state: RateFilter, rotation: Vector, variance: Vector, used: Mask) -> RateFilter:
+    """Correct by a measured attitude: rotation to it [rad], variance of it [rad²]."""
+    weight = used / (state.aa + variance)
+    ka, kr, kd = state.aa * weight, state.ar * weight, state.ad * weight
+    return RateFilter(
+        turn(state.q_xyzw, ka * rotation),
+        state.rate + kr * rotation,
+        state.acceleration + kd * rotation,
+        state.slow,
+        state.aa - ka * state.aa,
+        state.ar - ka * state.ar,
+        state.ad - ka * state.ad,
+        state.rr - kr * state.ar,
+        state.rd - kr * state.ad,
+        state.dd - kd * state.ad,
+    )
+
+
+def correct_by_gyro(state: RateFilter, innovation: Vector, variance: Vector, used: Mask) -> RateFilter:
+    """Correct by a gyro: what it reads more than the predicted rate [rad/s], variance of it [rad²/s²]."""
+    weight = used / (state.rr + variance)
+    ka, kr, kd = state.ar * weight, state.rr * weight, state.rd * weight
+    return RateFilter(
+        turn(state.q_xyzw, ka * innovation),
+        state.rate + kr * innovation,
+        state.acceleration + kd * innovation,
+        state.slow,
+        state.aa - ka * state.ar,
+        state.ar - ka * state.rr,
+        state.ad - ka * state.rd,
+        state.rr - kr * state.rr,
+        state.rd - kr * state.rd,
+        state.dd - kd * state.rd,
+    )
+
+
+def absorb(state: RateFilter, rotation: Vector, where: Mask) -> RateFilter:
+    """Take over a rotation [rad] of the attitude on some axes, as a jump that is none of the vehicle."""
+    return state._replace(q_xyzw=turn(state.q_xyzw, where * rotation))
