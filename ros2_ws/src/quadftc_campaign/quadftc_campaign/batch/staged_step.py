@@ -12,6 +12,7 @@ scheme `proposed` between no gain and 1.8 times (``quadftc bench batch``, docs/p
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -201,8 +202,9 @@ def _over_flights(value: Any, varies: bool, flights: int) -> Any:
 def _reduce(x: Any, axes: Sequence[int], operation: Callable[[Any, Any], Any]) -> Any:
     """Reduce small axes, the sum written out."""
     kept = [axis for axis in range(x.ndim) if axis not in axes]
-    terms = lax.transpose(x, (*axes, *kept)).reshape(-1, *(x.shape[axis] for axis in kept))
-    return functools.reduce(operation, [terms[index] for index in range(terms.shape[0])])
+    count = math.prod(x.shape[axis] for axis in axes)  # no -1 below: an axis that is kept may be empty
+    terms = lax.transpose(x, (*axes, *kept)).reshape(count, *(x.shape[axis] for axis in kept))
+    return functools.reduce(operation, [terms[index] for index in range(count)])
 
 
 def _contract(
@@ -218,7 +220,8 @@ def _contract(
         array = array if batched else array[..., None]
         free = [axis for axis in range(array.ndim - 1) if axis not in (*inner, *batch)]
         array = array.transpose((*inner, *batch, *free, array.ndim - 1))
-        sides.append(array.reshape(-1, *array.shape[len(inner) :]))
+        count = math.prod(array.shape[: len(inner)])
+        sides.append(array.reshape(count, *array.shape[len(inner) :]))
     # (terms, batch, free of a, free of b, flights)
     a, b = sides
     start = 1 + len(together[0])
