@@ -31,7 +31,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_model import arrays
-from quadftc_model.arrays import Column, Float, Mask, Vector, changed_where, namespace
+from quadftc_model.arrays import (
+    Column,
+    Float,
+    Mask,
+    Vector,
+    cache_numbers,
+    changed_where,
+    clip,
+    column,
+    components,
+    larger,
+    namespace,
+    pick,
+    stacked,
+)
 
 Statistics = Float[arrays.AnyArray, "*batch 3 6"]  # a sample, three averages, old and young anchor
 ByMotion = Float[arrays.AnyArray, "*batch 3 6 2"]  # at rest, moving
@@ -94,12 +108,17 @@ def cautious_variances(learned: Statistics, motion: Column, dt: float) -> Statis
 
     A sensor that errs slowly errs more at times than it did before.
     """
-    xp = namespace(learned)
-    white = dt / (2.0 * AVERAGED[1:3] + dt)
-    slow = (learned[..., 1:3] / learned[..., :1] - white).sum(axis=-1, keepdims=True)
-    caution = (COLOUR[1] * slow - COLOUR[0]).clip(0.0, 1.0)
-    prior = PRIOR[:, 0] + motion[..., None] * (PRIOR[:, 1] - PRIOR[:, 0])
-    return xp.maximum(learned, caution * prior)
+    sample, short, middle = (learned[..., index] for index in (SAMPLE, SHORT, MIDDLE))
+    slow = (short + middle) / sample - _share_of_white(dt)
+    caution = clip(COLOUR[1] * slow - COLOUR[0], 0.0, 1.0)
+    prior = PRIOR[:, 0] + motion * (PRIOR[:, 1] - PRIOR[:, 0])
+    return larger(learned, caution[..., None] * prior[..., None, :])
+
+
+@cache_numbers
+def _share_of_white(dt: float) -> float:
+    """Sum of the variances of white noise in averages over 0.05 and 0.15 s, over that of a sample."""
+    return sum(dt / (2.0 * each + dt) for each in AVERAGED[[SHORT, MIDDLE]].tolist())
 
 
 def cautious_spread(motion: Column, gain: Vector) -> Vector:
@@ -122,34 +141,42 @@ def learn_noise(
     ``gain`` is the variance of each angle for one of 1 rad² about each body axis, ``predicted`` [rad²] what
     the prediction gives to the variances of the statistics.
     """
-    elapsed = noise.elapsed + dt
+    (elapsed,) = components(noise.elapsed)
+    elapsed = elapsed + dt
     due = elapsed > PAUSE
 
     def learn() -> SensorNoise:
-        xp = namespace(squares)
-        scale, step = gain[..., None], (elapsed * due * taken)[..., None]  # (..., 3, 1)
+        xp, now = namespace(squares), column(column(due))
+        scale, step = gain[..., None], (column(elapsed * due) * taken)[..., None]  # (..., 3, 1)
         expected = noise.exact * scale + predicted
-        news = (xp.minimum(squares / expected, CLIP) ** 2 / 3.0 - 1.0) * scale / expected
-        u = xp.concatenate([1.0 - motion, motion], axis=-1)[..., None, :]  # (..., 1, 2)
+        surprise = xp.minimum(squares / expected, CLIP)
+        news = (surprise * surprise / 3.0 - 1.0) / expected * (scale * step)
+        u = _shares(motion)  # (..., 1, 2)
         time = xp.minimum(noise.time + step * u, LATE)
         new = noise.time.sum(axis=-1) < START
-        fastest = xp.where(new, FRESH, FASTEST)[..., None, None]
+        fastest = changed_where(new, lambda: xp.where(new, FRESH, FASTEST)[..., None, None], FASTEST)
         rate = xp.minimum(RECENT / (RECENT * EARLY[:, None] + time[..., None, :]), fastest)
-        change = rate * u[..., None, :] * noise.known**2 * (news * step)[..., None]
+        change = noise.known * noise.known * rate * (news[..., None] * u[..., None, :])
         learned = xp.maximum(noise.learned + change, LEAST)
-        known = xp.where(new[..., None, None], learned, noise.known)
+        known = changed_where(new, lambda: xp.where(new[..., None, None], learned, noise.known), noise.known)
         exact = learned_variances(known, motion)
         cautious = cautious_variances(exact, motion, dt)
         return SensorNoise(
-            xp.where(due[..., None, None], known, noise.known),
-            learned,
-            time,
-            xp.where(due[..., None], exact, noise.exact),
-            xp.where(due[..., None], cautious, noise.cautious),
-            elapsed * ~due,
+            known=pick(column(now), known, noise.known),
+            learned=learned,
+            time=time,
+            exact=pick(now, exact, noise.exact),
+            cautious=pick(now, cautious, noise.cautious),
+            elapsed=stacked([pick(due, 0.0, elapsed)]),
         )
 
-    return changed_where(due, learn, noise._replace(elapsed=elapsed))
+    return changed_where(due, learn, SensorNoise(*noise[:5], stacked([elapsed])))
+
+
+def _shares(motion: Column) -> Float[arrays.AnyArray, "*batch 1 2"]:
+    """Shares of rest and motion."""
+    (moving,) = components(motion)
+    return stacked([1.0 - moving, moving])[..., None, :]
 
 
 def settle_noise(
@@ -159,7 +186,7 @@ def settle_noise(
     xp = namespace(noise.known)
 
     def settle() -> SensorNoise:
-        u = xp.concatenate([1.0 - motion, motion], axis=-1)[..., None, None, :]
+        u = _shares(motion)[..., None, :]
         worse = 1.0 + (SURPRISE - 1.0) * short[..., None, None] * u
         known = xp.where(promoted[..., None, None], noise.learned, noise.known)
         learned = xp.where(alarm[..., None, None], noise.known, noise.learned)
