@@ -10,7 +10,7 @@ from quadftc_fdi.fault_observer import fault_observers
 from quadftc_model.assembly import build_prefixed, node_values
 from quadftc_model.parameters import parameters_of
 from quadftc_model.rotations import body_rates, euler_from_quaternion, quaternion_from_euler
-from quadftc_model.samples import HEALTHY, RECOVERING, STARTING, FaultObserverInputs, ImuSample
+from quadftc_model.samples import FAULT_KINDS, HEALTHY, RECOVERING, STARTING, FaultObserverInputs, ImuSample
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 
 EVERY_OBSERVER = pytest.mark.parametrize("name", fault_observers.names())
@@ -67,8 +67,9 @@ def flown(law, sequence, start=None):
 
 
 def columns(estimate):
-    """All arrays of an estimate, without those of each sensor."""
-    return (*(getattr(estimate, name) for name in SHAPES), *estimate.corrected)
+    """All arrays of an estimate."""
+    sensors = (column for sensor in estimate.sensors or () for column in sensor)
+    return (*(getattr(estimate, name) for name in SHAPES), *estimate.corrected, *sensors)
 
 
 @EVERY_OBSERVER
@@ -100,6 +101,23 @@ def test_estimates_have_their_shapes_and_types_and_are_finite(name, vehicle, bat
         assert estimate.corrected.q_xyzw.shape == (*leading, 4)
         assert estimate.corrected.body_rate.shape == (*leading, 3)
         assert np.asarray(estimate.corrected.attitude_valid).dtype == bool
+        for sensor in estimate.sensors or ():
+            for column in sensor:
+                assert column.shape == (*leading, 3)
+                assert np.all(np.isfinite(column))
+            assert np.all((sensor.state >= STARTING) & (sensor.state <= RECOVERING))
+            assert np.all((sensor.probability >= 0.0) & (sensor.probability <= 1.0))
+            assert np.all((sensor.kind >= 0) & (sensor.kind < len(FAULT_KINDS)))
+            assert sensor.ambiguous.dtype == bool
+
+
+@EVERY_OBSERVER
+def test_description_for_people_is_of_each_axis(name):
+    law = observer(name)
+    state, _ = flown(law, [lane(inputs_at(index), 0) for index in range(30)])
+    for values in law.describe(state).values():
+        assert values.shape == (3,)
+        assert np.all(np.isfinite(values))
 
 
 @EVERY_OBSERVER
