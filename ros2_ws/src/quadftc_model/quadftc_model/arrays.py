@@ -61,7 +61,7 @@ def components(vector: Components) -> Any:
 
 def stacked(parts: Sequence[Scalar]) -> Components:
     """Join components along a new last axis, the inverse of :func:`components`."""
-    if isinstance(parts[0], float):
+    if isinstance(parts[0], (float, bool)):
         return np.array(parts)
     return namespace(parts[0]).stack(parts, axis=-1)
 

@@ -28,8 +28,11 @@ from quadftc_model.arrays import (
     Vector,
     any_of,
     changed_where,
+    components,
     namespace,
+    pick,
     product,
+    stacked,
 )
 
 Residuals = Float[arrays.AnyArray, "*batch 3 5"]
@@ -126,8 +129,9 @@ def update_anchors(
     Where ``restart``, both anchors move to the present state, with the filter's covariance P. Where ``hold``,
     none is given up, as it may be needed soon. Also return where the young one has become the old one.
     """
-    age = anchors.age + dt
-    promoted = (age > 0.5 * greatest_age) & ~hold
+    (age,), (held,) = components(anchors.age), components(hold)
+    age = age + dt
+    promoted, age = stacked([pick(held, False, age > 0.5 * greatest_age)]), stacked([age])
     changes = restart | promoted
     kept = Anchors(anchors.corrections + dx[..., None], anchors.P, age)
 

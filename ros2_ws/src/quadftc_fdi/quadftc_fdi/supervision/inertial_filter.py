@@ -20,6 +20,7 @@ and P says how uncertain that is. Arrays have any leading axes; no branch depend
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +52,7 @@ from quadftc_model.arrays import (
     larger,
     largest,
     namespace,
+    pick,
     product,
     stacked,
 )
@@ -91,7 +93,7 @@ def predict(
     """
     omega = estimate_rate(state.x, gyro)
     F = transition.transition(omega, gyro, dt)
-    P = F.around(namespace(gyro).concatenate([state.P[..., None, :, :], earlier], axis=-3), noise)
+    P = F.around(state.P, earlier, noise)
     # if the rate is linear in time: the axis turns, too (coning, of third order in dt)
     (x, y, z), (a, b, c) = components(omega), components(change)
     third = dt**2 / 12.0 * (dt < GAP)
@@ -114,14 +116,15 @@ def correct(
     state: FilterState, prediction: Prediction, residual: Vector, variance: Vector, used: Mask
 ) -> tuple[FilterState, Errors]:
     """Correct by the axes that are used: residual h - h^ [rad], diagonal of R [rad²]; return dx, too."""
-    xp, PH, HPH = namespace(residual), prediction.PH, prediction.HPH
     # With S = L L' and W = P H' L'^-1: K = W L^-1, and K S K' = W W' is symmetric to the last bit.
-    R = xp.where(used, variance + _second_order(prediction, state.P), LEFT_OUT)
-    a, b, c, d, e, f = _inverse_cholesky(HPH, R, prediction.lean)
-    x, y, z = components(residual * used)
+    (i, j, k), (u, v, w), (x, y, z) = components(used), components(variance), components(residual)
+    bent, bent_pitch = _second_order(prediction, state.P)
+    R = pick(i, u + bent, LEFT_OUT), pick(j, v + bent_pitch, LEFT_OUT), pick(k, w + bent, LEFT_OUT)
+    a, b, c, d, e, f = _inverse_cholesky(prediction.HPH, R, prediction.lean)
+    x, y, z = x * i, y * j, z * k
     zero, u, v, w = 0.0 * a, a * x, b * x + c * y, d * x + e * y + f * z
     factors = [a, b, d, a * u + b * v + d * w, zero, c, e, c * v + e * w, zero, zero, f, f * w]
-    W_dx = product(PH, stacked(factors).reshape(*HPH.shape[:-1], 4))
+    W_dx = product(prediction.PH, stacked(factors).reshape(*residual.shape, 4))
     W, dx = W_dx[..., :3], W_dx[..., 3]
     P = state.P - product(W, W.swapaxes(-1, -2))
     return apply_correction(FilterState(state.q_xyzw, state.x, P), dx), dx
@@ -143,18 +146,18 @@ def keep_gyro(before: FilterState, after: FilterState, dx: Errors, kept: Mask) -
     return changed_where(kept, undo, (after, dx))
 
 
-def _second_order(prediction: Prediction, P: Covariance) -> Vector:
-    """Variance of the angles [rad²] that H leaves out: near a pole they are no linear functions."""
+def _second_order(prediction: Prediction, P: Covariance) -> tuple[Array, Array]:
+    """Variance of roll and yaw, and of pitch [rad²], that H leaves out: near a pole they are not linear."""
     (gain, _, _), known = components(prediction.gain), largest(variances(P)[..., ROTATION])
     bent = (gain - 1.0) * known
-    return stacked([0.5 * bent * bent, 0.25 * bent * known, 0.5 * bent * bent])
+    return 0.5 * bent * bent, 0.25 * bent * known
 
 
-def _inverse_cholesky(HPH: Array, R: Vector, lean: Array) -> tuple[Array, ...]:
+def _inverse_cholesky(HPH: Array, R: Sequence[Array], lean: Array) -> tuple[Array, ...]:
     """Lower triangle of L^-1, row by row, with L L' = H P H' + R, of the diagonal and the sine of pitch."""
     a, _, _, b, d, _, c, e, f = components(HPH.reshape(*HPH.shape[:-2], 9))
-    x, y, z = components(R)
-    sqrt = math.sqrt if isinstance(a, float) else namespace(R).sqrt
+    x, y, z = R
+    sqrt = math.sqrt if isinstance(a, float) else namespace(HPH).sqrt
     c = c + lean * sqrt(x * z) * (larger(x, z) < LEFT_OUT)
     i00 = 1.0 / sqrt(a + x)
     l10, l20 = b * i00, c * i00

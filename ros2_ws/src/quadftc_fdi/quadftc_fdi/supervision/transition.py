@@ -67,14 +67,14 @@ class MatrixTransition(NamedTuple):
         result[:3] = self.upper.dot(x)
         return result
 
-    def around(self, P: Covariances, noise: ProcessNoise) -> Covariances:
-        """F P F' and the noise."""
-        upper_T, count = self.upper.T, len(P)
-        left = P.reshape(-1, SIZE).dot(upper_T).reshape(count, SIZE, 3)
-        above = left.swapaxes(1, 2)
-        result = P + noise.bias * _BIAS_NOISE
-        result[:, :, :3], result[:, :3] = left, above
-        result[:, :3, :3] = above.dot(upper_T) + noise.rotation * _ROTATION_NOISE
+    def around(self, P: Covariance, earlier: Covariances, noise: ProcessNoise) -> Covariances:
+        """F P F' and the noise, for P and earlier ones."""
+        result, upper_T = np.concatenate([P[None], earlier]), self.upper.T
+        left = result.reshape(-1, SIZE).dot(upper_T).reshape(-1, SIZE, 3)
+        above, added = left.swapaxes(1, 2), np.empty(6)
+        result[:, :, :3], result[:, :3], result[:, :3, :3] = left, above, above.dot(upper_T)
+        added[ROTATION], added[BIAS] = noise.rotation, noise.bias
+        result.reshape(-1, SIZE * SIZE)[:, : 6 * SIZE : SIZE + 1] += added
         return result
 
 
@@ -89,11 +89,12 @@ class BlockTransition(NamedTuple):
         """F x of columns (..., 16, n)."""
         return namespace(x).concatenate([self._upper(x), x[..., 3:, :]], axis=-2)
 
-    def around(self, P: Covariances, noise: ProcessNoise) -> Covariances:
-        """F P F' and the noise, symmetric."""
+    def around(self, P: Covariance, earlier: Covariances, noise: ProcessNoise) -> Covariances:
+        """F P F' and the noise, symmetric, for P and earlier ones."""
         variances = (noise.rotation * np.ones(3)) @ _ROTATION + (noise.bias * np.ones(3)) @ _BIAS
         Q = variances[..., None] * np.eye(SIZE)
-        each = [self._around(P[..., index, :, :]) + Q for index in range(P.shape[-3])]
+        all_P = [P, *(earlier[..., index, :, :] for index in range(earlier.shape[-3]))]
+        each = [self._around(P) + Q for P in all_P]
         return namespace(P).stack(each, axis=-3)
 
     def _around(self, P: Covariance) -> Covariance:
@@ -138,4 +139,3 @@ def _upper() -> NDArray[np.int64]:
 
 _UPPER = _upper()
 _ROTATION, _BIAS = np.eye(SIZE)[ROTATION], np.eye(SIZE)[BIAS]
-_ROTATION_NOISE, _BIAS_NOISE = np.eye(3), np.diag(_BIAS.sum(axis=0))
