@@ -70,6 +70,10 @@ class Isolating(Supervised):
         """Resume with what was known of the attitude; the gyro starts as healthy."""
         return self._start(self.attitude_law.resumed(inputs, last), inputs)
 
+    def describe(self, state: Any) -> dict[str, Vector]:
+        """Return what the observer of the attitude knows besides."""
+        return self.attitude_law.describe(state.attitude)
+
     def _start(self, attitude: supervised.State, inputs: FaultObserverInputs) -> State:
         rate = estimate_rate(attitude.filter.x, inputs.imu.body_rate)
         monitor = gyro_monitor.start_monitor(
