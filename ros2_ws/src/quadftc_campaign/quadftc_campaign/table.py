@@ -119,6 +119,13 @@ def _kind(frame: pl.DataFrame) -> pl.Expr:
     return (sensor.fill_null("") + pl.col("fault.kind")).alias("kind")
 
 
+def _count(faults: pl.DataFrame, name: str, value: Any, above: bool = False) -> int:
+    """Count the faults that have a value, or one above it; none if there is no such column."""
+    if name not in faults.columns:
+        return 0
+    return int(((faults[name] > value) if above else (faults[name] == value)).sum())
+
+
 def _variant(campaign: Campaign, frame: pl.DataFrame) -> dict[str, Any]:
     flights, faults = whole_flights(frame), frame.filter(pl.col("fault").is_not_null())
     kinds = faults.with_columns(_kind(frame)).partition_by("kind", as_dict=True) if faults.height else {}
@@ -141,8 +148,10 @@ def _variant(campaign: Campaign, frame: pl.DataFrame) -> dict[str, Any]:
         "faults": {
             kind: {
                 "count": part.height,
-                "judged": int(part["fault.detected"].is_not_null().sum()),
-                "missed": int((part["fault.detected"] == False).sum()),  # noqa: E712
+                "judged": sum(_count(part, "fault.detected", verdict) for verdict in (True, False)),
+                "missed": _count(part, "fault.detected", False),
+                "unnamed": _count(part, "fault.named", False),
+                "misnamed": _count(part, "fault.misnamed_share", 0.0, above=True),
                 "metrics": quantiles(part, of_faults),
             }
             for kind, part in parts.items()

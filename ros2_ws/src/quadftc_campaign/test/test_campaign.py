@@ -18,8 +18,9 @@ from quadftc_campaign.cluster import cluster_client, run_tasks
 from quadftc_campaign.distributions import distribution, plain
 from quadftc_campaign.errors import CampaignError
 from quadftc_campaign.flights import drawn, flight_scenario, variant_of
-from quadftc_campaign.table import table_of, with_ratios
+from quadftc_campaign.table import summary_of, table_of, with_ratios
 from quadftc_flight.closed_loop import fly
+from quadftc_flight.diagnosis_metrics.which_sensor import SAID, TRUE
 from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.scenario import ScenarioError
 
@@ -383,3 +384,23 @@ def test_attitude_errors_are_related_to_those_of_the_same_flight_without_a_diagn
     assert found["attitude_error_rms_deg_ratio"].to_list() == pytest.approx([1.0, 1.0, 1.0, 1.5, 0.5, None])
     alone = table_of(rows[3:])
     assert with_ratios(alone).columns == alone.columns
+
+
+def test_faults_of_several_sensors_are_told_apart_and_confusions_add_up(campaign):
+    def row(flight, component, named, share):
+        fault = {"fault.component": component, "fault.kind": "step", "fault.named": named}
+        parts = {"observer": "supervised", "disturbance_observer": "none", "controller": "smc"}
+        times = {f"sensors.confusion_s.{true}.{said}": 0.0 for true in TRUE for said in SAID}
+        times["sensors.confusion_s.gyro.attitude"] = 2.0
+        flown = {"flight": flight, "variant": campaign.variants[0].name, "finite": True, "lost": not named}
+        return {**flown, **parts, "fault": 0, **fault, "fault.misnamed_share": share, **times}
+
+    rows = [row(0, "gyro", True, 0.0), row(1, "gyro", False, 0.5), row(2, "attitude", True, 0.0)]
+    found = summary_of(campaign, table_of(rows))["variants"][campaign.variants[0].name]
+    counts = {
+        kind: [part[name] for name in ("count", "unnamed", "misnamed")]
+        for kind, part in found["faults"].items()
+    }
+    assert counts == {"gyro step": [2, 1, 1], "step": [1, 0, 0], "all": [3, 1, 1]}
+    assert found["lost"] == 1
+    assert found["confusion_s"]["gyro"]["attitude"] == 6.0

@@ -40,6 +40,7 @@ HEADINGS = {"q50": "median", "q95": "95 %", "max": "largest"}
 WITH_LARGEST = ("q50", "q95", "max")
 OF_FAULTS = (
     Quantiles("detection delay [s]", "fault.detection_delay_s"),
+    Quantiles("sensor named after [s]", "fault.naming_delay_s", WITH_LARGEST),
     Quantiles("RMSE of the estimate [deg]", "fault.estimate_rmse_deg", WITH_LARGEST),
     Quantiles("tracking RMSE [deg]", "fault.tracking_rmse_deg"),
 )

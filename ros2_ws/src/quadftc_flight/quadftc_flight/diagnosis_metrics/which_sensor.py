@@ -2,7 +2,7 @@
 
 A sensor is attitude, gyro or accelerometer, and is judged axis by axis (roll and x are one axis). On an axis
 a sensor is *named* when the diagnosis declares it faulty (FAULTY, RECOVERING) and not ambiguous; the axis is
-*ambiguous* when a sensor of it is declared faulty, but another may as well be. *Nothing* is said when no
+*ambiguous* when a sensor of it is declared faulty, and none is named. *Nothing* is said when no
 sensor of the axis is declared. Every metric: docs/diagnosis.md.
 """
 
@@ -41,8 +41,8 @@ def name_sensors(states: Sequence[Array], ambiguous: Sequence[Array]) -> Naming:
     xp = namespace(states[0])
     declared = [(state == FAULTY) | (state == RECOVERING) for state in states]
     clear = [each & ~doubt for each, doubt in zip(declared, ambiguous, strict=True)]
-    doubtful = [each & doubt for each, doubt in zip(declared, ambiguous, strict=True)]
-    return Naming(xp.stack(clear, axis=-2), doubtful[0] | doubtful[1] | doubtful[2])
+    anything, certain = declared[0] | declared[1] | declared[2], clear[0] | clear[1] | clear[2]
+    return Naming(xp.stack(clear, axis=-2), anything & ~certain)
 
 
 def confusion(faulty: Array, healthy: Array, naming: Naming) -> Array:
