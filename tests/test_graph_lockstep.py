@@ -157,6 +157,15 @@ def test_graph_equals_the_closed_loop_in_what_is_said_of_each_sensor(fly_graph):
     assert np.any(flight.gyro_onset_ns > 0)
 
 
+def test_graph_equals_the_closed_loop_when_a_gyro_jumps(fly_graph):
+    gyro = "{kind: bias, channel: gyro, axes: x, value: 0.3, start: 1.5 s}"
+    changes = ["name=jump", "schemes.conventional.observer=isolating", f"faults=[{gyro}]"]
+    scenario = load_scenario(SCENARIOS / "busy.yaml", changes)
+    flight = flight_from_bag(read_bag(fly_graph(scenario, "conventional")[0]))
+    assert_equal_bit_for_bit(flight, fly(scenario, "conventional"))
+    assert flight.gyro_state[-1].tolist() == [FAULTY, HEALTHY, HEALTHY]
+
+
 def test_two_runs_give_the_same_messages(fly_graph, busy_scenario):
     first, second = (messages_by_topic(fly_graph(busy_scenario, "proposed", take=take)[0]) for take in (0, 1))
     assert len(first["/imu/data"]) > 300

@@ -142,7 +142,7 @@ def accusing():
 
 
 @pytest.mark.usefixtures("accusing")
-@pytest.mark.parametrize("observer", ["supervised", "threshold", "accusing"])
+@pytest.mark.parametrize("observer", ["supervised", "threshold", "isolating", "accusing"])
 @pytest.mark.parametrize("more", ["", BEGINNING, MEMORY])
 def test_flights_diagnosed_together_are_those_diagnosed_alone(observer, more):
     head, _, rest = BASE.partition("faults:")
