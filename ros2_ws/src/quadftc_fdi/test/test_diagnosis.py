@@ -18,6 +18,7 @@ from quadftc_model.samples import (
     DiagnosisReport,
     FaultEstimate,
     ImuSample,
+    SensorDiagnosis,
     SensorEstimate,
 )
 from quadftc_model.vehicle import load_vehicle
@@ -251,3 +252,15 @@ def test_component_is_described_by_its_worst_element_in_units_for_people():
         },
     )
     assert describe_component("accelerometer", gyro([STARTING, HEALTHY, SUSPECT])) == (SUSPECT, {})
+
+
+def test_axis_of_the_attitude_says_what_else_may_be_faulty():
+    sensors = SensorDiagnosis(
+        gyro([HEALTHY, FAULTY, HEALTHY], ambiguous=[False, True, False]), gyro(), gyro()
+    )
+    estimate = FaultEstimate(
+        np.zeros(3), np.full(3, -1.0), sensors.attitude.state, np.zeros(3), sample(), sensors
+    )
+    values = {axis: values for axis, _, values in describe_axes(estimate)}
+    assert values["pitch"] == {"size_deg": "0.000", "age_s": "0.00", "probability": "0.00", "or": "gyro/y"}
+    assert values["roll"] == {"size_deg": "0.000", "age_s": "0.00"}
