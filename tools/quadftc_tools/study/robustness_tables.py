@@ -15,7 +15,7 @@ import polars as pl
 
 from quadftc_campaign.table import whole_flights
 from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG
-from quadftc_flight.run_directory import NO_OBSERVER
+from quadftc_flight.summary import NO_OBSERVER
 from quadftc_model.samples import AXES
 from quadftc_tools.study.page import NOTHING, has_detector, markdown
 

@@ -44,7 +44,6 @@ from quadftc_campaign.batch.tally import ROOTS, VARIATION
 from quadftc_campaign.distributions import GRID, Distribution, distribution
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
-from quadftc_flight.run_directory import NO_OBSERVER
 from quadftc_flight.scenario import (
     MAX_SEED,
     Document,
@@ -59,6 +58,7 @@ from quadftc_flight.scenario import (
     problems_of,
     read_document,
 )
+from quadftc_flight.summary import NO_OBSERVER
 
 MAX_FLIGHTS = 10_000_000
 MAX_CELLS = 10_000

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import polars as pl
 
 from quadftc_flight.diagnosis_metrics.which_sensor import SAID, TRUE
-from quadftc_flight.run_directory import NO_OBSERVER
+from quadftc_flight.summary import NO_OBSERVER
 
 if TYPE_CHECKING:
     from quadftc_campaign.campaign_file import Campaign

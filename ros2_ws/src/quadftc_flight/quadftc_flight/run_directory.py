@@ -25,7 +25,6 @@ from quadftc_flight.summary import compare_summaries, partial_summary, read_summ
 
 SCENARIO, PARAMETERS, SUMMARY = "scenario.yaml", "parameters.yaml", "summary.json"
 DESCRIPTION = "replay.yaml"  # in place of the scenario: what was replayed
-NO_OBSERVER = "none"  # kind of an observer that takes its sensor as it is
 NEEDED = ("imu/data", "plant/attitude", "attitude/reference")  # topics; without one there is nothing to say
 WANTED = (
     *("plant/rate", "fault/injected", "fault/estimate", "fault/status", "disturbance/applied"),

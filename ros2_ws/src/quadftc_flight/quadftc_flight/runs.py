@@ -117,13 +117,18 @@ def run(
     result |= {"mode": options.mode, "graph": options.graph, "bag": bag.name}
     result |= {"recorded": {"messages": kept, "dropped": dict(status.dropped)}}
     result |= {"versions": {**versions(), **_commit()}}
-    _write(bag / SUMMARY, json.dumps(result, indent=2, allow_nan=False) + "\n")
+    write_summary(out, result)
     if status.dropped:
         counts = ", ".join(f"{topic} {count}" for topic, count in sorted(status.dropped.items()))
         raise GraphError(
             f"{bag}: messages were lost on the way to the bag, as the writer was behind: {counts}"
         )
     return result
+
+
+def write_summary(out: Path, result: dict[str, Any]) -> None:
+    """Write the summary of a run beside its bag; ``out`` is the directory of all runs."""
+    _write(out / result["bag"] / SUMMARY, json.dumps(result, indent=2, allow_nan=False) + "\n")
 
 
 def _fly(plan: GraphPlan, kind: str, samples: float, progress: Progress) -> tuple[float | None, BagStatus]:

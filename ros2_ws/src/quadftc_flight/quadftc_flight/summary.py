@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, cast
@@ -17,6 +17,9 @@ from quadftc_model.samples import AXES
 
 ROUNDING = 1e-6  # relative; the same metrics on another processor differ by less
 SHOWN = 3  # disagreements named in a warning
+
+NO_OBSERVER = "none"  # kind of an observer that takes its sensor as it is
+ATTITUDE_ERRORS = ("attitude_error_max_deg", "attitude_error_rms_deg")
 
 _TIMING = ("wall_time_s", "real_time_factor")  # entries that a bag cannot tell
 
@@ -61,6 +64,31 @@ def summary(flight: Flight, scenario: Scenario, scheme: Scheme, wall_time: float
         "checks": [check._asdict() for check in checks],
         "passed": all(check.passed for check in checks),
     }
+
+
+def relate_to_undiagnosed(summaries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Relate the attitude errors of runs to those without a diagnosis; return the summaries that got more.
+
+    What is added is ``without_diagnosis``: the scheme of the same scenario with the observer ``none`` and the
+    same disturbance observer and controller, and the errors over those of it. Above 1 is worse than without.
+    """
+    alike = ("name", "seed", "rate", "duration", "vehicle", "disturbance_observer", "controller")
+    plain = {tuple(each[key] for key in alike): each for each in summaries if each["observer"] == NO_OBSERVER}
+    related: list[dict[str, Any]] = []
+    for each in summaries:
+        other = plain.get(tuple(each[key] for key in alike))
+        if other is None or other is each:
+            continue
+        ratios = {f"{name}_ratio": _ratio(each, other, name) for name in ATTITUDE_ERRORS}
+        each["without_diagnosis"] = {"scheme": other["scheme"], **ratios}
+        related.append(each)
+    return related
+
+
+def _ratio(one: Mapping[str, Any], other: Mapping[str, Any], name: str) -> float | None:
+    """Return a metric of one run over that of another; None where there is none."""
+    part, whole = (each["metrics"][name] for each in (one, other))
+    return part / whole if part is not None and whole else None
 
 
 def partial_summary(

@@ -14,6 +14,7 @@ from quadftc_flight.diagnosis_metrics import GRACE_TIME, sensor_metrics
 from quadftc_flight.fault_schedule import SENSORS, FaultEvent
 from quadftc_flight.flight import NO_STATE, VECTORS, Flight, unknown_flight
 from quadftc_flight.metrics import flight_metrics, known_metrics, look_up
+from quadftc_flight.summary import ATTITUDE_ERRORS, relate_to_undiagnosed
 from quadftc_model.samples import AXES, FAULTY, HEALTHY, RECOVERING
 
 DEG = math.pi / 180.0
@@ -191,3 +192,19 @@ def test_metrics_have_names_for_checks_and_go_into_json():
     assert look_up(known, "sensors.confusion_s.gyro.attitude.roll") == 0.0
     assert list(judged()["unnamed"]) == ["all", *SENSORS]
     json.dumps(judged(), allow_nan=False)
+
+
+def test_runs_are_related_to_that_of_the_same_controller_without_a_diagnosis():
+    def run(scheme, observer, controller, error):
+        common = dict.fromkeys(
+            ("name", "seed", "rate", "duration", "vehicle", "disturbance_observer"), "same"
+        )
+        errors = dict.fromkeys(ATTITUDE_ERRORS, error)
+        return {**common, "scheme": scheme, "observer": observer, "controller": controller, "metrics": errors}
+
+    runs = [run("a", "isolating", "ismc", 1.0), run("b", "none", "ismc", 4.0), run("c", "none", "smc", 2.0)]
+    runs += [run("d", "supervised", "pid", 9.0), run("e", "supervised", "smc", None)]
+    assert [each["scheme"] for each in relate_to_undiagnosed(runs)] == ["a", "e"]
+    ratios = {"attitude_error_max_deg_ratio": 0.25, "attitude_error_rms_deg_ratio": 0.25}
+    assert runs[0]["without_diagnosis"] == {"scheme": "b", **ratios}
+    assert set(runs[4]["without_diagnosis"].values()) == {"c", None}

@@ -21,7 +21,7 @@ from quadftc_flight.flight import Flight, Reading, flight_from_bag, reading_from
 from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.run_directory import DESCRIPTION, PARAMETERS, SUMMARY, RecordedRun, RunDirectory
 from quadftc_flight.scenario import Fault, Part
-from quadftc_flight.summary import compare_summaries, read_summary
+from quadftc_flight.summary import NO_OBSERVER, compare_summaries, read_summary
 from quadftc_replay.imu_recording import sampling_rate
 from quadftc_replay.overlay import faults_from
 
@@ -71,7 +71,7 @@ class RecordedReplay(RunDirectory):
     measured: Reading  # what the observer saw, overlaid faults included; a row for each of the flight
     corrected: Reading  # what it passed on
 
-    disturbance_observer: ClassVar[str] = run_directory.NO_OBSERVER
+    disturbance_observer: ClassVar[str] = NO_OBSERVER
     disturbances: ClassVar[tuple[Part, ...]] = ()  # none is known
 
     observer = label = property(attrgetter("origin.observer"))  # tells it from those that it is compared with

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.table import whole_flights
-from quadftc_flight.run_directory import NO_OBSERVER
+from quadftc_flight.summary import NO_OBSERVER
 from quadftc_model.samples import AXES
 
 Floats = NDArray[np.float64]

@@ -17,7 +17,8 @@ import numpy as np
 
 from quadftc_flight.fault_schedule import attitude_events
 from quadftc_flight.metrics import look_up
-from quadftc_flight.run_directory import NO_OBSERVER, RecordedRun
+from quadftc_flight.run_directory import RecordedRun
+from quadftc_flight.summary import NO_OBSERVER
 from quadftc_model.parameters import parameters_of
 from quadftc_model.samples import AXES
 from quadftc_replay.replay_directory import Recorded, RecordedReplay
@@ -127,6 +128,10 @@ def tell_run(comparison: Comparison[Recorded], run: Recorded) -> str:
         detects = f"detects {hits} of {faults} with {counted(alarms, 'false alarm')}"
         declares = alarms or any(event["declared_share"] for event in found["events"])
         said.append(detects if declares or not found["fault_count"] else f"declares none of {faults}")
+    if metric(run, "lost"):
+        said.append("LOSES the vehicle")
+    if ratio := _error_ratio(comparison, run):
+        said.append(f"is off by at most {plain(ratio)} times as much as without a diagnosis")
     checks = run.summary.get("checks")
     if checks and run.is_whole:
         passed = sum(check["passed"] for check in checks)
@@ -134,6 +139,20 @@ def tell_run(comparison: Comparison[Recorded], run: Recorded) -> str:
     label = comparison.label(run)
     parts = "" if isinstance(run, RecordedReplay) and label == run.observer else f" ({parts_of(run)})"
     return f"'{label}'{parts} {'; '.join(said)}."
+
+
+def _error_ratio(comparison: Comparison[Recorded], run: Recorded) -> float | None:
+    """Largest attitude error over that of the run without a fault observer, if all else is the same."""
+    if not has_observer(run):
+        return None
+    runs = [run, *(each for each in comparison.runs if not has_observer(each))]
+    alike = [each for each in runs if each.is_whole and _controls(each) == _controls(run)]
+    errors = [metric(each, "attitude_error_max_deg") for each in alike[:2]]
+    return errors[0] / errors[1] if len(errors) == 2 and all(errors) else None
+
+
+def _controls(run: Recorded) -> tuple[Any, ...]:
+    return run.summary.get("disturbance_observer"), run.summary.get("controller")
 
 
 def list_injections(run: Recorded) -> list[Injection]:

@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_flight.flight import Reading
-from quadftc_flight.run_directory import NO_OBSERVER, RecordedRun
+from quadftc_flight.run_directory import RecordedRun
+from quadftc_flight.summary import NO_OBSERVER
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES, FAULT_STATE_NAMES, FAULTY, RECOVERING, SUSPECT
 from quadftc_replay.replay_directory import Recorded, RecordedReplay

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from quadftc_flight.run_directory import NO_OBSERVER
+from quadftc_flight.summary import NO_OBSERVER
 from quadftc_model.samples import AXES
 from quadftc_replay.replay_directory import Recorded
 from quadftc_report.comparison import Comparison, has_observer, metric

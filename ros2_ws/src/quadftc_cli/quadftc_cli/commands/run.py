@@ -18,11 +18,11 @@ from typer import Argument, Option
 from quadftc_cli.commands import CHECK_FAILED, GOOD, INTERRUPTED, options
 from quadftc_cli.screen import Bars, console, plain_table
 from quadftc_flight.metrics import look_up
-from quadftc_flight.runs import RunError, RunOptions, prepare, run_name
+from quadftc_flight.runs import RunError, RunOptions, prepare, run_name, write_summary
 from quadftc_flight.runs import run as run_scenario
 from quadftc_flight.scenario import Scenario, Scheme, find_scenario, load_scenario, with_components
 from quadftc_flight.side_by_side import run_side_by_side
-from quadftc_flight.summary import refuse_wrong_checks
+from quadftc_flight.summary import refuse_wrong_checks, relate_to_undiagnosed
 from quadftc_model.samples import AXES
 from quadftc_ros.executor import StopSignals
 from quadftc_ros.scheduling import Scheduling
@@ -115,8 +115,15 @@ def fly_jobs(jobs: list[tuple[Scenario, Scheme]], out: Path, how: RunOptions, wo
         screen.print(f"interrupted; what was flown is in {out}")
         return INTERRUPTED
     summaries = [result for result in results if result is not None]
+    for related in relate_to_undiagnosed(summaries):
+        write_summary(out, related)
     screen.print(_run_table(summaries, screen))
     for item in summaries:
+        if item["metrics"]["lost"]:
+            screen.print(f"[red]LOST[/] {item['name']}-{item['scheme']}: tilted or off by more than 60 deg")
+        if (other := item.get("without_diagnosis")) and (ratio := other["attitude_error_max_deg_ratio"]):
+            error = f"largest attitude error {ratio:.2g} times that of '{other['scheme']}'"
+            screen.print(f"{item['name']}-{item['scheme']}: {error}")
         for check in (check for check in item["checks"] if not check["passed"]):
             what = f"{check['metric']} {check['axis'] or ''}".rstrip()
             value = f"{_number(check['value'], 1.0, 4)}, required {check['bound']}"
