@@ -89,7 +89,7 @@ def comparable(angles: Vector, others: Vector) -> Bool[AnyArray, "*batch 1"]:
 def correct_sample(imu: ImuSample, q_xyzw: Quaternion, body_rate: Vector) -> ImuSample:
     """Put the observer's attitude and body rate [rad/s] into a sample."""
     _, _, force, attitude_valid, rate_valid, force_valid = imu
-    return ImuSample(q_xyzw, body_rate, force, attitude_valid | True, rate_valid, force_valid)
+    return ImuSample(q_xyzw, body_rate, force, attitude_valid | np.True_, rate_valid, force_valid)
 
 
 def assume_healthy(fault: Vector, corrected: ImuSample) -> FaultEstimate:

@@ -46,7 +46,7 @@ def namespace(array: Array) -> Any:
 
 def is_single(vector: Array) -> bool:
     """Whether it is one NumPy vector (n,), for which Python floats are many times faster than arrays."""
-    return isinstance(vector, np.ndarray) and vector.ndim == 1  # pyright: ignore[reportUnknownMemberType]
+    return type(vector) is np.ndarray and vector.ndim == 1  # pyright: ignore[reportUnknownMemberType]
 
 
 def components(vector: Components) -> Any:
@@ -129,12 +129,14 @@ def larger(x: Scalar, y: Scalar) -> Array:
 
 def column(x: Array) -> Array:
     """Give an array (...) an axis of length 1 at its end; a float or a bool stays as it is."""
-    return x if isinstance(x, (float, bool)) else x[..., None]
+    if isinstance(x, (float, bool, np.bool_)):
+        return cast("Any", x)
+    return x[..., None]
 
 
 def pick(flag: Array, x: Array, y: Array) -> Array:
     """Return ``x`` where a flag holds and ``y`` elsewhere; all three may be single values."""
-    if isinstance(flag, bool):
+    if isinstance(flag, (bool, np.bool_)):
         return x if flag else y
     return namespace(flag).where(flag, x, y)
 
@@ -152,10 +154,10 @@ def changed_where(mask: Array | bool, change: Callable[[], T], unchanged: T) -> 
     Then NumPy saves the work: most of the time nothing happens. Other libraries, whose masks may have no
     values yet, always do it.
     """
+    if type(mask) is np.ndarray and mask.ndim == 1:  # as `is_single`, without the call
+        return change() if True in mask.tolist() else unchanged
     if isinstance(mask, (bool, np.bool_)):
         return change() if mask else unchanged
-    if is_single(mask):
-        return change() if True in mask.tolist() else unchanged
     if isinstance(mask, np.ndarray) and not mask.any():  # pyright: ignore[reportUnknownMemberType]
         return unchanged
     return change()

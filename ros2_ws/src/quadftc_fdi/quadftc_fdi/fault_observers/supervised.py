@@ -183,11 +183,8 @@ class Supervised(FaultObserver):
     def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Advance by ``dt`` [s] to the sample. An absent gyro keeps its last value."""
         imu = inputs.imu
-
-        def keep() -> Vector:
-            return namespace(state.gyro).where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
-
-        return self.advance(state, imu, changed_where(~imu.rate_valid, keep, imu.body_rate), 0.0, dt)
+        gyro = pick(column(imu.rate_valid), imu.body_rate, state.gyro)
+        return self.advance(state, imu, gyro, 0.0, dt)
 
     def advance(
         self, state: State, imu: ImuSample, gyro: Vector, doubt: Vector | float, dt: float
@@ -211,7 +208,9 @@ class Supervised(FaultObserver):
         )
         odd = scores.suspect | scores.outlier
         gain = reading.prediction.gain
-        sound = trusted & ~odd & (doubt == 0.0)
+        sound = trusted & ~odd
+        if not isinstance(doubt, float):
+            sound = sound & (doubt == 0.0)
         noise = sensor_noise.learn_noise(state.noise, squares, gain, spread, motion, sound, dt)
 
         # 3. Declare faults and follow them, where there may be any.

@@ -11,7 +11,7 @@ attitude except the poles, 90 deg of pitch.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,7 @@ from quadftc_model.arrays import (
     larger,
     largest,
     namespace,
+    pick,
     product,
     stacked,
 )
@@ -105,15 +106,10 @@ def defined(prediction: Prediction, P: Covariance, variance: Vector, there: Flag
     (roll, pitch, yaw), (gain, _, _) = components(variance), components(prediction.gain)
     known = largest(variances(P)[..., ROTATION])
     bent = (gain - 1.0) * known
-    usable = there & (larger(roll, yaw) < DEFINED**2) & (gain < 0.99 / MIN_COS**2)
-    clear, straight = usable & (bent < DEFINED**2), there & (bent * known < 0.25 * pitch)
-    return _mask([usable, there, usable]), _mask([clear, straight, clear])
-
-
-def _mask(flags: list[Any]) -> Mask:
-    if isinstance(flags[0], (bool, np.bool_)):
-        return np.array(flags)
-    return namespace(flags[0]).stack(flags, axis=-1)
+    usable = (larger(roll, yaw) < DEFINED**2) & (gain < 0.99 / MIN_COS**2)
+    usable, always = pick(there, usable, False), pick(there, usable | True, False)
+    clear, straight = usable & (bent < DEFINED**2), always & (bent * known < 0.25 * pitch)
+    return stacked([usable, always, usable]), stacked([clear, straight, clear])
 
 
 def predict_again(prediction: Prediction, P: Covariance) -> Prediction:
