@@ -59,6 +59,7 @@ LEAST = (0.001 * DEG) ** 2  # rad²; no attitude sensor is better
 EARLY = np.array([0.1, 0.1, 0.2, 0.5, 2.0, 2.0])  # s; what the prior is worth
 LATE = 120.0  # s; experience beyond this is forgotten
 RECENT = 2.0  # 1; C
+WORTH = RECENT * EARLY[:, None]  # s; C T
 FASTEST = 0.3  # 1/s; largest gain, so that the time between two anchors cannot do more than renew
 COLOUR = (
     0.5,
@@ -155,7 +156,7 @@ def learn_noise(
         time = xp.minimum(noise.time + step * u, LATE)
         new = noise.time.sum(axis=-1) < START
         fastest = changed_where(new, lambda: xp.where(new, FRESH, FASTEST)[..., None, None], FASTEST)
-        rate = xp.minimum(RECENT / (RECENT * EARLY[:, None] + time[..., None, :]), fastest)
+        rate = xp.minimum(RECENT / (WORTH + time[..., None, :]), fastest)
         change = noise.known * noise.known * rate * (news[..., None] * u[..., None, :])
         learned = xp.maximum(noise.learned + change, LEAST)
         known = changed_where(new, lambda: xp.where(new[..., None, None], learned, noise.known), noise.known)

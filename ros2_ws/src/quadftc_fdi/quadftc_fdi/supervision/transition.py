@@ -3,7 +3,7 @@
     delta' = -omega x delta + delta_M g - delta_b
     A = exp(-[omega dt]x),   G = dt [-I, I (x) g', 0]          A to second order, so that nothing grows
 
-Only the upper three rows do anything. NumPy is quickest with them as one matrix, a batch with A and g dt.
+NumPy is quickest with F as one matrix, a batch with A and g dt, as only the upper three rows do anything.
 """
 
 from __future__ import annotations
@@ -59,20 +59,16 @@ def variances(P: Covariance) -> Errors:
 class MatrixTransition(NamedTuple):
     """Transition of the error of one vehicle."""
 
-    upper: Array  # (3, 16), the rows of F that are not those of the identity
+    F: NDArray[np.float64]  # (16, 16)
 
     def of(self, x: Array) -> Array:
         """F x of columns (16, n)."""
-        result = x.copy()
-        result[:3] = self.upper.dot(x)
-        return result
+        return self.F.dot(x)
 
     def around(self, P: Covariance, earlier: Covariances, noise: ProcessNoise) -> Covariances:
         """F P F' and the noise, for P and earlier ones."""
-        result, upper_T = np.concatenate([P[None], earlier]), self.upper.T
-        left = result.reshape(-1, SIZE).dot(upper_T).reshape(-1, SIZE, 3)
-        above, added = left.swapaxes(1, 2), np.empty(6)
-        result[:, :, :3], result[:, :3], result[:, :3, :3] = left, above, above.dot(upper_T)
+        stack, added = np.concatenate([P[None], earlier]), np.empty(6)
+        result = self.F @ stack.reshape(-1, SIZE).dot(self.F.T).reshape(stack.shape)
         added[ROTATION], added[BIAS] = noise.rotation, noise.bias
         result.reshape(-1, SIZE * SIZE)[:, : 6 * SIZE : SIZE + 1] += added
         return result
@@ -123,13 +119,13 @@ def transition(omega: Vector, gyro: Vector, dt: float) -> Transition:
     A = [1.0 - yy - zz, xy + z, xz - y, xy - z, 1.0 - xx - zz, yz + x, xz + y, yz - x, 1.0 - xx - yy]
     if is_single(omega):
         p, q, r = gyro.tolist()
-        return MatrixTransition(np.array([*A, p * dt, q * dt, r * dt, -dt, 0.0]).take(_UPPER))
+        return MatrixTransition(np.array([*A, p * dt, q * dt, r * dt, -dt, 0.0, 1.0]).take(_PLACES))
     return BlockTransition(namespace(omega).stack(A, axis=-1).reshape(*omega.shape, 3), gyro * dt, dt)
 
 
-def _upper() -> NDArray[np.int64]:
-    """Where each element of F's upper rows stands among A (by rows), g dt, -dt and 0."""
-    places = np.full((3, SIZE), 13)
+def _places() -> NDArray[np.int64]:
+    """Where each element of F stands among A (by rows), g dt, -dt, 0 and 1."""
+    places = np.where(np.eye(SIZE), 14, 13)
     for row in range(3):
         places[row, ROTATION] = 3 * row + np.arange(3)
         places[row, 3 + row] = 12
@@ -137,5 +133,5 @@ def _upper() -> NDArray[np.int64]:
     return places
 
 
-_UPPER = _upper()
+_PLACES = _places()
 _ROTATION, _BIAS = np.eye(SIZE)[ROTATION], np.eye(SIZE)[BIAS]
