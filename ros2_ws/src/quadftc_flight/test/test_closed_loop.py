@@ -34,6 +34,8 @@ CHECKED = {
     ("mems_varying_disturbance", "supervised"): 45.0,
     ("mems_faults", "supervised"): 45.0,
     ("mems_constant_disturbance", "supervised"): 45.0,
+    ("gyro_faults", "isolating"): 32.0,
+    ("gyro_faults", "supervised"): 32.0,
 }
 LARGEST = ([0.0, 0.0, 0.0], [0.05, 0.04, 0.015], [0.10, 0.08, 0.03])  # N m; disturbances of each
 
