@@ -201,36 +201,28 @@ class Supervised(FaultObserver):
 
         # 2. Test the residuals of the trusted axes, and learn from healthy ones.
         reading = self._compare(estimate, earlier, P, imu, omega, state.noise.cautious)
-        sensor, spread = reading.sensor, product(reading.predicted, weights.predicted)
-        trusted = ~state.faulty & reading.testable
+        sensor, gain = reading.sensor, reading.prediction.gain
+        spread, trusted = product(reading.predicted, weights.predicted), ~state.faulty & reading.testable
         evidence, scores, squares = residual_tests.collect_evidence(
             state.evidence, reading.residuals, sensor + spread, trusted, weights, dt, self.threshold
         )
         odd = scores.suspect | scores.outlier
-        gain = reading.prediction.gain
         sound = trusted & ~odd
         if not isinstance(doubt, float):
             sound = sound & (doubt == 0.0)
         noise = sensor_noise.learn_noise(state.noise, squares, gain, spread, motion, sound, dt)
 
-        # 3. Declare faults and follow them, where there may be any.
+        # 3. Declare faults; 4. track them, and judge which axes are trusted again, where there may be any.
         def judge() -> Verdict:
             return self._judge(state, estimate, earlier, reading, evidence, scores, trusted, motion, dt)
 
         special = state.faulty | odd
         verdict = changed_where(special, judge, _all_healthy(state, estimate, reading))
 
-        # 4. Correct the filter by the axes that are neither faulty nor suspect.
-        single, long = sensor[..., sensor_noise.SAMPLE], sensor[..., sensor_noise.LONG]
-        variance = larger(single, long * weights.white)
-        used = reading.valid & ~(verdict.faulty | odd)
-        estimate, prediction, residual = verdict[:3]
-        uncorrected = estimate
-        estimate, dx = inertial_filter.correct(estimate, prediction, residual, variance, used)
-        if not isinstance(doubt, float):
-            estimate, dx = inertial_filter.keep_gyro(uncorrected, estimate, dx, any_of(doubt > 0.0))
+        # 5. Correct the filter by the axes that are neither faulty nor suspect.
+        estimate, dx = _correct(reading, verdict, odd, weights.white, doubt)
 
-        # 5. Renew the anchors; restart the tests where what they remember no longer counts.
+        # 6. Renew the anchors; restart the tests where what they remember no longer counts.
         earlier, promoted = anchors.update_anchors(
             earlier, estimate.P, dx, verdict.restart, verdict.hold, dt, self.anchor_age
         )
@@ -250,8 +242,8 @@ class Supervised(FaultObserver):
         raw = stacked([pick(starting, raw, raw * exp(-dt / FADING))])
         memory = noise, evidence, verdict.faulty, verdict.track, raw, scores.outlier, outliers
         state = State(estimate, earlier, gyro, state.gyro, activity, motion, *memory)
-        starting = column(starting)
-        return state, self._report(state, imu, scores.suspect, starting, special | starting, verdict, sensor)
+        report = self._report(state, imu, scores.suspect, column(starting), special, verdict, sensor)
+        return state, report
 
     def _judge(
         self,
@@ -276,20 +268,11 @@ class Supervised(FaultObserver):
 
         # Track the faults.
         gains = fault_track.tracker_gains(dt, self.tracking)
-        track = fault_track.track_fault(
-            state.track,
-            residual,
-            reading.sensor,
-            found.alarm,
-            found.abrupt,
-            evidence.suspicion,
-            reading.valid,
-            gains,
-            dt,
-        )
+        sensor, declared = reading.sensor, (found.alarm, found.abrupt, evidence.suspicion)
+        track = fault_track.track_fault(state.track, residual, sensor, *declared, reading.valid, gains, dt)
         cautious = sensor_noise.cautious_spread(motion, prediction.gain)
         judged = fault_track.judge_recovery(
-            track, faulty, predicted, reading.sensor, cautious, bias, self.recovery, self.patience, dt
+            track, faulty, predicted, sensor, cautious, bias, self.recovery, self.patience, dt
         )
         recovered, outlasted = judged.trusted, judged.outlasted
         faulty = faulty & ~recovered
@@ -404,7 +387,7 @@ class Supervised(FaultObserver):
             return fault, xp.sqrt(variance), states, xp.where(faulty, track.age, -1.0)
 
         healthy = track.fault, xp.sqrt(predicted), faulty + HEALTHY, faulty - 1.0
-        return FaultEstimate(*changed_where(special, report_all, healthy), corrected)
+        return FaultEstimate(*changed_where(special | starting, report_all, healthy), corrected)
 
 
 def _all_healthy(state: State, estimate: FilterState, reading: Reading) -> Verdict:
@@ -413,6 +396,22 @@ def _all_healthy(state: State, estimate: FilterState, reading: Reading) -> Verdi
     none, no, bias = state.faulty, state.faulty[..., :1], bias_variance(estimate.P)
     first = estimate, prediction, residuals[..., 0], predicted[..., 0], bias
     return Verdict(*first, none, none, none, no, no, no, state.track)
+
+
+def _correct(
+    reading: Reading, verdict: Verdict, odd: Mask, white: float, doubt: Vector | float
+) -> tuple[FilterState, inertial_filter.Errors]:
+    """Correct the filter by the axes that are neither faulty nor ``odd``; also return the correction.
+
+    ``white`` is the variance of white noise in a sample over that in the longest average.
+    """
+    single, long = reading.sensor[..., sensor_noise.SAMPLE], reading.sensor[..., sensor_noise.LONG]
+    used = reading.valid & ~(verdict.faulty | odd)
+    before, prediction, residual = verdict[:3]
+    after, dx = inertial_filter.correct(before, prediction, residual, larger(single, long * white), used)
+    if isinstance(doubt, float):
+        return after, dx
+    return inertial_filter.keep_gyro(before, after, dx, any_of(doubt > 0.0))
 
 
 def _doubt(residual: Array) -> Array:
