@@ -22,6 +22,7 @@ from quadftc_tools.study.acceleration_model import (
 from quadftc_tools.study.crazyflie import BEFORE, TAKE_OFF, in_flight
 from quadftc_tools.study.gyro_steps import (
     CASES,
+    EVERY,
     SETTLE,
     JumpTest,
     Named,
@@ -162,7 +163,7 @@ def test_onsets_are_in_flight_and_leave_time_to_be_found():
     times = motion.time[rows]
     assert times[0] >= motion.time[0] + SETTLE
     assert times[-1] <= 3.9 + 1.5 / RATE
-    np.testing.assert_allclose(np.diff(times), 0.1, atol=1.5 / RATE)
+    np.testing.assert_allclose(np.diff(times), EVERY, atol=1.5 / RATE)
 
 
 def test_flight_is_between_take_off_and_crash():

@@ -18,6 +18,7 @@ import numpy as np
 from quadftc_bags.bag import BagError
 from quadftc_cli.commands import BAD_INPUT, GOOD
 from quadftc_cli.screen import say
+from quadftc_fdi.fault_observer import fault_observers
 from quadftc_model.rotors import torque_from_commands
 from quadftc_model.samples import AXES
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
@@ -32,12 +33,13 @@ from quadftc_tools.study.acceleration_model import (
     fit_model,
     predict,
 )
-from quadftc_tools.study.gyro_steps import SIZES, GyroTest, JumpTest, Mask, Recorded, Result
+from quadftc_tools.study.gyro_steps import SIZES, GyroTest, JumpTest, Mask, ObserverTest, Recorded, Result
 from quadftc_tools.study.numbers import write_number, write_times
 from quadftc_tools.study.page import NOTHING, markdown, with_tables
 
 PAGE = "diagnosis.md"
 VEHICLE = "crazyflie_2x"
+BY_FILE = "of the vehicle's file"
 FITTED = {"crazyswarm2": ("log106", "log113", "log119"), "sysid": ("log15",)}  # in their first half
 STALE = 10  # rows; the first few of a log are older than their stamps
 TURNING = 0.2  # 1; mean motor command of rotors that turn
@@ -99,12 +101,12 @@ def fit_groups(logs: Sequence[Log]) -> dict[str, AccelerationModel]:
     }
 
 
-def recorded(log: Log, model: AccelerationModel | None) -> Recorded:
+def recorded(log: Log, model: AccelerationModel | None, attitude: bool = False) -> Recorded:
     """Return a log as samples; without a model the torque acts as it is commanded, at once."""
     motion = log.motion
     drive = motion.torque[:-1] if model is None else predict(model, motion)
     drive = np.vstack([np.zeros(3), drive])
-    return Recorded(motion.time, motion.body_rate, log.q_xyzw, drive, log.flying)
+    return Recorded(motion.time, motion.body_rate, log.q_xyzw if attitude else None, drive, log.flying)
 
 
 def model_table(logs: Sequence[Log], models: Mapping[str, AccelerationModel]) -> str:
@@ -165,35 +167,57 @@ def _three(values: Floats) -> str:
 
 
 class Run(NamedTuple):
-    """A test with a torque model, on all logs."""
+    """A test with a torque model, on the logs that have what it needs."""
 
     test: str
     model: str
     results: Mapping[tuple[str, str], Result]  # group, name of the log
 
 
-def run_tests(logs: Sequence[Log], fitted: Mapping[str, AccelerationModel]) -> Iterator[Run]:
+class Entry(NamedTuple):
+    """A test, and what it gets."""
+
+    test: GyroTest
+    models: Sequence[str]  # of the torque, see `run_tests`
+    attitude: bool = False  # as logged, of the same gyro
+
+
+def run_tests(
+    entries: Mapping[str, Entry], logs: Sequence[Log], fitted: Mapping[str, AccelerationModel]
+) -> Iterator[Run]:
     """Run every test with each torque model that it takes."""
     rotors = load_vehicle(VEHICLE).rotors
     by_file = AccelerationModel(np.full(3, rotors.time_constant), np.ones(3))
     models = {
         "fitted": fitted,
-        "of the vehicle's file": dict.fromkeys(fitted, by_file),
+        BY_FILE: dict.fromkeys(fitted, by_file),
         "no lag": dict.fromkeys(fitted, None),
         "no torque": dict.fromkeys(fitted, by_file._replace(gain=np.zeros(3))),
     }
-    for name, (test, wanted) in tests().items():
-        for model in wanted:
-            judged = {
-                (log.group, log.name): gyro_steps.judge(test, recorded(log, models[model][log.group]))
-                for log in logs
-            }
-            yield Run(name, model, judged)
+    for name, entry in entries.items():
+        for model in entry.models:
+            yield Run(
+                name,
+                model,
+                {
+                    (log.group, log.name): gyro_steps.judge(
+                        entry.test, recorded(log, models[model][log.group], entry.attitude)
+                    )
+                    for log in logs
+                    if log.q_xyzw is not None or not entry.attitude
+                },
+            )
 
 
-def tests() -> dict[str, tuple[GyroTest, Sequence[str]]]:
-    """Return the tests to compare, by name, and the torque models that they get."""
-    return {"jump": (JumpTest(), ("fitted", "of the vehicle's file", "no lag", "no torque"))}
+def tests() -> dict[str, Entry]:
+    """Return the tests to compare, by name."""
+    law = fault_observers.get("isolating")(vehicle=load_vehicle(VEHICLE))
+    observer = ObserverTest(law)
+    return {
+        "jump": Entry(JumpTest(), ("fitted", BY_FILE, "no lag", "no torque")),
+        "isolating": Entry(observer, (BY_FILE, "no lag")),
+        "isolating, with the attitude": Entry(observer, (BY_FILE,), attitude=True),
+    }
 
 
 HEADS = (
@@ -209,9 +233,9 @@ def sum_table(runs: Sequence[Run]) -> str:
     """Sum up each run, group by group."""
     rows: list[list[str]] = []
     for run in runs:
-        for group in FITTED:
+        for group in dict.fromkeys(group for group, _ in run.results):
             results = [result for (of, _), result in run.results.items() if of == group]
-            rows.append([f"`{run.test}`", run.model, group, *_step_cells(results)])
+            rows.append([run.test, run.model, group, *_step_cells(results)])
     return markdown(["test", "torque model", "logs", *HEADS], rows)
 
 
@@ -221,7 +245,7 @@ def log_table(runs: Sequence[Run], model: str) -> str:
     for run in runs:
         if run.model == model:
             for (group, name), result in run.results.items():
-                rows.append([f"`{run.test}`", f"{group} {name}", *_step_cells([result])])
+                rows.append([run.test, f"{group} {name}", *_step_cells([result])])
     return markdown(["test", "log", *HEADS], rows)
 
 
@@ -246,12 +270,12 @@ def make(directory: Path) -> dict[str, str]:
         raise ValueError(f"{directory}: no logs in {' or '.join(FITTED)}")
     logs = [read_log(path) for path in paths]
     models = fit_groups(logs)
-    runs = list(run_tests(logs, models))
+    runs = list(run_tests(tests(), logs, models))
     return {
         "real-gyros-model": model_table(logs, models),
         "real-gyros-innovations": innovation_table(logs, models),
         "real-gyros": sum_table(runs),
-        "real-gyros-each": log_table(runs, "of the vehicle's file"),
+        "real-gyros-each": log_table(runs, BY_FILE),
     }
 
 

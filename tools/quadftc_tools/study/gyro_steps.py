@@ -24,7 +24,7 @@ Mask = NDArray[np.bool_]
 
 SIZES = (0.2, 0.4)  # rad/s
 DEADLINES = (0.012, 0.1)  # s; within which a step shall be found
-EVERY = 0.1  # s; between two onsets
+EVERY = 0.2  # s; between two onsets
 SETTLE = 1.0  # s; from the first row to the first onset
 CASES = tuple(itertools.product(range(3), SIZES, (1.0, -1.0)))  # axis, size, sign
 STEPS = np.array([[sign * size * (k == axis) for k in range(3)] for axis, size, sign in CASES])
