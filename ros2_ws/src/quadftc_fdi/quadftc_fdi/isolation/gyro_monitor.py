@@ -1,93 +1,98 @@
 r"""Is the gyro healthy? Axis by axis: what it reads against the rate of torque model and attitude.
 
-`rate_filter` predicts the rate of a sample. What the gyro reads more, the innovation, is its noise (learned
-here), and what the unknown acceleration does within a sample: little, as 1.5 rad/s² make 0.006 rad/s in 4 ms.
-
-    outlier     beyond five standard deviations: the sample is not used
-    fault       three outliers within few samples: a jump, noise, a gyro that no longer follows
-    stuck       a reading that is repeated, more often than it ever was by chance
-    absent      three samples without a reading
+`rate_filter` predicts the rate of a sample. What the gyro reads more, the innovation, is its noise and what
+the unknown acceleration does within a sample: little, as 1.5 rad/s² make 0.006 rad/s in 4 ms. `reading_test`
+finds jumps, noise, and a gyro that is stuck or absent.
 
 A faulty gyro is left out, and the filter goes on by attitude and torque: a virtual gyro. The gyro is trusted
 again once it has agreed with that for some time.
+
+What is too slow for this is left to the test of attitude against gyro. For it the monitor remembers the last
+jumps of both: one that is no outlier still tells whose a discrepancy is.
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
-from quadftc_fdi.isolation import rate_filter
+from quadftc_fdi.isolation import rate_filter, reading_test
 from quadftc_fdi.isolation.rate_filter import RateFilter
-from quadftc_model.arrays import Mask, Quaternion, Scalar, Vector, changed_where, clip, exp, namespace
+from quadftc_fdi.isolation.reading_test import OUTLIER, Deviation, ReadingTest
+from quadftc_model.arrays import Mask, Quaternion, Scalar, Vector, changed_where, exp, namespace
+from quadftc_model.rotations import euler_from_quaternion
 
-OUTLIER = 6.0  # 1; standard deviations beyond which a sample is an outlier
-FLOOR = 0.005  # rad/s; noise of a gyro in flight, at least: vibration comes and goes
-NOISY = 1e-4  # rad/s; a gyro with less noise may repeat itself
-KEPT, ALARM = 0.8, 2.3  # 1; of the count of outliers from sample to sample; level of a fault: three in a row
-PRIOR = 0.02  # rad/s; noise of a gyro before anything is learned
-LEAST = 1e-5  # rad/s; no gyro is better
-EARLY, LATE, CLIP = 0.3, 20.0, 9.0  # s, s, 1; what the prior is worth; memory; bound of squares
-CHANCE, RARE = 0.01, math.log(1e-7)  # 1; of a repeated reading, at first; log of a chance that is none
-SHORT, LONG = 0.06, 0.4  # s; averages of the deviation of a faulty gyro
-AGREES = 3.0  # 1; standard deviations
+PRIOR, FLOOR = 0.02, 0.005  # rad/s; noise of a gyro, at first; in flight at least: vibration comes and goes
+LEAST, NOISY = 1e-5, 1e-4  # rad/s; no gyro is better; one with less noise may repeat itself
 BIASED = 0.004  # rad/s; that a healthy gyro and the virtual one may differ by, 1 sigma
-SCATTER = 3.0  # 1; squared deviations, in variances, of a gyro that is healthy again, at most
+SCATTERED = 0.1  # s
+NEEDED = 0.06  # s; averaging time of the acceleration
+ANGLE_NOISY = 1e-6  # rad; an attitude with less noise may repeat itself
 LATELY, JUST = 1.0, 0.1  # s; how long a jump of the gyro, of the attitude is remembered
-QUICK, SOONEST, LATEST = 0.3, 0.3, 1.0  # 1, s, s; share of a fault's age for which it must agree; bounds
 
 
 class GyroMonitor(NamedTuple):
     """What is known of gyro and body rate."""
 
     filter: RateFilter
-    variance: Vector  # of a reading [rad²/s²], learned
-    time: Vector  # of learning [s]
-    outliers: Vector  # of outliers, fading
-    reading: Vector  # the last [rad/s]
-    repeats: Vector  # how often it has been repeated
-    chance: Vector  # share of repeated readings, learned
+    test: ReadingTest
     faulty: Mask
-    suspicion: Vector  # how long outliers have been there [s]
-    age: Vector  # of the fault [s]
-    calm: Vector  # how long a faulty gyro has agreed [s]
-    mean: Vector  # its deviation, over a short time [rad/s]
-    long: Vector  # the same, over a long time [rad/s]
-    scatter: Vector  # squared deviation, in variances
-    jumps: Vector  # count of outliers of the attitude, fading
+    bad: Mask  # the last reading was not to be used
+    fault: Deviation  # of a faulty gyro [rad/s]
+    deviation: Vector  # gyro less estimated rate at the last sample [rad/s]
+    jump: Vector  # largest innovation of the gyro of late, in standard deviations, fading
     rotation: Vector  # attitude, measured less predicted, at the last sample [rad]
-    bend: Vector  # largest jump of that lately, in standard deviations, fading
-    jump: Vector  # largest innovation of the gyro lately, in standard deviations, fading
-    deviation: Vector  # gyro less estimated rate [rad/s]
-    bad: Mask  # the last sample was not to be used
+    bend: Vector  # largest jump of that of late, in standard deviations, fading
+    alone: Mask  # the attitude had to do without the gyro, which may be wrong
+    scatter: Vector  # squared innovation of the attitude, in variances, over `SCATTERED`
+    angles: ReadingTest  # whether the attitude is stuck
+    frozen: Mask  # it is
+    needed: Vector  # unknown acceleration by gyro and torque [rad/s²]
 
 
-def start_monitor(q_xyzw: Quaternion, gyro: Vector, drive: Vector, variance: Scalar) -> GyroMonitor:
-    """Start at an attitude [variance rad²] and a reading [rad/s]."""
-    zeros = namespace(gyro).zeros_like(gyro)
-    started = rate_filter.start_rate_filter(q_xyzw, gyro, drive, variance)
-    empty = GyroMonitor(started, *[zeros] * (len(GyroMonitor._fields) - 1))  # pyright: ignore
-    return empty._replace(
-        variance=zeros + PRIOR**2, reading=gyro, chance=zeros + CHANCE, faulty=zeros > 1.0, bad=zeros > 1.0
-    )
+class GyroReading(NamedTuple):
+    """A reading of the gyro."""
+
+    raw: Vector  # [rad/s]
+    rate: Vector  # less its known errors [rad/s]
+    there: Mask
+    wanted: Mask  # it may correct the rate
 
 
-class AttitudeUse(NamedTuple):
-    """How the attitude of a sample may be used."""
+class AttitudeReading(NamedTuple):
+    """A measured attitude, and how it may be used."""
 
     q_xyzw: Quaternion
-    variance: Vector  # [rad²]
+    sample: Vector  # variance of one, as far as it changes from sample to sample [rad²]
+    variance: Vector  # of white noise that is as bad as all its noise [rad²]
     there: Mask
     healthy: Mask  # as far as others know
 
 
+def start_monitor(q_xyzw: Quaternion, rate: Vector, drive: Vector, variance: Scalar) -> GyroMonitor:
+    """Start at an attitude of a variance [rad²], a body rate [rad/s], an acceleration by torque [rad/s²]."""
+    zeros = namespace(rate).zeros_like(rate)
+    return GyroMonitor(
+        rate_filter.start_rate_filter(q_xyzw, rate, drive, variance),
+        reading_test.start_test(rate, PRIOR),
+        zeros > 1.0,
+        zeros > 1.0,
+        reading_test.no_deviation(rate),
+        zeros,
+        zeros,
+        zeros,
+        zeros,
+        zeros > 1.0,
+        zeros,
+        reading_test.start_test(zeros, 1e-3),
+        zeros > 1.0,
+        zeros,
+    )
+
+
 def step_monitor(
     state: GyroMonitor,
-    gyro: Vector,
-    reading: Vector,
-    there: Mask,
-    wanted: Mask,
-    attitude: AttitudeUse,
+    gyro: GyroReading,
+    attitude: AttitudeReading,
     drive: Vector,
     gyroscopic: Vector,
     q: Scalar,
@@ -95,60 +100,84 @@ def step_monitor(
 ) -> GyroMonitor:
     """Advance by ``dt`` [s] to a sample.
 
-    ``gyro`` [rad/s] is the reading less its known errors, ``reading`` the raw one, ``there`` whether there
-    is one, ``wanted`` whether it may correct the rate. ``drive`` and ``gyroscopic`` [rad/s²] are the
-    accelerations by the torque and by the body's rotation. ``q`` [rad²/s⁵] is the density of the noise that
-    moves the unknown one.
+    ``drive`` and ``gyroscopic`` [rad/s²] are the accelerations by the torque and by the body's rotation.
+    ``q`` [rad²/s⁵] is the density of the noise that moves the unknown one.
     """
-    xp = namespace(gyro)
+    xp = namespace(gyro.rate)
     ahead = rate_filter.predict(state.filter, drive, gyroscopic, q, dt)
-    innovation = gyro - ahead.rate
-    noise = xp.maximum(state.variance, FLOOR**2)
-    expected = ahead.rr + noise
+    innovation, predicted = gyro.rate - ahead.rate, ahead.rr
     square = innovation * innovation
-    started = state.time > EARLY
-    outlier = there & started & (square > OUTLIER**2 * expected)
-    state = _count(state, outlier, reading, there, dt)
-    repeated = xp.where(state.variance > NOISY**2, state.repeats * xp.log(state.chance), 0.0)
-    stuck = repeated < RARE
-    alarm = ~state.faulty & (((state.outliers > ALARM) & (wanted | ~there)) | stuck) & started
+    test, verdict = reading_test.test_reading(
+        state.test, gyro.raw, gyro.there, square, predicted, FLOOR, NOISY, dt
+    )
+    # against a rate that the gyro does not correct, an outlier proves nothing
+    alarm = ~state.faulty & (verdict.stuck | (verdict.odd & (gyro.wanted | ~gyro.there)))
     faulty = state.faulty | alarm
-    good = there & ~outlier & ~faulty & (repeated > 0.5 * RARE)
-    used = good & wanted
-    state, ahead_rr = _learn(state, square, ahead.rr, used, dt), ahead.rr
+    good = verdict.good & ~faulty
+    used = good & gyro.wanted
+    jump = innovation / xp.sqrt(predicted + test.variance) * used
+    test = reading_test.learn_noise(test, square, predicted, used, LEAST, dt)
+    noise = xp.maximum(test.variance, FLOOR**2)
     ahead = rate_filter.correct_by_gyro(ahead, innovation, noise, used)
-    ahead, jumps, rotation = _use_attitude(ahead, state.jumps, attitude, used)
-    bend = (rotation - state.rotation) / xp.sqrt(2.0 * attitude.variance) * attitude.there
-    judged = state._replace(
-        filter=ahead,
-        faulty=faulty,
-        age=xp.where(alarm, state.suspicion, (state.age + dt) * faulty),
-        jumps=jumps,
-        bad=~good,
-        rotation=xp.where(attitude.there, rotation, state.rotation),
-        bend=_recent(state.bend, bend, JUST, dt),
-        jump=_recent(state.jump, innovation / xp.sqrt(ahead_rr + state.variance) * used, LATELY, dt),
-        deviation=xp.where(there, gyro - ahead.rate, 0.0),
+
+    # the attitude corrects where it is healthy, or the gyro is not; the filter takes over its jumps
+    rotation = rate_filter.rotation_to(ahead, attitude.q_xyzw)
+    step = (rotation - state.rotation) * attitude.there
+    jumped = step * step > OUTLIER**2 * (2.0 * attitude.sample + ahead.aa)
+    alone = attitude.there & ~gyro.wanted
+    begins = alone & ~state.alone  # what the angle was off by must not look like a rate
+    taken = jumped * step + (begins & ~jumped) * rotation
+    ahead = changed_where(jumped | begins, lambda: rate_filter.absorb(ahead, taken), ahead)
+    rotation = xp.where(attitude.there & ~jumped, rotation, state.rotation) * ~begins
+    square = rotation * rotation / (ahead.aa + attitude.variance)
+    scatter = state.scatter + attitude.there * (1.0 - exp(-dt / SCATTERED)) * (square - state.scatter)
+    ahead = rate_filter.correct_by_attitude(
+        ahead, rotation, attitude.variance, attitude.there & ~jumped & (attitude.healthy | ~used)
     )
-    return changed_where(faulty, lambda: _follow(judged, gyro, alarm, there & ~stuck, dt), judged)
+
+    deviation = xp.where(gyro.there, gyro.rate - ahead.rate, 0.0)
+    alive, age = gyro.there & ~verdict.stuck, test.suspicion
+    variance = ahead.rr + noise
+    faulty, fault = changed_where(
+        faulty,
+        lambda: reading_test.follow_deviation(
+            state.fault, faulty, alarm, alive, age, deviation, variance, BIASED**2 + 0.05 * variance, dt
+        ),
+        (faulty, state.fault),
+    )
+    return GyroMonitor(
+        ahead,
+        test,
+        faulty,
+        ~good,
+        fault,
+        deviation,
+        _recent(state.jump, jump, LATELY, dt),
+        rotation,
+        _recent(state.bend, step / xp.sqrt(2.0 * attitude.sample), JUST, dt),
+        alone,
+        scatter,
+        *_freezes(state.angles, attitude, dt),
+        _needed(state, gyro, drive + gyroscopic, dt),
+    )
 
 
-def _count(state: GyroMonitor, outlier: Mask, reading: Vector, there: Mask, dt: float) -> GyroMonitor:
-    """Count outliers and repeated readings."""
-    xp = namespace(reading)
-    count = KEPT * state.outliers + (outlier | ~there)
-    same = (reading == state.reading) & there
-    rate = dt / 20.0
-    chance = xp.where(
-        state.faulty | (state.repeats > 2.0), state.chance, state.chance + rate * (same - state.chance)
-    )
-    return state._replace(
-        outliers=count,
-        reading=xp.where(there, reading, state.reading),
-        repeats=(state.repeats + same) * same,
-        chance=clip(chance, 1e-4, 0.99),
-        suspicion=(state.suspicion + dt) * (count > 0.5),
-    )
+def _freezes(state: ReadingTest, attitude: AttitudeReading, dt: float) -> tuple[ReadingTest, Mask]:
+    """Test whether the attitude is stuck."""
+    angles = euler_from_quaternion(attitude.q_xyzw)
+    zero = 0.0 * angles
+    test, verdict = reading_test.test_reading(state, angles, attitude.there, zero, zero, 1.0, ANGLE_NOISY, dt)
+    step = angles - state.reading
+    test = reading_test.learn_noise(test, step * step, zero, attitude.there, 1e-9, dt)
+    return test, verdict.stuck
+
+
+def _needed(state: GyroMonitor, gyro: GyroReading, known: Vector, dt: float) -> Vector:
+    """Acceleration that gyro and torque together ask for: a slow mean of differences [rad/s²]."""
+    xp = namespace(known)
+    before = state.filter.rate + state.deviation
+    change = xp.where(gyro.there & (state.deviation != 0.0), (gyro.rate - before) / dt - known, state.needed)
+    return state.needed + (1.0 - exp(-dt / NEEDED)) * (change - state.needed)
 
 
 def _recent(largest: Vector, news: Vector, memory: float, dt: float) -> Vector:
@@ -156,52 +185,3 @@ def _recent(largest: Vector, news: Vector, memory: float, dt: float) -> Vector:
     xp = namespace(news)
     faded = largest * exp(-dt / memory)
     return xp.where(xp.abs(news) > xp.abs(faded), news, faded)
-
-
-def _use_attitude(
-    ahead: RateFilter, jumps: Vector, attitude: AttitudeUse, gyro_used: Mask
-) -> tuple[RateFilter, Vector, Vector]:
-    """Correct by the attitude where it is healthy or the gyro is not; absorb its jumps."""
-    rotation = rate_filter.rotation_to(ahead, attitude.q_xyzw)
-    outlier = rotation * rotation > OUTLIER**2 * (ahead.aa + attitude.variance)
-    jumps = KEPT * jumps + (outlier & attitude.there)
-    used = attitude.there & ~outlier & (attitude.healthy | ~gyro_used)
-    ahead = rate_filter.correct_by_attitude(ahead, rotation, attitude.variance, used)
-    jumped = attitude.there & outlier & (jumps > ALARM)
-    ahead = changed_where(jumped, lambda: rate_filter.absorb(ahead, rotation, jumped), ahead)
-    return ahead, jumps * ~jumped, rotation
-
-
-def _learn(state: GyroMonitor, square: Vector, predicted: Vector, used: Mask, dt: float) -> GyroMonitor:
-    """Learn the variance of a reading from its squared innovations [rad²/s²]."""
-    xp = namespace(square)
-    expected = predicted + state.variance
-    time = xp.minimum(state.time + dt * used, LATE)
-    gain = used * dt / (EARLY + time)
-    news = xp.minimum(square / expected, CLIP) - 1.0
-    change = gain * 2.0 * news * state.variance**2 / expected
-    return state._replace(variance=xp.maximum(state.variance + change, LEAST**2), time=time)
-
-
-def _follow(state: GyroMonitor, gyro: Vector, alarm: Mask, alive: Mask, dt: float) -> GyroMonitor:
-    """Follow the deviation of a faulty gyro, and judge whether it is healthy again."""
-    xp = namespace(gyro)
-    faulty, deviation = state.faulty, (gyro - state.filter.rate) * alive
-    expected = state.filter.rr + xp.maximum(state.variance, FLOOR**2)
-    square = deviation * deviation / expected
-    mean = xp.where(alarm, deviation, state.mean + (1.0 - exp(-dt / SHORT)) * (deviation - state.mean))
-    long = xp.where(alarm, deviation, state.long + (1.0 - exp(-dt / LONG)) * (deviation - state.long))
-    gain = 1.0 - exp(-dt / SHORT)
-    scatter = xp.where(alarm, square, state.scatter + gain * (square - state.scatter))
-    agrees = (long * long < AGREES**2 * (BIASED**2 + 0.05 * expected)) & (scatter < SCATTER) & alive
-    calm = (state.calm + dt) * (agrees & faulty)
-    enough = calm > clip(QUICK * state.age, SOONEST, LATEST)
-    kept = faulty & ~enough
-    return state._replace(
-        faulty=kept,
-        mean=mean * kept,
-        long=long * kept,
-        scatter=scatter * kept,
-        calm=calm * kept,
-        age=state.age * kept,
-    )

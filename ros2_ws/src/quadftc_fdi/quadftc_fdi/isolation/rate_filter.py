@@ -120,6 +120,6 @@ def correct_by_gyro(state: RateFilter, innovation: Vector, variance: Vector, use
     )
 
 
-def absorb(state: RateFilter, rotation: Vector, where: Mask) -> RateFilter:
-    """Take over a rotation [rad] of the attitude on some axes, as a jump that is none of the vehicle."""
-    return state._replace(q_xyzw=turn(state.q_xyzw, where * rotation))
+def absorb(state: RateFilter, rotation: Vector) -> RateFilter:
+    """Take over a rotation [rad] of the attitude that is none of the vehicle."""
+    return state._replace(q_xyzw=turn(state.q_xyzw, rotation))

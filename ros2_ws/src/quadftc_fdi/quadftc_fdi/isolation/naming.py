@@ -1,0 +1,75 @@
+"""What the observer `isolating` says of each sensor, axis by axis."""
+
+from __future__ import annotations
+
+from quadftc_fdi.isolation.accelerometer_monitor import AccelerometerMonitor
+from quadftc_fdi.isolation.gyro_monitor import GyroMonitor
+from quadftc_fdi.isolation.hypotheses import Hypotheses
+from quadftc_fdi.isolation.reading_test import EARLY, SCATTER, Deviation, ReadingTest
+from quadftc_model import samples
+from quadftc_model.arrays import Array, Flag, Mask, Vector, namespace
+from quadftc_model.samples import FAULT_KINDS, FaultEstimate, SensorEstimate
+
+OFFSET, STUCK, NOISE, ABSENT = (FAULT_KINDS.index(name) for name in ("offset", "stuck", "noise", "absent"))
+NOISY = 4.0  # 1; a deviation scatters by so much more than its mean explains
+SHOWN = 0.1  # s; a sensor that has looked healthy for so long is shown as recovering
+
+
+def name_attitude(estimate: FaultEstimate, hypotheses: Hypotheses) -> SensorEstimate:
+    """Say what is known of the attitude."""
+    xp = namespace(estimate.fault)
+    faulty = hypotheses.certain | hypotheses.ambiguous
+    return SensorEstimate(
+        estimate.state,
+        estimate.fault,
+        estimate.std_dev,
+        estimate.onset_age,
+        faulty * (1.0 - hypotheses.gyro),
+        (faulty * OFFSET).astype(xp.uint8),
+        hypotheses.ambiguous,
+    )
+
+
+def name_gyro(
+    monitor: GyroMonitor, valid: Flag, estimate: FaultEstimate, hypotheses: Hypotheses
+) -> SensorEstimate:
+    """Say what is known of the gyro; where it is ambiguous, as of the attitude."""
+    xp = namespace(monitor.deviation)
+    std_dev = xp.sqrt(monitor.filter.rr + monitor.test.variance)
+    said = _name(monitor.test, monitor.faulty, monitor.fault, std_dev, valid)
+    ambiguous = hypotheses.ambiguous & ~monitor.faulty
+    return SensorEstimate(
+        xp.where(ambiguous, samples.FAULTY, said.state).astype(xp.uint8),
+        xp.where(ambiguous, monitor.deviation, said.size),
+        std_dev,
+        xp.where(ambiguous, estimate.onset_age, said.onset_age),
+        xp.where(ambiguous, hypotheses.gyro, said.probability),
+        xp.where(ambiguous, OFFSET, said.kind).astype(xp.uint8),
+        ambiguous,
+    )
+
+
+def name_accelerometer(monitor: AccelerometerMonitor, valid: Flag) -> SensorEstimate:
+    """Say what is known of the accelerometer."""
+    std_dev = namespace(monitor.mean).sqrt(monitor.test.variance)
+    return _name(monitor.test, monitor.faulty, monitor.fault, std_dev, valid)
+
+
+def _name(test: ReadingTest, faulty: Mask, fault: Deviation, std_dev: Vector, valid: Flag) -> SensorEstimate:
+    xp = namespace(std_dev)
+    trusted = xp.where(test.outliers > 0.5, samples.SUSPECT, samples.HEALTHY)
+    trusted = xp.where(test.time > EARLY, trusted, samples.STARTING)
+    state = xp.where(
+        faulty, xp.where(fault.calm > SHOWN, samples.RECOVERING, samples.FAULTY), trusted
+    ).astype(xp.uint8)
+    age = xp.where(faulty, fault.age, -1.0)
+    kind = (faulty * _kind(test, fault, std_dev, valid)).astype(xp.uint8)
+    return SensorEstimate(state, fault.mean, std_dev, age, 1.0 * faulty, kind, faulty & ~faulty)
+
+
+def _kind(test: ReadingTest, fault: Deviation, std_dev: Vector, valid: Flag) -> Array:
+    xp = namespace(std_dev)
+    explained = (fault.long / std_dev) ** 2
+    moving = xp.where(fault.scatter > NOISY * (explained + SCATTER), NOISE, OFFSET)
+    kind = xp.where(test.repeats > 1.0, STUCK, moving)
+    return xp.where(valid[..., None], kind, ABSENT)

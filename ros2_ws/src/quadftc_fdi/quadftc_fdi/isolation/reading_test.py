@@ -1,0 +1,139 @@
+"""Tests of a sensor's readings against predictions, axis by axis; its noise is learned.
+
+outlier     beyond six standard deviations of the innovation: the reading is not to be used
+odd         three outliers, or readings that are absent, within few samples: a jump, noise, silence
+stuck       a reading that is repeated, more often than it ever was by chance
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from quadftc_model.arrays import Mask, Vector, clip, exp, namespace
+
+OUTLIER = 6.0  # 1; standard deviations beyond which a reading is an outlier
+KEPT, ALARM = 0.8, 2.3  # 1; of the count of outliers from sample to sample; level of a fault: three in a row
+EARLY, LATE, CLIP = 0.3, 20.0, 9.0  # s, s, 1; what the prior is worth; memory; bound of squares
+CHANCE, RARE = 0.01, math.log(1e-7)  # 1; of a repeated reading, at first; log of a chance that is none
+SAME = 1e-12  # SI; readings that differ by less are the same, up to rounding
+LONG_RUN = 2.0  # 1; repetitions beyond which a run teaches nothing
+PATIENT = 20.0  # s; over which the chance is learned
+
+
+class ReadingTest(NamedTuple):
+    """What is known of a sensor's noise, and remembered of its last readings."""
+
+    variance: Vector  # of a reading, learned
+    time: Vector  # of learning [s]
+    outliers: Vector  # count of them, fading
+    suspicion: Vector  # how long there have been some [s]
+    reading: Vector  # the last
+    repeats: Vector  # how often it has been repeated
+    chance: Vector  # share of repeated readings, learned
+
+
+class Verdict(NamedTuple):
+    """What a test says of a reading."""
+
+    good: Mask  # it can be used
+    odd: Mask  # three outliers or absent readings
+    stuck: Mask
+
+
+def start_test(reading: Vector, prior: float) -> ReadingTest:
+    """Start with the standard deviation of a noise that is not known."""
+    zeros = namespace(reading).zeros_like(reading)
+    return ReadingTest(zeros + prior**2, zeros, zeros, zeros, reading, zeros, zeros + CHANCE)
+
+
+def test_reading(
+    state: ReadingTest,
+    reading: Vector,
+    there: Mask,
+    square: Vector,
+    predicted: Vector,
+    floor: float,
+    least: float,
+    dt: float,
+) -> tuple[ReadingTest, Verdict]:
+    """Test a reading: squared innovation, variance of the prediction.
+
+    The noise counts as ``floor`` at least. A sensor whose noise is below ``least`` may repeat itself.
+    """
+    xp = namespace(reading)
+    started = state.time > EARLY
+    outlier = there & started & (square > OUTLIER**2 * (predicted + xp.maximum(state.variance, floor**2)))
+    outliers = KEPT * state.outliers + (outlier | ~there)
+    same = there & (xp.abs(reading - state.reading) < SAME)
+    learning = state.repeats <= LONG_RUN
+    repeats = (state.repeats + same) * same
+    chance = state.chance + learning * (dt / PATIENT) * (same - state.chance)
+    run = xp.where(state.variance > least**2, repeats * xp.log(clip(chance, 1e-4, 0.99)), 0.0)
+    stuck = started & (run < RARE)
+    verdict = Verdict(there & ~outlier & ((run > 0.5 * RARE) | ~started), started & (outliers > ALARM), stuck)
+    suspicion = (state.suspicion + dt) * (outliers > 0.5)
+    reading = xp.where(there, reading, state.reading)
+    return ReadingTest(state.variance, state.time, outliers, suspicion, reading, repeats, chance), verdict
+
+
+def learn_noise(
+    state: ReadingTest, square: Vector, predicted: Vector, used: Mask, least: float, dt: float
+) -> ReadingTest:
+    """Learn the variance of a reading from squared innovations, where the reading is used."""
+    xp = namespace(square)
+    expected = predicted + state.variance
+    time = xp.minimum(state.time + dt * used, LATE)
+    news = xp.minimum(square / expected, CLIP) - 1.0
+    change = used * (2.0 * dt / (EARLY + time)) * news * state.variance**2 / expected
+    return state._replace(variance=xp.maximum(state.variance + change, least**2), time=time)
+
+
+SHORT, LONG = 0.06, 0.4  # s; averages of the deviation of a faulty sensor
+SCATTER = 3.0  # 1; squared deviations, in variances, of a sensor that is healthy again, at most
+QUICK, SOONEST, LATEST = 0.3, 0.3, 1.0  # 1, s, s; share of a fault's age for which it must agree; bounds
+
+
+class Deviation(NamedTuple):
+    """A faulty sensor: what it reads too much, and for how long it has looked healthy."""
+
+    age: Vector  # of the fault [s]
+    calm: Vector  # how long it has looked healthy [s]
+    mean: Vector  # over a short time
+    long: Vector  # over a long time
+    scatter: Vector  # squared deviation, in variances
+
+
+def no_deviation(like: Vector) -> Deviation:
+    """Return that of a healthy sensor."""
+    zeros = namespace(like).zeros_like(like)
+    return Deviation(zeros, zeros, zeros, zeros, zeros)
+
+
+def follow_deviation(
+    state: Deviation,
+    faulty: Mask,
+    alarm: Mask,
+    alive: Mask,
+    age: Vector,
+    deviation: Vector,
+    variance: Vector,
+    known: Vector,
+    dt: float,
+) -> tuple[Mask, Deviation]:
+    """Follow the deviation of the faulty axes; return which are faulty still.
+
+    ``alarm``: since this sample, at an ``age`` [s]; ``alive``: there is a reading, and it changes.
+    ``variance`` is that of a deviation of a healthy sensor, ``known`` that of its average over `LONG`.
+    """
+    xp = namespace(deviation)
+    deviation = xp.where(alive, deviation, 0.0)
+    square = deviation * deviation / variance
+    short, slow = 1.0 - exp(-dt / SHORT), 1.0 - exp(-dt / LONG)
+    mean = xp.where(alarm, deviation, state.mean + short * (deviation - state.mean))
+    long = xp.where(alarm, deviation, state.long + slow * (deviation - state.long))
+    scatter = xp.where(alarm, square, state.scatter + short * (square - state.scatter))
+    age = xp.where(alarm, age, state.age + dt)
+    calm = (state.calm + dt) * (alive & (long * long < 9.0 * known) & (scatter < SCATTER))
+    kept = faulty & (calm <= clip(QUICK * age, SOONEST, LATEST))
+    return kept, Deviation(*(kept * part for part in (age, calm, mean, long, scatter)))
