@@ -1,0 +1,149 @@
+# pyright: basic
+"""The study of which sensor is named, from the campaigns ``which_sensor*``; tables of docs/diagnosis.md.
+
+python3 -m quadftc_tools.study.which_sensor --results results --docs docs
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+import polars as pl
+
+from quadftc_campaign.table import whole_flights
+from quadftc_flight.diagnosis_metrics.which_sensor import NOTHING, TIME
+from quadftc_tools.study.numbers import write_count, write_degrees, write_number, write_per_cent, write_times
+from quadftc_tools.study.page import FLIGHTS, Drawers, markdown, run_study
+
+NAMES = ("which_sensor", "which_sensor_steps", "which_sensor_healthy")
+DELAY = "fault.naming_delay_s"
+ERROR, RATIO = "attitude_error_max_deg", "attitude_error_max_deg_ratio"
+OVERVIEW = (
+    *("", "flights", "lost", "attitude faults named", "gyro faults named", "of them misnamed at some time"),
+    *("named after, median / 95 %", "largest error, 95 % / worst"),
+    "over that without diagnosis, 95 % / worst",
+)
+KINDS = (
+    *("fault", "flights", "named", "misnamed at some time", "ambiguous", "named after, median / largest"),
+    *("lost", "largest error, 95 % / worst", "over that without diagnosis, worst: named / not named"),
+)
+STEPS = (
+    "",
+    "named",
+    "misnamed",
+    "named after, median / largest",
+    "lost",
+    "largest error",
+    "largest RMS error",
+)
+HEALTHY = ("", "flights", "any sensor declared", "lost", "largest error, 95 % / worst")
+
+
+def read_campaigns(results: Path) -> dict[str, pl.DataFrame]:
+    """Read the tables ``RESULTS/NAME/flights.parquet`` that are there; ValueError if there is none."""
+    paths = {name: results / name / FLIGHTS for name in NAMES}
+    frames = {name: pl.read_parquet(path) for name, path in paths.items() if path.is_file()}
+    if not frames:
+        raise ValueError(f"{results}: no study there; expected {NAMES[0]}/{FLIGHTS} or another")
+    return frames
+
+
+def make(frames: Mapping[str, pl.DataFrame]) -> tuple[Mapping[str, str], Drawers]:
+    """Return the tables of the campaigns, by the names of their places."""
+    tables: dict[str, str] = {}
+    for name, frame in frames.items():
+        place = name.replace("_", "-")
+        variants = frame["variant"].unique(maintain_order=True).to_list()
+        parts = {variant: frame.filter(pl.col("variant") == variant) for variant in variants}
+        if name == "which_sensor":
+            tables[place] = markdown(OVERVIEW, (_overview(*part) for part in parts.items()))
+            tables[f"{place}-kinds"] = kinds_table(frame.filter(pl.col("observer") == "isolating"))
+        elif name == "which_sensor_steps":
+            tables[place] = markdown(STEPS, (_steps(*part) for part in parts.items()))
+        else:
+            tables[place] = markdown(HEALTHY, (_healthy(*part) for part in parts.items()))
+    return tables, {}
+
+
+def kinds_table(faults: pl.DataFrame) -> str:
+    """Table of each kind of fault of each sensor, of one observer."""
+    groups = faults.partition_by("fault.component", "fault.kind", as_dict=True)
+    rows = []
+    for (sensor, kind), part in sorted(groups.items()):
+        flights = whole_flights(part)
+        named = whole_flights(part.filter(pl.col("fault.named")))
+        others = flights.join(named, on="flight", how="anti")
+        rows.append(
+            (
+                f"{sensor}: {kind}",
+                str(flights.height),
+                write_per_cent((_mean(part, "fault.named"),)),
+                write_per_cent((_misnamed(part),)),
+                write_per_cent((_mean(part, "fault.ambiguous_share"),)),
+                write_times((_quantile(part, DELAY, 0.5), _max(part, DELAY))),
+                write_count((float(flights["lost"].sum()),)),
+                write_degrees((_quantile(flights, ERROR, 0.95), _max(flights, ERROR))),
+                " / ".join(write_number(_max(each, RATIO)) for each in (named, others)),
+            )
+        )
+    return markdown(KINDS, rows)
+
+
+def _overview(name: str, faults: pl.DataFrame) -> tuple[str, ...]:
+    flights = whole_flights(faults)
+    of = {sensor: faults.filter(pl.col("fault.component") == sensor) for sensor in ("attitude", "gyro")}
+    both = pl.concat(of.values())
+    return (
+        f"`{name}`",
+        str(flights.height),
+        write_count((float(flights["lost"].sum()),)),
+        *(write_per_cent((_mean(part, "fault.named"),)) for part in of.values()),
+        write_per_cent((_misnamed(both),)),
+        write_times(tuple(_quantile(both, DELAY, each) for each in (0.5, 0.95))),
+        write_degrees((_quantile(flights, ERROR, 0.95), _max(flights, ERROR))),
+        " / ".join(write_number(each) for each in (_quantile(flights, RATIO, 0.95), _max(flights, RATIO))),
+    )
+
+
+def _steps(name: str, faults: pl.DataFrame) -> tuple[str, ...]:
+    return (
+        f"`{name}`",
+        write_per_cent((_mean(faults, "fault.named"),)),
+        write_per_cent((_misnamed(faults),)),
+        write_times((_quantile(faults, DELAY, 0.5), _max(faults, DELAY))),
+        write_count((float(whole_flights(faults)["lost"].sum()),)),
+        *(write_degrees((_max(faults, each),)) for each in (ERROR, "attitude_error_rms_deg")),
+    )
+
+
+def _healthy(name: str, flights: pl.DataFrame) -> tuple[str, ...]:
+    silent, time = (flights[f"sensors.confusion_s.none.{each}"].sum() for each in (NOTHING, TIME))
+    return (
+        f"`{name}`",
+        str(flights.height),
+        write_per_cent((1.0 - silent / time,)),
+        write_count((float(flights["lost"].sum()),)),
+        write_degrees((_quantile(flights, ERROR, 0.95), _max(flights, ERROR))),
+    )
+
+
+def _misnamed(faults: pl.DataFrame) -> float | None:
+    return _mean(faults.with_columns(wrong=pl.col("fault.misnamed_share") > 0.0), "wrong")
+
+
+def _mean(frame: pl.DataFrame, name: str) -> float | None:
+    return frame[name].cast(pl.Float64).mean()
+
+
+def _quantile(frame: pl.DataFrame, name: str, share: float) -> float | None:
+    return frame[name].quantile(share, "linear") if name in frame.columns else None
+
+
+def _max(frame: pl.DataFrame, name: str) -> float | None:
+    return frame[name].max() if name in frame.columns else None
+
+
+if __name__ == "__main__":
+    sys.exit(run_study("diagnosis", lambda results: make(read_campaigns(results))))
