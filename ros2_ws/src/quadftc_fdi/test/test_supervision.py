@@ -38,10 +38,12 @@ from quadftc_fdi.supervision.sensor_noise import (
     AVERAGED,
     LONG,
     MIDDLE,
+    RATES,
     SAMPLE,
+    at_rate,
     cautious_variances,
     learn_noise,
-    learned_variances,
+    rate_weights,
     settle_noise,
     start_noise,
 )
@@ -54,6 +56,7 @@ SIGMA = 0.1 * DEG  # of a healthy residual, white
 VARIANCES = np.tile(SIGMA**2 * DT / (2.0 * AVERAGED + DT), (3, 1))  # of white noise
 THRESHOLD, RECOVERY, PATIENCE = 5.5, 0.6, 20.0
 ROLL = np.array([1.0, 0.0, 0.0])
+AT_REST = rate_weights(np.zeros(1))
 
 
 class Flown:
@@ -116,14 +119,14 @@ def test_the_young_anchor_replaces_the_old_one_at_half_the_greatest_age_unless_h
     np.testing.assert_array_equal(after.corrections[:, 1], 0.0)
 
 
-def run_tests(residual, evidence=None, count=1, trusted=EVERY):
+def run_tests(residual, evidence=None, count=1, trusted=EVERY, colour=0.0):
     """Evidence and findings after samples of the same residual of the filter (3,)."""
     evidence = start_evidence(ZEROS) if evidence is None else evidence
     residuals = np.stack([residual] * 3 + [ZEROS] * 2, axis=-1)
     weights = averaging_weights(DT)
     for _ in range(count):
         evidence, scores, _ = collect_evidence(
-            evidence, residuals, VARIANCES, trusted, weights, DT, THRESHOLD
+            evidence, residuals, VARIANCES, np.full(3, colour), trusted, weights, DT, THRESHOLD
         )
         found = declare_faults(scores, evidence.suspicion, trusted, THRESHOLD)
     return evidence, scores, found
@@ -153,6 +156,22 @@ def test_an_incipient_fault_is_declared_by_its_averages():
     assert evidence.suspicion[0] > 0.0
 
 
+def test_an_excursion_of_a_sensor_that_errs_slowly_is_no_abrupt_fault_but_a_jump_is():
+    slow = 4.0 * SIGMA * ROLL
+    evidence = start_evidence(ZEROS)
+    for share in np.linspace(0.0, 1.0, 100):
+        evidence, _, found = run_tests(share * slow, evidence, colour=1.0)
+        assert not found.abrupt.any()
+    assert run_tests(slow + 5.0 * SIGMA * ROLL, evidence, count=3, colour=1.0)[2].abrupt[0]
+
+
+def test_noise_is_interpolated_between_body_rates():
+    np.testing.assert_array_equal(rate_weights(np.zeros(1)), [1.0, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(rate_weights(np.array([100.0])), [0.0, 0.0, 0.0, 1.0])
+    middle = math.sqrt(RATES[1] * RATES[2])
+    np.testing.assert_allclose(rate_weights(np.array([middle])), [0.0, 0.5, 0.5, 0.0], atol=1e-12)
+
+
 def test_healthy_noise_is_not_suspect():
     noise, evidence = np.random.default_rng(1), None
     for _ in range(2500):
@@ -160,49 +179,49 @@ def test_healthy_noise_is_not_suspect():
         assert not found.alarm.any()
 
 
-def learn(std_dev, seconds=20.0, motion=0.0, correlated=0.0, noise=None, seed=5):
+def learn(std_dev, seconds=20.0, rate=0.0, correlated=0.0, noise=None, seed=5):
     """What is learned of residuals with a white and a slow part, std dev [rad], here of no filter."""
     generator, slow, means = np.random.default_rng(seed), np.zeros(3), np.zeros((3, 6))
     noise, keep = start_noise(ZEROS) if noise is None else noise, math.exp(-DT / 0.3)
-    u = np.array([motion])
+    weights = rate_weights(np.array([rate]))
     for k in range(round(seconds / DT)):
         slow = keep * slow + math.sqrt(1.0 - keep**2) * correlated * generator.standard_normal(3)
         residual = (std_dev * generator.standard_normal(3) + slow)[:, None]
         means = means + DT / (AVERAGED + DT) * (residual - means)
-        noise = learn_noise(noise, means**2, np.ones(3), np.zeros((3, 6)), u, EVERY, DT)
-        noise = settle_noise(noise, YES & (k % 750 == 749), NO, NONE, u)
+        noise = learn_noise(noise, means**2, np.ones(3), np.zeros((3, 6)), weights, EVERY, DT)
+        noise = settle_noise(noise, YES & (k % 750 == 749), NO, NONE, weights)
     return noise
 
 
 def test_the_noise_of_the_sensor_is_learned_downwards_and_upwards():
     quiet = learn(0.02 * DEG)
-    sigma = np.sqrt(learned_variances(quiet.known, np.zeros(1)))[:, SAMPLE]
+    sigma = np.sqrt(at_rate(quiet.known, AT_REST))[:, SAMPLE]
     np.testing.assert_allclose(sigma, 0.02 * DEG, rtol=0.25)
     worse = learn(0.3 * DEG, seconds=60.0, noise=quiet)
-    sigma = np.sqrt(learned_variances(worse.known, np.zeros(1)))[:, SAMPLE]
+    sigma = np.sqrt(at_rate(worse.known, AT_REST))[:, SAMPLE]
     np.testing.assert_allclose(sigma, 0.3 * DEG, rtol=0.25)
 
 
 def test_what_is_learned_at_rest_says_nothing_of_motion():
     learned = learn(0.02 * DEG)
-    np.testing.assert_array_equal(learned.known[..., 1], start_noise(ZEROS).known[..., 1])
+    np.testing.assert_array_equal(learned.known[..., 1:], start_noise(ZEROS).known[..., 1:])
 
 
 def test_a_sensor_that_errs_slowly_keeps_the_caution_of_the_prior_and_a_white_one_does_not():
-    rest, prior = np.zeros(1), start_noise(ZEROS).known[0, LONG, 0]
-    white = learned_variances(learn(0.1 * DEG).known, rest)
-    np.testing.assert_array_equal(cautious_variances(white, rest, DT), white)
-    slow = learned_variances(learn(0.03 * DEG, correlated=0.03 * DEG).known, rest)
+    prior = start_noise(ZEROS).known[0, LONG, 0]
+    white = at_rate(learn(0.1 * DEG).known, AT_REST)
+    np.testing.assert_array_equal(cautious_variances(white, AT_REST, DT), white)
+    slow = at_rate(learn(0.03 * DEG, correlated=0.03 * DEG).known, AT_REST)
     assert np.all(slow[:, LONG] < prior)
-    np.testing.assert_array_equal(cautious_variances(slow, rest, DT)[:, LONG], prior)
+    np.testing.assert_array_equal(cautious_variances(slow, AT_REST, DT)[:, LONG], prior)
 
 
 def test_what_was_learned_since_the_young_anchor_is_given_up_with_an_alarm_and_a_false_one_teaches():
     before = learn(0.1 * DEG)
     news = before._replace(learned=before.learned * 3.0)
-    kept = settle_noise(news, NO, YES, NONE, np.zeros(1))
+    kept = settle_noise(news, NO, YES, NONE, AT_REST)
     np.testing.assert_array_equal(kept.learned, before.known)
-    wiser = settle_noise(kept, NO, NO, np.array([True, False, False]), np.zeros(1))
+    wiser = settle_noise(kept, NO, NO, np.array([True, False, False]), AT_REST)
     np.testing.assert_array_equal(wiser.known[0, :, 0], 2.0 * before.known[0, :, 0])
     np.testing.assert_array_equal(wiser.known[1:], before.known[1:])
 
@@ -218,7 +237,7 @@ def test_less_evidence_is_enough_on_an_axis_when_another_is_faulty():
 def test_evidence_is_forgotten_on_restart_and_moves_with_the_anchors():
     evidence, _, _ = run_tests(SIGMA * ROLL, count=10)
     evidence = evidence._replace(means=evidence.means + np.arange(5.0))
-    after = update_evidence(evidence, YES, np.array([False, False, True]))
+    after = update_evidence(evidence, ZEROS, YES, np.array([False, False, True]))
     np.testing.assert_array_equal(after.means[1], [0.0, 1.0, 2.0, 4.0, 0.0])
     np.testing.assert_array_equal(after.means[2], 0.0)
     np.testing.assert_array_equal(after.sums[2], 0.0)
@@ -229,7 +248,9 @@ def tracked(residuals, jump_at=0, valid=EVERY):
     track, gains = start_track(ZEROS), tracker_gains(DT, 0.06)
     for k, residual in enumerate(residuals):
         alarm = EVERY & (k == jump_at)
-        track = track_fault(track, residual, VARIANCES, alarm, alarm, np.full(3, 0.02), valid, gains, DT)
+        track = track_fault(
+            track, residual, VARIANCES, ZEROS, alarm, alarm, np.full(3, 0.02), valid, gains, DT
+        )
     return track
 
 
@@ -271,7 +292,8 @@ class Recovering:
         for k in range(round(seconds / DT)):
             residual = level * ROLL + SIGMA * self.noise.standard_normal(3)
             self.track = track_fault(
-                self.track, residual, VARIANCES, self.alarm, EVERY & self.abrupt, ZEROS, EVERY, self.gains, DT
+                *(self.track, residual, VARIANCES, ZEROS, self.alarm, EVERY & self.abrupt),
+                *(ZEROS, EVERY, self.gains, DT),
             )
             self.alarm = NONE
             judged = judge_recovery(
@@ -307,6 +329,13 @@ def test_a_fault_that_does_not_come_back_is_not_believed_away_as_dead_reckoning_
     assert flown.seconds_to_trust(2.0 * DEG, 15.0) == (math.inf, False)
     flown.predicted = 4.0 * DEG  # nothing is known any more
     assert flown.seconds_to_trust(2.0 * DEG, 5.0)[0] < 2.0
+
+
+def test_a_fault_is_not_over_as_it_crosses_zero():
+    flown = Recovering()
+    flown.seconds_to_trust(2.0 * DEG, 1.0)
+    ended = [flown.seconds_to_trust(level * DEG, 2.0 * DT)[0] for level in np.linspace(2.0, -2.0, 250)]
+    assert min(ended) == math.inf
 
 
 def test_a_false_alarm_that_crept_in_ends_when_it_agrees_again():

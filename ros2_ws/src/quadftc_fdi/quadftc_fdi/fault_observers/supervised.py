@@ -125,11 +125,14 @@ class Supervised(FaultObserver):
     """Estimates the gyro's errors while an axis is healthy, and dead-reckons it while it is not."""
 
     gyro_noise: float = parameter(0.007 * DEG, unit="rad/sqrt(s)", low=1e-8, doc="angle random walk N")
-    gyro_moving: float = parameter(0.00125, unit="sqrt(s)", low=0.0, doc="what N grows by per body rate")
+    gyro_moving: float = parameter(0.0004, unit="sqrt(s)", low=0.0, doc="what N grows by per body rate")
     gyro_shift: float = parameter(0.025 * DEG, unit="rad/s", low=0.0, doc="gyro bias by motion, 1 sigma")
     gyro_bias: float = parameter(1.5 * DEG, unit="rad/s", low=1e-6, doc="turn-on gyro bias, 1 sigma")
     gyro_bias_walk: float = parameter(2e-4 * DEG, unit="rad/s/sqrt(s)", low=0.0, doc="rate random walk K")
     gyro_scale: float = parameter(0.01, unit="1", low=0.0, doc="scale and alignment errors, 1 sigma")
+    gyro_scale_walk: float = parameter(
+        3e-4, unit="1/sqrt(rad)", low=0.0, doc="their random walk, by rotation"
+    )
     delay: float = parameter(0.01, unit="s", low=0.0, doc="delay of attitude against gyro, 1 sigma")
     threshold: float = parameter(5.5, unit="1", low=1.0, doc="standard deviations at which an axis is faulty")
     anchor_age: float = parameter(6.0, unit="s", low=0.1, doc="how old an anchor gets")
@@ -200,21 +203,24 @@ class Supervised(FaultObserver):
         estimate, earlier, P, omega, activity, motion = self._predict(state, gyro, doubt, dt)
 
         # 2. Test the residuals of the trusted axes, and learn from healthy ones.
-        reading = self._compare(estimate, earlier, P, imu, omega, state.noise.cautious)
+        reading, known = self._compare(estimate, earlier, P, imu, omega, state.noise), state.noise
         sensor, gain = reading.sensor, reading.prediction.gain
-        spread, trusted = product(reading.predicted, weights.predicted), ~state.faulty & reading.testable
+        spread = product(reading.predicted, weights.predicted) * known.seen
+        trusted = ~state.faulty & reading.testable
         evidence, scores, squares = residual_tests.collect_evidence(
-            state.evidence, reading.residuals, sensor + spread, trusted, weights, dt, self.threshold
+            *(state.evidence, reading.residuals, sensor + spread, known.colour, trusted),
+            *(weights, dt, self.threshold),
         )
+        by_rate = sensor_noise.rate_weights(activity)
         odd = scores.suspect | scores.outlier
         sound = trusted & ~odd
         if not isinstance(doubt, float):
             sound = sound & (doubt == 0.0)
-        noise = sensor_noise.learn_noise(state.noise, squares, gain, spread, motion, sound, dt)
+        noise = sensor_noise.learn_noise(known, squares, gain, spread, by_rate, sound, dt)
 
         # 3. Declare faults; 4. track them, and judge which axes are trusted again, where there may be any.
         def judge() -> Verdict:
-            return self._judge(state, estimate, earlier, reading, evidence, scores, trusted, motion, dt)
+            return self._judge(state, estimate, earlier, reading, evidence, scores, trusted, by_rate, dt)
 
         special = state.faulty | odd
         verdict = changed_where(special, judge, _all_healthy(state, estimate, reading))
@@ -230,11 +236,14 @@ class Supervised(FaultObserver):
         def renew() -> tuple[residual_tests.Evidence, sensor_noise.SensorNoise, Vector]:
             outdated = verdict.faulty | verdict.recovered | verdict.restart | (dt > GAP)
             return (
-                residual_tests.update_evidence(evidence, promoted, outdated),
-                sensor_noise.settle_noise(noise, promoted, verdict.alarm, verdict.short, motion),
+                residual_tests.update_evidence(evidence, verdict.residual - shift, promoted, outdated),
+                sensor_noise.settle_noise(noise, promoted, verdict.alarm, verdict.short, by_rate),
                 _count_outliers(state, scores.outlier, verdict.faulty, verdict.short),
             )
 
+        # the filter's own correction is no change of the sensor
+        shift = measurement.turned_angles(verdict.prediction, dx)
+        evidence = evidence._replace(base=evidence.base - shift)
         news = special | state.rejected | promoted | (dt > GAP)
         evidence, noise, outliers = changed_where(news, renew, (evidence, noise, state.outliers))
         (bias,), (raw,) = components(verdict.bias), components(state.raw)
@@ -254,7 +263,7 @@ class Supervised(FaultObserver):
         evidence: residual_tests.Evidence,
         scores: residual_tests.Scores,
         trusted: Mask,
-        motion: Column,
+        by_rate: sensor_noise.Weights,
         dt: float,
     ) -> Verdict:
         """Declare faults, follow those that are there, and judge which axes are trusted again."""
@@ -269,8 +278,9 @@ class Supervised(FaultObserver):
         # Track the faults.
         gains = fault_track.tracker_gains(dt, self.tracking)
         sensor, declared = reading.sensor, (found.alarm, found.abrupt, evidence.suspicion)
-        track = fault_track.track_fault(state.track, residual, sensor, *declared, reading.valid, gains, dt)
-        cautious = sensor_noise.cautious_spread(motion, prediction.gain)
+        seen = sensor, state.noise.colour, *declared, reading.valid
+        track = fault_track.track_fault(state.track, residual, *seen, gains, dt)
+        cautious = sensor_noise.cautious_spread(by_rate, prediction.gain)
         judged = fault_track.judge_recovery(
             track, faulty, predicted, sensor, cautious, bias, self.recovery, self.patience, dt
         )
@@ -336,7 +346,8 @@ class Supervised(FaultObserver):
 
         rotation = changed_where(dt > GAP, widen, walk)
         bias = self.gyro_bias_walk**2 * dt + self.gyro_shift**2 * abs(motion - before)
-        noise = ProcessNoise(column(rotation) + doubt, column(bias))
+        scale = self.gyro_scale_walk**2 * measured * dt
+        noise = ProcessNoise(column(rotation) + doubt, column(bias), column(scale))
         mean = gyro - 0.5 * change
         estimate, P, F = inertial_filter.predict(state.filter, state.anchors.P, mean, change, noise, dt)
         corrections, age = F.of(state.anchors.corrections), state.anchors.age
@@ -350,14 +361,14 @@ class Supervised(FaultObserver):
         P: Covariances,
         imu: ImuSample,
         omega: Vector,
-        cautious: sensor_noise.Statistics,
+        noise: sensor_noise.SensorNoise,
     ) -> Reading:
         """Compare a measured attitude with the predicted ones."""
         prediction = measurement.predict_angles(estimate, omega, P)
         residual = measurement.nearest_residual(prediction, euler_from_quaternion(imu.q_xyzw))
         residuals, predicted = anchors.compare_anchors(earlier, prediction, residual)
-        sensor = cautious * prediction.gain[..., None]
-        variance = sensor[..., sensor_noise.SAMPLE]
+        sensor = noise.cautious * prediction.gain[..., None]
+        variance = noise.exact[..., : sensor_noise.MIDDLE].sum(axis=-1) * prediction.gain
         masks = measurement.defined(prediction, estimate.P, variance, imu.attitude_valid)
         return Reading(prediction, residuals, predicted, sensor, *masks)
 

@@ -26,11 +26,12 @@ from quadftc_fdi.supervision.sensor_noise import MIDDLE, SAMPLE, SHORT, Statisti
 from quadftc_model.arrays import AnyArray, Column, Float, Mask, Vector, cache_numbers, namespace
 
 AVERAGES = np.array([0.15, 0.6])  # s; two averages of a fault, whose difference shows that it moves
+SLOWER = np.array([0.0, 0.5])  # 1; share by which their gains are less where the sensor errs slowly
 JUMPS = 25.0  # 1; squared standard deviations beyond which a fault jumps
-AGREES, STANDS = 16.0, 9.0  # 1; squared standard deviations
+AGREES, STANDS = 12.0, 9.0  # 1; squared standard deviations
 CLOSE = 6.0  # 1; the same of a fault that was never seen to move: it may be a slow ramp
 UNKNOWN = 0.5  # 1; the same of a fault of which dead reckoning no longer knows anything
-RETURNED = 0.25  # 1; share of the peak
+RETURNED, BACK = 0.25, 0.5  # 1; shares of the peak, in variances and in rad²
 SEEN = 0.3  # s; so long after a jump or a visible motion it is decided whether the fault has left zero
 QUICK, SOONEST = 0.3, 0.15  # 1, s; share of a fault's age for which its axis must look healthy, and the least
 LONG_AGO = 1e3  # s
@@ -45,6 +46,7 @@ class Track(NamedTuple):
     samples: Vector  # since the last jump
     still: Vector  # time since it was last seen to jump or to move [s]
     peak: Vector  # largest squared deviation from zero, in variances
+    top: Vector  # the same in rad²
     away: Vector  # 1: it was seen to leave zero, and not yet to come back
     means: Float[AnyArray, "*batch 3 2"]  # two averages of it [rad]
     age: Vector  # time since the onset [s]
@@ -78,13 +80,14 @@ def start_track(like: Vector) -> Track:
     """Return a track without faults."""
     zeros = namespace(like).zeros_like(like)
     means = namespace(like).zeros((*like.shape, 2))
-    return Track(zeros, zeros, zeros, zeros, zeros, zeros, means, zeros, zeros)
+    return Track(zeros, zeros, zeros, zeros, zeros, zeros, zeros, means, zeros, zeros)
 
 
 def track_fault(
     track: Track,
     residual: Vector,
     variances: Statistics,
+    colour: Vector,
     alarm: Mask,
     abrupt: Mask,
     suspicion: Vector,
@@ -104,7 +107,8 @@ def track_fault(
     samples = (track.samples + valid) * ~jump
     mean = 1.0 / (samples + 1.0)
     alpha = xp.maximum(gains.alpha, mean) * valid
-    average = xp.maximum(gains.mean, mean[..., None]) * valid[..., None]
+    average = gains.mean * (1.0 - colour[..., None] * SLOWER)
+    average = xp.maximum(average, mean[..., None]) * valid[..., None]
     return track._replace(
         fault=expected + alpha * error,
         slope=(track.slope + gains.beta_dt * valid * error) * (samples > gains.settled),
@@ -122,8 +126,7 @@ def clear_healthy(track: Track, faulty: Mask) -> Track:
 
 def track_variance(track: Track, variances: Statistics) -> Vector:
     """Variance [rad²] that the sensor's noise gives the tracked fault."""
-    xp = namespace(track.samples)
-    return xp.maximum(variances[..., SHORT], variances[..., SAMPLE] / (track.samples + 1.0))
+    return variances[..., SHORT] + variances[..., SAMPLE] / (track.samples + 1.0)
 
 
 class Recovery(NamedTuple):
@@ -165,7 +168,9 @@ def judge_recovery(
     off = short**2 / (predicted + xp.maximum(spread, cautious))
     peak = xp.maximum(track.peak, off)
     # A fault that was seen to leave zero is there until it is seen to come back.
-    away = xp.where(still < SEEN, off > AGREES, track.away > 0.0)
+    top = xp.maximum(track.top, short**2)
+    near = (off < AGREES) & ((short**2 < BACK * top) | (peak < AGREES))
+    away = xp.where(still < SEEN, ~near, track.away > 0.0)
     limit = xp.where(away, UNKNOWN, xp.where(still < LONG_AGO, AGREES, CLOSE))
     agrees = off < xp.minimum(limit, RETURNED * peak)
     outlasted = (track.age > patience) & (xp.abs(motion) < ALMOST_STILL)
@@ -173,7 +178,7 @@ def judge_recovery(
     enough = xp.where(outlasted, recovery, (QUICK * track.age).clip(SOONEST, recovery))
     trusted = faulty & (calm > enough)
     return Recovery(
-        track._replace(calm=calm, still=still, away=1.0 * away, peak=peak),
+        track._replace(calm=calm, still=still, away=1.0 * away, peak=peak, top=top),
         trusted,
         trusted & ~agrees,
         track.age,

@@ -22,6 +22,7 @@ from quadftc_fdi.supervision.transition import (
     SIZE,
     Covariance,
     Covariances,
+    Errors,
     FilterState,
     variances,
 )
@@ -116,6 +117,11 @@ def predict_again(prediction: Prediction, P: Covariance) -> Prediction:
     """Return the prediction with another covariance of the error state."""
     PH, HPH, variances = _seen(P[..., None, :, :], prediction.H)
     return prediction._replace(PH=PH, HPH=HPH, variances=variances)
+
+
+def turned_angles(prediction: Prediction, dx: Errors) -> Vector:
+    """Change of the predicted angles [rad] by a correction of the error state."""
+    return product(prediction.H, dx[..., None], MEASURED)[..., 0]
 
 
 def _seen(P: Covariances, H: MeasurementMatrix) -> tuple[Array, Array, Array]:

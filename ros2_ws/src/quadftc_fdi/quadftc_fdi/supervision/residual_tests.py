@@ -7,7 +7,10 @@ first two are is learned (`sensor_noise`); the filter knows the third. On each a
     m <- m + w (r - m),   m² / var(m)        averages over 0.05, 0.15 and 0.5 s: incipient faults
                                              averages over 0.25 s of the residuals of the two anchors
                                              (`anchors`): faults so slow that the filter follows them
-    s <- s + min(r / sigma, 4.4) - 2.5       cumulative sum (Page 1954), both ways: abrupt faults
+    s <- s + min(e / sigma, 4.4) - 2.5       cumulative sum (Page 1954), both ways: abrupt faults
+    e = r - c m                              m: average over 0.05 s, c: share of slow errors in its variance
+
+So an excursion of a sensor that errs slowly is not taken for a jump.
 
 When one axis is declared faulty, a lower level is enough on the others. What disturbs one axis often
 disturbs them all, and going back to an anchor loses the evidence against them.
@@ -47,6 +50,7 @@ class Evidence(NamedTuple):
     """What the tests remember."""
 
     means: Residuals  # averages of the residuals [rad]
+    base: Vector  # average over 0.05 s of the residual, from which slow errors are foretold [rad]
     sums: Sums  # cumulative sums, upwards and downwards [1]
     suspicion: Vector  # how long an axis has been suspect [s]
 
@@ -94,13 +98,14 @@ def averaging_weights(dt: float) -> AveragingWeights:
 def start_evidence(like: Vector) -> Evidence:
     """Return evidence of nothing."""
     xp, shape = namespace(like), like.shape
-    return Evidence(xp.zeros((*shape, 5)), xp.zeros((*shape, 2)), xp.zeros_like(like))
+    return Evidence(xp.zeros((*shape, 5)), xp.zeros_like(like), xp.zeros((*shape, 2)), xp.zeros_like(like))
 
 
 def collect_evidence(
     evidence: Evidence,
     residuals: Residuals,
     variances: Statistics,
+    colour: Vector,
     trusted: Mask,
     weights: AveragingWeights,
     dt: float,
@@ -112,9 +117,11 @@ def collect_evidence(
     deviations. Also return the squares of the statistics [rad²].
     """
     xp = namespace(residuals)
-    sample = residuals[..., :1]
+    residual = residuals[..., 0]
+    sample = (residual - colour * evidence.base)[..., None]
     size = sample / xp.sqrt(variances[..., :1])
     means = evidence.means + weights.mean * (residuals - evidence.means)
+    base = evidence.base + weights.mean[..., 0] * (residual - evidence.base)
     # Cumulative sums of the residual beyond the allowance, in its standard deviations.
     sums = evidence.sums + xp.minimum(size * BOTH_WAYS, STEP) - ALLOWED
     sums = xp.minimum(xp.maximum(sums, ZERO), MOST)
@@ -122,18 +129,19 @@ def collect_evidence(
     outlier = trusted & (xp.abs(size[..., 0]) > OUTLIER)
     odd = outlier | ~trusted
 
-    def leave_out() -> tuple[Residuals, Sums]:
+    def leave_out() -> tuple[Residuals, Vector, Sums]:
         kept = xp.where(odd[..., None], evidence.means, means)
-        return kept, xp.where(trusted[..., None], sums, evidence.sums)
+        kept_base = xp.where(odd, evidence.base, base)
+        return kept, kept_base, xp.where(trusted[..., None], sums, evidence.sums)
 
-    means, sums = changed_where(odd, leave_out, (means, sums))
+    means, base, sums = changed_where(odd, leave_out, (means, base, sums))
     squares = xp.concatenate([sample, means], axis=-1) ** 2
     mean_score = (squares / variances / RATIOS).max(axis=-1)
     sum_score = xp.maximum(sums[..., 0], sums[..., 1])
     suspect = trusted & ((sum_score > 0.5 * LIMIT) | (mean_score > (SUSPICION * threshold) ** 2))
     suspicion = (evidence.suspicion + dt) * suspect
     scores = Scores(mean_score, sum_score, suspect, outlier)
-    return Evidence(means, sums, suspicion), scores, squares
+    return Evidence(means, base, sums, suspicion), scores, squares
 
 
 def declare_faults(scores: Scores, suspicion: Vector, trusted: Mask, threshold: float) -> Findings:
@@ -152,13 +160,14 @@ def declare_faults(scores: Scores, suspicion: Vector, trusted: Mask, threshold: 
     return changed_where(scores.suspect, declare, Findings(none, none, none, none))
 
 
-def update_evidence(evidence: Evidence, promoted: One, restart: Mask) -> Evidence:
+def update_evidence(evidence: Evidence, residual: Vector, promoted: One, restart: Mask) -> Evidence:
     """Forget the evidence on axes that restart; follow the anchors where the young one became the old one."""
     xp = namespace(restart)
 
     def update() -> Evidence:
         means = xp.where(promoted[..., None], evidence.means @ PROMOTION, evidence.means)
         kept = ~restart[..., None]
-        return evidence._replace(means=means * kept, sums=evidence.sums * kept)
+        base = xp.where(restart, residual, evidence.base)
+        return evidence._replace(means=means * kept, base=base, sums=evidence.sums * kept)
 
     return changed_where(restart | promoted, update, evidence)

@@ -1,14 +1,14 @@
 r"""The noise of an attitude sensor, learned on each axis by what its healthy residuals show.
 
 Every statistic of `residual_tests` (a sample, averages over three times, averages of two anchors) has a
-variance that the sensor gives it, at rest (a) and in motion (b), besides that of the prediction:
+variance that the sensor gives it, at some body rates k, besides that of the prediction:
 
-    v = (1 - u) a + u b,   0 <= u <= 1: motion,   E[m²] = s v + w' P      s: scale by attitude, P: prediction
+    v = sum_k u_k a_k,   u: weights of the rate,   E[m²] = s v + w' P      s: scale by attitude, P: prediction
 
 Recursive expectation maximisation of such variance components (Dempster, Laird and Rubin 1977; recursive:
 Titterington 1984) moves each by its share of what was expected:
 
-    a <- a + g (1 - u) s a / E[m²] (r² / 3 - 1) a,   r = min(m² / E[m²], 12),   and b alike
+    a_k <- a_k + g u_k s a_k / E[m²] (r² / 3 - 1) a_k,   r = min(m² / E[m²], 12)
 
 For Gaussian residuals the mean of r² is 3. The fourth power counts rare large errors more than the square
 would; the bound keeps one of them from teaching much. The gain is g = dt C / (C T + t): time t of experience
@@ -48,13 +48,16 @@ from quadftc_model.arrays import (
 )
 
 Statistics = Float[arrays.AnyArray, "*batch 3 6"]  # a sample, three averages, old and young anchor
-ByMotion = Float[arrays.AnyArray, "*batch 3 6 2"]  # at rest, moving
+ByMotion = Float[arrays.AnyArray, "*batch 3 6 4"]  # by body rate, at `RATES`
+Weights = Float[arrays.AnyArray, "*batch 4"]  # of the present body rate among `RATES`
 
 DEG = np.pi / 180.0
 AVERAGED = np.array([0.0, 0.05, 0.15, 0.5, 0.25, 0.25])  # s; averaging times of the statistics
 SAMPLE, SHORT, MIDDLE, LONG = range(4)
-# prior: white noise of a sample at 250 Hz, and a slow error of 0.1 deg at rest, 0.2 deg moving, over 0.15 s
-WHITE, SLOW, MEMORY, PERIOD = 0.1 * DEG, np.array([0.1, 0.2]) * DEG, 0.15, 0.004
+RATES = np.array([0.25, 0.7, 2.5, 8.0])  # rad/s
+# prior: white noise of a sample at 250 Hz, and a slow error over 0.15 s that grows with the body rate
+WHITE, SLOW, MEMORY, PERIOD = 0.1 * DEG, np.array([0.1, 0.2, 0.2, 0.3]) * DEG, 0.15, 0.004
+STEPS = np.log(RATES[1:] / RATES[:-1])
 LEAST = (0.001 * DEG) ** 2  # rad²; no attitude sensor is better
 EARLY = np.array([0.1, 0.1, 0.2, 0.5, 2.0, 2.0])  # s; what the prior is worth
 LATE = 120.0  # s; experience beyond this is forgotten
@@ -66,6 +69,7 @@ COLOUR = (
     10.0,
 )  # 1; caution begins at 0.5 / 10 of a sample's variance in slow errors, and is full at 1.5 / 10
 START, FRESH = 5.0, 4.0  # s, 1/s; what is learned is known at once in the first seconds, with a larger gain
+MOST = 5.0  # 1; by what factor a variance changes between two anchors, at most
 PAUSE = 0.019  # s; between two times of learning
 CLIP = 12.0  # 1; of r
 SURPRISE = 2.0  # 1; factor on the variances after a false alarm
@@ -76,14 +80,16 @@ class SensorNoise(NamedTuple):
 
     known: ByMotion  # variances [rad²] that the tests use
     learned: ByMotion  # those of now
-    time: Float[arrays.AnyArray, "*batch 3 2"]  # of experience [s]
-    exact: Statistics  # what is known, in the present motion [rad²]
+    time: Float[arrays.AnyArray, "*batch 3 4"]  # of experience [s]
+    exact: Statistics  # what is known, at the present rate [rad²]
     cautious: Statistics  # the same with caution [rad²]
+    colour: Vector  # share of slow errors in an average over 0.05 s
+    seen: Statistics  # share of the variance of the prediction that each statistic sees
     elapsed: Column  # since something was learned [s]
 
 
 def prior_variances() -> NDArray[np.float64]:
-    """Variances (6, 2) [rad²] before anything is learned."""
+    """Variances (6, 4) [rad²] before anything is learned."""
     white = WHITE**2 * PERIOD / (2.0 * AVERAGED + PERIOD)
     return white[:, None] + SLOW**2 * (MEMORY / (MEMORY + AVERAGED))[:, None]
 
@@ -94,17 +100,33 @@ PRIOR = prior_variances()
 def start_noise(like: Vector) -> SensorNoise:
     """Return the prior."""
     xp = namespace(like)
-    start = xp.zeros((*like.shape, 6, 2)) + PRIOR
-    rest, time = start[..., 0], xp.zeros((*like.shape, 2))
-    return SensorNoise(start, start, time, rest, rest, xp.zeros_like(like[..., :1]))
+    start = xp.zeros((*like.shape, 6, len(RATES))) + PRIOR
+    rest, time = start[..., 0], xp.zeros((*like.shape, len(RATES)))
+    none, ones = xp.zeros_like(like), xp.ones_like(rest)
+    return SensorNoise(start, start, time, rest, rest, none, ones, none[..., :1])
 
 
-def learned_variances(known: ByMotion, motion: Column) -> Statistics:
-    """Variances [rad²] of the statistics by what is known of the noise, in a motion between 0 and 1."""
-    return known[..., 0] + motion[..., None] * (known[..., 1] - known[..., 0])
+def rate_weights(rate: Column) -> Weights:
+    """Weights of `RATES` for linear interpolation in the logarithm of a body rate [rad/s]."""
+    xp = namespace(rate)
+    place = xp.log(rate.clip(RATES[0], RATES[-1]) / RATES[:-1]) / STEPS
+    share = place.clip(0.0, 1.0)
+    none, all_ = xp.zeros_like(rate), xp.ones_like(rate)
+    return xp.concatenate([all_, share], axis=-1) - xp.concatenate([share, none], axis=-1)
 
 
-def cautious_variances(learned: Statistics, motion: Column, dt: float) -> Statistics:
+def at_rate(values: ByMotion, weights: Weights) -> Statistics:
+    """Values of the statistics at the present body rate."""
+    return (values * weights[..., None, None, :]).sum(axis=-1)
+
+
+def slow_share(learned: Statistics, dt: float) -> Vector:
+    """Share of slow errors in the variance of an average over 0.05 s."""
+    white = dt / (2.0 * AVERAGED[SHORT] + dt)
+    return (1.0 - white * learned[..., SAMPLE] / learned[..., SHORT]).clip(0.0, 1.0)
+
+
+def cautious_variances(learned: Statistics, weights: Weights, dt: float) -> Statistics:
     """Return variances [rad²] that are no less than the prior, as far as the noise is not white.
 
     A sensor that errs slowly errs more at times than it did before.
@@ -112,8 +134,7 @@ def cautious_variances(learned: Statistics, motion: Column, dt: float) -> Statis
     sample, short, middle = (learned[..., index] for index in (SAMPLE, SHORT, MIDDLE))
     slow = (short + middle) / sample - _share_of_white(dt)
     caution = clip(COLOUR[1] * slow - COLOUR[0], 0.0, 1.0)
-    prior = PRIOR[:, 0] + motion * (PRIOR[:, 1] - PRIOR[:, 0])
-    return larger(learned, caution[..., None] * prior[..., None, :])
+    return larger(learned, caution[..., None] * at_rate(PRIOR, weights))
 
 
 @cache_numbers
@@ -122,10 +143,9 @@ def _share_of_white(dt: float) -> float:
     return sum(dt / (2.0 * each + dt) for each in AVERAGED[[SHORT, MIDDLE]].tolist())
 
 
-def cautious_spread(motion: Column, gain: Vector) -> Vector:
+def cautious_spread(weights: Weights, gain: Vector) -> Vector:
     """Variance [rad²] of an average over 0.15 s by the prior."""
-    rest, moving = PRIOR[MIDDLE].tolist()
-    return gain * (rest + motion * (moving - rest))
+    return gain * at_rate(PRIOR, weights)[..., MIDDLE]
 
 
 def learn_noise(
@@ -133,7 +153,7 @@ def learn_noise(
     squares: Statistics,
     gain: Vector,
     predicted: Statistics,
-    motion: Column,
+    weights: Weights,
     taken: Mask,
     dt: float,
 ) -> SensorNoise:
@@ -152,43 +172,41 @@ def learn_noise(
         expected = noise.exact * scale + predicted
         surprise = xp.minimum(squares / expected, CLIP)
         news = (surprise * surprise / 3.0 - 1.0) / expected * (scale * step)
-        u = _shares(motion)  # (..., 1, 2)
+        u = weights[..., None, :]  # (..., 1, 4)
         time = xp.minimum(noise.time + step * u, LATE)
         new = noise.time.sum(axis=-1) < START
         fastest = changed_where(new, lambda: xp.where(new, FRESH, FASTEST)[..., None, None], FASTEST)
         rate = xp.minimum(RECENT / (WORTH + time[..., None, :]), fastest)
         change = noise.known * noise.known * rate * (news[..., None] * u[..., None, :])
-        learned = xp.maximum(noise.learned + change, LEAST)
+        learned = (noise.learned + change).clip(noise.known / MOST, noise.known * MOST)
+        learned = xp.maximum(learned, LEAST)
         known = changed_where(new, lambda: xp.where(new[..., None, None], learned, noise.known), noise.known)
-        exact = learned_variances(known, motion)
-        cautious = cautious_variances(exact, motion, dt)
+        exact = at_rate(known, weights)
+        cautious = cautious_variances(exact, weights, dt)
+        colour = slow_share(exact, dt)
+        seen = (1.0 - colour[..., None] * (AVERAGED == 0.0)) ** 2
         return SensorNoise(
             known=pick(column(now), known, noise.known),
             learned=learned,
             time=time,
             exact=pick(now, exact, noise.exact),
             cautious=pick(now, cautious, noise.cautious),
+            colour=pick(column(due), colour, noise.colour),
+            seen=pick(now, seen, noise.seen),
             elapsed=stacked([pick(due, 0.0, elapsed)]),
         )
 
-    return changed_where(due, learn, SensorNoise(*noise[:5], stacked([elapsed])))
-
-
-def _shares(motion: Column) -> Float[arrays.AnyArray, "*batch 1 2"]:
-    """Shares of rest and motion."""
-    (moving,) = components(motion)
-    return stacked([1.0 - moving, moving])[..., None, :]
+    return changed_where(due, learn, SensorNoise(*noise[:-1], stacked([elapsed])))
 
 
 def settle_noise(
-    noise: SensorNoise, promoted: Column, alarm: Column, short: Mask, motion: Column
+    noise: SensorNoise, promoted: Column, alarm: Column, short: Mask, weights: Weights
 ) -> SensorNoise:
     """Let what is learned be known where a new anchor is set; give it up where a fault is declared."""
     xp = namespace(noise.known)
 
     def settle() -> SensorNoise:
-        u = _shares(motion)[..., None, :]
-        worse = 1.0 + (SURPRISE - 1.0) * short[..., None, None] * u
+        worse = 1.0 + (SURPRISE - 1.0) * short[..., None, None] * weights[..., None, None, :]
         known = xp.where(promoted[..., None, None], noise.learned, noise.known)
         learned = xp.where(alarm[..., None, None], noise.known, noise.learned)
         return noise._replace(known=known * worse, learned=learned * worse)

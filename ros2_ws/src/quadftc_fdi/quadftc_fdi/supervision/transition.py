@@ -31,7 +31,7 @@ Covariances = Float[arrays.AnyArray, "*batch n 16 16"]
 Errors = Float[arrays.AnyArray, "*batch 16"]
 
 SIZE = 16  # of the error state
-ROTATION, BIAS, DELAY = slice(0, 3), slice(3, 6), 15
+ROTATION, BIAS, SCALE, DELAY = slice(0, 3), slice(3, 6), slice(6, 15), 15
 
 
 class FilterState(NamedTuple):
@@ -47,6 +47,7 @@ class ProcessNoise(NamedTuple):
 
     rotation: Vector | Column | float  # [rad²]
     bias: Column | float  # of the gyro [rad²/s²]
+    scale: Column | float = 0.0  # of its scale and alignment errors [1]
 
 
 def variances(P: Covariance) -> Errors:
@@ -67,10 +68,10 @@ class MatrixTransition(NamedTuple):
 
     def around(self, P: Covariance, earlier: Covariances, noise: ProcessNoise) -> Covariances:
         """F P F' and the noise, for P and earlier ones."""
-        stack, added = np.concatenate([P[None], earlier]), np.empty(6)
+        stack, added = np.concatenate([P[None], earlier]), np.empty(DELAY)
         result = self.F @ stack.reshape(-1, SIZE).dot(self.F.T).reshape(stack.shape)
-        added[ROTATION], added[BIAS] = noise.rotation, noise.bias
-        result.reshape(-1, SIZE * SIZE)[:, : 6 * SIZE : SIZE + 1] += added
+        added[ROTATION], added[BIAS], added[SCALE] = noise.rotation, noise.bias, noise.scale
+        result.reshape(-1, SIZE * SIZE)[:, : DELAY * SIZE : SIZE + 1] += added
         return result
 
 
@@ -88,6 +89,7 @@ class BlockTransition(NamedTuple):
     def around(self, P: Covariance, earlier: Covariances, noise: ProcessNoise) -> Covariances:
         """F P F' and the noise, symmetric, for P and earlier ones."""
         variances = (noise.rotation * np.ones(3)) @ _ROTATION + (noise.bias * np.ones(3)) @ _BIAS
+        variances = variances + (noise.scale * np.ones(9)) @ _SCALE
         Q = variances[..., None] * np.eye(SIZE)
         all_P = [P, *(earlier[..., index, :, :] for index in range(earlier.shape[-3]))]
         each = [self._around(P) + Q for P in all_P]
@@ -134,4 +136,4 @@ def _places() -> NDArray[np.int64]:
 
 
 _PLACES = _places()
-_ROTATION, _BIAS = np.eye(SIZE)[ROTATION], np.eye(SIZE)[BIAS]
+_ROTATION, _BIAS, _SCALE = (np.eye(SIZE)[which] for which in (ROTATION, BIAS, SCALE))
