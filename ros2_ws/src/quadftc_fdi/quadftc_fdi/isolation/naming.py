@@ -7,7 +7,7 @@ from quadftc_fdi.isolation.gyro_monitor import GyroMonitor
 from quadftc_fdi.isolation.hypotheses import Hypotheses
 from quadftc_fdi.isolation.reading_test import EARLY, SCATTER, Deviation, ReadingTest
 from quadftc_model import samples
-from quadftc_model.arrays import Array, Flag, Mask, Vector, namespace
+from quadftc_model.arrays import Array, Flag, Mask, Vector, changed_where, namespace
 from quadftc_model.samples import FAULT_KINDS, FaultEstimate, SensorEstimate
 
 OFFSET, STUCK, NOISE, ABSENT = (FAULT_KINDS.index(name) for name in ("offset", "stuck", "noise", "absent"))
@@ -38,15 +38,19 @@ def name_gyro(
     std_dev = xp.sqrt(monitor.filter.rr + monitor.test.variance)
     said = _name(monitor.test, monitor.faulty, monitor.fault, std_dev, valid)
     ambiguous = hypotheses.ambiguous & ~monitor.faulty
-    return SensorEstimate(
-        xp.where(ambiguous, samples.FAULTY, said.state).astype(xp.uint8),
-        xp.where(ambiguous, monitor.deviation, said.size),
-        std_dev,
-        xp.where(ambiguous, estimate.onset_age, said.onset_age),
-        xp.where(ambiguous, hypotheses.gyro, said.probability),
-        xp.where(ambiguous, OFFSET, said.kind).astype(xp.uint8),
-        ambiguous,
-    )
+
+    def name_ambiguous() -> SensorEstimate:
+        return SensorEstimate(
+            xp.where(ambiguous, samples.FAULTY, said.state).astype(xp.uint8),
+            xp.where(ambiguous, monitor.deviation, said.size),
+            std_dev,
+            xp.where(ambiguous, estimate.onset_age, said.onset_age),
+            xp.where(ambiguous, hypotheses.gyro, said.probability),
+            xp.where(ambiguous, OFFSET, said.kind).astype(xp.uint8),
+            ambiguous,
+        )
+
+    return changed_where(ambiguous, name_ambiguous, said)
 
 
 def name_accelerometer(monitor: AccelerometerMonitor, valid: Flag) -> SensorEstimate:
@@ -58,13 +62,21 @@ def name_accelerometer(monitor: AccelerometerMonitor, valid: Flag) -> SensorEsti
 def _name(test: ReadingTest, faulty: Mask, fault: Deviation, std_dev: Vector, valid: Flag) -> SensorEstimate:
     xp = namespace(std_dev)
     trusted = xp.where(test.outliers > 0.5, samples.SUSPECT, samples.HEALTHY)
-    trusted = xp.where(test.time > EARLY, trusted, samples.STARTING)
-    state = xp.where(
-        faulty, xp.where(fault.calm > SHOWN, samples.RECOVERING, samples.FAULTY), trusted
-    ).astype(xp.uint8)
-    age = xp.where(faulty, fault.age, -1.0)
-    kind = (faulty * _kind(test, fault, std_dev, valid)).astype(xp.uint8)
-    return SensorEstimate(state, fault.mean, std_dev, age, 1.0 * faulty, kind, faulty & ~faulty)
+    trusted = xp.where(test.time > EARLY, trusted, samples.STARTING).astype(xp.uint8)
+    zeros = 0.0 * std_dev
+    healthy = SensorEstimate(trusted, zeros, std_dev, zeros - 1.0, zeros, 0 * trusted, faulty & ~faulty)
+
+    def name_faulty() -> SensorEstimate:
+        out = xp.where(fault.calm > SHOWN, samples.RECOVERING, samples.FAULTY)
+        return healthy._replace(
+            state=xp.where(faulty, out, trusted).astype(xp.uint8),
+            size=fault.mean,
+            onset_age=xp.where(faulty, fault.age, -1.0),
+            probability=1.0 * faulty,
+            kind=(faulty * _kind(test, fault, std_dev, valid)).astype(xp.uint8),
+        )
+
+    return changed_where(faulty, name_faulty, healthy)
 
 
 def _kind(test: ReadingTest, fault: Deviation, std_dev: Vector, valid: Flag) -> Array:
