@@ -18,17 +18,27 @@ import functools
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from quadftc_fdi.fault_observer import LastDiagnosis, register
 from quadftc_fdi.fault_observers import supervised
 from quadftc_fdi.fault_observers.supervised import Supervised
-from quadftc_fdi.isolation import accelerometer_monitor, gyro_monitor, hypotheses, naming
+from quadftc_fdi.isolation import (
+    accelerometer_monitor,
+    gyro_monitor,
+    hypotheses,
+    naming,
+    rate_filter,
+    reading_test,
+)
 from quadftc_fdi.isolation.accelerometer_monitor import AccelerometerMonitor
 from quadftc_fdi.isolation.gyro_monitor import AttitudeReading, GyroMonitor, GyroReading
 from quadftc_fdi.isolation.hypotheses import Hypotheses
+from quadftc_fdi.isolation.reading_test import ReadingTest, Verdict, start_test
 from quadftc_fdi.supervision import sensor_noise
 from quadftc_fdi.supervision.inertial_filter import estimate_rate
 from quadftc_model import samples
-from quadftc_model.arrays import Mask, Vector, any_of, changed_where, chosen, namespace
+from quadftc_model.arrays import Mask, Vector, any_of, changed_where, chosen, is_single, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import earth_z_in_body, euler_from_quaternion, quaternion_from_euler
@@ -39,10 +49,20 @@ CORRELATED = 0.06  # s; how long an error of the virtual gyro lasts
 SLOW = 1.0  # rad/s; bandwidth in which an attitude made of the gyro can replace it
 
 
+GYRO, FORCE, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)  # channels of the readings
+# rad/s, m/s², rad; noise at first, in flight at least (vibration comes and goes), of the best sensor; of one
+# that may repeat itself. A test of the attitude by itself finds only whether it is stuck
+PRIOR, FLOOR, LEAST, NOISY = (
+    np.repeat(each, 3)
+    for each in ((0.02, 0.5, 1e-3), (0.005, 0.03, 10.0), (1e-5, 0.03, 1e-9), (1e-4, 1e-3, 1e-6))
+)
+
+
 class State(NamedTuple):
     """Observer state at the last sample."""
 
     attitude: supervised.State
+    readings: ReadingTest  # of gyro, accelerometer and attitude, nine channels
     gyro: GyroMonitor
     accelerometer: AccelerometerMonitor
     hypotheses: Hypotheses
@@ -80,9 +100,11 @@ class Isolating(Supervised):
 
     def _start(self, attitude: supervised.State, inputs: FaultObserverInputs) -> State:
         imu, drive = inputs.imu, inputs.torque / self.vehicle.inertia
+        xp, angles = namespace(imu.body_rate), euler_from_quaternion(imu.q_xyzw)
         rate = estimate_rate(attitude.filter.x, imu.body_rate)
         return State(
             attitude,
+            start_test(xp.concatenate([imu.body_rate, imu.specific_force, angles], axis=-1), PRIOR),
             gyro_monitor.start_monitor(imu.q_xyzw, rate, drive, sensor_noise.WHITE**2),
             accelerometer_monitor.start_accelerometer(imu.specific_force),
             hypotheses.start_hypotheses(attitude.faulty),
@@ -95,7 +117,7 @@ class Isolating(Supervised):
             attitude, estimate = self.attitude_law.step(before, inputs, dt)
             state = state._replace(attitude=attitude)
             return state, estimate._replace(sensors=self._name(state, imu, estimate))
-        monitor = self._monitor(state, inputs, dt)
+        readings, monitor, accelerometer, verdict = self._judge_readings(state, inputs, dt)
 
         # the attitude against the gyro, or the virtual one
         rate = monitor.filter.rate
@@ -107,7 +129,7 @@ class Isolating(Supervised):
         new = attitude.faulty & ~before.faulty
         seen = hypotheses.Evidence(
             (attitude.track.still < 1.0) & ~monitor.faulty,
-            monitor.frozen,
+            verdict.stuck[..., ATTITUDE],
             monitor.bend,
             monitor.jump,
             monitor.deviation,
@@ -122,50 +144,69 @@ class Isolating(Supervised):
             guilty, lambda: self._acquit(attitude, estimate, inputs, guilty), (attitude, estimate)
         )
 
-        corrected = self._fly(estimate, rate, believed)
-        doubtful = attitude.faulty | monitor.faulty | (estimate.state == samples.SUSPECT)
-        accelerometer = accelerometer_monitor.step_accelerometer(
-            state.accelerometer,
-            imu.specific_force,
-            imu.force_valid,
-            earth_z_in_body(corrected.q_xyzw),
-            doubtful,
-            dt,
-        )
-        state = State(attitude, monitor, accelerometer, believed)
-        estimate = estimate._replace(corrected=corrected)
+        estimate = estimate._replace(corrected=self._fly(estimate, rate, believed))
+        state = State(attitude, readings, monitor, accelerometer, believed)
         return state, estimate._replace(sensors=self._name(state, imu, estimate))
 
-    def _monitor(self, state: State, inputs: FaultObserverInputs, dt: float) -> GyroMonitor:
-        """Advance the judge of the gyro."""
+    def _judge_readings(
+        self, state: State, inputs: FaultObserverInputs, dt: float
+    ) -> tuple[ReadingTest, GyroMonitor, AccelerometerMonitor, Verdict]:
+        """Test the readings of all sensors, and judge gyro and accelerometer."""
         imu, before, inertia = inputs.imu, state.attitude, self.vehicle.inertia
-        xp, rate, noise = namespace(imu.body_rate), state.gyro.filter.rate, before.noise.exact
-        everywhere, q = xp.ones_like(before.faulty), self.disturbance**2
-        # a slow error of the attitude counts as white noise of the same density at low frequency
-        white = (2.0 * sensor_noise.AVERAGED[sensor_noise.LONG] + dt) / dt
-        variance = xp.maximum(noise[..., sensor_noise.SAMPLE], noise[..., sensor_noise.LONG] * white)
-        if self.attitude_from_gyro:
-            variance = xp.maximum(variance, q / (SLOW**6 * dt))
-        return gyro_monitor.step_monitor(
-            state.gyro,
-            GyroReading(
-                imu.body_rate,
-                estimate_rate(before.filter.x, imu.body_rate),
-                everywhere & imu.rate_valid[..., None],
-                ~state.hypotheses.ambiguous,
-            ),
-            AttitudeReading(
-                imu.q_xyzw,
-                noise[..., sensor_noise.SAMPLE],
-                variance,
-                everywhere & imu.attitude_valid[..., None],
-                ~before.faulty,
-            ),
-            (inputs.torque - self.vehicle.rotational_drag * rate) / inertia,
-            gyroscopic_acceleration(inertia, rate),
-            q,
+        xp, rate = namespace(imu.body_rate), state.gyro.filter.rate
+        # predict
+        drive = (inputs.torque - self.vehicle.rotational_drag * rate) / inertia
+        gyroscopic, q = gyroscopic_acceleration(inertia, rate), self.disturbance**2
+        ahead = rate_filter.predict(state.gyro.filter, drive, gyroscopic, q, dt)
+        # test
+        omega, angles = estimate_rate(before.filter.x, imu.body_rate), euler_from_quaternion(imu.q_xyzw)
+        vertical = earth_z_in_body(ahead.q_xyzw)
+        off = accelerometer_monitor.deviation_of(state.accelerometer, imu.specific_force, vertical)
+        moved, there = angles - state.readings.reading[..., ATTITUDE], _there(imu)
+        raw = xp.concatenate([imu.body_rate, imu.specific_force, angles], axis=-1)
+        square = xp.concatenate([omega - ahead.rate, off, moved], axis=-1) ** 2
+        predicted = xp.concatenate([ahead.rr, 0.0 * off, 0.0 * off], axis=-1)
+        readings, verdict = reading_test.test_reading(
+            state.readings, raw, there, square, predicted, FLOOR, NOISY, dt
+        )
+        # judge
+        noise = xp.maximum(readings.variance, FLOOR**2)
+        gyro = GyroReading(
+            omega,
+            noise[..., GYRO],
+            readings.suspicion[..., GYRO],
+            there[..., GYRO],
+            verdict.of(GYRO),
+            ~state.hypotheses.ambiguous,
+        )
+        attitude = self._attitude_reading(imu, before, there[..., ATTITUDE], dt)
+        monitor, taught = gyro_monitor.step_monitor(state.gyro, ahead, gyro, attitude, drive + gyroscopic, dt)
+        accelerometer, learned = accelerometer_monitor.step_accelerometer(
+            state.accelerometer,
+            off,
+            noise[..., FORCE],
+            readings.suspicion[..., FORCE],
+            there[..., FORCE],
+            verdict.of(FORCE),
+            before.faulty | monitor.faulty,
             dt,
         )
+        used = xp.concatenate([taught, learned, there[..., ATTITUDE]], axis=-1)
+        readings = reading_test.learn_noise(readings, square, predicted, used, LEAST, dt)
+        return readings, monitor, accelerometer, verdict
+
+    def _attitude_reading(
+        self, imu: ImuSample, before: supervised.State, there: Mask, dt: float
+    ) -> AttitudeReading:
+        """Return the attitude of a sample, with what is known of it."""
+        noise = before.noise.exact
+        single, long = noise[..., sensor_noise.SAMPLE], noise[..., sensor_noise.LONG]
+        # a slow error of the attitude counts as white noise of the same density at low frequency
+        white = (2.0 * sensor_noise.AVERAGED[sensor_noise.LONG] + dt) / dt
+        variance = namespace(single).maximum(single, long * white)
+        if self.attitude_from_gyro:
+            variance = namespace(single).maximum(variance, self.disturbance**2 / (SLOW**6 * dt))
+        return AttitudeReading(imu.q_xyzw, single, variance, there, ~before.faulty)
 
     def _acquit(
         self,
@@ -220,6 +261,12 @@ class Isolating(Supervised):
             believed = believed._replace(ambiguous=believed.ambiguous | state.gyro.faulty)
         return SensorDiagnosis(
             naming.name_attitude(estimate, believed),
-            naming.name_gyro(state.gyro, imu.rate_valid, estimate, believed),
-            naming.name_accelerometer(state.accelerometer, imu.force_valid),
+            naming.name_gyro(state.gyro, state.readings.of(GYRO), imu.rate_valid, estimate, believed),
+            naming.name_accelerometer(state.accelerometer, state.readings.of(FORCE), imu.force_valid),
         )
+
+
+def _there(imu: ImuSample) -> Mask:
+    """Whether each of the nine channels has a reading."""
+    flags = [imu.rate_valid] * 3 + [imu.force_valid] * 3 + [imu.attitude_valid] * 3
+    return np.array(flags) if is_single(imu.body_rate) else namespace(imu.body_rate).stack(flags, axis=-1)

@@ -10,11 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from quadftc_fdi.isolation import reading_test
-from quadftc_fdi.isolation.reading_test import Deviation, ReadingTest
-from quadftc_model.arrays import Flag, Mask, Vector, any_of, changed_where, exp, namespace
+from quadftc_fdi.isolation.reading_test import Deviation, Verdict
+from quadftc_model.arrays import Mask, Vector, any_of, changed_where, exp, namespace
 from quadftc_model.samples import STANDARD_GRAVITY
 
-PRIOR, FLOOR, NOISY = 0.5, 0.03, 1e-3  # m/s²; noise at first, at least; below, a sensor may repeat itself
 OFFSET = 0.2  # m/s²; 1 sigma of what a healthy one may read too much for long: 1 deg is 0.17 m/s²
 LEARNED, AVERAGED = 20.0, 0.3  # s; over which the offset is learned, and is tested
 ALARM = 4.0  # 1; standard deviations of the average that make a fault
@@ -23,7 +22,6 @@ ALARM = 4.0  # 1; standard deviations of the average that make a fault
 class AccelerometerMonitor(NamedTuple):
     """What is known of the accelerometer."""
 
-    test: ReadingTest
     offset: Vector  # learned [m/s²]
     mean: Vector  # average of the deviation [m/s²]
     faulty: Mask
@@ -33,44 +31,42 @@ class AccelerometerMonitor(NamedTuple):
 def start_accelerometer(force: Vector) -> AccelerometerMonitor:
     """Start at a reading [m/s²]."""
     zeros = namespace(force).zeros_like(force)
-    test, fault = reading_test.start_test(force, PRIOR), reading_test.no_deviation(force)
-    return AccelerometerMonitor(test, zeros, zeros, zeros > 1.0, fault)
+    return AccelerometerMonitor(zeros, zeros, zeros > 1.0, reading_test.no_deviation(force))
+
+
+def deviation_of(state: AccelerometerMonitor, force: Vector, vertical: Vector) -> Vector:
+    """What a reading [m/s²] has too much, with the earth's vertical in body axes."""
+    return force - STANDARD_GRAVITY * vertical - state.offset
 
 
 def step_accelerometer(
-    state: AccelerometerMonitor, force: Vector, valid: Flag, vertical: Vector, doubtful: Mask, dt: float
-) -> AccelerometerMonitor:
-    """Advance by ``dt`` [s] to a reading [m/s²], with the earth's vertical in body axes.
+    state: AccelerometerMonitor,
+    deviation: Vector,
+    noise: Vector,
+    suspicion: Vector,
+    there: Mask,
+    verdict: Verdict,
+    doubtful: Mask,
+    dt: float,
+) -> tuple[AccelerometerMonitor, Mask]:
+    """Advance by ``dt`` [s] to a reading of `deviation_of`; also return where its noise may be learned.
 
-    ``doubtful``: attitude or gyro is in doubt.
+    ``noise`` is the variance of a reading, ``suspicion`` [s] how long there have been outliers. ``doubtful``:
+    attitude or gyro is in doubt.
     """
-    xp = namespace(force)
-    there, quiet = (force == force) & valid[..., None], ~any_of(doubtful)
-    deviation = force - STANDARD_GRAVITY * vertical - state.offset
-    square, zero = deviation * deviation, 0.0 * deviation
-    test, verdict = reading_test.test_reading(state.test, force, there, square, zero, FLOOR, NOISY, dt)
+    quiet = ~any_of(doubtful)
     used = verdict.good & quiet & ~state.faulty
     mean = state.mean + (1.0 - exp(-dt / AVERAGED)) * used * (deviation - state.mean)
-    far = used & (mean * mean > ALARM**2 * OFFSET**2) & (test.time > reading_test.EARLY)
+    far = used & (mean * mean > (ALARM * OFFSET) ** 2)
     alarm = ~state.faulty & (verdict.stuck | (verdict.odd & (quiet | ~there)) | far)
-    faulty = state.faulty | alarm
-    test = reading_test.learn_noise(test, square, zero, used & ~alarm, FLOOR, dt)
-    variance = xp.maximum(test.variance, FLOOR**2)
+    used, faulty = used & ~alarm, state.faulty | alarm
+    alive, variance = there & ~verdict.stuck, noise + OFFSET**2
     faulty, fault = changed_where(
         faulty,
         lambda: reading_test.follow_deviation(
-            state.fault,
-            faulty,
-            alarm,
-            there & ~verdict.stuck,
-            test.suspicion,
-            deviation,
-            variance + OFFSET**2,
-            zero + OFFSET**2,
-            dt,
+            state.fault, faulty, alarm, alive, suspicion, deviation, variance, variance, dt
         ),
         (faulty, state.fault),
     )
-    gain = dt / (LEARNED + dt)
-    offset = state.offset + gain * (used & ~alarm) * deviation
-    return AccelerometerMonitor(test, offset, mean * ~faulty, faulty, fault)
+    offset = state.offset + (dt / (LEARNED + dt)) * used * deviation
+    return AccelerometerMonitor(offset, mean * ~faulty, faulty, fault), used

@@ -17,16 +17,12 @@ from typing import NamedTuple
 
 from quadftc_fdi.isolation import rate_filter, reading_test
 from quadftc_fdi.isolation.rate_filter import RateFilter
-from quadftc_fdi.isolation.reading_test import OUTLIER, Deviation, ReadingTest
+from quadftc_fdi.isolation.reading_test import OUTLIER, Deviation, Verdict
 from quadftc_model.arrays import Mask, Quaternion, Scalar, Vector, changed_where, exp, namespace
-from quadftc_model.rotations import euler_from_quaternion
 
-PRIOR, FLOOR = 0.02, 0.005  # rad/s; noise of a gyro, at first; in flight at least: vibration comes and goes
-LEAST, NOISY = 1e-5, 1e-4  # rad/s; no gyro is better; one with less noise may repeat itself
 BIASED = 0.004  # rad/s; that a healthy gyro and the virtual one may differ by, 1 sigma
 SCATTERED = 0.1  # s
 NEEDED = 0.06  # s; averaging time of the acceleration
-ANGLE_NOISY = 1e-6  # rad; an attitude with less noise may repeat itself
 LATELY, JUST = 1.0, 0.1  # s; how long a jump of the gyro, of the attitude is remembered
 
 
@@ -34,7 +30,6 @@ class GyroMonitor(NamedTuple):
     """What is known of gyro and body rate."""
 
     filter: RateFilter
-    test: ReadingTest
     faulty: Mask
     bad: Mask  # the last reading was not to be used
     fault: Deviation  # of a faulty gyro [rad/s]
@@ -44,17 +39,17 @@ class GyroMonitor(NamedTuple):
     bend: Vector  # largest jump of that of late, in standard deviations, fading
     alone: Mask  # the attitude had to do without the gyro, which may be wrong
     scatter: Vector  # squared innovation of the attitude, in variances, over `SCATTERED`
-    angles: ReadingTest  # whether the attitude is stuck
-    frozen: Mask  # it is
     needed: Vector  # unknown acceleration by gyro and torque [rad/s²]
 
 
 class GyroReading(NamedTuple):
     """A reading of the gyro."""
 
-    raw: Vector  # [rad/s]
     rate: Vector  # less its known errors [rad/s]
+    noise: Vector  # variance [rad²/s²]
+    suspicion: Vector  # how long there have been outliers [s]
     there: Mask
+    verdict: Verdict
     wanted: Mask  # it may correct the rate
 
 
@@ -71,54 +66,32 @@ class AttitudeReading(NamedTuple):
 def start_monitor(q_xyzw: Quaternion, rate: Vector, drive: Vector, variance: Scalar) -> GyroMonitor:
     """Start at an attitude of a variance [rad²], a body rate [rad/s], an acceleration by torque [rad/s²]."""
     zeros = namespace(rate).zeros_like(rate)
-    return GyroMonitor(
-        rate_filter.start_rate_filter(q_xyzw, rate, drive, variance),
-        reading_test.start_test(rate, PRIOR),
-        zeros > 1.0,
-        zeros > 1.0,
-        reading_test.no_deviation(rate),
-        zeros,
-        zeros,
-        zeros,
-        zeros,
-        zeros > 1.0,
-        zeros,
-        reading_test.start_test(zeros, 1e-3),
-        zeros > 1.0,
-        zeros,
-    )
+    no, started = zeros > 1.0, rate_filter.start_rate_filter(q_xyzw, rate, drive, variance)
+    fault = reading_test.no_deviation(rate)
+    return GyroMonitor(started, no, no, fault, zeros, zeros, zeros, zeros, no, zeros, zeros)
 
 
 def step_monitor(
     state: GyroMonitor,
+    ahead: RateFilter,
     gyro: GyroReading,
     attitude: AttitudeReading,
-    drive: Vector,
-    gyroscopic: Vector,
-    q: Scalar,
+    known: Vector,
     dt: float,
-) -> GyroMonitor:
-    """Advance by ``dt`` [s] to a sample.
+) -> tuple[GyroMonitor, Mask]:
+    """Advance by ``dt`` [s] to a sample; also return where the gyro has corrected the rate.
 
-    ``drive`` and ``gyroscopic`` [rad/s²] are the accelerations by the torque and by the body's rotation.
-    ``q`` [rad²/s⁵] is the density of the noise that moves the unknown one.
+    ``ahead`` is the filter's prediction, ``known`` [rad/s²] the acceleration that went into it.
     """
-    xp = namespace(gyro.rate)
-    ahead = rate_filter.predict(state.filter, drive, gyroscopic, q, dt)
-    innovation, predicted = gyro.rate - ahead.rate, ahead.rr
-    square = innovation * innovation
-    test, verdict = reading_test.test_reading(
-        state.test, gyro.raw, gyro.there, square, predicted, FLOOR, NOISY, dt
-    )
+    xp, verdict = namespace(gyro.rate), gyro.verdict
+    innovation = gyro.rate - ahead.rate
     # against a rate that the gyro does not correct, an outlier proves nothing
     alarm = ~state.faulty & (verdict.stuck | (verdict.odd & (gyro.wanted | ~gyro.there)))
     faulty = state.faulty | alarm
     good = verdict.good & ~faulty
     used = good & gyro.wanted
-    jump = innovation / xp.sqrt(predicted + test.variance) * used
-    test = reading_test.learn_noise(test, square, predicted, used, LEAST, dt)
-    noise = xp.maximum(test.variance, FLOOR**2)
-    ahead = rate_filter.correct_by_gyro(ahead, innovation, noise, used)
+    jump = innovation / xp.sqrt(ahead.rr + gyro.noise) * used
+    ahead = rate_filter.correct_by_gyro(ahead, innovation, gyro.noise, used)
 
     # the attitude corrects where it is healthy, or the gyro is not; the filter takes over its jumps
     rotation = rate_filter.rotation_to(ahead, attitude.q_xyzw)
@@ -136,8 +109,8 @@ def step_monitor(
     )
 
     deviation = xp.where(gyro.there, gyro.rate - ahead.rate, 0.0)
-    alive, age = gyro.there & ~verdict.stuck, test.suspicion
-    variance = ahead.rr + noise
+    alive, age = gyro.there & ~verdict.stuck, gyro.suspicion
+    variance = ahead.rr + gyro.noise
     faulty, fault = changed_where(
         faulty,
         lambda: reading_test.follow_deviation(
@@ -145,9 +118,8 @@ def step_monitor(
         ),
         (faulty, state.fault),
     )
-    return GyroMonitor(
+    after = GyroMonitor(
         ahead,
-        test,
         faulty,
         ~good,
         fault,
@@ -157,19 +129,9 @@ def step_monitor(
         _recent(state.bend, step / xp.sqrt(2.0 * attitude.sample), JUST, dt),
         alone,
         scatter,
-        *_freezes(state.angles, attitude, dt),
-        _needed(state, gyro, drive + gyroscopic, dt),
+        _needed(state, gyro, known, dt),
     )
-
-
-def _freezes(state: ReadingTest, attitude: AttitudeReading, dt: float) -> tuple[ReadingTest, Mask]:
-    """Test whether the attitude is stuck."""
-    angles = euler_from_quaternion(attitude.q_xyzw)
-    zero = 0.0 * angles
-    test, verdict = reading_test.test_reading(state, angles, attitude.there, zero, zero, 1.0, ANGLE_NOISY, dt)
-    step = angles - state.reading
-    test = reading_test.learn_noise(test, step * step, zero, attitude.there, 1e-9, dt)
-    return test, verdict.stuck
+    return after, used
 
 
 def _needed(state: GyroMonitor, gyro: GyroReading, known: Vector, dt: float) -> Vector:

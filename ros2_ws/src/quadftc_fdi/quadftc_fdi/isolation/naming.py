@@ -31,12 +31,16 @@ def name_attitude(estimate: FaultEstimate, hypotheses: Hypotheses) -> SensorEsti
 
 
 def name_gyro(
-    monitor: GyroMonitor, valid: Flag, estimate: FaultEstimate, hypotheses: Hypotheses
+    monitor: GyroMonitor,
+    test: ReadingTest,
+    valid: Flag,
+    estimate: FaultEstimate,
+    hypotheses: Hypotheses,
 ) -> SensorEstimate:
     """Say what is known of the gyro; where it is ambiguous, as of the attitude."""
     xp = namespace(monitor.deviation)
-    std_dev = xp.sqrt(monitor.filter.rr + monitor.test.variance)
-    said = _name(monitor.test, monitor.faulty, monitor.fault, std_dev, valid)
+    std_dev = xp.sqrt(monitor.filter.rr + test.variance)
+    said = _name(test, monitor.faulty, monitor.fault, std_dev, valid)
     ambiguous = hypotheses.ambiguous & ~monitor.faulty
 
     def name_ambiguous() -> SensorEstimate:
@@ -53,10 +57,10 @@ def name_gyro(
     return changed_where(ambiguous, name_ambiguous, said)
 
 
-def name_accelerometer(monitor: AccelerometerMonitor, valid: Flag) -> SensorEstimate:
+def name_accelerometer(monitor: AccelerometerMonitor, test: ReadingTest, valid: Flag) -> SensorEstimate:
     """Say what is known of the accelerometer."""
-    std_dev = namespace(monitor.mean).sqrt(monitor.test.variance)
-    return _name(monitor.test, monitor.faulty, monitor.fault, std_dev, valid)
+    std_dev = namespace(monitor.mean).sqrt(test.variance)
+    return _name(test, monitor.faulty, monitor.fault, std_dev, valid)
 
 
 def _name(test: ReadingTest, faulty: Mask, fault: Deviation, std_dev: Vector, valid: Flag) -> SensorEstimate:

@@ -10,7 +10,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from quadftc_model.arrays import Mask, Vector, clip, exp, namespace
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_model.arrays import AnyArray, Bool, Float, Mask, Vector, clip, exp, namespace
 
 OUTLIER = 6.0  # 1; standard deviations beyond which a reading is an outlier
 KEPT, ALARM = 0.8, 2.3  # 1; of the count of outliers from sample to sample; level of a fault: three in a row
@@ -21,45 +24,58 @@ LONG_RUN = 2.0  # 1; repetitions beyond which a run teaches nothing
 PATIENT = 20.0  # s; over which the chance is learned
 
 
-class ReadingTest(NamedTuple):
-    """What is known of a sensor's noise, and remembered of its last readings."""
+Channels = Float[AnyArray, "*batch n"]  # of one sensor or several
+Flags = Bool[AnyArray, "*batch n"]
+Limits = float | NDArray[np.float64]
 
-    variance: Vector  # of a reading, learned
-    time: Vector  # of learning [s]
-    outliers: Vector  # count of them, fading
-    suspicion: Vector  # how long there have been some [s]
-    reading: Vector  # the last
-    repeats: Vector  # how often it has been repeated
-    chance: Vector  # share of repeated readings, learned
+
+class ReadingTest(NamedTuple):
+    """What is known of the noise of each channel, and remembered of its last readings."""
+
+    variance: Channels  # of a reading, learned
+    time: Channels  # of learning [s]
+    outliers: Channels  # number of late, fading
+    suspicion: Channels  # how long there have been some [s]
+    reading: Channels  # the last
+    repeats: Channels  # how often it has been repeated
+    chance: Channels  # share of repeated readings, learned
+
+    def of(self, which: slice) -> ReadingTest:
+        """Return some of the channels."""
+        return ReadingTest(*(part[..., which] for part in self))
 
 
 class Verdict(NamedTuple):
     """What a test says of a reading."""
 
-    good: Mask  # it can be used
-    odd: Mask  # three outliers or absent readings
-    stuck: Mask
+    good: Flags  # it can be used
+    odd: Flags  # three outliers or absent readings
+    stuck: Flags
+
+    def of(self, which: slice) -> Verdict:
+        """Return that of some of the channels."""
+        return Verdict(*(part[..., which] for part in self))
 
 
-def start_test(reading: Vector, prior: float) -> ReadingTest:
-    """Start with the standard deviation of a noise that is not known."""
+def start_test(reading: Channels, prior: Limits) -> ReadingTest:
+    """Start with the standard deviations of a noise that is not known."""
     zeros = namespace(reading).zeros_like(reading)
     return ReadingTest(zeros + prior**2, zeros, zeros, zeros, reading, zeros, zeros + CHANCE)
 
 
 def test_reading(
     state: ReadingTest,
-    reading: Vector,
-    there: Mask,
-    square: Vector,
-    predicted: Vector,
-    floor: float,
-    least: float,
+    reading: Channels,
+    there: Flags,
+    square: Channels,
+    predicted: Channels,
+    floor: Limits,
+    noisy: Limits,
     dt: float,
 ) -> tuple[ReadingTest, Verdict]:
-    """Test a reading: squared innovation, variance of the prediction.
+    """Test readings: squared innovations, variances of the predictions.
 
-    The noise counts as ``floor`` at least. A sensor whose noise is below ``least`` may repeat itself.
+    The noise counts as ``floor`` at least. A sensor whose noise is below ``noisy`` may repeat itself.
     """
     xp = namespace(reading)
     started = state.time > EARLY
@@ -69,7 +85,7 @@ def test_reading(
     learning = state.repeats <= LONG_RUN
     repeats = (state.repeats + same) * same
     chance = state.chance + learning * (dt / PATIENT) * (same - state.chance)
-    run = xp.where(state.variance > least**2, repeats * xp.log(clip(chance, 1e-4, 0.99)), 0.0)
+    run = xp.where(state.variance > noisy**2, repeats * xp.log(clip(chance, 1e-4, 0.99)), 0.0)
     stuck = started & (run < RARE)
     verdict = Verdict(there & ~outlier & ((run > 0.5 * RARE) | ~started), started & (outliers > ALARM), stuck)
     suspicion = (state.suspicion + dt) * (outliers > 0.5)
@@ -78,7 +94,7 @@ def test_reading(
 
 
 def learn_noise(
-    state: ReadingTest, square: Vector, predicted: Vector, used: Mask, least: float, dt: float
+    state: ReadingTest, square: Channels, predicted: Channels, used: Flags, least: Limits, dt: float
 ) -> ReadingTest:
     """Learn the variance of a reading from squared innovations, where the reading is used."""
     xp = namespace(square)
