@@ -210,5 +210,6 @@ def _columns(data: bytes, places: list[int], event: _Event, unit_ns: int) -> Eve
     """Gather the rows of an event."""
     size = event.row.itemsize
     table = np.frombuffer(b"".join([data[at : at + size] for at in places]), event.row)
-    columns = {name: table[f"f{k}"].astype(np.float64) for k, name in enumerate(event.variables, 2)}
+    with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
+        columns = {name: table[f"f{k}"].astype(np.float64) for k, name in enumerate(event.variables, 2)}
     return EventRows(table["f1"].astype(np.int64) * unit_ns, columns)

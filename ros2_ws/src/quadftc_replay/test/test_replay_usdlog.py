@@ -184,6 +184,15 @@ def test_changed_value_shows_in_the_check_sum(tmp_path):
     assert "no check sum (CRC-32) that matches" in recording.warnings[0]
 
 
+def test_signalling_nan_is_an_absent_body_rate(tmp_path):
+    data = bytearray(flight())
+    row = 10 + 4 * 7
+    begin = len(data) - 4 - COUNT * row
+    data[begin + 50 * row + 10 : begin + 50 * row + 14] = bytes.fromhex("0100807f")
+    recording = recording_from_usdlog(write(tmp_path, bytes(data)))
+    assert np.flatnonzero(~recording.imu.rate_valid).tolist() == [50]
+
+
 def stamped(tmp_path: Path, stamps_us: list[int]) -> Path:
     rows = [(ID, stamp, 1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0) for stamp in stamps_us]
     return write(tmp_path, log_bytes({ID: (FIXED, GYRO + QUATERNION)}, rows))
