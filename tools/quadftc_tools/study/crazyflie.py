@@ -211,12 +211,12 @@ def run_tests(
 
 def tests() -> dict[str, Entry]:
     """Return the tests to compare, by name."""
-    law = fault_observers.get("isolating")(vehicle=load_vehicle(VEHICLE))
-    observer = ObserverTest(law)
+    vehicle, kind = load_vehicle(VEHICLE), fault_observers.get("isolating")
+    alone, with_attitude = kind(vehicle=vehicle), kind(vehicle=vehicle, attitude_from_gyro=True)
     return {
         "jump": Entry(JumpTest(), ("fitted", BY_FILE, "no lag", "no torque")),
-        "isolating": Entry(observer, (BY_FILE, "no lag")),
-        "isolating, with the attitude": Entry(observer, (BY_FILE,), attitude=True),
+        "isolating": Entry(ObserverTest(alone), (BY_FILE, "no lag")),
+        "isolating, with the attitude": Entry(ObserverTest(with_attitude), (BY_FILE,), attitude=True),
     }
 
 
