@@ -141,7 +141,7 @@ class Isolating(Supervised):
         believed, guilty = hypotheses.weigh(state.hypotheses, attitude.faulty, new, estimate.fault, seen, dt)
         monitor = monitor._replace(faulty=monitor.faulty | guilty)
         attitude, estimate = changed_where(
-            guilty, lambda: self._acquit(attitude, estimate, inputs, guilty), (attitude, estimate)
+            guilty, lambda: self._acquit(attitude, estimate, inputs, rate, guilty), (attitude, estimate)
         )
 
         estimate = estimate._replace(corrected=self._fly(estimate, rate, believed))
@@ -213,9 +213,10 @@ class Isolating(Supervised):
         attitude: supervised.State,
         estimate: FaultEstimate,
         inputs: FaultObserverInputs,
+        rate: Vector,
         guilty: Mask,
     ) -> tuple[supervised.State, FaultEstimate]:
-        """Start again on the measured angles where the fault is the gyro's."""
+        """Start again on the measured angles, and on the virtual rate, where the fault is the gyro's."""
         xp, kept = namespace(estimate.fault), attitude.faulty & ~guilty
         fault, since, bias = (
             attitude.track.fault * kept,
@@ -235,6 +236,10 @@ class Isolating(Supervised):
             fault=estimate.fault * ~guilty,
             state=xp.where(guilty, samples.SUSPECT, estimate.state).astype(xp.uint8),
             onset_age=xp.where(guilty, -1.0, estimate.onset_age),
+            corrected=estimate.corrected._replace(
+                q_xyzw=xp.where(any_of(guilty), fresh.filter.q_xyzw, estimate.corrected.q_xyzw),
+                body_rate=xp.where(guilty, rate, estimate.corrected.body_rate),
+            ),
         )
         return chosen(any_of(guilty)[..., 0], fresh, attitude), estimate
 

@@ -1,0 +1,196 @@
+"""The observer isolating on a vehicle that hovers: which sensor it names, what it gives the controller."""
+
+import numpy as np
+import pytest
+
+from quadftc_fdi.fault_observers.isolating import Isolating
+from quadftc_fdi.isolation import hypotheses, rate_filter
+from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
+from quadftc_model.samples import (
+    FAULT_KINDS,
+    FAULTY,
+    HEALTHY,
+    FaultObserverInputs,
+    level_sample,
+)
+from quadftc_model.vehicle import load_vehicle
+
+DEG = np.pi / 180.0
+DT = 0.004
+BEGIN = 750  # the sample at which faults begin
+
+
+def hover(count, change=lambda index, sample: sample, seed=1, **parameters):
+    """Estimates of samples of a level vehicle at rest; ``change`` puts faults on them from `BEGIN` on."""
+    law = Isolating(vehicle=load_vehicle("qball_x4"), **parameters)
+    rng, state, estimates = np.random.default_rng(seed), None, []
+    for index in range(count):
+        sample = level_sample()._replace(
+            q_xyzw=quaternion_from_euler(0.1 * DEG * rng.standard_normal(3)),
+            body_rate=0.002 * rng.standard_normal(3),
+            specific_force=np.array([0.0, 0.0, 9.80665]) + 0.02 * rng.standard_normal(3),
+        )
+        if index >= BEGIN:
+            sample = change(index - BEGIN, sample)
+        inputs = FaultObserverInputs(sample, np.zeros(3))
+        start = state is None
+        state, estimate = law.step(law.init(inputs) if start else state, inputs, 0.0 if start else DT)
+        estimates.append(estimate)
+    return estimates
+
+
+def shifted(channel, offset):
+    """A fault that adds ``offset(elapsed time)`` to a channel."""
+
+    def change(index, sample):
+        return sample._replace(**{channel: getattr(sample, channel) + offset(index * DT)})
+
+    return change
+
+
+def turned(angles):
+    """A fault that adds ``angles(elapsed time)`` to the attitude."""
+
+    def change(index, sample):
+        euler = euler_from_quaternion(sample.q_xyzw) + angles(index * DT)
+        return sample._replace(q_xyzw=quaternion_from_euler(euler))
+
+    return change
+
+
+def states(estimate):
+    """Fault states of attitude, gyro and accelerometer."""
+    return [part.state.tolist() for part in estimate.sensors]
+
+
+def test_a_healthy_vehicle_has_healthy_sensors():
+    for estimate in hover(1500)[500:]:
+        assert max(np.max(part.state) for part in estimate.sensors) <= 2  # suspicions come and go
+        assert not estimate.sensors.gyro.ambiguous.any()
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("size", [-0.15, 0.4])
+def test_a_step_of_the_gyro_is_named_in_three_samples(axis, size):
+    step = size * np.eye(3)[axis]
+    estimates = hover(BEGIN + 250, shifted("body_rate", lambda _: step))
+    named = [np.flatnonzero(each.sensors.gyro.state == FAULTY).tolist() for each in estimates]
+    assert named[BEGIN + 1 : BEGIN + 3] == [[], [axis]]
+    last = estimates[-1]
+    assert last.sensors.gyro.size[axis] == pytest.approx(size, abs=0.05)
+    assert last.sensors.gyro.kind[axis] == FAULT_KINDS.index("offset")
+    assert last.sensors.attitude.state.tolist() == [HEALTHY] * 3
+    # the controller flies on a rate without the fault
+    rates = np.array([each.corrected.body_rate[axis] for each in estimates[BEGIN:]])
+    assert np.max(np.abs(rates)) < 0.08
+    assert abs(np.mean(rates)) < 0.01
+
+
+def test_a_stuck_gyro_is_named_by_its_repetition():
+    stuck = np.array([0.001, 0.002, -0.001])
+    last = hover(BEGIN + 50, lambda _, sample: sample._replace(body_rate=stuck))[-1]
+    assert last.sensors.gyro.state.tolist() == [FAULTY] * 3
+    assert last.sensors.gyro.kind.tolist() == [FAULT_KINDS.index("stuck")] * 3
+
+
+def test_an_absent_gyro_is_replaced():
+    def absent(_, sample):
+        return sample._replace(body_rate=np.zeros(3), rate_valid=np.bool_(False))
+
+    estimates = hover(BEGIN + 100, absent)
+    assert all(estimate.corrected.rate_valid for estimate in estimates)
+    assert estimates[-1].sensors.gyro.kind.tolist() == [FAULT_KINDS.index("absent")] * 3
+
+
+def test_a_gyro_that_is_healthy_again_is_trusted():
+    def passing(time):
+        return np.array([0.3, 0.0, 0.0]) * (time < 1.0)
+
+    estimates = hover(BEGIN + 700, shifted("body_rate", passing))
+    assert estimates[BEGIN + 249].sensors.gyro.state[0] == FAULTY
+    assert estimates[-1].sensors.gyro.state[0] == HEALTHY
+
+
+def test_a_jump_of_the_attitude_is_the_attitudes():
+    last = hover(BEGIN + 250, turned(lambda _: np.array([0.0, 3.0 * DEG, 0.0])))[-1]
+    assert states(last)[:2] == [[HEALTHY, FAULTY, HEALTHY], [HEALTHY] * 3]
+    assert last.sensors.attitude.probability[1] == 1.0
+    assert last.sensors.attitude.size[1] == pytest.approx(3.0 * DEG, abs=0.2 * DEG)
+
+
+def test_a_slow_ramp_is_ambiguous():
+    last = hover(BEGIN + 750, turned(lambda time: np.array([0.0, 0.0, 0.5 * DEG * time])))[-1]
+    attitude, gyro, _ = last.sensors
+    assert attitude.ambiguous.tolist() == gyro.ambiguous.tolist() == [False, False, True]
+    assert 0.0 < gyro.probability[2] < 1.0
+    assert attitude.probability[2] + gyro.probability[2] == pytest.approx(1.0)
+    # flown on the gyro, as the discrepancy is small
+    assert abs(euler_from_quaternion(last.corrected.q_xyzw)[2]) < 0.3 * DEG
+
+
+@pytest.mark.parametrize("seconds", [5.0, 9.0])
+def test_an_ambiguous_error_is_bounded_however_long_the_fault_lasts(seconds):
+    """The attitude is right and the gyro drifts: the controller never gets more than the belief too much."""
+    drift = np.array([0.03, 0.0, 0.0])
+    estimates = hover(BEGIN + int(seconds / DT), shifted("body_rate", lambda time: drift * time))
+    rolls = [euler_from_quaternion(each.corrected.q_xyzw)[0] for each in estimates[BEGIN:]]
+    assert np.max(np.abs(rolls)) < 5.5 * DEG
+
+
+def test_a_fast_drift_of_the_gyro_is_named_in_the_end():
+    drift = np.array([0.0, 0.3, 0.0])
+    last = hover(BEGIN + 500, shifted("body_rate", lambda time: drift * time))[-1]
+    assert (states(last)[0][1], states(last)[1][1]) == (HEALTHY, FAULTY)
+    assert not last.sensors.gyro.ambiguous[1]
+
+
+@pytest.mark.parametrize("size", [1.0, -2.0])
+def test_an_offset_of_the_accelerometer_is_named(size):
+    last = hover(BEGIN + 100, shifted("specific_force", lambda _: np.array([size, 0.0, 0.0])))[-1]
+    assert states(last) == [[HEALTHY] * 3, [HEALTHY] * 3, [FAULTY, HEALTHY, HEALTHY]]
+    assert last.sensors.accelerometer.size[0] == pytest.approx(size, abs=0.1)
+
+
+def test_an_attitude_of_the_same_gyro_is_no_witness():
+    step = np.array([0.3, 0.0, 0.0])
+    last = hover(BEGIN + 50, shifted("body_rate", lambda _: step), attitude_from_gyro=True)[-1]
+    assert last.sensors.gyro.state[0] == FAULTY
+    assert last.sensors.attitude.ambiguous.tolist() == [True, False, False]
+
+
+def test_the_belief_in_the_gyros_guilt_grows_with_the_rate():
+    odds = hypotheses.belief_in_gyro(np.array([0.05, 0.1, 0.2, 0.4]))
+    assert np.all(np.diff(odds) > 0.0)
+    assert odds[0] < 0.0 < odds[2]
+    assert odds[2] == pytest.approx(hypotheses.NAMED, abs=0.1)  # 95 % at 0.2 rad/s
+
+
+@pytest.mark.parametrize(
+    ("fault", "shift", "share"), [(3.0, 0.0, 0.0), (-5.75, -0.75, 0.5), (20.0, 15.0, 1.0)]
+)
+def test_what_is_flown_keeps_its_distance_from_the_attitude(fault, shift, share):
+    axes, one = np.array([fault * DEG, 0.0, 0.0]), np.array([True, False, False])
+    result = hypotheses.flown(axes, one, 5.0 * DEG)
+    np.testing.assert_allclose(result[0], [shift * DEG, 0.0, 0.0], atol=1e-12)
+    np.testing.assert_allclose(result[1], [share, 0.0, 0.0], atol=1e-12)
+
+
+def test_the_virtual_gyro_follows_a_torque_as_well_as_it_says():
+    """Rate by attitude and torque alone, while the vehicle oscillates: errors within the variance."""
+    rng, dt, wave = np.random.default_rng(2), DT, 3.0
+    zeros, noise = np.zeros(3), 0.1 * DEG
+    state = rate_filter.start_rate_filter(np.array([0.0, 0.0, 0.0, 1.0]), zeros, zeros, noise**2)
+    errors, claimed = [], []
+    for index in range(1, 2500):
+        time = index * dt
+        angles = np.array([0.1 * np.sin(wave * time), 0.0, 0.0])
+        drive = np.array([-0.1 * wave**2 * np.sin(wave * (time - 0.5 * dt)), 0.0, 0.0])
+        state = rate_filter.predict(state, drive, zeros, 1.0, dt)
+        measured = quaternion_from_euler(angles + noise * rng.standard_normal(3))
+        rotation = rate_filter.rotation_to(state, measured)
+        used = np.ones(3, dtype=bool)
+        state = rate_filter.correct_by_attitude(state, rotation, zeros + noise**2, used)
+        if index > 500:
+            errors.append(state.rate - [0.1 * wave * np.cos(wave * time), 0.0, 0.0])
+            claimed.append(state.rr)
+    assert np.sqrt(np.mean(np.square(errors))) < np.sqrt(np.mean(claimed)) < 0.03
