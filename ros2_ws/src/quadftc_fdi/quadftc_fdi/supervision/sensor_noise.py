@@ -25,6 +25,7 @@ averages over 0.05 and 0.15 s are than those of white noise.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -108,11 +109,14 @@ def start_noise(like: Vector) -> SensorNoise:
 
 def rate_weights(rate: Column) -> Weights:
     """Weights of `RATES` for linear interpolation in the logarithm of a body rate [rad/s]."""
-    xp = namespace(rate)
-    place = xp.log(rate.clip(RATES[0], RATES[-1]) / RATES[:-1]) / STEPS
-    share = place.clip(0.0, 1.0)
-    none, all_ = xp.zeros_like(rate), xp.ones_like(rate)
-    return xp.concatenate([all_, share], axis=-1) - xp.concatenate([share, none], axis=-1)
+    (rate,) = components(rate)
+    log = math.log if isinstance(rate, float) else namespace(rate).log
+    rate = larger(rate, RATES[0].item())
+    a, b, c = (
+        clip(log(rate / low) / step, 0.0, 1.0)
+        for low, step in zip(RATES[:-1].tolist(), STEPS.tolist(), strict=True)
+    )
+    return stacked([1.0 - a, a - b, b - c, c])
 
 
 def at_rate(values: ByMotion, weights: Weights) -> Statistics:
