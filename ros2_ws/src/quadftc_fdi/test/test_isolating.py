@@ -17,7 +17,7 @@ from quadftc_model.vehicle import load_vehicle
 
 DEG = np.pi / 180.0
 DT = 0.004
-BEGIN = 750  # the sample at which faults begin
+BEGIN = 1250  # the sample at which faults begin
 
 
 def hover(count, change=lambda index, sample: sample, seed=1, **parameters):

@@ -60,11 +60,11 @@ def step_accelerometer(
     far = used & (mean * mean > (ALARM * OFFSET) ** 2)
     alarm = ~state.faulty & (verdict.stuck | (verdict.odd & (quiet | ~there)) | far)
     used, faulty = used & ~alarm, state.faulty | alarm
-    alive, variance = there & ~verdict.stuck, noise + OFFSET**2
+    alive = there & ~verdict.stuck
     faulty, fault = changed_where(
         faulty,
         lambda: reading_test.follow_deviation(
-            state.fault, faulty, alarm, alive, suspicion, deviation, variance, variance, dt
+            state.fault, faulty, alarm, alive, suspicion, deviation, noise, noise + OFFSET**2, dt
         ),
         (faulty, state.fault),
     )

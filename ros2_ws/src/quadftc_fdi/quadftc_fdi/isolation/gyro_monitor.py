@@ -114,7 +114,7 @@ def step_monitor(
     faulty, fault = changed_where(
         faulty,
         lambda: reading_test.follow_deviation(
-            state.fault, faulty, alarm, alive, age, deviation, variance, BIASED**2 + 0.05 * variance, dt
+            state.fault, faulty, alarm, alive, age, deviation, gyro.noise, BIASED**2 + 0.05 * variance, dt
         ),
         (faulty, state.fault),
     )

@@ -5,13 +5,13 @@ from __future__ import annotations
 from quadftc_fdi.isolation.accelerometer_monitor import AccelerometerMonitor
 from quadftc_fdi.isolation.gyro_monitor import GyroMonitor
 from quadftc_fdi.isolation.hypotheses import Hypotheses
-from quadftc_fdi.isolation.reading_test import EARLY, SCATTER, Deviation, ReadingTest
+from quadftc_fdi.isolation.reading_test import EARLY, Deviation, ReadingTest
 from quadftc_model import samples
 from quadftc_model.arrays import Array, Flag, Mask, Vector, changed_where, namespace
 from quadftc_model.samples import FAULT_KINDS, FaultEstimate, SensorEstimate
 
 OFFSET, STUCK, NOISE, ABSENT = (FAULT_KINDS.index(name) for name in ("offset", "stuck", "noise", "absent"))
-NOISY = 4.0  # 1; a deviation scatters by so much more than its mean explains
+NOISY = 6.0  # 1; squared changes from reading to reading, in variances, of noise that is a fault
 SHOWN = 0.1  # s; a sensor that has looked healthy for so long is shown as recovering
 
 
@@ -77,15 +77,13 @@ def _name(test: ReadingTest, faulty: Mask, fault: Deviation, std_dev: Vector, va
             size=fault.mean,
             onset_age=xp.where(faulty, fault.age, -1.0),
             probability=1.0 * faulty,
-            kind=(faulty * _kind(test, fault, std_dev, valid)).astype(xp.uint8),
+            kind=(faulty * _kind(test, fault, valid)).astype(xp.uint8),
         )
 
     return changed_where(faulty, name_faulty, healthy)
 
 
-def _kind(test: ReadingTest, fault: Deviation, std_dev: Vector, valid: Flag) -> Array:
-    xp = namespace(std_dev)
-    explained = (fault.long / std_dev) ** 2
-    moving = xp.where(fault.scatter > NOISY * (explained + SCATTER), NOISE, OFFSET)
-    kind = xp.where(test.repeats > 1.0, STUCK, moving)
+def _kind(test: ReadingTest, fault: Deviation, valid: Flag) -> Array:
+    xp = namespace(fault.mean)
+    kind = xp.where(test.repeats > 1.0, STUCK, xp.where(fault.scatter > NOISY, NOISE, OFFSET))
     return xp.where(valid[..., None], kind, ABSENT)

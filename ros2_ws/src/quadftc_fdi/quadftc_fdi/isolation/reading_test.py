@@ -106,7 +106,8 @@ def learn_noise(
 
 
 SHORT, LONG = 0.06, 0.4  # s; averages of the deviation of a faulty sensor
-SCATTER = 3.0  # 1; squared deviations, in variances, of a sensor that is healthy again, at most
+MOVED = 25.0  # 1; squared difference of the two, in variances of the longer, that starts it again
+SCATTER = 3.0  # 1; squared changes, in variances, of a sensor that is healthy again, at most
 QUICK, SOONEST, LATEST = 0.3, 0.3, 1.0  # 1, s, s; share of a fault's age for which it must agree; bounds
 
 
@@ -117,13 +118,14 @@ class Deviation(NamedTuple):
     calm: Vector  # how long it has looked healthy [s]
     mean: Vector  # over a short time
     long: Vector  # over a long time
-    scatter: Vector  # squared deviation, in variances
+    scatter: Vector  # squared change from reading to reading, in variances
+    last: Vector  # deviation of the last reading
 
 
 def no_deviation(like: Vector) -> Deviation:
     """Return that of a healthy sensor."""
     zeros = namespace(like).zeros_like(like)
-    return Deviation(zeros, zeros, zeros, zeros, zeros)
+    return Deviation(zeros, zeros, zeros, zeros, zeros, zeros)
 
 
 def follow_deviation(
@@ -133,23 +135,25 @@ def follow_deviation(
     alive: Mask,
     age: Vector,
     deviation: Vector,
-    variance: Vector,
+    noise: Vector,
     known: Vector,
     dt: float,
 ) -> tuple[Mask, Deviation]:
     """Follow the deviation of the faulty axes; return which are faulty still.
 
     ``alarm``: since this sample, at an ``age`` [s]; ``alive``: there is a reading, and it changes.
-    ``variance`` is that of a deviation of a healthy sensor, ``known`` that of its average over `LONG`.
+    ``noise`` is the variance of a healthy reading, ``known`` that of the average deviation over `LONG`.
     """
     xp = namespace(deviation)
     deviation = xp.where(alive, deviation, 0.0)
-    square = deviation * deviation / variance
+    change = deviation - xp.where(alarm, deviation, state.last)
+    square = change * change / (2.0 * noise)
     short, slow = 1.0 - exp(-dt / SHORT), 1.0 - exp(-dt / LONG)
     mean = xp.where(alarm, deviation, state.mean + short * (deviation - state.mean))
     long = xp.where(alarm, deviation, state.long + slow * (deviation - state.long))
-    scatter = xp.where(alarm, square, state.scatter + short * (square - state.scatter))
+    long = xp.where((mean - long) ** 2 > MOVED * known, mean, long)  # the fault has changed, or has ended
+    scatter = xp.where(alarm, SCATTER, state.scatter + short * (square - state.scatter))
     age = xp.where(alarm, age, state.age + dt)
     calm = (state.calm + dt) * (alive & (long * long < 9.0 * known) & (scatter < SCATTER))
     kept = faulty & (calm <= clip(QUICK * age, SOONEST, LATEST))
-    return kept, Deviation(*(kept * part for part in (age, calm, mean, long, scatter)))
+    return kept, Deviation(*(kept * part for part in (age, calm, mean, long, scatter, deviation)))
