@@ -41,11 +41,12 @@ from quadftc_model import samples
 from quadftc_model.arrays import Mask, Vector, any_of, changed_where, chosen, is_single, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
-from quadftc_model.rotations import earth_z_in_body, euler_from_quaternion, quaternion_from_euler
+from quadftc_model.rotations import earth_z_in_body, euler_from_quaternion, quaternion_from_euler, turn
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample, SensorDiagnosis
 
 DEG = math.pi / 180.0
 CORRELATED = 0.06  # s; how long an error of the virtual gyro lasts
+UNTESTED = 1e6  # rad²/s²; variance of a prediction that tests no gyro
 SLOW = 1.0  # rad/s; bandwidth in which an attitude made of the gyro can replace it
 
 
@@ -78,6 +79,7 @@ class Isolating(Supervised):
     belief: float = parameter(
         5.0 * DEG, unit="rad", low=1e-6, doc="ambiguous fault of the attitude up to which the gyro is flown"
     )
+    rotor_lag: float = parameter(0.0, unit="s", low=0.0, doc="time constant of the torque behind its command")
     attitude_from_gyro: bool = parameter(False, doc="the attitude is computed from this gyro")
 
     @functools.cached_property
@@ -157,15 +159,22 @@ class Isolating(Supervised):
         # predict
         drive = (inputs.torque - self.vehicle.rotational_drag * rate) / inertia
         gyroscopic, q = gyroscopic_acceleration(inertia, rate), self.disturbance**2
-        ahead = rate_filter.predict(state.gyro.filter, drive, gyroscopic, q, dt)
+        ahead, drive = gyro_monitor.predict_monitor(state.gyro, drive, gyroscopic, q, self.rotor_lag, dt)
         # test
         omega, angles = estimate_rate(before.filter.x, imu.body_rate), euler_from_quaternion(imu.q_xyzw)
-        vertical = earth_z_in_body(ahead.q_xyzw)
+        wanted = ~state.hypotheses.ambiguous
+        returns = (
+            state.gyro.alone & wanted & ~state.gyro.faulty
+        )  # the gyro is believed again: go on at its rate
+        ahead = changed_where(
+            returns, lambda: rate_filter.adopt_rate(ahead, omega, FLOOR[GYRO] ** 2, returns), ahead
+        )
+        vertical = earth_z_in_body(turn(before.filter.q_xyzw, dt * omega))
         off = accelerometer_monitor.deviation_of(state.accelerometer, imu.specific_force, vertical)
         moved, there = angles - state.readings.reading[..., ATTITUDE], _there(imu)
         raw = xp.concatenate([imu.body_rate, imu.specific_force, angles], axis=-1)
         square = xp.concatenate([omega - ahead.rate, off, moved], axis=-1) ** 2
-        predicted = xp.concatenate([ahead.rr, 0.0 * off, 0.0 * off], axis=-1)
+        predicted = xp.concatenate([ahead.rr + UNTESTED * ~wanted, 0.0 * off, 0.0 * off], axis=-1)
         readings, verdict = reading_test.test_reading(
             state.readings, raw, there, square, predicted, FLOOR, NOISY, dt
         )
@@ -175,12 +184,15 @@ class Isolating(Supervised):
             omega,
             noise[..., GYRO],
             readings.suspicion[..., GYRO],
+            readings.outliers[..., GYRO] > reading_test.SOME,
             there[..., GYRO],
             verdict.of(GYRO),
-            ~state.hypotheses.ambiguous,
+            wanted,
         )
         attitude = self._attitude_reading(imu, before, there[..., ATTITUDE], dt)
-        monitor, taught = gyro_monitor.step_monitor(state.gyro, ahead, gyro, attitude, drive + gyroscopic, dt)
+        monitor, white, taught = gyro_monitor.step_monitor(
+            state.gyro, ahead, gyro, attitude, drive, gyroscopic, dt
+        )
         accelerometer, learned = accelerometer_monitor.step_accelerometer(
             state.accelerometer,
             off,
@@ -192,6 +204,7 @@ class Isolating(Supervised):
             dt,
         )
         used = xp.concatenate([taught, learned, there[..., ATTITUDE]], axis=-1)
+        square = xp.concatenate([white, square[..., FORCE.start :]], axis=-1)
         readings = reading_test.learn_noise(readings, square, predicted, used, LEAST, dt)
         return readings, monitor, accelerometer, verdict
 

@@ -18,10 +18,12 @@ from typing import NamedTuple
 from quadftc_fdi.isolation import rate_filter, reading_test
 from quadftc_fdi.isolation.rate_filter import RateFilter
 from quadftc_fdi.isolation.reading_test import OUTLIER, Deviation, Verdict
-from quadftc_model.arrays import Mask, Quaternion, Scalar, Vector, changed_where, exp, namespace
+from quadftc_model.arrays import Mask, Quaternion, Scalar, Vector, changed_where, clip, exp, larger, namespace
 
 BIASED = 0.004  # rad/s; that a healthy gyro and the virtual one may differ by, 1 sigma
-SCATTERED = 0.1  # s
+SCATTERED, LARGEST = 0.1, 100.0  # s, 1; over which the attitude's scatter is taken, and its bound
+QUICK = 0.008  # s; noise of a gyro is quicker than this
+AGILE, MOST = 0.1, 7.0  # s, 1; how fast q is learned; log of its largest factor
 NEEDED = 0.06  # s; averaging time of the acceleration
 LATELY, JUST = 1.0, 0.1  # s; how long a jump of the gyro, of the attitude is remembered
 
@@ -38,7 +40,11 @@ class GyroMonitor(NamedTuple):
     rotation: Vector  # attitude, measured less predicted, at the last sample [rad]
     bend: Vector  # largest jump of that of late, in standard deviations, fading
     alone: Mask  # the attitude had to do without the gyro, which may be wrong
-    scatter: Vector  # squared innovation of the attitude, in variances, over `SCATTERED`
+    scatter: Vector  # squared change of the attitude's innovation, in variances, over `SCATTERED`
+    drive: Vector  # acceleration by the torque, behind the rotors' lag [rad/s²]
+    innovation: Vector  # of the gyro, the last [rad/s]
+    drift: Vector  # its mean over `QUICK` [rad/s]
+    agility: Vector  # log of the learned factor of q
     needed: Vector  # unknown acceleration by gyro and torque [rad/s²]
 
 
@@ -48,6 +54,7 @@ class GyroReading(NamedTuple):
     rate: Vector  # less its known errors [rad/s]
     noise: Vector  # variance [rad²/s²]
     suspicion: Vector  # how long there have been outliers [s]
+    outliers: Mask  # there are some
     there: Mask
     verdict: Verdict
     wanted: Mask  # it may correct the rate
@@ -68,7 +75,21 @@ def start_monitor(q_xyzw: Quaternion, rate: Vector, drive: Vector, variance: Sca
     zeros = namespace(rate).zeros_like(rate)
     no, started = zeros > 1.0, rate_filter.start_rate_filter(q_xyzw, rate, drive, variance)
     fault = reading_test.no_deviation(rate)
-    return GyroMonitor(started, no, no, fault, zeros, zeros, zeros, zeros, no, zeros, zeros)
+    return GyroMonitor(
+        started, no, no, fault, zeros, zeros, zeros, zeros, no, zeros, drive, zeros, zeros, zeros, zeros
+    )
+
+
+def predict_monitor(
+    state: GyroMonitor, drive: Vector, gyroscopic: Vector, q: Scalar, lag: Scalar, dt: float
+) -> tuple[RateFilter, Vector]:
+    """Predict the rate; also return the acceleration by the torque [rad/s²] behind the rotors' lag [s].
+
+    ``drive`` and ``gyroscopic`` [rad/s²] are the accelerations by the torque and by the body's rotation.
+    ``q`` [rad²/s⁵] is the least density of the noise that moves the unknown one.
+    """
+    drive = state.drive + (1.0 - exp(-dt / larger(lag, 1e-9))) * (drive - state.drive)
+    return rate_filter.predict(state.filter, drive, gyroscopic, q * exp(state.agility), dt), drive
 
 
 def step_monitor(
@@ -76,12 +97,15 @@ def step_monitor(
     ahead: RateFilter,
     gyro: GyroReading,
     attitude: AttitudeReading,
-    known: Vector,
+    drive: Vector,
+    gyroscopic: Vector,
     dt: float,
-) -> tuple[GyroMonitor, Mask]:
-    """Advance by ``dt`` [s] to a sample; also return where the gyro has corrected the rate.
+) -> tuple[GyroMonitor, Vector, Mask]:
+    """Advance by ``dt`` [s] to a sample.
 
-    ``ahead`` is the filter's prediction, ``known`` [rad/s²] the acceleration that went into it.
+    ``ahead`` is the filter's prediction, by the accelerations ``drive`` and ``gyroscopic`` [rad/s²]. Also
+    return the square of what is noise in the gyro's innovation [rad²/s²], and where it can be learned: what
+    changes quickly is noise, what keeps its sign is unknown acceleration, and raises q.
     """
     xp, verdict = namespace(gyro.rate), gyro.verdict
     innovation = gyro.rate - ahead.rate
@@ -91,6 +115,11 @@ def step_monitor(
     good = verdict.good & ~faulty
     used = good & gyro.wanted
     jump = innovation / xp.sqrt(ahead.rr + gyro.noise) * used
+    calm, follow = used & ~gyro.outliers, 1.0 - exp(-dt / QUICK)
+    change = innovation - state.drift
+    white = (1.0 - 0.5 * follow) * change * change
+    keeps = clip(innovation * state.innovation / (ahead.rr + gyro.noise), -3.0, 3.0)
+    agility = clip(state.agility + (dt / AGILE) * keeps * calm, 0.0, MOST)
     ahead = rate_filter.correct_by_gyro(ahead, innovation, gyro.noise, used)
 
     # the attitude corrects where it is healthy, or the gyro is not; the filter takes over its jumps
@@ -102,7 +131,7 @@ def step_monitor(
     taken = jumped * step + (begins & ~jumped) * rotation
     ahead = changed_where(jumped | begins, lambda: rate_filter.absorb(ahead, taken), ahead)
     rotation = xp.where(attitude.there & ~jumped, rotation, state.rotation) * ~begins
-    square = rotation * rotation / (ahead.aa + attitude.variance)
+    square = xp.minimum(step * step / (2.0 * attitude.sample), LARGEST)
     scatter = state.scatter + attitude.there * (1.0 - exp(-dt / SCATTERED)) * (square - state.scatter)
     ahead = rate_filter.correct_by_attitude(
         ahead, rotation, attitude.variance, attitude.there & ~jumped & (attitude.healthy | ~used)
@@ -129,9 +158,13 @@ def step_monitor(
         _recent(state.bend, step / xp.sqrt(2.0 * attitude.sample), JUST, dt),
         alone,
         scatter,
-        _needed(state, gyro, known, dt),
+        drive,
+        xp.where(calm, innovation, state.innovation),
+        xp.where(calm, state.drift + follow * change, state.drift),
+        agility,
+        _needed(state, gyro, drive + gyroscopic, dt),
     )
-    return after, used
+    return after, white, calm
 
 
 def _needed(state: GyroMonitor, gyro: GyroReading, known: Vector, dt: float) -> Vector:

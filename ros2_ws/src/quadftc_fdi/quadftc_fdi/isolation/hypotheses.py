@@ -13,7 +13,7 @@ gyro may be wrong by any amount:
 
 Then each reading is asked what else would have to be true. With the torque, attitude and gyro each give an
 unknown acceleration, d_a and d_g. The larger is the less likely. And an attitude may scatter more than its
-noise: s is its squared innovation in variances.
+noise: s is the squared change of its innovation in variances.
 
     l' = (d_g² - d_a²) / (2 sigma² T) - max(s - 3, 0) / (2 T)
 
@@ -34,7 +34,7 @@ CREEPS, SLOWEST, FASTEST = 0.03, 0.01, 3.0  # rad/s; m of an attitude, mean; of 
 NAMED, HOLD = 3.0, 0.15  # 1, s; log-odds from which the gyro is named, and for how long
 CLEARED = -7.0  # 1; log-odds from which the attitude is named
 USUAL, PERIOD, MOST = 1.5, 0.1, 25.0  # rad/s², s, 1; sigma of accelerations, T, bound of a square
-SCATTERED = 3.0  # 1; of the squared innovations of an attitude that is healthy, at most
+SCATTERED = 3.0  # 1; of the squared changes of an attitude that is healthy, at most
 FADES, FINAL = 1.0, 30.0  # s, 1; memory of evidence, and its bound
 HUGE = 30.0 * DEG  # rad; no attitude sensor creeps by that much
 BLEND = 0.3  # 1; share of the limit within which the rate goes over
@@ -68,7 +68,7 @@ class Evidence(NamedTuple):
     of_attitude: Vector  # unknown acceleration by attitude and torque [rad/s²]
     variance: Vector  # of that [rad²/s⁴]
     of_gyro: Vector  # unknown acceleration by gyro and torque [rad/s²]
-    scatter: Vector  # squared innovation of the attitude, in variances
+    scatter: Vector  # squared change of the attitude's innovation, in variances
 
 
 def weigh(

@@ -19,7 +19,7 @@ from quadftc_model.arrays import Mask, Quaternion, Scalar, Vector, exp, namespac
 from quadftc_model.rotations import quaternion_product, turn
 
 LAG = 0.03  # s; changes of the torque that are slower are followed by d
-UNSURE = 0.5  # 1; share of faster changes that the rotors may not follow, or follow otherwise
+UNSURE = 0.3  # 1; share of faster changes that the rotors may not follow, or follow otherwise
 UNKNOWN_RATE, UNKNOWN_ACCELERATION = 0.5, 1.0  # rad/s, rad/s²; at the start, 1 sigma
 
 
@@ -117,6 +117,18 @@ def correct_by_gyro(state: RateFilter, innovation: Vector, variance: Vector, use
         state.rr - kr * state.rr,
         state.rd - kr * state.rd,
         state.dd - kd * state.rd,
+    )
+
+
+def adopt_rate(state: RateFilter, rate: Vector, variance: Vector, where: Mask) -> RateFilter:
+    """Start again at a rate [rad/s] of a variance on some axes."""
+    kept = ~where
+    xp = namespace(rate)
+    return state._replace(
+        rate=xp.where(where, rate, state.rate),
+        ar=state.ar * kept,
+        rr=xp.where(where, variance, state.rr),
+        rd=state.rd * kept,
     )
 
 

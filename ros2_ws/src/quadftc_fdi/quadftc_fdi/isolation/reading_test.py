@@ -17,6 +17,7 @@ from quadftc_model.arrays import AnyArray, Bool, Float, Mask, Vector, clip, exp,
 
 OUTLIER = 6.0  # 1; standard deviations beyond which a reading is an outlier
 KEPT, ALARM = 0.8, 2.3  # 1; of the count of outliers from sample to sample; level of a fault: three in a row
+SOME = 0.5  # 1; of the count: there are outliers
 EARLY, LATE, CLIP = 0.3, 20.0, 9.0  # s, s, 1; what the prior is worth; memory; bound of squares
 CHANCE, RARE = 0.01, math.log(1e-7)  # 1; of a repeated reading, at first; log of a chance that is none
 SAME = 1e-12  # SI; readings that differ by less are the same, up to rounding
@@ -39,6 +40,7 @@ class ReadingTest(NamedTuple):
     reading: Channels  # the last
     repeats: Channels  # how often it has been repeated
     chance: Channels  # share of repeated readings, learned
+    held: Channels  # variance of an innovation before there were outliers
 
     def of(self, which: slice) -> ReadingTest:
         """Return some of the channels."""
@@ -60,7 +62,7 @@ class Verdict(NamedTuple):
 def start_test(reading: Channels, prior: Limits) -> ReadingTest:
     """Start with the standard deviations of a noise that is not known."""
     zeros = namespace(reading).zeros_like(reading)
-    return ReadingTest(zeros + prior**2, zeros, zeros, zeros, reading, zeros, zeros + CHANCE)
+    return ReadingTest(zeros + prior**2, zeros, zeros, zeros, reading, zeros, zeros + CHANCE, zeros)
 
 
 def test_reading(
@@ -79,7 +81,10 @@ def test_reading(
     """
     xp = namespace(reading)
     started = state.time > EARLY
-    outlier = there & started & (square > OUTLIER**2 * (predicted + xp.maximum(state.variance, floor**2)))
+    # over readings that are left out the prediction gets worse, which must not hide a step
+    variance = predicted + xp.maximum(state.variance, floor**2)
+    held = xp.where(state.outliers > SOME, state.held, variance)
+    outlier = there & started & (square > OUTLIER**2 * held)
     outliers = KEPT * state.outliers + (outlier | ~there)
     same = there & (xp.abs(reading - state.reading) < SAME)
     learning = state.repeats <= LONG_RUN
@@ -88,9 +93,10 @@ def test_reading(
     run = xp.where(state.variance > noisy**2, repeats * xp.log(clip(chance, 1e-4, 0.99)), 0.0)
     stuck = started & (run < RARE)
     verdict = Verdict(there & ~outlier & ((run > 0.5 * RARE) | ~started), started & (outliers > ALARM), stuck)
-    suspicion = (state.suspicion + dt) * (outliers > 0.5)
+    suspicion = (state.suspicion + dt) * (outliers > SOME)
     reading = xp.where(there, reading, state.reading)
-    return ReadingTest(state.variance, state.time, outliers, suspicion, reading, repeats, chance), verdict
+    after = ReadingTest(state.variance, state.time, outliers, suspicion, reading, repeats, chance, held)
+    return after, verdict
 
 
 def learn_noise(
