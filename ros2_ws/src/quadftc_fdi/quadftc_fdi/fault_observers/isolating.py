@@ -51,11 +51,12 @@ SLOW = 1.0  # rad/s; bandwidth in which an attitude made of the gyro can replace
 
 
 GYRO, FORCE, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)  # channels of the readings
-# rad/s, m/s², rad; noise at first, in flight at least (vibration comes and goes), of the best sensor; of one
-# that may repeat itself. A test of the attitude by itself finds only whether it is stuck
-PRIOR, FLOOR, LEAST, NOISY = (
-    np.repeat(each, 3)
-    for each in ((0.02, 0.5, 1e-3), (0.005, 0.03, 10.0), (1e-5, 0.03, 1e-9), (1e-4, 1e-3, 1e-6))
+THERE = np.full(9, True)
+# rad/s, m/s², rad; noise at first, and squared: in flight at least (vibration comes and goes), of the best
+# sensor; of one that may repeat itself. A test of the attitude by itself finds only whether it is stuck
+PRIOR = np.repeat((0.02, 0.5, 1e-3), 3)
+FLOOR, LEAST, NOISY = (
+    np.repeat(each, 3) ** 2 for each in ((0.005, 0.03, 10.0), (1e-5, 0.03, 1e-9), (1e-4, 1e-3, 1e-6))
 )
 
 
@@ -123,12 +124,36 @@ class Isolating(Supervised):
 
         # the attitude against the gyro, or the virtual one
         rate = monitor.filter.rate
-        gyro = xp.where(monitor.bad, rate + before.filter.x[..., :3], imu.body_rate)
-        doubt = monitor.bad * (2.0 * CORRELATED * dt) * monitor.filter.rr
+
+        def go_without() -> tuple[Vector, Vector | float]:
+            virtual = xp.where(monitor.bad, rate + before.filter.x[..., :3], imu.body_rate)
+            return virtual, monitor.bad * (2.0 * CORRELATED * dt) * monitor.filter.rr
+
+        gyro, doubt = changed_where(monitor.bad, go_without, (imu.body_rate, 0.0))
         attitude, estimate = self.attitude_law.advance(before, imu, gyro, doubt, dt)
 
         # whose is a fault of the attitude? Where it is the gyro's, the attitude is acquitted
-        new = attitude.faulty & ~before.faulty
+        believed, monitor, attitude, estimate = changed_where(
+            attitude.faulty,
+            lambda: self._blame(state, inputs, monitor, verdict, attitude, estimate, dt),
+            (hypotheses.start_hypotheses(attitude.faulty), monitor, attitude, estimate),
+        )
+
+        estimate = estimate._replace(corrected=self._fly(estimate, rate, believed))
+        state = State(attitude, readings, monitor, accelerometer, believed)
+        return state, estimate._replace(sensors=self._name(state, imu, estimate))
+
+    def _blame(
+        self,
+        state: State,
+        inputs: FaultObserverInputs,
+        monitor: GyroMonitor,
+        verdict: Verdict,
+        attitude: supervised.State,
+        estimate: FaultEstimate,
+        dt: float,
+    ) -> tuple[Hypotheses, GyroMonitor, supervised.State, FaultEstimate]:
+        """Judge whose a fault of the attitude is, and acquit the attitude where it is the gyro's."""
         seen = hypotheses.Evidence(
             (attitude.track.still < 1.0) & ~monitor.faulty,
             verdict.stuck[..., ATTITUDE],
@@ -140,15 +165,13 @@ class Isolating(Supervised):
             monitor.needed,
             monitor.scatter,
         )
+        new, rate = attitude.faulty & ~state.attitude.faulty, monitor.filter.rate
         believed, guilty = hypotheses.weigh(state.hypotheses, attitude.faulty, new, estimate.fault, seen, dt)
         monitor = monitor._replace(faulty=monitor.faulty | guilty)
         attitude, estimate = changed_where(
             guilty, lambda: self._acquit(attitude, estimate, inputs, rate, guilty), (attitude, estimate)
         )
-
-        estimate = estimate._replace(corrected=self._fly(estimate, rate, believed))
-        state = State(attitude, readings, monitor, accelerometer, believed)
-        return state, estimate._replace(sensors=self._name(state, imu, estimate))
+        return believed, monitor, attitude, estimate
 
     def _judge_readings(
         self, state: State, inputs: FaultObserverInputs, dt: float
@@ -163,23 +186,23 @@ class Isolating(Supervised):
         # test
         omega, angles = estimate_rate(before.filter.x, imu.body_rate), euler_from_quaternion(imu.q_xyzw)
         wanted = ~state.hypotheses.ambiguous
-        returns = (
-            state.gyro.alone & wanted & ~state.gyro.faulty
-        )  # the gyro is believed again: go on at its rate
+        # where the gyro is believed again, go on at its rate
+        returns = state.gyro.alone & wanted & ~state.gyro.faulty
         ahead = changed_where(
-            returns, lambda: rate_filter.adopt_rate(ahead, omega, FLOOR[GYRO] ** 2, returns), ahead
+            returns, lambda: rate_filter.adopt_rate(ahead, omega, FLOOR[GYRO], returns), ahead
         )
         vertical = earth_z_in_body(turn(before.filter.q_xyzw, dt * omega))
         off = accelerometer_monitor.deviation_of(state.accelerometer, imu.specific_force, vertical)
         moved, there = angles - state.readings.reading[..., ATTITUDE], _there(imu)
         raw = xp.concatenate([imu.body_rate, imu.specific_force, angles], axis=-1)
         square = xp.concatenate([omega - ahead.rate, off, moved], axis=-1) ** 2
-        predicted = xp.concatenate([ahead.rr + UNTESTED * ~wanted, 0.0 * off, 0.0 * off], axis=-1)
+        variance, zeros = ahead.rr + UNTESTED * ~wanted, 0.0 * off
+        predicted = xp.concatenate([variance, zeros, zeros], axis=-1)
+        noise = xp.maximum(state.readings.variance, FLOOR)
         readings, verdict = reading_test.test_reading(
-            state.readings, raw, there, square, predicted, FLOOR, NOISY, dt
+            state.readings, raw, there, square, predicted, noise, NOISY, dt
         )
         # judge
-        noise = xp.maximum(readings.variance, FLOOR**2)
         gyro = GyroReading(
             omega,
             noise[..., GYRO],
@@ -260,9 +283,9 @@ class Isolating(Supervised):
         """Return the sample for the controller."""
         xp, corrected = namespace(rate), estimate.corrected
         corrected = corrected._replace(rate_valid=corrected.rate_valid | True)
-        beyond = believed.ambiguous & (xp.abs(estimate.fault) > self.belief)
 
         def blend() -> ImuSample:
+            beyond = believed.ambiguous & (xp.abs(estimate.fault) > self.belief)
             shift, share = hypotheses.flown(estimate.fault, believed.ambiguous, self.belief)
             angles = euler_from_quaternion(corrected.q_xyzw) + shift
             return corrected._replace(
@@ -270,7 +293,7 @@ class Isolating(Supervised):
                 body_rate=corrected.body_rate + share * (rate - corrected.body_rate),
             )
 
-        return changed_where(beyond, blend, corrected)
+        return changed_where(believed.ambiguous, blend, corrected)
 
     def _name(self, state: State, imu: ImuSample, estimate: FaultEstimate) -> SensorDiagnosis:
         """Say what is known of each sensor."""
@@ -286,5 +309,7 @@ class Isolating(Supervised):
 
 def _there(imu: ImuSample) -> Mask:
     """Whether each of the nine channels has a reading."""
-    flags = [imu.rate_valid] * 3 + [imu.force_valid] * 3 + [imu.attitude_valid] * 3
-    return np.array(flags) if is_single(imu.body_rate) else namespace(imu.body_rate).stack(flags, axis=-1)
+    valid = imu.rate_valid, imu.force_valid, imu.attitude_valid
+    if is_single(imu.body_rate):
+        return THERE if all(valid) else np.repeat(valid, 3)
+    return namespace(imu.body_rate).stack([flag for flag in valid for _ in range(3)], axis=-1)

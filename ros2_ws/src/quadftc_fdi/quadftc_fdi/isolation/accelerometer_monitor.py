@@ -58,15 +58,16 @@ def step_accelerometer(
     used = verdict.good & quiet & ~state.faulty
     mean = state.mean + (1.0 - exp(-dt / AVERAGED)) * used * (deviation - state.mean)
     far = used & (mean * mean > (ALARM * OFFSET) ** 2)
-    alarm = ~state.faulty & (verdict.stuck | (verdict.odd & (quiet | ~there)) | far)
-    used, faulty = used & ~alarm, state.faulty | alarm
-    alive = there & ~verdict.stuck
-    faulty, fault = changed_where(
-        faulty,
-        lambda: reading_test.follow_deviation(
-            state.fault, faulty, alarm, alive, suspicion, deviation, noise, noise + OFFSET**2, dt
-        ),
-        (faulty, state.fault),
-    )
+
+    def judge() -> tuple[Mask, Vector, Mask, Deviation]:
+        alarm = ~state.faulty & (verdict.stuck | (verdict.odd & (quiet | ~there)) | far)
+        faulty, alive, known = state.faulty | alarm, there & ~verdict.stuck, noise + OFFSET**2
+        kept, fault = reading_test.follow_deviation(
+            state.fault, faulty, alarm, alive, suspicion, deviation, noise, known, dt
+        )
+        return used & ~alarm, mean * ~kept, kept, fault
+
+    strange = state.faulty | verdict.stuck | verdict.odd | far
+    used, mean, faulty, fault = changed_where(strange, judge, (used, mean, state.faulty, state.fault))
     offset = state.offset + (dt / (LEARNED + dt)) * used * deviation
-    return AccelerometerMonitor(offset, mean * ~faulty, faulty, fault), used
+    return AccelerometerMonitor(offset, mean, faulty, fault), used

@@ -110,43 +110,53 @@ def step_monitor(
     xp, verdict = namespace(gyro.rate), gyro.verdict
     innovation = gyro.rate - ahead.rate
     # against a rate that the gyro does not correct, an outlier proves nothing
-    alarm = ~state.faulty & (verdict.stuck | (verdict.odd & (gyro.wanted | ~gyro.there)))
+    strange = verdict.stuck | verdict.odd
+    alarm = changed_where(
+        strange,
+        lambda: ~state.faulty & (verdict.stuck | (verdict.odd & (gyro.wanted | ~gyro.there))),
+        strange,
+    )
     faulty = state.faulty | alarm
     good = verdict.good & ~faulty
     used = good & gyro.wanted
-    jump = innovation / xp.sqrt(ahead.rr + gyro.noise) * used
-    calm, follow = used & ~gyro.outliers, 1.0 - exp(-dt / QUICK)
+    variance = ahead.rr + gyro.noise
+    jump = innovation / xp.sqrt(variance) * used
+    calm, gain = used & ~gyro.outliers, 1.0 - exp(-dt / QUICK)
     change = innovation - state.drift
-    white = (1.0 - 0.5 * follow) * change * change
-    keeps = clip(innovation * state.innovation / (ahead.rr + gyro.noise), -3.0, 3.0)
+    white = (1.0 - 0.5 * gain) * change * change
+    keeps = clip(innovation * state.innovation / variance, -3.0, 3.0)
     agility = clip(state.agility + (dt / AGILE) * keeps * calm, 0.0, MOST)
     ahead = rate_filter.correct_by_gyro(ahead, innovation, gyro.noise, used)
 
     # the attitude corrects where it is healthy, or the gyro is not; the filter takes over its jumps
     rotation = rate_filter.rotation_to(ahead, attitude.q_xyzw)
     step = (rotation - state.rotation) * attitude.there
-    jumped = step * step > OUTLIER**2 * (2.0 * attitude.sample + ahead.aa)
+    noise = 2.0 * attitude.sample
+    jumped = step * step > OUTLIER**2 * (noise + ahead.aa)
     alone = attitude.there & ~gyro.wanted
     begins = alone & ~state.alone  # what the angle was off by must not look like a rate
-    taken = jumped * step + (begins & ~jumped) * rotation
-    ahead = changed_where(jumped | begins, lambda: rate_filter.absorb(ahead, taken), ahead)
-    rotation = xp.where(attitude.there & ~jumped, rotation, state.rotation) * ~begins
-    square = xp.minimum(step * step / (2.0 * attitude.sample), LARGEST)
+    like_before = attitude.there & ~jumped
+
+    def take_over() -> tuple[RateFilter, Vector]:
+        taken = jumped * step + (begins & ~jumped) * rotation
+        return rate_filter.absorb(ahead, taken), xp.where(like_before, rotation, state.rotation) * ~begins
+
+    ahead, rotation = changed_where(begins | ~like_before, take_over, (ahead, rotation))
+    square = xp.minimum(step * step / noise, LARGEST)
     scatter = state.scatter + attitude.there * (1.0 - exp(-dt / SCATTERED)) * (square - state.scatter)
     ahead = rate_filter.correct_by_attitude(
-        ahead, rotation, attitude.variance, attitude.there & ~jumped & (attitude.healthy | ~used)
+        ahead, rotation, attitude.variance, like_before & (attitude.healthy | ~used)
     )
 
-    deviation = xp.where(gyro.there, gyro.rate - ahead.rate, 0.0)
-    alive, age = gyro.there & ~verdict.stuck, gyro.suspicion
-    variance = ahead.rr + gyro.noise
-    faulty, fault = changed_where(
-        faulty,
-        lambda: reading_test.follow_deviation(
-            state.fault, faulty, alarm, alive, age, deviation, gyro.noise, BIASED**2 + 0.05 * variance, dt
-        ),
-        (faulty, state.fault),
-    )
+    deviation = (gyro.rate - ahead.rate) * gyro.there
+
+    def follow() -> tuple[Mask, Deviation]:
+        alive, known = gyro.there & ~verdict.stuck, BIASED**2 + 0.05 * (ahead.rr + gyro.noise)
+        return reading_test.follow_deviation(
+            state.fault, faulty, alarm, alive, gyro.suspicion, deviation, gyro.noise, known, dt
+        )
+
+    faulty, fault = changed_where(faulty, follow, (faulty, state.fault))
     after = GyroMonitor(
         ahead,
         faulty,
@@ -155,12 +165,12 @@ def step_monitor(
         deviation,
         _recent(state.jump, jump, LATELY, dt),
         rotation,
-        _recent(state.bend, step / xp.sqrt(2.0 * attitude.sample), JUST, dt),
+        _recent(state.bend, step / xp.sqrt(noise), JUST, dt),
         alone,
         scatter,
         drive,
         xp.where(calm, innovation, state.innovation),
-        xp.where(calm, state.drift + follow * change, state.drift),
+        xp.where(calm, state.drift + gain * change, state.drift),
         agility,
         _needed(state, gyro, drive + gyroscopic, dt),
     )

@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from quadftc_model.arrays import Mask, Vector, changed_where, clip, exp, namespace
+from quadftc_model.arrays import Mask, Vector, clip, exp, namespace
 
 DEG = math.pi / 180.0
 BENT, JUMPED = 4.2, 4.2  # 1; standard deviations of a jump of the attitude, of the gyro
@@ -78,14 +78,6 @@ def weigh(
 
     ``new`` is declared at this sample, ``fault`` [rad] its size so far.
     """
-    zeros = 0.0 * fault
-    healthy = Hypotheses(faulty, faulty, zeros, zeros, zeros, zeros), faulty
-    return changed_where(faulty, lambda: _weigh(state, faulty, new, fault, seen, dt), healthy)
-
-
-def _weigh(
-    state: Hypotheses, faulty: Mask, new: Mask, fault: Vector, seen: Evidence, dt: float
-) -> tuple[Hypotheses, Mask]:
     xp = namespace(fault)
     jumped = new & (seen.jump * fault < 0.0) & (xp.abs(seen.jump) > JUMPED)
     certain = xp.where(new, seen.abrupt & (xp.abs(seen.bend) > BENT), state.certain) | seen.stuck

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from quadftc_fdi.isolation.accelerometer_monitor import AccelerometerMonitor
 from quadftc_fdi.isolation.gyro_monitor import GyroMonitor
 from quadftc_fdi.isolation.hypotheses import Hypotheses
 from quadftc_fdi.isolation.reading_test import EARLY, Deviation, ReadingTest
 from quadftc_model import samples
-from quadftc_model.arrays import Array, Flag, Mask, Vector, changed_where, namespace
+from quadftc_model.arrays import Array, Flag, Mask, States, Vector, changed_where, namespace
 from quadftc_model.samples import FAULT_KINDS, FaultEstimate, SensorEstimate
 
 OFFSET, STUCK, NOISE, ABSENT = (FAULT_KINDS.index(name) for name in ("offset", "stuck", "noise", "absent"))
 NOISY = 6.0  # 1; squared changes from reading to reading, in variances, of noise that is a fault
+HEALTHY = np.uint8(samples.HEALTHY)
 SHOWN = 0.1  # s; a sensor that has looked healthy for so long is shown as recovering
 
 
@@ -19,15 +22,12 @@ def name_attitude(estimate: FaultEstimate, hypotheses: Hypotheses) -> SensorEsti
     """Say what is known of the attitude."""
     xp = namespace(estimate.fault)
     faulty = hypotheses.certain | hypotheses.ambiguous
-    return SensorEstimate(
-        estimate.state,
-        estimate.fault,
-        estimate.std_dev,
-        estimate.onset_age,
-        faulty * (1.0 - hypotheses.gyro),
-        (faulty * OFFSET).astype(xp.uint8),
-        hypotheses.ambiguous,
+    none = hypotheses.gyro, faulty.astype(xp.uint8)
+    probability, kind = changed_where(
+        faulty, lambda: (faulty * (1.0 - hypotheses.gyro), (faulty * OFFSET).astype(xp.uint8)), none
     )
+    said = estimate.state, estimate.fault, estimate.std_dev, estimate.onset_age
+    return SensorEstimate(*said, probability, kind, hypotheses.ambiguous)
 
 
 def name_gyro(
@@ -65,19 +65,26 @@ def name_accelerometer(monitor: AccelerometerMonitor, test: ReadingTest, valid: 
 
 def _name(test: ReadingTest, faulty: Mask, fault: Deviation, std_dev: Vector, valid: Flag) -> SensorEstimate:
     xp = namespace(std_dev)
-    trusted = xp.where(test.outliers > 0.5, samples.SUSPECT, samples.HEALTHY)
-    trusted = xp.where(test.time > EARLY, trusted, samples.STARTING).astype(xp.uint8)
-    zeros = 0.0 * std_dev
-    healthy = SensorEstimate(trusted, zeros, std_dev, zeros - 1.0, zeros, 0 * trusted, faulty & ~faulty)
+    suspect, starting = test.outliers > 0.5, test.time <= EARLY
+
+    def name_trusted() -> States:
+        trusted = xp.where(suspect, samples.SUSPECT, samples.HEALTHY)
+        return xp.where(starting, samples.STARTING, trusted).astype(xp.uint8)
+
+    trusted = changed_where(suspect | starting, name_trusted, faulty + HEALTHY)
+    # of a healthy axis, the deviation is zero
+    healthy = SensorEstimate(
+        trusted, fault.mean, std_dev, faulty - 1.0, fault.mean, faulty.astype(xp.uint8), faulty
+    )
 
     def name_faulty() -> SensorEstimate:
         out = xp.where(fault.calm > SHOWN, samples.RECOVERING, samples.FAULTY)
         return healthy._replace(
             state=xp.where(faulty, out, trusted).astype(xp.uint8),
-            size=fault.mean,
             onset_age=xp.where(faulty, fault.age, -1.0),
             probability=1.0 * faulty,
             kind=(faulty * _kind(test, fault, valid)).astype(xp.uint8),
+            ambiguous=faulty & ~faulty,
         )
 
     return changed_where(faulty, name_faulty, healthy)

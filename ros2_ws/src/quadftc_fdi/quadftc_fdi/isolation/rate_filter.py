@@ -15,11 +15,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from quadftc_model.arrays import Mask, Quaternion, Scalar, Vector, exp, namespace
 from quadftc_model.rotations import quaternion_product, turn
 
 LAG = 0.03  # s; changes of the torque that are slower are followed by d
 UNSURE = 0.3  # 1; share of faster changes that the rotors may not follow, or follow otherwise
+CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 UNKNOWN_RATE, UNKNOWN_ACCELERATION = 0.5, 1.0  # rad/s, rad/s²; at the start, 1 sigma
 
 
@@ -79,8 +82,7 @@ def predict(state: RateFilter, drive: Vector, gyroscopic: Vector, q: Scalar, dt:
 def rotation_to(state: RateFilter, q_xyzw: Quaternion) -> Vector:
     """Rotation from the predicted attitude to a measured one, in body axes [rad]; small angles."""
     xp = namespace(q_xyzw)
-    conjugate = state.q_xyzw * xp.asarray([-1.0, -1.0, -1.0, 1.0])
-    error = quaternion_product(conjugate, q_xyzw)
+    error = quaternion_product(state.q_xyzw * CONJUGATE, q_xyzw)
     return 2.0 * error[..., :3] * xp.sign(error[..., 3:])
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_model.arrays import AnyArray, Bool, Float, Mask, Vector, clip, exp, namespace
+from quadftc_model.arrays import AnyArray, Bool, Float, Mask, Vector, changed_where, clip, exp, namespace
 
 OUTLIER = 6.0  # 1; standard deviations beyond which a reading is an outlier
 KEPT, ALARM = 0.8, 2.3  # 1; of the count of outliers from sample to sample; level of a fault: three in a row
@@ -71,30 +71,35 @@ def test_reading(
     there: Flags,
     square: Channels,
     predicted: Channels,
-    floor: Limits,
+    noise: Channels,
     noisy: Limits,
     dt: float,
 ) -> tuple[ReadingTest, Verdict]:
-    """Test readings: squared innovations, variances of the predictions.
+    """Test readings: squared innovations, variances of the predictions and of the noise.
 
-    The noise counts as ``floor`` at least. A sensor whose noise is below ``noisy`` may repeat itself.
+    A sensor whose noise has a variance below ``noisy`` may repeat itself.
     """
-    xp = namespace(reading)
+    xp, absent = namespace(reading), ~there
     started = state.time > EARLY
     # over readings that are left out the prediction gets worse, which must not hide a step
-    variance = predicted + xp.maximum(state.variance, floor**2)
-    held = xp.where(state.outliers > SOME, state.held, variance)
+    some, variance = state.outliers > SOME, predicted + noise
+    held = changed_where(some, lambda: xp.where(some, state.held, variance), variance)
     outlier = there & started & (square > OUTLIER**2 * held)
-    outliers = KEPT * state.outliers + (outlier | ~there)
+    missed = outlier | absent
+    outliers = KEPT * state.outliers + missed
     same = there & (xp.abs(reading - state.reading) < SAME)
     learning = state.repeats <= LONG_RUN
-    repeats = (state.repeats + same) * same
     chance = state.chance + learning * (dt / PATIENT) * (same - state.chance)
-    run = xp.where(state.variance > noisy**2, repeats * xp.log(clip(chance, 1e-4, 0.99)), 0.0)
-    stuck = started & (run < RARE)
-    verdict = Verdict(there & ~outlier & ((run > 0.5 * RARE) | ~started), started & (outliers > ALARM), stuck)
+
+    def judge_run() -> tuple[Channels, Flags, Flags]:
+        repeats = (state.repeats + same) * same
+        run = xp.where(state.variance > noisy, repeats * xp.log(clip(chance, 1e-4, 0.99)), 0.0)
+        return repeats, started & (run < RARE), ~missed & ((run > 0.5 * RARE) | ~started)
+
+    repeats, stuck, good = changed_where(same, judge_run, (0.0 * state.repeats, same, ~missed))
+    verdict = Verdict(good, started & (outliers > ALARM), stuck)
     suspicion = (state.suspicion + dt) * (outliers > SOME)
-    reading = xp.where(there, reading, state.reading)
+    reading = changed_where(absent, lambda: xp.where(there, reading, state.reading), reading)
     after = ReadingTest(state.variance, state.time, outliers, suspicion, reading, repeats, chance, held)
     return after, verdict
 
@@ -102,13 +107,14 @@ def test_reading(
 def learn_noise(
     state: ReadingTest, square: Channels, predicted: Channels, used: Flags, least: Limits, dt: float
 ) -> ReadingTest:
-    """Learn the variance of a reading from squared innovations, where the reading is used."""
+    """Learn the variance of a reading, ``least`` or more, from squared innovations, where it is used."""
     xp = namespace(square)
     expected = predicted + state.variance
-    time = xp.minimum(state.time + dt * used, LATE)
+    learned = dt * used
+    time = xp.minimum(state.time + learned, LATE)
     news = xp.minimum(square / expected, CLIP) - 1.0
-    change = used * (2.0 * dt / (EARLY + time)) * news * state.variance**2 / expected
-    return state._replace(variance=xp.maximum(state.variance + change, least**2), time=time)
+    change = 2.0 * learned / (EARLY + time) * news * state.variance**2 / expected
+    return state._replace(variance=xp.maximum(state.variance + change, least), time=time)
 
 
 SHORT, LONG = 0.06, 0.4  # s; averages of the deviation of a faulty sensor
