@@ -102,6 +102,15 @@ def test_an_absent_gyro_is_replaced():
     assert estimates[-1].sensors.gyro.kind.tolist() == [FAULT_KINDS.index("absent")] * 3
 
 
+def test_an_absent_attitude_is_named():
+    def absent(_, sample):
+        return sample._replace(attitude_valid=np.bool_(False))
+
+    last = hover(BEGIN + 10, absent)[-1]
+    assert states(last)[:2] == [[FAULTY] * 3, [HEALTHY] * 3]
+    assert last.sensors.attitude.kind.tolist() == [FAULT_KINDS.index("absent")] * 3
+
+
 def test_a_gyro_that_is_healthy_again_is_trusted():
     def passing(time):
         return np.array([0.3, 0.0, 0.0]) * (time < 1.0)

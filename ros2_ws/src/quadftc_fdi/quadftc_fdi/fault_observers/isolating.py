@@ -68,6 +68,7 @@ class State(NamedTuple):
     gyro: GyroMonitor
     accelerometer: AccelerometerMonitor
     hypotheses: Hypotheses
+    missing: Mask  # the attitude is absent, or was a moment ago
 
 
 @register("isolating")
@@ -111,6 +112,7 @@ class Isolating(Supervised):
             gyro_monitor.start_monitor(imu.q_xyzw, rate, drive, sensor_noise.WHITE**2),
             accelerometer_monitor.start_accelerometer(imu.specific_force),
             hypotheses.start_hypotheses(attitude.faulty),
+            attitude.faulty & ~attitude.faulty,
         )
 
     def step(self, state: Any, inputs: FaultObserverInputs, dt: float) -> tuple[Any, FaultEstimate]:
@@ -140,7 +142,9 @@ class Isolating(Supervised):
         )
 
         estimate = estimate._replace(corrected=self._fly(estimate, rate, believed))
-        state = State(attitude, readings, monitor, accelerometer, believed)
+        gaps = readings.outliers[..., ATTITUDE]
+        missing = verdict.odd[..., ATTITUDE] | (state.missing & (gaps > reading_test.SOME))
+        state = State(attitude, readings, monitor, accelerometer, believed, missing)
         return state, estimate._replace(sensors=self._name(state, imu, estimate))
 
     def _blame(
@@ -301,7 +305,7 @@ class Isolating(Supervised):
         if self.attitude_from_gyro:  # a fault of the gyro is in both
             believed = believed._replace(ambiguous=believed.ambiguous | state.gyro.faulty)
         return SensorDiagnosis(
-            naming.name_attitude(estimate, believed),
+            naming.name_attitude(estimate, believed, state.readings.suspicion[..., ATTITUDE], state.missing),
             naming.name_gyro(state.gyro, state.readings.of(GYRO), imu.rate_valid, estimate, believed),
             naming.name_accelerometer(state.accelerometer, state.readings.of(FORCE), imu.force_valid),
         )

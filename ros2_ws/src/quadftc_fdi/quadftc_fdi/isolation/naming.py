@@ -18,16 +18,30 @@ HEALTHY = np.uint8(samples.HEALTHY)
 SHOWN = 0.1  # s; a sensor that has looked healthy for so long is shown as recovering
 
 
-def name_attitude(estimate: FaultEstimate, hypotheses: Hypotheses) -> SensorEstimate:
-    """Say what is known of the attitude."""
+def name_attitude(
+    estimate: FaultEstimate, hypotheses: Hypotheses, gap: Vector, missing: Mask
+) -> SensorEstimate:
+    """Say what is known of the attitude; ``missing``: it is absent, or was a moment ago, since ``gap`` [s]."""
     xp = namespace(estimate.fault)
     faulty = hypotheses.certain | hypotheses.ambiguous
     none = hypotheses.gyro, faulty.astype(xp.uint8)
     probability, kind = changed_where(
         faulty, lambda: (faulty * (1.0 - hypotheses.gyro), (faulty * OFFSET).astype(xp.uint8)), none
     )
-    said = estimate.state, estimate.fault, estimate.std_dev, estimate.onset_age
-    return SensorEstimate(*said, probability, kind, hypotheses.ambiguous)
+    known = estimate.state, estimate.fault, estimate.std_dev, estimate.onset_age
+    said = SensorEstimate(*known, probability, kind, hypotheses.ambiguous)
+    absent = missing & ~faulty
+
+    def name_absent() -> SensorEstimate:
+        return said._replace(
+            state=xp.where(absent, samples.FAULTY, said.state).astype(xp.uint8),
+            std_dev=xp.where(absent, -1.0, said.std_dev),
+            onset_age=xp.where(absent, gap, said.onset_age),
+            probability=xp.where(absent, 1.0, said.probability),
+            kind=xp.where(absent, ABSENT, said.kind).astype(xp.uint8),
+        )
+
+    return changed_where(absent, name_absent, said)
 
 
 def name_gyro(
