@@ -21,7 +21,7 @@ SHOWN = 0.1  # s; a sensor that has looked healthy for so long is shown as recov
 def name_attitude(
     estimate: FaultEstimate, hypotheses: Hypotheses, gap: Vector, missing: Mask
 ) -> SensorEstimate:
-    """Say what is known of the attitude; ``missing``: it is absent, or was a moment ago, since ``gap`` [s]."""
+    """Say what is known of the attitude; ``missing``: it has been absent of late, for ``gap`` [s]."""
     xp = namespace(estimate.fault)
     faulty = hypotheses.certain | hypotheses.ambiguous
     none = hypotheses.gyro, faulty.astype(xp.uint8)
