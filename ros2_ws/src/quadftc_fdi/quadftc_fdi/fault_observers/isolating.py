@@ -141,11 +141,11 @@ class Isolating(Supervised):
             (hypotheses.start_hypotheses(attitude.faulty), monitor, attitude, estimate),
         )
 
-        estimate = estimate._replace(corrected=self._fly(estimate, rate, believed))
         gaps = readings.outliers[..., ATTITUDE]
         missing = verdict.odd[..., ATTITUDE] | (state.missing & (gaps > reading_test.SOME))
         state = State(attitude, readings, monitor, accelerometer, believed, missing)
-        return state, estimate._replace(sensors=self._name(state, imu, estimate))
+        corrected, sensors = self._fly(estimate, rate, believed), self._name(state, imu, estimate)
+        return state, estimate._replace(corrected=corrected, sensors=sensors)
 
     def _blame(
         self,
@@ -306,8 +306,8 @@ class Isolating(Supervised):
             believed = believed._replace(ambiguous=believed.ambiguous | state.gyro.faulty)
         return SensorDiagnosis(
             naming.name_attitude(estimate, believed, state.readings.suspicion[..., ATTITUDE], state.missing),
-            naming.name_gyro(state.gyro, state.readings.of(GYRO), imu.rate_valid, estimate, believed),
-            naming.name_accelerometer(state.accelerometer, state.readings.of(FORCE), imu.force_valid),
+            naming.name_gyro(state.gyro, state.readings, GYRO, imu.rate_valid, estimate, believed),
+            naming.name_accelerometer(state.accelerometer, state.readings, FORCE, imu.force_valid),
         )
 
 

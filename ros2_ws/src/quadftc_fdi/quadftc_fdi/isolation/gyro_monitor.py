@@ -123,6 +123,11 @@ def step_monitor(
     jump = innovation / xp.sqrt(variance) * used
     calm, gain = used & ~gyro.outliers, 1.0 - exp(-dt / QUICK)
     change = innovation - state.drift
+    drift = state.drift + gain * change
+
+    def keep() -> tuple[Vector, Vector]:
+        return xp.where(calm, innovation, state.innovation), xp.where(calm, drift, state.drift)
+
     white = (1.0 - 0.5 * gain) * change * change
     keeps = clip(innovation * state.innovation / variance, -3.0, 3.0)
     agility = clip(state.agility + (dt / AGILE) * keeps * calm, 0.0, MOST)
@@ -169,8 +174,7 @@ def step_monitor(
         alone,
         scatter,
         drive,
-        xp.where(calm, innovation, state.innovation),
-        xp.where(calm, state.drift + gain * change, state.drift),
+        *changed_where(~calm, keep, (innovation, drift)),
         agility,
         _needed(state, gyro, drive + gyroscopic, dt),
     )
@@ -181,7 +185,9 @@ def _needed(state: GyroMonitor, gyro: GyroReading, known: Vector, dt: float) -> 
     """Acceleration that gyro and torque together ask for: a slow mean of differences [rad/s²]."""
     xp = namespace(known)
     before = state.filter.rate + state.deviation
-    change = xp.where(gyro.there & (state.deviation != 0.0), (gyro.rate - before) / dt - known, state.needed)
+    change = (gyro.rate - before) / dt - known
+    blind = ~gyro.there | (state.deviation == 0.0)
+    change = changed_where(blind, lambda: xp.where(blind, state.needed, change), change)
     return state.needed + (1.0 - exp(-dt / NEEDED)) * (change - state.needed)
 
 
@@ -189,4 +195,4 @@ def _recent(largest: Vector, news: Vector, memory: float, dt: float) -> Vector:
     """Keep the largest number of late, with its sign."""
     xp = namespace(news)
     faded = largest * exp(-dt / memory)
-    return xp.where(xp.abs(news) > xp.abs(faded), news, faded)
+    return xp.where(news * news > faded * faded, news, faded)

@@ -7,7 +7,7 @@ import numpy as np
 from quadftc_fdi.isolation.accelerometer_monitor import AccelerometerMonitor
 from quadftc_fdi.isolation.gyro_monitor import GyroMonitor
 from quadftc_fdi.isolation.hypotheses import Hypotheses
-from quadftc_fdi.isolation.reading_test import EARLY, Deviation, ReadingTest
+from quadftc_fdi.isolation.reading_test import EARLY, SOME, Deviation, ReadingTest
 from quadftc_model import samples
 from quadftc_model.arrays import Array, Flag, Mask, States, Vector, changed_where, namespace
 from quadftc_model.samples import FAULT_KINDS, FaultEstimate, SensorEstimate
@@ -47,17 +47,18 @@ def name_attitude(
 def name_gyro(
     monitor: GyroMonitor,
     test: ReadingTest,
+    which: slice,
     valid: Flag,
     estimate: FaultEstimate,
     hypotheses: Hypotheses,
 ) -> SensorEstimate:
-    """Say what is known of the gyro; where it is ambiguous, as of the attitude."""
+    """Say what is known of the gyro, some channels of the test; where ambiguous, as of the attitude."""
     xp = namespace(monitor.deviation)
-    std_dev = xp.sqrt(monitor.filter.rr + test.variance)
-    said = _name(test, monitor.faulty, monitor.fault, std_dev, valid)
-    ambiguous = hypotheses.ambiguous & ~monitor.faulty
+    std_dev = xp.sqrt(monitor.filter.rr + test.variance[..., which])
+    said = _name(test, which, monitor.faulty, monitor.fault, std_dev, valid)
 
     def name_ambiguous() -> SensorEstimate:
+        ambiguous = hypotheses.ambiguous & ~monitor.faulty
         return SensorEstimate(
             xp.where(ambiguous, samples.FAULTY, said.state).astype(xp.uint8),
             xp.where(ambiguous, monitor.deviation, said.size),
@@ -68,18 +69,25 @@ def name_gyro(
             ambiguous,
         )
 
-    return changed_where(ambiguous, name_ambiguous, said)
+    return changed_where(hypotheses.ambiguous, name_ambiguous, said)
 
 
-def name_accelerometer(monitor: AccelerometerMonitor, test: ReadingTest, valid: Flag) -> SensorEstimate:
-    """Say what is known of the accelerometer."""
-    std_dev = namespace(monitor.mean).sqrt(test.variance)
-    return _name(test, monitor.faulty, monitor.fault, std_dev, valid)
+def name_accelerometer(
+    monitor: AccelerometerMonitor, test: ReadingTest, which: slice, valid: Flag
+) -> SensorEstimate:
+    """Say what is known of the accelerometer, some channels of the test."""
+    std_dev = namespace(monitor.mean).sqrt(test.variance[..., which])
+    return _name(test, which, monitor.faulty, monitor.fault, std_dev, valid)
 
 
-def _name(test: ReadingTest, faulty: Mask, fault: Deviation, std_dev: Vector, valid: Flag) -> SensorEstimate:
-    xp = namespace(std_dev)
-    suspect, starting = test.outliers > 0.5, test.time <= EARLY
+def _name(
+    test: ReadingTest, which: slice, faulty: Mask, fault: Deviation, std_dev: Vector, valid: Flag
+) -> SensorEstimate:
+    xp, suspect, starting = (
+        namespace(std_dev),
+        test.outliers[..., which] > SOME,
+        test.time[..., which] <= EARLY,
+    )
 
     def name_trusted() -> States:
         trusted = xp.where(suspect, samples.SUSPECT, samples.HEALTHY)
@@ -97,14 +105,14 @@ def _name(test: ReadingTest, faulty: Mask, fault: Deviation, std_dev: Vector, va
             state=xp.where(faulty, out, trusted).astype(xp.uint8),
             onset_age=xp.where(faulty, fault.age, -1.0),
             probability=1.0 * faulty,
-            kind=(faulty * _kind(test, fault, valid)).astype(xp.uint8),
+            kind=(faulty * _kind(test.repeats[..., which], fault, valid)).astype(xp.uint8),
             ambiguous=faulty & ~faulty,
         )
 
     return changed_where(faulty, name_faulty, healthy)
 
 
-def _kind(test: ReadingTest, fault: Deviation, valid: Flag) -> Array:
+def _kind(repeats: Vector, fault: Deviation, valid: Flag) -> Array:
     xp = namespace(fault.mean)
-    kind = xp.where(test.repeats > 1.0, STUCK, xp.where(fault.scatter > NOISY, NOISE, OFFSET))
+    kind = xp.where(repeats > 1.0, STUCK, xp.where(fault.scatter > NOISY, NOISE, OFFSET))
     return xp.where(valid[..., None], kind, ABSENT)

@@ -15,14 +15,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
-from quadftc_model.arrays import Mask, Quaternion, Scalar, Vector, exp, namespace
-from quadftc_model.rotations import quaternion_product, turn
+from quadftc_model.arrays import Mask, Quaternion, Scalar, Vector, components, exp, namespace, pick, stacked
+from quadftc_model.rotations import turn
 
 LAG = 0.03  # s; changes of the torque that are slower are followed by d
 UNSURE = 0.3  # 1; share of faster changes that the rotors may not follow, or follow otherwise
-CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 UNKNOWN_RATE, UNKNOWN_ACCELERATION = 0.5, 1.0  # rad/s, rad/s²; at the start, 1 sigma
 
 
@@ -81,9 +78,15 @@ def predict(state: RateFilter, drive: Vector, gyroscopic: Vector, q: Scalar, dt:
 
 def rotation_to(state: RateFilter, q_xyzw: Quaternion) -> Vector:
     """Rotation from the predicted attitude to a measured one, in body axes [rad]; small angles."""
-    xp = namespace(q_xyzw)
-    error = quaternion_product(state.q_xyzw * CONJUGATE, q_xyzw)
-    return 2.0 * error[..., :3] * xp.sign(error[..., 3:])
+    (px, py, pz, pw), (x, y, z, w) = components(state.q_xyzw), components(q_xyzw)
+    sign = pick(pw * w + px * x + py * y + pz * z < 0.0, -2.0, 2.0)
+    return stacked(
+        [
+            sign * (pw * x - px * w - py * z + pz * y),
+            sign * (pw * y + px * z - py * w - pz * x),
+            sign * (pw * z - px * y + py * x - pz * w),
+        ]
+    )
 
 
 def correct_by_attitude(state: RateFilter, rotation: Vector, variance: Vector, used: Mask) -> RateFilter:

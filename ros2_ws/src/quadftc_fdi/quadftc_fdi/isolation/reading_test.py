@@ -42,10 +42,6 @@ class ReadingTest(NamedTuple):
     chance: Channels  # share of repeated readings, learned
     held: Channels  # variance of an innovation before there were outliers
 
-    def of(self, which: slice) -> ReadingTest:
-        """Return some of the channels."""
-        return ReadingTest(*(part[..., which] for part in self))
-
 
 class Verdict(NamedTuple):
     """What a test says of a reading."""
@@ -96,12 +92,14 @@ def test_reading(
         run = xp.where(state.variance > noisy, repeats * xp.log(clip(chance, 1e-4, 0.99)), 0.0)
         return repeats, started & (run < RARE), ~missed & ((run > 0.5 * RARE) | ~started)
 
-    repeats, stuck, good = changed_where(same, judge_run, (0.0 * state.repeats, same, ~missed))
-    verdict = Verdict(good, started & (outliers > ALARM), stuck)
-    suspicion = (state.suspicion + dt) * (outliers > SOME)
+    late, none = outliers > SOME, 0.0 * outliers
+    repeats, stuck, good = changed_where(same, judge_run, (none, same, ~missed))
+    suspicion, odd = changed_where(
+        late, lambda: ((state.suspicion + dt) * late, started & (outliers > ALARM)), (none, late)
+    )
     reading = changed_where(absent, lambda: xp.where(there, reading, state.reading), reading)
     after = ReadingTest(state.variance, state.time, outliers, suspicion, reading, repeats, chance, held)
-    return after, verdict
+    return after, Verdict(good, odd, stuck)
 
 
 def learn_noise(
