@@ -168,7 +168,7 @@ def test_an_attitude_of_the_same_gyro_is_no_witness():
 
 
 def test_the_belief_in_the_gyros_guilt_grows_with_the_rate():
-    odds = hypotheses.belief_in_gyro(np.array([0.05, 0.1, 0.2, 0.4]))
+    odds = hypotheses.belief_in_gyro(np.array([0.05, 0.1, 0.2, 0.25]))
     assert np.all(np.diff(odds) > 0.0)
     assert odds[0] < 0.0 < odds[2]
     assert odds[2] == pytest.approx(hypotheses.NAMED, abs=0.1)  # 95 % at 0.2 rad/s

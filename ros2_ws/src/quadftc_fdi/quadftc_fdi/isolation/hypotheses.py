@@ -11,6 +11,8 @@ gyro may be wrong by any amount:
 
     p(m | attitude) = exp(-m / 0.03) / 0.03,   p(m | gyro) = 1 / (m ln 300),  0.01 < m < 3 rad/s
 
+with 400 to 1 at most: it is a belief.
+
 Then each reading is asked what else would have to be true. With the torque, attitude and gyro each give an
 unknown acceleration, d_a and d_g. The larger is the less likely. And an attitude may scatter more than its
 noise: s is the squared change of its innovation in variances.
@@ -31,6 +33,7 @@ DEG = math.pi / 180.0
 BENT, JUMPED = 4.2, 4.2  # 1; standard deviations of a jump of the attitude, of the gyro
 SPREAD = 0.06  # s; over which the rate of a discrepancy is taken
 CREEPS, SLOWEST, FASTEST = 0.03, 0.01, 3.0  # rad/s; m of an attitude, mean; of a gyro, bounds
+STRONGEST = 6.0  # 1; log-odds, at most, of a belief about rates
 NAMED, HOLD = 3.0, 0.15  # 1, s; log-odds from which the gyro is named, and for how long
 CLEARED = -7.0  # 1; log-odds from which the attitude is named
 USUAL, PERIOD, MOST = 1.5, 0.1, 25.0  # rad/s², s, 1; sigma of accelerations, T, bound of a square
@@ -103,7 +106,8 @@ def weigh(
 def belief_in_gyro(rate: Vector) -> Vector:
     """Log-odds that a discrepancy of this rate [rad/s] is the gyro's and not the attitude's."""
     xp, m = namespace(rate), clip(rate, SLOWEST, FASTEST)
-    return m / CREEPS + math.log(CREEPS / math.log(FASTEST / SLOWEST)) - xp.log(m)
+    odds = m / CREEPS + math.log(CREEPS / math.log(FASTEST / SLOWEST)) - xp.log(m)
+    return xp.minimum(odds, STRONGEST)
 
 
 def flown(fault: Vector, ambiguous: Mask, belief: float) -> tuple[Vector, Vector]:

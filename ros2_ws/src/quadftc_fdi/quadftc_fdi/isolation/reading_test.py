@@ -20,7 +20,7 @@ KEPT, ALARM = 0.8, 2.3  # 1; of the count of outliers from sample to sample; lev
 SOME = 0.5  # 1; of the count: there are outliers
 EARLY, LATE, CLIP = 0.3, 20.0, 9.0  # s, s, 1; what the prior is worth; memory; bound of squares
 CHANCE, RARE = 0.01, math.log(1e-7)  # 1; of a repeated reading, at first; log of a chance that is none
-SAME = 1e-12  # SI; readings that differ by less are the same, up to rounding
+SAME = 1e-12  # SI; readings that differ by less, or by 8 roundings of 1, are the same
 LONG_RUN = 2.0  # 1; repetitions beyond which a run teaches nothing
 PATIENT = 20.0  # s; over which the chance is learned
 
@@ -83,7 +83,7 @@ def test_reading(
     outlier = there & started & (square > OUTLIER**2 * held)
     missed = outlier | absent
     outliers = KEPT * state.outliers + missed
-    same = there & (xp.abs(reading - state.reading) < SAME)
+    same = there & (xp.abs(reading - state.reading) < max(SAME, 8.0 * np.finfo(reading.dtype).eps))
     learning = state.repeats <= LONG_RUN
     chance = state.chance + learning * (dt / PATIENT) * (same - state.chance)
 
