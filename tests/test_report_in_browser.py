@@ -159,10 +159,12 @@ def test_metrics_on_the_page_equal_the_summaries(opened, runs):
 
 
 def numbers(metrics, prefix=""):
-    """Dotted paths of all numbers, without the bounds of the fault windows."""
+    """Dotted paths of all numbers, without the bounds of the fault windows and the table of sensors."""
     items = enumerate(metrics) if isinstance(metrics, list) else metrics.items()
     for name, value in items:
         if isinstance(value, (dict, list)):
+            if name == "confusion_s":  # a table of its own
+                continue
             yield from numbers(value, f"{prefix}{name}.")
         elif isinstance(value, float) and name not in ("start", "stop"):
             assert math.isfinite(value)

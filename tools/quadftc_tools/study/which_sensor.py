@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 
@@ -119,7 +120,7 @@ def _steps(name: str, faults: pl.DataFrame) -> tuple[str, ...]:
 
 
 def _healthy(name: str, flights: pl.DataFrame) -> tuple[str, ...]:
-    silent, time = (flights[f"sensors.confusion_s.none.{each}"].sum() for each in (NOTHING, TIME))
+    silent, time = (float(flights[f"sensors.confusion_s.none.{each}"].sum()) for each in (NOTHING, TIME))
     return (
         f"`{name}`",
         str(flights.height),
@@ -134,7 +135,7 @@ def _misnamed(faults: pl.DataFrame) -> float | None:
 
 
 def _mean(frame: pl.DataFrame, name: str) -> float | None:
-    return frame[name].cast(pl.Float64).mean()
+    return _number(frame[name].cast(pl.Float64).mean())
 
 
 def _quantile(frame: pl.DataFrame, name: str, share: float) -> float | None:
@@ -142,7 +143,11 @@ def _quantile(frame: pl.DataFrame, name: str, share: float) -> float | None:
 
 
 def _max(frame: pl.DataFrame, name: str) -> float | None:
-    return frame[name].max() if name in frame.columns else None
+    return _number(frame[name].max()) if name in frame.columns else None
+
+
+def _number(value: Any) -> float | None:
+    return None if value is None else float(value)
 
 
 if __name__ == "__main__":

@@ -69,7 +69,9 @@ COLOUR = (
     0.5,
     10.0,
 )  # 1; caution begins at 0.5 / 10 of a sample's variance in slow errors, and is full at 1.5 / 10
-START, FRESH = 5.0, 4.0  # s, 1/s; what is learned is known at once in the first seconds, with a larger gain
+# s, 1/s; what is learned is known at once in the first seconds, with a larger gain; no multiple of a sampling
+# time, where rounding would decide
+START, FRESH = 5.011, 4.0
 MOST = 5.0  # 1; by what factor a variance changes between two anchors, at most
 PAUSE = 0.019  # s; between two times of learning
 CLIP = 12.0  # 1; of r
