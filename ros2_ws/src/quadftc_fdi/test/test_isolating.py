@@ -111,6 +111,16 @@ def test_an_absent_attitude_is_named():
     assert last.sensors.attitude.kind.tolist() == [FAULT_KINDS.index("absent")] * 3
 
 
+def test_nothing_overflows_while_attitude_and_gyro_are_absent():
+    def absent(_, sample):
+        nothing = np.bool_(False)
+        return sample._replace(body_rate=np.zeros(3), rate_valid=nothing, attitude_valid=nothing)
+
+    last = hover(BEGIN + 7500, absent)[-1]
+    assert np.all(np.isfinite(last.std_dev))
+    assert np.all(np.abs(last.corrected.body_rate) < 1.0)
+
+
 def test_a_gyro_that_is_healthy_again_is_trusted():
     def passing(time):
         return np.array([0.3, 0.0, 0.0]) * (time < 1.0)

@@ -37,6 +37,7 @@ from quadftc_fdi.isolation.hypotheses import Hypotheses
 from quadftc_fdi.isolation.reading_test import ReadingTest, Verdict, start_test
 from quadftc_fdi.supervision import sensor_noise
 from quadftc_fdi.supervision.inertial_filter import estimate_rate
+from quadftc_fdi.supervision.transition import ROTATION, variances
 from quadftc_model import samples
 from quadftc_model.arrays import Mask, Vector, any_of, changed_where, chosen, is_single, namespace
 from quadftc_model.parameters import parameter
@@ -46,6 +47,7 @@ from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample,
 
 DEG = math.pi / 180.0
 CORRELATED = 0.06  # s; how long an error of the virtual gyro lasts
+LOST = 10.0  # rad²; variance of an attitude of which nothing is known: more means nothing
 UNTESTED = 1e6  # rad²/s²; variance of a prediction that tests no gyro
 SLOW = 1.0  # rad/s; bandwidth in which an attitude made of the gyro can replace it
 
@@ -129,7 +131,8 @@ class Isolating(Supervised):
 
         def go_without() -> tuple[Vector, Vector | float]:
             virtual = xp.where(monitor.bad, rate + before.filter.x[..., :3], imu.body_rate)
-            return virtual, monitor.bad * (2.0 * CORRELATED * dt) * monitor.filter.rr
+            known = variances(before.filter.P)[..., ROTATION] < LOST
+            return virtual, (monitor.bad & known) * (2.0 * CORRELATED * dt) * monitor.filter.rr
 
         gyro, doubt = changed_where(monitor.bad, go_without, (imu.body_rate, 0.0))
         attitude, estimate = self.attitude_law.advance(before, imu, gyro, doubt, dt)

@@ -15,8 +15,20 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from quadftc_model.arrays import Mask, Quaternion, Scalar, Vector, components, exp, namespace, pick, stacked
+from quadftc_model.arrays import (
+    Mask,
+    Quaternion,
+    Scalar,
+    Vector,
+    clip,
+    components,
+    exp,
+    namespace,
+    pick,
+    stacked,
+)
 from quadftc_model.rotations import turn
+from quadftc_model.samples import MAX_BODY_RATE
 
 LAG = 0.03  # s; changes of the torque that are slower are followed by d
 UNSURE = 0.3  # 1; share of faster changes that the rotors may not follow, or follow otherwise
@@ -64,7 +76,7 @@ def predict(state: RateFilter, drive: Vector, gyroscopic: Vector, q: Scalar, dt:
     rr, rd = state.rr + dt * state.rd, state.rd + dt * state.dd
     return RateFilter(
         q_xyzw,
-        rate + dt * acceleration,
+        clip(rate + dt * acceleration, -MAX_BODY_RATE, MAX_BODY_RATE),
         state.acceleration,
         slow,
         aa + dt * ar + h * ad,
