@@ -133,25 +133,10 @@ def step_monitor(
     agility = clip(state.agility + (dt / AGILE) * keeps * calm, 0.0, MOST)
     ahead = rate_filter.correct_by_gyro(ahead, innovation, gyro.noise, used)
 
-    # the attitude corrects where it is healthy, or the gyro is not; the filter takes over its jumps
-    rotation = rate_filter.rotation_to(ahead, attitude.q_xyzw)
-    step = (rotation - state.rotation) * attitude.there
-    noise = 2.0 * attitude.sample
-    jumped = step * step > OUTLIER**2 * (noise + ahead.aa)
     alone = attitude.there & ~gyro.wanted
-    begins = alone & ~state.alone  # what the angle was off by must not look like a rate
-    like_before = attitude.there & ~jumped
-
-    def take_over() -> tuple[RateFilter, Vector]:
-        taken = jumped * step + (begins & ~jumped) * rotation
-        return rate_filter.absorb(ahead, taken), xp.where(like_before, rotation, state.rotation) * ~begins
-
-    ahead, rotation = changed_where(begins | ~like_before, take_over, (ahead, rotation))
-    square = xp.minimum(step * step / noise, LARGEST)
+    ahead, rotation, step = _use_attitude(state, ahead, attitude, alone, used)
+    square = xp.minimum(step * step, LARGEST)
     scatter = state.scatter + attitude.there * (1.0 - exp(-dt / SCATTERED)) * (square - state.scatter)
-    ahead = rate_filter.correct_by_attitude(
-        ahead, rotation, attitude.variance, like_before & (attitude.healthy | ~used)
-    )
 
     deviation = (gyro.rate - ahead.rate) * gyro.there
 
@@ -170,7 +155,7 @@ def step_monitor(
         deviation,
         _recent(state.jump, jump, LATELY, dt),
         rotation,
-        _recent(state.bend, step / xp.sqrt(noise), JUST, dt),
+        _recent(state.bend, step, JUST, dt),
         alone,
         scatter,
         drive,
@@ -179,6 +164,30 @@ def step_monitor(
         _needed(state, gyro, drive + gyroscopic, dt),
     )
     return after, white, calm
+
+
+def _use_attitude(
+    state: GyroMonitor, ahead: RateFilter, attitude: AttitudeReading, alone: Mask, gyro_used: Mask
+) -> tuple[RateFilter, Vector, Vector]:
+    """Correct by the attitude where it is healthy or the gyro is not used; take over its jumps.
+
+    Also return the rotation to it [rad], and by how many standard deviations that has changed.
+    """
+    xp = namespace(ahead.rate)
+    rotation = rate_filter.rotation_to(ahead, attitude.q_xyzw)
+    step, noise = (rotation - state.rotation) * attitude.there, 2.0 * attitude.sample
+    jumped = step * step > OUTLIER**2 * (noise + ahead.aa)
+    begins = alone & ~state.alone  # what the angle was off by must not look like a rate
+    like_before = attitude.there & ~jumped
+
+    def take_over() -> tuple[RateFilter, Vector]:
+        taken = jumped * step + (begins & ~jumped) * rotation
+        return rate_filter.absorb(ahead, taken), xp.where(like_before, rotation, state.rotation) * ~begins
+
+    ahead, rotation = changed_where(begins | ~like_before, take_over, (ahead, rotation))
+    used = like_before & (attitude.healthy | ~gyro_used)
+    ahead = rate_filter.correct_by_attitude(ahead, rotation, attitude.variance, used)
+    return ahead, rotation, step / xp.sqrt(noise)
 
 
 def _needed(state: GyroMonitor, gyro: GyroReading, known: Vector, dt: float) -> Vector:

@@ -103,37 +103,31 @@ def rotation_to(state: RateFilter, q_xyzw: Quaternion) -> Vector:
 
 def correct_by_attitude(state: RateFilter, rotation: Vector, variance: Vector, used: Mask) -> RateFilter:
     """Correct by a measured attitude: rotation to it [rad], variance of it [rad²]."""
-    weight = used / (state.aa + variance)
-    ka, kr, kd = state.aa * weight, state.ar * weight, state.ad * weight
-    return RateFilter(
-        turn(state.q_xyzw, ka * rotation),
-        state.rate + kr * rotation,
-        state.acceleration + kd * rotation,
-        state.slow,
-        state.aa - ka * state.aa,
-        state.ar - ka * state.ar,
-        state.ad - ka * state.ad,
-        state.rr - kr * state.ar,
-        state.rd - kr * state.ad,
-        state.dd - kd * state.ad,
-    )
+    return _correct(state, (state.aa, state.ar, state.ad), rotation, used / (state.aa + variance))
 
 
 def correct_by_gyro(state: RateFilter, innovation: Vector, variance: Vector, used: Mask) -> RateFilter:
     """Correct by a gyro: what it reads more than the predicted rate [rad/s], variance of it [rad²/s²]."""
-    weight = used / (state.rr + variance)
-    ka, kr, kd = state.ar * weight, state.rr * weight, state.rd * weight
+    return _correct(state, (state.ar, state.rr, state.rd), innovation, used / (state.rr + variance))
+
+
+def _correct(
+    state: RateFilter, seen: tuple[Vector, Vector, Vector], innovation: Vector, weight: Vector
+) -> RateFilter:
+    """Correct by an innovation: covariances of the state with it, one over its variance."""
+    a, r, d = seen
+    ka, kr, kd = a * weight, r * weight, d * weight
     return RateFilter(
         turn(state.q_xyzw, ka * innovation),
         state.rate + kr * innovation,
         state.acceleration + kd * innovation,
         state.slow,
-        state.aa - ka * state.ar,
-        state.ar - ka * state.rr,
-        state.ad - ka * state.rd,
-        state.rr - kr * state.rr,
-        state.rd - kr * state.rd,
-        state.dd - kd * state.rd,
+        state.aa - ka * a,
+        state.ar - ka * r,
+        state.ad - ka * d,
+        state.rr - kr * r,
+        state.rd - kr * d,
+        state.dd - kd * d,
     )
 
 
