@@ -141,9 +141,11 @@ def step_monitor(
     deviation = (gyro.rate - ahead.rate) * gyro.there
 
     def follow() -> tuple[Mask, Deviation]:
-        alive, known = gyro.there & ~verdict.stuck, BIASED**2 + 0.05 * (ahead.rr + gyro.noise)
+        alive, known = gyro.there & ~verdict.stuck, BIASED**2 + 0.15 * (ahead.rr + gyro.noise)
+        # the virtual rate changes with the noise of each attitude, too
+        noise = gyro.noise + ahead.ar * ahead.ar / (ahead.aa + attitude.variance)
         return reading_test.follow_deviation(
-            state.fault, faulty, alarm, alive, gyro.suspicion, deviation, gyro.noise, known, dt
+            state.fault, faulty, alarm, alive, gyro.suspicion, deviation, noise, known, dt
         )
 
     faulty, fault = changed_where(faulty, follow, (faulty, state.fault))
