@@ -10,7 +10,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import Flag, Mask, Quaternion, States, Vector, components, is_single, namespace
+from quadftc_model.arrays import (
+    Flag,
+    Mask,
+    Quaternion,
+    Scalar,
+    States,
+    Vector,
+    components,
+    is_single,
+    namespace,
+)
 
 UNIT_NORM_TOLERANCE = 1e-2  # 1; a quaternion further from unit length is no attitude
 MAX_BODY_RATE = 100.0  # rad/s, sum over the axes; MEMS gyros end at 70 (4000 deg/s): more is no body rate
@@ -49,13 +59,42 @@ class AttitudeReference(NamedTuple):
     angles: Vector  # [rad]
     rates: Vector  # [rad/s]
     accelerations: Vector  # [rad/s²]
+    thrust: Scalar | None = None  # of all rotors, along body z [N]; None: the test stand needs none
+
+
+class PositionReference(NamedTuple):
+    """Where the vehicle shall be and go, in earth axes (east, north, up), and where it shall head."""
+
+    position: Vector  # [m]
+    velocity: Vector  # [m/s]
+    acceleration: Vector  # [m/s²]
+    yaw: Scalar  # [rad]
+    yaw_rate: Scalar  # [rad/s]
+
+
+class PositionSample(NamedTuple):
+    """What a position sensor says with an IMU sample, in earth axes."""
+
+    position: Vector  # [m]
+    velocity: Vector  # [m/s]; zeros where the sensor has none
+    there: Flag  # a sample came with this IMU sample
+
+
+class PositionEstimate(NamedTuple):
+    """Estimated motion of the centre of mass, in earth axes."""
+
+    position: Vector  # [m]
+    velocity: Vector  # [m/s]
+    acceleration: Vector  # [m/s²]
 
 
 class FaultObserverInputs(NamedTuple):
-    """What a fault observer sees: the sample, and the torque that acted since the sample before."""
+    """What a fault observer sees: the sample, and what the rotors gave since the sample before."""
 
     imu: ImuSample
     torque: Vector  # [N m]
+    thrust: Scalar | None = None  # of all rotors [N]; None: unknown, as on the test stand
+    position: PositionSample | None = None  # None: there is no position sensor
 
 
 class SensorEstimate(NamedTuple):
