@@ -72,7 +72,7 @@ class FlightManager:
 
     def take_reference(self, stamp_ns: int, reference: AttitudeReference) -> AttitudeReference | None:
         """Note a reference; return the last usable one."""
-        if samples.is_usable(*reference[:3]):
+        if samples.is_usable(*reference):
             self.reference, self.reference_ns = reference, stamp_ns
         else:
             self._count("attitude/reference: not finite")

@@ -38,7 +38,7 @@ class Reference(Checked, abc.ABC):
 def combined(references: Sequence[Reference], time: Array) -> AttitudeReference:
     """Sum of references at ``time`` [s]; with none, level and still."""
     parts = [each.sample(time) for each in references] or [AttitudeReference(*np.zeros((3, 3)))]
-    return functools.reduce(lambda a, b: AttitudeReference(*map(operator.add, a[:3], b[:3])), parts)
+    return functools.reduce(lambda a, b: AttitudeReference(*map(operator.add, a, b)), parts)
 
 
 def smooth_rise(fraction: Array) -> tuple[Array, Array, Array]:
@@ -73,7 +73,7 @@ class ReferenceGenerator:
         if self._epoch_ns is None:
             self._epoch_ns = stamp_ns
         reference = combined(self.parts, seconds(stamp_ns - self._epoch_ns))
-        if is_usable(*reference[:3]):
+        if is_usable(*reference):
             self._last = reference
         return self._last
 

@@ -59,7 +59,13 @@ class AttitudeReference(NamedTuple):
     angles: Vector  # [rad]
     rates: Vector  # [rad/s]
     accelerations: Vector  # [rad/s²]
-    thrust: Scalar | None = None  # of all rotors, along body z [N]; None: the test stand needs none
+
+
+class AttitudeCommand(NamedTuple):
+    """What a position controller wants."""
+
+    attitude: AttitudeReference
+    thrust: Scalar  # of all rotors, along body z [N]
 
 
 class PositionReference(NamedTuple):

@@ -165,7 +165,7 @@ def _motion(scenario: Scenario, rate: float) -> tuple[Floats, AttitudeReference]
     count = sample_count(scenario.duration, rate)
     time = seconds(period_ns(rate)) * np.arange(count, dtype=np.float64)
     found = combined([part.law for part in scenario.references], time[:, None])
-    return time, AttitudeReference(*(np.broadcast_to(each, (count, 3)) for each in found[:3]))
+    return time, AttitudeReference(*(np.broadcast_to(each, (count, 3)) for each in found))
 
 
 def _disturbance(scenario: Scenario, time: Floats, rates: Floats) -> Floats:

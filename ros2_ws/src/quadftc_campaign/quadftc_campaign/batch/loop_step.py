@@ -162,7 +162,7 @@ class ClosedLoop:
         elapsed = times.taken if delivery is None else delivery.elapsed
         wanted = combined(loop.references, elapsed)
         asarray = namespace(elapsed).asarray
-        reference = AttitudeReference(*(asarray(each, dtype=elapsed.dtype) for each in wanted[:3]))
+        reference = AttitudeReference(*(asarray(each, dtype=elapsed.dtype) for each in wanted))
         inputs_now = ControllerInputs(corrected, reference, disturbance)
         controller, output = _advance(loop.controller, before.controller, inputs_now, dt, restarts)
         after = AvionicsState(started, observer, disturbance_observer, controller, output.torque)
