@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from quadftc_model.samples import STANDARD_GRAVITY
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -31,6 +34,13 @@ _POSITIVE = ("thrust_gain", "yaw_gain", "time_constant", "thrust_coefficient")
 _COMMANDS = ("command_min", "command_max", "command_idle", "command_trim")
 _NUMBERS = (*_POSITIVE, *_COMMANDS, "rotor_inertia")
 _ROTORS: dict[str, Any] = {"positions": (-1, 2), "yaw_sign": (-1,), "spin_sign": (-1,)}
+_AERODYNAMICS: dict[str, Any] = {"rotor_drag": float, "drag_area": (3,), "imu_position": (3,)}
+
+
+def _zeros() -> NDArray[np.float64]:
+    zeros = np.zeros(3)
+    zeros.setflags(write=False)
+    return zeros
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -50,6 +60,38 @@ class Rotors:
     rotor_inertia: float  # [kg m²] about the spin axis
     thrust_coefficient: float  # [N s²/rad²] thrust over squared speed
 
+    @functools.cached_property
+    def speed_min(self) -> float:
+        """Speed at the smallest command [rad/s]."""
+        return self._speed_at(self.command_min)
+
+    @functools.cached_property
+    def speed_max(self) -> float:
+        """Speed at the largest command [rad/s]."""
+        return self._speed_at(self.command_max)
+
+    @functools.cached_property
+    def torque_to_thrust(self) -> float:
+        """Reaction torque over thrust [m]."""
+        return self.yaw_gain / self.thrust_gain
+
+    def _speed_at(self, command: float) -> float:
+        """Speed [rad/s] from thrust_coefficient speed² = thrust_gain (command - idle); 0 below the idle."""
+        thrust = self.thrust_gain * max(command - self.command_idle, 0.0)
+        return math.sqrt(thrust / self.thrust_coefficient)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Aerodynamics:
+    """How the air drags a vehicle in free flight, and where its IMU is.
+
+    Zeros, the default, mean a vehicle without drag whose IMU is at its centre of mass.
+    """
+
+    rotor_drag: float = 0.0  # [N s²/(m rad)] in-plane force of a rotor over its speed and the air's velocity
+    drag_area: NDArray[np.float64] = dataclasses.field(default_factory=_zeros)  # (3,) [m²] C_d A, body axes
+    imu_position: NDArray[np.float64] = dataclasses.field(default_factory=_zeros)  # (3,) [m] from its centre
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Vehicle:
@@ -62,6 +104,7 @@ class Vehicle:
     inertia: NDArray[np.float64]  # (3,) principal moments [kg m²], body frame
     rotational_drag: NDArray[np.float64]  # (3,) k_d1..k_d3 of (2) [N m s/rad]
     rotors: Rotors
+    aerodynamics: Aerodynamics = dataclasses.field(default_factory=Aerodynamics)
 
     def __post_init__(self) -> None:
         """Check the numbers."""
@@ -75,6 +118,7 @@ class Vehicle:
         _require(self, "", ("rotational_drag",), 0.0, "not negative")
         _require(rotors, "rotors.", ("rotor_inertia",), 0.0, "not negative")
         _require(rotors, "rotors.", _POSITIVE, _SMALLEST, positive)
+        _require(self.aerodynamics, "aerodynamics.", ("rotor_drag", "drag_area"), 0.0, "not negative")
         low, high, trim = rotors.command_min, rotors.command_max, rotors.command_trim
         if not low < trim < high:
             raise ValueError(f"rotors.command_trim = {trim}: must be in ({low}, {high})")
@@ -103,6 +147,28 @@ class Vehicle:
         """How far a rotor command can move from the trim, both ways [1]."""
         rotors = self.rotors
         return min(rotors.command_trim - rotors.command_min, rotors.command_max - rotors.command_trim)
+
+    @functools.cached_property
+    def effectiveness(self) -> NDArray[np.float64]:
+        """Thrust [N] and body torque [N m] per unit of each rotor's thrust [N], (4, n).
+
+        Rows: collective thrust, then torque about x, y, z: the mixer of (2) over the thrust gain.
+        """
+        thrust = np.ones((1, len(self.rotors.positions)))
+        return np.concatenate([thrust, self.mixer / self.rotors.thrust_gain])
+
+    @functools.cached_property
+    def thrust_max(self) -> float:
+        """Largest thrust of all rotors together [N]."""
+        rotors = self.rotors
+        return len(rotors.positions) * rotors.thrust_coefficient * rotors.speed_max**2
+
+    @functools.cached_property
+    def hover_speed(self) -> float:
+        """Speed at which the rotors, all alike, carry the weight [rad/s]."""
+        rotors = self.rotors
+        thrust = self.mass * STANDARD_GRAVITY / len(rotors.positions)
+        return math.sqrt(thrust / rotors.thrust_coefficient)
 
 
 def vehicle_names() -> tuple[str, ...]:
@@ -146,12 +212,21 @@ def _load(path: Path, changed_ns: int) -> Vehicle:
         table = tomllib.load(file)
     if not isinstance(rotors := table.pop("rotors", None), dict):
         raise ValueError("[rotors]: expected this table")
-    built = Rotors(**_read_section(rotors, "rotors.", _ROTORS | dict.fromkeys(_NUMBERS, float)))  # pyright: ignore[reportUnknownArgumentType]
-    return Vehicle(rotors=built, **_read_section(table, "", _BODY | dict.fromkeys(_TEXTS, str)))
+    air = table.pop("aerodynamics", {})
+    if not isinstance(air, dict):
+        raise ValueError(f"aerodynamics = {air!r}: expected a table")
+    parts = {
+        "rotors": Rotors(**_read_section(rotors, "rotors.", _ROTORS | dict.fromkeys(_NUMBERS, float))),  # pyright: ignore[reportUnknownArgumentType]
+        "aerodynamics": Aerodynamics(**_read_section(air, "aerodynamics.", _AERODYNAMICS, optional=True)),  # pyright: ignore[reportUnknownArgumentType]
+    }
+    return Vehicle(**parts, **_read_section(table, "", _BODY | dict.fromkeys(_TEXTS, str)))
 
 
-def _read_section(table: dict[str, Any], prefix: str, kinds: dict[str, Any]) -> dict[str, Any]:
-    values = {key: _read(f"{prefix}{key}", table.get(key), kind) for key, kind in kinds.items()}
+def _read_section(
+    table: dict[str, Any], prefix: str, kinds: dict[str, Any], *, optional: bool = False
+) -> dict[str, Any]:
+    names = [key for key in kinds if key in table or not optional]
+    values = {key: _read(f"{prefix}{key}", table.get(key), kinds[key]) for key in names}
     for key in table.keys() - kinds:
         raise ValueError(f"{prefix}{key}: unknown key")
     return values

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import quadftc_model
+from quadftc_model.rotors import propeller_speeds
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 
 TEXT = (Path(quadftc_model.__file__).parent / "vehicles" / "qball_x4.toml").read_text()
@@ -103,6 +104,14 @@ def test_unknown_vehicle_is_refused_with_those_that_there_are():
             r"rotors.rotor_inertia = -1.0: must be not negative",
         ),
         (r"^thrust_gain", "thrust_gian = 1.0\nthrust_gain", r"rotors.thrust_gian: unknown key"),
+        (r"^rotor_drag = .*", "rotor_drag = -1.0", r"aerodynamics.rotor_drag = -1.0: must be not negative"),
+        (r"^drag_area = .*", "drag_area = 1.0", r"aerodynamics.drag_area = 1.0: expected finite numbers of"),
+        (r"^drag_area = .*", "wings = 2", r"aerodynamics.wings: unknown key"),
+        (
+            r"(?s)^mass(.*)^\[aerodynamics\].*",
+            r"aerodynamics = 1\nmass\1",
+            r"aerodynamics = 1: expected a table",
+        ),
         (r"^\[rotors\]", "[rotors", r"Expected ']' at the end of a table declaration"),
     ],
 )
@@ -121,3 +130,40 @@ def test_file_that_is_no_text_is_refused_with_its_path(tmp_path):
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(ValueError, match=r"vehicle .*binary\.toml"):
         load_vehicle(str(tmp_path / "binary.toml"))
+
+
+@EVERY_VEHICLE
+def test_rotors_at_hover_speed_carry_the_weight_and_turn_nothing(name):
+    vehicle = load_vehicle(name)
+    rotors = vehicle.rotors
+    thrusts = np.full(len(rotors.positions), rotors.thrust_coefficient * vehicle.hover_speed**2)
+    expected = [vehicle.mass * 9.80665, 0.0, 0.0, 0.0]
+    np.testing.assert_allclose(vehicle.effectiveness @ thrusts, expected, rtol=1e-12, atol=1e-12)
+
+
+@EVERY_VEHICLE
+def test_speed_limits_are_those_of_the_commands(name):
+    vehicle = load_vehicle(name)
+    rotors = vehicle.rotors
+    commands = np.array([rotors.command_min, rotors.command_max])
+    np.testing.assert_allclose([rotors.speed_min, rotors.speed_max], propeller_speeds(vehicle, commands))
+    assert rotors.speed_min < vehicle.hover_speed < rotors.speed_max
+    most = len(rotors.positions) * rotors.thrust_gain * (rotors.command_max - rotors.command_idle)
+    np.testing.assert_allclose(vehicle.thrust_max, most, rtol=1e-12)
+
+
+@EVERY_VEHICLE
+def test_effectiveness_is_the_mixer_over_thrust(name):
+    vehicle = load_vehicle(name)
+    arm = vehicle.rotors.torque_to_thrust * vehicle.rotors.yaw_sign
+    assert np.array_equal(vehicle.effectiveness[0], np.ones(len(arm)))
+    np.testing.assert_allclose(vehicle.effectiveness[1], vehicle.rotors.positions[:, 1], rtol=1e-12)
+    np.testing.assert_allclose(vehicle.effectiveness[2], -vehicle.rotors.positions[:, 0], rtol=1e-12)
+    np.testing.assert_allclose(vehicle.effectiveness[3], arm, rtol=1e-12)
+
+
+def test_vehicle_without_aerodynamics_has_no_drag(tmp_path):
+    air = load_vehicle(changed(tmp_path, r"(?s)^\[aerodynamics\].*", "")).aerodynamics
+    assert air.rotor_drag == 0.0
+    assert not np.any(air.drag_area)
+    assert not np.any(air.imu_position)
