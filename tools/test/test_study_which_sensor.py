@@ -3,16 +3,23 @@
 import polars as pl
 import pytest
 
-from quadftc_flight.diagnosis_metrics.which_sensor import SAID
-from quadftc_tools.study.which_sensor import make
+from quadftc_flight.diagnosis_metrics.which_sensor import SAID, TIME
+from quadftc_flight.fault_schedule import SENSORS
+from quadftc_tools.study.which_sensor import make, side_by_side
 
 
 def row(flight, sensor, named, delay, error, lost=False, wrong=0.0):
     fault = {"component": sensor, "kind": "step", "named": named, "naming_delay_s": delay}
     fault |= {"misnamed_share": wrong, "ambiguous_share": 0.25}
-    errors = {"attitude_error_max_deg": error, "attitude_error_max_deg_ratio": 0.5 * error}
+    errors = {"attitude_error_max_deg": error, "attitude_error_rms_deg": 0.1 * error}
+    errors |= {"attitude_error_max_deg_ratio": 0.5 * error}
     times = {f"sensors.confusion_s.none.{said}": 10.0 for said in SAID} | {
         "sensors.confusion_s.none.none": 9.0
+    }
+    times |= {
+        f"sensors.confusion_s.{true}.{said}": 4.0 if said == TIME else 2.0
+        for true in SENSORS
+        for said in SAID
     }
     flown = {"flight": flight, "variant": "isolating", "observer": "isolating", "lost": lost, "fault": 0}
     return {**flown, **{f"fault.{name}": value for name, value in fault.items()}, **errors, **times}
@@ -39,6 +46,45 @@ def test_overview_and_kinds_count_what_was_named_and_lost():
     assert cells(tables["which-sensor-kinds"], "gyro: step")[:3] == ["2", "50 %", "50 %"]
     assert cells(tables["which-sensor-kinds"], "gyro: step")[-1] == "0.5 / 45"
     assert not figures
+
+
+def test_faults_that_are_told_apart_are_held_against_flights_without_diagnosis():
+    flown = [
+        row(0, "gyro", True, 0.008, 1.0),
+        row(1, "gyro", False, None, 9.0),
+        row(2, "attitude", True, 0.0, 3.0),
+    ]
+    flown[0]["fault.ambiguous_share"] = flown[1]["fault.ambiguous_share"] = 0.0
+    plain = {"variant": "plain", "observer": "none"}
+    errors = {0: 0.5, 1: 90.0, 2: 2.0}
+    without = [
+        each | plain | {"lost": each["flight"] == 1, "attitude_error_max_deg": errors[each["flight"]]}
+        for each in flown
+    ]
+    table = make({"which_sensor": pl.DataFrame(flown + without)})[0]["which-sensor-classes"]
+    assert cells(table, "named, never ambiguous") == [
+        *("1", "0", "0", "1 / 1 deg", "2 / 2 / 2", "0.5 / 0.5 deg")
+    ]
+    assert cells(table, "ambiguous for some time")[-2:] == ["1.5 / 1.5 / 1.5", "1 / 1 deg"]
+    assert cells(table, "neither")[1:3] == ["0", "1"]
+
+
+def test_other_observers_are_held_against_the_same_flights_without_diagnosis():
+    plain = FRAME.with_columns(
+        variant=pl.lit("plain"), observer=pl.lit("none"), attitude_error_max_deg=pl.lit(0.25)
+    )
+    parts = {"disturbance_observer": pl.lit("any"), "controller": pl.lit("any")}
+    every = pl.concat([FRAME, plain]).with_columns(**parts)
+    other = FRAME.head(1).with_columns(variant=pl.lit("other"), observer=pl.lit("supervised"), **parts)
+    frame = side_by_side(every, other.drop("attitude_error_max_deg_ratio").drop("fault.misnamed_share"))
+    assert sorted(frame["variant"]) == ["isolating", "other", "plain"]
+    assert frame.filter(variant="other")["attitude_error_max_deg_ratio"].to_list() == [4.0]
+
+
+def test_confusion_is_a_share_of_the_time_in_which_that_sensor_is_faulty():
+    table = make({"which_sensor": FRAME})[0]["which-sensor-confusion"]
+    assert cells(table, "none") == ["100 %", "100 %", "100 %", "100 %", "90 %", "30 s"]
+    assert cells(table, "gyro")[2] == "50 %"
 
 
 @pytest.mark.parametrize(

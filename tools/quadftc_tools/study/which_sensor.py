@@ -13,12 +13,22 @@ from typing import Any
 
 import polars as pl
 
-from quadftc_campaign.table import whole_flights
-from quadftc_flight.diagnosis_metrics.which_sensor import NOTHING, TIME
-from quadftc_tools.study.numbers import write_count, write_degrees, write_number, write_per_cent, write_times
+from quadftc_campaign.table import CONFUSION, ERRORS, whole_flights, with_ratios
+from quadftc_flight.diagnosis_metrics.which_sensor import NOTHING, SAID, TIME, TRUE
+from quadftc_flight.summary import NO_OBSERVER
+from quadftc_tools.study.numbers import (
+    write_count,
+    write_degrees,
+    write_number,
+    write_numbers,
+    write_per_cent,
+    write_times,
+)
 from quadftc_tools.study.page import FLIGHTS, Drawers, markdown, run_study
 
-NAMES = ("which_sensor", "which_sensor_steps", "which_sensor_healthy")
+FAULTS = ("which_sensor", "which_sensor_observers")  # the second: some of these flights, by other observers
+NAMES = (*FAULTS, "which_sensor_steps", "which_sensor_healthy")
+JUDGED = "isolating"  # the observer of which the tables say more
 DELAY = "fault.naming_delay_s"
 ERROR, RATIO = "attitude_error_max_deg", "attitude_error_max_deg_ratio"
 OVERVIEW = (
@@ -29,6 +39,16 @@ OVERVIEW = (
 KINDS = (
     *("fault", "flights", "named", "misnamed at some time", "ambiguous", "named after, median / largest"),
     *("lost", "largest error, 95 % / worst", "over that without diagnosis, worst: named / not named"),
+)
+CLASSES = (
+    *(
+        "fault of attitude or gyro",
+        "flights",
+        "lost",
+        "lost without diagnosis",
+        "largest error, 95 % / worst",
+    ),
+    *("over that without diagnosis, median / 95 % / worst", "beyond that without diagnosis, 95 % / worst"),
 )
 STEPS = (
     "",
@@ -48,7 +68,16 @@ def read_campaigns(results: Path) -> dict[str, pl.DataFrame]:
     frames = {name: pl.read_parquet(path) for name, path in paths.items() if path.is_file()}
     if not frames:
         raise ValueError(f"{results}: no study there; expected {NAMES[0]}/{FLIGHTS} or another")
+    if all(name in frames for name in FAULTS):
+        frames[FAULTS[1]] = side_by_side(*(frames[name] for name in FAULTS))
     return frames
+
+
+def side_by_side(all_flights: pl.DataFrame, others: pl.DataFrame) -> pl.DataFrame:
+    """Join other observers with the same flights of those that flew all of them."""
+    same = all_flights.filter(pl.col("flight").is_in(others["flight"].unique().implode()))
+    frame = pl.concat([same, others], how="diagonal_relaxed")
+    return with_ratios(frame.drop(f"{name}_ratio" for name in ERRORS if f"{name}_ratio" in frame.columns))
 
 
 def make(frames: Mapping[str, pl.DataFrame]) -> tuple[Mapping[str, str], Drawers]:
@@ -58,12 +87,18 @@ def make(frames: Mapping[str, pl.DataFrame]) -> tuple[Mapping[str, str], Drawers
         place = name.replace("_", "-")
         variants = frame["variant"].unique(maintain_order=True).to_list()
         parts = {variant: frame.filter(pl.col("variant") == variant) for variant in variants}
-        if name == "which_sensor":
+        if name in FAULTS:
             tables[place] = markdown(OVERVIEW, (_overview(*part) for part in parts.items()))
-            tables[f"{place}-kinds"] = kinds_table(frame.filter(pl.col("observer") == "isolating"))
+        if name == FAULTS[0]:
+            judged = frame.filter(pl.col("observer") == JUDGED)
+            tables[f"{place}-kinds"] = kinds_table(judged)
+            tables[f"{place}-classes"] = classes_table(
+                judged, frame.filter(pl.col("observer") == NO_OBSERVER)
+            )
+            tables[f"{place}-confusion"] = confusion_table(judged)
         elif name == "which_sensor_steps":
             tables[place] = markdown(STEPS, (_steps(*part) for part in parts.items()))
-        else:
+        elif name == "which_sensor_healthy":
             tables[place] = markdown(HEALTHY, (_healthy(*part) for part in parts.items()))
     return tables, {}
 
@@ -90,6 +125,48 @@ def kinds_table(faults: pl.DataFrame) -> str:
             )
         )
     return markdown(KINDS, rows)
+
+
+def classes_table(judged: pl.DataFrame, without: pl.DataFrame) -> str:
+    """Table of how the vehicle flies with faults that are told apart, and with those that are not.
+
+    ``without`` are the same flights without a diagnosis.
+    """
+    faults = judged.filter(pl.col("fault.component").is_in(("attitude", "gyro")))
+    doubt = (pl.col("fault.ambiguous_share").fill_null(0.0) > 0.0).any().over("flight")
+    told = pl.col("fault.named").fill_null(value=False).all().over("flight")
+    plain = whole_flights(without).select("flight", lost_without="lost", without=ERROR)
+    flights = whole_flights(faults.with_columns(doubt=doubt, told=told)).join(plain, on="flight")
+    parts = {
+        "named, never ambiguous": pl.col("told") & ~pl.col("doubt"),
+        "ambiguous for some time": pl.col("doubt"),
+        "neither": ~pl.col("told") & ~pl.col("doubt"),
+    }
+    return markdown(CLASSES, (_class(name, flights.filter(part)) for name, part in parts.items()))
+
+
+def _class(name: str, flights: pl.DataFrame) -> tuple[str, ...]:
+    flights = flights.with_columns(
+        over=pl.col(ERROR) / pl.col("without"), beyond=pl.col(ERROR) - pl.col("without")
+    )
+    return (
+        name,
+        str(flights.height),
+        *(write_count((float(lost),)) for lost in (flights["lost"].sum(), flights["lost_without"].sum())),
+        write_degrees((_quantile(flights, ERROR, 0.95), _max(flights, ERROR))),
+        write_numbers((*(_quantile(flights, "over", share) for share in (0.5, 0.95)), _max(flights, "over"))),
+        write_degrees((_quantile(flights, "beyond", 0.95), _max(flights, "beyond"))),
+    )
+
+
+def confusion_table(faults: pl.DataFrame) -> str:
+    """Table of what is said of an axis while a sensor of it is faulty, as shares of the time."""
+    flights, rows = whole_flights(faults), []
+    for true in TRUE:
+        times = {said: float(flights[f"{CONFUSION}.{true}.{said}"].sum()) for said in SAID}
+        shares = (write_per_cent((times[said] / times[TIME],)) for said in SAID[:-1])
+        rows.append((true, *shares, f"{times[TIME]:.0f} s"))
+    return markdown(("faulty", *(f"said: {said}" for said in SAID[:-1]), "time of all axes"), rows)
 
 
 def _overview(name: str, faults: pl.DataFrame) -> tuple[str, ...]:
@@ -120,7 +197,7 @@ def _steps(name: str, faults: pl.DataFrame) -> tuple[str, ...]:
 
 
 def _healthy(name: str, flights: pl.DataFrame) -> tuple[str, ...]:
-    silent, time = (float(flights[f"sensors.confusion_s.none.{each}"].sum()) for each in (NOTHING, TIME))
+    silent, time = (float(flights[f"{CONFUSION}.{NOTHING}.{each}"].sum()) for each in (NOTHING, TIME))
     return (
         f"`{name}`",
         str(flights.height),

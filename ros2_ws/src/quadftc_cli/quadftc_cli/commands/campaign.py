@@ -41,7 +41,10 @@ def campaign(
         list[int],
         Option(help="Fly this one alone, through the node graph, and write its bag; may be repeated."),
     ] = [],  # noqa: B006
-    variant: Annotated[str | None, Option(help="Of that flight; default: the first.")] = None,
+    variant: Annotated[
+        list[str],
+        Option(help="Fly this one alone, of all or of that flight (else its first); may be repeated."),
+    ] = [],  # noqa: B006
     force: Annotated[bool, Option("--force", help="Replace an earlier run of that flight.")] = False,
     recordings: Annotated[
         Path | None, Option(help="Directory of rosbag2 bags for a campaign on recordings.")
@@ -53,15 +56,18 @@ def campaign(
 
     loaded = load_campaign(file, flights, recordings)
     directory = out or Path("results") / loaded.name
+    if variant:
+        some = tuple(variant_of(loaded, name) for name in dict.fromkeys(variant))
+        loaded = loaded.model_copy(update={"variants": some})
     if flight:
         if loaded.source.kind != "loop":
             raise CampaignError("--flight: flies the closed loop; this campaign has samples alone")
-        chosen = variant_of(loaded, variant)
+        if len(variant) > 1:
+            raise CampaignError(f"--variant: {len(variant)} given; expected one at most with --flight")
+        chosen = loaded.variants[0]
         scenarios = [flight_scenario(loaded, number, chosen) for number in dict.fromkeys(flight)]
         jobs = [(scenario, scenario.scheme(chosen.scheme)) for scenario in scenarios]
         raise typer.Exit(fly_jobs(jobs, directory / "runs", RunOptions(force=force)))
-    if variant is not None:
-        raise CampaignError("--variant: is for --flight; a campaign flies all variants")
     raise typer.Exit(_fly_all(loaded, file, directory, resume, scheduler, workers))
 
 
