@@ -127,6 +127,11 @@ def larger(x: Scalar, y: Scalar) -> Array:
     return max(x, y) if isinstance(x, float) else namespace(x).maximum(x, y)
 
 
+def smaller(x: Scalar, y: Scalar) -> Array:
+    """Return the smaller of two arrays or floats."""
+    return min(x, y) if isinstance(x, float) else namespace(x).minimum(x, y)
+
+
 def column(x: Array) -> Array:
     """Give an array (...) an axis of length 1 at its end; a float or a bool stays as it is."""
     if isinstance(x, (float, bool, np.bool_)):

@@ -158,6 +158,11 @@ class Vehicle:
         return np.concatenate([thrust, self.mixer / self.rotors.thrust_gain])
 
     @functools.cached_property
+    def force_allocation(self) -> NDArray[np.float64]:
+        """Pseudo-inverse of the effectiveness, (n, 4): each rotor's thrust per unit of thrust and torque."""
+        return np.asarray(np.linalg.pinv(self.effectiveness), dtype=np.float64)
+
+    @functools.cached_property
     def thrust_max(self) -> float:
         """Largest thrust of all rotors together [N]."""
         rotors = self.rotors

@@ -1,0 +1,122 @@
+"""Allocation: the rotor speeds for a thrust and a torque, and what is given up where both do not fit.
+
+Free flight commands the speed of each rotor: its thrust is k speed², its reaction torque in proportion. With
+the effectiveness E (4, n) of the rotor thrusts F, (thrust, torque) = E F. The pseudo-inverse of E gives the F
+of least squares; for four rotors it is the only one.
+
+Where that F leaves the range of a rotor, roll and pitch come before thrust, and thrust before yaw, as a
+multirotor that keeps its tilt can still be flown (Faessler, Falanga and Scaramuzza (2017), Thrust mixing,
+saturation, and body-rate control for accurate aggressive quadrotor flight, IEEE RA-L 2(2)). Each stage is a
+linear programme so small that it has a closed form:
+
+1. roll and pitch are scaled together, by the largest factor that some thrust allows;
+2. thrust is the nearest that some share of the wanted yaw torque, 0 to 1, allows;
+3. yaw keeps the largest share that then fits.
+
+What fits is given exactly. More than four rotors could give a little more by forces that cancel each other;
+these are never used.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from quadftc_model.arrays import (
+    Components,
+    Scalar,
+    Vector,
+    changed_where,
+    clip,
+    components,
+    larger,
+    namespace,
+    pick,
+    smaller,
+    stacked,
+)
+from quadftc_model.vehicle import Vehicle
+
+_ROUNDING = 1e-12  # 1; of the largest thrust of a rotor: what exceeds a room by less fits
+_TINY = 1e-30  # N; divides nothing by zero where no force is wanted
+
+
+class Allocated(NamedTuple):
+    """Rotor speeds, and what they give once the rotors have them."""
+
+    speeds: Components  # (..., n) [rad/s]
+    thrust: Scalar  # [N]
+    torque: Vector  # [N m]
+
+
+def allocate(vehicle: Vehicle, thrust: Scalar, torque: Vector) -> Allocated:
+    """Rotor speeds for a thrust [N] (...) along body z and a torque [N m] (..., 3)."""
+    rotors, allocation = vehicle.rotors, vehicle.force_allocation
+    coefficient = rotors.thrust_coefficient
+    low, high = coefficient * rotors.speed_min**2, coefficient * rotors.speed_max**2
+    wanted = stacked([thrust, *components(torque)])
+    forces = wanted @ allocation.T
+
+    def cut() -> tuple[Components, Components]:
+        given = _prioritised(allocation, wanted, low, high)
+        return given @ allocation.T, given
+
+    forces, given = changed_where((forces < low) | (forces > high), cut, (forces, wanted))
+    speeds = namespace(torque).sqrt(clip(forces, low, high) / coefficient)  # rounding may leave the range
+    return Allocated(speeds, given[..., 0], given[..., 1:])
+
+
+def _prioritised(allocation: Components, wanted: Components, low: float, high: float) -> Components:
+    """Thrust and torque (..., 4) nearest to those wanted by which no rotor leaves [low, high] [N]."""
+    thrust, roll, pitch, yaw = components(wanted)
+    slack = _ROUNDING * high
+    share = components(allocation[:, 0])  # of each rotor in the thrust
+    by_roll, by_pitch, by_yaw = (components(allocation[:, index]) for index in (1, 2, 3))
+    tilts = [roll * x + pitch * y for x, y in zip(by_roll, by_pitch, strict=True)]
+    yaws = [yaw * z for z in by_yaw]
+    # 1: that some thrust fits, no rotor may need a higher one than another one allows
+    pairs = list(itertools.permutations(zip(tilts, share, strict=True), 2))
+    scale = _least([_fit(high / a - low / b, x / a - y / b) for (x, a), (y, b) in pairs])
+    tilts = [scale * x for x in tilts]
+    # 2: the limits of the thrust fall by `slope` times the share of the yaw torque, until they meet
+    slope = [z / a for z, a in zip(yaws, share, strict=True)]
+    above = [(high - x) / a for x, a in zip(tilts, share, strict=True)]
+    below = [(low - x) / a for x, a in zip(tilts, share, strict=True)]
+    sides = itertools.product(zip(above, slope, strict=True), zip(below, slope, strict=True))
+    most = _least([_fit(larger(x - y, 0.0) + slack, a - b) for (x, a), (y, b) in sides])
+    slope = [most * z for z in slope]
+    top, bottom = _highest(above, slope), -_highest([-y for y in below], [-z for z in slope])
+    thrust = smaller(larger(thrust, bottom), top)
+    # 3
+    rest = [x + thrust * a for x, a in zip(tilts, share, strict=True)]
+    fits = [_fit(larger(high - x, 0.0) + slack, z) for x, z in zip(rest, yaws, strict=True)]
+    fits += [_fit(larger(x - low, 0.0) + slack, -z) for x, z in zip(rest, yaws, strict=True)]
+    return stacked([thrust, scale * roll, scale * pitch, _least(fits) * yaw])
+
+
+def _fit(room: Scalar, wanted: Scalar) -> Scalar:
+    """Factor within [0, 1] that brings what is wanted into a room that is not negative; 1 where it fits."""
+    return pick(wanted > room, room / larger(wanted, _TINY), 1.0)
+
+
+def _least(parts: Sequence[Scalar]) -> Scalar:
+    return functools.reduce(smaller, parts)
+
+
+def _highest(start: Sequence[Scalar], slope: Sequence[Scalar]) -> Scalar:
+    """Largest x (...) with x <= start - slope y for a y within [0, 1]: a linear programme in the plane.
+
+    By duality the least of what each line allows at its best y, and of where a falling and a rising one meet.
+    """
+    lines = list(zip(start, slope, strict=True))
+    alone = [a + larger(-x, 0.0) for a, x in lines]
+    return _least(alone + [_meeting(*one, *other) for one, other in itertools.combinations(lines, 2)])
+
+
+def _meeting(a: Scalar, x: Scalar, b: Scalar, y: Scalar) -> Scalar:
+    """Height where the lines a - x t and b - y t meet, if one falls and one rises; else infinite."""
+    opposite = x * y < 0.0
+    return pick(opposite, (b * x - a * y) / pick(opposite, x - y, 1.0), math.inf)
