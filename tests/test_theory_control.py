@@ -14,7 +14,7 @@ from quadftc_model.rotations import euler_from_quaternion, euler_rates, quaterni
 from quadftc_model.samples import AttitudeReference, ControllerInputs, DisturbanceObserverInputs, ImuSample
 from quadftc_model.vehicle import load_vehicle
 from quadftc_sim.disturbance import disturbances
-from quadftc_sim.plant import Plant
+from quadftc_sim.plants.test_stand import AttitudeStand
 
 VEHICLE = load_vehicle("qball_x4")
 # where a formula is met to a percent: no drag, which is one more disturbance
@@ -60,7 +60,7 @@ def flown(
     """
     law = build(controllers.get(name), parameters, vehicle=vehicle)
     estimator = disturbance_observers.get(observer)(vehicle=vehicle)
-    plant = Plant(vehicle=vehicle, disturbances=tuple(pushes))
+    plant = AttitudeStand(vehicle=vehicle, disturbances=tuple(pushes))
     motion, torque = plant.init(quaternion_from_euler(angles), body_rate), ZEROS
     memory, estimates, rows = None, None, []
     for index in range(round(duration / dt)):

@@ -21,6 +21,7 @@ from quadftc_model.samples import AXES, ImuSample
 from quadftc_replay.imu_recording import Recording
 from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count
 from quadftc_sim.sensor_draws import SensorDraws, TurnOn
+from quadftc_sim.sensors import resting_force
 
 
 def simulate(scenario: Scenario) -> Recording:
@@ -51,7 +52,8 @@ def _simulate_alike(scenarios: Sequence[Scenario]) -> list[Recording]:
     turn_on = TurnOn(*map(np.stack, zip(*(each.turn_on for each in random), strict=True)))
     state, samples = sensor.turn_on(turn_on), list[ImuSample]()
     for row in range(count):
-        state, sample = sensor.step(state, q_xyzw[row], body_rate[row], draws[row], dt)
+        force = resting_force(q_xyzw[row])
+        state, sample = sensor.step(state, q_xyzw[row], body_rate[row], force, draws[row], dt)
         samples.append(cast("ImuSample", sample))  # as nothing is delayed
     columns = [np.stack(column, axis=1) for column in zip(*samples, strict=True)]  # (flights, n, ...)
     return [

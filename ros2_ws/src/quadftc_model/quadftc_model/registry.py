@@ -65,6 +65,10 @@ class Registry(Generic[T]):
             self._import_next()
         return self._components[name]
 
+    def name_of(self, component: type[T]) -> str:
+        """Return the name of a component's class."""
+        return next(name for name, each in self._components.items() if each is component)
+
     def _import_next(self) -> None:
         self._sources[0]()
         del self._sources[0]  # only now: what cannot be imported fails at every look-up

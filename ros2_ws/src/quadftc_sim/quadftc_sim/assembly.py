@@ -1,7 +1,8 @@
 """The simulator and the fault injector from the parameters of their nodes.
 
-The node ``plant`` has those of `PlantParameters`, disturbances (list of specifications), those of
-:class:`quadftc_sim.plant.Plant` and ``imu.<parameter>`` for each parameter of the sensor. The node
+The node ``plant`` has those of `PlantParameters`, disturbances (list of specifications), those of the plant
+that ``plant`` names and ``imu.<parameter>`` for each parameter of the sensor. In free flight it has a list of
+winds, too, and ``position.<parameter>`` for each parameter of a position sensor. The node
 ``fault_injector`` has those of `InjectorParameters` and faults (list of specifications). Others are ignored.
 A ValueError names the parameter that is wrong.
 """
@@ -16,17 +17,22 @@ from quadftc_model.parameters import parameter
 from quadftc_sim.disturbance import disturbances
 from quadftc_sim.injection import Injection, make_injection
 from quadftc_sim.injector import FaultInjector
-from quadftc_sim.plant import Plant
+from quadftc_sim.plant import plants
+from quadftc_sim.plants.test_stand import AttitudeStand
+from quadftc_sim.position_sensor import PositionSensor
 from quadftc_sim.sensors import ImuSensor
 from quadftc_sim.simulator import PlantFlight, Simulator
+from quadftc_sim.wind import winds
 
 EPOCH_NS = 1_000_000_000  # ns; stamp of the first sample in lock-step, where 0 means "unset"
 
 
 @dataclasses.dataclass(frozen=True)
 class PlantParameters:
-    """Parameters of the node besides those of :class:`Plant` and, behind ``imu.``, :class:`ImuSensor`."""
+    """Parameters of the node besides those of the plant and, behind ``imu.``, :class:`ImuSensor`."""
 
+    plant: str = parameter("test_stand", doc="name of the plant")
+    position_sensor: bool = parameter(False, doc="in free flight: a position sensor is there")
     vehicle: str = parameter("qball_x4", doc="name of a vehicle, or path of its TOML file")
     rate: float = parameter(250.0, unit="Hz", low=10.0, high=4000.0, doc="control rate")
     duration: float = parameter(0.0, unit="s", low=0.0, doc="length of the flight; 0: without end")
@@ -63,10 +69,15 @@ def simulator_from(parameters: NodeParameters, epoch_ns: int = EPOCH_NS) -> Simu
     """Build the simulator from the parameters of the plant node; its first stamp is ``epoch_ns``."""
     laws = tuple(assembly.components_from(disturbances, parameters, "disturbances"))
     context = {"vehicle": assembly.vehicle_from(parameters), "disturbances": laws}
-    plant = assembly.build_named(Plant, parameters, **context)
+    kind = plants.get(get(parameters, "plant", str)) if "plant" in parameters else AttitudeStand
+    if kind.flies:
+        context["winds"] = tuple(assembly.components_from(winds, parameters, "winds"))
+    plant = assembly.build_named(kind, parameters, **context)
     sensor = assembly.build_prefixed(ImuSensor, parameters, "imu")
+    there = kind.flies and parameters.get("position_sensor", False)
+    place = assembly.build_prefixed(PositionSensor, parameters, "position") if there else None
     period = period_ns(get(parameters, "rate", float))
-    return Simulator(plant, sensor, period, epoch_ns, get(parameters, "seed", int))
+    return Simulator(plant, sensor, period, epoch_ns, get(parameters, "seed", int), place)
 
 
 def flight_from(parameters: NodeParameters, epoch_ns: int, begin_ns: int) -> PlantFlight:

@@ -1,41 +1,31 @@
-"""The plant: the attitude of a multirotor under rotor torques and disturbances.
-
-Equations: rigid body (1), torques (2) and full kinematics (4) of Wang et al. (2021), by Runge-Kutta of order
-4. A unit quaternion gives the same motion as (4) and has no singularity.
-"""
+"""The interface of plants, vehicles that move under their rotors and disturbances, and their registry."""
 
 from __future__ import annotations
 
+import abc
 import dataclasses
 import functools
-from typing import NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
-from quadftc_model.arrays import Array, Components, Quaternion, Vector, namespace
+from quadftc_model.arrays import Components, Quaternion, Vector
 from quadftc_model.parameters import Checked, parameter
-from quadftc_model.rigid_body import Derivative, angular_acceleration, propeller_momentum, rk4
-from quadftc_model.rotations import normalise, quaternion_rate
-from quadftc_model.rotors import commands_from_torque, torque_from_commands
+from quadftc_model.registry import Registry
 from quadftc_model.vehicle import Vehicle
 from quadftc_sim.disturbance import Disturbance
 
 
-class PlantState(NamedTuple):
-    """Motion of the vehicle."""
-
-    q_xyzw: Quaternion  # attitude, body to earth
-    body_rate: Vector  # [rad/s]
-    commands: Components  # rotor commands that act now: with motor lag, behind the commands given
-
-
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Plant(Checked):
+class Plant(Checked, abc.ABC):
     """A vehicle in its disturbances.
 
     It may differ from the ``vehicle`` that observers and controller are designed for: in its moments of
-    inertia, and in how fast its rotors are. The torques of the disturbances add. The paper has no motor lag.
+    inertia, and in how fast its rotors are. The torques of the disturbances add. Every state has a ``q_xyzw``
+    (attitude, body to earth) and a ``body_rate`` [rad/s].
     """
+
+    flies: ClassVar[bool]  # whether it takes rotor speeds [rad/s] (..., n), or else a torque [N m] (..., 3)
 
     vehicle: Vehicle
     disturbances: tuple[Disturbance, ...] = ()
@@ -47,6 +37,11 @@ class Plant(Checked):
     inertia_factor: tuple[float, float, float] = parameter(
         (1.0, 1.0, 1.0), low=0.2, high=5.0, doc="true moments of inertia over those of the vehicle"
     )
+
+    @property
+    def command_size(self) -> int:
+        """How many numbers a command has."""
+        return len(self.vehicle.rotors.positions) if self.flies else 3
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -64,28 +59,17 @@ class Plant(Checked):
         own = self.vehicle.rotors.time_constant
         return 1.0 / self.motor_bandwidth if self.motor_bandwidth > 0.0 else own
 
-    def init(self, q_xyzw: Quaternion, body_rate: Vector) -> PlantState:
-        """State at an attitude and a body rate [rad/s], rotors at trim."""
-        xp = namespace(q_xyzw)
-        trim = xp.full_like(q_xyzw[..., :1], self.vehicle.rotors.command_trim)
-        commands = xp.concatenate([trim] * len(self.vehicle.rotors.positions), axis=-1)
-        return PlantState(q_xyzw, body_rate, commands)
+    @abc.abstractmethod
+    def init(self, q_xyzw: Quaternion, body_rate: Vector) -> Any:
+        """State at an attitude and a body rate [rad/s]."""
 
-    def step(self, state: PlantState, torque: Vector, time: float, dt: float) -> PlantState:
-        """Advance by ``dt`` [s] from scenario time ``time`` [s] under a torque command [N m], held.
+    @abc.abstractmethod
+    def step(self, state: Any, command: Components, time: float, dt: float) -> Any:
+        """Advance by ``dt`` [s] from scenario time ``time`` [s] under a command, held."""
 
-        The command goes through the mixer and its limits.
-        """
-        wanted = commands_from_torque(self.vehicle, torque)
-        step = dt / self.substeps
-        if self.motor_lag:
-            arrays, derivative = tuple(state), self._lagging(wanted)
-        else:
-            arrays, derivative = (state.q_xyzw, state.body_rate), self._driven(wanted)
-        for index in range(self.substeps):
-            q_xyzw, *rest = rk4(derivative, time + index * step, arrays, step)
-            arrays = (normalise(q_xyzw), *rest)
-        return PlantState(*(arrays if self.motor_lag else (*arrays, wanted)))
+    @abc.abstractmethod
+    def specific_force(self, state: Any, time: float) -> Vector:
+        """What an ideal accelerometer measures at ``time`` [s]: (..., 3) [m/s²], body axes."""
 
     def disturbance(self, time: float, like: Vector) -> Vector:
         """Sum of the disturbance torques at ``time`` [N m], shaped as ``like``."""
@@ -96,25 +80,6 @@ class Plant(Checked):
         """Disturbance at ``time`` [rad/s²], shaped as ``like``: its torque over the true inertia."""
         return self.disturbance(time, like) / self.inertia
 
-    def _driven(self, commands: Components) -> Derivative:
-        """Derivative of attitude and body rate under rotor commands that are held."""
-        rotor_torque = torque_from_commands(self.vehicle, commands)
-        momentum = propeller_momentum(self.vehicle, commands)
 
-        def derivative(time: float, arrays: tuple[Array, ...]) -> tuple[Array, ...]:
-            q_xyzw, body_rate = arrays
-            torque = rotor_torque + self.disturbance(time, body_rate)
-            acceleration = angular_acceleration(self.vehicle, body_rate, torque, momentum, self.inertia)
-            return quaternion_rate(q_xyzw, body_rate), acceleration
-
-        return derivative
-
-    def _lagging(self, wanted: Components) -> Derivative:
-        """Derivative of attitude, body rate and rotor commands, which follow those that are wanted."""
-
-        def derivative(time: float, arrays: tuple[Array, ...]) -> tuple[Array, ...]:
-            *motion, commands = arrays
-            command_rate = (wanted - commands) / self.motor_time_constant
-            return (*self._driven(commands)(time, tuple(motion)), command_rate)
-
-        return derivative
+plants: Registry[Any] = Registry("plant", "quadftc_sim.plants", "quadftc.plants")
+register = plants.register

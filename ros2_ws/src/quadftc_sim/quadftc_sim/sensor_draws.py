@@ -1,7 +1,7 @@
-"""The random numbers of a simulated IMU, in two streams.
+"""The random numbers of the simulated sensors, in streams of their own.
 
-Those of turn-on bias and white noise come from the seed of the flight. Those of slow errors come from a
-stream of their own, so that a sensor without slow errors gets the same numbers whether others have them.
+Those of turn-on bias and white noise of the IMU come from the seed of the flight. Those of its slow errors,
+and those of the position sensor, have their own, so that no sensor changes the numbers of another.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 WHITE = 4  # rows of three a sample needs: attitude, gyro, accelerometer, bias random walk
 SLOW = 3  # further rows where the attitude wanders: one for each correlation time
 DRAWS = (WHITE + SLOW, 3)
+PLACE = 3  # rows of three for the position sensor: position, velocity, slow error
 
 
 class TurnOn(NamedTuple):
@@ -32,11 +33,13 @@ class TurnOn(NamedTuple):
 class SensorDraws:
     """Draws the random numbers of one IMU, in the order of the flight; ``turn_on`` are those it begins with.
 
-    ``seed`` is that of the flight. The slow stream is [seed, 0, 1]; faults count from [seed, 1, 0].
+    ``seed`` is that of the flight. The slow stream is [seed, 0, 1], that of the position sensor [seed, 0, 2];
+    faults count from [seed, 1, 0].
     """
 
     def __init__(self, seed: int) -> None:
         self._white, self._slow = np.random.default_rng(seed), np.random.default_rng([seed, 0, 1])
+        self._place = np.random.default_rng([seed, 0, 2])
         uniform, normal = self._white.uniform(-1.0, 1.0, 3), self._slow.standard_normal((2, SLOW, 3))
         self.turn_on = TurnOn(uniform, *normal)
 
@@ -46,3 +49,7 @@ class SensorDraws:
         if not slow:
             return white
         return np.concatenate((white, self._slow.standard_normal((count, SLOW, 3))), axis=1)
+
+    def next_place(self, count: int) -> Float[NDArray[Any], "count rows 3"]:
+        """Draw standard normal numbers of the position sensor for ``count`` IMU samples."""
+        return self._place.standard_normal((count, PLACE, 3))

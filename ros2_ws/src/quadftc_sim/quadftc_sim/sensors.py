@@ -13,8 +13,7 @@ Each x_k is a first-order Gauss-Markov process with the correlation time T_k of 
 normal: at rest their sum has the standard deviation ``wander``. Motion feeds it, so that the error goes on
 for some T_k after the motion.
 
-The vehicle rotates about a fixed point (an attitude test stand), so that the accelerometer measures the
-reaction to gravity alone.
+What the accelerometer measures, the specific force at its place, is the plant's to say.
 """
 
 from __future__ import annotations
@@ -86,12 +85,19 @@ class ImuSensor(Checked):
         return state
 
     def step(
-        self, state: ImuState, q_xyzw: Quaternion, body_rate: Vector, draws: Array, dt: float
+        self,
+        state: ImuState,
+        q_xyzw: Quaternion,
+        body_rate: Vector,
+        specific_force: Vector,
+        draws: Array,
+        dt: float,
     ) -> tuple[ImuState, ImuSample | None]:
         """Measure the motion; return the sample that comes out now, ``delay`` old, or None at the start.
 
-        ``draws`` are standard normal numbers, (..., 7, 3), or (..., 4, 3) where the attitude does not wander;
-        see `quadftc_sim.sensor_draws`. ``dt`` is the sampling period [s].
+        ``specific_force`` is the true one [m/s²], body axes. ``draws`` are standard normal numbers, (..., 7,
+        3), or (..., 4, 3) where the attitude does not wander; see `quadftc_sim.sensor_draws`. ``dt`` is the
+        sampling period [s].
         """
         tilt, wander = self.attitude_noise * draws[..., 0, :], state.wander
         if wander is not None:
@@ -104,7 +110,7 @@ class ImuSensor(Checked):
         rate = body_rate + state.gyro_bias + noise
         if state.gyro_error is not None:
             rate = rate + (state.gyro_error * body_rate[..., None, :]).sum(axis=-1)
-        force = STANDARD_GRAVITY * earth_z_in_body(q_xyzw) + self.accelerometer_noise * draws[..., 2, :]
+        force = specific_force + self.accelerometer_noise * draws[..., 2, :]
         there = namespace(q_xyzw).ones_like(q_xyzw[..., 0], dtype=bool)
         sample = ImuSample(attitude, rate, force, there, there, there)
         bias = state.gyro_bias + self.gyro_bias_walk * math.sqrt(dt) * draws[..., 3, :]
@@ -119,6 +125,11 @@ class ImuSensor(Checked):
         size = self.attitude_wander + self.attitude_wander_moving * motion
         keep = np.exp(-dt / np.array(WANDER_TIMES))[:, None]
         return keep * wander + np.sqrt((1.0 - keep**2) / len(WANDER_TIMES)) * size * draws
+
+
+def resting_force(q_xyzw: Quaternion) -> Vector:
+    """Specific force [m/s²] (..., 3) of a body that does not accelerate: the reaction to gravity."""
+    return STANDARD_GRAVITY * earth_z_in_body(q_xyzw)
 
 
 def _acts(number: Any) -> bool:

@@ -1,26 +1,38 @@
 """A flight, sample by sample, without ROS.
 
-A `Simulator` is plant, sensor and random numbers. A `PlantFlight` is what the plant node does with one. The
-torque that acts for a period is the last that has come when the period ends: in lock-step that of the sample
+A `Simulator` is plant, sensors and random numbers. A `PlantFlight` is what the plant node does with one. The
+command that acts for a period is the last that has come when the period ends: in lock-step that of the sample
 at its beginning. In real time it mostly comes long before the end, and the period is flown at once.
 """
 
 from __future__ import annotations
 
 import sys
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import Vector
+from quadftc_model.arrays import Components, Quaternion, Vector
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
-from quadftc_model.samples import ImuSample
+from quadftc_model.samples import ImuSample, PositionSample
 from quadftc_model.stepper import seconds
 from quadftc_sim.plant import Plant
+from quadftc_sim.plants.free_flight import FreeFlight
+from quadftc_sim.position_sensor import PositionSensor
 from quadftc_sim.sensor_draws import SensorDraws
 from quadftc_sim.sensors import ImuSensor
 
 NEVER_NS = sys.maxsize
+
+
+class FreeMotion(NamedTuple):
+    """True motion through space, in earth axes."""
+
+    position: Vector  # [m]
+    velocity: Vector  # [m/s]
+    q_xyzw: Quaternion
+    speeds: Components  # of the rotors [rad/s]
+    wind: Vector  # [m/s]
 
 
 class Emission(NamedTuple):
@@ -32,6 +44,11 @@ class Emission(NamedTuple):
     angles: Vector  # true Euler angles [rad]
     body_rate: Vector  # true body rate [rad/s]
     disturbance: Vector  # true disturbance [rad/s²]: its torque over the true inertia
+    flight: FreeMotion | None = None  # of a vehicle in free flight
+    place: PositionSample | None = (
+        None  # what the position sensor says with the IMU sample; None: there is none
+    )
+    place_stamp_ns: int = 0  # when that was measured [ns]
 
 
 class Simulator:
@@ -40,7 +57,15 @@ class Simulator:
     ``epoch_ns`` is the stamp of the first sample, at scenario time 0; ``seed`` that of noise and bias.
     """
 
-    def __init__(self, plant: Plant, sensor: ImuSensor, period_ns: int, epoch_ns: int, seed: int) -> None:
+    def __init__(
+        self,
+        plant: Plant,
+        sensor: ImuSensor,
+        period_ns: int,
+        epoch_ns: int,
+        seed: int,
+        place: PositionSensor | None = None,
+    ) -> None:
         if period_ns <= 0:
             raise ValueError(f"period_ns = {period_ns}: must be positive")
         self.plant, self.sensor, self.period_ns = plant, sensor, period_ns
@@ -48,7 +73,8 @@ class Simulator:
         self._dt = seconds(period_ns)
         self._random = SensorDraws(seed)
         self._sensor_state = sensor.turn_on(self._random.turn_on)
-        self._state = plant.init(quaternion_from_euler(np.zeros(3)), np.zeros(3))
+        self._place = _PlaceSensor(place, self._random, sensor.delay, self._dt) if place is not None else None
+        self._state: Any = plant.init(quaternion_from_euler(np.zeros(3)), np.zeros(3))
 
     @property
     def time(self) -> float:
@@ -59,36 +85,71 @@ class Simulator:
         """Return the first emission; call once."""
         return self._emit()
 
-    def advance(self, torque: Vector) -> Emission:
-        """Fly one period under a torque command [N m] (3,), held; return the emission at its end."""
-        self._state = self.plant.step(self._state, torque, self.time, self._dt)
+    def advance(self, command: Components) -> Emission:
+        """Fly one period under a command, held; return the emission at its end.
+
+        The command is a torque [N m] (3,) on the test stand, rotor speeds [rad/s] (n,) in free flight.
+        """
+        self._state = self.plant.step(self._state, command, self.time, self._dt)
         self._stamp_ns += self.period_ns
         return self._emit()
 
     def _emit(self) -> Emission:
-        q_xyzw, body_rate, _ = self._state
+        state, time = self._state, self.time
+        q_xyzw, body_rate = state.q_xyzw, state.body_rate
         draws = self._random.next(1, self.sensor.wanders)[0]
-        self._sensor_state, sample = self.sensor.step(self._sensor_state, q_xyzw, body_rate, draws, self._dt)
+        force = self.plant.specific_force(state, time)
+        self._sensor_state, sample = self.sensor.step(
+            self._sensor_state, q_xyzw, body_rate, force, draws, self._dt
+        )
+        flight = place = None
+        if isinstance(self.plant, FreeFlight):
+            wind = self.plant.wind(time, state.velocity)
+            flight = FreeMotion(state.position, state.velocity, q_xyzw, state.speeds, wind)
+            place = self._place and self._place.measure(state.position, state.velocity)
         return Emission(
             stamp_ns=self._stamp_ns,
             sample=sample,
             sample_stamp_ns=self._stamp_ns - self.sensor.delay * self.period_ns,
             angles=euler_from_quaternion(q_xyzw),
             body_rate=body_rate,
-            disturbance=self.plant.disturbance_acceleration(self.time, body_rate),
+            disturbance=self.plant.disturbance_acceleration(time, body_rate),
+            flight=flight,
+            place=place,
+            place_stamp_ns=self._stamp_ns - self._place.behind * self.period_ns if self._place else 0,
         )
+
+
+class _PlaceSensor:
+    """The position sensor beside an IMU that is ``imu_delay`` samples late, at a period of ``dt`` [s]."""
+
+    def __init__(self, law: PositionSensor, random: SensorDraws, imu_delay: int, dt: float) -> None:
+        self._law, self._random, self._dt = law, random, dt
+        self._every, self.behind = law.every(1.0 / dt), imu_delay + law.lag(1.0 / dt)
+        self._state = law.turn_on(random.next_place(1)[0])
+        self._count = 0
+
+    def measure(self, position: Vector, velocity: Vector) -> PositionSample | None:
+        due = np.bool_(self._count % self._every == 0)
+        self._count += 1
+        draws = self._random.next_place(1)[0]
+        self._state, sample = self._law.step(
+            self._state, position, velocity, due, draws, self.behind, self._dt
+        )
+        return sample
 
 
 class PlantFlight:
     """A flight of ``count`` emissions (0: without end), from ``begin_ns`` on by the monotonic clock.
 
-    When no torque has come for ``torque_timeout`` [s], zero torque acts.
+    When no command has come for ``torque_timeout`` [s], zero acts.
     """
 
     def __init__(self, simulator: Simulator, count: int, torque_timeout: float, begin_ns: int) -> None:
         self._simulator, self.period_ns = simulator, simulator.period_ns
         self._count, self._torque_timeout, self._begin_ns = count, torque_timeout, begin_ns
-        self._torque, self._torque_age = np.zeros(3), 0.0  # last command [N m], and how long ago it came [s]
+        self._nothing = np.zeros(simulator.plant.command_size)
+        self._command, self._command_age = self._nothing, 0.0  # the last, and how long ago it came [s]
         self._ahead: Emission | None = None  # of the period that is flown already
         self.emitted = 0
         self.finished = False
@@ -102,28 +163,28 @@ class PlantFlight:
 
     @property
     def torque_lost(self) -> bool:
-        """Whether no torque has come for too long."""
-        return self._torque_age > self._torque_timeout
+        """Whether no command has come for too long."""
+        return self._command_age > self._torque_timeout
 
     @property
     def unanswered(self) -> bool:
         """Whether the torque of the last sample is missing, so that the next period is not flown yet."""
         return self.awaited_ns is not None and self._ahead is None
 
-    def command(self, torque: Vector) -> None:
-        """Note a torque [N m] (3,), for the period that is not flown yet."""
-        self._torque, self._torque_age = torque, 0.0
+    def command(self, command: Components) -> None:
+        """Note a command, as of `Simulator.advance`, for the period that is not flown yet."""
+        self._command, self._command_age = command, 0.0
 
     def wait(self) -> None:
         """Note that a period has passed since the last torque."""
-        self._torque_age += seconds(self.period_ns)
+        self._command_age += seconds(self.period_ns)
         if self.torque_lost:
-            self._torque = np.zeros(3)
+            self._command = self._nothing
 
     def fly_ahead(self) -> None:
         """Fly the next period already, under the last torque."""
         if self._ahead is None and not self.finished:
-            self._ahead = self._simulator.advance(self._torque)
+            self._ahead = self._simulator.advance(self._command)
 
     def emission(self) -> Emission | None:
         """Return the next emission; None if there is none, as the flight has had its length."""
@@ -132,7 +193,7 @@ class PlantFlight:
             return None
         emission = self._ahead
         if emission is None:
-            emission = self._simulator.advance(self._torque) if self.emitted else self._simulator.start()
+            emission = self._simulator.advance(self._command) if self.emitted else self._simulator.start()
         self._ahead = None
         self.emitted += 1
         self.awaited_ns = None if emission.sample is None else emission.sample_stamp_ns

@@ -10,7 +10,7 @@ from quadftc_model.parameters import build
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 from quadftc_sim.disturbance import disturbances
-from quadftc_sim.plant import Plant
+from quadftc_sim.plants.test_stand import AttitudeStand
 
 DT, STEPS = 0.004, 100
 ANGLES, RATE = np.array([0.2, -0.3, 0.5]), np.array([0.4, -0.6, 0.3])
@@ -24,7 +24,7 @@ def plant(name, **options):
     size = vehicle.inertia * np.array([8.0, 8.0, 2.0])
     sine = build(disturbances.get("sine"), {"amplitude": list(size), "frequency": [2.0, 3.0, 4.0]})
     constant = build(disturbances.get("constant"), {"amplitude": list(-0.5 * size)})
-    return Plant(vehicle=vehicle, disturbances=(sine, constant), **options)
+    return AttitudeStand(vehicle=vehicle, disturbances=(sine, constant), **options)
 
 
 def torque_at(vehicle, index):
@@ -115,7 +115,7 @@ def test_attitude_stays_a_unit_quaternion(name):
 
 
 def test_level_vehicle_at_trim_stays_at_rest():
-    law = Plant(vehicle=load_vehicle("qball_x4"), motor_lag=True)
+    law = AttitudeStand(vehicle=load_vehicle("qball_x4"), motor_lag=True)
     state = law.init(quaternion_from_euler(np.zeros(3)), np.zeros(3))
     for _ in range(100):
         state = law.step(state, np.zeros(3), 0.0, DT)
@@ -124,7 +124,7 @@ def test_level_vehicle_at_trim_stays_at_rest():
 
 def test_thrust_follows_a_step_with_the_time_constant_of_the_vehicle():
     vehicle = load_vehicle("qball_x4")
-    law = Plant(vehicle=vehicle, motor_lag=True)
+    law = AttitudeStand(vehicle=vehicle, motor_lag=True)
     state = law.init(quaternion_from_euler(np.zeros(3)), np.zeros(3))
     torque = 0.5 * vehicle.authority * np.array([1.0, 0.0, 0.0])
     for index in range(20):
@@ -153,18 +153,18 @@ def test_inputs_are_not_changed():
 @pytest.mark.parametrize("substeps", [0, 1001])
 def test_number_of_substeps_out_of_bounds_is_refused(substeps):
     with pytest.raises(ValueError, match=rf"substeps = {substeps} 1: must be within \[1, 1000\]"):
-        Plant(vehicle=load_vehicle("qball_x4"), substeps=substeps)
+        AttitudeStand(vehicle=load_vehicle("qball_x4"), substeps=substeps)
 
 
 @pytest.mark.parametrize("factor", [(0.1, 1.0, 1.0), (1.0, 1.0, 6.0)])
 def test_inertia_out_of_bounds_is_refused(factor):
     with pytest.raises(ValueError, match=r"inertia_factor = .* 1: must be within \[0.2, 5\]"):
-        Plant(vehicle=load_vehicle("qball_x4"), inertia_factor=factor)
+        AttitudeStand(vehicle=load_vehicle("qball_x4"), inertia_factor=factor)
 
 
 def test_bandwidth_without_a_lag_is_refused():
     with pytest.raises(ValueError, match="motor_bandwidth = 20 rad/s: motor_lag is false"):
-        Plant(vehicle=load_vehicle("qball_x4"), motor_bandwidth=20.0)
+        AttitudeStand(vehicle=load_vehicle("qball_x4"), motor_bandwidth=20.0)
 
 
 def test_disturbance_is_the_sum_of_its_parts():

@@ -28,7 +28,6 @@ from quadftc_model.samples import (
 )
 from quadftc_model.stepper import seconds
 from quadftc_sim.injector import FaultDraws, InjectionState, begin, inject
-from quadftc_sim.plant import PlantState
 from quadftc_sim.sensor_draws import TurnOn
 from quadftc_sim.sensors import ImuState
 
@@ -71,7 +70,7 @@ class AvionicsState(NamedTuple):
 class LoopState(NamedTuple):
     """The closed loop after a sample."""
 
-    plant: PlantState
+    plant: Any
     sensor: ImuState
     # of the samples inside the IMU, oldest first: true Euler angles, body rate and disturbance, as in `Row`
     pending: tuple[tuple[Array, Array, Array], ...]
@@ -133,9 +132,10 @@ class ClosedLoop:
         self, state: LoopState, inputs: StepInputs, times: Times
     ) -> tuple[LoopState, ImuSample | None]:
         """Put a sample into the IMU; return the one that leaves it."""
-        q_xyzw, body_rate, *_ = state.plant
+        q_xyzw, body_rate = state.plant.q_xyzw, state.plant.body_rate
         draws = namespace(q_xyzw).stack(inputs.draws, axis=-2)
-        sensor, sample = self.loop.sensor.step(state.sensor, q_xyzw, body_rate, draws, self._dt)
+        force = self.loop.plant.specific_force(state.plant, times.now)
+        sensor, sample = self.loop.sensor.step(state.sensor, q_xyzw, body_rate, force, draws, self._dt)
         disturbance = self.loop.plant.disturbance_acceleration(times.now, body_rate)
         motion = (euler_from_quaternion(q_xyzw), body_rate, disturbance)
         return state._replace(sensor=sensor, pending=(*state.pending, motion)), sample

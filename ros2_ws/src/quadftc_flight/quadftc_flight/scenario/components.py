@@ -21,7 +21,8 @@ from quadftc_model.spec import format_spec
 from quadftc_model.vehicle import Vehicle, load_vehicle
 from quadftc_sim.fault import faults
 from quadftc_sim.injection import CHANNEL_UNITS, RESERVED, Injection, make_injection
-from quadftc_sim.plant import Plant
+from quadftc_sim.plant import Plant, plants
+from quadftc_sim.position_sensor import POSITION_GRADES, PositionSensor
 from quadftc_sim.sensors import GRADES, ImuSensor
 
 T = TypeVar("T")
@@ -174,22 +175,33 @@ def load_vehicle_of(name: str, info: ValidationInfo) -> str:
 
 
 def build_plant(raw: Any, info: ValidationInfo) -> Plant | None:
-    """Build the plant, without its disturbances; None without a vehicle."""
+    """Build the plant, without its disturbances and winds; None without a vehicle."""
     mistakes, vehicle = _Mistakes(), cast("Setting", info.context).vehicle
-    given = mistakes.convert(Plant, _mapping(raw, "a mapping"))
-    return mistakes.build(lambda: vehicle and build(Plant, given, vehicle=vehicle), given)
+    values = {"kind": "test_stand", **_mapping(raw, "a mapping")}
+    _, law = mistakes.kind_in(plants, values)
+    given = mistakes.convert(law, values, ("kind",))
+    return mistakes.build(lambda: vehicle and build(law, given, vehicle=vehicle), given)
 
 
 def build_sensor(raw: Any) -> ImuSensor:
     """Build the IMU: a grade, with single parameters changed."""
+    return _build_graded(ImuSensor, GRADES, raw)
+
+
+def build_position_sensor(raw: Any) -> PositionSensor | None:
+    """Build the position sensor: a grade, with single parameters changed; None: there is none."""
+    return None if raw is None else _build_graded(PositionSensor, POSITION_GRADES, raw)
+
+
+def _build_graded(kind: type[T], grades: Mapping[str, Mapping[str, Any]], raw: Any) -> T:
     mistakes, values = _Mistakes(), _mapping(raw, "a mapping")
     grade = values.pop("grade", "ideal")
-    if not isinstance(grade, str) or grade not in GRADES:
-        mistakes.add(f"{grade!r}: expected one of {', '.join(GRADES)}", "grade")
-    given = mistakes.convert(ImuSensor, values, ("grade",))
+    if not isinstance(grade, str) or grade not in grades:
+        mistakes.add(f"{grade!r}: expected one of {', '.join(grades)}", "grade")
+    given = mistakes.convert(kind, values, ("grade",))
     mistakes.stop_if_any()
-    given = {**GRADES[grade], **given}
-    return mistakes.build(lambda: build(ImuSensor, given), given)
+    given = {**grades[grade], **given}
+    return mistakes.build(lambda: build(kind, given), given)
 
 
 def part_builder(

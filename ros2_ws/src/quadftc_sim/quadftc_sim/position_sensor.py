@@ -1,0 +1,98 @@
+"""A position sensor: motion capture or satellite navigation, with its rate, delay and noise.
+
+It measures at every n-th sample of the IMU. What it says comes with a later sample of the IMU: see
+``delay``. The error of a position is white noise and a slow error, a first-order Gauss-Markov process.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+from quadftc_model.arrays import Array, Vector, namespace
+from quadftc_model.parameters import Axes, Checked, parameter
+from quadftc_model.samples import PositionSample
+
+
+class PositionSensorState(NamedTuple):
+    """Slow error, and the samples that are on their way."""
+
+    wander: Vector  # [m]
+    pending: tuple[PositionSample, ...]  # oldest first
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class PositionSensor(Checked):
+    """Sensor model of position and velocity, in earth axes."""
+
+    rate: float = parameter(
+        100.0, unit="Hz", low=0.1, high=4000.0, doc="of its samples, at most that of the IMU"
+    )
+    delay: float = parameter(
+        0.0, unit="s", low=0.0, high=1.0, doc="from measuring to arriving, behind the IMU"
+    )
+    noise: Axes = parameter((0.0, 0.0, 0.0), unit="m", low=0.0, doc="white noise of a position, 1 sigma")
+    wander: Axes = parameter((0.0, 0.0, 0.0), unit="m", low=0.0, doc="slow error of the position, 1 sigma")
+    wander_time: float = parameter(30.0, unit="s", low=0.01, doc="correlation time of the slow error")
+    gives_velocity: bool = parameter(False, doc="whether it measures the velocity, too")
+    velocity_noise: Axes = parameter((0.0, 0.0, 0.0), unit="m/s", low=0.0, doc="noise of a velocity, 1 sigma")
+
+    def every(self, imu_rate: float) -> int:
+        """How many samples of the IMU, at ``imu_rate`` [Hz], come to one position: the nearest number."""
+        return max(1, round(imu_rate / self.rate))
+
+    def lag(self, imu_rate: float) -> int:
+        """How many samples of the IMU a position is behind."""
+        return round(self.delay * imu_rate)
+
+    def turn_on(self, draws: Array) -> PositionSensorState:
+        """State with the slow error drawn, and nothing on its way; ``draws`` as of :meth:`step`."""
+        return PositionSensorState(namespace(draws).asarray(self.wander) * draws[..., 2, :], ())
+
+    def step(
+        self,
+        state: PositionSensorState,
+        position: Vector,
+        velocity: Vector,
+        due: Array,
+        draws: Array,
+        behind: int,
+        dt: float,
+    ) -> tuple[PositionSensorState, PositionSample | None]:
+        """Measure a motion [m], [m/s]; return what comes out now, or None at the start.
+
+        It is ``behind`` samples old.
+        ``due`` (...) bool: this is one of every n samples. ``draws`` are standard normal numbers (..., 3, 3):
+        position, velocity, slow error. ``dt`` is the period of the IMU [s].
+        """
+        xp = namespace(position)
+        measured = position + state.wander + xp.asarray(self.noise) * draws[..., 0, :]
+        speed = velocity + xp.asarray(self.velocity_noise) * draws[..., 1, :]
+        sample = PositionSample(measured, speed if self.gives_velocity else 0.0 * speed, due)
+        keep = math.exp(-dt / self.wander_time)
+        fresh = math.sqrt(1.0 - keep * keep) * xp.asarray(self.wander) * draws[..., 2, :]
+        pending = (*state.pending, sample)
+        wander = keep * state.wander + fresh
+        if len(pending) <= behind:
+            return PositionSensorState(wander, pending), None
+        return PositionSensorState(wander, pending[1:]), pending[0]
+
+
+POSITION_GRADES: dict[str, dict[str, float | bool | Axes]] = {
+    "ideal": {"rate": 4000.0},
+    # motion capture in a room. Merriaux et al. (2017), Sensors 17, a Vicon system: 0.15 mm off at rest,
+    # below 2 mm in fast motion. Rate and delay as usual over a network
+    "mocap": {"rate": 100.0, "delay": 0.008, "noise": (0.001, 0.001, 0.001)},
+    # u-blox MAX-M10S data sheet: 1.5 m CEP, 0.05 m/s, up to 10 Hz. The split into slow error and noise, the
+    # vertical, 1.5 times as bad, and the delay are ours
+    "gps": {
+        "rate": 10.0,
+        "delay": 0.1,
+        "noise": (0.1, 0.1, 0.2),
+        "wander": (1.2, 1.2, 1.8),
+        "wander_time": 60.0,
+        "gives_velocity": True,
+        "velocity_noise": (0.05, 0.05, 0.1),
+    },
+}
