@@ -163,6 +163,16 @@ def test_metrics_are_those_of_the_records_and_bold_where_they_reach_the_target()
     assert rows["errors within 2 standard deviations"] == ["-", "95 %", "95 %"]
 
 
+def test_isolating_stands_beside_supervised_where_both_were_flown():
+    both = pl.concat([frame_of({}), frame_of(MISSED, variant="isolating")], how="diagonal_relaxed")
+    alone = setting_results("ahrs", frame_of({}), None, {"seed": 1})
+    found = tables({"mems": setting_results("mems", both, None, {"seed": 1}), "ahrs": alone})["beside"]
+    rows = rows_of(found)
+    assert rows["simulated MEMS IMU"][:3] == ["1", "0 (0) → 1 (0)", "8 ms → -"]
+    assert len(rows) == 3
+    assert "beside" not in tables({"ahrs": alone})
+
+
 def test_observer_without_detector_is_judged_by_the_size_of_its_estimate():
     never = {"detected": False, "detection_delay_s": None}
     rows = rows_of(metric_table(MEMS, {"sliding_mode": sum_up(frame_of(never))}))
@@ -330,7 +340,7 @@ def test_directory_without_campaigns_is_refused(tmp_path: Path):
 def test_document_of_the_repository_has_a_place_for_every_table():
     text = (ROOT / "docs" / "diagnosis.md").read_text(encoding="utf-8")
     assert with_tables(text, {}, "docs/diagnosis.md") == text
-    names = {"tactical", "ahrs", "flips", "recordings-each", *tables(results())}
+    names = {"tactical", "ahrs", "flips", "recordings-each", "beside", *tables(results())}
     for name in names | {name.replace("mems", "recordings") for name in names}:
         assert text.count(f"<!-- table: {name} -->") == 1
 

@@ -29,6 +29,8 @@ Json = Mapping[str, Any]
 MARK = "¹"  # behind the names of observers without a detector
 SHOWN_AGES = (1.0, 5.0, 10.0, 20.0)  # s, of the table of the bound
 WORST = 8  # faults in the table of the worst
+BESIDE = "isolating"  # does all that `BOUNDED` does
+COMPARED = ("missed", "step", "ramp", "sine", "rmse_median", "share", "nees")  # metrics of the two
 UNITS = {"step": "deg", "ramp": "deg/s", "sine": "deg"}
 
 
@@ -45,6 +47,8 @@ class _Row(NamedTuple):
 def tables(results: Json) -> dict[str, str]:
     """Return every table of the settings that were flown."""
     found = {"flown": flown_table(results)}
+    both = {name: results[name] for name in CRITERIA if _has_both(results.get(name))}
+    found |= {"beside": beside_table(both)} if both else {}
     for name, result in results.items():
         observers = result["observers"]
         if name in QUIET:
@@ -85,6 +89,23 @@ def metric_table(criteria: Criteria, observers: Json) -> str:
         for row in _rows(criteria)
     ]
     return markdown(("", "target", *names), rows)
+
+
+def _has_both(result: Json | None) -> bool:
+    return result is not None and {BESIDE, BOUNDED} <= result["observers"].keys()
+
+
+def beside_table(results: Json) -> str:
+    """Metrics of `BOUNDED` and of `BESIDE`, setting by setting."""
+    lines = [row for row in _rows(CRITERIA["mems"]) if row.values[0] in COMPARED]
+    rows: list[Sequence[str]] = []
+    for result in results.values():
+        views = [_view(each, result["observers"][each]["pooled"]) for each in (BOUNDED, BESIDE)]
+        cells = (
+            " → ".join(row.write(tuple(view[name] for name in row.values)) for view in views) for row in lines
+        )
+        rows.append((result["title"], write_count((views[0]["faults"],)), *cells))
+    return markdown(("", "faults", *(row.label for row in lines)), rows)
 
 
 def _rows(criteria: Criteria) -> tuple[_Row, ...]:

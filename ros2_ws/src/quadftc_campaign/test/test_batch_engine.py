@@ -361,6 +361,13 @@ def test_a_staged_step_is_the_vmapped_step():
     )
 
 
+def test_kinds_of_faults_have_one_order_whichever_flight_comes_first():
+    kinds = ({"kind": "bias", "value": 0.01}, {"kind": "sine", "amplitude": 0.03}, {"kind": "stuck"})
+    parts = [parts_of(busy({**kind, "start": 1.0}, observer="threshold")) for kind in kinds]
+    orders = [with_common_faults(each) for each in (parts, parts[::-1])]
+    assert len({structure_of(flight.loop) for flights in orders for flight in flights}) == 1
+
+
 def test_flights_of_one_batch_do_not_touch_each_other():
     """Seeds, values and kinds of faults differ; lanes are filled up; each is as it would be alone."""
     batch = [

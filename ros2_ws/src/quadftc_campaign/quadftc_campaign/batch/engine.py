@@ -99,7 +99,10 @@ class Engine:
         """Compile flights of one structure; what they do not share is returned, arrays (..., flights)."""
         tuned = tuple(directions[0]) if directions else ()
         numbers = [numbers_of(flight.loop) for flight in flights]
-        varying = differing(numbers, self._free | set(tuned))
+        # where kinds of faults differ, their axes do, if not in these flights: no other compilation for those
+        differ = any(number == 0 for flight in flights for number in flight.fault_numbers)
+        masks = {path for path in numbers[0] if differ and path.endswith(".mask")}
+        varying = differing(numbers, self._free | set(tuned) | masks)
         per_flight = PerFlight(
             {path: np.moveaxis(values, 0, -1) for path, values in varying.items()},
             schedule_of(events),

@@ -60,7 +60,8 @@ class FlightParts:
 def with_common_faults(flights: Sequence[FlightParts]) -> list[FlightParts]:
     """Give all flights the same kinds of faults in the same order; one that a flight lacks never acts.
 
-    So flights that differ only in the kinds of their faults are compiled and flown together.
+    So flights that differ only in the kinds of their faults are compiled and flown together, and others with
+    these kinds need no other compilation.
     """
     # by place among the faults and structure: the fault of each flight, with its number
     slots = [
@@ -71,7 +72,7 @@ def with_common_faults(flights: Sequence[FlightParts]) -> list[FlightParts]:
         for one in flights
     ]
     there = {slot: fault for faults in slots for slot, (fault, _) in faults.items()}
-    order = sorted(there, key=lambda slot: slot[0])
+    order = sorted(there, key=lambda slot: (slot[0], repr(slot[1])))
     absent = {slot: (dataclasses.replace(there[slot], start=NEVER, stop=NEVER), 0) for slot in order}
     filled: list[FlightParts] = []
     for flight, faults in zip(flights, slots, strict=True):
