@@ -32,10 +32,11 @@ class Parameter:
     high: float
     choices: tuple[str, ...]
     doc: str
+    rows_of: int = 0  # the value is a list of rows of so many numbers; 0: it is as long as the default
 
     @property
     def is_vector(self) -> bool:
-        """Whether the value is a tuple with one number for each axis."""
+        """Whether the value is a tuple of numbers."""
         return isinstance(self.default, tuple)
 
 
@@ -47,14 +48,23 @@ def parameter(
     low: float = -math.inf,
     high: float = math.inf,
     choices: Sequence[str] = (),
+    rows_of: int = 0,
 ) -> Any:
     """Declare a parameter as a dataclass field, of the type of its default.
 
     The SI ``unit`` is in braces (``"{channel}"``) when it depends on the context, see :func:`build`. ``doc``
     has the paper's symbol where there is one. ``low`` and ``high`` bound each number, inclusive; it must be
     finite, unless the default is infinite. ``choices`` are the values that a text may take; empty: any.
+    ``rows_of`` 3 makes a list of points, of any length: [[0, 0, 1], [2, 0, 1]], or its numbers in line.
     """
-    details = {"unit": unit, "doc": doc, "low": low, "high": high, "choices": tuple(choices)}
+    details = {
+        "unit": unit,
+        "doc": doc,
+        "low": low,
+        "high": high,
+        "choices": tuple(choices),
+        "rows_of": rows_of,
+    }
     return dataclasses.field(default=default, metadata={"quadftc": details})  # type: ignore[arg-type]
 
 
@@ -131,10 +141,7 @@ def _convert(spec: Parameter, raw: Any) -> Value:
             raise ValueError(f"{raw!r}: expected a text")
         return raw
     if isinstance(default, tuple):
-        parts: list[Any] = [*raw] if isinstance(raw, (list, tuple)) else [raw] * len(default)
-        if len(parts) != len(default):
-            raise ValueError(f"{raw!r}: expected one number or {len(default)}, in {spec.unit}")
-        return tuple(quantity(part, spec.unit) for part in parts)
+        return _vector(spec, raw)
     if isinstance(raw, (list, tuple)):
         raise ValueError(f"{raw!r}: expected one number in {spec.unit}")
     number = quantity(raw, spec.unit)
@@ -143,6 +150,20 @@ def _convert(spec: Parameter, raw: Any) -> Value:
     if not number.is_integer():
         raise ValueError(f"{raw!r}: expected a whole number")
     return int(number)
+
+
+def _vector(spec: Parameter, raw: Any) -> Axes:
+    parts: list[Any] = [*raw] if isinstance(raw, (list, tuple)) else [raw]
+    if spec.rows_of:
+        parts = [each for part in parts for each in (part if isinstance(part, (list, tuple)) else (part,))]  # pyright: ignore
+        if len(parts) % spec.rows_of:
+            raise ValueError(f"{raw!r}: expected rows of {spec.rows_of} numbers, in {spec.unit}")
+        return tuple(quantity(part, spec.unit) for part in parts)
+    count = len(spec.default)  # pyright: ignore
+    parts = parts if isinstance(raw, (list, tuple)) else parts * count
+    if len(parts) != count:
+        raise ValueError(f"{raw!r}: expected one number or {count}, in {spec.unit}")
+    return tuple(quantity(part, spec.unit) for part in parts)
 
 
 def _check_bounds(spec: Parameter, value: Any) -> None:

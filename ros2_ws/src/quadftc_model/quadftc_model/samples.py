@@ -76,6 +76,7 @@ class PositionReference(NamedTuple):
     acceleration: Vector  # [m/s²]
     yaw: Scalar  # [rad]
     yaw_rate: Scalar  # [rad/s]
+    jerk: Vector | None = None  # [m/s³]; None: not known
 
 
 class PositionSample(NamedTuple):
