@@ -11,7 +11,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from quadftc_bags.bag import read_bag
-from quadftc_ros.topics import TOPICS
+from quadftc_ros.topics import GRAPHS
 
 SAMPLES = 500  # of the busy scenario: 2 s at 250 Hz
 TRUTH = ("/clock", "/plant/attitude", "/plant/rate", "/disturbance/applied")
@@ -64,7 +64,7 @@ def test_mcap_reads_every_message(run):
         attachments = {item.name for item in reader.iter_attachments()}
     wanted = expected_counts(summary)
     assert {topic: counts[topic] for topic in wanted} == wanted
-    assert channels == {name if name.startswith("/") else f"/{name}" for name in TOPICS}
+    assert channels == {name if name.startswith("/") else f"/{name}" for name in GRAPHS["test_stand"]}
     assert attachments == {"scenario.yaml", "parameters.yaml"}
 
 

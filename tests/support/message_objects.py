@@ -5,6 +5,8 @@ A writer returns the same message object with every call; publishing copies it.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import Imu
@@ -86,13 +88,16 @@ class ReferenceWriter:
         self._message = AttitudeReferenceMessage()
         self._message.header.frame_id = EARTH_FRAME
 
-    def __call__(self, stamp_ns: int, reference: AttitudeReference) -> AttitudeReferenceMessage:
+    def __call__(
+        self, stamp_ns: int, reference: AttitudeReference, thrust: float = math.nan
+    ) -> AttitudeReferenceMessage:
         """Return the message of a reference of one vehicle."""
         message = self._message
         set_stamp(message.header, stamp_ns)
         fill_vector(message.angles, reference.angles)
         fill_vector(message.rates, reference.rates)
         fill_vector(message.accelerations, reference.accelerations)
+        message.thrust = thrust
         return message
 
 

@@ -12,6 +12,7 @@ from geometry_msgs.msg import Quaternion, Vector3, Vector3Stamped
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
+from nav_msgs.msg import Odometry
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
@@ -155,6 +156,19 @@ def test_control_status_and_reference_have_their_fields():
         "rates": [[0.0, 0.0, 2.0]],
         "accelerations": [[0.0] * 3],
     }
+
+
+def test_odometry_has_its_fields():
+    message = Odometry(child_frame_id="base_link")
+    message.pose.pose.position.z, message.pose.covariance[0] = 2.0, 0.1
+    message.twist.twist.linear.x, message.twist.twist.angular.y = 3.0, 4.0
+    series = series_of([message] * 2)
+    assert series["child_frame_id"].tolist() == ["base_link"] * 2
+    assert series["pose.pose.position"].tolist() == [[0.0, 0.0, 2.0]] * 2
+    assert series["pose.pose.orientation_xyzw"].tolist() == [[0.0, 0.0, 0.0, 1.0]] * 2
+    assert series["pose.covariance"][:, 0].tolist() == [0.1] * 2
+    assert series["twist.twist.linear"].tolist() == [[3.0, 0.0, 0.0]] * 2
+    assert series["twist.twist.angular"].tolist() == [[0.0, 4.0, 0.0]] * 2
 
 
 def test_header_and_clock_give_their_stamps():

@@ -6,6 +6,7 @@ import pytest
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Vector3, Vector3Stamped
+from nav_msgs.msg import Odometry
 from rclpy.serialization import serialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -30,6 +31,8 @@ MESSAGES = [
     HEADER,
     DiagnosticArray(header=HEADER, status=[STATUS, DiagnosticStatus(), STATUS]),
     JointState(header=HEADER, name=["a", "bcd"], position=[1.0, 2.0]),
+    JointState(header=HEADER, name=["rotor_1", "rotor_2"], velocity=[1.0, 2.0]),
+    Odometry(header=HEADER, child_frame_id="base_link"),
     NavSatFix(header=HEADER),
 ]
 

@@ -25,7 +25,7 @@ from quadftc_ros.conversions import NANOSECONDS, stamp_of
 from quadftc_ros.diagnostics import OK, WARN, Diagnostics, SampleTiming
 from quadftc_ros.parameters import NodeParameters
 from quadftc_ros.qos import service_profile, topic_profile
-from quadftc_ros.topics import TOPICS, missing_connections
+from quadftc_ros.topics import PLANT_KINDS, TOPICS, PlantKind, missing_connections
 from quadftc_ros.transport import MessageTrace, Note, Tap, decoding, receiver, tapped
 
 MODES = ("lockstep", "realtime")
@@ -41,6 +41,11 @@ class GraphParameters:
         "realtime",
         choices=MODES,
         doc="realtime: by the wall clock, latest messages; lockstep: every sample waits for its answer",
+    )
+    plant_kind: PlantKind = parameter(
+        "test_stand",
+        choices=PLANT_KINDS,
+        doc="test_stand: the vehicle turns about a fixed point; free_flight: it flies",
     )
     trace: str = parameter(
         "", doc="file (.npz) for the times at which messages come and go, written at the end; empty: none"
@@ -60,6 +65,7 @@ class GraphNode(Node):
         self.settings = NodeParameters(self)
         self.settings.declare(GraphParameters, read_only=True)
         self.mode: str = self.settings.values()["mode"]
+        self.plant_kind: PlantKind = self.settings.values()["plant_kind"]
         self.lockstep = self.mode == "lockstep"  # the graph advances sample by sample
         self._trace_file: str = self.settings.values()["trace"]
         self._trace = MessageTrace() if self._trace_file else None
@@ -211,7 +217,7 @@ class GraphNode(Node):
         if self.lockstep and self._flying:
             return
         counts = self.connections()
-        missing = missing_connections(self.get_name(), counts)
+        missing = missing_connections(self.get_name(), counts, plant=self.plant_kind)
         message = "; ".join(missing) if missing else "all connected"
         self.diagnostics.report("connections", WARN if missing else OK, message, **counts)
         self.diagnostics.publish(0 if self.lockstep else self.now_ns())

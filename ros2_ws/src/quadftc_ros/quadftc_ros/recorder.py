@@ -9,7 +9,7 @@ from quadftc_bags.cdr.message import leading_stamp_ns
 from quadftc_bags.writer import BagStatus
 from quadftc_ros.conversions import END_NS
 from quadftc_ros.diagnostics import ERROR, OK, WARN
-from quadftc_ros.topics import TOPICS, Topic
+from quadftc_ros.topics import GRAPHS, TOPICS, PlantKind, Topic
 
 
 def flight_stamp_ns(data: bytes) -> int | None:
@@ -30,12 +30,12 @@ def judge(status: BagStatus) -> tuple[bytes, str, Mapping[str, int]]:
     return (WARN, "messages were dropped", values) if dropped else (OK, "recording", values)
 
 
-def choose_topics(names: Sequence[str]) -> list[Topic]:
-    """Return rows of the table by name, all of them for no name; ValueError for an unknown name."""
+def choose_topics(names: Sequence[str], plant: PlantKind = "test_stand") -> list[Topic]:
+    """Return rows of the table by name, for no name those of a graph; ValueError for an unknown name."""
     unknown = sorted(set(names) - set(TOPICS))
     if unknown:
         raise ValueError(f"topics: unknown {', '.join(unknown)}; known are {', '.join(TOPICS)}")
-    return [TOPICS[name] for name in dict.fromkeys(names or TOPICS)]
+    return [TOPICS[name] for name in dict.fromkeys(names or GRAPHS[plant])]
 
 
 def read_attachments(paths: Sequence[Path]) -> dict[str, bytes]:

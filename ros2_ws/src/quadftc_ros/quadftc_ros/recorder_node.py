@@ -53,10 +53,12 @@ class RecorderNode(GraphNode):
     def __init__(self, *, subscribes: bool = True, **kwargs: Any) -> None:
         super().__init__("recorder", None if subscribes else self._tap_of_its_own, **kwargs)
         self.settings.declare(RecorderParameters, read_only=True)
-        self.settings.declare_list("topics", "topics to record, as named in the table; empty: all")
+        self.settings.declare_list(
+            "topics", "topics to record, as named in the table; empty: all of the graph"
+        )
         self.settings.declare_list("attachments", "paths of files to store inside the bag")
         values = self.settings.values()
-        rows = choose_topics(values["topics"])
+        rows = choose_topics(values["topics"], self.plant_kind)
         self._writer = self._open(values)
         self.path = self._writer.path  # the MCAP file being written
         self.process_id = self._writer.process_id  # of the process that writes it

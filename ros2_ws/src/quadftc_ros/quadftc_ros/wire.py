@@ -5,6 +5,8 @@ Readers raise ValueError for bytes that are no such message.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from rclpy.serialization import serialize_message
@@ -16,6 +18,7 @@ from quadftc_bags.cdr.message import NANOSECONDS, NumberWriter, read_message, re
 from quadftc_model import samples
 from quadftc_model.samples import (
     ABSENT,
+    AttitudeCommand,
     AttitudeReference,
     ControllerOutput,
     DiagnosisReport,
@@ -52,10 +55,22 @@ def attitude_of(data: bytes) -> Floats:
     return np.array(read_numbers(data, PoseStamped)[3:])
 
 
+def pose_of(data: bytes) -> tuple[Floats, Floats]:
+    """Position (3,) [m] and attitude q_xyzw (4,) of a serialised PoseStamped."""
+    values = read_numbers(data, PoseStamped)
+    return np.array(values[:3]), np.array(values[3:])
+
+
 def reference_in(data: bytes) -> AttitudeReference:
-    """Reference of a serialised AttitudeReference."""
+    """Reference of a serialised AttitudeReference, without its thrust."""
+    return attitude_command_in(data).attitude
+
+
+def attitude_command_in(data: bytes) -> AttitudeCommand:
+    """Reference and thrust of a serialised AttitudeReference; the thrust is NaN where none is commanded."""
     values = read_numbers(data, AttitudeReferenceMessage)
-    return AttitudeReference(np.array(values[:3]), np.array(values[3:6]), np.array(values[6:]))
+    attitude = AttitudeReference(np.array(values[:3]), np.array(values[3:6]), np.array(values[6:9]))
+    return AttitudeCommand(attitude, np.float64(values[9]))
 
 
 def fault_states_of(data: bytes) -> tuple[int, ...]:
@@ -108,10 +123,10 @@ class ReferenceWire:
     def __init__(self) -> None:
         self._write = NumberWriter(AttitudeReferenceMessage(header=Header(frame_id=EARTH_FRAME)))
 
-    def __call__(self, stamp_ns: int, reference: AttitudeReference) -> bytes:
-        """Return the message of a reference of one vehicle."""
+    def __call__(self, stamp_ns: int, reference: AttitudeReference, thrust: float = math.nan) -> bytes:
+        """Return the message of a reference of one vehicle, and of a thrust [N]; NaN: none is commanded."""
         angles, rates, accelerations = reference
-        return self._write(stamp_ns, *angles.tolist(), *rates.tolist(), *accelerations.tolist())
+        return self._write(stamp_ns, *angles.tolist(), *rates.tolist(), *accelerations.tolist(), thrust)
 
 
 class FaultStatusWire:

@@ -9,7 +9,7 @@ from std_srvs.srv import Trigger
 from node_bench import NodeBench, imu_message, vector_message
 from quadftc_ros.conversions import stamp_of
 from quadftc_ros.node import GraphNode
-from quadftc_ros.topics import TOPICS, crowded_topics, missing_connections
+from quadftc_ros.topics import GRAPHS, crowded_topics, missing_connections
 from quadftc_ros.wire import vector_of
 
 SECOND = 1_000_000_000  # ns
@@ -175,10 +175,23 @@ def test_missing_connections_counts_the_table_and_the_recorders():
 
 
 def test_topic_with_a_second_publisher_is_crowded():
-    alone = {name: len(row.publishers) for name, row in TOPICS.items()}
-    assert crowded_topics(alone.__getitem__) == []
-    doubled = {**alone, "imu/data": 2, "/diagnostics": 50}
-    assert crowded_topics(doubled.__getitem__) == ["imu/data has 2 publishers"]
+    for plant, table in GRAPHS.items():
+        alone = {name: len(row.publishers) for name, row in table.items()}
+        assert crowded_topics(alone.__getitem__, plant) == []
+        doubled = {**alone, "imu/data": 2, "/diagnostics": 50}
+        assert crowded_topics(doubled.__getitem__, plant) == ["imu/data has 2 publishers"]
+
+
+@pytest.mark.parametrize(
+    ("plant", "missing"),
+    [
+        ("test_stand", ["torque/command: 0 of 3 readers"]),
+        ("free_flight", ["rotors/command: 0 of 2 readers", "torque/command: 0 of 2 readers"]),
+    ],
+)
+def test_controller_is_connected_as_its_kind_of_plant_wants(plant, missing):
+    counts = {"attitude/reference": 1, "rotors/command": 0, "torque/command": 0}
+    assert missing_connections("controller", counts, plant=plant) == missing
 
 
 def test_mode_is_one_of_two(bench):

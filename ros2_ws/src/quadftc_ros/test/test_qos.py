@@ -11,7 +11,7 @@ from rclpy.qos import (
 )
 
 from quadftc_ros.qos import service_profile, topic_profile
-from quadftc_ros.topics import NODES, OPTIONAL_NODES, TOPICS
+from quadftc_ros.topics import GRAPHS, NODES, OPTIONAL_NODES, TOPICS
 
 MODES = ("realtime", "lockstep")
 CLASSES = ("sensor", "reliable", "latched", "clock")
@@ -73,8 +73,26 @@ def test_service_takes_bursts():
 
 
 def test_table_names_nodes_of_the_graph_only():
-    named = {node for row in TOPICS.values() for node in (*row.publishers, *row.readers)}
-    assert named == {*NODES, *OPTIONAL_NODES}
+    for plant, table in GRAPHS.items():
+        named = {node for row in table.values() for node in (*row.publishers, *row.readers)}
+        assert named == {*NODES[plant], *OPTIONAL_NODES}
+
+
+def test_graphs_differ_in_nothing_but_nodes_and_topics():
+    for table in GRAPHS.values():
+        for name, row in table.items():
+            assert (row.type_name, row.qos, row.frame) == (
+                TOPICS[name].type_name,
+                TOPICS[name].qos,
+                TOPICS[name].frame,
+            )
+
+
+def test_every_topic_of_a_graph_is_read_from_who_publishes_it():
+    from_outside = {"imu/data_raw", "imu/mag", "mocap/pose", "attitude/setpoint", "position/setpoint"}
+    for table in GRAPHS.values():
+        unpublished = {name for name, row in table.items() if not row.publishers}
+        assert unpublished <= from_outside
 
 
 def test_every_topic_but_the_common_ones_follows_the_namespace():

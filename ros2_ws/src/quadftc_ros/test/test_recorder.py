@@ -8,7 +8,7 @@ from message_objects import VectorWriter
 from quadftc_bags.writer import BagStatus
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.recorder import choose_topics, flight_stamp_ns, judge, read_attachments
-from quadftc_ros.topics import TOPICS
+from quadftc_ros.topics import GRAPHS, TOPICS
 
 
 def test_lockstep_stores_by_stamp_and_leaves_out_what_has_none():
@@ -32,7 +32,8 @@ def test_error_outranks_dropped_messages(status, level, message):
 
 
 def test_topics_are_chosen_once_each_and_all_by_default():
-    assert choose_topics([]) == list(TOPICS.values())
+    for plant, table in GRAPHS.items():
+        assert [row.name for row in choose_topics([], plant)] == list(table)
     assert choose_topics(["/clock", "plant/imu", "/clock"]) == [TOPICS["/clock"], TOPICS["plant/imu"]]
     with pytest.raises(ValueError, match="topics: unknown imu/date; known are plant/imu"):
         choose_topics(["imu/date"])

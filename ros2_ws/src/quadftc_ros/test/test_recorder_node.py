@@ -26,7 +26,7 @@ from quadftc_ros.executor import make_executor
 from quadftc_ros.node import GraphNode
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.recorder_node import RecorderNode
-from quadftc_ros.topics import TOPICS
+from quadftc_ros.topics import GRAPHS, TOPICS
 
 START_NS = 1_000_000_000
 PERIOD_NS = 4_000_000
@@ -173,7 +173,7 @@ def test_bag_holds_attachments_and_versions(context, tmp_path):
         names = {channel.topic for channel in reader.get_summary().channels.values()}
     assert versions["mode"] == "realtime"
     assert {"quadftc", "ros_distro", "python", "mcap", "numpy"} <= set(versions)
-    assert names == {full_name("/uav1", name) for name in TOPICS}
+    assert names == {full_name("/uav1", name) for name in GRAPHS["test_stand"]}
 
 
 @pytest.mark.parametrize(

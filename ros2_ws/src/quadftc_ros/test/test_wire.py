@@ -36,6 +36,7 @@ from quadftc_ros.wire import (
     ImuWire,
     ReferenceWire,
     VectorWire,
+    attitude_command_in,
     imu_of,
     reference_in,
     vector_of,
@@ -92,16 +93,19 @@ def test_vector_is_what_rclpy_makes_of_it(frame, numbers):
     np.testing.assert_array_equal(vector_of(swapped(data, 3)), numbers)
 
 
-@given(FRAMES, doubles(9))
-def test_reference_is_what_rclpy_makes_of_it(frame, numbers):
-    message = AttitudeReferenceMessage()
+@given(FRAMES, doubles(9), st.floats())
+def test_reference_is_what_rclpy_makes_of_it(frame, numbers, thrust):
+    message = AttitudeReferenceMessage(thrust=thrust)
     message.header.frame_id = frame
     for part, three in zip(
         (message.angles, message.rates, message.accelerations), numbers.reshape(3, 3), strict=True
     ):
         part.x, part.y, part.z = three.tolist()
-    for mine, theirs in zip(reference_in(serialize_message(message)), reference_of(message), strict=True):
-        np.testing.assert_array_equal(mine, theirs)
+    data = serialize_message(message)
+    np.testing.assert_array_equal(attitude_command_in(data).thrust, thrust)
+    for mine in (reference_in(data), attitude_command_in(data).attitude):
+        for my_part, their_part in zip(mine, reference_of(message), strict=True):
+            np.testing.assert_array_equal(my_part, their_part)
 
 
 @pytest.mark.parametrize(
@@ -146,10 +150,11 @@ def test_imu_is_written_as_rclpy_does(stamp_ns, q_xyzw, rate, force, attitude, t
         wire(7, sample._replace(attitude_valid=~attitude, rate_valid=~turning, force_valid=~pushed))
 
 
-@given(STAMPS, doubles((3, 3)))
-def test_reference_is_written_as_rclpy_does(stamp_ns, parts):
-    reference = AttitudeReference(*parts)
-    assert same_message(ReferenceWire()(stamp_ns, reference), ReferenceWriter()(stamp_ns, reference))
+@given(STAMPS, doubles((3, 3)), st.floats())
+def test_reference_is_written_as_rclpy_does(stamp_ns, parts, thrust):
+    reference, wire = AttitudeReference(*parts), ReferenceWire()
+    assert same_message(wire(stamp_ns, reference, thrust), ReferenceWriter()(stamp_ns, reference, thrust))
+    assert same_message(wire(stamp_ns, reference), ReferenceWriter()(stamp_ns, reference))  # nothing stays
 
 
 AGES = arrays(np.float64, 3, elements=st.one_of(st.just(-1.0), st.floats(0.0, 1.0)))

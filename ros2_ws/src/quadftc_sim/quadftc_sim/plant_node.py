@@ -142,7 +142,7 @@ class PlantNode(GraphNode):
             self._timer = None
 
     def _start_when_connected(self) -> None:
-        if not missing_connections(self.get_name(), self.connections()):
+        if not missing_connections(self.get_name(), self.connections(), plant=self.plant_kind):
             self.start()
 
     def _on_torque(self, stamp_ns: int, torque: Floats) -> None:

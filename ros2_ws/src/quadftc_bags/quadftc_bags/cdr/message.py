@@ -8,6 +8,7 @@ out of such an object. Both take several times as long as packing the numbers he
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import Any
 
@@ -58,6 +59,71 @@ def read_numbers(data: bytes, message_class: type) -> tuple[Any, ...]:
         raise ValueError(f"not a {message_class.__name__}: {len(data)} bytes") from None
 
 
+class FieldReader:
+    """Read some numeric fields of messages whose texts and lengths seldom change.
+
+    ``fields`` are named as in `quadftc_bags.cdr.arrays`, in the order of the definition.
+    """
+
+    def __init__(self, message_class: type, *fields: str) -> None:
+        self._class, self._fields = message_class, fields
+        self._leaves = layout.installed_leaves(_type_name(message_class))
+        self._layout: layout.Layout | None = None
+        self._head = slice(0)
+        self._start, self._body = 0, struct.Struct("")
+
+    def __call__(self, data: bytes) -> tuple[bytes, tuple[Any, ...]]:
+        """Return all between the stamp and the numbers, and the numbers; ValueError if it is no such message.
+
+        While the former stays the same, so do names and frames.
+        """
+        if data[:2] not in PLAIN:
+            data = serialize_message(read_message(data, self._class))
+        if self._layout is None or not self._layout.fits(data):
+            self._learn(data)
+        return data[self._head], self._body.unpack_from(data, self._start)
+
+    def _learn(self, data: bytes) -> None:
+        found = layout.find_layout(self._leaves, data)
+        places = [place for place in found.places if place.leaf.name in self._fields] if found else []
+        if found is None or not places:
+            raise ValueError(f"not a {self._class.__name__}: {len(data)} bytes")
+        self._layout = found
+        self._start, self._body = _struct_of(places, data)
+        self._head = slice(FRAME_LENGTH, self._start)
+
+
+class FieldWriter:
+    """Write messages of which only the stamp and some numeric fields change.
+
+    ``message`` gives the rest; ``fields`` are named as in `quadftc_bags.cdr.arrays`, in the order of the
+    definition, with the lengths that they have in ``message``.
+    """
+
+    def __init__(self, message: Any, *fields: str) -> None:
+        type_name = _type_name(type(message))
+        clean = layout.PaddingCleaner(type_name).clean(serialize_message(message))
+        found = layout.find_layout(layout.installed_leaves(type_name), clean)
+        assert found is not None
+        self._data = data = bytearray(clean)
+        self._set_stamp = partial(struct.Struct(f"{layout.byte_order(clean)}iI").pack_into, data, STAMP)
+        self._runs: list[tuple[Callable[..., None], slice]] = []
+        first = 0
+        for place in found.places:
+            if place.leaf.name in fields:
+                start, run = _struct_of([place], clean)
+                last = first + place.number * place.leaf.width
+                self._runs.append((partial(run.pack_into, data, start), slice(first, last)))
+                first = last
+
+    def __call__(self, stamp_ns: int, *numbers: float) -> bytes:
+        """Return the message of a stamp [ns] and the numbers of the fields."""
+        self._set_stamp(*divmod(stamp_ns, NANOSECONDS))
+        for write, part in self._runs:
+            write(*numbers[part])
+        return bytes(self._data)
+
+
 class NumberWriter:
     """Write messages that are a header and then numbers of fixed count.
 
@@ -93,7 +159,11 @@ def _find_numbers(message_class: type, data: bytes) -> tuple[int, struct.Struct]
     """Return where the numbers behind the header begin, and what packs them; padding is zero."""
     found = layout.find_layout(layout.installed_leaves(_type_name(message_class)), data)
     assert found is not None
-    _, _, *places = found.places  # behind stamp and frame_id
+    return _struct_of(found.places[2:], data)  # behind stamp and frame_id
+
+
+def _struct_of(places: Sequence[layout.Place], data: bytes) -> tuple[int, struct.Struct]:
+    """Return where the first of some places begins, and what packs their numbers; the rest is zero."""
     start = position = places[0].offset
     codes = layout.byte_order(data)
     for leaf, offset, number in places:

@@ -10,7 +10,7 @@ from quadftc_control.reference_node import ReferenceNode
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_flight.graph.following import Graph
-from quadftc_flight.graph.plan import AFTERMATH, EXECUTABLES, GraphError, GraphPlan, Progress, always
+from quadftc_flight.graph.plan import AFTERMATH, GraphError, GraphPlan, Progress, always
 from quadftc_ros.executor import Pace, settled_memory
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.scheduling import SchedulingError, scheduled
@@ -57,11 +57,11 @@ class ComposedGraph(Graph):
             parameters = plan.recorder_parameters()
             nodes[RECORDER] = self._add_node(RecorderNode, plan.namespace, parameters, subscribes=False)
             tap = nodes[RECORDER].tap
-        for name in EXECUTABLES:
+        for name in plan.executables:
             options = {"each_sample": self._slice.look, "timed": False} if name == "plant" else {}
             parameters = plan.node_parameters(name)
             nodes[name] = self._add_node(NODE_CLASSES[name], plan.namespace, parameters, tap=tap, **options)
-        self._watchers.append(nodes["plant"])
+        self._watchers.append((nodes["plant"], plan.plant))
 
     @property
     def nodes(self) -> dict[str, Any]:
@@ -75,7 +75,7 @@ class ComposedGraph(Graph):
         """
         if not self.wait_until_connected(progress):
             return 0.0
-        scheduling, plants = self._plan.scheduling, self._watchers
+        scheduling, plants = self._plan.scheduling, [plant for plant, _ in self._watchers]
         pace = Pace(self._executor, plants, poll=scheduling.wait == "poll")
         spin = self._slice.spin if self._plan.mode == "lockstep" else pace.spin
         try:
@@ -91,9 +91,12 @@ class ComposedGraph(Graph):
 
     def _missing(self) -> list[str]:
         nodes = [item for vehicle in self._vehicles for item in vehicle.items() if item[0] != RECORDER]
-        lacks = [(name, missing_connections(name, node.connections())) for name, node in nodes]
+        lacks = [
+            (name, missing_connections(name, node.connections(), plant=node.plant_kind))
+            for name, node in nodes
+        ]
         return [f"{name}: {lack}" for name, missing in lacks for lack in missing]
 
     def _state(self) -> tuple[bool, int]:
-        flights = [plant.flight for plant in self._watchers]
+        flights = [plant.flight for plant, _ in self._watchers]
         return all(flight.finished for flight in flights), sum(flight.emitted for flight in flights)

@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter
 from quadftc_flight.graph.plan import CONNECT_TIMEOUT, SLICE, STALL_TIMEOUT, GraphError, Progress, always
 from quadftc_ros.executor import Slice, make_executor
 from quadftc_ros.recorder_node import RecorderNode
-from quadftc_ros.topics import crowded_topics
+from quadftc_ros.topics import PlantKind, crowded_topics
 
 ALONE = "another graph runs in this ROS domain; stop it, or set another ROS_DOMAIN_ID"
 
@@ -29,7 +29,7 @@ class Graph(abc.ABC):
         self._executor = make_executor(executor, self._context)
         self._slice = Slice(self._executor)
         self._nodes: list[Any] = []  # of this process
-        self._watchers: list[Any] = []  # a node of each vehicle
+        self._watchers: list[tuple[Any, PlantKind]] = []  # a node of each vehicle, and what it flies
 
     def __enter__(self) -> Self:
         return self
@@ -89,8 +89,8 @@ class Graph(abc.ABC):
             if not progress(0):
                 return False
             self._slice.spin(0.05)
-        for node in self._watchers:
-            if crowd := crowded_topics(node.count_publishers):
+        for node, plant in self._watchers:
+            if crowd := crowded_topics(node.count_publishers, plant):
                 raise GraphError(f"{crowd[0]}: {ALONE}")
         return True
 

@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 
 from quadftc_ros.scheduling import ORDINARY, Scheduling
+from quadftc_ros.topics import NODES, PlantKind
 
 # node -> (package, executable), in the order in which they are made: the earlier of two readers of a topic
 # gets its messages first, so those come first for whom others wait
@@ -52,10 +53,21 @@ class GraphPlan:
     remapped: Mapping[str, Mapping[str, str]] = dataclasses.field(
         default_factory=dict[str, Mapping[str, str]]
     )
+    plant: PlantKind = "test_stand"
+
+    @property
+    def executables(self) -> dict[str, tuple[str, str]]:
+        """Rows of `EXECUTABLES` for the nodes of this graph."""
+        return {name: row for name, row in EXECUTABLES.items() if name in NODES[self.plant]}
+
+    @property
+    def _common(self) -> dict[str, Any]:
+        """Parameters of every node."""
+        return {"mode": self.mode} | ({} if self.plant == "test_stand" else {"plant_kind": self.plant})
 
     def node_parameters(self, node: str) -> dict[str, Any]:
         """Return the parameters of one node: with the mode, less empty lists, which to ROS have no type."""
-        values = {**self.parameters.get(node, {}), "mode": self.mode}
+        values = {**self.parameters.get(node, {}), **self._common}
         if node == "plant":
             values["autostart"] = False
         if self.traces is not None:
@@ -65,13 +77,15 @@ class GraphPlan:
     def parameter_file(self) -> str:
         """Return the parameters of all nodes as a ROS parameter file (YAML)."""
         prefix = f"/{self.namespace.strip('/')}" if self.namespace else ""
-        nodes = {f"{prefix}/{node}": {"ros__parameters": self.node_parameters(node)} for node in EXECUTABLES}
+        nodes = {
+            f"{prefix}/{node}": {"ros__parameters": self.node_parameters(node)} for node in self.executables
+        }
         return yaml.safe_dump(nodes, sort_keys=False, default_flow_style=None, width=120)
 
     def recorder_parameters(self) -> dict[str, Any]:
         """Return the parameters of the recorder."""
         attachments = [str(path) for path in self.attachments] or [""]
-        return {"mode": self.mode, "directory": str(self.bag), "attachments": attachments}
+        return {**self._common, "directory": str(self.bag), "attachments": attachments}
 
 
 def check_options(graph: str, mode: str, scheduling: Scheduling, respawn: bool = False) -> None:

@@ -17,7 +17,7 @@ from std_srvs.srv import Trigger
 
 from quadftc_flight.graph import plan as plans
 from quadftc_flight.graph.following import Graph
-from quadftc_flight.graph.plan import EXECUTABLES, STALL_TIMEOUT, GraphError, GraphPlan, Progress, always
+from quadftc_flight.graph.plan import STALL_TIMEOUT, GraphError, GraphPlan, Progress, always
 from quadftc_ros.children import Children
 from quadftc_ros.conversions import time_message
 from quadftc_ros.diagnostics import WARN
@@ -145,9 +145,11 @@ class ProcessGraph(Graph):
     def _watch_and_record(self) -> None:
         plan, reliable = self.plan, topic_profile("reliable", self.plan.mode)
         self._node = node = self._add_node(Node, plan.namespace, {}, node_name="launch_graph")
-        self._watchers.append(node)
+        self._watchers.append((node, plan.plant))
         prefix = node.get_namespace().strip("/")
-        self._names = {f"{prefix}/{name}".lstrip("/"): name for name in EXECUTABLES}  # as in /diagnostics
+        self._names = {
+            f"{prefix}/{name}".lstrip("/"): name for name in plan.executables
+        }  # as in /diagnostics
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, reliable)
         self._report = node.create_publisher(DiagnosticArray, "/diagnostics", reliable)
         self._starter = node.create_client(Trigger, "plant/start")
@@ -161,7 +163,7 @@ class ProcessGraph(Graph):
         if self.plan.namespace:
             arguments += ["-r", f"__ns:=/{self.plan.namespace.strip('/')}"]
         commands: dict[str, list[str]] = {}
-        for name, row in EXECUTABLES.items():
+        for name, row in self.plan.executables.items():
             commands[name] = [str(executable_path(*row)), *arguments]
             for topic, other in self.plan.remapped.get(name, {}).items():
                 commands[name] += ["-r", f"{topic}:={other}"]
@@ -183,9 +185,10 @@ class ProcessGraph(Graph):
 
     def _missing(self) -> list[str]:
         recorders = int(self.recorder is not None)
-        missing = [f"{name}: no word from it" for name in EXECUTABLES if name not in self._counts]
+        missing = [f"{name}: no word from it" for name in self.plan.executables if name not in self._counts]
         for name, counts in self._counts.items():
-            missing += [f"{name}: {lack}" for lack in missing_connections(name, counts, recorders)]
+            lacks = missing_connections(name, counts, recorders, self.plan.plant)
+            missing += [f"{name}: {lack}" for lack in lacks]
         return missing if missing or self._starter.service_is_ready() else ["no service plant/start"]
 
     def _begin_flight(self) -> None:
