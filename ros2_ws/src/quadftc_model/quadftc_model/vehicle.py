@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_model.samples import STANDARD_GRAVITY
+from quadftc_model.vehicle_checks import check_possible
+from quadftc_model.vehicle_table import read_section
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -26,7 +28,7 @@ if TYPE_CHECKING:
 
 _DIRECTORY = Path(__file__).parent / "vehicles"
 _GROUP = "quadftc.vehicles"  # entry points: name -> path of a TOML file
-_LARGEST, _SMALLEST = 1e9, 1e-12  # in SI; no number of a vehicle is larger, none that is positive smaller
+_SMALLEST = 1e-12  # in SI; no number of a vehicle that is positive is smaller
 # what a file holds: texts, numbers, and arrays by shape, -1 being any length
 _TEXTS = ("name", "description", "source")
 _BODY: dict[str, Any] = {"mass": float, "inertia": (3,), "rotational_drag": (3,)}
@@ -95,7 +97,7 @@ class Aerodynamics:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Vehicle:
-    """A multirotor: its rigid body and its rotors."""
+    """A multirotor: its rigid body and its rotors. One that cannot be is refused by :mod:`vehicle_checks`."""
 
     name: str
     description: str
@@ -122,8 +124,7 @@ class Vehicle:
         low, high, trim = rotors.command_min, rotors.command_max, rotors.command_trim
         if not low < trim < high:
             raise ValueError(f"rotors.command_trim = {trim}: must be in ({low}, {high})")
-        if np.linalg.matrix_rank(self.mixer) < 3:
-            raise ValueError("rotors.positions: this layout cannot give a torque about each axis")
+        check_possible(self)
 
     @functools.cached_property
     def mixer(self) -> NDArray[np.float64]:
@@ -165,15 +166,32 @@ class Vehicle:
     @functools.cached_property
     def thrust_max(self) -> float:
         """Largest thrust of all rotors together [N]."""
-        rotors = self.rotors
-        return len(rotors.positions) * rotors.thrust_coefficient * rotors.speed_max**2
+        return self._thrust_at(self.rotors.speed_max)
+
+    @functools.cached_property
+    def thrust_min(self) -> float:
+        """Smallest thrust of all rotors together [N]."""
+        return self._thrust_at(self.rotors.speed_min)
+
+    @property
+    def weight(self) -> float:
+        """Weight [N]."""
+        return self.mass * STANDARD_GRAVITY
+
+    @property
+    def thrust_to_weight(self) -> float:
+        """Largest thrust over the weight [1]."""
+        return self.thrust_max / self.weight
 
     @functools.cached_property
     def hover_speed(self) -> float:
         """Speed at which the rotors, all alike, carry the weight [rad/s]."""
         rotors = self.rotors
-        thrust = self.mass * STANDARD_GRAVITY / len(rotors.positions)
-        return math.sqrt(thrust / rotors.thrust_coefficient)
+        return math.sqrt(self.weight / (len(rotors.positions) * rotors.thrust_coefficient))
+
+    def _thrust_at(self, speed: float) -> float:
+        """Thrust [N] of all rotors, each at a speed [rad/s]."""
+        return len(self.rotors.positions) * self.rotors.thrust_coefficient * speed**2
 
 
 def vehicle_names() -> tuple[str, ...]:
@@ -221,48 +239,10 @@ def _load(path: Path, changed_ns: int) -> Vehicle:
     if not isinstance(air, dict):
         raise ValueError(f"aerodynamics = {air!r}: expected a table")
     parts = {
-        "rotors": Rotors(**_read_section(rotors, "rotors.", _ROTORS | dict.fromkeys(_NUMBERS, float))),  # pyright: ignore[reportUnknownArgumentType]
-        "aerodynamics": Aerodynamics(**_read_section(air, "aerodynamics.", _AERODYNAMICS, optional=True)),  # pyright: ignore[reportUnknownArgumentType]
+        "rotors": Rotors(**read_section(rotors, "rotors.", _ROTORS | dict.fromkeys(_NUMBERS, float))),  # pyright: ignore[reportUnknownArgumentType]
+        "aerodynamics": Aerodynamics(**read_section(air, "aerodynamics.", _AERODYNAMICS, optional=True)),  # pyright: ignore[reportUnknownArgumentType]
     }
-    return Vehicle(**parts, **_read_section(table, "", _BODY | dict.fromkeys(_TEXTS, str)))
-
-
-def _read_section(
-    table: dict[str, Any], prefix: str, kinds: dict[str, Any], *, optional: bool = False
-) -> dict[str, Any]:
-    names = [key for key in kinds if key in table or not optional]
-    values = {key: _read(f"{prefix}{key}", table.get(key), kinds[key]) for key in names}
-    for key in table.keys() - kinds:
-        raise ValueError(f"{prefix}{key}: unknown key")
-    return values
-
-
-def _read(key: str, value: Any, kind: Any) -> Any:
-    """Return a text, a number or an array as the vehicle holds it."""
-    if kind is str:
-        found, expected = value if isinstance(value, str) else None, "a text"
-    elif kind is float:
-        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        expected = f"a finite number, not beyond {_LARGEST:g}"
-        found = float(value) if is_number and abs(value) <= _LARGEST else None
-    else:
-        expected = f"finite numbers of shape {kind}, -1 being any length, none beyond {_LARGEST:g}"
-        found = _array_of(value, kind)
-    if found is not None:
-        return found
-    shown = repr(value)
-    shown = shown if len(shown) <= 100 else f"{shown[:97]}..."
-    raise ValueError(f"{key} = {shown}: expected {expected}")
-
-
-def _array_of(value: Any, shape: tuple[int, ...]) -> NDArray[np.float64] | None:
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        return None
-    fits = array.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))
-    array.setflags(write=False)
-    return array if fits and np.all(np.abs(array) <= _LARGEST) else None
+    return Vehicle(**parts, **read_section(table, "", _BODY | dict.fromkeys(_TEXTS, str)))
 
 
 def _require(owner: Any, prefix: str, names: tuple[str, ...], least: float, expected: str) -> None:

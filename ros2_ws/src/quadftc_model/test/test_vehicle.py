@@ -93,7 +93,7 @@ def test_unknown_vehicle_is_refused_with_those_that_there_are():
         (
             r"^positions = .*",
             "positions = [[1, 1], [1, 1], [1, 1], [1, 1]]",
-            r"rotors.positions: this layout cannot give a torque about each axis",
+            r"rotors.positions = .*: this layout cannot give a torque about each axis: roll comes only",
         ),
         (r"^command_trim = .*", "command_trim = 0.2", r"rotors.command_trim = 0.2: must be in \(0.05, 0.1\)"),
         (r"^thrust_gain = .*", "thrust_gain = 0.0", r"rotors.thrust_gain = 0.0: must be positive"),

@@ -78,12 +78,14 @@ def _sensors() -> Table:
 
 
 def _vehicles() -> Table:
-    table = _table("vehicles", "name", "what it is", "inertia [kg m²]", "authority [N m]", "rotors")
+    headings = ("mass [kg]", "inertia [kg m²]", "authority [N m]", "rotors", "thrust/weight", "hover [rad/s]")
+    table = _table("vehicles", "name", "what it is", *headings)
     for name in vehicle_names():
         vehicle = load_vehicle(name)
         listed = (", ".join(f"{x:.3g}" for x in values) for values in (vehicle.inertia, vehicle.authority))
-        rotors = str(len(vehicle.rotors.positions))
-        table.add_row(f"[bold]{name}[/]", vehicle.description, *listed, rotors)
+        rotors, hover = str(len(vehicle.rotors.positions)), f"{vehicle.hover_speed:.0f}"
+        flight = (f"{vehicle.mass:g}", *listed, rotors, f"{vehicle.thrust_to_weight:.2f}", hover)
+        table.add_row(f"[bold]{name}[/]", vehicle.description, *flight)
     return table
 
 
