@@ -126,6 +126,26 @@ def earth_z_in_body(q_xyzw: Quaternion) -> Vector:
     return stacked([2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)])
 
 
+def to_earth(q_xyzw: Quaternion, vector: Vector) -> Vector:
+    """Turn a vector (..., 3) from body to earth axes."""
+    x, y, z, w = components(q_xyzw)
+    return stacked(_turned((x, y, z), w, components(vector)))
+
+
+def to_body(q_xyzw: Quaternion, vector: Vector) -> Vector:
+    """Turn a vector (..., 3) from earth to body axes."""
+    x, y, z, w = components(q_xyzw)
+    return stacked(_turned((x, y, z), -w, components(vector)))
+
+
+def _turned(axis: Sequence[Any], w: Any, vector: Sequence[Any]) -> list[Any]:
+    """Return v + 2 w (a x v) + 2 a x (a x v), for a unit quaternion (a, w)."""
+    x, y, z = axis
+    p, q, r = vector
+    a, b, c = 2.0 * (y * r - z * q), 2.0 * (z * p - x * r), 2.0 * (x * q - y * p)
+    return [p + w * a + y * c - z * b, q + w * b + z * a - x * c, r + w * c + x * b - y * a]
+
+
 def euler_rates(angles: Vector, body_rate: Vector) -> Vector:
     """Euler angle rates [rad/s] (..., 3) of a body rate [rad/s] (..., 3): (4) of Wang et al. (2021).
 

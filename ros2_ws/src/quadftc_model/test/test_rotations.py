@@ -20,6 +20,8 @@ from quadftc_model.rotations import (
     quaternion_from_rotation_vector,
     quaternion_product,
     quaternion_rate,
+    to_body,
+    to_earth,
     wrap,
 )
 
@@ -174,3 +176,10 @@ def test_batch_equals_the_loop(function, widths):
     loop = [function(*(array[i, j] for array in batch)) for i in range(5) for j in range(2)]
     result = function(*batch)
     np.testing.assert_allclose(result.reshape(10, -1), np.array(loop), rtol=1e-12, atol=1e-14)
+
+
+@given(ANGLES, vectors(10.0))
+def test_vectors_turn_to_earth_as_by_the_quaternion_product_and_back(angles, vector):
+    q_xyzw = quaternion_from_euler(angles)
+    np.testing.assert_allclose(to_earth(q_xyzw, vector), rotated(q_xyzw, vector), atol=1e-12)
+    np.testing.assert_allclose(to_body(q_xyzw, to_earth(q_xyzw, vector)), vector, atol=1e-12)

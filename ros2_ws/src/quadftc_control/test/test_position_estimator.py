@@ -1,0 +1,172 @@
+"""The position estimator on simulated flights along a circle."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from quadftc_control.position_estimator import PositionEstimator, PositionEstimatorInputs
+from quadftc_control.trajectory import trajectories
+from quadftc_model.assembly import build_prefixed, node_values
+from quadftc_model.parameters import parameters_of
+from quadftc_model.rotations import quaternion_from_euler, to_body
+from quadftc_model.samples import STANDARD_GRAVITY, ImuSample, PositionSample
+
+DT = 0.004
+MOCAP = PositionEstimator(delay=0.008)
+GPS = PositionEstimator(delay=0.1, noise=0.2, gives_velocity=True, velocity_noise=0.1)
+SENSORS = {"mocap": (MOCAP, 100.0, 0.001, 0.0), "gps": (GPS, 10.0, 0.2, 0.1)}
+
+
+class Flight:
+    """What happens along the circle; each is a function of time."""
+
+    def __init__(self, bias=None, shift=None, silent=None, force_lost=None, seed=0):
+        self.bias = bias or (lambda time: 0.0)  # m/s², on all axes of the accelerometer
+        self.shift = shift or (lambda time: 0.0)  # m, of the position sensor
+        self.silent = silent or (lambda time: False)
+        self.force_lost = force_lost or (lambda time: False)
+        self.seed = seed
+
+    def inputs(self, sensor, duration):
+        """Inputs of the estimator, and the true motion."""
+        law, rate, noise, velocity_noise = SENSORS[sensor]
+        rng = np.random.default_rng(self.seed)
+        circle = trajectories.get("circle")(speed=2.0)
+        late, every = round(law.delay / DT), round(1.0 / rate / DT)
+        motion = [circle.sample(index * DT) for index in range(round(duration / DT))]
+        for index, now in enumerate(motion):
+            time = index * DT
+            force = now.acceleration + np.array([0.0, 0.0, STANDARD_GRAVITY])
+            roll, pitch = np.arctan2(-force[1], np.hypot(force[0], force[2])), np.arctan2(force[0], force[2])
+            angles = np.array([roll, pitch, 0.3])
+            measured = to_body(quaternion_from_euler(angles), force) + 0.02 * rng.standard_normal(3)
+            q_xyzw = quaternion_from_euler(angles + 0.0017 * rng.standard_normal(3))
+            known = np.bool_(not self.force_lost(time))
+            force = measured + self.bias(time) if known else np.zeros(3)
+            imu = ImuSample(q_xyzw, np.zeros(3), force, np.bool_(True), np.bool_(True), known)
+            then = motion[max(index - late, 0)]
+            there = index >= late and (index - late) % every == 0 and not self.silent(time)
+            place = then.position + noise * rng.standard_normal(3) + self.shift(time)
+            speed = (then.velocity + velocity_noise * rng.standard_normal(3)) * law.gives_velocity
+            yield PositionEstimatorInputs(imu, PositionSample(place, speed, np.bool_(there))), now
+
+    def errors(self, sensor, duration=12.0):
+        """Errors of position, velocity and acceleration, and the estimated bias; (n, 3) each."""
+        law, state, out = SENSORS[sensor][0], None, []
+        for inputs, true in self.inputs(sensor, duration):
+            dt = DT if state is not None else 0.0
+            state = law.init(inputs) if state is None else state
+            state, estimate = law.step(state, inputs, dt)
+            out.append([a - b for a, b in zip(estimate, true[:3], strict=True)] + [state.bias])
+        return [np.array(column) for column in zip(*out, strict=True)]
+
+
+def rms(array, after):
+    return np.sqrt(np.mean(np.sum(array[round(after / DT) :] ** 2, axis=1)))
+
+
+def at(time):
+    return round(time / DT)
+
+
+def test_parameters_are_documented_and_survive_the_way_through_a_node():
+    assert all(spec.doc and spec.unit for spec in parameters_of(PositionEstimator))
+    again = build_prefixed(PositionEstimator, node_values(GPS, "estimator"), "estimator")
+    assert dataclasses.asdict(again) == dataclasses.asdict(GPS)
+
+
+@pytest.mark.parametrize(("sensor", "place", "speed"), [("mocap", 0.002, 0.02), ("gps", 0.15, 0.2)])
+def test_motion_is_known_better_than_the_sensor_says(sensor, place, speed):
+    position, velocity, _, _ = Flight().errors(sensor)
+    assert rms(position, 2.0) < place
+    assert rms(velocity, 2.0) < speed
+
+
+@pytest.mark.parametrize(("sensor", "place", "within"), [("mocap", 0.01, 0.5), ("gps", 0.3, 1.5)])
+def test_step_of_the_accelerometer_is_learnt_and_throws_nothing(sensor, place, within):
+    flight = Flight(bias=lambda time: 1.0 if time > 6.0 else 0.0)
+    position, _, _, bias = flight.errors(sensor)
+    assert np.max(np.abs(position[at(4.0) :])) < place
+    np.testing.assert_allclose(bias[at(5.0) : at(6.0)].mean(axis=0), 0.0, atol=0.3)
+    np.testing.assert_allclose(bias[at(6.0 + within) :].mean(axis=0), 1.0, atol=0.2)
+
+
+def test_delay_that_is_not_compensated_is_an_error_of_position(monkeypatch):
+    late = dataclasses.replace(GPS, delay=0.0)
+    with_it = rms(Flight().errors("gps")[0], 4.0)
+    flight = Flight()
+    inputs = list(flight.inputs("gps", 12.0))  # the sensor is late all the same
+    monkeypatch.setitem(SENSORS, "gps", (late, *SENSORS["gps"][1:]))
+    monkeypatch.setattr(flight, "inputs", lambda *_: inputs)
+    assert rms(flight.errors("gps")[0], 4.0) > 2.0 * with_it > 0.0
+
+
+def test_outliers_are_not_used():
+    position, velocity, _, _ = Flight(shift=lambda time: 1.0 if 5.0 < time < 5.3 else 0.0).errors("mocap")
+    assert rms(position, 2.0) < 0.01
+    assert rms(velocity, 2.0) < 0.05
+
+
+def test_sensor_that_jumps_for_good_is_believed_again():
+    position = Flight(shift=lambda time: 1.0 if time > 5.0 else 0.0).errors("mocap")[0]
+    assert np.max(np.abs(position[at(3.0) : at(5.4)])) < 0.02
+    np.testing.assert_allclose(position[at(6.0) :], 1.0, atol=0.01)
+
+
+def test_silence_is_bridged_by_the_accelerometer():
+    position, velocity, _, _ = Flight(silent=lambda time: 5.0 < time < 7.0).errors("mocap")
+    assert np.max(np.abs(position[at(3.0) :])) < 0.3
+    assert np.max(np.abs(position[at(7.2) :])) < 0.01
+    assert np.max(np.abs(velocity[at(7.5) :])) < 0.1
+
+
+def test_position_alone_holds_where_the_force_is_lost():
+    position, velocity, _, _ = Flight(force_lost=lambda time: 6.0 < time < 8.0).errors("mocap")
+    assert np.max(np.abs(position[at(3.0) :])) < 0.05
+    assert np.max(np.abs(velocity[at(3.0) :])) < 0.5
+    assert rms(velocity, 9.0) < 0.03
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e9])
+def test_position_that_is_no_number_changes_nothing(value):
+    inputs = [each for each, _ in Flight().inputs("mocap", 2.0)]
+    state = MOCAP.init(inputs[0])
+    for each in inputs:
+        state, _ = MOCAP.step(state, each, DT)
+    bad = PositionSample(np.full(3, value), np.zeros(3), np.bool_(True))
+    none = PositionSample(np.zeros(3), np.zeros(3), np.bool_(False))
+    (_, given), (_, without) = (
+        MOCAP.step(state, PositionEstimatorInputs(inputs[-1].imu, sample), DT) for sample in (bad, none)
+    )
+    for a, b in zip(given, without, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_batch_and_jax_equal_the_loop(sensor):
+    jax = pytest.importorskip("jax")
+    law = SENSORS[sensor][0]
+    flights = [
+        Flight(seed=1),
+        Flight(seed=2, shift=lambda time: 3.0 if time > 0.3 else 0.0),
+        Flight(seed=3, silent=lambda time: time < 0.5, force_lost=lambda time: time > 1.0),
+    ]
+    lanes = [[each for each, _ in flight.inputs(sensor, 1.6)] for flight in flights]
+    together = [jax.tree.map(lambda *parts: np.stack(parts), *each) for each in zip(*lanes, strict=True)]
+
+    def flown(inputs, step):
+        state, out = law.init(inputs[0]), []
+        for index, each in enumerate(inputs):
+            state, estimate = step(state, each, DT if index else 0.0)
+            out.append(np.concatenate([np.asarray(part) for part in estimate], axis=-1))
+        return np.array(out)
+
+    batch = flown(together, law.step)
+    with jax.enable_x64(True):
+        compiled = flown(together, jax.jit(law.step))
+    for lane, inputs in enumerate(lanes):
+        alone = flown(inputs, law.step)
+        assert np.all(np.isfinite(alone))
+        np.testing.assert_allclose(batch[:, lane], alone, rtol=1e-12, atol=1e-11)
+        np.testing.assert_allclose(compiled[:, lane], alone, rtol=1e-12, atol=1e-11)
