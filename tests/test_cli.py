@@ -169,7 +169,9 @@ def test_interrupted_run_leaves_a_bag_that_can_be_read(folder: Path, options, nu
     assert read_bag(bag.parent).topics["/imu/data"].count > 100
 
 
-@pytest.mark.parametrize("kind", ["observers", "controllers", "faults", "sensors", "vehicles", "scenarios"])
+@pytest.mark.parametrize(
+    "kind", ["observers", "controllers", "faults", "winds", "sensors", "vehicles", "scenarios"]
+)
 def test_list_shows_what_there_is(folder: Path, kind: str):
     done = call_quadftc("list", kind)
     assert done.returncode == 0, done.stderr
@@ -177,8 +179,9 @@ def test_list_shows_what_there_is(folder: Path, kind: str):
         "observers": ("sliding_mode", "epsilon_s", "rad"),
         "controllers": ("ismc", "smc", "pid", "k_c3"),
         "faults": ("bias", "drift", "sine", "scale", "noise", "stuck", "spikes", "dropout", "delay", "nan"),
+        "winds": ("constant", "gust", "dryden", "m/s"),
         "sensors": ("ideal", "mems", "ahrs", "tactical", "attitude_wander"),
-        "vehicles": ("qball_x4", "crazyflie_2x"),
+        "vehicles": ("qball_x4", "crazyflie_2x", "x500"),
         "scenarios": ("paper_faults", "mems_faults", "250 Hz"),
     }
     assert [name for name in names[kind] if name not in done.stdout] == []

@@ -1,4 +1,4 @@
-"""``quadftc list``: observers, controllers, faults... with their parameters, from the registries."""
+"""``quadftc list``: observers, controllers, faults, winds... with their parameters, from the registries."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from quadftc_model.vehicle import load_vehicle, vehicle_names
 from quadftc_sim.disturbance import disturbances
 from quadftc_sim.fault import faults
 from quadftc_sim.sensors import GRADES, ImuSensor
+from quadftc_sim.wind import winds
 
 REGISTRIES: dict[str, Registry[Any]] = {
     "observers": fault_observers,
@@ -29,6 +30,7 @@ REGISTRIES: dict[str, Registry[Any]] = {
     "references": references,
     "faults": faults,
     "disturbances": disturbances,
+    "winds": winds,
 }
 KINDS = (*REGISTRIES, "sensors", "vehicles", "scenarios")
 

@@ -1,0 +1,99 @@
+"""Turbulence near the ground."""
+
+import functools
+import math
+
+import numpy as np
+
+from quadftc_model.arrays import Array, namespace
+from quadftc_model.parameters import parameter
+from quadftc_sim.wind import Wind, register
+
+COMPONENTS = 32  # sines of a component
+FOOT = 0.3048  # m
+
+
+@register("dryden")
+class Dryden(Wind):
+    """Turbulence with the Dryden spectra of the low-altitude model of MIL-F-8785C (1980), 3.7.3.4.
+
+        L_w = h, L_u = L_v = h / (0.177 + 0.000823 h)^1.2 [ft]
+        sigma_w = 0.1 W_20, sigma_u = sigma_v = sigma_w / (0.177 + 0.000823 h)^0.4
+        Phi_u = 2 sigma_u² / pi (L/V) / (1 + x²),    Phi_v,w = sigma² / pi (L/V) (1 + 3 x²) / (1 + x²)²
+
+    with x = w L / V, over w > 0. u lies along the mean wind, v to its left, w up; none knows the others.
+    The field is frozen: it passes with the constant ``airspeed`` V, at the constant ``height`` h. W_20 is the
+    mean wind at 20 ft: 7.7 m/s light, 15 m/s moderate, 23 m/s severe. The wind ``constant`` adds the mean.
+
+    Each component is a sum of sines sqrt(2/K) sigma sin(w_k t + phase_k), where w_k are quantiles of its
+    spectrum. So each sine has the same power (Shinozuka and Deodatis 1991). The same history gives the same
+    wind.
+    """
+
+    wind_speed: float = parameter(5.0, unit="m/s", low=0.0, high=100.0, doc="W_20, mean wind at 6 m")
+    height: float = parameter(6.0, unit="m", low=10.0 * FOOT, high=1000.0 * FOOT, doc="h, above ground")
+    airspeed: float = parameter(5.0, unit="m/s", low=0.1, high=100.0, doc="V, by which the field passes")
+    direction: float = parameter(0.0, unit="rad", doc="to which the mean wind blows, from east to north")
+    history: float = parameter(0.0, unit="1", doc="number from which the phases are drawn")
+
+    @functools.cached_property
+    def scale_lengths(self) -> Array:
+        """L_u, L_v, L_w [m], (3,)."""
+        length = self.height / self._height_term**1.2
+        return np.array([length, length, self.height])
+
+    @functools.cached_property
+    def std_devs(self) -> Array:
+        """Standard deviations sigma_u, sigma_v, sigma_w [m/s], (3,)."""
+        vertical = 0.1 * self.wind_speed
+        horizontal = vertical / self._height_term**0.4
+        return np.array([horizontal, horizontal, vertical])
+
+    @functools.cached_property
+    def frequencies(self) -> Array:
+        """Angular frequencies w_k [rad/s] of u, v, w, (COMPONENTS, 3)."""
+        part, component = np.arange(COMPONENTS)[:, None], np.arange(3)
+        # within a part of the spectrum the components take turns, so that none has all the lower frequencies
+        quantiles = (part + ((part + component) % 3 + 0.5) / 3.0) / COMPONENTS
+        x = np.concatenate([np.tan(0.5 * math.pi * quantiles[:, :1]), _transverse(quantiles[:, 1:])], axis=1)
+        return x * self.airspeed / self.scale_lengths
+
+    @functools.cached_property
+    def phases(self) -> Array:
+        """Phases [rad] of the sines, (COMPONENTS, 3)."""
+        generator = np.random.default_rng(np.array([self.history]).view(np.uint32))
+        return generator.uniform(0.0, 2.0 * math.pi, (COMPONENTS, 3))
+
+    @functools.cached_property
+    def axes(self) -> Array:
+        """Velocity in earth axes [m/s] by the sum of each component's sines, (3, 3): rows u, v, w."""
+        cosine, sine = math.cos(self.direction), math.sin(self.direction)
+        rows = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        return math.sqrt(2.0 / COMPONENTS) * self.std_devs[:, None] * rows
+
+    def shape(self, elapsed: Array) -> Array:
+        """Velocity of the air [m/s] (..., 3) after ``elapsed`` seconds, () or (..., 1)."""
+        xp = namespace(elapsed)
+        elapsed = xp.asarray(elapsed)
+        parts = (COMPONENTS, *(1,) * (elapsed.ndim - 1), 3)
+        frequencies, phases = (
+            xp.reshape(xp.asarray(each), parts) for each in (self.frequencies, self.phases)
+        )
+        return xp.sin(frequencies * elapsed + phases).sum(axis=0) @ xp.asarray(self.axes)
+
+    @property
+    def _height_term(self) -> float:
+        return 0.177 + 0.000823 * self.height / FOOT
+
+
+def _transverse(quantiles: Array) -> Array:
+    """Return x = w L / V at quantiles q of the spectrum of v and w.
+
+    Its integral up to x = tan a is (2 a - sin(2 a) / 2) / pi. Newton finds a; the slope is in [1, 3].
+    """
+    angle = 0.5 * math.pi * quantiles
+    for _ in range(30):
+        angle = angle - (2.0 * angle - 0.5 * np.sin(2.0 * angle) - math.pi * quantiles) / (
+            2.0 - np.cos(2.0 * angle)
+        )
+    return np.tan(angle)
