@@ -7,9 +7,9 @@ import numpy as np
 
 from quadftc_model.arrays import Array, namespace
 from quadftc_model.parameters import parameter
+from quadftc_sim.random_sines import SCALE, cosines_and_sines, spectral_quantiles, sum_of_sines
 from quadftc_sim.wind import Wind, register
 
-COMPONENTS = 32  # sines of a component
 FOOT = 0.3048  # m
 
 
@@ -25,9 +25,7 @@ class Dryden(Wind):
     The field is frozen: it passes with the constant ``airspeed`` V, at the constant ``height`` h. W_20 is the
     mean wind at 20 ft: 7.7 m/s light, 15 m/s moderate, 23 m/s severe. The wind ``constant`` adds the mean.
 
-    Each component is a sum of sines sqrt(2/K) sigma sin(w_k t + phase_k), where w_k are quantiles of its
-    spectrum. So each sine has the same power (Shinozuka and Deodatis 1991). The same history gives the same
-    wind.
+    Each component is a sum of sines (:mod:`quadftc_sim.random_sines`). The same history gives the same wind.
     """
 
     wind_speed: float = parameter(5.0, unit="m/s", low=0.0, high=100.0, doc="W_20, mean wind at 6 m")
@@ -52,34 +50,25 @@ class Dryden(Wind):
     @functools.cached_property
     def frequencies(self) -> Array:
         """Angular frequencies w_k [rad/s] of u, v, w, (COMPONENTS, 3)."""
-        part, component = np.arange(COMPONENTS)[:, None], np.arange(3)
-        # within a part of the spectrum the components take turns, so that none has all the lower frequencies
-        quantiles = (part + ((part + component) % 3 + 0.5) / 3.0) / COMPONENTS
+        quantiles = spectral_quantiles()
         x = np.concatenate([np.tan(0.5 * math.pi * quantiles[:, :1]), _transverse(quantiles[:, 1:])], axis=1)
         return x * self.airspeed / self.scale_lengths
 
     @functools.cached_property
-    def phases(self) -> Array:
-        """Phases [rad] of the sines, (COMPONENTS, 3)."""
-        generator = np.random.default_rng(np.array([self.history]).view(np.uint32))
-        return generator.uniform(0.0, 2.0 * math.pi, (COMPONENTS, 3))
+    def weights(self) -> Array:
+        """Amplitudes [m/s] of cosine and sine of each frequency, (2, COMPONENTS, 3)."""
+        return SCALE * self.std_devs * cosines_and_sines(self.history)
 
     @functools.cached_property
     def axes(self) -> Array:
-        """Velocity in earth axes [m/s] by the sum of each component's sines, (3, 3): rows u, v, w."""
+        """Directions of u, v, w in earth axes, (3, 3), by rows."""
         cosine, sine = math.cos(self.direction), math.sin(self.direction)
-        rows = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-        return math.sqrt(2.0 / COMPONENTS) * self.std_devs[:, None] * rows
+        return np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
     def shape(self, elapsed: Array) -> Array:
         """Velocity of the air [m/s] (..., 3) after ``elapsed`` seconds, () or (..., 1)."""
-        xp = namespace(elapsed)
-        elapsed = xp.asarray(elapsed)
-        parts = (COMPONENTS, *(1,) * (elapsed.ndim - 1), 3)
-        frequencies, phases = (
-            xp.reshape(xp.asarray(each), parts) for each in (self.frequencies, self.phases)
-        )
-        return xp.sin(frequencies * elapsed + phases).sum(axis=0) @ xp.asarray(self.axes)
+        velocity = sum_of_sines(self.frequencies, self.weights, elapsed)
+        return velocity @ namespace(velocity).asarray(self.axes)
 
     @property
     def _height_term(self) -> float:
