@@ -66,6 +66,8 @@ def test_unknown_vehicle_is_refused_with_those_that_there_are():
     ("pattern", "replacement", "message"),
     [
         (r"^mass = 1.4", "mass = -1.4", r"mass = -1.4: must be positive"),
+        (r"^mass = 1.4", "mass = 1500", r"mass = 1500: 14710 N of weight on 24 N of thrust"),
+        (r"^yaw_sign = .*", "yaw_sign = [1, 1, 1, 1]", r"rotors.yaw_sign = .*: expected the opposite of"),
         (r"^mass = 1.4", "mass = true", r"mass = True: expected a finite number"),
         (r"^mass = 1.4", "mass = nan", r"mass = nan: expected a finite number"),
         (r"^mass = .*", "", r"mass = None: expected a finite number"),
