@@ -150,6 +150,12 @@ def test_dryden_has_its_standard_deviations_and_autocorrelations():
             assert found == pytest.approx(expected, abs=0.08), (component, s)
 
 
+def test_dryden_has_its_standard_deviations_over_many_histories_from_the_start():
+    winds_at_start = np.array([dryden(history=n).velocity(0.0) for n in range(1000)])
+    np.testing.assert_allclose(winds_at_start.std(axis=0), dryden().std_devs, rtol=0.08)
+    np.testing.assert_allclose(winds_at_start.mean(axis=0), 0.0, atol=0.15)
+
+
 def test_dryden_is_near_gaussian():
     wind = dryden(height=5.0).velocity(np.arange(0.0, 6000.0, 0.05)[:, None])
     kurtosis = np.mean(wind**4, axis=0) / np.var(wind, axis=0) ** 2
