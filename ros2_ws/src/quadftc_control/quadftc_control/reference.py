@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_model.arrays import Array, clip, namespace
+from quadftc_model.arrays import Array, Vector, clip, namespace
 from quadftc_model.assembly import NodeParameters, components_from
 from quadftc_model.parameters import Checked, parameter
 from quadftc_model.registry import Registry
@@ -102,9 +102,18 @@ class SetpointFilter(Checked):
         self, state: AttitudeReference, inputs: Array, dt: float
     ) -> tuple[AttitudeReference, AttitudeReference]:
         """Advance by ``dt`` [s] towards a setpoint (..., 3) [rad]; the state is the last reference."""
-        last, w = state, self.bandwidth
-        wanted = w * w * wrap(inputs - last.angles) - 2.0 * w * last.rates
-        acceleration = clip(wanted, -self.max_acceleration, self.max_acceleration)
-        rates = last.rates + dt * acceleration
-        reference = AttitudeReference(last.angles + 0.5 * dt * (last.rates + rates), rates, acceleration)
+        reference = filtered(state, inputs, self.bandwidth, self.max_acceleration, dt)
         return reference, reference
+
+
+def filtered(
+    last: AttitudeReference, setpoint: Vector, bandwidth: float, bound: float | Vector, dt: float
+) -> AttitudeReference:
+    """Reference ``dt`` [s] after the ``last`` on the way to angles [rad] (..., 3), as `SetpointFilter` says.
+
+    ``bound`` [rad/s²] is that of the acceleration, one for all components or (3,).
+    """
+    wanted = bandwidth * bandwidth * wrap(setpoint - last.angles) - 2.0 * bandwidth * last.rates
+    acceleration = clip(wanted, -bound, bound)
+    rates = last.rates + dt * acceleration
+    return AttitudeReference(last.angles + 0.5 * dt * (last.rates + rates), rates, acceleration)

@@ -155,8 +155,8 @@ class PositionSetpointFilter(Checked):
         """Advance by ``dt`` [s] towards a setpoint; the state is the last reference."""
         w, v = self.bandwidth, self.yaw_bandwidth
         # the velocity that closes the distance, no faster than allowed, and what brings it about
-        towards = _within(0.5 * w * (inputs.position - state.position), self.max_speed)
-        acceleration = _within(2.0 * w * (towards - state.velocity), self.max_acceleration)
+        towards = within(0.5 * w * (inputs.position - state.position), self.max_speed)
+        acceleration = within(2.0 * w * (towards - state.velocity), self.max_acceleration)
         velocity = state.velocity + dt * acceleration
         position = state.position + 0.5 * dt * (state.velocity + velocity)
         turn = v * v * wrap(inputs.yaw - state.yaw) - 2.0 * v * state.yaw_rate
@@ -167,7 +167,7 @@ class PositionSetpointFilter(Checked):
         return reference, reference
 
 
-def _within(vector: Vector, bound: float) -> Vector:
+def within(vector: Vector, bound: float) -> Vector:
     """Vector (..., 3), scaled to a length of no more than a bound."""
     x, y, z = components(vector)
     xp = namespace(x)

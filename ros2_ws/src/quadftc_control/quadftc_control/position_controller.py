@@ -1,0 +1,181 @@
+"""The interface of position controllers, their registry, and what they share: acceleration to attitude.
+
+A law says which acceleration it wants. The thrust, along body z, has to give it, and to carry the weight.
+That vector is limited, says roll, pitch and thrust, and the attitude goes through a command filter. So the
+angles have rates and accelerations that fit them, and turn no faster than the rotors can turn the vehicle.
+
+What lags, the filter (2 / bandwidth) and the rotors, is known. What the trajectory asks for is asked for
+earlier by as much, by its jerk and yaw rate: then a circle is flown without an error of the lag.
+"""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+import math
+from typing import Any, NamedTuple
+
+from quadftc_control.reference import filtered
+from quadftc_model.arrays import Scalar, Vector, clip, components, larger, namespace, smaller, stacked
+from quadftc_model.assembly import VehicleLaw, law_from
+from quadftc_model.parameters import parameter
+from quadftc_model.registry import Registry
+from quadftc_model.rotations import euler_from_quaternion
+from quadftc_model.samples import (
+    STANDARD_GRAVITY,
+    AttitudeCommand,
+    AttitudeReference,
+    ImuSample,
+    PositionEstimate,
+    PositionReference,
+)
+
+LEAST_ASIDE = 0.2  # 1; of the largest thrust: what the level part has however much height needs
+
+
+class PositionControllerInputs(NamedTuple):
+    """What a position controller sees."""
+
+    imu: ImuSample  # corrected
+    estimate: PositionEstimate
+    reference: PositionReference
+
+
+class Pushed(NamedTuple):
+    """Acceleration that a law wants beyond that of the trajectory, and what the limits leave of it."""
+
+    wanted: Vector  # [m/s²]
+    given: Vector  # [m/s²]
+
+
+class State(NamedTuple):
+    """State at the last sample."""
+
+    law: Any  # of the law
+    last: Pushed
+    reference: AttitudeReference  # of the command filter
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class PositionController(VehicleLaw[PositionControllerInputs, AttitudeCommand]):
+    """Base of all position controllers: from where the vehicle is and shall be, to attitude and thrust.
+
+    A law has :meth:`start` and :meth:`push`.
+    """
+
+    max_tilt: float = parameter(
+        math.radians(35.0), unit="rad", low=0.01, high=1.3, doc="largest tilt of the wanted thrust"
+    )
+    min_thrust: float = parameter(0.1, low=0.01, high=0.5, doc="least vertical thrust, of the largest")
+    max_thrust: float = parameter(0.9, low=0.1, high=1.0, doc="largest thrust, of the largest")
+    bandwidth: float = parameter(
+        20.0, unit="rad/s", low=1.0, high=50.0, doc="natural frequency of the command filter"
+    )
+    agility: float = parameter(
+        0.5,
+        low=0.01,
+        high=1.0,
+        doc="largest angular acceleration of the commands, of what the rotors can give",
+    )
+
+    @abc.abstractmethod
+    def start(self, inputs: PositionControllerInputs) -> Any:
+        """State of the law at the first sample."""
+
+    @abc.abstractmethod
+    def push(
+        self, state: Any, inputs: PositionControllerInputs, last: Pushed, dt: float
+    ) -> tuple[Any, Vector]:
+        """State and acceleration (..., 3) [m/s²] that shall correct the errors, earth axes.
+
+        ``last`` is what was wanted and given at the sample before.
+        """
+
+    def init(self, inputs: PositionControllerInputs) -> State:
+        """Start from the present attitude, still."""
+        angles = euler_from_quaternion(inputs.imu.q_xyzw)
+        zeros = 0.0 * angles
+        return State(self.start(inputs), Pushed(zeros, zeros), AttitudeReference(angles, zeros, zeros))
+
+    def step(
+        self, state: State, inputs: PositionControllerInputs, dt: float
+    ) -> tuple[State, AttitudeCommand]:
+        """Compute attitude and thrust for a sample."""
+        law, wanted = self.push(state.law, inputs, state.last, dt)
+        x, y, z = (a + b for a, b in zip(self._planned(inputs.reference), components(wanted), strict=True))
+        whole = [x, y, z + STANDARD_GRAVITY]
+        force = self._limited(whole)
+        given = wanted - stacked([a - b for a, b in zip(whole, force, strict=True)])  # the same if not cut
+        turn = self._lag * inputs.reference.yaw_rate
+        roll, pitch = _tilt(force, components(euler_from_quaternion(inputs.imu.q_xyzw))[2] + turn)
+        setpoint = stacked([roll, pitch, inputs.reference.yaw + turn + 0.0 * roll])
+        bound = self.agility * self.vehicle.authority / self.vehicle.inertia
+        reference = filtered(state.reference, setpoint, self.bandwidth, bound, dt)
+        thrust = self._thrust(inputs.imu, force)
+        return State(law, Pushed(wanted, given), reference), AttitudeCommand(reference, thrust)
+
+    @property
+    def _lag(self) -> float:
+        """From a wanted attitude to that attitude [s]."""
+        return 2.0 / self.bandwidth + self.vehicle.rotors.time_constant
+
+    def _planned(self, reference: PositionReference) -> list[Any]:
+        """Acceleration that the trajectory asks for and drag takes [m/s²], earlier by what lags."""
+        x, y, z = components(reference.acceleration)
+        if reference.jerk is not None:
+            jx, jy, jz = components(reference.jerk)
+            lag = self._lag
+            x, y, z = x + lag * jx, y + lag * jy, z + self.vehicle.rotors.time_constant * jz
+        u, v, _ = components(reference.velocity)
+        drag = self._drag
+        return [x + drag * u, y + drag * v, z]
+
+    @property
+    def _drag(self) -> float:
+        """Deceleration by rotor drag over level speed [1/s] (Faessler, Franchi and Scaramuzza (2018))."""
+        vehicle = self.vehicle
+        speeds = len(vehicle.rotors.positions) * vehicle.hover_speed
+        return vehicle.aerodynamics.rotor_drag * speeds / vehicle.mass
+
+    def _limited(self, force: list[Any]) -> list[Any]:
+        """Force over mass [m/s²], earth axes, within tilt and thrust; height comes first."""
+        x, y, z = force
+        largest = self.vehicle.thrust_max / self.vehicle.mass
+        top = self.max_thrust * largest
+        up = clip(z, self.min_thrust * largest, top)
+        functions = _functions(up)
+        # at the top of the thrust, a little is left for the level part all the same
+        left = functions.sqrt(clip(top * top - up * up, (LEAST_ASIDE * top) ** 2, top * top))
+        bound = smaller(up * _functions(self.max_tilt).tan(self.max_tilt), left)
+        scale = bound / larger(functions.sqrt(x * x + y * y), bound)
+        return [scale * x, scale * y, up]
+
+    def _thrust(self, imu: ImuSample, force: list[Any]) -> Scalar:
+        """Thrust [N]: the wanted force over mass, along body z as it is now."""
+        x, y, z, w = components(imu.q_xyzw)
+        fx, fy, fz = force
+        along = 2.0 * (x * z + w * y) * fx + 2.0 * (y * z - w * x) * fy + (1.0 - 2.0 * (x * x + y * y)) * fz
+        largest = self.vehicle.thrust_max
+        return clip(self.vehicle.mass * along, self.min_thrust * largest, self.max_thrust * largest)
+
+
+def _tilt(force: list[Any], yaw: Any) -> tuple[Any, Any]:
+    """Roll and pitch [rad] that turn body z along a force, at a yaw [rad]."""
+    x, y, z = force
+    functions = _functions(x)
+    atan2 = math.atan2 if isinstance(x, float) else functions.arctan2
+    cos, sin = functions.cos(yaw), functions.sin(yaw)
+    ahead, left = cos * x + sin * y, cos * y - sin * x
+    return atan2(-left, functions.sqrt(ahead * ahead + z * z)), atan2(ahead, z)
+
+
+def _functions(x: Any) -> Any:
+    """Module with ``sin``, ``cos``, ``tan``, ``sqrt`` for a float or an array."""
+    return math if isinstance(x, float) else namespace(x)
+
+
+position_controllers: Registry[Any] = Registry(
+    "position controller", "quadftc_control.position_controllers", "quadftc.position_controllers"
+)
+register = position_controllers.register
+position_controller_from = law_from(position_controllers, "position_controller")  # of its node

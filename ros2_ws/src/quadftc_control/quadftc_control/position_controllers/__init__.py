@@ -1,0 +1,1 @@
+"""Position controllers, one file each."""
