@@ -166,6 +166,23 @@ def test_graph_equals_the_closed_loop_when_a_gyro_jumps(fly_graph):
     assert flight.gyro_state[-1].tolist() == [FAULTY, HEALTHY, HEALTHY]
 
 
+def test_graph_equals_the_closed_loop_in_free_flight(fly_graph):
+    changes = (
+        "trajectories.0.start=0.2 s",
+        "trajectories.0.rise=1 s",
+        "faults.0.start=1 s",
+        "faults.1.start=2 s",
+    )
+    lost = "{kind: dropout, channel: imu, probability: 0.05, start: 0.5 s}"
+    scenario = load_scenario(find_scenario("free_circle"), (*changes, f"faults.2={lost}"))
+    scenario = with_duration(scenario, 3.0)
+    directory, _ = fly_graph(scenario, "isolating")
+    flight = flight_from_bag(read_bag(directory))
+    assert not flight.delivered.all()
+    assert np.nanmax(np.abs(flight.position[:, 1])) > 0.5  # it flies
+    assert_equal_bit_for_bit(flight, fly(scenario, "isolating"))
+
+
 def test_two_runs_give_the_same_messages(fly_graph, busy_scenario):
     first, second = (messages_by_topic(fly_graph(busy_scenario, "proposed", take=take)[0]) for take in (0, 1))
     assert len(first["/imu/data"]) > 300

@@ -22,6 +22,7 @@ setup(
     entry_points={
         "console_scripts": [
             "controller = quadftc_control.controller_node:main",
+            "position_controller = quadftc_control.position_controller_node:main",
             "reference = quadftc_control.reference_node:main",
         ],
     },

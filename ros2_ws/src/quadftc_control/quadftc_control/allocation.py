@@ -38,6 +38,7 @@ from quadftc_model.arrays import (
     smaller,
     stacked,
 )
+from quadftc_model.samples import ControllerOutput
 from quadftc_model.vehicle import Vehicle
 
 _ROUNDING = 1e-12  # 1; of the largest thrust of a rotor: what exceeds a room by less fits
@@ -48,8 +49,8 @@ class Allocated(NamedTuple):
     """Rotor speeds, and what they give once the rotors have them."""
 
     speeds: Components  # (..., n) [rad/s]
-    thrust: Scalar  # [N]
     torque: Vector  # [N m]
+    thrust: Scalar  # [N]
 
 
 def allocate(vehicle: Vehicle, thrust: Scalar, torque: Vector) -> Allocated:
@@ -66,7 +67,16 @@ def allocate(vehicle: Vehicle, thrust: Scalar, torque: Vector) -> Allocated:
 
     forces, given = changed_where((forces < low) | (forces > high), cut, (forces, wanted))
     speeds = namespace(torque).sqrt(clip(forces, low, high) / coefficient)  # rounding may leave the range
-    return Allocated(speeds, given[..., 0], given[..., 1:])
+    return Allocated(speeds, given[..., 1:], given[..., 0])
+
+
+def actuated(
+    vehicle: Vehicle, thrust: Scalar, output: ControllerOutput
+) -> tuple[Allocated, ControllerOutput]:
+    """Allocate thrust [N] and the torque of a controller; its output says then what the rotors give."""
+    allocated = allocate(vehicle, thrust, output.torque)
+    cut = output.saturated | (allocated.torque != output.torque)
+    return allocated, output._replace(torque=allocated.torque, saturated=cut)
 
 
 def _prioritised(allocation: Components, wanted: Components, low: float, high: float) -> Components:

@@ -3,8 +3,8 @@
 
 Inputs: imu/corrected, attitude/reference, disturbance/estimate; in real time imu/data as fallback, and
 fault/status.
-Outputs: torque/command [N m], control/status; in real time fault/kept, gyro/kept and disturbance/kept for
-observers that restart (`quadftc_control.last_words`).
+Outputs: torque/command [N m], in free flight rotors/command [rad/s], control/status; in real time fault/kept,
+gyro/kept and disturbance/kept for observers that restart (`quadftc_control.last_words`).
 Services: ~/reset (std_srvs/Trigger).
 What it decides in flight: `quadftc_control.flight_manager`.
 """
@@ -25,13 +25,21 @@ from quadftc_control.input_monitor import Mode, Patience
 from quadftc_control.last_words import MessageReader
 from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import parameter
-from quadftc_model.samples import ALARMS, AttitudeReference, ControllerInputs, ImuSample, level_sample
+from quadftc_model.samples import (
+    ALARMS,
+    AttitudeCommand,
+    AttitudeReference,
+    ControllerInputs,
+    ImuSample,
+    level_sample,
+)
 from quadftc_model.stepper import seconds, warm_up
 from quadftc_ros import wire
 from quadftc_ros.conversions import Floats, array_of, revise_status
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import StampJoin
+from quadftc_ros.motion_wire import RotorsWire
 from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import BASE_FRAME
 from quadftc_ros.transport import decoding
@@ -78,6 +86,7 @@ class ControllerNode(GraphNode):
         self.settings.declare(controllers.get(name), f"{name}.")
         self.settings.declare(Patience, "patience.")
         law, patience = _build(self.settings.values())
+        self._flies = self.plant_kind == "free_flight"
         still = AttitudeReference(np.zeros(3), np.zeros(3), np.zeros(3))
         warm_up(law, ControllerInputs(level_sample(), still, np.zeros(3)))
         self._manager = FlightManager(law, patience, READER, self.diagnostics.count)
@@ -88,7 +97,10 @@ class ControllerNode(GraphNode):
         self._mode: Mode | None = None
         self._join = StampJoin(("imu", "reference", "disturbance"), self._on_all)
         self.driven_by("imu/corrected", self._on_corrected, restart=self._manager.restart, decode=wire.imu_of)
-        self.reads("attitude/reference", self._on_reference, decode=wire.reference_in)
+        self.reads("attitude/reference", self._on_reference, decode=wire.attitude_command_in)
+        if self._flies:
+            self._publish_speeds = self.publishes("rotors/command")
+            self._rotors = RotorsWire(len(law.vehicle.rotors.positions))
         self.reads("disturbance/estimate", self._on_disturbance, decode=wire.vector_of)
         self.reads("imu/data", self._on_raw, decode=bytes)
         self.reads("fault/status", self._manager.take_status, decode=bytes)
@@ -100,8 +112,9 @@ class ControllerNode(GraphNode):
             self._watchdog = self.create_timer(WATCH_PERIOD, self._on_watchdog, clock=self.pace)
         self.ready()
 
-    def _on_reference(self, stamp_ns: int, reference: AttitudeReference) -> None:
-        usable = self._manager.take_reference(stamp_ns, reference)
+    def _on_reference(self, stamp_ns: int, wanted: AttitudeCommand) -> None:
+        thrust = wanted.thrust if self._flies else None
+        usable = self._manager.take_reference(stamp_ns, wanted.attitude, thrust)
         if self.lockstep and usable is not None:
             self._join.put("reference", stamp_ns, usable)
 
@@ -141,7 +154,9 @@ class ControllerNode(GraphNode):
         self._manager.kept.clear()
         if command is None:
             return
-        stamp_ns, output, mode = command
+        stamp_ns, output, mode, speeds = command
+        if speeds is not None:
+            self._publish_speeds(self._rotors(stamp_ns, speeds))
         self._publish_torque(self._body(stamp_ns, output.torque))
         self._publish_status(self._status(stamp_ns, output, mode, perf_counter() - begin))
         if mode is not self._mode:

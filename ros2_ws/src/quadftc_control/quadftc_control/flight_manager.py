@@ -14,12 +14,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from quadftc_control.allocation import actuated
 from quadftc_control.controller import Controller, nothing_but, stepper_of
 from quadftc_control.input_monitor import HeldTorque, InputMonitor, Mode, Patience
 from quadftc_control.last_words import LastWords, MessageReader
 from quadftc_control.transfer import Transfer
 from quadftc_model import samples
-from quadftc_model.arrays import Vector
+from quadftc_model.arrays import Components, Scalar, Vector
 from quadftc_model.samples import AttitudeReference, ControllerInputs, ControllerOutput, ImuSample
 from quadftc_model.stepper import seconds
 
@@ -30,6 +31,7 @@ class Command(NamedTuple):
     stamp_ns: int
     output: ControllerOutput
     mode: Mode
+    speeds: Components | None  # of the rotors [rad/s], in free flight
 
 
 class FlightManager:
@@ -43,7 +45,7 @@ class FlightManager:
         self, law: Controller, patience: Patience, reader: MessageReader, count: Callable[[str], None]
     ) -> None:
         self._law, self._count, self._reader = law, count, reader
-        self._torque = np.zeros(3)  # last command [N m]
+        self._torque: Vector = np.zeros(3)  # last command [N m]
         self._stepper = stepper_of(law, lambda: self._torque)
         self._monitor, self._transfer = InputMonitor(patience), Transfer(patience)
         self._last_words = LastWords(reader)
@@ -55,6 +57,7 @@ class FlightManager:
         self._missing = 0.0  # share of the disturbance estimate that is missing
         self._trusted = False  # the disturbance estimate
         self.reference: AttitudeReference | None = None
+        self._thrust: Scalar | None = None  # wanted with the reference [N], in free flight
         self.reference_ns = 0
         # To publish for observers that restart, oldest first; whoever publishes it clears it: (what, stamp
         # [ns], value), "fault" with a status message, "gyro" or "disturbance" with an array (3,).
@@ -70,10 +73,12 @@ class FlightManager:
         self._stepper.reset()
         self._transfer.reset()
 
-    def take_reference(self, stamp_ns: int, reference: AttitudeReference) -> AttitudeReference | None:
-        """Note a reference; return the last usable one."""
-        if samples.is_usable(*reference):
-            self.reference, self.reference_ns = reference, stamp_ns
+    def take_reference(
+        self, stamp_ns: int, reference: AttitudeReference, thrust: Scalar | None = None
+    ) -> AttitudeReference | None:
+        """Note a reference, in free flight with the thrust [N]; return the last usable one."""
+        if samples.is_usable(*reference) and (thrust is None or abs(thrust) < samples.UNUSABLE):
+            self.reference, self.reference_ns, self._thrust = reference, stamp_ns, thrust
         else:
             self._count("attitude/reference: not finite")
         return self.reference
@@ -191,5 +196,10 @@ class FlightManager:
             self.kept.append(("fault", stamp_ns, self._status))
 
     def _command(self, stamp_ns: int, output: ControllerOutput, mode: Mode) -> Command:
+        speeds = None
+        if self._thrust is not None:
+            thrust = 0.0 if mode is Mode.OFF else self._thrust
+            allocated, output = actuated(self._law.vehicle, thrust, output)
+            speeds = allocated.speeds
         self._torque, self.stamp_ns, self._mode = output.torque, stamp_ns, mode
-        return Command(stamp_ns, output, mode)
+        return Command(stamp_ns, output, mode, speeds)

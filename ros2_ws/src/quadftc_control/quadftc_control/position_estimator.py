@@ -91,10 +91,13 @@ class PositionEstimator(Checked):
     patience: float = parameter(0.5, unit="s", low=0.0, doc="without a used sample, begin again at the next")
 
     def init(self, inputs: PositionEstimatorInputs) -> State:
-        """Wait for a position, at rest at the origin."""
+        """Wait for a position that is there; until then, at rest at the one of the sample."""
         zeros = 0.0 * inputs.imu.specific_force
         zero = zeros[..., 0]
-        return State(zeros, zeros, zeros, zeros, self._unsure(zero), inputs.sample.there & (zero > 0.0), zero)
+        begin = self._unsure(zero)
+        return State(
+            inputs.sample.position, zeros, zeros, zeros, begin, inputs.sample.there & (zero > 0.0), zero
+        )
 
     def step(
         self, state: State, inputs: PositionEstimatorInputs, dt: float

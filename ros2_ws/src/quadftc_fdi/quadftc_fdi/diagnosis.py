@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from quadftc_fdi.fault_observer import FaultObserver, LastDiagnosis, await_start
 from quadftc_model import samples
-from quadftc_model.arrays import Vector, rows_of
+from quadftc_model.arrays import Scalar, Vector, rows_of
 from quadftc_model.samples import (
     ALARMS,
     FAULT_KINDS,
@@ -20,6 +20,7 @@ from quadftc_model.samples import (
     FaultEstimate,
     FaultObserverInputs,
     ImuSample,
+    PositionSample,
     SensorEstimate,
     sanitised,
 )
@@ -54,13 +55,21 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
         super().__init__(law, _usable_estimate)
         self._published: DiagnosisReport | None = None
 
-    def diagnose(self, stamp_ns: int, sample: ImuSample, torque: Vector) -> FaultEstimate | None:
+    def diagnose(
+        self,
+        stamp_ns: int,
+        sample: ImuSample,
+        torque: Vector,
+        thrust: Scalar | None = None,
+        place: PositionSample | None = None,
+    ) -> FaultEstimate | None:
         """Diagnose a sample [ns] as received; None if its stamp is repeated or went back.
 
-        ``torque`` [N m] is the one that acted since the sample before.
+        ``torque`` [N m] and ``thrust`` [N] are those that acted since the sample before; ``place`` is what
+        the position sensor says with the sample. Without them, None: on the test stand.
         """
         clean = sanitised(sample)
-        inputs = FaultObserverInputs(clean, torque)
+        inputs = FaultObserverInputs(clean, torque, thrust, place)
         last, dt = self.words_for(stamp_ns), self.time_step(stamp_ns)
         complete = clean.attitude_valid and clean.rate_valid
         if last is not None:

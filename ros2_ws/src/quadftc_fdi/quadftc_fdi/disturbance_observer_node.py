@@ -22,7 +22,7 @@ from quadftc_model.stepper import warm_up
 from quadftc_ros.conversions import Floats
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
-from quadftc_ros.join import TorqueGate
+from quadftc_ros.join import CommandGate
 from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import BASE_FRAME
 from quadftc_ros.wire import VectorWire, imu_of, vector_of
@@ -49,10 +49,10 @@ class DisturbanceObserverNode(GraphNode):
         warm_up(self._estimation.law, DisturbanceObserverInputs(np.zeros(3), np.bool_(True), np.zeros(3)))
         self.settings.on_change(build, partial(setattr, self._estimation, "law"))
         self._publish, self._body = self.publishes("disturbance/estimate"), VectorWire(BASE_FRAME)
-        self._gate = TorqueGate(self.mode, self._on_sample, self.diagnostics.count)
+        self._gate = CommandGate(self.mode, self._on_sample, self.diagnostics.count)
         restart = self._estimation.restart
         self.driven_by("imu/corrected", self._gate.put_sample, restart=restart, decode=imu_of)
-        self.reads("torque/command", self._gate.put_torque, decode=vector_of)
+        self.reads("torque/command", self._gate.put_command, decode=vector_of)
         if not self.lockstep:
             self.reads("disturbance/kept", self._estimation.offer, decode=vector_of)
         self.diagnostics.report("observer", OK, name)

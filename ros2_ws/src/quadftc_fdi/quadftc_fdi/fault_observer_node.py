@@ -1,8 +1,9 @@
 # pyright: basic
 """The fault observer node: estimates the attitude fault and publishes the corrected IMU.
 
-Inputs: imu/data; torque/command (observer (16) of the paper needs the torque that acted). In real time
-fault/kept and gyro/kept: restarted in flight, the node resumes where the one before has died.
+Inputs: imu/data; torque/command (observer (16) of the paper needs the torque that acted), in free flight
+rotors/command and position/data. In real time fault/kept and gyro/kept: restarted in flight, the node resumes
+where the one before has died.
 Outputs: imu/corrected, fault/estimate, fault/status; diagnosis at 10 Hz and at once on a change.
 Services: ~/reset (std_srvs/Trigger). A sample whose stamp repeats or goes back is refused and counted.
 """
@@ -19,13 +20,16 @@ from std_msgs.msg import Header
 from quadftc_fdi.diagnosis import Diagnosis, describe_axes, describe_component, watched_sensors
 from quadftc_fdi.fault_observer import LastDiagnosis, fault_observer_from, fault_observers
 from quadftc_model import samples
+from quadftc_model.arrays import Scalar
 from quadftc_model.parameters import parameter
-from quadftc_model.samples import ALARMS, FaultEstimate, FaultObserverInputs, ImuSample
+from quadftc_model.rotors import wrench_from_speeds
+from quadftc_model.samples import ALARMS, FaultEstimate, FaultObserverInputs, ImuSample, PositionSample
 from quadftc_model.stepper import warm_up
 from quadftc_ros.conversions import Floats, array_of, stamp_of
 from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.executor import run_node
-from quadftc_ros.join import TorqueGate
+from quadftc_ros.join import CommandGate, PlaceGate, PlaceParameters
+from quadftc_ros.motion_wire import PositionSampleReader, RotorsReader
 from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import EARTH_FRAME
 from quadftc_ros.wire import DiagnosisWire, FaultStatusWire, ImuWire, VectorWire, imu_of, vector_of
@@ -54,10 +58,12 @@ class FaultObserverNode(GraphNode):
         self._publish_estimate, self._earth = self.publishes("fault/estimate"), VectorWire(EARTH_FRAME)
         self._publish_status, self._status = self.publishes("fault/status"), FaultStatusWire()
         self._publish_report, self._report = self.publishes("diagnosis"), DiagnosisWire()
-        self._gate = TorqueGate(self.mode, self._on_sample, self.diagnostics.count)
-        restart = self._diagnosis.restart
-        self.driven_by("imu/data", self._gate.put_sample, restart=restart, decode=imu_of)
-        self.reads("torque/command", self._gate.put_torque, decode=vector_of)
+        if self.plant_kind == "free_flight":
+            self._read_flight()
+        else:
+            gate = CommandGate(self.mode, self._on_sample, self.diagnostics.count)
+            self.driven_by("imu/data", gate.put_sample, restart=self._diagnosis.restart, decode=imu_of)
+            self.reads("torque/command", gate.put_command, decode=vector_of)
         self._kept: dict[str, Any] = {}
         if not self.lockstep:
             self.reads("gyro/kept", partial(self._on_kept, "gyro"), decode=vector_of)
@@ -66,6 +72,30 @@ class FaultObserverNode(GraphNode):
         self._alarms: list[bool] = [False] * 3  # elements that are faulty
         self.diagnostics.report("observer", OK, name)
         self.ready()
+
+    def _read_flight(self) -> None:
+        """Read what there is in free flight: a sample waits for its position, then for the rotor speeds."""
+        vehicle, topic = self._diagnosis.law.vehicle, "rotors/command"
+        rotors = len(vehicle.rotors.positions)
+        first = np.full(rotors, vehicle.hover_speed)
+        self.settings.declare(PlaceParameters, "position.", read_only=True)
+        values = self.settings.values()
+        gate = CommandGate(self.mode, self._on_flight, self.diagnostics.count, topic, first)
+
+        def put(stamp_ns: int, sample: ImuSample, place: PositionSample | None) -> None:
+            gate.put_sample(stamp_ns, (sample, place))
+
+        places = PlaceGate(self.mode, values["position.period"], values["position.delay"], put)
+        self.driven_by("imu/data", places.put_sample, restart=self._diagnosis.restart, decode=imu_of)
+        self.reads("position/data", places.put_place, decode=PositionSampleReader())
+        self.reads(topic, gate.put_command, decode=RotorsReader(rotors))
+
+    def _on_flight(
+        self, stamp_ns: int, message: tuple[ImuSample, PositionSample | None], speeds: Floats
+    ) -> None:
+        """Diagnose a sample of a free flight, with the rotor speeds [rad/s] that acted before it."""
+        sample, place = message
+        self._diagnose(stamp_ns, sample, *wrench_from_speeds(self._diagnosis.law.vehicle, speeds), place)
 
     def _on_kept(self, what: str, stamp_ns: int, value: Any) -> None:
         self._kept[what] = value
@@ -79,8 +109,18 @@ class FaultObserverNode(GraphNode):
         self._diagnosis.offer(stamp_ns, last)
 
     def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats) -> None:
+        self._diagnose(stamp_ns, sample, torque, None, None)
+
+    def _diagnose(
+        self,
+        stamp_ns: int,
+        sample: ImuSample,
+        torque: Floats,
+        thrust: Scalar | None,
+        place: PositionSample | None,
+    ) -> None:
         replaced, resumed = self._diagnosis.replaced, self._diagnosis.resumed
-        estimate = self._diagnosis.diagnose(stamp_ns, sample, torque)
+        estimate = self._diagnosis.diagnose(stamp_ns, sample, torque, thrust, place)
         if estimate is None:
             self.diagnostics.count("imu/data: stamp repeated or went back")
             return

@@ -10,70 +10,87 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Set
+from typing import Any
 
 import numpy as np
 
 from quadftc_control.controller import stepper_of
-from quadftc_control.reference import ReferenceGenerator
 from quadftc_fdi.diagnosis import Diagnosis
 from quadftc_fdi.disturbance_observer import DisturbanceEstimation
 from quadftc_flight.flight import Flight, onset_ns, unknown_flight
+from quadftc_flight.guidance import guidance_of
 from quadftc_flight.reported import note_reports
 from quadftc_flight.scenario import Scenario, Scheme
 from quadftc_model.samples import ControllerInputs, DiagnosisReport, FaultEstimate
 from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count
 from quadftc_sim.injector import FaultInjector, Faulty
-from quadftc_sim.simulator import Simulator
+from quadftc_sim.simulator import Emission, Simulator
 
 
 def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = EPOCH_NS) -> Flight:
     """Fly a scenario with one of its schemes (the first by default); the first stamp is ``epoch_ns`` [ns]."""
     chosen = scheme if isinstance(scheme, Scheme) else scenario.scheme(scheme)
     # one object for each node of the graph
-    disturbances = tuple(part.law for part in scenario.disturbances)
-    plant = dataclasses.replace(scenario.plant, disturbances=disturbances)
-    simulator = Simulator(plant, scenario.sensor, period_ns(scenario.rate), epoch_ns, scenario.seed)
+    simulator = _simulator_of(scenario, epoch_ns)
     injector = FaultInjector(scenario.seed, (fault.injection for fault in scenario.faults))
     channels = {fault.injection.channel for fault in scenario.faults}
     diagnosis = Diagnosis(chosen.observer.law)
     disturbance_observer = DisturbanceEstimation(chosen.disturbance_observer.law)
-    reference = ReferenceGenerator([part.law for part in scenario.references])
-    controller = stepper_of(chosen.controller.law, lambda: torque)
+    guidance = guidance_of(scenario, chosen)
+    controller = stepper_of(chosen.controller.law, lambda: given.torque)
 
-    torque = np.zeros(3)  # command of the last sample [N m]
+    given = guidance.before
     reports = list[DiagnosisReport]()  # on the topic `diagnosis`
     count, delay = sample_count(scenario.duration, scenario.rate), simulator.sensor.delay
     flight = unknown_flight(epoch_ns + simulator.period_ns * np.arange(count))
     for row in range(count):
         # the vehicle moves under the torque; what its IMU says now was taken `delay` rows before
-        emission = simulator.advance(torque) if row else simulator.start()
-        flight.angles[row], flight.body_rate[row] = emission.angles, emission.body_rate
-        flight.disturbance[row] = emission.disturbance
+        emission = simulator.advance(given.command) if row else simulator.start()
+        _note_motion(flight, row, emission)
         if emission.sample is None:
             continue
         stamp_ns, taken = emission.sample_stamp_ns, row - delay
         injected = injector.apply(stamp_ns, emission.sample)
-        if not injected.present:  # withheld: the torque stays
+        place = emission.place if emission.place is not None and emission.place.there else None
+        if not injected.present:  # withheld: the command stays
             continue
         # the nodes react; none refuses the sample, as stamps increase
-        estimate = diagnosis.diagnose(stamp_ns, injected.sample, torque)
+        estimate = diagnosis.diagnose(stamp_ns, injected.sample, *guidance.acted(given), place)
         assert estimate is not None
-        disturbance = disturbance_observer.estimate(stamp_ns, estimate.corrected, torque)
+        disturbance = disturbance_observer.estimate(stamp_ns, estimate.corrected, given.torque)
         assert disturbance is not None
-        wanted = reference.at(stamp_ns)
-        output = controller.step(stamp_ns, ControllerInputs(estimate.corrected, wanted, disturbance))
+        wanted = guidance.at(stamp_ns, estimate.corrected, place)
+        output = controller.step(stamp_ns, ControllerInputs(estimate.corrected, wanted.attitude, disturbance))
         assert output is not None
-        torque = output.torque
+        given, output = guidance.actuated(wanted.thrust, output)
         # what is known now of the sample
         flight.delivered[taken] = True
         _note_truth(flight, taken, injected, channels)
         _note_estimate(flight, taken, estimate)
         reports += filter(None, [diagnosis.report(stamp_ns, estimate)])
-        flight.disturbance_estimate[taken], flight.reference[taken] = disturbance, wanted.angles
-        flight.torque[taken], flight.saturated[taken] = torque, output.saturated
+        flight.disturbance_estimate[taken], flight.reference[taken] = disturbance, wanted.attitude.angles
+        flight.torque[taken], flight.saturated[taken] = output.torque, output.saturated
+        guidance.note(flight, taken)
         flight.error[taken], flight.sliding_variable[taken] = output.error, output.sliding_variable
     note_reports(flight, reports)
     return flight.first(max(count - delay, 0))  # the samples that came out before the end
+
+
+def _simulator_of(scenario: Scenario, epoch_ns: int) -> Simulator:
+    """Return the vehicle of a scenario in its disturbances, and in free flight in its winds."""
+    changes: dict[str, Any] = {"disturbances": tuple(part.law for part in scenario.disturbances)}
+    if scenario.plant.flies:
+        changes["winds"] = tuple(part.law for part in scenario.winds)
+    plant, period = dataclasses.replace(scenario.plant, **changes), period_ns(scenario.rate)
+    return Simulator(plant, scenario.sensor, period, epoch_ns, scenario.seed, scenario.position_sensor)
+
+
+def _note_motion(flight: Flight, row: int, emission: Emission) -> None:
+    """Note how the vehicle moves."""
+    flight.angles[row], flight.body_rate[row] = emission.angles, emission.body_rate
+    flight.disturbance[row] = emission.disturbance
+    if emission.flight is not None:
+        flight.position[row] = emission.flight.position
 
 
 def _note_truth(flight: Flight, row: int, injected: Faulty, channels: Set[str]) -> None:

@@ -72,6 +72,10 @@ class Flight:
     disturbance: Floats = _column("disturbance/applied")  # true, as an angular acceleration [rad/s²]
     disturbance_estimate: Floats = _column("disturbance/estimate")  # [rad/s²]
     torque: Floats = _column("torque/command")  # command [N m]
+    # in free flight, earth axes
+    position: Floats = _column("plant/odometry", "pose.pose.position")  # true [m]
+    position_reference: Floats = _column("position/reference", "pose.position")  # [m]
+    position_estimate: Floats = _column("position/estimate", "pose.pose.position")  # [m]
     error: Floats = _column("control/status", "error")  # attitude less reference, to the controller [rad]
     sliding_variable: Floats = _column("control/status", "sliding_variable")  # [rad/s]
     saturated: NDArray[np.bool_] = _column("control/status", "saturated", np.False_)  # the torque was cut
@@ -84,7 +88,7 @@ class Flight:
         return Flight(**{field.name: getattr(self, field.name)[:rows] for field in dataclasses.fields(self)})
 
 
-_KNOWN_WHEN_WITHHELD = ("angles", "body_rate", "disturbance")
+_KNOWN_WHEN_WITHHELD = ("angles", "body_rate", "disturbance", "position")
 _COLUMNS = {field.name: field.metadata for field in dataclasses.fields(Flight) if field.metadata}
 VECTORS = tuple(name for name, column in _COLUMNS.items() if np.isnan(column["unknown"]).all())
 

@@ -60,6 +60,9 @@ def flight_metrics(
         "fault_windows": [_window(window, time, tracking, estimate) for window in windows],
         "disturbance_estimate_rmse": _per_axis(rms, flight.disturbance_estimate - flight.disturbance),
         **_effort(flight),
+        "position_rmse_m": rms(_distance(flight.position, flight.position_reference)),
+        "position_max_m": largest(_distance(flight.position, flight.position_reference)),
+        "position_estimate_rmse_m": rms(_distance(flight.position_estimate, flight.position)),
         "max_tilt_deg": largest(np.degrees(tilt)),
         "attitude_error_rms_deg": rms(error),
         "attitude_error_max_deg": largest(error),
@@ -98,6 +101,11 @@ def entries(place: Any) -> Iterator[tuple[str, Any]]:
 def _tilt(angles: Floats) -> Floats:
     """Angle between the body's z axis and the vertical [rad] (n,)."""
     return np.arccos(np.clip(np.cos(angles[:, 0]) * np.cos(angles[:, 1]), -1.0, 1.0))
+
+
+def _distance(place: Floats, other: Floats) -> Floats:
+    """Distance of two places [m] (n,)."""
+    return np.linalg.norm(place - other, axis=1)
 
 
 def _is_lost(flight: Flight, tilt: Floats) -> bool:

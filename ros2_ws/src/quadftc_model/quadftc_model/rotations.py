@@ -120,6 +120,18 @@ def turn(q_xyzw: Quaternion, rotation_vector: Vector) -> Quaternion:
     return normalise(quaternion_product(q_xyzw, quaternion_from_rotation_vector(rotation_vector)))
 
 
+def turned(q: Sequence[Any], vector: Sequence[Any]) -> list[Any]:
+    """Components of a vector turned by a unit quaternion (a, w): v + 2 w a x v + 2 a x (a x v)."""
+    x, y, z, w = q
+    a, b, c = vector
+    p, r, s = y * c - z * b, z * a - x * c, x * b - y * a
+    return [
+        a + 2.0 * (w * p + (y * s - z * r)),
+        b + 2.0 * (w * r + (z * p - x * s)),
+        c + 2.0 * (w * s + (x * r - y * p)),
+    ]
+
+
 def earth_z_in_body(q_xyzw: Quaternion) -> Vector:
     """The earth's vertical in body axes (..., 3): the third row of the rotation matrix body to earth."""
     x, y, z, w = components(q_xyzw)
@@ -128,22 +140,13 @@ def earth_z_in_body(q_xyzw: Quaternion) -> Vector:
 
 def to_earth(q_xyzw: Quaternion, vector: Vector) -> Vector:
     """Turn a vector (..., 3) from body to earth axes."""
-    x, y, z, w = components(q_xyzw)
-    return stacked(_turned((x, y, z), w, components(vector)))
+    return stacked(turned(components(q_xyzw), components(vector)))
 
 
 def to_body(q_xyzw: Quaternion, vector: Vector) -> Vector:
     """Turn a vector (..., 3) from earth to body axes."""
     x, y, z, w = components(q_xyzw)
-    return stacked(_turned((x, y, z), -w, components(vector)))
-
-
-def _turned(axis: Sequence[Any], w: Any, vector: Sequence[Any]) -> list[Any]:
-    """Return v + 2 w (a x v) + 2 a x (a x v), for a unit quaternion (a, w)."""
-    x, y, z = axis
-    p, q, r = vector
-    a, b, c = 2.0 * (y * r - z * q), 2.0 * (z * p - x * r), 2.0 * (x * q - y * p)
-    return [p + w * a + y * c - z * b, q + w * b + z * a - x * c, r + w * c + x * b - y * a]
+    return stacked(turned((x, y, z, -w), components(vector)))
 
 
 def euler_rates(angles: Vector, body_rate: Vector) -> Vector:

@@ -6,13 +6,19 @@ and with it the body torque (y F, -x F, reaction torque).
 
 from __future__ import annotations
 
-from quadftc_model.arrays import Components, Vector, changed_where, clip, namespace
+from quadftc_model.arrays import Components, Scalar, Vector, changed_where, clip, namespace
 from quadftc_model.vehicle import Vehicle
 
 
 def torque_from_commands(vehicle: Vehicle, commands: Components) -> Vector:
     """Body torque [N m] (..., 3) of the rotor commands (..., n): the first term of (2)."""
     return commands @ vehicle.mixer.T
+
+
+def wrench_from_speeds(vehicle: Vehicle, speeds: Components) -> tuple[Vector, Scalar]:
+    """Body torque [N m] (..., 3) and thrust [N] (...) of rotor speeds [rad/s] (..., n)."""
+    wrench = (vehicle.rotors.thrust_coefficient * speeds * speeds) @ vehicle.effectiveness.T
+    return wrench[..., 1:], wrench[..., 0]
 
 
 def commands_from_torque(vehicle: Vehicle, torque: Vector) -> Components:

@@ -20,7 +20,7 @@ from quadftc_bags.bag import BagError
 from quadftc_bags.writer import BagWriter
 from quadftc_replay.imu_from_bag import IMU, VECTOR, recording_from_bag, windows_of
 from quadftc_replay.imu_recording import keep_good_stamps, torque_before
-from quadftc_ros.join import TorqueGate
+from quadftc_ros.join import CommandGate
 
 PERIOD_NS = 10_000_000
 START_NS = 5_000_000_000
@@ -243,10 +243,10 @@ def test_torque_is_paired_with_samples_as_the_graph_does_in_lockstep():
     commands = rng.standard_normal((len(stamps), 3))
     commands[rng.random(len(stamps)) < 0.1, 1] = np.nan
     given: list[np.ndarray] = []
-    gate = TorqueGate("lockstep", lambda stamp_ns, message, torque: given.append(torque), str)
+    gate = CommandGate("lockstep", lambda stamp_ns, message, torque: given.append(torque), str)
     for stamp_ns, command in zip(stamps.tolist(), commands, strict=True):
         gate.put_sample(stamp_ns, None)
-        gate.put_torque(stamp_ns, command)
+        gate.put_command(stamp_ns, command)
     np.testing.assert_array_equal(torque_before(stamps, stamps, commands), given)
 
 

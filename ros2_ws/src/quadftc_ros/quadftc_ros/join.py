@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from quadftc_model.samples import is_usable
+from quadftc_model.parameters import parameter
+from quadftc_model.samples import PositionSample, is_usable
 from quadftc_ros.conversions import Floats
 
 DEPTH = 64  # samples that may be incomplete at a time; older ones are given up
@@ -45,32 +47,38 @@ class StampJoin:
             self.given_up += 1
 
 
-class TorqueGate:
-    """Call ``callback(stamp_ns, message, torque)`` for IMU samples, with the torque that acted before each.
+class CommandGate:
+    """Call ``callback(stamp_ns, message, command)`` for IMU samples, with the command that acted before each.
 
     In real time that is the latest. In lock-step a sample waits for the command of the sample before; a stamp
-    that is not later than the last begins a new flight. A torque that is not finite is replaced by the one
-    before, and ``count`` gets the reason.
+    that is not later than the last begins a new flight. A command that is not finite is replaced by the one
+    before, and ``count`` gets the reason, with the ``topic``. ``first`` acts before any.
     """
 
     def __init__(
-        self, mode: str, callback: Callable[[int, Any, Floats], None], count: Callable[[str], None]
+        self,
+        mode: str,
+        callback: Callable[[int, Any, Floats], None],
+        count: Callable[[str], None],
+        topic: str = "torque/command",
+        first: Floats | None = None,
     ) -> None:
         self._lockstep = mode == "lockstep"
-        self._callback, self._count = callback, count
+        self._callback, self._count, self._topic = callback, count, topic
+        self._first = np.zeros(3) if first is None else first
         self._samples: deque[tuple[int, Any]] = deque(maxlen=DEPTH)
         self._newest_ns = -1
         self._begin()
 
     def _begin(self) -> None:
         self._samples.clear()
-        self._torque, self._torque_stamp_ns = np.zeros(3), -1
+        self._command, self._command_stamp_ns = self._first, -1
         self._awaited_ns: int | None = None  # stamp of the last sample passed on
 
     def put_sample(self, stamp_ns: int, message: Any) -> None:
         """Add a sample [stamp in ns]."""
         if not self._lockstep:
-            self._callback(stamp_ns, message, self._torque)
+            self._callback(stamp_ns, message, self._command)
             return
         if stamp_ns <= self._newest_ns:
             self._begin()
@@ -78,16 +86,88 @@ class TorqueGate:
         self._samples.append((stamp_ns, message))
         self._release()
 
-    def put_torque(self, stamp_ns: int, torque: Floats) -> None:
-        """Add a command [stamp in ns, N m (3,)]."""
-        if is_usable(torque):
-            self._torque = torque
+    def put_command(self, stamp_ns: int, command: Floats) -> None:
+        """Add a command [stamp in ns]: a torque [N m] (3,), or rotor speeds [rad/s] (n,)."""
+        if is_usable(command):
+            self._command = command
         else:
-            self._count("torque/command: not finite")
-        self._torque_stamp_ns = stamp_ns
+            self._count(f"{self._topic}: not finite")
+        self._command_stamp_ns = stamp_ns
         self._release()
 
     def _release(self) -> None:
-        while self._samples and self._awaited_ns in (None, self._torque_stamp_ns):
+        while self._samples and self._awaited_ns in (None, self._command_stamp_ns):
             self._awaited_ns, message = self._samples.popleft()
-            self._callback(self._awaited_ns, message, self._torque)
+            self._callback(self._awaited_ns, message, self._command)
+
+
+@dataclasses.dataclass(frozen=True)
+class PlaceParameters:
+    """When positions come."""
+
+    period: float = parameter(0.01, unit="s", low=1e-4, high=10.0, doc="of the position sensor; in lock-step")
+    delay: float = parameter(
+        0.0, unit="s", low=0.0, high=1.0, doc="of a position behind the IMU; in lock-step"
+    )
+
+
+class PlaceGate:
+    """Call ``callback(stamp_ns, message, place)`` for IMU samples, with what the position sensor says then.
+
+    ``place`` is None where nothing came. In real time it is what came last, once. In lock-step a sample waits
+    for the position that belongs to it: every ``period`` [s] from the first sample on, ``delay`` [s] behind.
+    """
+
+    def __init__(
+        self,
+        mode: str,
+        period: float,
+        delay: float,
+        callback: Callable[[int, Any, PositionSample | None], None],
+    ) -> None:
+        self._lockstep = mode == "lockstep"
+        self._period_ns, self._delay_ns = (round(each * 1e9) for each in (period, delay))
+        self._callback = callback
+        self._newest_ns = -1
+        self._begin(0)
+
+    def _begin(self, stamp_ns: int) -> None:
+        self._first_ns = stamp_ns
+        self._samples: deque[tuple[int, Any]] = deque(maxlen=DEPTH)
+        self._places: dict[int, PositionSample] = {}
+
+    def put_sample(self, stamp_ns: int, message: Any) -> None:
+        """Add a sample of the IMU [stamp in ns]."""
+        if not self._lockstep:
+            newest = self._places.popitem()[1] if self._places else None
+            self._places.clear()
+            self._callback(stamp_ns, message, newest)
+            return
+        if stamp_ns <= self._newest_ns or self._newest_ns < 0:
+            early = {known: place for known, place in self._places.items() if known >= stamp_ns}
+            self._begin(stamp_ns)
+            self._places = early
+        self._newest_ns = stamp_ns
+        self._samples.append((stamp_ns, message))
+        self._release()
+
+    def put_place(self, stamp_ns: int, place: PositionSample) -> None:
+        """Add what the position sensor measured at a stamp [ns]."""
+        self._places[stamp_ns] = place
+        if self._lockstep:
+            self._release()
+        elif len(self._places) > DEPTH:
+            del self._places[min(self._places)]
+
+    def _release(self) -> None:
+        while self._samples:
+            stamp_ns, message = self._samples[0]
+            measured_ns = stamp_ns - self._delay_ns
+            elapsed_ns = measured_ns - self._first_ns
+            due = elapsed_ns >= 0 and elapsed_ns % self._period_ns == 0
+            if due and measured_ns not in self._places:
+                return
+            self._samples.popleft()
+            place = self._places.get(measured_ns)
+            self._places = {known: each for known, each in self._places.items() if known > measured_ns}
+            self._callback(stamp_ns, message, place)

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from quadftc_ros.join import DEPTH, StampJoin, TorqueGate
+from quadftc_ros.join import DEPTH, CommandGate, StampJoin
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def gate_of(mode, passed, count=str):
     def pass_on(stamp, message, torque):
         passed.append((stamp, message, torque.tolist()))
 
-    return TorqueGate(mode, pass_on, count)
+    return CommandGate(mode, pass_on, count)
 
 
 def torque(size):
@@ -80,8 +80,8 @@ def test_lockstep_pairs_each_sample_with_the_command_of_the_one_before(passed):
     gate.put_sample(1, "s1")
     gate.put_sample(2, "s2")  # early: its torque has not come yet
     assert passed == [(1, "s1", [0.0] * 3)]
-    gate.put_torque(1, torque(10))
-    gate.put_torque(2, torque(20))  # the next time the torque is early
+    gate.put_command(1, torque(10))
+    gate.put_command(2, torque(20))  # the next time the torque is early
     gate.put_sample(3, "s3")
     assert passed[1:] == [(2, "s2", [10.0] * 3), (3, "s3", [20.0] * 3)]
 
@@ -90,7 +90,7 @@ def test_lockstep_ignores_the_command_of_another_sample(passed):
     gate = gate_of("lockstep", passed)
     gate.put_sample(1, "s1")
     gate.put_sample(2, "s2")
-    gate.put_torque(7, torque(70))
+    gate.put_command(7, torque(70))
     assert [stamp for stamp, *_ in passed] == [1]
 
 
@@ -105,8 +105,8 @@ def test_lockstep_begins_anew_when_stamps_go_back(passed):
 def test_real_time_takes_the_latest_command(passed):
     gate = gate_of("realtime", passed)
     gate.put_sample(1, "s1")
-    gate.put_torque(1, torque(10))
-    gate.put_torque(2, torque(20))
+    gate.put_command(1, torque(10))
+    gate.put_command(2, torque(20))
     gate.put_sample(9, "s9")
     assert passed == [(1, "s1", [0.0] * 3), (9, "s9", [20.0] * 3)]
 
@@ -117,10 +117,10 @@ def test_command_that_is_no_number_is_replaced_by_the_one_before(passed, mode, b
     counted = []
     gate = gate_of(mode, passed, counted.append)
     gate.put_sample(1, "s1")
-    gate.put_torque(1, torque(10))
+    gate.put_command(1, torque(10))
     gate.put_sample(2, "s2")
     assert not counted
-    gate.put_torque(2, np.array([1.0, bad, 1.0]))
+    gate.put_command(2, np.array([1.0, bad, 1.0]))
     assert counted == ["torque/command: not finite"]
     gate.put_sample(3, "s3")
     assert [row[2] for row in passed] == [[0.0] * 3, [10.0] * 3, [10.0] * 3]

@@ -1,8 +1,10 @@
 # pyright: basic
 """The plant node: flies the simulated vehicle and publishes its IMU.
 
-Inputs: torque/command; fault/dropped (a sample that nobody will answer, in lock-step).
-Outputs: plant/imu; the truth on plant/attitude, plant/rate and disturbance/applied; /clock in lock-step.
+Inputs: torque/command, in free flight rotors/command; fault/dropped (a sample that nobody will answer, in
+lock-step).
+Outputs: plant/imu; the truth on plant/attitude, plant/rate and disturbance/applied; /clock in lock-step. In
+free flight position/data, rotors/speed, and the truth on plant/odometry and wind/applied.
 Services: ~/start, ~/reset (std_srvs/Trigger: a new flight begins). In lock-step the stamps restart, by which
 the other nodes know it. In real time the plant pauses until their laws take the next sample for the first;
 call ~/reset of fault_injector and reference too, to restart the schedules of faults and references.
@@ -24,12 +26,14 @@ from quadftc_model.stepper import MAX_GAP, seconds
 from quadftc_ros.conversions import Floats
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
+from quadftc_ros.motion_wire import RotorsReader
 from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import missing_connections
 from quadftc_ros.wire import vector_of
 from quadftc_sim.assembly import EPOCH_NS, PlantParameters, flight_from
-from quadftc_sim.plant import Plant
+from quadftc_sim.plant import plants
 from quadftc_sim.plant_output import PlantOutput
+from quadftc_sim.position_sensor import PositionSensor
 from quadftc_sim.sensors import ImuSensor
 from quadftc_sim.simulator import NEVER_NS
 
@@ -50,15 +54,26 @@ class PlantNode(GraphNode):
         super().__init__("plant", **kwargs)
         self._timed = timed and not self.lockstep
         self.settings.declare(PlantParameters, read_only=True)
-        self.settings.declare(Plant, read_only=True)
+        law = plants.get(self.settings.values()["plant"])
+        self.settings.declare(law, read_only=True)
         self.settings.declare(ImuSensor, "imu.", read_only=True)
+        if law.flies:
+            self.settings.declare(PositionSensor, "position.", read_only=True)
+            self.settings.declare_list(
+                "winds", "each: kind key=value..., e.g. 'constant velocity_mean=2,0,0'"
+            )
         example = "constant start=5s amplitude=0.1Nm"
         self.settings.declare_list("disturbances", f"each: kind key=value..., e.g. '{example}'")
         self._values = self.settings.values()
-        self._output = PlantOutput(self, each_sample)
         self._make_flight(0)
         self._rests_until_ns = 0  # real time: does not emit before, however late
-        self.reads("torque/command", self._on_torque, decode=vector_of)
+        rotors, simulator = self.flight.simulator.plant.command_size, self.flight.simulator
+        self._output = PlantOutput(
+            self, each_sample, (rotors, simulator.position_sensor) if law.flies else None
+        )
+        self._topic = "rotors/command" if law.flies else "torque/command"
+        decode = RotorsReader(rotors) if law.flies else vector_of
+        self.reads(self._topic, self._on_command, decode=decode)
         self.reads("fault/dropped", self._on_dropped)
         self.offers("start", Trigger, self._on_start)
         self.offers_reset(self._restart, "a new flight begins")
@@ -100,8 +115,8 @@ class PlantNode(GraphNode):
         lost = self.flight.torque_lost
         if lost is not self._torque_lost:
             self._torque_lost = lost
-            level, words = (ERROR, "does not come: zero torque") if lost else (OK, "comes")
-            self.diagnostics.report("torque", level, f"torque/command {words}")
+            level, words = (ERROR, "does not come: zero acts") if lost else (OK, "comes")
+            self.diagnostics.report("torque", level, f"{self._topic} {words}")
 
     def report(self) -> None:
         """Report how far the flight is, and in real time how far behind the clock."""
@@ -145,11 +160,11 @@ class PlantNode(GraphNode):
         if not missing_connections(self.get_name(), self.connections(), plant=self.plant_kind):
             self.start()
 
-    def _on_torque(self, stamp_ns: int, torque: Floats) -> None:
-        if is_usable(torque):
-            self.flight.command(torque)
+    def _on_command(self, stamp_ns: int, command: Floats) -> None:
+        if is_usable(command):
+            self.flight.command(command)
         else:
-            self.diagnostics.count("torque/command: not finite")
+            self.diagnostics.count(f"{self._topic}: not finite")
         if stamp_ns == self.flight.awaited_ns and self.lockstep:
             self._emit()
         elif stamp_ns == self.flight.awaited_ns:

@@ -7,20 +7,29 @@ from collections.abc import Callable
 
 from rosgraph_msgs.msg import Clock
 
+from quadftc_model.rotations import to_body
 from quadftc_ros.conversions import NANOSECONDS
+from quadftc_ros.motion_wire import OdometryWire, PositionSampleWire, RotorsWire
 from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import BASE_FRAME, EARTH_FRAME
 from quadftc_ros.wire import ImuWire, VectorWire
+from quadftc_sim.position_sensor import PositionSensor
 from quadftc_sim.simulator import Emission
 
 
 class PlantOutput:
     """What the plant publishes of an emission: the IMU sample at once, the truth when nobody waits for it.
 
-    ``each_sample()`` is called after each emission.
+    ``each_sample()`` is called after each emission. ``flight`` is there in free flight: the number of rotors
+    and the position sensor.
     """
 
-    def __init__(self, node: GraphNode, each_sample: Callable[[], None]) -> None:
+    def __init__(
+        self,
+        node: GraphNode,
+        each_sample: Callable[[], None],
+        flight: tuple[int, PositionSensor | None] | None,
+    ) -> None:
         self._node, self._each_sample = node, each_sample
         self._publish_imu, self._imu = node.publishes("plant/imu"), ImuWire()
         body = VectorWire(BASE_FRAME)
@@ -29,6 +38,7 @@ class PlantOutput:
             (node.publishes("plant/rate"), body, "body_rate"),
             (node.publishes("disturbance/applied"), body, "disturbance"),
         )
+        self._flight = FlightOutput(node, *flight) if flight is not None else None
         self._publish_clock = node.publishes("/clock") if node.lockstep else None
         self._clock = Clock()
         self._stamp_ns = 0  # of the last emission
@@ -44,7 +54,9 @@ class PlantOutput:
         if self._publish_clock is not None:
             self._clock.clock.sec, self._clock.clock.nanosec = divmod(emission.stamp_ns, NANOSECONDS)
             self._publish_clock(self._clock)
-        if emission.sample is not None:  # first, as others wait for it
+        if self._flight is not None:
+            self._flight.show_place(emission)
+        if emission.sample is not None:  # before the truth, as others wait for it
             self._publish_imu(self._imu(emission.sample_stamp_ns, emission.sample))
         self.pending, self._stamp_ns = emission, emission.stamp_ns
         if self._publish_clock is not None:
@@ -57,5 +69,35 @@ class PlantOutput:
         self.pending = None
         for publish, wire, name in self._truth:
             publish(wire(emission.stamp_ns, getattr(emission, name)))
+        if self._flight is not None:
+            self._flight.show_truth(emission)
         self._node.sampled(emission.stamp_ns)
         self._each_sample()
+
+
+class FlightOutput:
+    """What the plant publishes of an emission in free flight besides."""
+
+    def __init__(self, node: GraphNode, rotors: int, sensor: PositionSensor | None) -> None:
+        self._publish_odometry, self._odometry = node.publishes("plant/odometry"), OdometryWire()
+        self._publish_speeds, self._speeds = node.publishes("rotors/speed"), RotorsWire(rotors)
+        self._publish_wind, self._wind = node.publishes("wind/applied"), VectorWire(EARTH_FRAME)
+        self._publish_place = node.publishes("position/data")
+        self._place = sensor and PositionSampleWire(
+            max(sensor.noise), max(sensor.velocity_noise), sensor.gives_velocity
+        )
+
+    def show_place(self, emission: Emission) -> None:
+        """Publish what the position sensor says now."""
+        if self._place is not None and emission.place is not None and emission.place.there:
+            self._publish_place(self._place(emission.place_stamp_ns, emission.place))
+
+    def show_truth(self, emission: Emission) -> None:
+        """Publish the true motion of vehicle, rotors and air."""
+        motion, stamp_ns = emission.flight, emission.stamp_ns
+        assert motion is not None
+        position, velocity, q_xyzw, speeds, wind = motion
+        forward = to_body(q_xyzw, velocity)
+        self._publish_odometry(self._odometry(stamp_ns, position, q_xyzw, forward, emission.body_rate))
+        self._publish_speeds(self._speeds(stamp_ns, speeds))
+        self._publish_wind(self._wind(stamp_ns, wind))

@@ -73,6 +73,7 @@ class Simulator:
         self._dt = seconds(period_ns)
         self._random = SensorDraws(seed)
         self._sensor_state = sensor.turn_on(self._random.turn_on)
+        self.position_sensor = place
         self._place = _PlaceSensor(place, self._random, sensor.delay, self._dt) if place is not None else None
         self._state: Any = plant.init(quaternion_from_euler(np.zeros(3)), np.zeros(3))
 
@@ -146,10 +147,11 @@ class PlantFlight:
     """
 
     def __init__(self, simulator: Simulator, count: int, torque_timeout: float, begin_ns: int) -> None:
-        self._simulator, self.period_ns = simulator, simulator.period_ns
+        self.simulator, self.period_ns = simulator, simulator.period_ns
         self._count, self._torque_timeout, self._begin_ns = count, torque_timeout, begin_ns
-        self._nothing = np.zeros(simulator.plant.command_size)
-        self._command, self._command_age = self._nothing, 0.0  # the last, and how long ago it came [s]
+        plant = simulator.plant
+        self._nothing = np.zeros(plant.command_size)
+        self._command, self._command_age = plant.first_command, 0.0  # the last, and how long ago it came [s]
         self._ahead: Emission | None = None  # of the period that is flown already
         self.emitted = 0
         self.finished = False
@@ -184,7 +186,7 @@ class PlantFlight:
     def fly_ahead(self) -> None:
         """Fly the next period already, under the last torque."""
         if self._ahead is None and not self.finished:
-            self._ahead = self._simulator.advance(self._command)
+            self._ahead = self.simulator.advance(self._command)
 
     def emission(self) -> Emission | None:
         """Return the next emission; None if there is none, as the flight has had its length."""
@@ -193,7 +195,7 @@ class PlantFlight:
             return None
         emission = self._ahead
         if emission is None:
-            emission = self._simulator.advance(self._command) if self.emitted else self._simulator.start()
+            emission = self.simulator.advance(self._command) if self.emitted else self.simulator.start()
         self._ahead = None
         self.emitted += 1
         self.awaited_ns = None if emission.sample is None else emission.sample_stamp_ns

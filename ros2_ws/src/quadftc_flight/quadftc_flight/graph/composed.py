@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from quadftc_control.controller_node import ControllerNode
+from quadftc_control.position_controller_node import PositionControllerNode
 from quadftc_control.reference_node import ReferenceNode
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer_node import FaultObserverNode
@@ -24,6 +25,7 @@ NODE_CLASSES: dict[str, type[Any]] = {
     "fault_observer": FaultObserverNode,
     "disturbance_observer": DisturbanceObserverNode,
     "reference": ReferenceNode,
+    "position_controller": PositionControllerNode,
     "controller": ControllerNode,
     "plant": PlantNode,
 }

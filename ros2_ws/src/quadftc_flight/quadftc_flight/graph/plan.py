@@ -21,6 +21,7 @@ EXECUTABLES: dict[str, tuple[str, str]] = {
     "controller": ("quadftc_control", "controller"),
     "disturbance_observer": ("quadftc_fdi", "disturbance_observer"),
     "reference": ("quadftc_control", "reference"),
+    "position_controller": ("quadftc_control", "position_controller"),
 }
 
 CONNECT_TIMEOUT = 30.0  # s; to find each other

@@ -33,6 +33,7 @@ from quadftc_flight.scenario.model import (
     ScheduledFault,
     Scheme,
     build_scenario,
+    estimator_for,
     keys_of,
     node_parameters,
     problems_of,
@@ -95,6 +96,8 @@ def with_duration(scenario: Scenario, duration: float) -> Scenario:
         "references": [part.law for part in scenario.references],
         "disturbances": [part.law for part in scenario.disturbances],
         "faults": [fault.injection for fault in scenario.faults],
+        "wind": [part.law for part in scenario.winds],
+        "trajectories": [part.law for part in scenario.trajectories],
     }
     for key, laws in scheduled.items():
         pairs = zip(scenario.raw.get(key) or (), laws, strict=True)

@@ -12,6 +12,7 @@ from typing import Any, TypeVar, cast
 from pydantic import ValidationError, ValidationInfo
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from quadftc_control.position_controller import position_controllers
 from quadftc_flight.scenario.document import Document
 from quadftc_model.hints import nearest
 from quadftc_model.parameters import build, convert, parameters_of
@@ -84,6 +85,7 @@ class Setting:
     document: Document | None = None  # the scenario file; a path of a vehicle is relative to its directory
     duration: float = math.inf  # [s]; what starts or stops later is wrong
     vehicle: Vehicle | None = None  # None: it could not be loaded; then nothing is built that depends on it
+    flies: bool = False  # in free flight, not on the test stand
 
 
 class _Mistakes:
@@ -176,9 +178,10 @@ def load_vehicle_of(name: str, info: ValidationInfo) -> str:
 
 def build_plant(raw: Any, info: ValidationInfo) -> Plant | None:
     """Build the plant, without its disturbances and winds; None without a vehicle."""
-    mistakes, vehicle = _Mistakes(), cast("Setting", info.context).vehicle
-    values = {"kind": "test_stand", **_mapping(raw, "a mapping")}
+    setting, mistakes = cast("Setting", info.context), _Mistakes()
+    vehicle, values = setting.vehicle, {"kind": "test_stand", **_mapping(raw, "a mapping")}
     _, law = mistakes.kind_in(plants, values)
+    setting.flies = law.flies
     given = mistakes.convert(law, values, ("kind",))
     return mistakes.build(lambda: vehicle and build(law, given, vehicle=vehicle), given)
 
@@ -188,9 +191,24 @@ def build_sensor(raw: Any) -> ImuSensor:
     return _build_graded(ImuSensor, GRADES, raw)
 
 
-def build_position_sensor(raw: Any) -> PositionSensor | None:
-    """Build the position sensor: a grade, with single parameters changed; None: there is none."""
-    return None if raw is None else _build_graded(PositionSensor, POSITION_GRADES, raw)
+def build_position_sensor(raw: Any, info: ValidationInfo) -> PositionSensor | None:
+    """Build the position sensor of a free flight: a grade, with single parameters changed."""
+    if not cast("Setting", info.context).flies:
+        return in_flight_only(raw)
+    return _build_graded(PositionSensor, POSITION_GRADES, raw or {"grade": "mocap"})
+
+
+def build_position_controller(raw: Any, info: ValidationInfo) -> Part | None:
+    """Build the position controller of a free flight; there, `geometric` is the default."""
+    if not cast("Setting", info.context).flies:
+        return in_flight_only(raw)
+    return part_builder(position_controllers, of_vehicle=True)(raw or "geometric", info)
+
+
+def in_flight_only(raw: Any) -> None:
+    """Refuse what a test stand has no use for."""
+    if raw is not None:
+        raise ValueError("only in free flight: expected 'plant: {kind: free_flight}'")
 
 
 def _build_graded(kind: type[T], grades: Mapping[str, Mapping[str, Any]], raw: Any) -> T:

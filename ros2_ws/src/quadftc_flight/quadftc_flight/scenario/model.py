@@ -8,7 +8,7 @@ from __future__ import annotations
 import copy
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
@@ -16,7 +16,9 @@ import pydantic
 from pydantic import AfterValidator, BaseModel, Field, PlainValidator, PrivateAttr, ValidationError
 
 from quadftc_control.controller import controllers
+from quadftc_control.position_estimator import PositionEstimator
 from quadftc_control.reference import references
+from quadftc_control.trajectory import trajectories
 from quadftc_fdi.disturbance_observer import disturbance_observers
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, fault_events, fault_windows
@@ -25,10 +27,14 @@ from quadftc_flight.scenario.components import Fault, Part, Setting, part_builde
 from quadftc_flight.scenario.document import Document, Keys, Problem, ScenarioError
 from quadftc_model.assembly import NodeValue, node_values
 from quadftc_model.hints import nearest
+from quadftc_model.stepper import seconds
 from quadftc_model.units import quantity
+from quadftc_sim.assembly import period_ns
 from quadftc_sim.disturbance import disturbances
-from quadftc_sim.plant import Plant
+from quadftc_sim.plant import Plant, plants
+from quadftc_sim.position_sensor import PositionSensor
 from quadftc_sim.sensors import ImuSensor
+from quadftc_sim.wind import winds
 
 MAX_SEED = 2**31 - 1
 LAG_A_STEP = 2.0  # 1; motor bandwidth times integration step; from 2.78 on Runge-Kutta of order 4 is unstable
@@ -70,6 +76,9 @@ DisturbanceObserver = Annotated[Part, PlainValidator(part_builder(disturbance_ob
 Controller = Annotated[Part, PlainValidator(part_builder(controllers, of_vehicle=True))]
 Reference = Annotated[Part, PlainValidator(part_builder(references, of_vehicle=False))]
 Disturbance = Annotated[Part, PlainValidator(part_builder(disturbances, of_vehicle=False))]
+Wind = Annotated[Part, PlainValidator(part_builder(winds, of_vehicle=False))]
+Trajectory = Annotated[Part, PlainValidator(part_builder(trajectories, of_vehicle=False))]
+PositionController = Annotated[Part | None, PlainValidator(components.build_position_controller)]
 ScheduledFault = Annotated[Fault, PlainValidator(components.build_fault)]
 
 
@@ -102,6 +111,7 @@ class Scheme(_Shape):
     observer: Observer = cast("Part", "none")
     disturbance_observer: DisturbanceObserver = cast("Part", "none")
     controller: Controller
+    position_controller: PositionController = None  # in free flight
     checks: tuple[Check, ...] = Field(default=(), strict=False)
     _name: str = PrivateAttr("")
 
@@ -121,11 +131,15 @@ class Scenario(_Shape):
     seed: int = Field(default=0, ge=0, le=MAX_SEED)
     # name, or absolute path of a TOML file
     vehicle: Annotated[str, AfterValidator(components.load_vehicle_of)]
-    # without the disturbances
+    # without disturbances and winds
     plant: Annotated[Plant, PlainValidator(components.build_plant)] = cast("Plant", {})
     sensor: Annotated[ImuSensor, PlainValidator(components.build_sensor)] = Field(
         default=cast("ImuSensor", {}), alias="sensors"
     )
+    # in free flight
+    position_sensor: Annotated[PositionSensor | None, PlainValidator(components.build_position_sensor)] = None
+    winds: tuple[Wind, ...] = Field(default=(), strict=False, alias="wind")
+    trajectories: tuple[Trajectory, ...] = Field(default=(), strict=False)
     references: tuple[Reference, ...] = Field(default=(), strict=False)
     disturbances: tuple[Disturbance, ...] = Field(default=(), strict=False)
     faults: tuple[ScheduledFault, ...] = Field(default=(), strict=False)
@@ -176,7 +190,7 @@ def build_scenario(document: Document) -> Scenario:
         models = {2: Scheme, 4: Check}  # of a scheme, and of a check in it
         problems = problems_of(error, lambda path: models.get(len(path), Scenario))
         raise document.error(problems) from None
-    if problems := list(_unstable_lag(scenario)):
+    if problems := [*_unstable_lag(scenario), *_misplaced(scenario)]:
         raise document.error(problems)
     return scenario
 
@@ -189,6 +203,19 @@ def _unstable_lag(scenario: Scenario) -> Iterator[Problem]:
     if plant.motor_lag and plant.substeps < needed:
         lag = f"{steps * rate:.4g} rad/s of motor lag at {rate:g} Hz"
         yield Problem(("plant", "substeps"), f"{plant.substeps}: {lag} need {needed} at least")
+
+
+def _misplaced(scenario: Scenario) -> Iterator[Problem]:
+    """Refuse what only the other kind of plant has."""
+    if scenario.plant.flies:
+        wrong, text = (
+            {"references": scenario.references},
+            "in free flight the attitude follows 'trajectories'",
+        )
+    else:
+        wrong = {"wind": scenario.winds, "trajectories": scenario.trajectories}
+        text = "only in free flight: expected 'plant: {kind: free_flight}'"
+    yield from (Problem((name,), text) for name, parts in wrong.items() if parts)
 
 
 def keys_of(model: type[BaseModel]) -> list[str]:
@@ -236,11 +263,15 @@ def node_parameters(
 
     | node | parameters |
     |---|---|
-    | plant | vehicle, rate [Hz], duration [s], seed, <parameter>, disturbances, imu.<parameter> |
+    | plant | plant, vehicle, rate [Hz], duration [s], seed, <parameter>, disturbances, imu.<parameter> |
     | fault_injector | seed, faults |
     | fault_observer, disturbance_observer | vehicle, observer, <observer>.<parameter> |
     | controller | vehicle, controller, <controller>.<parameter> |
     | reference | references |
+
+    In free flight the plant has winds and position.<parameter>, too, and the node position_controller takes
+    the place of reference: vehicle, position_controller, <position_controller>.<parameter>, trajectories.
+    Whoever reads the position sensor knows its period and delay.
 
     Lists of components are lists of specifications (`quadftc_model.spec`) in SI, as ROS parameters have no
     other form. Of plant, observers and controllers every parameter is there, defaults included.
@@ -250,8 +281,9 @@ def node_parameters(
     def with_vehicle(selector: str, part: Part) -> dict[str, NodeValue]:
         return {"vehicle": scenario.vehicle, selector: part.kind, **node_values(part.law, part.kind)}
 
-    return {
+    nodes = {
         "plant": {
+            "plant": plants.name_of(type(scenario.plant)),
             **{name: getattr(scenario, name) for name in ("vehicle", "rate", "duration", "seed")},
             **node_values(scenario.plant, ""),
             "disturbances": [part.spec for part in scenario.disturbances],
@@ -261,5 +293,47 @@ def node_parameters(
         "fault_observer": with_vehicle("observer", chosen.observer),
         "disturbance_observer": with_vehicle("observer", chosen.disturbance_observer),
         "controller": with_vehicle("controller", chosen.controller),
-        "reference": {"references": [part.spec for part in scenario.references]},
+    }
+    if not scenario.plant.flies:
+        return {**nodes, "reference": {"references": [part.spec for part in scenario.references]}}
+    return {**nodes, **_flying(scenario, chosen, nodes)}
+
+
+def estimator_for(scenario: Scenario) -> PositionEstimator:
+    """Return the position estimator of a free flight, which knows its position sensor."""
+    place = cast("PositionSensor", scenario.position_sensor)
+    return PositionEstimator(
+        delay=seconds(place.lag(scenario.rate) * period_ns(scenario.rate)),
+        noise=max(*place.noise, PositionEstimator.noise),
+        gives_velocity=place.gives_velocity,
+        velocity_noise=max(*place.velocity_noise, PositionEstimator.velocity_noise),
+    )
+
+
+def _flying(
+    scenario: Scenario, scheme: Scheme, nodes: Mapping[str, dict[str, NodeValue]]
+) -> dict[str, dict[str, NodeValue]]:
+    """Return the parameters of those nodes that have others in free flight."""
+    place, outer = cast("PositionSensor", scenario.position_sensor), cast("Part", scheme.position_controller)
+    period = period_ns(scenario.rate)
+    known: dict[str, NodeValue] = {
+        "position.period": seconds(place.every(scenario.rate) * period),
+        "position.delay": seconds(place.lag(scenario.rate) * period),
+    }
+    return {
+        "plant": {
+            **nodes["plant"],
+            "winds": [part.spec for part in scenario.winds],
+            "position_sensor": True,
+            **node_values(place, "position"),
+        },
+        "fault_observer": {**nodes["fault_observer"], **known},
+        "position_controller": {
+            "vehicle": scenario.vehicle,
+            "position_controller": outer.kind,
+            **node_values(outer.law, outer.kind),
+            **node_values(estimator_for(scenario), "estimator"),
+            "trajectories": [part.spec for part in scenario.trajectories],
+            **known,
+        },
     }

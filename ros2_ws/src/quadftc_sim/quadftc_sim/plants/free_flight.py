@@ -35,7 +35,7 @@ from quadftc_model.arrays import (
 )
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import rk4
-from quadftc_model.rotations import normalise
+from quadftc_model.rotations import normalise, turned
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_sim.plant import Plant, register
 from quadftc_sim.wind import Wind
@@ -155,7 +155,7 @@ class FreeFlight(Plant):
                 spin_up = [0.0 * s for s in speeds]
             _, air, torque = weather(time, stacked(omega))
             loads = self._loads((parts[:3], velocity, q, omega, speeds), spin_up, air, torque)
-            ax, ay, az = (each / self.vehicle.mass for each in _to_earth(q, loads.force))
+            ax, ay, az = (each / self.vehicle.mass for each in turned(q, loads.force))
             x, y, z, w = q
             p, r, s = omega
             q_rate = (
@@ -210,7 +210,7 @@ class FreeFlight(Plant):
     def _drag(self, q: Parts, velocity: Parts, air: Parts, speeds: Any) -> Parts:
         """Drag of rotors and body [N], body axes; ``speeds`` is their sum [rad/s]."""
         body = self.vehicle.aerodynamics
-        ux, uy, uz = _to_body(q, [v - a for v, a in zip(velocity, air, strict=True)])
+        ux, uy, uz = turned(_back(q), [v - a for v, a in zip(velocity, air, strict=True)])
         x, y, z = (0.5 * AIR_DENSITY * area for area in components(body.drag_area))
         in_plane = body.rotor_drag * speeds
         return -(in_plane + x * abs(ux)) * ux, -(in_plane + y * abs(uy)) * uy, -z * abs(uz) * uz
@@ -223,14 +223,14 @@ class FreeFlight(Plant):
         damping = 2.0 * DAMPING * (share * stiffness) ** 0.5
         forces, torques = list[Parts](), list[Parts]()
         for foot in zip(*(components(self.feet[:, axis]) for axis in range(3)), strict=True):
-            sunk = -position[2] - _to_earth(q, foot)[2]
-            moving = [v + w for v, w in zip(velocity, _to_earth(q, _cross(omega, foot)), strict=True)]
+            sunk = -position[2] - turned(q, foot)[2]
+            moving = [v + w for v, w in zip(velocity, turned(q, _cross(omega, foot)), strict=True)]
             load = larger(
                 stiffness * larger(sunk, 0.0 * sunk) - damping * moving[2] * (sunk > 0.0), 0.0 * sunk
             )
             sliding = larger(moving[0] ** 2 + moving[1] ** 2, 0.0 * sunk + SLIDING**2) ** 0.5
             hold = -FRICTION * load / sliding
-            force = _to_body(q, (hold * moving[0], hold * moving[1], load))
+            force = turned(_back(q), (hold * moving[0], hold * moving[1], load))
             forces.append(force)
             torques.append(_cross(foot, force))
         return _sum_of(forces), _sum_of(torques)
@@ -253,17 +253,7 @@ def _cross(a: Parts, b: Parts) -> Parts:
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
-def _to_earth(q: Parts, vector: Parts) -> Parts:
-    """Rotate a vector from body to earth axes."""
-    return _rotated(q[:3], q[3], vector)
-
-
-def _to_body(q: Parts, vector: Parts) -> Parts:
-    return _rotated(q[:3], -q[3], vector)
-
-
-def _rotated(axis: Parts, w: Any, vector: Parts) -> Parts:
-    """Return v + 2 w (a x v) + 2 a x (a x v), for a unit quaternion (a, w)."""
-    once = _cross(axis, vector)
-    twice = _cross(axis, once)
-    return [v + 2.0 * (w * a + b) for v, a, b in zip(vector, once, twice, strict=True)]
+def _back(q: Parts) -> Parts:
+    """Components of the inverse of a unit quaternion."""
+    x, y, z, w = q
+    return x, y, z, -w

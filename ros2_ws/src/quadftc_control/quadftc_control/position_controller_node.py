@@ -1,0 +1,126 @@
+# pyright: basic
+"""The position controller node: from corrected IMU and position to the attitude and thrust to fly.
+
+Inputs: imu/corrected, position/data; position/setpoint (with ``source:=topic``).
+Outputs: attitude/reference with thrust [N], position/reference, position/estimate.
+Services: ~/reset (std_srvs/Trigger): the next sample is scenario time 0.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from quadftc_control.position_controller import position_controller_from, position_controllers
+from quadftc_control.position_estimator import PositionEstimator
+from quadftc_control.position_loop import NO_PLACE, Guidance, LiveTrajectory, PositionLoop, PositionLoopInputs
+from quadftc_control.trajectory import PositionSetpoint, PositionSetpointFilter, trajectory_from
+from quadftc_model.assembly import build_prefixed
+from quadftc_model.parameters import parameter
+from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, to_body
+from quadftc_model.samples import ImuSample, PositionSample, is_usable, level_sample
+from quadftc_model.stepper import warm_up
+from quadftc_ros.conversions import Floats
+from quadftc_ros.diagnostics import OK
+from quadftc_ros.executor import run_node
+from quadftc_ros.join import PlaceGate, PlaceParameters
+from quadftc_ros.motion_wire import OdometryWire, PoseWire, PositionSampleReader
+from quadftc_ros.node import GraphNode
+from quadftc_ros.wire import ReferenceWire, imu_of, pose_of
+
+
+@dataclasses.dataclass(frozen=True)
+class PositionControllerParameters:
+    """Parameters of the node besides those of the controller, which stand behind its name."""
+
+    vehicle: str = parameter("qball_x4", doc="name of a vehicle, or path of its TOML file")
+    position_controller: str = parameter("geometric", doc="name of the position controller")
+    source: str = parameter(
+        "scenario", choices=("scenario", "topic"), doc="from `trajectories`, or position/setpoint"
+    )
+
+
+def law_from(values: Mapping[str, Any]) -> PositionLoop:
+    """Build the outer loop from the parameters of the node."""
+    estimator = build_prefixed(PositionEstimator, values, "estimator")
+    return PositionLoop(estimator=estimator, controller=position_controller_from(values))
+
+
+class PositionControllerNode(GraphNode):
+    """Attitude and thrust for every IMU sample."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("position_controller", **kwargs)
+        self.settings.declare(PositionControllerParameters, read_only=True)
+        name = self.settings.values()["position_controller"]
+        self.settings.declare(position_controllers.get(name), f"{name}.")
+        self.settings.declare(PlaceParameters, "position.", read_only=True)
+        self.settings.declare(PositionEstimator, "estimator.")
+        self.settings.declare(PositionSetpointFilter, "setpoint.")
+        example = "circle radius=2m speed=1m/s start=5s"
+        self.settings.declare_list("trajectories", f"each: kind key=value..., e.g. '{example}'")
+        values = self.settings.values()
+        self._live = values["source"] == "topic"
+        self._place = build_prefixed(PlaceParameters, values, "position")
+        law, still = law_from(values), trajectory_from(values).at(0)
+        warm_up(law, PositionLoopInputs(level_sample(), NO_PLACE, still))
+        self._restart()
+        self.settings.on_change(law_from, self._configure)
+        self._publish_command, self._command = self.publishes("attitude/reference"), ReferenceWire()
+        self._publish_reference, self._pose = self.publishes("position/reference"), PoseWire()
+        self._publish_estimate, self._odometry = self.publishes("position/estimate"), OdometryWire()
+        self.driven_by("imu/corrected", self._on_imu, restart=self._restart, decode=imu_of)
+        self.reads("position/data", self._on_place, decode=PositionSampleReader())
+        if self._live:
+            self.reads("position/setpoint", self._on_setpoint, decode=pose_of)
+        self.diagnostics.report("source", OK, values["source"])
+        self.ready()
+
+    def _restart(self) -> None:
+        values = self.settings.values()
+        self._setpoints = LiveTrajectory(build_prefixed(PositionSetpointFilter, values, "setpoint"))
+        self._guidance = Guidance(
+            law_from(values), self._setpoints if self._live else trajectory_from(values)
+        )
+        self._gate = PlaceGate(self.mode, self._place.period, self._place.delay, self._on_sample)
+
+    def _configure(self, law: PositionLoop) -> None:
+        self._guidance.configure(law)
+
+    def _on_imu(self, stamp_ns: int, imu: ImuSample) -> None:
+        self._gate.put_sample(stamp_ns, imu)
+
+    def _on_place(self, stamp_ns: int, place: PositionSample) -> None:
+        if is_usable(place.position, place.velocity):
+            self._gate.put_place(stamp_ns, place)
+        else:
+            self.diagnostics.count("position/data: not finite")
+
+    def _on_setpoint(self, stamp_ns: int, pose: tuple[Floats, Floats]) -> None:
+        position, q_xyzw = pose
+        if is_usable(position, q_xyzw):
+            self._setpoints.take(PositionSetpoint(position, euler_from_quaternion(q_xyzw)[2]))
+        else:
+            self.diagnostics.count("position/setpoint: not finite")
+
+    def _on_sample(self, stamp_ns: int, imu: ImuSample, place: PositionSample | None) -> None:
+        output, reference = self._guidance.at(stamp_ns, imu, place), self._guidance.reference
+        if output is None or reference is None:
+            self.diagnostics.count("imu/corrected: stamp repeated or went back")
+            return
+        # the controller waits for the attitude: publish it first
+        (attitude, thrust), estimate = output.command, output.estimate
+        self._publish_command(self._command(stamp_ns, attitude, float(thrust)))
+        heading = quaternion_from_euler(np.array([0.0, 0.0, reference.yaw]))
+        self._publish_reference(self._pose(stamp_ns, reference.position, heading))
+        forward = to_body(imu.q_xyzw, estimate.velocity)
+        odometry = self._odometry(stamp_ns, estimate.position, imu.q_xyzw, forward, imu.body_rate)
+        self._publish_estimate(odometry)
+        self.sampled(stamp_ns)
+
+
+main = partial(run_node, PositionControllerNode)
