@@ -4,8 +4,10 @@ A law says which acceleration it wants. The thrust, along body z, has to give it
 That vector is limited, says roll, pitch and thrust, and the attitude goes through a command filter. So the
 angles have rates and accelerations that fit them, and turn no faster than the rotors can turn the vehicle.
 
-What lags, the filter (2 / bandwidth) and the rotors, is known. What the trajectory asks for is asked for
-earlier by as much, by its jerk and yaw rate: then a circle is flown without an error of the lag.
+What the trajectory asks for is known ahead. It is asked for earlier, by its jerk and yaw rate, by what lags:
+the filter (2 / bandwidth), and for the thrust the rotors. The attitude control follows the filter, which
+tells it rates and accelerations. The drag at the trajectory's speed is made up for, too (Faessler, Franchi
+and Scaramuzza (2018), Differential flatness of quadrotor dynamics subject to rotor drag, IEEE RA-L 3(2)).
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from quadftc_model.parameters import parameter
 from quadftc_model.registry import Registry
 from quadftc_model.rotations import euler_from_quaternion
 from quadftc_model.samples import (
+    AIR_DENSITY,
     STANDARD_GRAVITY,
     AttitudeCommand,
     AttitudeReference,
@@ -69,7 +72,7 @@ class PositionController(VehicleLaw[PositionControllerInputs, AttitudeCommand]):
     min_thrust: float = parameter(0.1, low=0.01, high=0.5, doc="least vertical thrust, of the largest")
     max_thrust: float = parameter(0.9, low=0.1, high=1.0, doc="largest thrust, of the largest")
     bandwidth: float = parameter(
-        20.0, unit="rad/s", low=1.0, high=50.0, doc="natural frequency of the command filter"
+        25.0, unit="rad/s", low=1.0, high=50.0, doc="natural frequency of the command filter"
     )
     agility: float = parameter(
         0.5,
@@ -106,7 +109,7 @@ class PositionController(VehicleLaw[PositionControllerInputs, AttitudeCommand]):
         whole = [x, y, z + STANDARD_GRAVITY]
         force = self._limited(whole)
         given = wanted - stacked([a - b for a, b in zip(whole, force, strict=True)])  # the same if not cut
-        turn = self._lag * inputs.reference.yaw_rate
+        turn = 2.0 / self.bandwidth * inputs.reference.yaw_rate
         roll, pitch = _tilt(force, components(euler_from_quaternion(inputs.imu.q_xyzw))[2] + turn)
         setpoint = stacked([roll, pitch, inputs.reference.yaw + turn + 0.0 * roll])
         bound = self.agility * self.vehicle.authority / self.vehicle.inertia
@@ -114,28 +117,23 @@ class PositionController(VehicleLaw[PositionControllerInputs, AttitudeCommand]):
         thrust = self._thrust(inputs.imu, force)
         return State(law, Pushed(wanted, given), reference), AttitudeCommand(reference, thrust)
 
-    @property
-    def _lag(self) -> float:
-        """From a wanted attitude to that attitude [s]."""
-        return 2.0 / self.bandwidth + self.vehicle.rotors.time_constant
-
     def _planned(self, reference: PositionReference) -> list[Any]:
         """Acceleration that the trajectory asks for and drag takes [m/s²], earlier by what lags."""
         x, y, z = components(reference.acceleration)
         if reference.jerk is not None:
             jx, jy, jz = components(reference.jerk)
-            lag = self._lag
+            lag = 2.0 / self.bandwidth
             x, y, z = x + lag * jx, y + lag * jy, z + self.vehicle.rotors.time_constant * jz
         u, v, _ = components(reference.velocity)
-        drag = self._drag
+        drag = self._drag(_functions(u).sqrt(u * u + v * v))
         return [x + drag * u, y + drag * v, z]
 
-    @property
-    def _drag(self) -> float:
-        """Deceleration by rotor drag over level speed [1/s] (Faessler, Franchi and Scaramuzza (2018))."""
+    def _drag(self, speed: Any) -> Any:
+        """Deceleration over level speed [1/s] in still air, of the rotors and of the body."""
         vehicle = self.vehicle
-        speeds = len(vehicle.rotors.positions) * vehicle.hover_speed
-        return vehicle.aerodynamics.rotor_drag * speeds / vehicle.mass
+        air = vehicle.aerodynamics
+        rotors = air.rotor_drag * len(vehicle.rotors.positions) * vehicle.hover_speed
+        return (rotors + 0.5 * AIR_DENSITY * air.drag_area[0] * speed) / vehicle.mass
 
     def _limited(self, force: list[Any]) -> list[Any]:
         """Force over mass [m/s²], earth axes, within tilt and thrust; height comes first."""

@@ -176,7 +176,7 @@ def test_batch_and_jax_equal_the_loop(name, vehicle):
 
 
 class PointMass:
-    """A vehicle whose attitude and thrust follow with the lag of its rotors, and what pushes it [m/s²]."""
+    """A vehicle that has its attitude at once and its thrust after the lag, and what pushes it [m/s²]."""
 
     def __init__(self, law, push, start):
         self.law, self.push = law, np.asarray(push, float)
@@ -195,10 +195,10 @@ class PointMass:
             out.append(self.position - reference.position)
             state = self.law.init(inputs) if state is None else state
             state, output = self.law.step(state, inputs, DT if index else 0.0)
-            self.angles = self.angles + share * (output.attitude.angles - self.angles)
+            self.angles = output.attitude.angles
             self.thrust += share * (output.thrust - self.thrust)
             lift = to_earth(quaternion_from_euler(self.angles), UP) * self.thrust / self.law.vehicle.mass
-            drag = self.law._drag * self.velocity * [1.0, 1.0, 0.0]
+            drag = self.law._drag(float(np.hypot(*self.velocity[:2]))) * self.velocity * [1.0, 1.0, 0.0]
             self.acceleration = lift - STANDARD_GRAVITY * UP - drag + self.push
             self.position = self.position + DT * (self.velocity + 0.5 * DT * self.acceleration)
             self.velocity = self.velocity + DT * self.acceleration

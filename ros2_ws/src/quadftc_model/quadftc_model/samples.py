@@ -26,6 +26,7 @@ UNIT_NORM_TOLERANCE = 1e-2  # 1; a quaternion further from unit length is no att
 MAX_BODY_RATE = 100.0  # rad/s, sum over the axes; MEMS gyros end at 70 (4000 deg/s): more is no body rate
 UNUSABLE = 1e6  # in rad, rad/s, rad/s², N m and m/s² alike: no estimate or command can mean so much
 STANDARD_GRAVITY = 9.80665  # m/s², CGPM 1901
+AIR_DENSITY = 1.225  # kg/m³, at sea level (ISO 2533)
 ABSENT = -1.0  # element 0 of a covariance of sensor_msgs/Imu: the sample lacks this channel (REP-145)
 AXES = ("roll", "pitch", "yaw")  # of what has three elements in attitude
 

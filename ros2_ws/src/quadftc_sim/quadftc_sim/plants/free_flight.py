@@ -36,11 +36,10 @@ from quadftc_model.arrays import (
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import rk4
 from quadftc_model.rotations import normalise, turned
-from quadftc_model.samples import STANDARD_GRAVITY
+from quadftc_model.samples import AIR_DENSITY, STANDARD_GRAVITY
 from quadftc_sim.plant import Plant, register
 from quadftc_sim.wind import Wind
 
-AIR_DENSITY = 1.225  # kg/m³, at sea level (ISO 2533)
 SINKING = 0.01  # m; how far the feet sink under the weight
 DAMPING = 0.7  # 1; damping ratio of the ground
 FRICTION, SLIDING = 0.6, 0.05  # 1; Coulomb friction, full from this speed [m/s] on
