@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from quadftc_control.allocation import allocate
+from quadftc_control.allocation import Allocated, allocate
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 
 
@@ -148,11 +148,11 @@ def test_batch_and_jax_equal_the_loop():
         batch = allocate(vehicle, wrenches[:, 0], wrenches[:, 1:])
         with jax.enable_x64(True):
             compiled = jax.jit(lambda t, q, v=vehicle: allocate(v, t, q))(wrenches[:, 0], wrenches[:, 1:])
-        single = [np.array(each) for each in zip(*loop, strict=True)]
+        single = Allocated(*(np.array(each) for each in zip(*loop, strict=True)))
         for many in (batch, compiled):
-            np.testing.assert_allclose(many.thrust, single[1], rtol=1e-12)
-            np.testing.assert_allclose(many.torque, single[2], rtol=1e-11, atol=1e-15)
+            np.testing.assert_allclose(many.thrust, single.thrust, rtol=1e-12)
+            np.testing.assert_allclose(many.torque, single.torque, rtol=1e-11, atol=1e-15)
             # a root magnifies the rounding of a force that is all but zero
             np.testing.assert_allclose(
-                many.speeds**2, single[0] ** 2, atol=1e-11 * vehicle.rotors.speed_max**2
+                many.speeds**2, single.speeds**2, atol=1e-11 * vehicle.rotors.speed_max**2
             )
