@@ -173,6 +173,7 @@ class ControllerInputs(NamedTuple):
     imu: ImuSample
     reference: AttitudeReference
     disturbance: Vector  # estimate of d in (36) [rad/s²]
+    torque: Vector | None = None  # of the rotors, from their measured speeds [N m]; None: not measured
 
 
 class ControllerOutput(NamedTuple):

@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 DEG = math.pi / 180.0
 
 _GROUP = "quadftc.conditions"  # entry points: a name of its own -> a module that registers conditions
-_OWN = ("sliding_mode_conditions", "baseline_conditions", "controller_conditions")
+_OWN = ("sliding_mode_conditions", "baseline_conditions", "controller_conditions", "indi_conditions")
 
 
 class Verdict(str, enum.Enum):

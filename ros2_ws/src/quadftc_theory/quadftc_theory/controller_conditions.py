@@ -92,13 +92,13 @@ def theorem_2_conditions(controller: Ismc, given: Circumstances) -> Iterator[Con
     name, thick = "(41): Phi thick enough for the sampling", np.all(rate * dt < 2.0)
     yield assess(name, thick, text, rate=rate.tolist(), limit=2.0 / dt)
 
-    yield _authority(np.asarray(controller.k_c3), given)
+    yield authority(np.asarray(controller.k_c3), given)
 
 
 @conditions.conditions_of(Pid)
 def pid_conditions(controller: Pid, given: Circumstances) -> list[Condition]:
     """Judge the authority; there is no theorem on this loop here."""
-    return [_authority(np.zeros(3), given)]
+    return [authority(np.zeros(3), given)]
 
 
 @conditions.conditions_along_of(Ismc)
@@ -147,7 +147,7 @@ def _switching_gain(controller: Ismc, given: Circumstances) -> Condition:
     return assess(name, not short.any(), text, otherwise, **numbers, time_short=time_short)
 
 
-def _authority(k_c3: Floats, given: Circumstances) -> Condition:
+def authority(k_c3: Floats, given: Circumstances) -> Condition:
     """The torque that the rotors can give against what the scenario may ask for, axis by axis."""
     inertia, authority = given.vehicle.inertia, given.vehicle.authority
     must = inertia * (given.disturbance.peak + np.asarray(given.acceleration.value))

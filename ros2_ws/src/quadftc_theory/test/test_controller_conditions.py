@@ -1,9 +1,12 @@
 """Theorem 2 and what any controller needs: when it passes, when it depends, when it fails."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from quadftc_control.controller import controllers
+from quadftc_control.controllers.indi import Indi
 from quadftc_control.controllers.ismc import Ismc
 from quadftc_control.controllers.smc import Smc
 from quadftc_model.vehicle import load_vehicle
@@ -114,3 +117,15 @@ def test_s_has_to_come_back_at_eta_outside_its_layer(slope, verdict):
     (found,) = judge(Ismc(vehicle=QBALL), circumstances(error=error), trace(S))
     assert found.verdict is verdict
     assert found.numbers["share_outside"] > 0.0
+
+
+def test_inversion_with_gains_that_the_rotors_cannot_follow_fail():
+    found = judge(Indi(vehicle=QBALL, k_angle=(16.0, 3.5, 2.5)), circumstances())
+    assert named(found, "motion").verdict is Verdict.FAIL
+    assert named(judge(Indi(vehicle=QBALL), circumstances()), "motion").verdict is Verdict.PASS
+
+
+def test_inversion_sampled_slowly_fails():
+    slow = dataclasses.replace(circumstances(), dt=0.04)
+    assert named(judge(Indi(vehicle=QBALL), slow), "delay").verdict is Verdict.FAIL
+    assert named(judge(Indi(vehicle=QBALL), circumstances()), "delay").verdict is Verdict.PASS

@@ -1,0 +1,113 @@
+"""Incremental nonlinear dynamic inversion: Smeur, Chu and de Croon (2016); with angles, Smeur et al. (2018).
+
+    x1'' = x1d'' - k_rate (x1e' + k_angle x1e)        wanted acceleration of the Euler angles
+    u = tau_f + J (omega_d' - omega_f')               omega_d': body acceleration that gives x1''
+
+omega_f' is the derivative of the gyro and tau_f the torque of the rotors, both behind the same second-order
+Butterworth filter, so that they belong to the same time. The difference of J omega_f' and tau_f is whatever
+else turns the vehicle: gyroscopic torque, drag, disturbances, and what is wrong with J. The law needs no
+model of it and no disturbance estimate. A torque that was cut enters tau_f as it was given: nothing winds up.
+
+The torque of the rotors is that of measured speeds where there are some. Otherwise it is the last command
+behind a first-order lag: their model in Smeur et al. (2016), section II.C. A lag that the rotors do not have
+makes the law slower to reject disturbances; one that the model lacks makes it oscillate.
+
+Deviations: increments are torques, not rotor commands; full kinematics (see sliding_surface).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from quadftc_control.controller import Controller, limited, register
+from quadftc_control.sliding_surface import tracking
+from quadftc_model.arrays import Array, exp, larger, namespace, pick
+from quadftc_model.parameters import Axes, parameter
+from quadftc_model.rotations import body_acceleration
+from quadftc_model.samples import ControllerInputs, ControllerOutput
+
+DAMPING = 2.0 * math.sqrt(0.5)  # 1; twice the damping ratio of a Butterworth filter of second order
+
+
+class Filtered(NamedTuple):
+    """A signal behind the filter."""
+
+    last: Array  # (..., 3) signal at the last sample
+    value: Array  # (..., 3) filtered
+    slope: Array  # (..., 3) its derivative
+
+
+class State(NamedTuple):
+    """Controller state at the last sample."""
+
+    rate: Filtered  # body rate [rad/s]
+    torque: Filtered  # of the rotors, mean between two samples [N m]
+    rotors: Array  # (..., 3) torque of the rotors [N m]
+    given: Array  # (..., 3) torque after the limits [N m]
+
+
+@register("indi")
+class Indi(Controller):
+    """Increments of torque by the angular acceleration that the gyro measures."""
+
+    k_angle: Axes = parameter((3.5, 3.5, 2.5), unit="1/s", low=0.0, doc="angle error to angle rate")
+    k_rate: Axes = parameter((9.0, 9.0, 9.0), unit="1/s", low=0.0, doc="angle rate error to acceleration")
+    cutoff: float = parameter(80.0, unit="rad/s", low=1.0, doc="of the filter of gyro and torque")
+    motor_bandwidth: float = parameter(
+        0.0, unit="rad/s", low=0.0, high=1000.0, doc="of the rotors' lag in the model; 0: the vehicle's own"
+    )
+    measured_torque: bool = parameter(True, doc="use the rotor speeds that are measured, if any are")
+
+    def init(self, inputs: ControllerInputs) -> State:
+        """Start without torque, at rest for the filters."""
+        rate = inputs.imu.body_rate
+        zeros = namespace(rate).zeros_like(rate)
+        there = self.measured_torque and inputs.torque is not None
+        torque = inputs.torque if there else zeros
+        return State(Filtered(rate, rate, zeros), Filtered(torque, torque, zeros), torque, zeros)
+
+    def step(self, state: State, inputs: ControllerInputs, dt: float) -> tuple[State, ControllerOutput]:
+        """Compute the torque for a sample."""
+        track = tracking(inputs)
+        xp = namespace(track.x1e)
+        inertia, k_angle, k_rate = map(xp.asarray, (self.vehicle.inertia, self.k_angle, self.k_rate))
+
+        # angular acceleration, and the torque of the same time
+        rate = self._filter(state.rate, inputs.imu.body_rate, dt)
+        acceleration = 0.5 * (state.rate.slope + rate.slope)  # of the filtered rate, between the samples
+        mean, rotors = self._rotor_torque(state, inputs, dt)
+        torque = self._filter(state.torque, mean, dt)
+
+        wanted_slope = track.x1e_dot + k_angle * track.x1e
+        x1_ddot = inputs.reference.accelerations - k_rate * wanted_slope
+        omega_dot = body_acceleration(track.x1, track.x1_dot, x1_ddot)
+        given, cut = limited(self.vehicle, torque.value + inertia * (omega_dot - acceleration))
+        output = ControllerOutput(given, track.x1e, xp.zeros_like(given), cut)
+        return State(rate, torque, rotors, given), output
+
+    @property
+    def rotor_bandwidth(self) -> float:
+        """Bandwidth of the rotors in the model [rad/s]."""
+        own = 1.0 / self.vehicle.rotors.time_constant
+        return pick(self.motor_bandwidth > 0.0, self.motor_bandwidth, own)
+
+    def _rotor_torque(self, state: State, inputs: ControllerInputs, dt: float) -> tuple[Array, Array]:
+        """Torque of the rotors: its mean since the last sample, and now [N m]."""
+        before = state.rotors
+        if self.measured_torque and inputs.torque is not None:
+            return 0.5 * (before + inputs.torque), inputs.torque
+        # exact for a first-order lag and a command that is held
+        steps = larger(self.rotor_bandwidth * dt, 1e-6)
+        reached = 1.0 - exp(-steps)
+        change = state.given - before
+        return before + (1.0 - reached / steps) * change, before + reached * change
+
+    def _filter(self, state: Filtered, signal: Array, dt: float) -> Filtered:
+        """Butterworth filter of second order, discretised by the trapezoidal rule."""
+        half = 0.5 * dt
+        stiffness, damping = self.cutoff**2, DAMPING * self.cutoff
+        pull = half * stiffness * (state.last + signal - 2.0 * state.value)
+        reach = half * (damping + half * stiffness)
+        slope = ((1.0 - reach) * state.slope + pull) / (1.0 + reach)
+        return Filtered(signal, state.value + half * (state.slope + slope), slope)
