@@ -259,4 +259,4 @@ def test_parameter_file_gives_back_the_parameters_it_was_made_from(tmp_path: Pat
     plan = GraphPlan(parameters, "lockstep", "drone1")
     (tmp_path / "graph.yaml").write_text(plan.parameter_file(), encoding="utf-8")
     read = the_script().parameters_from_file(tmp_path / "graph.yaml")
-    assert read == {node: plan.node_parameters(node) for node in EXECUTABLES}
+    assert read == {node: plan.node_parameters(node) for node in plan.executables}

@@ -5,8 +5,6 @@ A writer returns the same message object with every call; publishing copies it.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from geometry_msgs.msg import Vector3Stamped
 from sensor_msgs.msg import Imu
@@ -89,7 +87,7 @@ class ReferenceWriter:
         self._message.header.frame_id = EARTH_FRAME
 
     def __call__(
-        self, stamp_ns: int, reference: AttitudeReference, thrust: float = math.nan
+        self, stamp_ns: int, reference: AttitudeReference, thrust: float = -1.0
     ) -> AttitudeReferenceMessage:
         """Return the message of a reference of one vehicle."""
         message = self._message

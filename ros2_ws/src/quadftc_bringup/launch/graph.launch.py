@@ -1,5 +1,7 @@
 """Launch the graph, one process per node:  ``ros2 launch quadftc_bringup graph.launch.py``.
 
+With ``plant_kind:=free_flight params_file:=.../free_flight.yaml`` the vehicle flies through space.
+
 Without a simulator (``simulate:=false``) the plant and the fault injector stay out, and a vehicle or another
 simulator publishes ``imu/data`` and reads ``torque/command``.
 """
@@ -26,9 +28,12 @@ FAULT_INJECTOR = ("quadftc_sim", "fault_injector")
 ONBOARD = (
     ("quadftc_fdi", "fault_observer"),
     ("quadftc_fdi", "disturbance_observer"),
-    ("quadftc_control", "reference"),
     ("quadftc_control", "controller"),
 )
+GUIDANCE = {
+    "test_stand": ("quadftc_control", "reference"),
+    "free_flight": ("quadftc_control", "position_controller"),
+}
 RECORDER = ("quadftc_ros", "recorder")
 START_DELAY = 6.0  # s, for the nodes to find each other (about 4 s): messages sent before that are lost
 
@@ -54,6 +59,12 @@ def _arguments() -> list[DeclareLaunchArgument]:
             description="Whether the nodes follow /clock, which the plant publishes in lock-step.",
         ),
         DeclareLaunchArgument(
+            "plant_kind",
+            default_value="test_stand",
+            choices=[*GUIDANCE],
+            description="test_stand: follow attitudes; free_flight: follow positions, command rotor speeds.",
+        ),
+        DeclareLaunchArgument(
             "simulate", default_value="true", description="Start the plant and the fault injector."
         ),
         DeclareLaunchArgument(
@@ -68,12 +79,13 @@ def _arguments() -> list[DeclareLaunchArgument]:
 
 
 def _node(package: str, name: str, condition: IfCondition | None = None, **parameters: object) -> Node:
+    common = {each: LaunchConfiguration(each) for each in ("mode", "plant_kind")}
     return Node(
         package=package,
         executable=name,
         name=name,
         namespace=LaunchConfiguration("namespace"),
-        parameters=[LaunchConfiguration("params_file"), {"mode": LaunchConfiguration("mode"), **parameters}],
+        parameters=[LaunchConfiguration("params_file"), {**common, **parameters}],
         condition=condition,
         output="screen",
     )
@@ -100,5 +112,13 @@ def generate_launch_description() -> LaunchDescription:
         _node(*PLANT, IfCondition(simulate), autostart=False),  # makes the clock, so does not follow it
         _node(*FAULT_INJECTOR, IfCondition(simulate), use_sim_time=clock),
         *(_node(*node, use_sim_time=clock) for node in ONBOARD),
+        *(
+            _node(
+                *node,
+                IfCondition(EqualsSubstitution(LaunchConfiguration("plant_kind"), kind)),
+                use_sim_time=clock,
+            )
+            for kind, node in GUIDANCE.items()
+        ),
     ]
     return LaunchDescription([*_arguments(), *nodes, _start_call(simulate)])

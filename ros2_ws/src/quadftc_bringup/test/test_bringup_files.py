@@ -14,7 +14,7 @@ from quadftc_ros.topics import NODES, TOPICS
 
 PACKAGE = Path(__file__).parents[1]
 LAUNCH_FILE = PACKAGE / "launch" / "graph.launch.py"
-NODE_NAMES = {*NODES["test_stand"], "recorder"}
+NODE_NAMES = {*NODES["test_stand"], *NODES["free_flight"], "recorder"}
 
 
 def literals_of(tree):
@@ -39,6 +39,7 @@ def message_paths():
 def test_launch_file_starts_the_installed_executables_of_every_node():
     constants = literals_of(ast.parse(LAUNCH_FILE.read_text()))
     launched = {constants["PLANT"], constants["FAULT_INJECTOR"], constants["RECORDER"], *constants["ONBOARD"]}
+    launched |= {*constants["GUIDANCE"].values()}
     installed = {
         (entry.module.split(".")[0], entry.name)
         for entry in importlib.metadata.entry_points(group="console_scripts")

@@ -9,15 +9,21 @@ Services: ~/reset (std_srvs/Trigger): the next sample is scenario time 0.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from quadftc_control.position_controller import position_controller_from, position_controllers
+from quadftc_control.position_controller import position_controllers
 from quadftc_control.position_estimator import PositionEstimator
-from quadftc_control.position_loop import NO_PLACE, Guidance, LiveTrajectory, PositionLoop, PositionLoopInputs
+from quadftc_control.position_loop import (
+    NO_PLACE,
+    Guidance,
+    LiveTrajectory,
+    PositionLoop,
+    PositionLoopInputs,
+    position_loop_from,
+)
 from quadftc_control.trajectory import PositionSetpoint, PositionSetpointFilter, trajectory_from
 from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import parameter
@@ -44,12 +50,6 @@ class PositionControllerParameters:
     )
 
 
-def law_from(values: Mapping[str, Any]) -> PositionLoop:
-    """Build the outer loop from the parameters of the node."""
-    estimator = build_prefixed(PositionEstimator, values, "estimator")
-    return PositionLoop(estimator=estimator, controller=position_controller_from(values))
-
-
 class PositionControllerNode(GraphNode):
     """Attitude and thrust for every IMU sample."""
 
@@ -66,10 +66,10 @@ class PositionControllerNode(GraphNode):
         values = self.settings.values()
         self._live = values["source"] == "topic"
         self._place = build_prefixed(PlaceParameters, values, "position")
-        law, still = law_from(values), trajectory_from(values).at(0)
+        law, still = position_loop_from(values), trajectory_from(values).at(0)
         warm_up(law, PositionLoopInputs(level_sample(), NO_PLACE, still))
         self._restart()
-        self.settings.on_change(law_from, self._configure)
+        self.settings.on_change(position_loop_from, self._configure)
         self._publish_command, self._command = self.publishes("attitude/reference"), ReferenceWire()
         self._publish_reference, self._pose = self.publishes("position/reference"), PoseWire()
         self._publish_estimate, self._odometry = self.publishes("position/estimate"), OdometryWire()
@@ -84,7 +84,7 @@ class PositionControllerNode(GraphNode):
         values = self.settings.values()
         self._setpoints = LiveTrajectory(build_prefixed(PositionSetpointFilter, values, "setpoint"))
         self._guidance = Guidance(
-            law_from(values), self._setpoints if self._live else trajectory_from(values)
+            position_loop_from(values), self._setpoints if self._live else trajectory_from(values)
         )
         self._gate = PlaceGate(self.mode, self._place.period, self._place.delay, self._on_sample)
 

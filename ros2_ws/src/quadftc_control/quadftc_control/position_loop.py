@@ -10,10 +10,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadftc_control.position_controller import PositionController, PositionControllerInputs
+from quadftc_control.position_controller import (
+    PositionController,
+    PositionControllerInputs,
+    position_controller_from,
+)
 from quadftc_control.position_estimator import PositionEstimator, PositionEstimatorInputs
 from quadftc_control.trajectory import PositionSetpoint, PositionSetpointFilter, TrajectoryGenerator
 from quadftc_model.arrays import namespace
+from quadftc_model.assembly import NodeParameters, build_prefixed
 from quadftc_model.parameters import Checked
 from quadftc_model.samples import (
     AttitudeCommand,
@@ -74,6 +79,12 @@ class PositionLoop(Checked):
         wanted = PositionControllerInputs(inputs.imu, estimate, inputs.reference)
         controller, command = self.controller.step(state.controller, wanted, dt)
         return State(estimator, controller), PositionLoopOutput(estimate, command)
+
+
+def position_loop_from(parameters: NodeParameters) -> PositionLoop:
+    """Build the outer loop from the parameters of its node, the estimator's behind ``estimator.``."""
+    estimator = build_prefixed(PositionEstimator, parameters, "estimator")
+    return PositionLoop(estimator=estimator, controller=position_controller_from(parameters))
 
 
 class LiveTrajectory:

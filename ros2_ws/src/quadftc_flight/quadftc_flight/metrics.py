@@ -84,8 +84,9 @@ def look_up(metrics: Any, path: str) -> Any:
     for word in path.split("."):
         names = dict(entries(place))
         if word not in names:
-            there = ", ".join(names) or "nothing more"
-            raise KeyError(f"no metric '{path}': no '{word}'{nearest(word, names)}; there is: {there}")
+            close = nearest(word, names)
+            there = close or f"; there is: {', '.join(names) or 'nothing more'}"
+            raise KeyError(f"no metric '{path}': no '{word}'{there}")
         place = names[word]
     return place
 

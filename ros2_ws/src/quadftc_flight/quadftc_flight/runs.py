@@ -96,13 +96,7 @@ def run(
         files = (Path(folder, "scenario.yaml"), Path(folder, "parameters.yaml"))
         parameters = node_parameters(scenario, scheme)
         plan = GraphPlan(
-            parameters,
-            options.mode,
-            options.namespace,
-            bag,
-            files,
-            scheduling=options.scheduling,
-            plant="free_flight" if scenario.plant.flies else "test_stand",
+            parameters, options.mode, options.namespace, bag, files, scheduling=options.scheduling
         )
         files[0].write_text(yaml.safe_dump(scenario.raw, sort_keys=False, width=120), encoding="utf-8")
         files[1].write_text(plan.parameter_file(), encoding="utf-8")

@@ -8,12 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from quadftc_control.controller import controller_from
+from quadftc_control.position_loop import position_loop_from
 from quadftc_control.reference import reference_from
+from quadftc_control.trajectory import trajectory_from
 from quadftc_fdi.disturbance_observer import disturbance_observer_from
 from quadftc_fdi.fault_observer import fault_observer_from
 from quadftc_flight.scenario import (
     Scenario,
     ScenarioError,
+    estimator_for,
     find_scenario,
     load_scenario,
     node_parameters,
@@ -139,10 +142,16 @@ def test_node_parameters_build_the_very_parts_of_the_scenario(path):
         assert node_values(simulator.plant, "") == node_values(scenario.plant, "")
         assert node_values(simulator.sensor, "") == node_values(scenario.sensor, "")
         assert simulator.period_ns == 4_000_000
-        parts = {
-            "disturbances": simulator.plant.disturbances,
-            "references": reference_from(parameters["reference"]).parts,
-        }
+        parts = {"disturbances": simulator.plant.disturbances}
+        if scenario.plant.flies:
+            assert node_values(simulator.position_sensor, "") == node_values(scenario.position_sensor, "")
+            loop = position_loop_from(parameters["position_controller"])
+            assert node_values(loop.estimator, "") == node_values(estimator_for(scenario), "")
+            assert node_values(loop.controller, "") == node_values(scheme.position_controller.law, "")
+            parts["winds"] = simulator.plant.winds
+            parts["trajectories"] = trajectory_from(parameters["position_controller"]).parts
+        else:
+            parts["references"] = reference_from(parameters["reference"]).parts
         for key, laws in parts.items():
             assert [node_values(law, "") for law in laws] == [
                 node_values(part.law, "") for part in getattr(scenario, key)

@@ -5,8 +5,6 @@ Readers raise ValueError for bytes that are no such message.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from rclpy.serialization import serialize_message
@@ -67,7 +65,7 @@ def reference_in(data: bytes) -> AttitudeReference:
 
 
 def attitude_command_in(data: bytes) -> AttitudeCommand:
-    """Reference and thrust of a serialised AttitudeReference; the thrust is NaN where none is commanded."""
+    """Reference and thrust of a serialised AttitudeReference; the thrust is -1 where none is commanded."""
     values = read_numbers(data, AttitudeReferenceMessage)
     attitude = AttitudeReference(np.array(values[:3]), np.array(values[3:6]), np.array(values[6:9]))
     return AttitudeCommand(attitude, np.float64(values[9]))
@@ -123,8 +121,8 @@ class ReferenceWire:
     def __init__(self) -> None:
         self._write = NumberWriter(AttitudeReferenceMessage(header=Header(frame_id=EARTH_FRAME)))
 
-    def __call__(self, stamp_ns: int, reference: AttitudeReference, thrust: float = math.nan) -> bytes:
-        """Return the message of a reference of one vehicle, and of a thrust [N]; NaN: none is commanded."""
+    def __call__(self, stamp_ns: int, reference: AttitudeReference, thrust: float = -1.0) -> bytes:
+        """Return the message of a reference of one vehicle, and of a thrust [N]; -1: none is commanded."""
         angles, rates, accelerations = reference
         return self._write(stamp_ns, *angles.tolist(), *rates.tolist(), *accelerations.tolist(), thrust)
 

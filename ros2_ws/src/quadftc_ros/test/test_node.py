@@ -186,7 +186,7 @@ def test_topic_with_a_second_publisher_is_crowded():
     ("plant", "missing"),
     [
         ("test_stand", ["torque/command: 0 of 3 readers"]),
-        ("free_flight", ["rotors/command: 0 of 2 readers", "torque/command: 0 of 2 readers"]),
+        ("free_flight", ["rotors/command: 0 of 2 readers", "torque/command: 0 of 1 readers"]),
     ],
 )
 def test_controller_is_connected_as_its_kind_of_plant_wants(plant, missing):

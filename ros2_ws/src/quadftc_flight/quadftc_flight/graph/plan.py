@@ -54,7 +54,11 @@ class GraphPlan:
     remapped: Mapping[str, Mapping[str, str]] = dataclasses.field(
         default_factory=dict[str, Mapping[str, str]]
     )
-    plant: PlantKind = "test_stand"
+
+    @property
+    def plant(self) -> PlantKind:
+        """The kind of plant: free flight is where a position controller has parameters."""
+        return "free_flight" if "position_controller" in self.parameters else "test_stand"
 
     @property
     def executables(self) -> dict[str, tuple[str, str]]:
