@@ -87,6 +87,11 @@ class FreeFlight(Plant):
         return np.column_stack([xy, np.full(len(xy), below)])
 
     @functools.cached_property
+    def _arms(self) -> Array:
+        """Places of the rotors by axis, (2, n) [m]."""
+        return np.ascontiguousarray(self.vehicle.rotors.positions.T)
+
+    @functools.cached_property
     def _reach(self) -> float:
         """Height above which no foot touches the ground [m]."""
         return float(np.max(np.sqrt(np.sum(self.feet**2, axis=1))))
@@ -116,7 +121,7 @@ class FreeFlight(Plant):
         """What an ideal accelerometer measures at the place of the IMU [m/s²]."""
         parts = tuple(components(array) for array in state)
         still = [0.0 * speed for speed in parts[4]]
-        loads = self._loads(parts, still, self._air(time, state.velocity), self._torque(time, state.velocity))
+        loads = self._loads(parts, still, *self._weather(time))
         force = [each / self.vehicle.mass for each in loads.force]
         place, omega = self.vehicle.aerodynamics.imu_position, parts[3]
         if place.any():
@@ -128,23 +133,21 @@ class FreeFlight(Plant):
 
     def wind(self, time: float, like: Vector) -> Vector:
         """Velocity of the air at ``time`` [m/s], earth axes, shaped as ``like``."""
-        return sum([wind.velocity(time) for wind in self.winds], start=0.0 * like)
+        return stacked(self._weather(time)[0]) + 0.0 * like
 
-    def _air(self, time: float, like: Vector) -> Parts:
-        return components(self.wind(time, like)) if self.winds else (0.0, 0.0, 0.0)
+    def _weather(self, time: float) -> tuple[Parts, Parts]:
+        """Velocity of the air [m/s] and disturbance torque [N m] at ``time`` [s]."""
+        return known_weather(self, time) if isinstance(time, float) else self.weather(time)
 
-    def _torque(self, time: float, like: Vector) -> Parts:
-        return components(self.disturbance(time, like)) if self.disturbances else (0.0, 0.0, 0.0)
+    def weather(self, time: float) -> tuple[Parts, Parts]:
+        """Compute what `known_weather` remembers."""
+        air = [components(wind.velocity(time)) for wind in self.winds]
+        torque = [components(each.torque(time)) for each in self.disturbances]
+        none = (0.0, 0.0, 0.0)
+        return _sum_of(air) if air else none, _sum_of(torque) if torque else none
 
     def _derivative(self, wanted: Parts, first: int) -> Callable[[float, tuple[Any, ...]], tuple[Any, ...]]:
         """Derivative of all components of the motion (``first`` of them) and of the rotor speeds."""
-        known: tuple[Any, Parts, Parts] = (None, (), ())  # the middle of a step is asked for twice
-
-        def weather(time: float, like: Vector) -> tuple[Any, Parts, Parts]:
-            nonlocal known
-            if not isinstance(time, float) or time != known[0]:
-                known = time, self._air(time, like), self._torque(time, like)
-            return known
 
         def derivative(time: float, parts: tuple[Any, ...]) -> tuple[Any, ...]:
             velocity, q, omega, speeds = parts[3:6], parts[6:10], parts[10:13], parts[first:]
@@ -152,8 +155,7 @@ class FreeFlight(Plant):
                 spin_up = [(w - s) / self.motor_time_constant for w, s in zip(wanted, speeds, strict=True)]
             else:
                 spin_up = [0.0 * s for s in speeds]
-            _, air, torque = weather(time, stacked(omega))
-            loads = self._loads((parts[:3], velocity, q, omega, speeds), spin_up, air, torque)
+            loads = self._loads((parts[:3], velocity, q, omega, speeds), spin_up, *self._weather(time))
             ax, ay, az = (each / self.vehicle.mass for each in turned(q, loads.force))
             x, y, z, w = q
             p, r, s = omega
@@ -192,11 +194,7 @@ class FreeFlight(Plant):
         """Thrust [N], torque (3) [N m] and angular momentum [N m s] of the rotors, body axes."""
         rotors = self.vehicle.rotors
         thrusts = [rotors.thrust_coefficient * speed * speed for speed in speeds]
-        x, y, spin = (
-            components(rotors.positions[:, 0]),
-            components(rotors.positions[:, 1]),
-            components(rotors.spin_sign),
-        )
+        x, y, spin = components(self._arms[0]), components(self._arms[1]), components(rotors.spin_sign)
         reaction = rotors.torque_to_thrust * _weighted(components(rotors.yaw_sign), thrusts)
         return (
             _total(thrusts),
@@ -233,6 +231,12 @@ class FreeFlight(Plant):
             forces.append(force)
             torques.append(_cross(foot, force))
         return _sum_of(forces), _sum_of(torques)
+
+
+@functools.lru_cache(maxsize=8)
+def known_weather(plant: FreeFlight, time: float) -> tuple[Parts, Parts]:
+    """Return the weather at a time [s], which a step and its neighbours ask for several times."""
+    return plant.weather(time)
 
 
 def _total(parts: Parts) -> Any:
