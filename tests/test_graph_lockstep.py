@@ -183,6 +183,17 @@ def test_graph_equals_the_closed_loop_in_free_flight(fly_graph):
     assert_equal_bit_for_bit(flight, fly(scenario, "isolating"))
 
 
+def test_graph_equals_the_closed_loop_where_the_controller_measures_the_rotors(fly_graph):
+    changes = ["schemes.conventional.controller=indi", "faults=[]"]
+    changes += ["trajectories.0.start=0.2 s", "trajectories.0.rise=1 s"]
+    scenario = with_duration(load_scenario(find_scenario("free_circle"), changes), 3.0)
+    flight = flight_from_bag(read_bag(fly_graph(scenario, "conventional")[0]))
+    assert_equal_bit_for_bit(flight, fly(scenario, "conventional"))
+    changes.append("schemes.conventional.controller={kind: indi, measured_torque: false}")
+    unmeasured = fly(with_duration(load_scenario(find_scenario("free_circle"), changes), 3.0), "conventional")
+    assert np.any(flight.torque != unmeasured.torque)
+
+
 def test_two_runs_give_the_same_messages(fly_graph, busy_scenario):
     first, second = (messages_by_topic(fly_graph(busy_scenario, "proposed", take=take)[0]) for take in (0, 1))
     assert len(first["/imu/data"]) > 300

@@ -5,17 +5,19 @@ import dataclasses
 import numpy as np
 import pytest
 
+from quadftc_control.allocation import allocate
 from quadftc_control.controller import controllers
 from quadftc_model.parameters import build
 from quadftc_model.rotations import quaternion_from_euler
-from quadftc_model.rotors import torque_from_commands
-from quadftc_model.samples import AttitudeReference, ControllerInputs, ImuSample
+from quadftc_model.rotors import wrench_from_speeds
+from quadftc_model.samples import STANDARD_GRAVITY, AttitudeReference, ControllerInputs, ImuSample
 from quadftc_model.vehicle import load_vehicle
 from quadftc_sim.disturbance import disturbances
+from quadftc_sim.plants.free_flight import FreeFlight
 from quadftc_sim.plants.test_stand import AttitudeStand
 from quadftc_theory.indi_conditions import margins
 
-VEHICLE = load_vehicle("qball_x4")
+VEHICLE, X500 = load_vehicle("qball_x4"), load_vehicle("x500")
 PUSH = [0.1, -0.1, 0.05]  # N m; a tenth of what the rotors can give
 TRUE = np.bool_(True)
 DT = 0.004
@@ -23,10 +25,10 @@ ZEROS = np.zeros(3)
 LEVEL = AttitudeReference(ZEROS, ZEROS, ZEROS)
 
 
-def flown(duration=4.0, angles=ZEROS, push=PUSH, measures=False, late=0, plant=None, **parameters):
+def flown(duration=4.0, angles=ZEROS, push=PUSH, late=0, plant=None, **parameters):
     """Attitude errors (n, 3) [rad] in a constant disturbance, from rest at ``angles``.
 
-    Samples come ``late`` periods after they were taken; rotor speeds are measured if asked for.
+    Samples come ``late`` periods after they were taken.
     """
     law = build(controllers.get("indi"), parameters, vehicle=VEHICLE)
     pushes = (build(disturbances.get("constant"), {"amplitude": push}),)
@@ -35,8 +37,7 @@ def flown(duration=4.0, angles=ZEROS, push=PUSH, measures=False, late=0, plant=N
     motion, memory, errors, samples = stand.init(quaternion_from_euler(angles), ZEROS), None, [], []
     for index in range(round(duration / DT)):
         imu = ImuSample(motion.q_xyzw, motion.body_rate, ZEROS, TRUE, TRUE, TRUE)
-        torque = torque_from_commands(VEHICLE, motion.commands) if measures else None
-        samples.append(ControllerInputs(imu, LEVEL, ZEROS, torque))
+        samples.append(ControllerInputs(imu, LEVEL, ZEROS))
         inputs = samples[max(index - late, 0)]
         memory = law.init(inputs) if memory is None else memory
         memory, output = law.step(memory, inputs, DT if index else 0.0)
@@ -78,7 +79,7 @@ def test_angular_acceleration_and_torque_are_of_the_same_time():
         before = law.init(inputs) if state is None else state
         state, _ = law.step(before, inputs, DT if index else 0.0)
         torque = np.array([generator.uniform(-0.1, 0.1), 0.0, 0.0])  # one axis: no gyroscopic torque
-        state = state._replace(given=torque)
+        state = state._replace(wanted=torque)
         acceleration = 0.5 * (before.rate.slope + state.rate.slope)
         differences.append((VEHICLE.inertia * acceleration - state.torque.value)[0])
         sizes.append(state.torque.value[0])
@@ -87,19 +88,40 @@ def test_angular_acceleration_and_torque_are_of_the_same_time():
     assert np.max(np.abs(differences)) < 1e-9 * np.max(np.abs(sizes))
 
 
-SLOW = {"motor_bandwidth": 5.0}  # a third of what the model says
+def flown_free(law=None, noise=0.0, motor_bandwidth=0.0, duration=4.0, angles=ZEROS, **parameters):
+    """Attitude errors (n, 3) [rad] and torques (n, 3) [N m] of a hover with measured rotors.
+
+    ``law`` is the vehicle that the law takes it for, ``noise`` that of the gyro [rad/s].
+    """
+    controller = build(controllers.get("indi"), parameters, vehicle=law or X500)
+    plant = FreeFlight(vehicle=X500, motor_bandwidth=motor_bandwidth, substeps=2, ground=False)
+    motion, memory, errors, torques = plant.init(quaternion_from_euler(angles), ZEROS), None, [], []
+    generator = np.random.default_rng(1)
+    for index in range(round(duration / DT)):
+        seen = motion.body_rate + noise * generator.standard_normal(3)
+        imu = ImuSample(motion.q_xyzw, seen, ZEROS, TRUE, TRUE, TRUE)
+        inputs = ControllerInputs(imu, LEVEL, ZEROS, wrench_from_speeds(X500, motion.speeds)[0])
+        memory = controller.init(inputs) if memory is None else memory
+        memory, output = controller.step(memory, inputs, DT if index else 0.0)
+        errors.append(output.error)
+        torques.append(output.torque)
+        speeds = allocate(X500, X500.mass * STANDARD_GRAVITY, output.torque).speeds
+        motion = plant.step(motion, speeds, index * DT, DT)
+    return np.array(errors), np.array(torques)
 
 
 def test_measured_rotors_make_up_for_slow_ones():
-    unlike = {"angles": np.array([0.1, -0.1, 0.1]), "duration": 12.0, "plant": SLOW}
-    assert settled(flown(measures=True, **unlike))
-    assert np.degrees(np.max(np.abs(flown(**unlike)[-500:]))) > 5.0
+    slow = {"motor_bandwidth": 7.0, "duration": 8.0, "angles": np.array([0.1, -0.1, 0.1])}  # the law: 53
+    assert settled(flown_free(**slow)[0])
+    assert np.degrees(np.max(np.abs(flown_free(measured_torque=False, **slow)[0][-500:]))) > 1.0
 
 
-def test_measured_rotors_can_be_left_out():
-    left_out = flown(measures=True, measured_torque=False)
-    np.testing.assert_array_equal(left_out, flown())
-    assert np.any(flown(measures=True) != left_out)
+def test_rotors_that_accelerate_do_not_shake_the_vehicle_about_z():
+    weightless = dataclasses.replace(X500, rotors=dataclasses.replace(X500.rotors, rotor_inertia=0.0))
+    knowing, unknowing = (flown_free(law, noise=0.002)[1][250:, 2] for law in (X500, weightless))
+    assert np.std(np.diff(knowing)) < 0.1 * np.std(np.diff(unknowing))
+    start = np.array([0.1, -0.1, 0.5])
+    assert settled(flown_free(angles=start, duration=8.0)[0])
 
 
 @pytest.mark.parametrize(("share", "stands"), [(0.7, True), (1.4, False)])

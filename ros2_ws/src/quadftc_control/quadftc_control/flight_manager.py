@@ -21,8 +21,11 @@ from quadftc_control.last_words import LastWords, MessageReader
 from quadftc_control.transfer import Transfer
 from quadftc_model import samples
 from quadftc_model.arrays import Components, Scalar, Vector
+from quadftc_model.rotors import wrench_from_speeds
 from quadftc_model.samples import AttitudeReference, ControllerInputs, ControllerOutput, ImuSample
 from quadftc_model.stepper import seconds
+
+ROTORS_AGE = 0.1  # s; measured speeds that differ by more from the sample are not of its time
 
 
 class Command(NamedTuple):
@@ -59,6 +62,8 @@ class FlightManager:
         self.reference: AttitudeReference | None = None
         self._thrust: Scalar | None = None  # wanted with the reference [N], in free flight
         self.reference_ns = 0
+        # of the rotors by their measured speeds: stamp [ns], torque [N m]
+        self._rotors: tuple[int, Vector] | None = None
         # To publish for observers that restart, oldest first; whoever publishes it clears it: (what, stamp
         # [ns], value), "fault" with a status message, "gyro" or "disturbance" with an array (3,).
         self.kept: list[tuple[str, int, Any]] = []
@@ -90,6 +95,15 @@ class FlightManager:
             return np.zeros(3)
         self._monitor.estimate = stamp_ns, disturbance
         return disturbance
+
+    def take_speeds(self, stamp_ns: int, speeds: Components) -> Vector | None:
+        """Note measured rotor speeds [rad/s]; return their torque [N m], None if it cannot be used."""
+        torque, _ = wrench_from_speeds(self._law.vehicle, speeds)
+        if not samples.is_usable(speeds, torque):
+            self._count("rotors/speed: not finite")
+            return None
+        self._rotors = stamp_ns, torque
+        return torque
 
     def take_status(self, stamp_ns: int, data: bytes) -> None:
         """Note fault/status, serialised."""
@@ -174,7 +188,14 @@ class FlightManager:
         flown = self._transfer.used(stamp_ns, imu, mode is Mode.NO_DIAGNOSIS)
         if mode is Mode.NO_DIAGNOSIS:
             self._keep_fault(stamp_ns, imu, flown)
-        return self.fly(stamp_ns, ControllerInputs(flown, self.reference, disturbance), mode)
+        inputs = ControllerInputs(flown, self.reference, disturbance, self._measured_torque(stamp_ns))
+        return self.fly(stamp_ns, inputs, mode)
+
+    def _measured_torque(self, stamp_ns: int) -> Vector | None:
+        """Torque of the latest rotor speeds [N m]; None if they are old, or never came."""
+        if self._rotors is None or abs(seconds(stamp_ns - self._rotors[0])) > ROTORS_AGE:
+            return None
+        return self._rotors[1]
 
     def _lose_diagnosis(self, stamp_ns: int) -> None:
         """Keep what a fault observer that restarts needs, and tell the transfer what is known of imu/data."""

@@ -143,3 +143,18 @@ def test_unusable_inputs_are_counted_and_not_used(flight, size):
     assert flight.manager.take_reference(0, AttitudeReference(bad, bad, bad)) is before
     assert not flight.manager.take_disturbance(0, bad).any()
     assert len(flight.counted) == 2
+
+
+def test_rotor_speeds_are_flown_on_while_they_are_fresh_and_finite(monkeypatch):
+    flight, seen = Flight(), []
+    manager = flight.manager
+    monkeypatch.setattr(manager, "fly", lambda _stamp_ns, inputs, _mode: seen.append(inputs.torque))
+    spinning = np.array([400.0, 400.0, 410.0, 390.0])
+    for measured in (None, spinning, np.full(4, np.nan), *[None] * 30):
+        if measured is not None:
+            manager.take_speeds(flight.stamp_ns + PERIOD_NS, measured)
+        flight.next()
+    assert seen[0] is None
+    assert all(torque[0] > 0.0 for torque in seen[1:20])  # rotor 3 is on the left
+    assert seen[-1] is None  # 0.12 s later
+    assert flight.counted == ["rotors/speed: not finite"]

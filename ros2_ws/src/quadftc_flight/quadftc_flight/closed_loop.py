@@ -18,7 +18,7 @@ from quadftc_control.controller import stepper_of
 from quadftc_fdi.diagnosis import Diagnosis
 from quadftc_fdi.disturbance_observer import DisturbanceEstimation
 from quadftc_flight.flight import Flight, onset_ns, unknown_flight
-from quadftc_flight.guidance import guidance_of
+from quadftc_flight.guidance import StandGuidance, guidance_of
 from quadftc_flight.reported import note_reports
 from quadftc_flight.scenario import Scenario, Scheme
 from quadftc_model.samples import ControllerInputs, DiagnosisReport, FaultEstimate
@@ -46,7 +46,7 @@ def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = 
     for row in range(count):
         # the vehicle moves under the torque; what its IMU says now was taken `delay` rows before
         emission = simulator.advance(given.command) if row else simulator.start()
-        _note_motion(flight, row, emission)
+        _note_motion(flight, row, emission, guidance)
         if emission.sample is None:
             continue
         stamp_ns, taken = emission.sample_stamp_ns, row - delay
@@ -60,7 +60,8 @@ def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = 
         disturbance = disturbance_observer.estimate(stamp_ns, estimate.corrected, given.torque)
         assert disturbance is not None
         wanted = guidance.at(stamp_ns, estimate.corrected, place)
-        output = controller.step(stamp_ns, ControllerInputs(estimate.corrected, wanted.attitude, disturbance))
+        inputs = estimate.corrected, wanted.attitude, disturbance, guidance.rotor_torque()
+        output = controller.step(stamp_ns, ControllerInputs(*inputs))
         assert output is not None
         given, output = guidance.actuated(wanted.thrust, output)
         # what is known now of the sample
@@ -85,8 +86,9 @@ def _simulator_of(scenario: Scenario, epoch_ns: int) -> Simulator:
     return Simulator(plant, scenario.sensor, period, epoch_ns, scenario.seed, scenario.position_sensor)
 
 
-def _note_motion(flight: Flight, row: int, emission: Emission) -> None:
+def _note_motion(flight: Flight, row: int, emission: Emission, guidance: StandGuidance) -> None:
     """Note how the vehicle moves."""
+    guidance.see(emission)
     flight.angles[row], flight.body_rate[row] = emission.angles, emission.body_rate
     flight.disturbance[row] = emission.disturbance
     if emission.flight is not None:

@@ -6,6 +6,7 @@ controller says attitude and thrust, and rotor speeds act.
 
 from __future__ import annotations
 
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +20,7 @@ from quadftc_flight.scenario import Scenario, Scheme, estimator_for
 from quadftc_model.arrays import Components, Scalar, Vector
 from quadftc_model.rotors import wrench_from_speeds
 from quadftc_model.samples import AttitudeCommand, ControllerOutput, ImuSample, PositionSample
+from quadftc_sim.simulator import Emission
 
 
 class Given(NamedTuple):
@@ -48,6 +50,13 @@ class StandGuidance:
         """Return the torque [N m] and the thrust [N] that the fault observer takes the rotors to give."""
         return given.torque, None
 
+    def see(self, emission: Emission) -> None:
+        """See what is measured besides, as the simulator shows it."""
+
+    def rotor_torque(self) -> Vector | None:
+        """Return the torque [N m] of the rotor speeds measured with the sample; None: they are not."""
+        return None
+
     def note(self, flight: Flight, row: int) -> None:
         """Note in a row of a flight where the vehicle shall be, and where it is taken to be."""
 
@@ -61,6 +70,7 @@ class FlightGuidance(StandGuidance):
         law = PositionLoop(estimator=estimator_for(scenario), controller=scheme.position_controller.law)
         self._guidance = Guidance(law, TrajectoryGenerator([part.law for part in scenario.trajectories]))
         self._wanted: PositionLoopOutput | None = None
+        self._speeds = deque[Components](maxlen=scenario.sensor.delay + 1)
         self.before = Given(scenario.plant.first_command, np.zeros(3))
 
     def at(self, stamp_ns: int, imu: ImuSample, place: PositionSample | None) -> AttitudeCommand:
@@ -77,6 +87,15 @@ class FlightGuidance(StandGuidance):
     def acted(self, given: Given) -> tuple[Vector, Scalar | None]:
         """Return torque and thrust of the rotor speeds."""
         return wrench_from_speeds(self._vehicle, given.command)
+
+    def see(self, emission: Emission) -> None:
+        """See the true speeds of the rotors, which are measured without error."""
+        assert emission.flight is not None
+        self._speeds.append(emission.flight.speeds)
+
+    def rotor_torque(self) -> Vector | None:
+        """Return the torque of the speeds at the time of the sample, which comes later."""
+        return wrench_from_speeds(self._vehicle, self._speeds[0])[0]
 
     def note(self, flight: Flight, row: int) -> None:
         """Note reference and estimate of the position."""

@@ -101,7 +101,7 @@ _ROWS = (
     _topic("torque/command", VECTOR, "controller", "disturbance_observer", "reliable", BASE_FRAME, FREE),
     _topic("torque/command", VECTOR, "controller", f"plant {_TORQUE_READERS}", "reliable", BASE_FRAME, STAND),
     _topic("rotors/command", ROTORS, "controller", "plant fault_observer", "reliable", BASE_FRAME, FREE),
-    _topic("rotors/speed", ROTORS, "plant", "", "sensor", BASE_FRAME, FREE),
+    _topic("rotors/speed", ROTORS, "plant", "controller", "sensor", BASE_FRAME, FREE),
     _topic("control/status", CONTROL_STATUS, "controller", "", "reliable", BASE_FRAME),
     # real time: the last words of an observer that has fallen silent, for the one started in its place
     _topic("fault/kept", FAULT_STATUS, "controller", "fault_observer", "latched", IMU_FRAME),

@@ -12,6 +12,11 @@ The torque of the rotors is that of measured speeds where there are some. Otherw
 behind a first-order lag: their model in Smeur et al. (2016), section II.C. A lag that the rotors do not have
 makes the law slower to reject disturbances; one that the model lacks makes it oscillate.
 
+Rotors that accelerate turn the vehicle by their inertia, about z and before their drag does: the torque tau_s
+of steady speeds acts as tau_s + kappa tau_s' (G_2 of Smeur et al. 2016). Where speeds are measured, tau_f
+has this part, and a low-pass of time constant kappa in the yaw command takes the lead out of the loop. The
+paper's test stand has no such torque, and no measured speeds.
+
 Deviations: increments are torques, not rotor commands; full kinematics (see sliding_surface).
 """
 
@@ -44,7 +49,8 @@ class State(NamedTuple):
     rate: Filtered  # body rate [rad/s]
     torque: Filtered  # of the rotors, mean between two samples [N m]
     rotors: Array  # (..., 3) torque of the rotors [N m]
-    given: Array  # (..., 3) torque after the limits [N m]
+    wanted: Array  # (..., 3) torque that shall act, after the limits [N m]
+    given: Array  # (..., 3) torque that is commanded for it [N m]
 
 
 @register("indi")
@@ -65,7 +71,7 @@ class Indi(Controller):
         zeros = namespace(rate).zeros_like(rate)
         there = self.measured_torque and inputs.torque is not None
         torque = inputs.torque if there else zeros
-        return State(Filtered(rate, rate, zeros), Filtered(torque, torque, zeros), torque, zeros)
+        return State(Filtered(rate, rate, zeros), Filtered(torque, torque, zeros), torque, zeros, zeros)
 
     def step(self, state: State, inputs: ControllerInputs, dt: float) -> tuple[State, ControllerOutput]:
         """Compute the torque for a sample."""
@@ -78,19 +84,33 @@ class Indi(Controller):
         acceleration = 0.5 * (state.rate.slope + rate.slope)  # of the filtered rate, between the samples
         mean, rotors = self._rotor_torque(state, inputs, dt)
         torque = self._filter(state.torque, mean, dt)
+        acting = torque.value
+        if self.measured_torque and inputs.torque is not None:
+            acting = acting + xp.asarray([0.0, 0.0, self.spin_up]) * torque.slope
 
         wanted_slope = track.x1e_dot + k_angle * track.x1e
         x1_ddot = inputs.reference.accelerations - k_rate * wanted_slope
         omega_dot = body_acceleration(track.x1, track.x1_dot, x1_ddot)
-        given, cut = limited(self.vehicle, torque.value + inertia * (omega_dot - acceleration))
+        wanted, cut = limited(self.vehicle, acting + inertia * (omega_dot - acceleration))
+        given = wanted
+        if inputs.torque is not None:
+            yaw = 1.0 - exp(-dt / self.spin_up)
+            given = state.given + xp.asarray([1.0, 1.0, yaw]) * (wanted - state.given)
         output = ControllerOutput(given, track.x1e, xp.zeros_like(given), cut)
-        return State(rate, torque, rotors, given), output
+        return State(rate, torque, rotors, wanted, given), output
 
     @property
     def rotor_bandwidth(self) -> float:
         """Bandwidth of the rotors in the model [rad/s]."""
         own = 1.0 / self.vehicle.rotors.time_constant
         return pick(self.motor_bandwidth > 0.0, self.motor_bandwidth, own)
+
+    @property
+    def spin_up(self) -> float:
+        """kappa: change of a rotor's momentum over that of its drag torque, around hover [s]."""
+        rotors = self.vehicle.rotors
+        drag = 2.0 * rotors.torque_to_thrust * rotors.thrust_coefficient * self.vehicle.hover_speed
+        return larger(rotors.rotor_inertia / drag, 1e-6)
 
     def _rotor_torque(self, state: State, inputs: ControllerInputs, dt: float) -> tuple[Array, Array]:
         """Torque of the rotors: its mean since the last sample, and now [N m]."""
@@ -100,7 +120,7 @@ class Indi(Controller):
         # exact for a first-order lag and a command that is held
         steps = larger(self.rotor_bandwidth * dt, 1e-6)
         reached = 1.0 - exp(-steps)
-        change = state.given - before
+        change = state.wanted - before
         return before + (1.0 - reached / steps) * change, before + reached * change
 
     def _filter(self, state: Filtered, signal: Array, dt: float) -> Filtered:
