@@ -19,7 +19,7 @@ from quadftc_tools.study.acceleration_model import (
     lagged_torque,
     predict,
 )
-from quadftc_tools.study.crazyflie import BEFORE, TAKE_OFF, in_flight
+from quadftc_tools.study.crazyflie import BEFORE, TAKE_OFF, Entry, Log, in_flight, run_tests
 from quadftc_tools.study.gyro_steps import (
     CASES,
     EVERY,
@@ -178,6 +178,23 @@ def test_flight_is_between_take_off_and_crash():
     assert inside[0] == pytest.approx(2.0 + TAKE_OFF, abs=0.03)
     assert inside[-1] == pytest.approx(8.0 - BEFORE, abs=0.03)
     assert not in_flight(log._replace(motors=None), time)[:10].any()
+
+
+def test_test_that_begins_in_flight_gets_the_logs_with_a_take_off_from_there_on():
+    motion = flight()
+    flying = motion.time > 2.0
+    logs = [
+        Log("sysid", name, motion, None, mask) for name, mask in (("ground", flying), ("air", flying | True))
+    ]
+    entries = {
+        "jump": Entry(JumpTest(), ("no torque",)),
+        "late": Entry(JumpTest(), ("no torque",), airborne=True),
+    }
+    both, late = run_tests(entries, logs, {"sysid": TRUTH})
+    assert list(both.results) == [("sysid", "ground"), ("sysid", "air")]
+    assert list(late.results) == [("sysid", "ground")]
+    counts = [len(each.results["sysid", "ground"].verdicts.before) for each in (both, late)]
+    assert counts[0] - counts[1] == SETTLE / EVERY  # it has to settle in flight
 
 
 def test_acceleration_is_the_change_of_the_rate():

@@ -61,6 +61,16 @@ class Log(NamedTuple):
         """Whether the first half of the flight went into the model."""
         return self.name in FITTED[self.group]
 
+    @property
+    def take_off(self) -> int:
+        """First row in flight."""
+        return int(np.argmax(self.flying))
+
+    @property
+    def has_ground(self) -> bool:
+        """Whether the log begins on the ground."""
+        return self.take_off > STALE
+
     def half(self, number: int) -> Motion:
         """Return the first (0) or second (1) half of the flight."""
         rows = np.flatnonzero(self.flying)
@@ -180,6 +190,11 @@ class Entry(NamedTuple):
     test: GyroTest
     models: Sequence[str]  # of the torque, see `run_tests`
     attitude: bool = False  # as logged, of the same gyro
+    airborne: bool = False  # begins in flight, so that only logs with a take-off count
+
+    def takes(self, log: Log) -> bool:
+        """Whether a log has what it gets."""
+        return (log.q_xyzw is not None or not self.attitude) and (log.has_ground or not self.airborne)
 
 
 def run_tests(
@@ -201,10 +216,13 @@ def run_tests(
                 model,
                 {
                     (log.group, log.name): gyro_steps.judge(
-                        entry.test, recorded(log, models[model][log.group], entry.attitude)
+                        entry.test,
+                        recorded(log, models[model][log.group], entry.attitude).part(
+                            slice(log.take_off if entry.airborne else 0, None)
+                        ),
                     )
                     for log in logs
-                    if log.q_xyzw is not None or not entry.attitude
+                    if entry.takes(log)
                 },
             )
 
@@ -216,6 +234,7 @@ def tests() -> dict[str, Entry]:
     return {
         "jump": Entry(JumpTest(), ("fitted", BY_FILE, "no lag", "no torque")),
         "isolating": Entry(ObserverTest(alone), (BY_FILE, "no lag")),
+        "isolating, from take-off on": Entry(ObserverTest(alone), (BY_FILE, "no lag"), airborne=True),
         "isolating, with the attitude": Entry(ObserverTest(with_attitude), (BY_FILE,), attitude=True),
     }
 

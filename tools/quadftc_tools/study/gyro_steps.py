@@ -140,6 +140,11 @@ class Recorded(NamedTuple):
     drive: Floats  # (n, 3) mean since the row before [rad/s²]
     flying: Mask  # (n,)
 
+    def part(self, rows: slice) -> Recorded:
+        """Return some rows."""
+        q_xyzw = None if self.q_xyzw is None else self.q_xyzw[rows]
+        return Recorded(self.time[rows], self.gyro[rows], q_xyzw, self.drive[rows], self.flying[rows])
+
     def sample(self, row: int, added: Floats | float = 0.0) -> Sample:
         """Return a sample, with something added to the gyro [rad/s] (..., 3)."""
         gyro = self.gyro[row] + added
