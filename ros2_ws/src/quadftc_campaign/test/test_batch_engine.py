@@ -321,7 +321,13 @@ def test_what_is_said_of_each_sensor_is_said_alike():
         said = rows_of(jax.tree.map(np.asarray, outcome.trace.estimate), rows)
         note_reports(flight, report_flight(scenario.scheme(None).observer.law, flight.stamp_ns[rows], said))
     assert {HEALTHY, FAULTY, NO_STATE} <= set(np.unique(expected.gyro_state[:, 0]))
-    for name in ("gyro_state", "gyro_ambiguous", "accelerometer_state", "attitude_ambiguous"):
+    for name in (
+        "attitude_state",
+        "gyro_state",
+        "gyro_ambiguous",
+        "accelerometer_state",
+        "attitude_ambiguous",
+    ):
         np.testing.assert_array_equal(getattr(flight, name), getattr(expected, name), err_msg=name)
     for name in ("gyro_estimate", "gyro_std_dev", "gyro_probability", "accelerometer_estimate"):
         found, wanted = getattr(flight, name), getattr(expected, name)

@@ -57,6 +57,7 @@ class Flight:
     fault_state: NDArray[np.uint8] = _column("fault/status", "state", np.uint8(NO_STATE))
     fault_onset_ns: NDArray[np.int64] = _column("fault/status", "onset_ns", np.int64(0))
     # what the topic `diagnosis` said last; probabilities [1] and std_dev -1: this observer gives none
+    attitude_state: NDArray[np.uint8] = _column(DIAGNOSIS, unknown=np.uint8(NO_STATE))  # faulty if absent
     attitude_probability: Floats = _column(DIAGNOSIS)  # that this axis of the attitude is faulty
     attitude_ambiguous: NDArray[np.bool_] = _column(DIAGNOSIS, unknown=np.False_)  # it may be the gyro
     gyro_state: NDArray[np.uint8] = _column(DIAGNOSIS, unknown=np.uint8(NO_STATE))  # NO_STATE: not watched

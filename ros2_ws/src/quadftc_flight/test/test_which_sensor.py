@@ -140,6 +140,13 @@ def test_fault_without_effect_is_not_judged_but_a_missing_reading_is():
     assert judged(gyro_fault=nan)["events"][0]["named"] is False
 
 
+def test_attitude_that_is_absent_is_named_though_no_fault_is_estimated():
+    absent = flight_of((), [("attitude", "roll", 10.5, 20.0, FAULTY)]).fault_state
+    found = judged((ATTITUDE._replace(kind="dropout"),), attitude_state=absent)
+    assert found["events"][0]["named"] is True
+    assert found["naming_delay_max_s"]["attitude"] == pytest.approx(0.5)
+
+
 def test_observer_that_watches_the_attitude_alone_names_no_other():
     unwatched = np.full((round(DURATION / PERIOD), 3), NO_STATE, np.uint8)
     said = [("attitude", "roll", 10.0, 20.0, FAULTY)]

@@ -153,7 +153,7 @@ def _naming(row: Row) -> Naming:
     no = namespace(state).zeros_like(state, dtype=bool)
     if sensors is None:
         return name_sensors((state, 0 * state, 0 * state), (no, no, no))
-    states = (state, sensors.gyro.state, sensors.accelerometer.state)
+    states = (sensors.attitude.state, sensors.gyro.state, sensors.accelerometer.state)
     return name_sensors(states, (sensors.attitude.ambiguous, sensors.gyro.ambiguous, no))
 
 

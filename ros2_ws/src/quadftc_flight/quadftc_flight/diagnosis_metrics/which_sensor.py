@@ -118,7 +118,9 @@ class _Judged:
 
     def __init__(self, flight: Flight, events: Sequence[FaultEvent]) -> None:
         known = (flight.fault_state != NO_STATE).all(axis=1)
-        states = (flight.fault_state, flight.gyro_state, flight.accelerometer_state)
+        # what says nothing of sensors tells of the attitude alone, and not whether it is absent
+        of_attitude = np.where(flight.attitude_state == NO_STATE, flight.fault_state, flight.attitude_state)
+        states = (of_attitude, flight.gyro_state, flight.accelerometer_state)
         ambiguous = (flight.attitude_ambiguous, flight.gyro_ambiguous, np.zeros_like(flight.gyro_ambiguous))
         self._time, self._period = flight.time[known], Columns(flight).period
         self.naming = name_sensors([each[known] for each in states], [each[known] for each in ambiguous])
