@@ -23,7 +23,7 @@ import functools
 import itertools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from quadftc_model.arrays import (
     Components,
@@ -87,33 +87,57 @@ def _prioritised(allocation: Components, wanted: Components, low: float, high: f
     by_roll, by_pitch, by_yaw = (components(allocation[:, index]) for index in (1, 2, 3))
     tilts = [roll * x + pitch * y for x, y in zip(by_roll, by_pitch, strict=True)]
     yaws = [yaw * z for z in by_yaw]
-    # 1: that some thrust fits, no rotor may need a higher one than another one allows
-    pairs = list(itertools.permutations(zip(tilts, share, strict=True), 2))
-    scale = _least([_fit(high / a - low / b, x / a - y / b) for (x, a), (y, b) in pairs])
-    tilts = [scale * x for x in tilts]
-    # 2: the limits of the thrust fall by `slope` times the share of the yaw torque, until they meet
-    slope = [z / a for z, a in zip(yaws, share, strict=True)]
-    above = [(high - x) / a for x, a in zip(tilts, share, strict=True)]
-    below = [(low - x) / a for x, a in zip(tilts, share, strict=True)]
-    sides = itertools.product(zip(above, slope, strict=True), zip(below, slope, strict=True))
-    most = _least([_fit(larger(x - y, 0.0) + slack, a - b) for (x, a), (y, b) in sides])
-    slope = [most * z for z in slope]
-    top, bottom = _highest(above, slope), -_highest([-y for y in below], [-z for z in slope])
-    thrust = smaller(larger(thrust, bottom), top)
-    # 3
+
+    def reachable() -> tuple[Scalar, Scalar]:
+        return _tilt_and_thrust(thrust, tilts, yaws, share, low, high)
+
+    # 1 and 2, which mostly ask for nothing
     rest = [x + thrust * a for x, a in zip(tilts, share, strict=True)]
-    fits = [_fit(larger(high - x, 0.0) + slack, z) for x, z in zip(rest, yaws, strict=True)]
-    fits += [_fit(larger(x - low, 0.0) + slack, -z) for x, z in zip(rest, yaws, strict=True)]
+    outside = (_least(rest) < low) | (-_least([-x for x in rest]) > high)
+    scale, thrust = changed_where(outside, reachable, (1.0 + 0.0 * thrust, thrust))
+    # 3
+    rest = [scale * x + thrust * a for x, a in zip(tilts, share, strict=True)]
+    fits = [_fit(high - x, z, slack) for x, z in zip(rest, yaws, strict=True)]
+    fits += [_fit(x - low, -z, slack) for x, z in zip(rest, yaws, strict=True)]
     return stacked([thrust, scale * roll, scale * pitch, _least(fits) * yaw])
 
 
-def _fit(room: Scalar, wanted: Scalar) -> Scalar:
-    """Factor within [0, 1] that brings what is wanted into a room that is not negative; 1 where it fits."""
+def _tilt_and_thrust(
+    thrust: Scalar, tilts: Sequence[Any], yaws: Sequence[Any], share: Sequence[Any], low: float, high: float
+) -> tuple[Scalar, Scalar]:
+    """Stages 1 and 2: by what roll and pitch are scaled, and the thrust [N].
+
+    ``tilts`` and ``yaws`` are the thrusts of the rotors [N] for all of roll and pitch, and of yaw.
+    """
+    slack = _ROUNDING * high
+    # 1: that some thrust fits, no rotor may need a higher one than another one allows
+    pairs = itertools.permutations(zip(tilts, share, strict=True), 2)
+    scale = _least([_fit(high / a - low / b, x / a - y / b, 0.0) for (x, a), (y, b) in pairs])
+    kept = [scale * x for x in tilts]
+    # 2: the limits of the thrust fall by `slope` times the share of the yaw torque, until they meet
+    slope = [z / a for z, a in zip(yaws, share, strict=True)]
+    above = [(high - x) / a for x, a in zip(kept, share, strict=True)]
+    below = [(low - x) / a for x, a in zip(kept, share, strict=True)]
+    sides = itertools.product(zip(above, slope, strict=True), zip(below, slope, strict=True))
+    most = _least([_fit(x - y, a - b, slack) for (x, a), (y, b) in sides])
+    slope = [most * z for z in slope]
+    top, bottom = _highest(above, slope), -_highest([-y for y in below], [-z for z in slope])
+    return scale, smaller(larger(thrust, bottom), top)
+
+
+def _fit(room: Scalar, wanted: Scalar, slack: float) -> Scalar:
+    """Factor within [0, 1] that brings what is wanted into a room; 1 where it fits.
+
+    A room below zero, which rounding leaves, is zero; ``slack`` [N] is how much does not count.
+    """
+    room = larger(room, 0.0) + slack
+    if isinstance(wanted, float):
+        return room / wanted if wanted > room else 1.0
     return pick(wanted > room, room / larger(wanted, _TINY), 1.0)
 
 
-def _least(parts: Sequence[Scalar]) -> Scalar:
-    return functools.reduce(smaller, parts)
+def _least(parts: Sequence[Any]) -> Any:
+    return min(parts) if isinstance(parts[0], float) else functools.reduce(smaller, parts)
 
 
 def _highest(start: Sequence[Scalar], slope: Sequence[Scalar]) -> Scalar:
@@ -129,4 +153,6 @@ def _highest(start: Sequence[Scalar], slope: Sequence[Scalar]) -> Scalar:
 def _meeting(a: Scalar, x: Scalar, b: Scalar, y: Scalar) -> Scalar:
     """Height where the lines a - x t and b - y t meet, if one falls and one rises; else infinite."""
     opposite = x * y < 0.0
+    if isinstance(opposite, bool):
+        return (b * x - a * y) / (x - y) if opposite else math.inf
     return pick(opposite, (b * x - a * y) / pick(opposite, x - y, 1.0), math.inf)

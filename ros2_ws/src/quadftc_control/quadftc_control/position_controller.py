@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
+import functools
 import math
 from typing import Any, NamedTuple
 
@@ -72,7 +73,7 @@ class PositionController(VehicleLaw[PositionControllerInputs, AttitudeCommand]):
     min_thrust: float = parameter(0.1, low=0.01, high=0.5, doc="least vertical thrust, of the largest")
     max_thrust: float = parameter(0.9, low=0.1, high=1.0, doc="largest thrust, of the largest")
     bandwidth: float = parameter(
-        25.0, unit="rad/s", low=1.0, high=50.0, doc="natural frequency of the command filter"
+        15.0, unit="rad/s", low=1.0, high=50.0, doc="natural frequency of the command filter"
     )
     agility: float = parameter(
         0.5,
@@ -80,6 +81,11 @@ class PositionController(VehicleLaw[PositionControllerInputs, AttitudeCommand]):
         high=1.0,
         doc="largest angular acceleration of the commands, of what the rotors can give",
     )
+
+    @functools.cached_property
+    def turning(self) -> Vector:
+        """Largest angular acceleration of the commands, (3,) [rad/s²]."""
+        return self.agility * self.vehicle.authority / self.vehicle.inertia
 
     @abc.abstractmethod
     def start(self, inputs: PositionControllerInputs) -> Any:
@@ -112,8 +118,7 @@ class PositionController(VehicleLaw[PositionControllerInputs, AttitudeCommand]):
         turn = 2.0 / self.bandwidth * inputs.reference.yaw_rate
         roll, pitch = _tilt(force, components(euler_from_quaternion(inputs.imu.q_xyzw))[2] + turn)
         setpoint = stacked([roll, pitch, inputs.reference.yaw + turn + 0.0 * roll])
-        bound = self.agility * self.vehicle.authority / self.vehicle.inertia
-        reference = filtered(state.reference, setpoint, self.bandwidth, bound, dt)
+        reference = filtered(state.reference, setpoint, self.bandwidth, self.turning, dt)
         thrust = self._thrust(inputs.imu, force)
         return State(law, Pushed(wanted, given), reference), AttitudeCommand(reference, thrust)
 

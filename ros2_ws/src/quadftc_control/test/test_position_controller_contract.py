@@ -148,8 +148,8 @@ def test_rates_and_accelerations_fit_the_angles_and_the_rotors(name):
     )
     np.testing.assert_allclose(np.diff(angles, axis=0) / DT, 0.5 * (rates[1:] + rates[:-1]), atol=1e-9)
     np.testing.assert_allclose(np.diff(rates, axis=0) / DT, accelerations[1:], atol=1e-9)
-    bound = law.agility * law.vehicle.authority / law.vehicle.inertia
-    assert np.all(np.abs(accelerations) <= bound * (1.0 + 1e-9))
+    possible = law.vehicle.authority / law.vehicle.inertia
+    assert np.all(np.abs(accelerations) <= law.agility * possible * (1.0 + 1e-9))
 
 
 @EVERY_CONTROLLER

@@ -29,9 +29,9 @@ class State(NamedTuple):
 class PidCascade(PositionController):
     """Position P, velocity PID."""
 
-    k_position: Axes = parameter((1.3, 1.3, 1.5), unit="1/s", low=0.0, doc="position to velocity setpoint")
-    k_p: Axes = parameter((3.8, 3.8, 5.5), unit="1/s", low=0.0, doc="error of velocity")
-    k_i: Axes = parameter((2.0, 2.0, 3.0), unit="1/s^2", low=0.0, doc="its integral")
+    k_position: Axes = parameter((1.2, 1.2, 1.6), unit="1/s", low=0.0, doc="position to velocity setpoint")
+    k_p: Axes = parameter((3.8, 3.8, 5.0), unit="1/s", low=0.0, doc="error of velocity")
+    k_i: Axes = parameter((1.8, 1.8, 2.0), unit="1/s^2", low=0.0, doc="its integral")
     k_d: Axes = parameter((0.1, 0.1, 0.0), unit="1", low=0.0, high=0.9, doc="acceleration")
     cutoff: float = parameter(30.0, unit="rad/s", low=1e-3, doc="low-pass of the acceleration (5 Hz)")
     max_correction: float = parameter(
