@@ -32,6 +32,7 @@ CHECKED = {
     ("paper_faults", "conventional"): None,
     ("mems_catalogue", "supervised"): None,
     ("mems_varying_disturbance", "supervised"): 45.0,
+    ("mems_varying_disturbance", "indi"): 30.0,
     ("mems_faults", "supervised"): 45.0,
     ("mems_constant_disturbance", "supervised"): 45.0,
     ("gyro_faults", "isolating"): 32.0,
