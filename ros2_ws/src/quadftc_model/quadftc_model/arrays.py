@@ -66,6 +66,28 @@ def stacked(parts: Sequence[Scalar]) -> Components:
     return namespace(parts[0]).stack(parts, axis=-1)
 
 
+def split(*parts: Components) -> list[tuple[Any, ...]]:
+    """Return the numbers of each axis of arrays (n,) of one NumPy vehicle: (n,), (n,) -> n times two numbers.
+
+    A function of one axis is called on each: on Python numbers arithmetic is many times faster than on small
+    arrays. Arrays of many vehicles are not split, as the function takes all axes at once. `join` puts
+    results together.
+    """
+    if type(parts[0]) is np.ndarray and parts[0].ndim == 1:  # as `is_single`, without the call
+        return [*zip(*[part.tolist() for part in parts], strict=True)]
+    return [parts]
+
+
+def join(axes: Sequence[tuple[Any, ...]]) -> tuple[Any, ...]:
+    """Join what was found on each axis to arrays: the inverse of :func:`split`."""
+    return axes[0] if len(axes) == 1 else tuple(map(np.array, zip(*axes, strict=True)))
+
+
+def root(x: Array) -> Array:
+    """Square root of an array or a float."""
+    return math.sqrt(x) if isinstance(x, float) else namespace(x).sqrt(x)
+
+
 def largest(vector: Components) -> Any:
     """Largest component along the last axis, (..., n) -> (...)."""
     return max(vector.tolist()) if is_single(vector) else functools.reduce(larger, components(vector))

@@ -28,7 +28,6 @@ from quadftc_fdi.isolation import (
     gyro_monitor,
     hypotheses,
     naming,
-    rate_filter,
     reading_test,
 )
 from quadftc_fdi.isolation.accelerometer_monitor import AccelerometerMonitor
@@ -39,7 +38,7 @@ from quadftc_fdi.supervision import sensor_noise
 from quadftc_fdi.supervision.inertial_filter import estimate_rate
 from quadftc_fdi.supervision.transition import ROTATION, variances
 from quadftc_model import samples
-from quadftc_model.arrays import Mask, Vector, any_of, changed_where, chosen, is_single, namespace
+from quadftc_model.arrays import Mask, Vector, any_of, changed_where, chosen, is_single, join, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import earth_z_in_body, euler_from_quaternion, quaternion_from_euler, turn
@@ -49,6 +48,7 @@ DEG = math.pi / 180.0
 CORRELATED = 0.06  # s; how long an error of the virtual gyro lasts
 LOST = 10.0  # rad²; variance of an attitude of which nothing is known: more means nothing
 UNTESTED = 1e6  # rad²/s²; variance of a prediction that tests no gyro
+TWICE_LONG: float = 2.0 * sensor_noise.AVERAGED[sensor_noise.LONG].item()  # s
 SLOW = 1.0  # rad/s; bandwidth in which an attitude made of the gyro can replace it
 
 
@@ -144,11 +144,10 @@ class Isolating(Supervised):
             (hypotheses.start_hypotheses(attitude.faulty), monitor, attitude, estimate),
         )
 
-        gaps = readings.outliers[..., ATTITUDE]
-        missing = verdict.odd[..., ATTITUDE] | (state.missing & (gaps > reading_test.SOME))
+        missing = verdict.odd[..., ATTITUDE] | (state.missing & verdict.late[..., ATTITUDE])
         state = State(attitude, readings, monitor, accelerometer, believed, missing)
         corrected, sensors = self._fly(estimate, rate, believed), self._name(state, imu, estimate)
-        return state, estimate._replace(corrected=corrected, sensors=sensors)
+        return state, FaultEstimate(*estimate[:4], corrected, sensors)
 
     def _blame(
         self,
@@ -161,16 +160,17 @@ class Isolating(Supervised):
         dt: float,
     ) -> tuple[Hypotheses, GyroMonitor, supervised.State, FaultEstimate]:
         """Judge whose a fault of the attitude is, and acquit the attitude where it is the gyro's."""
+        trace = monitor.trace
         seen = hypotheses.Evidence(
             (attitude.track.still < 1.0) & ~monitor.faulty,
             verdict.stuck[..., ATTITUDE],
-            monitor.bend,
-            monitor.jump,
-            monitor.deviation,
+            trace.bend,
+            trace.jump,
+            trace.deviation,
             monitor.filter.acceleration,
             monitor.filter.dd,
-            monitor.needed,
-            monitor.scatter,
+            trace.needed,
+            trace.scatter,
         )
         new, rate = attitude.faulty & ~state.attitude.faulty, monitor.filter.rate
         believed, guilty = hypotheses.weigh(state.hypotheses, attitude.faulty, new, estimate.fault, seen, dt)
@@ -189,40 +189,30 @@ class Isolating(Supervised):
         # predict
         drive = (inputs.torque - self.vehicle.rotational_drag * rate) / inertia
         gyroscopic, q = gyroscopic_acceleration(inertia, rate), self.disturbance**2
-        ahead, drive = gyro_monitor.predict_monitor(state.gyro, drive, gyroscopic, q, self.rotor_lag, dt)
+        ahead = gyro_monitor.predict_monitor(state.gyro, drive, gyroscopic, q, self.rotor_lag, dt)
         # test
         omega, angles = estimate_rate(before.filter.x, imu.body_rate), euler_from_quaternion(imu.q_xyzw)
         wanted = ~state.hypotheses.ambiguous
         # where the gyro is believed again, go on at its rate
         returns = state.gyro.alone & wanted & ~state.gyro.faulty
-        ahead = changed_where(
-            returns, lambda: rate_filter.adopt_rate(ahead, omega, FLOOR[GYRO], returns), ahead
-        )
+        ahead = gyro_monitor.adopt_gyro(ahead, omega, FLOOR[GYRO], returns)
+        ahead_rate, variance = join([(axis[0], axis[6]) for axis in ahead.axes])
         vertical = earth_z_in_body(turn(before.filter.q_xyzw, dt * omega))
         off = accelerometer_monitor.deviation_of(state.accelerometer, imu.specific_force, vertical)
         moved, there = angles - state.readings.reading[..., ATTITUDE], _there(imu)
         raw = xp.concatenate([imu.body_rate, imu.specific_force, angles], axis=-1)
-        square = xp.concatenate([omega - ahead.rate, off, moved], axis=-1) ** 2
-        variance, zeros = ahead.rr + UNTESTED * ~wanted, 0.0 * off
+        square = xp.concatenate([omega - ahead_rate, off, moved], axis=-1) ** 2
+        variance, zeros = variance + UNTESTED * ~wanted, 0.0 * off
         predicted = xp.concatenate([variance, zeros, zeros], axis=-1)
         noise = xp.maximum(state.readings.variance, FLOOR)
         readings, verdict = reading_test.test_reading(
             state.readings, raw, there, square, predicted, noise, NOISY, dt
         )
         # judge
-        gyro = GyroReading(
-            omega,
-            noise[..., GYRO],
-            readings.suspicion[..., GYRO],
-            readings.outliers[..., GYRO] > reading_test.SOME,
-            there[..., GYRO],
-            verdict.of(GYRO),
-            wanted,
-        )
+        known = noise[..., GYRO], readings.suspicion[..., GYRO], there[..., GYRO]
+        gyro = GyroReading(omega, *known, wanted, *verdict.of(GYRO))
         attitude = self._attitude_reading(imu, before, there[..., ATTITUDE], dt)
-        monitor, white, taught = gyro_monitor.step_monitor(
-            state.gyro, ahead, gyro, attitude, drive, gyroscopic, dt
-        )
+        monitor, white, taught = gyro_monitor.step_monitor(state.gyro, ahead, gyro, attitude, dt)
         accelerometer, learned = accelerometer_monitor.step_accelerometer(
             state.accelerometer,
             off,
@@ -245,7 +235,7 @@ class Isolating(Supervised):
         noise = before.noise.exact
         single, long = noise[..., sensor_noise.SAMPLE], noise[..., sensor_noise.LONG]
         # a slow error of the attitude counts as white noise of the same density at low frequency
-        white = (2.0 * sensor_noise.AVERAGED[sensor_noise.LONG] + dt) / dt
+        white = (TWICE_LONG + dt) / dt
         variance = namespace(single).maximum(single, long * white)
         if self.attitude_from_gyro:
             variance = namespace(single).maximum(variance, self.disturbance**2 / (SLOW**6 * dt))

@@ -53,7 +53,7 @@ def name_gyro(
     hypotheses: Hypotheses,
 ) -> SensorEstimate:
     """Say what is known of the gyro, some channels of the test; where ambiguous, as of the attitude."""
-    xp = namespace(monitor.deviation)
+    xp = namespace(monitor.trace.deviation)
     std_dev = xp.sqrt(monitor.filter.rr + test.variance[..., which])
     said = _name(test, which, monitor.faulty, monitor.fault, std_dev, valid)
 
@@ -61,7 +61,7 @@ def name_gyro(
         ambiguous = hypotheses.ambiguous & ~monitor.faulty
         return SensorEstimate(
             xp.where(ambiguous, samples.FAULTY, said.state).astype(xp.uint8),
-            xp.where(ambiguous, monitor.deviation, said.size),
+            xp.where(ambiguous, monitor.trace.deviation, said.size),
             std_dev,
             xp.where(ambiguous, estimate.onset_age, said.onset_age),
             xp.where(ambiguous, hypotheses.gyro, said.probability),

@@ -7,8 +7,9 @@ stuck       a reading that is repeated, more often than it ever was by chance
 
 from __future__ import annotations
 
+import functools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,10 +50,11 @@ class Verdict(NamedTuple):
     good: Flags  # it can be used
     odd: Flags  # three outliers or absent readings
     stuck: Flags
+    late: Flags  # there have been outliers of late
 
     def of(self, which: slice) -> Verdict:
         """Return that of some of the channels."""
-        return Verdict(*(part[..., which] for part in self))
+        return Verdict(*[part[..., which] for part in self])
 
 
 def start_test(reading: Channels, prior: Limits) -> ReadingTest:
@@ -83,7 +85,7 @@ def test_reading(
     outlier = there & started & (square > OUTLIER**2 * held)
     missed = outlier | absent
     outliers = KEPT * state.outliers + missed
-    same = there & (xp.abs(reading - state.reading) < max(SAME, 8.0 * np.finfo(reading.dtype).eps))
+    same = there & (xp.abs(reading - state.reading) < _least_change(reading.dtype))
     learning = state.repeats <= LONG_RUN
     chance = state.chance + learning * (dt / PATIENT) * (same - state.chance)
 
@@ -99,7 +101,13 @@ def test_reading(
     )
     reading = changed_where(absent, lambda: xp.where(there, reading, state.reading), reading)
     after = ReadingTest(state.variance, state.time, outliers, suspicion, reading, repeats, chance, held)
-    return after, Verdict(good, odd, stuck)
+    return after, Verdict(good, odd, stuck, late)
+
+
+@functools.cache
+def _least_change(dtype: Any) -> float:
+    """Return the difference below which two readings of a type are the same."""
+    return max(SAME, 8.0 * float(np.finfo(dtype).eps))
 
 
 def learn_noise(

@@ -58,7 +58,9 @@ SAMPLE, SHORT, MIDDLE, LONG = range(4)
 RATES = np.array([0.25, 0.7, 2.5, 8.0])  # rad/s
 # prior: white noise of a sample at 250 Hz, and a slow error over 0.15 s that grows with the body rate
 WHITE, SLOW, MEMORY, PERIOD = 0.1 * DEG, np.array([0.1, 0.2, 0.2, 0.3]) * DEG, 0.15, 0.004
-STEPS = np.log(RATES[1:] / RATES[:-1])
+# lower end and width, in its logarithm, of each interval between them
+INTERVALS = [*zip(RATES[:-1].tolist(), np.log(RATES[1:] / RATES[:-1]).tolist(), strict=True)]
+SLOWEST: float = RATES[0].item()
 LEAST = (0.001 * DEG) ** 2  # rad²; no attitude sensor is better
 EARLY = np.array([0.1, 0.1, 0.2, 0.5, 2.0, 2.0])  # s; what the prior is worth
 LATE = 120.0  # s; experience beyond this is forgotten
@@ -113,11 +115,8 @@ def rate_weights(rate: Column) -> Weights:
     """Weights of `RATES` for linear interpolation in the logarithm of a body rate [rad/s]."""
     (rate,) = components(rate)
     log = math.log if isinstance(rate, float) else namespace(rate).log
-    rate = larger(rate, RATES[0].item())
-    a, b, c = (
-        clip(log(rate / low) / step, 0.0, 1.0)
-        for low, step in zip(RATES[:-1].tolist(), STEPS.tolist(), strict=True)
-    )
+    rate = larger(rate, SLOWEST)
+    a, b, c = [clip(log(rate / low) / step, 0.0, 1.0) for low, step in INTERVALS]
     return stacked([1.0 - a, a - b, b - c, c])
 
 
