@@ -93,6 +93,26 @@ def test_a_stuck_gyro_is_named_by_its_repetition():
     assert last.sensors.gyro.kind.tolist() == [FAULT_KINDS.index("stuck")] * 3
 
 
+def test_a_gyro_that_sticks_for_two_samples_and_is_off_then_is_named():
+    held, off = np.array([0.001, 0.002, -0.001]), np.array([0.0, 0.3, 0.0])
+
+    def change(index, sample):
+        return sample._replace(body_rate=held if index < 3 else sample.body_rate + off)
+
+    last = hover(BEGIN + 8, change)[-1]
+    assert states(last)[:2] == [[HEALTHY] * 3, [HEALTHY, FAULTY, HEALTHY]]
+    assert last.sensors.gyro.size[1] == pytest.approx(0.3, abs=0.05)
+
+
+def test_a_saturated_gyro_is_named_as_stuck():
+    def change(_, sample):
+        return sample._replace(body_rate=np.array([0.0, 0.0, 0.02]) + sample.body_rate * [1.0, 1.0, 0.0])
+
+    last = hover(BEGIN + 50, change)[-1]
+    assert last.sensors.gyro.state.tolist() == [HEALTHY, HEALTHY, FAULTY]
+    assert last.sensors.gyro.kind[2] == FAULT_KINDS.index("stuck")
+
+
 def test_an_absent_gyro_is_replaced():
     def absent(_, sample):
         return sample._replace(body_rate=np.zeros(3), rate_valid=np.bool_(False))

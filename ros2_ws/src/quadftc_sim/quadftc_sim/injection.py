@@ -43,11 +43,13 @@ class Injection:
 def make_injection(kind: str, values: Mapping[str, Any], now: float = 0.0) -> Injection:
     """Make an injection from the name of a fault and raw values, of a scenario, a service or a command.
 
-    The values are ``channel`` (attitude by default), ``axes`` (names; all by default), ``start`` [s],
-    ``stop`` [s] or ``duration`` [s], and the fault's own parameters. Times count from ``now`` [s].
+    The values are ``channel`` (attitude by default, if the fault can be on it), ``axes`` (names; all by
+    default), ``start`` [s], ``stop`` [s] or ``duration`` [s], and the fault's own parameters. Times count
+    from ``now`` [s].
     """
     fault = faults.get(kind)
-    channel = str(values.get("channel", "imu" if fault.channels == ("imu",) else "attitude"))
+    usual = "attitude" if "attitude" in fault.channels else fault.channels[0]
+    channel = str(values.get("channel", usual))
     if channel not in CHANNEL_UNITS:
         raise ValueError(f"channel = {channel!r}: expected one of {', '.join(CHANNEL_UNITS)}")
     if channel not in fault.channels:

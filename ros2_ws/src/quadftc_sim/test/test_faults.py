@@ -116,6 +116,11 @@ def test_scale_multiplies():
     np.testing.assert_allclose(once(sized("scale", factor=[0.1, 0.0, -1.0])), [1.1, 2.0, 0.0], rtol=1e-15)
 
 
+def test_saturation_ends_readings_at_its_limit():
+    law = sized("saturation", limit=2.0)
+    assert once(law, value=[1.0, 3.0, -4.0]).tolist() == [1.0, 2.0, -2.0]
+
+
 def test_noise_adds_its_standard_deviation_times_the_normal_numbers():
     np.testing.assert_allclose(
         once(sized("noise", sigma=[0.1, 0.2, 0.3]), normal=-2.0), VALUE - np.array([0.2, 0.4, 0.6])
