@@ -170,7 +170,18 @@ def test_interrupted_run_leaves_a_bag_that_can_be_read(folder: Path, options, nu
 
 
 @pytest.mark.parametrize(
-    "kind", ["observers", "controllers", "faults", "winds", "sensors", "vehicles", "scenarios"]
+    "kind",
+    [
+        "observers",
+        "controllers",
+        "position_controllers",
+        "trajectories",
+        "faults",
+        "winds",
+        "sensors",
+        "vehicles",
+        "scenarios",
+    ],
 )
 def test_list_shows_what_there_is(folder: Path, kind: str):
     done = call_quadftc("list", kind)
@@ -180,6 +191,8 @@ def test_list_shows_what_there_is(folder: Path, kind: str):
         "controllers": ("ismc", "smc", "pid", "k_c3"),
         "faults": ("bias", "drift", "sine", "scale", "noise", "stuck", "spikes", "dropout", "delay", "nan"),
         "winds": ("constant", "gust", "dryden", "m/s"),
+        "position_controllers": ("geometric", "pid_cascade", "1/s^2"),
+        "trajectories": ("circle", "figure_eight", "hover", "waypoints", "m/s"),
         "sensors": ("ideal", "mems", "ahrs", "tactical", "attitude_wander"),
         "vehicles": ("qball_x4", "crazyflie_2x", "x500"),
         "scenarios": ("paper_faults", "mems_faults", "250 Hz"),

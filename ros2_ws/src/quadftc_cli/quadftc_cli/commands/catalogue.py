@@ -11,7 +11,9 @@ from typer import Argument
 
 from quadftc_cli.screen import console
 from quadftc_control.controller import controllers
+from quadftc_control.position_controller import position_controllers
 from quadftc_control.reference import references
+from quadftc_control.trajectory import trajectories
 from quadftc_fdi.disturbance_observer import disturbance_observers
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_flight.scenario import ScenarioError, find_scenario, load_scenario, scenario_names
@@ -27,7 +29,9 @@ REGISTRIES: dict[str, Registry[Any]] = {
     "observers": fault_observers,
     "disturbance_observers": disturbance_observers,
     "controllers": controllers,
+    "position_controllers": position_controllers,
     "references": references,
+    "trajectories": trajectories,
     "faults": faults,
     "disturbances": disturbances,
     "winds": winds,

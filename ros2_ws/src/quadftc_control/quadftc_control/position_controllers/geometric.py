@@ -26,7 +26,7 @@ from quadftc_model.parameters import Axes, parameter
 class Geometric(PositionController):
     """Proportional to the errors of position and velocity, with an integral."""
 
-    k_p: Axes = parameter((4.5, 4.5, 8.0), unit="1/s^2", low=0.0, doc="error of position")
+    k_p: Axes = parameter((6.0, 6.0, 10.0), unit="1/s^2", low=0.0, doc="error of position")
     k_v: Axes = parameter((3.8, 3.8, 5.0), unit="1/s", low=0.0, doc="error of velocity")
     k_i: Axes = parameter((2.2, 2.2, 3.0), unit="1/s^3", low=0.0, doc="integral of the error of position")
     max_error: float = parameter(2.0, unit="m", low=0.01, doc="bound of the error of position")
