@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from quadftc_control.position_controller import position_controllers
-from quadftc_control.position_estimator import PositionEstimator
 from quadftc_control.position_loop import (
     NO_PLACE,
     Guidance,
@@ -27,6 +26,7 @@ from quadftc_control.position_loop import (
 from quadftc_control.trajectory import PositionSetpoint, PositionSetpointFilter, trajectory_from
 from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import parameter
+from quadftc_model.position_estimator import PositionEstimator
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, to_body
 from quadftc_model.samples import ImuSample, PositionSample, is_usable, level_sample
 from quadftc_model.stepper import warm_up

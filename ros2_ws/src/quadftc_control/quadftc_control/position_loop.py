@@ -15,11 +15,11 @@ from quadftc_control.position_controller import (
     PositionControllerInputs,
     position_controller_from,
 )
-from quadftc_control.position_estimator import PositionEstimator, PositionEstimatorInputs
 from quadftc_control.trajectory import PositionSetpoint, PositionSetpointFilter, TrajectoryGenerator
 from quadftc_model.arrays import namespace
 from quadftc_model.assembly import NodeParameters, build_prefixed
 from quadftc_model.parameters import Checked
+from quadftc_model.position_estimator import PositionEstimator, PositionEstimatorInputs
 from quadftc_model.samples import (
     AttitudeCommand,
     ImuSample,

@@ -5,10 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from quadftc_control.position_estimator import PositionEstimator, PositionEstimatorInputs
 from quadftc_control.trajectory import trajectories
 from quadftc_model.assembly import build_prefixed, node_values
 from quadftc_model.parameters import parameters_of
+from quadftc_model.position_estimator import PositionEstimator, PositionEstimatorInputs
 from quadftc_model.rotations import quaternion_from_euler, to_body
 from quadftc_model.samples import STANDARD_GRAVITY, ImuSample, PositionSample
 

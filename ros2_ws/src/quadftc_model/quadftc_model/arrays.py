@@ -122,6 +122,11 @@ def exp(x: Array) -> Array:
     return math.exp(x) if isinstance(x, float) else namespace(x).exp(x)
 
 
+def log(x: Array) -> Array:
+    """Natural logarithm of an array or a float."""
+    return math.log(x) if isinstance(x, float) else namespace(x).log(x)
+
+
 def product(a: Array, b: Array, terms: Sequence[int] | None = None) -> Array:
     """Matrix product a @ b of small matrices, (..., n, k) and (..., k, m).
 

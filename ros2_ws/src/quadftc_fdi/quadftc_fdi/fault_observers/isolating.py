@@ -25,12 +25,14 @@ from quadftc_fdi.fault_observers import supervised
 from quadftc_fdi.fault_observers.supervised import Supervised
 from quadftc_fdi.isolation import (
     accelerometer_monitor,
+    free_flight,
     gyro_monitor,
     hypotheses,
     naming,
     reading_test,
 )
 from quadftc_fdi.isolation.accelerometer_monitor import AccelerometerMonitor
+from quadftc_fdi.isolation.free_flight import FreeFlight
 from quadftc_fdi.isolation.gyro_monitor import AttitudeReading, GyroMonitor, GyroReading
 from quadftc_fdi.isolation.hypotheses import Hypotheses
 from quadftc_fdi.isolation.reading_test import ReadingTest, Verdict, start_test
@@ -40,6 +42,7 @@ from quadftc_fdi.supervision.transition import ROTATION, variances
 from quadftc_model import samples
 from quadftc_model.arrays import Mask, Vector, any_of, changed_where, chosen, is_single, join, namespace
 from quadftc_model.parameters import parameter
+from quadftc_model.position_estimator import PositionEstimator
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import earth_z_in_body, euler_from_quaternion, quaternion_from_euler, turn
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample, SensorDiagnosis
@@ -49,6 +52,7 @@ CORRELATED = 0.06  # s; how long an error of the virtual gyro lasts
 LOST = 10.0  # rad²; variance of an attitude of which nothing is known: more means nothing
 UNTESTED = 1e6  # rad²/s²; variance of a prediction that tests no gyro
 TWICE_LONG: float = 2.0 * sensor_noise.AVERAGED[sensor_noise.LONG].item()  # s
+VOTED = 1.0  # 1; log-odds of the position from which it has decided for the gyro
 SLOW = 1.0  # rad/s; bandwidth in which an attitude made of the gyro can replace it
 
 
@@ -71,6 +75,7 @@ class State(NamedTuple):
     accelerometer: AccelerometerMonitor
     hypotheses: Hypotheses
     missing: Mask  # the attitude is absent, or was a moment ago
+    flight: FreeFlight | None  # None on the test stand
 
 
 @register("isolating")
@@ -85,12 +90,23 @@ class Isolating(Supervised):
     )
     rotor_lag: float = parameter(0.0, unit="s", low=0.0, doc="time constant of the torque behind its command")
     attitude_from_gyro: bool = parameter(False, doc="the attitude is computed from this gyro")
+    position_delay: float = parameter(0.0, unit="s", low=0.0, high=1.0, doc="age of a position when it comes")
+    position_noise: float = parameter(0.002, unit="m", low=1e-4, high=100.0, doc="of a position, 1 sigma")
+    gives_velocity: bool = parameter(False, doc="whether the position sensor measures the velocity, too")
+    velocity_noise: float = parameter(0.1, unit="m/s", low=1e-3, high=100.0, doc="of a velocity, 1 sigma")
 
     @functools.cached_property
     def attitude_law(self) -> Supervised:
         """The observer of the attitude."""
         names = [field.name for field in dataclasses.fields(Supervised)]
         return Supervised(**{name: getattr(self, name) for name in names})
+
+    @functools.cached_property
+    def motion_law(self) -> PositionEstimator:
+        """The estimator of what attitude and accelerometer do wrong in free flight."""
+        return free_flight.motion_law(
+            self.position_delay, self.position_noise, self.gives_velocity, self.velocity_noise
+        )
 
     def init(self, inputs: FaultObserverInputs) -> Any:
         """Start on the measurement."""
@@ -115,6 +131,7 @@ class Isolating(Supervised):
             accelerometer_monitor.start_accelerometer(imu.specific_force),
             hypotheses.start_hypotheses(attitude.faulty),
             attitude.faulty & ~attitude.faulty,
+            free_flight.start_flight(self.motion_law, inputs),
         )
 
     def step(self, state: Any, inputs: FaultObserverInputs, dt: float) -> tuple[Any, FaultEstimate]:
@@ -124,7 +141,7 @@ class Isolating(Supervised):
             attitude, estimate = self.attitude_law.step(before, inputs, dt)
             state = state._replace(attitude=attitude)
             return state, estimate._replace(sensors=self._name(state, imu, estimate))
-        readings, monitor, accelerometer, verdict = self._judge_readings(state, inputs, dt)
+        readings, monitor, accelerometer, verdict, flight = self._judge_readings(state, inputs, dt)
 
         # the attitude against the gyro, or the virtual one
         rate = monitor.filter.rate
@@ -138,14 +155,19 @@ class Isolating(Supervised):
         attitude, estimate = self.attitude_law.advance(before, imu, gyro, doubt, dt)
 
         # whose is a fault of the attitude? Where it is the gyro's, the attitude is acquitted
+        def vote() -> Vector | None:
+            if flight is None:
+                return None
+            return free_flight.vote(flight, accelerometer, estimate.fault, estimate.std_dev)
+
         believed, monitor, attitude, estimate = changed_where(
             attitude.faulty,
-            lambda: self._blame(state, inputs, monitor, verdict, attitude, estimate, dt),
+            lambda: self._blame(state, inputs, monitor, verdict, attitude, estimate, vote(), dt),
             (hypotheses.start_hypotheses(attitude.faulty), monitor, attitude, estimate),
         )
 
         missing = verdict.odd[..., ATTITUDE] | (state.missing & verdict.late[..., ATTITUDE])
-        state = State(attitude, readings, monitor, accelerometer, believed, missing)
+        state = State(attitude, readings, monitor, accelerometer, believed, missing, flight)
         corrected, sensors = self._fly(estimate, rate, believed), self._name(state, imu, estimate)
         return state, FaultEstimate(*estimate[:4], corrected, sensors)
 
@@ -157,6 +179,7 @@ class Isolating(Supervised):
         verdict: Verdict,
         attitude: supervised.State,
         estimate: FaultEstimate,
+        vote: Vector | None,
         dt: float,
     ) -> tuple[Hypotheses, GyroMonitor, supervised.State, FaultEstimate]:
         """Judge whose a fault of the attitude is, and acquit the attitude where it is the gyro's."""
@@ -171,18 +194,21 @@ class Isolating(Supervised):
             monitor.filter.dd,
             trace.needed,
             trace.scatter,
+            vote,
         )
         new, rate = attitude.faulty & ~state.attitude.faulty, monitor.filter.rate
         believed, guilty = hypotheses.weigh(state.hypotheses, attitude.faulty, new, estimate.fault, seen, dt)
         monitor = monitor._replace(faulty=monitor.faulty | guilty)
         attitude, estimate = changed_where(
-            guilty, lambda: self._acquit(attitude, estimate, inputs, rate, guilty), (attitude, estimate)
+            guilty,
+            lambda: self._acquit(attitude, estimate, inputs, rate, guilty, vote),
+            (attitude, estimate),
         )
         return believed, monitor, attitude, estimate
 
     def _judge_readings(
         self, state: State, inputs: FaultObserverInputs, dt: float
-    ) -> tuple[ReadingTest, GyroMonitor, AccelerometerMonitor, Verdict]:
+    ) -> tuple[ReadingTest, GyroMonitor, AccelerometerMonitor, Verdict, FreeFlight | None]:
         """Test the readings of all sensors, and judge gyro and accelerometer."""
         imu, before, inertia = inputs.imu, state.attitude, self.vehicle.inertia
         xp, rate = namespace(imu.body_rate), state.gyro.filter.rate
@@ -197,13 +223,12 @@ class Isolating(Supervised):
         returns = state.gyro.alone & wanted & ~state.gyro.faulty
         ahead = gyro_monitor.adopt_gyro(ahead, omega, FLOOR[GYRO], returns)
         ahead_rate, variance = join([(axis[0], axis[6]) for axis in ahead.axes])
-        vertical = earth_z_in_body(turn(before.filter.q_xyzw, dt * omega))
-        off = accelerometer_monitor.deviation_of(state.accelerometer, imu.specific_force, vertical)
+        flight, off, unsure = self._force_deviation(state, inputs, omega, dt)
         moved, there = angles - state.readings.reading[..., ATTITUDE], _there(imu)
         raw = xp.concatenate([imu.body_rate, imu.specific_force, angles], axis=-1)
         square = xp.concatenate([omega - ahead_rate, off, moved], axis=-1) ** 2
         variance, zeros = variance + UNTESTED * ~wanted, 0.0 * off
-        predicted = xp.concatenate([variance, zeros, zeros], axis=-1)
+        predicted = xp.concatenate([variance, unsure, zeros], axis=-1)
         noise = xp.maximum(state.readings.variance, FLOOR)
         readings, verdict = reading_test.test_reading(
             state.readings, raw, there, square, predicted, noise, NOISY, dt
@@ -213,8 +238,7 @@ class Isolating(Supervised):
         gyro = GyroReading(omega, *known, wanted, *verdict.of(GYRO))
         attitude = self._attitude_reading(imu, before, there[..., ATTITUDE], dt)
         monitor, white, taught = gyro_monitor.step_monitor(state.gyro, ahead, gyro, attitude, dt)
-        accelerometer, learned = accelerometer_monitor.step_accelerometer(
-            state.accelerometer,
+        force = (
             off,
             noise[..., FORCE],
             readings.suspicion[..., FORCE],
@@ -223,10 +247,30 @@ class Isolating(Supervised):
             before.faulty | monitor.faulty,
             dt,
         )
+        if flight is None:
+            accelerometer, learned = accelerometer_monitor.step_accelerometer(state.accelerometer, *force)
+        else:
+            flight, accelerometer, learned = free_flight.step_flight(
+                flight, self.motion_law, state.accelerometer, inputs, *force
+            )
         used = xp.concatenate([taught, learned, there[..., ATTITUDE]], axis=-1)
         square = xp.concatenate([white, square[..., FORCE.start :]], axis=-1)
         readings = reading_test.learn_noise(readings, square, predicted, used, LEAST, dt)
-        return readings, monitor, accelerometer, verdict
+        return readings, monitor, accelerometer, verdict, flight
+
+    def _force_deviation(
+        self, state: State, inputs: FaultObserverInputs, omega: Vector, dt: float
+    ) -> tuple[FreeFlight | None, Vector, Vector]:
+        """What the accelerometer reads too much, against gravity or thrust, and the variance of that."""
+        monitor, force = state.accelerometer, inputs.imu.specific_force
+        if state.flight is None or inputs.thrust is None:
+            vertical = earth_z_in_body(turn(state.attitude.filter.q_xyzw, dt * omega))
+            off = accelerometer_monitor.deviation_of(monitor, force, vertical)
+            return None, off, 0.0 * off
+        lag = self.vehicle.rotors.time_constant
+        flight, thrust = free_flight.predict_force(state.flight, inputs.thrust, lag, dt)
+        off = free_flight.deviation_of(monitor.offset, force, thrust, self.vehicle.mass)
+        return flight, off, flight.unsure
 
     def _attitude_reading(
         self, imu: ImuSample, before: supervised.State, there: Mask, dt: float
@@ -248,6 +292,7 @@ class Isolating(Supervised):
         inputs: FaultObserverInputs,
         rate: Vector,
         guilty: Mask,
+        vote: Vector | None,
     ) -> tuple[supervised.State, FaultEstimate]:
         """Start again on the measured angles, and on the virtual rate, where the fault is the gyro's."""
         xp, kept = namespace(estimate.fault), attitude.faulty & ~guilty
@@ -256,6 +301,8 @@ class Isolating(Supervised):
             attitude.track.age * kept,
             attitude.filter.x[..., :3],
         )
+        if vote is not None:  # the position says that the attitude is right: the gyro has another bias
+            bias = bias - free_flight.new_bias(estimate.fault, estimate.onset_age, guilty & (vote > VOTED))
         last = LastDiagnosis(fault, 0.0 * fault, kept, -bias, since=since)
         fresh = self.attitude_law.resumed(inputs, last)._replace(
             gyro=attitude.gyro,

@@ -72,6 +72,7 @@ class Evidence(NamedTuple):
     variance: Vector  # of that [rad²/s⁴]
     of_gyro: Vector  # unknown acceleration by gyro and torque [rad/s²]
     scatter: Vector  # squared change of the attitude's innovation, in variances
+    position: Vector | None = None  # log-odds by a position sensor; None: on the test stand
 
 
 def weigh(
@@ -93,6 +94,8 @@ def weigh(
     # evidence of long ago fades, and none is final
     evidence = clip(evidence * exp(-dt / FADES), -FINAL, FINAL)
     odds = belief_in_gyro(xp.sqrt(spread)) + evidence
+    if seen.position is not None:
+        odds = odds + seen.position
     certain = faulty & (certain | (odds < CLEARED))
     held = (state.held + dt) * (faulty & ~certain & (odds > NAMED))
     guilty = faulty & ~certain & (jumped | (held > HOLD) | (xp.abs(fault) > HUGE))

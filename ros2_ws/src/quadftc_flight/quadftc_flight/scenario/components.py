@@ -86,6 +86,7 @@ class Setting:
     duration: float = math.inf  # [s]; what starts or stops later is wrong
     vehicle: Vehicle | None = None  # None: it could not be loaded; then nothing is built that depends on it
     flies: bool = False  # in free flight, not on the test stand
+    place: PositionSensor | None = None
 
 
 class _Mistakes:
@@ -193,9 +194,11 @@ def build_sensor(raw: Any) -> ImuSensor:
 
 def build_position_sensor(raw: Any, info: ValidationInfo) -> PositionSensor | None:
     """Build the position sensor of a free flight: a grade, with single parameters changed."""
-    if not cast("Setting", info.context).flies:
+    setting = cast("Setting", info.context)
+    if not setting.flies:
         return in_flight_only(raw)
-    return _build_graded(PositionSensor, POSITION_GRADES, raw or {"grade": "mocap"})
+    setting.place = _build_graded(PositionSensor, POSITION_GRADES, raw or {"grade": "mocap"})
+    return setting.place
 
 
 def build_position_controller(raw: Any, info: ValidationInfo) -> Part | None:
@@ -236,11 +239,30 @@ def part_builder(
         if of_vehicle and setting.vehicle is None:
             return None
         context: dict[str, Any] = {"vehicle": setting.vehicle} if of_vehicle else {}
-        law = mistakes.build(lambda: build(component, given, **context), given)
+        told = _told_of(setting.place, component) if of_vehicle else {}
+        law = mistakes.build(lambda: build(component, {**told, **given}, **context), given)
         mistakes.check_times(given, setting.duration)
         return Part(kind, law, tuple(given))
 
     return build_part
+
+
+def _told_of(place: PositionSensor | None, component: type) -> dict[str, Any]:
+    """Values of those parameters of a law by which it knows the position sensor."""
+    if place is None:
+        return {}
+    specs = {spec.name: spec for spec in parameters_of(component)}
+    known = {
+        "position_delay": place.delay,
+        "position_noise": max(place.noise),
+        "gives_velocity": place.gives_velocity,
+        "velocity_noise": max(place.velocity_noise),
+    }
+    return {
+        name: value if isinstance(value, bool) else max(value, specs[name].low)
+        for name, value in known.items()
+        if name in specs
+    }
 
 
 def build_fault(raw: Any, info: ValidationInfo) -> Fault:

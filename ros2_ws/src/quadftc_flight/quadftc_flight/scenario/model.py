@@ -16,7 +16,6 @@ import pydantic
 from pydantic import AfterValidator, BaseModel, Field, PlainValidator, PrivateAttr, ValidationError
 
 from quadftc_control.controller import controllers
-from quadftc_control.position_estimator import PositionEstimator
 from quadftc_control.reference import references
 from quadftc_control.trajectory import trajectories
 from quadftc_fdi.disturbance_observer import disturbance_observers
@@ -27,6 +26,7 @@ from quadftc_flight.scenario.components import Fault, Part, Setting, part_builde
 from quadftc_flight.scenario.document import Document, Keys, Problem, ScenarioError
 from quadftc_model.assembly import NodeValue, node_values
 from quadftc_model.hints import nearest
+from quadftc_model.position_estimator import PositionEstimator
 from quadftc_model.stepper import seconds
 from quadftc_model.units import quantity
 from quadftc_sim.assembly import period_ns
