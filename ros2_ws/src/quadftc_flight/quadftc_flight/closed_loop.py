@@ -24,6 +24,7 @@ from quadftc_flight.scenario import Scenario, Scheme
 from quadftc_model.samples import ControllerInputs, DiagnosisReport, FaultEstimate
 from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count
 from quadftc_sim.injector import FaultInjector, Faulty
+from quadftc_sim.plant import Plant
 from quadftc_sim.simulator import Emission, Simulator
 
 
@@ -77,12 +78,17 @@ def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = 
     return flight.first(max(count - delay, 0))  # the samples that came out before the end
 
 
-def _simulator_of(scenario: Scenario, epoch_ns: int) -> Simulator:
+def plant_of(scenario: Scenario) -> Plant:
     """Return the vehicle of a scenario in its disturbances, and in free flight in its winds."""
     changes: dict[str, Any] = {"disturbances": tuple(part.law for part in scenario.disturbances)}
     if scenario.plant.flies:
         changes["winds"] = tuple(part.law for part in scenario.winds)
-    plant, period = dataclasses.replace(scenario.plant, **changes), period_ns(scenario.rate)
+    return dataclasses.replace(scenario.plant, **changes)
+
+
+def _simulator_of(scenario: Scenario, epoch_ns: int) -> Simulator:
+    """Return the vehicle of a scenario with its sensors."""
+    plant, period = plant_of(scenario), period_ns(scenario.rate)
     return Simulator(plant, scenario.sensor, period, epoch_ns, scenario.seed, scenario.position_sensor)
 
 

@@ -66,9 +66,8 @@ class FlightGuidance(StandGuidance):
 
     def __init__(self, scenario: Scenario, scheme: Scheme) -> None:
         self._vehicle = scenario.plant.vehicle
-        assert scheme.position_controller is not None
-        law = PositionLoop(estimator=estimator_for(scenario), controller=scheme.position_controller.law)
-        self._guidance = Guidance(law, TrajectoryGenerator([part.law for part in scenario.trajectories]))
+        trajectory = TrajectoryGenerator([part.law for part in scenario.trajectories])
+        self._guidance = Guidance(position_loop_of(scenario, scheme), trajectory)
         self._wanted: PositionLoopOutput | None = None
         self._speeds = deque[Components](maxlen=scenario.sensor.delay + 1)
         self.before = Given(scenario.plant.first_command, np.zeros(3))
@@ -103,6 +102,12 @@ class FlightGuidance(StandGuidance):
         if reference is not None and wanted is not None:
             flight.position_reference[row] = reference.position
             flight.position_estimate[row] = wanted.estimate.position
+
+
+def position_loop_of(scenario: Scenario, scheme: Scheme) -> PositionLoop:
+    """Return the outer loop of a free flight."""
+    assert scheme.position_controller is not None
+    return PositionLoop(estimator=estimator_for(scenario), controller=scheme.position_controller.law)
 
 
 def guidance_of(scenario: Scenario, scheme: Scheme) -> StandGuidance:

@@ -7,10 +7,9 @@ It measures at every n-th sample of the IMU. What it says comes with a later sam
 from __future__ import annotations
 
 import dataclasses
-import math
 from typing import NamedTuple
 
-from quadftc_model.arrays import Array, Vector, namespace
+from quadftc_model.arrays import Array, Vector, exp, namespace
 from quadftc_model.parameters import Axes, Checked, parameter
 from quadftc_model.samples import PositionSample
 
@@ -70,8 +69,8 @@ class PositionSensor(Checked):
         measured = position + state.wander + xp.asarray(self.noise) * draws[..., 0, :]
         speed = velocity + xp.asarray(self.velocity_noise) * draws[..., 1, :]
         sample = PositionSample(measured, speed if self.gives_velocity else 0.0 * speed, due)
-        keep = math.exp(-dt / self.wander_time)
-        fresh = math.sqrt(1.0 - keep * keep) * xp.asarray(self.wander) * draws[..., 2, :]
+        keep = exp(-dt / self.wander_time)
+        fresh = (1.0 - keep * keep) ** 0.5 * xp.asarray(self.wander) * draws[..., 2, :]
         pending = (*state.pending, sample)
         wander = keep * state.wander + fresh
         if len(pending) <= behind:

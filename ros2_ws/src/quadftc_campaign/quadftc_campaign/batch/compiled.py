@@ -60,12 +60,12 @@ class CompiledFlight:
         source = InputSource([flight], dtype)
         inputs, times = source.next(1)
         inputs, times = take(take(inputs, 0), 0, axis=-1), take(times, 0)
-        turn_on, per_flight = self._cast(take((source.turn_on, per_flight), 0, axis=-1))
+        drawn, per_flight = self._cast(take((source.first, per_flight), 0, axis=-1))
         # the beginning takes samples until the state keeps its structure: some laws remember a few first
         for settling in range(MAX_SETTLING + 1):
             self._first = self._loop.sensor.delay + 1 + settling
             first = [(inputs, times)] * self._first
-            state = jax.eval_shape(self._begin, turn_on, *zip(*first, strict=True), per_flight)[0]
+            state = jax.eval_shape(self._begin, drawn, *zip(*first, strict=True), per_flight)[0]
             after = jax.eval_shape(self._step, state, (inputs, per_flight), times)[0]
             if jax.tree.structure(state) == jax.tree.structure(after):
                 break
@@ -89,7 +89,7 @@ class CompiledFlight:
         # the first samples, one by one
         inputs, times = ([take(tree, sample) for sample in range(first)] for tree in source.next(first))
         per_flight = self._cast(per_flight)
-        state, rows = self.begin(source.turn_on, inputs, times, per_flight)
+        state, rows = self.begin(source.first, inputs, times, per_flight)
         sums = to_float64(state.tally.sums)
         trace = [jax.tree.map(lambda *leaves: np.stack(leaves), *rows)] if self._traced else []
         progress(first * count)
@@ -117,13 +117,13 @@ class CompiledFlight:
         return [Outcome(span=span, period=period, **take(arrays, lane, axis=-1)) for lane in range(count)]
 
     def _begin(
-        self, turn_on: Any, inputs: Sequence[StepInputs], times: Sequence[Times], per_flight: PerFlight
+        self, drawn: Any, inputs: Sequence[StepInputs], times: Sequence[Times], per_flight: PerFlight
     ) -> tuple[Carried, list[Row]]:
         """Take the first samples of one flight."""
         closed, schedule = self._closed_loop(per_flight), per_flight.schedule
         given = list(zip(inputs, times, strict=True))
         first = self._loop.sensor.delay + 1
-        state, row = closed.begin(turn_on, given[:first])
+        state, row = closed.begin(drawn, given[:first])
         rows, tally = [row], update_tally(None, row, schedule)
         for each in given[first:]:
             state, row = closed.step(state, *each)
@@ -174,12 +174,10 @@ class SlopeFlight(CompiledFlight):
     """
 
     def _begin(
-        self, turn_on: Any, inputs: Sequence[StepInputs], times: Sequence[Times], per_flight: PerFlight
+        self, drawn: Any, inputs: Sequence[StepInputs], times: Sequence[Times], per_flight: PerFlight
     ) -> tuple[Carried, list[Any]]:
         begin = super()._begin
-        return _differentiate(
-            lambda _, tuned: begin(turn_on, inputs, times, tuned)[0], (), (), per_flight
-        ), []
+        return _differentiate(lambda _, tuned: begin(drawn, inputs, times, tuned)[0], (), (), per_flight), []
 
     def _step(
         self, state: Carried, inputs: tuple[StepInputs, PerFlight], times: Times

@@ -147,6 +147,11 @@ def _name_culprit(error: Exception, loop: Loop, varying: Mapping[str, Any]) -> V
     parts: dict[str, Any] = {role: getattr(loop, role) for role in roles}
     parts |= {f"injections.{i}.law": each.law for i, each in enumerate(loop.injections)}
     parts |= {f"references.{i}": each for i, each in enumerate(loop.references)}
+    parts |= {f"trajectories.{i}": each for i, each in enumerate(loop.trajectories)}
+    parts |= {f"plant.winds.{i}": each for i, each in enumerate(getattr(loop.plant, "winds", ()))}
+    if loop.place is not None and loop.position_loop is not None:
+        parts |= {"place.sensor": loop.place.sensor, "position_loop.estimator": loop.position_loop.estimator}
+        parts["position_loop.controller"] = loop.position_loop.controller
     parts |= {f"plant.disturbances.{i}": each for i, each in enumerate(loop.plant.disturbances)}
     role, where = "", "a part"
     for frame, _ in traceback.walk_tb(error.__traceback__):

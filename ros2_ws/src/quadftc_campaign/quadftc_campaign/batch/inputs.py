@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_campaign.batch.loop_step import Delivery, StepInputs, Times
+from quadftc_campaign.batch.loop_step import Delivery, FirstDraws, StepInputs, Times
 from quadftc_campaign.batch.parts import FlightParts
 from quadftc_model.stepper import MAX_GAP, NANOSECONDS_PER_SECOND, seconds
 from quadftc_sim.fault import FaultInputs
 from quadftc_sim.injection import Injection, fault_generators
 from quadftc_sim.injector import FaultDraws
-from quadftc_sim.sensor_draws import DRAWS, WHITE, SensorDraws, TurnOn
+from quadftc_sim.sensor_draws import DRAWS, PLACE, WHITE, SensorDraws, TurnOn
 
 # samples (n,) for which a fault is stepped, and its normal and uniform numbers, (2, n, 3)
 FaultNumbers = tuple[NDArray[np.int64], NDArray[np.float64]]
@@ -28,8 +28,9 @@ class InputSource:
         self._loop, self._dtype = flights[0].loop, dtype
         self._random = [SensorDraws(flight.seed) for flight in flights]
         turn_on = zip(*(each.turn_on for each in self._random), strict=True)
-        # of the IMU, (..., flights)
-        self.turn_on = TurnOn(*(np.stack(column, axis=-1).astype(dtype) for column in turn_on))
+        imu = TurnOn(*(np.stack(column, axis=-1).astype(dtype) for column in turn_on))
+        place = self._draw_place(1)
+        self.first = FirstDraws(imu, None if place is None else place[0])  # (..., flights)
         # a fault of the whole IMU acts before the flight, in the delivery
         self._faults = [
             [_draw_fault(flight, place) for flight in flights]
@@ -49,12 +50,23 @@ class InputSource:
             None if each is None else self._between(each, int(taken[0]), count) for each in self._faults
         )
         stamps_ns = (np.maximum(each, 0) * self._loop.period_ns for each in (index - 1, index, taken))
-        times = ((each / NANOSECONDS_PER_SECOND).astype(self._dtype) for each in stamps_ns)
+        before, now, then = ((each / NANOSECONDS_PER_SECOND).astype(self._dtype) for each in stamps_ns)
         delivery = self._delivery
         if delivery is not None:
             rows = np.clip(taken, 0, len(delivery.arrives) - 1)
             delivery = Delivery(*(each[rows] for each in delivery))
-        return StepInputs(self._draw(count, needed), faults, delivery), Times(*times)
+        due = None if self._loop.place is None else index % self._loop.place.every == 0
+        drawn = StepInputs(self._draw(count, needed), faults, delivery, self._draw_place(count))
+        return drawn, Times(before, now, then, due)
+
+    def _draw_place(self, count: int) -> NDArray[Any] | None:
+        """Draw the numbers of the position sensor, (count, rows, 3, flights); None without one."""
+        if self._loop.place is None:
+            return None
+        drawn = np.empty((count, PLACE, 3, len(self._random)), self._dtype)
+        for flight, random in enumerate(self._random):
+            drawn[..., flight] = random.next_place(count)
+        return drawn
 
     def _draw(self, count: int, needed: Sequence[bool]) -> tuple[NDArray[Any], ...]:
         """Draw the sensors' numbers; those that nothing needs are zero."""

@@ -19,11 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_control.controller import Controller
+from quadftc_control.position_loop import PositionLoop
 from quadftc_control.reference import Reference
+from quadftc_control.trajectory import Trajectory
 from quadftc_fdi.disturbance_observer import DisturbanceObserver
 from quadftc_fdi.fault_observer import FaultObserver
 from quadftc_sim.injection import Injection
 from quadftc_sim.plant import Plant
+from quadftc_sim.position_sensor import PositionSensor
 from quadftc_sim.sensors import ImuSensor
 
 NEVER = math.inf  # s; start of a fault that only other flights of the batch have
@@ -31,6 +34,15 @@ NEVER = math.inf  # s; start of a fault that only other flights of the batch hav
 Numbers = NDArray[Any]
 Progress = Callable[[int], None]  # gets the number of samples flown since its last call
 T = TypeVar("T")
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Place:
+    """A position sensor beside an IMU."""
+
+    sensor: PositionSensor
+    every: int  # samples of the IMU to one of it
+    behind: int  # samples of the IMU that one is late
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -46,6 +58,10 @@ class Loop:
     references: tuple[Reference, ...]
     period_ns: int
     count: int  # samples
+    # in free flight
+    place: Place | None = None
+    position_loop: PositionLoop | None = None
+    trajectories: tuple[Trajectory, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

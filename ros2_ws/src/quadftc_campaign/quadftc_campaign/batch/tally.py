@@ -30,12 +30,14 @@ Floats = NDArray[np.float64]
 Arrays = dict[str, Array]
 
 ABOVE = float(np.radians(ESTIMATE_THRESHOLD_DEG))  # rad
+POSITION = "position_rmse_m"  # in free flight; per axis, though a record has that of all
 # root mean squares: the sum of squares of each, and the number of samples in it
 ROOTS = {
     "tracking_rmse_deg": ("tracking", "delivered"),
     "fault_estimate_rmse_deg": ("estimate", "known"),
     "disturbance_estimate_rmse": ("disturbance", "delivered"),
     "torque_rms": ("torque", "delivered"),
+    POSITION: ("position", "delivered"),
 }
 VARIATION = "torque_total_variation"
 
@@ -94,10 +96,24 @@ def update_tally(tally: Tally | None, row: Row, schedule: Schedule) -> Tally:
 
 def _tally(row: Row, schedule: Schedule, last: Arrays) -> Tally:
     """Tally one sample, after those of which the last is given."""
-    parts = zip(
-        _tally_attitude(row, schedule.of_attitude, last), _tally_sensors(row, schedule, last), strict=True
+    attitude, sensors = _tally_attitude(row, schedule.of_attitude, last), _tally_sensors(row, schedule, last)
+    parts = zip(attitude, sensors, _tally_position(row), strict=True)
+    return Tally(*(a | b | c for a, b, c in parts))
+
+
+def _tally_position(row: Row) -> Tally:
+    """Tally where a vehicle is in free flight."""
+    tally = Tally({}, {}, {}, {}, {})
+    if row.position is None:
+        return tally
+    there = namespace(row.position).where
+    off, wrong = (
+        there(row.delivered, (row.position - other) ** 2, 0.0)  # m²
+        for other in (row.position_reference, row.position_estimate)
     )
-    return Tally(*(attitude | sensors for attitude, sensors in parts))
+    distance, sums = off.sum(axis=-1), {"position": off, "position_estimate": wrong}
+    astray = ~(distance + wrong.sum(axis=-1) < UNUSABLE)
+    return tally._replace(sums=sums, largest={"position": distance}, ever={"astray": astray})
 
 
 def _tally_sensors(row: Row, schedule: Schedule, last: Arrays) -> Tally:
@@ -272,17 +288,30 @@ def flight_record(outcome: Outcome) -> dict[str, Any]:
         "attitude_error_rms_deg": np.degrees(np.sqrt(_mean(sums["tracking"].sum(), sums["delivered"]))),
         "attitude_error_max_deg": np.degrees(_if(sums["delivered"] > 0.0, marks["error"])),
     }
+    unusable = bool(marks["unusable"] or marks.get("astray"))
     record: dict[str, Any] = {
-        "finite": not marks["unusable"],
-        "lost": bool(marks["lost"] or marks["unusable"]),
+        "finite": not unusable,
+        "lost": bool(marks["lost"] or unusable),
         **_sensor_record(sums, outcome.period),
     }
+    if "position" in sums:
+        of_axes |= _position_record(outcome)
     for name, values in of_axes.items():
         if np.ndim(values):
             record |= {f"{name}.{axis}": number(value) for axis, value in zip(AXES, values, strict=True)}
         else:
             record[name] = number(values)
     return record
+
+
+def _position_record(outcome: Outcome) -> dict[str, Floats]:
+    """Return how far a vehicle is from where it shall be, and from where it is taken to be."""
+    sums, count = outcome.sums, outcome.sums["delivered"]
+    return {
+        POSITION: np.sqrt(_mean(sums["position"].sum(), count)),
+        "position_max_m": np.sqrt(_if(count > 0.0, outcome.marks["position"])),
+        "position_estimate_rmse_m": np.sqrt(_mean(sums["position_estimate"].sum(), count)),
+    }
 
 
 def _sensor_record(sums: dict[str, Floats], period: float) -> dict[str, float]:

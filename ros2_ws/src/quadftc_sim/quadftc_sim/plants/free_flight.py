@@ -28,6 +28,7 @@ from quadftc_model.arrays import (
     Quaternion,
     Vector,
     clip,
+    column,
     components,
     larger,
     namespace,
@@ -124,7 +125,7 @@ class FreeFlight(Plant):
         loads = self._loads(parts, still, *self._weather(time))
         force = [each / self.vehicle.mass for each in loads.force]
         place, omega = self.vehicle.aerodynamics.imu_position, parts[3]
-        if place.any():
+        if namespace(place) is not np or place.any():  # in a batch its numbers may not be known yet
             arm = components(place)
             turning = _cross(loads.angular_acceleration, arm)
             inward = _cross(omega, _cross(omega, arm))
@@ -214,23 +215,19 @@ class FreeFlight(Plant):
 
     def _carry(self, position: Parts, velocity: Parts, q: Parts, omega: Parts) -> tuple[Parts, Parts]:
         """Force [N] and torque [N m] of the ground on the feet, body axes."""
-        # a foot that is `sunk` is pushed up by a spring and a damper, and held by friction
+        # a foot that is `sunk` is pushed up by a spring and a damper, and held by friction; (..., feet)
         share = self.vehicle.mass / len(self.feet)
         stiffness = share * STANDARD_GRAVITY / SINKING
         damping = 2.0 * DAMPING * (share * stiffness) ** 0.5
-        forces, torques = list[Parts](), list[Parts]()
-        for foot in zip(*(components(self.feet[:, axis]) for axis in range(3)), strict=True):
-            sunk = -position[2] - turned(q, foot)[2]
-            moving = [v + w for v, w in zip(velocity, turned(q, _cross(omega, foot)), strict=True)]
-            load = larger(
-                stiffness * larger(sunk, 0.0 * sunk) - damping * moving[2] * (sunk > 0.0), 0.0 * sunk
-            )
-            sliding = larger(moving[0] ** 2 + moving[1] ** 2, 0.0 * sunk + SLIDING**2) ** 0.5
-            hold = -FRICTION * load / sliding
-            force = turned(_back(q), (hold * moving[0], hold * moving[1], load))
-            forces.append(force)
-            torques.append(_cross(foot, force))
-        return _sum_of(forces), _sum_of(torques)
+        foot = [self.feet[:, axis] for axis in range(3)]
+        q, omega, velocity = ([column(each) for each in parts] for parts in (q, omega, velocity))
+        sunk = -column(position[2]) - turned(q, foot)[2]
+        moving = [v + w for v, w in zip(velocity, turned(q, _cross(omega, foot)), strict=True)]
+        load = larger(stiffness * larger(sunk, 0.0) - damping * moving[2] * (sunk > 0.0), 0.0)
+        sliding = namespace(sunk).sqrt(larger(moving[0] ** 2 + moving[1] ** 2, SLIDING**2))
+        hold = -FRICTION * load / sliding
+        force = turned(_back(q), (hold * moving[0], hold * moving[1], load))
+        return [each.sum(axis=-1) for each in force], [each.sum(axis=-1) for each in _cross(foot, force)]
 
 
 @functools.lru_cache(maxsize=8)

@@ -1,0 +1,83 @@
+"""In free flight, too, the batch engine flies what the closed loop flies."""
+
+import jax
+import numpy as np
+import pytest
+from batch_flights import assert_same_flight, assert_same_metrics, flight_of, traced
+
+from quadftc_campaign.batch.inputs import InputSource
+from quadftc_campaign.batch.loop_step import ClosedLoop
+from quadftc_campaign.flights import parts_of
+from quadftc_flight.closed_loop import fly
+from quadftc_flight.scenario import build_scenario, parse_scenario
+
+FREE = """
+duration: 1.2 s
+rate: 250 Hz
+seed: 3
+vehicle: x500
+plant: {kind: free_flight, start: [2, 0, 0.3]}
+sensors: {grade: mems}
+position_sensor: {grade: mocap}
+trajectories: [{kind: circle, centre: [0, 0, 0.5], radius: 2, speed: 1, rise: 0.5}]
+wind: [{kind: constant, velocity_mean: [3, 1, 0]}, {kind: dryden}]
+disturbances: [{kind: sine, amplitude: 0.05, frequency: 3}]
+faults: [{kind: bias, value: 5 deg, axes: roll, start: 0.4 s}]
+schemes:
+  tested: {observer: none, disturbance_observer: exosystem, controller: ismc, position_controller: geometric}
+"""
+DROPOUT = {"kind": "dropout", "channel": "imu", "start": 0.0, "stop": 0.7, "probability": 0.3}
+
+
+def free(observer="none", **changes):
+    """A short flight through space."""
+    scenario = parse_scenario(FREE, overrides=[f"schemes.tested.observer={observer}"])
+    changed = {(key,): value for key, value in changes.items()}
+    return build_scenario(scenario.document.replaced(changed, "test")) if changed else scenario
+
+
+def flown_step_by_step(scenario):
+    """The flight of the batch's step in NumPy, which takes no compiling."""
+    one = parts_of(scenario)
+    loop = one.loop
+    source = InputSource([one], np.dtype(float))
+    inputs, times = source.next(loop.count)
+    given = [
+        jax.tree.map(lambda array, row=row: array[row], (jax.tree.map(lambda a: a[..., 0], inputs), times))
+        for row in range(loop.count)
+    ]
+    closed = ClosedLoop(loop, any(fault.channel == "imu" for fault in loop.injections))
+    first = loop.sensor.delay + 1
+    state, row = closed.begin(jax.tree.map(lambda array: array[..., 0], source.first), given[:first])
+    rows = [row]
+    for each in given[first:]:
+        state, row = closed.step(state, *each)
+        rows.append(row)
+    return flight_of(jax.tree.map(lambda *leaves: np.stack(leaves), *rows), loop.period_ns)
+
+
+def test_a_compiled_flight_is_that_of_the_closed_loop():
+    scenario = free(observer="none")
+    expected = fly(scenario)
+    ((outcome, flight),) = traced([parts_of(scenario)], [scenario])
+    assert np.isfinite(flight.position_reference[flight.delivered]).all()
+    assert_same_flight(flight, expected)
+    assert_same_metrics(outcome, expected, scenario)
+
+
+GPS = {"grade": "gps", "rate": 20.0, "delay": 0.05}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"observer": "isolating"},
+        {"position_sensor": GPS, "sensors": {"grade": "mems", "delay": 3}},
+        {"faults": [DROPOUT], "observer": "supervised"},
+        {"vehicle": "crazyflie_2x", "disturbances": [], "schemes": {"tested": {"controller": "indi"}}},
+    ],
+)
+def test_a_step_is_that_of_the_closed_loop(changes):
+    """With an observer of all sensors, late positions, withheld samples, measured rotor speeds."""
+    scenario = free(**changes)
+    assert_same_flight(flown_step_by_step(scenario), fly(scenario))
