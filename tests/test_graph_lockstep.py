@@ -166,8 +166,10 @@ def test_graph_equals_the_closed_loop_when_a_gyro_jumps(fly_graph):
     assert flight.gyro_state[-1].tolist() == [FAULTY, HEALTHY, HEALTHY]
 
 
-def test_graph_equals_the_closed_loop_in_free_flight(fly_graph):
+@pytest.mark.parametrize("plant", ["free_flight", "mujoco"])
+def test_graph_equals_the_closed_loop_in_free_flight(fly_graph, plant):
     changes = (
+        f"plant.kind={plant}",
         "trajectories.0.start=0.2 s",
         "trajectories.0.rise=1 s",
         "faults.0.start=1 s",

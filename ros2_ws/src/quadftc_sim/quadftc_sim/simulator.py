@@ -16,8 +16,8 @@ from quadftc_model.arrays import Components, Quaternion, Vector
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import ImuSample, PositionSample
 from quadftc_model.stepper import seconds
+from quadftc_sim.flying_plant import FlyingPlant
 from quadftc_sim.plant import Plant
-from quadftc_sim.plants.free_flight import FreeFlight
 from quadftc_sim.position_sensor import PositionSensor
 from quadftc_sim.sensor_draws import SensorDraws
 from quadftc_sim.sensors import ImuSensor
@@ -104,7 +104,7 @@ class Simulator:
             self._sensor_state, q_xyzw, body_rate, force, draws, self._dt
         )
         flight = place = None
-        if isinstance(self.plant, FreeFlight):
+        if isinstance(self.plant, FlyingPlant):
             wind = self.plant.wind(time, state.velocity)
             flight = FreeMotion(state.position, state.velocity, q_xyzw, state.speeds, wind)
             place = self._place and self._place.measure(state.position, state.velocity)

@@ -10,10 +10,11 @@ from scipy.spatial.transform import Rotation
 from quadftc_model.parameters import build
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.rotors import wrench_from_speeds
-from quadftc_model.samples import STANDARD_GRAVITY
+from quadftc_model.samples import AIR_DENSITY, STANDARD_GRAVITY
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 from quadftc_sim.disturbance import disturbances
-from quadftc_sim.plants.free_flight import AIR_DENSITY, SINKING, FlightState, FreeFlight
+from quadftc_sim.flying_plant import FlightState
+from quadftc_sim.plants.free_flight import SINKING, FreeFlight
 from quadftc_sim.wind import winds
 
 DT = 0.004

@@ -16,7 +16,6 @@ over arrays of three.
 from __future__ import annotations
 
 import functools
-import operator
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -25,7 +24,6 @@ import numpy as np
 from quadftc_model.arrays import (
     Array,
     Components,
-    Quaternion,
     Vector,
     clip,
     column,
@@ -34,28 +32,15 @@ from quadftc_model.arrays import (
     namespace,
     stacked,
 )
-from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import rk4
 from quadftc_model.rotations import normalise, turned
-from quadftc_model.samples import AIR_DENSITY, STANDARD_GRAVITY
-from quadftc_sim.plant import Plant, register
-from quadftc_sim.wind import Wind
+from quadftc_model.samples import STANDARD_GRAVITY
+from quadftc_sim.flying_plant import FlightState, FlyingPlant, Parts, inverse, sum_of, total
+from quadftc_sim.plant import register
 
 SINKING = 0.01  # m; how far the feet sink under the weight
 DAMPING = 0.7  # 1; damping ratio of the ground
 FRICTION, SLIDING = 0.6, 0.05  # 1; Coulomb friction, full from this speed [m/s] on
-
-Parts = Sequence[Any]  # components, each a float or an array (...)
-
-
-class FlightState(NamedTuple):
-    """Motion of the vehicle and of its rotors."""
-
-    position: Vector  # of the centre of mass [m]
-    velocity: Vector  # [m/s]
-    q_xyzw: Quaternion  # attitude, body to earth
-    body_rate: Vector  # [rad/s]
-    speeds: Components  # of the rotors, unsigned [rad/s]
 
 
 class _Loads(NamedTuple):
@@ -66,26 +51,8 @@ class _Loads(NamedTuple):
 
 
 @register("free_flight")
-class FreeFlight(Plant):
+class FreeFlight(FlyingPlant):
     """A vehicle that flies through air and wind."""
-
-    flies = True
-
-    motor_lag: bool = parameter(
-        True, doc="rotor speed follows its command through the vehicle's first-order lag"
-    )
-    start: tuple[float, float, float] = parameter(
-        (0.0, 0.0, 1.0), unit="m", low=-1e4, high=1e4, doc="position at the start, where it hovers"
-    )
-    ground: bool = parameter(True, doc="the ground, at height 0, carries the vehicle")
-    winds: tuple[Wind, ...] = ()
-
-    @functools.cached_property
-    def feet(self) -> Array:
-        """Where the vehicle stands, one foot below each rotor, (n, 3) [m]."""
-        xy = self.vehicle.rotors.positions
-        below = -0.5 * np.max(np.hypot(xy[:, 0], xy[:, 1]))
-        return np.column_stack([xy, np.full(len(xy), below)])
 
     @functools.cached_property
     def _arms(self) -> Array:
@@ -96,14 +63,6 @@ class FreeFlight(Plant):
     def _reach(self) -> float:
         """Height above which no foot touches the ground [m]."""
         return float(np.max(np.sqrt(np.sum(self.feet**2, axis=1))))
-
-    def init(self, q_xyzw: Quaternion, body_rate: Vector) -> FlightState:
-        """State at an attitude and a body rate [rad/s], at ``start``, at rest, with hover thrust."""
-        xp = namespace(q_xyzw)
-        hover = xp.full_like(q_xyzw[..., :1], self.vehicle.hover_speed)
-        speeds = xp.concatenate([hover] * len(self.vehicle.rotors.positions), axis=-1)
-        zeros = 0.0 * body_rate
-        return FlightState(zeros + xp.asarray(self.start), zeros, q_xyzw, body_rate, speeds)
 
     def step(self, state: FlightState, command: Components, time: float, dt: float) -> FlightState:
         """Advance by ``dt`` [s] from scenario time ``time`` [s] under rotor speeds [rad/s] (..., n), held."""
@@ -131,21 +90,6 @@ class FreeFlight(Plant):
             inward = _cross(omega, _cross(omega, arm))
             force = [f + a + b for f, a, b in zip(force, turning, inward, strict=True)]
         return stacked(force)
-
-    def wind(self, time: float, like: Vector) -> Vector:
-        """Velocity of the air at ``time`` [m/s], earth axes, shaped as ``like``."""
-        return stacked(self._weather(time)[0]) + 0.0 * like
-
-    def _weather(self, time: float) -> tuple[Parts, Parts]:
-        """Velocity of the air [m/s] and disturbance torque [N m] at ``time`` [s]."""
-        return known_weather(self, time) if isinstance(time, float) else self.weather(time)
-
-    def weather(self, time: float) -> tuple[Parts, Parts]:
-        """Compute what `known_weather` remembers."""
-        air = [components(wind.velocity(time)) for wind in self.winds]
-        torque = [components(each.torque(time)) for each in self.disturbances]
-        none = (0.0, 0.0, 0.0)
-        return _sum_of(air) if air else none, _sum_of(torque) if torque else none
 
     def _derivative(self, wanted: Parts, first: int) -> Callable[[float, tuple[Any, ...]], tuple[Any, ...]]:
         """Derivative of all components of the motion (``first`` of them) and of the rotor speeds."""
@@ -175,7 +119,7 @@ class FreeFlight(Plant):
         """Force and angular acceleration at an instant; ``parts`` are those of `FlightState`."""
         position, velocity, q, omega, speeds = parts
         thrust, *turning, momentum = self._rotors(speeds, spin_up)
-        fx, fy, fz = self._drag(q, velocity, air, _total(speeds))
+        fx, fy, fz = self._drag(q, velocity, air, total(speeds))
         damping = [-k * w for k, w in zip(components(self.vehicle.rotational_drag), omega, strict=True)]
         forces, torques = [(fx, fy, fz + thrust)], [turning, damping, disturbance]
         height = position[2]
@@ -183,7 +127,7 @@ class FreeFlight(Plant):
             carried = self._carry(position, velocity, q, omega)
             forces, torques = [*forces, carried[0]], [*torques, carried[1]]
         (jx, jy, jz), (p, r, s) = components(self.inertia), omega
-        force, (tx, ty, tz) = _sum_of(forces), _sum_of(torques)
+        force, (tx, ty, tz) = sum_of(forces), sum_of(torques)
         accelerations = (
             (tx + (jy - jz) * r * s - r * momentum) / jx,
             (ty + (jz - jx) * p * s + p * momentum) / jy,
@@ -198,20 +142,12 @@ class FreeFlight(Plant):
         x, y, spin = components(self._arms[0]), components(self._arms[1]), components(rotors.spin_sign)
         reaction = rotors.torque_to_thrust * _weighted(components(rotors.yaw_sign), thrusts)
         return (
-            _total(thrusts),
+            total(thrusts),
             _weighted(y, thrusts),
             -_weighted(x, thrusts),
             reaction - rotors.rotor_inertia * _weighted(spin, spin_up),
             rotors.rotor_inertia * _weighted(spin, speeds),
         )
-
-    def _drag(self, q: Parts, velocity: Parts, air: Parts, speeds: Any) -> Parts:
-        """Drag of rotors and body [N], body axes; ``speeds`` is their sum [rad/s]."""
-        body = self.vehicle.aerodynamics
-        ux, uy, uz = turned(_back(q), [v - a for v, a in zip(velocity, air, strict=True)])
-        x, y, z = (0.5 * AIR_DENSITY * area for area in components(body.drag_area))
-        in_plane = body.rotor_drag * speeds
-        return -(in_plane + x * abs(ux)) * ux, -(in_plane + y * abs(uy)) * uy, -z * abs(uz) * uz
 
     def _carry(self, position: Parts, velocity: Parts, q: Parts, omega: Parts) -> tuple[Parts, Parts]:
         """Force [N] and torque [N m] of the ground on the feet, body axes."""
@@ -226,34 +162,14 @@ class FreeFlight(Plant):
         load = larger(stiffness * larger(sunk, 0.0) - damping * moving[2] * (sunk > 0.0), 0.0)
         sliding = namespace(sunk).sqrt(larger(moving[0] ** 2 + moving[1] ** 2, SLIDING**2))
         hold = -FRICTION * load / sliding
-        force = turned(_back(q), (hold * moving[0], hold * moving[1], load))
+        force = turned(inverse(q), (hold * moving[0], hold * moving[1], load))
         return [each.sum(axis=-1) for each in force], [each.sum(axis=-1) for each in _cross(foot, force)]
 
 
-@functools.lru_cache(maxsize=8)
-def known_weather(plant: FreeFlight, time: float) -> tuple[Parts, Parts]:
-    """Return the weather at a time [s], which a step and its neighbours ask for several times."""
-    return plant.weather(time)
-
-
-def _total(parts: Parts) -> Any:
-    return functools.reduce(operator.add, parts)
-
-
 def _weighted(weights: Parts, parts: Parts) -> Any:
-    return _total([weight * part for weight, part in zip(weights, parts, strict=True)])
-
-
-def _sum_of(vectors: Sequence[Parts]) -> Parts:
-    return [_total(axis) for axis in zip(*vectors, strict=True)]
+    return total([weight * part for weight, part in zip(weights, parts, strict=True)])
 
 
 def _cross(a: Parts, b: Parts) -> Parts:
     (ax, ay, az), (bx, by, bz) = a, b
     return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-
-
-def _back(q: Parts) -> Parts:
-    """Components of the inverse of a unit quaternion."""
-    x, y, z, w = q
-    return x, y, z, -w
