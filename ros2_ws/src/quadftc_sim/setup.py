@@ -25,6 +25,7 @@ setup(
         "console_scripts": [
             "plant = quadftc_sim.plant_node:main",
             "fault_injector = quadftc_sim.fault_injector_node:main",
+            "ardupilot_backend = quadftc_sim.ardupilot_backend_node:main",
         ],
     },
 )

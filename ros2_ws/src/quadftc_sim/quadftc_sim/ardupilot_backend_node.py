@@ -1,0 +1,145 @@
+# pyright: basic
+"""The ArduPilot backend: flies a simulated vehicle for ArduPilot's simulation (SITL), with sensor faults.
+
+    ros2 run quadftc_sim ardupilot_backend --ros-args -p vehicle:=x500 -p "faults:=['bias channel=gyro ...']"
+    sim_vehicle.py -v ArduCopter --model JSON:127.0.0.1
+
+SITL asks over UDP for one period after the other, and waits for each: it makes time. Parameters are those of
+the plant and the fault injector. The vehicle stands on the ground at first.
+Outputs: imu/data (with its faults, as SITL gets it), the true fault on fault/injected; the truth on
+plant/odometry, rotors/speed and wind/applied.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import socket
+import threading
+import time
+from functools import partial
+from typing import Any
+
+from quadftc_model.parameters import parameter
+from quadftc_ros.diagnostics import OK, WARN
+from quadftc_ros.executor import run_node
+from quadftc_ros.node import GraphNode
+from quadftc_ros.topics import EARTH_FRAME, IMU_FRAME
+from quadftc_ros.wire import ImuWire, VectorWire
+from quadftc_sim.ardupilot import ArduPilotPhysics, Shown
+from quadftc_sim.assembly import injector_from, simulator_from
+from quadftc_sim.injection import TRUTH
+from quadftc_sim.plant import plants
+from quadftc_sim.plant_output import FlightOutput
+from quadftc_sim.sensors import ImuSensor
+from quadftc_sim.simulator import Simulator
+
+LOOK = 0.1  # s; how often the socket's thread looks whether it is to end
+PACKET = 2048  # bytes; more than any packet has
+
+
+@dataclasses.dataclass(frozen=True)
+class BackendParameters:
+    """Parameters of the node besides those of the plant and, behind ``imu.``, :class:`ImuSensor`."""
+
+    plant: str = parameter("free_flight", doc="name of the plant; it must fly")
+    vehicle: str = parameter("x500", doc="name of a vehicle, or path of its TOML file; rotors as ArduPilot's")
+    seed: int = parameter(0, low=0, doc="of the sensor's noise and bias, and of random faults")
+    address: str = parameter("127.0.0.1", doc="of this machine, where SITL's packets come; 0.0.0.0: any")
+    port: int = parameter(9002, low=0, high=65535, doc="UDP port there; 0: any that is free")
+
+
+class ArduPilotBackendNode(GraphNode):
+    """The physics behind ArduPilot's simulation."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__("ardupilot_backend", **kwargs)
+        self.settings.declare(BackendParameters, read_only=True)
+        law = plants.get(self.settings.values()["plant"])
+        if not law.flies:
+            raise ValueError(f"plant = '{self.settings.values()['plant']}': expected one that flies")
+        self.settings.declare(law, read_only=True)
+        self.settings.declare(ImuSensor, "imu.", read_only=True)
+        for name in ("winds", "disturbances", "faults"):
+            self.settings.declare_list(name, "each: kind key=value..., as of plant and fault_injector")
+        self._values = self.settings.values()
+        plant: Any = self._simulator(400.0).plant  # refuses wrong values now
+        self._values["start"] = [*plant.start[:2], -plant.feet[0, 2]]
+        self.physics = ArduPilotPhysics(self._simulator, partial(injector_from, self._values))
+        self._publish_imu, self._imu = self.publishes("imu/data"), ImuWire()
+        self._truth = {
+            channel: (self.publishes(topic), VectorWire(EARTH_FRAME if channel == "attitude" else IMU_FRAME))
+            for channel, topic in TRUTH.items()
+        }
+        self._flight = FlightOutput(self, plant.command_size, None)
+        self._socket = self._open_socket()
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name="sitl", daemon=True)
+        self._thread.start()
+        self.ready()
+
+    @property
+    def port(self) -> int:
+        """The UDP port that it listens on."""
+        return self._socket.getsockname()[1]
+
+    def connections(self) -> dict[str, int]:
+        """Return none: SITL flies the vehicle, and whoever likes reads the topics."""
+        return {}
+
+    def report(self) -> None:
+        """Report whether SITL is there, and how many packets were wrong."""
+        physics, values = self.physics, {name.replace(" ", "_"): n for name, n in self.physics.counts.items()}
+        words = "SITL flies" if physics.flights else f"waiting for SITL on UDP port {self.port}"
+        level = WARN if physics.complaint else OK
+        words += f"; refused: {physics.complaint}" if physics.complaint else ""
+        self.diagnostics.report("sitl", level, words, starts=physics.flights, **values)
+
+    def destroy_node(self) -> None:
+        """End the thread, then the node."""
+        self._ending.set()
+        self._thread.join()
+        self._socket.close()
+        super().destroy_node()
+
+    def _simulator(self, rate: float) -> Simulator:
+        return simulator_from({**self._values, "rate": rate}, time.time_ns())
+
+    def _open_socket(self) -> socket.socket:
+        address, port = self._values["address"], self._values["port"]
+        opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            opened.bind((address, port))
+        except OSError as error:
+            opened.close()
+            raise ValueError(f"address = '{address}', port = {port}: {error.strerror}") from None
+        opened.settimeout(LOOK)
+        return opened
+
+    def _serve(self) -> None:
+        """Answer SITL until the node ends."""
+        last: Shown | None = None
+        while not self._ending.is_set():
+            try:
+                data, sender = self._socket.recvfrom(PACKET)
+                line = self.physics.answer(data)
+                if line is not None:
+                    self._socket.sendto(line, sender)
+            except OSError:  # nothing came, or SITL has gone and its port refused our last answer
+                continue
+            if (shown := self.physics.shown) is not None and shown is not last:
+                self._show(shown)
+                last = shown
+
+    def _show(self, shown: Shown) -> None:
+        """Publish a sample as SITL got it, and the truth."""
+        emission, injected = shown.emission, shown.injected
+        self._flight.show_truth(emission)
+        if injected is None:
+            return
+        if injected.present:
+            self._publish_imu(self._imu(emission.sample_stamp_ns, injected.sample))
+        for channel, (publish, wire) in self._truth.items():
+            publish(wire(emission.sample_stamp_ns, getattr(injected, channel)))
+
+
+main = partial(run_node, ArduPilotBackendNode)

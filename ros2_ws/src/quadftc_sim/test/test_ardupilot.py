@@ -1,0 +1,230 @@
+"""ArduPilot's JSON interface: packets as published, axes, flights of SITL, bad packets, and the node."""
+
+import json
+import socket
+import struct
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from quadftc_model.rotations import quaternion_from_euler
+from quadftc_model.samples import STANDARD_GRAVITY
+from quadftc_model.vehicle import load_vehicle
+from quadftc_sim.ardupilot import ArduPilotPhysics, ned_attitude, read_servos, rotor_speeds
+from quadftc_sim.ardupilot_backend_node import ArduPilotBackendNode
+from quadftc_sim.assembly import injection_from, simulator_from
+from quadftc_sim.injector import FaultInjector
+from wired_node import Wired
+
+VEHICLE = load_vehicle("x500")
+RATE = 400  # Hz
+# as the readme lists it: uint16 magic = 18458, uint16 frame_rate, uint32 frame_count, uint16 pwm[16]
+PUBLISHED = bytes.fromhex("1a48 9001 07000000 e803 dc05 d007 4c04" + " 0000" * 12)
+NED_OF_ENU = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # of east, north, up
+FRD_OF_FLU = np.diag([1.0, -1.0, -1.0])  # of forward, left, up
+
+
+def packet(count, pwm=1000, rate=RATE, magic=18458, channels=16):
+    return struct.pack(f"<HHI{channels}H", magic, rate, count, *[pwm] * channels)
+
+
+def physics(*faults, **changes):
+    values = {"vehicle": "x500", "plant": "free_flight", "start": [5.0, 2.0, 0.123], "seed": 1, **changes}
+    injections = [injection_from(fault) for fault in faults]
+    return ArduPilotPhysics(
+        lambda rate: simulator_from({**values, "rate": rate}), lambda: FaultInjector(1, injections)
+    )
+
+
+def state_of(line):
+    """What SITL reads in a line; its parser wants a line break before and behind."""
+    assert line.startswith(b"\n")
+    assert line.endswith(b"}\n")
+    assert b" " not in line  # its scanf finds no bracket behind a blank
+    return json.loads(line)
+
+
+def hover_pwm(share=1.0):
+    return round(1000.0 + 1000.0 * np.sqrt(share) * VEHICLE.hover_speed / VEHICLE.rotors.speed_max)
+
+
+def flown(made, count, pwm, first=0):
+    """Answers to so many packets."""
+    return [state_of(made.answer(packet(first + index, pwm))) for index in range(count)]
+
+
+def test_servo_packet_is_read_as_published():
+    found = read_servos(PUBLISHED)
+    assert (found.frame_rate, found.frame_count) == (400, 7)
+    assert found.pwm == (1000, 1500, 2000, 1100, *[0] * 12)
+
+
+def test_servo_packet_of_32_channels_is_read_as_published():
+    data = bytes.fromhex("8173 e803 ffffffff") + bytes([0xE8, 0x03]) * 32
+    assert read_servos(data) == (1000, 2**32 - 1, (1000,) * 32)
+
+
+def test_pulses_ask_for_speeds_from_zero_to_the_largest():
+    speeds = rotor_speeds(VEHICLE, (1000, 1500, 2000, 0))
+    np.testing.assert_allclose(speeds, VEHICLE.rotors.speed_max * np.array([0.0, 0.5, 1.0, 0.0]))
+
+
+@given(st.tuples(*[st.floats(-1.5, 1.5)] * 3))
+def test_attitude_turns_to_the_axes_of_ardupilot(angles):
+    ours = quaternion_from_euler(np.array(angles))
+    w, *xyz = ned_attitude(ours)
+    expected = NED_OF_ENU @ Rotation.from_quat(ours).as_matrix() @ FRD_OF_FLU
+    np.testing.assert_allclose(Rotation.from_quat([*xyz, w]).as_matrix(), expected, atol=1e-12)
+
+
+def test_vehicle_at_rest_says_so_in_the_axes_of_ardupilot():
+    state = flown(physics(), 400, 1000)[-1]
+    np.testing.assert_allclose(state["imu"]["accel_body"], [0.0, 0.0, -STANDARD_GRAVITY], atol=0.01)
+    np.testing.assert_allclose(state["imu"]["gyro"], 0.0, atol=1e-3)
+    np.testing.assert_allclose(state["position"][:2], [2.0, 5.0], atol=1e-3)  # north, east
+    w, *xyz = state["quaternion"]
+    np.testing.assert_allclose(
+        Rotation.from_quat([*xyz, w]).apply([1.0, 0.0, 0.0]), [0.0, 1.0, 0.0], atol=1e-3
+    )
+
+
+def test_vehicle_climbs_by_its_excess_thrust():
+    states = flown(physics(start=[0.0, 0.0, 10.0]), 2 * RATE + 1, hover_pwm(1.2))
+    share = (hover_pwm(1.2) - 1000.0) ** 2 / (hover_pwm() - 1000.0) ** 2  # in whole microseconds
+    assert states[-1]["timestamp"] == pytest.approx(2.0)
+    assert states[RATE // 2]["imu"]["accel_body"][2] == pytest.approx(-share * STANDARD_GRAVITY, rel=0.01)
+    climb = np.diff([state["position"][2] for state in states])
+    velocity = [state["velocity"][2] for state in states]
+    assert velocity[-1] < -3.0  # down is positive
+    np.testing.assert_allclose(climb * RATE, np.mean([velocity[1:], velocity[:-1]], axis=0), atol=1e-4)
+
+
+def test_rotors_on_the_right_roll_it_to_the_left():
+    made = physics(start=[0.0, 0.0, 10.0])
+    hover = hover_pwm()
+    pulses = [hover + 20 * (y < 0.0) for y in VEHICLE.rotors.positions[:, 1]] + [0] * 12
+    for count in range(40):
+        state = state_of(made.answer(struct.pack("<HHI16H", 18458, RATE, count, *pulses)))
+    assert state["imu"]["gyro"][0] < -0.1  # forward, right, down: to the left is negative
+    assert np.abs(state["imu"]["gyro"][1:]).max() < 0.05
+
+
+def test_fault_is_in_what_sitl_gets():
+    faults = (
+        "bias channel=gyro axes=y value=0.3rad/s start=0.5s",
+        "bias channel=accelerometer axes=z value=1",
+    )
+    healthy, faulty = (flown(made, RATE, 1000)[-1]["imu"] for made in (physics(), physics(*faults)))
+    np.testing.assert_allclose(np.subtract(faulty["gyro"], healthy["gyro"]), [0.0, -0.3, 0.0], atol=1e-12)
+    added = np.subtract(faulty["accel_body"], healthy["accel_body"])
+    np.testing.assert_allclose(added, [0.0, 0.0, -1.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("fault", ["dropout channel=imu start=0.25s", "nan channel=gyro start=0.25s"])
+def test_sample_that_is_absent_has_the_last_value(fault):
+    made = physics(fault, **{"imu.gyro_noise": 0.01})
+    gyro = [state["imu"]["gyro"] for state in flown(made, 200, 1000)]
+    assert len({tuple(each) for each in gyro[:100]}) == 100
+    assert len({tuple(each) for each in gyro[100:]}) == 1
+    assert gyro[100] == gyro[99]
+
+
+@pytest.mark.parametrize(
+    ("data", "field"),
+    [
+        (b"", "length"),
+        (PUBLISHED[:7], "length"),
+        (PUBLISHED[:-1], "length"),
+        (PUBLISHED + b"\0", "length"),
+        (packet(1, magic=29569), "length"),
+        (packet(1, magic=18459), "magic"),
+        (PUBLISHED[::-1], "magic"),
+        (packet(1, rate=0), "frame_rate"),
+    ],
+)
+def test_bad_packet_is_counted_and_changes_nothing(data, field):
+    made, other = physics(), physics()
+    flown(made, 3, 1500), flown(other, 3, 1500)
+    assert made.answer(data) is None
+    assert made.counts == {field: 1}
+    assert made.complaint.startswith(f"{field}: ")
+    assert made.answer(packet(3, 1500)) == other.answer(packet(3, 1500))
+
+
+def test_repeated_packet_gets_the_same_answer_and_time_stands_still():
+    made = physics()
+    flown(made, 5, 1500)
+    assert made.answer(packet(5, 1500)) == made.answer(packet(5, 1500))
+    assert made.counts == {"frame_count repeated": 1}
+    assert state_of(made.answer(packet(6, 1500)))["timestamp"] == pytest.approx(6 / RATE)
+
+
+def test_skipped_packets_are_counted():
+    made = physics()
+    flown(made, 2, 1500)
+    made.answer(packet(5, 1500))
+    assert made.counts == {"frame_count skipped": 3}
+
+
+def test_sitl_that_restarts_begins_a_new_flight():
+    made = physics("bias channel=gyro axes=x value=1rad/s start=0.1s")
+    first = flown(made, 100, 1900)
+    assert first[-1]["imu"]["gyro"][0] == pytest.approx(1.0, abs=0.2)
+    assert flown(made, 100, 1900) == first
+    assert made.flights == 2
+
+
+@pytest.fixture
+def node():
+    with Wired(
+        ArduPilotBackendNode, "realtime", port=0, faults=["bias channel=gyro axes=x value=0.5"]
+    ) as made:
+        yield made
+
+
+def published_by(node, count):
+    """What the node has published when so many samples are complete, by topic; after the answer to SITL."""
+    published = {}
+    for _ in range(1000):
+        for topic, message in node.take():
+            published.setdefault(topic, []).append(message)
+        if len(published.get("fault/injected/accelerometer", [])) == count:
+            break
+        time.sleep(0.01)
+    return published
+
+
+def test_node_answers_sitl_and_publishes_what_it_gets(node):
+    sitl = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    sitl.settimeout(10.0)
+    lines = []
+    with sitl:
+        for data in (b"noise", packet(0), packet(1), packet(2)):
+            sitl.sendto(data, ("127.0.0.1", node.node.port))
+            lines += [] if data == b"noise" else [state_of(sitl.recv(2048))]
+    assert [line["timestamp"] for line in lines] == pytest.approx([0.0, 1 / RATE, 2 / RATE])
+    assert lines[-1]["imu"]["gyro"][0] == pytest.approx(0.5, abs=1e-3)
+    assert lines[0]["position"][2] == pytest.approx(-0.5 * 0.246, abs=1e-3)  # it stands on the ground
+    published = published_by(node, 3)
+    assert len(published["plant/odometry"]) == 3
+    assert published["imu/data"][-1].angular_velocity.x == lines[-1]["imu"]["gyro"][0]
+    assert published["fault/injected/gyro"][-1].vector.x == pytest.approx(0.5)
+    assert node.node.physics.counts == {"length": 1}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"plant": "test_stand"}, "plant = 'test_stand': expected one that flies"),
+        ({"address": "256.1.1.1"}, "address = '256.1.1.1'"),
+        ({"port": 70000}, "port = 70000"),
+        ({"faults": ["bais channel=gyro"]}, "no fault 'bais'"),
+    ],
+)
+def test_wrong_parameter_is_refused(wrong, words):
+    with pytest.raises(ValueError, match=words):
+        Wired(ArduPilotBackendNode, "realtime", **{"port": 0, **wrong})
