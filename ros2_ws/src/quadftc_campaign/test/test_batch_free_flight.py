@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from batch_flights import assert_same_flight, assert_same_metrics, flight_of, traced
 
+from quadftc_campaign.batch.engine import Engine
 from quadftc_campaign.batch.inputs import InputSource
 from quadftc_campaign.batch.loop_step import ClosedLoop
 from quadftc_campaign.flights import parts_of
@@ -81,3 +82,12 @@ def test_a_step_is_that_of_the_closed_loop(changes):
     """With an observer of all sensors, late positions, withheld samples, measured rotor speeds."""
     scenario = free(**changes)
     assert_same_flight(flown_step_by_step(scenario), fly(scenario))
+
+
+def test_plant_that_cannot_be_traced_is_refused_by_name():
+    pytest.importorskip("mujoco")
+    flights = [
+        parts_of(free(plant={"kind": "mujoco", "inertia_factor": [factor, 1, 1]})) for factor in (1, 1.1)
+    ]
+    with pytest.raises(ValueError, match=r"plant \(Mujoco\) cannot be flown in a batch"):
+        Engine().fly(flights, [(), ()])
