@@ -1,4 +1,4 @@
-"""A figure over time, whoever draws it: panels of traces, areas, windows, moments and bands."""
+"""A figure over time, or a map, whoever draws it: panels of traces, areas, windows, moments and bands."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from quadftc_report.decimation import Indices, choose_samples
 
 Floats = NDArray[np.float64]
 
@@ -20,6 +22,12 @@ class Trace:
     t: Floats  # (n,) [s]
     y: Floats  # (n,) in the panel's unit; NaN: a gap
     rank: int = 0  # which of the compared runs
+
+    def chosen(self) -> Indices:
+        """Return the indices of the samples that are drawn; those of a path on a map as over time."""
+        if np.all(np.diff(self.t) > 0.0):
+            return choose_samples(self.t, self.y)
+        return choose_samples(np.arange(len(self.t), dtype=np.float64), self.t, self.y)
 
 
 class Envelope(NamedTuple):
@@ -92,5 +100,7 @@ class Figure:
     title: str
     caption: str  # one sentence
     panels: tuple[Panel, ...]
-    span: tuple[float, float]  # of the time axis [s]
+    span: tuple[float, float]  # of the time axis [s]; of a map its horizontal axis
     paper_figures: tuple[int, ...] = ()  # those of the paper that show the same
+    x_label: str = "time [s]"
+    is_map: bool = False  # both axes are places, to one scale; `t` of a trace is its horizontal place

@@ -58,7 +58,9 @@ def draw(figure: Figure) -> Canvas:
         for label, handle in _panel(ax, panel):
             entries.setdefault(label, handle)
     axes[0].set_xlim(*figure.span)
-    axes[-1].set_xlabel("time [s]")
+    axes[-1].set_xlabel(figure.x_label)
+    if figure.is_map:
+        axes[0].set_aspect("equal", adjustable="datalim")
     axes[-1].xaxis.set_major_locator(MaxNLocator(nbins=8, steps=[1, 2, 5, 10]))
     canvas.align_ylabels(axes)
     rows = _legend(canvas, entries)
@@ -74,7 +76,7 @@ def _panel(ax: Any, panel: Panel) -> Iterator[tuple[str, Any]]:
     else:
         ax.yaxis.set_major_locator(MaxNLocator(nbins=round(5 * panel.height), steps=[1, 2, 5, 10]))
     for trace in panel.traces:
-        chosen = choose_samples(trace.t, trace.y)
+        chosen = trace.chosen()
         yield trace.name, ax.plot(trace.t[chosen], trace.y[chosen], **_line(trace.role, trace.rank))[0]
     for area in panel.envelopes:
         chosen = choose_samples(area.t, area.low, area.high)

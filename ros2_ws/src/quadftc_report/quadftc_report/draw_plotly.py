@@ -63,16 +63,16 @@ def plotly_figure(figure: Figure) -> go.Figure:
     heights = [PANEL_HEIGHT * panel.height for panel in figure.panels]
     total = sum(heights) + GAP * (len(heights) - 1)
     last = f"y{len(heights) if len(heights) > 1 else ''}"
-    hover = {"unifiedhovertitle": {"text": "%{x:.3f} s"}}
+    hover = {} if figure.is_map else {"unifiedhovertitle": {"text": "%{x:.3f} s"}}
     drawing = empty_figure(
         total + FRAME,
         TOP,
-        hovermode="x unified",
+        hovermode="closest" if figure.is_map else "x unified",
         hoversubplots="axis",
         hoverdistance=40,
         uirevision=figure.key,
         legend_y=1.0 + 6.0 / total,
-        xaxis=axis("time [s]", range=list(figure.span), anchor=last, **hover),
+        xaxis=axis(figure.x_label, range=list(figure.span), anchor=last, **hover),
     )
     top = total
     for number, (panel, height) in enumerate(zip(figure.panels, heights, strict=True), 1):
@@ -81,6 +81,8 @@ def plotly_figure(figure: Figure) -> go.Figure:
         if panel.ticks:
             values, texts = zip(*panel.ticks, strict=True)
             look |= {"tickvals": values, "ticktext": texts, "range": list(panel.tick_span)}
+        if figure.is_map:
+            look |= {"scaleanchor": "x", "scaleratio": 1.0}
         y_axis = axis(panel.axis_label(), anchor="x", nticks=7, minexponent=5, **look)
         drawing.update_layout({f"yaxis{suffix}": y_axis})
         for item in _traces(panel, figure.span):
@@ -101,7 +103,7 @@ def _traces(panel: Panel, span: tuple[float, float]) -> Iterator[dict[str, Any]]
     """Everything of a panel that has samples or belongs to the range of its y axis."""
     words = dict(panel.ticks)
     for trace in panel.traces:
-        chosen = choose_samples(trace.t, trace.y)
+        chosen = trace.chosen()
         y = trace.y[chosen]
         value = "%{text}" if words else f"%{{y:.4~g}} {panel.unit}"
         yield {

@@ -4,11 +4,12 @@
 |---|---|---|---|
 | attitude-<axis> | measured and corrected angle, and without the faults; their errors | replays | |
 | fault-<axis> | fault and its estimates; errors of the estimates | both | 3 to 5 |
-| state | state of the diagnosis, a panel for each axis | both | |
+| state, state-gyro, state-accelerometer | state of the diagnosis, a panel for each axis | both | |
 | tracking-<axis> | reference and angle of each run; tracking errors | flights | 6 to 14 |
 | disturbance | disturbance and its estimates, a panel for each axis | flights | |
 | sliding_variable | S and its boundary layer, a panel for each axis | flights | |
 | torque | torque command, a panel for each axis | flights | |
+| position, top_view, position_error | reference and position; paths from above; distances | free flights | |
 | gyro, gyro_correction | measured body rate, and what is added to it, a panel for each axis | replays | |
 
 A figure without data is left out. The angle without the faults is the measured one less the true fault.
@@ -22,7 +23,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_flight.flight import Reading
+from quadftc_fdi.diagnosis import BODY_AXES
+from quadftc_flight.flight import NO_STATE, Reading
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.summary import NO_OBSERVER
 from quadftc_model.rotations import wrap
@@ -30,6 +32,7 @@ from quadftc_model.samples import AXES, FAULT_STATE_NAMES, FAULTY, RECOVERING, S
 from quadftc_replay.replay_directory import Recorded, RecordedReplay
 from quadftc_report.comparison import Comparison, has_observer
 from quadftc_report.description import Band, Figure, Panel, Trace
+from quadftc_report.position_figures import position_figures
 from quadftc_report.scene import Scene, column_of, envelope, known, worth
 
 Floats = NDArray[np.float64]
@@ -40,6 +43,12 @@ PAPER_FIGURES = {
     ("paper_constant_disturbance", "tracking"): 9,
     ("paper_varying_disturbance", "tracking"): 12,
 }  # scenario and kind of figure -> number in the paper for roll; pitch and yaw follow
+# of each sensor: key of its figure, column of a flight, names of its axes
+STATES = {
+    "sensor": ("state", "fault_state", AXES),
+    "gyro": ("state-gyro", "gyro_state", BODY_AXES),
+    "accelerometer": ("state-accelerometer", "accelerometer_state", BODY_AXES),
+}
 UPPER = 1.5  # height of a panel with a panel of errors below
 ERROR = {"title": "error", "y_label": "error"}  # of the panel below
 IN_VIEW = 0.5  # share of a limit that the torque has to come up to before the limit is drawn
@@ -48,7 +57,7 @@ IN_VIEW = 0.5  # share of a limit that the torque has to come up to before the l
 def flight_figures(comparison: Comparison[RecordedRun]) -> list[Figure]:
     """Describe every figure of flights for which there is data."""
     scene, name = Scene(comparison), comparison.runs[0].scenario.name
-    kinds = (_faults, _state, _tracking, _disturbance, _sliding_variable, _torque)
+    kinds = (_faults, _state, position_figures, _tracking, _disturbance, _sliding_variable, _torque)
     return [_with_paper_number(figure, name) for describe in kinds for figure in describe(scene)]
 
 
@@ -87,14 +96,21 @@ def _faults(scene: Scene[Recorded]) -> Iterator[Figure]:
 
 
 def _state(scene: Scene[Recorded]) -> Iterator[Figure]:
-    """The state of each axis over time, where an observer ever doubts its sensor."""
-    runs = [run for run in scene.runs if has_observer(run)]
-    if not any(np.isin(run.flight.fault_state, (SUSPECT, FAULTY, RECOVERING)).any() for run in runs):
-        return
+    """The state of each axis of a sensor over time, where an observer ever doubts it."""
     ticks = tuple((float(state), word) for state, word in enumerate(FAULT_STATE_NAMES))
-    panels = [scene.panel(k, scene.lines(runs, "fault_state", k), "", "", ticks=ticks) for k in range(3)]
-    caption = "State that the fault observer gives each axis of its sensor"
-    yield scene.figure("state", "State of the diagnosis", caption, panels)
+    for sensor, (key, column, axes) in STATES.items():
+        states = ((run, getattr(run.flight, column)) for run in scene.runs if has_observer(run))
+        given = [(run, state) for run, state in states if not np.all(state == NO_STATE)]
+        if not any(np.isin(state, (SUSPECT, FAULTY, RECOVERING)).any() for _, state in given):
+            continue
+        runs = [run for run, _ in given]
+        panels = [
+            scene.panel(k, scene.lines(runs, column, k), "", "", ticks=ticks, title=name, y_label=name)
+            for k, name in enumerate(axes)
+        ]
+        caption = f"State that the fault observer gives each axis of its {sensor}"
+        title = "State of the diagnosis" + (f": {sensor}" if sensor != "sensor" else "")
+        yield scene.figure(key, title, caption, panels)
 
 
 def _tracking(scene: Scene[RecordedRun]) -> Iterator[Figure]:

@@ -72,9 +72,13 @@ class Scene(Generic[Run_co]):
         """A panel of a quantity of an axis, with its fault windows and the onsets of its disturbances."""
         first = self.runs[0]  # faults and disturbances are the same in all
         shown = tuple(_split_at_half_turns(trace, unit) for trace in traces if known(trace.y))
-        windows, moments = fault_shades(first, axis, self.end), disturbance_marks(first, axis, self.end)
-        others = {"title": AXES[axis], "y_label": f"{AXES[axis]} {quantity}".strip(), **others}
-        return Panel(traces=shown, shades=windows, marks=moments, unit=unit, **others)
+        mine: dict[str, Any] = {
+            "title": AXES[axis],
+            "y_label": f"{AXES[axis]} {quantity}".strip(),
+            "shades": fault_shades(first, axis, self.end),
+            "marks": disturbance_marks(first, axis, self.end),
+        }
+        return Panel(traces=shown, unit=unit, **{**mine, **others})
 
     def figure(self, kind: str, title: str, caption: str, panels: Iterable[Panel]) -> Figure:
         """A figure of those panels that show anything; its caption names the runs that end early."""
@@ -86,7 +90,7 @@ class Scene(Generic[Run_co]):
 def column_of(run: Recorded, column: str, axis: int, less: str = "") -> Floats:
     """Return a column (n,) of a flight, less another one; angles in degrees, their differences wrapped."""
     values: Floats = getattr(run.flight, column)[:, axis]
-    if column == "fault_state":
+    if column.endswith("_state"):
         return np.where(values == NO_STATE, np.nan, values)
     if less:
         values = np.asarray(wrap(values - getattr(run.flight, less)[:, axis]))

@@ -48,7 +48,8 @@ class Table(NamedTuple):
 def metric_tables(comparison: Comparison[Recorded], what: str) -> list[Table]:
     """Return every metric of every run: a table of the whole, and one of each fault window and fault.
 
-    A metric that no run has a number for is left out of the diagnosis, where most is about one kind of fault.
+    A metric that no run has a number for is left out of the diagnosis, where most is about one kind of fault,
+    and of the position, which a test stand holds.
     """
     runs, baseline, note = comparison.runs, None, ""
     labels = [comparison.label(run) for run in runs]
@@ -64,7 +65,8 @@ def metric_tables(comparison: Comparison[Recorded], what: str) -> list[Table]:
     sections: dict[str, list[Row]] = {title: [] for title in SECTIONS}
     for leaf in leaves.values():
         row = _row(leaf, runs, baseline)
-        if not _is_diagnosis(leaf) or any(cell.data and cell.data["value"] for cell in row):
+        optional = _is_diagnosis(leaf) or leaf.path.startswith("position_")
+        if not optional or any(cell.data and cell.data["value"] for cell in row):
             sections.setdefault(leaf.section, []).append(row)
     whole = {title: rows for title, rows in sections.items() if rows and not title.startswith(DETAILS)}
     single = {title: rows for title, rows in sections.items() if rows and title.startswith(DETAILS)}

@@ -10,9 +10,10 @@ import pytest
 
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import Flight
+from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, parse_scenario
-from quadftc_model.samples import AXES
+from quadftc_model.samples import AXES, FAULTY, HEALTHY
 from quadftc_report.comparison import Comparison, compare
 from quadftc_report.description import Figure, Panel, Shade
 from quadftc_report.figures import flight_figures
@@ -84,6 +85,52 @@ def test_every_figure_of_two_runs_is_there_in_order():
         *("fault-roll", "fault-pitch", "fault-yaw", "tracking-roll", "tracking-pitch", "tracking-yaw"),
         *("disturbance", "sliding_variable", "torque"),
     ]
+
+
+FREE = """
+name: free
+duration: 2 s
+rate: 100 Hz
+vehicle: x500
+plant: {kind: free_flight, start: [2, 0, 1]}
+trajectories: [{kind: circle, rise: 0.5}]
+faults: [{kind: bias, channel: gyro, axes: x, value: 0.2, start: 1}]
+schemes:
+  proposed: {observer: threshold, controller: ismc}
+  conventional: {observer: none, controller: pid}
+"""
+
+
+def test_a_flight_through_space_has_its_position_its_path_and_its_errors():
+    scenario = parse_scenario(FREE)
+    runs = [recorded(scenario, name) for name in PAIR]
+    (free,) = compare(runs)
+    found, flight = described(free), runs[1].flight
+    assert {"position", "top_view", "position_error"} <= set(found)
+    for axis, panel in enumerate(found["position"].panels):
+        assert list(lines(panel)) == ["reference", *PAIR]
+        np.testing.assert_array_equal(lines(panel)["conventional"], flight.position[:, axis])
+        assert [shade.label for shade in panel.shades] == ["gyro bias"]  # on every axis
+    (path,) = found["top_view"].panels
+    np.testing.assert_array_equal([path.traces[2].t, path.traces[2].y], flight.position.T[:2])
+    assert found["top_view"].is_map
+    assert found["top_view"].span[0] < np.min(flight.position[:, 0])
+    off, wrong = (lines(panel)["conventional"] for panel in found["position_error"].panels)
+    assert np.nanmax(off) == pytest.approx(flight_metrics(flight, [])["position_max_m"])
+    assert np.nanmax(wrong) < np.nanmax(off)
+
+
+def test_states_of_gyro_and_accelerometer_have_figures_where_an_observer_doubts_them():
+    run = flown("proposed")
+    state = np.full_like(run.flight.gyro_state, HEALTHY)
+    watched = changed(run, gyro_state=state.copy(), accelerometer_state=state)
+    watched.flight.gyro_state[200:, 1] = FAULTY
+    found = described(Comparison((watched,), "small"))
+    assert "state-accelerometer" not in found
+    panels = found["state-gyro"].panels
+    assert [panel.title for panel in panels] == ["x", "y", "z"]
+    assert panels[1].traces[0].y[-1] == FAULTY
+    assert panels[0].traces[0].y[-1] == HEALTHY
 
 
 def test_figure_without_data_is_left_out():
