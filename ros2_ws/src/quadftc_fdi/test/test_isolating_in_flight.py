@@ -106,6 +106,12 @@ def test_gusts_are_no_fault(place):
     assert verdicts(diagnose(flight(2500, place=place))) == []
 
 
+def test_the_front_of_a_gust_is_no_fault():
+    # 5 m/s within 0.3 s push the lightest vehicle by 1.75 m/s²: 0.246 / s x 5 m/s + 0.021 / m x (5 m/s)²
+    front = pushed(0, lambda elapsed: 0.875 * (1.0 - np.cos(np.pi * min(elapsed / 0.3, 1.0))))
+    assert verdicts(diagnose(flight(BEGIN + 200, front, gusts=0.0, place=False))) == []
+
+
 @pytest.mark.parametrize(("axis", "place"), [(0, True), (1, False), (2, True)])
 def test_a_step_of_the_accelerometer_is_named_at_once(axis, place):
     estimates = diagnose(flight(BEGIN + 125, pushed(axis, lambda _: -1.0), place=place))

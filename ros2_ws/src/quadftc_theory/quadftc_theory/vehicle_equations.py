@@ -1,8 +1,8 @@
 # pyright: basic
 """The equations of a multirotor and its sensors for fault diagnosis: what is known, where faults come in.
 
-Unknown are the state (angles, body rate, velocity), torque, thrust over mass, specific force, disturbances;
-known are sensors and commands. Every sensor axis and actuator can have a fault of any shape in time.
+Unknown are the state (angles, body rate, velocity, position), torque, thrust over mass, specific force and
+disturbances; known are sensors and commands. Every sensor axis and actuator can have a fault of any shape.
 
 Kinematics (4) and rotation (1), (2) of Wang et al. (2021), without the propellers' gyroscopic torque.
 Translation and specific force of a rotorcraft with linear drag after Martin, Salaün (2010), "The true role of
@@ -37,6 +37,7 @@ TURN_ROLL, TURN_PITCH = 0.25, -0.15  # rad, in the steady turn
 
 ANGLES, RATES, BODY = ("phi", "theta", "psi"), ("p", "q", "r"), ("x", "y", "z")
 VELOCITY, FORCE, TORQUE, WIND = (tuple(f"{name}_{axis}" for axis in BODY) for name in ("v", "f", "tau", "w"))
+POSITION = ("east", "north", "up")
 STATES = (*ANGLES, *RATES, *VELOCITY)
 
 #: Sensors by name: the label of each axis, and the unknown that it measures.
@@ -48,6 +49,7 @@ SENSORS: Mapping[str, Mapping[str, str]] = {
     "second_gyro": dict(zip(AXES, RATES, strict=True)),
     "heading": {"yaw": "psi"},
     "velocity": dict(zip(BODY, VELOCITY, strict=True)),
+    "position": dict(zip(POSITION, POSITION, strict=True)),
 }
 
 #: What may be assumed, and how it is said.
@@ -158,12 +160,14 @@ def vehicle_model(
     outputs = _vector([f"y {name}" for name in sensors]) - _vector(list(sensors.values()))
     wind = WIND if assumptions.air == "wind" else ()
     blind_to = disturbances if role == "unknown_inputs" else []
-    motion = _motion(vehicle, disturbances, assumptions.air)
+    motion, places = _motion(vehicle, disturbances, assumptions.air), ()
+    if "position" in assumptions.sensor_set:  # else nothing depends on it
+        motion, places = [*motion, *_path()], POSITION
     actuation = _actuation(vehicle, actuators, commands)
     return linearised(
         f"{vehicle.name}, {'+'.join(assumptions.sensor_set)}",
         [*motion, *actuation, *(outputs - _vector(list(sensors)))],
-        states=STATES,
+        states=(*STATES, *places),
         unknowns=[*TORQUE, "thrust", *FORCE, *commands, *wind, *blind_to],
         faults=[*sensors, *actuators, *(disturbances if role == "faults" else ())],
         point=motion_point(vehicle, assumptions) if point is None else point,
@@ -218,6 +222,14 @@ def _motion(vehicle: Vehicle, disturbances: Sequence[str], air: str) -> list[Any
     translation = force - omega.cross(velocity) - STANDARD_GRAVITY * up
     specific_force = sympy.Matrix([0, 0, thrust]) - drag * speed
     return [*(derivatives - sympy.Matrix([*kinematics, *rotation, *translation])), *(force - specific_force)]
+
+
+def _path() -> list[Any]:
+    """The change of the position by the velocity; each expression is zero."""
+    phi, theta, psi = (sympy.Symbol(name) for name in ANGLES)
+    turns = ((sympy.rot_axis3, psi), (sympy.rot_axis2, theta), (sympy.rot_axis1, phi))
+    yaw, pitch, roll = (turn(-angle) for turn, angle in turns)
+    return list(_vector([f"d{name}" for name in POSITION]) - yaw * pitch * roll * _vector(VELOCITY))
 
 
 def _actuation(vehicle: Vehicle, actuators: Sequence[str], commands: Sequence[str]) -> list[Any]:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from quadftc_model.rigid_body import gyroscopic_acceleration
-from quadftc_model.rotations import earth_z_in_body, euler_rates, quaternion_from_euler
+from quadftc_model.rotations import earth_z_in_body, euler_rates, quaternion_from_euler, to_earth
 from quadftc_model.vehicle import load_vehicle
 from quadftc_theory.isolability import (
     CAUSALITIES,
@@ -42,6 +42,7 @@ CASES = [
     {"sensor_set": IMU, "actuators": "rotors", "air": "wind"},
     {"sensor_set": IMU, "air": "no_drag", "motion": "turn"},
     {"sensor_set": ("gyro", "heading", "velocity"), "disturbances": "absent"},
+    {"sensor_set": (*IMU, "position"), "disturbances": "unknown_inputs", "air": "wind"},
 ]
 EVERY_CASE = pytest.mark.parametrize("case", CASES, ids=lambda case: "-".join(map(str, case.values())))
 
@@ -275,6 +276,30 @@ def test_linear_model_is_the_derivative_of_the_equations_of_the_plant():
     ]
     np.testing.assert_array_equal(model.E[:6, :6], np.eye(6))
     np.testing.assert_allclose(-model.A[:6, :6], np.stack(differences, axis=1), atol=1e-8)
+
+
+@pytest.mark.parametrize("actuators", ["axes", "rotors"])
+def test_a_position_tells_attitude_from_gyro_in_roll_and_pitch(actuators):
+    known = {"disturbances": "unknown_inputs", "air": "wind", "actuators": actuators}
+    without, position, heading = (
+        analysed(sensor_set=(*IMU, *more), **known) for more in ((), ("position",), ("position", "heading"))
+    )
+    for axis, told in zip(AXES, (True, True, False), strict=True):
+        pair = f"attitude {axis}", f"gyro {axis}"
+        assert not entry(without, "isolable", *pair)
+        assert entry(position, "isolable", *pair) == entry(position, "isolable", *pair[::-1]) == told
+        assert entry(heading, "isolable", *pair)
+    assert not entry(position, "isolable", "accelerometer x", "position east")
+
+
+def test_the_path_is_the_velocity_in_earth_axes():
+    assumptions = Assumptions(sensor_set=("position",), motion="turn")
+    model, point = vehicle_model(QBALL, assumptions), motion_point(QBALL, assumptions)
+    rows = [np.flatnonzero(model.E[:, model.states.index(name)])[0] for name in ("east", "north", "up")]
+    columns = [model.states.index(name) for name in VECTORS["velocity"]]
+    q_xyzw = quaternion_from_euler(np.array([point[name] for name in VECTORS["angles"]]))
+    turned = np.stack([to_earth(q_xyzw, unit) for unit in np.eye(3)], axis=1)
+    np.testing.assert_allclose(-model.A[np.ix_(rows, columns)], turned, atol=1e-12)
 
 
 def test_result_survives_json():
