@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import Array, Quaternion, Vector, namespace
+from quadftc_model.arrays import Array, Quaternion, Vector, is_single, namespace
 from quadftc_model.parameters import Checked, parameter
 from quadftc_model.rotations import earth_z_in_body, quaternion_from_rotation_vector, quaternion_product
 from quadftc_model.samples import STANDARD_GRAVITY, ImuSample
@@ -111,7 +111,9 @@ class ImuSensor(Checked):
         if state.gyro_error is not None:
             rate = rate + (state.gyro_error * body_rate[..., None, :]).sum(axis=-1)
         force = specific_force + self.accelerometer_noise * draws[..., 2, :]
-        there = namespace(q_xyzw).ones_like(q_xyzw[..., 0], dtype=bool)
+        # for one vehicle a flag as the graph has it, which is quicker than an array without axes
+        single = is_single(q_xyzw)
+        there = np.bool_(True) if single else namespace(q_xyzw).ones_like(q_xyzw[..., 0], dtype=bool)
         sample = ImuSample(attitude, rate, force, there, there, there)
         bias = state.gyro_bias + self.gyro_bias_walk * math.sqrt(dt) * draws[..., 3, :]
         pending = (*state.pending, sample)
