@@ -12,7 +12,7 @@ from quadftc_campaign.batch import compiled
 from quadftc_cli.main import guarded
 from quadftc_flight.scenario import find_scenario, load_scenario
 from quadftc_tools.bench.batch import OURS, THEIRS, Measurement, _summary, measure, measurements
-from quadftc_tools.bench.batch_worker import bare_scenario, bare_subject, compressed, prepare
+from quadftc_tools.bench.batch_worker import bare_flight, bare_scenario, bare_subject, compressed, prepare
 
 SAMPLES = 50  # of 0.2 s
 JOB = {
@@ -55,6 +55,13 @@ def test_bare_loop_holds_the_attitude_of_each_flight():
     assert subject.run().steps == 3 * 1250  # it raises if the attitude is not there at the end
 
 
+def test_bare_flight_holds_the_attitude_of_each_flight_too():
+    """With as many states as crazyflow's."""
+    subject = bare_subject(bare_flight(5.0), 3, float32=False)
+    assert subject.run().steps == 3 * 2500  # it raises if the attitude is not there at the end
+    assert "(17)" in subject.what["states"]
+
+
 def test_speed_is_that_of_the_slowest_process():
     rounds = [
         [{"steps": 600, "seconds": 1.0, "drawing": 0.5}, {"steps": 400, "seconds": 2.0, "drawing": 0.5}],
@@ -70,7 +77,8 @@ def test_speed_is_that_of_the_slowest_process():
 
 def test_other_simulators_and_the_bare_loop_are_measured_too():
     names = {each.name for each in measurements([1], [True], [1], 8.0)}
-    assert names > {"bare, in the engine", "bare", "crazyflow", "RotorPy", "RotorPy, one drone"}
+    assert names > {"bare, in the engine", "bare", "bare, free flight", "free flight, isolating"}
+    assert names > {"crazyflow", "RotorPy", "RotorPy, one drone"}
 
 
 def test_all_batch_sizes_are_flown_on_the_fewest_cores_and_the_largest_on_all():

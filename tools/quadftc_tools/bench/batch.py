@@ -27,6 +27,8 @@ SCENARIO, SCHEME = "mems_faults", "supervised"
 OTHER_SCHEMES = ("proposed", "conventional")
 WHOLE, WHOLE_DURATION = "one whole flight", 80.0  # s
 BARE_ENGINE, BARE = "bare, in the engine", "bare"
+FREE, FREE_SCENARIO, FREE_SCHEMES = "free flight", "free_circle", ("isolating", "conventional")
+BARE_FLIGHT = "bare, free flight"
 CRAZYFLOW, ROTORPY = "crazyflow", "RotorPy"
 PLAIN_VMAP = "plain vmap"
 LEAST = 0.5  # s; a shorter run is repeated
@@ -69,6 +71,7 @@ def measurements(
     first, alone = largest[:1], [(1, fewest)]
     engine = {"task": "engine", "scenario": SCENARIO, "duration": duration}
     whole = {**engine, "scheme": SCHEME, "duration": WHOLE_DURATION}
+    free = {**engine, "scenario": FREE_SCENARIO}
     both, single, double = tuple(float32), (True,), (False,)
     crazyflow, rotorpy = {"simulator": "crazyflow"}, {"simulator": "rotorpy"}
     crazyflow_rk4 = {**crazyflow, "integrator": "rk4", "steps_a_call": 500}
@@ -83,6 +86,8 @@ def measurements(
         (f"{SCHEME}, {WHOLE}", OURS, alone, both, whole),
         (BARE_ENGINE, OURS, largest, both, {"task": "bare engine", "duration": duration}),
         (BARE, OURS, everywhere, both, {"task": "bare", "duration": duration}),
+        *((f"{FREE}, {each}", OURS, largest, single, {**free, "scheme": each}) for each in FREE_SCHEMES),
+        (BARE_FLIGHT, OURS, everywhere, single, {"task": "bare flight", "duration": duration}),
         (CRAZYFLOW, THEIRS, everywhere, single, crazyflow_rk4),
         (f"{CRAZYFLOW}, its own way", THEIRS, first, single, crazyflow_euler),
         (ROTORPY, THEIRS, everywhere, double, {**rotorpy, "single": False}),

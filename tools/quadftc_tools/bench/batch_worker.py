@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from quadftc_flight.scenario import (
     Scenario,
@@ -17,19 +17,25 @@ from quadftc_flight.scenario import (
 )
 from quadftc_tools.bench.batch_child import Job, Run, Subject, serve
 
+if TYPE_CHECKING:
+    from quadftc_campaign.batch.parts import Loop
+
 BARE_SCENARIO, BARE_SCHEME, BARE_CONTROLLER = "paper_faults", "conventional", "pid"
+FREE_SCENARIO = "free_circle"
 LARGEST_ANGLE = 0.1  # rad; of the attitudes that the bare loop holds, about each axis
 SETTLED = 5.0  # s; from then on the attitude must be there
 TOLERANCE = 1e-3  # rad
 
 
 def prepare(job: Job) -> Subject:
-    """Build the subject of a job, whose ``task`` is "engine", "bare engine" or "bare".
+    """Build the subject of a job, whose ``task`` is "engine", "bare engine", "bare" or "bare flight".
 
     ``staged`` is False for plain ``jax.vmap``; ``duration`` is in s.
     """
     if job["task"] == "bare":
         return bare_subject(bare_scenario(job["duration"], motor_lag=True), job["flights"], job["float32"])
+    if job["task"] == "bare flight":
+        return bare_subject(bare_flight(job["duration"]), job["flights"], job["float32"])
     if job["task"] == "bare engine":
         return _engine(job, bare_scenario(job["duration"]), BARE_SCHEME)
     return _engine(job, compressed(job["scenario"], job["duration"]), job["scheme"])
@@ -58,6 +64,14 @@ def bare_scenario(duration: float, motor_lag: bool = False) -> Scenario:
     return with_components(scenario, BARE_SCHEME, controller=BARE_CONTROLLER)
 
 
+def bare_flight(duration: float) -> Scenario:
+    """Plant of six degrees of freedom in still air, far from the ground, as crazyflow's; 500 Hz."""
+    path = find_scenario(FREE_SCENARIO)
+    changes = ["faults=[]", "wind=[]", "plant.ground=false", "vehicle=crazyflie_2x", "rate=500 Hz"]
+    scenario = with_duration(load_scenario(path, changes), duration)
+    return with_components(scenario, BARE_SCHEME, controller=BARE_CONTROLLER)
+
+
 def _engine(job: Job, scenario: Scenario, scheme: str) -> Subject:
     import jax
 
@@ -81,12 +95,18 @@ def _engine(job: Job, scenario: Scenario, scheme: str) -> Subject:
     laws = (chosen.observer.kind, chosen.disturbance_observer.kind, chosen.controller.kind)
     what = {
         "by": f"quadftc, JAX {jax.__version__}, {device.platform} ({device.device_kind})",
-        "states": "attitude and body rate (7), observers and controller",
+        "states": f"{_states_of(scenario)}, observers and controller",
         "integrator": f"RK4, {scenario.rate:g} Hz",
         "control": "fault observer {}, disturbance observer {}, controller {}".format(*laws),
         "sensors": f"those of {scenario.name}, {len(scenario.faults)} sensor faults; metrics are kept",
     }
     return Subject(what, run)
+
+
+def _states_of(scenario: Scenario) -> str:
+    if scenario.plant.flies:
+        return "position, velocity, attitude, body rate, rotor speeds (17)"
+    return f"attitude, body rate{', rotor commands (11)' if scenario.plant.motor_lag else ' (7)'}"
 
 
 def _time_inputs() -> list[float]:
@@ -121,7 +141,6 @@ def bare_subject(scenario: Scenario, flights: int, float32: bool) -> Subject:
     from quadftc_campaign.batch.staged_step import StagedStep
     from quadftc_campaign.flights import parts_of
     from quadftc_model.rotations import euler_from_quaternion
-    from quadftc_model.samples import AttitudeReference, ControllerInputs, ImuSample
     from quadftc_model.stepper import seconds
 
     settle_precision(float32)
@@ -129,25 +148,15 @@ def bare_subject(scenario: Scenario, flights: int, float32: bool) -> Subject:
     controller_kind = scenario.scheme(BARE_SCHEME).controller.kind
     loop = parts_of(scenario, BARE_SCHEME).loop
     dt = seconds(loop.period_ns)
-
-    def control(plant: Any, angles: Any, state: Any = None) -> tuple[Any, Any, Any]:
-        zeros: Any = jnp.zeros_like(angles)
-        there: Any = jnp.asarray(True)
-        imu = ImuSample(plant.q_xyzw, plant.body_rate, zeros, there, there, there)
-        inputs, law = ControllerInputs(imu, AttitudeReference(angles, zeros, zeros), zeros), loop.controller
-        if state is None:
-            state, output = law.step(law.init(inputs), inputs, 0.0)
-        else:
-            state, output = law.step(state, inputs, dt)
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), (plant, state, output.torque))
+    control = _attitude_control(loop, dt, dtype)
 
     def begin(angles: Any) -> Any:
         level_and_still: Any = (jnp.asarray([0.0, 0.0, 0.0, 1.0], dtype), jnp.zeros_like(angles))
         return control(loop.plant.init(*level_and_still), angles)
 
     def step(state: Any, angles: Any, _: tuple[()]) -> tuple[Any, tuple[()]]:
-        plant, controller, torque = state
-        return control(loop.plant.step(plant, torque, 0.0, dt), angles, controller), ()
+        plant, controller, command = state
+        return control(loop.plant.step(plant, command, 0.0, dt), angles, controller), ()
 
     one = jax.ShapeDtypeStruct((3,), dtype)
     step_all = StagedStep(step, jax.eval_shape(begin, one), one, ())
@@ -168,12 +177,40 @@ def bare_subject(scenario: Scenario, flights: int, float32: bool) -> Subject:
 
     what = {
         "by": f"quadftc, JAX {jax.__version__}, {jax.default_backend()}",
-        "states": "attitude, body rate, rotor commands (11)",
+        "states": _states_of(scenario) + (", drag" if scenario.plant.flies else ""),
         "integrator": f"RK4, {scenario.rate:g} Hz",
-        "control": f"attitude, {controller_kind}, rotor mixer with limits",
+        "control": f"attitude ({controller_kind}), at every step, rotor mixer with limits",
         "sensors": "none",
     }
     return Subject(what, run)
+
+
+def _attitude_control(loop: Loop, dt: float, dtype: Any) -> Callable[..., tuple[Any, Any, Any]]:
+    """Return a function of plant, angles to hold and state of the controller; it adds the command."""
+    import jax
+    import jax.numpy as jnp
+
+    from quadftc_control.allocation import allocate
+    from quadftc_model.samples import AttitudeReference, ControllerInputs, ImuSample
+
+    vehicle = loop.plant.vehicle
+
+    def control(plant: Any, angles: Any, state: Any = None) -> tuple[Any, Any, Any]:
+        zeros: Any = jnp.zeros_like(angles)
+        there: Any = jnp.asarray(True)
+        imu = ImuSample(plant.q_xyzw, plant.body_rate, zeros, there, there, there)
+        inputs, law = ControllerInputs(imu, AttitudeReference(angles, zeros, zeros), zeros), loop.controller
+        if state is None:
+            state, output = law.step(law.init(inputs), inputs, 0.0)
+        else:
+            state, output = law.step(state, inputs, dt)
+        command = output.torque
+        if loop.plant.flies:
+            thrust: Any = jnp.asarray(vehicle.weight, dtype)
+            command = allocate(vehicle, thrust, command).speeds
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), (plant, state, command))
+
+    return control
 
 
 if __name__ == "__main__":

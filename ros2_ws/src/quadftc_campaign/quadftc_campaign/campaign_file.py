@@ -177,6 +177,9 @@ def load_campaign(path: Path, flights: int | None = None, recordings: Path | Non
         raise document.error(problems_of(error, _model_at)) from None
     base, scenario = _read_scenario(document, keys)
     problems, bags = [*_find_unknown_parts(keys, scenario)], tuple[Path, ...]()
+    if scenario.plant.flies and keys.source.kind != "loop":
+        said = f"{keys.source.kind}: expected 'loop', as a free flight has no motion without its loop"
+        problems.append(Problem(("source", "kind"), said))
     if keys.source.kind == "recordings":
         named = recordings or keys.source.directory
         directory = recordings or path.parent / keys.source.directory

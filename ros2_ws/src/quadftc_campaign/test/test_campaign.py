@@ -152,6 +152,10 @@ def test_a_distribution_that_is_none_is_refused(raw, message):
         ),
         (("rate: {grid", "seed: {grid"), "'seed' cannot vary"),
         (("vary:", "report: {map: [duration]}\nvary:"), r"report.map\[0\]: 'duration' does not vary"),
+        (
+            ("set: [duration=0.4 s]", "set: [plant.kind=free_flight]\nsource: {kind: motion}"),
+            "source.kind: motion: expected 'loop', as a free flight",
+        ),
     ],
 )
 def test_a_campaign_file_that_is_wrong_is_refused(tmp_path, change, message):

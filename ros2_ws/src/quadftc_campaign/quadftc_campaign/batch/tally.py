@@ -30,14 +30,12 @@ Floats = NDArray[np.float64]
 Arrays = dict[str, Array]
 
 ABOVE = float(np.radians(ESTIMATE_THRESHOLD_DEG))  # rad
-POSITION = "position_rmse_m"  # in free flight; per axis, though a record has that of all
 # root mean squares: the sum of squares of each, and the number of samples in it
 ROOTS = {
     "tracking_rmse_deg": ("tracking", "delivered"),
     "fault_estimate_rmse_deg": ("estimate", "known"),
     "disturbance_estimate_rmse": ("disturbance", "delivered"),
     "torque_rms": ("torque", "delivered"),
-    POSITION: ("position", "delivered"),
 }
 VARIATION = "torque_total_variation"
 
@@ -308,7 +306,7 @@ def _position_record(outcome: Outcome) -> dict[str, Floats]:
     """Return how far a vehicle is from where it shall be, and from where it is taken to be."""
     sums, count = outcome.sums, outcome.sums["delivered"]
     return {
-        POSITION: np.sqrt(_mean(sums["position"].sum(), count)),
+        "position_rmse_m": np.sqrt(_mean(sums["position"].sum(), count)),
         "position_max_m": np.sqrt(_if(count > 0.0, outcome.marks["position"])),
         "position_estimate_rmse_m": np.sqrt(_mean(sums["position_estimate"].sum(), count)),
     }
