@@ -13,7 +13,7 @@ import pytest
 from node_bench import NodeBench
 from quadftc_flight.graph.plan import EXECUTABLES
 from quadftc_flight.graph.processes import executable_path
-from quadftc_ros.topics import TOPICS
+from quadftc_ros.topics import GRAPHS, NODES
 
 END = 30.0  # s; for a process to end on its own
 # node -> a parameter that can be changed in flight, a good value, a bad one, and a word of the refusal
@@ -57,7 +57,8 @@ def published_by(bench: NodeBench, node: str) -> set[str]:
 
 @pytest.mark.parametrize("node", EXECUTABLES)
 def test_node_runs_alone_and_stops_cleanly(bench: NodeBench, node: str):
-    rows = [row for row in TOPICS.values() if node in row.publishers and row.qos != "clock"]
+    kind = "test_stand" if node in NODES["test_stand"] else "free_flight"
+    rows = [row for row in GRAPHS[kind].values() if node in row.publishers and row.qos != "clock"]
     wanted = {bench.tester.resolve_topic_name(row.name) for row in rows}
     assert len(wanted) > 1
     with running(*EXECUTABLES[node]) as process:

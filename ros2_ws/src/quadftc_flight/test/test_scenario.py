@@ -90,7 +90,7 @@ def test_scenario_of_the_paper_loads_as_it_has_it(path):
     ]
     proposed, conventional = scenario.scheme("proposed"), scenario.scheme("conventional")
     supervised = {"supervised"} if path.stem.startswith("mems") else set()
-    assert set(scenario.schemes) == {"proposed", "conventional"} | supervised
+    assert set(scenario.schemes) - {"indi"} == {"proposed", "conventional"} | supervised
     assert scenario.scheme() is proposed
     assert [proposed.observer.kind, proposed.disturbance_observer.kind, proposed.controller.kind] == [
         "sliding_mode",
