@@ -141,6 +141,18 @@ def test_nothing_overflows_while_attitude_and_gyro_are_absent():
     assert np.all(np.abs(last.corrected.body_rate) < 1.0)
 
 
+def test_a_gyro_is_better_than_a_virtual_one_that_has_drifted_away():
+    def alone(index, sample):
+        """Without an attitude: a step of the gyro for 0.2 s, and then the vehicle turns indeed."""
+        rate = np.array([0.5 if 250 <= index < 300 else 0.3 * (index >= 300), 0.0, 0.0])
+        return sample._replace(attitude_valid=np.False_, body_rate=sample.body_rate + rate)
+
+    estimates = hover(BEGIN + 4000, alone)
+    assert states(estimates[BEGIN + 310])[1][0] == FAULTY
+    assert states(estimates[-1])[1] == [HEALTHY] * 3
+    assert estimates[-1].corrected.body_rate[0] == pytest.approx(0.3, abs=0.02)
+
+
 def test_a_gyro_that_is_healthy_again_is_trusted():
     def passing(time):
         return np.array([0.3, 0.0, 0.0]) * (time < 1.0)

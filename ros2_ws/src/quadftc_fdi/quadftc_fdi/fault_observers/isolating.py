@@ -53,6 +53,8 @@ LOST = 10.0  # rad²; variance of an attitude of which nothing is known: more me
 UNTESTED = 1e6  # rad²/s²; variance of a prediction that tests no gyro
 TWICE_LONG: float = 2.0 * sensor_noise.AVERAGED[sensor_noise.LONG].item()  # s
 VOTED = 1.0  # 1; log-odds of the position from which it has decided for the gyro
+# rad/s; standard deviation of a virtual gyro, alone for long without an attitude, that is worse than a gyro
+LOST_RATE = 1.0
 SLOW = 1.0  # rad/s; bandwidth in which an attitude made of the gyro can replace it
 
 
@@ -220,11 +222,16 @@ class Isolating(Supervised):
         omega, angles = estimate_rate(before.filter.x, imu.body_rate), euler_from_quaternion(imu.q_xyzw)
         wanted = ~state.hypotheses.ambiguous
         # where the gyro is believed again, go on at its rate
-        returns = state.gyro.alone & wanted & ~state.gyro.faulty
+        there, faulty = _there(imu), state.gyro.faulty
+        forgiven = changed_where(
+            faulty, lambda: faulty & there[..., GYRO] & (state.gyro.filter.rr > LOST_RATE**2), faulty
+        )
+        state = state._replace(gyro=state.gyro._replace(faulty=faulty & ~forgiven))
+        returns = (state.gyro.alone & wanted & ~state.gyro.faulty) | forgiven
         ahead = gyro_monitor.adopt_gyro(ahead, omega, FLOOR[GYRO], returns)
         ahead_rate, variance = join([(axis[0], axis[6]) for axis in ahead.axes])
         flight, off, unsure = self._force_deviation(state, inputs, omega, dt)
-        moved, there = angles - state.readings.reading[..., ATTITUDE], _there(imu)
+        moved = angles - state.readings.reading[..., ATTITUDE]
         raw = xp.concatenate([imu.body_rate, imu.specific_force, angles], axis=-1)
         square = xp.concatenate([omega - ahead_rate, off, moved], axis=-1) ** 2
         variance, zeros = variance + UNTESTED * ~wanted, 0.0 * off
