@@ -260,3 +260,10 @@ def test_parameter_file_gives_back_the_parameters_it_was_made_from(tmp_path: Pat
     (tmp_path / "graph.yaml").write_text(plan.parameter_file(), encoding="utf-8")
     read = the_script().parameters_from_file(tmp_path / "graph.yaml")
     assert read == {node: plan.node_parameters(node) for node in plan.executables}
+
+
+@pytest.mark.parametrize(("plant", "kind"), [("test_stand", "test_stand"), ("free_flight", "free_flight")])
+def test_graph_is_that_of_its_plant_whatever_nodes_have_parameters(plant: str, kind: str):
+    parameters = {"plant": {"plant": plant}, "position_controller": {"mode": "realtime"}}
+    assert GraphPlan(parameters).plant == kind
+    assert GraphPlan({"position_controller": {}}).plant == "test_stand"

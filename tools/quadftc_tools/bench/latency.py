@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rich.table import Table
 
 from quadftc_flight.graph.composed import ComposedGraph
-from quadftc_flight.graph.plan import EXECUTABLES, GraphPlan, check_options
+from quadftc_flight.graph.plan import GraphPlan, check_options
 from quadftc_flight.graph.processes import ProcessGraph
 from quadftc_flight.scenario import Scenario, Scheme, node_parameters
 from quadftc_ros.scheduling import ORDINARY, Scheduling
@@ -97,7 +97,7 @@ def measure_latency(
             recorded = None if graph.recorder is None else graph.recorder.finish()
         if not going_on:
             return None
-        found = {node: load_trace(traces / f"{node}.npz") for node in EXECUTABLES}
+        found = {node: load_trace(traces / f"{node}.npz") for node in plan.executables}
     result = latencies(found, scenario.rate)
     result |= {"scenario": scenario.name, "rate": scenario.rate, "duration": scenario.duration}
     result |= {**dataclasses.asdict(options), "observer": scheme.observer.kind}

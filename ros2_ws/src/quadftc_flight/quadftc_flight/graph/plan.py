@@ -11,6 +11,7 @@ import yaml
 
 from quadftc_ros.scheduling import ORDINARY, Scheduling
 from quadftc_ros.topics import NODES, PlantKind
+from quadftc_sim.plant import plants
 
 # node -> (package, executable), in the order in which they are made: the earlier of two readers of a topic
 # gets its messages first, so those come first for whom others wait
@@ -57,8 +58,9 @@ class GraphPlan:
 
     @property
     def plant(self) -> PlantKind:
-        """The kind of plant: free flight is where a position controller has parameters."""
-        return "free_flight" if "position_controller" in self.parameters else "test_stand"
+        """The kind of the plant that the plant node flies; a ValueError if there is none of its name."""
+        name = self.parameters.get("plant", {}).get("plant", "test_stand")
+        return "free_flight" if plants.get(str(name)).flies else "test_stand"
 
     @property
     def executables(self) -> dict[str, tuple[str, str]]:
