@@ -178,7 +178,7 @@ def test_graph_equals_the_closed_loop_in_free_flight(fly_graph, plant):
     lost = "{kind: dropout, channel: imu, probability: 0.05, start: 0.5 s}"
     scenario = load_scenario(find_scenario("free_circle"), (*changes, f"faults.2={lost}"))
     scenario = with_duration(scenario, 3.0)
-    directory, _ = fly_graph(scenario, "isolating")
+    directory, _ = fly_graph(scenario, "isolating", take=plant)
     flight = flight_from_bag(read_bag(directory))
     assert not flight.delivered.all()
     assert np.nanmax(np.abs(flight.position[:, 1])) > 0.5  # it flies

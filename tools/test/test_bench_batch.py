@@ -120,7 +120,8 @@ def test_benchmark_writes_what_it_measured(tmp_path, capfd, monkeypatch):
         assert 0 < rows[name]["steps_per_second"]["median"] <= rows[name]["steps_per_second"]["best"]
         assert len(rows[name]["repeats"]) == 2
         assert rows[name]["memory_mib"] > 50.0
-    assert set(rows) == {"conventional", "conventional, plain vmap", "conventional, one whole flight"}
+    ours = {"conventional", "conventional, plain vmap", "conventional, one whole flight"}
+    assert set(rows) == {*ours, "free flight, conventional"}
     assert (tmp_path / "batch.png").stat().st_size > 5000
     printed = capfd.readouterr().out
     assert "load" in printed

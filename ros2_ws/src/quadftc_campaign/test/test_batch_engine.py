@@ -214,6 +214,10 @@ def test_every_fault_on_every_channel_flies_alike():
             ]
         )
     ]
+    faults += [
+        {"kind": "saturation", "channel": channel, "limit": limit, "start": 2.5, "duration": 0.5}
+        for channel, limit in (("gyro", 0.05), ("accelerometer", 0.2))
+    ]
     assert {fault["kind"] for fault in faults} == set(fault_kinds.names())
     assert_flies_alike(busy(*faults, observer="threshold"))
 
