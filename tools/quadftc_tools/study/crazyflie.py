@@ -35,7 +35,7 @@ from quadftc_tools.study.acceleration_model import (
 )
 from quadftc_tools.study.gyro_steps import SIZES, GyroTest, JumpTest, Mask, ObserverTest, Recorded, Result
 from quadftc_tools.study.numbers import write_number, write_times
-from quadftc_tools.study.page import NOTHING, markdown, with_tables
+from quadftc_tools.study.page import NOTHING, markdown, publish_tables
 
 PAGE = "diagnosis.md"
 VEHICLE = "crazyflie_2x"
@@ -305,13 +305,7 @@ def main() -> int:
     parser.add_argument("--docs", type=Path, help=f"directory of {PAGE}")
     options = parser.parse_args()
     try:
-        tables = make(options.directory)
-        if options.docs is None:
-            say(*(f"{name}\n{table}\n" for name, table in tables.items()))
-        else:
-            page = options.docs / PAGE
-            text = with_tables(page.read_text(encoding="utf-8"), tables, str(page))
-            page.write_text(text, encoding="utf-8")
+        publish_tables(make(options.directory), options.docs and options.docs / PAGE)
     except (ValueError, OSError) as error:
         say(f"error: {error}", stderr=True)
         return BAD_INPUT

@@ -72,6 +72,15 @@ def publish(page: Path, tables: Mapping[str, str], drawers: Drawers) -> list[Pat
     return [page, *files]
 
 
+def publish_tables(tables: Mapping[str, str], page: Path | None) -> None:
+    """Put tables into a page, or print them without one; ValueError or OSError for a wrong page."""
+    if page is None:
+        say(*(f"{name}\n{table}\n" for name, table in tables.items()))
+        return
+    text = with_tables(page.read_text(encoding="utf-8"), tables, str(page))
+    page.write_text(text, encoding="utf-8")
+
+
 def with_tables(text: str, tables: Mapping[str, str], where: str) -> str:
     """Return a document with its tables replaced; those that are not given stay as they are.
 

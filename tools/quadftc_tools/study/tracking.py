@@ -26,7 +26,7 @@ from quadftc_flight.scenario.files import find_scenario
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_model.vehicle import vehicle_names
 from quadftc_tools.study.numbers import write_number
-from quadftc_tools.study.page import markdown, with_tables
+from quadftc_tools.study.page import markdown, publish_tables
 
 PAGE = "free_flight.md"
 DURATION, JUDGED = 16.0, 5.0  # s; of a flight, and from when on it is judged
@@ -100,13 +100,7 @@ def main() -> int:
     parser.add_argument("--docs", type=Path, help=f"directory of {PAGE}")
     options = parser.parse_args()
     try:
-        tables = make()
-        if options.docs is None:
-            say(*tables.values())
-        else:
-            page = options.docs / PAGE
-            text = with_tables(page.read_text(encoding="utf-8"), tables, str(page))
-            page.write_text(text, encoding="utf-8")
+        publish_tables(make(), options.docs and options.docs / PAGE)
     except (ValueError, OSError) as error:
         say(f"error: {error}", stderr=True)
         return BAD_INPUT
