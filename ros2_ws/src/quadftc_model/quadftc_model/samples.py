@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_model.arrays import (
+    Components,
     Flag,
     Mask,
     Quaternion,
@@ -33,7 +34,7 @@ AXES = ("roll", "pitch", "yaw")  # of what has three elements in attitude
 STARTING, HEALTHY, SUSPECT, FAULTY, RECOVERING = range(5)  # fault states, as in quadftc_msgs/FaultStatus
 ALARMS = (FAULTY, RECOVERING)  # a fault is confirmed, and not known to be gone
 FAULT_STATE_NAMES = ("starting", "healthy", "suspect", "faulty", "recovering")
-FAULT_KINDS = ("", "offset", "stuck", "noise", "absent", "unknown")  # "": no fault
+FAULT_KINDS = ("", "offset", "stuck", "noise", "absent", "unknown", "loss", "off")  # "": no fault
 
 
 class ImuSample(NamedTuple):
@@ -96,6 +97,13 @@ class PositionEstimate(NamedTuple):
     acceleration: Vector  # [m/s²]
 
 
+class RotorReading(NamedTuple):
+    """What is known of the rotors at a sample; n rotors, in the order of the vehicle file."""
+
+    command: Components  # speeds commanded since the sample before (..., n) [rad/s]
+    speeds: Components | None = None  # measured at the sample (..., n) [rad/s]; None: not measured
+
+
 class FaultObserverInputs(NamedTuple):
     """What a fault observer sees: the sample, and what the rotors gave since the sample before."""
 
@@ -103,6 +111,7 @@ class FaultObserverInputs(NamedTuple):
     torque: Vector  # [N m]
     thrust: Scalar | None = None  # of all rotors [N]; None: unknown, as on the test stand
     position: PositionSample | None = None  # None: there is no position sensor
+    rotors: RotorReading | None = None  # None: neither commands nor speeds of single rotors are known
 
 
 class SensorEstimate(NamedTuple):
@@ -125,6 +134,18 @@ class SensorDiagnosis(NamedTuple):
     accelerometer: SensorEstimate
 
 
+class RotorEstimate(NamedTuple):
+    """What is said of each rotor; n rotors, in the order of the vehicle file."""
+
+    state: States  # STARTING ... RECOVERING (..., n)
+    effectiveness: Components  # thrust over that of a healthy rotor at the same speed (..., n) [1]
+    std_dev: Components  # of the effectiveness (..., n) [1]; -1: unknown
+    onset_age: Components  # time since the onset of the present fault (..., n) [s]; -1: no fault
+    probability: Components  # that this rotor is faulty now (..., n) [1]
+    kind: States  # what the fault looks like, an index into `FAULT_KINDS` (..., n)
+    ambiguous: Mask  # declared, but it may as well be another rotor, or a disturbance (..., n)
+
+
 class FaultEstimate(NamedTuple):
     """What a fault observer says."""
 
@@ -134,16 +155,17 @@ class FaultEstimate(NamedTuple):
     onset_age: Vector  # time since the onset of the present fault [s]; -1: no fault
     corrected: ImuSample  # the sample as the controller shall see it
     sensors: SensorDiagnosis | None = None  # None: the observer takes all but the attitude for healthy
+    rotors: RotorEstimate | None = None  # None: the observer takes the rotors for healthy
 
 
 class ComponentFault(NamedTuple):
     """A fault that is confirmed and not known to be gone, as quadftc_msgs/ComponentFault says it."""
 
-    component: str  # attitude, gyro, accelerometer
-    element: str  # roll, pitch, yaw of the attitude; else x, y, z
+    component: str  # attitude, gyro, accelerometer, rotor
+    element: str  # roll, pitch, yaw of the attitude; 1, 2, ... of the rotors; else x, y, z
     kind: str  # of `FAULT_KINDS`
     state: int  # FAULTY or RECOVERING
-    size: float  # reading minus truth, in ``unit``
+    size: float  # reading minus truth, in ``unit``; of a rotor the share of its thrust that is lost
     std_dev: float  # of the size; -1: the observer gives none
     unit: str
     probability: float  # that the element is faulty now [1]; -1: the observer gives none
@@ -174,6 +196,7 @@ class ControllerInputs(NamedTuple):
     reference: AttitudeReference
     disturbance: Vector  # estimate of d in (36) [rad/s²]
     torque: Vector | None = None  # of the rotors, from their measured speeds [N m]; None: not measured
+    effectiveness: Components | None = None  # of the rotors (..., n) [1]; None: all are healthy
 
 
 class ControllerOutput(NamedTuple):

@@ -1,0 +1,69 @@
+"""A flight log of any format: every signal on its own clock, in SI units and in the axes of REP-103.
+
+A reader converts units and axes once. What the log lacks is missing here, too; nothing is filled in, and no
+clock is resampled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+MAIN = ""  # name of the first or only sensor of its kind; others are named by the log, such as "2"
+
+
+class Signal(NamedTuple):
+    """One signal; samples in the order of their times, which increase strictly."""
+
+    time: Floats  # (n,) since the first sample of the log [s]
+    value: Floats  # (n, k); NaN where a sample lacks a component
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def rate(self) -> float:
+        """One over the median time between two samples [Hz]; 0 for less than two."""
+        return 1.0 / float(np.median(np.diff(self.time))) if len(self) > 1 else 0.0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FlightLog:
+    """What a log holds that a diagnosis can use. Axes: forward, left, up; east, north, up."""
+
+    path: Path
+    format: str  # such as "rosbag2", "ULog", "ArduPilot BIN", "Crazyflie uSD"
+    start_ns: int = 0  # stamp of the first sample on the clock of the log [ns]
+    gyros: Mapping[str, Signal] = field(default_factory=dict[str, Signal])  # name: (n, 3) [rad/s]
+    accelerometers: Mapping[str, Signal] = field(default_factory=dict[str, Signal])  # name: (n, 3) [m/s²]
+    magnetometer: Signal | None = None  # (n, 3), in any unit
+    attitude: Signal | None = None  # (n, 4) quaternion x, y, z, w, body to earth
+    attitude_from_gyro: bool | None = None  # whether it is computed from a gyro of this log; None: not known
+    body_rate: Signal | None = None  # (n, 3) [rad/s]: estimated rate, where no gyro is logged
+    position: Signal | None = None  # (n, 3) [m]
+    velocity: Signal | None = None  # (n, 3) [m/s]
+    acceleration: Signal | None = None  # (n, 3) [m/s²]: estimated, without gravity, earth axes
+    rotor_speeds: Signal | None = None  # (n, rotors), measured [rad/s]
+    rotor_commands: Signal | None = None  # (n, rotors), 0 to 1
+    torque_command: Signal | None = None  # (n, 3) [N m]
+    thrust_command: Signal | None = None  # (n, 1), in any unit
+    battery: Signal | None = None  # (n, 1) [V]
+    vehicle: str = ""  # name of the vehicle file, where the log says it
+    rotor_positions: Floats | None = None  # (rotors, 2) [m], or directions alone
+    rotor_yaw_signs: Floats | None = None  # (rotors,) of the reaction torque about z
+    notes: tuple[str, ...] = ()  # one line each: what was left out, what is damaged, what was assumed
+
+    @property
+    def end(self) -> float:
+        """Time of the last sample of all signals [s]."""
+        single = [self.magnetometer, self.attitude, self.body_rate, self.position, self.velocity]
+        single += [self.acceleration, self.rotor_speeds, self.rotor_commands, self.torque_command]
+        single += [self.thrust_command, self.battery]
+        signals = [*self.gyros.values(), *self.accelerometers.values(), *filter(None, single)]
+        return max((float(each.time[-1]) for each in signals if len(each)), default=0.0)
