@@ -22,7 +22,7 @@ from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.scenario import load_scenario
 from quadftc_flight.summary import refuse_wrong_checks
-from quadftc_ros.executor import run_node
+from quadftc_ros.executor import STOPPING, run_node
 from quadftc_sim.assembly import sample_count
 from quadftc_sim.fault_injector_node import FaultInjectorNode
 from quadftc_sim.plant_node import PlantNode
@@ -128,10 +128,13 @@ def _start_node(arguments: Sequence[str]) -> int:
         return node
 
     before, sys.argv = sys.argv, list(arguments)
+    handlers = {number: signal.getsignal(number) for number in STOPPING}
     try:
         return run_node(make)
     finally:
         sys.argv = before
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 def _scenario(draw: Draw, seeds: Seeds) -> Input:

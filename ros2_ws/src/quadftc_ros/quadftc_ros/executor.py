@@ -112,13 +112,14 @@ def settled_memory() -> Generator[None, None, None]:
 
 
 class StopSignals:
-    """Context in which SIGINT and SIGTERM set a flag; a second one interrupts whatever runs.
+    """Context in which SIGINT and SIGTERM set a flag; a second one interrupts whatever runs, or is ignored.
 
     A KeyboardInterrupt inside a callback would be reported by the executor as an error of the node.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, repeated: bool = True) -> None:
         self.requested = False
+        self._repeated = repeated  # whether a second one interrupts; else the first has all ignored, for good
 
     def __enter__(self) -> StopSignals:
         self._previous = {number: signal.signal(number, self._on_signal) for number in STOPPING}
@@ -132,38 +133,52 @@ class StopSignals:
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True
+        if not self._repeated:
+            ignore_stopping()
+
+
+def ignore_stopping() -> None:
+    """Have SIGINT and SIGTERM ignored until this process has ended.
+
+    With a handler, Python would take the default action while it shuts down.
+    """
+    for number in STOPPING:
+        signal.signal(number, signal.SIG_IGN)
 
 
 def run_node(make: Callable[[], Node], paced: bool = False) -> int:
     """Run one node until Ctrl-C, SIGTERM, shutdown or the death of its launcher.
 
-    ``paced`` says whether it is `Paced`. Return the exit code: 0, or 2 for wrong arguments or parameters.
+    ``paced`` says whether it is `Paced`. Further signals change nothing: under ``ros2 launch``, Ctrl-C comes
+    from the terminal and from the launcher. Return the exit code: 0, or 2 for wrong arguments or parameters.
     """
     executor, node = None, None
+    stop = StopSignals(repeated=False)
+    stop.__enter__()  # never left, as what follows is to be ignored
     try:
-        with StopSignals() as stop:
-            # a launcher blocks the signals until they can be handled
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
+        # a launcher blocks the signals until they can be handled
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
+        try:
             try:
-                try:
-                    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-                except RuntimeError as error:  # what rclpy makes of a wrong argument
-                    raise ValueError(f"ROS arguments: {error}") from None
-                node = make()
-            except (ValueError, ParameterException) as error:
-                words = " ".join(str(error).split())
-                sys.stderr.write(f"error: {words[:MAX_WORDS]}{'...' * (len(words) > MAX_WORDS)}\n")
-                return 2
-            executor = make_executor()
-            executor.add_node(node)
-            launcher = os.environ.get(LAUNCHER)  # started by hand, a node outlives the shell it came from
-            spin = Pace(executor, [cast("Paced", node)], False).spin if paced else Slice(executor).spin
-            with settled_memory():
-                while rclpy.ok() and not stop.requested and launcher in (None, str(os.getppid())):
-                    spin(POLL)
+                rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+            except RuntimeError as error:  # what rclpy makes of a wrong argument
+                raise ValueError(f"ROS arguments: {error}") from None
+            node = make()
+        except (ValueError, ParameterException) as error:
+            words = " ".join(str(error).split())
+            sys.stderr.write(f"error: {words[:MAX_WORDS]}{'...' * (len(words) > MAX_WORDS)}\n")
+            return 2
+        executor = make_executor()
+        executor.add_node(node)
+        launcher = os.environ.get(LAUNCHER)  # started by hand, a node outlives the shell it came from
+        spin = Pace(executor, [cast("Paced", node)], False).spin if paced else Slice(executor).spin
+        with settled_memory():
+            while rclpy.ok() and not stop.requested and launcher in (None, str(os.getppid())):
+                spin(POLL)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
+        ignore_stopping()
         if executor is not None:
             executor.shutdown()
         if node is not None:

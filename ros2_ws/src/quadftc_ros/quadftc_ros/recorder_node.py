@@ -159,10 +159,7 @@ def main() -> int:
         made.append(RecorderNode())
         return made[0]
 
-    try:
-        code = run_node(make)
-    except KeyboardInterrupt:  # a second Ctrl-C while the bag was being closed: it is closed
-        code = 0
+    code = run_node(make)
     return 1 if made and made[0].status.error is not None else code
 
 

@@ -13,7 +13,7 @@ from node_bench import PATIENCE
 from quadftc_ros.executor import LAUNCHER, Pace, StopSignals, make_executor
 
 NODE = """
-import sys, time
+import signal, sys
 from rclpy.node import Node
 from quadftc_ros.executor import run_node
 
@@ -29,6 +29,8 @@ class Told(Node):
         if self.get_parameter("size").value > 9.0:
             raise RuntimeError("defect")
     def destroy_node(self):
+        for number in map(int, sys.argv[1].split()):  # from the launcher, after that of the terminal
+            signal.raise_signal(number)
         print("destroyed", flush=True)
         super().destroy_node()
 
@@ -36,9 +38,10 @@ sys.exit(run_node(Told))
 """
 
 
-def start(*arguments, **environment):
+def start(*arguments, late="", **environment):
+    """The node; while it shuts down, signals of the numbers ``late`` come."""
     return subprocess.Popen(
-        [sys.executable, "-c", NODE, "--ros-args", *arguments],
+        [sys.executable, "-c", NODE, late, "--ros-args", *arguments],
         env={**os.environ, **environment},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -66,9 +69,10 @@ def test_first_signal_asks_and_the_second_interrupts(number):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_signal_ends_a_node_in_order(number):
-    with start() as process:
+def test_signal_ends_a_node_in_order_and_a_second_changes_nothing(number):
+    with start(late=f"{signal.SIGINT:d} {signal.SIGTERM:d}") as process:
         assert process.stdout.readline() == "runs\n"
+        process.send_signal(number)
         process.send_signal(number)
         output, errors = process.communicate(timeout=PATIENCE)
     assert (process.returncode, errors) == (0, "")
