@@ -56,12 +56,12 @@ def diagnose(
         estimates.append(estimate or UNSAID)
         if progress is not None and row % STRIDE == 0:
             progress(row / len(recording))
-    *said, corrected, _ = zip(*estimates, strict=True)
+    *said, corrected, _, _ = zip(*estimates, strict=True)
     return Diagnosed(
         delivered=np.array([each.present for each in injected], np.bool_),
         seen=_stack([each.sample if each.present else UNSEEN for each in injected]),
         overlaid={channel: np.stack([getattr(each, channel) for each in injected]) for channel in TRUTH},
-        estimate=FaultEstimate._make([*map(np.stack, said), _stack(corrected), None]),
+        estimate=FaultEstimate._make([*map(np.stack, said), _stack(corrected), None, None]),
         reports=reports,
         unusable=diagnosis.replaced,
     )

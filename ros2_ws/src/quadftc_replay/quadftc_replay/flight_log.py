@@ -44,6 +44,7 @@ class FlightLog:
     accelerometers: Mapping[str, Signal] = field(default_factory=dict[str, Signal])  # name: (n, 3) [m/s²]
     magnetometer: Signal | None = None  # (n, 3), in any unit
     attitude: Signal | None = None  # (n, 4) quaternion x, y, z, w, body to earth
+    angles: Signal | None = None  # (n, 3) roll, pitch, yaw [rad], where the log has only some of them
     attitude_from_gyro: bool | None = None  # whether it is computed from a gyro of this log; None: not known
     body_rate: Signal | None = None  # (n, 3) [rad/s]: estimated rate, where no gyro is logged
     position: Signal | None = None  # (n, 3) [m]
@@ -51,7 +52,8 @@ class FlightLog:
     acceleration: Signal | None = None  # (n, 3) [m/s²]: estimated, without gravity, earth axes
     rotor_speeds: Signal | None = None  # (n, rotors), measured [rad/s]
     rotor_commands: Signal | None = None  # (n, rotors), 0 to 1
-    torque_command: Signal | None = None  # (n, 3) [N m]
+    torque_command: Signal | None = None  # (n, 3) [torque_unit]
+    torque_unit: str = "N m"  # or "1": shares of the greatest torque, of each axis
     thrust_command: Signal | None = None  # (n, 1), in any unit
     battery: Signal | None = None  # (n, 1) [V]
     vehicle: str = ""  # name of the vehicle file, where the log says it
@@ -64,6 +66,6 @@ class FlightLog:
         """Time of the last sample of all signals [s]."""
         single = [self.magnetometer, self.attitude, self.body_rate, self.position, self.velocity]
         single += [self.acceleration, self.rotor_speeds, self.rotor_commands, self.torque_command]
-        single += [self.thrust_command, self.battery]
+        single += [self.thrust_command, self.battery, self.angles]
         signals = [*self.gyros.values(), *self.accelerometers.values(), *filter(None, single)]
         return max((float(each.time[-1]) for each in signals if len(each)), default=0.0)

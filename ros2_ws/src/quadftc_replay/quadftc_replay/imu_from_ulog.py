@@ -16,21 +16,13 @@ Stamps are those of the sensor sample (``timestamp_sample`` where there is one),
 log has torques only without a unit, so the torque is zero. The attitude is PX4's own estimate, to which this
 gyro has contributed; where its estimator resets it, it jumps, and a warning says when.
 
-PX4's frames are north-east-down and forward-right-down (FRD), those of ROS (REP-103, REP-147) east-north-up
-(ENU) and forward-left-up (FLU). Vectors in the body: (x, y, z) -> (x, -y, -z), half a turn about x; on the
-earth: (x, y, z) -> (y, x, -z), half a turn about (1, 1, 0). Attitudes, body to earth:
-
-    q_ENU_FLU = q_ENU_NED  q_NED_FRD  q_FRD_FLU
-
-In Euler angles: roll stays, pitch changes its sign, and yaw becomes pi/2 - yaw (from north clockwise to from
-east counterclockwise).
+PX4's frames are north-east-down and forward-right-down; `readers.frames` turns them.
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
-import math
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -42,6 +34,7 @@ from quadftc_model.rotations import quaternion_from_rotation_vector, quaternion_
 from quadftc_model.samples import ImuSample
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_replay.imu_recording import Floats, Recording, Stamps, clean_samples, keep_good_stamps
+from quadftc_replay.readers.frames import enu_flu_from_ned_frd, flu_from_frd
 
 Dataset = Mapping[str, NDArray]  # field, elements as name[k] -> (n,)
 
@@ -51,9 +44,6 @@ GYROS = {"sensor_combined": "gyro_rad", "vehicle_angular_velocity": "xyz"}
 FORCES = {"sensor_combined": "accelerometer_m_s2", "vehicle_acceleration": "xyz"}
 INVALID_TIME = 0x7FFFFFFF  # sensor_combined.accelerometer_timestamp_relative: no accelerometer in this sample
 SHOWN = 5  # resets in one warning
-
-Q_ENU_NED = np.array([math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0])  # x, y, z, w
-Q_FRD_FLU = np.array([1.0, 0.0, 0.0, 0.0])  # x, y, z, w
 
 
 def is_ulog(path: Path) -> bool:
@@ -87,17 +77,6 @@ def recording_from_ulog(path: Path, topic: str = "", skip_backwards: bool = Fals
         rejected=kept.rejected,
         warnings=(*damage, *kept.warnings, *absences, *_resets(data[ATTITUDE], kept.stamp_ns, path)),
     )
-
-
-def flu_from_frd(vector: Floats) -> Floats:
-    """Vector in FLU (..., 3) of one in FRD."""
-    return vector * np.array([1.0, -1.0, -1.0])
-
-
-def enu_flu_from_ned_frd(q_wxyz: Floats) -> Floats:
-    """Attitude q_xyzw (..., 4), FLU to ENU, of PX4's (..., 4): FRD to north-east-down, w first."""
-    q_xyzw = np.roll(np.asarray(q_wxyz, np.float64), -1, axis=-1)
-    return quaternion_product(quaternion_product(Q_ENU_NED, q_xyzw), Q_FRD_FLU)
 
 
 def _read(path: Path) -> tuple[dict[str, Dataset], bool]:

@@ -1,0 +1,55 @@
+"""Readers of flight logs, one file per format; `read_log` chooses by the first bytes.
+
+A reader takes a path and gives a `FlightLog`. A new format is one more file, and one more line in `READERS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import NamedTuple
+
+from quadftc_bags.bag import BagError
+from quadftc_replay.flight_log import FlightLog
+
+HEAD = 16  # bytes that tell a format
+
+
+class Reader(NamedTuple):
+    """A format: how its files begin, and the module with ``read(path)``, imported when it is needed."""
+
+    name: str
+    begins: tuple[bytes, ...]
+    module: str
+
+    def read(self, path: Path) -> FlightLog:
+        """Read a log."""
+        read: Callable[[Path], FlightLog] = import_module(f"{__name__}.{self.module}").read
+        return read(path)
+
+
+READERS = (
+    Reader("PX4 ULog", (b"ULog\x01\x12\x35",), "ulog"),
+    Reader("Crazyflie uSD", (b"\xbc\x01\x00", b"\xbc\x02\x00"), "crazyflie"),
+)
+
+
+def find_reader(path: Path) -> Reader:
+    """Find what reads a file; a BagError of one line if nothing does."""
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(HEAD)
+    except OSError as error:
+        raise BagError(f"{path}: {error.strerror or error}") from None
+    for reader in READERS:
+        if head.startswith(reader.begins):
+            return reader
+    found = "an empty file" if not head else f"a file that begins with {head[:8].hex(' ')}"
+    known = ", ".join(reader.name for reader in READERS)
+    raise BagError(f"{path}: {found}; expected a log of one of the formats {known}")
+
+
+def read_log(path: Path) -> FlightLog:
+    """Read a log of any format; a BagError of one line says why it cannot be read."""
+    return find_reader(path).read(path)

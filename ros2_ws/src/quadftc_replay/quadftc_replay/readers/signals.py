@@ -1,0 +1,156 @@
+"""Signals of a log as its reader found them: cleaned of bad stamps, then put on one time axis."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from quadftc_bags.bag import BagError
+from quadftc_model.stepper import NANOSECONDS_PER_SECOND
+from quadftc_replay.flight_log import FlightLog, Floats, Signal
+
+Stamps = NDArray[np.int64]
+MAX_PAUSE = 3600.0  # s; what is further from the other samples than this has a damaged stamp
+NAMED = ("gyros", "accelerometers")
+
+
+class Stamped(NamedTuple):
+    """Samples on the clock of the log."""
+
+    stamp_ns: Stamps  # (n,) strictly increasing
+    value: Floats  # (n, k)
+
+
+class Signals:
+    """Collects the signals of one log; `flight_log` puts them together."""
+
+    def __init__(self, path: Path, format_name: str) -> None:
+        self.path, self.format = path, format_name
+        self.notes: list[str] = []
+        self._named: dict[str, dict[str, Stamped]] = {kind: {} for kind in NAMED}
+        self._single: dict[str, Stamped] = {}
+
+    def add(self, field: str, stamp_ns: Stamps, value: ArrayLike, source: str, name: str = "") -> bool:
+        """Take a signal for a field of `FlightLog`; whether two samples or more are left of it.
+
+        ``source`` is its name in the log, for notes; ``name`` that of a gyro or accelerometer.
+        """
+        rows = np.asarray(value, np.float64)
+        rows = rows.reshape(len(stamp_ns), -1)
+        kept = np.flatnonzero(np.isfinite(rows).any(axis=1))
+        chosen, complaint = good_stamps(stamp_ns[kept])
+        kept = kept[chosen]
+        if complaint:
+            self.notes.append(f"{source}: {complaint}")
+        if len(kept) < 2:
+            if len(stamp_ns):
+                self.notes.append(f"{source}: {len(kept)} usable samples; left out")
+            return False
+        signal = Stamped(stamp_ns[kept], rows[kept])
+        if field in self._named:
+            self._named[field][name] = signal
+        else:
+            self._single[field] = signal
+        return True
+
+    def has(self, field: str) -> bool:
+        """Whether there is a signal for a field."""
+        return bool(self._named.get(field)) or field in self._single
+
+    def flight_log(self, **known: Any) -> FlightLog:
+        """Put everything together; BagError if there is no signal at all."""
+        self._leave_out_other_times()
+        everything = list(self._all())
+        if not everything:
+            wanted = "a gyro, an attitude, motor commands or speeds"
+            more = "".join(f"; {note}" for note in self.notes)
+            raise BagError(f"{self.path}: {self.format} log without a usable signal; expected {wanted}{more}")
+        start_ns = min(int(signal.stamp_ns[0]) for _, _, signal in everything)
+
+        def timed(signal: Stamped) -> Signal:
+            return Signal((signal.stamp_ns - start_ns) / NANOSECONDS_PER_SECOND, signal.value)
+
+        fields: dict[str, Any] = {name: timed(signal) for name, signal in self._single.items()}
+        for kind, signals in self._named.items():
+            fields[kind] = {name: timed(signal) for name, signal in signals.items()}
+        return FlightLog(
+            path=self.path,
+            format=self.format,
+            start_ns=start_ns,
+            notes=tuple(self.notes),
+            **fields,
+            **{name: value for name, value in known.items() if value is not None},
+        )
+
+    def _all(self) -> Iterable[tuple[dict[str, Stamped], str, Stamped]]:
+        for holder in (self._single, *self._named.values()):
+            for name, signal in holder.items():
+                yield holder, name, signal
+
+    def _leave_out_other_times(self) -> None:
+        """Leave out signals on another clock than the one with most samples."""
+        if not (signals := [signal for *_, signal in self._all()]):
+            return
+        longest = max(signals, key=lambda each: len(each.stamp_ns))
+        margin = int(MAX_PAUSE * NANOSECONDS_PER_SECOND)
+        first, last = int(longest.stamp_ns[0]) - margin, int(longest.stamp_ns[-1]) + margin
+        for holder, name, signal in list(self._all()):
+            if int(signal.stamp_ns[-1]) < first or int(signal.stamp_ns[0]) > last:
+                del holder[name]
+                self.notes.append(f"{name or 'main sensor'}: its stamps are of another clock; left out")
+
+
+def good_stamps(stamp_ns: Stamps) -> tuple[NDArray[np.intp], str]:
+    """Choose rows with stamps that increase, near each other; say in words what was left out.
+
+    The longest increasing run of stamps is kept, so that one damaged stamp costs one sample.
+    """
+    if not len(stamp_ns):
+        return np.zeros(0, np.intp), ""
+    rows = np.arange(len(stamp_ns))
+    if bool(np.any(np.diff(stamp_ns) <= 0)):
+        rows = _longest_increasing(stamp_ns)
+    pauses = np.diff(stamp_ns[rows]) > MAX_PAUSE * NANOSECONDS_PER_SECOND
+    if bool(np.any(pauses)):
+        rows = max(np.split(rows, np.flatnonzero(pauses) + 1), key=len)
+    lost = len(stamp_ns) - len(rows)
+    return rows, f"{lost} of {len(stamp_ns)} samples with a stamp out of order left out" if lost else ""
+
+
+def _longest_increasing(stamp_ns: Stamps) -> NDArray[np.intp]:
+    """Rows of the longest strictly increasing subsequence (patience sorting)."""
+    tops: list[int] = []  # smallest stamp that ends a subsequence of this length
+    at: list[int] = []  # its row
+    before = np.full(len(stamp_ns), -1, np.intp)
+    for row, stamp in enumerate(stamp_ns.tolist()):
+        if not tops or stamp > tops[-1]:
+            place = len(tops)
+            tops.append(stamp)
+            at.append(row)
+        else:
+            place = bisect_left(tops, stamp)
+            tops[place], at[place] = stamp, row
+        if place:
+            before[row] = at[place - 1]
+    chosen = np.empty(len(tops), np.intp)
+    row = at[-1]
+    for place in range(len(tops) - 1, -1, -1):
+        chosen[place] = row
+        row = int(before[row])
+    return chosen
+
+
+def columns(data: Mapping[str, NDArray[Any]], names: Iterable[str]) -> Floats:
+    """Stack columns of a table (n, k)."""
+    return np.stack([np.asarray(data[name], np.float64) for name in names], axis=-1)
+
+
+def rate_of(stamp_ns: Stamps) -> float:
+    """One over the median time between two samples [Hz]; 0 for less than two."""
+    period = float(np.median(np.diff(stamp_ns))) if len(stamp_ns) > 1 else 0.0
+    return NANOSECONDS_PER_SECOND / period if period > 0.0 else 0.0

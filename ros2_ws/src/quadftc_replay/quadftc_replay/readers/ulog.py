@@ -1,0 +1,301 @@
+# pyright: basic
+"""A PX4 log (ULog) as a flight log.
+
+| signal | topic.field: the first that is there |
+|---|---|
+| gyro | ``sensor_combined.gyro_rad`` or ``vehicle_angular_velocity.xyz``, the faster |
+| other gyros, accelerometers | ``vehicle_imu``, ``sensor_gyro``, ``sensor_accel`` of other instances |
+| accelerometer | ``sensor_combined.accelerometer_m_s2`` or ``vehicle_acceleration.xyz``, the faster |
+| magnetometer | ``vehicle_magnetometer.magnetometer_ga`` |
+| attitude | ``vehicle_attitude.q`` |
+| position, velocity, acceleration | ``vehicle_local_position`` |
+| rotor speeds | ``esc_status.esc[].esc_rpm`` |
+| rotor commands | ``actuator_motors.control``, else ``actuator_outputs.output`` over its range |
+| torque, thrust command | ``vehicle_torque_``, ``vehicle_thrust_setpoint``; else ``actuator_controls_0`` |
+| battery | ``battery_status.voltage_v`` |
+| layout of the rotors | ``CA_ROTOR*_PX``, ``PY``, ``KM``; else the airframe ``SYS_AUTOSTART`` |
+
+Stamps are those of the sensor sample (``timestamp_sample`` where there is one), since the start of the
+system. PX4's frames are north-east-down and forward-right-down; `frames` turns them. The attitude is PX4's
+own estimate, to which this gyro has contributed. Torque and thrust commands are shares of the greatest.
+
+Source: PX4/PX4-Autopilot, msg/*.msg, src/modules/control_allocator.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_bags.bag import BagError
+from quadftc_replay.flight_log import FlightLog, Floats
+from quadftc_replay.readers.frames import enu_flu_from_ned_frd, enu_from_ned, flu_from_frd
+from quadftc_replay.readers.layouts import Layout, frame_layout
+from quadftc_replay.readers.signals import Signals, Stamps, columns, rate_of
+
+FORMAT = "PX4 ULog"
+Dataset = Mapping[str, NDArray[Any]]  # field, elements as name[k] -> (n,)
+
+GYROS = {"sensor_combined": "gyro_rad", "vehicle_angular_velocity": "xyz"}
+FORCES = {"sensor_combined": "accelerometer_m_s2", "vehicle_acceleration": "xyz"}
+# of each instance: topic -> fields, period of integration [µs]
+INSTANCES = {
+    "gyros": {"vehicle_imu": ("delta_angle", "delta_angle_dt"), "sensor_gyro": ("", "")},
+    "accelerometers": {"vehicle_imu": ("delta_velocity", "delta_velocity_dt"), "sensor_accel": ("", "")},
+}
+ATTITUDE, POSITION, MAGNETOMETER = "vehicle_attitude", "vehicle_local_position", "vehicle_magnetometer"
+MOTORS, OUTPUTS, ESCS, BATTERY = "actuator_motors", "actuator_outputs", "esc_status", "battery_status"
+TORQUE, THRUST, CONTROLS = "vehicle_torque_setpoint", "vehicle_thrust_setpoint", "actuator_controls_0"
+SELECTION = "sensor_selection"
+TOPICS = (
+    *(ATTITUDE, POSITION, MAGNETOMETER, MOTORS, OUTPUTS, ESCS, BATTERY, TORQUE, THRUST, CONTROLS, SELECTION),
+    *dict.fromkeys([*GYROS, *FORCES, *INSTANCES["gyros"], *INSTANCES["accelerometers"]]),
+)
+INVALID_TIME = 0x7FFFFFFF  # sensor_combined.accelerometer_timestamp_relative: no accelerometer in this sample
+LEAST_RATE = 20.0  # Hz; slower instances are PX4's spot checks of sensors that do not fly the vehicle
+RPM = 2.0 * math.pi / 60.0  # rad/s
+FIRST_MOTOR = 101  # actuator output function of motor 1
+MAX_MOTORS = 12
+CAN_FULL = 8191.0  # output to an ESC on a CAN bus at full thrust
+MAX_PULSE = 2500.0  # µs; greater outputs are of another kind
+ROTORS_OF_TYPE = {2: 4, 13: 6, 14: 8, 15: 3, 29: 12}  # MAV_TYPE -> rotors
+# thousands of SYS_AUTOSTART -> rotors, frame
+AIRFRAMES = {4: (4, "x"), 5: (4, "plus"), 6: (6, "x"), 7: (6, "plus"), 8: (8, "x"), 9: (8, "plus")}
+SHOWN = 5  # resets in one note
+
+
+class Contents(NamedTuple):
+    """What is needed of a log."""
+
+    data: dict[tuple[str, int], Dataset]  # topic and instance, with a sample or more
+    parameters: Mapping[str, float]
+    corrupt: bool
+
+    def get(self, topic: str, instance: int = 0) -> Dataset | None:
+        """Samples of a topic."""
+        return self.data.get((topic, instance))
+
+    def instances(self, topic: str) -> list[int]:
+        """Instances of a topic that have samples."""
+        return sorted(instance for name, instance in self.data if name == topic)
+
+
+def read(path: Path) -> FlightLog:
+    """Read a log; BagError if it is none, or if nothing in it can be used."""
+    log = read_contents(path)
+    signals = Signals(path, FORMAT)
+    if log.corrupt:
+        signals.notes.append("damaged; read what makes sense")
+    _add_main(signals, log, "gyros", GYROS)
+    _add_main(signals, log, "accelerometers", FORCES)
+    for field, topics in INSTANCES.items():
+        _add_others(signals, log, field, topics)
+    _add_states(signals, log)
+    rotors = _add_rotors(signals, log)
+    _add_setpoints(signals, log)
+    layout = _layout(log.parameters, rotors)
+    return signals.flight_log(
+        attitude_from_gyro=True if signals.has("attitude") else None,
+        torque_unit="1",
+        rotor_positions=layout and layout.positions,
+        rotor_yaw_signs=layout and layout.yaw_signs,
+    )
+
+
+def read_contents(path: Path, topics: Sequence[str] = TOPICS) -> Contents:
+    """Read some topics; BagError if the file is no log."""
+    from pyulog import ULog  # takes its time, and is needed here only
+
+    try:
+        with path.open("rb") as stream, contextlib.redirect_stdout(io.StringIO()):  # the library prints
+            log = ULog(stream, list(topics))
+    except OSError as error:
+        raise BagError(f"{path}: {error.strerror or error}") from None
+    except Exception as error:  # whatever the library makes of bytes that are no log
+        words = " ".join(str(error).split()) or type(error).__name__
+        raise BagError(f"{path}: not a PX4 log (ULog): {words}") from None
+    filled = [each for each in log.data_list if len(each.data.get("timestamp", ()))]
+    data = {(each.name, each.multi_id): each.data for each in filled}
+    return Contents(data, log.initial_parameters, log.file_corruption)
+
+
+def stamps_of(data: Dataset) -> Stamps:
+    """Time of each sample [ns] (n,)."""
+    micro = data["timestamp"].astype(np.int64)
+    sampled = data.get("timestamp_sample", micro).astype(np.int64)
+    return np.where(sampled > 0, sampled, micro) * 1000
+
+
+def vectors(data: Dataset, field: str, width: int = 3) -> Floats | None:
+    """Elements of a field (n, width); None if they are not there."""
+    names = [f"{field}[{k}]" for k in range(width)]
+    return columns(data, names) if all(name in data for name in names) else None
+
+
+def _fields(data: Dataset, *names: str) -> Floats | None:
+    return columns(data, names) if all(name in data for name in names) else None
+
+
+def _add_main(signals: Signals, log: Contents, field: str, topics: Mapping[str, str]) -> None:
+    """Add the sensor that flies the vehicle, from the topic that has most samples."""
+    there = [name for name in topics if (data := log.get(name)) and f"{topics[name]}[0]" in data]
+    for name in sorted(there, key=lambda each: -len(log.data[each, 0]["timestamp"])):
+        data = log.data[name, 0]
+        value = vectors(data, topics[name])
+        stamp_ns = stamps_of(data)
+        relative = data.get("accelerometer_timestamp_relative")
+        if value is not None and field == "accelerometers" and relative is not None:
+            missing = relative == INVALID_TIME
+            value = np.where(missing[:, None], np.nan, value)
+            stamp_ns = stamp_ns + np.where(missing, 0, relative.astype(np.int64)) * 1000
+        if value is not None and signals.add(field, stamp_ns, flu_from_frd(value), name):
+            return
+
+
+def _add_others(signals: Signals, log: Contents, field: str, topics: Mapping[str, tuple[str, str]]) -> None:
+    """Add the other sensors of a kind, each from the topic that has most samples of it."""
+    key = "gyro_device_id" if field == "gyros" else "accel_device_id"
+    main = _main_device(log, key)
+    slow: list[str] = []
+    for instance in sorted({number for topic in topics for number in log.instances(topic)}):
+        there = [topic for topic in topics if (topic, instance) in log.data]
+        topic = max(there, key=lambda each: len(log.data[each, instance]["timestamp"]))
+        data = log.data[topic, instance]
+        name, (element, period) = f"{topic}[{instance}]", topics[topic]
+        device = data.get(key, data.get("device_id"))
+        is_main = device is not None and main is not None and int(device[0]) == main
+        if signals.has(field) and (is_main or (main is None and instance == 0)):
+            continue  # the main one, at first hand
+        if rate_of(stamps_of(data)) < LEAST_RATE:
+            slow.append(name)
+            continue
+        value = vectors(data, element) if element else _fields(data, "x", "y", "z")
+        if value is not None and period:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                value = value / (1e-6 * data[period].astype(np.float64))[:, None]
+        if value is not None:
+            signals.add(field, stamps_of(data), flu_from_frd(value), name, str(instance))
+    if slow:
+        signals.notes.append(f"other {field}, slower than {LEAST_RATE:g} Hz, left out: {', '.join(slow)}")
+
+
+def _main_device(log: Contents, key: str) -> int | None:
+    """Device that flew the vehicle at the end, by `sensor_selection`."""
+    selection = log.get(SELECTION)
+    return int(selection[key][-1]) if selection and key in selection else None
+
+
+def _add_states(signals: Signals, log: Contents) -> None:
+    """Add attitude, position, velocity, acceleration, magnetometer and battery."""
+    if data := log.get(ATTITUDE):
+        if (q_wxyz := vectors(data, "q", 4)) is not None:
+            signals.add("attitude", stamps_of(data), enu_flu_from_ned_frd(q_wxyz), ATTITUDE)
+        signals.notes += resets(data)
+    if data := log.get(POSITION):
+        fields = {"position": "x y z", "velocity": "vx vy vz", "acceleration": "ax ay az"}
+        for field, names in fields.items():
+            if (value := _fields(data, *names.split())) is not None:
+                signals.add(field, stamps_of(data), enu_from_ned(value), f"{POSITION}: {names}")
+    data = log.get(MAGNETOMETER)
+    if data and (value := vectors(data, "magnetometer_ga")) is not None:
+        signals.add("magnetometer", stamps_of(data), flu_from_frd(value), MAGNETOMETER)
+    if (data := log.get(BATTERY)) and "voltage_v" in data:
+        signals.add("battery", stamps_of(data), data["voltage_v"], BATTERY)
+
+
+def _add_setpoints(signals: Signals, log: Contents) -> None:
+    """Add torque and thrust that the controller asked for, as shares of the greatest."""
+    if (data := log.get(TORQUE)) and (value := vectors(data, "xyz")) is not None:
+        signals.add("torque_command", stamps_of(data), flu_from_frd(value), TORQUE)
+    elif (data := log.get(CONTROLS)) and (value := vectors(data, "control")) is not None:
+        signals.add("torque_command", stamps_of(data), flu_from_frd(value), CONTROLS)
+    if (data := log.get(THRUST)) and "xyz[2]" in data:
+        signals.add("thrust_command", stamps_of(data), -data["xyz[2]"], THRUST)
+    elif (data := log.get(CONTROLS)) and "control[3]" in data:
+        signals.add("thrust_command", stamps_of(data), data["control[3]"], CONTROLS)
+
+
+def _add_rotors(signals: Signals, log: Contents) -> int:
+    """Add speeds and commands of the rotors; return how many there are, 0 if that is not known."""
+    kind = int(log.parameters.get("MAV_TYPE", 0))
+    count = int(log.parameters.get("CA_ROTOR_COUNT", 0)) or ROTORS_OF_TYPE.get(kind, 0)
+    if (data := log.get(MOTORS)) and (value := vectors(data, "control", MAX_MOTORS)) is not None:
+        used = np.flatnonzero(np.isfinite(value).any(axis=0))
+        count = count or (int(used[-1]) + 1 if len(used) else 0)
+        signals.add("rotor_commands", stamps_of(data), value[:, :count], MOTORS)
+    elif count:
+        _add_outputs(signals, log, count)
+    if count and (data := log.get(ESCS)):
+        speeds = np.full((len(data["timestamp"]), count), np.nan)
+        for k in range(count):
+            function = data.get(f"esc[{k}].actuator_function")
+            motor = int(function[-1]) - FIRST_MOTOR if function is not None else k
+            motor = motor if 0 <= motor < count else k
+            if (rpm := data.get(f"esc[{k}].esc_rpm")) is not None:
+                speeds[:, motor] = np.abs(rpm.astype(np.float64)) * RPM
+        if np.nanmax(speeds, initial=0.0) > 0.0:
+            signals.add("rotor_speeds", stamps_of(data), speeds, ESCS)
+    return count
+
+
+def _add_outputs(signals: Signals, log: Contents, count: int) -> None:
+    """Add commands of the rotors from the outputs to their ESCs, of the instance that moves most."""
+    found: list[tuple[float, int, Floats, str]] = []
+    for instance in log.instances(OUTPUTS):
+        if (output := vectors(log.data[OUTPUTS, instance], "output", count)) is None:
+            continue
+        low, high, unit = _output_range(log.parameters, output)
+        command = np.where(output > 0.0, np.clip((output - low) / (high - low), 0.0, 1.0), 0.0)
+        found.append((float(command.std(axis=0).min()), instance, command, unit))
+    if found and (best := max(found, key=lambda each: each[0]))[0] > 0.0:
+        _, instance, command, unit = best
+        stamp_ns = stamps_of(log.data[OUTPUTS, instance])
+        signals.add("rotor_commands", stamp_ns, command, f"{OUTPUTS}[{instance}]")
+        signals.notes.append(f"rotor commands: from {OUTPUTS}[{instance}], {unit}")
+
+
+def _output_range(parameters: Mapping[str, float], output: Floats) -> tuple[float, float, str]:
+    """Outputs at no and at full thrust, and their unit."""
+    if output.max() > MAX_PULSE:
+        return 0.0, CAN_FULL, f"0 to {CAN_FULL:g}"
+    if output.max() <= 1.0:
+        return 0.0, 1.0, "0 to 1"
+    names = ("PWM_MAIN_{}1", "PWM_MAIN_{}", "PWM_{}")
+    low, high = (_first(parameters, [name.format(end) for name in names]) for end in ("MIN", "MAX"))
+    low, high = (low, high) if 0 < low < high else (1000.0, 2000.0)
+    return low, high, f"pulses of {low:g} to {high:g} µs"
+
+
+def _first(parameters: Mapping[str, float], names: Sequence[str]) -> float:
+    return next((parameters[name] for name in names if name in parameters), 0.0)
+
+
+def _layout(parameters: Mapping[str, float], count: int) -> Layout | None:
+    """Where the rotors are: by the control allocation, else by the airframe."""
+    names = [[f"CA_ROTOR{k}_{key}" for key in ("PX", "PY", "KM")] for k in range(count)]
+    if count and all(name in parameters for row in names for name in row):
+        x, y, km = np.array([[parameters[name] for name in row] for row in names], np.float64).T
+        if np.any(x) or np.any(y):  # KM > 0: turns counterclockwise, so that it turns the body clockwise
+            return Layout(np.stack([x, -y], axis=-1), -np.sign(km))
+    if parameters.get("MOT_ORDERING", 0) != 0:
+        return frame_layout(count, "betaflight x")
+    rotors, frame = AIRFRAMES.get(int(parameters.get("SYS_AUTOSTART", 0)) // 1000, (0, ""))
+    return frame_layout(rotors, frame) if rotors == count else None
+
+
+def resets(data: Dataset) -> list[str]:
+    """Say at which times PX4's estimator has reset the attitude."""
+    counter = data.get("quat_reset_counter", np.zeros(1)).astype(np.int64)
+    rows = np.flatnonzero(np.diff(counter) != 0) + 1
+    if not len(rows):
+        return []
+    times = (stamps_of(data)[rows] - stamps_of(data)[0]) / 1e9
+    shown = ", ".join(f"{time:.2f} s" for time in times[:SHOWN]) + (", ..." if len(times) > SHOWN else "")
+    return [f"the estimator of PX4 has reset the attitude {len(rows)} times, at {shown}: no fault"]
