@@ -15,6 +15,8 @@ linear programme so small that it has a closed form:
 
 What fits is given exactly. More than four rotors could give a little more by forces that cancel each other;
 these are never used.
+
+Rotors that are weak, or off, are `quadftc_control.weak_allocation`.
 """
 
 from __future__ import annotations
@@ -25,13 +27,17 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from quadftc_control.weak_allocation import weak_thrusts
 from quadftc_model.arrays import (
     Components,
     Scalar,
     Vector,
+    any_of,
     changed_where,
+    chosen,
     clip,
     components,
+    is_single,
     larger,
     namespace,
     pick,
@@ -42,6 +48,7 @@ from quadftc_model.samples import ControllerOutput
 from quadftc_model.vehicle import Vehicle
 
 _ROUNDING = 1e-12  # 1; of the largest thrust of a rotor: what exceeds a room by less fits
+NOTHING = 1e-3  # 1; a rotor that is less effective is commanded as if it were off: at its least speed
 _TINY = 1e-30  # N; divides nothing by zero where no force is wanted
 
 
@@ -53,12 +60,35 @@ class Allocated(NamedTuple):
     thrust: Scalar  # [N]
 
 
-def allocate(vehicle: Vehicle, thrust: Scalar, torque: Vector) -> Allocated:
-    """Rotor speeds for a thrust [N] (...) along body z and a torque [N m] (..., 3)."""
-    rotors, allocation = vehicle.rotors, vehicle.force_allocation
-    coefficient = rotors.thrust_coefficient
-    low, high = coefficient * rotors.speed_min**2, coefficient * rotors.speed_max**2
-    wanted = stacked([thrust, *components(torque)])
+def allocate(
+    vehicle: Vehicle, thrust: Scalar, torque: Vector, effectiveness: Components | None = None
+) -> Allocated:
+    """Rotor speeds for a thrust [N] (...) along body z and a torque [N m] (..., 3).
+
+    ``effectiveness`` (..., n) is the thrust of each rotor over that of a healthy one at the same speed.
+    """
+    rotors, wanted = vehicle.rotors, stacked([thrust, *components(torque)])
+    if effectiveness is None:
+        forces, given = _healthy_forces(vehicle, wanted)
+    else:
+        forces, given = _forces(vehicle, wanted, effectiveness)
+    speeds = namespace(torque).sqrt(forces / rotors.thrust_coefficient)
+    return Allocated(speeds, given[..., 1:], given[..., 0])
+
+
+def actuated(
+    vehicle: Vehicle, thrust: Scalar, output: ControllerOutput, effectiveness: Components | None = None
+) -> tuple[Allocated, ControllerOutput]:
+    """Allocate thrust [N] and the torque of a controller; its output says then what the rotors give."""
+    allocated = allocate(vehicle, thrust, output.torque, effectiveness)
+    cut = output.saturated | (allocated.torque != output.torque)
+    return allocated, output._replace(torque=allocated.torque, saturated=cut)
+
+
+def _healthy_forces(vehicle: Vehicle, wanted: Components) -> tuple[Components, Components]:
+    """Thrusts of healthy rotors (..., n) [N], and the wrench (..., 4) that they give."""
+    allocation = vehicle.force_allocation
+    low, high = _range_of(vehicle)
     forces = wanted @ allocation.T
 
     def cut() -> tuple[Components, Components]:
@@ -66,17 +96,34 @@ def allocate(vehicle: Vehicle, thrust: Scalar, torque: Vector) -> Allocated:
         return given @ allocation.T, given
 
     forces, given = changed_where((forces < low) | (forces > high), cut, (forces, wanted))
-    speeds = namespace(torque).sqrt(clip(forces, low, high) / coefficient)  # rounding may leave the range
-    return Allocated(speeds, given[..., 1:], given[..., 0])
+    return clip(forces, low, high), given  # rounding may leave the range
 
 
-def actuated(
-    vehicle: Vehicle, thrust: Scalar, output: ControllerOutput
-) -> tuple[Allocated, ControllerOutput]:
-    """Allocate thrust [N] and the torque of a controller; its output says then what the rotors give."""
-    allocated = allocate(vehicle, thrust, output.torque)
-    cut = output.saturated | (allocated.torque != output.torque)
-    return allocated, output._replace(torque=allocated.torque, saturated=cut)
+def _forces(vehicle: Vehicle, wanted: Components, effectiveness: Components) -> tuple[Components, Components]:
+    """The same of rotors of which some may be weak; bit for bit as without where none is."""
+    weak = any_of(effectiveness < 1.0)
+    if is_single(weak):
+        return _weak_forces(vehicle, wanted, effectiveness) if weak[0] else _healthy_forces(vehicle, wanted)
+    healthy = _healthy_forces(vehicle, wanted)
+
+    def mixed() -> tuple[Components, Components]:
+        return chosen(weak[..., 0], _weak_forces(vehicle, wanted, effectiveness), healthy)
+
+    return changed_where(weak, mixed, healthy)
+
+
+def _weak_forces(
+    vehicle: Vehicle, wanted: Components, effectiveness: Components
+) -> tuple[Components, Components]:
+    """The same of rotors that are weak: what healthy ones would give at the same speed, and the wrench."""
+    thrusts, given = weak_thrusts(vehicle, wanted, effectiveness)
+    return clip(thrusts / namespace(wanted).maximum(effectiveness, NOTHING), *_range_of(vehicle)), given
+
+
+def _range_of(vehicle: Vehicle) -> tuple[float, float]:
+    """Least and largest thrust of a healthy rotor [N]."""
+    rotors = vehicle.rotors
+    return rotors.thrust_coefficient * rotors.speed_min**2, rotors.thrust_coefficient * rotors.speed_max**2
 
 
 def _prioritised(allocation: Components, wanted: Components, low: float, high: float) -> Components:
