@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_model.parameters import build
+from quadftc_model.parameters import build, parameters_of
 from quadftc_model.units import quantity
 from quadftc_sim.fault import Fault, faults
 
@@ -25,6 +25,8 @@ TRUTH = {  # channel -> topic of its true fault
     **{channel: f"fault/injected/{channel}" for channel in ("gyro", "accelerometer")},
 }
 AXES = {"roll": 0, "pitch": 1, "yaw": 2, "x": 0, "y": 1, "z": 2}
+# bare numbers from here on are asked about: degrees are meant, or a mistake
+ABSURD = {"rad": 0.75, "rad/s": 35.0, "rad/s^2": 100.0}  # 43 deg; 2000 deg/s, the range of a gyro
 RESERVED = ("channel", "axes", "axis", "start", "stop", "duration")
 
 
@@ -102,3 +104,24 @@ def _time(values: Mapping[str, Any], name: str, default: float) -> float:
 def fault_generators(seed: int, number: int) -> tuple[np.random.Generator, np.random.Generator]:
     """Return where an injection's normal and uniform numbers come from, which no other injection shifts."""
     return np.random.default_rng([seed, number, 0]), np.random.default_rng([seed, number, 1])
+
+
+def ask_for_units(kind: str, values: Mapping[str, Any]) -> None:
+    """Refuse a number without a unit that a person typed, by a ValueError, where it is absurd in SI."""
+    fault = faults.get(kind)
+    usual = "attitude" if "attitude" in fault.channels else fault.channels[0]
+    units = CHANNEL_UNITS.get(str(values.get("channel", usual)), {})
+    for spec in parameters_of(fault):
+        unit = units.get(spec.unit.strip("{}"), "")
+        raw: Any = values.get(spec.name, ())
+        parts: list[Any] = [*raw] if isinstance(raw, (list, tuple)) else [raw]
+        for text in parts:
+            try:
+                number = float(text)
+            except (TypeError, ValueError):  # it has a unit, or is wrong in another way
+                continue
+            if abs(number) >= ABSURD.get(unit, math.inf):
+                other = unit.replace("rad", "deg")
+                size = f"{math.degrees(number):.0f} {other}"
+                wanted = f"write {spec.name}={text}{other} or {spec.name}={text}{unit}"
+                raise ValueError(f"{spec.name} = {text}: without a unit this is {size}; {wanted}")
