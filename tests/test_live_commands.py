@@ -150,7 +150,7 @@ def test_wrong_node_is_named_with_those_there_are(served, monkeypatch):
 def test_parameter_is_set_by_a_command(served, capfd):
     from quadftc_cli.commands.set import set_
 
-    set_("wrong_namee", ["setpoint.bandwidth=2"])
-    assert capfd.readouterr().out == "wrong_namee: setpoint.bandwidth = 2\n"
+    set_("reference", ["setpoint.bandwidth=2"])
+    assert capfd.readouterr().out == "reference: setpoint.bandwidth = 2\n"
     with pytest.raises(ValueError, match="out of range"):
-        set_("wrong_namee", ["setpoint.bandwidth=0"])
+        set_("reference", ["setpoint.bandwidth=0"])

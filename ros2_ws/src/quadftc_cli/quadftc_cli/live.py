@@ -18,6 +18,7 @@ from quadftc_ros.qos import service_profile, topic_profile
 from quadftc_ros.topics import TOPICS
 
 PATIENCE = 5.0  # s; for nodes to be found, and for an answer
+OTHERS = 0.5  # s; for other vehicles to be found, after the first
 STEP = 0.05  # s; between two looks
 
 
@@ -50,9 +51,9 @@ class LiveGraph:
         while (left := end - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
 
-    def until(self, condition: Callable[[], Any], patience: float = PATIENCE) -> bool:
+    def until(self, condition: Callable[[], Any], patience: float | None = None) -> bool:
         """Serve the node until a condition holds; return whether it does."""
-        end = time.monotonic() + patience
+        end = time.monotonic() + (PATIENCE if patience is None else patience)
         while not condition():
             if time.monotonic() > end:
                 return False
@@ -94,7 +95,8 @@ class LiveGraph:
     def _found(self, name: str) -> str:
         """Full name of a service of the vehicle, once it is there."""
         full = f"/{self.namespace}/{name}".replace("//", "/")
-        self.until(lambda: self.namespaces(name) and (self.namespace or full in self._services()))
+        if self.until(lambda: self.namespaces(name)) and not self.namespace:
+            self.until(lambda: full in self._services(), OTHERS)
         there = self.namespaces(name)
         if self.namespace in there:
             return full
