@@ -86,8 +86,7 @@ class FaultInjectorNode(GraphNode):
         # times count from the last sample; a fault without a start begins with the next one
         now = self._injector.now + (JUST_AFTER if self._last_ns >= 0 and request.start == 0.0 else 0.0)
         try:
-            rotors = self.settings.values()["rotors"]
-            injection = make_injection(request.kind, _values_of(request), now, rotors)
+            injection = make_injection(request.kind, _values_of(request), now)
         except ValueError as error:
             response.success, response.message = False, str(error)
             return response

@@ -1,0 +1,79 @@
+# pyright: basic
+"""``quadftc diagnose``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+from typer import Argument, Option
+
+from quadftc_cli.commands import CHECK_FAILED, GOOD
+from quadftc_cli.screen import Bars, console, plain_table, say
+
+FAULT_HELP = "Overlay a fault: 'bias channel=gyro axis=roll value=0.3 start=20s'; may be repeated."
+
+
+def diagnose(
+    log: Annotated[
+        Path,
+        Argument(
+            metavar="LOG", help="Flight log: rosbag2, PX4 ULog, ArduPilot BIN, or of a Crazyflie's uSD."
+        ),
+    ],
+    baseline: Annotated[
+        Path | None,
+        Option(metavar="LOG", help="Healthy flight of the same vehicle, to compare the rotors with."),
+    ] = None,
+    fault: Annotated[list[str], Option(metavar="SPEC", help=FAULT_HELP)] = [],  # noqa: B006
+    vehicle: Annotated[
+        str, Option(help="Vehicle, by name or TOML file, for the layout of the rotors; default: the log's.")
+    ] = "",
+    seed: Annotated[int, Option(help="Seed of random faults.")] = 0,
+    out: Annotated[
+        Path | None,
+        Option(help="Directory of verdict.json; default: results/LOG-diagnosis.", metavar="DIR"),
+    ] = None,
+    junit: Annotated[Path | None, Option(metavar="FILE", help="Write the verdict as JUnit XML, too.")] = None,
+) -> int:
+    """Say what failed in a flight log, when, how badly and how sure; exit code 1 if there is a finding."""
+    from quadftc_replay.inspection.diagnosis import (
+        DiagnosisOptions,
+        diagnose_log,
+        write_junit,
+        write_verdict,
+    )
+
+    options = DiagnosisOptions(baseline=baseline, faults=tuple(fault), vehicle=vehicle, seed=seed)
+    with Bars(console()) as bars:
+        inspection = diagnose_log(log, options, bars.add(log.resolve().name))
+    verdict = inspection.verdict
+    _show(verdict)
+    directory = out or Path("results", f"{log.resolve().name}-diagnosis")
+    written = [write_verdict(verdict, directory)]
+    if junit is not None:
+        written.append(write_junit(verdict, junit))
+    say(f"written: {', '.join(map(str, written))}")
+    return GOOD if verdict.healthy else CHECK_FAILED
+
+
+def _show(verdict: Any) -> None:
+    from quadftc_replay.inspection.verdict import show
+
+    say(verdict.sentence)
+    if verdict.findings:
+        table = plain_table(
+            ["component", "kind"], ["onset [s]", "end [s]", "size", "sigma", "probability", "or"]
+        )
+        for each in verdict.findings:
+            size, sigma = (
+                "-" if value is None else show(value, each.unit) for value in (each.size, each.sigma)
+            )
+            end = "-" if each.end_s is None else f"{each.end_s:.3f}"
+            others = ", ".join(each.ambiguous_with) or "-"
+            probability = f"{100 * each.probability:.0f} %"
+            table.add_row(each.name, each.kind, f"{each.onset_s:.3f}", end, size, sigma, probability, others)
+        console().print(table)
+        say(*(f"{each.name}: {line}" for each in verdict.findings for line in each.evidence))
+    say(*(f"not judged: {each.component}: {each.reason}" for each in verdict.not_judged))
+    say(*(f"note: {note}" for note in verdict.notes))

@@ -1,1 +1,0 @@
-"""Effectiveness of each rotor from gyro, accelerometer and rotor speeds."""

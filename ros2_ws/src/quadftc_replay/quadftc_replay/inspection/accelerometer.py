@@ -1,0 +1,94 @@
+"""Tests of an accelerometer: steps in flight, and what it reads at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from quadftc_model.samples import STANDARD_GRAVITY
+from quadftc_replay.flight_log import Signal
+from quadftc_replay.inspection.flight import Flight
+from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.gyro import BODY_AXES
+from quadftc_replay.inspection.steps import LEVEL, Limits, join_ends, steps_of
+
+LIMITS = Limits(smallest=1.5, floor=0.1)  # m/s²
+PULSE = 0.1  # s; what goes back within it is a knock
+SEEN = 0.5  # 1; share of a step that another accelerometer has to show
+REST = 0.15  # m/s²; largest scatter at rest
+REST_TIME = 2.0  # s
+OFFSET = 1.0  # m/s²; of the magnitude at rest
+AROUND = 0.5  # s
+
+
+def accelerometer_findings(
+    flight: Flight, component: str, sensor: Signal, others: Sequence[Signal]
+) -> Iterator[Found]:
+    """Test an accelerometer; ``others`` are those beside it."""
+    if flight.phases_known:
+        yield from _step_findings(flight, component, sensor, others)
+    yield from _rest_findings(component, sensor)
+
+
+def _step_findings(
+    flight: Flight, component: str, sensor: Signal, others: Sequence[Signal]
+) -> Iterator[Found]:
+    steps = [
+        step
+        for step in steps_of(flight, sensor, LIMITS)
+        if not step.is_pulse and not any(_shows(each, step) for each in others)
+    ]
+    for step in join_ends(steps, PULSE):
+        said = (
+            f"it jumps by {step.size:+.3g} m/s² from one sample to the next,"
+            f" {step.score:.0f} standard deviations of what it does otherwise"
+        )
+        element = BODY_AXES[step.axis]
+        finding = make_finding(
+            *(component, element, "offset", step.onset),
+            end_s=step.end,
+            size=step.size,
+            sigma=step.sigma,
+            unit="m/s^2",
+            probability=confidence(step.score, LEVEL),
+            evidence=(said,),
+        )
+        span = (step.onset - AROUND, (step.end or step.onset) + AROUND)
+        lines = {"reading": sensor.value[:, step.axis]}
+        yield Found(finding, curve_around(f"{component} {element}", "m/s²", sensor.time, lines, span))
+
+
+def _shows(sensor: Signal, step: object) -> bool:
+    onset, axis, size = (getattr(step, name) for name in ("onset", "axis", "size"))
+    reach = 0.02
+    before = sensor.value[slice(*np.searchsorted(sensor.time, (onset - reach, onset - 1e-6))), axis]
+    after = sensor.value[slice(*np.searchsorted(sensor.time, (onset + 1e-6, onset + reach))), axis]
+    if not len(before) or not len(after):
+        return False
+    return float(np.nanmean(after) - np.nanmean(before)) * np.sign(size) > SEEN * abs(size)
+
+
+def _rest_findings(component: str, sensor: Signal) -> Iterator[Found]:
+    """Say where it does not read gravity while the vehicle stands still."""
+    count = round(REST_TIME * sensor.rate)
+    if count < 10 or len(sensor) < count:
+        return
+    blocks = len(sensor) // count
+    values = sensor.value[: blocks * count].reshape(blocks, count, -1)
+    quiet = (values.std(axis=1) < REST).all(axis=1)
+    if not quiet.any():
+        return
+    sizes = np.linalg.norm(values.mean(axis=1)[quiet], axis=1) - STANDARD_GRAVITY
+    size, start = float(np.median(sizes)), float(sensor.time[: blocks * count : count][quiet][0])
+    if abs(size) > OFFSET:
+        said = f"it reads {size + STANDARD_GRAVITY:.2f} m/s² at rest, where gravity is 9.81 m/s²"
+        yield Found(
+            make_finding(
+                *(component, "", "offset", start),
+                size=size,
+                sigma=float(sizes.std()),
+                unit="m/s^2",
+                evidence=(said,),
+            )
+        )

@@ -1,0 +1,100 @@
+"""What attitude and gyro say of each other.
+
+Between two attitude samples the vehicle turns by phi = log(q_k⁻¹ q_{k+1}), in body axes, and the gyro says
+theta = integral of omega. Their difference
+
+    phi - theta = S theta + tau (omega_{k+1} - omega_k) + b dt + e
+
+has what healthy sensors do not agree on: scale and alignment S, a delay tau, a bias b. A robust least-squares
+fit takes it out. A jump of the attitude is in one e alone; an offset f of the gyro adds -f dt to each.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_model.rotations import quaternion_product
+from quadftc_replay.flight_log import Signal
+from quadftc_replay.inspection.whitening import GAP, TO_SIGMA
+
+Floats = NDArray[np.float64]
+
+FASTEST = 400.0  # Hz; attitudes beyond are thinned out
+ROUNDS = 6  # of the reweighted fit
+HUBER = 2.0  # standard deviations
+
+
+class Agreement(NamedTuple):
+    """The difference of attitude and gyro, interval by interval."""
+
+    time: Floats  # (n,) end of the interval [s]
+    dt: Floats  # (n,) [s]
+    rest: Floats  # (n, 3) e [rad], body axes
+    bias: Floats  # (3,) attitude rate less gyro, on the whole [rad/s]
+    turn: Floats  # (n, 3) phi [rad]
+
+
+def compare(attitude: Signal, gyro: Signal) -> Agreement | None:
+    """Compare an attitude (n, 4) with a gyro (m, 3); None if they hardly overlap."""
+    whole = np.isfinite(gyro.value).all(axis=1)
+    gyro_time, rates = gyro.time[whole], gyro.value[whole]
+    time, q = _thinned(attitude, max(float(gyro_time[0]), 0.0) if len(gyro_time) else 0.0, gyro_time)
+    if len(time) < 50 or len(gyro_time) < 50:
+        return None
+    steps = np.diff(gyro_time)
+    mean = 0.5 * (rates[1:] + rates[:-1]) * steps[:, None]
+    angle = np.concatenate([np.zeros((1, 3)), np.cumsum(mean, axis=0)])
+    at = np.stack([np.interp(time, gyro_time, angle[:, k]) for k in range(3)], axis=-1)
+    rate = np.stack([np.interp(time, gyro_time, rates[:, k]) for k in range(3)], axis=-1)
+    dt, theta, turn = np.diff(time), np.diff(at, axis=0), _turns(q)
+    usual = float(np.median(dt))
+    jumps = np.concatenate([[0.0], (steps > max(5.0 * float(np.median(steps)), 0.05)) * 1.0]).cumsum()
+    dark = np.diff(np.interp(time, gyro_time, jumps)) > 0.0
+    good = (dt < GAP * usual) & ~dark & np.isfinite(turn).all(axis=1)
+    if good.sum() < 50:
+        return None
+    rest, bias = _fit(turn - theta, theta, np.diff(rate, axis=0), dt, good)
+    return Agreement(time[1:], dt, np.where(good[:, None], rest, 0.0), bias, turn)
+
+
+def _thinned(attitude: Signal, start: float, gyro_time: Floats) -> tuple[Floats, Floats]:
+    """Attitudes while there is a gyro, no more than `FASTEST` and no more than there are gyro samples."""
+    inside = np.isfinite(attitude.value).all(axis=1) & (attitude.time >= start)
+    inside &= attitude.time <= (float(gyro_time[-1]) if len(gyro_time) else -1.0)
+    time, q = attitude.time[inside], attitude.value[inside]
+    rate = min(FASTEST, 1.0 / float(np.median(np.diff(gyro_time)))) if len(gyro_time) > 1 else FASTEST
+    stride = max(1, round(attitude.rate / rate)) if rate > 0.0 else 1
+    return time[::stride], q[::stride]
+
+
+def _turns(q: Floats) -> Floats:
+    """Rotation vectors between attitudes (n, 4) in body axes (n - 1, 3)."""
+    back = q[:-1] * np.array([-1.0, -1.0, -1.0, 1.0])
+    turn = quaternion_product(back, q[1:])
+    turn *= np.where(turn[:, 3:] < 0.0, -1.0, 1.0)
+    size = np.linalg.norm(turn[:, :3], axis=1, keepdims=True)
+    angle = 2.0 * np.arctan2(size, turn[:, 3:])
+    return turn[:, :3] * np.where(size > 1e-12, angle / np.maximum(size, 1e-12), 2.0)
+
+
+def _fit(
+    difference: Floats, theta: Floats, change: Floats, dt: Floats, good: NDArray[np.bool_]
+) -> tuple[Floats, Floats]:
+    """Take out scale, delay and bias, axis by axis; return the rest (n, 3) and the bias (3,)."""
+    rest, bias = np.zeros_like(difference), np.zeros(3)
+    for axis in range(3):
+        columns = np.column_stack([theta, change[:, axis], dt])
+        weight = good.astype(float)
+        found = np.zeros(columns.shape[1])
+        for _ in range(ROUNDS):
+            scaled = columns * weight[:, None]
+            found = np.linalg.lstsq(scaled.T @ columns, scaled.T @ difference[:, axis], rcond=1e-10)[0]
+            rest[:, axis] = difference[:, axis] - columns @ found
+            sigma = TO_SIGMA * float(np.median(np.abs(rest[good, axis]))) + 1e-12
+            weight = good * np.minimum(1.0, HUBER * sigma / np.maximum(np.abs(rest[:, axis]), 1e-15))
+        bias[axis] = found[-1]
+        rest[:, axis] += bias[axis] * dt  # the bias stays in: it is the gyro's, or the attitude's drift
+    return rest, bias

@@ -1,0 +1,197 @@
+"""Tests of an attitude against the gyro: jumps, and a turning that the gyro does not see."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from quadftc_replay.inspection.agreement import Agreement
+from quadftc_replay.inspection.flight import Flight, Interval
+from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.whitening import TO_SIGMA, find_steps, is_pulse, peaks
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+ANGLES = ("roll", "pitch", "yaw")
+DEGREE = np.pi / 180.0  # rad
+LEVEL = 10.0  # standard deviations of a jump
+FLOOR = 0.05 * DEGREE  # rad; of its scatter
+JUMP = 2.0 * DEGREE  # rad; optical markers that are mistaken make 1.1 deg in healthy recordings
+OWN_JUMP = 5.0 * DEGREE  # rad; of an estimate made of the gyro, which is corrected now and then
+PULSE = 0.1  # s; what goes back within it is an outlier
+CREEP_WINDOWS = (0.5, 2.0)  # s; over which the rates are compared
+CREEP = (0.1, 0.05)  # rad/s; least difference of the rates over each window
+PER_RATE = (0.04, 0.02)  # 1; of the body rate: what scale and alignment leave
+CREEP_LEVEL = 8.0  # times the scatter of the means
+GYRO_CREEP = 0.2  # rad/s; no attitude creeps that fast
+AROUND = 1.0  # s
+BETWEEN = 1.0  # s; stretches closer than that have one cause
+SAME = 0.5  # 1
+
+
+class Jump(NamedTuple):
+    """A jump of the attitude."""
+
+    axis: int
+    onset: float
+    end: float | None
+    size: float  # rad
+    sigma: float
+    score: float
+
+
+class Creep(NamedTuple):
+    """A stretch in which attitude and gyro turn at different rates."""
+
+    axis: int
+    span: Interval
+    size: float  # rad/s; gyro less attitude
+    sigma: float
+    score: float  # 1: just enough to be one
+    end: float | None  # s; None: it lasts
+
+
+def find_jumps(agreement: Agreement, watched: Mask, smallest: float) -> list[Jump]:
+    """Find the jumps on each axis that last."""
+    time, offset = agreement.time, np.cumsum(agreement.rest, axis=0)
+    found: list[Jump] = []
+    for axis in range(3):
+        steps = find_steps(time, offset[:, axis], np.ones(len(time), np.bool_), FLOOR)
+        size, sigma = steps.size, steps.sigma
+        score = np.where(watched & (np.abs(size) > smallest), np.abs(size) / sigma, 0.0)
+        joined: list[Jump] = []
+        for k in (row for row in peaks(score, LEVEL, 12) if not is_pulse(steps, row, 12)):
+            jump = Jump(axis, float(time[k]), None, float(size[k]), float(sigma[k]), float(score[k]))
+            open_ = joined[-1] if joined and joined[-1].end is None else None
+            if open_ is not None and abs(jump.size + open_.size) < SAME * abs(open_.size):
+                joined[-1] = open_._replace(end=jump.onset)
+            else:
+                joined.append(jump)
+        found += [each for each in joined if each.end is None or each.end - each.onset > PULSE]
+    return sorted(found, key=lambda jump: jump.onset)
+
+
+def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Jump]) -> list[Creep]:
+    """Find stretches in which the rates differ for longer than any jump explains."""
+    time, usual = agreement.time, float(np.median(agreement.dt))
+    moments = sorted([each.onset for each in jumps] + [each.end for each in jumps if each.end is not None])
+    near = np.zeros(len(time), np.bool_)
+    for moment in moments:
+        near |= np.abs(time - moment) < 2.5 * usual
+    rates = np.where(near[:, None], 0.0, (agreement.rest / agreement.dt[:, None]))
+    turning = np.linalg.norm(agreement.turn, axis=1) / agreement.dt
+    found: list[Creep] = []
+    for window, least, share in zip(CREEP_WINDOWS, CREEP, PER_RATE, strict=True):
+        count = max(3, round(window / usual))
+        if len(time) < 5 * count:
+            continue
+        means = ndimage.uniform_filter1d(rates, count, axis=0)
+        moving = ndimage.uniform_filter1d(np.nan_to_num(turning), count)
+        for axis in range(3):
+            mean = means[:, axis] - float(np.median(means[:, axis]))
+            scatter = TO_SIGMA * float(np.median(np.abs(mean))) + 1e-9
+            score = np.where(
+                watched, np.abs(mean) / (np.maximum(CREEP_LEVEL * scatter, least) + share * moving), 0.0
+            )
+            for run, best in _stretches(mean, score, round(BETWEEN / usual)):
+                span = Interval(float(time[run.start]), float(time[run.stop - 1]))
+                lasts = run.stop > len(time) - round(BETWEEN / usual)
+                end = None if lasts else span.end
+                creep = Creep(axis, span, -float(np.median(mean[run])), scatter, best, end)
+                if not any(_touch(creep, other) for other in found):
+                    found.append(creep)
+    return sorted(found, key=lambda creep: creep.span.start)
+
+
+def _stretches(mean: Floats, score: Floats, apart: int) -> Iterator[tuple[slice, float]]:
+    """Stretches with a score beyond 1, and their largest; each goes on while the mean is half as large."""
+    left = score.copy()
+    while len(left) and left.max() > 1.0:
+        k = int(np.argmax(left))
+        low = mean * np.sign(mean[k]) < 0.5 * abs(mean[k])
+        before, after = np.flatnonzero(low[:k]), np.flatnonzero(low[k:])
+        run = slice(int(before[-1]) + 1 if len(before) else 0, k + int(after[0]) if len(after) else len(mean))
+        yield run, float(left[k])
+        left[max(run.start - apart, 0) : run.stop + apart] = 0.0
+
+
+def _touch(creep: Creep, other: Creep) -> bool:
+    begin, end = creep.span.start - BETWEEN, creep.span.end + BETWEEN
+    return creep.axis == other.axis and begin <= other.span.end and other.span.start <= end
+
+
+def attitude_findings(
+    flight: Flight, agreement: Agreement, jumps: Sequence[Jump], creeps: Sequence[Creep], is_own: bool
+) -> Iterator[Found]:
+    """Say of jumps, and of creeps that no finding on the gyro explains.
+
+    ``is_own``: the attitude is computed from the gyro.
+    """
+    time, offset = agreement.time, np.cumsum(agreement.rest, axis=0) / DEGREE
+    for jump in jumps:
+        said = (
+            f"it jumps by {jump.size / DEGREE:+.3g} deg within one sample while the gyro sees no turn,"
+            f" {jump.score:.0f} standard deviations"
+        )
+        finding = make_finding(
+            *("attitude", ANGLES[jump.axis], "offset", jump.onset),
+            end_s=jump.end,
+            size=jump.size,
+            sigma=jump.sigma,
+            unit="rad",
+            probability=confidence(jump.score, LEVEL),
+            evidence=(said,),
+        )
+        span = (jump.onset - AROUND, (jump.end or jump.onset) + AROUND)
+        lines = {"attitude less integrated gyro": offset[:, jump.axis]}
+        yield Found(finding, curve_around(f"attitude {ANGLES[jump.axis]}", "deg", time, lines, span))
+    for creep in creeps:
+        yield _creep_found(creep, agreement, is_own)
+
+
+def watch(flight: Flight, agreement: Agreement) -> Mask:
+    """Whether attitude and gyro are compared at each time (n,)."""
+    return flight.in_flight(agreement.time) & ~flight.near_impact(agreement.time)
+
+
+def disagreements(flight: Flight, agreement: Agreement, is_own: bool) -> tuple[list[Jump], list[Creep]]:
+    """Find jumps and creeps.
+
+    Estimators reset their heading in flight, by compass or satellites: such jumps in yaw are left out.
+    """
+    watched = watch(flight, agreement)
+    jumps = find_jumps(agreement, watched, OWN_JUMP if is_own else JUMP)
+    creeps = find_creeps(agreement, watched, jumps)
+    return [jump for jump in jumps if not is_own or jump.axis != 2], creeps
+
+
+def _creep_found(creep: Creep, agreement: Agreement, is_own: bool) -> Found:
+    is_gyro = abs(creep.size) > GYRO_CREEP
+    component, other = ("gyro", "attitude") if is_gyro else ("attitude", "gyro")
+    element = "xyz"[creep.axis] if is_gyro else ANGLES[creep.axis]
+    said = [
+        f"gyro less attitude turns by {creep.size:+.3g} rad/s between {creep.span.start:.2f} and"
+        f" {creep.span.end:.2f} s, {creep.score:.1f} times what healthy sensors leave"
+    ]
+    said += ["no attitude creeps that fast"] if is_gyro else ["either of the two may drift"]
+    if is_own:
+        said.append("the attitude is computed from this gyro, so that an error of both does not show")
+    finding = make_finding(
+        *(component, element, "offset" if is_gyro else "unknown", creep.span.start),
+        end_s=creep.end,
+        size=creep.size if is_gyro else -creep.size,
+        sigma=creep.sigma,
+        unit="rad/s",
+        probability=(0.9 if is_gyro else 0.5) * confidence(creep.score, 1.0),
+        ambiguous_with=(other,),
+        evidence=tuple(said),
+    )
+    span = (creep.span.start - 2.0 * AROUND, creep.span.end + 2.0 * AROUND)
+    offset = np.cumsum(agreement.rest[:, creep.axis]) / DEGREE
+    lines = {"attitude less integrated gyro": offset}
+    return Found(finding, curve_around(f"{component} {element}", "deg", agreement.time, lines, span))

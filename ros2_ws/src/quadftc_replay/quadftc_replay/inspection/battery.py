@@ -1,0 +1,48 @@
+"""Whether the battery breaks down in flight: its voltage falls far below what the flight takes it to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from quadftc_replay.inspection.flight import Flight, rotor_level
+from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.whitening import runs_of
+
+SAG = 0.12  # 1; of the median voltage in flight
+LASTS = 0.3  # s
+AROUND = 5.0  # s
+
+
+def battery_findings(flight: Flight) -> Iterator[Found]:
+    """Say when the battery breaks down."""
+    battery = flight.log.battery
+    if battery is None or len(battery) < 10 or not flight.phases_known:
+        return
+    flying = flight.in_flight(battery.time)
+    volts = battery.value[:, 0]
+    if flying.sum() < 10:
+        return
+    usual = float(np.median(volts[flying]))
+    low = flying & (volts < (1.0 - SAG) * usual)
+    level = rotor_level(flight.log)
+    for run in runs_of(low):
+        start, end = float(battery.time[run.start]), float(battery.time[run.stop - 1])
+        if end - start < LASTS:
+            continue
+        lowest = float(volts[run].min())
+        said = [f"the voltage falls to {lowest:.3g} V, {100 * (1 - lowest / usual):.0f} % below the usual"]
+        if level is not None:
+            share = np.interp(start, level.time, level.value[:, 0]) / np.nanmedian(level.value[:, 0])
+            said.append(f"the rotors are asked for {100 * share:.0f} % of their usual level then")
+        finding = make_finding(
+            *("battery", "", "brownout", start),
+            end_s=end if end < flight.intervals[-1].end - LASTS else None,
+            size=lowest - usual,
+            unit="V",
+            probability=confidence(1.0 - lowest / usual, SAG),
+            evidence=tuple(said),
+        )
+        curve = curve_around("battery", "V", battery.time, {"voltage": volts}, (start - AROUND, end + AROUND))
+        yield Found(finding, curve)

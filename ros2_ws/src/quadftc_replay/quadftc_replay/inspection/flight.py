@@ -1,0 +1,151 @@
+"""A log made ready for the tests: its main gyro, and when the vehicle flies.
+
+Phases come from the rotors (speeds, else commands) or the thrust command: a vehicle flies while they are
+above a share of their usual level. An impact in the last seconds ends a flight. Where none of them is logged,
+or the level tells nothing, phases are not known, and the whole log counts.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from quadftc_model.samples import STANDARD_GRAVITY
+from quadftc_replay.flight_log import MAIN, FlightLog, Signal
+from quadftc_replay.inspection.whitening import runs_of
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+SMOOTH = 0.3  # s; mean of the rotors' level
+FLYING = 0.6  # 1; share of the usual level
+SPINNING = 0.3  # 1; share of the largest level, of rotors that turn at all
+BRIDGED = 0.5  # s; shorter pauses belong to the flight
+SHORTEST = 2.0  # s; of a flight
+TAKE_OFF, LANDING = 1.5, 0.5  # s; left out at the begin and at the end
+IMPACT = 3.5 * STANDARD_GRAVITY  # m/s²; specific force of a collision or a hard landing
+CRASH = 3.0  # s; an impact so shortly before the end of a flight ends it
+BEFORE_IMPACT = 0.3  # s
+AFTER_IMPACT = 0.1  # s; around which nothing is judged
+
+
+class Interval(NamedTuple):
+    """A stretch of time [s]."""
+
+    start: float
+    end: float
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """A log with its phases."""
+
+    log: FlightLog
+    intervals: tuple[Interval, ...]  # in flight
+    phases_known: bool
+    impacts: Floats  # times [s]
+    rate_is_estimated: bool  # no gyro is logged: `gyro` is the vehicle's own estimate
+
+    @functools.cached_property
+    def gyro(self) -> tuple[str, Signal] | None:
+        """Name and samples of the main gyro: the one without a name, else the one with the most samples."""
+        gyros: Mapping[str, Signal] = {name: each for name, each in self.log.gyros.items() if len(each) > 1}
+        if MAIN in gyros:
+            return MAIN, gyros[MAIN]
+        if gyros:
+            name = max(gyros, key=lambda each: len(gyros[each]))
+            return name, gyros[name]
+        return (MAIN, self.log.body_rate) if self.log.body_rate is not None else None
+
+    @functools.cached_property
+    def duration(self) -> float:
+        """Time in flight [s]."""
+        return sum(each.end - each.start for each in self.intervals)
+
+    def in_flight(self, time: Floats) -> Mask:
+        """Whether the vehicle flies at each time (n,)."""
+        inside = np.zeros(len(time), np.bool_)
+        for start, end in self.intervals:
+            inside |= (time >= start) & (time <= end)
+        return inside
+
+    def near_impact(self, time: Floats) -> Mask:
+        """Whether there is an impact around each time (n,)."""
+        return near_any(time, self.impacts, AFTER_IMPACT)
+
+
+def near_any(time: Floats, moments: Floats, reach: float) -> Mask:
+    """Whether any of the moments, in order, is within reach of each time (n,)."""
+    return np.searchsorted(moments, time - reach) < np.searchsorted(moments, time + reach, side="right")
+
+
+def prepare(log: FlightLog) -> Flight:
+    """Find the phases of a log."""
+    impacts = _find_impacts(log)
+    level = rotor_level(log)
+    intervals = () if level is None else _find_flights(level, log.end, impacts)
+    known = bool(intervals)
+    whole = (Interval(0.0, log.end),)
+    has_gyro = any(len(each) > 1 for each in log.gyros.values())
+    return Flight(log, intervals or whole, known, impacts, not has_gyro and log.body_rate is not None)
+
+
+def rotor_level(log: FlightLog) -> Signal | None:
+    """Return what lifts the vehicle, (n, 1), of rotors or thrust command; None: not logged."""
+    if log.rotor_speeds is not None and len(log.rotor_speeds) > 1:
+        return Signal(log.rotor_speeds.time, _row_means(log.rotor_speeds.value**2))
+    if log.rotor_commands is not None and len(log.rotor_commands) > 1:
+        return Signal(log.rotor_commands.time, _row_means(log.rotor_commands.value))
+    return log.thrust_command if log.thrust_command is not None and len(log.thrust_command) > 1 else None
+
+
+def _row_means(values: Floats) -> Floats:
+    """Mean of the finite values of each row (n, 1); NaN where there is none."""
+    there = np.isfinite(values)
+    count = there.sum(axis=1, keepdims=True)
+    total = np.where(there, values, 0.0).sum(axis=1, keepdims=True)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+def _find_impacts(log: FlightLog) -> Floats:
+    found = [
+        each.time[np.linalg.norm(each.value, axis=1) > IMPACT]
+        for each in log.accelerometers.values()
+        if len(each)
+    ]
+    return np.unique(np.concatenate([*found, np.zeros(0)]))
+
+
+def _find_flights(level: Signal, end: float, impacts: Floats) -> tuple[Interval, ...]:
+    time, values = level.time, np.nan_to_num(level.value[:, 0])
+    period = float(np.median(np.diff(time)))
+    smooth = ndimage.uniform_filter1d(values, max(1, round(SMOOTH / period)))
+    turning = smooth[smooth > SPINNING * smooth.max()] if smooth.max() > 0.0 else smooth[:0]
+    if not len(turning):
+        return ()
+    up = smooth > FLYING * float(np.median(turning))
+    found: list[Interval] = []
+    for run in runs_of(up):
+        first, last = float(time[run.start]), float(time[run.stop - 1])
+        if found and first - found[-1].end < BRIDGED:
+            found[-1] = Interval(found[-1].start, last)
+        else:
+            found.append(Interval(first, last))
+    trimmed = (_trim(each, float(time[0]), min(end, float(time[-1])), impacts) for each in found)
+    return tuple(each for each in trimmed if each.end - each.start >= SHORTEST)
+
+
+def _trim(flight: Interval, first: float, last: float, impacts: Floats) -> Interval:
+    """Leave out take-off, landing and crash; a log may begin and end in flight."""
+    start = flight.start if flight.start - first < 1.0 else flight.start + TAKE_OFF
+    end = flight.end if last - flight.end < 1.0 else flight.end - LANDING
+    crash = impacts[(impacts > end - CRASH) & (impacts > start)]
+    if len(crash):
+        end = min(end, float(crash[0]) - BEFORE_IMPACT)
+    return Interval(start, end)

@@ -1,0 +1,61 @@
+"""What a test hands on: a finding, and the curve that shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_replay.inspection.verdict import Finding
+
+Floats = NDArray[np.float64]
+CERTAIN = 0.999  # the largest probability that a test gives
+
+
+class Curve(NamedTuple):
+    """What a page draws to show a finding."""
+
+    title: str
+    unit: str
+    time: Floats  # (n,) [s]
+    lines: Mapping[str, Floats]  # name: (n,)
+
+
+class Found(NamedTuple):
+    """A finding with its curve."""
+
+    finding: Finding
+    curve: Curve | None = None
+
+
+def make_finding(component: str, element: str, kind: str, onset: float, **others: Any) -> Finding:
+    """Make a finding; what is not given is not known."""
+    usual: dict[str, Any] = {
+        "end_s": None,
+        "size": None,
+        "sigma": None,
+        "unit": "",
+        "probability": CERTAIN,
+        "ambiguous_with": (),
+        "evidence": (),
+    }
+    values = {**usual, **others}
+    return Finding(component=component, element=element, kind=kind, onset_s=max(onset, 0.0), **values)  # type: ignore[arg-type]
+
+
+def confidence(score: float, level: float) -> float:
+    """Return the probability for a score beyond its level: 0.75 at it, 0.94 at twice it.
+
+    Residuals have heavier tails than a normal distribution, so it grows with the square alone.
+    """
+    return min(1.0 - 0.25 * (level / max(score, level)) ** 2, CERTAIN)
+
+
+def curve_around(
+    title: str, unit: str, time: Floats, lines: Mapping[str, Floats], span: tuple[float, float]
+) -> Curve:
+    """Cut the lines to a span of time [s]."""
+    rows = slice(*np.searchsorted(time, span))
+    return Curve(title, unit, time[rows], {name: values[rows] for name, values in lines.items()})

@@ -1,0 +1,225 @@
+"""Tests of the gyros: steps in flight, and standing offsets at rest.
+
+A step in flight that the rate itself does not explain (`steps`) is the gyro's, unless the vehicle was hit:
+another gyro, or an attitude that is not made of this gyro, then shows it as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_replay.flight_log import MAIN, Signal
+from quadftc_replay.inspection.attitude import Creep
+from quadftc_replay.inspection.flight import Flight
+from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.steps import LEVEL, TOGETHER, Limits, Step, join_ends, steps_of
+
+Floats = NDArray[np.float64]
+
+BODY_AXES = ("x", "y", "z")
+LIMITS = Limits(smallest=0.05, floor=0.003)  # rad/s
+SEEN = 0.5  # 1; share of a step that another sensor has to show
+CANDIDATE = 5.0  # standard deviations; of a step that a witness confirms
+NEAR = 0.35  # s; between a step and the border of a creep that it makes
+REST = 0.02  # rad/s; largest scatter of a gyro at rest
+REST_TIME = 2.0  # s
+OFFSET = 0.1  # rad/s; a standing offset that is a fault: what calibrated gyros do not have
+MANY = 8  # steps of one axis that are noise, not offsets
+AROUND = 0.5  # s
+
+
+def component_name(kind: str, name: str) -> str:
+    """Name a sensor: the main one by its kind alone."""
+    return f"{kind} {name}" if name != MAIN else kind
+
+
+class Witness(NamedTuple):
+    """What an attitude says of the main gyro."""
+
+    creeps: Sequence[Creep]
+    is_independent: bool  # the attitude is not computed from the gyro
+
+
+def gyro_findings(
+    flight: Flight, gyros: Mapping[str, Signal], drives: Mapping[str, Signal | None], witness: Witness | None
+) -> tuple[list[Found], list[Creep]]:
+    """Test all gyros (name: samples), the main one first.
+
+    Returns the findings, and the creeps of the witness that none of them explains.
+    """
+    found: list[Found] = []
+    left = list(witness.creeps) if witness is not None else []
+    for number, (name, sensor) in enumerate(gyros.items()):
+        others = [gyros[other] for other in gyros if other != name]
+        steps = steps_of(flight, sensor, LIMITS, drives.get(name), CANDIDATE)
+        kept = [step for step in steps if not any(_shows(other, step) for other in others)]
+        pulses = [step for step in kept if step.is_pulse and step.score > LEVEL]
+        kept = [step for step in kept if not step.is_pulse]
+        ask = witness if number == 0 else None
+        # where nobody knows what moves the vehicle, a step needs a witness
+        trusted = (flight.phases_known and (ask is None or not ask.is_independent)) or bool(others)
+        joined = join_ends([step for step in kept if trusted and step.score > LEVEL])
+        if ask is not None:
+            bordered = [(creep, _from_borders(creep, kept)) for creep in left]
+            own = [step for _, step in bordered if step is not None]
+            joined = [step for step in joined if not any(_same(step, each) for each in own)] + own
+            left = [
+                creep
+                for creep, step in bordered
+                if step is None and not any(_explains(each, creep) for each in joined)
+            ]
+        found += _step_findings(name, sensor, joined, has_witness=bool(others) or ask is not None)
+        if trusted:
+            found += _pulse_findings(name, pulses)
+        found += _rest_findings(flight, name, sensor)
+    return found, left
+
+
+def _from_borders(creep: Creep, steps: Sequence[Step]) -> Step | None:
+    """The offset that a creep is, if the gyro steps where it begins or ends; None: it does not."""
+    borders: list[Step | None] = []
+    for moment, size in ((creep.span.start, creep.size), (creep.span.end, -creep.size)):
+        near = [
+            step
+            for step in steps
+            if step.axis == creep.axis
+            and abs(moment - step.onset) < NEAR
+            and abs(size - step.size) < SEEN * abs(size)
+        ]
+        borders.append(max(near, key=lambda step: step.score, default=None))
+    begin, end = borders
+    best = max(filter(None, borders), key=lambda step: step.score, default=None)
+    if best is None:
+        return None
+    return Step(
+        axis=creep.axis,
+        onset=begin.onset if begin else creep.span.start,
+        end=end.onset if end else creep.end,
+        size=creep.size,
+        sigma=best.sigma,
+        score=LEVEL * max(creep.score, best.score / LEVEL),
+    )
+
+
+def _same(step: Step, other: Step) -> bool:
+    """Whether a step begins or ends an offset that is known already."""
+    ends = [each for each in (step.onset, step.end) if each is not None]
+    borders = [each for each in (other.onset, other.end) if each is not None]
+    return step.axis == other.axis and any(abs(a - b) < NEAR for a in ends for b in borders)
+
+
+def _shows(sensor: Signal, step: Step) -> bool:
+    """Whether another gyro shows the same step."""
+    change = _change(sensor.time, sensor.value[:, step.axis], step.onset, 0.02)
+    return change is not None and change * np.sign(step.size) > SEEN * abs(step.size)
+
+
+def _explains(step: Step, creep: Creep) -> bool:
+    """Whether a step explains that attitude and gyro turn at different rates."""
+    end = np.inf if step.end is None else step.end
+    overlap = step.onset - 1.0 <= creep.span.end and creep.span.start <= end + 1.0
+    return step.axis == creep.axis and overlap and abs(creep.size - step.size) < abs(step.size)
+
+
+def _change(time: Floats, values: Floats, moment: float, reach: float) -> float | None:
+    """Mean after a moment less that before it; None without samples."""
+    before = values[slice(*np.searchsorted(time, (moment - reach, moment - 1e-6)))]
+    after = values[slice(*np.searchsorted(time, (moment + 1e-6, moment + reach)))]
+    return float(np.nanmean(after) - np.nanmean(before)) if len(before) and len(after) else None
+
+
+def _pulse_findings(name: str, pulses: Sequence[Step]) -> Iterator[Found]:
+    """Say where readings are wrong one by one."""
+    for axis, element in enumerate(BODY_AXES):
+        own = [
+            step
+            for step in pulses
+            if step.axis == axis
+            and not any(other.axis != axis and abs(other.onset - step.onset) < TOGETHER for other in pulses)
+        ]
+        if len(own) > MANY:
+            largest = max(abs(step.size) for step in own)
+            said = f"{len(own)} single readings are off by up to {largest:.3g} rad/s, on this axis alone"
+            component = component_name("gyro", name)
+            span = {"end_s": own[-1].onset, "size": largest, "unit": "rad/s"}
+            yield Found(make_finding(component, element, "noise", own[0].onset, evidence=(said,), **span))
+
+
+def _step_findings(name: str, sensor: Signal, steps: Sequence[Step], has_witness: bool) -> Iterator[Found]:
+    component = component_name("gyro", name)
+    for axis, element in enumerate(BODY_AXES):
+        own = [step for step in steps if step.axis == axis]
+        if len(own) > MANY:
+            said = f"{len(own)} steps of up to {max(abs(step.size) for step in own):.3g} rad/s in flight"
+            yield Found(
+                make_finding(component, element, "noise", own[0].onset, end_s=own[-1].onset, evidence=(said,))
+            )
+            continue
+        for step in own:
+            alone = not any(
+                other.axis != axis and abs(other.onset - step.onset) < TOGETHER for other in steps
+            )
+            yield _step_found(component, element, sensor, step, alone or has_witness)
+
+
+def _step_found(component: str, element: str, sensor: Signal, step: Step, is_sure: bool) -> Found:
+    said = [
+        f"it jumps by {step.size:+.3g} rad/s from one sample to the next,"
+        f" {step.score:.0f} standard deviations of what it does otherwise"
+    ]
+    if not is_sure:
+        said.append("other axes jump with it, as in a collision")
+    probability = confidence(step.score, LEVEL)
+    finding = make_finding(
+        *(component, element, "offset", step.onset),
+        end_s=step.end,
+        size=step.size,
+        sigma=step.sigma,
+        unit="rad/s",
+        probability=probability if is_sure else 0.7 * probability,
+        ambiguous_with=() if is_sure else ("collision",),
+        evidence=tuple(said),
+    )
+    axis = BODY_AXES.index(element)
+    span = (step.onset - AROUND, (step.end or step.onset) + AROUND)
+    lines = {"reading": sensor.value[:, axis], "less the step": _without(sensor, step)}
+    return Found(finding, curve_around(f"{component} {element}", "rad/s", sensor.time, lines, span))
+
+
+def _without(sensor: Signal, step: Step) -> Floats:
+    inside = (sensor.time >= step.onset) & (sensor.time < (np.inf if step.end is None else step.end))
+    return sensor.value[:, step.axis] - step.size * inside
+
+
+def _rest_findings(flight: Flight, name: str, sensor: Signal) -> Iterator[Found]:
+    """Say where a gyro reads a rate while the vehicle stands."""
+    count = round(REST_TIME * sensor.rate)
+    if count < 10 or not flight.phases_known:
+        return
+    standing = ~flight.in_flight(sensor.time)
+    blocks = len(sensor) // count
+    values = sensor.value[: blocks * count].reshape(blocks, count, -1)
+    quiet = (values.std(axis=1) < REST).all(axis=1) & standing[: blocks * count].reshape(blocks, count).all(
+        axis=1
+    )
+    if not quiet.any():
+        return
+    means = values.mean(axis=1)[quiet]
+    starts = sensor.time[: blocks * count : count][quiet]
+    for axis, element in enumerate(BODY_AXES):
+        size = float(np.median(means[:, axis]))
+        if abs(size) > OFFSET:
+            said = f"it reads {size:+.3g} rad/s while the vehicle stands still"
+            yield Found(
+                make_finding(
+                    *(component_name("gyro", name), element, "offset", float(starts[0])),
+                    size=size,
+                    sigma=float(means[:, axis].std()),
+                    unit="rad/s",
+                    evidence=(said,),
+                )
+            )

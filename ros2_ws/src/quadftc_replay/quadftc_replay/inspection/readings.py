@@ -1,0 +1,221 @@
+"""Tests of a sensor by its readings alone: stuck, saturated, absent, noisy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from quadftc_replay.flight_log import Signal
+from quadftc_replay.inspection.flight import Flight, Interval
+from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.whitening import TO_SIGMA, runs_of
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+STUCK = 0.1  # s; the least time
+CHANCE = 1e-9  # probability, in the whole log, of a run of equal readings that is no fault
+LONGER = 5.0  # 1; times the longest usual run
+USUAL = 0.999  # share of the runs that count as usual
+LIMIT_RUN = 3  # equal readings at the largest magnitude that are a limit
+LIMIT_RUNS = 2  # how many such runs
+LEVELS = 100  # different readings that a sensor has below a limit
+ABSENT = 0.2  # s
+OTHERS_GO_ON = 0.6  # 1; share of the samples that the other sensors have meanwhile
+WINDOW = 0.25  # s; of the noise
+NOISY = 6.0  # times the usual noise
+NOISE_LASTS = 0.5  # s
+HANDLED = 3.0  # times as much and as long, where nobody knows what moves the vehicle
+OTHERS = 2.0  # times: what other axes may rise by meanwhile
+AROUND = 1.0  # s; drawn before and after a finding
+
+
+def reading_findings(
+    flight: Flight, component: str, sensor: Signal, names: tuple[str, ...], unit: str
+) -> Iterator[Found]:
+    """Test the readings of a sensor (n, k), axis by axis."""
+    if len(sensor) < 50:
+        return
+    for axis, name in enumerate(names):
+        values = sensor.value[:, axis]
+        stuck = stuck_intervals(flight, sensor.time, values)
+        limits = limit_intervals(sensor.time, values)
+        stuck = [each for each in stuck if not _overlaps(each, limits)]
+        for kind, intervals in (("stuck", stuck), ("saturation", limits)):
+            if intervals:
+                yield _reading_found(component, name, kind, sensor.time, values, intervals, unit)
+
+
+def _reading_found(
+    component: str, name: str, kind: str, time: Floats, values: Floats, intervals: list[Interval], unit: str
+) -> Found:
+    first, last = intervals[0], intervals[-1]
+    rows = np.searchsorted(time, first)
+    reading = float(values[rows[0]])
+    seconds = sum(each.end - each.start for each in intervals)
+    several = f" in {len(intervals)} stretches" if len(intervals) > 1 else ""
+    words = "repeats its reading" if kind == "stuck" else "stays at its limit"
+    said = f"it {words}, {reading:.4g} {unit}, for {seconds:.3g} s{several}"
+    end = None if last.end >= float(time[-1]) else last.end
+    finding = make_finding(component, name, kind, first.start, end_s=end, evidence=(said,))
+    span = (first.start - AROUND, last.end + AROUND)
+    return Found(finding, curve_around(f"{component} {name}", unit, time, {"reading": values}, span))
+
+
+def stuck_intervals(flight: Flight, time: Floats, values: Floats) -> list[Interval]:
+    """Stretches in flight in which a reading is repeated far longer than it is by chance."""
+    rows = np.flatnonzero(flight.in_flight(time) & np.isfinite(values))
+    if len(rows) < 50:
+        return []
+    times, readings = time[rows], values[rows]
+    edges = np.flatnonzero(np.diff(readings) != 0.0) + 1
+    starts, ends = np.concatenate([[0], edges]), np.concatenate([edges, [len(readings)]])
+    lengths = ends - starts
+    if len(lengths) < 20:  # hardly ever another reading: the signal is coarse, or never moved
+        return (
+            [] if len(lengths) > 1 or len(readings) < 100 else [Interval(float(times[0]), float(times[-1]))]
+        )
+    usual = lengths[lengths <= np.quantile(lengths, USUAL)]
+    repeats = max(
+        1.0 - len(usual) / max(float(usual.sum()), 1.0), 0.0
+    )  # probability that a reading is repeated
+    by_chance = np.log(CHANCE / len(readings)) / np.log(repeats) if repeats > 0.0 else 1.0
+    least = max(by_chance, LONGER * float(usual.max()))
+    found: list[Interval] = []
+    for k in np.flatnonzero(lengths > least):
+        stretch = Interval(float(times[starts[k]]), float(times[ends[k] - 1]))
+        if stretch.end - stretch.start >= STUCK:
+            found.append(stretch)
+    return found
+
+
+def limit_intervals(time: Floats, values: Floats) -> list[Interval]:
+    """Stretches in which a reading stays at the largest magnitude it ever has."""
+    magnitude = np.abs(np.where(np.isfinite(values), values, 0.0))
+    top = float(magnitude.max(initial=0.0))
+    if top <= 0.0:
+        return []
+    at_limit = magnitude >= top * (1.0 - 1e-4)
+    runs = [run for run in runs_of(at_limit) if run.stop - run.start >= LIMIT_RUN]
+    # a coarse sensor at rest repeats its largest reading, too
+    if len(runs) < LIMIT_RUNS or len(np.unique(magnitude[~at_limit])) < LEVELS:
+        return []
+    return [Interval(float(time[run.start]), float(time[run.stop - 1])) for run in runs]
+
+
+def absent_intervals(flight: Flight, sensor: Signal, others: Signal | None) -> list[Interval]:
+    """Stretches in flight without usable readings, while another sensor goes on."""
+    whole = np.isfinite(sensor.value).all(axis=1)
+    times = sensor.time[whole]
+    if len(times) < 2:
+        return []
+    begin = flight.intervals[0].start if flight.phases_known else float(sensor.time[0])
+    end = flight.intervals[-1].end
+    edges = np.concatenate([times[:1], times, [max(end, float(times[-1]))]])
+    longest = max(ABSENT, 10.0 * float(np.median(np.diff(times))))
+    found: list[Interval] = []
+    for k in np.flatnonzero(np.diff(edges) > longest):
+        gap = Interval(float(edges[k]), float(edges[k + 1]))
+        inside = (sensor.time > gap.start) & (sensor.time < gap.end)
+        if gap.end <= begin or gap.start >= end:
+            continue
+        if inside.any() or _goes_on(others, gap):
+            found.append(gap)
+    return found
+
+
+def _goes_on(other: Signal | None, gap: Interval) -> bool:
+    """Whether another sensor has most of its samples in a gap."""
+    if other is None or len(other) < 2:
+        return False
+    count = np.searchsorted(other.time, gap.end) - np.searchsorted(other.time, gap.start)
+    return bool(count > OTHERS_GO_ON * other.rate * (gap.end - gap.start))
+
+
+def absent_findings(
+    flight: Flight, component: str, sensor: Signal, others: Signal | None, to_the_end: bool = True
+) -> Iterator[Found]:
+    """Say when a sensor gives nothing; not ``to_the_end``: it may stop before the others do."""
+    intervals = absent_intervals(flight, sensor, others)
+    if not to_the_end:
+        intervals = [each for each in intervals if each.end < flight.intervals[-1].end]
+    if intervals:
+        seconds = sum(each.end - each.start for each in intervals)
+        said = f"no usable reading for {seconds:.3g} s in {len(intervals)} stretches, while others went on"
+        end = None if intervals[-1].end >= flight.intervals[-1].end else intervals[-1].end
+        yield Found(
+            make_finding(component, "", "absent", intervals[0].start, end_s=end, evidence=(said,)), None
+        )
+
+
+def noise_findings(
+    flight: Flight, component: str, sensor: Signal, names: tuple[str, ...], unit: str
+) -> Iterator[Found]:
+    """Say when one axis gets noisy and the others do not."""
+    if len(sensor) < 500 or sensor.rate < 20.0:
+        return
+    level, lasts = (NOISY, NOISE_LASTS) if flight.phases_known else (HANDLED * NOISY, HANDLED * NOISE_LASTS)
+    noise = moving_noise(sensor)
+    flying = flight.in_flight(sensor.time) & ~flight.near_impact(sensor.time)
+    if flying.sum() < 200:
+        return
+    ratio = noise / np.maximum(np.median(noise[flying], axis=0), 1e-12)
+    for axis, name in enumerate(names):
+        others = np.delete(ratio, axis, axis=1).max(axis=1)
+        loud = flying & (ratio[:, axis] > level) & (ratio[:, axis] > OTHERS * others)
+        runs = [run for run in runs_of(loud) if sensor.time[run.stop - 1] - sensor.time[run.start] > lasts]
+        if not runs:
+            continue
+        start, end = float(sensor.time[runs[0].start]), float(sensor.time[runs[-1].stop - 1])
+        # the window is centred: it sees a begin half a window early, where the level is crossed late
+        size = float(np.median(noise[runs[0], axis]))
+        usual = float(np.median(noise[flying, axis]))
+        factor = size / usual
+        said = f"noise of {size:.3g} {unit}, {factor:.0f} times the usual, while the other axes stay calm"
+        finding = make_finding(
+            *(component, name, "noise", start),
+            end_s=None if end > sensor.time[flying][-1] - WINDOW else end,
+            size=size,
+            sigma=None,
+            unit=unit,
+            probability=confidence(factor, NOISY),
+            evidence=(said,),
+        )
+        span = (start - AROUND, end + AROUND)
+        curve = curve_around(
+            f"{component} {name}", unit, sensor.time, {"reading": sensor.value[:, axis]}, span
+        )
+        yield Found(finding, curve)
+
+
+def moving_noise(sensor: Signal) -> Floats:
+    """Standard deviation of what is fast in a signal, over `WINDOW` (n, k): by its third differences."""
+    values = np.nan_to_num(sensor.value)
+    fast = np.zeros_like(values)
+    fast[3:] = np.abs(np.diff(values, 3, axis=0)) / np.sqrt(20.0)
+    length = max(8, round(WINDOW * sensor.rate))
+    # the median over the window is not moved by single spikes
+    stride = max(1, length // 8)
+    rows = np.arange(0, len(values), stride)
+    coarse = ndimage.median_filter(
+        np.stack([np.median(_pad(fast[:, k], stride), axis=1) for k in range(values.shape[1])], axis=-1),
+        size=(9, 1),
+    )
+    every = np.arange(len(values))
+    return TO_SIGMA * np.stack(
+        [np.interp(every, rows + stride / 2.0, coarse[: len(rows), k]) for k in range(values.shape[1])],
+        axis=-1,
+    )
+
+
+def _pad(values: Floats, length: int) -> Floats:
+    """Rows of a length, the last one filled up with the last value."""
+    count = -(-len(values) // length)
+    return np.pad(values, (0, count * length - len(values)), mode="edge").reshape(count, length)
+
+
+def _overlaps(interval: Interval, others: list[Interval]) -> bool:
+    return any(interval.start <= each.end and each.start <= interval.end for each in others)

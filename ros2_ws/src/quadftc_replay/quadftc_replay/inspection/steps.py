@@ -1,0 +1,86 @@
+"""Steps of a sensor in flight that no motion explains: offsets that begin or end from sample to sample."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_replay.flight_log import Signal
+from quadftc_replay.inspection.flight import Flight
+from quadftc_replay.inspection.whitening import find_steps, is_pulse, peaks
+
+Floats = NDArray[np.float64]
+
+LEVEL = 10.0  # standard deviations; the largest in healthy flights of a Crazyflie is 7
+SLOWEST = 80.0  # Hz; below, motion itself looks like steps
+PULSE = 0.03  # s; what goes back within it is a pulse
+APART = 12  # samples; within which there is one step
+SAME = 0.5  # 1; an end has the size of its begin to this share
+TOGETHER = 0.012  # s; steps of several axes within it have one cause
+
+
+class Step(NamedTuple):
+    """An offset of one axis."""
+
+    axis: int
+    onset: float  # s
+    end: float | None  # s; None: it lasts
+    size: float
+    sigma: float
+    score: float  # standard deviations
+    is_pulse: bool = False  # it goes back within a few samples
+
+
+class Limits(NamedTuple):
+    """What counts as a step of a sensor, in its unit."""
+
+    smallest: float
+    floor: float  # standard deviation of its noise, at least
+
+
+def steps_of(
+    flight: Flight, sensor: Signal, limits: Limits, drive: Signal | None = None, level: float = LEVEL
+) -> list[Step]:
+    """Find the steps of a sensor (n, 3) in flight, in the order of time; begins and ends alike.
+
+    ``drive`` is what a model predicts of it (n, 3), up to what is slow; NaN where it predicts nothing.
+    """
+    if drive is not None:
+        sensor = Signal(sensor.time, sensor.value - np.nan_to_num(drive.value))
+    time = sensor.time
+    if sensor.rate < SLOWEST or len(sensor) < 200:
+        return []
+    flying = flight.in_flight(time)
+    watched = flying & ~flight.near_impact(time)
+    found: list[Step] = []
+    for axis in range(sensor.value.shape[1]):
+        steps = find_steps(time, sensor.value[:, axis], flying, limits.floor)
+        size, sigma = steps.size, steps.sigma
+        score = np.where(watched & (np.abs(size) > limits.smallest), np.abs(size) / sigma, 0.0)
+        for k in peaks(score, level, APART):
+            pulse = is_pulse(steps, k, APART)
+            found.append(
+                Step(axis, float(time[k]), None, float(size[k]), float(sigma[k]), float(score[k]), pulse)
+            )
+    return sorted(found, key=lambda step: step.onset)
+
+
+def join_ends(steps: Sequence[Step], pulse: float = PULSE) -> list[Step]:
+    """Join each begin on an axis with its end; drop what goes back within ``pulse`` [s]."""
+    found: list[Step] = []
+    for step in steps:
+        fit = [
+            k
+            for k, each in enumerate(found)
+            if each.axis == step.axis
+            and each.end is None
+            and abs(step.size + each.size) < SAME * abs(each.size)
+        ]
+        if fit:
+            found[fit[-1]] = found[fit[-1]]._replace(end=step.onset)
+        else:
+            found.append(step)
+    return [each for each in found if each.end is None or each.end - each.onset > pulse]

@@ -1,0 +1,129 @@
+"""A flight log judged: healthy flights give no finding, faults are named with sensor, axis and time."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+from quadftc_replay.flight_log import FlightLog, Signal
+from quadftc_replay.inspection.diagnosis import write_junit, write_verdict
+from quadftc_replay.inspection.inspect import inspect
+from quadftc_replay.inspection.overlay import overlay_faults
+from quadftc_replay.inspection.verdict import Verdict, schema
+from quadftc_replay.inspection.whitening import find_steps
+from quadftc_replay.overlay import faults_from
+
+ROOT = Path(__file__).resolve().parents[4]
+RATE, SECONDS = 250.0, 30.0
+
+
+def hover(seed: int = 0) -> FlightLog:
+    """A vehicle that rocks in hover: coloured rates, sensor noise, commands that follow."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, SECONDS, 1.0 / RATE)
+    rate = np.zeros((len(time), 3))
+    torque = rng.standard_normal((len(time), 3))
+    for row in range(1, len(time)):
+        rate[row] = 0.99 * rate[row - 1] + 0.01 * torque[row]
+    force = np.array([0.0, 0.0, 9.81]) + 0.2 * rng.standard_normal((len(time), 3))
+    commands = 0.5 + 0.02 * torque[:, :1] * np.array([1.0, -1.0, -1.0, 1.0])
+    gyro = rate + 0.005 * rng.standard_normal((len(time), 3))
+    return FlightLog(
+        path=Path("hover"),
+        format="test",
+        gyros={"": Signal(time, gyro)},
+        accelerometers={"": Signal(time, force)},
+        rotor_commands=Signal(time, commands),
+        battery=Signal(time, 12.0 - 0.01 * time[:, None]),
+    )
+
+
+def findings(*specs: str, log: FlightLog | None = None):
+    return inspect(overlay_faults(log or hover(), faults_from((), specs))).verdict.findings
+
+
+def test_healthy_flight_has_no_finding():
+    verdict = inspect(hover()).verdict
+    assert verdict.healthy
+    assert verdict.findings == ()
+    assert {"gyro", "accelerometer", "battery"} <= set(verdict.judged)
+    assert {each.component for each in verdict.not_judged} >= {"attitude"}
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+@pytest.mark.parametrize("size", [0.2, -0.4])
+def test_gyro_step_is_named_with_axis_onset_end_and_size(axis: str, size: float):
+    (found,) = findings(f"bias channel=gyro axis={axis} value={size} start=12.0s stop=15s")
+    assert (found.component, found.element, found.kind) == ("gyro", axis, "offset")
+    assert found.onset_s == pytest.approx(12.0, abs=0.05)
+    assert found.end_s == pytest.approx(15.0, abs=0.05)
+    assert found.size == pytest.approx(size, abs=4.0 * found.sigma)
+    assert found.probability > 0.7
+
+
+@pytest.mark.parametrize(
+    ("spec", "component", "kind"),
+    [
+        ("stuck channel=gyro axis=y start=20s", "gyro", "stuck"),
+        ("saturation channel=gyro axis=x limit=0.1", "gyro", "saturation"),
+        ("noise channel=gyro axis=z sigma=0.1 start=10s stop=20s", "gyro", "noise"),
+        ("dropout channel=gyro probability=1.0 start=10s stop=12s", "gyro", "absent"),
+        ("bias channel=accelerometer axis=x value=3 start=10s", "accelerometer", "offset"),
+        ("stuck channel=accelerometer axis=z start=20s", "accelerometer", "stuck"),
+    ],
+)
+def test_kind_of_fault_is_named(spec: str, component: str, kind: str):
+    found = findings(spec)
+    assert [(each.component, each.kind) for each in found] == [(component, kind)]
+
+
+def test_knock_is_no_gyro_fault():
+    log = hover()
+    log.gyros[""].value[5000, 0] += 3.0  # back in the next sample
+    assert inspect(log).verdict.healthy
+
+
+def test_battery_that_breaks_down_is_named():
+    log = hover()
+    assert log.battery is not None
+    log.battery.value[4000:4250] -= 3.0
+    (found,) = inspect(log).verdict.findings
+    assert (found.component, found.kind) == ("battery", "brownout")
+    assert found.onset_s == pytest.approx(16.0, abs=0.1)
+
+
+def test_fault_that_cannot_act_is_refused():
+    with pytest.raises(ValueError, match="has no attitude"):
+        findings("bias axis=roll value=3deg start=10s")
+    with pytest.raises(ValueError, match="before the end"):
+        findings("bias channel=gyro value=0.3 start=100s")
+
+
+def test_false_alarms_of_steps_are_rarer_than_the_level_says():
+    rng = np.random.default_rng(1)
+    time = np.arange(100_000) / RATE
+    values = np.cumsum(rng.standard_normal(len(time))) + 3.0 * rng.standard_normal(len(time))
+    steps = find_steps(time, values, np.ones(len(time), np.bool_), 0.0)
+    assert np.abs(steps.size / steps.sigma).max() < 6.0
+    values[50_000:] += 12.0 * steps.sigma[50_000]
+    steps = find_steps(time, values, np.ones(len(time), np.bool_), 0.0)
+    assert int(np.argmax(np.abs(steps.size / steps.sigma))) == 50_000
+
+
+def test_published_schema_is_that_of_the_verdict(tmp_path: Path):
+    assert (ROOT / "docs" / "verdict.schema.json").read_text(encoding="utf-8") == schema()
+    verdict = inspect(hover()).verdict
+    write_verdict(verdict, tmp_path)
+    text = (tmp_path / "verdict.json").read_text(encoding="utf-8")
+    assert Verdict.model_validate_json(text) == verdict
+    assert set(json.loads(text)) == set(json.loads(schema())["required"])
+
+
+def test_junit_counts_what_failed(tmp_path: Path):
+    log = overlay_faults(hover(), faults_from((), ["stuck channel=gyro axis=y start=20s"]))
+    suite = ET.parse(write_junit(inspect(log).verdict, tmp_path / "verdict.xml")).getroot()
+    assert (suite.get("tests"), suite.get("failures"), suite.get("skipped")) == ("4", "1", "1")

@@ -1,1 +1,0 @@
-"""Rotor faults, one file each."""
