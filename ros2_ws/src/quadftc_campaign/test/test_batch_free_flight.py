@@ -23,7 +23,9 @@ position_sensor: {grade: mocap}
 trajectories: [{kind: circle, centre: [0, 0, 0.5], radius: 2, speed: 1, rise: 0.5}]
 wind: [{kind: constant, velocity_mean: [3, 1, 0]}, {kind: dryden}]
 disturbances: [{kind: sine, amplitude: 0.05, frequency: 3}]
-faults: [{kind: bias, value: 5 deg, axes: roll, start: 0.4 s}]
+faults:
+  - {kind: bias, value: 5 deg, axes: roll, start: 0.4 s}
+  - {kind: loss, rotors: [2], value: 20 %, rise: 0.2 s, start: 0.5 s}
 schemes:
   tested: {observer: none, disturbance_observer: exosystem, controller: ismc, position_controller: geometric}
 """
@@ -75,11 +77,18 @@ GPS = {"grade": "gps", "rate": 20.0, "delay": 0.05}
         {"observer": "isolating"},
         {"position_sensor": GPS, "sensors": {"grade": "mems", "delay": 3}},
         {"faults": [DROPOUT], "observer": "supervised"},
+        {
+            "faults": [
+                {"kind": "stuck", "channel": "rotor", "rotors": [1, 3], "start": 0.3, "stop": 0.6},
+                {"kind": "chipped", "rotors": [2], "value": 0.1, "unbalance": 1e-6, "start": 0.5},
+                {"kind": "off", "rotors": 4, "start": 1.0},
+            ]
+        },
         {"vehicle": "crazyflie_2x", "disturbances": [], "schemes": {"tested": {"controller": "indi"}}},
     ],
 )
 def test_a_step_is_that_of_the_closed_loop(changes):
-    """With an observer of all sensors, late positions, withheld samples, measured rotor speeds."""
+    """With an observer of all sensors, late positions, withheld samples, faulty rotors, measured speeds."""
     scenario = free(**changes)
     assert_same_flight(flown_step_by_step(scenario), fly(scenario))
 

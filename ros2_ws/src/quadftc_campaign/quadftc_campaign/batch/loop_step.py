@@ -26,9 +26,12 @@ from quadftc_model.samples import (
     FaultObserverInputs,
     ImuSample,
     PositionSample,
+    RotorReading,
+    effectiveness_of,
     sanitised,
 )
 from quadftc_model.stepper import seconds
+from quadftc_sim.flying_plant import FlyingPlant
 from quadftc_sim.injector import FaultDraws, Faulty, InjectionState, begin, inject
 from quadftc_sim.position_sensor import PositionSensorState
 from quadftc_sim.sensor_draws import TurnOn
@@ -203,8 +206,11 @@ class ClosedLoop:
         restarts: Array | bool = first or (False if delivery is None else delivery.restarts)
         dt = self._dt if delivery is None else delivery.dt
         # fault observer
-        started, observer, estimate = self._diagnose(before, faulty.sample, place, dt, restarts, first)
-        corrected = estimate.corrected
+        motion = state.pending[0]
+        rotors = self._steering.rotors(before.given, motion.rotor_speeds)
+        seen = (faulty.sample, place, rotors)
+        started, observer, estimate = self._diagnose(before, *seen, dt, restarts, first)
+        corrected, effectiveness = estimate.corrected, effectiveness_of(estimate.rotors)
         # disturbance observer
         rate_inputs = DisturbanceObserverInputs(
             corrected.body_rate, corrected.rate_valid, before.given.torque
@@ -215,11 +221,10 @@ class ClosedLoop:
         # reference and controller
         elapsed = times.taken if delivery is None else delivery.elapsed
         guidance, wanted = self._steering.wanted(before.guidance, corrected, place, elapsed, dt, restarts)
-        motion = state.pending[0]
-        rotor_torque = self._steering.rotor_torque(motion.rotor_speeds)
-        inputs_now = ControllerInputs(corrected, wanted.attitude, disturbance, rotor_torque)
+        rotor_torque = self._steering.rotor_torque(motion.rotor_speeds, effectiveness)
+        inputs_now = ControllerInputs(corrected, wanted.attitude, disturbance, rotor_torque, effectiveness)
         controller, output = advance(loop.controller, before.controller, inputs_now, dt, restarts)
-        given, output = self._steering.actuated(wanted, output)
+        given, output = self._steering.actuated(wanted, output, effectiveness)
         after = AvionicsState(started, observer, disturbance_observer, guidance, controller, given)
         if delivery is not None:
             # a withheld sample changes nothing; if it is the first, the states begun with it stay unused
@@ -229,13 +234,18 @@ class ClosedLoop:
         delivered = namespace(elapsed).asarray(True) if delivery is None else delivery.arrives
         said = (estimate, disturbance, output)
         row = _row((times.taken, delivered), motion, faulty, wanted, said)
-        return state._replace(pending=state.pending[1:], injections=injections, avionics=after), row
+        plant = state.plant
+        if isinstance(loop.plant, FlyingPlant):
+            plant = loop.plant.with_rotors(plant, faulty.rotors)
+        rest = {"pending": state.pending[1:], "injections": injections, "avionics": after}
+        return state._replace(plant=plant, **rest), row
 
     def _diagnose(
         self,
         before: AvionicsState,
         sample: ImuSample,
         place: PositionSample | None,
+        rotors: RotorReading | None,
         dt: Any,
         restarts: Array | bool,
         first: bool,
@@ -244,7 +254,7 @@ class ClosedLoop:
         clean = sanitised(sample)
         started, ready = before.started, clean.attitude_valid & clean.rate_valid
         begins = restarts if first or started is None else restarts | ~started
-        inputs = FaultObserverInputs(clean, *self._steering.acted(before.given), place)
+        inputs = FaultObserverInputs(clean, *self._steering.acted(before.given), place, rotors)
         observer, estimate = advance(self.loop.observer, before.observer, inputs, dt, begins)
         if not (self._late_start if first else started is not None):
             return None, observer, estimate

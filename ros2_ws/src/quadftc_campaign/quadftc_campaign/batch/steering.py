@@ -14,7 +14,7 @@ from quadftc_control.allocation import actuated
 from quadftc_control.position_loop import PositionLoop, PositionLoopInputs
 from quadftc_model.arrays import Array, chosen, namespace
 from quadftc_model.rotors import wrench_from_speeds
-from quadftc_model.samples import AttitudeReference, ControllerOutput, ImuSample, PositionSample
+from quadftc_model.samples import AttitudeReference, ControllerOutput, ImuSample, PositionSample, RotorReading
 
 
 class Given(NamedTuple):
@@ -52,7 +52,11 @@ class StandSteering:
         """Torque [N m] and thrust [N] that the fault observer takes the rotors to give."""
         return given.torque, None
 
-    def rotor_torque(self, speeds: Array | None) -> Array | None:
+    def rotors(self, given: Given, speeds: Array | None) -> RotorReading | None:
+        """What is known of the rotors, of which ``speeds`` [rad/s] are measured; None: nothing."""
+        return None
+
+    def rotor_torque(self, speeds: Array | None, effectiveness: Array | None) -> Array | None:
         """Torque [N m] of the rotor speeds [rad/s] measured with the sample; None: they are not."""
         return None
 
@@ -63,7 +67,9 @@ class StandSteering:
         wanted = reference.combined(self._loop.references, elapsed)
         return None, Wanted(AttitudeReference(*as_arrays(wanted, elapsed)))
 
-    def actuated(self, wanted: Wanted, output: ControllerOutput) -> tuple[Given, ControllerOutput]:
+    def actuated(
+        self, wanted: Wanted, output: ControllerOutput, effectiveness: Array | None
+    ) -> tuple[Given, ControllerOutput]:
         """Return what the rotors get, and what the controller says then."""
         return Given(output.torque), output
 
@@ -83,10 +89,14 @@ class FlightSteering(StandSteering):
         """Return torque and thrust of the rotor speeds."""
         return wrench_from_speeds(self._loop.plant.vehicle, given.command)
 
-    def rotor_torque(self, speeds: Array | None) -> Array | None:
+    def rotors(self, given: Given, speeds: Array | None) -> RotorReading:
+        """Return the command, and the speeds."""
+        return RotorReading(given.command, speeds)
+
+    def rotor_torque(self, speeds: Array | None, effectiveness: Array | None) -> Array | None:
         """Return the torque of rotor speeds."""
         assert speeds is not None
-        return wrench_from_speeds(self._loop.plant.vehicle, speeds)[0]
+        return wrench_from_speeds(self._loop.plant.vehicle, speeds, effectiveness)[0]
 
     def wanted(
         self, state: Any, imu: ImuSample, place: PositionSample | None, elapsed: Array, dt: Any, begins: Any
@@ -100,10 +110,12 @@ class FlightSteering(StandSteering):
         command, estimate = output.command, output.estimate
         return state, Wanted(command.attitude, command.thrust, shall.position, estimate.position)
 
-    def actuated(self, wanted: Wanted, output: ControllerOutput) -> tuple[Given, ControllerOutput]:
+    def actuated(
+        self, wanted: Wanted, output: ControllerOutput, effectiveness: Array | None
+    ) -> tuple[Given, ControllerOutput]:
         """Allocate thrust and torque."""
         assert wanted.thrust is not None
-        allocated, output = actuated(self._loop.plant.vehicle, wanted.thrust, output)
+        allocated, output = actuated(self._loop.plant.vehicle, wanted.thrust, output, effectiveness)
         return Given(allocated.torque, allocated.speeds), output
 
 
