@@ -51,7 +51,7 @@ class FlightLog:
     velocity: Signal | None = None  # (n, 3) [m/s]
     acceleration: Signal | None = None  # (n, 3) [m/s²]: estimated, without gravity, earth axes
     rotor_speeds: Signal | None = None  # (n, rotors), measured [rad/s]
-    rotor_commands: Signal | None = None  # (n, rotors), 0 to 1
+    rotor_commands: Signal | None = None  # (n, rotors), 0 to 1: what the autopilot takes for shares of thrust
     torque_command: Signal | None = None  # (n, 3) [torque_unit]
     torque_unit: str = "N m"  # or "1": shares of the greatest torque, of each axis
     thrust_command: Signal | None = None  # (n, 1), in any unit

@@ -31,6 +31,7 @@ class Reader(NamedTuple):
 
 READERS = (
     Reader("PX4 ULog", (b"ULog\x01\x12\x35",), "ulog"),
+    Reader("ArduPilot BIN", (b"\xa3\x95",), "ardupilot"),
     Reader("Crazyflie uSD", (b"\xbc\x01\x00", b"\xbc\x02\x00"), "crazyflie"),
 )
 

@@ -154,3 +154,12 @@ def rate_of(stamp_ns: Stamps) -> float:
     """One over the median time between two samples [Hz]; 0 for less than two."""
     period = float(np.median(np.diff(stamp_ns))) if len(stamp_ns) > 1 else 0.0
     return NANOSECONDS_PER_SECOND / period if period > 0.0 else 0.0
+
+
+def thrust_of_throttle(throttle: Floats, curve: float) -> Floats:
+    """Share of the greatest thrust of a share of the throttle r: (1 - c) r + c r².
+
+    c is MOT_THST_EXPO of ArduPilot or THR_MDL_FAC of PX4.
+    """
+    factor = min(max(curve, -1.0), 1.0)
+    return (1.0 - factor) * throttle + factor * throttle**2

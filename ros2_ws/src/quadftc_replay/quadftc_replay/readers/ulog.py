@@ -38,7 +38,7 @@ from quadftc_bags.bag import BagError
 from quadftc_replay.flight_log import FlightLog, Floats
 from quadftc_replay.readers.frames import enu_flu_from_ned_frd, enu_from_ned, flu_from_frd
 from quadftc_replay.readers.layouts import Layout, frame_layout
-from quadftc_replay.readers.signals import Signals, Stamps, columns, rate_of
+from quadftc_replay.readers.signals import Signals, Stamps, columns, rate_of, thrust_of_throttle
 
 FORMAT = "PX4 ULog"
 Dataset = Mapping[str, NDArray[Any]]  # field, elements as name[k] -> (n,)
@@ -252,7 +252,8 @@ def _add_outputs(signals: Signals, log: Contents, count: int) -> None:
         if (output := vectors(log.data[OUTPUTS, instance], "output", count)) is None:
             continue
         low, high, unit = _output_range(log.parameters, output)
-        command = np.where(output > 0.0, np.clip((output - low) / (high - low), 0.0, 1.0), 0.0)
+        throttle = np.where(output > 0.0, np.clip((output - low) / (high - low), 0.0, 1.0), 0.0)
+        command = thrust_of_throttle(throttle, log.parameters.get("THR_MDL_FAC", 0.0))
         found.append((float(command.std(axis=0).min()), instance, command, unit))
     if found and (best := max(found, key=lambda each: each[0]))[0] > 0.0:
         _, instance, command, unit = best

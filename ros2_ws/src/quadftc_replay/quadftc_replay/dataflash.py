@@ -1,0 +1,172 @@
+r"""Logs of ArduPilot (DataFlash, ``.BIN``): their bytes as columns, by the names of message and field.
+
+    message: 0xA3 0x95 | type u8 | the fields of its format, one after the other
+    format:  a message of type 128: type u8 | length u8 | name char[4] | types char[16] | fields char[64]
+
+All is little-endian. A letter of a format is a type, of some with a factor. Source: ArduPilot,
+libraries/AP_Logger/LogStructure.h.
+
+The file is mapped, not read; of the messages that were asked for the places are kept, 8 bytes each. Behind
+bytes that make no message the next one is looked for. A message that has the beginning of another inside, and
+none behind it, is left out.
+"""
+
+from __future__ import annotations
+
+import mmap
+import struct
+from array import array
+from collections.abc import Collection, Iterator, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_bags.bag import BagError
+
+HEAD = b"\xa3\x95"
+BEGIN = 3  # bytes before the fields
+FORMAT_TYPE = 128
+FORMAT = struct.Struct("<BB4s16s64s")
+_CODES = "b=i1 B=u1 M=u1 h=i2 H=u2 c=i2 C=u2 i=i4 I=u4 e=i4 E=u4 L=i4 q=i8 Q=u8 g=f2 f=f4 d=f8"
+# letter -> type of NumPy
+_OTHERS = {"a": "(32,)<i2", "n": "S4", "N": "S16", "Z": "S64"}
+TYPES = {pair[0]: f"<{pair[2:]}" for pair in _CODES.split()} | _OTHERS
+FACTORS = {"c": 0.01, "C": 0.01, "e": 0.01, "E": 0.01, "L": 1e-7}
+NO_NUMBERS = "anNZ"
+PARAMETER = "PARM"
+PAGE = 256  # bytes; logs written in pages have garbage behind their end
+BLOCK = 65536  # messages gathered at a time
+
+
+class DataflashLog(NamedTuple):
+    """The messages that were asked for: name, such as ``IMU``, to field to (n,), in the unit of the log."""
+
+    messages: Mapping[str, Mapping[str, NDArray[np.float64]]]
+    parameters: Mapping[str, float]  # at the end of the log
+    notes: tuple[str, ...]  # one line each
+
+
+class _Format(NamedTuple):
+    name: str
+    row: np.dtype
+    factors: Mapping[str, float]  # of fields that are numbers
+
+
+def read_dataflash(path: Path, names: Collection[str]) -> DataflashLog:
+    """Read messages of some names; BagError if the file holds no format."""
+    try:
+        with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            scan = _Scan(data, {*names, PARAMETER})
+            scan.run()
+            tables = {scan.formats[kind].name: scan.gather(kind) for kind in scan.places}
+    except (OSError, ValueError) as error:
+        raise BagError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+    if not scan.formats:
+        raise BagError(f"{path}: not an ArduPilot log: no format of a message (FMT) in it")
+    factors = {each.name: each.factors for each in scan.formats.values()}
+    messages = {name: _numbers(tables[name], factors[name]) for name in names if len(tables.get(name, ()))}
+    return DataflashLog(messages, _parameters(tables.get(PARAMETER)), tuple(scan.notes()))
+
+
+def _numbers(table: NDArray[np.void], factors: Mapping[str, float]) -> dict[str, NDArray[np.float64]]:
+    """Fields that are numbers, with their factors."""
+    with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
+        return {field: table[field].astype(np.float64) * factor for field, factor in factors.items()}
+
+
+def _parameters(table: NDArray[np.void] | None) -> dict[str, float]:
+    """Parameters by name; of those that come again the last counts."""
+    if table is None or not {"Name", "Value"} <= {*(table.dtype.names or ())}:
+        return {}
+    return {_text(name): float(value) for name, value in zip(table["Name"], table["Value"], strict=True)}
+
+
+def _text(raw: bytes) -> str:
+    return bytes(raw).split(b"\0")[0].decode("ascii", "replace")
+
+
+class _Scan:
+    """Finds the messages, and counts the bytes that are none."""
+
+    def __init__(self, data: mmap.mmap, names: Collection[str]) -> None:
+        self.data, self.names = data, names
+        self.formats: dict[int, _Format] = {}
+        self.places: dict[int, array[int]] = {}
+        self.skipped = self.gaps = self.left = self.wrong_formats = 0
+        self._lengths = [0] * 256
+        self._lengths[FORMAT_TYPE] = BEGIN + FORMAT.size
+
+    def run(self) -> None:
+        """Go through the file."""
+        data, lengths, places, size = self.data, self._lengths, self.places, len(self.data)
+        at = end = 0
+        while at + BEGIN <= size:
+            is_head = data[at] == HEAD[0] and data[at + 1] == HEAD[1]
+            after = at + (lengths[data[at + 2]] if is_head else 0)
+            if after == at or after > size or not self._is_followed(at, after, size):
+                found = data.find(HEAD, at + 1)
+                at = found if found >= 0 else size
+                continue
+            self.skipped += at - end
+            self.gaps += at > end
+            kind = data[at + 2]
+            if kind in places:
+                places[kind].append(at)
+            elif kind == FORMAT_TYPE:
+                self._learn(at)
+            at = end = after
+        self.left = size - end
+
+    def _is_followed(self, at: int, after: int, size: int) -> bool:
+        """Whether a message is followed by another or the end, or has at least no other inside."""
+        data = self.data
+        if after + 2 > size or (data[after] == HEAD[0] and data[after + 1] == HEAD[1]):
+            return True
+        return data.find(HEAD, at + BEGIN, after) < 0
+
+    def _learn(self, at: int) -> None:
+        """Learn a format, if it makes sense; of those that come again the first counts."""
+        kind, length, *raw = FORMAT.unpack_from(self.data, at + BEGIN)
+        name, types, text = map(_text, raw)
+        fields = text.split(",") if text else []
+        if kind in self.formats or kind == FORMAT_TYPE:
+            return
+        is_known = bool(name) and len(fields) == len(types) == len({*fields}) and {*types} <= TYPES.keys()
+        pairs = list(zip(fields, types, strict=True)) if is_known else []
+        row = np.dtype([(field, TYPES[each]) for field, each in pairs])
+        if (
+            not pairs
+            or row.itemsize + BEGIN != length
+            or name in {each.name for each in self.formats.values()}
+        ):
+            self.wrong_formats += name in self.names
+            self._lengths[kind] = self._lengths[kind] or (length if length > BEGIN else 0)
+            return
+        factors = {field: FACTORS.get(each, 1.0) for field, each in pairs if each not in NO_NUMBERS}
+        self.formats[kind], self._lengths[kind] = _Format(name, row, factors), length
+        if name in self.names:
+            self.places[kind] = array("Q")
+
+    def notes(self) -> Iterator[str]:
+        """Say what is wrong with the log."""
+        if self.gaps:
+            yield f"{self.skipped} bytes at {self.gaps} places are no messages; left out"
+        if self.left > PAGE:
+            yield f"cut short or damaged: {self.left} bytes behind the last message; left out"
+        if self.wrong_formats:
+            yield f"{self.wrong_formats} formats of messages make no sense; left out"
+
+    def gather(self, kind: int) -> NDArray[np.void]:
+        """Copy the messages of a type out of the file."""
+        row = self.formats[kind].row
+        places = np.frombuffer(self.places[kind], np.uint64).astype(np.int64)
+        view = np.frombuffer(self.data, np.uint8)
+        table = np.empty(len(places), row)
+        span = np.arange(BEGIN, BEGIN + row.itemsize)
+        for first in range(0, len(places), BLOCK):
+            block = places[first : first + BLOCK]
+            table[first : first + BLOCK] = np.ascontiguousarray(view[block[:, None] + span]).view(row)[:, 0]
+        del view  # else the map could not be closed
+        return table
