@@ -25,6 +25,10 @@ setup(
         "quadftc.commands": [
             "run = quadftc_cli.commands.run:run",
             "play = quadftc_cli.commands.play:play",
+            "inject = quadftc_cli.commands.inject:inject",
+            "clear = quadftc_cli.commands.inject:clear",
+            "set = quadftc_cli.commands.set:set_",
+            "watch = quadftc_cli.commands.watch:watch",
             "replay = quadftc_cli.commands.replay:replay",
             "diagnose = quadftc_cli.commands.diagnose:diagnose",
             "repair = quadftc_cli.commands.repair:repair",

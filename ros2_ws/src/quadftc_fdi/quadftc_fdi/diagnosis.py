@@ -21,6 +21,8 @@ from quadftc_model.samples import (
     FaultObserverInputs,
     ImuSample,
     PositionSample,
+    RotorEstimate,
+    RotorReading,
     SensorEstimate,
     sanitised,
 )
@@ -38,6 +40,7 @@ COMPONENTS: Mapping[str, tuple[tuple[str, ...], str]] = {
 _UNKNOWN = np.full(3, -1.0)
 _UNKNOWN_KIND = np.full(3, FAULT_KINDS.index("unknown"), np.uint8)
 _CLEAR = np.zeros(3, np.bool_)
+_SHOWN_IN = {"gyro": ("deg_s", math.degrees(1.0)), "rotor": ("percent", 100.0)}
 _CONFUSED_WITH = {"attitude": "gyro", "gyro": "attitude"}  # on the same axis
 
 
@@ -62,14 +65,16 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
         torque: Vector,
         thrust: Scalar | None = None,
         place: PositionSample | None = None,
+        rotors: RotorReading | None = None,
     ) -> FaultEstimate | None:
         """Diagnose a sample [ns] as received; None if its stamp is repeated or went back.
 
         ``torque`` [N m] and ``thrust`` [N] are those that acted since the sample before; ``place`` is what
-        the position sensor says with the sample. Without them, None: on the test stand.
+        the position sensor says with the sample, ``rotors`` what is known of the rotors. Without them, None:
+        on the test stand.
         """
         clean = sanitised(sample)
-        inputs = FaultObserverInputs(clean, torque, thrust, place)
+        inputs = FaultObserverInputs(clean, torque, thrust, place, rotors)
         last, dt = self.words_for(stamp_ns), self.time_step(stamp_ns)
         complete = clean.attitude_valid and clean.rate_valid
         if last is not None:
@@ -133,10 +138,24 @@ def watched_sensors(law: FaultObserver, estimate: FaultEstimate) -> dict[str, Se
     """Return what the estimate of an observer says of each component that it diagnoses."""
     if not law.has_detector:
         return {}
+    rotors = {} if estimate.rotors is None else {"rotor": _as_sensor(estimate.rotors)}
     if estimate.sensors is not None:
-        return estimate.sensors._asdict()
+        return {**estimate.sensors._asdict(), **rotors}
     state, fault, std_dev, age = estimate.state, estimate.fault, estimate.std_dev, estimate.onset_age
-    return {"attitude": SensorEstimate(state, fault, std_dev, age, _UNKNOWN, _UNKNOWN_KIND, _CLEAR)}
+    attitude = SensorEstimate(state, fault, std_dev, age, _UNKNOWN, _UNKNOWN_KIND, _CLEAR)
+    return {"attitude": attitude, **rotors}
+
+
+def _as_sensor(rotors: RotorEstimate) -> SensorEstimate:
+    """Return what is said of the rotors as of a sensor; the size is the share of thrust that is lost."""
+    return SensorEstimate(rotors.state, 1.0 - rotors.effectiveness, *rotors[2:])
+
+
+def elements_of(component: str, count: int) -> tuple[tuple[str, ...], str]:
+    """Return the names of the ``count`` elements of a component, and the unit of a fault."""
+    if component == "rotor":
+        return tuple(str(number + 1) for number in range(count)), "1"
+    return COMPONENTS[component]
 
 
 def onset_ns(stamp_ns: int, age: float) -> int:
@@ -147,13 +166,13 @@ def onset_ns(stamp_ns: int, age: float) -> int:
 def _confirmed(stamp_ns: int, component: str, sensor: SensorEstimate) -> Iterator[ComponentFault]:
     if not any(state in ALARMS for state in sensor.state.tolist()):
         return
-    elements, unit = COMPONENTS[component]
+    elements, unit = elements_of(component, len(sensor.state))
     rows: Any = zip(*(column.tolist() for column in sensor), strict=True)
     for axis, (state, size, std_dev, age, probability, kind, ambiguous) in enumerate(rows):
         if state not in ALARMS:
             continue
         other = _CONFUSED_WITH.get(component)
-        rivals = (f"{other}/{COMPONENTS[other][0][axis]}",) if ambiguous and other else ()
+        rivals = (f"{other}/{elements_of(other, 0)[0][axis]}",) if ambiguous and other else ()
         yield ComponentFault(
             component=component,
             element=elements[axis],
@@ -206,10 +225,10 @@ def describe_axes(
 def describe_component(component: str, sensor: SensorEstimate) -> tuple[int, dict[str, str]]:
     """Return the fault state of a component that is worst, and for people the values of its faulty elements.
 
-    Those of the gyro are in deg/s.
+    Those of the gyro are in deg/s, those of the rotors in percent of thrust.
     """
-    elements, _ = COMPONENTS[component]
-    name, scale = ("deg_s", math.degrees(1.0)) if component == "gyro" else ("m_s2", 1.0)
+    elements, _ = elements_of(component, len(sensor.state))
+    name, scale = _SHOWN_IN.get(component, ("m_s2", 1.0))
     values: dict[str, str] = {}
     for fault in _confirmed(0, component, sensor):
         element, age = fault.element, sensor.onset_age[elements.index(fault.element)]
@@ -238,4 +257,6 @@ def _usable_estimate(inputs: FaultObserverInputs, estimate: FaultEstimate) -> Fa
     usable = samples.is_usable(fault, corrected.q_xyzw, corrected.body_rate)
     for sensor in estimate.sensors or ():
         usable = usable and samples.is_usable(*sensor[1:5])
+    if estimate.rotors is not None:
+        usable = usable and samples.is_usable(*estimate.rotors[1:5])
     return estimate if usable else await_start(inputs.imu, of_sensors=False)

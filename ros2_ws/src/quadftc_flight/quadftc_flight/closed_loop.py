@@ -21,10 +21,19 @@ from quadftc_flight.flight import Flight, onset_ns, unknown_flight
 from quadftc_flight.guidance import StandGuidance, guidance_of
 from quadftc_flight.reported import note_reports
 from quadftc_flight.scenario import Scenario, Scheme
-from quadftc_model.samples import ControllerInputs, DiagnosisReport, FaultEstimate
+from quadftc_model.samples import (
+    AttitudeCommand,
+    ControllerInputs,
+    ControllerOutput,
+    DiagnosisReport,
+    FaultEstimate,
+    PositionSample,
+    effectiveness_of,
+)
 from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count
 from quadftc_sim.injector import FaultInjector, Faulty
 from quadftc_sim.plant import Plant
+from quadftc_sim.rotor_fault import true_effectiveness
 from quadftc_sim.simulator import Emission, Simulator
 
 
@@ -43,7 +52,7 @@ def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = 
     given = guidance.before
     reports = list[DiagnosisReport]()  # on the topic `diagnosis`
     count, delay = sample_count(scenario.duration, scenario.rate), simulator.sensor.delay
-    flight = unknown_flight(epoch_ns + simulator.period_ns * np.arange(count))
+    flight = _empty_flight(simulator, epoch_ns, count)
     for row in range(count):
         # the vehicle moves under the torque; what its IMU says now was taken `delay` rows before
         emission = simulator.advance(given.command) if row else simulator.start()
@@ -52,28 +61,28 @@ def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = 
             continue
         stamp_ns, taken = emission.sample_stamp_ns, row - delay
         injected = injector.apply(stamp_ns, emission.sample)
-        place = emission.place if emission.place is not None and emission.place.there else None
+        simulator.set_rotors(injected.rotors)
         if not injected.present:  # withheld: the command stays
             continue
         # the nodes react; none refuses the sample, as stamps increase
-        estimate = diagnosis.diagnose(stamp_ns, injected.sample, *guidance.acted(given), place)
+        acted = *guidance.acted(given), _place_in(emission), guidance.rotors(given)
+        estimate = diagnosis.diagnose(stamp_ns, injected.sample, *acted)
         assert estimate is not None
+        effectiveness = effectiveness_of(estimate.rotors)
         disturbance = disturbance_observer.estimate(stamp_ns, estimate.corrected, given.torque)
         assert disturbance is not None
-        wanted = guidance.at(stamp_ns, estimate.corrected, place)
-        inputs = estimate.corrected, wanted.attitude, disturbance, guidance.rotor_torque()
-        output = controller.step(stamp_ns, ControllerInputs(*inputs))
+        wanted = guidance.at(stamp_ns, estimate.corrected, _place_in(emission))
+        inputs = estimate.corrected, wanted.attitude, disturbance, guidance.rotor_torque(effectiveness)
+        output = controller.step(stamp_ns, ControllerInputs(*inputs, effectiveness))
         assert output is not None
-        given, output = guidance.actuated(wanted.thrust, output)
+        given, output = guidance.actuated(wanted.thrust, output, effectiveness)
         # what is known now of the sample
-        flight.delivered[taken] = True
         _note_truth(flight, taken, injected, channels)
         _note_estimate(flight, taken, estimate)
         reports += filter(None, [diagnosis.report(stamp_ns, estimate)])
-        flight.disturbance_estimate[taken], flight.reference[taken] = disturbance, wanted.attitude.angles
-        flight.torque[taken], flight.saturated[taken] = output.torque, output.saturated
+        flight.disturbance_estimate[taken] = disturbance
         guidance.note(flight, taken)
-        flight.error[taken], flight.sliding_variable[taken] = output.error, output.sliding_variable
+        _note_output(flight, taken, wanted, output)
     note_reports(flight, reports)
     return flight.first(max(count - delay, 0))  # the samples that came out before the end
 
@@ -92,6 +101,26 @@ def _simulator_of(scenario: Scenario, epoch_ns: int) -> Simulator:
     return Simulator(plant, scenario.sensor, period, epoch_ns, scenario.seed, scenario.position_sensor)
 
 
+def _place_in(emission: Emission) -> PositionSample | None:
+    """Return what the position sensor says with the sample; None: nothing."""
+    place = emission.place
+    return place if place is not None and place.there else None
+
+
+def _empty_flight(simulator: Simulator, epoch_ns: int, count: int) -> Flight:
+    """Return a flight of ``count`` samples, of which nothing is known yet."""
+    plant = simulator.plant
+    rotors = plant.command_size if plant.flies else 0
+    return unknown_flight(epoch_ns + simulator.period_ns * np.arange(count), rotors)
+
+
+def _note_output(flight: Flight, row: int, wanted: AttitudeCommand, output: ControllerOutput) -> None:
+    """Note what is wanted, and what the controller says."""
+    flight.reference[row] = wanted.attitude.angles
+    flight.torque[row], flight.saturated[row] = output.torque, output.saturated
+    flight.error[row], flight.sliding_variable[row] = output.error, output.sliding_variable
+
+
 def _note_motion(flight: Flight, row: int, emission: Emission, guidance: StandGuidance) -> None:
     """Note how the vehicle moves."""
     guidance.see(emission)
@@ -99,15 +128,19 @@ def _note_motion(flight: Flight, row: int, emission: Emission, guidance: StandGu
     flight.disturbance[row] = emission.disturbance
     if emission.flight is not None:
         flight.position[row] = emission.flight.position
+        flight.rotor_speeds[row] = emission.flight.speeds
 
 
 def _note_truth(flight: Flight, row: int, injected: Faulty, channels: Set[str]) -> None:
-    """Note the true faults of a sample; those of gyro and accelerometer if the scenario has some."""
+    """Note that a sample came, and its true faults; those of gyro and accelerometer if there are some."""
+    flight.delivered[row] = True
     flight.fault[row] = injected.attitude
     if "gyro" in channels:
         flight.gyro_fault[row] = injected.gyro
     if "accelerometer" in channels:
         flight.accelerometer_fault[row] = injected.accelerometer
+    if injected.rotors is not None:
+        flight.rotor_effectiveness[row] = true_effectiveness(injected.rotors)
 
 
 def _note_estimate(flight: Flight, row: int, estimate: FaultEstimate) -> None:

@@ -8,6 +8,7 @@ lock-step both give the same arrays, bit for bit.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -29,9 +30,18 @@ NO_STATE = 255  # fault state of a row without diagnosis
 DIAGNOSIS = "diagnosis"  # the topic, whose messages hold until the next one
 
 
-def _column(topic: str, field: str = "vector", unknown: Any = np.nan) -> Any:
-    """Three numbers a row, of which a recording tells by a topic; ``unknown`` where nothing is known."""
-    return dataclasses.field(metadata={"source": (topic, field), "unknown": np.full(3, unknown)})
+def _column(topic: str, field: str = "vector", unknown: Any = np.nan, of_rotors: bool = False) -> Any:
+    """Three numbers a row, of which a recording tells by a topic; ``unknown`` where nothing is known.
+
+    Those ``of_rotors`` are as many as there are rotors, and none on the test stand.
+    """
+    metadata = {"source": (topic, field), "unknown": np.full(3, unknown), "of_rotors": of_rotors}
+    return dataclasses.field(metadata=metadata)
+
+
+def _rotor_column(topic: str, field: str = "vector", unknown: Any = np.nan) -> Any:
+    """As `_column`, with one number for each rotor."""
+    return _column(topic, field, unknown, of_rotors=True)
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -77,6 +87,15 @@ class Flight:
     position: Floats = _column("plant/odometry", "pose.pose.position")  # true [m]
     position_reference: Floats = _column("position/reference", "pose.position")  # [m]
     position_estimate: Floats = _column("position/estimate", "pose.pose.position")  # [m]
+    # of the rotors, (n, rotors)
+    rotor_effectiveness: Floats = _rotor_column("rotors/fault", "effectiveness")  # true [1]; 0: off
+    rotor_speeds: Floats = _rotor_column("rotors/speed", "velocity")  # true [rad/s]
+    rotor_state: NDArray[np.uint8] = _rotor_column(DIAGNOSIS, unknown=np.uint8(NO_STATE))
+    rotor_estimate: Floats = _rotor_column(DIAGNOSIS)  # share of the thrust that is lost [1]
+    rotor_std_dev: Floats = _rotor_column(DIAGNOSIS)  # [1]
+    rotor_onset_ns: NDArray[np.int64] = _rotor_column(DIAGNOSIS, unknown=np.int64(0))
+    rotor_probability: Floats = _rotor_column(DIAGNOSIS)
+    rotor_ambiguous: NDArray[np.bool_] = _rotor_column(DIAGNOSIS, unknown=np.False_)
     error: Floats = _column("control/status", "error")  # attitude less reference, to the controller [rad]
     sliding_variable: Floats = _column("control/status", "sliding_variable")  # [rad/s]
     saturated: NDArray[np.bool_] = _column("control/status", "saturated", np.False_)  # the torque was cut
@@ -89,20 +108,31 @@ class Flight:
         return Flight(**{field.name: getattr(self, field.name)[:rows] for field in dataclasses.fields(self)})
 
 
-_KNOWN_WHEN_WITHHELD = ("angles", "body_rate", "disturbance", "position")
+_KNOWN_WHEN_WITHHELD = ("angles", "body_rate", "disturbance", "position", "rotor_speeds")
 _COLUMNS = {field.name: field.metadata for field in dataclasses.fields(Flight) if field.metadata}
-VECTORS = tuple(name for name, column in _COLUMNS.items() if np.isnan(column["unknown"]).all())
+VECTORS = tuple(
+    name for name, column in _COLUMNS.items() if np.isnan(column["unknown"]).all() and not column["of_rotors"]
+)
 
 
-def unknown_flight(stamp_ns: Int[NDArray[np.int64], " n"]) -> Flight:
-    """Return a flight of which nothing is known but the stamps; its columns are there to be filled."""
+def unknown_flight(stamp_ns: Int[NDArray[np.int64], " n"], rotors: int = 0) -> Flight:
+    """Return a flight of which nothing is known but the stamps; its columns are there to be filled.
+
+    In free flight it has so many ``rotors``.
+    """
     count = len(stamp_ns)
     return Flight(
         stamp_ns=stamp_ns,
         time=(stamp_ns - stamp_ns[0]) / NANOSECONDS_PER_SECOND,
         delivered=np.zeros(count, np.bool_),
-        **{name: np.tile(column["unknown"], (count, 1)) for name, column in _COLUMNS.items()},
+        **{name: np.tile(_unknown(column, rotors), (count, 1)) for name, column in _COLUMNS.items()},
     )
+
+
+def _unknown(column: Mapping[str, Any], rotors: int) -> NDArray[Any]:
+    """Return a row of a column of which nothing is known."""
+    unknown = column["unknown"]
+    return np.resize(unknown, rotors) if column["of_rotors"] else unknown
 
 
 def onset_ns(stamp_ns: int | NDArray[np.int64], onset_age: Floats) -> NDArray[np.int64]:
@@ -126,18 +156,26 @@ def flight_from_bag(bag: Bag) -> Flight:
     stamp_ns = np.union1d(delivered_ns, dropped_ns)
     if len(stamp_ns) == 0:
         raise BagError(f"{bag.path}: no message on imu/data")
-    flight = unknown_flight(stamp_ns)
+    flight = unknown_flight(stamp_ns, _count_rotors(bag))
     flight.delivered[:] = np.isin(stamp_ns, delivered_ns)
     for name, column in _COLUMNS.items():
         known = flight.delivered | (name in _KNOWN_WHEN_WITHHELD)
         topic, field = column["source"]
         if topic == DIAGNOSIS:
             continue
-        joined = _join_topic(bag, topic, field, stamp_ns, column["unknown"])
+        joined = _join_topic(bag, topic, field, stamp_ns, getattr(flight, name)[0])
         getattr(flight, name)[known] = joined[known]
     if has_messages(bag, DIAGNOSIS):
         note_reports(flight, reports_from(bag.series(DIAGNOSIS)))
     return flight
+
+
+def _count_rotors(bag: Bag) -> int:
+    """Return how many rotors the recording of a free flight tells of; 0 of another one."""
+    if not has_messages(bag, "rotors/speed"):
+        return 0
+    speeds = bag.series("rotors/speed")["velocity"]
+    return min(map(len, speeds))
 
 
 class Reading(NamedTuple):

@@ -19,7 +19,7 @@ from quadftc_flight.flight import Flight
 from quadftc_flight.scenario import Scenario, Scheme, estimator_for
 from quadftc_model.arrays import Components, Scalar, Vector
 from quadftc_model.rotors import wrench_from_speeds
-from quadftc_model.samples import AttitudeCommand, ControllerOutput, ImuSample, PositionSample
+from quadftc_model.samples import AttitudeCommand, ControllerOutput, ImuSample, PositionSample, RotorReading
 from quadftc_sim.simulator import Emission
 
 
@@ -42,8 +42,13 @@ class StandGuidance:
         """Return what is wanted at a sample [ns], of the corrected IMU and of the position sensor."""
         return AttitudeCommand(self._reference.at(stamp_ns), 0.0)
 
-    def actuated(self, thrust: Scalar, output: ControllerOutput) -> tuple[Given, ControllerOutput]:
-        """Return what the rotors get for a thrust [N] and a torque, and what the controller says then."""
+    def actuated(
+        self, thrust: Scalar, output: ControllerOutput, effectiveness: Components | None
+    ) -> tuple[Given, ControllerOutput]:
+        """Return what the rotors get for a thrust [N] and a torque, and what the controller says then.
+
+        ``effectiveness`` is that of the rotors, as it is estimated.
+        """
         return Given(output.torque, output.torque), output
 
     def acted(self, given: Given) -> tuple[Vector, Scalar | None]:
@@ -53,7 +58,11 @@ class StandGuidance:
     def see(self, emission: Emission) -> None:
         """See what is measured besides, as the simulator shows it."""
 
-    def rotor_torque(self) -> Vector | None:
+    def rotors(self, given: Given) -> RotorReading | None:
+        """Return what is known of the rotors at the sample; None: nothing."""
+        return None
+
+    def rotor_torque(self, effectiveness: Components | None) -> Vector | None:
         """Return the torque [N m] of the rotor speeds measured with the sample; None: they are not."""
         return None
 
@@ -78,9 +87,11 @@ class FlightGuidance(StandGuidance):
         assert wanted is not None
         return wanted.command
 
-    def actuated(self, thrust: Scalar, output: ControllerOutput) -> tuple[Given, ControllerOutput]:
+    def actuated(
+        self, thrust: Scalar, output: ControllerOutput, effectiveness: Components | None
+    ) -> tuple[Given, ControllerOutput]:
         """Return rotor speeds [rad/s]."""
-        allocated, output = actuated(self._vehicle, thrust, output)
+        allocated, output = actuated(self._vehicle, thrust, output, effectiveness)
         return Given(allocated.speeds, allocated.torque), output
 
     def acted(self, given: Given) -> tuple[Vector, Scalar | None]:
@@ -92,9 +103,13 @@ class FlightGuidance(StandGuidance):
         assert emission.flight is not None
         self._speeds.append(emission.flight.speeds)
 
-    def rotor_torque(self) -> Vector | None:
+    def rotors(self, given: Given) -> RotorReading:
+        """Return the command, and the speeds at the time of the sample, which comes later."""
+        return RotorReading(given.command, self._speeds[0])
+
+    def rotor_torque(self, effectiveness: Components | None) -> Vector | None:
         """Return the torque of the speeds at the time of the sample, which comes later."""
-        return wrench_from_speeds(self._vehicle, self._speeds[0])[0]
+        return wrench_from_speeds(self._vehicle, self._speeds[0], effectiveness)[0]
 
     def note(self, flight: Flight, row: int) -> None:
         """Note reference and estimate of the position."""

@@ -39,8 +39,10 @@ def note_reports(flight: Flight, reports: Sequence[DiagnosisReport]) -> None:
     latest = np.searchsorted(stamps, flight.stamp_ns, side="right") - 1
     held = flight.delivered & (latest >= 0)
     held &= stamps[latest] // REPORT_PERIOD_NS == flight.stamp_ns // REPORT_PERIOD_NS
-    for component in COMPONENTS:
-        for quantity, said in _columns_of(component, reports).items():
+    rotors = tuple(str(number + 1) for number in range(flight.rotor_state.shape[1]))
+    elements = {**{name: names for name, (names, _) in COMPONENTS.items()}, "rotor": rotors}
+    for component, names in elements.items():
+        for quantity, said in _columns_of(component, names, reports).items():
             column = getattr(flight, f"{component}_{quantity}", None)
             if column is not None:
                 column[held] = said[latest[held]]
@@ -62,11 +64,14 @@ def _fault_of(message: Any) -> ComponentFault:
     return ComponentFault(**values, onset_ns=onset_ns)
 
 
-def _columns_of(component: str, reports: Sequence[DiagnosisReport]) -> dict[str, NDArray[Any]]:
-    """Return what each report says of the elements of a component, by quantity (n, 3)."""
-    elements, _ = COMPONENTS[component]
+def _columns_of(
+    component: str, elements: Sequence[str], reports: Sequence[DiagnosisReport]
+) -> dict[str, NDArray[Any]]:
+    """Return what each report says of the elements of a component, by quantity (n, elements)."""
     watched = np.array([component in report.watched for report in reports])[:, None]
-    columns = {name: np.where(watched, WATCHED[name], UNWATCHED[name]).repeat(3, 1) for name in WATCHED}
+    columns = {
+        name: np.where(watched, WATCHED[name], UNWATCHED[name]).repeat(len(elements), 1) for name in WATCHED
+    }
     for row, report in enumerate(reports):
         for fault in report.faults:
             if fault.component != component or fault.element not in elements:

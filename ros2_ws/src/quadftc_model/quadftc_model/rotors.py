@@ -15,9 +15,17 @@ def torque_from_commands(vehicle: Vehicle, commands: Components) -> Vector:
     return commands @ vehicle.mixer.T
 
 
-def wrench_from_speeds(vehicle: Vehicle, speeds: Components) -> tuple[Vector, Scalar]:
-    """Body torque [N m] (..., 3) and thrust [N] (...) of rotor speeds [rad/s] (..., n)."""
-    wrench = (vehicle.rotors.thrust_coefficient * speeds * speeds) @ vehicle.effectiveness.T
+def wrench_from_speeds(
+    vehicle: Vehicle, speeds: Components, effectiveness: Components | None = None
+) -> tuple[Vector, Scalar]:
+    """Body torque [N m] (..., 3) and thrust [N] (...) of rotor speeds [rad/s] (..., n).
+
+    ``effectiveness`` (..., n) is the thrust of each rotor over that of a healthy one; None: all are healthy.
+    """
+    thrusts = vehicle.rotors.thrust_coefficient * speeds * speeds
+    if effectiveness is not None:
+        thrusts = effectiveness * thrusts
+    wrench = thrusts @ vehicle.effectiveness.T
     return wrench[..., 1:], wrench[..., 0]
 
 

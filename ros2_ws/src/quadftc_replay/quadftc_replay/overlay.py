@@ -18,7 +18,7 @@ from quadftc_model.hints import nearest
 from quadftc_model.spec import parse_spec
 from quadftc_replay.imu_recording import Recording
 from quadftc_sim.assembly import injection_from
-from quadftc_sim.injection import RESERVED
+from quadftc_sim.injection import RESERVED, ask_for_units
 
 
 def faults_from(files: Iterable[Path], specs: Iterable[str]) -> tuple[Fault, ...]:
@@ -43,9 +43,12 @@ def replay_events(recording: Recording, faults: Sequence[Fault]) -> tuple[FaultE
 
 
 def _parse_fault(spec: str) -> Fault:
-    return Fault(
-        injection_from(spec), tuple(name for name in parse_spec(spec).values if name not in RESERVED)
-    )
+    injection, (kind, values) = injection_from(spec), parse_spec(spec)
+    try:
+        ask_for_units(kind, values)
+    except ValueError as error:
+        raise ValueError(f"fault '{spec}': {error}") from None
+    return Fault(injection, tuple(name for name in values if name not in RESERVED))
 
 
 class _FaultsFile(BaseModel):

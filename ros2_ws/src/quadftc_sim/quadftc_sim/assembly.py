@@ -10,6 +10,7 @@ A ValueError names the parameter that is wrong.
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 from quadftc_model import assembly
 from quadftc_model.assembly import NodeParameters, get
@@ -51,6 +52,9 @@ class InjectorParameters:
     """Parameters of the fault injector node."""
 
     seed: int = parameter(0, low=0, doc="of the random faults (noise, spikes, dropout)")
+    rotors: int = parameter(
+        0, low=0, high=64, doc="rotors of a vehicle in free flight; 0: it has none to fail"
+    )
 
 
 def period_ns(rate: float) -> int:
@@ -88,10 +92,11 @@ def flight_from(parameters: NodeParameters, epoch_ns: int, begin_ns: int) -> Pla
 
 def injector_from(parameters: NodeParameters) -> FaultInjector:
     """Build the fault injector with its scheduled faults, numbered from 1 in their order."""
-    injections = [injection_from(text) for text in assembly.texts(parameters, "faults")]
+    rotors = int(parameters.get("rotors", 0))
+    injections = [injection_from(text, rotors) for text in assembly.texts(parameters, "faults")]
     return FaultInjector(get(parameters, "seed", int), injections)
 
 
-def injection_from(text: str) -> Injection:
-    """Make an injection from its specification."""
-    return assembly.component_of("fault", text, make_injection)
+def injection_from(text: str, rotors: int = 0) -> Injection:
+    """Make an injection from its specification, for a vehicle with so many rotors in free flight."""
+    return assembly.component_of("fault", text, functools.partial(make_injection, rotors=rotors))

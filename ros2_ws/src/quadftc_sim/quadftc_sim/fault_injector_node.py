@@ -86,7 +86,8 @@ class FaultInjectorNode(GraphNode):
         # times count from the last sample; a fault without a start begins with the next one
         now = self._injector.now + (JUST_AFTER if self._last_ns >= 0 and request.start == 0.0 else 0.0)
         try:
-            injection = make_injection(request.kind, _values_of(request), now)
+            rotors = self.settings.values()["rotors"]
+            injection = make_injection(request.kind, _values_of(request), now, rotors)
         except ValueError as error:
             response.success, response.message = False, str(error)
             return response

@@ -4,20 +4,38 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import operator
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import Array, Components, Quaternion, Vector, components, namespace, stacked
+from quadftc_model.arrays import (
+    Array,
+    Components,
+    Quaternion,
+    Vector,
+    clip,
+    components,
+    namespace,
+    stacked,
+)
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import turned
 from quadftc_model.samples import AIR_DENSITY
 from quadftc_sim.plant import Plant
+from quadftc_sim.rotor_fault import RotorCondition
 from quadftc_sim.wind import Wind
 
 Parts = Sequence[Any]  # components, each a float or an array (...)
+
+
+class FaultyRotors(NamedTuple):
+    """Rotors that may be faulty."""
+
+    condition: RotorCondition
+    angle: Components  # by which each has turned about body z (..., n) [rad]
 
 
 class FlightState(NamedTuple):
@@ -28,6 +46,7 @@ class FlightState(NamedTuple):
     q_xyzw: Quaternion  # attitude, body to earth
     body_rate: Vector  # [rad/s]
     speeds: Components  # of the rotors, unsigned [rad/s]
+    rotors: FaultyRotors | None = None  # None: all are healthy
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -60,6 +79,23 @@ class FlyingPlant(Plant):
         zeros = 0.0 * body_rate
         return FlightState(zeros + xp.asarray(self.start), zeros, q_xyzw, body_rate, speeds)
 
+    def with_rotors(self, state: FlightState, condition: RotorCondition | None) -> FlightState:
+        """Return the state with rotors in a condition; None: as they are."""
+        if condition is None:
+            return state
+        angle = 0.0 * state.speeds if state.rotors is None else state.rotors.angle
+        return state._replace(rotors=FaultyRotors(condition, angle))
+
+    def speeds_wanted(self, state: FlightState, command: Components) -> Components:
+        """Return the speeds [rad/s] (..., n) that the rotors go to under a command [rad/s] (..., n)."""
+        rotors = self.vehicle.rotors
+        wanted = clip(command, rotors.speed_min, rotors.speed_max)
+        if state.rotors is None:
+            return wanted
+        xp, condition = namespace(wanted), state.rotors.condition
+        held = xp.where(condition.stuck, state.speeds, wanted)
+        return xp.minimum(held, condition.speed_limit)
+
     def wind(self, time: float, like: Vector) -> Vector:
         """Velocity of the air at ``time`` [m/s], earth axes, shaped as ``like``."""
         return stacked(self._weather(time)[0]) + 0.0 * like
@@ -74,6 +110,17 @@ class FlyingPlant(Plant):
         torque = [components(each.torque(time)) for each in self.disturbances]
         none = (0.0, 0.0, 0.0)
         return sum_of(air) if air else none, sum_of(torque) if torque else none
+
+    def _shaking(self, speeds: Parts, unbalance: Parts, angles: Parts) -> tuple[Parts, Any]:
+        """Force [N] of unbalanced rotors, body axes, and its torque about body z [N m]."""
+        forces = [each * speed * speed for each, speed in zip(unbalance, speeds, strict=True)]
+        turns = [math if isinstance(angle, float) else namespace(angle) for angle in angles]
+        along_x = [f * xp.cos(angle) for f, xp, angle in zip(forces, turns, angles, strict=True)]
+        along_y = [f * xp.sin(angle) for f, xp, angle in zip(forces, turns, angles, strict=True)]
+        x, y = (components(self.vehicle.rotors.positions[:, axis]) for axis in (0, 1))
+        arms = zip(x, y, along_x, along_y, strict=True)
+        torque = total([a * fy - b * fx for a, b, fx, fy in arms])
+        return (total(along_x), total(along_y), 0.0), torque
 
     def _drag(self, q: Parts, velocity: Parts, air: Parts, speeds: Any) -> Parts:
         """Drag of rotors and body [N], body axes; ``speeds`` is their sum [rad/s]."""

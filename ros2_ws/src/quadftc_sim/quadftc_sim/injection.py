@@ -1,4 +1,4 @@
-"""Injections: which faults act on which axes of the IMU sample, and when."""
+"""Injections: which faults act on which axes of the IMU sample or on which rotors, and when."""
 
 from __future__ import annotations
 
@@ -10,56 +10,103 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_model.parameters import build
+from quadftc_model.parameters import build, parameters_of
+from quadftc_model.registry import Registry
 from quadftc_model.units import quantity
-from quadftc_sim.fault import Fault, faults
+from quadftc_sim.fault import faults
+from quadftc_sim.rotor_fault import ROTOR, rotor_faults
 
 CHANNEL_UNITS: dict[str, dict[str, str]] = {
     "attitude": {"channel": "rad", "channel_rate": "rad/s"},
     "gyro": {"channel": "rad/s", "channel_rate": "rad/s^2"},
     "accelerometer": {"channel": "m/s^2", "channel_rate": "m/s^3"},
     "imu": {},
+    ROTOR: {},
 }
 TRUTH = {  # channel -> topic of its true fault
     "attitude": "fault/injected",
     **{channel: f"fault/injected/{channel}" for channel in ("gyro", "accelerometer")},
 }
 AXES = {"roll": 0, "pitch": 1, "yaw": 2, "x": 0, "y": 1, "z": 2}
-RESERVED = ("channel", "axes", "axis", "start", "stop", "duration")
+# bare numbers from here on are asked about: degrees are meant, or a mistake
+ABSURD = {"rad": 0.75, "rad/s": 35.0, "rad/s^2": 100.0}  # 43 deg; 2000 deg/s, the range of a gyro
+SCHEDULE = ("channel", "start", "stop", "duration")
+RESERVED = (*SCHEDULE, "axes", "axis", "rotors")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Injection:
-    """One fault on one channel: from ``start`` to ``stop`` [s] of scenario time, on the axes of ``mask``."""
+    """One fault on one channel: from ``start`` to ``stop`` [s] of scenario time, on the elements of ``mask``.
+
+    These are the three axes, or of the channel `ROTOR` the n rotors.
+    """
 
     kind: str
     channel: str
     mask: NDArray[np.bool_]
     start: float
     stop: float
-    law: Fault
+    law: Any  # a `Fault`, or a `RotorFault`
 
 
-def make_injection(kind: str, values: Mapping[str, Any], now: float = 0.0) -> Injection:
+def registry_of(kind: Any, values: Mapping[str, Any]) -> Registry[Any]:
+    """Return the registry of a fault by its name and raw values: it is on a rotor if they say so.
+
+    Without a channel, a name that only rotor faults have says so too.
+    """
+    if "channel" in values:
+        on_rotors = values["channel"] == ROTOR
+    else:
+        on_rotors = "rotors" in values or (kind in rotor_faults.names() and kind not in faults.names())
+    return rotor_faults if on_rotors else faults
+
+
+def make_injection(kind: str, values: Mapping[str, Any], now: float = 0.0, rotors: int = 0) -> Injection:
     """Make an injection from the name of a fault and raw values, of a scenario, a service or a command.
 
     The values are ``channel`` (attitude by default, if the fault can be on it), ``axes`` (names; all by
-    default), ``start`` [s], ``stop`` [s] or ``duration`` [s], and the fault's own parameters. Times count
-    from ``now`` [s].
+    default) or ``rotors`` (numbers from 1 on), ``start`` [s], ``stop`` [s] or ``duration`` [s], and the
+    fault's own parameters. Times count from ``now`` [s]. A vehicle in free flight has so many ``rotors``.
     """
-    fault = faults.get(kind)
+    fault = registry_of(kind, values).get(kind)
     usual = "attitude" if "attitude" in fault.channels else fault.channels[0]
     channel = str(values.get("channel", usual))
     if channel not in CHANNEL_UNITS:
         raise ValueError(f"channel = {channel!r}: expected one of {', '.join(CHANNEL_UNITS)}")
     if channel not in fault.channels:
         raise ValueError(f"channel = {channel!r}: {kind} can be on {', '.join(fault.channels)}")
-    mask, window = _mask(kind, fault, values), _window(values, now)
+    mask = _rotor_mask(kind, values, rotors) if channel == ROTOR else _mask(kind, fault, values)
+    window = _window(values, now)
     own = {name: value for name, value in values.items() if name not in RESERVED}
     return Injection(kind, channel, mask, *window, build(fault, own, units=CHANNEL_UNITS[channel]))
 
 
+def _rotor_mask(kind: str, values: Mapping[str, Any], count: int) -> NDArray[np.bool_]:
+    """Return which rotors (n,) are meant: those of ``rotors``, whole numbers from 1 on, or texts of such."""
+    if count == 0:
+        raise ValueError(f"channel = {ROTOR!r}: only in free flight: expected 'plant: {{kind: free_flight}}'")
+    for name in ("axes", "axis"):
+        if name in values and values[name] not in ((), []):
+            raise ValueError(f"{name}: {kind} on a rotor has none; expected rotors, such as [1]")
+    given: Any = values.get("rotors", ())
+    numbers: list[Any] = [*given] if isinstance(given, (list, tuple)) else [given]
+    if not numbers:
+        raise ValueError(f"rotors: missing; expected numbers from 1 to {count}, such as [1]")
+    mask = np.zeros(count, dtype=bool)
+    for each in numbers:
+        number = int(each) if isinstance(each, str) and each.isdecimal() else each
+        whole = (
+            isinstance(number, (int, float)) and not isinstance(number, bool) and number in range(count + 1)
+        )
+        if not whole or number == 0:
+            raise ValueError(f"rotors: {each!r} is no rotor; expected numbers from 1 to {count}")
+        mask[int(number) - 1] = True
+    return mask
+
+
 def _mask(kind: str, fault: Any, values: Mapping[str, Any]) -> NDArray[np.bool_]:
+    if "rotors" in values:
+        raise ValueError(f"rotors: {kind} is on a sensor; expected 'channel: {ROTOR}', or axes")
     given = values.get("axes", values.get("axis", ()))
     if "axes" in values and "axis" in values:
         raise ValueError("axes: given twice, as axis too")
@@ -102,3 +149,24 @@ def _time(values: Mapping[str, Any], name: str, default: float) -> float:
 def fault_generators(seed: int, number: int) -> tuple[np.random.Generator, np.random.Generator]:
     """Return where an injection's normal and uniform numbers come from, which no other injection shifts."""
     return np.random.default_rng([seed, number, 0]), np.random.default_rng([seed, number, 1])
+
+
+def ask_for_units(kind: str, values: Mapping[str, Any]) -> None:
+    """Refuse a number without a unit that a person typed, by a ValueError, where it is absurd in SI."""
+    fault = faults.get(kind)
+    usual = "attitude" if "attitude" in fault.channels else fault.channels[0]
+    units = CHANNEL_UNITS.get(str(values.get("channel", usual)), {})
+    for spec in parameters_of(fault):
+        unit = units.get(spec.unit.strip("{}"), "")
+        raw: Any = values.get(spec.name, ())
+        parts: list[Any] = [*raw] if isinstance(raw, (list, tuple)) else [raw]
+        for text in parts:
+            try:
+                number = float(text)
+            except (TypeError, ValueError):  # it has a unit, or is wrong in another way
+                continue
+            if abs(number) >= ABSURD.get(unit, math.inf):
+                other = unit.replace("rad", "deg")
+                size = f"{math.degrees(number):.0f} {other}"
+                wanted = f"write {spec.name}={text}{other} or {spec.name}={text}{unit}"
+                raise ValueError(f"{spec.name} = {text}: without a unit this is {size}; {wanted}")

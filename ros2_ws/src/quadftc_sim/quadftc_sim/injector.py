@@ -17,6 +17,7 @@ from quadftc_model.samples import ImuSample
 from quadftc_model.stepper import seconds
 from quadftc_sim.fault import FaultInputs
 from quadftc_sim.injection import Injection, fault_generators
+from quadftc_sim.rotor_fault import ROTOR, RotorCondition, rotor_condition
 
 
 class FaultDraws(NamedTuple):
@@ -41,12 +42,16 @@ class Faulty(NamedTuple):
     attitude: Vector  # true fault of the attitude [rad]
     gyro: Vector  # [rad/s]
     accelerometer: Vector  # [m/s²]
+    rotors: RotorCondition | None = None  # None: all are healthy, and always were
 
 
 def begin(injections: Sequence[Injection], sample: ImuSample) -> tuple[InjectionState, ...]:
     """State before the first sample."""
     nothing, values = namespace(sample.q_xyzw).zeros_like(sample.attitude_valid), _channels(sample)
-    return tuple(InjectionState(each.law.init(values[each.channel]), nothing) for each in injections)
+    return tuple(
+        InjectionState(() if each.channel == ROTOR else each.law.init(values[each.channel]), nothing)
+        for each in injections
+    )
 
 
 def inject(
@@ -59,7 +64,8 @@ def inject(
 ) -> tuple[tuple[InjectionState, ...], Faulty]:
     """Put the faults on a sample at a scenario time [s] (...,), ``dt`` [s] after the one before.
 
-    The injections act in their order; ``draws`` has None for faults that are not random.
+    The injections act in their order; ``draws`` has None for faults that are not random. Those on rotors
+    only give the condition of the rotors.
     """
     xp = namespace(sample.q_xyzw)
     values, time = _channels(sample), xp.asarray(time)
@@ -74,6 +80,9 @@ def inject(
     new_states: list[InjectionState] = []
     for injection, state, draw in zip(injections, states, draws, strict=True):
         channel = injection.channel
+        if channel == ROTOR:
+            new_states.append(state)
+            continue
         healthy = values[channel]
         zeros = xp.zeros_like(healthy)
         inputs = FaultInputs(healthy, time - injection.start, *(draw or (zeros, zeros)))
@@ -92,7 +101,14 @@ def inject(
     q_xyzw = xp.where(turned[..., None], quaternion_from_euler(attitude), sample.q_xyzw)
     fault = xp.where(turned[..., None], wrap(attitude - angles), 0.0)
     truth = (fault, gyro - sample.body_rate, force - sample.specific_force)
-    return tuple(new_states), Faulty(ImuSample(q_xyzw, gyro, force, *valid), present, *truth)
+    faulty = ImuSample(q_xyzw, gyro, force, *valid)
+    return tuple(new_states), Faulty(faulty, present, *truth, condition_of_rotors(injections, time))
+
+
+def condition_of_rotors(injections: Iterable[Injection], time: Scalar) -> RotorCondition | None:
+    """Return the condition of the rotors at a scenario time [s] (...); None without faults on rotors."""
+    on_rotors = [each for each in injections if each.channel == ROTOR]
+    return rotor_condition(on_rotors, on_rotors[0].mask.shape[-1], time) if on_rotors else None
 
 
 def _channels(sample: ImuSample) -> dict[str, Array]:
@@ -122,7 +138,7 @@ class _Scheduled:
 
 
 class FaultInjector:
-    """All faults of one IMU: those scheduled from the start are numbered from 1.
+    """All faults of one vehicle: those scheduled from the start are numbered from 1.
 
     ``seed`` is that of the random faults (noise, spikes, dropout).
     """
@@ -133,6 +149,7 @@ class FaultInjector:
         self._count = 0
         self._epoch_ns: int | None = None
         self._stamp_ns = 0
+        self._rotors = 0  # of a vehicle that has had a fault on a rotor
         for injection in injections:
             self.add(injection)
 
@@ -155,6 +172,8 @@ class FaultInjector:
     def add(self, injection: Injection) -> int:
         """Schedule an injection; return its number."""
         self._count += 1
+        if injection.channel == ROTOR:
+            self._rotors = len(injection.mask)
         self._scheduled[self._count] = _Scheduled(injection, fault_generators(self._seed, self._count))
         return self._count
 
@@ -173,13 +192,19 @@ class FaultInjector:
         time = self.now
         self._scheduled = {n: each for n, each in self._scheduled.items() if time < each.injection.stop}
         scheduled = [(each, each.injection) for each in self._scheduled.values()]
-        running = [each for each, fault in scheduled if fault.start <= time or fault.law.has_memory]
+        on_rotors = [fault for _, fault in scheduled if fault.channel == ROTOR]
+        rotors = rotor_condition(on_rotors, self._rotors, time) if self._rotors else None
+        running = [
+            each
+            for each, fault in scheduled
+            if fault.channel != ROTOR and (fault.start <= time or fault.law.has_memory)
+        ]
         if not running:  # mostly; the step costs as much as an observer
             zeros = np.zeros(3)
-            return Faulty(sample, np.bool_(True), zeros, zeros, zeros)
+            return Faulty(sample, np.bool_(True), zeros, zeros, zeros, rotors)
         injections = [each.injection for each in running]
         states = [each.state or begin([each.injection], sample)[0] for each in running]
         after, faulty = inject(injections, states, sample, time, dt, [each.draw() for each in running])
         for each, state in zip(running, after, strict=True):
             each.state = state
-        return faulty
+        return faulty._replace(rotors=rotors)

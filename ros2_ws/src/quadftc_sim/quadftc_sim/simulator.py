@@ -19,6 +19,7 @@ from quadftc_model.stepper import seconds
 from quadftc_sim.flying_plant import FlyingPlant
 from quadftc_sim.plant import Plant
 from quadftc_sim.position_sensor import PositionSensor
+from quadftc_sim.rotor_fault import RotorCondition
 from quadftc_sim.sensor_draws import SensorDraws
 from quadftc_sim.sensors import ImuSensor
 
@@ -85,6 +86,11 @@ class Simulator:
     def start(self) -> Emission:
         """Return the first emission; call once."""
         return self._emit()
+
+    def set_rotors(self, condition: RotorCondition | None) -> None:
+        """Put the rotors of a free flight into a condition; None: as they are."""
+        if isinstance(self.plant, FlyingPlant):
+            self._state = self.plant.with_rotors(self._state, condition)
 
     def advance(self, command: Components) -> Emission:
         """Fly one period under a command, held; return the emission at its end.

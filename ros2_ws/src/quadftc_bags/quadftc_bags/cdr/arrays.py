@@ -42,13 +42,13 @@ def decode_topic(types: Typesdict, type_name: str, messages: Sequence[bytes]) ->
     if not messages:
         return {}
     leaves = find_leaves(lambda name: [(each, *_element(field)) for each, field in types[name][1]], type_name)
-    may_fit = all(leaf.is_sliced for leaf in leaves) and len({len(data) for data in messages}) == 1
+    may_fit = all(leaf.kind != "object" for leaf in leaves) and len({len(data) for data in messages}) == 1
     if may_fit and (layout := find_layout(leaves, messages[0])):
         matrix = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), -1)
         # byte order and all lengths
         columns = matrix[:, [1] + [offset + k for offset, _ in layout.lengths for k in range(4)]]
         if bool(np.all(columns == columns[0])):
-            return {place.leaf.name: _take(matrix, place) for place in layout.places}
+            return {leaf.name: _take_leaf(matrix, leaf, layout.places) for leaf in leaves}
     return _decode_each(types, type_name, leaves, messages)
 
 
@@ -60,6 +60,18 @@ def _element(content: FieldDesc) -> tuple[str, int | None]:
         element, size = cast("tuple[Any, int]", content[1])
         length = size if content[0] == Nodetype.ARRAY else -1
     return element[1][0] if element[0] == Nodetype.BASE else element[1], length
+
+
+def _take_leaf(matrix: Bytes, leaf: Leaf, places: Sequence[Place]) -> NDArray[Any]:
+    """Return one leaf of all messages; of several strings an array of lists."""
+    own = [place for place in places if place.leaf.name == leaf.name]
+    if leaf.is_sliced:
+        return _take(matrix, own[0])
+    texts = zip(*(_take(matrix, place).tolist() for place in own), strict=True) if own else [()] * len(matrix)
+    column = np.empty(len(matrix), object)
+    for row, values in enumerate(texts):
+        column[row] = list(values)
+    return column
 
 
 def _take(matrix: Bytes, place: Place) -> NDArray[Any]:

@@ -22,6 +22,7 @@ from quadftc_model.registry import Registry
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 from quadftc_sim.disturbance import disturbances
 from quadftc_sim.fault import faults
+from quadftc_sim.rotor_fault import rotor_faults
 from quadftc_sim.sensors import GRADES, ImuSensor
 from quadftc_sim.wind import winds
 
@@ -33,6 +34,7 @@ REGISTRIES: dict[str, Registry[Any]] = {
     "references": references,
     "trajectories": trajectories,
     "faults": faults,
+    "rotor_faults": rotor_faults,
     "disturbances": disturbances,
     "winds": winds,
 }

@@ -20,10 +20,10 @@ from quadftc_model.registry import Registry
 from quadftc_model.samples import AXES
 from quadftc_model.spec import format_spec
 from quadftc_model.vehicle import Vehicle, load_vehicle
-from quadftc_sim.fault import faults
-from quadftc_sim.injection import CHANNEL_UNITS, RESERVED, Injection, make_injection
+from quadftc_sim.injection import CHANNEL_UNITS, RESERVED, Injection, make_injection, registry_of
 from quadftc_sim.plant import Plant, plants
 from quadftc_sim.position_sensor import POSITION_GRADES, PositionSensor
+from quadftc_sim.rotor_fault import ROTOR
 from quadftc_sim.sensors import GRADES, ImuSensor
 
 T = TypeVar("T")
@@ -56,14 +56,24 @@ class Fault:
 
     @property
     def axes(self) -> tuple[str, ...]:
-        """The axes it is on, named as roll, pitch, yaw on every channel."""
+        """The axes it is on, named as roll, pitch, yaw on every sensor; none of a fault on rotors."""
+        if self.injection.channel == ROTOR:
+            return ()
         return tuple(name for name, acts in zip(AXES, self.injection.mask, strict=True) if acts)
+
+    @property
+    def rotors(self) -> tuple[str, ...]:
+        """The rotors it is on, numbered from 1 on; none of a fault on a sensor."""
+        if self.injection.channel != ROTOR:
+            return ()
+        return tuple(str(row + 1) for row, acts in enumerate(self.injection.mask.tolist()) if acts)
 
     @property
     def spec(self) -> str:
         """The specification, in SI, from which the same injection can be made."""
         injection = self.injection
-        axes = {"axes": self.axes} if len(self.axes) < len(AXES) else {}
+        axes = {"axes": self.axes} if 0 < len(self.axes) < len(AXES) else {}
+        axes |= {"rotors": self.rotors} if self.rotors else {}
         stop = {"stop": injection.stop} if math.isfinite(injection.stop) else {}
         schedule = {"channel": injection.channel, **axes, "start": injection.start, **stop}
         return format_spec(injection.kind, {**schedule, **_given_values(injection.law, self.given)})
@@ -265,17 +275,20 @@ def _told_of(place: PositionSensor | None, component: type) -> dict[str, Any]:
     }
 
 
-def build_fault(raw: Any, info: ValidationInfo) -> Fault:
-    """Build a scheduled fault."""
-    mistakes, given = _Mistakes(), _mapping(raw)
-    kind, law = mistakes.kind_in(faults, given)
+def build_fault(raw: Any, info: ValidationInfo) -> Fault | None:
+    """Build a scheduled fault; None for one on rotors without a vehicle."""
+    setting, mistakes, given = cast("Setting", info.context), _Mistakes(), _mapping(raw)
+    kind, law = mistakes.kind_in(registry_of(given.get("kind"), given), given)
     schedule = {name: given.pop(name) for name in RESERVED if name in given}
     channel = schedule.get("channel", law.channels[0])
     if isinstance(channel, str) and channel in law.channels:  # else there is no telling the units
         given = mistakes.convert(law, given, ("kind", *RESERVED), CHANNEL_UNITS[channel])
-    injection = mistakes.build(lambda: make_injection(kind, {**schedule, **given}), given)
+    if channel == ROTOR and setting.flies and setting.vehicle is None:
+        return None  # the number of its rotors is not known
+    rotors = len(setting.vehicle.rotors.positions) if setting.flies and setting.vehicle is not None else 0
+    injection = mistakes.build(lambda: make_injection(kind, {**schedule, **given}, rotors=rotors), given)
     times = {"start": injection.start, "stop" if "stop" in schedule else "duration": injection.stop}
-    mistakes.check_times(times, cast("Setting", info.context).duration)
+    mistakes.check_times(times, setting.duration)
     return Fault(injection, tuple(given))
 
 

@@ -264,7 +264,7 @@ def node_parameters(
     | node | parameters |
     |---|---|
     | plant | plant, vehicle, rate [Hz], duration [s], seed, <parameter>, disturbances, imu.<parameter> |
-    | fault_injector | seed, faults |
+    | fault_injector | seed, rotors, faults |
     | fault_observer, disturbance_observer | vehicle, observer, <observer>.<parameter> |
     | controller | vehicle, controller, <controller>.<parameter> |
     | reference | references |
@@ -289,7 +289,11 @@ def node_parameters(
             "disturbances": [part.spec for part in scenario.disturbances],
             **node_values(scenario.sensor, "imu"),
         },
-        "fault_injector": {"seed": scenario.seed, "faults": [fault.spec for fault in scenario.faults]},
+        "fault_injector": {
+            "seed": scenario.seed,
+            "rotors": len(scenario.plant.vehicle.rotors.positions) if scenario.plant.flies else 0,
+            "faults": [fault.spec for fault in scenario.faults],
+        },
         "fault_observer": with_vehicle("observer", chosen.observer),
         "disturbance_observer": with_vehicle("observer", chosen.disturbance_observer),
         "controller": with_vehicle("controller", chosen.controller),

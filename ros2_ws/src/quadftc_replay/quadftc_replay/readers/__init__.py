@@ -30,6 +30,7 @@ class Reader(NamedTuple):
 
 
 READERS = (
+    Reader("ROS 2 bag", (b"\x89MCAP0\r\n", b"SQLite format 3\0"), "rosbag"),
     Reader("PX4 ULog", (b"ULog\x01\x12\x35",), "ulog"),
     Reader("ArduPilot BIN", (b"\xa3\x95",), "ardupilot"),
     Reader("Crazyflie uSD", (b"\xbc\x01\x00", b"\xbc\x02\x00"), "crazyflie"),
@@ -38,6 +39,8 @@ READERS = (
 
 def find_reader(path: Path) -> Reader:
     """Find what reads a file; a BagError of one line if nothing does."""
+    if path.is_dir():  # of the formats only a bag is a directory
+        return READERS[0]
     try:
         with path.open("rb") as stream:
             head = stream.read(HEAD)

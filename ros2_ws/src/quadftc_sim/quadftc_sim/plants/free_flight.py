@@ -11,6 +11,9 @@ reaction torque, of J_r speed', and of the rotor drag (Furrer et al. 2016, Rotor
 and h = J_r sum_i +-speed_i. Rotor drag acts at the centre of mass; its torque is part of ``rotational_drag``.
 Earth axes are east, north, up. Runge-Kutta of order 4 over floats for one vehicle: many times faster than
 over arrays of three.
+
+The effectiveness of a faulty rotor (`quadftc_sim.rotor_fault`) multiplies its thrust, its reaction torque and
+its drag. Its unbalance adds a force unbalance * speed² that turns with it.
 """
 
 from __future__ import annotations
@@ -25,7 +28,6 @@ from quadftc_model.arrays import (
     Array,
     Components,
     Vector,
-    clip,
     column,
     components,
     larger,
@@ -35,7 +37,7 @@ from quadftc_model.arrays import (
 from quadftc_model.rigid_body import rk4
 from quadftc_model.rotations import normalise, turned
 from quadftc_model.samples import STANDARD_GRAVITY
-from quadftc_sim.flying_plant import FlightState, FlyingPlant, Parts, inverse, sum_of, total
+from quadftc_sim.flying_plant import FaultyRotors, FlightState, FlyingPlant, Parts, inverse, sum_of, total
 from quadftc_sim.plant import register
 
 SINKING = 0.01  # m; how far the feet sink under the weight
@@ -48,6 +50,14 @@ class _Loads(NamedTuple):
 
     force: Parts  # without gravity [N], body axes
     angular_acceleration: Parts  # [rad/s²], body axes
+
+
+class _RotorFaults(NamedTuple):
+    """What is wrong with the rotors, rotor by rotor."""
+
+    effectiveness: Parts  # [1]
+    unbalance: Parts  # [kg m]
+    angles: Parts  # [rad]
 
 
 @register("free_flight")
@@ -66,22 +76,27 @@ class FreeFlight(FlyingPlant):
 
     def step(self, state: FlightState, command: Components, time: float, dt: float) -> FlightState:
         """Advance by ``dt`` [s] from scenario time ``time`` [s] under rotor speeds [rad/s] (..., n), held."""
-        rotors = self.vehicle.rotors
-        wanted = components(clip(command, rotors.speed_min, rotors.speed_max))
+        wanted = components(self.speeds_wanted(state, command))
         motion: list[Any] = [part for array in state[:4] for part in components(array)]
         speeds = components(state.speeds) if self.motor_lag else wanted
-        derivative = self._derivative(wanted, len(motion))
+        derivative = self._derivative(wanted, len(motion), state.rotors)
         step, parts = dt / self.substeps, (*motion, *speeds)
+        if (rotors := state.rotors) is not None:
+            parts = (*parts, *components(rotors.angle))
         for index in range(self.substeps):
             parts = rk4(derivative, time + index * step, parts, step)
         position, velocity, q, rate = (stacked(parts[a:b]) for a, b in ((0, 3), (3, 6), (6, 10), (10, 13)))
-        return FlightState(position, velocity, normalise(q), rate, stacked(parts[13:]))
+        end = 13 + len(wanted)
+        if rotors is not None:
+            rotors = rotors._replace(angle=stacked(parts[end:]))
+        return FlightState(position, velocity, normalise(q), rate, stacked(parts[13:end]), rotors)
 
     def specific_force(self, state: FlightState, time: float) -> Vector:
         """What an ideal accelerometer measures at the place of the IMU [m/s²]."""
-        parts = tuple(components(array) for array in state)
+        parts = tuple(components(array) for array in state[:5])
         still = [0.0 * speed for speed in parts[4]]
-        loads = self._loads(parts, still, *self._weather(time))
+        faults = None if state.rotors is None else _faults_of(state.rotors)
+        loads = self._loads(parts, still, *self._weather(time), faults)
         force = [each / self.vehicle.mass for each in loads.force]
         place, omega = self.vehicle.aerodynamics.imu_position, parts[3]
         if namespace(place) is not np or place.any():  # in a batch its numbers may not be known yet
@@ -91,16 +106,26 @@ class FreeFlight(FlyingPlant):
             force = [f + a + b for f, a, b in zip(force, turning, inward, strict=True)]
         return stacked(force)
 
-    def _derivative(self, wanted: Parts, first: int) -> Callable[[float, tuple[Any, ...]], tuple[Any, ...]]:
-        """Derivative of all components of the motion (``first`` of them) and of the rotor speeds."""
+    def _derivative(
+        self, wanted: Parts, first: int, rotors: FaultyRotors | None
+    ) -> Callable[[float, tuple[Any, ...]], tuple[Any, ...]]:
+        """Derivative of all components of the motion (``first`` of them), and of the rotors.
+
+        Those are the speeds and, of rotors that may be faulty, the angles.
+        """
+        end = first + len(wanted)
+        faults = None if rotors is None else _faults_of(rotors)
+        spins = components(self.vehicle.rotors.spin_sign)
 
         def derivative(time: float, parts: tuple[Any, ...]) -> tuple[Any, ...]:
-            velocity, q, omega, speeds = parts[3:6], parts[6:10], parts[10:13], parts[first:]
+            velocity, q, omega, speeds = parts[3:6], parts[6:10], parts[10:13], parts[first:end]
             if self.motor_lag:
                 spin_up = [(w - s) / self.motor_time_constant for w, s in zip(wanted, speeds, strict=True)]
             else:
                 spin_up = [0.0 * s for s in speeds]
-            loads = self._loads((parts[:3], velocity, q, omega, speeds), spin_up, *self._weather(time))
+            now = None if faults is None else faults._replace(angles=parts[end:])
+            turning = [] if faults is None else [a * b for a, b in zip(spins, speeds, strict=True)]
+            loads = self._loads((parts[:3], velocity, q, omega, speeds), spin_up, *self._weather(time), now)
             ax, ay, az = (each / self.vehicle.mass for each in turned(q, loads.force))
             x, y, z, w = q
             p, r, s = omega
@@ -111,17 +136,29 @@ class FreeFlight(FlyingPlant):
                 -0.5 * (x * p + y * r + z * s),
             )
             acceleration = (ax, ay, az - STANDARD_GRAVITY)
-            return (*velocity, *acceleration, *q_rate, *loads.angular_acceleration, *spin_up)
+            return (*velocity, *acceleration, *q_rate, *loads.angular_acceleration, *spin_up, *turning)
 
         return derivative
 
-    def _loads(self, parts: Sequence[Parts], spin_up: Parts, air: Parts, disturbance: Parts) -> _Loads:
+    def _loads(
+        self,
+        parts: Sequence[Parts],
+        spin_up: Parts,
+        air: Parts,
+        disturbance: Parts,
+        faults: _RotorFaults | None = None,
+    ) -> _Loads:
         """Force and angular acceleration at an instant; ``parts`` are those of `FlightState`."""
         position, velocity, q, omega, speeds = parts
-        thrust, *turning, momentum = self._rotors(speeds, spin_up)
-        fx, fy, fz = self._drag(q, velocity, air, total(speeds))
+        effectiveness = None if faults is None else faults.effectiveness
+        thrust, *turning, momentum = self._rotors(speeds, spin_up, effectiveness)
+        dragging = speeds if effectiveness is None else _times(effectiveness, speeds)
+        fx, fy, fz = self._drag(q, velocity, air, total(dragging))
         damping = [-k * w for k, w in zip(components(self.vehicle.rotational_drag), omega, strict=True)]
         forces, torques = [(fx, fy, fz + thrust)], [turning, damping, disturbance]
+        if faults is not None:
+            shaking, yawing = self._shaking(speeds, faults.unbalance, faults.angles)
+            forces, torques = [*forces, shaking], [*torques, (0.0, 0.0, yawing)]
         height = position[2]
         if self.ground and not (isinstance(height, float) and height > self._reach):
             carried = self._carry(position, velocity, q, omega)
@@ -135,10 +172,12 @@ class FreeFlight(FlyingPlant):
         )
         return _Loads(force, accelerations)
 
-    def _rotors(self, speeds: Parts, spin_up: Parts) -> Parts:
+    def _rotors(self, speeds: Parts, spin_up: Parts, effectiveness: Parts | None) -> Parts:
         """Thrust [N], torque (3) [N m] and angular momentum [N m s] of the rotors, body axes."""
         rotors = self.vehicle.rotors
         thrusts = [rotors.thrust_coefficient * speed * speed for speed in speeds]
+        if effectiveness is not None:
+            thrusts = _times(effectiveness, thrusts)
         x, y, spin = components(self._arms[0]), components(self._arms[1]), components(rotors.spin_sign)
         reaction = rotors.torque_to_thrust * _weighted(components(rotors.yaw_sign), thrusts)
         return (
@@ -166,8 +205,19 @@ class FreeFlight(FlyingPlant):
         return [each.sum(axis=-1) for each in force], [each.sum(axis=-1) for each in _cross(foot, force)]
 
 
+def _faults_of(rotors: FaultyRotors) -> _RotorFaults:
+    condition = rotors.condition
+    return _RotorFaults(
+        components(condition.effectiveness), components(condition.unbalance), components(rotors.angle)
+    )
+
+
+def _times(weights: Parts, parts: Parts) -> Parts:
+    return [weight * part for weight, part in zip(weights, parts, strict=True)]
+
+
 def _weighted(weights: Parts, parts: Parts) -> Any:
-    return total([weight * part for weight, part in zip(weights, parts, strict=True)])
+    return total(_times(weights, parts))
 
 
 def _cross(a: Parts, b: Parts) -> Parts:

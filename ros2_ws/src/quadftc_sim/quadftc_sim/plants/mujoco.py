@@ -18,11 +18,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import Array, Components, Vector, clip, components, is_single
+from quadftc_model.arrays import Array, Components, Vector, components, is_single
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import turned
 from quadftc_model.samples import STANDARD_GRAVITY
-from quadftc_sim.flying_plant import FlightState, FlyingPlant, Parts
+from quadftc_sim.flying_plant import FaultyRotors, FlightState, FlyingPlant, Parts
 from quadftc_sim.plant import register
 
 ROTOR_MASS = 1e-4  # 1; of each rotor over that of the vehicle, to which it is added in the file
@@ -52,28 +52,35 @@ class Mujoco(FlyingPlant):
     def step(self, state: FlightState, command: Components, time: float, dt: float) -> FlightState:
         """Advance by ``dt`` [s] from scenario time ``time`` [s] under rotor speeds [rad/s] (n,), held."""
         rotors = self.vehicle.rotors
-        wanted = clip(_one_vehicle(command), rotors.speed_min, rotors.speed_max)
+        wanted = self.speeds_wanted(state, _one_vehicle(command))
         mujoco, model, data = self._world
+        faults = state.rotors
         self._set(state if self.motor_lag else state._replace(speeds=wanted))
         model.opt.timestep = step = dt / self.substeps
         left = math.exp(-0.5 * step / self.motor_time_constant) if self.motor_lag else 0.0
         for index in range(self.substeps):
             speeds = wanted + left * (rotors.spin_sign * data.qvel[6:] - wanted)
-            self._load(speeds, wanted, time + (index + 0.5) * step)
+            turned_by = 0.5 * step * rotors.spin_sign * speeds
+            if faults is not None:  # in the middle of the substep
+                faults = faults._replace(angle=faults.angle + turned_by)
+            self._load(speeds, wanted, time + (index + 0.5) * step, faults)
             mujoco.mj_step(model, data)
+            if faults is not None:
+                faults = faults._replace(angle=faults.angle + turned_by)
         return FlightState(
             data.qpos[:3].copy(),
             data.qvel[:3].copy(),
             data.qpos[[4, 5, 6, 3]],
             data.qvel[3:6].copy(),
             rotors.spin_sign * data.qvel[6:] if self.motor_lag else wanted,
+            faults,
         )
 
     def specific_force(self, state: FlightState, time: float) -> Vector:
         """What MuJoCo's accelerometer measures at the place of the IMU [m/s²]."""
         mujoco, model, data = self._world
         self._set(state)
-        self._load(state.speeds, state.speeds, time)
+        self._load(state.speeds, state.speeds, time, state.rotors)
         mujoco.mj_forward(model, data)
         return data.sensordata.copy()
 
@@ -85,7 +92,7 @@ class Mujoco(FlyingPlant):
         data.qvel[:3], data.qvel[3:6], data.qvel[6:] = state.velocity, state.body_rate, spin * state.speeds
         data.qacc_warmstart[:] = 0.0
 
-    def _load(self, speeds: Components, wanted: Components, time: float) -> None:
+    def _load(self, speeds: Components, wanted: Components, time: float, faults: FaultyRotors | None) -> None:
         """Set thrusts, servos, and what acts from outside, along the axes of the earth."""
         data, rotors = self._world.data, self.vehicle.rotors
         count = len(speeds)
@@ -94,9 +101,16 @@ class Mujoco(FlyingPlant):
         motion, (air, other) = data.qvel[:6].tolist(), self._weather(time)
         w, x, y, z = data.qpos[3:7].tolist()
         q, omega = (x, y, z, w), motion[3:]
-        force = self._drag(q, motion[:3], air, sum(speeds.tolist()))
+        dragging = speeds if faults is None else faults.condition.effectiveness * speeds
+        force = self._drag(q, motion[:3], air, sum(dragging.tolist()))
         damping = components(self.vehicle.rotational_drag)
         torque: Parts = [m - k * each for m, k, each in zip(other, damping, omega, strict=True)]
+        if faults is not None:
+            data.ctrl[:count] *= faults.condition.effectiveness
+            rows = (speeds, faults.condition.unbalance, faults.angle)
+            shaking, yawing = self._shaking(*(components(row) for row in rows))
+            force = [f + each for f, each in zip(force, shaking, strict=True)]
+            torque = [*torque[:2], torque[2] + yawing]
         data.xfrc_applied[1] = [*turned(q, force), *turned(q, torque)]
 
     @functools.cached_property

@@ -1,0 +1,1 @@
+"""Effectiveness of each rotor from gyro, accelerometer and rotor speeds."""

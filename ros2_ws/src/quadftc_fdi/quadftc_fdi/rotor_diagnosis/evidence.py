@@ -1,0 +1,160 @@
+r"""Is a rotor weak, or is it a disturbance? Residual accelerations over four times, rotor by rotor.
+
+With angular acceleration a of the gyro, specific force f along z, thrust w_i of each rotor as it should be,
+and the model (columns b_i), the residual
+
+    r = (a, f) - sum_i b_i w_i = - sum_i b_i w_i s_i + d
+
+has four channels. s_i is the share of thrust that rotor i has lost, d what the model does not know: wind, a
+wrong centre of mass, and so on. r is averaged over the times `TIMES`. In healthy flight its mean d_0 and its
+variance V about d_0 are learned for each. A share `UNSURE` of fast changes of the model counts as unknown.
+
+For each rotor and time, with v = -b_i w_i and D = r - d_0, the generalised likelihood ratio
+
+    l = N² / Q,   N = sum_c v_c D_c / V_c,   Q = sum_c v_c² / V_c,   s = N / Q
+
+is that of a loss of any size s > 0 against no fault (Willsky and Jones 1976). A disturbance explains any D.
+So a rotor is named only if D has its direction: what s v leaves of D is chi-squared with three degrees of
+freedom. v is known to `BENT` of each channel, and to `LEAK` of its length across the angular ones.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from quadftc_fdi.rotor_diagnosis.rotor_model import Effects
+from quadftc_model.arrays import Array, Flag, Scalar, cache_numbers, changed_where, namespace
+
+TIMES = np.array([0.015, 0.06, 0.25, 1.0])  # s; over which residuals are averaged
+EARLY = np.array([0.3, 0.3, 0.6, 2.0])  # s; what the prior of each variance is worth
+SOON, LATE = 0.2, 20.0  # s; what the prior of the mean is worth; memory of what is learned
+PRIOR, LEAST = 0.05, 0.008  # 1; loss of a rotor that residuals are like, 1 sigma: at first, at least
+UNSURE = 0.15  # 1; share of fast changes of the model that may be otherwise
+BENT, LEAK = 0.25, 0.05  # 1; error of the direction of a loss: of a channel, across the angular channels
+KNOWN = 0.15  # 1; share of a known loss that may be otherwise, for the other rotors
+CLIP = 6.0  # 1; bound of squares that are learned from
+FAR = 14.0  # 1; what a rotor may leave of a residual, in variances: chi-squared, three degrees of freedom
+SUSPECT, ALARM = 16.0, 36.0  # 1; of l
+SMALLEST, LARGEST = 0.05, 1.6  # 1; losses that are named
+LEAD = 2.0 * math.log(19.0)  # 1; by which one rotor explains a residual better than another: 95 %
+NEVER = 1e9  # 1; a rest that explains nothing
+
+
+class Residuals(NamedTuple):
+    """Averages over K `TIMES`, and what is learned of them in healthy flight."""
+
+    mean: Array  # of r (4), w (n) and s w (n): (..., K, 4 + 2 n)
+    usual: Array  # d_0 (..., 4) [rad/s², m/s²]
+    variance: Array  # of r about d_0 (..., K, 4)
+    learned: Scalar  # for how long [s]
+
+
+class Evidence(NamedTuple):
+    """What the residuals say of each rotor (..., n), known losses taken out."""
+
+    likely: Array  # l, the largest over all times at which the direction fits
+    loss: Array  # s by the shortest average
+    suspect: Array  # bool: l and direction make it suspect
+    alarm: Array  # bool: they say that it is the rotor, or a rival
+    alone: Array  # bool: no rival explains it nearly as well
+
+
+class Judged(NamedTuple):
+    """Evidence, and the numbers that it is made of."""
+
+    evidence: Evidence
+    deviation: Array  # D (..., K, 4)
+    change: Array  # l by the two shortest averages, whatever their sign and direction (..., n)
+
+
+def start_residuals(effects: Effects, thrusts: Array) -> Residuals:
+    """Start at thrusts (..., n)."""
+    xp, ones = namespace(thrusts), np.ones((len(TIMES), 1))
+    zeros = 0.0 * thrusts
+    still = 0.0 * effects.size + zeros[..., :1]
+    mean = xp.concatenate([still, thrusts, zeros], axis=-1)[..., None, :] * ones
+    variance = (PRIOR * effects.size + still)[..., None, :] ** 2 * ones
+    return Residuals(mean, still, variance, zeros[..., 0])
+
+
+def average(state: Residuals, residual: Array, thrusts: Array, losses: Array, dt: float) -> Residuals:
+    """Average a sample: residual (..., 4), thrusts and known losses (..., n)."""
+    news = namespace(residual).concatenate([residual, thrusts, thrusts * losses], axis=-1)
+    return state._replace(mean=state.mean + _gains(dt) * (news[..., None, :] - state.mean))
+
+
+def judge(state: Residuals, effects: Effects, faulty: Array, std_dev: Array) -> Judged:
+    """Judge the rotors that are not ``faulty``; ``std_dev`` is that of the losses of those (..., n)."""
+    n, mean = faulty.shape[-1], state.mean
+    thrusts = mean[..., 4 : 4 + n]  # (..., K, n)
+    model = thrusts @ effects.columns
+    deviation = mean[..., :4] - state.usual[..., None, :] + mean[..., 4 + n :] @ effects.columns
+    fast = UNSURE * (model - model[..., -1:, :])
+    variance = state.variance + fast * fast
+
+    def doubt() -> Array:
+        unsure = (KNOWN * mean[..., 4 + n :]) ** 2 + (thrusts * std_dev[..., None, :]) ** 2
+        return variance + unsure @ (effects.columns * effects.columns)
+
+    weight = 1.0 / changed_where(faulty, doubt, variance)
+    n_over = -thrusts * ((deviation * weight) @ effects.rows)
+    q_over = thrusts * thrusts * (weight @ effects.square) + 1e-30
+    loss = n_over / q_over
+    ratio = n_over * loss
+    likely = ratio * (n_over > 0.0)
+    none = faulty & ~faulty
+    quiet = Evidence(0.0 * likely[..., 0, :], loss[..., 0, :], none, none, none)
+    found = changed_where(
+        (likely > SUSPECT).any(axis=-2),
+        lambda: _explain(effects, thrusts, deviation, weight, loss, likely, faulty),
+        quiet,
+    )
+    return Judged(found, deviation, ratio[..., :2, :].max(axis=-2))
+
+
+def _explain(
+    effects: Effects,
+    thrusts: Array,
+    deviation: Array,
+    weight: Array,
+    loss: Array,
+    likely: Array,
+    faulty: Array,
+) -> Evidence:
+    """Judge by direction, too."""
+    xp = namespace(deviation)
+    shape = (loss * thrusts)[..., None] * effects.columns[..., None, :, :]  # (..., K, n, 4)
+    square = shape * shape
+    turning = square[..., :3].sum(axis=-1, keepdims=True)
+    unknown = BENT**2 * square + (LEAK**2 * turning) * np.array([1.0, 1.0, 1.0, 0.0])
+    left = deviation[..., None, :] + shape
+    rest = (left * left / (1.0 / weight[..., None, :] + unknown)).sum(axis=-1)  # (..., K, n)
+    fits = (rest < FAR) & (loss > SMALLEST) & (loss < LARGEST) & (likely > SUSPECT) & ~faulty[..., None, :]
+    rest = xp.where(fits, rest, NEVER)
+    ranked = xp.sort(rest, axis=-1)
+    loud = (rest == ranked[..., :1]) & fits & (likely > ALARM)
+    alone = loud & (ranked[..., 1:2] > ranked[..., :1] + LEAD)
+    likely = (likely * fits).max(axis=-2)
+    return Evidence(likely, loss[..., 0, :], fits.any(axis=-2), loud.any(axis=-2), alone.any(axis=-2))
+
+
+def learn(state: Residuals, effects: Effects, deviation: Array, calm: Flag, dt: float) -> Residuals:
+    """Learn d_0 and V where all is ``calm`` (...): 0 to 1."""
+    xp = namespace(deviation)
+    time = calm * dt
+    learned = xp.minimum(state.learned + time, LATE)
+    usual = state.usual + (time / (SOON + learned))[..., None] * deviation[..., 1, :]
+    square = xp.minimum(deviation * deviation, CLIP * state.variance)
+    share = time[..., None, None] / (EARLY[:, None] + learned[..., None, None])
+    variance = state.variance + share * (square - state.variance)
+    least = (LEAST * effects.size) ** 2
+    return Residuals(state.mean, usual, xp.maximum(variance, least[..., None, :]), learned)
+
+
+@cache_numbers
+def _gains(dt: float) -> Array:
+    """Share of a sample in each average, (K, 1)."""
+    return 1.0 - namespace(dt).exp(-dt / TIMES)[:, None]

@@ -1,0 +1,176 @@
+"""Rotor diagnosis by itself: what gyro and accelerometer say of the effectiveness of each rotor."""
+
+import jax
+import numpy as np
+import pytest
+
+from quadftc_fdi.rotor_diagnosis.monitor import RotorInputs, estimate_rotors, start_rotors, step_rotors
+from quadftc_fdi.rotor_diagnosis.rotor_model import RotorModel, effects_of, model_of
+from quadftc_model.samples import ALARMS, FAULT_KINDS, STARTING
+from quadftc_model.vehicle import load_vehicle
+
+DT, BEGIN = 0.004, 800  # s; the sample at which faults begin
+MEMS = 0.002, 0.02  # rad/s, m/s²; noise of gyro and accelerometer
+QUAD = model_of(load_vehicle("x500"))
+
+
+def ring(count, first=0.0):
+    """A model with rotors on a circle, spinning alternately; its unit is hover thrust."""
+    angle = first + 2.0 * np.pi * np.arange(count) / count
+    sign = np.where(np.arange(count) % 2, 1.0, -1.0)
+    arms = np.stack([40.0 * np.sin(angle), -40.0 * np.cos(angle), 1.5 * sign]) * 4.0 / count
+    return RotorModel(arms, np.full(count, 9.80665 / count))
+
+
+MODELS = {"quad": QUAD, "hexa": ring(6), "octo": ring(8, np.pi / 8)}
+
+
+def flight(model, loss=lambda t: 0.0, count=1800, seed=1, gusts=0.5, torque=(4.0, -2.0, 0.1), change=None):
+    """Inputs of a vehicle in gusts [rad/s²] whose rotors counter them, of a wrong centre of mass."""
+    rng, n = np.random.default_rng(seed), model.force.shape[0]
+    rows = effects_of(model).rows
+    hover = float(effects_of(model).hover)
+    allocate = np.linalg.pinv(rows)
+    rate, wind, inputs = np.zeros(3), np.zeros(4), []
+    for index in range(count):
+        wind = wind * (1.0 - DT) + np.sqrt(2.0 * DT) * rng.standard_normal(4) * [
+            gusts,
+            gusts,
+            0.1 * gusts,
+            0.1,
+        ]
+        lost = np.asarray(loss((index - BEGIN) * DT)) * np.ones(n)
+        wanted = np.append(-np.array(torque) - wind[:3] - 8.0 * rate, 0.0)
+        thrusts = hover + allocate @ wanted
+        acts = rows @ (thrusts * (1.0 - lost)) + wind + np.append(torque, 0.0)
+        rate = rate + DT * acts[:3]
+        read, force = rate + MEMS[0] * rng.standard_normal(3), acts[3] + MEMS[1] * rng.standard_normal()
+        if change is not None and index >= BEGIN:
+            read, force = change((index - BEGIN) * DT, read, force)
+        inputs.append(RotorInputs(thrusts, read, np.float64(force), np.zeros(3), np.bool_(True)))
+    return inputs
+
+
+def diagnose(model, inputs):
+    """Estimates of a flight."""
+    effects, estimates = effects_of(model), []
+    state = start_rotors(effects, inputs[0])
+    for each in inputs:
+        state, _ = step_rotors(state, effects, each, DT)
+        estimates.append(estimate_rotors(state))
+    return estimates
+
+
+def named(estimates):
+    """Whether each rotor is named, (samples, n)."""
+    return np.isin(np.stack([each.state for each in estimates]), ALARMS)
+
+
+def one_rotor(model, index, size):
+    """A loss of one rotor from `BEGIN` on."""
+    return lambda t: size * (np.arange(model.force.shape[0]) == index) * (t >= 0.0)
+
+
+@pytest.mark.parametrize(("layout", "size"), [("quad", 0.15), ("quad", 1.0), ("hexa", 0.4), ("octo", 1.0)])
+def test_rotor_that_loses_thrust_is_named_and_its_loss_measured(layout, size):
+    model = MODELS[layout]
+    index = round(10 * size) % model.force.shape[0]
+    estimates = diagnose(model, flight(model, one_rotor(model, index, size), 1060))
+    faulty = named(estimates)
+    assert not np.delete(faulty, index, axis=1).any()
+    assert BEGIN <= np.argmax(faulty[:, index]) < BEGIN + (25 if size > 0.2 else 100)  # 0.1 s, 0.4 s
+    last = estimates[BEGIN + 250]
+    assert abs(last.effectiveness[index] - (1.0 - size)) < (0.06 if layout == "octo" else 0.03)
+    assert abs(last.effectiveness[index] - (1.0 - size)) < 4.0 * last.std_dev[index] < 0.2
+    assert last.onset_age[index] == pytest.approx(1.0, abs=0.03)
+    assert FAULT_KINDS[last.kind[index]] == ("off" if size == 1.0 else "loss")
+
+
+def test_rotor_that_recovers_is_healthy_again():
+    estimates = diagnose(QUAD, flight(QUAD, lambda t: 0.3 * np.eye(4)[2] * (0.0 <= t < 1.0), 1350))
+    assert named(estimates)[BEGIN + 200, 2]
+    assert not named(estimates)[-1].any()
+
+
+@pytest.mark.parametrize("scale", [0.7, 1.3])
+def test_wrong_inertia_thrust_and_centre_of_mass_are_no_fault(scale):
+    wrong = RotorModel(QUAD.angular * np.array([[scale], [2.0 - scale], [1.0]]), QUAD.force * 1.1)
+    for seed in range(2):
+        assert not named(diagnose(wrong, flight(QUAD, count=1800, seed=seed))).any()
+
+
+SENSOR_FAULTS = {
+    "gyro x": lambda t, rate, force: (rate + 0.3 * np.eye(3)[0], force),
+    "gyro": lambda t, rate, force: (rate + 0.3, force),
+    "gyro drifts": lambda t, rate, force: (rate + 0.5 * t * np.eye(3)[1], force),
+    "accelerometer": lambda t, rate, force: (rate, force - 2.0),
+}
+
+
+@pytest.mark.parametrize("fault", SENSOR_FAULTS)
+def test_sensor_fault_is_no_fault_of_a_rotor(fault):
+    assert not named(diagnose(QUAD, flight(QUAD, count=1100, change=SENSOR_FAULTS[fault]))).any()
+
+
+@pytest.mark.parametrize("push", [(6.0, 0.0, 0.0, 0.0), (4.0, 4.0, 0.0, 0.0), (0.0, 0.0, 0.0, -3.0)])
+def test_step_of_the_wind_is_no_fault_of_a_rotor(push):
+    turned = np.array(push[:3])
+    change = lambda t, rate, force: (rate + turned * min(t, 0.5), force + push[3])  # noqa: E731
+    assert not named(diagnose(QUAD, flight(QUAD, count=1100, change=change))).any()
+
+
+def test_rotor_is_not_judged_before_something_is_learned():
+    estimates = diagnose(QUAD, flight(QUAD, count=300))
+    assert np.all(estimates[250].state == STARTING)
+
+
+def measured(inputs, speeds):
+    """The same with measured thrusts: what they shall be is known beside."""
+    return [
+        each._replace(thrusts=speeds(index, each.thrusts), wanted=each.thrusts)
+        for index, each in enumerate(inputs)
+    ]
+
+
+@pytest.mark.parametrize(("thrust", "kind"), [(0.0, "off"), (2.5, "stuck")])
+def test_rotor_that_does_not_follow_its_command_is_named(thrust, kind):
+    def speeds(index, wanted):
+        return np.where((np.arange(4) == 1) & (index >= BEGIN), thrust, wanted)
+
+    inputs = flight(QUAD, lambda t: np.eye(4)[1] * (1.0 - thrust / 5.06) * (t >= 0.0), 900)
+    estimates = diagnose(QUAD, measured(inputs, speeds))
+    faulty = named(estimates)
+    assert not np.delete(faulty, 1, axis=1).any()
+    assert np.argmax(faulty[:, 1]) < BEGIN + 15  # 60 ms
+    assert estimates[BEGIN + 50].effectiveness[1] < 0.6
+    assert FAULT_KINDS[estimates[BEGIN + 50].kind[1]] == kind
+
+
+def test_batch_equals_the_loop():
+    flights = [flight(QUAD, one_rotor(QUAD, index, 0.3), 850, index) for index in range(3)]
+    flights = [measured(inputs, lambda _, wanted: wanted) for inputs in flights]
+    batch = [RotorInputs(*map(np.stack, zip(*each, strict=True))) for each in zip(*flights, strict=True)]
+    many = diagnose(QUAD, batch)
+    for one, inputs in enumerate(flights):
+        for index, estimate in enumerate(diagnose(QUAD, inputs)):
+            for column, value in zip(many[index], estimate, strict=True):
+                np.testing.assert_allclose(column[one], value, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_jax_gives_the_same_numbers():
+    jax.config.update("jax_enable_x64", True)
+    inputs, effects = flight(QUAD, one_rotor(QUAD, 2, 0.3), 850), effects_of(QUAD)
+    expected = diagnose(QUAD, inputs)
+
+    def step(state, each):
+        state, _ = step_rotors(state, effects, each, DT)
+        return state, estimate_rotors(state)
+
+    rows = jax.tree.map(lambda *parts: np.stack(parts), *inputs)
+    start = jax.jit(lambda each: start_rotors(effects, each))(inputs[0])
+    _, found = jax.lax.scan(step, start, rows)
+    assert named(expected)[-1, 2]
+    for name, column in zip(found._fields, found, strict=True):
+        given = np.stack([getattr(each, name) for each in expected])
+        np.testing.assert_allclose(np.asarray(column), given, rtol=1e-7, atol=1e-9)

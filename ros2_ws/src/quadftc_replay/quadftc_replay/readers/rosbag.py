@@ -1,0 +1,298 @@
+"""A ROS 2 bag (MCAP or SQLite) as a flight log.
+
+| signal | message type, topic |
+|---|---|
+| gyros, accelerometers | every ``sensor_msgs/Imu``; the main one is ``imu/data``, or has most samples |
+| magnetometer | ``sensor_msgs/MagneticField`` [T] |
+| attitude | that of ``Imu``, else of ``geometry_msgs/PoseStamped``, else of ``nav_msgs/Odometry`` |
+| position, velocity | ``nav_msgs/Odometry``, else ``PoseStamped`` |
+| body rate | angular velocity of ``Odometry``, if no gyro is there |
+| rotor speeds | ``sensor_msgs/JointState`` on ``rotors/speed`` [rad/s] |
+| rotor commands | ``sensor_msgs/JointState`` on ``rotors/command`` [rad/s, or 0 to 1] |
+| torque command | ``geometry_msgs/Vector3Stamped`` on ``torque/command`` [N m] |
+| battery | ``sensor_msgs/BatteryState.voltage`` [V] |
+| vehicle | parameters of the node ``fault_observer``, where `quadftc run` has recorded |
+
+Stamps are those of the headers; where none is set, the times of recording. Axes are those of REP-103. Absent
+orientations and rates are marked by covariance element 0, as REP-145 says. Of two IMUs with the same samples
+one is left out, and so is what `quadftc run` records beside the sensors: the truth, and its own estimates.
+Rotors are in the order of the numbers at the end of their joints' names. Commanded speeds become shares of
+the greatest thrust by their squares.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from quadftc_flight.run_directory import NO_PARAMETERS, PARAMETERS, attached_text
+from quadftc_model.rotations import to_earth
+from quadftc_model.samples import ABSENT
+from quadftc_model.vehicle import Vehicle, load_vehicle
+from quadftc_replay.flight_log import FlightLog, Floats
+from quadftc_replay.readers.bag_columns import (
+    Choose,
+    ColumnBag,
+    Columns,
+    ColumnTopic,
+    read_columns,
+    trailing_number,
+)
+from quadftc_replay.readers.signals import Signals
+
+FORMAT = "ROS 2 bag"
+IMU, FIELD, JOINTS = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField", "sensor_msgs/msg/JointState"
+ODOMETRY, POSE = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
+VECTOR, BATTERY = "geometry_msgs/msg/Vector3Stamped", "sensor_msgs/msg/BatteryState"
+MAIN_IMU, POSITION, TORQUE = "imu/data", "position/data", "torque/command"
+SPEEDS, COMMANDS = "rotors/speed", "rotors/command"
+# what `quadftc run` records beside the sensors: the truth, and what nodes made of the samples
+BESIDE = {MAIN_IMU: ("plant/imu", "imu/corrected"), POSITION: ("plant/odometry", "position/estimate")}
+WISHES = re.compile(r"setpoint|reference|command|goal|target|desired", re.IGNORECASE)
+OUTSIDE = re.compile(r"mocap|motion_capture|vicon|vrpn|optitrack|natnet|qualisys|phasespace", re.IGNORECASE)
+
+
+def _part(*names: str) -> Choose:
+    """Keep these fields; of a covariance its first element."""
+
+    def choose(fields: Columns) -> Columns:
+        kept = {name: fields[name] for name in names}
+        return {name: values[:, 0] if "covariance" in name else values for name, values in kept.items()}
+
+    return choose
+
+
+def _joints(fields: Columns) -> Columns:
+    """Keep the values of the joints, in the order of the numbers in their names."""
+    values = {name: fields[name] for name in ("velocity", "effort", "position")}
+    filled = [name for name, value in values.items() if value.ndim == 2 and value.shape[1]]
+    if not filled:
+        raise ValueError("no values, or a number of joints that changes")
+    value = values[filled[0]]
+    names = [str(name) for name in fields["name"][0]]
+    numbers = [trailing_number(name) for name in names]
+    if len(names) == value.shape[1] and len({*numbers} - {None}) == len(names):
+        value = value[:, np.argsort(np.array(numbers))]
+    return {"value": value, "is_speed": np.full(len(value), filled[0] == "velocity")}
+
+
+CHOOSERS: Mapping[str, Choose] = {
+    IMU: _part(
+        "orientation_xyzw",
+        "orientation_covariance",
+        "angular_velocity",
+        "angular_velocity_covariance",
+        "linear_acceleration",
+        "linear_acceleration_covariance",
+    ),
+    FIELD: _part("magnetic_field"),
+    JOINTS: _joints,
+    ODOMETRY: _part(
+        "frame_id",
+        "child_frame_id",
+        "pose.pose.position",
+        "pose.pose.orientation_xyzw",
+        "pose.covariance",
+        "twist.twist.linear",
+        "twist.twist.angular",
+        "twist.covariance",
+    ),
+    POSE: _part("pose.position", "pose.orientation_xyzw"),
+    VECTOR: _part("vector"),
+    BATTERY: _part("voltage"),
+}
+
+
+def read(path: Path) -> FlightLog:
+    """Read a bag; BagError if it cannot be opened, or if nothing in it can be used."""
+    bag = read_columns(path, _find_choice)
+    signals = Signals(path, FORMAT)
+    if bag.problem or bag.truncated:
+        signals.notes.append(bag.problem or f"cut short or damaged; read what is there{bag.remedy}")
+    topics = _Topics(bag, signals.notes)
+    vehicle = _vehicle(bag)
+    _add_imus(signals, topics)
+    is_outside = vehicle is not None and signals.has("attitude")  # `quadftc run` has a sensor of the attitude
+    if source := _add_motion(signals, topics):
+        is_outside = OUTSIDE.search(source) is not None
+    for kind, field, column in ((FIELD, "magnetometer", "magnetic_field"), (BATTERY, "battery", "voltage")):
+        if name := topics.best(kind):
+            signals.add(field, topics[name]["stamp_ns"], topics[name][column], name)
+    _add_rotors(signals, topics, vehicle)
+    if name := topics.best(VECTOR, TORQUE):
+        signals.add("torque_command", topics[name]["stamp_ns"], topics[name]["vector"], name)
+    return signals.flight_log(
+        vehicle=vehicle.name if vehicle else None,
+        attitude_from_gyro=False if is_outside else None,
+        rotor_positions=vehicle.rotors.positions if vehicle else None,
+        rotor_yaw_signs=vehicle.rotors.yaw_sign if vehicle else None,
+    )
+
+
+class _Topics:
+    """The topics of a bag that have samples, by full name."""
+
+    def __init__(self, bag: ColumnBag, notes: list[str]) -> None:
+        self.kinds: dict[str, str] = {}
+        self.data: dict[str, Columns] = {}
+        names = [f"/{name.strip('/')}" for name in bag.topics]
+        for name, topic in bag.topics.items():
+            columns = cast("ColumnTopic", topic).columns()
+            if topic.count and cast("ColumnTopic", topic).damaged:
+                damaged = cast("ColumnTopic", topic).damaged
+                notes.append(f"{name}: {damaged} of {topic.count} messages cannot be decoded; left out")
+            if columns and not _is_beside(f"/{name.strip('/')}", names):
+                self.kinds[name], self.data[name] = topic.type_name, columns
+
+    def __getitem__(self, name: str) -> Columns:
+        return self.data[name]
+
+    def of(self, kind: str, ending: str = "") -> list[str]:
+        """Topics of a type whose names end so, those with most samples first; no setpoints."""
+        names = [
+            name for name, its in self.kinds.items() if its == kind and (ending or not WISHES.search(name))
+        ]
+        fit = [name for name in names if f"/{name.strip('/')}".endswith(f"/{ending}" if ending else "")]
+        return sorted(fit, key=lambda name: -len(self.data[name]["stamp_ns"]))
+
+    def best(self, kind: str, ending: str = "") -> str:
+        """Topic of a type with most samples; empty if there is none."""
+        return next(iter(self.of(kind, ending)), "")
+
+
+def _ends(name: str, topic: str) -> bool:
+    """Whether a full name is that of a relative topic, in whatever namespace."""
+    return f"/{name.strip('/')}".endswith(f"/{topic}")
+
+
+def _find_choice(name: str, kind: str) -> Choose | None:
+    """Whether a topic counts, and what is kept of its messages."""
+    endings = {JOINTS: (SPEEDS, COMMANDS), VECTOR: (TORQUE,)}.get(kind)
+    return CHOOSERS.get(kind) if endings is None or any(_ends(name, each) for each in endings) else None
+
+
+def _is_beside(name: str, names: list[str]) -> bool:
+    """Whether `quadftc run` has recorded a topic beside that of a sensor."""
+    for sensor, others in BESIDE.items():
+        for other in others:
+            if name.endswith(f"/{other}") and name.removesuffix(other) + sensor in names:
+                return True
+    return False
+
+
+def _add_imus(signals: Signals, topics: _Topics) -> None:
+    """Add every IMU, the main one first, and its orientation."""
+    names = topics.of(IMU)
+    names.sort(key=lambda name: not _ends(name, MAIN_IMU))
+    for number, name in enumerate(names):
+        data = topics[name]
+        if twin := next((other for other in names[:number] if _is_same(data, topics[other])), ""):
+            signals.notes.append(f"{name}: the same samples as {twin}; left out")
+            continue
+        key, stamp_ns = ("" if number == 0 else name), data["stamp_ns"]
+        for field, column in (("gyros", "angular_velocity"), ("accelerometers", "linear_acceleration")):
+            value = _present(data[column], data[f"{column}_covariance"])
+            if np.any(value):  # a driver without such a sensor leaves zeros
+                signals.add(field, stamp_ns, value, name, key)
+        if not signals.has("attitude"):
+            _add_attitude(signals, stamp_ns, data["orientation_xyzw"], data["orientation_covariance"], name)
+
+
+def _is_same(data: Columns, other: Columns) -> bool:
+    """Whether two IMUs have the same rates, at least in nine of ten samples."""
+    shared: Any = np.intersect1d(data["stamp_ns"], other["stamp_ns"], return_indices=True)
+    mine, theirs = shared[1], shared[2]
+    if len(mine) < 0.5 * len(data["stamp_ns"]):
+        return False
+    rates: Floats = data["angular_velocity"][mine]
+    others: Floats = other["angular_velocity"][theirs]
+    return int(np.count_nonzero((rates == others).all(axis=1))) > 0.9 * len(rates)
+
+
+def _present(value: Floats, covariance: Floats) -> Floats:
+    return np.where((covariance != ABSENT)[:, None], value, np.nan)
+
+
+def _add_attitude(
+    signals: Signals, stamp_ns: NDArray[np.int64], q_xyzw: Floats, covariance: Floats, name: str
+) -> bool:
+    """Add an orientation, if it is one: of unit length, and not always the same."""
+    length = np.linalg.norm(q_xyzw, axis=1)
+    good = (np.abs(length - 1.0) < 0.1) & (covariance != ABSENT)  # False for NaN, too
+    if not good.any() or np.all(q_xyzw[good] == q_xyzw[good][0]):
+        return False
+    value = np.where(good[:, None], q_xyzw / np.where(good, length, 1.0)[:, None], np.nan)
+    return signals.add("attitude", stamp_ns, value, name)
+
+
+def _add_motion(signals: Signals, topics: _Topics) -> str:
+    """Add what poses and odometry tell; return the topic of the attitude, if it comes from here."""
+    source = ""
+    odometry = topics.best(ODOMETRY, POSITION) or topics.best(ODOMETRY)
+    if pose := topics.best(POSE):
+        data = topics[pose]
+        stamp_ns, q_xyzw = data["stamp_ns"], data["pose.orientation_xyzw"]
+        if not signals.has("attitude") and _add_attitude(
+            signals, stamp_ns, q_xyzw, np.zeros(len(q_xyzw)), pose
+        ):
+            source = pose
+        if not odometry:
+            signals.add("position", stamp_ns, data["pose.position"], pose)
+    if odometry:
+        data = topics[odometry]
+        stamp_ns, q_xyzw = data["stamp_ns"], data["pose.pose.orientation_xyzw"]
+        covariance = data["pose.covariance"]
+        signals.add("position", stamp_ns, _present(data["pose.pose.position"], covariance), odometry)
+        if not signals.has("attitude") and _add_attitude(signals, stamp_ns, q_xyzw, covariance, odometry):
+            source = odometry
+        _add_twist(signals, data, odometry)
+    return source
+
+
+def _add_twist(signals: Signals, data: Columns, name: str) -> None:
+    """Add the velocity along the axes of the earth, and without a gyro the body rate."""
+    linear, angular = (
+        _present(data[f"twist.twist.{part}"], data["twist.covariance"]) for part in ("linear", "angular")
+    )
+    in_body = data["child_frame_id"] != data["frame_id"]
+    if np.any(np.nan_to_num(linear)):
+        earth = np.asarray(to_earth(data["pose.pose.orientation_xyzw"], linear))
+        signals.add("velocity", data["stamp_ns"], np.where(in_body[:, None], earth, linear), name)
+    if np.any(np.nan_to_num(angular)) and in_body.all() and not signals.has("gyros"):
+        signals.add("body_rate", data["stamp_ns"], angular, name)
+
+
+def _add_rotors(signals: Signals, topics: _Topics, vehicle: Vehicle | None) -> None:
+    """Add measured speeds and commands of the rotors."""
+    if name := topics.best(JOINTS, SPEEDS):
+        signals.add("rotor_speeds", topics[name]["stamp_ns"], np.abs(topics[name]["value"]), name)
+    if not (name := topics.best(JOINTS, COMMANDS)):
+        return
+    data = topics[name]
+    command = np.asarray(data["value"], np.float64)
+    greatest = float(np.nanmax(np.abs(command), initial=0.0))
+    if greatest > 1.0:
+        if bool(data["is_speed"][0]):
+            greatest = vehicle.rotors.speed_max if vehicle else greatest
+            command = (command / greatest) ** 2
+            words = f"squares of the commanded speeds over {greatest:.6g} rad/s"
+        else:
+            command, words = command / greatest, f"shares of the greatest, {greatest:.6g}"
+        signals.notes.append(f"{name}: {words}")
+    signals.add("rotor_commands", data["stamp_ns"], np.clip(command, 0.0, 1.0), name)
+
+
+def _vehicle(bag: ColumnBag) -> Vehicle | None:
+    """Vehicle of a flight of `quadftc run`, by the parameters in the bag."""
+    try:
+        nodes = cast("dict[str, Any]", yaml.safe_load(attached_text(bag, PARAMETERS) or ""))
+        named = [node for name, node in nodes.items() if str(name).rpartition("/")[2] == "fault_observer"]
+        return load_vehicle(str(named[0]["ros__parameters"]["vehicle"]))
+    except (*NO_PARAMETERS, IndexError, OSError):
+        return None

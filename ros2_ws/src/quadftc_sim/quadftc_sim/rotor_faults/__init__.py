@@ -1,0 +1,1 @@
+"""Rotor faults, one file each."""
