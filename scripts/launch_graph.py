@@ -4,6 +4,11 @@
     scripts/launch_graph.py --scenario paper_faults --scheme proposed --graph processes --mode realtime
     scripts/launch_graph.py --graph processes --respawn
     scripts/launch_graph.py --params my_graph.yaml --namespace drone1 --record results/drone1
+    scripts/launch_graph.py --onboard --vehicle my_drone.toml --remap imu/data:=/mavros/imu/data
+
+Without a scenario it flies level with the recommended observer and follows live setpoints, until Ctrl-C.
+With --onboard, plant and fault injector stay out: a vehicle that exists publishes imu/data and reads
+torque/command.
 
 It waits until all nodes are connected, passes SIGINT and SIGTERM on, ends only what it started, and returns
 the worst exit code of the nodes: 0 when all ended well, 2 for wrong input, 3 when the graph failed, 130 when
@@ -36,9 +41,26 @@ def parse(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Start the node graph and run it until it ends or Ctrl-C.")
     what = parser.add_mutually_exclusive_group()
     what.add_argument(
-        "--scenario", help="scenario file or name; default: the nodes' own defaults, without end"
+        "--scenario",
+        help="scenario file or name; default: level flight, live setpoints, the recommended observer, no end",
     )
     what.add_argument("--params", type=Path, help="ROS parameter file for the nodes")
+    parser.add_argument("--vehicle", help="vehicle to fly: a name or a TOML file; not with --scenario")
+    parser.add_argument(
+        "--live", action="store_true", help="follow attitude/setpoint or position/setpoint, not the scenario"
+    )
+    parser.add_argument(
+        "--onboard",
+        action="store_true",
+        help="no plant, no fault injector: for a vehicle that publishes imu/data and reads torque/command",
+    )
+    parser.add_argument(
+        "--remap",
+        action="append",
+        default=[],
+        metavar="TOPIC:=OTHER",
+        help="such as imu/data:=/mavros/imu/data; may be repeated",
+    )
     parser.add_argument("--scheme", help="scheme of the scenario; default: its first")
     parser.add_argument("--gains", default="", help="tuned gains: a name or a file (see gains/)")
     parser.add_argument("--graph", choices=("composed", "processes"), default="composed")
@@ -108,20 +130,41 @@ def node_parameters_of(options: argparse.Namespace) -> dict[str, dict[str, Any]]
     Raises
     ------
     ValueError
-        If file or scenario are wrong.
+        If file, scenario or options are wrong.
     """
+    from quadftc_flight.graph.plan import EXECUTABLES
     from quadftc_flight.scenario import find_scenario, load_scenario, node_parameters
 
     if options.scenario:
+        if options.vehicle:
+            raise ValueError("--vehicle: the scenario names its vehicle")
         loaded = load_scenario(find_scenario(options.scenario), gains=options.gains)
         parameters = {node: dict(values) for node, values in node_parameters(loaded, options.scheme).items()}
     elif options.scheme or options.gains:
         raise ValueError("--scheme, --gains: belong to --scenario")
     else:
         parameters = parameters_from_file(options.params) if options.params else {}
+    if options.vehicle:
+        is_file = options.vehicle.endswith(".toml")
+        vehicle = str(Path(options.vehicle).resolve()) if is_file else options.vehicle
+        for node in (node for node in EXECUTABLES if node not in ("fault_injector", "reference")):
+            parameters.setdefault(node, {})["vehicle"] = vehicle
+    if options.live or not (options.scenario or options.params):
+        for node in ("reference", "position_controller"):
+            parameters.setdefault(node, {})["source"] = "topic"
     if options.duration is not None:
         parameters.setdefault("plant", {})["duration"] = options.duration
     return parameters
+
+
+def check_onboard(options: argparse.Namespace) -> None:
+    """Raise a ValueError if the options contradict a vehicle that exists."""
+    if not options.onboard:
+        return
+    if options.mode != "realtime" or options.duration is not None:
+        raise ValueError("--onboard: a vehicle that exists flies in real time, until Ctrl-C")
+    if not (options.vehicle or options.scenario or options.params):
+        raise ValueError("--onboard: which vehicle? --vehicle NAME or FILE.toml (quadftc list vehicles)")
 
 
 def reach() -> str:
@@ -133,27 +176,31 @@ def reach() -> str:
 
 def launch(options: argparse.Namespace) -> int:
     """Run the graph; return the exit code."""
-    from quadftc_flight.graph.plan import GraphError, GraphPlan, check_options
+    from quadftc_flight.graph.introduction import farewell, introduction
+    from quadftc_flight.graph.plan import GraphError, GraphPlan, check_options, check_remaps
     from quadftc_flight.runs import GRAPHS
     from quadftc_ros.executor import StopSignals
     from quadftc_ros.scheduling import Scheduling
 
-    graph = None
+    graph, wall = None, 0.0
     try:
         scheduling = Scheduling(options.wait, options.realtime_priority, tuple(options.core))
         check_options(options.graph, options.mode, scheduling, options.respawn)
-        parameters = node_parameters_of(options)
+        check_remaps(options.remap)
+        check_onboard(options)
         plan = GraphPlan(
-            parameters,
+            node_parameters_of(options),
             options.mode,
             options.namespace,
             options.record,
             scheduling=scheduling,
             respawn=options.respawn,
+            onboard=options.onboard,
+            remaps=tuple(options.remap),
         )
-        sys.stderr.write(f"{reach()}\n")
+        sys.stderr.write("".join(f"{line}\n" for line in [*introduction(plan), reach()]))
         with StopSignals() as stop, GRAPHS[options.graph](plan) as graph:
-            graph.run(lambda _samples: not stop.requested)
+            wall = graph.run(lambda _samples: not stop.requested)
             status = graph.recorder.finish() if graph.recorder is not None else None
             if status is not None and status.error is not None:
                 raise GraphError(f"{status.error}: the recording stopped")
@@ -163,6 +210,7 @@ def launch(options: argparse.Namespace) -> int:
     except ValueError as error:
         sys.stderr.write("".join(f"error: {line}\n" for line in str(error).splitlines()))
         return BAD_INPUT
+    sys.stderr.write(f"{farewell(plan, wall)}\n")
     return graph.exit_code
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import itertools
 import os
 import signal
 import subprocess
@@ -13,12 +14,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from sensor_msgs.msg import Imu
 
-from node_bench import NodeBench
+from node_bench import NodeBench, imu_message
 from quadftc_bags.bag import read_bag
+from quadftc_flight.graph.composed import ComposedGraph
+from quadftc_flight.graph.introduction import introduction
 from quadftc_flight.graph.plan import EXECUTABLES, GraphPlan
 from quadftc_flight.graph.processes import executable_path
 from quadftc_flight.scenario import load_scenario, node_parameters
+from quadftc_ros.qos import topic_profile
 from quadftc_ros.scheduling import ORDINARY, Scheduling, SchedulingError, scheduled
 
 SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "launch_graph.py"
@@ -195,6 +200,11 @@ def test_nodes_end_when_their_launcher_is_killed():
         (("--scenario", BUSY, "--scheme", "best"), ("best", "proposed")),
         (("--scheme", "proposed"), ("--scheme", "--scenario")),
         (("--respawn",), ("respawn", "processes")),
+        (("--onboard",), ("--onboard", "--vehicle")),
+        (("--onboard", "--vehicle", "x500", "--mode", "lockstep"), ("--onboard", "real time")),
+        (("--remap", "imu/dat:=/a"), ("imu/dat", "imu/data")),
+        (("--remap", "imu/data"), ("expected TOPIC:=OTHER",)),
+        (("--scenario", BUSY, "--vehicle", "x500"), ("--vehicle", "scenario")),
         (("--params", "missing.yaml"), ("missing.yaml",)),
         (("--params", BUSY), ("busy.yaml", "ros__parameters")),
     ],
@@ -267,3 +277,57 @@ def test_graph_is_that_of_its_plant_whatever_nodes_have_parameters(plant: str, k
     parameters = {"plant": {"plant": plant}, "position_controller": {"mode": "realtime"}}
     assert GraphPlan(parameters).plant == kind
     assert GraphPlan({"position_controller": {}}).plant == "test_stand"
+
+
+def told(*arguments: object) -> str:
+    """What the launcher says of a graph before it starts it."""
+    script = the_script()
+    options = script.parse([str(argument) for argument in arguments])
+    plan = GraphPlan(script.node_parameters_of(options), namespace=options.namespace, onboard=options.onboard)
+    return "\n".join(introduction(plan))
+
+
+def test_recommended_observer_flies_by_default_and_setpoints_are_live():
+    words = told("--namespace", "drone1")
+    assert "flies: qball_x4, test stand; observer isolating, disturbance observer exosystem" in words
+    assert "scripts/quadftc set attitude roll=5deg --namespace drone1" in words
+    assert "scripts/quadftc inject bias" in words
+    assert "declares no faults" not in words
+
+
+def test_observer_without_states_is_announced():
+    assert "observer sliding_mode declares no faults" in told("--scenario", BUSY, "--scheme", "proposed")
+
+
+def test_on_board_there_is_neither_plant_nor_injector():
+    words = told("--onboard", "--vehicle", "x500")
+    assert "flies: x500, on board" in words
+    assert "inject" not in words
+    plan = GraphPlan({}, "realtime", onboard=True)
+    assert {*plan.executables} == {"fault_observer", "controller", "disturbance_observer", "reference"}
+
+
+def test_on_board_a_real_imu_is_followed_and_recorded_by_its_usual_name(tmp_path: Path):
+    remaps = ("imu/data:=/mavros/imu/data",)
+    bag, stamps = tmp_path / "bag", itertools.count(10**9, 4 * 10**6)
+    plan = GraphPlan({}, "realtime", bag=bag, onboard=True, remaps=remaps)
+    with NodeBench("realtime") as bench:
+        sender = bench.tester.create_publisher(Imu, "/mavros/imu/data", topic_profile("sensor", "realtime"))
+        torques = bench.listen("torque/command")
+
+        def send(_samples: int) -> bool:
+            bench._executor.spin_once(timeout_sec=0.0)
+            sender.publish(imu_message(next(stamps)))
+            return len(torques) < 3
+
+        with ComposedGraph(plan) as graph:
+            graph.run(send)
+    assert len(torques) >= 3
+    assert read_bag(bag).topics["/imu/data"].count >= 3
+
+
+def test_refused_start_leaves_no_bag_behind(tmp_path: Path):
+    parameters = {"controller": {"controller": "nonsense"}}
+    with pytest.raises(ValueError, match="nonsense"):
+        ComposedGraph(GraphPlan(parameters, bag=tmp_path / "bag"))
+    assert not (tmp_path / "bag").exists()

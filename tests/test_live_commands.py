@@ -125,14 +125,9 @@ def served(bench):
 
 def test_fault_is_injected_and_cleared_by_commands(served, capfd):
     inject(["bias", "axis=roll", "value=3deg"])
-    inject(["bias", "axis=roll", "value=3deg", "duration=2s"])
     clear(1)
-    clear()
-    said = capfd.readouterr().out.splitlines()
-    assert said == [
+    assert capfd.readouterr().out.splitlines() == [
         "fault 1: bias on attitude, until: quadftc clear 1",
-        "fault 2: bias on attitude, for 2 s",
-        "1 ended",
         "1 ended",
     ]
 

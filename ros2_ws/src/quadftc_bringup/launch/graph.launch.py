@@ -3,13 +3,13 @@
 With ``plant_kind:=free_flight params_file:=.../free_flight.yaml`` the vehicle flies through space.
 
 Without a simulator (``simulate:=false``) the plant and the fault injector stay out, and a vehicle or another
-simulator publishes ``imu/data`` and reads ``torque/command``.
+simulator publishes ``imu/data`` and reads ``torque/command``: ``imu:=/mavros/imu/data`` names another topic.
 """
 
 from __future__ import annotations
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, ExecuteProcess, TimerAction
+from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo, TimerAction
 from launch.conditions import IfCondition
 from launch.substitutions import (
     AndSubstitution,
@@ -72,6 +72,8 @@ def _arguments() -> list[DeclareLaunchArgument]:
             default_value="true",
             description="Call plant/start when all nodes are up.",
         ),
+        DeclareLaunchArgument("imu", default_value="imu/data", description="Topic of the IMU."),
+        DeclareLaunchArgument("torque", default_value="torque/command", description="Topic of the torque."),
         DeclareLaunchArgument(
             "bag", default_value="", description="New directory to record into; empty: none."
         ),
@@ -86,6 +88,10 @@ def _node(package: str, name: str, condition: IfCondition | None = None, **param
         name=name,
         namespace=LaunchConfiguration("namespace"),
         parameters=[LaunchConfiguration("params_file"), {**common, **parameters}],
+        remappings=[
+            ("imu/data", LaunchConfiguration("imu")),
+            ("torque/command", LaunchConfiguration("torque")),
+        ],
         condition=condition,
         output="screen",
     )
@@ -99,6 +105,22 @@ def _start_call(simulate: LaunchConfiguration) -> TimerAction:
         output="screen",
     )
     return TimerAction(period=START_DELAY, actions=[call])
+
+
+def _introduction(simulate: LaunchConfiguration) -> list[LogInfo]:
+    """Say how to have a say in it; the nodes say what they run."""
+    words = {
+        "inject": "bias axis=roll value=3deg duration=10s",
+        "watch": "",
+    }
+    lines = [
+        LogInfo(
+            msg=f"{name}: ros2 run quadftc_cli quadftc {name} {rest}".rstrip(),
+            condition=IfCondition(simulate),
+        )
+        for name, rest in words.items()
+    ]
+    return [*lines, LogInfo(msg=["bag: '", LaunchConfiguration("bag"), "' (empty: none; bag:=DIRECTORY)"])]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -121,4 +143,4 @@ def generate_launch_description() -> LaunchDescription:
             for kind, node in GUIDANCE.items()
         ),
     ]
-    return LaunchDescription([*_arguments(), *nodes, _start_call(simulate)])
+    return LaunchDescription([*_arguments(), *_introduction(simulate), *nodes, _start_call(simulate)])

@@ -31,7 +31,7 @@ class LiveGraph:
     def __init__(self, namespace: str = "") -> None:
         self.namespace = namespace.strip("/")
         self._context = Context()
-        self._context.init()
+        self._context.init(args=[])
         self._executor = make_executor("events", self._context)
         name = f"quadftc_{os.getpid()}"
         self.node = Node(name, context=self._context, use_global_arguments=False, enable_rosout=False)

@@ -34,13 +34,15 @@ from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import EARTH_FRAME
 from quadftc_ros.wire import DiagnosisWire, FaultStatusWire, ImuWire, VectorWire, imu_of, vector_of
 
+NO_STATES = "declares no faults, it only estimates; isolating and supervised declare them"
+
 
 @dataclasses.dataclass(frozen=True)
 class ObserverParameters:
     """Parameters of the node besides those of the observer, which stand behind its name."""
 
     vehicle: str = parameter("qball_x4", doc="name of a vehicle, or path of its TOML file")
-    observer: str = parameter("sliding_mode", doc="name of the fault observer")
+    observer: str = parameter("isolating", doc="name of the fault observer")
 
 
 class FaultObserverNode(GraphNode):
@@ -70,7 +72,12 @@ class FaultObserverNode(GraphNode):
             self.reads("fault/kept", partial(self._on_kept, "fault"))
         self._estimate: FaultEstimate | None = None  # the last
         self._alarms: list[bool] = [False] * 3  # elements that are faulty
-        self.diagnostics.report("observer", OK, name)
+        if self._diagnosis.law.has_detector:
+            self.diagnostics.report("observer", OK, name)
+        else:
+            self.diagnostics.report("observer", WARN, f"{name} {NO_STATES}")
+            if not self.lockstep:
+                self.get_logger().warning(f"observer {name} {NO_STATES}")
         self.ready()
 
     def _read_flight(self) -> None:
@@ -154,7 +161,10 @@ class FaultObserverNode(GraphNode):
         law, memory = self._diagnosis.law, self._diagnosis.state
         more = {} if memory is None else law.describe(memory)
         for axis, state, values in describe_axes(self._estimate, more):
-            self._report_fault(f"attitude fault {axis}", state, values)
+            if law.has_detector:
+                self._report_fault(f"attitude fault {axis}", state, values)
+            else:
+                self.diagnostics.report(f"attitude fault {axis}", OK, "not judged", **values)
         for component, sensor in watched_sensors(law, self._estimate).items():
             if component != "attitude":
                 self._report_fault(f"{component} fault", *describe_component(component, sensor))

@@ -30,7 +30,7 @@ class Observer:
 
     def __init__(self, bench, **parameters):
         self.bench = bench
-        self.node = bench.run(FaultObserverNode, **parameters)
+        self.node = bench.run(FaultObserverNode, **{"observer": "sliding_mode", **parameters})
         self.send = bench.talk("imu/data")
         self.command = bench.talk("torque/command")
         self.found = {topic: bench.listen(topic) for topic in OUTPUTS}
@@ -240,16 +240,16 @@ def test_observer_itself_cannot_be_exchanged_in_flight(lockstep_bench):
 )
 def test_wrong_parameter_is_refused_by_name(bench, wrong, text):
     with pytest.raises(ValueError, match=text):
-        bench.run(FaultObserverNode, **wrong)
+        bench.run(FaultObserverNode, **{"observer": "sliding_mode", **wrong})
 
 
 def test_diagnostics_name_the_observer(bench):
-    Observer(bench)
+    Observer(bench, observer="supervised")
     status = bench.watch_diagnostics()
     bench.until(lambda: "fault_observer: observer" in status)
     said = status["fault_observer: observer"]
     assert (said.message, said.level, said.hardware_id) == (
-        "sliding_mode",
+        "supervised",
         DiagnosticStatus.OK,
         "vehicle",
     )
@@ -329,6 +329,21 @@ def test_without_diagnosis_no_axis_is_called_healthy(lockstep_bench):
         observer.step()
     lockstep_bench.until(lambda: "fault_observer: timing" in observer.status)
     assert not [name for name in observer.status if "attitude fault" in name]
+
+
+def test_observer_without_states_says_so(lockstep_bench):
+    observer = Observer(lockstep_bench)
+    for _ in range(300):
+        observer.step(0.05, 0.0, 0.0)
+    lockstep_bench.until(lambda: "fault_observer: attitude fault roll" in observer.status)
+    assert observer.status["fault_observer: attitude fault roll"].message == "not judged"
+    told = observer.status["fault_observer: observer"]
+    assert told.level == DiagnosticStatus.WARN
+    assert told.message.startswith("sliding_mode declares no faults")
+
+
+def test_recommended_observer_is_the_default(bench):
+    assert bench.run(FaultObserverNode).get_parameter("observer").value == "isolating"
 
 
 def test_imu_is_read_best_effort_in_real_time(bench):

@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 import time
+from collections.abc import Collection
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -46,12 +47,13 @@ class RecorderParameters:
 class RecorderNode(GraphNode):
     """Record topics from construction until `finish`, or until the node is destroyed.
 
-    Unless it ``subscribes``, nodes in the same process give it their messages by its `tap`. A wrong parameter
-    is a ValueError: the directory exists or cannot be made, a topic is unknown, an attachment unreadable.
+    It subscribes to what the nodes ``inside`` its process do not publish; those give it their messages by its
+    `tap`. A wrong parameter is a ValueError: the directory exists or cannot be made, a topic is unknown, an
+    attachment unreadable.
     """
 
-    def __init__(self, *, subscribes: bool = True, **kwargs: Any) -> None:
-        super().__init__("recorder", None if subscribes else self._tap_of_its_own, **kwargs)
+    def __init__(self, *, inside: Collection[str] = (), **kwargs: Any) -> None:
+        super().__init__("recorder", self._tap_of_its_own if inside else None, **kwargs)
         self.settings.declare(RecorderParameters, read_only=True)
         self.settings.declare_list(
             "topics", "topics to record, as named in the table; empty: all of the graph"
@@ -66,7 +68,8 @@ class RecorderNode(GraphNode):
         self._newest_ns = 0
         self._takes: dict[str, Take] = {}
         for row in rows:
-            self._record(row, subscribes)
+            from_outside = not self.lockstep and not {*row.publishers} & {*inside}
+            self._record(row, subscribes=from_outside or not inside)
         self.flush()  # it takes time to get ready for the topics, which is not to be that of the flight
         self.create_timer(CHECK_PERIOD, self._check)
         self.create_timer(HAND_OVER_PERIOD, self._writer.hand_over, clock=self.steady_clock)
@@ -119,11 +122,12 @@ class RecorderNode(GraphNode):
         return take
 
     def _record(self, row: Topic, subscribes: bool) -> None:
-        """Store what comes on a topic under its full name."""
+        """Store what comes on a topic under the name that the table gives it, whatever it is remapped to."""
         offered, name = topic_profile(row.qos, self.mode), self.resolve_topic_name(row.name)
-        self._writer.add_topic(name, row.type_name, offered)
+        stored = self.resolve_topic_name(row.name, only_expand=True)
+        self._writer.add_topic(stored, row.type_name, offered)
         take_timed = self._take_by_stamp if self.lockstep else self._take_by_clock
-        self._takes[name] = take = partial(take_timed, self._writer.input(name))
+        self._takes[name] = take = partial(take_timed, self._writer.input(stored))
         if subscribes:
             offered.depth = RECEIVE_DEPTH[self.mode]
             self.create_subscription(load_message_class(row.type_name), row.name, take, offered, raw=True)

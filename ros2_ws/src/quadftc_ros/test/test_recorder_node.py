@@ -274,7 +274,7 @@ def test_process_killed_leaves_a_bag_that_says_what_it_holds(context, namespace,
 def test_recorder_gets_by_tap_what_nodes_in_its_process_publish(context, namespace, tmp_path, mode):
     common = {"context": context, "namespace": namespace}
     given = parameters(directory=str(tmp_path / "bag"), mode=mode, topics=["plant/rate", "/diagnostics"])
-    recorder = RecorderNode(subscribes=False, parameter_overrides=given, **common)
+    recorder = RecorderNode(inside=["plant", "recorder"], parameter_overrides=given, **common)
     sender = GraphNode("plant", tap=recorder.tap, parameter_overrides=parameters(mode=mode), **common)
     rate, attitude = sender.publishes("plant/rate"), sender.publishes("plant/attitude")
     sender.ready()

@@ -54,16 +54,19 @@ class ComposedGraph(Graph):
             raise
 
     def _add_vehicle(self, plan: GraphPlan, nodes: dict[str, Any]) -> None:
-        tap = None
+        tap, remaps = None, plan.remap_arguments
         if plan.bag is not None:
-            parameters = plan.recorder_parameters()
-            nodes[RECORDER] = self._add_node(RecorderNode, plan.namespace, parameters, subscribes=False)
+            parameters, inside = plan.recorder_parameters(), (*plan.executables, RECORDER)
+            nodes[RECORDER] = self._add_node(RecorderNode, plan.namespace, parameters, remaps, inside=inside)
             tap = nodes[RECORDER].tap
         for name in plan.executables:
             options = {"each_sample": self._slice.look, "timed": False} if name == "plant" else {}
             parameters = plan.node_parameters(name)
-            nodes[name] = self._add_node(NODE_CLASSES[name], plan.namespace, parameters, tap=tap, **options)
-        self._watchers.append((nodes["plant"], plan.plant))
+            nodes[name] = self._add_node(
+                NODE_CLASSES[name], plan.namespace, parameters, remaps, tap=tap, **options
+            )
+        if not plan.onboard:
+            self._watchers.append((nodes["plant"], plan.plant))
 
     @property
     def nodes(self) -> dict[str, Any]:
@@ -75,6 +78,9 @@ class ComposedGraph(Graph):
 
         A GraphError says if nodes do not find each other, samples stop, or the scheduling is not allowed.
         """
+        if self._plan.onboard:
+            with settled_memory(), scheduled(self._plan.scheduling):
+                return self._serve(self._slice.spin, progress)
         if not self.wait_until_connected(progress):
             return 0.0
         scheduling, plants = self._plan.scheduling, [plant for plant, _ in self._watchers]

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import abc
+import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Self
 
 from rclpy.context import Context
@@ -25,10 +26,11 @@ class Graph(abc.ABC):
     def __init__(self, executor: str) -> None:
         self.exit_code = 0  # the worst of the processes, once they were stopped
         self._context = Context()
-        self._context.init()
+        self._context.init(args=[])  # what the launcher was called with is not meant for the nodes
         self._executor = make_executor(executor, self._context)
         self._slice = Slice(self._executor)
         self._nodes: list[Any] = []  # of this process
+        self._begun = False  # whether there is anything to be kept
         self._watchers: list[tuple[Any, PlantKind]] = []  # a node of each vehicle, and what it flies
 
     def __enter__(self) -> Self:
@@ -48,13 +50,21 @@ class Graph(abc.ABC):
     def _check_alive(self) -> None:  # noqa: B027
         """Raise a `GraphError` if a node has ended."""
 
-    def _add_node(self, node_class: type[Any], namespace: str, parameters: Any, **options: Any) -> Any:
+    def _add_node(
+        self,
+        node_class: type[Any],
+        namespace: str,
+        parameters: Any,
+        remaps: Sequence[str] = (),
+        **options: Any,
+    ) -> Any:
         """Make a node and let the executor serve it."""
         node = node_class(
             context=self._context,
             namespace=namespace or None,
             parameter_overrides=[Parameter(name, value=value) for name, value in parameters.items()],
             use_global_arguments=False,
+            **({"cli_args": remaps} if remaps else {}),
             **options,
         )
         self._executor.add_node(node)
@@ -67,10 +77,12 @@ class Graph(abc.ABC):
         return next((node for node in self._nodes if isinstance(node, RecorderNode)), None)
 
     def close(self) -> None:
-        """Close the bags, end the nodes: the recorders last."""
+        """Close the bags, end the nodes: the recorders last. Of a start that failed, no bag remains."""
         self._nodes.sort(key=lambda node: isinstance(node, RecorderNode))
         for recorder in (node for node in self._nodes if isinstance(node, RecorderNode)):
             recorder.finish()
+            if not self._begun:
+                shutil.rmtree(recorder.path.parent, ignore_errors=True)
         self._executor.shutdown()
         while self._nodes:
             self._nodes.pop(0).destroy_node()
@@ -94,9 +106,18 @@ class Graph(abc.ABC):
                 raise GraphError(f"{crowd[0]}: {ALONE}")
         return True
 
+    def _serve(self, spin: Callable[[float], None], progress: Progress) -> float:
+        """Spin until ``progress`` ends it; return the wall time [s]. Nobody waits for the vehicle."""
+        begin, self._begun = time.monotonic(), True
+        while progress(0):
+            spin(SLICE)
+            self._check_alive()
+        return time.monotonic() - begin
+
     def _follow(self, spin: Callable[[float], None], progress: Progress, stalled: str) -> tuple[float, bool]:
         """Spin until the flight is over; return its wall time [s], and whether ``progress`` let it end."""
-        begin = moved = time.monotonic()
+        begin, self._begun = time.monotonic(), True
+        moved = begin
         over, seen = self._state()
         while not over:
             spin(SLICE)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from quadftc_model.hints import nearest
 from quadftc_ros.scheduling import ORDINARY, Scheduling
-from quadftc_ros.topics import NODES, PlantKind
+from quadftc_ros.topics import NODES, TOPICS, PlantKind
 from quadftc_sim.plant import plants
 
 # node -> (package, executable), in the order in which they are made: the earlier of two readers of a topic
@@ -24,6 +25,8 @@ EXECUTABLES: dict[str, tuple[str, str]] = {
     "reference": ("quadftc_control", "reference"),
     "position_controller": ("quadftc_control", "position_controller"),
 }
+
+SIMULATION = ("plant", "fault_injector")  # what a vehicle that exists takes the place of
 
 CONNECT_TIMEOUT = 30.0  # s; to find each other
 SLICE = 0.25  # s, wall time of flight between two looks at it
@@ -51,6 +54,8 @@ class GraphPlan:
     traces: Path | None = None  # directory for the times at which messages come and go, a file for each node
     scheduling: Scheduling = ORDINARY  # in real time: how to share the machine
     respawn: bool = False  # in real time, as processes: restart a node that dies in flight, but not the plant
+    onboard: bool = False  # without plant and fault injector, for a vehicle that exists; in real time
+    remaps: tuple[str, ...] = ()  # ``imu/data:=/mavros/imu/data``, for every node and the recorder
     # node to topics, by name, that it publishes under another name, for what stands in between (tests)
     remapped: Mapping[str, Mapping[str, str]] = dataclasses.field(
         default_factory=dict[str, Mapping[str, str]]
@@ -59,13 +64,23 @@ class GraphPlan:
     @property
     def plant(self) -> PlantKind:
         """The kind of the plant that the plant node flies; a ValueError if there is none of its name."""
+        if any(values.get("plant_kind") == "free_flight" for values in self.parameters.values()):
+            return "free_flight"
         name = self.parameters.get("plant", {}).get("plant", "test_stand")
         return "free_flight" if plants.get(str(name)).flies else "test_stand"
 
     @property
     def executables(self) -> dict[str, tuple[str, str]]:
         """Rows of `EXECUTABLES` for the nodes of this graph."""
-        return {name: row for name, row in EXECUTABLES.items() if name in NODES[self.plant]}
+        left_out = SIMULATION if self.onboard else ()
+        names = [name for name in NODES[self.plant] if name not in left_out]
+        return {name: row for name, row in EXECUTABLES.items() if name in names}
+
+    @property
+    def remap_arguments(self) -> list[str]:
+        """Return the arguments of every node for what is remapped."""
+        words = [word for remap in self.remaps for word in ("-r", remap)]
+        return ["--ros-args", *words] if words else []
 
     @property
     def _common(self) -> dict[str, Any]:
@@ -93,6 +108,16 @@ class GraphPlan:
         """Return the parameters of the recorder."""
         attachments = [str(path) for path in self.attachments] or [""]
         return {**self._common, "directory": str(self.bag), "attachments": attachments}
+
+
+def check_remaps(remaps: Sequence[str]) -> None:
+    """Raise a ValueError if something is no remapping of a topic of the table."""
+    for remap in remaps:
+        topic, arrow, other = remap.partition(":=")
+        if not (topic and arrow and other):
+            raise ValueError(f"--remap {remap}: expected TOPIC:=OTHER, as imu/data:=/mavros/imu/data")
+        if topic not in TOPICS:
+            raise ValueError(f"--remap {remap}: no topic {topic}{nearest(topic, TOPICS)}")
 
 
 def check_options(graph: str, mode: str, scheduling: Scheduling, respawn: bool = False) -> None:

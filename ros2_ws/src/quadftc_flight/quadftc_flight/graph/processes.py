@@ -30,6 +30,7 @@ from quadftc_ros.topics import missing_connections
 # without samples goes on to say so
 RECORDED = {"lockstep": (0.25, 0), "realtime": (plans.AFTERMATH, 10)}
 CALM = {"lockstep": 0.0, "realtime": 0.5}  # s; between the last match and the flight
+BAD_PARAMETERS = 2  # exit code of a node; started again, it would end again
 FIRST_DELAY, LAST_DELAY = 0.1, 3.0  # s; the delay of a restart doubles with every death within `MEMORY`
 MOST_DEATHS = 5  # of one node within `MEMORY`; with the next the graph ends
 MEMORY = 60.0  # s
@@ -107,6 +108,10 @@ class ProcessGraph(Graph):
 
     def run(self, progress: Progress = always) -> float:
         """Fly until the plant's duration is over, as `ComposedGraph.run`; a node that ends is an error."""
+        if self.plan.onboard:
+            self._flying = True
+            with scheduled(self._scheduling):
+                return self._serve(self._slice.spin, progress)
         if not self.wait_until_connected(progress):
             return 0.0
         with scheduled(self._scheduling):
@@ -154,7 +159,7 @@ class ProcessGraph(Graph):
         self._report = node.create_publisher(DiagnosticArray, "/diagnostics", reliable)
         self._starter = node.create_client(Trigger, "plant/start")
         if plan.bag is not None:
-            self._add_node(RecorderNode, plan.namespace, plan.recorder_parameters())
+            self._add_node(RecorderNode, plan.namespace, plan.recorder_parameters(), plan.remap_arguments)
 
     def _commands(self) -> dict[str, list[str]]:
         file = Path(self._folder.name, "parameters.yaml")
@@ -162,6 +167,7 @@ class ProcessGraph(Graph):
         arguments = ["--ros-args", "--params-file", str(file)]
         if self.plan.namespace:
             arguments += ["-r", f"__ns:=/{self.plan.namespace.strip('/')}"]
+        arguments += self.plan.remap_arguments
         commands: dict[str, list[str]] = {}
         for name, row in self.plan.executables.items():
             commands[name] = [str(executable_path(*row)), *arguments]
@@ -222,7 +228,7 @@ class ProcessGraph(Graph):
 
     def _check_alive(self) -> None:
         for name, code in self.children.ended().items():
-            if not (self.plan.respawn and self._flying) or name == "plant":
+            if not (self.plan.respawn and self._flying) or name == "plant" or code == BAD_PARAMETERS:
                 raise GraphError(f"node {name} ended with exit code {code}")
             known = self._respawn.waits(name)
             delay = self._respawn.died(name, time.monotonic())
