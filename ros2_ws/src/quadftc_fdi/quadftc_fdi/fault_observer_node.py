@@ -34,6 +34,11 @@ from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import EARTH_FRAME
 from quadftc_ros.wire import DiagnosisWire, FaultStatusWire, ImuWire, VectorWire, imu_of, vector_of
 
+RAW_AFTER = 50  # samples in a row without attitude, after which the driver gives none
+RAW_IMU = (
+    "imu/data has no attitude: start the node quadftc_fdi attitude_estimator on the topic of the driver, "
+    "with -r imu/data_raw:=TOPIC; it publishes imu/data"
+)
 NO_STATES = "declares no faults, it only estimates; isolating and supervised declare them"
 
 
@@ -72,6 +77,7 @@ class FaultObserverNode(GraphNode):
             self.reads("fault/kept", partial(self._on_kept, "fault"))
         self._estimate: FaultEstimate | None = None  # the last
         self._alarms: list[bool] = [False] * 3  # elements that are faulty
+        self._raw = 0  # samples in a row without attitude
         if self._diagnosis.law.has_detector:
             self.diagnostics.report("observer", OK, name)
         else:
@@ -146,6 +152,13 @@ class FaultObserverNode(GraphNode):
             self.diagnostics.count("imu/data: body rate absent or unusable")
         if not samples.sanitised(sample).attitude_valid:
             self.diagnostics.count("imu/data: attitude absent or unusable")
+            self._raw += 1
+            if self._raw == RAW_AFTER:
+                self.diagnostics.report("imu", WARN, RAW_IMU)
+                self.get_logger().warning(RAW_IMU)
+        elif self._raw:
+            self._raw = 0
+            self.diagnostics.forget("imu")
         self._estimate = estimate
         states = [estimate.state, *(sensor.state for sensor in estimate.sensors or ())]
         alarms = [state in ALARMS for column in states for state in column.tolist()]  # suspicions come and go

@@ -12,7 +12,7 @@ from std_srvs.srv import Trigger
 
 from message_objects import FaultStatusWriter, imu_sample
 from node_bench import imu_message, vector_message
-from quadftc_fdi.fault_observer_node import FaultObserverNode
+from quadftc_fdi.fault_observer_node import RAW_AFTER, FaultObserverNode
 from quadftc_model.samples import FAULTY, HEALTHY, FaultEstimate
 from quadftc_ros.conversions import stamp_of
 
@@ -340,6 +340,18 @@ def test_observer_without_states_says_so(lockstep_bench):
     told = observer.status["fault_observer: observer"]
     assert told.level == DiagnosticStatus.WARN
     assert told.message.startswith("sliding_mode declares no faults")
+
+
+def test_imu_without_attitude_is_told_what_to_do(lockstep_bench):
+    observer = Observer(lockstep_bench, observer="isolating")
+    for _ in range(RAW_AFTER + 5):
+        message = imu_message(observer.stamp_ns)
+        message.orientation_covariance[0] = -1.0
+        observer.step(message=message)
+    lockstep_bench.until(lambda: "fault_observer: imu" in observer.status)
+    told = observer.status["fault_observer: imu"]
+    assert told.level == DiagnosticStatus.WARN
+    assert "attitude_estimator" in told.message
 
 
 def test_recommended_observer_is_the_default(bench):

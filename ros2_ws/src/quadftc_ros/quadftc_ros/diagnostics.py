@@ -14,6 +14,7 @@ from quadftc_ros.transport import Tap, tapped
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 WINDOW_NS = 900_000_000  # ns; shorter ones say little: diagnostics come at once on a change
+LATE = 2.0  # periods; one may pass in the sensor itself
 
 
 class Diagnostics:
@@ -90,6 +91,7 @@ class SampleTiming:
         self._values: dict[str, object] = {}
         self.began = False  # whether there was a sample at all
         self.idle = False  # whether no sample came in the window before
+        self.late = False  # whether samples in the window before were older than `LATE` on average
 
     def sampled(self, stamp_ns: int, now_ns: int = 0) -> None:
         """Note that the sample of a stamp was served [ns]; one that was noted before does not count."""
@@ -108,11 +110,13 @@ class SampleTiming:
         passed_ns = end_ns - self._begin_ns
         if self.began and not 0 <= passed_ns < WINDOW_NS:
             count = len(self._ages_ns)
-            self.idle, self._values = not count, {}
+            self.idle, self.late, self._values = not count, False, {}
             if passed_ns > 0:  # else the clock was set back
                 self._values["rate_hz"] = f"{count * NANOSECONDS / passed_ns:.1f}"
                 if self._clock and count:
-                    self._values["latency_ms"] = f"{sum(self._ages_ns) / count * 1e-6:.2f}"
+                    mean_ns = sum(self._ages_ns) / count
+                    self.late = mean_ns > LATE * passed_ns / count
+                    self._values["latency_ms"] = f"{mean_ns * 1e-6:.2f}"
                     self._values["latency_max_ms"] = f"{max(self._ages_ns) * 1e-6:.2f}"
             self._begin_ns = end_ns
             self._ages_ns.clear()

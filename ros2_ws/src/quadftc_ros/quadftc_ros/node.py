@@ -30,6 +30,7 @@ from quadftc_ros.transport import MessageTrace, Note, Tap, decoding, receiver, t
 
 MODES = ("lockstep", "realtime")
 HEARTBEAT = {"realtime": 1.0, "lockstep": 0.2}  # s; in lock-step only before the flight
+LATE_WORDS = "samples are older than two periods: the machine is too slow, or the clock of the driver differs"
 PATIENCE = 5.0  # s, for readers that may have died
 
 
@@ -208,7 +209,11 @@ class GraphNode(Node):
         timing = self._timing
         if timing.began:
             values = timing.values(0 if self.lockstep else self.now_ns())
-            level, words = (WARN, "no samples") if timing.idle else (OK, "samples come")
+            level, words = OK, "samples come"
+            if timing.idle:
+                level, words = WARN, "no samples"
+            elif timing.late:
+                level, words = WARN, LATE_WORDS
             self.diagnostics.report("timing", level, words, **values)
         self.report()
 

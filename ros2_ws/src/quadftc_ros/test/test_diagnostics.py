@@ -6,7 +6,7 @@ from rclpy.node import Node
 
 from node_bench import NodeBench
 from quadftc_ros.conversions import stamp_of
-from quadftc_ros.diagnostics import OK, WARN, Diagnostics
+from quadftc_ros.diagnostics import OK, WARN, Diagnostics, SampleTiming
 from quadftc_ros.qos import topic_profile
 
 SECOND = 1_000_000_000  # ns
@@ -130,3 +130,15 @@ def test_two_vehicles_have_names_of_their_own():
 def test_quality_of_service_is_that_of_the_table(talker):
     (offered,) = talker.bench.tester.get_publishers_info_by_topic("/diagnostics")
     assert offered.qos_profile.reliability == topic_profile("reliable", "realtime").reliability
+
+
+@pytest.mark.parametrize(("age", "late"), [(0.1, False), (1.5, False), (2.5, True)])
+def test_samples_that_are_older_than_two_periods_are_late(age, late):
+    timing = SampleTiming(clock=True)
+    for stamp in range(SECOND, 3 * SECOND, PERIOD):
+        timing.sampled(stamp, stamp + round(age * PERIOD))
+    values = timing.values(3 * SECOND)
+    assert (timing.late, timing.idle) == (late, False)
+    assert float(values["latency_ms"]) == pytest.approx(10.0 * age)
+    timing.values(5 * SECOND)
+    assert (timing.late, timing.idle) == (False, True)
