@@ -7,10 +7,19 @@ import numpy as np
 import pytest
 
 from quadftc_fdi.fault_observer import fault_observers
+from quadftc_model.arrays import rows_of
 from quadftc_model.assembly import build_prefixed, node_values
 from quadftc_model.parameters import parameters_of
 from quadftc_model.rotations import body_rates, euler_from_quaternion, quaternion_from_euler
-from quadftc_model.samples import FAULT_KINDS, HEALTHY, RECOVERING, STARTING, FaultObserverInputs, ImuSample
+from quadftc_model.samples import (
+    FAULT_KINDS,
+    HEALTHY,
+    RECOVERING,
+    STARTING,
+    FaultObserverInputs,
+    ImuSample,
+    RotorReading,
+)
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 
 EVERY_OBSERVER = pytest.mark.parametrize("name", fault_observers.names())
@@ -49,9 +58,15 @@ def inputs_at(index, missing=(), fault=0.02):
     return inputs
 
 
+def with_rotors(inputs, measured):
+    """The same with what is known of the rotors of a Qball-X4."""
+    speeds = 250.0 + 20.0 * np.repeat(inputs.imu.body_rate[..., :2], 2, axis=-1)
+    return inputs._replace(rotors=RotorReading(speeds, 1.01 * speeds if measured else None))
+
+
 def lane(inputs, index):
     """The inputs of one lane."""
-    return FaultObserverInputs(ImuSample(*(array[index] for array in inputs.imu)), inputs.torque[index])
+    return rows_of(inputs, index)
 
 
 def flown(law, sequence, start=None):
@@ -69,7 +84,12 @@ def flown(law, sequence, start=None):
 def columns(estimate):
     """All arrays of an estimate."""
     sensors = (column for sensor in estimate.sensors or () for column in sensor)
-    return (*(getattr(estimate, name) for name in SHAPES), *estimate.corrected, *sensors)
+    return (
+        *(getattr(estimate, name) for name in SHAPES),
+        *estimate.corrected,
+        *sensors,
+        *(estimate.rotors or ()),
+    )
 
 
 @EVERY_OBSERVER
@@ -109,6 +129,17 @@ def test_estimates_have_their_shapes_and_types_and_are_finite(name, vehicle, bat
             assert np.all((sensor.probability >= 0.0) & (sensor.probability <= 1.0))
             assert np.all((sensor.kind >= 0) & (sensor.kind < len(FAULT_KINDS)))
             assert sensor.ambiguous.dtype == bool
+
+
+@EVERY_OBSERVER
+def test_what_is_said_of_rotors_has_one_element_for_each(name):
+    sequence = [with_rotors(inputs_at(index), measured=True) for index in range(COUNT)]
+    for estimate in flown(observer(name), sequence)[1]:
+        for column in estimate.rotors or ():
+            assert column.shape == (LANES, 4)
+            assert np.all(np.isfinite(column))
+        if estimate.rotors is not None:
+            assert np.all((estimate.rotors.effectiveness >= 0.0) & (estimate.rotors.effectiveness <= 1.0))
 
 
 @EVERY_OBSERVER
@@ -160,10 +191,13 @@ def test_state_can_be_stepped_twice_from_the_same_point(name):
 
 
 @EVERY_OBSERVER
-def test_batch_equals_the_loop(name):
+@pytest.mark.parametrize("rotors", [False, True])
+def test_batch_equals_the_loop(name, rotors):
     law = observer(name)
     missing = {25: ("attitude",), 26: ("attitude", "rate"), 27: ("rate",)}
     sequence = [inputs_at(index, missing.get(index, ())) for index in range(COUNT)]
+    if rotors:
+        sequence = [with_rotors(inputs, measured=True) for inputs in sequence]
     batch = flown(law, sequence)[1]
     for one in range(LANES):
         alone = flown(law, [lane(inputs, one) for inputs in sequence])[1]
@@ -208,7 +242,8 @@ def test_parameter_out_of_bounds_is_refused_by_name(name):
 def test_jax_gives_the_same_numbers(name):
     """One law, two array libraries: compiled, and with the state carried by its loop."""
     jax.config.update("jax_enable_x64", True)
-    law, sequence = observer(name), [inputs_at(index) for index in range(COUNT)]
+    law = observer(name)
+    sequence = [with_rotors(inputs_at(index), measured=False) for index in range(COUNT)]
     _, expected = flown(law, sequence)
 
     def first(inputs):

@@ -56,7 +56,7 @@ def diagnose(model, inputs):
     effects, estimates = effects_of(model), []
     state = start_rotors(effects, inputs[0])
     for each in inputs:
-        state, _ = step_rotors(state, effects, each, DT)
+        state = step_rotors(state, effects, each, DT)
         estimates.append(estimate_rotors(state))
     return estimates
 
@@ -164,7 +164,7 @@ def test_jax_gives_the_same_numbers():
     expected = diagnose(QUAD, inputs)
 
     def step(state, each):
-        state, _ = step_rotors(state, effects, each, DT)
+        state = step_rotors(state, effects, each, DT)
         return state, estimate_rotors(state)
 
     rows = jax.tree.map(lambda *parts: np.stack(parts), *inputs)

@@ -30,17 +30,30 @@ from quadftc_fdi.isolation import (
     hypotheses,
     naming,
     reading_test,
+    rotor_watch,
 )
 from quadftc_fdi.isolation.accelerometer_monitor import AccelerometerMonitor
 from quadftc_fdi.isolation.free_flight import FreeFlight
 from quadftc_fdi.isolation.gyro_monitor import AttitudeReading, GyroMonitor, GyroReading
 from quadftc_fdi.isolation.hypotheses import Hypotheses
 from quadftc_fdi.isolation.reading_test import ReadingTest, Verdict, start_test
+from quadftc_fdi.isolation.rotor_watch import RotorWatch
+from quadftc_fdi.rotor_diagnosis.rotor_model import Effects, effects_of, model_of
 from quadftc_fdi.supervision import sensor_noise
 from quadftc_fdi.supervision.inertial_filter import estimate_rate
 from quadftc_fdi.supervision.transition import ROTATION, variances
 from quadftc_model import samples
-from quadftc_model.arrays import Mask, Vector, any_of, changed_where, chosen, is_single, join, namespace
+from quadftc_model.arrays import (
+    Mask,
+    Vector,
+    any_of,
+    changed_where,
+    chosen,
+    column,
+    is_single,
+    join,
+    namespace,
+)
 from quadftc_model.parameters import parameter
 from quadftc_model.position_estimator import PositionEstimator
 from quadftc_model.rigid_body import gyroscopic_acceleration
@@ -78,6 +91,18 @@ class State(NamedTuple):
     hypotheses: Hypotheses
     missing: Mask  # the attitude is absent, or was a moment ago
     flight: FreeFlight | None  # None on the test stand
+    rotors: RotorWatch | None  # None: nothing is known of single rotors
+
+
+class Judged(NamedTuple):
+    """What the readings of a sample say of all but the attitude."""
+
+    readings: ReadingTest
+    gyro: GyroMonitor
+    accelerometer: AccelerometerMonitor
+    verdict: Verdict
+    flight: FreeFlight | None
+    rotors: RotorWatch | None
 
 
 @register("isolating")
@@ -110,6 +135,11 @@ class Isolating(Supervised):
             self.position_delay, self.position_noise, self.gives_velocity, self.velocity_noise
         )
 
+    @functools.cached_property
+    def rotor_effects(self) -> Effects:
+        """What the rotors do to gyro and accelerometer."""
+        return effects_of(model_of(self.vehicle))
+
     def init(self, inputs: FaultObserverInputs) -> Any:
         """Start on the measurement."""
         return self._start(self.attitude_law.init(inputs), inputs)
@@ -134,6 +164,7 @@ class Isolating(Supervised):
             hypotheses.start_hypotheses(attitude.faulty),
             attitude.faulty & ~attitude.faulty,
             free_flight.start_flight(self.motion_law, inputs),
+            rotor_watch.start_watch(self.vehicle, self.rotor_effects, inputs),
         )
 
     def step(self, state: Any, inputs: FaultObserverInputs, dt: float) -> tuple[Any, FaultEstimate]:
@@ -142,8 +173,10 @@ class Isolating(Supervised):
         if isinstance(dt, float) and dt == 0.0:
             attitude, estimate = self.attitude_law.step(before, inputs, dt)
             state = state._replace(attitude=attitude)
-            return state, estimate._replace(sensors=self._name(state, imu, estimate))
-        readings, monitor, accelerometer, verdict, flight = self._judge_readings(state, inputs, dt)
+            return state, estimate._replace(
+                sensors=self._name(state, imu, estimate), rotors=rotor_watch.say_rotors(state.rotors)
+            )
+        readings, monitor, accelerometer, verdict, flight, rotors = self._judge_readings(state, inputs, dt)
 
         # the attitude against the gyro, or the virtual one
         rate = monitor.filter.rate
@@ -169,9 +202,9 @@ class Isolating(Supervised):
         )
 
         missing = verdict.odd[..., ATTITUDE] | (state.missing & verdict.late[..., ATTITUDE])
-        state = State(attitude, readings, monitor, accelerometer, believed, missing, flight)
+        state = State(attitude, readings, monitor, accelerometer, believed, missing, flight, rotors)
         corrected, sensors = self._fly(estimate, rate, believed), self._name(state, imu, estimate)
-        return state, FaultEstimate(*estimate[:4], corrected, sensors)
+        return state, FaultEstimate(*estimate[:4], corrected, sensors, rotor_watch.say_rotors(rotors))
 
     def _blame(
         self,
@@ -208,18 +241,17 @@ class Isolating(Supervised):
         )
         return believed, monitor, attitude, estimate
 
-    def _judge_readings(
-        self, state: State, inputs: FaultObserverInputs, dt: float
-    ) -> tuple[ReadingTest, GyroMonitor, AccelerometerMonitor, Verdict, FreeFlight | None]:
-        """Test the readings of all sensors, and judge gyro and accelerometer."""
+    def _judge_readings(self, state: State, inputs: FaultObserverInputs, dt: float) -> Judged:
+        """Test the readings of all sensors, and judge rotors, gyro and accelerometer."""
         imu, before, inertia = inputs.imu, state.attitude, self.vehicle.inertia
         xp, rate = namespace(imu.body_rate), state.gyro.filter.rate
-        # predict
-        drive = (inputs.torque - self.vehicle.rotational_drag * rate) / inertia
+        omega, angles = estimate_rate(before.filter.x, imu.body_rate), euler_from_quaternion(imu.q_xyzw)
         gyroscopic, q = gyroscopic_acceleration(inertia, rate), self.disturbance**2
+        # predict
+        state, inputs = self._watch_rotors(state, inputs, omega, gyroscopic, dt)
+        drive = (inputs.torque - self.vehicle.rotational_drag * rate) / inertia
         ahead = gyro_monitor.predict_monitor(state.gyro, drive, gyroscopic, q, self.rotor_lag, dt)
         # test
-        omega, angles = estimate_rate(before.filter.x, imu.body_rate), euler_from_quaternion(imu.q_xyzw)
         wanted = ~state.hypotheses.ambiguous
         # where the gyro is believed again, go on at its rate
         there, faulty = _there(imu), state.gyro.faulty
@@ -263,7 +295,35 @@ class Isolating(Supervised):
         used = xp.concatenate([taught, learned, there[..., ATTITUDE]], axis=-1)
         square = xp.concatenate([white, square[..., FORCE.start :]], axis=-1)
         readings = reading_test.learn_noise(readings, square, predicted, used, LEAST, dt)
-        return readings, monitor, accelerometer, verdict, flight
+        return Judged(readings, monitor, accelerometer, verdict, flight, state.rotors)
+
+    def _watch_rotors(
+        self, state: State, inputs: FaultObserverInputs, omega: Vector, gyroscopic: Vector, dt: float
+    ) -> tuple[State, FaultObserverInputs]:
+        """Judge the rotors; return the torque and the thrust that they give, with what is unknown of them."""
+        if state.rotors is None or inputs.rotors is None:
+            return state, inputs
+        vehicle, gyro, flight = self.vehicle, state.gyro, state.flight
+        known = gyroscopic - vehicle.rotational_drag * gyro.filter.rate / vehicle.inertia
+        suspects = namespace(omega).concatenate([gyro.faulty, state.accelerometer.faulty[..., 2:]], axis=-1)
+        rotors = rotor_watch.step_watch(
+            *(state.rotors, vehicle, self.rotor_effects, inputs),
+            *(omega, known, ~any_of(suspects)[..., 0], dt),
+        )
+        acts = rotor_watch.acting(rotors, vehicle, self.rotor_effects, inputs)
+
+        def doubt() -> tuple[GyroMonitor, FreeFlight | None]:
+            xp, changes = namespace(omega), gyro.filter
+            unknown = gyro._replace(filter=changes._replace(dd=xp.maximum(changes.dd, acts.turning)))
+            if flight is None:
+                return unknown, None
+            unsure = xp.maximum(flight.unsure[..., 2:], column(acts.pushing))
+            unsure = xp.concatenate([flight.unsure[..., :2], unsure], axis=-1)
+            return unknown, flight._replace(unsure=unsure)
+
+        gyro, flight = changed_where(rotors.monitor.unsure, doubt, (gyro, flight))
+        state = state._replace(gyro=gyro, flight=flight, rotors=rotors)
+        return state, inputs._replace(torque=acts.torque, thrust=acts.thrust)
 
     def _force_deviation(
         self, state: State, inputs: FaultObserverInputs, omega: Vector, dt: float

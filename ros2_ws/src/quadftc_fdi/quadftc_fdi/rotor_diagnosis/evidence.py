@@ -67,7 +67,7 @@ class Judged(NamedTuple):
 
     evidence: Evidence
     deviation: Array  # D (..., K, 4)
-    change: Array  # l by the two shortest averages, whatever their sign and direction (..., n)
+    variance: Array  # of D without a fault (..., K, 4)
 
 
 def start_residuals(effects: Effects, thrusts: Array) -> Residuals:
@@ -103,8 +103,7 @@ def judge(state: Residuals, effects: Effects, faulty: Array, std_dev: Array) -> 
     n_over = -thrusts * ((deviation * weight) @ effects.rows)
     q_over = thrusts * thrusts * (weight @ effects.square) + 1e-30
     loss = n_over / q_over
-    ratio = n_over * loss
-    likely = ratio * (n_over > 0.0)
+    likely = n_over * loss * (n_over > 0.0)
     none = faulty & ~faulty
     quiet = Evidence(0.0 * likely[..., 0, :], loss[..., 0, :], none, none, none)
     found = changed_where(
@@ -112,7 +111,14 @@ def judge(state: Residuals, effects: Effects, faulty: Array, std_dev: Array) -> 
         lambda: _explain(effects, thrusts, deviation, weight, loss, likely, faulty),
         quiet,
     )
-    return Judged(found, deviation, ratio[..., :2, :].max(axis=-2))
+    return Judged(found, deviation, variance)
+
+
+def change_of(state: Residuals, effects: Effects, judged: Judged) -> Array:
+    """Return l of what known losses leave, whatever its sign and direction, by the two shortest averages."""
+    weight = 1.0 / judged.variance[..., :2, :]
+    n_over = (judged.deviation[..., :2, :] * weight) @ effects.rows
+    return (n_over * n_over / (weight @ effects.square)).max(axis=-2)
 
 
 def _explain(

@@ -27,6 +27,7 @@ NEEDED = 1.5  # s; of learning, before a rotor is named
 WEAK = 0.035  # 1; a loss that is none any more
 CERTAIN = 2.5  # 1; standard deviations that a healthy rotor may be off
 SHOWN, RECOVERED = 0.1, 0.5  # s; for how long a rotor has looked healthy that is recovering; that is healthy
+NEW = 0.1  # s; age of a fault up to which its size is still being found
 OFF = 0.9  # 1; loss of a rotor that is off
 FLYING = 0.3  # 1; share of the weight that the rotors carry in flight, at least
 DOUBTED = 0.2  # 1; pace of learning while a rotor is suspect
@@ -49,6 +50,7 @@ class RotorMonitor(NamedTuple):
     calm: Array  # for how long it has looked healthy [s]
     ambiguous: Array  # another rotor explained it as well when it was named
     likely: Array  # l of the last sample (..., n)
+    unsure: Array  # its thrust may be changing: suspect, just named, or named and no more like it
 
 
 class RotorInputs(NamedTuple):
@@ -76,14 +78,12 @@ def start_rotors(effects: Effects, inputs: RotorInputs) -> RotorMonitor:
         inputs.rate,
         thrusts,
         inputs.usable & inputs.usable,
-        *(zeros, zeros, no, zeros, zeros, no, zeros),
+        *(zeros, zeros, no, zeros, zeros, no, zeros, no),
     )
 
 
-def step_rotors(
-    state: RotorMonitor, effects: Effects, inputs: RotorInputs, dt: float
-) -> tuple[RotorMonitor, Evidence]:
-    """Advance by ``dt`` [s] to a sample; also return the evidence, by which rotors are suspect."""
+def step_rotors(state: RotorMonitor, effects: Effects, inputs: RotorInputs, dt: float) -> RotorMonitor:
+    """Advance by ``dt`` [s] to a sample."""
     xp, thrusts = namespace(inputs.thrusts), inputs.thrusts
     used = inputs.usable & state.fresh & (_carried(effects, thrusts) > FLYING)
     residual = _residual(state, effects, inputs, used, dt)
@@ -109,13 +109,17 @@ def step_rotors(
         state.calm,
         state.ambiguous,
         found.likely,
+        state.unsure,
     )
     new = (blamed > HOLD) & ~state.named
     state = changed_where(new, lambda: _name(state, new, found), state)
-    state = changed_where(state.named, lambda: _follow(state, effects, judged.change, used, dt), state)
+    none = 0.0 * state.age
+    change = changed_where(state.named, lambda: evidence.change_of(seen, effects, judged), none)
+    state = changed_where(state.named, lambda: _follow(state, effects, change, used, dt), state)
     if inputs.wanted is not None and state.following is not None:
         state = _compare(state, state.following, effects, inputs.wanted, thrusts, dt)
-    return state, found
+    changing = state.named & ((state.age < NEW) | (change > losses.JUMPED))
+    return state._replace(unsure=(state.suspected > 0.0) | changing)
 
 
 def estimate_rotors(state: RotorMonitor) -> RotorEstimate:

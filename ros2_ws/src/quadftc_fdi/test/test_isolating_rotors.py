@@ -1,0 +1,120 @@
+"""The observer isolating where the rotors are known: one answer, whether a rotor or a sensor fails."""
+
+import jax
+import numpy as np
+import pytest
+
+from quadftc_fdi.fault_observers.isolating import Isolating
+from quadftc_model.rotations import turn
+from quadftc_model.samples import ALARMS, FaultObserverInputs, RotorReading, level_sample
+from quadftc_model.vehicle import load_vehicle
+
+DT, BEGIN = 0.004, 800  # s; the sample at which faults begin
+VEHICLE = load_vehicle("x500")
+ROTORS, SENSORS = VEHICLE.rotors, ("attitude", "gyro", "accelerometer")
+LAG = np.exp(-DT / ROTORS.time_constant)
+
+
+def flight(count, loss=lambda t: 0.0, change=lambda t, sample: sample, speeds=False, seed=1):
+    """Inputs of a vehicle in gusts that holds itself level, its rotors behind their lag."""
+    rng, inputs = np.random.default_rng(seed), []
+    allocate, hover = VEHICLE.force_allocation, VEHICLE.hover_speed
+    q_xyzw, rate, gust = level_sample().q_xyzw, np.zeros(3), np.zeros(3)
+    speed = command = np.full(4, hover)
+    for index in range(count):
+        time = (index - BEGIN) * DT
+        gust = gust * (1.0 - DT) + 0.5 * np.sqrt(2.0 * DT) * rng.standard_normal(3) * [1.0, 1.0, 0.1]
+        speed = command + LAG * (speed - command)
+        wrench = VEHICLE.effectiveness @ (ROTORS.thrust_coefficient * speed**2 * (1.0 - loss(time)))
+        rate = rate + DT * (wrench[1:] / VEHICLE.inertia + gust)
+        q_xyzw = turn(q_xyzw, DT * rate)
+        attitude = turn(q_xyzw, np.radians(0.1) * rng.standard_normal(3))
+        force = [0.0, 0.0, wrench[0] / VEHICLE.mass] + 0.02 * rng.standard_normal(3)
+        sample = level_sample()._replace(
+            q_xyzw=attitude, body_rate=rate + 0.002 * rng.standard_normal(3), specific_force=force
+        )
+        sample = change(time, sample) if index >= BEGIN else sample
+        told = VEHICLE.effectiveness @ (ROTORS.thrust_coefficient * command**2)
+        rotors = RotorReading(command, speed if speeds else None)
+        inputs.append(FaultObserverInputs(sample, told[1:], told[0], None, rotors))
+        wanted = VEHICLE.inertia * (-40.0 * 2.0 * q_xyzw[:3] - 10.0 * rate)
+        thrusts = allocate @ np.append(VEHICLE.weight, wanted)
+        command = np.sqrt(np.clip(thrusts, 0.2, 8.5) / ROTORS.thrust_coefficient)
+    return inputs
+
+
+def diagnose(inputs):
+    """Estimates of a flight."""
+    law = Isolating(vehicle=VEHICLE)
+    state, first = law.step(law.init(inputs[0]), inputs[0], 0.0)
+    estimates = [first]
+    for each in inputs[1:]:
+        state, estimate = law.step(state, each, DT)
+        estimates.append(estimate)
+    return estimates
+
+
+def verdicts(estimates):
+    """All that is named in some estimates, each once, in order."""
+    found = {}
+    for each in estimates:
+        parts = {name: getattr(each.sensors, name).state for name in SENSORS} | {"rotor": each.rotors.state}
+        for name, state in parts.items():
+            found |= dict.fromkeys(f"{name} {index}" for index in np.flatnonzero(np.isin(state, ALARMS)))
+    return list(found)
+
+
+def one_rotor(index, size):
+    """A loss of one rotor from `BEGIN` on."""
+    return lambda t: size * (np.arange(4) == index) * (t >= 0.0)
+
+
+@pytest.mark.parametrize(("index", "size", "speeds"), [(0, 0.15, False), (2, 0.4, True), (3, 0.7, False)])
+def test_weak_rotor_is_named_and_no_sensor_is(index, size, speeds):
+    estimates = diagnose(flight(BEGIN + 260, one_rotor(index, size), speeds=speeds))
+    assert verdicts(estimates[: BEGIN + 25]) == [f"rotor {index}"]  # 0.1 s
+    assert verdicts(estimates) == [f"rotor {index}"]
+    assert estimates[-1].rotors.effectiveness[index] == pytest.approx(1.0 - size, abs=0.03)
+    weak = estimates[-1].rotors.effectiveness
+    np.testing.assert_array_equal(np.delete(weak, index), 1.0)
+
+
+def test_rotor_that_is_back_is_no_fault_of_a_sensor():
+    estimates = diagnose(flight(BEGIN + 300, lambda t: 0.4 * (np.arange(4) == 1) * (0.0 <= t < 0.5)))
+    assert verdicts(estimates) == ["rotor 1"]
+    assert verdicts(estimates[-1:]) == []
+
+
+SENSOR_FAULTS = {
+    "gyro 0": lambda t, sample: sample._replace(body_rate=sample.body_rate + 0.3 * np.eye(3)[0]),
+    "gyro 1": lambda t, sample: sample._replace(body_rate=sample.body_rate * (1.0 - np.eye(3)[1])),
+    "accelerometer 2": lambda t, sample: sample._replace(
+        specific_force=sample.specific_force - 2.0 * np.eye(3)[2]
+    ),
+}
+
+
+@pytest.mark.parametrize("named", SENSOR_FAULTS)
+def test_faulty_sensor_is_named_and_no_rotor_is(named):
+    estimates = diagnose(flight(BEGIN + 100, change=SENSOR_FAULTS[named]))
+    assert verdicts(estimates[: BEGIN + 40]) == [named]
+    assert not any(word.startswith("rotor") for word in verdicts(estimates))
+
+
+def test_healthy_flight_names_nothing_and_without_rotors_nothing_is_said_of_them():
+    inputs = flight(BEGIN)
+    assert verdicts(diagnose(inputs)) == []
+    assert diagnose([each._replace(rotors=None) for each in inputs[:10]])[-1].rotors is None
+
+
+def test_batch_gives_the_numbers_of_single_flights():
+    flights = [flight(BEGIN + 30, one_rotor(index, 0.4), speeds=True, seed=index) for index in (0, 3)]
+    batch = diagnose(
+        [jax.tree.map(lambda *lanes: np.stack(lanes), *each) for each in zip(*flights, strict=True)]
+    )
+    for lane, inputs in enumerate(flights):
+        alone = diagnose(inputs)
+        assert np.isin(alone[-1].rotors.state, ALARMS).any()
+        for many, one in zip(batch, alone, strict=True):
+            for column, value in zip(many.rotors, one.rotors, strict=True):
+                np.testing.assert_allclose(column[lane], value, rtol=1e-9, atol=1e-12)
