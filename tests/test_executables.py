@@ -18,7 +18,7 @@ from quadftc_ros.topics import GRAPHS, NODES
 END = 30.0  # s; for a process to end on its own
 # node -> a parameter that can be changed in flight, a good value, a bad one, and a word of the refusal
 CHANGES = {
-    "fault_observer": ("sliding_mode.epsilon_2", 0.2, -1.0, "epsilon_2"),
+    "fault_observer": ("isolating.gyro_bias", 0.02, -1.0, "gyro_bias"),
     "disturbance_observer": ("exosystem.bandwidth", 12.0, -1.0, "bandwidth"),
     "controller": ("ismc.k_c2", [7.0, 7.0, 5.0], [-1.0, 7.0, 5.0], "k_c2"),
 }
@@ -101,11 +101,11 @@ def test_wrong_parameter_ends_the_node_with_one_line(node: str, setting: str, wo
 
 
 def test_unknown_parameter_is_warned_of_and_the_node_runs(bench: NodeBench):
-    setting = "sliding_mode.espilon_2:=0.2"
+    setting = "isolating.gyro_bais:=0.2"
     with running(*EXECUTABLES["fault_observer"], "--ros-args", "-p", setting) as process:
         bench.until(lambda: "/fault/estimate" in published_by(bench, "fault_observer"))
         process.send_signal(signal.SIGINT)
         _, errors = process.communicate(timeout=END)
     assert process.returncode == 0
-    assert "parameter 'sliding_mode.espilon_2' was given" in errors
-    assert "did you mean 'sliding_mode.epsilon_2'?" in errors
+    assert "parameter 'isolating.gyro_bais' was given" in errors
+    assert "did you mean 'isolating.gyro_bias'?" in errors

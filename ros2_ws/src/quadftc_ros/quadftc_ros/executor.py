@@ -23,6 +23,8 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from quadftc_ros.conversions import NANOSECONDS
+from quadftc_ros.node import GraphNode
+from quadftc_ros.node_help import help_text, running_line, wants_help
 
 EXECUTORS = ("events", "single")
 STOPPING = (signal.SIGINT, signal.SIGTERM)
@@ -160,9 +162,13 @@ def run_node(make: Callable[[], Node], paced: bool = False) -> int:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
         try:
             try:
-                rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+                asked = wants_help(sys.argv[1:])
+                rclpy.init(args=[] if asked else None, signal_handler_options=SignalHandlerOptions.NO)
             except RuntimeError as error:  # what rclpy makes of a wrong argument
                 raise ValueError(f"ROS arguments: {error}") from None
+            if asked:
+                sys.stdout.write(help_text(make))
+                return 0
             node = make()
         except (ValueError, ParameterException) as error:
             words = " ".join(str(error).split())
@@ -171,6 +177,8 @@ def run_node(make: Callable[[], Node], paced: bool = False) -> int:
         executor = make_executor()
         executor.add_node(node)
         launcher = os.environ.get(LAUNCHER)  # started by hand, a node outlives the shell it came from
+        if launcher is None and isinstance(node, GraphNode):
+            node.get_logger().info(running_line(node))
         spin = Pace(executor, [cast("Paced", node)], False).spin if paced else Slice(executor).spin
         with settled_memory():
             while rclpy.ok() and not stop.requested and launcher in (None, str(os.getppid())):

@@ -7,7 +7,7 @@ import dataclasses
 import math
 import sys
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
@@ -51,7 +51,11 @@ def descriptor(spec: Parameter, read_only: bool = False) -> ParameterDescriptor:
 class NodeParameters:
     """The parameters of a node, as one flat mapping of dotted names."""
 
+    # of the node that was made last, for its help: name, default and meaning of each parameter
+    told: ClassVar[list[tuple[str, Any, str]]] = []
+
     def __init__(self, node: Node) -> None:
+        NodeParameters.told.clear()
         self._node = node
         self._names: list[str] = []
         # what file and command line say; rclpy has no public way to ask
@@ -71,8 +75,11 @@ class NodeParameters:
                 if given.type_ != wanted:
                     raise ValueError(f"{spec.name} = {value!r}: expected {words}")
                 convert(spec, value)
-            self._node.declare_parameter(spec.name, default, descriptor(spec, read_only))
+            described = descriptor(spec, read_only)
+            self._node.declare_parameter(spec.name, default, described)
             self._names.append(spec.name)
+            choices = f" ({described.additional_constraints})" if spec.choices else ""
+            self.told.append((spec.name, default, described.description + choices))
 
     def declare_list(self, name: str, doc: str) -> None:
         """Declare a list of texts that is read once, at the start; ValueError if something else is given."""
@@ -81,6 +88,7 @@ class NodeParameters:
             raise ValueError(f"{name} = {given.value!r}: expected a list of texts (none: [''])")
         self._node.declare_parameter(name, [""], ParameterDescriptor(description=doc, read_only=True))
         self._names.append(name)
+        self.told.append((name, [], doc))
 
     def values(self) -> dict[str, Any]:
         """Return name -> value; lists of texts without their empty entries."""
