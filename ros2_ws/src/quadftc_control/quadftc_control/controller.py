@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_model.arrays import Array, namespace
+from quadftc_control.weak_allocation import reachable_in_hover
+from quadftc_model.arrays import Array, Components, any_of, changed_where, is_single, namespace
 from quadftc_model.assembly import VehicleLaw, law_from
 from quadftc_model.registry import Registry
 from quadftc_model.rotors import attainable
@@ -49,9 +50,20 @@ def nothing_but(torque: Array) -> ControllerOutput:
     return ControllerOutput(torque, np.zeros(3), np.zeros(3), np.zeros(3, dtype=bool))
 
 
-def limited(vehicle: Vehicle, torque: Array) -> tuple[Array, Array]:
-    """Torque [N m] (..., 3) within the authority, and where it was cut (..., 3) bool."""
+def limited(vehicle: Vehicle, torque: Array, effectiveness: Components | None = None) -> tuple[Array, Array]:
+    """Torque [N m] (..., 3) within the authority, and where it was cut (..., 3) bool.
+
+    With the ``effectiveness`` of the rotors (..., n), it is also one that weak rotors can give in hover.
+    """
     given = attainable(vehicle, torque)
+    if effectiveness is not None:
+        within, weak = given, any_of(effectiveness < 1.0)
+
+        def left() -> Array:
+            weakly = reachable_in_hover(vehicle, within, effectiveness)
+            return weakly if is_single(weak) else namespace(weakly).where(weak, weakly, within)
+
+        given = changed_where(weak, left, within)
     return given, given != torque
 
 

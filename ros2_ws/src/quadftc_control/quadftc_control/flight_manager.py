@@ -18,6 +18,7 @@ from quadftc_control.allocation import actuated
 from quadftc_control.controller import Controller, nothing_but, stepper_of
 from quadftc_control.input_monitor import HeldTorque, InputMonitor, Mode, Patience
 from quadftc_control.last_words import LastWords, MessageReader
+from quadftc_control.reduced_attitude import enduring
 from quadftc_control.transfer import Transfer
 from quadftc_model import samples
 from quadftc_model.arrays import Components, Scalar, Vector
@@ -47,9 +48,9 @@ class FlightManager:
     def __init__(
         self, law: Controller, patience: Patience, reader: MessageReader, count: Callable[[str], None]
     ) -> None:
-        self._law, self._count, self._reader = law, count, reader
+        self._law, self._count, self._reader = enduring(law), count, reader
         self._torque: Vector = np.zeros(3)  # last command [N m]
-        self._stepper = stepper_of(law, lambda: self._torque)
+        self._stepper = stepper_of(self._law, lambda: self._torque)
         self._monitor, self._transfer = InputMonitor(patience), Transfer(patience)
         self._last_words = LastWords(reader)
         self._held = HeldTorque()
@@ -70,7 +71,8 @@ class FlightManager:
 
     def configure(self, law: Controller, patience: Patience) -> None:
         """Change parameters in flight."""
-        self._law, self._stepper.law = law, law.without_estimate(self._missing)
+        self._law = enduring(law)
+        self._stepper.law = self._law.without_estimate(self._missing)
         self._monitor.patience = self._transfer.patience = patience
 
     def restart(self) -> None:

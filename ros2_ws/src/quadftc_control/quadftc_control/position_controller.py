@@ -8,6 +8,9 @@ What the trajectory asks for is known ahead. It is asked for earlier, by its jer
 the filter (2 / bandwidth), and for the thrust the rotors. The attitude control follows the filter, which
 tells it rates and accelerations. The drag at the trajectory's speed is made up for, too (Faessler, Franchi
 and Scaramuzza (2018), Differential flatness of quadrotor dynamics subject to rotor drag, IEEE RA-L 3(2)).
+
+A vehicle that spins, as it has lost a rotor, turns roll and pitch of one direction of thrust with it. The
+filter would lag behind them; so it is left out, and the yaw of the command is the measured one.
 """
 
 from __future__ import annotations
@@ -18,8 +21,22 @@ import functools
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from quadftc_control.reference import filtered
-from quadftc_model.arrays import Scalar, Vector, clip, components, larger, namespace, smaller, stacked
+from quadftc_model.arrays import (
+    Flag,
+    Scalar,
+    Vector,
+    chosen,
+    clip,
+    components,
+    larger,
+    namespace,
+    pick,
+    smaller,
+    stacked,
+)
 from quadftc_model.assembly import VehicleLaw, law_from
 from quadftc_model.parameters import parameter
 from quadftc_model.registry import Registry
@@ -34,6 +51,7 @@ from quadftc_model.samples import (
     PositionReference,
 )
 
+SPINNING, STILL = 2.0, 1.0  # rad/s; yaw rate that nobody asks for, from which on, and until when, it spins
 LEAST_ASIDE = 0.2  # 1; of the largest thrust: what the level part has however much height needs
 
 
@@ -58,6 +76,7 @@ class State(NamedTuple):
     law: Any  # of the law
     last: Pushed
     reference: AttitudeReference  # of the command filter
+    spins: Flag  # the vehicle turns about its thrust, faster than anybody asks for
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -104,7 +123,8 @@ class PositionController(VehicleLaw[PositionControllerInputs, AttitudeCommand]):
         """Start from the present attitude, still."""
         angles = euler_from_quaternion(inputs.imu.q_xyzw)
         zeros = 0.0 * angles
-        return State(self.start(inputs), Pushed(zeros, zeros), AttitudeReference(angles, zeros, zeros))
+        reference = AttitudeReference(angles, zeros, zeros)
+        return State(self.start(inputs), Pushed(zeros, zeros), reference, inputs.imu.rate_valid & False)
 
     def step(
         self, state: State, inputs: PositionControllerInputs, dt: float
@@ -115,12 +135,33 @@ class PositionController(VehicleLaw[PositionControllerInputs, AttitudeCommand]):
         whole = [x, y, z + STANDARD_GRAVITY]
         force = self._limited(whole)
         given = wanted - stacked([a - b for a, b in zip(whole, force, strict=True)])  # the same if not cut
-        turn = 2.0 / self.bandwidth * inputs.reference.yaw_rate
-        roll, pitch = _tilt(force, components(euler_from_quaternion(inputs.imu.q_xyzw))[2] + turn)
-        setpoint = stacked([roll, pitch, inputs.reference.yaw + turn + 0.0 * roll])
-        reference = filtered(state.reference, setpoint, self.bandwidth, self.turning, dt)
-        thrust = self._thrust(inputs.imu, force)
-        return State(law, Pushed(wanted, given), reference), AttitudeCommand(reference, thrust)
+        angles = euler_from_quaternion(inputs.imu.q_xyzw)
+        yaw = components(angles)[2]
+        spins = self._spins(state, inputs.imu)
+
+        def held() -> AttitudeReference:
+            turn = 2.0 / self.bandwidth * inputs.reference.yaw_rate
+            roll, pitch = _tilt(force, yaw + turn)
+            setpoint = stacked([roll, pitch, inputs.reference.yaw + turn + 0.0 * roll])
+            return filtered(state.reference, setpoint, self.bandwidth, self.turning, dt)
+
+        def spun() -> AttitudeReference:
+            roll, pitch = _tilt(force, yaw)
+            return AttitudeReference(stacked([roll, pitch, yaw]), 0.0 * angles, 0.0 * angles)
+
+        if isinstance(spins, (bool, np.bool_)):
+            reference = spun() if spins else held()
+        else:
+            reference = chosen(spins, spun(), held())
+        thrust = self._thrust(inputs.imu, force, spins)
+        return State(law, Pushed(wanted, given), reference, spins), AttitudeCommand(reference, thrust)
+
+    def _spins(self, state: State, imu: ImuSample) -> Flag:
+        """Whether the vehicle spins (...): its yaw is nobody's, and its roll and pitch turn with it."""
+        rate = components(imu.body_rate)[2]
+        asked = components(state.reference.rates)[2]
+        begins = (abs(rate) > SPINNING) & (abs(rate - asked) > SPINNING)
+        return pick(state.spins, abs(rate) > STILL, begins)
 
     def _planned(self, reference: PositionReference) -> list[Any]:
         """Acceleration that the trajectory asks for and drag takes [m/s²], earlier by what lags."""
@@ -153,11 +194,16 @@ class PositionController(VehicleLaw[PositionControllerInputs, AttitudeCommand]):
         scale = bound / larger(functions.sqrt(x * x + y * y), bound)
         return [scale * x, scale * y, up]
 
-    def _thrust(self, imu: ImuSample, force: list[Any]) -> Scalar:
-        """Thrust [N]: the wanted force over mass, along body z as it is now."""
+    def _thrust(self, imu: ImuSample, force: list[Any], spins: Flag) -> Scalar:
+        """Thrust [N]: the wanted force over mass, along body z as it is now.
+
+        A vehicle that begins to spin is tilted far, and its thrust is what turns it back: it is kept then.
+        """
         x, y, z, w = components(imu.q_xyzw)
         fx, fy, fz = force
         along = 2.0 * (x * z + w * y) * fx + 2.0 * (y * z - w * x) * fy + (1.0 - 2.0 * (x * x + y * y)) * fz
+        whole = _functions(fx).sqrt(fx * fx + fy * fy + fz * fz)
+        along = pick(spins, whole + smaller(along, 0.0), along)
         largest = self.vehicle.thrust_max
         return clip(self.vehicle.mass * along, self.min_thrust * largest, self.max_thrust * largest)
 

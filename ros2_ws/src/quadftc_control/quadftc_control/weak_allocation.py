@@ -5,8 +5,8 @@ the directions in which rotors push stay. So the facets of the attainable set ar
 stage is a few products (`quadftc_model.wrench_set`). Nothing is divided by e_i before the last line.
 
 1. Roll and pitch: the pair nearest to the wanted one that some thrust and some yaw allow.
-2. Thrust: the nearest one. Above `CARRIED` times the weight it may take yaw's share, but not reverse yaw:
-   then it is the nearest that a yaw torque of zero allows.
+2. Thrust: the nearest one. Where a yaw torque of zero allows `CARRIED` times the weight, more than that may
+   take yaw's share, but not reverse it. The less it allows, the further yaw gives way.
 3. Yaw: the nearest torque that then fits. With one rotor of four off, nothing is left to choose.
 
 Where four rotors fit exactly, there is one solution. More than four share it by least squares, weighted with
@@ -27,6 +27,7 @@ import numpy as np
 from quadftc_model.arrays import (
     Array,
     Components,
+    Vector,
     changed_where,
     clip,
     components,
@@ -37,6 +38,7 @@ from quadftc_model.vehicle import Vehicle
 from quadftc_model.wrench_set import Floats, WrenchSet, extremes, limits, wrench_set
 
 CARRIED = 1.3  # 1; of the weight: up to this thrust, yaw is reversed if need be; 1.3 carries 40 deg of tilt
+GIVES_WAY = 2.0  # 1; thrust that yaw is reversed for, over what a yaw torque of zero lacks
 LEAST_WEIGHT = 1e-6  # 1; of a rotor in the least squares, so that rotors that are off leave them solvable
 
 
@@ -75,6 +77,14 @@ def weak_thrusts(
     return changed_where((thrusts < low) | (thrusts > high), cut, (thrusts, wanted))
 
 
+def reachable_in_hover(vehicle: Vehicle, torque: Vector, effectiveness: Components) -> Vector:
+    """Torque [N m] (..., 3) nearest to the wanted one that weak rotors have beside the weight."""
+    xp = namespace(torque)
+    weight = vehicle.weight + 0.0 * torque[..., :1]
+    wanted = xp.concatenate([weight, torque], axis=-1)
+    return weak_thrusts(vehicle, wanted, effectiveness)[1][..., 1:]
+
+
 def _reachable(vehicle: Vehicle, whole: WrenchSet, bounds: Components, wanted: Components) -> Components:
     """Wrench (..., 4) nearest to the wanted one, in the order of the stages."""
     xp = namespace(bounds)
@@ -83,9 +93,11 @@ def _reachable(vehicle: Vehicle, whole: WrenchSet, bounds: Components, wanted: C
     thrust = wanted[..., 0]
     least, most = extremes(whole.thrust, bounds, tilt)
     free = _within(thrust, least, most)
-    upright = _within(thrust, *extremes(whole.thrust_held, bounds, held))
+    lowest, highest = extremes(whole.thrust_held, bounds, held)
     carried = CARRIED * vehicle.weight
-    thrust = xp.where(free > carried, _within(xp.maximum(upright, carried), least, most), free)
+    carried = carried + GIVES_WAY * xp.maximum(carried - highest, 0.0)
+    upright = xp.maximum(_within(thrust, lowest, highest), xp.minimum(free, carried))
+    thrust = xp.where(free > carried, _within(upright, least, most), free)
     known = xp.concatenate([thrust[..., None], tilt], axis=-1)
     yaw = _within(wanted[..., 3], *extremes(whole.yaw, bounds, known))
     return xp.concatenate([known, yaw[..., None]], axis=-1)

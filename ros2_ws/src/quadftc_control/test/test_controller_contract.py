@@ -41,7 +41,7 @@ def inputs_at(index):
 
 
 def lane(inputs, index):
-    imu, reference, disturbance, _ = inputs
+    imu, reference, disturbance, *_ = inputs
     return ControllerInputs(
         ImuSample(*(array[index] for array in imu)),
         AttitudeReference(*(array[index] for array in reference)),

@@ -47,7 +47,7 @@ def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = 
     diagnosis = Diagnosis(chosen.observer.law)
     disturbance_observer = DisturbanceEstimation(chosen.disturbance_observer.law)
     guidance = guidance_of(scenario, chosen)
-    controller = stepper_of(chosen.controller.law, lambda: given.torque)
+    controller = stepper_of(guidance.law(chosen.controller.law), lambda: given.torque)
 
     given = guidance.before
     reports = list[DiagnosisReport]()  # on the topic `diagnosis`

@@ -12,7 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_control.allocation import actuated
+from quadftc_control.controller import Controller
 from quadftc_control.position_loop import Guidance, PositionLoop, PositionLoopOutput
+from quadftc_control.reduced_attitude import enduring
 from quadftc_control.reference import ReferenceGenerator
 from quadftc_control.trajectory import TrajectoryGenerator
 from quadftc_flight.flight import Flight
@@ -37,6 +39,10 @@ class StandGuidance:
 
     def __init__(self, scenario: Scenario, _: Scheme) -> None:
         self._reference = ReferenceGenerator([part.law for part in scenario.references])
+
+    def law(self, controller: Controller) -> Controller:
+        """Return what flies a controller of the scheme: it alone."""
+        return controller
 
     def at(self, stamp_ns: int, imu: ImuSample, place: PositionSample | None) -> AttitudeCommand:
         """Return what is wanted at a sample [ns], of the corrected IMU and of the position sensor."""
@@ -80,6 +86,10 @@ class FlightGuidance(StandGuidance):
         self._wanted: PositionLoopOutput | None = None
         self._speeds = deque[Components](maxlen=scenario.sensor.delay + 1)
         self.before = Given(scenario.plant.first_command, np.zeros(3))
+
+    def law(self, controller: Controller) -> Controller:
+        """Return what flies the controller, also with a rotor off."""
+        return enduring(controller)
 
     def at(self, stamp_ns: int, imu: ImuSample, place: PositionSample | None) -> AttitudeCommand:
         """Return attitude and thrust by the position."""

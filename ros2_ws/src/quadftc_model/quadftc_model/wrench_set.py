@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -97,11 +96,11 @@ def extremes(over: Range, bounds: Components, others: Components) -> tuple[Scala
 
 def _facets(directions: Floats) -> Facets:
     """Facets of the zonotope of directions (d, n); opposite ones are both there."""
-    size = np.max(np.abs(directions), axis=1, keepdims=True)
-    scaled = directions / size
+    size: Floats = np.max(np.abs(directions), axis=1, keepdims=True)
+    scaled: Floats = directions / size
     dimension, count = scaled.shape
     found: dict[tuple[float, ...], Floats] = {}
-    spans: Iterable[tuple[int, ...]] = itertools.combinations(range(count), dimension - 1)
+    spans: list[tuple[int, ...]] = [*itertools.combinations([*range(count)], dimension - 1)]
     for span in spans:
         _, values, rows = np.linalg.svd(scaled[:, list(span)].T)
         if values[-1] > _PARALLEL * values[0]:

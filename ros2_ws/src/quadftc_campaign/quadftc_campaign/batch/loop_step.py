@@ -223,7 +223,7 @@ class ClosedLoop:
         guidance, wanted = self._steering.wanted(before.guidance, corrected, place, elapsed, dt, restarts)
         rotor_torque = self._steering.rotor_torque(motion.rotor_speeds, effectiveness)
         inputs_now = ControllerInputs(corrected, wanted.attitude, disturbance, rotor_torque, effectiveness)
-        controller, output = advance(loop.controller, before.controller, inputs_now, dt, restarts)
+        controller, output = advance(self._steering.controller, before.controller, inputs_now, dt, restarts)
         given, output = self._steering.actuated(wanted, output, effectiveness)
         after = AvionicsState(started, observer, disturbance_observer, guidance, controller, given)
         if delivery is not None:

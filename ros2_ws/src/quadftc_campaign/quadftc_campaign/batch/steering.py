@@ -11,7 +11,9 @@ from typing import Any, NamedTuple
 from quadftc_campaign.batch.parts import Loop
 from quadftc_control import reference, trajectory
 from quadftc_control.allocation import actuated
+from quadftc_control.controller import Controller
 from quadftc_control.position_loop import PositionLoop, PositionLoopInputs
+from quadftc_control.reduced_attitude import enduring
 from quadftc_model.arrays import Array, chosen, namespace
 from quadftc_model.rotors import wrench_from_speeds
 from quadftc_model.samples import AttitudeReference, ControllerOutput, ImuSample, PositionSample, RotorReading
@@ -43,6 +45,11 @@ class StandSteering:
 
     def __init__(self, loop: Loop) -> None:
         self._loop = loop
+
+    @property
+    def controller(self) -> Controller:
+        """What flies the controller of the loop: it alone."""
+        return self._loop.controller
 
     def first(self, plant: Any, zeros: Array) -> Given:
         """What the rotors get before the first command, in a state of the plant."""
@@ -80,6 +87,11 @@ class FlightSteering(StandSteering):
     def __init__(self, loop: Loop, outer: PositionLoop) -> None:
         super().__init__(loop)
         self._outer = outer
+
+    @property
+    def controller(self) -> Controller:
+        """What flies the controller, also with a rotor off."""
+        return enduring(self._loop.controller)
 
     def first(self, plant: Any, zeros: Array) -> Given:
         """Hover."""

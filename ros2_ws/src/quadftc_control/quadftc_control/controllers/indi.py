@@ -17,6 +17,9 @@ of steady speeds acts as tau_s + kappa tau_s' (G_2 of Smeur et al. 2016). Where 
 has this part, and a low-pass of time constant kappa in the yaw command takes the lead out of the loop. The
 paper's test stand has no such torque, and no measured speeds.
 
+The effectiveness matrix is in the allocation, which undoes it. Where rotors are weak, tau_f has to be the
+torque of the thrusts that they really give, so whoever turns speeds into ``torque`` knows how weak.
+
 Deviations: increments are torques, not rotor commands; full kinematics (see sliding_surface).
 """
 
@@ -91,7 +94,9 @@ class Indi(Controller):
         wanted_slope = track.x1e_dot + k_angle * track.x1e
         x1_ddot = inputs.reference.accelerations - k_rate * wanted_slope
         omega_dot = body_acceleration(track.x1, track.x1_dot, x1_ddot)
-        wanted, cut = limited(self.vehicle, acting + inertia * (omega_dot - acceleration))
+        wanted, cut = limited(
+            self.vehicle, acting + inertia * (omega_dot - acceleration), inputs.effectiveness
+        )
         given = wanted
         if inputs.torque is not None:
             yaw = 1.0 - exp(-dt / self.spin_up)

@@ -87,5 +87,5 @@ class Ismc(Controller):
         S = surface - excess
         x1_ddot = inputs.reference.accelerations - k_c2 * x1e_dot - k_c1 * x1e - k_c3 * sat(S, phi)
         wanted = torque_for(self.vehicle, inputs, track, x1_ddot, inputs.disturbance)  # (45)
-        given, cut = limited(self.vehicle, wanted)
+        given, cut = limited(self.vehicle, wanted, inputs.effectiveness)
         return State(integral, state.start + excess, x1e, wanted, given), ControllerOutput(given, x1e, S, cut)
