@@ -171,7 +171,7 @@ def batch(
     others: Annotated[
         str | None, typer.Option(help="Python with crazyflow and RotorPy; default: the one that runs this.")
     ] = None,
-    only: Annotated[str, typer.Option(help="Only what has this in its name.")] = "",
+    only: Annotated[list[str], typer.Option(help="Only what has this in its name; may be repeated.")] = [],  # noqa: B006
     thorough: Annotated[bool, typer.Option("--thorough", help="Longer: up to ten minutes.")] = False,
     out: Out = None,
 ) -> None:
@@ -188,9 +188,9 @@ def batch(
     precisions = list(dict.fromkeys(precision)) or list(Precision)[: None if thorough else 1]
     float32 = [each is Precision.float32 for each in precisions]
     plan = measurements(counts, float32, chosen, duration or (8.0 if thorough else 4.0))
-    plan = [each for each in plan if only in each.name]
-    if not plan:
-        raise RunError(f"--only: nothing has '{only}' in its name")
+    if lost := [part for part in only if not any(part in each.name for each in plan)]:
+        raise RunError(f"--only: nothing has '{lost[0]}' in its name")
+    plan = [each for each in plan if not only or any(part in each.name for part in only)]
     results: list[dict[str, Any]] = []
     with StopSignals() as stop, _bars() as bars:
         bar = bars.add_task("", total=len(plan))

@@ -7,25 +7,27 @@ recording or software failed, 130 interrupted.
 
 from __future__ import annotations
 
+import ast
 import errno
+import functools
+import importlib.util
 import os
 import sys
-import traceback
-from importlib.metadata import entry_points
-from typing import Any
+from importlib.metadata import EntryPoint, entry_points, version
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 # this machine only, unless asked otherwise; read when ROS starts, so before any of its modules
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
-from quadftc_campaign.errors import CampaignError
 from quadftc_cli.commands import BAD_INPUT, GOOD, INTERNAL, INTERRUPTED
-from quadftc_cli.screen import say
-from quadftc_flight.graph.plan import GraphError
-from quadftc_flight.runs import RunError
 
+# errors by their names, as their modules take long to import: raised by bad input; by a graph
+BAD_INPUT_ERRORS = ("quadftc_campaign.errors.CampaignError", "quadftc_flight.runs.RunError")
+GRAPH_ERROR = "quadftc_flight.graph.plan.GraphError"
 MAX_LINES, MAX_LINE = 11, 1200  # of what is said about a bad input; characters
 PATHS_FAULT = (
     *(errno.ENOENT, errno.EACCES, errno.EPERM, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG),
@@ -38,29 +40,83 @@ SUBCOMMANDS = "quadftc.commands"  # entry points: functions, or a typer.Typer wi
 class Subcommands(TyperGroup):
     """The subcommands of all installed packages; only the one that is called is imported."""
 
+    _called = False
+
     def list_commands(self, ctx: Any) -> list[str]:
         """Return their names."""
-        return sorted({entry.name for entry in entry_points(group=SUBCOMMANDS)})
+        return sorted({entry.name for entry in _entries()})
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return one by its name, None if there is none."""
-        for entry in entry_points(group=SUBCOMMANDS, name=cmd_name):
-            found = entry.load()
-            if not isinstance(found, typer.Typer):
-                function, found = found, typer.Typer(**PLAIN)
-                found.command(cmd_name)(function)
-            command = typer.main.get_command(found)
-            command.name = cmd_name
-            return command
+        """Return one by its name, None if there is none; to be listed, only its name and what it does."""
+        for entry in _entries().select(name=cmd_name):
+            return _loaded(entry) if self._called else TyperCommand(cmd_name, help=purpose(entry))
         return None
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Find the command that is called, and import it."""
+        self._called = True
+        try:
+            return super().resolve_command(ctx, args)
+        finally:
+            self._called = False
+
+
+@functools.cache
+def _entries() -> Any:
+    """Return the entry points of all subcommands; to look for them takes a tenth of a second."""
+    return entry_points(group=SUBCOMMANDS)
+
+
+def _loaded(entry: EntryPoint) -> Any:
+    """Import a subcommand."""
+    found = entry.load()
+    if not isinstance(found, typer.Typer):
+        function, found = found, typer.Typer(**PLAIN)
+        found.command(entry.name)(function)
+    command = typer.main.get_command(found)
+    command.name = entry.name
+    return command
+
+
+def purpose(entry: EntryPoint) -> str:
+    """Return the first sentence that a subcommand says of itself, read from its source: nothing is imported.
+
+    It is the docstring of a function, or ``help`` of a ``typer.Typer(...)``.
+    """
+    try:
+        spec = importlib.util.find_spec(entry.module)
+        source = Path(spec.origin or "").read_text(encoding="utf-8") if spec is not None else ""
+    except (ImportError, OSError):
+        return "(cannot be imported)"
+    for statement in ast.parse(source).body:
+        if isinstance(statement, ast.FunctionDef) and statement.name == entry.attr:
+            return (ast.get_docstring(statement) or "").partition("\n\n")[0]
+        if isinstance(statement, ast.Assign) and isinstance(statement.value, ast.Call):
+            names = [target.id for target in statement.targets if isinstance(target, ast.Name)]
+            for word in statement.value.keywords:
+                if entry.attr in names and word.arg == "help" and isinstance(word.value, ast.Constant):
+                    return str(word.value.value)
+    return ""
 
 
 PLAIN: dict[str, Any] = {"add_completion": False, "rich_markup_mode": None}
-app = typer.Typer(cls=Subcommands, no_args_is_help=True, pretty_exceptions_enable=False, **PLAIN)
+app = typer.Typer(
+    cls=Subcommands, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None
+)
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"quadftc {version('quadftc_cli')}, Python {sys.version.split()[0]}")
+        raise typer.Exit
 
 
 @app.callback()
-def _root() -> None:
+def _root(
+    show_version: Annotated[
+        bool, typer.Option("--version", help="Show the version.", callback=_show_version, is_eager=True)
+    ] = False,
+) -> None:
     """Fault-tolerant attitude control for multirotors: fly scenarios, record, judge."""
 
 
@@ -76,30 +132,41 @@ def guarded(arguments: list[str], command: typer.Typer = app) -> int:
         return result if isinstance(result, int) else GOOD
     except typer.TyperException as error:
         return _refuse(error.format_message() if hasattr(error, "format_message") else str(error))
-    except (CampaignError, RunError, ValueError) as error:
+    except ValueError as error:
         return _refuse(str(error))
     except (KeyboardInterrupt, typer.Abort):
         return INTERRUPTED
-    except GraphError as error:
-        say(f"error: {error}", stderr=True)
-        return INTERNAL
     except Exception as error:
+        names = {f"{each.__module__}.{each.__qualname__}" for each in type(error).__mro__}
+        if names & {*BAD_INPUT_ERRORS}:
+            return _refuse(str(error))
+        if GRAPH_ERROR in names:
+            _say_error(f"error: {error}")
+            return INTERNAL
         if isinstance(error, OSError) and error.errno in PATHS_FAULT:
             return _refuse(f"{error.filename or 'a file'}: {error.strerror}")
-        say(_shortened(f"internal error: {type(error).__name__}: {error}"), stderr=True)
+        _say_error(_shortened(f"internal error: {type(error).__name__}: {error}"))
         if os.environ.get("QUADFTC_DEBUG"):
+            import traceback
+
             traceback.print_exc()
         else:
-            say("set QUADFTC_DEBUG=1 to see where", stderr=True)
+            _say_error("set QUADFTC_DEBUG=1 to see where")
         return INTERNAL
+
+
+def _say_error(*lines: str) -> None:
+    from quadftc_cli.screen import say
+
+    say(*lines, stderr=True)
 
 
 def _refuse(words: str) -> int:
     """Say what is wrong with the input, on a line for each problem; return the exit code."""
     lines = words.splitlines() or ["bad input"]
-    say(*(_shortened(f"error: {line}") for line in lines[:MAX_LINES]), stderr=True)
+    _say_error(*(_shortened(f"error: {line}") for line in lines[:MAX_LINES]))
     if len(lines) > MAX_LINES:
-        say(f"error: and {len(lines) - MAX_LINES} more lines", stderr=True)
+        _say_error(f"error: and {len(lines) - MAX_LINES} more lines")
     return BAD_INPUT
 
 
