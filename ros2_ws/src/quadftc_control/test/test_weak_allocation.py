@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import linprog, lsq_linear
 
 from quadftc_control.allocation import Allocated, allocate
-from quadftc_control.weak_allocation import CARRIED
+from quadftc_control.weak_allocation import CARRIED, GIVES_WAY
 from quadftc_model.vehicle import load_vehicle
 from quadftc_model.wrench_set import limits
 
@@ -69,11 +69,15 @@ def best(vehicle, wrench, effectiveness):
         return effect[row] @ result.x[:-1] if result.success else None
 
     thrust = nearest(0, wrench[0], [1, 2], tilt, 1e-7)
-    if thrust > CARRIED * vehicle.weight:
-        upright = nearest(0, wrench[0], [1, 2, 3], [*tilt, 0.0], 1e-7)
-        if upright is None:
+    carried = CARRIED * vehicle.weight
+    if thrust > carried:
+        highest = nearest(0, np.sum(high), [1, 2, 3], [*tilt, 0.0], 1e-7)
+        if highest is None:
             return None  # the tilt needs a yaw torque: no programme says how much
-        thrust = nearest(0, max(upright, CARRIED * vehicle.weight), [1, 2], tilt, 1e-6)
+        carried += GIVES_WAY * max(carried - highest, 0.0)
+    if thrust > carried:
+        upright = nearest(0, wrench[0], [1, 2, 3], [*tilt, 0.0], 1e-7)
+        thrust = nearest(0, max(upright, min(thrust, carried)), [1, 2], tilt, 1e-6)
     return np.array([thrust, *tilt, nearest(3, wrench[3], [0, 1, 2], [thrust, *tilt], 1e-5)])
 
 
