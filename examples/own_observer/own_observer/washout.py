@@ -25,6 +25,7 @@ class WashoutState(NamedTuple):
 
     q_xyzw: Quaternion  # x^
     gyro: Vector  # [rad/s]
+    fault: Vector  # [rad]
     age: Vector  # how long each axis has been faulty [s]
 
 
@@ -38,7 +39,8 @@ class Washout(FaultObserver):
     def init(self, inputs: FaultObserverInputs) -> WashoutState:
         """Start on the measurement: the sensor counts as healthy at the first sample."""
         rate = inputs.imu.body_rate
-        return WashoutState(inputs.imu.q_xyzw, rate, namespace(rate).zeros_like(rate))
+        zeros = namespace(rate).zeros_like(rate)
+        return WashoutState(inputs.imu.q_xyzw, rate, zeros, zeros)
 
     def step(
         self, state: WashoutState, inputs: FaultObserverInputs, dt: float
@@ -55,8 +57,8 @@ class Washout(FaultObserver):
         r = xp.where(usable, wrap(y - x), 0.0)
         g = dt / (self.time_constant + dt)
         q_xyzw = xp.where(usable, quaternion_from_euler(x + g * r), q_xyzw)
-        # judge what is left
-        fault = (1.0 - g) * r
+        # judge what is left; without a measurement, the fault stays what it was
+        fault = xp.where(usable, (1.0 - g) * r, state.fault)
         faulty = xp.abs(fault) > self.threshold
         age = xp.where(faulty, state.age + dt, 0.0)
         estimate = FaultEstimate(
@@ -66,4 +68,4 @@ class Washout(FaultObserver):
             onset_age=xp.where(faulty, age, -1.0),
             corrected=correct_sample(imu, q_xyzw, gyro),
         )
-        return WashoutState(q_xyzw, gyro, age), estimate
+        return WashoutState(q_xyzw, gyro, fault, age), estimate

@@ -29,6 +29,7 @@ setup(
             "clear = quadftc_cli.commands.inject:clear",
             "set = quadftc_cli.commands.set:set_",
             "watch = quadftc_cli.commands.watch:watch",
+            "new = quadftc_cli.commands.new:new",
             "replay = quadftc_cli.commands.replay:replay",
             "diagnose = quadftc_cli.commands.diagnose:diagnose",
             "repair = quadftc_cli.commands.repair:repair",
