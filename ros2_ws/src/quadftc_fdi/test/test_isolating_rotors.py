@@ -15,8 +15,11 @@ ROTORS, SENSORS = VEHICLE.rotors, ("attitude", "gyro", "accelerometer")
 LAG = np.exp(-DT / ROTORS.time_constant)
 
 
-def flight(count, loss=lambda t: 0.0, change=lambda t, sample: sample, speeds=False, seed=1):
-    """Inputs of a vehicle in gusts that holds itself level, its rotors behind their lag."""
+def flight(count, loss=lambda t: 0.0, change=lambda t, sample: sample, speeds=False, seed=1, off=()):
+    """Inputs of a vehicle in gusts that holds itself level, its rotors behind their lag.
+
+    ``off`` are the rotors that run down from `BEGIN` on.
+    """
     rng, inputs = np.random.default_rng(seed), []
     allocate, hover = VEHICLE.force_allocation, VEHICLE.hover_speed
     q_xyzw, rate, gust = level_sample().q_xyzw, np.zeros(3), np.zeros(3)
@@ -24,7 +27,8 @@ def flight(count, loss=lambda t: 0.0, change=lambda t, sample: sample, speeds=Fa
     for index in range(count):
         time = (index - BEGIN) * DT
         gust = gust * (1.0 - DT) + 0.5 * np.sqrt(2.0 * DT) * rng.standard_normal(3) * [1.0, 1.0, 0.1]
-        speed = command + LAG * (speed - command)
+        asked = np.where(np.isin(np.arange(4), off) & (time >= 0.0), 0.0, command)
+        speed = asked + LAG * (speed - asked)
         wrench = VEHICLE.effectiveness @ (ROTORS.thrust_coefficient * speed**2 * (1.0 - loss(time)))
         rate = rate + DT * (wrench[1:] / VEHICLE.inertia + gust)
         q_xyzw = turn(q_xyzw, DT * rate)
@@ -77,6 +81,14 @@ def test_weak_rotor_is_named_and_no_sensor_is(index, size, speeds):
     assert estimates[-1].rotors.effectiveness[index] == pytest.approx(1.0 - size, abs=0.03)
     weak = estimates[-1].rotors.effectiveness
     np.testing.assert_array_equal(np.delete(weak, index), 1.0)
+
+
+@pytest.mark.parametrize("speeds", [False, True])
+def test_rotor_that_is_off_is_named_and_no_sensor_is(speeds):
+    estimates = diagnose(flight(BEGIN + 60, speeds=speeds, off=(1,)))
+    assert verdicts(estimates[: BEGIN + 15]) == ["rotor 1"]  # 60 ms
+    assert verdicts(estimates) == ["rotor 1"]
+    assert estimates[-1].rotors.effectiveness[1] < 0.1
 
 
 def test_rotor_that_is_back_is_no_fault_of_a_sensor():

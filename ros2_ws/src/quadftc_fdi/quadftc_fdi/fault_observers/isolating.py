@@ -250,7 +250,8 @@ class Isolating(Supervised):
         # predict
         state, inputs = self._watch_rotors(state, inputs, omega, gyroscopic, dt)
         drive = (inputs.torque - self.vehicle.rotational_drag * rate) / inertia
-        ahead = gyro_monitor.predict_monitor(state.gyro, drive, gyroscopic, q, self.rotor_lag, dt)
+        lag = 0.0 if _measured(inputs) else self.rotor_lag
+        ahead = gyro_monitor.predict_monitor(state.gyro, drive, gyroscopic, q, lag, dt)
         # test
         wanted = ~state.hypotheses.ambiguous
         # where the gyro is believed again, go on at its rate
@@ -306,11 +307,10 @@ class Isolating(Supervised):
         vehicle, gyro, flight = self.vehicle, state.gyro, state.flight
         known = gyroscopic - vehicle.rotational_drag * gyro.filter.rate / vehicle.inertia
         suspects = namespace(omega).concatenate([gyro.faulty, state.accelerometer.faulty[..., 2:]], axis=-1)
-        rotors = rotor_watch.step_watch(
+        rotors, acts = rotor_watch.step_watch(
             *(state.rotors, vehicle, self.rotor_effects, inputs),
             *(omega, known, ~any_of(suspects)[..., 0], dt),
         )
-        acts = rotor_watch.acting(rotors, vehicle, self.rotor_effects, inputs)
 
         def doubt() -> tuple[GyroMonitor, FreeFlight | None]:
             xp, changes = namespace(omega), gyro.filter
@@ -334,7 +334,7 @@ class Isolating(Supervised):
             vertical = earth_z_in_body(turn(state.attitude.filter.q_xyzw, dt * omega))
             off = accelerometer_monitor.deviation_of(monitor, force, vertical)
             return None, off, 0.0 * off
-        lag = self.vehicle.rotors.time_constant
+        lag = 0.0 if _measured(inputs) else self.vehicle.rotors.time_constant
         flight, thrust = free_flight.predict_force(state.flight, inputs.thrust, lag, dt)
         off = free_flight.deviation_of(monitor.offset, force, thrust, self.vehicle.mass)
         return flight, off, flight.unsure
@@ -416,6 +416,11 @@ class Isolating(Supervised):
             naming.name_gyro(state.gyro, state.readings, GYRO, imu.rate_valid, estimate, believed),
             naming.name_accelerometer(state.accelerometer, state.readings, FORCE, imu.force_valid),
         )
+
+
+def _measured(inputs: FaultObserverInputs) -> bool:
+    """Whether torque and thrust are those of measured rotor speeds."""
+    return inputs.rotors is not None and inputs.rotors.speeds is not None
 
 
 def _there(imu: ImuSample) -> Mask:

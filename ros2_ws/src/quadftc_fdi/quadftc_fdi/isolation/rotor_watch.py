@@ -18,7 +18,17 @@ from quadftc_fdi.rotor_diagnosis.monitor import (
     step_rotors,
 )
 from quadftc_fdi.rotor_diagnosis.rotor_model import Effects, lagged, thrusts_of
-from quadftc_model.arrays import Array, Components, Flag, Scalar, Vector, changed_where, namespace
+from quadftc_model.arrays import (
+    Components,
+    Flag,
+    Scalar,
+    Vector,
+    any_of,
+    changed_where,
+    components,
+    larger,
+    stacked,
+)
 from quadftc_model.samples import FaultObserverInputs, RotorEstimate
 from quadftc_model.vehicle import Vehicle
 
@@ -27,7 +37,8 @@ class RotorWatch(NamedTuple):
     """What is known of the rotors, and what they are told."""
 
     monitor: RotorMonitor
-    speeds: Components  # commanded, behind their lag (..., n) [rad/s]
+    commanded: Components  # speeds, behind their lag (..., n) [rad/s]
+    speeds: Components  # measured; or else those (..., n) [rad/s]
 
 
 class Acts(NamedTuple):
@@ -43,10 +54,10 @@ def start_watch(vehicle: Vehicle, effects: Effects, inputs: FaultObserverInputs)
     """Start at a sample; None where nothing is known of the rotors."""
     if inputs.rotors is None:
         return None
-    speeds = inputs.rotors.command
-    return RotorWatch(
-        start_rotors(effects, _inputs(vehicle, inputs, speeds, 0.0 * inputs.torque, True)), speeds
-    )
+    commanded, measured = inputs.rotors
+    speeds = commanded if measured is None else measured
+    seen = _inputs(vehicle, inputs, speeds, commanded, 0.0 * inputs.torque, True)
+    return RotorWatch(start_rotors(effects, seen), commanded, speeds)
 
 
 def step_watch(
@@ -58,34 +69,63 @@ def step_watch(
     known: Vector,
     healthy: Flag,
     dt: float,
-) -> RotorWatch:
-    """Advance by ``dt`` [s] to a sample.
+) -> tuple[RotorWatch, Acts]:
+    """Advance by ``dt`` [s] to a sample; also return what the rotors give.
 
     ``rate`` is the gyro's, less its known errors [rad/s]; ``known`` the angular acceleration by all but the
     rotors [rad/s²]; ``healthy``: neither gyro nor accelerometer were faulty.
     """
     assert inputs.rotors is not None
-    speeds = lagged(state.speeds, inputs.rotors.command, vehicle.rotors.time_constant, dt)
-    seen = _inputs(vehicle, inputs._replace(imu=inputs.imu._replace(body_rate=rate)), speeds, known, healthy)
-    return RotorWatch(step_rotors(state.monitor, effects, seen, dt), speeds)
+    command, measured = inputs.rotors
+    commanded = lagged(state.commanded, command, vehicle.rotors.time_constant, dt)
+    speeds = commanded if measured is None else measured
+    swirl = _swirl(vehicle, state.speeds, speeds, rate, dt)
+    cleared = inputs._replace(imu=inputs.imu._replace(body_rate=rate))
+    seen = _inputs(vehicle, cleared, speeds, commanded, known + swirl / vehicle.inertia, healthy)
+    monitor = step_rotors(state.monitor, effects, seen, dt)
+    acts = _acting(monitor, state.monitor.thrusts, vehicle, effects, inputs, swirl)
+    return RotorWatch(monitor, commanded, speeds), acts
 
 
-def acting(state: RotorWatch, vehicle: Vehicle, effects: Effects, inputs: FaultObserverInputs) -> Acts:
-    """Return what the rotors give, commanded a torque and a thrust."""
+def _swirl(vehicle: Vehicle, last: Components, speeds: Components, rate: Vector, dt: float) -> Vector:
+    """Torque [N m] of rotors that are sped up, and that are turned with their angular momentum."""
+    rotors = vehicle.rotors
+    spun = rotors.rotor_inertia * rotors.spin_sign
+    momentum = (spun * speeds).sum(axis=-1)
+    faster = (spun * (speeds - last)).sum(axis=-1) / larger(dt, 1e-6)
+    p, q, _ = components(rate)
+    return stacked([-q * momentum, p * momentum, -faster])
+
+
+def _acting(
+    monitor: RotorMonitor,
+    before: Components,
+    vehicle: Vehicle,
+    effects: Effects,
+    inputs: FaultObserverInputs,
+    swirl: Vector,
+) -> Acts:
+    """Return what the rotors give, after thrusts of ``before`` [N].
+
+    Measured speeds say it. Else it is what is commanded, less the losses.
+    """
     assert inputs.rotors is not None
-    monitor, said = state.monitor, estimate_rotors(state.monitor)
-    commanded = thrusts_of(vehicle, inputs.rotors.command)
-    zeros = 0.0 * inputs.torque
-    as_told = inputs.torque, inputs.thrust, zeros, zeros[..., 2]
-    lost = commanded * (1.0 - said.effectiveness)
+    commanded, (torque, thrust) = thrusts_of(vehicle, inputs.rotors.command), inputs[1:3]
+    mean = now = commanded
+    if inputs.rotors.speeds is not None:
+        mean, now = 0.5 * (before + monitor.thrusts), monitor.thrusts
+        torque, thrust = _wrench(vehicle, mean)[..., 1:] + swirl, now.sum(axis=-1)
+    zeros, lost = 0.0 * torque, monitor.losses.mean
 
     def weakened() -> tuple[Vector, Scalar | None, Vector, Scalar]:
-        wrench = (vehicle.effectiveness * lost[..., None, :]).sum(axis=-1)
-        thrust = None if inputs.thrust is None else inputs.thrust - wrench[..., 0]
-        variance = _variance(effects, commanded * monitor.unsure)
-        return inputs.torque - wrench[..., 1:], thrust, variance[..., :3], variance[..., 3]
+        variance = (effects.square * ((commanded * monitor.unsure) ** 2)[..., None, :]).sum(axis=-1)
+        # nor is the inertia of a rotor known well that is sped up by much
+        turning = variance[..., :3] + any_of(monitor.unsure) * (swirl / vehicle.inertia) ** 2
+        left = None if thrust is None else thrust - (now * lost).sum(axis=-1)
+        return torque - _wrench(vehicle, mean * lost)[..., 1:], left, turning, variance[..., 3]
 
-    return Acts(*changed_where((lost != 0.0) | monitor.unsure, weakened, as_told))
+    given = torque, thrust, zeros, zeros[..., 2]
+    return Acts(*changed_where(monitor.named | monitor.unsure, weakened, given))
 
 
 def say_rotors(state: RotorWatch | None) -> RotorEstimate | None:
@@ -94,18 +134,21 @@ def say_rotors(state: RotorWatch | None) -> RotorEstimate | None:
 
 
 def _inputs(
-    vehicle: Vehicle, inputs: FaultObserverInputs, speeds: Components, known: Vector, healthy: Flag | bool
+    vehicle: Vehicle,
+    inputs: FaultObserverInputs,
+    speeds: Components,
+    commanded: Components,
+    known: Vector,
+    healthy: Flag | bool,
 ) -> RotorInputs:
     imu, rotors = inputs.imu, inputs.rotors
     assert rotors is not None
     usable = imu.rate_valid & imu.force_valid & healthy
-    wanted, measured = thrusts_of(vehicle, speeds), rotors.speeds
-    force = imu.specific_force[..., 2]
-    if measured is None:
-        return RotorInputs(wanted, imu.body_rate, force, known, usable)
-    return RotorInputs(thrusts_of(vehicle, measured), imu.body_rate, force, known, usable, wanted)
+    thrusts, force = thrusts_of(vehicle, speeds), imu.specific_force[..., 2]
+    wanted = None if rotors.speeds is None else thrusts_of(vehicle, commanded)
+    return RotorInputs(thrusts, imu.body_rate, force, known, usable, wanted)
 
 
-def _variance(effects: Effects, thrusts: Array) -> Array:
-    """Square of what some thrusts do to each channel (..., 4)."""
-    return namespace(thrusts).sum(effects.square * (thrusts * thrusts)[..., None, :], axis=-1)
+def _wrench(vehicle: Vehicle, thrusts: Components) -> Components:
+    """Thrust [N] and torque [N m] of the rotors' thrusts [N], (..., 4)."""
+    return (vehicle.effectiveness * thrusts[..., None, :]).sum(axis=-1)

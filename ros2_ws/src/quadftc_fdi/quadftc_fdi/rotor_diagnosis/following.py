@@ -2,7 +2,7 @@ r"""Does a rotor follow its command? Measured against commanded thrust, where sp
 
 Both are averaged over 15 and 60 ms. A rotor is faulty once they differ by more than `FAR` of the hover
 thrust, and by more than a wrong lag explains: `UNSURE` of what the command has just changed. It is healthy
-again when they have agreed for `RECOVERED`.
+again when they have agreed for `RECOVERED`, to a factor of two even where little is commanded.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ HOLD, RECOVERED, SHOWN = (
     0.5,
     0.1,
 )  # s; before it is faulty; before it is healthy; before it is recovering
+LEAST = 0.01  # 1; of hover thrust: a command that shows whether a rotor follows
 STEADY = 0.03  # 1; of hover thrust: a speed that is still
 
 
@@ -52,7 +53,9 @@ def step_following(state: Following, thrusts: Array, wanted: Array, hover: Scala
     differs = xp.abs(asked - given) > FAR[:, None] * hover + quick
     apart = (state.apart + dt) * differs.any(axis=-2)
     faulty = state.faulty | (apart > HOLD)
-    calm = (state.calm + dt) * (faulty & ~differs.any(axis=-2))
+    # a rotor that nobody asks for anything shows nothing
+    shows = (asked > LEAST * hover) & (given > 0.5 * asked) & (given < 2.0 * asked)
+    calm = (state.calm + dt) * (faulty & shows.all(axis=-2) & ~differs.any(axis=-2))
     faulty = faulty & (calm < RECOVERED)
     share = 1.0 - given[..., 0, :] / xp.maximum(asked[..., 0, :], 1e-3 * hover)
     share = xp.minimum(xp.maximum(share, 0.0), 1.0) * faulty

@@ -50,7 +50,7 @@ class RotorMonitor(NamedTuple):
     calm: Array  # for how long it has looked healthy [s]
     ambiguous: Array  # another rotor explained it as well when it was named
     likely: Array  # l of the last sample (..., n)
-    unsure: Array  # its thrust may be changing: suspect, just named, or named and no more like it
+    unsure: Array  # its thrust may be changing: suspect, just named, unlike its loss or command
 
 
 class RotorInputs(NamedTuple):
@@ -119,6 +119,8 @@ def step_rotors(state: RotorMonitor, effects: Effects, inputs: RotorInputs, dt: 
     if inputs.wanted is not None and state.following is not None:
         state = _compare(state, state.following, effects, inputs.wanted, thrusts, dt)
     changing = state.named & ((state.age < NEW) | (change > losses.JUMPED))
+    if state.following is not None:
+        changing = changing | (state.following.apart > 0.0)
     return state._replace(unsure=(state.suspected > 0.0) | changing)
 
 
