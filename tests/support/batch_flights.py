@@ -41,7 +41,8 @@ def flight_of(trace, period_ns):
 
 def traced(parts, scenarios, engine=None):
     """Outcome and flight of each, with every sample."""
-    outcomes = (engine or Engine()).fly(parts, [each.fault_events for each in scenarios], traced=True)
+    events = [(*each.fault_events, *each.rotor_events) for each in scenarios]
+    outcomes = (engine or Engine()).fly(parts, events, traced=True)
     pairs = zip(outcomes, parts, strict=True)
     return [(outcome, flight_of(outcome.trace, one.loop.period_ns)) for outcome, one in pairs]
 
@@ -60,11 +61,12 @@ def assert_same_flight(flight, expected, rtol=0.0):
 
 
 def assert_same_metrics(outcome, flight, scenario, tolerance=1e-9):
-    expected = flight_metrics(flight, scenario.fault_windows, scenario.fault_events)
+    events = scenario.fault_events, scenario.rotor_events
+    expected = flight_metrics(flight, scenario.fault_windows, *events)
     diagnosis = expected["diagnosis"]
     for name, value in flight_record(outcome).items():
         metric, _, axis = name.partition(".")
-        if metric == "sensors":
+        if metric in ("sensors", "rotors"):
             wanted = look_up(expected, name)
             wanted = sum(wanted.values()) if isinstance(wanted, dict) else wanted
             assert value == pytest.approx(wanted, rel=1e-6, abs=tolerance), name
@@ -74,8 +76,9 @@ def assert_same_metrics(outcome, flight, scenario, tolerance=1e-9):
             continue
         wanted = there[metric][axis] if axis else there[metric]
         assert value == pytest.approx(wanted, rel=1e-6, abs=tolerance), name
-    records = fault_records(outcome, scenario.fault_events)
-    of_attitude, of_sensors = iter(diagnosis["events"]), expected["sensors"]["events"]
+    records = fault_records(outcome, [*events[0], *events[1]])
+    of_attitude, of_sensors = iter(diagnosis["events"]), [*expected["sensors"]["events"]]
+    of_sensors += expected["rotors"]["events"] if "rotors" in expected else []
     assert len(records) == len(of_sensors)
     for record, named in zip(records, of_sensors, strict=True):
         wanted = named | (next(of_attitude) if record["component"] == "attitude" else {})

@@ -173,7 +173,7 @@ def _fly_loop(
     from quadftc_campaign.batch.tally import fault_records, flight_record
 
     engine = engine_of_process(campaign.precision == "float32", lanes_for(len(numbers)))
-    events = [scenario.fault_events for scenario in scenarios]
+    events = [(*scenario.fault_events, *scenario.rotor_events) for scenario in scenarios]
     outcomes = engine.fly(list(map(parts_of, scenarios)), events, progress)
     for outcome, judged_by in zip(outcomes, events, strict=True):
         yield flight_record(outcome), fault_records(outcome, judged_by)

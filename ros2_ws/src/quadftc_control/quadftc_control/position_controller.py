@@ -161,7 +161,8 @@ class PositionController(VehicleLaw[PositionControllerInputs, AttitudeCommand]):
         rate = components(imu.body_rate)[2]
         asked = components(state.reference.rates)[2]
         begins = (abs(rate) > SPINNING) & (abs(rate - asked) > SPINNING)
-        return pick(state.spins, abs(rate) > STILL, begins)
+        spins = pick(state.spins, abs(rate) > STILL, begins)
+        return np.bool_(spins) if isinstance(spins, bool) else spins
 
     def _planned(self, reference: PositionReference) -> list[Any]:
         """Acceleration that the trajectory asks for and drag takes [m/s²], earlier by what lags."""

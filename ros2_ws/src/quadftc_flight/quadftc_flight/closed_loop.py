@@ -139,12 +139,15 @@ def _note_truth(flight: Flight, row: int, injected: Faulty, channels: Set[str]) 
         flight.gyro_fault[row] = injected.gyro
     if "accelerometer" in channels:
         flight.accelerometer_fault[row] = injected.accelerometer
-    if injected.rotors is not None:
-        flight.rotor_effectiveness[row] = true_effectiveness(injected.rotors)
+    flight.rotor_effectiveness[row] = 1.0 if injected.rotors is None else true_effectiveness(injected.rotors)
 
 
 def _note_estimate(flight: Flight, row: int, estimate: FaultEstimate) -> None:
-    """Note what the fault observer says of the attitude."""
+    """Note what the fault observer says of the attitude, and of the rotors."""
     flight.fault_estimate[row], flight.fault_std_dev[row] = estimate.fault, estimate.std_dev
     flight.fault_state[row] = estimate.state
     flight.fault_onset_ns[row] = onset_ns(int(flight.stamp_ns[row]), estimate.onset_age)
+    if (rotors := estimate.rotors) is not None:
+        flight.rotor_state[row], flight.rotor_estimate[row] = rotors.state, rotors.effectiveness
+        flight.rotor_std_dev[row], flight.rotor_probability[row] = rotors.std_dev, rotors.probability
+        flight.rotor_ambiguous[row] = rotors.ambiguous

@@ -9,6 +9,7 @@ from pydantic import Field, GetPydanticSchema
 from pydantic_core.core_schema import literal_schema
 
 from quadftc_model.samples import AXES
+from quadftc_sim.rotor_fault import ROTOR
 
 if TYPE_CHECKING:
     from quadftc_flight.scenario.components import Fault
@@ -70,6 +71,19 @@ def fault_events(faults: Iterable[Fault], duration: float) -> tuple[FaultEvent, 
     )
 
 
+def rotor_events(faults: Iterable[Fault], duration: float) -> tuple[FaultEvent, ...]:
+    """Return the events of the faults on a rotor that begin in a flight of that duration [s].
+
+    The axis of each is the number of the rotor.
+    """
+    return merge_events(
+        FaultEvent(rotor, item.kind, item.start, min(item.stop, duration), ROTOR)
+        for rotors, item in ((fault.rotors, fault.injection) for fault in faults)
+        if item.start < duration
+        for rotor in rotors
+    )
+
+
 def attitude_events(events: Iterable[FaultEvent]) -> list[FaultEvent]:
     """Return those of the attitude."""
     return [event for event in events if event.component == "attitude"]
@@ -84,9 +98,10 @@ def events_of_windows(windows: Iterable[FaultWindow]) -> tuple[FaultEvent, ...]:
 
 def merge_events(events: Iterable[FaultEvent]) -> tuple[FaultEvent, ...]:
     """Return the events in the order of time; those of one axis of a sensor that overlap become one."""
+    # in the order of sensors and axes, as of those that begin at once the first comes first
     merged: dict[tuple[str, str], list[FaultEvent]] = {(name, axis): [] for name in SENSORS for axis in AXES}
     for event in sorted(events, key=lambda event: event.start):
-        of_axis = merged[event.component, event.axis]
+        of_axis = merged.setdefault((event.component, event.axis), [])
         if of_axis and event.start < (last := of_axis[-1]).stop:
             kinds = dict.fromkeys([*last.kind.split("+"), event.kind])
             of_axis[-1] = last._replace(kind="+".join(kinds), stop=max(last.stop, event.stop))

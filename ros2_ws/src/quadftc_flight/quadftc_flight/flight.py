@@ -28,6 +28,7 @@ Floats = NDArray[np.float64]
 
 NO_STATE = 255  # fault state of a row without diagnosis
 DIAGNOSIS = "diagnosis"  # the topic, whose messages hold until the next one
+ROTORS = "rotors/status"
 
 
 def _column(topic: str, field: str = "vector", unknown: Any = np.nan, of_rotors: bool = False) -> Any:
@@ -90,12 +91,13 @@ class Flight:
     # of the rotors, (n, rotors)
     rotor_effectiveness: Floats = _rotor_column("rotors/fault", "effectiveness")  # true [1]; 0: off
     rotor_speeds: Floats = _rotor_column("rotors/speed", "velocity")  # true [rad/s]
-    rotor_state: NDArray[np.uint8] = _rotor_column(DIAGNOSIS, unknown=np.uint8(NO_STATE))
-    rotor_estimate: Floats = _rotor_column(DIAGNOSIS)  # share of the thrust that is lost [1]
-    rotor_std_dev: Floats = _rotor_column(DIAGNOSIS)  # [1]
+    # what the diagnosis says of them; NO_STATE and NaN: it does not diagnose rotors
+    rotor_state: NDArray[np.uint8] = _rotor_column(ROTORS, "state", np.uint8(NO_STATE))
+    rotor_estimate: Floats = _rotor_column(ROTORS, "effectiveness")  # [1]
+    rotor_std_dev: Floats = _rotor_column(ROTORS, "std_dev")  # [1]
+    rotor_probability: Floats = _rotor_column(ROTORS, "probability")  # that it is faulty [1]
+    rotor_ambiguous: NDArray[np.bool_] = _rotor_column(ROTORS, "ambiguous", np.False_)
     rotor_onset_ns: NDArray[np.int64] = _rotor_column(DIAGNOSIS, unknown=np.int64(0))
-    rotor_probability: Floats = _rotor_column(DIAGNOSIS)
-    rotor_ambiguous: NDArray[np.bool_] = _rotor_column(DIAGNOSIS, unknown=np.False_)
     error: Floats = _column("control/status", "error")  # attitude less reference, to the controller [rad]
     sliding_variable: Floats = _column("control/status", "sliding_variable")  # [rad/s]
     saturated: NDArray[np.bool_] = _column("control/status", "saturated", np.False_)  # the torque was cut
@@ -164,6 +166,9 @@ def flight_from_bag(bag: Bag) -> Flight:
         if topic == DIAGNOSIS:
             continue
         joined = _join_topic(bag, topic, field, stamp_ns, getattr(flight, name)[0])
+        if name == "rotor_effectiveness":
+            limit = _join_topic(bag, topic, "speed_limit", stamp_ns, getattr(flight, name)[0])
+            joined = np.where(limit <= 0.0, 0.0, joined)  # as `quadftc_sim.rotor_fault.true_effectiveness`
         getattr(flight, name)[known] = joined[known]
     if has_messages(bag, DIAGNOSIS):
         note_reports(flight, reports_from(bag.series(DIAGNOSIS)))
@@ -174,8 +179,7 @@ def _count_rotors(bag: Bag) -> int:
     """Return how many rotors the recording of a free flight tells of; 0 of another one."""
     if not has_messages(bag, "rotors/speed"):
         return 0
-    speeds = bag.series("rotors/speed")["velocity"]
-    return min(map(len, speeds))
+    return min(map(len, bag.series("rotors/speed")["velocity"]))
 
 
 class Reading(NamedTuple):
@@ -210,9 +214,13 @@ def join_rows(series: Series, field: str, stamp_ns: NDArray[np.int64], unknown: 
 def _join_topic(
     bag: Bag, topic: str, field: str, stamp_ns: NDArray[np.int64], unknown: NDArray[Any]
 ) -> NDArray[Any]:
+    nothing = np.tile(unknown, (len(stamp_ns), 1))
     if not has_messages(bag, topic):
-        return np.tile(unknown, (len(stamp_ns), 1))
-    return join_rows(bag.series(topic), field, stamp_ns, unknown)
+        return nothing
+    series = bag.series(topic)
+    if topic == ROTORS and np.shape(series[field])[1:] != unknown.shape:  # no rotors are diagnosed
+        return nothing
+    return join_rows(series, field, stamp_ns, unknown)
 
 
 def has_messages(bag: Bag, topic: str) -> bool:

@@ -15,7 +15,8 @@ import numpy as np
 
 from quadftc_flight.diagnosis_metrics.columns import Figure, Floats, Mask, largest, mean, number, rms
 from quadftc_flight.diagnosis_metrics.verdicts import diagnosis_metrics
-from quadftc_flight.diagnosis_metrics.which_sensor import attitude_error, sensor_metrics
+from quadftc_flight.diagnosis_metrics.which_rotor import rotor_metrics
+from quadftc_flight.diagnosis_metrics.which_sensor import JudgedSensors, attitude_error, sensor_metrics
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, events_of_windows
 from quadftc_flight.flight import Flight, unknown_flight
 from quadftc_model.hints import nearest
@@ -33,11 +34,15 @@ SETTLED_ERROR_DEG = 0.05  # deg; the estimate has settled when its error stays b
 
 
 def flight_metrics(
-    flight: Flight, windows: Sequence[FaultWindow], events: Sequence[FaultEvent] | None = None
+    flight: Flight,
+    windows: Sequence[FaultWindow],
+    events: Sequence[FaultEvent] | None = None,
+    rotor_events: Sequence[FaultEvent] = (),
 ) -> dict[str, Any]:
     """Compute every metric, ready for JSON; ``windows`` divide the time into inside and outside a fault.
 
-    ``events`` are the faults that the diagnosis is judged by; default: those of the windows.
+    ``events`` are the faults that the diagnosis is judged by; default: those of the windows. In free flight
+    it is judged by those of rotors, too.
     """
     time = flight.time
     tracking = np.degrees(wrap(flight.angles - flight.reference))
@@ -45,6 +50,8 @@ def flight_metrics(
     inside = _within(time, windows)
     moments = {moment for window in windows for moment in (window.start, window.stop)}
     tilt, error = _tilt(flight.angles), attitude_error(flight)
+    judged = JudgedSensors(flight, events or ())
+    rotors = {"rotors": rotor_metrics(flight, rotor_events, judged)} if flight.rotor_state.shape[1] else {}
     settled = ~_within(time, (FaultWindow(moment, moment + SETTLING_TIME, ()) for moment in moments))
     return {
         "tracking_rmse_deg": _per_axis(rms, tracking),
@@ -68,14 +75,23 @@ def flight_metrics(
         "attitude_error_max_deg": largest(error),
         "lost": _is_lost(flight, tilt),
         "diagnosis": diagnosis_metrics(flight, events_of_windows(windows) if events is None else events),
-        "sensors": sensor_metrics(flight, events or ()),
+        "sensors": sensor_metrics(flight, events or (), judged),
+        **rotors,
     }
 
 
-def known_metrics(window_count: int, events: Sequence[FaultEvent] = ()) -> dict[str, Any]:
-    """Return the metrics of a flight with that many fault windows and these events, for their names."""
-    nowhere = dataclasses.replace(unknown_flight(np.arange(2)), time=np.array([-2.0, -1.0]))
-    return flight_metrics(nowhere, [FaultWindow(0.0, 1.0, AXES)] * window_count, events)
+def known_metrics(
+    window_count: int,
+    events: Sequence[FaultEvent] = (),
+    rotor_events: Sequence[FaultEvent] = (),
+    rotors: int = 0,
+) -> dict[str, Any]:
+    """Return the metrics of a flight with that many fault windows and these events, for their names.
+
+    In free flight it has so many ``rotors``.
+    """
+    nowhere = dataclasses.replace(unknown_flight(np.arange(2), rotors), time=np.array([-2.0, -1.0]))
+    return flight_metrics(nowhere, [FaultWindow(0.0, 1.0, AXES)] * window_count, events, rotor_events)
 
 
 def look_up(metrics: Any, path: str) -> Any:

@@ -44,7 +44,8 @@ def note_reports(flight: Flight, reports: Sequence[DiagnosisReport]) -> None:
     for component, names in elements.items():
         for quantity, said in _columns_of(component, names, reports).items():
             column = getattr(flight, f"{component}_{quantity}", None)
-            if column is not None:
+            # of a rotor every sample is on a topic of its own, but for the onset
+            if column is not None and (component != "rotor" or quantity == "onset_ns"):
                 column[held] = said[latest[held]]
 
 

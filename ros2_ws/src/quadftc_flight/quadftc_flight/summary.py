@@ -49,7 +49,8 @@ def refuse_wrong_checks(scenario: Scenario) -> None:
 
 def summary(flight: Flight, scenario: Scenario, scheme: Scheme, wall_time: float | None) -> dict[str, Any]:
     """Summarise a flight that took ``wall_time`` [s], ready for JSON; the caller adds versions and paths."""
-    metrics = flight_metrics(flight, scenario.fault_windows, scenario.fault_events)
+    events = scenario.fault_events, scenario.rotor_events
+    metrics = flight_metrics(flight, scenario.fault_windows, *events)
     checks = check_results(metrics, scheme.checks)
     return {
         "name": scenario.name,
@@ -107,7 +108,9 @@ def _wrong_checks(scenario: Scenario) -> Iterator[Problem]:
         for name, scheme in scenario.schemes.items()
         for index, check in enumerate(scheme.checks)
     ]
-    metrics = known_metrics(len(scenario.fault_windows), scenario.fault_events) if checks else {}
+    events = scenario.fault_events, scenario.rotor_events
+    known = len(scenario.fault_windows), *events, scenario.rotors
+    metrics = known_metrics(*known) if checks else {}
     for path, check in checks:
         try:
             found = look_up(metrics, check.metric)

@@ -104,6 +104,15 @@ class RotorReading(NamedTuple):
     speeds: Components | None = None  # measured at the sample (..., n) [rad/s]; None: not measured
 
 
+class RotorCondition(NamedTuple):
+    """In what state the rotors really are; n rotors, in the order of the vehicle file."""
+
+    effectiveness: Components  # thrust over that of a healthy rotor at the same speed (..., n) [1]
+    speed_limit: Components  # largest speed that it reaches (..., n) [rad/s]; 0: it is off
+    stuck: Components  # it keeps the speed that it has (..., n) bool
+    unbalance: Components  # mass times its distance from the axis (..., n) [kg m]
+
+
 class FaultObserverInputs(NamedTuple):
     """What a fault observer sees: the sample, and what the rotors gave since the sample before."""
 

@@ -23,9 +23,8 @@ from quadftc_model.arrays import (
 )
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import turned
-from quadftc_model.samples import AIR_DENSITY
+from quadftc_model.samples import AIR_DENSITY, RotorCondition
 from quadftc_sim.plant import Plant
-from quadftc_sim.rotor_fault import RotorCondition
 from quadftc_sim.wind import Wind
 
 Parts = Sequence[Any]  # components, each a float or an array (...)

@@ -13,11 +13,11 @@ import numpy as np
 
 from quadftc_model.arrays import Array, Flag, Scalar, Vector, chosen, namespace
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
-from quadftc_model.samples import ImuSample
+from quadftc_model.samples import ImuSample, RotorCondition
 from quadftc_model.stepper import seconds
 from quadftc_sim.fault import FaultInputs
 from quadftc_sim.injection import Injection, fault_generators
-from quadftc_sim.rotor_fault import ROTOR, RotorCondition, rotor_condition
+from quadftc_sim.rotor_fault import ROTOR, rotor_condition
 
 
 class FaultDraws(NamedTuple):

@@ -14,17 +14,9 @@ from typing import Any, ClassVar, NamedTuple
 from quadftc_model.arrays import Components, Scalar, namespace
 from quadftc_model.parameters import Checked
 from quadftc_model.registry import Registry
+from quadftc_model.samples import RotorCondition
 
 ROTOR = "rotor"  # the channel
-
-
-class RotorCondition(NamedTuple):
-    """In what state the rotors are; n rotors, in the order of the vehicle file."""
-
-    effectiveness: Components  # thrust over that of a healthy rotor at the same speed (..., n) [1]
-    speed_limit: Components  # largest speed that it reaches (..., n) [rad/s]; 0: it is off
-    stuck: Components  # it keeps the speed that it has (..., n) bool
-    unbalance: Components  # mass times its distance from the axis (..., n) [kg m]
 
 
 class RotorEffect(NamedTuple):

@@ -14,12 +14,11 @@ import numpy as np
 
 from quadftc_model.arrays import Components, Quaternion, Vector
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
-from quadftc_model.samples import ImuSample, PositionSample
+from quadftc_model.samples import ImuSample, PositionSample, RotorCondition
 from quadftc_model.stepper import seconds
 from quadftc_sim.flying_plant import FlyingPlant
 from quadftc_sim.plant import Plant
 from quadftc_sim.position_sensor import PositionSensor
-from quadftc_sim.rotor_fault import RotorCondition
 from quadftc_sim.sensor_draws import SensorDraws
 from quadftc_sim.sensors import ImuSensor
 

@@ -103,9 +103,11 @@ class Engine:
         differ = any(number == 0 for flight in flights for number in flight.fault_numbers)
         masks = {path for path in numbers[0] if differ and path.endswith(".mask")}
         varying = differing(numbers, self._free | set(tuned) | masks)
+        plant = flights[0].loop.plant
+        rotors = plant.command_size if plant.flies else 0
         per_flight = PerFlight(
             {path: np.moveaxis(values, 0, -1) for path, values in varying.items()},
-            schedule_of(events),
+            schedule_of(events, rotors),
             {path: np.stack([direction[path] for direction in directions], axis=-1) for path in tuned},
         )
         # a fault may leave nothing to begin with: on the first sample, or on one after a gap
@@ -115,7 +117,8 @@ class Engine:
             for fault in flight.loop.injections
         )
         fixed = tuple(value.tobytes() for path, value in numbers[0].items() if path not in varying)
-        most = per_flight.schedule.start.shape[1]
+        of_rotors = per_flight.schedule.rotors
+        most = per_flight.schedule.start.shape[1], None if of_rotors is None else len(of_rotors.start)
         key = (structure_of(flights[0].loop), fixed, tuple(varying), most, late_start, tuned, traced)
         if key not in self._compiled:
             arguments = (flights[0], per_flight, late_start, self._dtype, traced, self._staged)

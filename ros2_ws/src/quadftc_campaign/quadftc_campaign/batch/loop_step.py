@@ -34,6 +34,7 @@ from quadftc_model.stepper import seconds
 from quadftc_sim.flying_plant import FlyingPlant
 from quadftc_sim.injector import FaultDraws, Faulty, InjectionState, begin, inject
 from quadftc_sim.position_sensor import PositionSensorState
+from quadftc_sim.rotor_fault import true_effectiveness
 from quadftc_sim.sensor_draws import TurnOn
 from quadftc_sim.sensors import ImuState
 
@@ -123,6 +124,7 @@ class Row(NamedTuple):
     position: Array | None = None
     position_reference: Array | None = None
     position_estimate: Array | None = None
+    rotor_effectiveness: Array | None = None  # (n,) true [1]
 
 
 class ClosedLoop:
@@ -234,6 +236,10 @@ class ClosedLoop:
         delivered = namespace(elapsed).asarray(True) if delivery is None else delivery.arrives
         said = (estimate, disturbance, output)
         row = _row((times.taken, delivered), motion, faulty, wanted, said)
+        if motion.rotor_speeds is not None:
+            ones = namespace(elapsed).ones_like(motion.rotor_speeds)
+            true = ones if faulty.rotors is None else true_effectiveness(faulty.rotors)
+            row = row._replace(rotor_effectiveness=true)
         plant = state.plant
         if isinstance(loop.plant, FlyingPlant):
             plant = loop.plant.with_rotors(plant, faulty.rotors)

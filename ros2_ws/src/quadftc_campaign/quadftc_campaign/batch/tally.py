@@ -17,12 +17,16 @@ from numpy.typing import NDArray
 from quadftc_campaign.batch.loop_step import Row
 from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG, GRACE_TIME
 from quadftc_flight.diagnosis_metrics.columns import number
+from quadftc_flight.diagnosis_metrics.which_rotor import SAID as SAID_KINDS
+from quadftc_flight.diagnosis_metrics.which_rotor import SIZE_TIME, is_sized, name_rotors, rotor_confusion
+from quadftc_flight.diagnosis_metrics.which_rotor import TRUE as TRUE_KINDS
 from quadftc_flight.diagnosis_metrics.which_sensor import SAID, TRUE, UNSEEN, Naming, confusion, name_sensors
 from quadftc_flight.fault_schedule import SENSORS, FaultEvent
 from quadftc_flight.metrics import LOST
 from quadftc_model.arrays import Array, namespace
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import AXES, FAULTY, HEALTHY, RECOVERING, SUSPECT, UNUSABLE
+from quadftc_sim.rotor_fault import ROTOR
 
 Floats = NDArray[np.float64]
 # by name, each (3,); those called event_ of each fault of the attitude, (events, 3); those called fault_ of
@@ -40,6 +44,13 @@ ROOTS = {
 VARIATION = "torque_total_variation"
 
 
+class RotorSchedule(NamedTuple):
+    """When the rotors of a flight are faulty, (events, n): the faults of each rotor."""
+
+    start: Array  # [s]; infinite: no more
+    stop: Array  # [s]
+
+
 class Schedule(NamedTuple):
     """When the sensors of a flight are faulty, (sensors, events, 3): the faults of each axis."""
 
@@ -47,11 +58,13 @@ class Schedule(NamedTuple):
     stop: Array  # [s]
     following: Array  # start of the next fault of the axis [s]
     unseen: Array  # 1: the reading is missing, which its true fault does not show; else 0
+    rotors: RotorSchedule | None = None  # None: on the test stand
 
     @property
     def of_attitude(self) -> Schedule:
         """Of the attitude alone, (events, 3)."""
-        return Schedule(*(each[SENSORS.index("attitude")] for each in self))
+        columns = (self.start, self.stop, self.following, self.unseen)
+        return Schedule(*(each[SENSORS.index("attitude")] for each in columns))
 
 
 class Tally(NamedTuple):
@@ -82,6 +95,9 @@ def update_tally(tally: Tally | None, row: Row, schedule: Schedule) -> Tally:
         no, none = (xp.zeros_like(like, dtype=bool) for like in (row.angles, schedule.start))
         marks = {"event_already": none[0], "event_already_above": none[0], "begun": no[..., 0]}
         marks |= {"fault_already": none, "named": none[:, 0]}
+        if schedule.rotors is not None:
+            never = xp.zeros_like(schedule.rotors.start, dtype=bool)
+            marks |= {"rotor_already": never, "rotors_named": never[0]}
         return _tally(row, schedule, {"torque": xp.zeros_like(row.angles), "declared": no, **marks})
     new = _tally(row, schedule, tally.last)
     operations = (xp.add, xp.logical_or, xp.maximum, xp.minimum)
@@ -95,8 +111,9 @@ def update_tally(tally: Tally | None, row: Row, schedule: Schedule) -> Tally:
 def _tally(row: Row, schedule: Schedule, last: Arrays) -> Tally:
     """Tally one sample, after those of which the last is given."""
     attitude, sensors = _tally_attitude(row, schedule.of_attitude, last), _tally_sensors(row, schedule, last)
-    parts = zip(attitude, sensors, _tally_position(row), strict=True)
-    return Tally(*(a | b | c for a, b, c in parts))
+    rotors = _tally_rotors(row, schedule, last)
+    parts = zip(attitude, sensors, _tally_position(row), rotors, strict=True)
+    return Tally(*(a | b | c | d for a, b, c, d in parts))
 
 
 def _tally_position(row: Row) -> Tally:
@@ -119,10 +136,7 @@ def _tally_sensors(row: Row, schedule: Schedule, last: Arrays) -> Tally:
     xp = namespace(row.angles)
     there, time, naming = row.delivered, row.time, _naming(row)
     # which faults act, by sensor and axis, and which sensors are healthy
-    inside = there & (schedule.start <= time) & (time < schedule.stop)
-    grace = (schedule.stop <= time) & (time < schedule.stop + GRACE_TIME)
-    faulty = inside.any(axis=-2)
-    healthy = there & ~(faulty | grace.any(axis=-2))
+    inside, faulty, healthy = _truth(row, schedule)
     named, wrong = naming.named, naming.named & healthy
     anything = naming.named.any(axis=-2) | naming.ambiguous
     truth = xp.stack((row.fault, row.gyro_fault, row.accelerometer_fault), axis=-2)
@@ -159,6 +173,62 @@ def _tally_sensors(row: Row, schedule: Schedule, last: Arrays) -> Tally:
         "fault_already": xp.where(early, named[..., None, :], last["fault_already"]),
     }
     return Tally(sums, ever, largest, smallest, new_last)
+
+
+def _truth(row: Row, schedule: Schedule | RotorSchedule) -> tuple[Array, Array, Array]:
+    """Return which faults act (..., events, elements), and which elements are faulty and which healthy."""
+    there, time = row.delivered, row.time
+    inside = there & (schedule.start <= time) & (time < schedule.stop)
+    grace = (schedule.stop <= time) & (time < schedule.stop + GRACE_TIME)
+    faulty = inside.any(axis=-2)
+    return inside, faulty, there & ~(faulty | grace.any(axis=-2))
+
+
+def _tally_rotors(row: Row, schedule: Schedule, last: Arrays) -> Tally:
+    """Tally which rotor is named, as `quadftc_flight.diagnosis_metrics.which_rotor` judges it."""
+    tally, rotors, said = Tally({}, {}, {}, {}, {}), schedule.rotors, row.estimate.rotors
+    if rotors is None or row.rotor_effectiveness is None or row.position is None:
+        return tally
+    xp, there, time = namespace(row.angles), row.delivered, row.time
+    estimate = xp.ones_like(row.rotor_effectiveness) if said is None else said.effectiveness
+    named = xp.zeros_like(rotors.start[0], dtype=bool)
+    if said is not None:
+        named = name_rotors(said.state, said.ambiguous)
+    inside, faulty, healthy = _truth(row, rotors)
+    _, sensor_faulty, sensor_healthy = _truth(row, schedule)
+    of_sensors = _naming(row).named
+    wrong = named & healthy
+    misnamed = wrong.any(axis=-1) | (of_sensors & sensor_healthy).any(axis=(-2, -1))
+    counted = xp.all(faulty | healthy, axis=-1) & xp.all(sensor_faulty | sensor_healthy, axis=(-2, -1))
+    any_sensor = (sensor_faulty.any(axis=(-2, -1)), of_sensors.any(axis=(-2, -1)))
+    settled = inside & (time >= rotors.start + SIZE_TIME)
+    error = xp.abs(estimate - row.rotor_effectiveness)
+    off: Array = row.position - row.position_reference
+    away = (off**2).sum(axis=-1)  # m²
+    early = there & (time < rotors.start)
+    return Tally(
+        sums={
+            "rotors_confusion": 1.0 * (counted & rotor_confusion(faulty, named, *any_sensor)),
+            "rotors_healthy": 1.0 * healthy,
+            "rotors_misnamings": 1.0 * (wrong & ~last["rotors_named"]),
+            "rotors_misnamed": 1.0 * wrong,
+            "rotor_delivered": 1.0 * inside,
+            "rotor_named": 1.0 * (inside & named),
+            "rotor_misnamed": 1.0 * (inside & misnamed),
+            "rotor_settled": 1.0 * settled,
+            "rotor_error": xp.where(settled, error, 0.0),  # 1
+        },
+        ever={},
+        largest={
+            "rotor_error_max": xp.where(settled, error, 0.0),  # 1
+            "rotor_away": xp.where(inside, away, 0.0),  # m²
+        },
+        smallest={"rotor_named_at": xp.where(inside & named, time, np.inf)},  # s
+        last={
+            "rotors_named": xp.where(there, named, last["rotors_named"]),
+            "rotor_already": xp.where(early, named, last["rotor_already"]),
+        },
+    )
 
 
 def _naming(row: Row) -> Naming:
@@ -234,8 +304,11 @@ def _tally_attitude(row: Row, schedule: Schedule, last: Arrays) -> Tally:
     return Tally(sums, ever, largest, smallest, new_last)
 
 
-def schedule_of(flights: Sequence[Sequence[FaultEvent]]) -> Schedule:
-    """Return the schedule of flights with these faults, arrays (sensors, events, 3, flights)."""
+def schedule_of(flights: Sequence[Sequence[FaultEvent]], rotors: int = 0) -> Schedule:
+    """Return the schedule of flights with these faults, arrays (sensors, events, 3, flights).
+
+    In free flight they have so many ``rotors``.
+    """
     of_axes = {
         (sensor, axis, flight): [one for one in events if (one.component, one.axis) == (component, name)]
         for flight, events in enumerate(flights)
@@ -244,13 +317,32 @@ def schedule_of(flights: Sequence[Sequence[FaultEvent]]) -> Schedule:
     }
     most = max(1, *map(len, of_axes.values()))  # at least one, to have something to compute with
     shape = len(SENSORS), most, len(AXES), len(flights)
-    schedule = Schedule(*(np.full(shape, value) for value in (np.inf, np.inf, np.inf, 0.0)))
+    columns = [np.full(shape, value) for value in (np.inf, np.inf, np.inf, 0.0)]
     for (sensor, axis, flight), events in of_axes.items():
         for place, event in enumerate(events):
             following = min((one.start for one in events if one.start >= event.stop), default=np.inf)
             unseen = float(UNSEEN in event.kind)
-            for column, value in zip(schedule, (event.start, event.stop, following, unseen), strict=True):
+            values = (event.start, event.stop, following, unseen)
+            for column, value in zip(columns, values, strict=True):
                 column[sensor, place, axis, flight] = value
+    return Schedule(*columns, rotors=_rotor_schedule(flights, rotors) if rotors else None)
+
+
+def _rotor_schedule(flights: Sequence[Sequence[FaultEvent]], rotors: int) -> RotorSchedule:
+    """Return the schedule of the faults of rotors, arrays (events, rotors, flights)."""
+    of_rotors = {
+        (rotor, flight): [one for one in events if (one.component, one.axis) == (ROTOR, str(rotor + 1))]
+        for flight, events in enumerate(flights)
+        for rotor in range(rotors)
+    }
+    most = max(1, *map(len, of_rotors.values()))
+    schedule = RotorSchedule(*(np.full((most, rotors, len(flights)), np.inf) for _ in range(2)))
+    for (rotor, flight), events in of_rotors.items():
+        for place, event in enumerate(events):
+            schedule.start[place, rotor, flight], schedule.stop[place, rotor, flight] = (
+                event.start,
+                event.stop,
+            )
     return schedule
 
 
@@ -291,6 +383,7 @@ def flight_record(outcome: Outcome) -> dict[str, Any]:
         "finite": not unusable,
         "lost": bool(marks["lost"] or unusable),
         **_sensor_record(sums, outcome.period),
+        **_rotor_record(sums, outcome.period),
     }
     if "position" in sums:
         of_axes |= _position_record(outcome)
@@ -332,14 +425,35 @@ def _sensor_record(sums: dict[str, Floats], period: float) -> dict[str, float]:
     }
 
 
+def _rotor_record(sums: dict[str, Floats], period: float) -> dict[str, float]:
+    """Which rotors are named; as in ``rotors`` of the metrics."""
+    if "rotors_confusion" not in sums:
+        return {}
+    seconds = sums["rotors_confusion"] * period
+    return {
+        f"rotors.confusion_s.{true}.{said}": float(seconds[row, column])
+        for row, true in enumerate(TRUE_KINDS)
+        for column, said in enumerate(SAID_KINDS)
+    } | {
+        "rotors.false_namings": float(sums["rotors_misnamings"].sum()),
+        "rotors.false_naming_time_s": float(sums["rotors_misnamed"].sum()) * period,
+        "rotors.healthy_time_s": float(sums["rotors_healthy"].sum()) * period,
+    }
+
+
 def fault_records(outcome: Outcome, events: Sequence[FaultEvent]) -> list[dict[str, Any]]:
     """Metrics of each fault, as in the records of `quadftc_flight.diagnosis_metrics`.
 
-    Those of the attitude have what is known of its estimate, those of each sensor whether it was named.
+    Those of the attitude have what is known of its estimate, those of each sensor whether it was named, and
+    so those of each rotor, with what is known of its effectiveness.
     """
-    places = {(sensor, axis): itertools.count() for sensor in SENSORS for axis in AXES}
+    places = {(event.component, event.axis): itertools.count() for event in events}
     records: list[dict[str, Any]] = []
     for event in events:
+        if event.component == ROTOR:
+            place, rotor = next(places[event.component, event.axis]), int(event.axis) - 1
+            records.append(_rotor_fault_record(outcome, event, (place, rotor)))
+            continue
         place, axis = next(places[event.component, event.axis]), AXES.index(event.axis)
         records.append(_naming_record(outcome, event, (SENSORS.index(event.component), place, axis)))
         if event.component == "attitude":
@@ -366,6 +480,26 @@ def _naming_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int, int]
         "alarm_delay_s": marks["fault_alarm_at"] - event.start if judged and alarmed else None,
         **shares,
         "attitude_error_max_deg": math.degrees(marks["fault_error"]) if stated else None,
+    }
+
+
+def _rotor_fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]) -> dict[str, Any]:
+    sums = {name: float(each[at]) for name, each in outcome.sums.items() if name.startswith("rotor_")}
+    marks = {name: each[at].item() for name, each in outcome.marks.items() if name.startswith("rotor_")}
+    stated, settled = sums["rotor_delivered"], sums["rotor_settled"]
+    sized = settled > 0.0 and is_sized(event)
+    named, already = math.isfinite(marks["rotor_named_at"]), marks["rotor_already"]
+    delay = marks["rotor_named_at"] - event.start if named and not already else None
+    return {
+        **event._asdict(),
+        "named": named if stated else None,
+        "already_named": already if stated else None,
+        "naming_delay_s": delay,
+        "named_share": sums["rotor_named"] / stated if stated else None,
+        "misnamed_share": sums["rotor_misnamed"] / stated if stated else None,
+        "size_error_mean": sums["rotor_error"] / settled if sized else None,
+        "size_error_max": marks["rotor_error_max"] if sized else None,
+        "position_error_max_m": math.sqrt(marks["rotor_away"]) if stated else None,
     }
 
 

@@ -62,9 +62,11 @@ def confusion(faulty: Array, healthy: Array, naming: Naming) -> Array:
     return counted[..., None, None, None] & true[..., :, None, :] & said[..., None, :, :]
 
 
-def sensor_metrics(flight: Flight, events: Sequence[FaultEvent]) -> dict[str, Any]:
+def sensor_metrics(
+    flight: Flight, events: Sequence[FaultEvent], judged: JudgedSensors | None = None
+) -> dict[str, Any]:
     """Judge which sensor is named, ready for JSON; of one axis of a sensor, no event overlaps another."""
-    judged = _Judged(flight, events)
+    judged = judged or JudgedSensors(flight, events)
     records = [judged.record(event) for event in events]
     wrong = judged.naming.named & judged.healthy
     named_before = np.concatenate([np.zeros_like(wrong[:1]), judged.naming.named[:-1]])
@@ -113,11 +115,12 @@ def summed_confusion(sensors: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
-class _Judged:
+class JudgedSensors:
     """The samples of a flight of which a state is known: what is said, and which sensors are faulty."""
 
     def __init__(self, flight: Flight, events: Sequence[FaultEvent]) -> None:
-        known = (flight.fault_state != NO_STATE).all(axis=1)
+        self.known: Mask = (flight.fault_state != NO_STATE).all(axis=1)  # rows of the flight that count
+        known = self.known
         # what says nothing of sensors tells of the attitude alone, and not whether it is absent
         of_attitude = np.where(flight.attitude_state == NO_STATE, flight.fault_state, flight.attitude_state)
         states = (of_attitude, flight.gyro_state, flight.accelerometer_state)
@@ -130,8 +133,8 @@ class _Judged:
         doubtful = self.faulty.copy()
         for event in events:
             sensor, axis = SENSORS.index(event.component), AXES.index(event.axis)
-            self.faulty[self._rows(event.start, event.stop), sensor, axis] = True
-            doubtful[self._rows(event.stop, event.stop + GRACE_TIME), sensor, axis] = True
+            self.faulty[self.rows(event.start, event.stop), sensor, axis] = True
+            doubtful[self.rows(event.stop, event.stop + GRACE_TIME), sensor, axis] = True
         self.healthy: Mask = ~self.faulty & ~doubtful
 
     def seconds(self, rows: Any) -> float | None:
@@ -141,7 +144,7 @@ class _Judged:
     def record(self, event: FaultEvent) -> Record:
         """Judge one fault; ``named`` is None where it leaves the reading as it is."""
         sensor, axis = SENSORS.index(event.component), AXES.index(event.axis)
-        rows = self._rows(event.start, event.stop)
+        rows = self.rows(event.start, event.stop)
         named, ambiguous = self.naming.named[:, sensor, axis], self.naming.ambiguous[:, axis]
         anything = self.naming.named[:, :, axis].any(axis=1) | ambiguous
         wrong = (self.naming.named & self.healthy)[rows, :, axis].any(axis=1)
@@ -152,20 +155,21 @@ class _Judged:
             **event._asdict(),
             "named": bool(named[rows].any()) if is_judged else None,
             "already_named": already if is_judged else None,
-            "naming_delay_s": None if already or not is_judged else self._delay(named, rows, event.start),
-            "alarm_delay_s": self._delay(np.asarray(anything), rows, event.start) if is_judged else None,
+            "naming_delay_s": None if already or not is_judged else self.delay(named, rows, event.start),
+            "alarm_delay_s": self.delay(np.asarray(anything), rows, event.start) if is_judged else None,
             "named_share": mean(named[rows]),
             "ambiguous_share": mean(ambiguous[rows]),
             "misnamed_share": mean(wrong),
             "attitude_error_max_deg": largest(self._error[rows]),
         }
 
-    def _rows(self, start: float, stop: float) -> slice:
+    def rows(self, start: float, stop: float) -> slice:
         """Return the rows with start <= time < stop."""
         first, last = np.searchsorted(self._time, (start, stop), side="left").tolist()
         return slice(first, max(first, last))
 
-    def _delay(self, says: Mask, rows: slice, start: float) -> float | None:
+    def delay(self, says: Mask, rows: slice, start: float) -> float | None:
+        """Return when it is first said in some rows, since a start [s]; None: never."""
         hits = np.flatnonzero(says[rows])
         return number(self._time[rows.start + hits[0]] - start) if len(hits) else None
 

@@ -20,7 +20,7 @@ from quadftc_control.reference import references
 from quadftc_control.trajectory import trajectories
 from quadftc_fdi.disturbance_observer import disturbance_observers
 from quadftc_fdi.fault_observer import fault_observers
-from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, fault_events, fault_windows
+from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, fault_events, fault_windows, rotor_events
 from quadftc_flight.scenario import components
 from quadftc_flight.scenario.components import Fault, Part, Setting, part_builder, shown
 from quadftc_flight.scenario.document import Document, Keys, Problem, ScenarioError
@@ -181,6 +181,16 @@ class Scenario(_Shape):
         """The scheduled faults of each sensor, axis by axis, with their kind."""
         return fault_events(self.faults, self.duration)
 
+    @property
+    def rotor_events(self) -> tuple[FaultEvent, ...]:
+        """The scheduled faults of each rotor, with their kind; the axis of each is its number."""
+        return rotor_events(self.faults, self.duration)
+
+    @property
+    def rotors(self) -> int:
+        """How many rotors the vehicle has in free flight; 0 on the test stand."""
+        return self.plant.command_size if self.plant.flies else 0
+
 
 def build_scenario(document: Document) -> Scenario:
     """Check a document and build everything in it; a ScenarioError has one line for each problem."""
@@ -291,7 +301,7 @@ def node_parameters(
         },
         "fault_injector": {
             "seed": scenario.seed,
-            "rotors": len(scenario.plant.vehicle.rotors.positions) if scenario.plant.flies else 0,
+            "rotors": scenario.rotors,
             "faults": [fault.spec for fault in scenario.faults],
         },
         "fault_observer": with_vehicle("observer", chosen.observer),
