@@ -24,6 +24,7 @@ from quadftc_sim.injector import FaultInjector
 from quadftc_theory.conditions import Bound, Circumstances, Condition, Floats, Series, Trace, judge
 from quadftc_theory.controller_conditions import estimation_error
 from quadftc_theory.linear_model import attitude_model, structure_conditions
+from quadftc_theory.rotor_conditions import rotor_conditions
 
 FAULT_RATE = 50.0  # Hz; at which the scheduled faults are looked at
 GROWN = 0.99  # 1; share of its peak at which a fault counts as grown
@@ -96,7 +97,17 @@ def _check(scenario: Scenario, scheme: Scheme, given: Circumstances, output: str
         title = "the paper's own set-up, y = (roll, pitch, yaw), q = 3" + ("" if asked else "; not used here")
         model = attitude_model(output if asked else "angles")
         sections.append(Section(title, tuple(structure_conditions(model, needed=asked))))
+    if scenario.plant.flies:
+        found = tuple(rotor_conditions(given.vehicle, _rotors_off(scenario)))
+        sections.append(Section("rotors: what the vehicle flies on without", found))
     return CheckReport(scenario.name, scheme.name, None, tuple(sections), given)
+
+
+def _rotors_off(scenario: Scenario) -> list[int]:
+    """Rotors (0, 1, ...) that a fault of the scenario turns off."""
+    injections = [fault.injection for fault in scenario.faults]
+    off = [each.mask for each in injections if each.channel == "rotor" and each.kind == "off"]
+    return [int(rotor) for rotor in np.flatnonzero(np.any(off, axis=0))] if off else []
 
 
 def circumstances(scenario: Scenario, scheme: Scheme) -> Circumstances:
