@@ -312,6 +312,18 @@ def test_a_vehicle_file_is_found_beside_the_scenario(tmp_path, monkeypatch):
     assert simulator_from(node_parameters(scenario)["plant"]).plant.vehicle.name == "qball_x4"
 
 
+def test_a_vehicle_file_on_the_command_line_is_found_where_one_stands(tmp_path, monkeypatch):
+    source = Path(__file__).resolve().parents[2] / "quadftc_model/quadftc_model/vehicles/qball_x4.toml"
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "mine.toml").write_text(source.read_text())
+    (tmp_path / "tried.yaml").write_text(TEXT)
+    monkeypatch.chdir(tmp_path / "here")
+    scenario = load_scenario(tmp_path / "tried.yaml", ["vehicle=mine.toml"])
+    assert scenario.vehicle == str(tmp_path / "here" / "mine.toml")
+    with pytest.raises(ScenarioError, match="No such file"):
+        load_scenario(tmp_path / "tried.yaml", ["vehicle=other.toml"])
+
+
 def test_a_motor_lag_that_is_too_fast_for_its_steps_is_refused():
     fast = ["plant.motor_lag=true", "plant.motor_bandwidth=500", "rate=200 Hz"]
     (line,) = refusal(TEXT, fast)

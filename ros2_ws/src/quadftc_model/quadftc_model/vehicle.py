@@ -1,6 +1,6 @@
 """Vehicles are data: one TOML file each, here or anywhere else, every number with its unit and source.
 
-A wrong file is a ValueError that says which file and which key.
+A wrong file is a ValueError that says which file, line and key, for all that is wrong.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ import dataclasses
 import functools
 import math
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_model.samples import STANDARD_GRAVITY
-from quadftc_model.vehicle_checks import check_possible
-from quadftc_model.vehicle_table import read_section
+from quadftc_model.vehicle_checks import impossible
+from quadftc_model.vehicle_table import KEYS, Problem, line_of, read_section, shortened
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -29,14 +30,7 @@ if TYPE_CHECKING:
 _DIRECTORY = Path(__file__).parent / "vehicles"
 _GROUP = "quadftc.vehicles"  # entry points: name -> path of a TOML file
 _SMALLEST = 1e-12  # in SI; no number of a vehicle that is positive is smaller
-# what a file holds: texts, numbers, and arrays by shape, -1 being any length
-_TEXTS = ("name", "description", "source")
-_BODY: dict[str, Any] = {"mass": float, "inertia": (3,), "rotational_drag": (3,)}
 _POSITIVE = ("thrust_gain", "yaw_gain", "time_constant", "thrust_coefficient")
-_COMMANDS = ("command_min", "command_max", "command_idle", "command_trim")
-_NUMBERS = (*_POSITIVE, *_COMMANDS, "rotor_inertia")
-_ROTORS: dict[str, Any] = {"positions": (-1, 2), "yaw_sign": (-1,), "spin_sign": (-1,)}
-_AERODYNAMICS: dict[str, Any] = {"rotor_drag": float, "drag_area": (3,), "imu_position": (3,)}
 
 
 def _zeros() -> NDArray[np.float64]:
@@ -109,22 +103,32 @@ class Vehicle:
     aerodynamics: Aerodynamics = dataclasses.field(default_factory=Aerodynamics)
 
     def __post_init__(self) -> None:
-        """Check the numbers."""
+        """Check the numbers; a ValueError has a line for each that is wrong."""
+        problems = [*self._wrong_signs()] or impossible(self)
+        if problems:
+            raise ValueError("\n".join(problem.line for problem in problems))
+
+    def _wrong_signs(self) -> Iterator[Problem]:
+        """Yield what has a wrong count or sign."""
         rotors = self.rotors
         count = len(rotors.positions)
         for name in ("yaw_sign", "spin_sign"):
-            if getattr(rotors, name).shape != (count,):
-                raise ValueError(f"rotors.{name}: expected {count} numbers, one for each of rotors.positions")
+            if (given := len(getattr(rotors, name))) != count:
+                yield Problem(
+                    f"rotors.{name}",
+                    f"expected {count} numbers, one for each of rotors.positions, not {given}",
+                )
         positive = f"positive, at least {_SMALLEST:g}"
-        _require(self, "", ("mass", "inertia"), _SMALLEST, positive)
-        _require(self, "", ("rotational_drag",), 0.0, "not negative")
-        _require(rotors, "rotors.", ("rotor_inertia",), 0.0, "not negative")
-        _require(rotors, "rotors.", _POSITIVE, _SMALLEST, positive)
-        _require(self.aerodynamics, "aerodynamics.", ("rotor_drag", "drag_area"), 0.0, "not negative")
+        yield from _not_at_least(self, "", ("mass", "inertia"), _SMALLEST, positive)
+        yield from _not_at_least(self, "", ("rotational_drag",), 0.0, "not negative")
+        yield from _not_at_least(rotors, "rotors.", _POSITIVE, _SMALLEST, positive)
+        yield from _not_at_least(rotors, "rotors.", ("rotor_inertia",), 0.0, "not negative")
+        air = ("rotor_drag", "drag_area")
+        yield from _not_at_least(self.aerodynamics, "aerodynamics.", air, 0.0, "not negative")
         low, high, trim = rotors.command_min, rotors.command_max, rotors.command_trim
         if not low < trim < high:
-            raise ValueError(f"rotors.command_trim = {trim}: must be in ({low}, {high})")
-        check_possible(self)
+            limits = f"({low:g}, {high:g}), the limits of the command"
+            yield Problem("rotors.command_trim", f"= {trim}: must be in {limits}")
 
     @functools.cached_property
     def mixer(self) -> NDArray[np.float64]:
@@ -207,12 +211,26 @@ def _added() -> EntryPoints:
 
 
 def load_vehicle(name: str) -> Vehicle:
-    """Load a vehicle by name, or from the path of a TOML file."""
+    """Load a vehicle by name, or from the path of a TOML file.
+
+    A ValueError has a line for each thing that is wrong: file, line, key, value, and what was expected.
+    """
     path = _path_of(name)
     try:
         return _load(path, path.stat().st_mtime_ns)
-    except (OSError, ValueError) as error:  # unreadable, no TOML, no UTF-8, a wrong value
-        raise ValueError(f"vehicle {path}: {error}") from None
+    except OSError as error:
+        raise ValueError(f"vehicle {path}: {error.strerror}") from None
+    except ValueError as error:  # no TOML, no UTF-8, wrong values
+        raise ValueError("\n".join(_located(path, line) for line in str(error).splitlines())) from None
+
+
+def _located(path: Path, problem: str) -> str:
+    """Put file and line of its key before what is wrong."""
+    try:
+        line = line_of(path.read_text(encoding="utf-8"), problem.partition(" ")[0].rstrip(":"))
+    except ValueError:  # no UTF-8
+        line = None
+    return f"vehicle {path}{f':{line}' if line else ''}: {problem}"
 
 
 def _path_of(name: str) -> Path:
@@ -233,20 +251,27 @@ def _load(path: Path, changed_ns: int) -> Vehicle:
     """Read a file; again only when it has changed, as a campaign builds thousands of flights."""
     with path.open("rb") as file:
         table = tomllib.load(file)
-    if not isinstance(rotors := table.pop("rotors", None), dict):
-        raise ValueError("[rotors]: expected this table")
-    air = table.pop("aerodynamics", {})
-    if not isinstance(air, dict):
-        raise ValueError(f"aerodynamics = {air!r}: expected a table")
-    parts = {
-        "rotors": Rotors(**read_section(rotors, "rotors.", _ROTORS | dict.fromkeys(_NUMBERS, float))),  # pyright: ignore[reportUnknownArgumentType]
-        "aerodynamics": Aerodynamics(**read_section(air, "aerodynamics.", _AERODYNAMICS, optional=True)),  # pyright: ignore[reportUnknownArgumentType]
-    }
-    return Vehicle(**parts, **read_section(table, "", _BODY | dict.fromkeys(_TEXTS, str)))
+    read: dict[str, dict[str, Any]] = {}
+    problems: list[Problem] = []
+    for section in KEYS:
+        part = table if section == "" else table.get(section, {} if section == "aerodynamics" else None)
+        if not isinstance(part, dict):
+            given = "missing" if part is None else f"= {shortened(repr(part))}"
+            problems.append(Problem(section, f"{given}: expected a table [{section}] with its keys"))
+            continue
+        read[section], wrong = read_section(part, section)  # pyright: ignore[reportUnknownArgumentType]
+        problems += wrong
+    if problems:
+        raise ValueError("\n".join(problem.line for problem in problems))
+    rotors, air = Rotors(**read["rotors"]), Aerodynamics(**read["aerodynamics"])
+    return Vehicle(**read[""], rotors=rotors, aerodynamics=air)
 
 
-def _require(owner: Any, prefix: str, names: tuple[str, ...], least: float, expected: str) -> None:
+def _not_at_least(
+    owner: Any, prefix: str, names: tuple[str, ...], least: float, expected: str
+) -> Iterator[Problem]:
     for name in names:
         value = getattr(owner, name)
         if not np.all(value >= least):
-            raise ValueError(f"{prefix}{name} = {value}: must be {expected}")
+            shown = value if isinstance(value, float) else value.tolist()
+            yield Problem(f"{prefix}{name}", f"= {shown}: must be {expected}")

@@ -5,12 +5,13 @@ The bounds are wide: every published multirotor is well within them, a slip of u
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_model.vehicle_table import shortened
+from quadftc_model.vehicle_table import Problem, shortened
 
 if TYPE_CHECKING:
     from quadftc_model.vehicle import Vehicle
@@ -29,26 +30,38 @@ ROUNDING = 1e-9  # 1
 Floats = NDArray[np.float64]
 
 
-def check_possible(vehicle: Vehicle) -> None:
-    """Refuse a vehicle that cannot be or cannot fly; its numbers are known to have signs and shapes.
+class _ImpossibleError(Exception):
+    """What is impossible: key and words."""
 
-    Raises
-    ------
-    ValueError
-        Names the key, the value and what was expected.
+
+def impossible(vehicle: Vehicle) -> list[Problem]:
+    """Return what keeps a vehicle from being or flying; its numbers are known to have signs and shapes.
+
+    What follows from another problem is not told: without three torques there is no hover.
     """
-    _check_signs(vehicle)
-    _check_independence(vehicle)
-    _check_thrust(vehicle)
-    _check_inertia(vehicle)
-    _check_hover(vehicle)
-    _check_times(vehicle)
-    _check_places(vehicle)
+    for check in (_check_signs, _check_independence):
+        if (problem := _problem_of(check, vehicle)) is not None:
+            return [problem]
+    found: list[Problem | None] = []
+    for check in (_check_thrust, _check_inertia, _check_hover):  # the mass is in all three
+        found.append(_problem_of(check, vehicle))
+        if found[-1] is not None:
+            break
+    found += [_problem_of(check, vehicle) for check in (_check_times, _check_places)]
+    return [problem for problem in found if problem is not None]
+
+
+def _problem_of(check: Callable[[Vehicle], None], vehicle: Vehicle) -> Problem | None:
+    try:
+        check(vehicle)
+    except _ImpossibleError as error:
+        return Problem(*error.args)
+    return None
 
 
 def _refuse(key: str, value: Any, why: str) -> None:
     shown = f"{value:g}" if isinstance(value, float) else str(np.asarray(value).tolist())
-    raise ValueError(f"{key} = {shortened(shown)}: {why}")
+    raise _ImpossibleError(key, f"= {shortened(shown)}: {why}")
 
 
 def _check_signs(vehicle: Vehicle) -> None:
@@ -97,10 +110,12 @@ def _check_thrust(vehicle: Vehicle) -> None:
         _refuse("rotors.command_idle", rotors.command_idle, why)
     low, high = THRUST_TO_WEIGHT
     if not low <= vehicle.thrust_to_weight <= high:
+        is_grams = low <= 1e3 * vehicle.thrust_to_weight <= high
+        grams = f"; {vehicle.mass:g} g are {1e-3 * vehicle.mass:g} kg" if is_grams else ""
         why = (
             f"{weight:.5g} N of weight on {vehicle.thrust_max:.5g} N of thrust "
             f"(rotors.thrust_gain, command_max), thrust to weight {vehicle.thrust_to_weight:.3g}: "
-            f"expected within [{low:g}, {high:g}]"
+            f"expected within [{low:g}, {high:g}]{grams}"
         )
         _refuse("mass", vehicle.mass, why)
     if (slow := vehicle.thrust_min) > SINK * weight:

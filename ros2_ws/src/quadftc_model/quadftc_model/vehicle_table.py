@@ -1,44 +1,124 @@
-"""Read a table of a vehicle's file: texts, numbers and arrays, each refused by its key."""
+"""The keys of a vehicle's file: kind, unit and meaning of each; and reading them, with all that is wrong."""
 
 from __future__ import annotations
 
-from typing import Any
+import re
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from quadftc_model.hints import nearest
+
 LARGEST = 1e9  # in SI; no number of a vehicle is larger
 
 
-def read_section(
-    table: dict[str, Any], prefix: str, kinds: dict[str, Any], *, optional: bool = False
-) -> dict[str, Any]:
-    """Return the values of a table by key; messages call the table by a prefix.
+class Key(NamedTuple):
+    """One key of a table."""
 
-    A kind is ``str``, ``float`` or the shape of an array, -1 being any length. Any key of an ``optional``
-    table may be missing.
-    """
-    names = [key for key in kinds if key in table or not optional]
-    values = {key: _read(f"{prefix}{key}", table.get(key), kinds[key]) for key in names}
-    for key in table.keys() - kinds:
-        raise ValueError(f"{prefix}{key}: unknown key")
-    return values
+    kind: Any  # ``str``, ``float`` or the shape of an array, -1 being any length
+    unit: str  # SI; empty: a text
+    doc: str
 
 
-def _read(key: str, value: Any, kind: Any) -> Any:
-    """Return a text, a number or an array as the vehicle holds it."""
+# what a file holds, by table; the keys of [aerodynamics] may be missing
+KEYS: dict[str, dict[str, Key]] = {
+    "": {
+        "name": Key(str, "", "what `quadftc list vehicles` and reports call it"),
+        "description": Key(str, "", "one line"),
+        "source": Key(str, "", "where the numbers are from"),
+        "mass": Key(float, "kg", "mass"),
+        "inertia": Key((3,), "kg m^2", "principal moments about x, y, z"),
+        "rotational_drag": Key((3,), "N m s/rad", "torque against each body rate; 0: none"),
+    },
+    "rotors": {
+        "positions": Key((-1, 2), "m", "of each rotor from the centre of mass: x forward, y left"),
+        "spin_sign": Key((-1,), "1", "1: counter-clockwise from above, -1: clockwise"),
+        "yaw_sign": Key((-1,), "1", "sign of its reaction torque about z: the opposite of `spin_sign`"),
+        "thrust_gain": Key(float, "N", "thrust per unit of command"),
+        "yaw_gain": Key(float, "N m", "reaction torque per unit of command"),
+        "command_min": Key(float, "1", "least command of a rotor"),
+        "command_max": Key(float, "1", "largest command of a rotor"),
+        "command_idle": Key(float, "1", "command at which the thrust is zero"),
+        "command_trim": Key(float, "1", "command around which the attitude is controlled, near hover"),
+        "time_constant": Key(float, "s", "first-order lag of the thrust"),
+        "rotor_inertia": Key(float, "kg m^2", "of one rotor about its axis; 0: no gyroscopic torque"),
+        "thrust_coefficient": Key(float, "N s^2/rad^2", "thrust over squared speed"),
+    },
+    "aerodynamics": {
+        "rotor_drag": Key(
+            float, "N s^2/(m rad)", "in-plane force of a rotor over its speed and that of the air"
+        ),
+        "drag_area": Key((3,), "m^2", "C_d A of the body, from ahead, the side, above"),
+        "imu_position": Key((3,), "m", "of the IMU from the centre of mass"),
+    },
+}
+_EXAMPLES = {(3,): "[x, y, z]", (-1, 2): "[[x, y], [x, y], ...]", (-1,): "[1, -1, ...]"}
+
+
+class Problem(NamedTuple):
+    """What is wrong with a key."""
+
+    key: str  # dotted
+    text: str  # beginning with ``=`` and the value, if that is wrong
+
+    @property
+    def line(self) -> str:
+        """The line that reports it."""
+        return f"{self.key}{' ' if self.text.startswith('=') else ': '}{self.text}"
+
+
+def read_section(table: Mapping[str, Any], section: str) -> tuple[dict[str, Any], list[Problem]]:
+    """Return the values of a table by key, and what is wrong with it."""
+    keys, prefix = KEYS[section], f"{section}." if section else ""
+    values: dict[str, Any] = {}
+    problems: list[Problem] = []
+    for name, key in keys.items():
+        if name in table:
+            found = _read(table[name], key.kind)
+            if found is None:
+                text = f"= {shortened(repr(table[name]))}: expected {_expected(table[name], key)}"
+                problems.append(Problem(f"{prefix}{name}", text))
+            values[name] = found
+        elif section != "aerodynamics":
+            problems.append(
+                Problem(f"{prefix}{name}", f"missing; expected {_expected(None, key)}: {key.doc}")
+            )
+    unknown = [name for name in table if name not in keys and not (section == "" and name in KEYS)]
+    problems += [Problem(f"{prefix}{name}", f"unknown key{_hint(name, section)}") for name in unknown]
+    return values, problems
+
+
+def _hint(name: str, section: str) -> str:
+    """Say where a key belongs, or what may be meant."""
+    for other, keys in KEYS.items():
+        if name in keys:
+            return f" here; it belongs {f'into [{other}]' if other else 'above the first table'}"
+    known = [*KEYS[section], *(KEYS if section == "" else ())]
+    return nearest(name, known) or f"; known are {', '.join(filter(None, known))}"
+
+
+def _expected(value: Any, key: Key) -> str:
+    """Say what a key takes."""
+    if key.kind is str:
+        return "a text"
+    unit = "" if key.unit == "1" else f", in {key.unit}"
+    if isinstance(value, str) and re.match(r"\s*[-+]?[\d.]", value):
+        return f"the number alone{unit}, without quotes"
+    if key.kind is float:
+        return f"a finite number{unit}, not beyond {LARGEST:g}"
+    return f"finite numbers {_EXAMPLES[key.kind]}{unit}, none beyond {LARGEST:g}"
+
+
+def _read(value: Any, kind: Any) -> Any:
+    """Return a text, a number or an array as the vehicle holds it; None if it is none."""
     if kind is str:
-        found, expected = value if isinstance(value, str) else None, "a text"
-    elif kind is float:
+        return value if isinstance(value, str) else None
+    if kind is float:
         is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        expected = f"a finite number, not beyond {LARGEST:g}"
-        found = float(value) if is_number and abs(value) <= LARGEST else None
-    else:
-        expected = f"finite numbers of shape {kind}, -1 being any length, none beyond {LARGEST:g}"
-        found = _array_of(value, kind)
-    if found is not None:
-        return found
-    raise ValueError(f"{key} = {shortened(repr(value))}: expected {expected}")
+        return float(value) if is_number and abs(value) <= LARGEST else None
+    return _array_of(value, kind)
 
 
 def shortened(text: str) -> str:
@@ -54,3 +134,16 @@ def _array_of(value: Any, shape: tuple[int, ...]) -> NDArray[np.float64] | None:
     fits = array.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))
     array.setflags(write=False)
     return array if fits and np.all(np.abs(array) <= LARGEST) else None
+
+
+def line_of(text: str, key: str) -> int | None:
+    """Return the line (from 1) of a dotted key in the text of a file; of its table if the key is missing."""
+    section, _, name = key.rpartition(".")
+    present, table = "", None
+    for number, line in enumerate(text.splitlines(), start=1):
+        if heading := re.match(r"\s*\[\s*([\w.-]+)\s*\]", line):
+            present = heading[1]
+            table = number if present == section else table
+        elif present == section and re.match(rf"\s*{re.escape(name)}\s*=", line):
+            return number
+    return table

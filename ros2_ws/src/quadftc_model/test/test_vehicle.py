@@ -70,27 +70,27 @@ def test_unknown_vehicle_is_refused_with_those_that_there_are():
         (r"^yaw_sign = .*", "yaw_sign = [1, 1, 1, 1]", r"rotors.yaw_sign = .*: expected the opposite of"),
         (r"^mass = 1.4", "mass = true", r"mass = True: expected a finite number"),
         (r"^mass = 1.4", "mass = nan", r"mass = nan: expected a finite number"),
-        (r"^mass = .*", "", r"mass = None: expected a finite number"),
+        (r"^mass = .*", "", r"mass: missing; expected a finite number, in kg"),
         (r"^mass = 1.4", "weight = 1\nmass = 1.4", r"weight: unknown key"),
         (r"^name = .*", "name = 3", r"name = 3: expected a text"),
         (r"^inertia = \[0.03", "inertia = [0", r"inertia = .*: must be positive"),
         (
             r"^inertia = \[0.03, ",
             "inertia = [",
-            r"inertia = \[0.03, 0.04\]: expected finite numbers of shape \(3,\)",
+            r"inertia = \[0.03, 0.04\]: expected finite numbers \[x, y, z\], in kg m\^2",
         ),
         (r"^rotational_drag = \[0", "rotational_drag = [-0", r"rotational_drag = .*: must be not negative"),
-        (r"^\[rotors\]", "[motors]", r"\[rotors\]: expected this table"),
+        (r"^\[rotors\]", "[motors]", r"motors: unknown key \(did you mean 'rotors'\?\)"),
         (r"^yaw_sign = \[1, ", "yaw_sign = [", r"rotors.yaw_sign: expected 4 numbers"),
         (
             r"^positions = .*",
             "positions = [1, 2]",
-            r"rotors.positions = \[1, 2\]: expected finite numbers of shape",
+            r"rotors.positions = \[1, 2\]: expected finite numbers",
         ),
         (
             r"^positions = .*",
             "positions = [['a', 'b']]",
-            r"rotors.positions = .*: expected finite numbers of shape",
+            r"rotors.positions = .*: expected finite numbers",
         ),
         (
             r"^positions = .*",
@@ -107,7 +107,7 @@ def test_unknown_vehicle_is_refused_with_those_that_there_are():
         ),
         (r"^thrust_gain", "thrust_gian = 1.0\nthrust_gain", r"rotors.thrust_gian: unknown key"),
         (r"^rotor_drag = .*", "rotor_drag = -1.0", r"aerodynamics.rotor_drag = -1.0: must be not negative"),
-        (r"^drag_area = .*", "drag_area = 1.0", r"aerodynamics.drag_area = 1.0: expected finite numbers of"),
+        (r"^drag_area = .*", "drag_area = 1.0", r"aerodynamics.drag_area = 1.0: expected finite numbers"),
         (r"^drag_area = .*", "wings = 2", r"aerodynamics.wings: unknown key"),
         (
             r"(?s)^mass(.*)^\[aerodynamics\].*",
@@ -119,7 +119,7 @@ def test_unknown_vehicle_is_refused_with_those_that_there_are():
 )
 def test_wrong_file_is_refused_with_its_path_and_key(tmp_path, pattern, replacement, message):
     path = changed(tmp_path, pattern, replacement)
-    with pytest.raises(ValueError, match=rf"vehicle {re.escape(path)}: {message}"):
+    with pytest.raises(ValueError, match=rf"vehicle {re.escape(path)}(:\d+)?: {message}"):
         load_vehicle(path)
 
 
@@ -169,3 +169,33 @@ def test_vehicle_without_aerodynamics_has_no_drag(tmp_path):
     assert air.rotor_drag == 0.0
     assert not np.any(air.drag_area)
     assert not np.any(air.imu_position)
+
+
+def test_all_that_is_wrong_is_told_at_once_with_line_unit_and_hint(tmp_path):
+    text = TEXT.replace("mass = 1.4 ", 'mass = "1.4 kg" ').replace("yaw_gain =", "yaw_gian =")
+    text = text.replace("[aerodynamics]", "[aerodynamics]\ntime_constant = 0.1")
+    path = tmp_path / "wrong.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match="wrong") as caught:
+        load_vehicle(str(path))
+    lines = text.splitlines()
+
+    def number(start):
+        return next(k for k, line in enumerate(lines, 1) if line.startswith(start))
+
+    assert str(caught.value).splitlines() == [
+        f"vehicle {path}:{number('mass')}: mass = '1.4 kg': expected the number alone, in kg, without quotes",
+        f"vehicle {path}:{number('[rotors]')}: rotors.yaw_gain: missing; expected a finite number, in N m, "
+        "not beyond 1e+09: reaction torque per unit of command",
+        f"vehicle {path}:{number('yaw_gian')}: rotors.yaw_gian: unknown key (did you mean 'yaw_gain'?)",
+        f"vehicle {path}:{number('[aerodynamics]') + 1}: aerodynamics.time_constant: unknown key here; it "
+        "belongs into [rotors]",
+    ]
+
+
+def test_numbers_that_are_wrong_together_are_told_together(tmp_path):
+    path = changed(
+        tmp_path, r"(?s)^mass = 1.4(.*)^time_constant = [^ ]*", r"mass = 1400\1time_constant = 15.0"
+    )
+    with pytest.raises(ValueError, match=r"1400 g are 1.4 kg\n.*rotors.time_constant = 15: expected within"):
+        load_vehicle(path)

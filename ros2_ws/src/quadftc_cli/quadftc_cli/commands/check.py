@@ -15,10 +15,11 @@ from typer import Argument, Option
 
 from quadftc_bags.bag import BagError
 from quadftc_cli.commands import CHECK_FAILED, options
-from quadftc_cli.screen import console, say, warn
+from quadftc_cli.screen import console, plain_table, say, warn
 from quadftc_flight.run_directory import read_run
 from quadftc_flight.scenario import find_scenario, load_scenario, with_components
-from quadftc_model.vehicle import load_vehicle
+from quadftc_model.vehicle import load_vehicle, vehicle_names
+from quadftc_model.vehicle_page import page_rows, plan, warnings
 from quadftc_theory.checks import CheckReport, check_run, check_scenario
 from quadftc_theory.conditions import Verdict
 
@@ -37,7 +38,10 @@ LEGEND = (
 
 def check(
     target: Annotated[
-        str, Argument(metavar="SCENARIO|BAG", help="Scenario file or name, or a recorded run.")
+        str,
+        Argument(
+            metavar="SCENARIO|BAG|VEHICLE", help="Scenario or vehicle (file or name), or a recorded run."
+        ),
     ],
     scheme: Annotated[str, Option(help="Scheme to judge; default: the scenario's first.")] = "",
     observer: options.ObserverOption = "",
@@ -58,7 +62,14 @@ def check(
     sensors: Annotated[str, Option(help="For --isolability: sensors, by comma.")] = "attitude,gyro",
     as_json: Annotated[bool, Option("--json", help="For machines.")] = False,
 ) -> None:
-    """Say where the theory holds: one line for each condition, with its numbers."""
+    """Say where the theory holds: one line for each condition, with its numbers.
+
+    Of a vehicle (VEHICLE.toml, or a name of quadftc list vehicles), a page: hover, authority, time constants,
+    a plan of its rotors, warnings.
+    """
+    if target.endswith(".toml") or (target in vehicle_names() and not Path(target).exists()):
+        print_vehicle(target, as_json)
+        return
     if isolability:
         _isolability(load_scenario(find_scenario(target), set_).vehicle, sensors, as_json)
         return
@@ -84,6 +95,22 @@ def check(
         _print(report)
     if not report.passed:
         raise typer.Exit(CHECK_FAILED)
+
+
+def print_vehicle(name: str, as_json: bool = False) -> None:
+    """Print a page about a vehicle; a ValueError says all that is wrong with its file."""
+    vehicle = load_vehicle(name)
+    rows, warned = page_rows(vehicle), [*warnings(vehicle)]
+    if as_json:
+        say(json.dumps({"name": vehicle.name, **{row.name: row.value for row in rows}, "warnings": warned}))
+        return
+    say(f"{vehicle.name}: {vehicle.description}", "")
+    say(*plan(vehicle), "", "from above, forward is up; ↺ counter-clockwise, ↻ clockwise")
+    table = plain_table(("", "value", ""), ())
+    for row in rows:
+        table.add_row(*row)
+    console().print(table)
+    say(*(f"warning: {each}" for each in warned) if warned else ("no warnings",))
 
 
 def _isolability(vehicle: str, sensors: str, as_json: bool) -> None:

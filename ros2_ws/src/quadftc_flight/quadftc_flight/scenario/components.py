@@ -174,9 +174,13 @@ class _Mistakes:
 
 
 def load_vehicle_of(name: str, info: ValidationInfo) -> str:
-    """Load the vehicle into the context; return its name, or the absolute path of its file."""
+    """Load the vehicle into the context; return its name, or the absolute path of its file.
+
+    A path is relative to the scenario's file; one on the command line, to the present directory.
+    """
     setting = cast("Setting", info.context)
-    folder = Path(setting.document.source if setting.document else "").parent
+    given_here = setting.document is None or setting.document.is_overridden(("vehicle",))
+    folder = Path() if given_here or setting.document is None else Path(setting.document.source).parent
     full = str(folder.resolve() / name) if name.endswith(".toml") else name
     try:
         setting.vehicle = load_vehicle(full)

@@ -22,6 +22,7 @@ Keys = tuple[str | int, ...]  # where a value is: keys and indices from the root
 Change = tuple[Sequence[str | int], Any, str, str]  # path, new value, what gives it, how an error begins
 
 ROLES = ("observer", "disturbance_observer", "controller")  # keys of a scheme that may hold a name only
+OVERRIDE = "override"  # begins the origin of what an assignment gives
 MAX_SHOWN = 10  # problems in one report
 _MAX_VALUES = 20_000  # values in one document; aliases of aliases grow without bound
 _MAX_DEPTH = 20
@@ -76,8 +77,13 @@ class Document:
             for target, value in values.items()
         )
 
+    def is_overridden(self, path: Keys) -> bool:
+        """Whether a value comes from an assignment, not from the file or a campaign."""
+        origin = self._origin(path)
+        return isinstance(origin, str) and origin.startswith(OVERRIDE)
+
     def _parse_override(self, assignment: str) -> Change:
-        origin = f"override {assignment!r}"
+        origin = f"{OVERRIDE} {assignment!r}"
         where = f"{self.source}: {origin}"
         target, equals, text = assignment.partition("=")
         words = _words(target)

@@ -159,8 +159,8 @@ class Scenario(_Shape):
 
     @property
     def raw(self) -> dict[str, Any]:
-        """The scenario as plain data, overrides applied."""
-        return copy.deepcopy(self.document.data)
+        """The scenario as plain data, overrides applied; a vehicle's file by its absolute path."""
+        return {**copy.deepcopy(self.document.data), "vehicle": self.vehicle}
 
     def scheme(self, name: str | None = None) -> Scheme:
         """Return a scheme by name, the first by default; a name that is not there is a ScenarioError."""
