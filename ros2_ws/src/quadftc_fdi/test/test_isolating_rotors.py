@@ -1,5 +1,7 @@
 """The observer isolating where the rotors are known: one answer, whether a rotor or a sensor fails."""
 
+import dataclasses
+
 import jax
 import numpy as np
 import pytest
@@ -130,3 +132,11 @@ def test_batch_gives_the_numbers_of_single_flights():
         for many, one in zip(batch, alone, strict=True):
             for column, value in zip(many.rotors, one.rotors, strict=True):
                 np.testing.assert_allclose(column[lane], value, rtol=1e-9, atol=1e-12)
+
+
+def test_effects_of_the_rotors_are_those_of_the_vehicle_that_the_law_has_now():
+    """The batch engine copies a law, and gives it other numbers."""
+    law = Isolating(vehicle=VEHICLE)
+    other = dataclasses.replace(law, vehicle=dataclasses.replace(VEHICLE, mass=1.1 * VEHICLE.mass))
+    np.testing.assert_allclose(law.rotor_effects.rows[3], 1.1 * other.rotor_effects.rows[3])
+    assert "rotor_effects" not in vars(law)

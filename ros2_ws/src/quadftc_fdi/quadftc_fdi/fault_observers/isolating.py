@@ -38,7 +38,7 @@ from quadftc_fdi.isolation.gyro_monitor import AttitudeReading, GyroMonitor, Gyr
 from quadftc_fdi.isolation.hypotheses import Hypotheses
 from quadftc_fdi.isolation.reading_test import ReadingTest, Verdict, start_test
 from quadftc_fdi.isolation.rotor_watch import RotorWatch
-from quadftc_fdi.rotor_diagnosis.rotor_model import Effects, effects_of, model_of
+from quadftc_fdi.rotor_diagnosis.rotor_model import Effects, vehicle_effects
 from quadftc_fdi.supervision import sensor_noise
 from quadftc_fdi.supervision.inertial_filter import estimate_rate
 from quadftc_fdi.supervision.transition import ROTATION, variances
@@ -135,10 +135,10 @@ class Isolating(Supervised):
             self.position_delay, self.position_noise, self.gives_velocity, self.velocity_noise
         )
 
-    @functools.cached_property
+    @property
     def rotor_effects(self) -> Effects:
         """What the rotors do to gyro and accelerometer."""
-        return effects_of(model_of(self.vehicle))
+        return vehicle_effects(self.vehicle)
 
     def init(self, inputs: FaultObserverInputs) -> Any:
         """Start on the measurement."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
+
+import numpy as np
 
 from quadftc_model.arrays import AnyArray, Array, Components, Float, Scalar, exp, larger, namespace
 from quadftc_model.samples import STANDARD_GRAVITY
@@ -41,6 +44,18 @@ def model_of(vehicle: Vehicle) -> RotorModel:
     """Return the model of a vehicle file; thrust in newton."""
     effect, inertia = vehicle.effectiveness, vehicle.inertia
     return RotorModel(effect[1:] / inertia[..., None], effect[0] / vehicle.mass)
+
+
+def vehicle_effects(vehicle: Vehicle) -> Effects:
+    """Return the effects of the rotors of a vehicle; those of one whose numbers are NumPy's are kept."""
+    numbers = (vehicle.inertia, vehicle.effectiveness)
+    known = all(type(each) is np.ndarray for each in numbers) and isinstance(vehicle.mass, float)
+    return _known_effects(vehicle) if known else effects_of(model_of(vehicle))
+
+
+@functools.lru_cache(maxsize=8)
+def _known_effects(vehicle: Vehicle) -> Effects:
+    return effects_of(model_of(vehicle))
 
 
 def thrusts_of(vehicle: Vehicle, speeds: Components) -> Components:
