@@ -48,7 +48,8 @@ from quadftc_model.samples import ControllerOutput
 from quadftc_model.vehicle import Vehicle
 
 _ROUNDING = 1e-12  # 1; of the largest thrust of a rotor: what exceeds a room by less fits
-NOTHING = 1e-3  # 1; a rotor that is less effective is commanded as if it were off: at its least speed
+NOTHING = 0.05  # 1; a rotor that is less effective counts as off
+PROBE = 0.05  # 1; of hover thrust: what a rotor that is off is asked for, so that it shows when it is back
 _TINY = 1e-30  # N; divides nothing by zero where no force is wanted
 
 
@@ -116,8 +117,11 @@ def _weak_forces(
     vehicle: Vehicle, wanted: Components, effectiveness: Components
 ) -> tuple[Components, Components]:
     """The same of rotors that are weak: what healthy ones would give at the same speed, and the wrench."""
+    xp = namespace(wanted)
     thrusts, given = weak_thrusts(vehicle, wanted, effectiveness)
-    return clip(thrusts / namespace(wanted).maximum(effectiveness, NOTHING), *_range_of(vehicle)), given
+    forces = clip(thrusts / xp.maximum(effectiveness, NOTHING), *_range_of(vehicle))
+    asked = PROBE * vehicle.weight / effectiveness.shape[-1]
+    return xp.where(effectiveness < NOTHING, xp.maximum(forces, asked), forces), given
 
 
 def _range_of(vehicle: Vehicle) -> tuple[float, float]:

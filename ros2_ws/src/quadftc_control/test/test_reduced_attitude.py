@@ -7,6 +7,7 @@ import pytest
 
 from quadftc_control.controllers.indi import Indi
 from quadftc_control.controllers.ismc import Ismc
+from quadftc_control.controllers.pid import Pid
 from quadftc_control.reduced_attitude import ReducedAttitude, enduring, wanted_direction, yaw_left
 from quadftc_model.rigid_body import angular_acceleration, rk4
 from quadftc_model.rotations import normalise, quaternion_from_euler, quaternion_rate
@@ -138,3 +139,20 @@ def test_batch_equals_the_loop():
         np.testing.assert_allclose(
             [each[0][lane] for each in many], [each.torque for each in outputs], rtol=1e-9, atol=1e-12
         )
+
+
+def test_jax_equals_the_loop():
+    jax = pytest.importorskip("jax")
+    law, rng = enduring(Pid(vehicle=VEHICLE)), np.random.default_rng(3)
+    sequence = [
+        inputs_of(np.clip(rng.uniform(-0.5, 1.5, 4), 0, 1), *rng.normal(0, 0.3, (3, 3))) for _ in range(9)
+    ]
+    outputs, active = flown(law, sequence)
+    assert len(set(active)) == 2
+    state = law.init(sequence[0])
+    with jax.enable_x64(True):
+        step = jax.jit(law.step)
+        for index, inputs in enumerate(sequence):
+            state, output = step(state, inputs, DT if index else 0.0)
+            assert bool(state.active) == active[index]
+            np.testing.assert_allclose(output.torque, outputs[index].torque, rtol=1e-9, atol=1e-12)
