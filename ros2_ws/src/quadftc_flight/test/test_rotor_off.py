@@ -12,7 +12,7 @@ from quadftc_model.samples import FAULTY, HEALTHY, RotorEstimate
 
 OFF, BACK, LATE = 1.0, 5.0, 0.06  # s
 FLIGHT = """
-duration: 10 s
+duration: 11.5 s
 rate: 250 Hz
 seed: 2
 vehicle: hummingbird
@@ -64,7 +64,7 @@ def test_the_vehicle_spins_and_stays_at_its_place(flight):
 
 
 def test_when_the_rotor_is_back_yaw_goes_back_to_its_reference(flight):
-    last = rows(flight, 9.7, 10.0)
+    last = rows(flight, 11.2, 11.5)
     assert np.max(np.abs(flight.body_rate[last, 2])) < 0.1
     assert np.degrees(np.max(np.abs(flight.angles[last]))) < 5.0
     error = np.linalg.norm(flight.position - flight.position_reference, axis=1)
