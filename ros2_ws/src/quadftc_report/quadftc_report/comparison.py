@@ -164,8 +164,9 @@ def list_injections(run: Recorded) -> list[Injection]:
     faults = sorted(run.faults, key=lambda fault: fault.injection.start)
     for fault in (fault for fault in faults if fault.injection.start < end):
         injection = fault.injection
-        whole = injection.law.whole_channel or len(fault.axes) == len(AXES)
-        where = f"{injection.channel}: {'all axes' if whole else listing(fault.axes)}"
+        whole = not fault.rotors and (injection.law.whole_channel or len(fault.axes) == len(AXES))
+        elements = "all axes" if whole else listing(fault.rotors or fault.axes)
+        where = f"{injection.channel}: {elements}"
         units = CHANNEL_UNITS[injection.channel]
         what = _describe(injection.kind, injection.law, fault.given, fault.axes, units)
         lines.append((_when(injection, end), where, what))

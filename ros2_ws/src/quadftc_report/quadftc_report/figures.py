@@ -9,6 +9,7 @@
 | disturbance | disturbance and its estimates, a panel for each axis | flights | |
 | sliding_variable | S and its boundary layer, a panel for each axis | flights | |
 | torque | torque command, a panel for each axis | flights | |
+| rotors, state-rotor | effectiveness, true and estimated; state; a panel for each rotor | free flights | |
 | position, top_view, position_error | reference and position; paths from above; distances | free flights | |
 | gyro, gyro_correction | measured body rate, and what is added to it, a panel for each axis | replays | |
 
@@ -33,6 +34,7 @@ from quadftc_replay.replay_directory import Recorded, RecordedReplay
 from quadftc_report.comparison import Comparison, has_observer
 from quadftc_report.description import Band, Figure, Panel, Trace
 from quadftc_report.position_figures import position_figures
+from quadftc_report.rotor_figures import rotor_figures
 from quadftc_report.scene import Scene, column_of, envelope, known, worth
 
 Floats = NDArray[np.float64]
@@ -57,7 +59,16 @@ IN_VIEW = 0.5  # share of a limit that the torque has to come up to before the l
 def flight_figures(comparison: Comparison[RecordedRun]) -> list[Figure]:
     """Describe every figure of flights for which there is data."""
     scene, name = Scene(comparison), comparison.runs[0].scenario.name
-    kinds = (_faults, _state, position_figures, _tracking, _disturbance, _sliding_variable, _torque)
+    kinds = (
+        _faults,
+        _state,
+        rotor_figures,
+        position_figures,
+        _tracking,
+        _disturbance,
+        _sliding_variable,
+        _torque,
+    )
     return [_with_paper_number(figure, name) for describe in kinds for figure in describe(scene)]
 
 

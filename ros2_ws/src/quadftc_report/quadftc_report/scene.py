@@ -20,6 +20,7 @@ from quadftc_replay.replay_directory import Recorded
 from quadftc_report.comparison import Comparison, Run_co
 from quadftc_report.description import Envelope, Figure, Mark, Panel, Shade, Trace
 from quadftc_report.wording import plain
+from quadftc_sim.rotor_fault import ROTOR
 
 Floats = NDArray[np.float64]
 
@@ -116,14 +117,32 @@ def envelope(line: Trace, center: Floats | float, deviation: Floats) -> Envelope
 def fault_shades(run: Recorded, axis: int, end: float) -> tuple[Shade, ...]:
     """Return the fault windows of an axis up to ``end`` [s], those of the attitude first.
 
-    Windows of one kind that touch become one.
+    A fault of a rotor moves the vehicle about all axes. Windows of one kind that touch become one.
     """
     others = [each.injection for each in run.faults if each.injection.channel != "attitude"]
     named = [(f"{each.channel} {each.kind}", each) for each in others]
     kinds = [FAULT_WINDOW, *sorted({name for name, _ in named})]
     events = attitude_events(run.fault_events)
     periods = [(0, each.start, each.stop) for each in events if each.axis == AXES[axis]]
-    periods += [(kinds.index(name), each.start, each.stop) for name, each in named if each.mask[axis]]
+    periods += [
+        (kinds.index(name), each.start, each.stop)
+        for name, each in named
+        if each.channel == ROTOR or each.mask[axis]
+    ]
+    return _merged(periods, kinds, end)
+
+
+def rotor_shades(run: Recorded, rotor: int, end: float) -> tuple[Shade, ...]:
+    """Return the fault windows of a rotor, counted from 0, up to ``end`` [s]."""
+    faults = [each.injection for each in run.faults if each.injection.channel == ROTOR]
+    kinds = [FAULT_WINDOW, *sorted({f"{ROTOR} {each.kind}" for each in faults})]
+    acting = [each for each in faults if each.mask[rotor]]
+    periods = [(kinds.index(f"{ROTOR} {each.kind}"), each.start, each.stop) for each in acting]
+    return _merged(periods, kinds, end)
+
+
+def _merged(periods: list[tuple[int, float, float]], kinds: Sequence[str], end: float) -> tuple[Shade, ...]:
+    """Return windows of time by their kinds, cut at ``end`` [s]; those of one kind that touch become one."""
     shades: list[Shade] = []
     for rank, start, stop in sorted(periods):
         last = shades[-1] if shades else None

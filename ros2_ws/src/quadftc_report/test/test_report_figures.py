@@ -14,7 +14,7 @@ from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, parse_scenario
 from quadftc_model.samples import AXES, FAULTY, HEALTHY
-from quadftc_report.comparison import Comparison, compare
+from quadftc_report.comparison import Comparison, compare, list_injections
 from quadftc_report.description import Figure, Panel, Shade
 from quadftc_report.figures import flight_figures
 
@@ -246,6 +246,24 @@ def test_authority_is_shown_where_the_torque_comes_near_it(torque, shown):
     (limit,) = described(of)["torque"].panels[0].bands or (None,)
     assert (limit is not None) is shown
     assert limit is None or limit.high == pytest.approx(1.2)
+
+
+def test_rotors_show_their_effectiveness_and_what_the_diagnosis_says_of_them():
+    weak = "faults=[{kind: loss, rotors: [2], value: 20 %, start: 1}]"
+    run = recorded(parse_scenario(FREE, overrides=[weak]), "proposed")
+    assert described(compare([run])[0])["rotors"].panels[1].shades == (Shade(1.0, 2.0, "rotor loss", 1),)
+    state, late = np.full((len(run.flight), 4), HEALTHY, np.uint8), run.flight.time >= 1.1
+    state[late, 1] = FAULTY
+    said = {"rotor_state": state, "rotor_estimate": np.where(state == FAULTY, 0.82, 1.0)}
+    (of,) = compare([changed(run, **said, rotor_std_dev=np.full(state.shape, 0.01))])
+    found = described(of)
+    assert [panel.title for panel in found["state-rotor"].panels] == [f"rotor {n}" for n in (1, 2, 3, 4)]
+    panel = found["rotors"].panels[1]
+    shown = lines(panel)
+    assert (shown["true effectiveness"][-1], shown["estimate"][-1]) == pytest.approx((0.8, 0.82))
+    assert panel.envelopes[0].low[-1] == pytest.approx(0.8)
+    assert panel.shades == (Shade(1.0, 2.0, "rotor loss", 1),)
+    assert list_injections(of.runs[0]) == [("1 s on", "rotor: 2", "loss: value 0.2")]
 
 
 def test_truth_that_depends_on_the_flight_is_drawn_for_each_run():
