@@ -126,4 +126,82 @@ def test_published_schema_is_that_of_the_verdict(tmp_path: Path):
 def test_junit_counts_what_failed(tmp_path: Path):
     log = overlay_faults(hover(), faults_from((), ["stuck channel=gyro axis=y start=20s"]))
     suite = ET.parse(write_junit(inspect(log).verdict, tmp_path / "verdict.xml")).getroot()
-    assert (suite.get("tests"), suite.get("failures"), suite.get("skipped")) == ("4", "1", "1")
+    assert (suite.get("tests"), suite.get("failures"), suite.get("skipped")) == ("5", "1", "1")
+
+
+PLACES = np.array([[1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0]])
+SIGNS = np.array([-1.0, 1.0, -1.0, 1.0])
+GAINS = np.stack([60.0 * PLACES[:, 1], -50.0 * PLACES[:, 0], 8.0 * SIGNS], axis=1)  # rad/s² per unit
+
+
+def rocking(lost: int | None = None, onset: float = 20.0, share: float = 1.0, seed: int = 2) -> FlightLog:
+    """A quadrotor that a controller holds level in gusts; a rotor loses its share, and the log soon ends."""
+    rng = np.random.default_rng(seed)
+    dt, time_constant = 1.0 / 500.0, 0.03
+    time = np.arange(0.0, onset + 0.5 if lost is not None else 30.0, dt)
+    angle, rate, thrust, gust = np.zeros(3), np.zeros(3), np.full(4, 0.5), np.zeros(3)
+    rates, commands, forces = (np.zeros((len(time), k)) for k in (3, 4, 3))
+    for row, now in enumerate(time):
+        gust += dt * (-gust / 0.5 + 30.0 * rng.standard_normal(3) / np.sqrt(500.0 * dt))
+        wanted = -40.0 * angle - 12.0 * rate + 3.0 * rng.standard_normal(3)
+        command = np.clip(0.5 + np.linalg.pinv(GAINS.T) @ wanted, 0.0, 1.0)
+        thrust += dt / time_constant * (command - thrust)
+        given = thrust * (1.0 - share * (np.arange(4) == lost) * (now >= onset))
+        rate = rate + dt * (given @ GAINS + gust)
+        angle = angle + dt * rate
+        rates[row], commands[row] = rate + 0.05 * rng.standard_normal(3), command
+        forces[row] = [0.0, 0.0, 4.905 * given.sum()] + 0.5 * rng.standard_normal(3)
+    return FlightLog(
+        path=Path("rocking"),
+        format="test",
+        gyros={"": Signal(time, rates)},
+        accelerometers={"": Signal(time, forces)},
+        rotor_commands=Signal(time, commands),
+    )
+
+
+@pytest.mark.parametrize(("rotor", "share"), [(0, 1.0), (3, 0.6)])
+def test_rotor_lost_in_flight_is_named_without_a_vehicle_file(rotor: int, share: float):
+    verdict = inspect(rocking(rotor, share=share)).verdict
+    (found,) = verdict.findings
+    assert (found.component, found.element) == ("rotor", str(rotor + 1))
+    assert found.onset_s == pytest.approx(20.0, abs=0.05)
+    assert found.size == pytest.approx(share, abs=0.3)
+    assert verdict.model is not None
+    assert all(verdict.model.usable[:2])
+
+
+def test_rotors_of_a_healthy_flight_are_judged_healthy():
+    verdict = inspect(rocking()).verdict
+    assert verdict.healthy
+    assert "rotor" in verdict.judged
+
+
+def shares(of: list[float], seed: int) -> FlightLog:
+    """Twenty seconds of steady flight with these shares."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 20.0, 0.01)
+    values = 0.6 * np.array(of) + 0.02 * rng.standard_normal((len(time), 4))
+    layout = {"rotor_positions": PLACES, "rotor_yaw_signs": SIGNS}
+    return FlightLog(path=Path("steady"), format="test", rotor_commands=Signal(time, values), **layout)
+
+
+def test_weak_rotor_is_named_against_a_healthy_flight_alone():
+    trimmed = [1.08, 0.9, 1.1, 0.92]
+    weak = shares([1.06, 0.88, 1.2, 0.9], 3)
+    assert inspect(weak).verdict.healthy  # the centre of mass may be anywhere
+    (found,) = inspect(weak, shares(trimmed, 4)).verdict.findings
+    assert (found.component, found.element, found.kind) == ("rotor", "3", "loss")
+    assert found.size == pytest.approx(0.1, abs=0.04)
+    assert inspect(shares(trimmed, 5), shares(trimmed, 4)).verdict.healthy
+
+
+def test_rotor_that_stands_still_is_named_by_its_speed():
+    log = shares([1.0, 1.0, 1.0, 1.0], 6)
+    assert log.rotor_commands is not None
+    speeds = 900.0 * np.sqrt(np.abs(log.rotor_commands.value))
+    speeds[1500:, 1] = 5.0
+    log = FlightLog(path=log.path, format="test", rotor_speeds=Signal(log.rotor_commands.time, speeds))
+    (found,) = inspect(log).verdict.findings
+    assert (found.element, found.kind) == ("2", "off")
+    assert found.onset_s == pytest.approx(15.0, abs=0.05)

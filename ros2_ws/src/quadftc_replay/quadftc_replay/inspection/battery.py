@@ -10,6 +10,7 @@ from quadftc_replay.inspection.flight import Flight, rotor_level
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
 from quadftc_replay.inspection.whitening import runs_of
 
+LEAST = 2.5  # V; of one cell that is empty
 SAG = 0.12  # 1; of the median voltage in flight
 LASTS = 0.3  # s
 AROUND = 5.0  # s
@@ -25,6 +26,11 @@ def battery_findings(flight: Flight) -> Iterator[Found]:
     if flying.sum() < 10:
         return
     usual = float(np.median(volts[flying]))
+    if usual < LEAST:
+        said = f"it reads {usual:.3g} V in flight: nothing flies on that, so the voltage is not measured"
+        start = flight.intervals[0].start
+        yield Found(make_finding("battery", "", "absent", start, size=usual, unit="V", evidence=(said,)))
+        return
     low = flying & (volts < (1.0 - SAG) * usual)
     level = rotor_level(flight.log)
     for run in runs_of(low):

@@ -13,7 +13,7 @@ from quadftc_model.vehicle import load_vehicle
 from quadftc_replay.flight_log import FlightLog
 from quadftc_replay.inspection.inspect import Inspection, Progress, inspect
 from quadftc_replay.inspection.overlay import overlay_faults
-from quadftc_replay.inspection.verdict import Verdict, show
+from quadftc_replay.inspection.verdict import Verdict, show, unjudged
 from quadftc_replay.overlay import faults_from
 from quadftc_replay.readers import read_log
 
@@ -69,12 +69,13 @@ def write_junit(verdict: Verdict, path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     found = dict.fromkeys(finding.component for finding in verdict.findings)
     names = list(dict.fromkeys([*verdict.judged, *found]))
+    skipped = [name for name in unjudged(verdict.judged, verdict.not_judged) if name not in names]
     suite = ET.Element(
         "testsuite",
         name=f"quadftc diagnose {verdict.log}",
-        tests=str(len(names) + len(verdict.not_judged)),
+        tests=str(len(names) + len(skipped)),
         failures=str(len(found)),
-        skipped=str(len(verdict.not_judged)),
+        skipped=str(len(skipped)),
         time=f"{verdict.duration_s:.3f}",
     )
     for name in names:
@@ -85,9 +86,10 @@ def write_junit(verdict: Verdict, path: Path) -> Path:
                 message = f"{finding.name}: {finding.kind}{size} from {finding.onset_s:.3f} s"
                 failure = ET.SubElement(case, "failure", message=message, type=finding.kind)
                 failure.text = "\n".join(finding.evidence)
-    for each in verdict.not_judged:
-        case = ET.SubElement(suite, "testcase", classname=verdict.log, name=each.component)
-        ET.SubElement(case, "skipped", message=each.reason)
+    for name in skipped:
+        case = ET.SubElement(suite, "testcase", classname=verdict.log, name=name)
+        reasons = [each.reason for each in verdict.not_judged if each.component == name]
+        ET.SubElement(case, "skipped", message="; ".join(reasons))
     ET.indent(suite)
     return write_file(path, ET.tostring(suite, encoding="unicode", xml_declaration=True) + "\n")
 

@@ -13,9 +13,11 @@ from quadftc_replay.inspection.battery import battery_findings
 from quadftc_replay.inspection.flight import Flight, prepare
 from quadftc_replay.inspection.found import Found
 from quadftc_replay.inspection.gyro import BODY_AXES, Witness, component_name, gyro_findings
+from quadftc_replay.inspection.identification import Identified
 from quadftc_replay.inspection.readings import absent_findings, noise_findings, reading_findings
+from quadftc_replay.inspection.rotors import judge_rotors
 from quadftc_replay.inspection.steps import SLOWEST
-from quadftc_replay.inspection.verdict import VERSION, Finding, NotJudged, Verdict, summarise
+from quadftc_replay.inspection.verdict import VERSION, Finding, Model, NotJudged, Verdict, summarise
 
 Progress = Callable[[float], None]
 SENSORS = {"gyro": ("rad/s", "gyros"), "accelerometer": ("m/s^2", "accelerometers")}
@@ -49,6 +51,10 @@ def inspect(
     found += _readings(flight, gyros)
     progress(0.4)
     found += _sensors(flight, gyros, agreement, judged, missing)
+    rotors = judge_rotors(flight, baseline)
+    found += rotors.found
+    judged += ["rotor"] if rotors.judged else []
+    missing += rotors.missing
     progress(0.8)
     if log.battery is not None:
         judged.append("battery")
@@ -57,7 +63,9 @@ def inspect(
         missing.append(NotJudged(component="battery", reason="no voltage is logged"))
     found = _in_order(_without_doubles(found))
     progress(1.0)
-    return Inspection(_verdict(flight, baseline, found, judged, missing), tuple(found), flight, agreement)
+    return Inspection(
+        _verdict(flight, baseline, found, judged, missing, rotors.model), tuple(found), flight, agreement
+    )
 
 
 def _gyros(flight: Flight) -> dict[str, Signal]:
@@ -166,6 +174,7 @@ def _verdict(
     found: list[Found],
     judged: list[str],
     missing: list[NotJudged],
+    model: Identified | None,
 ) -> Verdict:
     log = flight.log
     findings = [each.finding for each in found]
@@ -193,6 +202,12 @@ def _verdict(
         findings=tuple(findings),
         not_judged=tuple(missing),
         judged=tuple(judged),
-        model=None,
+        model=None if model is None else _model(model),
         notes=tuple(notes),
     )
+
+
+def _model(model: Identified) -> Model:
+    roll, pitch, yaw = (float(value) for value in model.r2[:3])
+    usable = (bool(model.usable[0]), bool(model.usable[1]), bool(model.usable[2]))
+    return Model(source=model.source, lag_s=model.lag, r2=(roll, pitch, yaw), usable=usable)  # type: ignore[arg-type]

@@ -57,7 +57,7 @@ class Model(_Strict):
     """The model of angular acceleration that was identified from the log."""
 
     source: Literal["rotor_speeds", "rotor_commands", "torque_command"]
-    lag_s: tuple[float, float, float] = Field(description="time constant of the rotors, by axis")
+    lag_s: float = Field(description="time constant of the rotors")
     r2: tuple[float, float, float] = Field(description="share of variance explained where it was not fitted")
     usable: tuple[bool, bool, bool] = Field(description="whether the log excites the axis enough")
 
@@ -86,7 +86,7 @@ def summarise(findings: Sequence[Finding], judged: Sequence[str], not_judged: Se
         reasons = "; ".join(dict.fromkeys(each.reason for each in not_judged)) or "no sensor was logged"
         return f"Nothing can be said: {reasons}."
     if not findings:
-        missing = [each.component for each in not_judged]
+        missing = unjudged(judged, not_judged)
         rest = f"; {join(missing)} could not be judged" if missing else ""
         return f"No fault found in {join(list(judged))}{rest}."
     parts = [_describe(each) for each in findings[:SENTENCE_FINDINGS]]
@@ -96,6 +96,11 @@ def summarise(findings: Sequence[Finding], judged: Sequence[str], not_judged: Se
     return f"{text[0].upper()}{text[1:]}."
 
 
+def unjudged(judged: Sequence[str], not_judged: Sequence[NotJudged]) -> list[str]:
+    """Return the components of which nothing was judged."""
+    return [each for each in dict.fromkeys(entry.component for entry in not_judged) if each not in judged]
+
+
 def _describe(finding: Finding) -> str:
     size = f" of {show(finding.size, finding.unit)}" if finding.size is not None else ""
     what = {
@@ -103,7 +108,7 @@ def _describe(finding: Finding) -> str:
         "stuck": f"{finding.name} is stuck",
         "saturation": f"{finding.name} is saturated",
         "noise": f"{finding.name} is noisy",
-        "absent": f"{finding.name} is absent",
+        "absent": f"{finding.name} gives no usable reading",
         "loss": f"{finding.name} lost {_share(finding.size)} of its thrust",
         "off": f"{finding.name} gives no thrust",
         "brownout": f"{finding.name} breaks down",

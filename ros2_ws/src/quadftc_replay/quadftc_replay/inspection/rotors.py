@@ -1,0 +1,187 @@
+"""Tests of the rotors: one that stands still, one that is lost in flight, one that is weak all along."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from quadftc_replay.flight_log import FlightLog
+from quadftc_replay.inspection.flight import Flight, prepare
+from quadftc_replay.inspection.found import Curve, Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.identification import Grid, Identified, drive_of, identify, make_grid
+from quadftc_replay.inspection.rotor_loss import SCORE, Loss, find_loss, unexplained
+from quadftc_replay.inspection.rotor_trim import (
+    SHARPER,
+    Weak,
+    effects,
+    find_weak,
+    rotor_thrusts,
+    trim_of,
+)
+from quadftc_replay.inspection.verdict import NotJudged
+from quadftc_replay.inspection.whitening import runs_of
+
+STANDS = 0.25  # 1; of the mean speed of the others
+STANDS_FOR = 0.1  # s
+ALL_OF_IT = 0.75  # 1; share of the thrust from which a rotor is off
+AROUND = 0.6  # s
+
+
+class Rotors(NamedTuple):
+    """What was found of the rotors, and by what model."""
+
+    found: list[Found]
+    model: Identified | None
+    judged: bool
+    missing: list[NotJudged]
+
+
+def judge_rotors(flight: Flight, baseline: FlightLog | None) -> Rotors:
+    """Test the rotors of a flight; ``baseline`` is a healthy flight of the same vehicle."""
+    log = flight.log
+    if log.rotor_speeds is None and log.rotor_commands is None and log.torque_command is None:
+        return Rotors([], None, False, [_not_judged("neither rotor commands nor speeds are logged")])
+    found = list(_standing(flight))
+    drive = drive_of(log)
+    grid = None if drive is None else make_grid(flight, drive[1])
+    model = None if grid is None or drive is None else identify(drive[0], grid)
+    has_rotors = log.rotor_speeds is not None or log.rotor_commands is not None
+    missing: list[NotJudged] = []
+    can_see_loss = model is not None and bool(model.usable[:2].all())
+    if has_rotors and grid is not None and model is not None and can_see_loss and not found:
+        loss = find_loss(grid, model)
+        found += [] if loss is None else [_loss_found(flight, grid, model, loss)]
+    trim = trim_of(flight)
+    if trim is not None:
+        healthy = None if baseline is None else trim_of(prepare(baseline))
+        weak = find_weak(trim, healthy, effects(log))
+        # after a loss the trim is that of a vehicle without the rotor
+        if weak is not None and not found:
+            found.append(_weak_found(flight, weak, healthy is not None))
+        if baseline is not None and healthy is None:
+            missing.append(_not_judged("the baseline has no steady flight with rotor commands or speeds"))
+    missing += _missing(has_rotors, trim is not None, baseline is not None, drive is not None, grid, model)
+    return Rotors(found, model, has_rotors and (can_see_loss or trim is not None), missing)
+
+
+def _not_judged(reason: str) -> NotJudged:
+    return NotJudged(component="rotor", reason=reason)
+
+
+def _missing(
+    has_rotors: bool,
+    has_trim: bool,
+    has_baseline: bool,
+    has_drive: bool,
+    grid: Grid | None,
+    model: Identified | None,
+) -> list[NotJudged]:
+    """Say what of the rotors cannot be judged, and why."""
+    if not has_rotors:
+        return [_not_judged("only the torque of all rotors together is logged")]
+    reasons: list[str] = []
+    if not has_drive:
+        reasons.append("a sudden loss: rotors are logged slower than 25 Hz")
+    elif grid is None:
+        reasons.append("a sudden loss: there is no gyro of 25 Hz or more beside the rotors")
+    elif model is None:
+        reasons.append("a sudden loss: there are less than 5 s of flight")
+    elif not model.usable[:2].all():
+        shares = " and ".join(f"{value:.2f}" for value in model.r2[:2])
+        reasons.append(f"a sudden loss: the log hardly excites roll and pitch (R² {shares})")
+    if not has_trim:
+        reasons.append("a weak rotor: there is no steady flight of 6 s")
+    elif not has_baseline:
+        reasons.append("a loss of less than a quarter: it needs a healthy flight (--baseline)")
+    return [_not_judged(reason) for reason in reasons]
+
+
+def _standing(flight: Flight) -> Iterator[Found]:
+    """Say which rotor stands still in flight, by its measured speed."""
+    sensor = flight.log.rotor_speeds
+    if sensor is None or len(sensor) < 20:
+        return
+    speeds = np.abs(np.nan_to_num(sensor.value))
+    flying = flight.in_flight(sensor.time)
+    for rotor in range(speeds.shape[1]):
+        others = np.delete(speeds, rotor, axis=1)
+        stands = flying & (speeds[:, rotor] < STANDS * others.mean(axis=1))
+        for run in runs_of(stands):
+            start, end = float(sensor.time[run.start]), float(sensor.time[run.stop - 1])
+            if end - start < max(STANDS_FOR, 1.5 / sensor.rate):
+                continue
+            speed, rest = float(speeds[run, rotor].mean()), float(others[run].mean())
+            said = f"it turns at {speed:.0f} rad/s while the others turn at {rest:.0f} rad/s"
+            finding = make_finding(
+                *("rotor", str(rotor + 1), "off", start),
+                end_s=None if end > float(sensor.time[flying][-1]) - STANDS_FOR else end,
+                size=1.0 - (speed / rest) ** 2,
+                unit="1",
+                evidence=(said,),
+            )
+            lines = {f"rotor {k + 1}": sensor.value[:, k] for k in range(speeds.shape[1])}
+            span = (start - AROUND, min(end, start + 2.0) + AROUND)
+            yield Found(finding, curve_around("speed of the rotors", "rad/s", sensor.time, lines, span))
+            break
+
+
+def _loss_found(flight: Flight, grid: Grid, model: Identified, loss: Loss) -> Found:
+    after = grid.time > loss.onset
+    said = [
+        f"from {loss.onset:.2f} s on the vehicle turns as it does without {100 * loss.share:.0f} % of its"
+        f" thrust, {np.sqrt(loss.score):.0f} standard deviations",
+        f"by a model from this log, with R² {model.r2[0]:.2f} in roll and {model.r2[1]:.2f} in pitch",
+    ]
+    if after.sum() > 10:
+        change = grid.inputs[after][:50].mean(axis=0) / np.maximum(grid.inputs[~after].mean(axis=0), 1e-9)
+        said.append(f"it is driven at {100 * change[loss.rotor]:.0f} % of what it was before")
+    other = () if loss.second is None else (f"rotor {loss.second + 1}",)
+    finding = make_finding(
+        *("rotor", str(loss.rotor + 1), "off" if loss.share > ALL_OF_IT else "loss", loss.onset),
+        size=min(loss.share, 1.0),
+        sigma=loss.sigma,
+        unit="1",
+        probability=confidence(np.sqrt(loss.score), np.sqrt(SCORE)) * (0.6 if other else 1.0),
+        ambiguous_with=other,
+        evidence=tuple(said),
+    )
+    return Found(finding, _unexplained_curve(grid, model, loss.onset))
+
+
+def _unexplained_curve(grid: Grid, model: Identified, onset: float) -> Curve:
+    rest = unexplained(grid, model)
+    lines = {name: rest[:, k] for k, name in enumerate(("roll", "pitch", "yaw")) if model.usable[k]}
+    title = "angular acceleration that the rotors do not explain"
+    return curve_around(title, "rad/s²", grid.time, lines, (onset - AROUND, onset + AROUND))
+
+
+def _weak_found(flight: Flight, weak: Weak, has_baseline: bool) -> Found:
+    thrusts = rotor_thrusts(flight.log)
+    assert thrusts is not None  # there is a trim
+    name, sensor = thrusts
+    against = "against the healthy flight" if has_baseline else "against equal rotors"
+    number = weak.rotor + 1
+    said = [
+        f"to hold the vehicle level takes {100 * weak.loss / (1.0 - weak.loss):.0f} % more of this rotor"
+        f" ({name}, {against}); this explains {np.sqrt(weak.score):.1f} standard deviations"
+    ]
+    if not has_baseline:
+        said.append("a centre of mass off the middle looks much the same: a healthy flight settles it")
+    others = tuple(f"rotor {k + 1}" for k in weak.others)
+    finding = make_finding(
+        *("rotor", str(number), "loss", flight.intervals[0].start),
+        size=weak.loss,
+        sigma=weak.sigma,
+        unit="1",
+        probability=confidence(weak.score, SHARPER) * weak.probability * (1.0 if has_baseline else 0.6),
+        ambiguous_with=others if has_baseline else (*others, "centre of mass"),
+        evidence=tuple(said),
+    )
+    mean = np.nanmean(sensor.value, axis=1)
+    lines = {
+        f"rotor {k + 1}": sensor.value[:, k] / np.maximum(mean, 1e-9) for k in range(sensor.value.shape[1])
+    }
+    span = (flight.intervals[0].start, flight.intervals[-1].end)
+    return Found(finding, curve_around("share of each rotor", "1", sensor.time, lines, span))
