@@ -91,7 +91,7 @@ def test_options_reach_the_nodes(folder: Path):
     options = ("--controller", "pid", "--observer", "none", "--rate", "125", "--seed", "9")
     done = call_quadftc("run", "tiny.yaml", *options, "--set", "faults.0.value=2 deg", "--out", "out")
     assert done.returncode in (0, 1), done.stderr  # the check is not made for these
-    run = folder / "out" / "tiny-proposed"
+    run = folder / "out" / "tiny-proposed-none-pid"  # by what differs
     nodes = yaml.safe_load((run / "parameters.yaml").read_text(encoding="utf-8"))
     plant, controller, observer = (
         nodes[f"/{name}"]["ros__parameters"] for name in ("plant", "controller", "fault_observer")
@@ -113,6 +113,7 @@ def test_options_reach_the_nodes(folder: Path):
         (("run", "tiny.yaml", "--set", "sede=1"), ("sede", "seed")),
         (("run", "tiny.yaml", "--rate", "fast"), ("rate", "fast")),
         (("run", "tiny.yaml", "--mode", "dream"), ("dream", "lockstep")),
+        (("run", "tiny.yaml", "--label", "a/b"), ("label 'a/b'", "letters")),
         (("run",), ("scenarios",)),
         (("fly",), ("fly",)),
         (("list", "unicorns"), ("unicorns", "controllers")),

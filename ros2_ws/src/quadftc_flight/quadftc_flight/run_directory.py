@@ -11,6 +11,7 @@ The directory of a replay holds the same, but for a scenario: `quadftc_replay.re
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
@@ -38,7 +39,13 @@ NO_PARAMETERS = (yaml.YAMLError, AttributeError, KeyError, TypeError, ValueError
 # node of a part of a scheme -> the parameter that names the component
 _SELECTORS = {"fault_observer": "observer", "disturbance_observer": "observer", "controller": "controller"}
 
+_MISSING = re.compile(r": no [a-z ]+ '\w+'.*; there are: ")  # how a registry refuses a name
+
 Parameters = dict[str, dict[str, Any]]  # node, without its namespace, to its parameters
+
+
+class MissingPartError(BagError):
+    """A run with a component that is not installed here."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -247,7 +254,10 @@ def _read_scenario(bag: Bag, parameters: Parameters) -> Scenario:
         return parse_scenario(attached_text(bag, SCENARIO) or "", str(bag.path / SCENARIO), overrides)
     except ScenarioError as error:
         first, *others = str(error).splitlines()
-        raise BagError(f"{first} (and {len(others)} more)" if others else first) from None
+        words = f"{first} (and {len(others)} more)" if others else first
+        if all(_MISSING.search(line) for line in (first, *others)):
+            raise MissingPartError(f"{words}; is the package installed that has it?") from None
+        raise BagError(words) from None
 
 
 def _find_scheme(scenario: Scenario, parameters: Parameters, names: tuple[str, str], path: Path) -> Scheme:

@@ -21,7 +21,7 @@ from quadftc_bags.bag import BagError
 from quadftc_bags.writer import BagWriter
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import VECTORS, Flight
-from quadftc_flight.run_directory import find_runs, read_run
+from quadftc_flight.run_directory import MissingPartError, find_runs, read_run
 from quadftc_flight.scenario import Scenario, node_parameters, parse_scenario
 from quadftc_flight.summary import summary
 from quadftc_msgs.msg import AttitudeReference, ControlStatus, FaultStatus
@@ -290,3 +290,10 @@ def test_place_without_runs_is_refused(tmp_path, name):
         find_runs([tmp_path / name])
     with pytest.raises(BagError, match="no runs given"):
         find_runs([])
+
+
+def test_component_that_is_not_installed_is_named_as_such(tmp_path, scenario, flight):
+    run = record(tmp_path / "short-first", scenario, "first", flight, leave_out=("scenario.yaml",))
+    (run / "scenario.yaml").write_text(TEXT.replace("observer: sliding_mode", "observer: psychic", 1))
+    with pytest.raises(MissingPartError, match=r"no fault observer 'psychic'.*is the package installed"):
+        read_run(run)

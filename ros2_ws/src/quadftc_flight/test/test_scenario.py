@@ -18,9 +18,11 @@ from quadftc_flight.scenario import (
     ScenarioError,
     estimator_for,
     find_scenario,
+    label_of,
     load_scenario,
     node_parameters,
     parse_scenario,
+    relabelled,
     scenario_names,
     with_components,
     with_duration,
@@ -322,6 +324,20 @@ def test_a_vehicle_file_on_the_command_line_is_found_where_one_stands(tmp_path, 
     assert scenario.vehicle == str(tmp_path / "here" / "mine.toml")
     with pytest.raises(ScenarioError, match="No such file"):
         load_scenario(tmp_path / "tried.yaml", ["vehicle=other.toml"])
+
+
+def test_scheme_is_labelled_by_the_components_that_differ():
+    plain = parse_scenario(TEXT)
+    (scheme, *_) = plain.schemes
+    other = with_components(plain, controller="pid", observer=plain.schemes[scheme].observer.kind)
+    label = label_of(other, scheme, plain)
+    assert label == f"{scheme}-pid"
+    named, flown = relabelled(other, scheme, label)
+    assert (flown.name, flown.controller.kind) == (label, "pid")
+    assert label in named.raw["schemes"]
+    assert relabelled(plain, scheme, label_of(plain, scheme, plain))[1].name == scheme
+    with pytest.raises(ScenarioError, match="expected letters"):
+        relabelled(plain, scheme, "a b")
 
 
 def test_a_motor_lag_that_is_too_fast_for_its_steps_is_refused():

@@ -29,6 +29,7 @@ Among = Sequence[Comparison[RecordedRun]]  # all comparisons of a report: some c
 Finding = tuple[bool, str]  # whether a claim holds, and the numbers
 
 FAULTS, CONSTANT, VARYING = "paper_faults", "paper_constant_disturbance", "paper_varying_disturbance"
+PAPER_SCENARIOS = (FAULTS, CONSTANT, VARYING)
 VEHICLE = ("qball_x4", False, {1.0})  # section 2; whether its motors lag, factors of its inertia
 PROPOSED = ("sliding_mode", "exosystem", "ismc")  # observer, disturbance observer, controller of the paper
 CONVENTIONAL = ("none", "none", "smc")  # and of what it compares with

@@ -50,7 +50,9 @@ class Comparison(Generic[Run_co]):
 
     def label(self, run: Recorded) -> str:
         """Name a recording by its scheme or observer, or by its own name if another has the same."""
-        for labels in ([each.label for each in self.runs], [each.own_name for each in self.runs]):
+        own = [each.own_name for each in self.runs]
+        placed = [f"{each.path.parent.name}/{each.own_name}" for each in self.runs]  # where they were written
+        for labels in ([each.label for each in self.runs], own, placed):
             label = labels[self.runs.index(run)]
             if labels.count(label) == 1:
                 return label

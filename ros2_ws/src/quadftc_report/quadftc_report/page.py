@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from typing import Any
@@ -21,7 +22,7 @@ from quadftc_model.samples import AXES
 from quadftc_model.stepper import MAX_GAP
 from quadftc_replay.replay_directory import Recorded, RecordedReplay
 from quadftc_report import comparison as about
-from quadftc_report.claims import Judgement, judge
+from quadftc_report.claims import PAPER_SCENARIOS, Judgement, judge
 from quadftc_report.comparison import Comparison, is_ideal, metric
 from quadftc_report.confusion import COLUMNS, Confusion, confusion_of
 from quadftc_report.description import Figure
@@ -43,6 +44,10 @@ VERDICTS = {
 Facts = dict[str, dict[str, list[str]]]  # group to name to the text of each run
 
 
+CHAPTERS = ("ideal", "real", "own")  # of flights
+ON_REAL_SENSORS = tuple(f"mems{name.removeprefix('paper')}" for name in PAPER_SCENARIOS)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Section:
     """What the page says about one scenario or recording, besides its tables."""
@@ -60,13 +65,26 @@ class Section:
         """What was flown; of replays None."""
         return getattr(self.comparison.runs[0], "scenario", None)
 
+    @property
+    def chapter(self) -> str:
+        """Where on the page it stands: the paper's scenarios, these on real sensors, all others."""
+        name = self.scenario.name if self.scenario is not None else ""
+        if self.ideal and name in PAPER_SCENARIOS:
+            return "ideal"
+        return "real" if name in (*PAPER_SCENARIOS, *ON_REAL_SENSORS) else "own"
+
+    @property
+    def undecided(self) -> dict[str, int]:
+        """Why claims cannot be judged, and how many each reason is for."""
+        return Counter(each.reason for each in self.judgements if each.holds is None)
+
 
 def flight_sections(comparisons: Sequence[Comparison[RecordedRun]]) -> list[Section]:
-    """Gather flights: in the order of the paper's figures; those on sensors that are not ideal last."""
+    """Gather flights: in the order of the paper's figures, then on real sensors, then other scenarios."""
 
-    def order(part: Section) -> tuple[bool, float]:
+    def order(part: Section) -> tuple[int, float]:
         numbers = [number for figure in part.figures for number in figure.paper_figures]
-        return not part.ideal, min(numbers, default=float("inf"))
+        return CHAPTERS.index(part.chapter), min(numbers, default=float("inf"))
 
     parts = ((each, each.key, flight_figures(each), judge(each, comparisons)) for each in comparisons)
     return sorted((Section(*part, is_ideal(part[0])) for part in parts), key=order)
@@ -88,8 +106,7 @@ def render(
 
     return render_template(
         "report.html",
-        ideal=[part for part in parts if part.ideal],
-        real=[part for part in parts if not part.ideal],
+        flown={chapter: [part for part in parts if part.chapter == chapter] for chapter in CHAPTERS},
         replayed=replayed,
         about=about,
         axes=AXES,

@@ -14,8 +14,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from quadftc_bags.bag import read_bag
-from quadftc_flight.run_directory import RecordedRun, find_runs, is_replay, run_from_bag
+from quadftc_bags.bag import BagError, read_bag
+from quadftc_flight.run_directory import MissingPartError, RecordedRun, find_runs, is_replay, run_from_bag
 from quadftc_replay.replay_directory import RecordedReplay, replay_from_bag
 
 if TYPE_CHECKING:
@@ -59,16 +59,8 @@ def write_report(
     folder = out.parent / f"{out.stem}_figures"
     _check_place(out, folder)
     found = find_runs(paths)
-    runs: list[RecordedRun] = []
-    replays: list[RecordedReplay] = []
-    for index, path in enumerate(found):
-        progress(str(path), READING * index / len(found))
-        bag = read_bag(path)
-        if is_replay(bag):
-            replays.append(replay_from_bag(bag))
-        else:
-            runs.append(run_from_bag(bag))
-    warnings = tuple(line for each in (*runs, *replays) for line in each.warnings)
+    runs, replays, left_out = _read_all(found, progress)
+    warnings = (*left_out, *(line for each in (*runs, *replays) for line in each.warnings))
 
     from quadftc_report.comparison import compare
     from quadftc_report.page import flight_sections, render, replay_sections
@@ -97,6 +89,30 @@ def write_report(
         raise ReportError(f"{out}: cannot be written: {error.strerror or error}") from None
     flown, replayed = (tuple(run.name for run in recorded) for recorded in (runs, replays))
     return ReportFiles(out, folder if with_figures else None, flown, replayed, warnings)
+
+
+def _read_all(
+    found: Sequence[Path], progress: Progress
+) -> tuple[list[RecordedRun], list[RecordedReplay], list[str]]:
+    """Read runs and replays; of several, one with a component that is not installed here is left out."""
+    runs: list[RecordedRun] = []
+    replays: list[RecordedReplay] = []
+    left_out: list[str] = []
+    for index, path in enumerate(found):
+        progress(str(path), READING * index / len(found))
+        bag = read_bag(path)
+        try:
+            if is_replay(bag):
+                replays.append(replay_from_bag(bag))
+            else:
+                runs.append(run_from_bag(bag))
+        except MissingPartError as error:
+            if len(found) == 1:
+                raise
+            left_out.append(f"left out: {error}")
+    if not runs and not replays:
+        raise BagError("\n".join(left_out))
+    return runs, replays, left_out
 
 
 def write_campaign_report(

@@ -11,9 +11,10 @@ import pytest
 
 from quadftc_bags.bag import Bag, BagError
 from quadftc_flight.closed_loop import fly
-from quadftc_flight.run_directory import RecordedRun
+from quadftc_flight.run_directory import MissingPartError, RecordedRun
 from quadftc_flight.scenario import node_parameters, parse_scenario
 from quadftc_flight.summary import summary
+from quadftc_report import report as report_module
 from quadftc_report.comparison import compare
 from quadftc_report.page import flight_sections, render
 from quadftc_report.report import ReportError, write_report
@@ -174,12 +175,31 @@ def test_checks_say_passed_and_failed(page):
     assert sum("tracking_mean_deg yaw" in row and row.endswith("✗ FAILED") for row in rows) == 2
 
 
-def test_real_sensors_have_a_section_of_their_own_behind_the_ideal_ones(page):
-    titles = [text for _, text in page.find("h2")]
-    assert titles == ["Summary", "In the paper's conditions", "What the paper does not say"]
+def test_own_scenarios_stand_neither_with_the_papers_nor_with_these_on_real_sensors(page):
+    assert [text for _, text in page.find("h2")] == ["Summary", "Other scenarios"]
     assert [text for _, text in page.find("h3")] == ["small", "rough"]
-    alone = page_of(flown("proposed"))
-    assert [text for _, text in alone.find("h2")] == ["Summary", "In the paper's conditions"]
+
+
+def test_papers_scenarios_come_first_and_those_on_real_sensors_after_them():
+    names = ("small", "mems_faults", "paper_faults")
+    noisy = [
+        flown("proposed", f"name={name}", *(REAL[1:] if name == "mems_faults" else ())) for name in names
+    ]
+    found = page_of(*noisy)
+    titles = [text for _, text in found.find("h2")]
+    assert titles == [
+        "Summary",
+        "In the paper's conditions",
+        "What the paper does not say",
+        "Other scenarios",
+    ]
+    assert [text for _, text in found.find("h3")] == ["paper_faults", "mems_faults", "small"]
+
+
+def test_claims_that_cannot_be_judged_are_one_line_for_each_reason():
+    found = page_of(flown("proposed", "name=paper_faults"))
+    (line,) = [text for _, text in found.find("li") if "claims: the " in text]
+    assert "6 of 6 claims: the faults are not where the paper has them" in line
 
 
 def test_every_figure_brings_what_it_is_drawn_from(page):
@@ -235,3 +255,20 @@ def test_wrong_run_leaves_nothing_behind(tmp_path):
     with pytest.raises(BagError, match="no_such_run"):
         write_report([tmp_path / "no_such_run"], tmp_path / "new" / "report.html")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_run_whose_component_is_not_installed_does_not_spoil_the_others(tmp_path, monkeypatch):
+    def read(path):
+        if path.name == "foreign":
+            raise MissingPartError("foreign: no fault observer 'psychic'")
+        return flown("proposed")
+
+    for name, function in {"read_bag": lambda path: path, "is_replay": lambda bag: False}.items():
+        monkeypatch.setattr(report_module, name, function)
+    monkeypatch.setattr(report_module, "run_from_bag", read)
+    runs = [tmp_path / name for name in ("own", "foreign")]
+    read_runs, _, left_out = report_module._read_all(runs, lambda _what, _share: None)
+    assert len(read_runs) == 1
+    assert left_out == ["left out: foreign: no fault observer 'psychic'"]
+    with pytest.raises(MissingPartError):
+        report_module._read_all(runs[1:], lambda _what, _share: None)

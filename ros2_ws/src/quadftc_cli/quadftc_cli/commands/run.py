@@ -20,7 +20,15 @@ from quadftc_cli.screen import Bars, console, plain_table
 from quadftc_flight.metrics import look_up
 from quadftc_flight.runs import RunError, RunOptions, prepare, run_name, write_summary
 from quadftc_flight.runs import run as run_scenario
-from quadftc_flight.scenario import Scenario, Scheme, find_scenario, load_scenario, with_components
+from quadftc_flight.scenario import (
+    Scenario,
+    Scheme,
+    find_scenario,
+    label_of,
+    load_scenario,
+    relabelled,
+    with_components,
+)
 from quadftc_flight.side_by_side import run_side_by_side
 from quadftc_flight.summary import refuse_wrong_checks, relate_to_undiagnosed
 from quadftc_model.samples import AXES
@@ -67,6 +75,9 @@ def run(
     seed: Annotated[str, Option(help="Seed of the random numbers.")] = "",
     set_: options.SetOption = [],  # noqa: B006
     gains: options.GainsOption = "",
+    label: Annotated[
+        str, Option(help="What to call the scheme in names and reports; default: by its parts that differ.")
+    ] = "",
     out: Annotated[Path, Option(help="Directory of the runs.")] = Path("results"),
     wait: WaitOption = "sleep",
     realtime_priority: PriorityOption = 0,
@@ -82,9 +93,12 @@ def run(
     how = RunOptions(graph, mode, namespace, force, Scheduling(wait, realtime_priority, tuple(core)))
     flights: list[tuple[Scenario, Scheme]] = []
     for name in scenarios:
-        loaded = with_components(load_scenario(find_scenario(name), overrides, gains), **parts)
+        plain = load_scenario(find_scenario(name), overrides, gains)
+        loaded = with_components(plain, **parts)
         chosen = list(loaded.schemes) if scheme == "all" else [loaded.scheme(scheme or None).name]
-        flights += [(loaded, loaded.scheme(each)) for each in chosen]
+        for each in chosen:
+            given = f"{each}-{label}" if label and len(chosen) > 1 else label
+            flights.append(relabelled(loaded, each, given or label_of(loaded, each, plain)))
     names = [run_name(*job) for job in flights]
     if len(set(names)) < len(names):
         twice = next(name for name in names if names.count(name) > 1)

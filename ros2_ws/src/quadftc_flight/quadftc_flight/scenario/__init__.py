@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -83,6 +84,27 @@ def with_components(scenario: Scenario, scheme: str | None = None, **kinds: str)
             changes: dict[Keys, Any] = {("schemes", name, role): kind for name in schemes}
             scenario = build_scenario(scenario.document.replaced(changes, f"{role} {kind}"))
     return scenario
+
+
+def label_of(scenario: Scenario, scheme: str, plain: Scenario) -> str:
+    """Name a scheme by its components that are not those of the plain scenario: ``proposed-pid``."""
+    mine, original = scenario.schemes[scheme], plain.schemes[scheme]
+    pairs = [(getattr(mine, role).kind, getattr(original, role).kind) for role in ROLES]
+    return "-".join([scheme, *(kind for kind, before in pairs if kind != before)])
+
+
+def relabelled(scenario: Scenario, scheme: str, label: str) -> tuple[Scenario, Scheme]:
+    """Return the scenario with a scheme under another name, and that scheme."""
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", label):
+        raise ScenarioError(f"label {label!r}: expected letters, digits, _ and -")
+    if label == scheme:
+        return scenario, scenario.schemes[scheme]
+    if label in scenario.schemes:
+        raise ScenarioError(f"label {label!r}: the scenario has a scheme of that name")
+    schemes = scenario.raw["schemes"]
+    renamed = {label if name == scheme else name: parts for name, parts in schemes.items()}
+    named = build_scenario(scenario.document.replaced({("schemes",): renamed}, f"label {label}"))
+    return named, named.schemes[label]
 
 
 def with_duration(scenario: Scenario, duration: float) -> Scenario:
