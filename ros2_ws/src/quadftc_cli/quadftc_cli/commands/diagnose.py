@@ -32,9 +32,12 @@ def diagnose(
     seed: Annotated[int, Option(help="Seed of random faults.")] = 0,
     out: Annotated[
         Path | None,
-        Option(help="Directory of verdict.json; default: results/LOG-diagnosis.", metavar="DIR"),
+        Option(
+            help="Directory of verdict.json and report.html; default: results/LOG-diagnosis.", metavar="DIR"
+        ),
     ] = None,
     junit: Annotated[Path | None, Option(metavar="FILE", help="Write the verdict as JUnit XML, too.")] = None,
+    report: Annotated[bool, Option(help="Write report.html beside the verdict.")] = True,
 ) -> int:
     """Say what failed in a flight log, when, how badly and how sure; exit code 1 if there is a finding."""
     from quadftc_replay.inspection.diagnosis import (
@@ -51,6 +54,10 @@ def diagnose(
     _show(verdict)
     directory = out or Path("results", f"{log.resolve().name}-diagnosis")
     written = [write_verdict(verdict, directory)]
+    if report:
+        from quadftc_report.verdict_page import write_page
+
+        written.append(write_page(inspection, directory))
     if junit is not None:
         written.append(write_junit(verdict, junit))
     say(f"written: {', '.join(map(str, written))}")

@@ -11,7 +11,7 @@ from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
 from quadftc_replay.inspection.gyro import BODY_AXES
-from quadftc_replay.inspection.steps import LEVEL, Limits, join_ends, steps_of
+from quadftc_replay.inspection.steps import LEVEL, Limits, join_ends, step_sizes, steps_of
 
 LIMITS = Limits(smallest=1.5, floor=0.1)  # m/s²
 PULSE = 0.1  # s; what goes back within it is a knock
@@ -55,8 +55,8 @@ def _step_findings(
             evidence=(said,),
         )
         span = (step.onset - AROUND, (step.end or step.onset) + AROUND)
-        lines = {"reading": sensor.value[:, step.axis]}
-        yield Found(finding, curve_around(f"{component} {element}", "m/s²", sensor.time, lines, span))
+        lines = {"step that best explains what follows": step_sizes(flight, sensor, LIMITS, step.axis)}
+        yield Found(finding, curve_around(f"step of {component} {element}", "m/s²", sensor.time, lines, span))
 
 
 def _shows(sensor: Signal, step: object) -> bool:

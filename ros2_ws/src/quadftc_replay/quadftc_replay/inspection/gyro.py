@@ -16,7 +16,7 @@ from quadftc_replay.flight_log import MAIN, Signal
 from quadftc_replay.inspection.attitude import Creep
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
-from quadftc_replay.inspection.steps import LEVEL, TOGETHER, Limits, Step, join_ends, steps_of
+from quadftc_replay.inspection.steps import LEVEL, TOGETHER, Limits, Step, join_ends, step_sizes, steps_of
 
 Floats = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ def gyro_findings(
                 for creep, step in bordered
                 if step is None and not any(_explains(each, creep) for each in joined)
             ]
-        found += _step_findings(name, sensor, joined, has_witness=bool(others) or ask is not None)
+        found += _step_findings(flight, name, sensor, joined, has_witness=bool(others) or ask is not None)
         if trusted:
             found += _pulse_findings(name, pulses)
         found += _rest_findings(flight, name, sensor)
@@ -149,7 +149,9 @@ def _pulse_findings(name: str, pulses: Sequence[Step]) -> Iterator[Found]:
             yield Found(make_finding(component, element, "noise", own[0].onset, evidence=(said,), **span))
 
 
-def _step_findings(name: str, sensor: Signal, steps: Sequence[Step], has_witness: bool) -> Iterator[Found]:
+def _step_findings(
+    flight: Flight, name: str, sensor: Signal, steps: Sequence[Step], has_witness: bool
+) -> Iterator[Found]:
     component = component_name("gyro", name)
     for axis, element in enumerate(BODY_AXES):
         own = [step for step in steps if step.axis == axis]
@@ -163,10 +165,11 @@ def _step_findings(name: str, sensor: Signal, steps: Sequence[Step], has_witness
             alone = not any(
                 other.axis != axis and abs(other.onset - step.onset) < TOGETHER for other in steps
             )
-            yield _step_found(component, element, sensor, step, alone or has_witness)
+            yield _step_found(flight, component, sensor, step, alone or has_witness)
 
 
-def _step_found(component: str, element: str, sensor: Signal, step: Step, is_sure: bool) -> Found:
+def _step_found(flight: Flight, component: str, sensor: Signal, step: Step, is_sure: bool) -> Found:
+    element = BODY_AXES[step.axis]
     said = [
         f"it jumps by {step.size:+.3g} rad/s from one sample to the next,"
         f" {step.score:.0f} standard deviations of what it does otherwise"
@@ -184,15 +187,9 @@ def _step_found(component: str, element: str, sensor: Signal, step: Step, is_sur
         ambiguous_with=() if is_sure else ("collision",),
         evidence=tuple(said),
     )
-    axis = BODY_AXES.index(element)
     span = (step.onset - AROUND, (step.end or step.onset) + AROUND)
-    lines = {"reading": sensor.value[:, axis], "less the step": _without(sensor, step)}
-    return Found(finding, curve_around(f"{component} {element}", "rad/s", sensor.time, lines, span))
-
-
-def _without(sensor: Signal, step: Step) -> Floats:
-    inside = (sensor.time >= step.onset) & (sensor.time < (np.inf if step.end is None else step.end))
-    return sensor.value[:, step.axis] - step.size * inside
+    lines = {"step that best explains what follows": step_sizes(flight, sensor, LIMITS, step.axis)}
+    return Found(finding, curve_around(f"step of {component} {element}", "rad/s", sensor.time, lines, span))
 
 
 def _rest_findings(flight: Flight, name: str, sensor: Signal) -> Iterator[Found]:

@@ -11,6 +11,7 @@ from scipy import ndimage
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.flight import Flight, Interval
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.verdict import show
 from quadftc_replay.inspection.whitening import TO_SIGMA, runs_of
 
 Floats = NDArray[np.float64]
@@ -58,7 +59,7 @@ def _reading_found(
     seconds = sum(each.end - each.start for each in intervals)
     several = f" in {len(intervals)} stretches" if len(intervals) > 1 else ""
     words = "repeats its reading" if kind == "stuck" else "stays at its limit"
-    said = f"it {words}, {reading:.4g} {unit}, for {seconds:.3g} s{several}"
+    said = f"it {words}, {show(reading, unit)}, for {seconds:.3g} s{several}"
     end = None if last.end >= float(time[-1]) else last.end
     finding = make_finding(component, name, kind, first.start, end_s=end, evidence=(said,))
     span = (first.start - AROUND, last.end + AROUND)
@@ -174,7 +175,7 @@ def noise_findings(
         size = float(np.median(noise[runs[0], axis]))
         usual = float(np.median(noise[flying, axis]))
         factor = size / usual
-        said = f"noise of {size:.3g} {unit}, {factor:.0f} times the usual, while the other axes stay calm"
+        said = f"noise of {show(size, unit)}, {factor:.0f} times the usual, while the other axes stay calm"
         finding = make_finding(
             *(component, name, "noise", start),
             end_s=None if end > sensor.time[flying][-1] - WINDOW else end,

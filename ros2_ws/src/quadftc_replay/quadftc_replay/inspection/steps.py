@@ -84,3 +84,9 @@ def join_ends(steps: Sequence[Step], pulse: float = PULSE) -> list[Step]:
         else:
             found.append(step)
     return [each for each in found if each.end is None or each.end - each.onset > pulse]
+
+
+def step_sizes(flight: Flight, sensor: Signal, limits: Limits, axis: int) -> Floats:
+    """Return the step that best explains what follows each sample, on one axis (n,)."""
+    flying = flight.in_flight(sensor.time)
+    return find_steps(sensor.time, sensor.value[:, axis], flying, limits.floor).size

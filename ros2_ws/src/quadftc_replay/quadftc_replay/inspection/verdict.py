@@ -125,7 +125,7 @@ def _share(size: float | None) -> str:
 
 def show(value: float, unit: str) -> str:
     """Write a size with its unit."""
-    return f"{100.0 * value:.0f} %" if unit == "1" else f"{value:.3g} {unit}"
+    return f"{100.0 * value:.0f} %" if unit == "1" else f"{value:.3g} {unit.replace('^2', '²')}"
 
 
 def join(words: Sequence[str], last: str = "and") -> str:
