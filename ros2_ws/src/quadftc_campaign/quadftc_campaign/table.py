@@ -13,11 +13,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import polars as pl
 
+from quadftc_flight.diagnosis_metrics.which_rotor import SAID as SAID_KINDS
+from quadftc_flight.diagnosis_metrics.which_rotor import TRUE as TRUE_KINDS
 from quadftc_flight.diagnosis_metrics.which_sensor import SAID, TRUE
 from quadftc_flight.summary import NO_OBSERVER
 
@@ -35,6 +37,7 @@ FLAGS = (
 WHOLE = ("flight", "seed", "fault")  # columns of whole numbers
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95, 0.99)
 CONFUSION = "sensors.confusion_s"  # how the columns of the confusion matrix begin
+ROTOR_CONFUSION = "rotors.confusion_s"  # and of that of the rotors
 ERRORS = (
     "attitude_error_max_deg",
     "attitude_error_rms_deg",
@@ -126,6 +129,17 @@ def _count(faults: pl.DataFrame, name: str, value: Any, above: bool = False) -> 
     return int(((faults[name] > value) if above else (faults[name] == value)).sum())
 
 
+def _matrix(
+    flights: pl.DataFrame, begin: str, truths: Sequence[str], claims: Sequence[str]
+) -> dict[str, dict[str, Any]]:
+    """Return a confusion matrix over all flights [s], without rows of which there are no columns."""
+    return {
+        true: {said: flights[f"{begin}.{true}.{said}"].sum() for said in claims}
+        for true in truths
+        if f"{begin}.{true}.{claims[0]}" in flights.columns
+    }
+
+
 def _variant(campaign: Campaign, frame: pl.DataFrame) -> dict[str, Any]:
     flights, faults = whole_flights(frame), frame.filter(pl.col("fault").is_not_null())
     kinds = faults.with_columns(_kind(frame)).partition_by("kind", as_dict=True) if faults.height else {}
@@ -133,17 +147,15 @@ def _variant(campaign: Campaign, frame: pl.DataFrame) -> dict[str, Any]:
     parts |= {"all": faults} if parts else {}
     left_out = {*NOT_METRICS, *campaign.vary}
     numeric = [name for name, kind in frame.schema.items() if kind.is_numeric() and name not in left_out]
-    metrics = [name for name in numeric if not name.startswith(CONFUSION)]
+    metrics = [name for name in numeric if not name.startswith((CONFUSION, ROTOR_CONFUSION))]
     of_faults = [name for name in metrics if name.startswith("fault.")]
+    rotors = _matrix(flights, ROTOR_CONFUSION, TRUE_KINDS, SAID_KINDS)
     return {
         "flights": flights.height,
         "not_finite": int((~flights["finite"]).sum()),
         "lost": int(flights["lost"].sum()) if "lost" in flights.columns else None,
-        "confusion_s": {
-            true: {said: flights[f"{CONFUSION}.{true}.{said}"].sum() for said in SAID}
-            for true in TRUE
-            if f"{CONFUSION}.{true}.{SAID[0]}" in flights.columns
-        },
+        "confusion_s": _matrix(flights, CONFUSION, TRUE, SAID),
+        **({"rotor_confusion_s": rotors} if rotors else {}),
         "metrics": quantiles(flights, [name for name in metrics if name not in of_faults]),
         "faults": {
             kind: {

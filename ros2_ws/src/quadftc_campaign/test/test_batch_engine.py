@@ -364,7 +364,7 @@ def test_a_flight_with_an_unusable_estimate_is_marked(size, usable):
     estimate = FaultEstimate(zero, zero, np.zeros(3), zero, None)
     output = ControllerOutput(zero, zero, zero, no)
     row = Row(0.0, np.True_, *[zero] * 7, estimate, np.array([0.0, size, 0.0]), output)
-    schedule = Schedule(*(times[..., 0] for times in schedule_of([[]])))
+    schedule = Schedule(*(times[..., 0] for times in schedule_of([[]])[:4]))
     assert update_tally(None, row, schedule).ever["unusable"] == (not usable)
 
 
