@@ -18,11 +18,16 @@ it was interrupted before it started anything, or twice.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import importlib.util
 import os
 import sys
+import tempfile
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
+
+if TYPE_CHECKING:
+    from quadftc_flight.graph.plan import GraphPlan
 
 ROOT = Path(__file__).resolve().parents[1]
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
@@ -167,6 +172,23 @@ def check_onboard(options: argparse.Namespace) -> None:
         raise ValueError("--onboard: which vehicle? --vehicle NAME or FILE.toml (quadftc list vehicles)")
 
 
+def attachments_of(options: argparse.Namespace, plan: GraphPlan, folder: Path) -> tuple[Path, ...]:
+    """Write what belongs into the bag, so that a report knows what flew; nothing without a bag."""
+    import yaml
+
+    from quadftc_flight.scenario import find_scenario, load_scenario
+
+    if plan.bag is None:
+        return ()
+    texts = {"parameters.yaml": plan.parameter_file()}
+    if options.scenario and not options.live and options.duration is None:
+        raw = load_scenario(find_scenario(options.scenario), gains=options.gains).raw
+        texts["scenario.yaml"] = yaml.safe_dump(raw, sort_keys=False, width=120)
+    for name, text in texts.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    return tuple(folder / name for name in texts)
+
+
 def reach() -> str:
     """Say who can find the graph, by what ROS 2 goes by."""
     found, domain = os.environ.get(RANGE, ""), os.environ.get("ROS_DOMAIN_ID") or 0
@@ -199,7 +221,10 @@ def launch(options: argparse.Namespace) -> int:
             remaps=tuple(options.remap),
         )
         sys.stderr.write("".join(f"{line}\n" for line in [*introduction(plan), reach()]))
-        with StopSignals() as stop, GRAPHS[options.graph](plan) as graph:
+        with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
+            plan = dataclasses.replace(plan, attachments=attachments_of(options, plan, Path(folder)))
+            graph = GRAPHS[options.graph](plan)
+        with StopSignals() as stop, graph:
             wall = graph.run(lambda _samples: not stop.requested)
             status = graph.recorder.finish() if graph.recorder is not None else None
             if status is not None and status.error is not None:

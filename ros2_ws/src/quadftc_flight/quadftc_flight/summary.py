@@ -9,6 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
+from quadftc_flight.fault_schedule import FaultEvent, FaultWindow
 from quadftc_flight.flight import Flight
 from quadftc_flight.metrics import entries, flight_metrics, known_metrics, look_up
 from quadftc_flight.scenario import ROLES, Check, Scenario, Scheme
@@ -22,6 +23,9 @@ NO_OBSERVER = "none"  # kind of an observer that takes its sensor as it is
 ATTITUDE_ERRORS = ("attitude_error_max_deg", "attitude_error_rms_deg")
 
 _TIMING = ("wall_time_s", "real_time_factor")  # entries that a bag cannot tell
+
+
+Truth = tuple[Sequence[FaultWindow], Sequence[FaultEvent]]  # of the attitude; of each axis of each sensor
 
 
 class CheckResult(NamedTuple):
@@ -47,10 +51,15 @@ def refuse_wrong_checks(scenario: Scenario) -> None:
         raise scenario.document.error(problems)
 
 
-def summary(flight: Flight, scenario: Scenario, scheme: Scheme, wall_time: float | None) -> dict[str, Any]:
-    """Summarise a flight that took ``wall_time`` [s], ready for JSON; the caller adds versions and paths."""
-    events = scenario.fault_events, scenario.rotor_events
-    metrics = flight_metrics(flight, scenario.fault_windows, *events)
+def summary(
+    flight: Flight, scenario: Scenario, scheme: Scheme, wall_time: float | None, truth: Truth | None = None
+) -> dict[str, Any]:
+    """Summarise a flight that took ``wall_time`` [s], ready for JSON; the caller adds versions and paths.
+
+    ``truth`` is when which sensor was faulty, if the scenario does not say it.
+    """
+    windows, events = truth or (scenario.fault_windows, scenario.fault_events)
+    metrics = flight_metrics(flight, windows, events, scenario.rotor_events)
     checks = check_results(metrics, scheme.checks)
     return {
         "name": scenario.name,

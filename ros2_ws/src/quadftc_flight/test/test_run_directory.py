@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -17,10 +18,11 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
-from quadftc_bags.bag import BagError
+from quadftc_bags.bag import BagError, read_bag
 from quadftc_bags.writer import BagWriter
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.flight import VECTORS, Flight
+from quadftc_flight.live_run import PARTS, VEHICLE, events_of, is_live, live_run
 from quadftc_flight.run_directory import MissingPartError, find_runs, read_run
 from quadftc_flight.scenario import Scenario, node_parameters, parse_scenario
 from quadftc_flight.summary import summary
@@ -297,3 +299,62 @@ def test_component_that_is_not_installed_is_named_as_such(tmp_path, scenario, fl
     (run / "scenario.yaml").write_text(TEXT.replace("observer: sliding_mode", "observer: psychic", 1))
     with pytest.raises(MissingPartError, match=r"no fault observer 'psychic'.*is the package installed"):
         read_run(run)
+
+
+def test_flight_recorded_without_a_scenario_is_judged_by_what_was_injected(tmp_path, scenario, flight):
+    path = record(tmp_path / "flight1", scenario, "first", flight, leave_out=("scenario.yaml",))
+    bag = read_bag(path)
+    assert is_live(bag)
+    run = live_run(bag)
+    assert (run.name, run.label, run.observer) == ("flight1", "live", "sliding_mode")
+    assert [(event.axis, event.component) for event in run.fault_events] == [("roll", "attitude")]
+    assert run.fault_events[0][2:4] == pytest.approx((0.3, 0.7), abs=0.011)
+    assert run.scenario.rate == pytest.approx(100.0)
+    assert run.duration == pytest.approx(1.0, abs=0.02)
+    judged, flown = (
+        run.summary["metrics"],
+        summary(flight, scenario, scenario.scheme("first"), None)["metrics"],
+    )
+    assert judged["tracking_rmse_deg"] == pytest.approx(flown["tracking_rmse_deg"])
+    assert judged["diagnosis"]["fault_count"] == 1
+    assert "without a scenario" in run.warnings[0]
+
+
+def test_flight_of_a_vehicle_without_truth_is_read_as_far_as_it_goes(tmp_path, scenario, flight):
+    lacking = ("scenario.yaml", "parameters.yaml", "plant/attitude", "plant/rate", "fault/injected")
+    run = live_run(read_bag(record(tmp_path / "a b", scenario, "first", flight, leave_out=lacking)))
+    assert (run.scenario.name, run.observer) == ("a_b", "isolating")
+    assert run.fault_events == ()
+    assert run.summary["metrics"]["tracking_rmse_deg"]["roll"] is None
+    assert "no message on plant/attitude, plant/rate, fault/injected" in run.warnings[-1]
+    assert "no parameters.yaml" in run.warnings[1]
+
+
+def test_run_with_its_scenario_and_a_foreign_imu_are_not_live(tmp_path, recorded, scenario, flight):
+    assert not is_live(read_bag(recorded))
+    lacking = ("scenario.yaml", *VECTOR_TOPICS, "attitude/reference", "control/status")
+    assert not is_live(read_bag(record(tmp_path / "imu", scenario, "first", flight, leave_out=lacking)))
+
+
+def test_fault_that_passes_zero_is_one_event(flight):
+    sine = np.sin(3.0 * flight.time)[:, None] * np.ones(3) * (flight.time < 0.5)[:, None]
+    found = events_of(dataclasses.replace(flight, gyro_fault=sine, fault=np.zeros_like(sine)))
+    assert [(event.axis, event.component) for event in found] == [
+        (axis, "gyro") for axis in ("roll", "pitch", "yaw")
+    ]
+    assert found[0].stop == pytest.approx(0.5, abs=0.011)
+
+
+def test_nodes_defaults_are_those_of_a_live_run():
+    from quadftc_control.controller_node import ControllerParameters
+    from quadftc_fdi import disturbance_observer_node, fault_observer_node
+    from quadftc_model.parameters import parameters_of
+
+    nodes = {
+        "fault_observer": fault_observer_node.ObserverParameters,
+        "disturbance_observer": disturbance_observer_node.ObserverParameters,
+        "controller": ControllerParameters,
+    }
+    for node, (name, _, default) in PARTS.items():
+        specs = {spec.name: spec.default for spec in parameters_of(nodes[node])}
+        assert (specs[name], specs["vehicle"]) == (default, VEHICLE)

@@ -16,6 +16,7 @@ from typing import Any, Generic, TypeVar, cast
 import numpy as np
 
 from quadftc_flight.fault_schedule import attitude_events
+from quadftc_flight.live_run import LiveRun
 from quadftc_flight.metrics import look_up
 from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.summary import NO_OBSERVER
@@ -184,6 +185,13 @@ def list_injections(run: Recorded) -> list[Injection]:
     largest = math.degrees(np.max(sizes, initial=0.0, where=np.isfinite(sizes)))
     if largest > 1e-6:
         lines.append(("outside the schedule", "attitude", f"up to {plain(largest)} deg"))
+    if isinstance(run, LiveRun):
+        other = (event for event in run.fault_events if event.component != "attitude")
+        lines += [
+            (_when(event, end), f"{event.component}: {event.axis}", "fault, in the recording")
+            for event in other
+        ]
+        lines += [(f"at {each.time:.2f} s", "setpoint", each.text) for each in run.setpoints]
     return lines
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from quadftc_bags.bag import BagError, read_bag
+from quadftc_flight.live_run import is_live, live_run
 from quadftc_flight.run_directory import MissingPartError, RecordedRun, find_runs, is_replay, run_from_bag
 from quadftc_replay.replay_directory import RecordedReplay, replay_from_bag
 
@@ -105,7 +106,7 @@ def _read_all(
             if is_replay(bag):
                 replays.append(replay_from_bag(bag))
             else:
-                runs.append(run_from_bag(bag))
+                runs.append(live_run(bag) if is_live(bag) else run_from_bag(bag))
         except MissingPartError as error:
             if len(found) == 1:
                 raise

@@ -1,0 +1,210 @@
+"""A flight that was recorded live, without a scenario: by a recorder, or by ``ros2 bag record``.
+
+What the bag tells stands for the scenario: its length, its rate, the faults on fault/injected. Parts and
+vehicle are those of ``parameters.yaml`` in or beside the bag, else the nodes' defaults.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from quadftc_bags.bag import Bag, BagError
+from quadftc_flight.fault_schedule import (
+    SENSORS,
+    UNKNOWN_KIND,
+    FaultEvent,
+    FaultWindow,
+    attitude_events,
+    merge_windows,
+)
+from quadftc_flight.flight import Flight, flight_from_bag, has_messages
+from quadftc_flight.run_directory import (
+    NO_PARAMETERS,
+    PARAMETERS,
+    SCENARIO,
+    WANTED,
+    MissingPartError,
+    Parameters,
+    RecordedRun,
+    attached_text,
+    is_replay,
+    parse_parameters,
+    run_name,
+    versions_of,
+    without_messages,
+)
+from quadftc_flight.scenario import Scenario, ScenarioError, parse_scenario
+from quadftc_flight.summary import summary
+from quadftc_model.samples import AXES
+
+# by one of these topics a bag is a flight of quadftc, not any IMU's
+SIGNS = ("attitude/reference", "torque/command", "fault/estimate")
+# node -> the parameter that names its part, the role in a scheme, and the node's default
+PARTS = {
+    "fault_observer": ("observer", "observer", "isolating"),
+    "disturbance_observer": ("observer", "disturbance_observer", "exosystem"),
+    "controller": ("controller", "controller", "ismc"),
+}
+VEHICLE = "qball_x4"  # default of the nodes
+SCHEME = "live"
+GAP = 0.5  # s; a fault that is zero for less goes on: a sine, spikes
+ZERO = 1e-9  # SI; less is no fault
+COLUMNS = dict(zip(SENSORS, ("fault", "gyro_fault", "accelerometer_fault"), strict=True))
+
+Floats = NDArray[np.float64]
+
+
+class Setpoint(NamedTuple):
+    """Where a live vehicle was sent."""
+
+    time: float  # s, since the first sample
+    text: str
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class LiveRun(RecordedRun):
+    """A flight whose faults are those that were injected, whenever that was."""
+
+    events: tuple[FaultEvent, ...]
+    setpoints: tuple[Setpoint, ...]
+
+    @property
+    def fault_events(self) -> tuple[FaultEvent, ...]:  # type: ignore[override]
+        """When which axis of which sensor was faulty."""
+        return self.events
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the flight was recorded to its end: as far as anybody knows."""
+        return True
+
+
+def is_live(bag: Bag) -> bool:
+    """Whether a bag is a flight of quadftc that was recorded without a scenario."""
+    if attached_text(bag, SCENARIO) is not None or is_replay(bag):
+        return False
+    return has_messages(bag, "imu/data") and any(has_messages(bag, topic) for topic in SIGNS)
+
+
+def live_run(bag: Bag) -> LiveRun:
+    """Make what can be made of a flight without a scenario; BagError if a part of it is not known here."""
+    warnings = [f"{bag.path}: recorded live, without a scenario: faults are those on fault/injected"]
+    parameters = _parameters(bag, warnings)
+    flight = flight_from_bag(bag)
+    scenario = _scenario(bag, parameters, flight)
+    events = events_of(flight)
+    windows = merge_windows(
+        FaultWindow(event.start, event.stop, (event.axis,)) for event in attitude_events(events)
+    )
+    scheme = scenario.schemes[SCHEME]
+    if missing := without_messages(bag, ("plant/attitude", *WANTED)):
+        warnings.append(f"{bag.path}: no message on {', '.join(missing)}; their numbers are missing")
+    return LiveRun(
+        name=run_name(bag.path),
+        path=bag.path,
+        bag=bag,
+        parameters=parameters,
+        flight=flight,
+        summary={**summary(flight, scenario, scheme, None, (windows, events)), "mode": "realtime"},
+        versions=versions_of({}, bag),
+        warnings=tuple(warnings),
+        scenario=scenario,
+        scheme=scheme,
+        events=events,
+        setpoints=_setpoints(bag, int(flight.stamp_ns[0])),
+    )
+
+
+def events_of(flight: Flight) -> tuple[FaultEvent, ...]:
+    """Return when which axis of which sensor was faulty, by the truth that was recorded."""
+    found: list[FaultEvent] = []
+    for component, column in COLUMNS.items():
+        sizes: Floats = getattr(flight, column)
+        for axis, name in enumerate(AXES):
+            faulty = np.abs(sizes[:, axis]) > ZERO  # false where it is not known
+            found += [
+                FaultEvent(name, UNKNOWN_KIND, start, stop, component)
+                for start, stop in _spans(flight.time, faulty)
+            ]
+    return tuple(sorted(found, key=lambda event: event.start))
+
+
+def _spans(time: Floats, there: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Return begin and end [s] of the times in which something is there, across short gaps."""
+    times = time[there]
+    if not len(times):
+        return []
+    last = np.flatnonzero(np.diff(times) > GAP)
+    begins, ends = times[np.r_[0, last + 1]], times[np.r_[last, len(times) - 1]]
+    after = np.r_[time, time[-1] + _period(time)]  # the first moment without it
+    return [
+        (float(begin), float(after[np.searchsorted(after, end) + 1]))
+        for begin, end in zip(begins, ends, strict=True)
+    ]
+
+
+def _period(time: Floats) -> float:
+    """Return the usual time between two samples [s]."""
+    return float(np.median(np.diff(time))) if len(time) > 1 else 0.01
+
+
+def _parameters(bag: Bag, warnings: list[str]) -> Parameters:
+    text = attached_text(bag, PARAMETERS)
+    if text is not None:
+        try:
+            return parse_parameters(text)
+        except NO_PARAMETERS:
+            warnings.append(f"{bag.path}: {PARAMETERS} makes no sense")
+    warnings.append(f"{bag.path}: no {PARAMETERS}: vehicle and parts are taken for the nodes' defaults")
+    return {}
+
+
+def _scenario(bag: Bag, parameters: Mapping[str, Mapping[str, Any]], flight: Flight) -> Scenario:
+    """Describe the flight as a scenario does, as far as the bag tells."""
+    period = _period(flight.time)
+    scheme = {
+        role: str(parameters.get(node, {}).get(name, default))
+        for node, (name, role, default) in PARTS.items()
+    }
+    for role, topic in (("observer", "fault/estimate"), ("disturbance_observer", "disturbance/estimate")):
+        if not parameters and not has_messages(bag, topic):
+            scheme[role] = "none"
+    vehicle = parameters.get("controller", {}).get("vehicle", VEHICLE)
+    told = {
+        "description": "recorded live; this is what the bag tells",
+        "name": "".join(each if each.isalnum() or each in "_-" else "_" for each in run_name(bag.path)),
+        "duration": float(flight.time[-1]) + period,
+        "rate": round(1.0 / period, 3),
+        "vehicle": str(vehicle),
+        "schemes": {SCHEME: scheme},
+    }
+    try:
+        return parse_scenario(yaml.safe_dump(told, sort_keys=False), str(bag.path))
+    except ScenarioError as error:
+        raise MissingPartError(f"{bag.path}: {str(error).splitlines()[0]}") from None
+    except ValueError as error:
+        raise BagError(f"{bag.path}: {error}") from None
+
+
+def _setpoints(bag: Bag, first_ns: int) -> tuple[Setpoint, ...]:
+    """Return the live setpoints of the attitude and of the position."""
+    found: list[Setpoint] = []
+    for topic, field, unit in (
+        ("attitude/setpoint", "vector", "deg"),
+        ("position/setpoint", "pose.position", "m"),
+    ):
+        if not has_messages(bag, topic):
+            continue
+        series = bag.series(topic)
+        for stamp_ns, values in zip(series.stamp_ns, series[field], strict=True):
+            numbers = [math.degrees(value) if unit == "deg" else value for value in values]
+            text = f"{topic.partition('/')[0]}: {', '.join(f'{number:.4g}' for number in numbers)} {unit}"
+            found.append(Setpoint((int(stamp_ns) - first_ns) * 1e-9, text))
+    return tuple(sorted(found))
