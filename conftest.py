@@ -64,6 +64,7 @@ SLOW_FILES = {
     "test_replay_command.py",
     "test_report_command.py",
     "test_report_in_browser.py",
+    "test_serve_command.py",
     "test_slopes.py",
     "test_study_diagnosis.py",
     "test_study_robustness.py",

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 from pathlib import Path
 
 import pytest
+from browser import start_browser
 
 from quadftc_flight.metrics import look_up
 from quadftc_flight.scenario import parse_scenario
 from quadftc_report.report import write_report
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-ARGUMENTS = (
-    *("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
-)
 CALM = """
 name: calm
 description: Ideal sensors, and two seconds of <script>document.title = 'broken out of'</script> trouble
@@ -45,18 +40,6 @@ return Object.fromEntries([...document.querySelectorAll(".plot")].map(
 """
 
 
-def programs() -> tuple[str, str]:
-    """The browser and its driver."""
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    driver = shutil.which("chromedriver")
-    if browser is None or driver is None:
-        pytest.skip(
-            "THE REPORT WAS NOT TESTED IN A BROWSER: Chromium or chromedriver is missing and could not be"
-            " installed (Debian: sudo apt-get install chromium chromium-driver)"
-        )
-    return browser, driver
-
-
 @pytest.fixture(scope="module")
 def runs(fly_graph, busy_scenario, replay_run) -> dict[str, Path]:
     """Two scenarios, each flown with both schemes for two seconds, and a replay: name to directory."""
@@ -74,15 +57,7 @@ def page(runs, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser():
-    from selenium.webdriver import Chrome, ChromeOptions, ChromeService
-
-    program, driver = programs()
-    options = ChromeOptions()
-    options.binary_location = program
-    for argument in ARGUMENTS:
-        options.add_argument(argument)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    with Chrome(options=options, service=ChromeService(driver)) as started:
+    with start_browser("THE REPORT") as started:
         yield started
 
 

@@ -32,6 +32,7 @@ setup(
             "new = quadftc_cli.commands.new:new",
             "replay = quadftc_cli.commands.replay:replay",
             "diagnose = quadftc_cli.commands.diagnose:diagnose",
+            "serve = quadftc_cli.commands.serve:serve",
             "repair = quadftc_cli.commands.repair:repair",
             "report = quadftc_cli.commands.report:report",
             "campaign = quadftc_cli.commands.campaign:campaign",

@@ -1,10 +1,12 @@
+# pyright: basic
 r"""Logs of ArduPilot (DataFlash, ``.BIN``): their bytes as columns, by the names of message and field.
 
     message: 0xA3 0x95 | type u8 | the fields of its format, one after the other
     format:  a message of type 128: type u8 | length u8 | name char[4] | types char[16] | fields char[64]
 
-All is little-endian. A letter of a format is a type, of some with a factor. Source: ArduPilot,
-libraries/AP_Logger/LogStructure.h.
+All is little-endian. A letter of a format is a type, of some with a factor; pymavlink knows them. Its own
+reader is not used: it ends a log at the first message it does not know, and decodes message by message.
+Source: ArduPilot, libraries/AP_Logger/LogStructure.h.
 
 The file is mapped, not read; of the messages that were asked for the places are kept, 8 bytes each. Behind
 bytes that make no message the next one is looked for. A message that has the beginning of another inside, and
@@ -22,6 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pymavlink.DFReader import FORMAT_TO_STRUCT
 
 from quadftc_bags.bag import BagError
 
@@ -29,12 +32,6 @@ HEAD = b"\xa3\x95"
 BEGIN = 3  # bytes before the fields
 FORMAT_TYPE = 128
 FORMAT = struct.Struct("<BB4s16s64s")
-_CODES = "b=i1 B=u1 M=u1 h=i2 H=u2 c=i2 C=u2 i=i4 I=u4 e=i4 E=u4 L=i4 q=i8 Q=u8 g=f2 f=f4 d=f8"
-# letter -> type of NumPy
-_OTHERS = {"a": "(32,)<i2", "n": "S4", "N": "S16", "Z": "S64"}
-TYPES = {pair[0]: f"<{pair[2:]}" for pair in _CODES.split()} | _OTHERS
-FACTORS = {"c": 0.01, "C": 0.01, "e": 0.01, "E": 0.01, "L": 1e-7}
-NO_NUMBERS = "anNZ"
 PARAMETER = "PARM"
 PAGE = 256  # bytes; logs written in pages have garbage behind their end
 BLOCK = 65536  # messages gathered at a time
@@ -87,6 +84,11 @@ def _text(raw: bytes) -> str:
     return bytes(raw).split(b"\0")[0].decode("ascii", "replace")
 
 
+def _numpy_type(code: str) -> str:
+    """Type of NumPy for one of `struct`, little-endian."""
+    return f"S{code[:-1]}" if code.endswith("s") else f"<{code}"
+
+
 class _Scan:
     """Finds the messages, and counts the bytes that are none."""
 
@@ -133,18 +135,16 @@ class _Scan:
         fields = text.split(",") if text else []
         if kind in self.formats or kind == FORMAT_TYPE:
             return
-        is_known = bool(name) and len(fields) == len(types) == len({*fields}) and {*types} <= TYPES.keys()
-        pairs = list(zip(fields, types, strict=True)) if is_known else []
-        row = np.dtype([(field, TYPES[each]) for field, each in pairs])
-        if (
-            not pairs
-            or row.itemsize + BEGIN != length
-            or name in {each.name for each in self.formats.values()}
-        ):
+        is_known = {*types} <= FORMAT_TO_STRUCT.keys() and len(fields) == len(types) == len({*fields})
+        codes = [FORMAT_TO_STRUCT[each] for each in types] if is_known and name else []
+        row = np.dtype([(field, _numpy_type(code[0])) for field, code in zip(fields, codes, strict=False)])
+        is_again = name in {each.name for each in self.formats.values()}
+        if not codes or row.itemsize + BEGIN != length or is_again:
             self.wrong_formats += name in self.names
             self._lengths[kind] = self._lengths[kind] or (length if length > BEGIN else 0)
             return
-        factors = {field: FACTORS.get(each, 1.0) for field, each in pairs if each not in NO_NUMBERS}
+        both = zip(fields, codes, strict=True)
+        factors = {field: factor or 1.0 for field, (code, factor, _) in both if not code.endswith("s")}
         self.formats[kind], self._lengths[kind] = _Format(name, row, factors), length
         if name in self.names:
             self.places[kind] = array("Q")

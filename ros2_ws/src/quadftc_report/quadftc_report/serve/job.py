@@ -1,0 +1,66 @@
+"""Judge one log in a process of its own.
+
+    python -m quadftc_report.serve.job LOG DIR
+
+writes ``verdict.json`` and ``report.html`` into DIR. Standard output has the share of the work that is done,
+a number a line, and last, with exit code 2, one line that says what is wrong with the log.
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+from pathlib import Path
+
+BAD_INPUT = 2  # exit code
+MEMORY = 8 << 30  # bytes of address space, libraries among them
+CPU_TIME = 1800  # s
+LARGEST_FILE = 1 << 30  # bytes that may be written into one file
+STEP = 0.01  # share of the work between two lines
+
+
+def limit_resources() -> None:
+    """Bound what a log can use up, whatever is in it."""
+    for what, most in (
+        (resource.RLIMIT_AS, MEMORY),
+        (resource.RLIMIT_CPU, CPU_TIME),
+        (resource.RLIMIT_FSIZE, LARGEST_FILE),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        hard = resource.getrlimit(what)[1]
+        bound = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(what, (bound, bound))
+
+
+def main() -> int:
+    """Judge the log of the command line."""
+    limit_resources()
+    from quadftc_replay.inspection.diagnosis import DiagnosisOptions, diagnose_log, write_verdict
+    from quadftc_report.verdict_page import write_page
+
+    log, directory = (Path(argument) for argument in sys.argv[1:3])
+    said = -1.0
+
+    def progress(share: float) -> None:
+        nonlocal said
+        if share >= said + STEP:
+            said = share
+            sys.stdout.write(f"{share:.3f}\n")
+            sys.stdout.flush()
+
+    try:
+        inspection = diagnose_log(log, DiagnosisOptions(), progress)
+    except MemoryError:
+        sys.stdout.write("the log needs more memory than it may have\n")
+        return BAD_INPUT
+    except (ValueError, OSError) as error:
+        words = " ".join(str(error).replace(f"{log}: ", "").replace(str(log), log.name).split())
+        sys.stdout.write(f"{words}\n")
+        return BAD_INPUT
+    write_page(inspection, directory)
+    write_verdict(inspection.verdict, directory)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,118 @@
+# pyright: basic
+"""The page: a place to drop logs on, and the list of what became of them."""
+
+from __future__ import annotations
+
+from fastapi import FastAPI
+from nicegui import ui
+
+from quadftc_replay.inspection.verdict import show
+from quadftc_report.serve.jobs import REPORT, VERDICT, Job, Jobs
+
+PERIOD = 0.5  # s; the list is looked at this often
+COLOURS = {"waiting": "grey", "running": "primary", "failed": "warning"}
+
+
+def add_page(app: FastAPI, jobs: Jobs) -> None:
+    """Add the page to an application."""
+
+    @ui.page("/")
+    def page() -> None:
+        ui.label("quadftc: what failed in this flight?").classes("text-h5")
+        formats = "ROS 2 bags (.mcap, .db3), PX4 ULog, ArduPilot .BIN, Crazyflie uSD logs"
+        ui.label(f"Drop flight logs here: {formats}. They stay on this machine, in {jobs.folder}.")
+        _uploader(jobs)
+
+        @ui.refreshable
+        def listing() -> None:
+            for job in jobs.all():
+                _card(jobs, job)
+            if not jobs.all():
+                ui.label("No log yet.").classes("text-grey")
+
+        listing()
+        seen = [jobs.version]
+
+        def look() -> None:
+            if seen[0] != jobs.version:
+                seen[0] = jobs.version
+                listing.refresh()
+
+        ui.timer(PERIOD, look)
+
+    ui.run_with(app, title="quadftc serve", dark=None, tailwind=False, show_welcome_message=False)
+
+
+def _uploader(jobs: Jobs) -> None:
+    """Sends each file as it is, to be written to disk while it comes."""
+    upload = ui.upload(multiple=True, auto_upload=True, max_file_size=jobs.largest, label="Flight logs")
+    upload.props(
+        'url="/logs" send-raw flat bordered style="width: 100%; max-width: 50rem"'
+        " :headers=\"files => [{name: 'X-Name', value: encodeURIComponent(files[0].name)}]\""
+    )
+    largest = f"{jobs.largest >> 20} MiB"
+    upload.on_rejected(lambda: ui.notify(f"A log may have at most {largest}.", type="negative"))
+    upload.on("failed", lambda: ui.notify("The log could not be stored.", type="negative"), args=[])
+    upload.on("uploaded", lambda: upload.run_method("removeUploadedFiles"), args=[])
+
+
+def _card(jobs: Jobs, job: Job) -> None:
+    """Show one log."""
+    with ui.card().style("width: 100%; max-width: 50rem").props(f'data-state="{job.state}"'):
+        with ui.row().style("width: 100%; align-items: center"):
+            ui.label(job.name).classes("text-weight-bold")
+            ui.label(f"{job.received:%Y-%m-%d %H:%M} UTC, {job.size / 1e6:.1f} MB").classes("text-grey")
+            ui.space()
+            _badge(job)
+        if job.state == "running":
+            ui.linear_progress(job.progress, show_value=False)
+        if job.message:
+            ui.label(job.message)
+        if job.verdict is not None:
+            _verdict(jobs, job)
+        remove = ui.button("Remove", on_click=lambda: jobs.remove(job.id)).props("flat dense size=sm")
+        remove.style("align-self: end")
+
+
+def _badge(job: Job) -> None:
+    if job.verdict is None:
+        ui.badge(job.state, color=COLOURS.get(job.state, "grey"))
+    elif job.verdict.healthy:
+        ui.badge("no finding", color="positive")
+    else:
+        count = len(job.verdict.findings)
+        ui.badge(f"{count} finding{'s' if count > 1 else ''}", color="negative")
+
+
+def _verdict(jobs: Jobs, job: Job) -> None:
+    """Show the verdict: its sentence, its findings, and the files."""
+    assert job.verdict is not None
+    ui.label(job.verdict.sentence)
+    rows = [
+        {
+            "what": f"{each.name}: {each.kind}",
+            "onset": f"{each.onset_s:.2f}",
+            "size": "" if each.size is None else show(each.size, each.unit),
+            "probability": f"{100.0 * each.probability:.0f} %",
+            "or": ", ".join(each.ambiguous_with),
+        }
+        for each in job.verdict.findings
+    ]
+    if rows:
+        heads = {
+            "what": "finding",
+            "onset": "onset [s]",
+            "size": "size",
+            "probability": "probability",
+            "or": "or",
+        }
+        columns = [
+            {"name": key, "label": label, "field": key, "align": "left"} for key, label in heads.items()
+        ]
+        ui.table(rows=rows, columns=columns).props("dense flat")
+    for each in job.verdict.not_judged:
+        ui.label(f"not judged: {each.component}: {each.reason}").classes("text-grey")
+    with ui.row():
+        for name, label in ((REPORT, "Report"), (VERDICT, VERDICT)):
+            if jobs.result(job.id, name):
+                ui.link(label, f"/logs/{job.id}/{name}", new_tab=True)

@@ -1,0 +1,167 @@
+"""The local page: takes logs of bounded size, judges them, stays in its folder, answers its own pages."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from browser import start_browser
+
+from quadftc_report.serve.jobs import safe_name
+
+PARENTS = Path(__file__).resolve().parents
+DATA = next((parent / "shared/data" for parent in PARENTS if (parent / "shared/data").is_dir()), None)
+LOG = None if DATA is None else DATA / "crazyflie/crazypad/controller_data-normal_flight-E8_log00"
+RUN = "from pathlib import Path; from quadftc_cli.commands.serve import serve; import sys; "
+RUN += "serve(Path(sys.argv[1]), 0, 2, 1, False)"
+PATIENCE = 60.0  # s
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("served") / "folder"
+
+
+@pytest.fixture(scope="module")
+def address(folder) -> Iterator[str]:
+    """A page with a folder of its own, and logs of at most 1 MiB."""
+    process = subprocess.Popen([sys.executable, "-c", RUN, folder], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    line = process.stdout.readline()
+    yield next(word for word in line.split() if word.startswith("http")).rstrip(";")
+    process.terminate()
+    process.wait(10)
+    process.stdout.close()
+
+
+def post(address: str, name: str, content) -> httpx.Response:
+    return httpx.post(f"{address}/logs", content=content, headers={"X-Name": name}, timeout=PATIENCE)
+
+
+def await_end(folder: Path, key: str) -> dict:
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline:
+        job = json.loads((folder / key / "job.json").read_text())
+        if job["state"] in ("done", "failed"):
+            return job
+        time.sleep(0.1)
+    raise AssertionError("not judged in time")
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("flight.ulg", "flight.ulg"),
+        ("../../etc/passwd", "passwd"),
+        ("C:\\logs\\a b.BIN", "a_b.BIN"),
+        ("..", "log"),
+        (".bashrc", "bashrc"),
+        ("a\0b\n/..hidden; rm -rf", "hidden_rm_-rf"),
+        ("", "log"),
+        ("x" * 300 + ".mcap", "x" * 75 + ".mcap"),
+    ],
+)
+def test_name_of_a_file_becomes_a_plain_one(name, expected):
+    assert safe_name(name) == expected
+
+
+def test_page_is_there_for_this_machine_and_its_own_pages_only(address):
+    assert address.startswith("http://127.0.0.1:")
+    assert "quadftc" in httpx.get(address).text
+    for headers in ({"Host": "evil.example"}, {"Origin": "http://evil.example"}, {"Origin": "null"}):
+        assert httpx.get(address, headers=headers).status_code == 403
+        response = httpx.post(f"{address}/logs", content=b"x", headers=headers)
+        assert response.status_code == 403
+
+
+@pytest.mark.skipif(LOG is None, reason="no recorded logs beside the repository (shared/data)")
+def test_log_is_judged_and_its_verdict_handed_out(address, folder):
+    assert LOG is not None
+    key = post(address, LOG.name, LOG.read_bytes()).json()["id"]
+    job = await_end(folder, key)
+    assert (job["state"], job["name"], job["size"]) == ("done", LOG.name, LOG.stat().st_size)
+    response = httpx.get(f"{address}/logs/{key}/verdict.json")
+    assert response.json()["log"] == LOG.name
+    assert "default-src 'none'" in response.headers["Content-Security-Policy"]
+
+
+def test_file_that_is_no_log_fails_with_the_reason(address, folder):
+    key = post(address, "%2e%2e%2f%2e%2e%2fnotes.txt", b"#!/bin/sh\ntouch ran\n").json()["id"]
+    job = await_end(folder, key)
+    assert (job["state"], job["name"]) == ("failed", "notes.txt")
+    assert "expected a log of one of the formats" in job["message"]
+    assert sorted(path.name for path in (folder / key).rglob("*")) == ["in", "job.json", "notes.txt"]
+    for path in (f"{key}/job.json", f"{key}/in/notes.txt", f"{key}/..%2f{key}%2fjob.json", "x/verdict.json"):
+        assert httpx.get(f"{address}/logs/{path}").status_code == 404, path
+    with httpx.Client() as client:  # as bytes, so that no client makes the path plain
+        raw = client.build_request("GET", address)
+        raw.url = raw.url.copy_with(raw_path=f"/logs/{key}/../../../../../etc/passwd".encode())
+        response = client.send(raw)
+    assert response.status_code == 404
+    assert "root:" not in response.text
+
+
+def test_log_that_is_too_large_leaves_nothing_behind(address, folder):
+    before = set(folder.iterdir())
+    large = bytes((1 << 20) + 1)
+    assert post(address, "large", large).status_code == 413
+    assert post(address, "large", (large[:4096] for _ in range(257))).status_code == 413  # length not told
+    assert set(folder.iterdir()) == before
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with start_browser("THE PAGE OF QUADFTC SERVE") as started:
+        yield started
+
+
+def wait_for(browser, script: str):
+    from selenium.webdriver.support.wait import WebDriverWait
+
+    return WebDriverWait(browser, PATIENCE).until(lambda _: browser.execute_script(script), script)
+
+
+CARDS = "[...document.querySelectorAll('[data-state]')]"
+TEXTS = f"return {CARDS}.map(each => each.dataset.state + each.innerText)"
+
+
+@pytest.mark.skipif(LOG is None, reason="no recorded logs beside the repository (shared/data)")
+def test_in_a_browser_logs_are_dropped_and_verdicts_read_and_removed(browser, address, folder, tmp_path):
+    from selenium.webdriver.common.by import By
+
+    assert LOG is not None
+    other, large = tmp_path / "<b>not</b> a log.txt".replace("/", "-"), tmp_path / "large"
+    other.write_text("no log")
+    large.write_bytes(bytes((1 << 20) + 1))
+    before = len(list(folder.iterdir()))
+    browser.get(address)
+    wait_for(browser, "return document.querySelector('input[type=file]') !== null")
+    drop = browser.find_element(By.CSS_SELECTOR, "input[type=file]")
+    drop.send_keys("\n".join(map(str, (LOG, other, large))))
+    ended = f"{CARDS}.filter(each => ['done', 'failed'].includes(each.dataset.state)).length"
+    wait_for(browser, f"return {ended} === {before + 2}")
+    texts = browser.execute_script(TEXTS)
+    assert any(text.startswith("done") and LOG.name in text and "verdict.json" in text for text in texts)
+    assert any(text.startswith("failed") and "expected a log" in text for text in texts)
+    assert len(list(folder.iterdir())) == before + 2  # the large one was not taken
+    # the list is there again after a reload; what is removed is gone
+    browser.refresh()
+    wait_for(browser, f"return {CARDS}.length === {before + 2}")
+    failed = browser.find_element(By.CSS_SELECTOR, "[data-state=failed]")
+    failed.find_element(By.XPATH, ".//button[contains(., 'Remove')]").click()
+    wait_for(browser, f"return {CARDS}.length === {before + 1}")
+    assert len(list(folder.iterdir())) == before + 1
+    # the report draws, although it may load nothing
+    link = browser.find_element(By.LINK_TEXT, "Report").get_attribute("href")
+    browser.get(link)
+    wait_for(browser, "return document.documentElement.dataset.figures === 'drawn'")
+    assert [entry for entry in browser.get_log("browser") if entry["level"] == "SEVERE"] == []
+    asked = [json.loads(entry["message"])["message"] for entry in browser.get_log("performance")]
+    requests = [each["params"]["request"] for each in asked if each["method"] == "Network.requestWillBeSent"]
+    assert all(request["url"].startswith((address, "data:", "blob:")) for request in requests)
