@@ -12,6 +12,21 @@ ROSDEP = {"numpy": "python3-numpy", "scipy": "python3-scipy", "yaml": "python3-y
 # what has no key in rosdep, or an older version there: named in a comment, as PyPI calls it
 DISTRIBUTIONS = {"ruamel": "ruamel.yaml", "sklearn": "scikit-learn", "typing_extensions": "typing-extensions"}
 
+# what rosdep can install: rosdep/python.yaml and jazzy/distribution.yaml of ros/rosdistro, on 2026-08-22
+KNOWN_TO_ROSDEP = {
+    *(
+        "ament_cmake",
+        "ament_index_python",
+        "builtin_interfaces",
+        "diagnostic_msgs",
+        "geometry_msgs",
+        "launch",
+    ),
+    *("launch_ros", "nav_msgs", "rcl_interfaces", "rclpy", "ros2service", "rosgraph_msgs", "sensor_msgs"),
+    *("rosidl_default_generators", "rosidl_default_runtime", "std_msgs", "std_srvs"),
+    *(f"python3-{name}" for name in ("hypothesis", "numpy", "pytest", "ruamel.yaml", "scipy", "yaml")),
+}
+
 
 def imported_by(package):
     """Top-level names that the modules of a package import."""
@@ -40,3 +55,12 @@ def test_manifest_names_what_the_package_imports(package):
     unused = {key for key in keys | from_pypi if not key.endswith(("_msgs", "_srvs", "_interfaces"))} - wanted
     launched = "".join(file.read_text(encoding="utf-8") for file in package.glob("launch/*.py"))
     assert {key for key in unused - {"ros2service"} if key not in launched} == set()
+
+
+@pytest.mark.parametrize(
+    "manifest", sorted(PACKAGES[0].parent.glob("*/package.xml")), ids=lambda file: file.parent.name
+)
+def test_manifest_names_only_keys_that_rosdep_knows(manifest):
+    """Another key: look it up there, then add it above; what has none is named in the comment of PyPI."""
+    keys = set(re.findall(r"<\w*depend>(.*)</\w*depend>", manifest.read_text(encoding="utf-8")))
+    assert {key for key in keys if not key.startswith("quadftc_")} <= KNOWN_TO_ROSDEP
