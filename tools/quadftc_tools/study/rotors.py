@@ -1,0 +1,303 @@
+# pyright: basic
+"""Rotor diagnosis in closed loop: delays, sizes, ramps, healthy flights, and faults of rotors among others.
+
+python3 -m quadftc_tools.study.rotors --docs docs
+
+All flights are of the X500 with the `mems` IMU and motion capture, in turbulence of any direction, in gusts
+of torque of 0.5 rad/s², and with a centre of mass that is off by 5 mm. Half of them hover, half fly a circle
+at 2 m/s. The rotor and all sizes are drawn. Writes the tables of docs/rotors.md, section 2.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_campaign.batch.engine import Engine
+from quadftc_campaign.batch.parts import with_common_faults
+from quadftc_campaign.flights import parts_of
+from quadftc_cli.screen import say
+from quadftc_flight.scenario import Scenario, parse_scenario
+from quadftc_model.samples import ALARMS
+from quadftc_tools.study.numbers import write_number, write_per_cent, write_times
+from quadftc_tools.study.page import NOTHING, markdown, publish_tables
+
+LANES = 32  # flights that fly together, each with all its samples
+RATE, ONSET, DURATION, HEALTHY = 250, 8.0, 10.5, 80.0  # Hz, s, s, s
+JUDGED = 2.0  # s after the onset; what a lost vehicle says later counts for nothing
+SEEDS = {"sizes": 100_000, "ramps": 200_000, "mixed": 300_000, "healthy": 400_000}
+SENSORS = ("attitude", "gyro", "accelerometer")
+SIZES: tuple[tuple[float, float, int], ...] = (  # smallest and largest loss; flights, of the default 200
+    (0.15, 0.4, 200),
+    (0.05, 0.05, 50),
+    (0.075, 0.075, 50),
+    (0.10, 0.10, 50),
+    (0.15, 0.15, 50),
+    (0.4, 0.6, 50),
+    (1.0, 1.0, 100),
+)
+RAMPS = (0.5, 2.0, 8.0)  # s; over which 30 % are lost
+# kind and channel of other faults, with what is drawn: axes, and a size between two bounds, of either sign
+OTHERS = (
+    ("attitude", "bias", "value", ("roll", "pitch", "yaw"), (1.0, 8.0), " deg"),
+    ("gyro", "bias", "value", ("x", "y", "z", "[x, y]", "[x, y, z]"), (0.1, 0.5), " rad/s"),
+    ("gyro", "stuck", "", ("x", "y", "z"), (0.0, 0.0), ""),
+    ("accelerometer", "bias", "value", ("x", "y", "z"), (1.0, 3.0), ""),
+)
+LOSS_HEAD = (
+    *("share of thrust lost", "flights", "named", "another rotor named", "a sensor named"),
+    *("named after, median / largest", "error of the loss 1 s later, median / largest"),
+)
+RAMP_HEAD = (
+    "30 % lost over",
+    "flights",
+    "named",
+    "another rotor or a sensor named",
+    "named after, median / largest",
+)
+MIXED_HEAD = (
+    "faulty",
+    "flights",
+    *(f"{name} named" for name in SENSORS),
+    "the rotor named",
+    "another rotor named",
+)
+SCENARIO = """
+name: rotors
+duration: {duration} s
+rate: 250 Hz
+seed: {seed}
+vehicle: x500
+plant: {{kind: free_flight, start: [2, 0, 1.5]}}
+sensors: {{grade: mems}}
+position_sensor: {{grade: mocap}}
+trajectories:
+  - {{kind: circle, centre: [0, 0, 1.5], radius: 2, speed: {speed} m/s, start: 1 s, stop: {duration} s}}
+wind:
+  - {{kind: constant, velocity_mean: [{east:.4f}, {north:.4f}, 0]}}
+  - {{kind: dryden, wind_speed: 5, airspeed: 4, height: 6, history: {wind}}}
+disturbances:
+  - {{kind: gusts, std_dev: [0.01195, 0.01195, 0.022], history: {gusts}}}
+  - {{kind: constant, amplitude: [{roll:.5f}, {pitch:.5f}, 0]}}
+faults: [{faults}]
+schemes:
+  isolating:
+    observer: isolating
+    disturbance_observer: exosystem
+    controller: ismc
+    position_controller: geometric
+"""
+
+Flags = NDArray[np.bool_]
+Floats = NDArray[np.float64]
+
+
+class Case(NamedTuple):
+    """A flight, and what is wrong with it."""
+
+    scenario: Scenario
+    component: str  # a sensor, rotor, or nothing
+    rotor: int  # 0, 1, ...; of a faulty rotor
+    loss: float  # share of its thrust
+
+
+class Said(NamedTuple):
+    """What is named in a flight, after the onset of its fault; times of the first sample, infinite: never."""
+
+    rotors: Floats  # (n,) [s] after the onset
+    sensors: Floats  # (3,) [s]; attitude and gyro only where they are not ambiguous
+    error: float  # estimated less true loss 1 s after it is named [1]
+
+
+def case_of(seed: int, component: str, make: Any, duration: float = DURATION) -> Case:
+    """Draw a flight; ``make`` draws the text of its fault, its rotor and the loss."""
+    rng = np.random.default_rng(seed)
+    wind, offset = rng.uniform(0.0, 2.0 * np.pi, 2)
+    mean, torque = rng.uniform(0.0, 4.0), 0.005 * 20.24  # m/s; N m: 5 mm times the weight
+    text, rotor, loss = make(rng)
+    scenario = parse_scenario(
+        SCENARIO.format(
+            duration=duration,
+            seed=seed,
+            speed=2.0 if rng.integers(2) else 0.01,
+            east=mean * np.cos(wind),
+            north=mean * np.sin(wind),
+            wind=rng.integers(10**6),
+            gusts=rng.integers(10**6),
+            roll=torque * np.cos(offset),
+            pitch=torque * np.sin(offset),
+            faults=text,
+        )
+    )
+    return Case(scenario, component, rotor, loss)
+
+
+def weak_rotor(low: float, high: float, rise: float = 0.0) -> Any:
+    """Return what draws a loss between two shares; all of it: the rotor is off."""
+
+    def make(rng: np.random.Generator) -> tuple[str, int, float]:
+        rotor, loss = int(rng.integers(4)), float(rng.uniform(low, high))
+        if loss >= 1.0:
+            return f"{{kind: 'off', rotors: [{rotor + 1}], start: {ONSET} s}}", rotor, 1.0
+        value = f"value: {loss:.4f}, rise: {rise}"
+        return f"{{kind: loss, rotors: [{rotor + 1}], {value}, start: {ONSET} s}}", rotor, loss
+
+    return make
+
+
+def faulty_sensor(sensor: str, kind: str, key: str, axes: Sequence[str], bounds: Any, unit: str) -> Any:
+    """Return what draws a fault of a sensor."""
+
+    def make(rng: np.random.Generator) -> tuple[str, int, float]:
+        size = rng.uniform(*bounds) * rng.choice([-1.0, 1.0])
+        value = f", {key}: {size:.4f}{unit}" if key else ""
+        which = axes[rng.integers(len(axes))]
+        text = f"{{kind: {kind}, channel: {sensor}, axes: {which}{value}, start: {ONSET} s}}"
+        return text, -1, 0.0
+
+    return make
+
+
+def fly_all(cases: Sequence[Case], lanes: int = LANES) -> Iterator[Any]:
+    """Fly all cases; yield what the observer says in each, arrays (samples, ...)."""
+    engine = Engine(lanes=lanes)
+    parts = with_common_faults([parts_of(case.scenario) for case in cases])
+    for start in range(0, len(cases), lanes):
+        block = slice(start, start + lanes)
+        outcomes = engine.fly(
+            parts[block], [case.scenario.fault_events for case in cases[block]], traced=True
+        )
+        yield from (outcome.trace.estimate for outcome in outcomes if outcome.trace is not None)
+
+
+def hear(case: Case, estimate: Any, onset: float = ONSET, judged: float = JUDGED) -> Said:
+    """Return what is named in a flight."""
+    rotors = np.isin(np.asarray(estimate.rotors.state), ALARMS)
+    sensors = [getattr(estimate.sensors, name) for name in SENSORS]
+    named = [np.isin(np.asarray(each.state), ALARMS) & ~np.asarray(each.ambiguous) for each in sensors]
+    begin, end = round(onset * RATE), round((onset + judged) * RATE)
+    times = first_times(rotors[begin:end])
+    error = np.nan
+    if case.rotor >= 0 and np.isfinite(times[case.rotor]):
+        row = min(begin + round((times[case.rotor] + 1.0) * RATE), len(rotors) - 1)
+        error = 1.0 - float(np.asarray(estimate.rotors.effectiveness)[row, case.rotor]) - case.loss
+    seen = [first_times(each[begin:end]).min() for each in named]
+    return Said(times, np.array(seen), error)
+
+
+def first_times(flags: Flags) -> Floats:
+    """Time [s] of the first sample at which each column is true; infinite: never."""
+    return np.where(flags.any(axis=0), flags.argmax(axis=0) / RATE, np.inf)
+
+
+def loss_row(label: str, cases: Sequence[Case], said: Sequence[Said]) -> tuple[str, ...]:
+    """Sum up flights with a weak rotor."""
+    delays = np.array([each.rotors[case.rotor] for case, each in zip(cases, said, strict=True)])
+    named = np.isfinite(delays)
+    others = [
+        np.isfinite(np.delete(each.rotors, case.rotor)).any() for case, each in zip(cases, said, strict=True)
+    ]
+    sensors = [np.isfinite(each.sensors).any() for each in said]
+    errors = np.abs([each.error for each in said])[named]
+    shares = [write_per_cent((float(np.mean(each)),)) for each in (named, others, sensors)]
+    return (label, str(len(cases)), *shares, write_spread(delays[named]), write_errors(errors))
+
+
+def write_spread(times: Floats) -> str:
+    """Write median and largest of some times [s]."""
+    return write_times((float(np.median(times)), float(times.max()))) if len(times) else NOTHING
+
+
+def write_errors(errors: Floats) -> str:
+    """Write median and largest of some shares."""
+    return write_per_cent((float(np.median(errors)), float(errors.max()))) if len(errors) else NOTHING
+
+
+def study_faults(share: float) -> dict[str, str]:
+    """Fly all faults, a share of the flights that the tables have by default."""
+    groups: list[tuple[str, str, list[Case]]] = []
+
+    def add(table: str, label: str, count: int, component: str, make: Any) -> None:
+        seed = SEEDS[table] + 1000 * len(groups)
+        cases = [case_of(seed + index, component, make) for index in range(max(1, round(share * count)))]
+        groups.append((table, label, cases))
+
+    for low, high, count in SIZES:
+        size = f"{100 * low:g} to {100 * high:g} %" if high > low else f"{100 * low:g} %"
+        label = "all: the rotor is off" if low >= 1.0 else size
+        add("sizes", label, count, "rotor", weak_rotor(low, high))
+    for rise in RAMPS:
+        add("ramps", f"{rise:g} s", 50, "rotor", weak_rotor(0.3, 0.3, rise))
+    add("mixed", "rotor: loss of 15 to 40 %", 200, "rotor", weak_rotor(0.15, 0.4))
+    for other in OTHERS:
+        add("mixed", f"{other[0]}: {other[1]}", 200, other[0], faulty_sensor(*other))
+    heard = iter(fly_all([case for *_, cases in groups for case in cases]))
+    rows: dict[str, list[tuple[str, ...]]] = {"sizes": [], "ramps": [], "mixed": []}
+    for table, label, cases in groups:
+        said = [hear(case, next(heard)) for case in cases]
+        rows[table].append(
+            {"sizes": loss_row, "ramps": ramp_row, "mixed": mixed_row}[table](label, cases, said)
+        )
+    heads = {"sizes": LOSS_HEAD, "ramps": RAMP_HEAD, "mixed": MIXED_HEAD}
+    return {f"rotor-{table}": markdown(heads[table], rows[table]) for table in rows}
+
+
+def ramp_row(label: str, cases: Sequence[Case], said: Sequence[Said]) -> tuple[str, ...]:
+    """Sum up flights with a rotor that weakens slowly."""
+    name, flights, named, others, sensors, delays, _ = loss_row(label, cases, said)
+    return name, flights, named, f"{others} / {sensors}", delays
+
+
+def mixed_row(label: str, cases: Sequence[Case], said: Sequence[Said]) -> tuple[str, ...]:
+    """Sum up what is named in flights with one fault of any component."""
+    sensors = np.isfinite([each.sensors for each in said]).mean(axis=0)
+    right = [
+        case.rotor >= 0 and np.isfinite(each.rotors[case.rotor])
+        for case, each in zip(cases, said, strict=True)
+    ]
+    wrong = [
+        np.isfinite(np.delete(each.rotors, case.rotor) if case.rotor >= 0 else each.rotors).any()
+        for case, each in zip(cases, said, strict=True)
+    ]
+    shares = (*sensors, np.mean(right), np.mean(wrong))
+    return (label, str(len(cases)), *(write_per_cent((float(each),)) for each in shares))
+
+
+def study_healthy(flights: int, lanes: int = 16) -> str:
+    """Fly without a fault; return the table of what is named all the same."""
+    named, sensed = 0, 0
+    for start in range(0, flights, 4 * lanes):
+        seeds = range(start, min(start + 4 * lanes, flights))
+        cases = [case_of(SEEDS["healthy"] + seed, "", lambda _: ("", -1, 0.0), HEALTHY) for seed in seeds]
+        for case, estimate in zip(cases, fly_all(cases, lanes), strict=True):
+            said = hear(case, estimate, 0.0, HEALTHY)
+            named += bool(np.isfinite(said.rotors).any())
+            sensed += bool(np.isfinite(said.sensors).any())
+        say(f"{seeds[-1] + 1} healthy flights: a rotor named in {named}, a sensor in {sensed}", stderr=True)
+    hours = write_number(flights * HEALTHY / 3600.0)
+    head = ("flights of 80 s", "hours", "flights in which a rotor is named", "a sensor")
+    return markdown(head, [(str(flights), hours, str(named), str(sensed))])
+
+
+def main(arguments: Iterable[str] | None = None) -> int:
+    """Fly, and write the tables into docs/rotors.md."""
+    parser = argparse.ArgumentParser(description="Rotor diagnosis in closed loop: docs/rotors.md, section 2.")
+    parser.add_argument("--share", type=float, default=1.0, help="of the flights with a fault")
+    parser.add_argument("--healthy", type=int, default=1000, help="healthy flights; 0: keep the table")
+    parser.add_argument("--docs", type=Path, help="directory of rotors.md; without it the tables are printed")
+    options = parser.parse_args(None if arguments is None else list(arguments))
+    tables = study_faults(options.share) if options.share > 0.0 else {}
+    if options.healthy > 0:
+        tables["rotor-healthy"] = study_healthy(options.healthy)
+    publish_tables(tables, options.docs / "rotors.md" if options.docs else None)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
