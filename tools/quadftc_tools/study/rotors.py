@@ -30,7 +30,7 @@ from quadftc_tools.study.page import NOTHING, markdown, publish_tables
 
 LANES = 32  # flights that fly together, each with all its samples
 RATE, ONSET, DURATION, HEALTHY = 250, 8.0, 10.5, 80.0  # Hz, s, s, s
-JUDGED = 2.0  # s after the onset; what a lost vehicle says later counts for nothing
+JUDGED, FALLING = 2.0, 0.7  # s after the onset; with a rotor off, as this vehicle falls to the ground then
 SEEDS = {"sizes": 100_000, "ramps": 200_000, "mixed": 300_000, "healthy": 400_000}
 SENSORS = ("attitude", "gyro", "accelerometer")
 SIZES: tuple[tuple[float, float, int], ...] = (  # smallest and largest loss; flights, of the default 200
@@ -157,7 +157,7 @@ def faulty_sensor(sensor: str, kind: str, key: str, axes: Sequence[str], bounds:
     def make(rng: np.random.Generator) -> tuple[str, int, float]:
         size = rng.uniform(*bounds) * rng.choice([-1.0, 1.0])
         value = f", {key}: {size:.4f}{unit}" if key else ""
-        which = axes[rng.integers(len(axes))]
+        which = axes[int(rng.integers(len(axes)))]
         text = f"{{kind: {kind}, channel: {sensor}, axes: {which}{value}, start: {ONSET} s}}"
         return text, -1, 0.0
 
@@ -178,6 +178,7 @@ def fly_all(cases: Sequence[Case], lanes: int = LANES) -> Iterator[Any]:
 
 def hear(case: Case, estimate: Any, onset: float = ONSET, judged: float = JUDGED) -> Said:
     """Return what is named in a flight."""
+    judged = FALLING if case.loss >= 1.0 else judged
     rotors = np.isin(np.asarray(estimate.rotors.state), ALARMS)
     sensors = [getattr(estimate.sensors, name) for name in SENSORS]
     named = [np.isin(np.asarray(each.state), ALARMS) & ~np.asarray(each.ambiguous) for each in sensors]

@@ -90,9 +90,9 @@ def step_watch(
 def _swirl(vehicle: Vehicle, last: Components, speeds: Components, rate: Vector, dt: float) -> Vector:
     """Torque [N m] of rotors that are sped up, and that are turned with their angular momentum."""
     rotors = vehicle.rotors
-    spun = rotors.rotor_inertia * rotors.spin_sign
-    momentum = (spun * speeds).sum(axis=-1)
-    faster = (spun * (speeds - last)).sum(axis=-1) / larger(dt, 1e-6)
+    spun, earlier = (rotors.spin_sign * speeds).sum(axis=-1), (rotors.spin_sign * last).sum(axis=-1)
+    momentum = rotors.rotor_inertia * spun
+    faster = rotors.rotor_inertia * (spun - earlier) / larger(dt, 1e-6)
     p, q, _ = components(rate)
     return stacked([-q * momentum, p * momentum, -faster])
 
@@ -110,14 +110,18 @@ def _acting(
     Measured speeds say it. Else it is what is commanded, less the losses.
     """
     assert inputs.rotors is not None
-    commanded, (torque, thrust) = thrusts_of(vehicle, inputs.rotors.command), inputs[1:3]
-    mean = now = commanded
-    if inputs.rotors.speeds is not None:
-        mean, now = 0.5 * (before + monitor.thrusts), monitor.thrusts
-        torque, thrust = _wrench(vehicle, mean)[..., 1:] + swirl, now.sum(axis=-1)
-    zeros, lost = 0.0 * torque, monitor.losses.mean
+    command, measured = inputs.rotors
+    torque, thrust = inputs.torque, inputs.thrust
+    if measured is not None:
+        wrench = _wrench(vehicle, 0.5 * (before + monitor.thrusts))
+        torque, thrust = wrench[..., 1:] + swirl, monitor.thrusts.sum(axis=-1)
+    zeros = 0.0 * torque
 
     def weakened() -> tuple[Vector, Scalar | None, Vector, Scalar]:
+        commanded, lost = thrusts_of(vehicle, command), monitor.losses.mean
+        mean, now = commanded, commanded
+        if measured is not None:
+            mean, now = 0.5 * (before + monitor.thrusts), monitor.thrusts
         variance = (effects.square * ((commanded * monitor.unsure) ** 2)[..., None, :]).sum(axis=-1)
         # nor is the inertia of a rotor known well that is sped up by much
         turning = variance[..., :3] + any_of(monitor.unsure) * (swirl / vehicle.inertia) ** 2

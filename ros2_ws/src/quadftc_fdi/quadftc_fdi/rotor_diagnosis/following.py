@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import Array, Scalar, cache_numbers, namespace
+from quadftc_model.arrays import Array, Scalar, cache_numbers, changed_where, namespace
 
 TIMES = np.array([0.015, 0.06])  # s
 FAR = np.array([0.35, 0.12])  # 1; of hover thrust, for each time
@@ -46,21 +46,27 @@ def start_following(thrusts: Array) -> Following:
 def step_following(state: Following, thrusts: Array, wanted: Array, hover: Scalar, dt: float) -> Following:
     """Advance by ``dt`` [s]: measured and commanded thrust (..., n)."""
     xp, n = namespace(thrusts), thrusts.shape[-1]
-    news = xp.concatenate([thrusts, wanted], axis=-1)[..., None, :]
-    mean = state.mean + _gains(dt) * (news - state.mean)
+    news = xp.concatenate([thrusts, wanted], axis=-1)
+    mean = state.mean + _gains(dt) * (news[..., None, :] - state.mean)
     given, asked = mean[..., :n], mean[..., n:]
-    quick = UNSURE * xp.abs(wanted - asked[..., 1, :])[..., None, :]
-    differs = xp.abs(asked - given) > FAR[:, None] * hover + quick
-    apart = (state.apart + dt) * differs.any(axis=-2)
-    faulty = state.faulty | (apart > HOLD)
-    # a rotor that nobody asks for anything shows nothing
-    shows = (asked > LEAST * hover) & (given > 0.5 * asked) & (given < 2.0 * asked)
-    calm = (state.calm + dt) * (faulty & shows.all(axis=-2) & ~differs.any(axis=-2))
-    faulty = faulty & (calm < RECOVERED)
-    share = 1.0 - given[..., 0, :] / xp.maximum(asked[..., 0, :], 1e-3 * hover)
-    share = xp.minimum(xp.maximum(share, 0.0), 1.0) * faulty
-    still = xp.abs(thrusts - given[..., 1, :]) < STEADY * hover
-    return Following(mean, apart, calm * faulty, faulty, share, still)
+    quick = UNSURE * abs(wanted - asked[..., 1, :])
+    differs = abs(asked - given) > FAR[:, None] * hover + quick[..., None, :]
+    apart = differs[..., 0, :] | differs[..., 1, :]
+    state = state._replace(mean=mean)
+
+    def compare() -> Following:
+        time = (state.apart + dt) * apart
+        faulty = state.faulty | (time > HOLD)
+        # a rotor that nobody asks for anything shows nothing
+        shows = (asked > LEAST * hover) & (given > 0.5 * asked) & (given < 2.0 * asked)
+        calm = (state.calm + dt) * (faulty & shows.all(axis=-2) & ~apart)
+        faulty = faulty & (calm < RECOVERED)
+        share = 1.0 - given[..., 0, :] / xp.maximum(asked[..., 0, :], 1e-3 * hover)
+        share = xp.minimum(xp.maximum(share, 0.0), 1.0) * faulty
+        still = faulty & (abs(thrusts - given[..., 1, :]) < STEADY * hover)
+        return Following(mean, time, calm * faulty, faulty, share, still)
+
+    return changed_where(apart | state.faulty | (state.apart > 0.0), compare, state)
 
 
 @cache_numbers

@@ -11,15 +11,27 @@ from the start is no fault: a centre of mass that is off, a wrong inertia, a rot
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import functools
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from quadftc_fdi.rotor_diagnosis import evidence, following, losses
-from quadftc_fdi.rotor_diagnosis.evidence import Evidence, Residuals
+from quadftc_fdi.rotor_diagnosis.evidence import Evidence, Judged, Residuals
 from quadftc_fdi.rotor_diagnosis.following import Following
 from quadftc_fdi.rotor_diagnosis.losses import Losses
 from quadftc_fdi.rotor_diagnosis.rotor_model import Effects
 from quadftc_model import samples
-from quadftc_model.arrays import Array, Flag, Scalar, Vector, changed_where, column, larger, namespace
+from quadftc_model.arrays import (
+    Array,
+    Flag,
+    Scalar,
+    Vector,
+    changed_where,
+    is_single,
+    larger,
+    namespace,
+)
 from quadftc_model.samples import FAULT_KINDS, RotorEstimate
 
 HOLD = 0.011  # s; for how long a rotor is blamed before it is named
@@ -85,55 +97,60 @@ def start_rotors(effects: Effects, inputs: RotorInputs) -> RotorMonitor:
 def step_rotors(state: RotorMonitor, effects: Effects, inputs: RotorInputs, dt: float) -> RotorMonitor:
     """Advance by ``dt`` [s] to a sample."""
     xp, thrusts = namespace(inputs.thrusts), inputs.thrusts
-    used = inputs.usable & state.fresh & (_carried(effects, thrusts) > FLYING)
+    used = inputs.usable & state.fresh & _carried(effects, thrusts)
     residual = _residual(state, effects, inputs, used, dt)
     seen = evidence.average(state.residuals, residual, thrusts, state.losses.mean, dt)
     unsure = changed_where(state.named, lambda: losses.std_dev_of(state.losses), state.losses.mean)
     judged = evidence.judge(seen, effects, state.named, unsure)
-    found, ready = judged.evidence, (used & (seen.learned > NEEDED))[..., None]
-    suspected = (state.suspected + dt) * (found.suspect & ready)
-    blamed = (state.blamed + dt) * (found.alarm & ready)
-    calm = (used & ~state.named.any(axis=-1)) * (1.0 - (1.0 - DOUBTED) * found.suspect.any(axis=-1))
-    seen = evidence.learn(seen, effects, judged.deviation, calm, dt)
-    state = RotorMonitor(
-        seen,
-        state.losses,
-        state.following,
-        xp.where(inputs.usable[..., None], inputs.rate, state.rate),
-        thrusts,
-        inputs.usable & inputs.usable,
-        blamed,
-        suspected,
-        state.named,
-        state.age,
-        state.calm,
-        state.ambiguous,
-        found.likely,
-        state.unsure,
+    suspect, named = judged.evidence.suspect, state.named
+    busy = suspect | named | (state.suspected > 0.0) | state.unsure
+
+    def doubt() -> Array:
+        return used * ~named.any(axis=-1) * (1.0 - (1.0 - DOUBTED) * suspect.any(axis=-1))
+
+    calm = changed_where(busy, doubt, 1.0 * used)
+    state = state._replace(
+        residuals=evidence.learn(seen, effects, judged.deviation, calm, dt),
+        rate=xp.where(inputs.usable[..., None], inputs.rate, state.rate),
+        thrusts=thrusts,
+        fresh=inputs.usable & inputs.usable,
+        likely=judged.evidence.likely,
     )
-    new = (blamed > HOLD) & ~state.named
-    state = changed_where(new, lambda: _name(state, new, found), state)
-    none = 0.0 * state.age
-    change = changed_where(state.named, lambda: evidence.change_of(seen, effects, judged), none)
-    state = changed_where(state.named, lambda: _follow(state, effects, change, used, dt), state)
+    state = changed_where(busy, lambda: _decide(state, effects, judged, used, dt), state)
     if inputs.wanted is not None and state.following is not None:
         state = _compare(state, state.following, effects, inputs.wanted, thrusts, dt)
+    return state
+
+
+def _decide(state: RotorMonitor, effects: Effects, judged: Judged, used: Flag, dt: float) -> RotorMonitor:
+    """Name rotors by the evidence, and follow those that are named."""
+    found, ready = judged.evidence, (used & (state.residuals.learned > NEEDED))[..., None]
+    suspected = (state.suspected + dt) * (found.suspect & ready)
+    blamed = (state.blamed + dt) * (found.alarm & ready)
+    state = state._replace(suspected=suspected, blamed=blamed)
+    new = (blamed > HOLD) & ~state.named
+    state = changed_where(new, lambda: _name(state, new, found), state)
+    none, seen = 0.0 * state.age, state.residuals
+    change = changed_where(state.named, lambda: evidence.change_of(seen, effects, judged), none)
+    state = changed_where(state.named, lambda: _follow(state, effects, change, used, dt), state)
     changing = state.named & ((state.age < NEW) | (change > losses.JUMPED))
-    if state.following is not None:
-        changing = changing | (state.following.apart > 0.0)
-    return state._replace(unsure=(state.suspected > 0.0) | changing)
+    return state._replace(unsure=(suspected > 0.0) | changing)
 
 
 def estimate_rotors(state: RotorMonitor) -> RotorEstimate:
     """Say what is known of each rotor."""
-    xp, zeros, followed = namespace(state.age), 0.0 * state.age, state.following
-    named = state.named
+    xp, followed, named = namespace(state.age), state.following, state.named
     faulty = named if followed is None else named | followed.faulty
-    learned = zeros + column(state.residuals.learned)
-    suspect = xp.where(state.suspected > 0.0, samples.SUSPECT, samples.HEALTHY)
-    states = xp.where(learned > NEEDED, suspect, samples.STARTING).astype(xp.uint8)
-    unknown, none = zeros - 1.0, faulty & ~faulty
-    healthy = RotorEstimate(states, zeros + 1.0, unknown, unknown, zeros, 0 * states, none)
+    learned: Any = state.residuals.learned
+    suspect, starting = state.suspected > 0.0, (learned <= NEEDED)[..., None]
+    none = 0.0 * state.age
+    healthy = _known_estimate(len(state.age)) if is_single(state.age) else _healthy_estimate(none)
+
+    def unsettled() -> RotorEstimate:
+        states = xp.where(suspect, samples.SUSPECT, samples.HEALTHY)
+        return healthy._replace(state=xp.where(starting, samples.STARTING, states).astype(xp.uint8))
+
+    healthy = changed_where(suspect | starting, unsettled, healthy)
 
     def untrusted() -> RotorEstimate:
         left = 1.0 - state.losses.mean
@@ -157,9 +174,27 @@ def estimate_rotors(state: RotorMonitor) -> RotorEstimate:
     return changed_where(faulty, untrusted, healthy)
 
 
-def _carried(effects: Effects, thrusts: Array) -> Scalar:
-    """Share of the weight that the rotors carry."""
-    return (thrusts.mean(axis=-1)) / effects.hover
+@functools.cache
+def _known_estimate(rotors: int) -> RotorEstimate:
+    """Return what is said of the healthy rotors of one vehicle; not to be written to."""
+    estimate = _healthy_estimate(np.zeros(rotors))
+    for column_of in estimate:
+        column_of.setflags(write=False)
+    return estimate
+
+
+def _healthy_estimate(none: Array) -> RotorEstimate:
+    """Return what is said of healthy rotors; ``none`` are zeros (..., n)."""
+    xp, unknown = namespace(none), none - 1.0
+    kind = none.astype(xp.uint8)
+    return RotorEstimate(
+        kind + np.uint8(samples.HEALTHY), none + 1.0, unknown, unknown, none, kind, none > 0.0
+    )
+
+
+def _carried(effects: Effects, thrusts: Array) -> Flag:
+    """Whether the rotors carry the vehicle."""
+    return thrusts.sum(axis=-1) > FLYING * thrusts.shape[-1] * effects.hover
 
 
 def _residual(state: RotorMonitor, effects: Effects, inputs: RotorInputs, used: Flag, dt: float) -> Array:
@@ -170,8 +205,12 @@ def _residual(state: RotorMonitor, effects: Effects, inputs: RotorInputs, used: 
     turned = turned - (effects.rows[..., :3, :] @ mean[..., None])[..., 0]
     pushed = inputs.force - (effects.rows[..., 3, :] * now).sum(axis=-1)
     residual = xp.concatenate([turned, pushed[..., None]], axis=-1)
-    lost = (effects.rows @ (now * state.losses.mean)[..., None])[..., 0]
-    return xp.where(used[..., None], residual, state.residuals.usual - lost)
+
+    def explained() -> Array:
+        lost = (effects.rows @ (now * state.losses.mean)[..., None])[..., 0]
+        return xp.where(used[..., None], residual, state.residuals.usual - lost)
+
+    return changed_where(~used, explained, residual)
 
 
 def _name(state: RotorMonitor, new: Array, found: Evidence) -> RotorMonitor:
@@ -221,4 +260,4 @@ def _compare(
         return age * (followed.faulty | state.named)
 
     age = changed_where(followed.faulty | before.faulty, follow, state.age)
-    return state._replace(following=followed, age=age)
+    return state._replace(following=followed, age=age, unsure=state.unsure | (followed.apart > 0.0))
