@@ -76,7 +76,7 @@ GPS = {"grade": "gps", "rate": 20.0, "delay": 0.05}
     [
         {"observer": "isolating"},
         {"position_sensor": GPS, "sensors": {"grade": "mems", "delay": 3}},
-        {"faults": [DROPOUT], "observer": "supervised"},
+        {"faults": [DROPOUT], "observer": "isolating"},
         {
             "faults": [
                 {"kind": "stuck", "channel": "rotor", "rotors": [1, 3], "start": 0.3, "stop": 0.6},

@@ -18,6 +18,7 @@ from quadftc_model.samples import (
     FaultEstimate,
     FaultObserverInputs,
     ImuSample,
+    RotorEstimate,
     SensorDiagnosis,
     SensorEstimate,
 )
@@ -110,6 +111,13 @@ def await_start(sample: ImuSample, of_sensors: bool) -> FaultEstimate:
     sensor = SensorEstimate(state, zeros, unknown, unknown, zeros, xp.zeros_like(state), zeros > 0.0)
     sensors = SensorDiagnosis(sensor, sensor, sensor) if of_sensors else None
     return FaultEstimate(zeros, unknown, state, unknown, sample, sensors)
+
+
+def await_rotors(rotors: RotorEstimate) -> RotorEstimate:
+    """Return what is said of rotors before an observer has started, shaped as what it will say."""
+    xp, ones = namespace(rotors.effectiveness), 0.0 * rotors.effectiveness + 1.0
+    state = xp.full_like(rotors.state, samples.STARTING)
+    return RotorEstimate(state, ones, -ones, -ones, 0.0 * ones, xp.zeros_like(rotors.kind), ones < 0.0)
 
 
 class Detection(NamedTuple):

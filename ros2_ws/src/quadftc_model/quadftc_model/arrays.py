@@ -209,6 +209,8 @@ def chosen(mask: Array, new: Any, old: Any) -> Any:
         return kind(*each) if hasattr(kind, "_fields") else tuple(each)
     if new is None:
         return None
+    if isinstance(new, (bool, float)):
+        return pick(mask, new, old)
     return namespace(new).where(mask.reshape(mask.shape + (1,) * (new.ndim - mask.ndim)), new, old)
 
 

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, cast
 
 from quadftc_campaign.batch.parts import Loop
 from quadftc_campaign.batch.steering import Given, Wanted, advance, steering_of
-from quadftc_fdi.fault_observer import await_start
+from quadftc_fdi.fault_observer import await_rotors, await_start
 from quadftc_model.arrays import Array, chosen, namespace
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import (
@@ -266,6 +266,8 @@ class ClosedLoop:
             return None, observer, estimate
         # until it can begin: as `quadftc_fdi.diagnosis.Diagnosis` says it
         waiting = await_start(clean, of_sensors=estimate.sensors is not None)
+        if estimate.rotors is not None:
+            waiting = waiting._replace(rotors=await_rotors(estimate.rotors))
         estimate = chosen(begins & ~ready, waiting, estimate)
         return ready if first else ready | ~cast("Array", begins), observer, estimate
 
