@@ -305,24 +305,29 @@ class Isolating(Supervised):
         if state.rotors is None or inputs.rotors is None:
             return state, inputs
         vehicle, gyro, flight = self.vehicle, state.gyro, state.flight
-        known = gyroscopic - vehicle.rotational_drag * gyro.filter.rate / vehicle.inertia
+        turns = gyroscopic - vehicle.rotational_drag * gyro.filter.rate / vehicle.inertia
         suspects = namespace(omega).concatenate([gyro.faulty, state.accelerometer.faulty[..., 2:]], axis=-1)
         rotors, acts = rotor_watch.step_watch(
             *(state.rotors, vehicle, self.rotor_effects, inputs),
-            *(omega, known, ~any_of(suspects)[..., 0], dt),
+            *(omega, turns, ~any_of(suspects)[..., 0], dt),
         )
 
-        def doubt() -> tuple[GyroMonitor, FreeFlight | None]:
-            xp, changes = namespace(omega), gyro.filter
-            unknown = gyro._replace(filter=changes._replace(dd=xp.maximum(changes.dd, acts.turning)))
+        def doubt() -> tuple[ReadingTest, GyroMonitor, FreeFlight | None]:
+            xp, filtered, more = namespace(omega), gyro.filter, column(acts.pushing)
+            unknown = gyro._replace(filter=filtered._replace(dd=xp.maximum(filtered.dd, acts.turning)))
+            # also for readings that are outliers already
+            parts = acts.turning * dt**2, 0.0 * omega[..., :2], more, 0.0 * omega
+            held = state.readings.held + xp.concatenate(parts, axis=-1)
+            readings = state.readings._replace(held=held)
             if flight is None:
-                return unknown, None
-            unsure = xp.maximum(flight.unsure[..., 2:], column(acts.pushing))
+                return readings, unknown, None
+            unsure = xp.maximum(flight.unsure[..., 2:], more)
             unsure = xp.concatenate([flight.unsure[..., :2], unsure], axis=-1)
-            return unknown, flight._replace(unsure=unsure)
+            return readings, unknown, flight._replace(unsure=unsure)
 
-        gyro, flight = changed_where(rotors.monitor.unsure, doubt, (gyro, flight))
-        state = state._replace(gyro=gyro, flight=flight, rotors=rotors)
+        known = state.readings, gyro, flight
+        readings, gyro, flight = changed_where(rotors.monitor.unsure, doubt, known)
+        state = state._replace(readings=readings, gyro=gyro, flight=flight, rotors=rotors)
         return state, inputs._replace(torque=acts.torque, thrust=acts.thrust)
 
     def _force_deviation(

@@ -38,7 +38,7 @@ KNOWN = 0.15  # 1; share of a known loss that may be otherwise, for the other ro
 CLIP = 6.0  # 1; bound of squares that are learned from
 FAR = 14.0  # 1; what a rotor may leave of a residual, in variances: chi-squared, three degrees of freedom
 SUSPECT, ALARM = 16.0, 36.0  # 1; of l
-SMALLEST, LARGEST = 0.05, 1.6  # 1; losses that are named
+SHY, SMALLEST, LARGEST = 0.02, 0.05, 1.6  # 1; losses that are suspect, that are named, that cannot be
 LEAD = 2.0 * math.log(19.0)  # 1; by which one rotor explains a residual better than another: 95 %
 NEVER = 1e9  # 1; a rest that explains nothing
 
@@ -138,10 +138,10 @@ def _explain(
     unknown = BENT**2 * square + (LEAK**2 * turning) * np.array([1.0, 1.0, 1.0, 0.0])
     left = deviation[..., None, :] + shape
     rest = (left * left / (1.0 / weight[..., None, :] + unknown)).sum(axis=-1)  # (..., K, n)
-    fits = (rest < FAR) & (loss > SMALLEST) & (loss < LARGEST) & (likely > SUSPECT) & ~faulty[..., None, :]
+    fits = (rest < FAR) & (loss > SHY) & (loss < LARGEST) & (likely > SUSPECT) & ~faulty[..., None, :]
     rest = xp.where(fits, rest, NEVER)
     ranked = xp.sort(rest, axis=-1)
-    loud = (rest == ranked[..., :1]) & fits & (likely > ALARM)
+    loud = (rest == ranked[..., :1]) & fits & (likely > ALARM) & (loss > SMALLEST)
     alone = loud & (ranked[..., 1:2] > ranked[..., :1] + LEAD)
     likely = (likely * fits).max(axis=-2)
     return Evidence(likely, loss[..., 0, :], fits.any(axis=-2), loud.any(axis=-2), alone.any(axis=-2))
