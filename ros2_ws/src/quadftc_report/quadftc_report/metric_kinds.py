@@ -11,7 +11,7 @@ from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG
 from quadftc_flight.metrics import entries
 from quadftc_model.samples import AXES
 from quadftc_report import DATA
-from quadftc_report.wording import period
+from quadftc_report.wording import period, plain
 
 SETTLING = "fault_estimate_settling_s"
 DETAILS = (
@@ -21,6 +21,7 @@ DETAILS = (
 )  # how the sections of single faults and kinds of faults begin
 BY_SIZE = f"Diagnosis of faults by an estimate above {ESTIMATE_THRESHOLD_DEG:g} deg"
 CONFUSION = "Diagnosis of which axis is faulty, against what is declared"
+TINY = 1e-12  # in any unit; a smaller number is the rounding of a zero
 SCALES = {"%": 100.0, "ms": 1e3}  # of units that are not those of the summary
 
 
@@ -35,6 +36,10 @@ class Kind(NamedTuple):
     def heading(self) -> str:
         """Label and unit."""
         return f"{self.label} [{self.unit}]" if self.unit else self.label
+
+    def text(self, value: float) -> str:
+        """Write a number of a summary as the page does."""
+        return plain(SCALES.get(self.unit, 1.0) * value) if abs(value) >= TINY else "0"
 
 
 _ROWS = yaml.safe_load((DATA / "metrics.yaml").read_text("utf-8"))

@@ -16,11 +16,10 @@ from quadftc_flight.summary import NO_OBSERVER
 from quadftc_model.samples import AXES
 from quadftc_replay.replay_directory import Recorded
 from quadftc_report.comparison import Comparison, has_observer, metric
-from quadftc_report.metric_kinds import DETAILS, SCALES, SECTIONS, SETTLING, Leaf, list_metrics
+from quadftc_report.metric_kinds import DETAILS, SECTIONS, SETTLING, Leaf, list_metrics
 from quadftc_report.wording import NOTHING, plain
 
 LARGE = 10.0  # times the baseline; from here on a change is written as a factor
-TINY = 1e-12  # in any unit; a smaller number is the rounding of a zero
 SMALL = 1e-3  # times the baseline; a smaller number is written as below this
 
 
@@ -113,7 +112,7 @@ def _text(leaf: Leaf, found: Any, full: str, run: Recorded) -> str:
         return "never" if never else NOTHING
     if isinstance(found, bool):
         return "yes" if found else "no"
-    return plain(SCALES.get(leaf.kind.unit, 1.0) * found) if abs(found) >= TINY else "0"
+    return leaf.kind.text(found)
 
 
 def _change(value: float | None, base: float | None) -> str:

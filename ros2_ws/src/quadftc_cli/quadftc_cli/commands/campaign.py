@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich.markup import escape
 from rich.table import Table
 from typer import Argument, Option
 
@@ -20,13 +21,15 @@ from quadftc_cli.commands.run import fly_jobs
 from quadftc_cli.screen import Bars, console
 from quadftc_flight.runs import RunOptions
 from quadftc_model.samples import AXES
+from quadftc_report.wording import NOTHING, short
 
 if TYPE_CHECKING:
     from quadftc_campaign.campaign_file import Campaign
+    from quadftc_report.campaign_results import Results
 
 SHOWN = {
-    "tracking_rmse_deg": "tracking RMSE, worst axis",
-    "fault_estimate_rmse_deg": "estimate RMSE, worst axis",
+    "tracking_rmse_deg": "tracking RMSE [deg], worst axis",
+    "fault_estimate_rmse_deg": "RMSE of the estimate [deg], worst axis",
 }
 
 
@@ -76,6 +79,7 @@ def _fly_all(
 ) -> int:
     cores = workers_here(workers, scheduler)
     from quadftc_campaign.campaign_run import CampaignRun
+    from quadftc_report.campaign_results import results_of
     from quadftc_report.report import write_campaign_report
 
     screen = console()
@@ -104,22 +108,25 @@ def _fly_all(
     if extent.missing:
         rate = f"{extent.samples / seconds:.3g} a second"
         screen.print(f"{extent.samples:.3g} closed-loop steps in {seconds:.1f} s: {rate}")
-    screen.print(_table(summary))
+    screen.print(_table(results_of(loaded, frame, summary)))
     screen.print(f"{frame.height} rows: {directory / 'flights.parquet'}")
     screen.print(f"numbers: {directory / 'summary.json'}; report: {report}")
     return GOOD
 
 
-def _table(summary: dict[str, Any]) -> Table:
-    """Median and 95 % quantile of the worst axis, and what became of the faults."""
+def _table(results: Results) -> Table:
+    """Median and 95 % quantile of the worst axis, and what became of the faults; numbers as on the page."""
     shown = (f"{words}: median / 95 %" for words in SHOWN.values())
-    table = Table("variant", "flights", *shown, "faults missed", "delay: median / 95 %")
-    for name, each in summary["variants"].items():
+    of_faults = ("missed faults", "detection delay [s]: median / 95 %", "false alarms an hour")
+    table = Table("variant", "flights", *map(escape, (*shown, *of_faults)))
+    for side in results.sides:
+        each = side.summary
         faults = each["faults"].get("all", {})
         delay = faults.get("metrics", {}).get("fault.detection_delay_s", {})
-        worst = [_pair(_worst(each["metrics"], metric), "deg") for metric in SHOWN]
-        missed = f"{faults['missed']} of {faults['judged']}" if faults else "-"
-        table.add_row(name, str(each["flights"]), *worst, missed, _pair(delay, "s"))
+        worst = [_pair(_worst(each["metrics"], metric)) for metric in SHOWN]
+        missed = f"{faults['missed']} of {faults['judged']}" if faults else NOTHING
+        alarms = short(side.alarms_per_hour()) if side.has_observer else NOTHING
+        table.add_row(side.name, str(each["flights"]), *worst, missed, _pair(delay), alarms)
     return table
 
 
@@ -128,5 +135,5 @@ def _worst(metrics: dict[str, Any], name: str) -> dict[str, Any]:
     return max(axes, key=lambda each: each.get("q50", -math.inf))
 
 
-def _pair(values: dict[str, Any], unit: str) -> str:
-    return f"{values['q50']:.3g} / {values['q95']:.3g} {unit}" if values.get("count") else "-"
+def _pair(values: dict[str, Any]) -> str:
+    return f"{short(values['q50'])} / {short(values['q95'])}" if values.get("count") else NOTHING

@@ -8,13 +8,14 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from quadftc_cli.screen import Bars, console, plain_table, say, warn
-from quadftc_model.samples import AXES
+from quadftc_cli.metric_table import axis_table, diagnosis_table
+from quadftc_cli.screen import Bars, console, say, warn
 from quadftc_replay.plan import ReplayOptions
 
 FAULT_HELP = "Overlay a fault: 'bias axis=roll value=3deg start=60s stop=80s'; may be repeated."
-TITLE = "error of the fault estimate, RMS / max \\[deg]"
-COLUMNS = {"always": "", "while faulty": "_inside", "while healthy": "_outside"}  # heading, end of the metric
+COLUMNS = tuple(
+    f"fault_estimate_{kind}{end}_deg" for end in ("", "_inside", "_outside") for kind in ("rmse", "max")
+)
 
 
 def replay(
@@ -69,13 +70,7 @@ def replay(
         f" {summary['duration']:.1f} s at {summary['rate']:.1f} Hz,"
         f" {summary['real_time_factor']:.1f} x real time; truth: {summary['truth']}"
     )
-    metrics, table = summary["metrics"], plain_table(["axis"], COLUMNS, TITLE)
-    for axis in AXES:
-        pairs = [
-            [metrics[f"fault_estimate_{kind}{end}_deg"][axis] for kind in ("rmse", "max")]
-            for end in COLUMNS.values()
-        ]
-        cells = (" / ".join("-" if value is None else f"{value:.3f}" for value in pair) for pair in pairs)
-        table.add_row(axis, *cells)
-    console().print(table)
+    screen = console()
+    screen.print(axis_table(summary["metrics"], COLUMNS))
+    screen.print(diagnosis_table({summary["name"]: summary["metrics"]}, screen))
     say(f"bag and summary: {out / summary['bag']}")

@@ -11,13 +11,12 @@ from typing import Annotated, Any, Literal
 
 import typer
 from rich.console import Console
-from rich.measure import Measurement
 from rich.table import Table
 from typer import Argument, Option
 
 from quadftc_cli.commands import CHECK_FAILED, GOOD, INTERRUPTED, options
+from quadftc_cli.metric_table import diagnosis_table, fitting, heading, text
 from quadftc_cli.screen import Bars, console, plain_table
-from quadftc_flight.metrics import look_up
 from quadftc_flight.runs import RunError, RunOptions, prepare, run_name, write_summary
 from quadftc_flight.runs import run as run_scenario
 from quadftc_flight.scenario import (
@@ -35,16 +34,15 @@ from quadftc_model.samples import AXES
 from quadftc_ros.executor import StopSignals
 from quadftc_ros.scheduling import Scheduling
 
-# heading, metric (dotted path below "metrics"), factor, decimals; where there is no room, the last go first
+# metrics (dotted path below "metrics") of each axis; where there is no room, the last go first
 COLUMNS = (
-    ("tracking\nRMSE\n[deg]", "tracking_rmse_deg", 1.0, 3),
-    ("mean error,\n1st fault\n[deg]", "fault_windows.0.tracking_mean_deg", 1.0, 3),
-    ("estimate\nsettles in\n[ms]", "fault_windows.0.fault_estimate_settling_s", 1e3, 0),
-    ("its error,\nsettled\n[deg]", "fault_estimate_max_settled_deg", 1.0, 3),
-    ("tracking\nmax\n[deg]", "tracking_max_deg", 1.0, 3),
-    ("torque\nvariation\n[N m/s]", "torque_total_variation", 1.0, 3),
+    "tracking_rmse_deg",
+    "fault_windows.0.tracking_mean_deg",
+    "fault_windows.0.fault_estimate_settling_s",
+    "fault_estimate_max_settled_deg",
+    "tracking_max_deg",
+    "torque_total_variation",
 )
-WIDE = 1000  # characters; wider than any table
 
 GraphOption = Annotated[
     Literal["composed", "processes"], Option(help="All nodes in one process, or a process each.")
@@ -131,7 +129,7 @@ def fly_jobs(jobs: list[tuple[Scenario, Scheme]], out: Path, how: RunOptions, wo
     summaries = [result for result in results if result is not None]
     for related in relate_to_undiagnosed(summaries):
         write_summary(out, related)
-    screen.print(_run_table(summaries, screen))
+    _print_tables(summaries, screen)
     for item in summaries:
         if item["metrics"]["lost"]:
             screen.print(f"[red]LOST[/] {item['name']}-{item['scheme']}: tilted or off by more than 60 deg")
@@ -146,17 +144,22 @@ def fly_jobs(jobs: list[tuple[Scenario, Scheme]], out: Path, how: RunOptions, wo
     return GOOD if all(item["passed"] for item in summaries) else CHECK_FAILED
 
 
+def _print_tables(summaries: Sequence[Mapping[str, Any]], screen: Console) -> None:
+    """Print what became of each axis, and of the faults if there were any."""
+    screen.print(_run_table(summaries, screen))
+    if any(item["metrics"]["diagnosis"]["fault_count"] for item in summaries):
+        named = {f"{item['name']}-{item['scheme']}": item["metrics"] for item in summaries}
+        screen.print(diagnosis_table(named, screen))
+
+
 def _run_table(summaries: Sequence[Mapping[str, Any]], screen: Console) -> Table:
     """Table of runs: a row for each axis of each run, with as many columns as the screen has room for."""
-    wide = screen.options.update(max_width=WIDE)
-    tables = (_narrow_table(summaries, count) for count in range(len(COLUMNS), 0, -1))
-    fitting = (table for table in tables if Measurement.get(screen, wide, table).maximum <= screen.width)
-    return next(fitting, _narrow_table(summaries, 1))
+    return fitting((_narrow_table(summaries, count) for count in range(len(COLUMNS), 0, -1)), screen)
 
 
 def _narrow_table(summaries: Sequence[Mapping[str, Any]], count: int) -> Table:
     """Table with the first ``count`` columns."""
-    table = plain_table(("run", "axis"), (heading for heading, *_ in COLUMNS[:count]))
+    table = plain_table(("run", "axis"), map(heading, COLUMNS[:count]))
     table.add_column("checks\npassed", no_wrap=True)
     for item in summaries:
         factor = item["real_time_factor"]
@@ -164,21 +167,10 @@ def _narrow_table(summaries: Sequence[Mapping[str, Any]], count: int) -> Table:
         good, judged = sum(check["passed"] for check in item["checks"]), len(item["checks"])
         verdict = f"[{'green' if good == judged else 'red'}]{good} of {judged}[/]" if judged else "-"
         for words, axis in zip(first, AXES, strict=True):
-            cells = [
-                _number(_metric(item["metrics"], path, axis), scale, digits)
-                for _, path, scale, digits in COLUMNS[:count]
-            ]
+            cells = [text(item["metrics"], path, axis) for path in COLUMNS[:count]]
             table.add_row(words, axis, *cells, verdict if axis == AXES[0] else "")
         table.add_section()
     return table
-
-
-def _metric(metrics: Any, path: str, axis: str) -> Any:
-    """Metric of an axis at a dotted path, or None."""
-    try:
-        return look_up(metrics, f"{path}.{axis}")
-    except KeyError:
-        return None
 
 
 def _number(value: Any, scale: float, digits: int) -> str:
