@@ -15,6 +15,9 @@ an attitude that tilts gravity, is learnt within about a second.
 A sample that is far from where it can be is not used. If none is used for ``patience``, it is the estimate
 that is wrong: it begins again at the next one. Without specific force or attitude the acceleration is not
 known: the estimate goes on with none, and its uncertainty grows by ``unknown_acceleration``.
+
+A vehicle that spins turns its bias with it, faster than late and rare positions can follow. From `SLOW` to
+`FAST` it is learnt less and less, then kept, and `SPIN_NOISE` says how wrong it may be.
 """
 
 from __future__ import annotations
@@ -31,10 +34,12 @@ from quadftc_model.arrays import (
     Scalar,
     Vector,
     chosen,
+    clip,
     column,
     components,
     larger,
     pick,
+    root,
     stacked,
 )
 from quadftc_model.parameters import Checked, parameter
@@ -43,6 +48,8 @@ from quadftc_model.samples import STANDARD_GRAVITY, UNUSABLE, ImuSample, Positio
 
 FIRST_SPEED = 1.0  # m/s; how well the velocity is known at first, without a sensor of it, 1 sigma
 FIRST_BIAS = 0.5  # m/s²; the same of the accelerometer's bias
+SLOW, FAST = 4.0, 8.0  # rad/s; body rate from which on a bias in body axes is learnt less, and no more
+SPIN_NOISE = 1.0  # m/s²/sqrt(Hz); of the acceleration then
 _G = STANDARD_GRAVITY
 
 Covariance = Sequence[Any]  # pp, pv, pb, vv, vb, bb of p, v, b, (...) each
@@ -117,7 +124,13 @@ class PositionEstimator(Checked):
         gained = [0.5 * dt * (a + b) for a, b in zip(last, acceleration, strict=True)]
         way = [dt * (v + 0.5 * d) for v, d in zip(velocity, gained, strict=True)]
         noise = pick(known, self.acceleration_noise**2, self.unknown_acceleration**2)
-        covariance = _propagated(components(state.covariance), noise, self.bias_walk**2, dt)
+        spin = _spin(imu)
+        still = 1.0 - spin  # what turns with the body says nothing of the bias: it stays as it is
+        noise = noise + spin * SPIN_NOISE**2
+        pp, pv, pb, vv, vb, bb = _propagated(
+            components(state.covariance), noise, still * self.bias_walk**2, dt
+        )
+        covariance = pp, pv, still * pb, vv, still * vb, bb
         return State(
             state.position + stacked(way),
             state.velocity + stacked(gained),
@@ -134,7 +147,8 @@ class PositionEstimator(Checked):
         pp, pv, pb, vv, vb, bb = components(state.covariance)
         half = 0.5 * late * late
         # covariances of p, v, b with the position predicted for the time of the sample, and its own
-        cross = (pp - late * pv - half * pb, pv - late * vv - half * vb, pb - late * vb - half * bb)
+        with_bias = (1.0 - _spin(inputs.imu)) * (pb - late * vb - half * bb)
+        cross = (pp - late * pv - half * pb, pv - late * vv - half * vb, with_bias)
         spread = cross[0] - late * cross[1] - half * cross[2] + self.noise**2
         off = sample.position - (state.position - late * state.velocity + half * state.acceleration)
         x, y, z = components(off * off)
@@ -152,7 +166,8 @@ class PositionEstimator(Checked):
     def _with_velocity(self, state: State, inputs: PositionEstimatorInputs) -> State:
         """State after the velocity of a sample."""
         _, pv, pb, vv, vb, bb = components(state.covariance)
-        cross = (pv + self.delay * pb, vv + self.delay * vb, vb + self.delay * bb)
+        with_bias = (1.0 - _spin(inputs.imu)) * (vb + self.delay * bb)
+        cross = (pv + self.delay * pb, vv + self.delay * vb, with_bias)
         spread = cross[1] + self.delay * cross[2] + self.velocity_noise**2
         off = inputs.sample.velocity - (state.velocity - self.delay * state.acceleration)
         return _gained(state, inputs.imu, off, cross, spread)
@@ -171,6 +186,13 @@ class PositionEstimator(Checked):
         """Covariance (..., 6) of what begins; ``zero`` (...) gives the shape."""
         speed = self.velocity_noise if self.gives_velocity else FIRST_SPEED
         return stacked([zero + x for x in (self.noise**2, 0.0, 0.0, speed**2, 0.0, FIRST_BIAS**2)])
+
+
+def _spin(imu: ImuSample) -> Array:
+    """How much the vehicle spins (...), from 0 at `SLOW` to 1 at `FAST`."""
+    p, q, r = components(imu.body_rate)
+    rate = root(p * p + q * q + r * r)
+    return clip((rate - SLOW) / (FAST - SLOW), 0.0, 1.0) * pick(imu.rate_valid, 1.0 + 0.0 * rate, 0.0 * rate)
 
 
 def _propagated(covariance: Covariance, noise: Any, walk: Any, dt: Any) -> list[Any]:
