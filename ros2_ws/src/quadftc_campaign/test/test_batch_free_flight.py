@@ -11,6 +11,7 @@ from quadftc_campaign.batch.loop_step import ClosedLoop
 from quadftc_campaign.flights import parts_of
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.scenario import build_scenario, parse_scenario
+from quadftc_model.samples import FAULTY
 
 FREE = """
 duration: 1.2 s
@@ -68,13 +69,14 @@ def test_a_compiled_flight_is_that_of_the_closed_loop():
     assert_same_metrics(outcome, expected, scenario)
 
 
+WEAK = {"kind": "loss", "rotors": [1], "value": 0.3, "start": 2.2}  # once the diagnosis has learned
 GPS = {"grade": "gps", "rate": 20.0, "delay": 0.05}
 
 
 @pytest.mark.parametrize(
     "changes",
     [
-        {"observer": "isolating"},
+        {"observer": "isolating", "duration": 2.6, "faults": [WEAK]},
         {"position_sensor": GPS, "sensors": {"grade": "mems", "delay": 3}},
         {"faults": [DROPOUT], "observer": "isolating"},
         {
@@ -90,7 +92,9 @@ GPS = {"grade": "gps", "rate": 20.0, "delay": 0.05}
 def test_a_step_is_that_of_the_closed_loop(changes):
     """With an observer of all sensors, late positions, withheld samples, faulty rotors, measured speeds."""
     scenario = free(**changes)
-    assert_same_flight(flown_step_by_step(scenario), fly(scenario))
+    flight = fly(scenario)
+    assert_same_flight(flown_step_by_step(scenario), flight)
+    assert bool(np.any(flight.rotor_state == FAULTY)) == (WEAK in changes.get("faults", ()))
 
 
 def test_plant_that_cannot_be_traced_is_refused_by_name():
