@@ -134,6 +134,17 @@ def test_torque_is_attainable_for_wild_inputs(name, vehicle, samples):
 
 
 @EVERY_CONTROLLER
+def test_effectiveness_of_one_changes_nothing_and_less_of_it_gives_a_finite_torque(name):
+    law, sequence = controller(name), [inputs_at(index) for index in range(COUNT)]
+    plain, *others = (
+        flown(law, [each._replace(effectiveness=weak) for each in sequence])
+        for weak in (None, np.ones((LANES, 4)), np.tile([0.6, 1.0, 1.0, 0.0], (LANES, 1)))
+    )
+    np.testing.assert_array_equal([each.torque for each in others[0]], [each.torque for each in plain])
+    assert np.all(np.isfinite([each.torque for each in others[1]]))
+
+
+@EVERY_CONTROLLER
 def test_saturation_is_told_where_too_much_is_asked_for(name):
     law = controller(name)
     still = inputs_of(np.zeros(3), np.zeros(3), [np.zeros(3)] * 3, np.zeros(3))
