@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from quadftc_cli.commands.check import (
+from quadftc_cli.checking import (
     CANCELLED,
     CHANGING,
     ITSELF,

@@ -17,11 +17,7 @@ from typer import Argument, Option
 from quadftc_campaign.errors import CampaignError
 from quadftc_cli.commands import GOOD, INTERRUPTED
 from quadftc_cli.commands.options import SchedulerOption, WorkersOption, workers_here
-from quadftc_cli.commands.run import fly_jobs
 from quadftc_cli.screen import Bars, console
-from quadftc_flight.runs import RunOptions
-from quadftc_model.samples import AXES
-from quadftc_report.wording import NOTHING, short
 
 if TYPE_CHECKING:
     from quadftc_campaign.campaign_file import Campaign
@@ -63,6 +59,9 @@ def campaign(
         some = tuple(variant_of(loaded, name) for name in dict.fromkeys(variant))
         loaded = loaded.model_copy(update={"variants": some})
     if flight:
+        from quadftc_cli.flying import fly_jobs
+        from quadftc_flight.runs import RunOptions
+
         if loaded.source.kind != "loop":
             raise CampaignError("--flight: flies the closed loop; this campaign has samples alone")
         if len(variant) > 1:
@@ -116,6 +115,8 @@ def _fly_all(
 
 def _table(results: Results) -> Table:
     """Median and 95 % quantile of the worst axis, and what became of the faults; numbers as on the page."""
+    from quadftc_report.wording import NOTHING, short
+
     shown = (f"{words}: median / 95 %" for words in SHOWN.values())
     of_faults = ("missed faults", "detection delay [s]: median / 95 %", "false alarms an hour")
     table = Table("variant", "flights", *map(escape, (*shown, *of_faults)))
@@ -131,9 +132,13 @@ def _table(results: Results) -> Table:
 
 
 def _worst(metrics: dict[str, Any], name: str) -> dict[str, Any]:
+    from quadftc_model.samples import AXES
+
     axes = [metrics[f"{name}.{axis}"] for axis in AXES]
     return max(axes, key=lambda each: each.get("q50", -math.inf))
 
 
 def _pair(values: dict[str, Any]) -> str:
+    from quadftc_report.wording import NOTHING, short
+
     return f"{short(values['q50'])} / {short(values['q95'])}" if values.get("count") else NOTHING

@@ -1,39 +1,14 @@
-# pyright: basic
 """``quadftc check``."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Literal
 
-import numpy as np
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 from typer import Argument, Option
 
-from quadftc_bags.bag import BagError
 from quadftc_cli.commands import CHECK_FAILED, options
-from quadftc_cli.screen import console, plain_table, say, warn
-from quadftc_flight.run_directory import read_run
-from quadftc_flight.scenario import find_scenario, load_scenario, with_components
-from quadftc_model.vehicle import load_vehicle, vehicle_names
-from quadftc_model.vehicle_page import page_rows, plan, warnings
-from quadftc_theory.checks import CheckReport, check_run, check_scenario
-from quadftc_theory.conditions import Verdict
-
-if TYPE_CHECKING:
-    from quadftc_theory.isolability import IsolabilityResult
-
-COLOURS = {Verdict.PASS: "green", Verdict.FAIL: "red", Verdict.DEPENDS: "yellow"}
-
-# marks of a fault: what a residual does, and why
-LASTING, CHANGING, NEVER, CANCELLED, ITSELF = "●", "○", "·", "!", ""
-LEGEND = (
-    f"{LASTING} also while the fault is constant   {CHANGING} only while it changes   {NEVER} never   "
-    f"{CANCELLED} by structure, but this vehicle's coefficients cancel"
-)
 
 
 def check(
@@ -67,105 +42,9 @@ def check(
     Of a vehicle (VEHICLE.toml, or a name of quadftc list vehicles), a page: hover, authority, time constants,
     a plan of its rotors, warnings.
     """
-    if target.endswith(".toml") or (target in vehicle_names() and not Path(target).exists()):
-        print_vehicle(target, as_json)
-        return
-    if isolability:
-        _isolability(load_scenario(find_scenario(target), set_).vehicle, sensors, as_json)
-        return
+    from quadftc_cli.checking import check_target  # with what it needs, over a second
+
     parts = {"observer": observer, "disturbance_observer": disturbance_observer, "controller": controller}
-    path = Path(target)
-    is_bag = path.is_dir() or (path.is_file() and path.suffix not in (".yaml", ".yml"))
-    recorded = bag or (path if is_bag else None)
-    if recorded is None:
-        scenario = with_components(load_scenario(find_scenario(target), set_, gains), **parts)
-        report = check_scenario(scenario, scenario.scheme(scheme or None), output)
-    else:
-        if any((scheme, *parts.values(), gains, *set_)):
-            wrong = "a recorded run is judged as it was flown; no scheme, parts, --gains, --set"
-            raise BagError(f"{recorded}: {wrong}")
-        run = read_run(recorded)
-        warn(run.warnings)
-        if bag is not None and (asked := load_scenario(find_scenario(target), []).name) != run.scenario.name:
-            raise BagError(f"{bag}: is a run of scenario '{run.scenario.name}', not of '{asked}'")
-        report = check_run(run, output)
-    if as_json:
-        say(json.dumps(report.to_dict(), indent=2, allow_nan=False))
-    else:
-        _print(report)
-    if not report.passed:
+    instead = sensors if isolability else None
+    if not check_target(target, scheme, parts, (set_, gains), bag, output, instead, as_json):
         raise typer.Exit(CHECK_FAILED)
-
-
-def print_vehicle(name: str, as_json: bool = False) -> None:
-    """Print a page about a vehicle; a ValueError says all that is wrong with its file."""
-    vehicle = load_vehicle(name)
-    rows, warned = page_rows(vehicle), [*warnings(vehicle)]
-    if as_json:
-        say(json.dumps({"name": vehicle.name, **{row.name: row.value for row in rows}, "warnings": warned}))
-        return
-    say(f"{vehicle.name}: {vehicle.description}", "")
-    say(*plan(vehicle), "", "from above, forward is up; ↺ counter-clockwise, ↻ clockwise")
-    table = plain_table(("", "value", ""), ())
-    for row in rows:
-        table.add_row(*row)
-    console().print(table)
-    say(*(f"warning: {each}" for each in warned) if warned else ("no warnings",))
-
-
-def _isolability(vehicle: str, sensors: str, as_json: bool) -> None:
-    """Print the matrices: disturbances to be told apart, and disturbances that every residual is blind to."""
-    from quadftc_theory.isolability import analyse, isolability_lines
-    from quadftc_theory.vehicle_equations import Assumptions
-
-    names = tuple(name.strip() for name in sensors.split(",") if name.strip())
-    results = [
-        analyse(load_vehicle(vehicle), Assumptions(sensor_set=names, disturbances=role))
-        for role in ("faults", "unknown_inputs")
-    ]
-    if as_json:
-        say(json.dumps([result.to_dict() for result in results], indent=2, allow_nan=False))
-        return
-    for result in results:
-        heading, *findings = isolability_lines(result)
-        say(heading)
-        console().print(isolability_table(result))
-        say(*findings, "")
-    say(LEGEND)
-
-
-def isolability_table(result: IsolabilityResult) -> Table:
-    """Show for each fault whether it is seen, and told apart from the fault of each column; marks: `LEGEND`.
-
-    Columns carry the numbers of the rows, so that 16 faults fit on a screen of 80 characters.
-    """
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=0)
-    numbers = [str(number) for number in range(1, len(result.faults) + 1)]
-    for heading in ("", "fault", "seen", *numbers):
-        side: Any = {"fault": "left", "seen": "center"}.get(heading, "right")
-        table.add_column(heading, justify=side, no_wrap=True)
-    seen = _marks(result.detectable, result.rank_detectable, result.strongly_detectable)
-    apart = _marks(result.isolable, result.rank_isolable, result.strongly_isolable)
-    np.fill_diagonal(apart, ITSELF)
-    for row in zip(numbers, result.faults, seen, *apart.T, strict=True):
-        table.add_row(*row)
-    return table
-
-
-def _marks(structure: Any, rank: Any, strong: Any) -> Any:
-    lasting = np.where(strong, LASTING, CHANGING)
-    return np.where(structure, np.where(rank, lasting, CANCELLED), NEVER)
-
-
-def _print(report: CheckReport) -> None:
-    screen = console()
-    say(f"{report.scenario}, scheme {report.scheme}" + (f", {report.bag}" if report.bag else ""))
-    for section in report.sections:
-        screen.print(f"\n[bold]{section.title}[/]")
-        for item in section.conditions:
-            colour = COLOURS[item.verdict] if item.needed or item.verdict is not Verdict.FAIL else "yellow"
-            screen.print(f"  [{colour}]{item.verdict.value:7}[/] ", end="")
-            say(f"{item.name}: {item.text}")
-    screen.print(f"\n{'[green]PASS[/]' if report.passed else '[red]FAIL[/]'} ", end="")
-    holds = "every condition that the scheme needs holds"
-    say(holds if report.passed else f"fails: {'; '.join(report.failed)}")

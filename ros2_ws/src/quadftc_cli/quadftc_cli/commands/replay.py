@@ -8,9 +8,7 @@ from typing import Annotated
 
 from typer import Argument, Option
 
-from quadftc_cli.metric_table import axis_table, diagnosis_table
 from quadftc_cli.screen import Bars, console, say, warn
-from quadftc_replay.plan import ReplayOptions
 
 FAULT_HELP = "Overlay a fault: 'bias axis=roll value=3deg start=60s stop=80s'; may be repeated."
 COLUMNS = tuple(
@@ -50,6 +48,8 @@ def replay(
 
     Beside the bag, summary.json says how good the estimates are.
     """
+    from quadftc_cli.metric_table import axis_table, diagnosis_table
+    from quadftc_replay.plan import ReplayOptions
     from quadftc_replay.ros_output import replay as replay_recording
 
     options = ReplayOptions(

@@ -1,0 +1,141 @@
+# pyright: basic
+"""Flying the scenarios of ``quadftc run``: what is asked for, through the graph, into tables."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from quadftc_cli.commands import CHECK_FAILED, GOOD, INTERRUPTED
+from quadftc_cli.metric_table import diagnosis_table, fitting, heading, text
+from quadftc_cli.screen import Bars, console, plain_table
+from quadftc_flight.runs import RunError, RunOptions, prepare, run_name, write_summary
+from quadftc_flight.runs import run as run_scenario
+from quadftc_flight.scenario import (
+    Scenario,
+    Scheme,
+    find_scenario,
+    label_of,
+    load_scenario,
+    relabelled,
+    with_components,
+)
+from quadftc_flight.side_by_side import run_side_by_side
+from quadftc_flight.summary import refuse_wrong_checks, relate_to_undiagnosed
+from quadftc_model.samples import AXES
+from quadftc_ros.executor import StopSignals
+from quadftc_ros.scheduling import Scheduling
+
+# metrics (dotted path below "metrics") of each axis; where there is no room, the last go first
+COLUMNS = (
+    "tracking_rmse_deg",
+    "fault_windows.0.tracking_mean_deg",
+    "fault_windows.0.fault_estimate_settling_s",
+    "fault_estimate_max_settled_deg",
+    "tracking_max_deg",
+    "torque_total_variation",
+)
+
+# names of scenarios, scheme, overrides, gains, components by role, label
+What = tuple[Sequence[str], str, Sequence[str], str, Mapping[str, str], str]
+# graph, mode, namespace, whether to replace, and what `Scheduling` takes
+How = tuple[str, str, str, bool, tuple[str, int, tuple[int, ...]]]
+
+
+def fly_named(what: What, out: Path, how: How, jobs: int | None) -> int:
+    """Fly the schemes of scenarios, so many side by side, and return the exit code."""
+    names, scheme, overrides, gains, parts, label = what
+    graph, mode, namespace, force, scheduling = how
+    options = RunOptions(graph, mode, namespace, force, Scheduling(*scheduling))
+    flights: list[tuple[Scenario, Scheme]] = []
+    for name in names:
+        plain = load_scenario(find_scenario(name), overrides, gains)
+        loaded = with_components(plain, **parts)
+        chosen = list(loaded.schemes) if scheme == "all" else [loaded.scheme(scheme or None).name]
+        for each in chosen:
+            given = f"{each}-{label}" if label and len(chosen) > 1 else label
+            flights.append(relabelled(loaded, each, given or label_of(loaded, each, plain)))
+    runs = [run_name(*job) for job in flights]
+    if len(set(runs)) < len(runs):
+        twice = next(name for name in runs if runs.count(name) > 1)
+        raise RunError(f"{twice}: asked for twice; give scenarios other names")
+    workers = 1 if mode == "realtime" else min(jobs or len(os.sched_getaffinity(0)), len(flights))
+    return fly_jobs(flights, out, options, workers)
+
+
+def fly_jobs(jobs: list[tuple[Scenario, Scheme]], out: Path, how: RunOptions, workers: int = 1) -> int:
+    """Fly scenarios with their schemes, show what came out, and return the exit code."""
+    for scenario, _ in jobs:
+        refuse_wrong_checks(scenario)
+    names, screen = [run_name(*job) for job in jobs], console()
+    prepare(out, names, how.force)
+    with StopSignals() as stop, Bars(screen, still=how.mode == "realtime") as bars:
+        updates = [bars.add(name) for name in names]
+
+        def follow(number: int, share: float) -> bool:
+            updates[number](share)
+            return not stop.requested
+
+        if workers > 1:
+            results = run_side_by_side(jobs, out, how, workers, follow)
+        else:
+            shows = [functools.partial(follow, number) for number in range(len(jobs))]
+            results = [run_scenario(*job, out, how, show) for job, show in zip(jobs, shows, strict=True)]
+    if stop.requested:
+        screen.print(f"interrupted; what was flown is in {out}")
+        return INTERRUPTED
+    summaries = [result for result in results if result is not None]
+    for related in relate_to_undiagnosed(summaries):
+        write_summary(out, related)
+    _print_tables(summaries, screen)
+    for item in summaries:
+        if item["metrics"]["lost"]:
+            screen.print(f"[red]LOST[/] {item['name']}-{item['scheme']}: tilted or off by more than 60 deg")
+        if (other := item.get("without_diagnosis")) and (ratio := other["attitude_error_max_deg_ratio"]):
+            error = f"largest attitude error {ratio:.2g} times that of '{other['scheme']}'"
+            screen.print(f"{item['name']}-{item['scheme']}: {error}")
+        for check in (check for check in item["checks"] if not check["passed"]):
+            what = f"{check['metric']} {check['axis'] or ''}".rstrip()
+            value = f"{_number(check['value'], 1.0, 4)}, required {check['bound']}"
+            screen.print(f"[red]FAILED[/] {item['name']}-{item['scheme']}: {what} = {value}")
+    screen.print(f"bags and summaries: {out}")
+    return GOOD if all(item["passed"] for item in summaries) else CHECK_FAILED
+
+
+def _print_tables(summaries: Sequence[Mapping[str, Any]], screen: Console) -> None:
+    """Print what became of each axis, and of the faults if there were any."""
+    screen.print(_run_table(summaries, screen))
+    if any(item["metrics"]["diagnosis"]["fault_count"] for item in summaries):
+        named = {f"{item['name']}-{item['scheme']}": item["metrics"] for item in summaries}
+        screen.print(diagnosis_table(named, screen))
+
+
+def _run_table(summaries: Sequence[Mapping[str, Any]], screen: Console) -> Table:
+    """Table of runs: a row for each axis of each run, with as many columns as the screen has room for."""
+    return fitting((_narrow_table(summaries, count) for count in range(len(COLUMNS), 0, -1)), screen)
+
+
+def _narrow_table(summaries: Sequence[Mapping[str, Any]], count: int) -> Table:
+    """Table with the first ``count`` columns."""
+    table = plain_table(("run", "axis"), map(heading, COLUMNS[:count]))
+    table.add_column("checks\npassed", no_wrap=True)
+    for item in summaries:
+        factor = item["real_time_factor"]
+        first = (item["name"], f"  {item['scheme']}", "" if factor is None else f"  {factor:.1f} x real time")
+        good, judged = sum(check["passed"] for check in item["checks"]), len(item["checks"])
+        verdict = f"[{'green' if good == judged else 'red'}]{good} of {judged}[/]" if judged else "-"
+        for words, axis in zip(first, AXES, strict=True):
+            cells = [text(item["metrics"], path, axis) for path in COLUMNS[:count]]
+            table.add_row(words, axis, *cells, verdict if axis == AXES[0] else "")
+        table.add_section()
+    return table
+
+
+def _number(value: Any, scale: float, digits: int) -> str:
+    return "-" if value is None else f"{scale * value:.{digits}f}"
