@@ -28,6 +28,7 @@ from quadftc_model.arrays import (
     Scalar,
     Vector,
     changed_where,
+    clip,
     is_single,
     larger,
     namespace,
@@ -148,7 +149,11 @@ def estimate_rotors(state: RotorMonitor) -> RotorEstimate:
 
     def unsettled() -> RotorEstimate:
         states = xp.where(suspect, samples.SUSPECT, samples.HEALTHY)
-        return healthy._replace(state=xp.where(starting, samples.STARTING, states).astype(xp.uint8))
+        odds = clip(0.5 * (state.likely - evidence.ALARM), -30.0, 30.0)
+        return healthy._replace(
+            state=xp.where(starting, samples.STARTING, states).astype(xp.uint8),
+            probability=suspect / (1.0 + xp.exp(-odds)),
+        )
 
     healthy = changed_where(suspect | starting, unsettled, healthy)
 
@@ -156,9 +161,11 @@ def estimate_rotors(state: RotorMonitor) -> RotorEstimate:
         left = 1.0 - state.losses.mean
         kind = xp.where(left < 1.0 - OFF, STOPPED, LOSS)
         if followed is not None:
-            left = left * (1.0 - followed.share)
+            # a rotor that keeps its speed gives what a healthy one does at this speed
+            stopped = followed.share > OFF
+            left = left * (1.0 - followed.share * (stopped | ~followed.still))
             stuck = xp.where(followed.still, STUCK, LOSS)
-            kind = xp.where(followed.faulty, xp.where(left < 1.0 - OFF, STOPPED, stuck), kind)
+            kind = xp.where(followed.faulty, xp.where(stopped, STOPPED, stuck), kind)
         calm = state.calm if followed is None else xp.where(named, state.calm, followed.calm)
         shown = xp.where(calm > SHOWN, samples.RECOVERING, samples.FAULTY)
         return RotorEstimate(
@@ -166,7 +173,7 @@ def estimate_rotors(state: RotorMonitor) -> RotorEstimate:
             xp.where(faulty, left, 1.0),
             xp.where(faulty, losses.std_dev_of(state.losses), -1.0),
             xp.where(faulty, state.age, -1.0),
-            1.0 * faulty * (1.0 - 0.5 * state.ambiguous),
+            xp.where(faulty, 1.0 - 0.5 * state.ambiguous, healthy.probability),
             (faulty * kind).astype(xp.uint8),
             faulty & state.ambiguous,
         )
