@@ -1,15 +1,18 @@
-"""The confusion matrix of a diagnosis: which sensor is faulty, against which one is named."""
+"""The confusion matrices of a diagnosis: what is faulty, against what is named."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from quadftc_flight.diagnosis_metrics.which_rotor import SAID as SAID_OF_ROTORS
 from quadftc_flight.diagnosis_metrics.which_sensor import AMBIGUOUS, NOTHING, SAID, TIME
 from quadftc_report.wording import NOTHING as EMPTY
 from quadftc_report.wording import plain
 
 COLUMNS = tuple(said for said in SAID if said != TIME)
+ROTOR_COLUMNS = tuple(said for said in SAID_OF_ROTORS if said != TIME)
+_RIGHT = {"rotor": "faulty_rotor"}  # what is right to say, if it is not the name of what is faulty
 
 
 class Cell(NamedTuple):
@@ -27,19 +30,23 @@ class Confusion(NamedTuple):
     rows: Mapping[str, tuple[str, Sequence[Cell]]]
 
 
-def confusion_of(label: str, seconds: Mapping[str, Mapping[str, Any]]) -> Confusion | None:
-    """Return the matrix from its times [s], by true sensor and claim; None if there are none."""
+def confusion_of(
+    label: str, seconds: Mapping[str, Mapping[str, Any]], columns: Sequence[str] = COLUMNS
+) -> Confusion | None:
+    """Return the matrix from its times [s], by what is faulty and claim; None if there are none."""
     rows: dict[str, tuple[str, Sequence[Cell]]] = {}
     for true, said in seconds.items():
         if time := said[TIME]:
-            cells = [_cell(true, claim, said[claim] / time) for claim in COLUMNS]
+            cells = [_cell(true, claim, said[claim] / time) for claim in columns]
             rows[true] = (f"{plain(time)} s", cells)
     return Confusion(label, rows) if rows else None
 
 
 def _cell(true: str, claim: str, share: float) -> Cell:
     missed = claim == NOTHING and true != NOTHING
-    look = "right" if claim == true else "unsure" if claim == AMBIGUOUS or missed else "wrong"
+    look = (
+        "right" if claim == _RIGHT.get(true, true) else "unsure" if claim == AMBIGUOUS or missed else "wrong"
+    )
     percent = 100.0 * share
     text = EMPTY if share == 0.0 else "below 0.01 %" if percent < 0.01 else f"{plain(percent)} %"
     return Cell(text, share, look)

@@ -42,11 +42,17 @@ class Kind(NamedTuple):
         return plain(SCALES.get(self.unit, 1.0) * value) if abs(value) >= TINY else "0"
 
 
+ROTORS = "Which rotor is named"  # section
 _ROWS = yaml.safe_load((DATA / "metrics.yaml").read_text("utf-8"))
 SECTIONS: dict[str, dict[str, Kind]] = {
     title: {name: Kind(*row) for name, row in rows.items()} for title, rows in _ROWS.items()
 }
-_KINDS = {name: (section, kind) for section, kinds in SECTIONS.items() for name, kind in kinds.items()}
+_KINDS = {
+    name: (section, kind)
+    for section, kinds in SECTIONS.items()
+    for name, kind in kinds.items()
+    if section != ROTORS  # whose names are those of sensors
+}
 # of a window, of a fault; and what has a table of its own
 _NOT_METRICS = ("start", "stop", "axes", "axis", "kind", "component", "confusion_s")
 _FAULTY = {"confusion_single_s": "only {} faulty", "confusion_any_s": "{} faulty"}
@@ -82,12 +88,14 @@ def list_metrics(metrics: Any, prefix: str = "", title: str = "") -> Iterator[Le
 
 def _title(value: Any, prefix: str, name: str) -> str:
     """The section of one fault window or one fault; empty: it is neither."""
-    if prefix not in ("fault_windows.", "diagnosis.events.", "sensors.events."):
+    if prefix not in ("fault_windows.", "diagnosis.events.", "sensors.events.", "rotors.events."):
         return ""
     entry = cast("dict[str, Any]", value)
     when = period(entry["start"], entry["stop"])
     if prefix == "fault_windows.":
         return f"Fault window {int(name) + 1}, from {when}"
+    if prefix == "rotors.events.":
+        return f"Naming of the rotor: {entry['kind']} of rotor {entry['axis']}, from {when}"
     if prefix == "sensors.events.":
         return f"Naming of the sensor: {entry['component']} {entry['kind']} on {entry['axis']}, from {when}"
     return f"Diagnosis of the {entry['kind']} on {entry['axis']}, from {when}"
@@ -98,6 +106,9 @@ def describe(path: str) -> tuple[str, Kind]:
     part, *words = path.split(".")
     if part == "sensors":
         return _describe_naming(words)
+    if part == "rotors":
+        name = words[2] if words[0] == "events" else words[0]
+        return ROTORS, SECTIONS[ROTORS].get(name) or _look_up(name)[1]
     if part != "diagnosis":
         return _look_up(words[1] if part == "fault_windows" else part)
     if words[0] == "events":

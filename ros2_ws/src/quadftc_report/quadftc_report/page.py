@@ -24,7 +24,7 @@ from quadftc_replay.replay_directory import Recorded, RecordedReplay
 from quadftc_report import comparison as about
 from quadftc_report.claims import PAPER_SCENARIOS, Judgement, judge
 from quadftc_report.comparison import Comparison, is_ideal, metric
-from quadftc_report.confusion import COLUMNS, Confusion, confusion_of
+from quadftc_report.confusion import COLUMNS, ROTOR_COLUMNS, Confusion, confusion_of
 from quadftc_report.description import Figure
 from quadftc_report.draw_plotly import plotly_figure, spec_of
 from quadftc_report.figures import flight_figures, replay_figures
@@ -121,6 +121,8 @@ def render(
         metric_tables=metric_tables,
         confusion_tables=_confusions,
         said=COLUMNS,
+        rotor_confusion_tables=_rotor_confusions,
+        said_of_rotors=ROTOR_COLUMNS,
         setup=_setup,
         folder=folder,
         spec=lambda figure: spec_of(plotly_figure(figure), figure.key),
@@ -173,6 +175,17 @@ def _confusions(comparison: Comparison[Any]) -> list[Confusion]:
             for true, row in matrix.items()
         }
         found.append(confusion_of(comparison.label(run), seconds))
+    return [each for each in found if each is not None]
+
+
+def _rotor_confusions(comparison: Comparison[Any]) -> list[Confusion]:
+    """Whether each run names the rotor, a sensor or nothing; of flights in which a rotor is faulty."""
+    matrices = ((run, metric(run, "rotors.confusion_s") or {}) for run in comparison.runs)
+    found = [
+        confusion_of(comparison.label(run), matrix, ROTOR_COLUMNS)
+        for run, matrix in matrices
+        if matrix.get("rotor", {}).get("time")
+    ]
     return [each for each in found if each is not None]
 
 
