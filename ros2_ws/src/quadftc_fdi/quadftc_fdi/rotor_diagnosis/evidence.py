@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_fdi.rotor_diagnosis.rotor_model import Effects
-from quadftc_model.arrays import Array, Flag, Scalar, cache_numbers, changed_where, namespace
+from quadftc_model.arrays import Array, Flag, Scalar, cache_numbers, changed_where, namespace, product
 
 TIMES = np.array([0.015, 0.06, 0.25, 1.0])  # s; over which residuals are averaged
 EARLY = np.array([0.3, 0.3, 0.6, 2.0])  # s; what the prior of each variance is worth
@@ -90,18 +90,19 @@ def judge(state: Residuals, effects: Effects, faulty: Array, std_dev: Array) -> 
     """Judge the rotors that are not ``faulty``; ``std_dev`` is that of the losses of those (..., n)."""
     n, mean = faulty.shape[-1], state.mean
     thrusts = mean[..., 4 : 4 + n]  # (..., K, n)
-    model = thrusts @ effects.columns
-    deviation = mean[..., :4] - state.usual[..., None, :] + mean[..., 4 + n :] @ effects.columns
+    model = product(thrusts, effects.columns)
+    known = product(mean[..., 4 + n :], effects.columns)
+    deviation = mean[..., :4] - state.usual[..., None, :] + known
     fast = UNSURE * (model - model[..., -1:, :])
     variance = state.variance + fast * fast
 
     def doubt() -> Array:
         unsure = (KNOWN * mean[..., 4 + n :]) ** 2 + (thrusts * std_dev[..., None, :]) ** 2
-        return variance + unsure @ (effects.columns * effects.columns)
+        return variance + product(unsure, effects.columns * effects.columns)
 
     weight = 1.0 / changed_where(faulty, doubt, variance)
-    n_over = -thrusts * ((deviation * weight) @ effects.rows)
-    q_over = thrusts * thrusts * (weight @ effects.square) + 1e-30
+    n_over = -thrusts * product(deviation * weight, effects.rows)
+    q_over = thrusts * thrusts * product(weight, effects.square) + 1e-30
     loss = n_over / q_over
     likely = n_over * loss * (n_over > 0.0)
     none = faulty & ~faulty
@@ -117,8 +118,8 @@ def judge(state: Residuals, effects: Effects, faulty: Array, std_dev: Array) -> 
 def change_of(state: Residuals, effects: Effects, judged: Judged) -> Array:
     """Return l of what known losses leave, whatever its sign and direction, by the two shortest averages."""
     weight = 1.0 / judged.variance[..., :2, :]
-    n_over = (judged.deviation[..., :2, :] * weight) @ effects.rows
-    return (n_over * n_over / (weight @ effects.square)).max(axis=-2)
+    n_over = product(judged.deviation[..., :2, :] * weight, effects.rows)
+    return (n_over * n_over / product(weight, effects.square)).max(axis=-2)
 
 
 def _explain(
