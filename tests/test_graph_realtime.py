@@ -69,7 +69,7 @@ def test_flight_in_real_time_is_whole_and_at_the_rate(fly_graph, paper_scenario,
 
 def test_diagnosis_that_falls_silent_is_flown_without_until_it_is_back():
     """The process of the fault observer is stopped, and goes on after the controller has noticed."""
-    plan = GraphPlan({}, "realtime")
+    plan = GraphPlan({"fault_observer": {"observer": "supervised"}}, "realtime")
     with NodeBench("realtime") as bench, ProcessGraph(plan) as graph:
         states = bench.listen("control/status")
         observer = graph.children.process_ids()["fault_observer"]

@@ -295,6 +295,18 @@ def test_recommended_observer_flies_by_default_and_setpoints_are_live():
     assert "declares no faults" not in words
 
 
+def test_imu_of_the_default_flight_has_noise_as_readings_without_look_stuck():
+    from quadftc_sim.sensors import GRADES
+
+    script = the_script()
+    plant = script.node_parameters_of(script.parse([]))["plant"]
+    file = Path(__file__).parents[1] / "ros2_ws/src/quadftc_bringup/config/graph.yaml"
+    launched = script.parameters_from_file(file)["plant"]
+    for name, value in GRADES["mems"].items():
+        assert plant[f"imu.{name}"] == value
+        assert launched[f"imu.{name}"] == value
+
+
 def test_observer_without_states_is_announced():
     assert "observer sliding_mode declares no faults" in told("--scenario", BUSY, "--scheme", "proposed")
 
