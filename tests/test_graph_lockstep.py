@@ -166,34 +166,53 @@ def test_graph_equals_the_closed_loop_when_a_gyro_jumps(fly_graph):
     assert flight.gyro_state[-1].tolist() == [FAULTY, HEALTHY, HEALTHY]
 
 
+FREE_FAULTS = (
+    "{kind: bias, axes: roll, value: 5 deg, start: 2.4 s}",
+    "{kind: bias, channel: gyro, axes: x, value: 0.3, start: 2.7 s}",
+    "{kind: dropout, channel: imu, probability: 0.05, start: 2.2 s}",
+    "{kind: loss, rotors: [2], value: 0.2, rise: 0.1 s, start: 1.8 s}",
+    "{kind: chipped, rotors: [3], unbalance: 1e-6, start: 2.5 s}",
+    "{kind: stuck, channel: rotor, rotors: [1], start: 2.8 s, stop: 2.9 s}",
+)
+
+
 @pytest.mark.parametrize("plant", ["free_flight", "mujoco"])
 def test_graph_equals_the_closed_loop_in_free_flight(fly_graph, plant):
     changes = (
         f"plant.kind={plant}",
         "trajectories.0.start=0.2 s",
         "trajectories.0.rise=1 s",
-        "faults.0.start=1 s",
-        "faults.1.start=2 s",
+        f"faults=[{', '.join(FREE_FAULTS)}]",
     )
-    lost = "{kind: dropout, channel: imu, probability: 0.05, start: 0.5 s}"
-    scenario = load_scenario(find_scenario("free_circle"), (*changes, f"faults.2={lost}"))
+    scenario = load_scenario(find_scenario("free_circle"), changes)
     scenario = with_duration(scenario, 3.0)
     directory, _ = fly_graph(scenario, "isolating", take=plant)
     flight = flight_from_bag(read_bag(directory))
     assert not flight.delivered.all()
     assert np.nanmax(np.abs(flight.position[:, 1])) > 0.5  # it flies
+    assert np.nanmin(flight.rotor_effectiveness, axis=0) == pytest.approx([1.0, 0.8, 1.0, 1.0])
+    assert FAULTY in flight.rotor_state[:, 1]  # named, and counted on
     assert_equal_bit_for_bit(flight, fly(scenario, "isolating"))
 
 
-def test_graph_equals_the_closed_loop_where_the_controller_measures_the_rotors(fly_graph):
-    changes = ["schemes.conventional.controller=indi", "faults=[]"]
-    changes += ["trajectories.0.start=0.2 s", "trajectories.0.rise=1 s"]
-    scenario = with_duration(load_scenario(find_scenario("free_circle"), changes), 3.0)
-    flight = flight_from_bag(read_bag(fly_graph(scenario, "conventional")[0]))
-    assert_equal_bit_for_bit(flight, fly(scenario, "conventional"))
-    changes.append("schemes.conventional.controller={kind: indi, measured_torque: false}")
-    unmeasured = fly(with_duration(load_scenario(find_scenario("free_circle"), changes), 3.0), "conventional")
-    assert np.any(flight.torque != unmeasured.torque)
+def test_graph_equals_the_closed_loop_where_rotors_are_measured_and_accused(fly_graph):
+    changes = [
+        "schemes.conventional.controller=indi",
+        "trajectories.0.start=0.2 s",
+        "trajectories.0.rise=1 s",
+    ]
+    changes.append("faults=[{kind: loss, rotors: [2], value: 0.25, start: 1 s}]")
+    with registered() as name:
+        changes += [f"name=rotors_{name}", f"schemes.conventional.observer={name}"]
+        scenario = with_duration(load_scenario(find_scenario("free_circle"), changes), 3.0)
+        flight = flight_from_bag(read_bag(fly_graph(scenario, "conventional")[0]))
+        assert_equal_bit_for_bit(flight, fly(scenario, "conventional"))
+        assert flight.rotor_ambiguous.any()
+        assert np.any(flight.rotor_onset_ns > 0)
+        assert flight.rotor_state[-1].tolist() == [HEALTHY, FAULTY, HEALTHY, HEALTHY]
+        unmeasured = "schemes.conventional.controller={kind: indi, measured_torque: false}"
+        other = with_duration(load_scenario(find_scenario("free_circle"), [*changes, unmeasured]), 3.0)
+        assert np.any(flight.torque != fly(other, "conventional").torque)
 
 
 def test_two_runs_give_the_same_messages(fly_graph, busy_scenario):

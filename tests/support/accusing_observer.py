@@ -1,4 +1,4 @@
-"""A fault observer that accuses attitude, gyro and accelerometer: it takes what is large for a fault."""
+"""A fault observer that accuses sensors and rotors: it takes what is large for a fault."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from quadftc_model.samples import (
     RECOVERING,
     FaultEstimate,
     FaultObserverInputs,
+    RotorEstimate,
+    RotorReading,
     SensorDiagnosis,
     SensorEstimate,
 )
@@ -51,8 +53,26 @@ class AccusingObserver(NoDiagnosis):
         levels = self.angle, self.rate, self.force
         sensors = SensorDiagnosis(*(accuse(*each, dt) for each in zip(readings, levels, ages, strict=True)))
         attitude = sensors.attitude
-        said = FaultEstimate(*attitude[1:3], attitude.state, attitude.onset_age, used, sensors)
+        rotors = None if inputs.rotors is None else accuse_fast(inputs.rotors)
+        said = FaultEstimate(*attitude[1:3], attitude.state, attitude.onset_age, used, sensors, rotors)
         return (before, xp.stack([sensor.onset_age for sensor in sensors])), said
+
+
+def accuse_fast(rotors: RotorReading) -> RotorEstimate:
+    """Take a rotor for weak that is 3 % faster than the mean; ambiguous if it is told to slow down."""
+    speeds, xp = rotors.speeds, namespace(rotors.command)
+    assert speeds is not None
+    excess = speeds / speeds.mean(axis=-1, keepdims=True) - 1.0
+    weak = excess > 0.03
+    return RotorEstimate(
+        state=xp.where(weak, FAULTY, HEALTHY).astype(xp.uint8),
+        effectiveness=1.0 - 1.5 * excess,
+        std_dev=xp.abs(excess),
+        onset_age=xp.where(weak, 0.0, -1.0),
+        probability=xp.where(weak, 0.9, 0.1),
+        kind=xp.where(weak, FAULT_KINDS.index("loss"), 0).astype(xp.uint8),
+        ambiguous=weak & (rotors.command < speeds),
+    )
 
 
 def accuse(reading: Vector, level: float, age: Vector, dt: float) -> SensorEstimate:

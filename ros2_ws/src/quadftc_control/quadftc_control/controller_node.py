@@ -1,8 +1,8 @@
 # pyright: basic
 """The controller node: from attitude, reference and disturbance estimate to a torque within the authority.
 
-Inputs: imu/corrected, attitude/reference, disturbance/estimate; in free flight rotors/speed; in real time
-imu/data as fallback, and fault/status.
+Inputs: imu/corrected, attitude/reference, disturbance/estimate; in free flight rotors/speed and
+rotors/status; in real time imu/data as fallback, and fault/status.
 Outputs: torque/command [N m], in free flight rotors/command [rad/s], control/status; in real time fault/kept,
 gyro/kept and disturbance/kept for observers that restart (`quadftc_control.last_words`).
 Services: ~/reset (std_srvs/Trigger).
@@ -41,6 +41,7 @@ from quadftc_ros.executor import run_node
 from quadftc_ros.join import StampJoin
 from quadftc_ros.motion_wire import RotorsReader, RotorsWire
 from quadftc_ros.node import GraphNode
+from quadftc_ros.rotor_wire import EffectivenessReader
 from quadftc_ros.topics import BASE_FRAME
 from quadftc_ros.transport import decoding
 
@@ -95,7 +96,7 @@ class ControllerNode(GraphNode):
         self._publish_status = self.publishes("control/status")
         self._body, self._status = wire.VectorWire(BASE_FRAME), wire.ControlStatusWire()
         self._mode: Mode | None = None
-        inputs = ("imu", "reference", "disturbance", *(["rotors"] if self._flies else []))
+        inputs = ("imu", "reference", "disturbance", *(["speeds", "rotors"] if self._flies else []))
         self._join = StampJoin(inputs, self._on_all)
         self.driven_by("imu/corrected", self._on_corrected, restart=self._manager.restart, decode=wire.imu_of)
         self.reads("attitude/reference", self._on_reference, decode=wire.attitude_command_in)
@@ -104,6 +105,7 @@ class ControllerNode(GraphNode):
             count = len(law.vehicle.rotors.positions)
             self._rotors = RotorsWire(count)
             self.reads("rotors/speed", self._on_speeds, decode=RotorsReader(count))
+            self.reads("rotors/status", self._on_rotors, decode=EffectivenessReader(count))
         self.reads("disturbance/estimate", self._on_disturbance, decode=wire.vector_of)
         self.reads("imu/data", self._on_raw, decode=bytes)
         self.reads("fault/status", self._manager.take_status, decode=bytes)
@@ -127,9 +129,14 @@ class ControllerNode(GraphNode):
             self._join.put("disturbance", stamp_ns, usable)
 
     def _on_speeds(self, stamp_ns: int, speeds: Floats) -> None:
-        torque = self._manager.take_speeds(stamp_ns, speeds)
+        usable = self._manager.take_speeds(stamp_ns, speeds)
         if self.lockstep:
-            self._join.put("rotors", stamp_ns, torque)
+            self._join.put("speeds", stamp_ns, usable)
+
+    def _on_rotors(self, stamp_ns: int, effectiveness: Floats | None) -> None:
+        usable = self._manager.take_effectiveness(effectiveness)
+        if self.lockstep:
+            self._join.put("rotors", stamp_ns, usable)
 
     def _on_corrected(self, stamp_ns: int, imu: ImuSample) -> None:
         if self.lockstep:
@@ -143,10 +150,13 @@ class ControllerNode(GraphNode):
         imu: ImuSample,
         reference: AttitudeReference,
         disturbance: Floats,
-        torque: Floats | None = None,
+        speeds: Floats | None = None,
+        effectiveness: Floats | None = None,
     ) -> None:
         """Lock-step: all inputs of one sample are there."""
-        self._act(self._manager.fly, stamp_ns, ControllerInputs(imu, reference, disturbance, torque))
+        torque = self._manager.rotor_torque(speeds, effectiveness)
+        inputs = ControllerInputs(imu, reference, disturbance, torque, effectiveness)
+        self._act(self._manager.fly, stamp_ns, inputs)
 
     def _on_raw(self, stamp_ns: int, data: bytes) -> None:
         if not self.lockstep and self._manager.needs_raw(stamp_ns, data):

@@ -63,8 +63,8 @@ class FlightManager:
         self.reference: AttitudeReference | None = None
         self._thrust: Scalar | None = None  # wanted with the reference [N], in free flight
         self.reference_ns = 0
-        # of the rotors by their measured speeds: stamp [ns], torque [N m]
-        self._rotors: tuple[int, Vector] | None = None
+        self._speeds: tuple[int, Components] | None = None  # of the rotors: stamp [ns], measured [rad/s]
+        self.effectiveness: Components | None = None  # of the rotors, as last estimated [1]; None: unknown
         # To publish for observers that restart, oldest first; whoever publishes it clears it: (what, stamp
         # [ns], value), "fault" with a status message, "gyro" or "disturbance" with an array (3,).
         self.kept: list[tuple[str, int, Any]] = []
@@ -79,6 +79,7 @@ class FlightManager:
         """Take the next sample for the first of a flight."""
         self._stepper.reset()
         self._transfer.reset()
+        self.effectiveness = None
 
     def take_reference(
         self, stamp_ns: int, reference: AttitudeReference, thrust: Scalar | None = None
@@ -98,14 +99,26 @@ class FlightManager:
         self._monitor.estimate = stamp_ns, disturbance
         return disturbance
 
-    def take_speeds(self, stamp_ns: int, speeds: Components) -> Vector | None:
-        """Note measured rotor speeds [rad/s]; return their torque [N m], None if it cannot be used."""
+    def take_speeds(self, stamp_ns: int, speeds: Components) -> Components | None:
+        """Note measured rotor speeds [rad/s]; return them, None if they cannot be used."""
         torque, _ = wrench_from_speeds(self._law.vehicle, speeds)
         if not samples.is_usable(speeds, torque):
             self._count("rotors/speed: not finite")
             return None
-        self._rotors = stamp_ns, torque
-        return torque
+        self._speeds = stamp_ns, speeds
+        return speeds
+
+    def take_effectiveness(self, effectiveness: Components | None) -> Components | None:
+        """Note the estimated effectiveness of the rotors; return it, None if there is none to use."""
+        if effectiveness is not None and not samples.is_usable(effectiveness):
+            self._count("rotors/status: not finite")
+            effectiveness = None
+        self.effectiveness = effectiveness
+        return effectiveness
+
+    def rotor_torque(self, speeds: Components | None, effectiveness: Components | None) -> Vector | None:
+        """Torque [N m] of rotor speeds [rad/s]; None without speeds."""
+        return None if speeds is None else wrench_from_speeds(self._law.vehicle, speeds, effectiveness)[0]
 
     def take_status(self, stamp_ns: int, data: bytes) -> None:
         """Note fault/status, serialised."""
@@ -158,6 +171,7 @@ class FlightManager:
 
     def fly(self, stamp_ns: int, inputs: ControllerInputs, mode: Mode = Mode.FULL) -> Command | None:
         """Step the law; None for a stamp that is refused (repeated, or earlier than the last)."""
+        self.effectiveness = inputs.effectiveness
         replaced = self._stepper.replaced
         output = self._stepper.step(stamp_ns, inputs)
         if output is None:
@@ -190,14 +204,15 @@ class FlightManager:
         flown = self._transfer.used(stamp_ns, imu, mode is Mode.NO_DIAGNOSIS)
         if mode is Mode.NO_DIAGNOSIS:
             self._keep_fault(stamp_ns, imu, flown)
-        inputs = ControllerInputs(flown, self.reference, disturbance, self._measured_torque(stamp_ns))
+        torque = self._measured_torque(stamp_ns)
+        inputs = ControllerInputs(flown, self.reference, disturbance, torque, self.effectiveness)
         return self.fly(stamp_ns, inputs, mode)
 
     def _measured_torque(self, stamp_ns: int) -> Vector | None:
         """Torque of the latest rotor speeds [N m]; None if they are old, or never came."""
-        if self._rotors is None or abs(seconds(stamp_ns - self._rotors[0])) > ROTORS_AGE:
+        if self._speeds is None or abs(seconds(stamp_ns - self._speeds[0])) > ROTORS_AGE:
             return None
-        return self._rotors[1]
+        return self.rotor_torque(self._speeds[1], self.effectiveness)
 
     def _lose_diagnosis(self, stamp_ns: int) -> None:
         """Keep what a fault observer that restarts needs, and tell the transfer what is known of imu/data."""
@@ -222,7 +237,7 @@ class FlightManager:
         speeds = None
         if self._thrust is not None:
             thrust = 0.0 if mode is Mode.OFF else self._thrust
-            allocated, output = actuated(self._law.vehicle, thrust, output)
+            allocated, output = actuated(self._law.vehicle, thrust, output, self.effectiveness)
             speeds = allocated.speeds
         self._torque, self.stamp_ns, self._mode = output.torque, stamp_ns, mode
         return Command(stamp_ns, output, mode, speeds)

@@ -2,9 +2,10 @@
 """The fault observer node: estimates the attitude fault and publishes the corrected IMU.
 
 Inputs: imu/data; torque/command (observer (16) of the paper needs the torque that acted), in free flight
-rotors/command and position/data. In real time fault/kept and gyro/kept: restarted in flight, the node resumes
-where the one before has died.
-Outputs: imu/corrected, fault/estimate, fault/status; diagnosis at 10 Hz and at once on a change.
+rotors/command, rotors/speed and position/data. In real time fault/kept and gyro/kept: restarted in flight,
+the node resumes where the one before has died.
+Outputs: imu/corrected, fault/estimate, fault/status; diagnosis at 10 Hz and at once on a change; in free
+flight rotors/status.
 Services: ~/reset (std_srvs/Trigger). A sample whose stamp repeats or goes back is refused and counted.
 """
 
@@ -23,14 +24,22 @@ from quadftc_model import samples
 from quadftc_model.arrays import Scalar
 from quadftc_model.parameters import parameter
 from quadftc_model.rotors import wrench_from_speeds
-from quadftc_model.samples import ALARMS, FaultEstimate, FaultObserverInputs, ImuSample, PositionSample
+from quadftc_model.samples import (
+    ALARMS,
+    FaultEstimate,
+    FaultObserverInputs,
+    ImuSample,
+    PositionSample,
+    RotorReading,
+)
 from quadftc_model.stepper import warm_up
 from quadftc_ros.conversions import Floats, array_of, stamp_of
 from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.executor import run_node
-from quadftc_ros.join import CommandGate, PlaceGate, PlaceParameters
+from quadftc_ros.join import CommandGate, PlaceGate, PlaceParameters, SpeedGate
 from quadftc_ros.motion_wire import PositionSampleReader, RotorsReader
 from quadftc_ros.node import GraphNode
+from quadftc_ros.rotor_wire import RotorStatusWire
 from quadftc_ros.topics import EARTH_FRAME
 from quadftc_ros.wire import DiagnosisWire, FaultStatusWire, ImuWire, VectorWire, imu_of, vector_of
 
@@ -98,17 +107,30 @@ class FaultObserverNode(GraphNode):
         def put(stamp_ns: int, sample: ImuSample, place: PositionSample | None) -> None:
             gate.put_sample(stamp_ns, (sample, place))
 
+        self._speeds = SpeedGate(self.mode, self._on_rotors)
+        self._publish_rotors, self._rotors = self.publishes("rotors/status"), RotorStatusWire(rotors)
+        self.reads("rotors/speed", self._speeds.put_speeds, decode=RotorsReader(rotors))
         places = PlaceGate(self.mode, values["position.period"], values["position.delay"], put)
         self.driven_by("imu/data", places.put_sample, restart=self._diagnosis.restart, decode=imu_of)
         self.reads("position/data", places.put_place, decode=PositionSampleReader())
         self.reads(topic, gate.put_command, decode=RotorsReader(rotors))
 
     def _on_flight(
-        self, stamp_ns: int, message: tuple[ImuSample, PositionSample | None], speeds: Floats
+        self, stamp_ns: int, message: tuple[ImuSample, PositionSample | None], command: Floats
     ) -> None:
-        """Diagnose a sample of a free flight, with the rotor speeds [rad/s] that acted before it."""
-        sample, place = message
-        self._diagnose(stamp_ns, sample, *wrench_from_speeds(self._diagnosis.law.vehicle, speeds), place)
+        """Take a sample of a free flight, with the speeds [rad/s] commanded before it."""
+        self._speeds.put_sample(stamp_ns, (*message, command))
+
+    def _on_rotors(
+        self,
+        stamp_ns: int,
+        message: tuple[ImuSample, PositionSample | None, Floats],
+        speeds: Floats | None,
+    ) -> None:
+        """Diagnose a sample of a free flight, with the speeds [rad/s] measured with it."""
+        sample, place, command = message
+        acted = wrench_from_speeds(self._diagnosis.law.vehicle, command)
+        self._diagnose(stamp_ns, sample, *acted, place, RotorReading(command, speeds))
 
     def _on_kept(self, what: str, stamp_ns: int, value: Any) -> None:
         self._kept[what] = value
@@ -122,23 +144,26 @@ class FaultObserverNode(GraphNode):
         self._diagnosis.offer(stamp_ns, last)
 
     def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats) -> None:
-        self._diagnose(stamp_ns, sample, torque, None, None)
+        self._diagnose(stamp_ns, sample, torque)
 
     def _diagnose(
         self,
         stamp_ns: int,
         sample: ImuSample,
         torque: Floats,
-        thrust: Scalar | None,
-        place: PositionSample | None,
+        thrust: Scalar | None = None,
+        place: PositionSample | None = None,
+        rotors: RotorReading | None = None,
     ) -> None:
         replaced, resumed = self._diagnosis.replaced, self._diagnosis.resumed
-        estimate = self._diagnosis.diagnose(stamp_ns, sample, torque, thrust, place)
+        estimate = self._diagnosis.diagnose(stamp_ns, sample, torque, thrust, place, rotors)
         if estimate is None:
             self.diagnostics.count("imu/data: stamp repeated or went back")
             return
         # others wait for the corrected sample: publish it first
         self._publish_corrected(self._imu(stamp_ns, estimate.corrected))
+        if rotors is not None:
+            self._publish_rotors(self._rotors(stamp_ns, estimate.rotors))
         self._publish_estimate(self._earth(stamp_ns, estimate.fault))
         self._publish_status(self._status(stamp_ns, estimate))
         report = self._diagnosis.report(stamp_ns, estimate)
@@ -160,15 +185,20 @@ class FaultObserverNode(GraphNode):
             self._raw = 0
             self.diagnostics.forget("imu")
         self._estimate = estimate
+        self._watch_alarms(estimate)
+        self.sampled(stamp_ns)
+
+    def _watch_alarms(self, estimate: FaultEstimate) -> None:
+        """Report at once when an alarm begins or ends; suspicions come and go."""
         states = [estimate.state, *(sensor.state for sensor in estimate.sensors or ())]
-        alarms = [state in ALARMS for column in states for state in column.tolist()]  # suspicions come and go
+        states += [] if estimate.rotors is None else [estimate.rotors.state]
+        alarms = [state in ALARMS for column in states for state in column.tolist()]
         if alarms != self._alarms:
             self._alarms = alarms
             self.diagnostics.changed = True
-        self.sampled(stamp_ns)
 
     def report(self) -> None:
-        """Report the fault of each axis of the attitude and of each other sensor, if anybody looks for it."""
+        """Report the fault of each axis of the attitude and of each other component, if anybody looks."""
         if self._estimate is None or self._observer == "none":
             return
         law, memory = self._diagnosis.law, self._diagnosis.state

@@ -11,8 +11,10 @@ import numpy as np
 
 from quadftc_model.parameters import parameter
 from quadftc_model.samples import PositionSample, is_usable
+from quadftc_model.stepper import seconds
 from quadftc_ros.conversions import Floats
 
+SPEEDS_AGE = 0.1  # s; real time: measured speeds that differ by more from a sample are not of its time
 DEPTH = 64  # samples that may be incomplete at a time; older ones are given up
 
 
@@ -171,3 +173,33 @@ class PlaceGate:
             place = self._places.get(measured_ns)
             self._places = {known: each for known, each in self._places.items() if known > measured_ns}
             self._callback(stamp_ns, message, place)
+
+
+class SpeedGate:
+    """Call ``callback(stamp_ns, message, speeds)`` for IMU samples, with the rotor speeds measured with each.
+
+    In real time these are the latest, None if they are older than `SPEEDS_AGE` or cannot be used. In
+    lock-step a sample waits for those of its stamp.
+    """
+
+    def __init__(self, mode: str, callback: Callable[[int, Any, Floats | None], None]) -> None:
+        self._callback = callback
+        self._join = StampJoin(("sample", "speeds"), callback) if mode == "lockstep" else None
+        self._latest: tuple[int, Floats] | None = None
+
+    def put_sample(self, stamp_ns: int, message: Any) -> None:
+        """Add a sample [stamp in ns]."""
+        if self._join is not None:
+            self._join.put("sample", stamp_ns, message)
+            return
+        latest = self._latest
+        fresh = latest is not None and abs(seconds(stamp_ns - latest[0])) <= SPEEDS_AGE
+        self._callback(stamp_ns, message, latest[1] if latest is not None and fresh else None)
+
+    def put_speeds(self, stamp_ns: int, speeds: Floats) -> None:
+        """Add speeds [rad/s] (n,) measured at a stamp [ns]."""
+        usable = is_usable(speeds)
+        if self._join is not None:
+            self._join.put("speeds", stamp_ns, speeds if usable else None)
+        elif usable:
+            self._latest = stamp_ns, speeds

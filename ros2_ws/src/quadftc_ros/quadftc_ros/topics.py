@@ -28,6 +28,8 @@ HEADER = "std_msgs/msg/Header"
 FAULT_STATUS = "quadftc_msgs/msg/FaultStatus"
 DIAGNOSIS = "quadftc_msgs/msg/Diagnosis"
 REFERENCE = "quadftc_msgs/msg/AttitudeReference"
+ROTOR_CONDITION = "quadftc_msgs/msg/RotorCondition"
+ROTOR_STATUS = "quadftc_msgs/msg/RotorStatus"
 CONTROL_STATUS = "quadftc_msgs/msg/ControlStatus"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 CLOCK = "rosgraph_msgs/msg/Clock"
@@ -101,7 +103,9 @@ _ROWS = (
     _topic("torque/command", VECTOR, "controller", "disturbance_observer", "reliable", BASE_FRAME, FREE),
     _topic("torque/command", VECTOR, "controller", f"plant {_TORQUE_READERS}", "reliable", BASE_FRAME, STAND),
     _topic("rotors/command", ROTORS, "controller", "plant fault_observer", "reliable", BASE_FRAME, FREE),
-    _topic("rotors/speed", ROTORS, "plant", "controller", "sensor", BASE_FRAME, FREE),
+    _topic("rotors/speed", ROTORS, "plant", "controller fault_observer", "sensor", BASE_FRAME, FREE),
+    _topic("rotors/fault", ROTOR_CONDITION, "fault_injector", "plant", "reliable", BASE_FRAME, FREE),
+    _topic("rotors/status", ROTOR_STATUS, "fault_observer", "controller", "reliable", BASE_FRAME, FREE),
     _topic("control/status", CONTROL_STATUS, "controller", "", "reliable", BASE_FRAME),
     # real time: the last words of an observer that has fallen silent, for the one started in its place
     _topic("fault/kept", FAULT_STATUS, "controller", "fault_observer", "latched", IMU_FRAME),

@@ -12,7 +12,16 @@ from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
-from quadftc_model.samples import PositionSample
+from quadftc_model.samples import (
+    FAULTY,
+    HEALTHY,
+    RECOVERING,
+    PositionSample,
+    RotorCondition,
+    RotorEstimate,
+    effectiveness_of,
+)
+from quadftc_msgs.msg import RotorCondition as RotorConditionMessage
 from quadftc_ros.conversions import array_of, stamp_of
 from quadftc_ros.motion_wire import (
     OdometryWire,
@@ -21,6 +30,12 @@ from quadftc_ros.motion_wire import (
     PositionSampleWire,
     RotorsReader,
     RotorsWire,
+)
+from quadftc_ros.rotor_wire import (
+    EffectivenessReader,
+    RotorConditionReader,
+    RotorConditionWire,
+    RotorStatusWire,
 )
 from quadftc_ros.wire import pose_of
 
@@ -129,3 +144,39 @@ def test_any_bytes_give_a_sample_or_an_error(data):
         except ValueError:
             continue
         assert len(result) in (3, 4)
+
+
+def test_condition_of_rotors_survives_the_way_and_none_is_healthy():
+    condition = RotorCondition(
+        np.array([0.7, 1.0, 0.9]),
+        np.array([np.inf, 0.0, 500.0]),
+        np.array([True, False, False]),
+        np.array([0.0, 1e-6, 0.0]),
+    )
+    wire, read = RotorConditionWire(3), RotorConditionReader(3)
+    ones = np.ones(3)
+    healthy = RotorCondition(ones, np.inf * ones, ones < 0.0, 0.0 * ones)
+    for sent, wanted in ((condition, condition), (None, healthy)):
+        found = read(wire(5, sent))
+        assert deserialize_message(wire(5, sent), RotorConditionMessage).header.stamp.nanosec == 5
+        for each, other in zip(found, wanted, strict=True):
+            np.testing.assert_array_equal(each, other)
+    with pytest.raises(ValueError, match="12 numbers: expected 4 for each of 4 rotors"):
+        RotorConditionReader(4)(wire(5, condition))
+
+
+def test_effectiveness_of_confirmed_faults_is_what_a_controller_counts_on():
+    ones = np.ones(3)
+    estimate = RotorEstimate(
+        state=np.array([FAULTY, HEALTHY, RECOVERING], np.uint8),
+        effectiveness=np.array([0.7, 0.8, 1.1]),
+        std_dev=0.01 * ones,
+        onset_age=ones,
+        probability=ones,
+        kind=np.zeros(3, np.uint8),
+        ambiguous=np.zeros(3, bool),
+    )
+    wire, read = RotorStatusWire(3), EffectivenessReader(3)
+    np.testing.assert_array_equal(read(wire(5, estimate)), effectiveness_of(estimate))
+    np.testing.assert_array_equal(read(wire(5, estimate)), [0.7, 1.0, 1.0])
+    assert read(wire(5, None)) is None

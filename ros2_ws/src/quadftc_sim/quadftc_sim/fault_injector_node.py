@@ -1,9 +1,10 @@
 # pyright: basic
-"""The fault injector node: puts sensor faults on the IMU, by schedule and by service, and says what it did.
+"""The fault injector node: puts faults on IMU and rotors, by schedule and by service, and says what it did.
 
 Inputs: plant/imu (or a real IMU, by remapping).
 Outputs: imu/data; the truth on fault/injected (attitude [rad]), and once such a fault was asked for on
-fault/injected/gyro and fault/injected/accelerometer; fault/dropped (the stamp of each sample withheld).
+fault/injected/gyro and fault/injected/accelerometer; fault/dropped (the stamp of each sample withheld); in
+free flight rotors/fault, the condition of the rotors from a sample on.
 Services: ~/inject (quadftc_msgs/InjectFault), ~/clear (quadftc_msgs/ClearFault), ~/reset (std_srvs/Trigger:
 the schedule restarts with the next sample, faults injected by service are gone).
 """
@@ -21,16 +22,18 @@ from quadftc_ros.conversions import time_message
 from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
+from quadftc_ros.rotor_wire import RotorConditionWire
 from quadftc_ros.topics import EARTH_FRAME, IMU_FRAME
 from quadftc_ros.wire import ImuWire, VectorWire, imu_of
 from quadftc_sim.assembly import InjectorParameters, injector_from
-from quadftc_sim.injection import RESERVED, TRUTH, make_injection
+from quadftc_sim.injection import RESERVED, TRUTH, make_injection, registry_of
+from quadftc_sim.rotor_fault import rotor_faults
 
 JUST_AFTER = 1e-9  # s, the resolution of stamps
 
 
 class FaultInjectorNode(GraphNode):
-    """Sensor faults on a stream of IMU samples."""
+    """Faults on a stream of IMU samples, and on rotors."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("fault_injector", **kwargs)
@@ -45,6 +48,9 @@ class FaultInjectorNode(GraphNode):
             channel: (self.publishes(topic), VectorWire(EARTH_FRAME if channel == "attitude" else IMU_FRAME))
             for channel, topic in TRUTH.items()
         }
+        self._rotors = rotors = self.settings.values()["rotors"]
+        self._publish_rotors = self.publishes("rotors/fault") if self.plant_kind == "free_flight" else None
+        self._condition = RotorConditionWire(rotors)
         self._publish_dropped = self.publishes("fault/dropped")
         self.driven_by("plant/imu", self._on_imu, restart=self._restart, decode=imu_of)
         self.offers("inject", InjectFault, self._on_inject)
@@ -62,6 +68,8 @@ class FaultInjectorNode(GraphNode):
             return
         self._last_ns = stamp_ns
         injected = self._injector.apply(stamp_ns, sample)
+        if self._publish_rotors is not None:
+            self._publish_rotors(self._condition(stamp_ns, injected.rotors))
         if injected.present:  # first, as others wait for it
             self._publish_imu(self._imu(stamp_ns, injected.sample))
         else:
@@ -86,8 +94,7 @@ class FaultInjectorNode(GraphNode):
         # times count from the last sample; a fault without a start begins with the next one
         now = self._injector.now + (JUST_AFTER if self._last_ns >= 0 and request.start == 0.0 else 0.0)
         try:
-            rotors = self.settings.values()["rotors"]
-            injection = make_injection(request.kind, _values_of(request), now, rotors)
+            injection = make_injection(request.kind, _values_of(request), now, self._rotors)
         except ValueError as error:
             response.success, response.message = False, str(error)
             return response
@@ -115,8 +122,9 @@ def _values_of(request: InjectFault.Request) -> dict[str, Any]:
             raise ValueError(f"parameter_names: {name} is given twice")
     if not request.duration >= 0.0:
         raise ValueError(f"duration = {request.duration:g} s: must not be negative")
-    values: dict[str, Any] = {"start": request.start, "axes": list(request.axes)}
-    values |= {"channel": request.channel} if request.channel else {}
+    values: dict[str, Any] = {"channel": request.channel} if request.channel else {}
+    on_rotors = registry_of(request.kind, values) is rotor_faults
+    values |= {"start": request.start, "rotors" if on_rotors else "axes": list(request.axes)}
     values |= {"duration": request.duration} if request.duration > 0.0 else {}
     return values | dict(zip(names, numbers, strict=True))
 

@@ -153,7 +153,7 @@ def fault_generators(seed: int, number: int) -> tuple[np.random.Generator, np.ra
 
 def ask_for_units(kind: str, values: Mapping[str, Any]) -> None:
     """Refuse a number without a unit that a person typed, by a ValueError, where it is absurd in SI."""
-    fault = faults.get(kind)
+    fault = registry_of(kind, values).get(kind)
     usual = "attitude" if "attitude" in fault.channels else fault.channels[0]
     units = CHANNEL_UNITS.get(str(values.get("channel", usual)), {})
     for spec in parameters_of(fault):

@@ -1,8 +1,8 @@
 # pyright: basic
 """The plant node: flies the simulated vehicle and publishes its IMU.
 
-Inputs: torque/command, in free flight rotors/command; fault/dropped (a sample that nobody will answer, in
-lock-step).
+Inputs: torque/command, in free flight rotors/command and rotors/fault (the condition of the rotors);
+fault/dropped (a sample that nobody will answer, in lock-step).
 Outputs: plant/imu; the truth on plant/attitude, plant/rate and disturbance/applied; /clock in lock-step. In
 free flight position/data, rotors/speed, and the truth on plant/odometry and wind/applied.
 Services: ~/start, ~/reset (std_srvs/Trigger: a new flight begins). In lock-step the stamps restart, by which
@@ -21,13 +21,14 @@ from typing import Any
 
 from std_srvs.srv import Trigger
 
-from quadftc_model.samples import is_usable
+from quadftc_model.samples import RotorCondition, is_usable
 from quadftc_model.stepper import MAX_GAP, seconds
 from quadftc_ros.conversions import Floats
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.motion_wire import RotorsReader
 from quadftc_ros.node import GraphNode
+from quadftc_ros.rotor_wire import RotorConditionReader
 from quadftc_ros.topics import missing_connections
 from quadftc_ros.wire import vector_of
 from quadftc_sim.assembly import EPOCH_NS, PlantParameters, flight_from
@@ -75,6 +76,11 @@ class PlantNode(GraphNode):
         decode = RotorsReader(rotors) if law.flies else vector_of
         self.reads(self._topic, self._on_command, decode=decode)
         self.reads("fault/dropped", self._on_dropped)
+        self._awaited = {"command"}  # lock-step: what has to come for a sample
+        if law.flies:
+            self._awaited.add("rotors")
+            self.reads("rotors/fault", self._on_rotors, decode=RotorConditionReader(rotors))
+        self._answered = set[str]()  # what has come for the last sample
         self.offers("start", Trigger, self._on_start)
         self.offers_reset(self._restart, "a new flight begins")
         self._timer: Any = None  # for the start of the flight, then for its samples
@@ -135,6 +141,7 @@ class PlantNode(GraphNode):
 
     def _emit(self) -> None:
         """Emit the next sample; in lock-step up to one that somebody will answer."""
+        self._answered.clear()
         self._output.emit(self.flight.emission())
         while self.lockstep and self.flight.awaited_ns is None and not self.flight.finished:
             self._output.emit(self.flight.emission())
@@ -165,15 +172,27 @@ class PlantNode(GraphNode):
             self.flight.command(command)
         else:
             self.diagnostics.count(f"{self._topic}: not finite")
-        if stamp_ns == self.flight.awaited_ns and self.lockstep:
-            self._emit()
+        if self.lockstep:
+            self._take("command", stamp_ns)
         elif stamp_ns == self.flight.awaited_ns:
             self._output.show_truth()
             self.flight.fly_ahead()
 
     def _on_dropped(self, stamp_ns: int, message: Any) -> None:
-        if self.lockstep and stamp_ns == self.flight.awaited_ns:
-            self._emit()
+        if self.lockstep:
+            self._take("command", stamp_ns)
+
+    def _on_rotors(self, stamp_ns: int, condition: RotorCondition) -> None:
+        self.flight.simulator.set_rotors(condition)
+        if self.lockstep:
+            self._take("rotors", stamp_ns)
+
+    def _take(self, what: str, stamp_ns: int) -> None:
+        """Lock-step: fly on once all that belongs to the last sample has come."""
+        if stamp_ns == self.flight.awaited_ns:
+            self._answered.add(what)
+            if self._answered == self._awaited:
+                self._emit()
 
     def _on_timer(self) -> None:
         """Emit what is due: a timer that is late by periods skips them; the flight does not."""

@@ -157,6 +157,7 @@ def test_fault_that_is_no_number_shows_as_such_in_the_truth(injector):
     [
         ({"kind": "bais"}, "bais.*bias"),
         ({"kind": ""}, "fault"),
+        ({"kind": "loss", "axes": ["1"]}, "channel = 'rotor': only in free flight"),
         ({**BIAS, "channel": "attitud"}, "channel = 'attitud': expected one of attitude, gyro"),
         ({**BIAS, "channel": "imu"}, "channel = 'imu': bias can be on attitude"),
         ({**BIAS, "axes": ["north"]}, "axes: 'north' is no axis; expected roll, pitch, yaw or x, y, z"),

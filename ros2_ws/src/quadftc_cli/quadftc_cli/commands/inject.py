@@ -1,5 +1,5 @@
 # pyright: basic
-"""``quadftc inject`` and ``quadftc clear``: sensor faults in a graph that runs."""
+"""``quadftc inject`` and ``quadftc clear``: faults of sensors and rotors in a graph that runs."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from quadftc_model.parameters import parameters_of
 from quadftc_model.spec import parse_spec
 from quadftc_sim.injection import CHANNEL_UNITS, RESERVED, ask_for_units, make_injection
 
+MOST_ROTORS = 64  # as the parameter `rotors` of the fault injector allows
 NamespaceOption = Annotated[str, Option(help="Namespace of the vehicle; default: the only one there is.")]
 
 
@@ -24,10 +25,10 @@ def inject(
     ],
     namespace: NamespaceOption = "",
 ) -> None:
-    """Put a sensor fault on a vehicle that flies: now, or after a start; until cleared, or for a duration.
+    """Put a fault on a vehicle that flies: now, or after a start; until cleared, or for a duration.
 
-    ``quadftc list faults`` shows the kinds with their parameters. Times count from now. Prints the number
-    that ``quadftc clear`` takes.
+    ``quadftc list faults`` shows the kinds of sensors with their parameters, ``quadftc list rotor_faults``
+    those of rotors. Times count from now. Prints the number that ``quadftc clear`` takes.
     """
     fields = request_fields(" ".join(fault))
     from quadftc_cli.live import LiveGraph  # starts ROS
@@ -60,7 +61,7 @@ def request_fields(text: str) -> dict[str, Any]:
     """Return the fields of a request for a fault; a ValueError says what is wrong with its specification."""
     kind, values = parse_spec(text)
     ask_for_units(kind, values)
-    injection = make_injection(kind, values)
+    injection = make_injection(kind, values, rotors=MOST_ROTORS)  # the node knows how many there are
     law, names = injection.law, [name for name in values if name not in RESERVED]
     units = CHANNEL_UNITS[injection.channel]
     numbers: list[float] = []
@@ -74,7 +75,7 @@ def request_fields(text: str) -> dict[str, Any]:
             unit = next(spec.unit for spec in parameters_of(type(law)) if spec.name == name)
             raise ValueError(f"{name}: cannot be sent, expected a number in {unit.format_map(units)}")
         numbers.append(float(acting[0]))
-    axes = values.get("axes", values.get("axis", []))
+    axes = values.get("rotors", values.get("axes", values.get("axis", [])))
     endless = math.isinf(injection.stop)
     return {
         "kind": kind,
