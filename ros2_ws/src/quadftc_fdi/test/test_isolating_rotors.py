@@ -30,9 +30,10 @@ def flight(count, loss=lambda t: 0.0, change=lambda t, sample: sample, speeds=Fa
         time = (index - BEGIN) * DT
         gust = gust * (1.0 - DT) + 0.5 * np.sqrt(2.0 * DT) * rng.standard_normal(3) * [1.0, 1.0, 0.1]
         asked = np.where(np.isin(np.arange(4), off) & (time >= 0.0), 0.0, command)
-        speed = asked + LAG * (speed - asked)
+        before, speed = speed, asked + LAG * (speed - asked)
+        kick = -ROTORS.rotor_inertia * np.sum(ROTORS.spin_sign * (speed - before)) / DT
         wrench = VEHICLE.effectiveness @ (ROTORS.thrust_coefficient * speed**2 * (1.0 - loss(time)))
-        rate = rate + DT * (wrench[1:] / VEHICLE.inertia + gust)
+        rate = rate + DT * ((wrench[1:] + kick * np.eye(3)[2]) / VEHICLE.inertia + gust)
         q_xyzw = turn(q_xyzw, DT * rate)
         attitude = turn(q_xyzw, np.radians(0.1) * rng.standard_normal(3))
         force = [0.0, 0.0, wrench[0] / VEHICLE.mass] + 0.02 * rng.standard_normal(3)

@@ -27,6 +27,7 @@ from quadftc_model.arrays import (
     changed_where,
     components,
     larger,
+    largest,
     stacked,
 )
 from quadftc_model.samples import FaultObserverInputs, RotorEstimate
@@ -97,6 +98,12 @@ def _swirl(vehicle: Vehicle, last: Components, speeds: Components, rate: Vector,
     return stacked([-q * momentum, p * momentum, -faster])
 
 
+def _kick(vehicle: Vehicle, speeds: Components) -> Vector:
+    """Torque [N m] of the fastest rotor, if it is switched off."""
+    yaw = vehicle.rotors.rotor_inertia * largest(speeds) / larger(vehicle.rotors.time_constant, 1e-3)
+    return stacked([0.0 * yaw, 0.0 * yaw, yaw])
+
+
 def _acting(
     monitor: RotorMonitor,
     before: Components,
@@ -124,7 +131,8 @@ def _acting(
             mean, now = 0.5 * (before + monitor.thrusts), monitor.thrusts
         variance = (effects.square * ((commanded * monitor.unsure) ** 2)[..., None, :]).sum(axis=-1)
         # nor is the inertia of a rotor known well that is sped up by much
-        turning = variance[..., :3] + any_of(monitor.unsure) * (swirl / vehicle.inertia) ** 2
+        kick = swirl if measured is not None else _kick(vehicle, command)
+        turning = variance[..., :3] + any_of(monitor.unsure) * (kick / vehicle.inertia) ** 2
         left = None if thrust is None else thrust - (now * lost).sum(axis=-1)
         return torque - _wrench(vehicle, mean * lost)[..., 1:], left, turning, variance[..., 3]
 

@@ -34,6 +34,7 @@ SOON, LATE = 0.2, 20.0  # s; what the prior of the mean is worth; memory of what
 PRIOR, LEAST = 0.05, 0.008  # 1; loss of a rotor that residuals are like, 1 sigma: at first, at least
 UNSURE = 0.15  # 1; share of fast changes of the model that may be otherwise
 BENT, LEAK = 0.25, 0.05  # 1; error of the direction of a loss: of a channel, across the angular channels
+KICK = 0.5  # 1; the same about yaw, by the inertia of a rotor that stops, where its speed is not measured
 KNOWN = 0.15  # 1; share of a known loss that may be otherwise, for the other rotors
 CLIP = 6.0  # 1; bound of squares that are learned from
 FAR = 14.0  # 1; what a rotor may leave of a residual, in variances: chi-squared, three degrees of freedom
@@ -86,8 +87,13 @@ def average(state: Residuals, residual: Array, thrusts: Array, losses: Array, dt
     return state._replace(mean=state.mean + _gains(dt) * (news[..., None, :] - state.mean))
 
 
-def judge(state: Residuals, effects: Effects, faulty: Array, std_dev: Array) -> Judged:
-    """Judge the rotors that are not ``faulty``; ``std_dev`` is that of the losses of those (..., n)."""
+def judge(
+    state: Residuals, effects: Effects, faulty: Array, std_dev: Array, measured: bool = False
+) -> Judged:
+    """Judge the rotors that are not ``faulty``; ``std_dev`` is that of the losses of those (..., n).
+
+    ``measured``: thrusts are those of measured speeds.
+    """
     n, mean = faulty.shape[-1], state.mean
     thrusts = mean[..., 4 : 4 + n]  # (..., K, n)
     model = product(thrusts, effects.columns)
@@ -109,7 +115,7 @@ def judge(state: Residuals, effects: Effects, faulty: Array, std_dev: Array) -> 
     quiet = Evidence(0.0 * likely[..., 0, :], loss[..., 0, :], none, none, none)
     found = changed_where(
         (likely > SUSPECT).any(axis=-2),
-        lambda: _explain(effects, thrusts, deviation, weight, loss, likely, faulty),
+        lambda: _explain(effects, thrusts, deviation, weight, loss, likely, faulty, measured),
         quiet,
     )
     return Judged(found, deviation, variance)
@@ -130,13 +136,15 @@ def _explain(
     loss: Array,
     likely: Array,
     faulty: Array,
+    measured: bool,
 ) -> Evidence:
     """Judge by direction, too."""
     xp = namespace(deviation)
     shape = (loss * thrusts)[..., None] * effects.columns[..., None, :, :]  # (..., K, n, 4)
     square = shape * shape
     turning = square[..., :3].sum(axis=-1, keepdims=True)
-    unknown = BENT**2 * square + (LEAK**2 * turning) * np.array([1.0, 1.0, 1.0, 0.0])
+    leak = np.array([LEAK, LEAK, LEAK if measured else KICK, 0.0])
+    unknown = BENT**2 * square + leak**2 * turning
     left = deviation[..., None, :] + shape
     rest = (left * left / (1.0 / weight[..., None, :] + unknown)).sum(axis=-1)  # (..., K, n)
     fits = (rest < FAR) & (loss > SHY) & (loss < LARGEST) & (likely > SUSPECT) & ~faulty[..., None, :]

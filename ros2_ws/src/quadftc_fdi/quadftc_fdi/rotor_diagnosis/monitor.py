@@ -102,7 +102,7 @@ def step_rotors(state: RotorMonitor, effects: Effects, inputs: RotorInputs, dt: 
     residual = _residual(state, effects, inputs, used, dt)
     seen = evidence.average(state.residuals, residual, thrusts, state.losses.mean, dt)
     unsure = changed_where(state.named, lambda: losses.std_dev_of(state.losses), state.losses.mean)
-    judged = evidence.judge(seen, effects, state.named, unsure)
+    judged = evidence.judge(seen, effects, state.named, unsure, inputs.wanted is not None)
     suspect, named = judged.evidence.suspect, state.named
     busy = suspect | named | (state.suspected > 0.0) | state.unsure
 
