@@ -177,21 +177,21 @@ def check_onboard(options: argparse.Namespace) -> None:
         raise ValueError("--onboard: which vehicle? --vehicle NAME or FILE.toml (quadftc list vehicles)")
 
 
-def attachments_of(options: argparse.Namespace, plan: GraphPlan, folder: Path) -> tuple[Path, ...]:
+def with_attachments(options: argparse.Namespace, plan: GraphPlan, folder: Path) -> GraphPlan:
     """Write what belongs into the bag, so that a report knows what flew; nothing without a bag."""
     import yaml
 
     from quadftc_flight.scenario import find_scenario, load_scenario
 
     if plan.bag is None:
-        return ()
+        return plan
     texts = {"parameters.yaml": plan.parameter_file()}
     if options.scenario and not options.live and options.duration is None:
         raw = load_scenario(find_scenario(options.scenario), gains=options.gains).raw
         texts["scenario.yaml"] = yaml.safe_dump(raw, sort_keys=False, width=120)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
-    return tuple(folder / name for name in texts)
+    return dataclasses.replace(plan, attachments=tuple(folder / name for name in texts))
 
 
 def reach() -> str:
@@ -226,10 +226,11 @@ def launch(options: argparse.Namespace) -> int:
             remaps=tuple(options.remap),
         )
         sys.stderr.write("".join(f"{line}\n" for line in [*introduction(plan), reach()]))
-        with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
-            plan = dataclasses.replace(plan, attachments=attachments_of(options, plan, Path(folder)))
-            graph = GRAPHS[options.graph](plan)
-        with StopSignals() as stop, graph:
+        with (
+            tempfile.TemporaryDirectory(prefix="quadftc_") as folder,
+            StopSignals() as stop,
+            GRAPHS[options.graph](with_attachments(options, plan, Path(folder))) as graph,
+        ):
             wall = graph.run(lambda _samples: not stop.requested)
             status = graph.recorder.finish() if graph.recorder is not None else None
             if status is not None and status.error is not None:
