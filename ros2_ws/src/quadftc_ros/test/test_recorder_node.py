@@ -226,7 +226,8 @@ def test_process_closes_the_bag_when_told_to_stop(context, namespace, tmp_path, 
         code = process.wait(PATIENCE)
         errors = process.stderr.read()
     sender.destroy_node()
-    assert (code, errors) == (0, "")
+    assert code == 0
+    assert [line for line in errors.splitlines() if "runs: directory " not in line] == []
     with AnyReader([tmp_path / "run"]) as reader:
         stamps = [
             leading_stamp_ns(data) for link, _, data in reader.messages() if link.topic.endswith("/imu/data")
