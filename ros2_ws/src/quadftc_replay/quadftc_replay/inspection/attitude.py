@@ -172,8 +172,8 @@ def disagreements(flight: Flight, agreement: Agreement, is_own: bool) -> tuple[l
 
 def _creep_found(creep: Creep, agreement: Agreement, is_own: bool) -> Found:
     is_gyro = abs(creep.size) > GYRO_CREEP
-    component, other = ("gyro", "attitude") if is_gyro else ("attitude", "gyro")
-    element = "xyz"[creep.axis] if is_gyro else ANGLES[creep.axis]
+    names = ("gyro", "xyz"[creep.axis]), ("attitude", ANGLES[creep.axis])
+    (component, element), other = names if is_gyro else names[::-1]
     said = [
         f"gyro less attitude turns by {creep.size:+.3g} rad/s between {creep.span.start:.2f} and"
         f" {creep.span.end:.2f} s, {creep.score:.1f} times what healthy sensors leave"
@@ -188,7 +188,7 @@ def _creep_found(creep: Creep, agreement: Agreement, is_own: bool) -> Found:
         sigma=creep.sigma,
         unit="rad/s",
         probability=(0.9 if is_gyro else 0.5) * confidence(creep.score, 1.0),
-        ambiguous_with=(other,),
+        ambiguous_with=("/".join(other),),
         evidence=tuple(said),
     )
     span = (creep.span.start - 2.0 * AROUND, creep.span.end + 2.0 * AROUND)

@@ -8,7 +8,8 @@ second with a large residual weigh less, so that the stretch after a fault hardl
 Gains that the log does not excite stay at their prior: no torque by all rotors together, and as much lift as
 the weight.
 
-All signals are means over the bins of one grid, which needs no equal sampling. R² is what a fit to every
+All signals are means over the bins of one grid, which needs no equal sampling, behind the same low-pass: its
+edge lies where the spectrum of the gyro is least, between motion and vibration. R² is what a fit to every
 other block explains of the blocks between. Standard deviations are those of a jackknife over the blocks.
 """
 
@@ -18,22 +19,25 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
+from scipy import ndimage, signal
 
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.whitening import Floats, Mask
 
-GRID = 125.0  # Hz; of the bins, or the rate of the gyro if that is less
+FINE = 500.0  # Hz; of the bins, or the rate of the gyro if that is less
+GRID = 125.0  # Hz; of what is left of them behind the low-pass
+VALLEY = (18.0, 60.0)  # Hz; in which motion ends and vibration begins
 BAND = (1.0, 15.0)  # Hz; no more than 40 % of half the rate of the bins; below, gusts drive the rotors
 LAGS = np.array([0, 5, 10, 15, 20, 30, 40, 50, 60, 70, 85, 100, 120, 150]) * 1e-3  # s
 BLOCK = 1.0  # s
 ROUNDS = 4  # of the reweighted fit
 RIDGE = 3e-3  # 1; of the mean power of the inputs: where a log excites them less, gains stay at the prior
 USABLE = 0.3  # 1; R² of an axis from which it is used
+AT_ALL, CLEAR = 0.05, 5.0  # 1; a lower one, if the gains are so many standard deviations
 SLOWEST = 25.0  # Hz; of gyro and inputs
-LEAST = 5  # blocks
+LEAST = 4  # blocks
 
 
 class Grid(NamedTuple):
@@ -108,22 +112,44 @@ def make_grid(flight: Flight, drive: Signal) -> Grid | None:
     gyro = flight.gyro[1] if flight.gyro is not None else None
     if gyro is None or min(gyro.rate, drive.rate) < SLOWEST:
         return None
-    rate = min(GRID, gyro.rate)
+    fine = min(FINE, gyro.rate)
     start = max(float(gyro.time[0]), float(drive.time[0]))
     end = min(float(gyro.time[-1]), float(drive.time[-1]))
     if end - start < LEAST * BLOCK:
         return None
-    edges = np.arange(start, end, 1.0 / rate)
+    edges = np.arange(start, end, 1.0 / fine)
     time = 0.5 * (edges[1:] + edges[:-1])
     force_sensor = next(iter(flight.log.accelerometers.values()), None)
     flying = flight.in_flight(time) & ~flight.near_impact(time)
     flying &= _has_samples(edges, gyro, 3.0 / gyro.rate) & _has_samples(edges, drive, 3.0 / drive.rate)
-    force = None
+    columns = [bin_means(edges, gyro, hold=False), bin_means(edges, drive, hold=True)]
     if force_sensor is not None and force_sensor.rate >= SLOWEST:
-        force = bin_means(edges, force_sensor, hold=False)[:, 2]
+        columns.append(bin_means(edges, force_sensor, hold=False)[:, 2:])
         flying &= _has_samples(edges, force_sensor, 3.0 / force_sensor.rate)
-    rates = bin_means(edges, gyro, hold=False)
-    return Grid(time, 1.0 / rate, rates, force, bin_means(edges, drive, hold=True), flying)
+    cutoff = choose_cutoff(columns[0][flying], fine)
+    stride = max(1, round(fine / GRID))
+    smooth = [_low_pass(np.nan_to_num(each), cutoff, fine)[::stride] for each in columns]
+    force = smooth[2][:, 0] if len(smooth) > 2 else None
+    return Grid(time[::stride], stride / fine, smooth[0], force, smooth[1], flying[::stride])
+
+
+def choose_cutoff(rates: Floats, rate: float) -> float | None:
+    """Return the frequency [Hz] between motion and vibration, where the spectrum is least; None: no such."""
+    if len(rates) < 4 * round(rate):
+        return None
+    frequency, power = signal.welch(rates, fs=rate, nperseg=round(rate), axis=0)
+    between = (frequency >= VALLEY[0]) & (frequency <= min(VALLEY[1], 0.4 * rate))
+    if between.sum() < 5:
+        return None
+    level = ndimage.median_filter(np.log(power.sum(axis=1) + 1e-20), 5)
+    return float(frequency[between][np.argmin(level[between])])
+
+
+def _low_pass(values: Floats, cutoff: float | None, rate: float) -> Floats:
+    """Take out what is faster than a frequency [Hz], without delay."""
+    if cutoff is None or cutoff >= 0.45 * rate:
+        return values
+    return signal.sosfiltfilt(signal.butter(2, cutoff, fs=rate, output="sos"), values, axis=0)
 
 
 def lagged(inputs: Floats, lag: float, dt: float) -> Floats:
@@ -146,36 +172,68 @@ def smooth_like_gradient(values: Floats) -> Floats:
     return 0.25 * padded[:-2] + 0.5 * padded[1:-1] + 0.25 * padded[2:]
 
 
-def identify(source: str, grid: Grid) -> Identified | None:
-    """Fit the model to a grid; None if there is too little flight."""
-    half = 0.5 / grid.dt
-    band = [BAND[0], min(BAND[1], 0.4 * half)]
+class BlockSums(NamedTuple):
+    """Sums over each block, all that a fit needs."""
+
+    squares: Floats  # (b, k, k) of the inputs behind the lag
+    across: Floats  # (b, k, c) of inputs and responses
+    power: Floats  # (b, c) of the responses
+    samples: Floats  # (b,)
+
+    def part(self, blocks: Mask) -> BlockSums:
+        """Return some blocks."""
+        return BlockSums(*(values[blocks] for values in self))
+
+
+class Blocks(NamedTuple):
+    """A flight in blocks, for every lag."""
+
+    sums: tuple[BlockSums, ...]  # one for each of `LAGS`
+    end: Floats  # (b,) of each block [s]
+    flown: Mask  # (b,) whether it is flown for three quarters
+
+
+def in_blocks(grid: Grid) -> Blocks:
+    """Sum up the blocks of a flight."""
+    band = [BAND[0], min(BAND[1], 0.2 / grid.dt)]
     bands = signal.butter(2, band, "bandpass", fs=1.0 / grid.dt, output="sos")
-    blocks = np.floor((grid.time - grid.time[0]) / BLOCK).astype(int)
-    rows = grid.flying & _whole_blocks(blocks, grid.flying)
-    if len(np.unique(blocks[rows])) < LEAST:
-        return None
     measured = signal.sosfiltfilt(bands, np.nan_to_num(responses(grid)), axis=0)
-    best: tuple[float, float, Floats, Floats] | None = None
+    driven = signal.sosfiltfilt(bands, smooth_like_gradient(np.nan_to_num(grid.inputs)), axis=0)
+    length = round(BLOCK / grid.dt)
+    starts = np.arange(0, len(grid.time), length)
+    flown = np.add.reduceat(grid.flying.astype(float), starts)
+    sums = tuple(_sum_up(lagged(driven, float(lag), grid.dt), measured, starts) for lag in LAGS)
+    ends = grid.time[np.minimum(starts + length, len(grid.time)) - 1]
+    return Blocks(sums, ends, flown > 0.75 * length)
+
+
+def _sum_up(driven: Floats, measured: Floats, starts: NDArray[np.int_]) -> BlockSums:
+    return BlockSums(
+        squares=np.add.reduceat(driven[:, :, None] * driven[:, None, :], starts, axis=0),
+        across=np.add.reduceat(driven[:, :, None] * measured[:, None, :], starts, axis=0),
+        power=np.add.reduceat(measured**2, starts, axis=0),
+        samples=np.diff(np.append(starts, len(driven))).astype(float),
+    )
+
+
+def identify(source: str, grid: Grid, blocks: Blocks, until: float = np.inf) -> Identified | None:
+    """Fit the model to the flight up to a time [s]; None if that is too little."""
+    rows = blocks.flown & (blocks.end < until)
+    if rows.sum() < LEAST:
+        return None
     prior = _prior(grid)
-    for lag in LAGS:
-        driven = smooth_like_gradient(lagged(np.nan_to_num(grid.inputs), float(lag), grid.dt))
-        driven = signal.sosfiltfilt(bands, driven, axis=0)
-        r2 = _held_out(driven[rows], measured[rows], prior, blocks[rows])
+    best: tuple[float, float, Floats, BlockSums] | None = None
+    for lag, sums in zip(LAGS.tolist(), blocks.sums, strict=True):
+        part = sums.part(rows)
+        r2 = _held_out(part, prior)
         score = float(np.sum(np.clip(r2[:2], -1.0, 1.0)))
         if best is None or score > best[0]:
-            best = score, float(lag), r2, driven
+            best = score, lag, r2, part
     assert best is not None
-    _, lag, r2, driven = best
-    gain, spread = _fit_all(driven[rows], measured[rows], prior, blocks[rows])
-    return Identified(source, lag, gain, spread, r2, r2 > USABLE)
-
-
-def _whole_blocks(blocks: NDArray[np.int_], flying: Mask) -> Mask:
-    """Whether each bin is in a block that is flown for 90 % (n,)."""
-    counts = np.bincount(blocks)
-    flown = np.bincount(blocks, weights=flying)
-    return (flown > 0.9 * counts)[blocks]
+    _, lag, r2, part = best
+    gain, spread = _fit_all(part, prior)
+    clear = np.linalg.norm(gain, axis=0) > CLEAR * np.linalg.norm(spread, axis=0)
+    return Identified(source, lag, gain, spread, r2, (r2 > USABLE) | ((r2 > AT_ALL) & clear))
 
 
 def _prior(grid: Grid) -> Floats:
@@ -188,68 +246,62 @@ def _prior(grid: Grid) -> Floats:
     return prior
 
 
-def _held_out(driven: Floats, measured: Floats, prior: Floats, blocks: NDArray[np.int_]) -> Floats:
+def _held_out(sums: BlockSums, prior: Floats) -> Floats:
     """R² of each column, on blocks that were not fitted: of all, or of the usual one if that is more."""
-    parity = blocks % 2
-    total, rest = np.zeros((0, measured.shape[1])), np.zeros((0, measured.shape[1]))
-    for fold in (0, 1):
-        fit, held = parity == fold, parity != fold
-        gain, _ = _fit_all(driven[fit], measured[fit], prior, blocks[fit], with_spread=False)
-        error = measured[held] - driven[held] @ gain
-        numbers = np.unique(blocks[held], return_inverse=True)[1]
-        rest = np.concatenate([rest, _sums(error**2, numbers)])
-        total = np.concatenate([total, _sums(measured[held] ** 2, numbers)])
-    pooled = 1.0 - rest.sum(axis=0) / np.maximum(total.sum(axis=0), 1e-12)
-    usual = 1.0 - np.median(rest / np.maximum(total, 1e-12), axis=0)
+    parity = np.arange(len(sums.samples)) % 2 == 0
+    rest: list[Floats] = []
+    for fit in (parity, ~parity):
+        gain, _ = _fit_all(sums.part(fit), prior, with_spread=False)
+        rest.append(_residuals(sums.part(~fit), gain))
+    left = np.concatenate(rest)
+    power = np.concatenate([sums.power[~parity], sums.power[parity]])
+    pooled = 1.0 - left.sum(axis=0) / np.maximum(power.sum(axis=0), 1e-12)
+    usual = 1.0 - np.median(left / np.maximum(power, 1e-12), axis=0)
     return np.maximum(pooled, usual)
 
 
-def _fit_all(
-    driven: Floats, measured: Floats, prior: Floats, blocks: NDArray[np.int_], with_spread: bool = True
-) -> tuple[Floats, Floats]:
+def _residuals(sums: BlockSums, gain: Floats) -> Floats:
+    """Sum of squares that gains (k, c) leave in each block (b, c)."""
+    cross = np.einsum("bkc,kc->bc", sums.across, gain)
+    own = np.einsum("kc,bkl,lc->bc", gain, sums.squares, gain)
+    return np.maximum(sums.power - 2.0 * cross + own, 0.0)
+
+
+def _fit_all(sums: BlockSums, prior: Floats, with_spread: bool = True) -> tuple[Floats, Floats]:
     """Fit all columns; all rotors lift alike, so that the force has one gain."""
-    gain, spread = _fit(driven, measured[:, :3], blocks, with_spread)
-    if measured.shape[1] == 3:
+    turning = sums._replace(across=sums.across[..., :3], power=sums.power[:, :3])
+    gain, spread = _fit(turning, with_spread)
+    if prior.shape[1] == 3:
         return gain, spread
-    together = driven.sum(axis=1, keepdims=True)
-    lift, lift_std = _fit(together, measured[:, 3:] - driven @ prior[:, 3:], blocks, with_spread)
-    ones = np.ones((driven.shape[1], 1))
-    return np.hstack([gain, prior[:, 3:] + lift * ones]), np.hstack([spread, lift_std * ones])
+    lift = prior[:, 3:]
+    together = BlockSums(
+        squares=sums.squares.sum(axis=(1, 2))[:, None, None],
+        across=(sums.across[..., 3:] - sums.squares @ lift).sum(axis=1, keepdims=True),
+        power=_residuals(sums._replace(across=sums.across[..., 3:], power=sums.power[:, 3:]), lift),
+        samples=sums.samples,
+    )
+    more, more_std = _fit(together, with_spread)
+    ones = np.ones_like(lift)
+    return np.hstack([gain, lift + more * ones]), np.hstack([spread, more_std * ones])
 
 
-def _sums(values: Floats, numbers: NDArray[np.int_]) -> Floats:
-    found = np.zeros((int(numbers.max()) + 1, values.shape[1]))
-    np.add.at(found, numbers, values)
-    return found
-
-
-def _fit(
-    driven: Floats, measured: Floats, blocks: NDArray[np.int_], with_spread: bool = True
-) -> tuple[Floats, Floats]:
+def _fit(sums: BlockSums, with_spread: bool) -> tuple[Floats, Floats]:
     """Fit gains (k, c) with block weights; return them and their standard deviations."""
-    numbers = np.unique(blocks, return_inverse=True)[1]
-    count, size = int(numbers.max()) + 1, driven.shape[1]
-    parts = [numbers == b for b in range(count)]
-    squares: Floats = np.stack([driven[part].T @ driven[part] for part in parts])
-    across: Floats = np.stack([driven[part].T @ measured[part] for part in parts])
-    power = _sums(measured**2, numbers)
-    samples = np.bincount(numbers)[:, None]
-    rest = power / samples
-    gain = np.zeros((size, measured.shape[1]))
-    spread = np.full_like(gain, np.inf)
-    for column in range(measured.shape[1]):
-        each = across[:, :, column]
-        left, weight, total = rest[:, column], np.ones(count), squares.sum(axis=0)
+    count, size, columns = sums.across.shape
+    gain, spread = np.zeros((size, columns)), np.full((size, columns), np.inf)
+    for column in range(columns):
+        each = sums.across[:, :, column]
+        one = BlockSums(sums.squares, sums.across[:, :, [column]], sums.power[:, [column]], sums.samples)
+        left = sums.power[:, column] / sums.samples
+        weight, total = np.ones(count), sums.squares.sum(axis=0)
         for _ in range(ROUNDS):
             weight = 1.0 / np.maximum(left, float(np.median(left)) + 1e-12)
-            total = np.einsum("b,bij->ij", weight, squares)
+            total = np.einsum("b,bij->ij", weight, sums.squares)
             total += (RIDGE * float(np.trace(total)) / size + 1e-12) * np.eye(size)
             gain[:, column] = np.linalg.solve(total, weight @ each)
-            now = gain[:, column]
-            left = power[:, column] - 2.0 * each @ now + np.einsum("i,bij,j->b", now, squares, now)
-            left = np.maximum(left, 0.0) / samples[:, 0]
+            left = _residuals(one, gain[:, [column]])[:, 0] / sums.samples
         if with_spread and count > 2:
-            without = total[None] - weight[:, None, None] * squares
+            without = total[None] - weight[:, None, None] * sums.squares
             sides = weight @ each - weight[:, None] * each
             others: list[Floats] = [
                 np.linalg.solve(part, side) for part, side in zip(without, sides, strict=True)

@@ -52,7 +52,7 @@ def inspect(
     progress(0.4)
     found += _sensors(flight, gyros, agreement, judged, missing)
     rotors = judge_rotors(flight, baseline)
-    found += rotors.found
+    found = [each for each in found if not _follows(each.finding, rotors.found)] + rotors.found
     judged += ["rotor"] if rotors.judged else []
     missing += rotors.missing
     progress(0.8)
@@ -154,7 +154,7 @@ def _repeats(finding: Finding, known: Finding) -> bool:
     if known.kind not in ("stuck", "saturation", "absent", "noise"):
         return False
     is_same = known.component == finding.component or (
-        finding.ambiguous_with and known.component in finding.ambiguous_with
+        known.component in [each.partition("/")[0] for each in finding.ambiguous_with]
     )
     end = float("inf") if known.end_s is None else known.end_s
     ends = float("inf") if finding.end_s is None else finding.end_s
@@ -162,6 +162,16 @@ def _repeats(finding: Finding, known: Finding) -> bool:
     if known.component == finding.component and known.kind == finding.kind:
         return known.element == finding.element
     return bool(is_same) and overlaps and finding.kind in ("offset", "noise", "unknown", "absent")
+
+
+def _follows(finding: Finding, losses: list[Found]) -> bool:
+    """Whether a finding on a sensor begins after a rotor failed: what is abrupt then is real motion."""
+    onsets = [each.finding.onset_s for each in losses if each.shakes]
+    return (
+        bool(onsets)
+        and finding.kind in ("offset", "noise", "unknown")
+        and finding.onset_s > min(onsets) - 0.1
+    )
 
 
 def _in_order(found: list[Found]) -> list[Found]:

@@ -6,7 +6,7 @@ mean of e after t less that before is compared with all rotors:
 
     s_i = g' W delta / g' W g,    g = -G_i mean(u_i),    W = diag(1 / sigma²)
 
-Of all t and i the one is taken that explains most, if it explains it well, and goes on to.
+The first t is taken at which a rotor explains e well, far better than anything before, and goes on to.
 """
 
 from __future__ import annotations
@@ -16,7 +16,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from quadftc_replay.inspection.identification import Grid, Identified, lagged, responses, smooth_like_gradient
+from quadftc_replay.inspection.identification import (
+    Grid,
+    Identified,
+    identify,
+    in_blocks,
+    lagged,
+    responses,
+    smooth_like_gradient,
+)
 from quadftc_replay.inspection.whitening import TO_SIGMA, Floats, Mask
 
 BEFORE = 0.3  # s; over which e is known
@@ -25,6 +33,9 @@ STAYS = 0.3  # s; over which it has to stay so, if the log goes on for so long
 SCORE = 100.0  # 1; what a rotor has to explain of the sum of squares, over sigma²
 CLEARER = 2.5  # times: what it has to explain more than anything before it
 SOONER = 0.5  # s; so long before it counts as before
+PARTS = (0.2, 0.35, 0.5, 0.75, 1.0)  # 1; of the flight, of which models look at what follows
+PAST = 2.0  # s; of which the scatter counts
+PEAK = 0.15  # s; from where it is seen first to where it is clearest
 SHARE = 0.7  # 1; of all that is to be explained
 LEAST, MOST = 0.3, 1.8  # 1; of the rotor's thrust: less is not seen for sure, more is something else
 AHEAD = 1.5  # times: what it has to explain more than the next rotor
@@ -49,18 +60,42 @@ def unexplained(grid: Grid, model: Identified) -> Floats:
     return np.where(model.usable, rest, np.nan)
 
 
-def find_loss(grid: Grid, model: Identified) -> Loss | None:
-    """Find the clearest loss of a rotor; None if there is none."""
-    usable = model.usable
-    if usable[:2].sum() < 2:
+def search_loss(source: str, grid: Grid) -> tuple[Loss | None, Identified | None]:
+    """Find the first loss of a rotor, and return the model that shows it, else that of the whole flight.
+
+    What comes after a loss would spoil the model. So models of longer and longer parts of the flight each
+    look at what follows, and a loss has to show with the model of all that came before it, too.
+    """
+    blocks = in_blocks(grid)
+    whole = identify(source, grid, blocks)
+    if whole is None:
+        return None, None
+    flown = grid.time[grid.flying]
+    ends = [float(np.quantile(flown, part)) for part in PARTS]
+    begin = float(flown[0])
+    for end, limit in zip(ends, [*ends[1:], float(grid.time[-1])], strict=True):
+        model = whole if end >= ends[-1] else identify(source, grid, blocks, end)
+        if model is None:
+            continue
+        while (loss := find_loss(grid, model, (begin, limit))) is not None:
+            before = identify(source, grid, blocks, loss.onset - SOONER)
+            again = None
+            if before is not None:
+                again = find_loss(grid, before, (loss.onset - SOONER, loss.onset + SOONER))
+            if before is None or (again is not None and again.rotor == loss.rotor):
+                return again or loss, before or model
+            begin = loss.onset + SOONER
+        begin = max(begin, limit - SOONER)
+    return None, whole
+
+
+def find_loss(grid: Grid, model: Identified, span: tuple[float, float]) -> Loss | None:
+    """Find the first loss of a rotor in a span of time [s]; None if there is none."""
+    if model.usable[:2].sum() < 2:
         return None
-    rest = unexplained(grid, model)[:, usable]
-    best: Loss | None = None
-    for after in AFTER:
-        found = _best_onset(grid, model, rest, after)
-        if found is not None and (best is None or found.score > best.score):
-            best = found
-    return best
+    rest = unexplained(grid, model)[:, model.usable]
+    found = [_first_onset(grid, model, rest, after, span) for after in AFTER]
+    return min(filter(None, found), key=lambda loss: (round(loss.onset, 1), -loss.score), default=None)
 
 
 def _window_means(values: Floats, count: int) -> Floats:
@@ -80,21 +115,25 @@ def _changes(values: Floats, before: int, after: int) -> Floats:
 
 
 def _scatter(change: Floats, watched: Mask, dt: float) -> Floats:
-    """Standard deviation of the changes (n, c): of the flight, or of the seconds around if that is more."""
+    """Standard deviation of the changes (n, c): of the flight, or of the seconds before if that is more."""
     usual = TO_SIGMA * np.median(np.abs(change[watched]), axis=0)
-    length = max(8, round(2.0 / dt))
+    length = max(8, round(PAST / dt))
     count = max(len(change) // length, 1)
     local = np.stack([np.median(np.abs(part), axis=0) for part in np.array_split(change, count)])
-    rows = np.minimum(np.arange(len(change)) * count // len(change), count - 1)
-    return np.maximum(TO_SIGMA * local[rows], usual)
+    rows = np.minimum(np.arange(len(change)) * count // len(change), count - 1) - 1
+    return np.maximum(TO_SIGMA * local[np.maximum(rows, 0)], usual)
 
 
-def _best_onset(grid: Grid, model: Identified, rest: Floats, after: float) -> Loss | None:
+def _first_onset(
+    grid: Grid, model: Identified, rest: Floats, after: float, span: tuple[float, float]
+) -> Loss | None:
     before, count = round(BEFORE / grid.dt), max(2, round(after / grid.dt))
-    if len(rest) < 4 * before or grid.flying.sum() < 4 * before:
+    healthy = grid.flying & (grid.time < span[0])
+    healthy = healthy if healthy.sum() > 8 * before else grid.flying
+    if len(rest) < 4 * before or healthy.sum() < 4 * before:
         return None
     change = _changes(rest, before, count)
-    sigma = _scatter(change, grid.flying, grid.dt) + 1e-9
+    sigma = _scatter(change, healthy, grid.dt) + 1e-9
     driven = _window_means(lagged(np.nan_to_num(grid.inputs), model.lag, grid.dt), count)
     effect = -driven[:, :, None] * model.gain[:, model.usable][None]  # (n, rotors, c)
     weighted = change / sigma**2
@@ -106,13 +145,15 @@ def _best_onset(grid: Grid, model: Identified, rest: Floats, after: float) -> Lo
     watched = ndimage.binary_dilation(grid.flying, np.ones(2 * count + 1, np.bool_))
     fits = (explained > np.maximum(SCORE, SHARE * total[:, None])) & watched[:, None]
     fits &= (share > LEAST) & (share < MOST)
+    fits &= ((grid.time >= span[0]) & (grid.time <= span[1]))[:, None]
+    fits[len(fits) - count :] = False
     if not fits.any():
         return None
     score = np.where(fits, explained, 0.0)
-    for row in np.argsort(score.max(axis=1))[::-1][:50].tolist():
+    peak = round(PEAK / grid.dt)
+    for first in np.flatnonzero(score.max(axis=1) > 0.0).tolist():
+        row = first + int(np.argmax(score[first : first + peak].max(axis=1)))
         rotor = int(np.argmax(score[row]))
-        if score[row, rotor] <= 0.0:
-            break
         earlier = slice(0, max(row - round(SOONER / grid.dt), 0))
         known = float(explained[earlier][grid.flying[earlier]].max(initial=0.0))
         size = float(share[row, rotor])

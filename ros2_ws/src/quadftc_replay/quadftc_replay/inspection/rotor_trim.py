@@ -32,6 +32,7 @@ BETWEEN_VEHICLES = np.array([0.12, 0.12, 0.2])
 UNKNOWN_LAYOUT = 0.025  # of each share, where nobody knows where the rotors are
 STEADY = 0.2  # 1; how far the mean command may be from its median
 BLOCK = 2.0  # s
+COMES_AGAIN = 0.35  # 1; share of what blocks differ by
 LEAST = 3  # blocks
 SHARPER = 7.0  # 1; by which a rotor has to explain c better than no rotor (chi², one degree of freedom)
 LEAST_LOSS = 0.04  # 1
@@ -54,11 +55,12 @@ class Trim(NamedTuple):
         """Trim along rows (k, n), and its variance (k,).
 
         Blocks differ by noise, by what is flown and by the battery; every other one counts as independent.
+        What they differ by as a whole, as in wind, may come again in another flight.
         """
         along = (self.blocks - 1.0) @ rows.T
         middle = np.median(along, axis=0)
         spread = TO_SIGMA * np.median(np.abs(along - middle), axis=0)
-        return middle, spread**2 / (0.5 * len(along))
+        return middle, spread**2 * max(2.0 / len(along), COMES_AGAIN**2)
 
 
 class Weak(NamedTuple):

@@ -9,9 +9,16 @@ import numpy as np
 
 from quadftc_replay.flight_log import FlightLog
 from quadftc_replay.inspection.flight import Flight, prepare
-from quadftc_replay.inspection.found import Curve, Found, confidence, curve_around, make_finding
-from quadftc_replay.inspection.identification import Grid, Identified, drive_of, identify, make_grid
-from quadftc_replay.inspection.rotor_loss import SCORE, Loss, find_loss, unexplained
+from quadftc_replay.inspection.found import CERTAIN, Curve, Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.identification import (
+    Grid,
+    Identified,
+    drive_of,
+    identify,
+    in_blocks,
+    make_grid,
+)
+from quadftc_replay.inspection.rotor_loss import SCORE, Loss, search_loss, unexplained
 from quadftc_replay.inspection.rotor_trim import (
     SHARPER,
     Weak,
@@ -25,6 +32,7 @@ from quadftc_replay.inspection.whitening import runs_of
 
 STANDS = 0.25  # 1; of the mean speed of the others
 STANDS_FOR = 0.1  # s
+UNASKED = 0.8  # probability that it is a fault, where nobody knows what it was told
 ALL_OF_IT = 0.75  # 1; share of the thrust from which a rotor is off
 AROUND = 0.6  # s
 
@@ -43,16 +51,21 @@ def judge_rotors(flight: Flight, baseline: FlightLog | None) -> Rotors:
     log = flight.log
     if log.rotor_speeds is None and log.rotor_commands is None and log.torque_command is None:
         return Rotors([], None, False, [_not_judged("neither rotor commands nor speeds are logged")])
-    found = list(_standing(flight))
     drive = drive_of(log)
+    has_rotors = drive is not None and drive[0] != "torque_command"
     grid = None if drive is None else make_grid(flight, drive[1])
-    model = None if grid is None or drive is None else identify(drive[0], grid)
-    has_rotors = log.rotor_speeds is not None or log.rotor_commands is not None
+    loss, model = None, None
+    if grid is not None and drive is not None:
+        loss, model = (
+            search_loss(drive[0], grid) if has_rotors else (None, identify(drive[0], grid, in_blocks(grid)))
+        )
     missing: list[NotJudged] = []
     can_see_loss = model is not None and bool(model.usable[:2].all())
-    if has_rotors and grid is not None and model is not None and can_see_loss and not found:
-        loss = find_loss(grid, model)
-        found += [] if loss is None else [_loss_found(flight, grid, model, loss)]
+    found = list(_standing(flight))
+    if grid is not None and model is not None and loss is not None:
+        found.append(_loss_found(flight, grid, model, loss))
+    found = _first(found)
+    has_rotors = log.rotor_speeds is not None or log.rotor_commands is not None
     trim = trim_of(flight)
     if trim is not None:
         healthy = None if baseline is None else trim_of(prepare(baseline))
@@ -64,6 +77,19 @@ def judge_rotors(flight: Flight, baseline: FlightLog | None) -> Rotors:
             missing.append(_not_judged("the baseline has no steady flight with rotor commands or speeds"))
     missing += _missing(has_rotors, trim is not None, baseline is not None, drive is not None, grid, model)
     return Rotors(found, model, has_rotors and (can_see_loss or trim is not None), missing)
+
+
+def _first(found: list[Found]) -> list[Found]:
+    """Keep the rotor that failed first: a controller that flies on stops others on purpose."""
+    if len(found) < 2:
+        return found
+    order = sorted(found, key=lambda each: each.finding.onset_s)
+    first = order[0]
+    same = [each for each in order[1:] if each.finding.element == first.finding.element]
+    best = next((each for each in [first, *same] if each.finding.kind == "off"), first)
+    said = tuple(dict.fromkeys([*best.finding.evidence, *first.finding.evidence]))
+    finding = best.finding.model_copy(update={"onset_s": first.finding.onset_s, "evidence": said})
+    return [Found(finding, best.curve or first.curve, True)]
 
 
 def _not_judged(reason: str) -> NotJudged:
@@ -112,19 +138,41 @@ def _standing(flight: Flight) -> Iterator[Found]:
             start, end = float(sensor.time[run.start]), float(sensor.time[run.stop - 1])
             if end - start < max(STANDS_FOR, 1.5 / sensor.rate):
                 continue
+            asked = _asked_share(flight.log, rotor, start, min(end, start + 0.5))
+            if asked is not None and asked < STANDS:
+                continue  # it stands as it is told to
             speed, rest = float(speeds[run, rotor].mean()), float(others[run].mean())
-            said = f"it turns at {speed:.0f} rad/s while the others turn at {rest:.0f} rad/s"
+            said = [f"it turns at {speed:.0f} rad/s while the others turn at {rest:.0f} rad/s"]
+            said.append(
+                "whether it was told to is not logged"
+                if asked is None
+                else f"it is asked for {100 * asked:.0f} % of what the others are asked for"
+            )
             finding = make_finding(
                 *("rotor", str(rotor + 1), "off", start),
                 end_s=None if end > float(sensor.time[flying][-1]) - STANDS_FOR else end,
                 size=1.0 - (speed / rest) ** 2,
                 unit="1",
-                evidence=(said,),
+                probability=UNASKED if asked is None else CERTAIN,
+                ambiguous_with=("command",) if asked is None else (),
+                evidence=tuple(said),
             )
             lines = {f"rotor {k + 1}": sensor.value[:, k] for k in range(speeds.shape[1])}
             span = (start - AROUND, min(end, start + 2.0) + AROUND)
-            yield Found(finding, curve_around("speed of the rotors", "rad/s", sensor.time, lines, span))
+            yield Found(finding, curve_around("speed of the rotors", "rad/s", sensor.time, lines, span), True)
             break
+
+
+def _asked_share(log: FlightLog, rotor: int, start: float, end: float) -> float | None:
+    """Mean command of a rotor over that of the others; None where commands are not logged."""
+    commands = log.rotor_commands
+    if commands is None or commands.value.shape[1] <= rotor:
+        return None
+    rows = slice(*np.searchsorted(commands.time, (start, end)))
+    part = commands.value[rows]
+    if not len(part):
+        return None
+    return float(np.nanmean(part[:, rotor]) / max(float(np.nanmean(np.delete(part, rotor, axis=1))), 1e-9))
 
 
 def _loss_found(flight: Flight, grid: Grid, model: Identified, loss: Loss) -> Found:
@@ -137,7 +185,7 @@ def _loss_found(flight: Flight, grid: Grid, model: Identified, loss: Loss) -> Fo
     if after.sum() > 10:
         change = grid.inputs[after][:50].mean(axis=0) / np.maximum(grid.inputs[~after].mean(axis=0), 1e-9)
         said.append(f"it is driven at {100 * change[loss.rotor]:.0f} % of what it was before")
-    other = () if loss.second is None else (f"rotor {loss.second + 1}",)
+    other = () if loss.second is None else (f"rotor/{loss.second + 1}",)
     finding = make_finding(
         *("rotor", str(loss.rotor + 1), "off" if loss.share > ALL_OF_IT else "loss", loss.onset),
         size=min(loss.share, 1.0),
@@ -147,7 +195,7 @@ def _loss_found(flight: Flight, grid: Grid, model: Identified, loss: Loss) -> Fo
         ambiguous_with=other,
         evidence=tuple(said),
     )
-    return Found(finding, _unexplained_curve(grid, model, loss.onset))
+    return Found(finding, _unexplained_curve(grid, model, loss.onset), True)
 
 
 def _unexplained_curve(grid: Grid, model: Identified, onset: float) -> Curve:
@@ -169,7 +217,7 @@ def _weak_found(flight: Flight, weak: Weak, has_baseline: bool) -> Found:
     ]
     if not has_baseline:
         said.append("a centre of mass off the middle looks much the same: a healthy flight settles it")
-    others = tuple(f"rotor {k + 1}" for k in weak.others)
+    others = tuple(f"rotor/{k + 1}" for k in weak.others)
     finding = make_finding(
         *("rotor", str(number), "loss", flight.intervals[0].start),
         size=weak.loss,

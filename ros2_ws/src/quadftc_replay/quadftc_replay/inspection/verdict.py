@@ -37,7 +37,9 @@ class Finding(_Strict):
     sigma: float | None = Field(ge=0.0, description="standard deviation of the size; null: not known")
     unit: str = Field(description="of size and sigma; '1' for shares, '' without a size")
     probability: float = Field(ge=0.0, le=1.0, description="that this component is at fault")
-    ambiguous_with: tuple[str, ...] = Field(description="what the same samples might mean as well")
+    ambiguous_with: tuple[str, ...] = Field(
+        description="what the samples might mean as well: component/element, or a word"
+    )
     evidence: tuple[str, ...] = Field(description="one sentence each: what was measured, against what")
 
     @property
@@ -115,7 +117,11 @@ def _describe(finding: Finding) -> str:
         "unknown": f"{finding.name} is at fault",
     }[finding.kind]
     until = "" if finding.end_s is None else f" to {finding.end_s:.2f} s"
-    doubt = f" (or {join(list(finding.ambiguous_with), 'or')})" if finding.ambiguous_with else ""
+    doubt = (
+        f" (or {join([each.replace('/', ' ') for each in finding.ambiguous_with], 'or')})"
+        if finding.ambiguous_with
+        else ""
+    )
     return f"{what} from {finding.onset_s:.2f} s{until}{doubt}"
 
 
