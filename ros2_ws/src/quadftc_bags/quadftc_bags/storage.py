@@ -38,7 +38,10 @@ _READERS: dict[int, Callable[[ReadDataStream], Header | Schema | Channel | Attac
     Opcode.ATTACHMENT: Attachment.read,
     Opcode.METADATA: Metadata.read,
 }
-_DAMAGE = (McapError, struct.error, zstandard.ZstdError, RuntimeError, UnicodeDecodeError, ValueError)
+_DAMAGE = (
+    *(McapError, struct.error, zstandard.ZstdError, RuntimeError, UnicodeDecodeError, ValueError),
+    *(OverflowError, MemoryError),
+)
 
 
 class BagError(ValueError):

@@ -21,8 +21,6 @@ PX4's frames are north-east-down and forward-right-down; `readers.frames` turns 
 
 from __future__ import annotations
 
-import contextlib
-import io
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -35,15 +33,17 @@ from quadftc_model.samples import ImuSample
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_replay.imu_recording import Floats, Recording, Stamps, clean_samples, keep_good_stamps
 from quadftc_replay.readers.frames import enu_flu_from_ned_frd, flu_from_frd
-
-Dataset = Mapping[str, NDArray]  # field, elements as name[k] -> (n,)
-
-ATTITUDE = "vehicle_attitude"
-# topic -> field; the first that is there is taken
-GYROS = {"sensor_combined": "gyro_rad", "vehicle_angular_velocity": "xyz"}
-FORCES = {"sensor_combined": "accelerometer_m_s2", "vehicle_acceleration": "xyz"}
-INVALID_TIME = 0x7FFFFFFF  # sensor_combined.accelerometer_timestamp_relative: no accelerometer in this sample
-SHOWN = 5  # resets in one warning
+from quadftc_replay.readers.ulog import (
+    ATTITUDE,
+    FORCES,
+    GYROS,
+    INVALID_TIME,
+    Dataset,
+    read_contents,
+    resets,
+    stamps_of,
+    vectors,
+)
 
 
 def is_ulog(path: Path) -> bool:
@@ -56,16 +56,18 @@ def recording_from_ulog(path: Path, topic: str = "", skip_backwards: bool = Fals
 
     ``topic`` is that of the gyro; empty: the first of `GYROS` that is there.
     """
-    data, corrupt = _read(path)
+    log = read_contents(path, (ATTITUDE, *GYROS, *FORCES))
+    data = {name: table for (name, instance), table in log.data.items() if instance == 0}
     name = _gyro_topic(data, topic, path)
     gyro, where = data[name], f"{path}: {name}"
-    kept = keep_good_stamps(_stamps(gyro), None, where, skip_backwards)
+    kept = keep_good_stamps(stamps_of(gyro), None, where, skip_backwards)
     rate = flu_from_frd(_columns(gyro, GYROS[name], 3, where)[kept.rows])
     q_xyzw, attitude_valid = _attitudes(data[ATTITUDE], kept.stamp_ns, rate, f"{path}: {ATTITUDE}")
     force, force_valid = _forces(data, kept.stamp_ns, path)
     imu = ImuSample(q_xyzw, rate, force, attitude_valid, np.ones(len(rate), np.bool_), force_valid)
     samples, absences = clean_samples(imu, kept.stamp_ns, where)
-    damage = [f"{path}: damaged; read what makes sense"] if corrupt else []
+    damage = [f"{path}: damaged; read what makes sense"] if log.corrupt else []
+    jumps = [f"{path}: {note}" for note in resets(data[ATTITUDE], int(kept.stamp_ns[0]))]
     return Recording(
         name=path.stem,
         path=path,
@@ -75,23 +77,8 @@ def recording_from_ulog(path: Path, topic: str = "", skip_backwards: bool = Fals
         imu=samples,
         torque=np.zeros((len(rate), 3)),
         rejected=kept.rejected,
-        warnings=(*damage, *kept.warnings, *absences, *_resets(data[ATTITUDE], kept.stamp_ns, path)),
+        warnings=(*damage, *kept.warnings, *absences, *jumps),
     )
-
-
-def _read(path: Path) -> tuple[dict[str, Dataset], bool]:
-    """Read the first instance of each topic needed; and whether the log is damaged."""
-    from pyulog import ULog  # takes its time, and is needed here only
-
-    try:
-        with path.open("rb") as stream, contextlib.redirect_stdout(io.StringIO()):  # the library prints
-            log = ULog(stream, [ATTITUDE, *GYROS, *FORCES])
-    except OSError as error:
-        raise BagError(f"{path}: {error.strerror or error}") from None
-    except Exception as error:  # whatever the library makes of bytes that are no log
-        raise BagError(f"{path}: not a PX4 log (ULog): {error}") from None
-    filled = [each for each in log.data_list if each.multi_id == 0 and len(each.data.get("timestamp", ()))]
-    return {each.name: each.data for each in filled}, log.file_corruption
 
 
 def _gyro_topic(data: Mapping[str, Dataset], wanted: str, path: Path) -> str:
@@ -106,25 +93,18 @@ def _gyro_topic(data: Mapping[str, Dataset], wanted: str, path: Path) -> str:
     return there[0]
 
 
-def _stamps(data: Dataset) -> Stamps:
-    """Time of each sample [ns] (n,)."""
-    micro = data["timestamp"].astype(np.int64)
-    sampled = data.get("timestamp_sample", micro).astype(np.int64)
-    return np.where(sampled > 0, sampled, micro) * 1000
-
-
 def _columns(data: Dataset, field: str, width: int, where: str) -> Floats:
     """Field with ``width`` elements (n, width)."""
-    try:
-        return np.stack([data[f"{field}[{k}]"].astype(np.float64) for k in range(width)], axis=-1)
-    except KeyError as error:
-        raise BagError(f"{where}: no field {error}; fields: {', '.join(data)}") from None
+    value = vectors(data, field, width)
+    if value is None:
+        raise BagError(f"{where}: no field '{field}' of {width} elements; fields: {', '.join(data)}")
+    return value
 
 
 def _attitudes(data: Dataset, stamp_ns: Stamps, rate: Floats, where: str) -> tuple[Floats, NDArray[np.bool_]]:
     """Attitude of each gyro sample (n, 4), and where there is one (n,)."""
     attitude = enu_flu_from_ned_frd(_columns(data, "q", 4, where))
-    stamps = _stamps(data)
+    stamps = stamps_of(data)
     chosen = nearest_rows(stamp_ns, stamps)
     there = chosen >= 0
     elapsed = np.where(there, stamp_ns - stamps[chosen], 0) / NANOSECONDS_PER_SECOND
@@ -156,20 +136,9 @@ def _forces(data: Mapping[str, Dataset], stamp_ns: Stamps, path: Path) -> tuple[
     if name is None:
         return np.zeros((len(stamp_ns), 3)), np.zeros(len(stamp_ns), np.bool_)
     force = flu_from_frd(_columns(data[name], FORCES[name], 3, f"{path}: {name}"))
-    last = np.searchsorted(_stamps(data[name]), stamp_ns, side="right") - 1
+    last = np.searchsorted(stamps_of(data[name]), stamp_ns, side="right") - 1
     valid = last >= 0
     relative = data[name].get("accelerometer_timestamp_relative")
     if relative is not None:
         valid &= relative[last] != INVALID_TIME
     return np.where(valid[:, None], force[last], 0.0), valid
-
-
-def _resets(data: Dataset, stamp_ns: Stamps, path: Path) -> list[str]:
-    """Warn of the times at which PX4's estimator has reset the attitude."""
-    counter = data.get("quat_reset_counter", np.zeros(1)).astype(np.int64)
-    rows = np.flatnonzero(np.diff(counter) != 0) + 1
-    if not len(rows):
-        return []
-    times = (_stamps(data)[rows] - stamp_ns[0]) / NANOSECONDS_PER_SECOND
-    shown = ", ".join(f"{time:.2f} s" for time in times[:SHOWN]) + (", ..." if len(times) > SHOWN else "")
-    return [f"{path}: the estimator of PX4 has reset the attitude {len(rows)} times, at {shown}: no fault"]

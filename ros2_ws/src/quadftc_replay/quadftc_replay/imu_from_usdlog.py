@@ -1,24 +1,12 @@
 """The recording of an IMU from a Crazyflie's log (uSD card).
 
-| sample | log: the first that is there |
-|---|---|
-| body rate | ``gyro`` [deg/s], ``ctrlLee.omega``, ``controller.r_`` [rad/s], ``stateEstimateZ.rate`` |
-| attitude | ``stateEstimate.q``, ``ctrlLee.rpy`` [rad], angles of ``stateEstimate`` or ``stabilizer`` [deg] |
-| specific force | ``acc`` [g] |
-| torque | ``ctrlLee.torque`` [N m] |
-| motor commands | ``motor.m1`` to ``m4`` [1/65535 of full thrust] |
-
-The event that has the body rate gives the stamps, since the start of the vehicle; all else is of the same
-event. The body frame is forward-left-up. Where the firmware keeps its old frame, in which pitch has the other
-sign (``controller``, ``stateEstimateZ``, angles in degrees), the sign is turned. The attitude is the
-vehicle's own estimate, to which this gyro has contributed.
-
-Source: bitcraze/crazyflie-firmware (stabilizer.c, controller_lee.c, controller_pid.c, power_distribution).
+`readers.crazyflie` says which variables are what. The event that has the body rate gives the stamps, since
+the start of the vehicle; all else is of the same event. The attitude is the vehicle's own estimate, to which
+this gyro has contributed.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -28,7 +16,7 @@ from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
 from quadftc_model.rotations import quaternion_from_euler
-from quadftc_model.samples import STANDARD_GRAVITY, ImuSample
+from quadftc_model.samples import ImuSample
 from quadftc_replay.imu_recording import (
     Floats,
     Recording,
@@ -37,40 +25,13 @@ from quadftc_replay.imu_recording import (
     keep_good_stamps,
     torque_before,
 )
+from quadftc_replay.readers.crazyflie import ANGLES, FIRST, QUATERNIONS, Source
 from quadftc_replay.usdlog import EventRows, read_usdlog
 
-DEGREE = math.pi / 180.0  # rad
-FULL = 65535.0  # motor command at full thrust
 SHOWN = 12  # variables in one line
-
-
-class Source(NamedTuple):
-    """Variables that give a quantity, and what they are multiplied with to be in SI, forward-left-up."""
-
-    names: Sequence[str]
-    scale: Sequence[float]
-
-
-def _source(group: str, elements: str, *scale: float) -> Source:
-    names = [f"{group}{element}" for element in elements.split()]
-    return Source(names, scale if len(scale) == len(names) else scale * len(names))
-
-
-RATES = (
-    _source("gyro.", "x y z", DEGREE),
-    _source("ctrlLee.omega", "x y z", 1.0),
-    _source("controller.r_", "roll pitch yaw", 1.0, -1.0, 1.0),
-    _source("stateEstimateZ.rate", "Roll Pitch Yaw", 1e-3, -1e-3, 1e-3),
+RATES, FORCES, MOTORS, TORQUES = (
+    FIRST[name] for name in ("gyros", "accelerometers", "rotor_commands", "torque_command")
 )
-QUATERNIONS = (_source("stateEstimate.q", "x y z w", 1.0),)
-ANGLES = (
-    _source("ctrlLee.rpy", "x y z", 1.0),
-    _source("stateEstimate.", "roll pitch yaw", DEGREE, -DEGREE, DEGREE),
-    _source("stabilizer.", "roll pitch yaw", DEGREE, -DEGREE, DEGREE),
-)
-FORCES = (_source("acc.", "x y z", STANDARD_GRAVITY),)
-TORQUES = (_source("ctrlLee.torque", "x y z", 1.0),)
-MOTORS = (_source("motor.m", "1 2 3 4", 1.0 / FULL),)
 
 
 class CrazyflieFlight(NamedTuple):

@@ -14,9 +14,11 @@ row is looked for. Warnings say how much was left out, and whether the check sum
 
 from __future__ import annotations
 
+import mmap
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from array import array
+from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,6 +31,7 @@ MAGIC = 0xBC
 TIMES = {1: ("I", 1_000_000), 2: ("Q", 1000)}  # version -> type of a time, its unit [ns]
 TYPES = "BbHhIief"  # of a variable: integers of 1, 2, 4 bytes, floats of 2 and 4
 CHECK_SUM = 4  # bytes at the end
+BLOCK = 1 << 20  # bytes gathered at a time
 MAX_STEP_NS = 10_000_000_000  # between two rows of a damaged log
 MAX_STAMP_NS = 2**62
 SHOWN = 20  # characters of a name that is none
@@ -65,23 +68,44 @@ def is_usdlog(path: Path) -> bool:
         return False
 
 
-def read_usdlog(path: Path) -> UsdLog:
-    """Read a log. A BagError of one line says where the header is wrong, and what was expected."""
+def read_usdlog(path: Path, wanted: Container[str] | None = None) -> UsdLog:
+    """Read a log, of each event the variables that are wanted, or all.
+
+    The file is mapped. A BagError of one line says where the header is wrong, and what was expected.
+    """
     try:
-        data = path.read_bytes()
+        with path.open("rb") as stream:
+            if not path.stat().st_size:  # cannot be mapped
+                return _read(b"", path, wanted)
+            with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+                return _read(data, path, wanted)
     except OSError as error:
         raise BagError(f"{path}: {error.strerror or error}") from None
+
+
+def _read(data: bytes | mmap.mmap, path: Path, wanted: Container[str] | None) -> UsdLog:
     header = _Header(data, path)
     events = header.events()
-    is_whole = zlib.crc32(memoryview(data)[:-CHECK_SUM]) == int.from_bytes(data[-CHECK_SUM:], "little")
+    is_whole = _check_sum(data) == int.from_bytes(data[-CHECK_SUM:], "little")
     rows = _Rows(data, events, header, len(data) - CHECK_SUM if is_whole else len(data), is_whole)
-    places: dict[int, list[int]] = {key: [] for key in events}
+    places = {key: array("Q") for key in events}
     end = header.at
     for key, at in rows:
         places[key].append(at)
         end = at + events[key].row.itemsize
-    read = {event.name: _columns(data, places[key], event, header.unit_ns) for key, event in events.items()}
+    read = {
+        event.name: _columns(data, places[key], event, header.unit_ns, wanted)
+        for key, event in events.items()
+    }
     return UsdLog(read, tuple(_damage(path, is_whole, rows, len(data) - end)))
+
+
+def _check_sum(data: bytes | mmap.mmap) -> int:
+    """CRC-32 of all but the last bytes, block by block."""
+    total = 0
+    for first in range(0, len(data) - CHECK_SUM, BLOCK):
+        total = zlib.crc32(data[first : min(first + BLOCK, len(data) - CHECK_SUM)], total)
+    return total
 
 
 def _damage(path: Path, is_whole: bool, rows: _Rows, left: int) -> Iterator[str]:
@@ -98,7 +122,7 @@ def _damage(path: Path, is_whole: bool, rows: _Rows, left: int) -> Iterator[str]
 class _Header:
     """Reads the header, byte by byte."""
 
-    def __init__(self, data: bytes, path: Path) -> None:
+    def __init__(self, data: bytes | mmap.mmap, path: Path) -> None:
         self.data, self.path, self.at = data, path, 0
         magic = self._number("B", "magic")
         if magic != MAGIC:
@@ -167,7 +191,12 @@ class _Rows:
     """Finds the rows up to a byte ``end``, and counts the bytes that are none."""
 
     def __init__(
-        self, data: bytes, events: Mapping[int, _Event], header: _Header, end: int, is_whole: bool
+        self,
+        data: bytes | mmap.mmap,
+        events: Mapping[int, _Event],
+        header: _Header,
+        end: int,
+        is_whole: bool,
     ) -> None:
         self.data, self.at, self.end, self.is_whole = data, header.at, end, is_whole
         self.sizes = {key: event.row.itemsize for key, event in events.items()}
@@ -206,10 +235,23 @@ class _Rows:
         return following is not None and abs(following[1] - time) <= self.step
 
 
-def _columns(data: bytes, places: list[int], event: _Event, unit_ns: int) -> EventRows:
-    """Gather the rows of an event."""
-    size = event.row.itemsize
-    table = np.frombuffer(b"".join([data[at : at + size] for at in places]), event.row)
-    with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
-        columns = {name: table[f"f{k}"].astype(np.float64) for k, name in enumerate(event.variables, 2)}
-    return EventRows(table["f1"].astype(np.int64) * unit_ns, columns)
+def _columns(
+    data: bytes | mmap.mmap,
+    places: array[int],
+    event: _Event,
+    unit_ns: int,
+    wanted: Container[str] | None,
+) -> EventRows:
+    """Gather the rows of an event, block by block."""
+    names = {name: f"f{k}" for k, name in enumerate(event.variables, 2) if wanted is None or name in wanted}
+    stamp_ns = np.empty(len(places), np.int64)
+    columns = {name: np.empty(len(places)) for name in names}
+    size, step = event.row.itemsize, max(BLOCK // event.row.itemsize, 1)
+    for first in range(0, len(places), step):
+        block = slice(first, first + step)
+        table = np.frombuffer(b"".join([data[at : at + size] for at in places[block]]), event.row)
+        stamp_ns[block] = table["f1"].astype(np.int64) * unit_ns
+        with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
+            for name, field in names.items():
+                columns[name][block] = table[field]
+    return EventRows(stamp_ns, columns)

@@ -13,7 +13,7 @@ from quadftc_replay.flight_log import FlightLog
 from quadftc_replay.readers import read_log
 from quadftc_replay.readers.crazyflie import distribute
 from quadftc_replay.readers.layouts import FRAMES, frame_layout
-from quadftc_replay.readers.signals import good_stamps
+from quadftc_replay.readers.signals import good_stamps, sound
 
 DATA = next(
     (
@@ -86,6 +86,48 @@ def test_real_attitude_turns_with_the_gyro():
             turned = np.gradient(angles[:, axis], time)
             measured = np.interp(time, gyro.time, gyro.value[:, axis])
             assert np.corrcoef(turned, measured)[0, 1] > 0.4, (path, axis)
+
+
+@needs_data
+@pytest.mark.parametrize(
+    "name",
+    [
+        "px4/motor_failure.ulg",
+        "crazyflie/crazyswarm2/log104",
+        "crazyflie/crazypad/motor_data-normal_flight-E9_log00",
+        "broad/10_slow_translation_a/10_slow_translation_a_0.mcap",
+    ],
+)
+def test_damaged_real_log_is_read_or_refused_in_one_line(tmp_path, name):
+    whole, rng = (DATA / name).read_bytes(), np.random.default_rng(4)
+    path = tmp_path / "log"
+    for trial in range(4 if len(whole) > 5_000_000 else 16):
+        data = bytearray(whole[: rng.integers(1, len(whole))] if trial % 4 == 0 else whole)
+        # bits of the beginning, of all, or a whole piece
+        if trial % 4 == 1:
+            for place in rng.integers(4, min(len(data), 20_000), 20).tolist():
+                data[place] = int(rng.integers(256))
+        elif trial % 4 == 2:
+            for place in rng.integers(0, len(data), 500).tolist():
+                data[place] ^= 1 << int(rng.integers(8))
+        elif trial % 4 == 3:
+            place = int(rng.integers(len(data) - 2000))
+            data[place : place + 2000] = rng.bytes(2000)
+        path.write_bytes(data)
+        problem = ""
+        try:
+            log = read_log(path)
+            assert log.end < 7200.0
+            assert all(np.all(np.diff(gyro.time) > 0.0) for gyro in log.gyros.values())
+        except BagError as error:
+            problem = str(error)
+        assert "\n" not in problem
+        assert not problem or problem.startswith(str(path))
+
+
+def test_damaged_parameters_are_left_out():
+    damaged = {"a": 4.0, "b": float("nan"), "c": 1e30, "d": b"\x00", "e": 3}
+    assert sound(damaged) == {"a": 4.0, "e": 3.0}
 
 
 @pytest.mark.parametrize("content", [b"", b"\xbc\x09", b"not a log at all"])

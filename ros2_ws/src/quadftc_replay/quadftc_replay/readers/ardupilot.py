@@ -41,7 +41,7 @@ from quadftc_replay.dataflash import read_dataflash
 from quadftc_replay.flight_log import FlightLog
 from quadftc_replay.readers.frames import enu_from_ned, flu_from_frd
 from quadftc_replay.readers.layouts import Layout, frame_layout
-from quadftc_replay.readers.signals import Signals, Stamps, columns, thrust_of_throttle
+from quadftc_replay.readers.signals import Signals, Stamps, columns, sound, thrust_of_throttle
 
 FORMAT = "ArduPilot BIN"
 Table = Mapping[str, NDArray[np.float64]]  # field to (n,)
@@ -77,10 +77,11 @@ def read(path: Path) -> FlightLog:
     for field, (fast, begin) in SENSORS.items():
         _add_sensors(signals, log.messages, field, fast, [f"{begin}{axis}" for axis in "XYZ"])
     _add_states(signals, log.messages)
-    layout, note = _layout(log.parameters, log.messages.get("RCOU"))
+    parameters = sound(log.parameters)
+    layout, note = _layout(parameters, log.messages.get("RCOU"))
     signals.notes += note
-    motors = _motors(log.parameters, layout)
-    _add_commands(signals, log.messages, log.parameters, motors)
+    motors = _motors(parameters, layout)
+    _add_commands(signals, log.messages, parameters, motors)
     _add_speeds(signals, log.messages, motors)
     return signals.flight_log(
         attitude_from_gyro=True if signals.has("attitude") else None,

@@ -98,6 +98,10 @@ SECOND = {
 }
 
 
+_LISTED = [*FIRST.values(), *SECOND.values(), QUATERNIONS, ANGLES, SPEEDS, (PID,)]
+WANTED = {name for sources in _LISTED for source in sources for name in source.names}
+
+
 class Taken(NamedTuple):
     """A quantity of a log."""
 
@@ -108,7 +112,7 @@ class Taken(NamedTuple):
 
 def read(path: Path) -> FlightLog:
     """Read a log; BagError if nothing in it can be used."""
-    log = read_usdlog(path)
+    log = read_usdlog(path, WANTED)
     signals = Signals(path, FORMAT)
     signals.notes += [warning.removeprefix(f"{path}: ") for warning in log.warnings]
     table = _Table(log.events)

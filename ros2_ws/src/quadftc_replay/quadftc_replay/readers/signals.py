@@ -16,6 +16,7 @@ from quadftc_replay.flight_log import FlightLog, Floats, Signal
 
 Stamps = NDArray[np.int64]
 MAX_PAUSE = 3600.0  # s; what is further from the other samples than this has a damaged stamp
+LARGEST = 1e9  # of a parameter
 NAMED = ("gyros", "accelerometers")
 
 
@@ -147,7 +148,17 @@ def _longest_increasing(stamp_ns: Stamps) -> NDArray[np.intp]:
 
 def columns(data: Mapping[str, NDArray[Any]], names: Iterable[str]) -> Floats:
     """Stack columns of a table (n, k)."""
-    return np.stack([np.asarray(data[name], np.float64) for name in names], axis=-1)
+    with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
+        return np.stack([np.asarray(data[name], np.float64) for name in names], axis=-1)
+
+
+def sound(parameters: Mapping[str, Any]) -> dict[str, float]:
+    """Keep the parameters that are numbers of a sensible size; others are damaged."""
+    return {
+        name: float(value)
+        for name, value in parameters.items()
+        if isinstance(value, (int, float)) and abs(value) < LARGEST  # False for NaN, too
+    }
 
 
 def rate_of(stamp_ns: Stamps) -> float:

@@ -35,10 +35,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
+from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_replay.flight_log import FlightLog, Floats
 from quadftc_replay.readers.frames import enu_flu_from_ned_frd, enu_from_ned, flu_from_frd
 from quadftc_replay.readers.layouts import Layout, frame_layout
-from quadftc_replay.readers.signals import Signals, Stamps, columns, rate_of, thrust_of_throttle
+from quadftc_replay.readers.signals import Signals, Stamps, columns, rate_of, sound, thrust_of_throttle
 
 FORMAT = "PX4 ULog"
 Dataset = Mapping[str, NDArray[Any]]  # field, elements as name[k] -> (n,)
@@ -123,7 +124,7 @@ def read_contents(path: Path, topics: Sequence[str] = TOPICS) -> Contents:
         raise BagError(f"{path}: not a PX4 log (ULog): {words}") from None
     filled = [each for each in log.data_list if len(each.data.get("timestamp", ()))]
     data = {(each.name, each.multi_id): each.data for each in filled}
-    return Contents(data, log.initial_parameters, log.file_corruption)
+    return Contents(data, sound(log.initial_parameters), log.file_corruption)
 
 
 def stamps_of(data: Dataset) -> Stamps:
@@ -225,7 +226,8 @@ def _add_setpoints(signals: Signals, log: Contents) -> None:
 def _add_rotors(signals: Signals, log: Contents) -> int:
     """Add speeds and commands of the rotors; return how many there are, 0 if that is not known."""
     kind = int(log.parameters.get("MAV_TYPE", 0))
-    count = int(log.parameters.get("CA_ROTOR_COUNT", 0)) or ROTORS_OF_TYPE.get(kind, 0)
+    count = int(log.parameters.get("CA_ROTOR_COUNT", 0))
+    count = count if 0 < count <= MAX_MOTORS else ROTORS_OF_TYPE.get(kind, 0)
     if (data := log.get(MOTORS)) and (value := vectors(data, "control", MAX_MOTORS)) is not None:
         used = np.flatnonzero(np.isfinite(value).any(axis=0))
         count = count or (int(used[-1]) + 1 if len(used) else 0)
@@ -291,12 +293,13 @@ def _layout(parameters: Mapping[str, float], count: int) -> Layout | None:
     return frame_layout(rotors, frame) if rotors == count else None
 
 
-def resets(data: Dataset) -> list[str]:
-    """Say at which times PX4's estimator has reset the attitude."""
+def resets(data: Dataset, start_ns: int | None = None) -> list[str]:
+    """Say when PX4's estimator has reset the attitude, after ``start_ns`` or the first attitude."""
     counter = data.get("quat_reset_counter", np.zeros(1)).astype(np.int64)
     rows = np.flatnonzero(np.diff(counter) != 0) + 1
     if not len(rows):
         return []
-    times = (stamps_of(data)[rows] - stamps_of(data)[0]) / 1e9
+    stamp_ns = stamps_of(data)
+    times = (stamp_ns[rows] - (stamp_ns[0] if start_ns is None else start_ns)) / NANOSECONDS_PER_SECOND
     shown = ", ".join(f"{time:.2f} s" for time in times[:SHOWN]) + (", ..." if len(times) > SHOWN else "")
     return [f"the estimator of PX4 has reset the attitude {len(rows)} times, at {shown}: no fault"]
