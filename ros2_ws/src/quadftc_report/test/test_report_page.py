@@ -263,8 +263,9 @@ def test_run_whose_component_is_not_installed_does_not_spoil_the_others(tmp_path
             raise MissingPartError("foreign: no fault observer 'psychic'")
         return flown("proposed")
 
-    for name, function in {"read_bag": lambda path: path, "is_replay": lambda bag: False}.items():
-        monkeypatch.setattr(report_module, name, function)
+    monkeypatch.setattr(report_module, "read_bag", lambda path: path)
+    for name in ("is_replay", "is_live"):
+        monkeypatch.setattr(report_module, name, lambda bag: False)
     monkeypatch.setattr(report_module, "run_from_bag", read)
     runs = [tmp_path / name for name in ("own", "foreign")]
     read_runs, _, left_out = report_module._read_all(runs, lambda _what, _share: None)
