@@ -10,12 +10,13 @@ from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
-from quadftc_replay.inspection.gyro import BODY_AXES
-from quadftc_replay.inspection.steps import LEVEL, Limits, join_ends, step_sizes, steps_of
+from quadftc_replay.inspection.gyro import BODY_AXES, change_at
+from quadftc_replay.inspection.steps import LEVEL, Limits, Step, join_ends, step_sizes, steps_of
 
 LIMITS = Limits(smallest=1.5, floor=0.1)  # m/s²
 PULSE = 0.1  # s; what goes back within it is a knock
 SEEN = 0.5  # 1; share of a step that another accelerometer has to show
+NEAR = 0.02  # s; over which another accelerometer is asked before and after a step
 REST = 0.15  # m/s²; largest scatter at rest
 REST_TIME = 2.0  # s
 OFFSET = 1.0  # m/s²; of the magnitude at rest
@@ -59,14 +60,10 @@ def _step_findings(
         yield Found(finding, curve_around(f"step of {component} {element}", "m/s²", sensor.time, lines, span))
 
 
-def _shows(sensor: Signal, step: object) -> bool:
-    onset, axis, size = (getattr(step, name) for name in ("onset", "axis", "size"))
-    reach = 0.02
-    before = sensor.value[slice(*np.searchsorted(sensor.time, (onset - reach, onset - 1e-6))), axis]
-    after = sensor.value[slice(*np.searchsorted(sensor.time, (onset + 1e-6, onset + reach))), axis]
-    if not len(before) or not len(after):
-        return False
-    return float(np.nanmean(after) - np.nanmean(before)) * np.sign(size) > SEEN * abs(size)
+def _shows(sensor: Signal, step: Step) -> bool:
+    """Whether another accelerometer shows the same step."""
+    change = change_at(sensor.time, sensor.value[:, step.axis], step.onset, NEAR)
+    return change is not None and change * np.sign(step.size) > SEEN * abs(step.size)
 
 
 def _rest_findings(component: str, sensor: Signal) -> Iterator[Found]:

@@ -99,13 +99,13 @@ def prepare(log: FlightLog) -> Flight:
 def rotor_level(log: FlightLog) -> Signal | None:
     """Return what lifts the vehicle, (n, 1), of rotors or thrust command; None: not logged."""
     if log.rotor_speeds is not None and len(log.rotor_speeds) > 1:
-        return Signal(log.rotor_speeds.time, _row_means(log.rotor_speeds.value**2))
+        return Signal(log.rotor_speeds.time, row_means(log.rotor_speeds.value**2))
     if log.rotor_commands is not None and len(log.rotor_commands) > 1:
-        return Signal(log.rotor_commands.time, _row_means(log.rotor_commands.value))
+        return Signal(log.rotor_commands.time, row_means(log.rotor_commands.value))
     return log.thrust_command if log.thrust_command is not None and len(log.thrust_command) > 1 else None
 
 
-def _row_means(values: Floats) -> Floats:
+def row_means(values: Floats) -> Floats:
     """Mean of the finite values of each row (n, 1); NaN where there is none."""
     there = np.isfinite(values)
     count = there.sum(axis=1, keepdims=True)

@@ -114,7 +114,7 @@ def _same(step: Step, other: Step) -> bool:
 
 def _shows(sensor: Signal, step: Step) -> bool:
     """Whether another gyro shows the same step."""
-    change = _change(sensor.time, sensor.value[:, step.axis], step.onset, 0.02)
+    change = change_at(sensor.time, sensor.value[:, step.axis], step.onset, 0.02)
     return change is not None and change * np.sign(step.size) > SEEN * abs(step.size)
 
 
@@ -125,11 +125,12 @@ def _explains(step: Step, creep: Creep) -> bool:
     return step.axis == creep.axis and overlap and abs(creep.size - step.size) < abs(step.size)
 
 
-def _change(time: Floats, values: Floats, moment: float, reach: float) -> float | None:
+def change_at(time: Floats, values: Floats, moment: float, reach: float) -> float | None:
     """Mean after a moment less that before it; None without samples."""
     before = values[slice(*np.searchsorted(time, (moment - reach, moment - 1e-6)))]
     after = values[slice(*np.searchsorted(time, (moment + 1e-6, moment + reach)))]
-    return float(np.nanmean(after) - np.nanmean(before)) if len(before) and len(after) else None
+    before, after = before[np.isfinite(before)], after[np.isfinite(after)]
+    return float(after.mean() - before.mean()) if len(before) and len(after) else None
 
 
 def _pulse_findings(name: str, pulses: Sequence[Step]) -> Iterator[Found]:
@@ -195,7 +196,7 @@ def _step_found(flight: Flight, component: str, sensor: Signal, step: Step, is_s
 def _rest_findings(flight: Flight, name: str, sensor: Signal) -> Iterator[Found]:
     """Say where a gyro reads a rate while the vehicle stands."""
     count = round(REST_TIME * sensor.rate)
-    if count < 10 or not flight.phases_known:
+    if count < 10 or len(sensor) < count or not flight.phases_known:
         return
     standing = ~flight.in_flight(sensor.time)
     blocks = len(sensor) // count

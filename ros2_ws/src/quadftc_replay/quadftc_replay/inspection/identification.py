@@ -82,7 +82,7 @@ def _is_there(sensor: Signal | None) -> bool:
         sensor is not None
         and len(sensor) > 20
         and sensor.rate >= SLOWEST
-        and bool(np.isfinite(sensor.value).any(axis=0).all())
+        and bool(np.isfinite(sensor.value).all(axis=1).sum() > 20)
     )
 
 
@@ -90,6 +90,8 @@ def bin_means(edges: Floats, sensor: Signal, hold: bool) -> Floats:
     """Means over bins (n - 1, k); a signal is held from sample to sample, or goes straight between them."""
     whole = np.isfinite(sensor.value).all(axis=1)
     time, value = sensor.time[whole], sensor.value[whole]
+    if len(time) < 2:
+        return np.full((len(edges) - 1, sensor.value.shape[1]), np.nan)
     steps = np.diff(time)[:, None]
     between = value[:-1] if hold else 0.5 * (value[:-1] + value[1:])
     total = np.concatenate([np.zeros((1, value.shape[1])), np.cumsum(between * steps, axis=0)])

@@ -163,7 +163,10 @@ def noise_findings(
     flying = flight.in_flight(sensor.time) & ~flight.near_impact(sensor.time)
     if flying.sum() < 200:
         return
-    ratio = noise / np.maximum(np.median(noise[flying], axis=0), 1e-12)
+    floor = np.median(noise[flying], axis=0)
+    if not np.all(floor > 0.0):  # an axis that repeats its readings has no noise to compare with
+        return
+    ratio = noise / floor
     for axis, name in enumerate(names):
         others = np.delete(ratio, axis, axis=1).max(axis=1)
         loud = flying & (ratio[:, axis] > level) & (ratio[:, axis] > OTHERS * others)

@@ -22,7 +22,7 @@ import numpy as np
 from scipy import special
 
 from quadftc_replay.flight_log import FlightLog, Signal
-from quadftc_replay.inspection.flight import Flight, rotor_level
+from quadftc_replay.inspection.flight import Flight, rotor_level, row_means
 from quadftc_replay.inspection.whitening import TO_SIGMA, Floats
 
 # 1; standard deviations of c, in roll, pitch, yaw. From flight to flight: three flights of a Crazyflie; pitch
@@ -91,7 +91,7 @@ def trim_of(flight: Flight) -> Trim | None:
         return None
     sensor = found[1]
     steady = flight.in_flight(sensor.time) & np.isfinite(sensor.value).all(axis=1)
-    mean = np.nanmean(sensor.value, axis=1)
+    mean = row_means(sensor.value)[:, 0]
     if not steady.any():
         return None
     usual = float(np.median(mean[steady]))

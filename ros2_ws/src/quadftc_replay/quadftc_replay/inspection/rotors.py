@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_replay.flight_log import FlightLog
-from quadftc_replay.inspection.flight import Flight, prepare
+from quadftc_replay.inspection.flight import Flight, prepare, row_means
 from quadftc_replay.inspection.found import CERTAIN, Curve, Found, confidence, curve_around, make_finding
 from quadftc_replay.inspection.identification import (
     Grid,
@@ -170,9 +170,11 @@ def _asked_share(log: FlightLog, rotor: int, start: float, end: float) -> float 
         return None
     rows = slice(*np.searchsorted(commands.time, (start, end)))
     part = commands.value[rows]
-    if not len(part):
+    own, others = part[:, rotor], np.delete(part, rotor, axis=1)
+    own, others = own[np.isfinite(own)], others[np.isfinite(others)]
+    if not len(own) or not len(others):
         return None
-    return float(np.nanmean(part[:, rotor]) / max(float(np.nanmean(np.delete(part, rotor, axis=1))), 1e-9))
+    return float(own.mean() / max(float(others.mean()), 1e-9))
 
 
 def _loss_found(flight: Flight, grid: Grid, model: Identified, loss: Loss) -> Found:
@@ -227,7 +229,7 @@ def _weak_found(flight: Flight, weak: Weak, has_baseline: bool) -> Found:
         ambiguous_with=others if has_baseline else (*others, "centre of mass"),
         evidence=tuple(said),
     )
-    mean = np.nanmean(sensor.value, axis=1)
+    mean = row_means(sensor.value)[:, 0]
     lines = {
         f"rotor {k + 1}": sensor.value[:, k] / np.maximum(mean, 1e-9) for k in range(sensor.value.shape[1])
     }

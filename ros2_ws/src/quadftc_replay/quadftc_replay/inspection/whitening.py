@@ -59,10 +59,12 @@ def find_gaps(time: Floats) -> Mask:
 
 def fit_autoregression(changes: Floats, order: int = ORDER) -> Floats:
     """Fit A(z) = 1 + a_1 z^-1 + ..., (order + 1,), to a stationary signal (n,) by Yule and Walker."""
+    if len(changes) < 4 * order:
+        return np.concatenate([[1.0], np.zeros(order)])
     bound = CLIP * scale(changes - np.median(changes))
     clipped = np.clip(changes, -bound, bound) if bound > 0.0 else changes
     count = len(clipped)
-    if count < 4 * order or not np.any(clipped):
+    if not np.any(clipped):
         return np.concatenate([[1.0], np.zeros(order)])
     spectrum = np.abs(np.fft.rfft(clipped, 2 * count)) ** 2
     covariance = np.fft.irfft(spectrum)[: order + 1] / count
