@@ -20,7 +20,7 @@ import struct
 from array import array
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ HEAD = b"\xa3\x95"
 BEGIN = 3  # bytes before the fields
 FORMAT_TYPE = 128
 FORMAT = struct.Struct("<BB4s16s64s")
-PARAMETER = "PARM"
+PARAMETER, PARAMETER_FIELDS = "PARM", ("Name", "Value")
 PAGE = 256  # bytes; logs written in pages have garbage behind their end
 BLOCK = 65536  # messages gathered at a time
 
@@ -40,7 +40,7 @@ BLOCK = 65536  # messages gathered at a time
 class DataflashLog(NamedTuple):
     """The messages that were asked for: name, such as ``IMU``, to field to (n,), in the unit of the log."""
 
-    messages: Mapping[str, Mapping[str, NDArray[np.float64]]]
+    messages: Mapping[str, Mapping[str, NDArray[Any]]]
     parameters: Mapping[str, float]  # at the end of the log
     notes: tuple[str, ...]  # one line each
 
@@ -51,31 +51,29 @@ class _Format(NamedTuple):
     factors: Mapping[str, float]  # of fields that are numbers
 
 
-def read_dataflash(path: Path, names: Collection[str]) -> DataflashLog:
-    """Read messages of some names; BagError if the file holds no format."""
+def read_dataflash(path: Path, names: Mapping[str, Collection[str]]) -> DataflashLog:
+    """Read messages of some names, of each some fields; BagError if the file holds no format."""
     try:
         with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
             scan = _Scan(data, {*names, PARAMETER})
             scan.run()
-            tables = {scan.formats[kind].name: scan.gather(kind) for kind in scan.places}
+            formats = {scan.formats[kind].name: kind for kind in scan.places}
+            messages = {
+                name: scan.gather(formats[name], names[name])
+                for name in names
+                if name in formats and len(scan.places[formats[name]])
+            }
+            parameters = scan.gather(formats[PARAMETER], PARAMETER_FIELDS) if PARAMETER in formats else {}
     except (OSError, ValueError) as error:
         raise BagError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     if not scan.formats:
         raise BagError(f"{path}: not an ArduPilot log: no format of a message (FMT) in it")
-    factors = {each.name: each.factors for each in scan.formats.values()}
-    messages = {name: _numbers(tables[name], factors[name]) for name in names if len(tables.get(name, ()))}
-    return DataflashLog(messages, _parameters(tables.get(PARAMETER)), tuple(scan.notes()))
+    return DataflashLog(messages, _parameters(parameters), tuple(scan.notes()))
 
 
-def _numbers(table: NDArray[np.void], factors: Mapping[str, float]) -> dict[str, NDArray[np.float64]]:
-    """Fields that are numbers, with their factors."""
-    with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
-        return {field: table[field].astype(np.float64) * factor for field, factor in factors.items()}
-
-
-def _parameters(table: NDArray[np.void] | None) -> dict[str, float]:
+def _parameters(table: Mapping[str, NDArray[Any]]) -> dict[str, float]:
     """Parameters by name; of those that come again the last counts."""
-    if table is None or not {"Name", "Value"} <= {*(table.dtype.names or ())}:
+    if not {*PARAMETER_FIELDS} <= table.keys():
         return {}
     return {_text(name): float(value) for name, value in zip(table["Name"], table["Value"], strict=True)}
 
@@ -158,15 +156,24 @@ class _Scan:
         if self.wrong_formats:
             yield f"{self.wrong_formats} formats of messages make no sense; left out"
 
-    def gather(self, kind: int) -> NDArray[np.void]:
-        """Copy the messages of a type out of the file."""
-        row = self.formats[kind].row
+    def gather(self, kind: int, fields: Collection[str]) -> dict[str, NDArray[Any]]:
+        """Copy fields of a type of message out of the file, block by block; numbers with their factors."""
+        row, factors = self.formats[kind].row, self.formats[kind].factors
         places = np.frombuffer(self.places[kind], np.uint64).astype(np.int64)
         view = np.frombuffer(self.data, np.uint8)
-        table = np.empty(len(places), row)
         span = np.arange(BEGIN, BEGIN + row.itemsize)
+        there = [field for field in fields if field in (row.names or ())]
+        columns: dict[str, NDArray[Any]] = {
+            field: np.empty(len(places), np.float64 if field in factors else row[field]) for field in there
+        }
         for first in range(0, len(places), BLOCK):
-            block = places[first : first + BLOCK]
-            table[first : first + BLOCK] = np.ascontiguousarray(view[block[:, None] + span]).view(row)[:, 0]
+            block = slice(first, first + BLOCK)
+            table = np.ascontiguousarray(view[places[block, None] + span]).view(row)[:, 0]
+            with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
+                for field in there:
+                    columns[field][block] = table[field]
         del view  # else the map could not be closed
-        return table
+        for field in there:
+            if (factor := factors.get(field, 1.0)) != 1.0:
+                columns[field] *= factor
+        return columns

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,7 @@ from quadftc_replay.imu_recording import (
     torque_before,
 )
 from quadftc_replay.readers.crazyflie import ANGLES, FIRST, QUATERNIONS, Source
+from quadftc_replay.readers.signals import columns as stack
 from quadftc_replay.usdlog import EventRows, read_usdlog
 
 SHOWN = 12  # variables in one line
@@ -64,7 +65,7 @@ def flight_from_usdlog(path: Path, topic: str = "", skip_backwards: bool = False
         source = _find(columns, sources)
         if source is None:
             return None
-        return np.stack([columns[name][kept.rows] for name in source.names], axis=-1) * source.scale
+        return stack({name: columns[name][kept.rows] for name in source.names}, source.names) * source.scale
 
     rate, q_xyzw, angles, torque = take(RATES), take(QUATERNIONS), take(ANGLES), _find(columns, TORQUES)
     assert rate is not None  # the event was chosen so
@@ -129,7 +130,7 @@ def _choose_event(events: Mapping[str, EventRows], wanted: str, path: Path) -> s
     return chosen
 
 
-def _find(columns: Mapping[str, NDArray[np.float64]], sources: Sequence[Source]) -> Source | None:
+def _find(columns: Mapping[str, NDArray[Any]], sources: Sequence[Source]) -> Source | None:
     return next((source for source in sources if all(name in columns for name in source.names)), None)
 
 

@@ -20,7 +20,7 @@ import zlib
 from array import array
 from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,9 +41,7 @@ class EventRows(NamedTuple):
     """What was logged at one kind of event, such as ``fixedFrequency``."""
 
     stamp_ns: NDArray[np.int64]  # (n,) in the order of the file
-    columns: Mapping[
-        str, NDArray[np.float64]
-    ]  # variable, such as ``gyro.x``, to (n,), in the unit of the log
+    columns: Mapping[str, NDArray[Any]]  # variable, such as ``gyro.x``, to (n,), in type and unit of the log
 
 
 class UsdLog(NamedTuple):
@@ -245,13 +243,12 @@ def _columns(
     """Gather the rows of an event, block by block."""
     names = {name: f"f{k}" for k, name in enumerate(event.variables, 2) if wanted is None or name in wanted}
     stamp_ns = np.empty(len(places), np.int64)
-    columns = {name: np.empty(len(places)) for name in names}
+    columns = {name: np.empty(len(places), event.row[field]) for name, field in names.items()}
     size, step = event.row.itemsize, max(BLOCK // event.row.itemsize, 1)
     for first in range(0, len(places), step):
         block = slice(first, first + step)
         table = np.frombuffer(b"".join([data[at : at + size] for at in places[block]]), event.row)
         stamp_ns[block] = table["f1"].astype(np.int64) * unit_ns
-        with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
-            for name, field in names.items():
-                columns[name][block] = table[field]
+        for name, field in names.items():
+            columns[name][block] = table[field]
     return EventRows(stamp_ns, columns)

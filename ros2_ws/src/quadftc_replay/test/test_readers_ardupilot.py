@@ -82,7 +82,7 @@ def path(tmp_path) -> Path:
 
 
 def test_bytes_are_read_as_pymavlink_reads_them(path):
-    log = read_dataflash(path, ["IMU", "ATT", "XKF1"])
+    log = read_dataflash(path, {name: FORMATS[name][2].split(",") for name in ("IMU", "ATT", "XKF1")})
     theirs = DFReader_binary(str(path))
     for name in ("IMU", "ATT", "XKF1"):
         for row in range(3):

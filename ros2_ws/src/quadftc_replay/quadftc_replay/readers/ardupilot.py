@@ -46,15 +46,25 @@ from quadftc_replay.readers.signals import Signals, Stamps, columns, sound, thru
 FORMAT = "ArduPilot BIN"
 Table = Mapping[str, NDArray[np.float64]]  # field to (n,)
 
-SENSORS = {"gyros": ("GYR", "Gyr"), "accelerometers": ("ACC", "Acc")}  # other than IMU; beginning of fields
 ESTIMATES = ("XKF1", "NKF1", "EKF1")
 LEAST_SHARE = 0.01  # of the messages of the most frequent instance
 MAX_TIME = 2.0**62 / 1000.0  # µs
 INSTANCES = ("I", "Instance", "Inst", "C", "IMU")  # field that tells instances apart
-NAMES = (
-    *("IMU", "IMU2", "IMU3", "GYR", "ACC", "MAG", "ATT", "RATE", "ESC", "RCOU", "BAT"),
-    *ESTIMATES,
-)
+_GYRO, _FORCE = ([f"{begin}{axis}" for axis in "XYZ"] for begin in ("Gyr", "Acc"))
+_FIELDS = {
+    **dict.fromkeys(("IMU", "IMU2", "IMU3"), (*_GYRO, *_FORCE)),
+    "GYR": ("SampleUS", *_GYRO),
+    "ACC": ("SampleUS", *_FORCE),
+    "MAG": ("MagX", "MagY", "MagZ"),
+    "ATT": ("Roll", "Pitch", "Yaw"),
+    "RATE": ("R", "P", "Y", "ROut", "POut", "YOut", "AOut"),
+    "ESC": ("RPM",),
+    "RCOU": tuple(f"C{k + 1}" for k in range(14)),
+    "BAT": ("Volt",),
+    **dict.fromkeys(ESTIMATES, ("PN", "PE", "PD", "VN", "VE", "VD")),
+}
+SENSORS = {"gyros": ("GYR", _GYRO), "accelerometers": ("ACC", _FORCE)}  # message other than IMU, fields
+NAMES = {name: ("TimeUS", *INSTANCES, *fields) for name, fields in _FIELDS.items()}
 DEGREE = math.pi / 180.0  # rad
 RPM = 2.0 * math.pi / 60.0  # rad/s
 TOGETHER = 0.005e9  # ns; reports of ESCs within this time are one sample
@@ -74,8 +84,8 @@ def read(path: Path) -> FlightLog:
     log = read_dataflash(path, NAMES)
     signals = Signals(path, FORMAT)
     signals.notes += log.notes
-    for field, (fast, begin) in SENSORS.items():
-        _add_sensors(signals, log.messages, field, fast, [f"{begin}{axis}" for axis in "XYZ"])
+    for field, (fast, fields) in SENSORS.items():
+        _add_sensors(signals, log.messages, field, fast, fields)
     _add_states(signals, log.messages)
     parameters = sound(log.parameters)
     layout, note = _layout(parameters, log.messages.get("RCOU"))

@@ -149,7 +149,9 @@ class _Table:
             if fit := [name for name in self.events if set(source.names) <= self.events[name].columns.keys()]:
                 name = max(fit, key=lambda each: len(self.events[each].stamp_ns))
                 rows = self.events[name]
-                value = columns(rows.columns, source.names) * source.scale + source.offset
+                value = columns(rows.columns, source.names)
+                value *= source.scale
+                value += source.offset
                 return Taken(rows.stamp_ns, value, f"{name}: {', '.join(source.names)}")
         return None
 

@@ -44,15 +44,15 @@ class Signals:
         rows = np.asarray(value, np.float64)
         rows = rows.reshape(len(stamp_ns), -1)
         kept = np.flatnonzero(np.isfinite(rows).any(axis=1))
-        chosen, complaint = good_stamps(stamp_ns[kept])
-        kept = kept[chosen]
+        chosen, complaint = good_stamps(_take(stamp_ns, kept))
+        kept = _take(kept, chosen)
         if complaint:
             self.notes.append(f"{source}: {complaint}")
         if len(kept) < 2:
             if len(stamp_ns):
                 self.notes.append(f"{source}: {len(kept)} usable samples; left out")
             return False
-        signal = Stamped(stamp_ns[kept], rows[kept])
+        signal = Stamped(_take(stamp_ns, kept), _take(rows, kept))
         if field in self._named:
             self._named[field][name] = signal
         else:
@@ -106,6 +106,11 @@ class Signals:
                 self.notes.append(f"{name or 'main sensor'}: its stamps are of another clock; left out")
 
 
+def _take(values: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
+    """Rows of an array; the array itself if they are all of it."""
+    return values if len(rows) == len(values) else values[rows]
+
+
 def good_stamps(stamp_ns: Stamps) -> tuple[NDArray[np.intp], str]:
     """Choose rows with stamps that increase, near each other; say in words what was left out.
 
@@ -148,8 +153,9 @@ def _longest_increasing(stamp_ns: Stamps) -> NDArray[np.intp]:
 
 def columns(data: Mapping[str, NDArray[Any]], names: Iterable[str]) -> Floats:
     """Stack columns of a table (n, k)."""
+    arrays = [data[name] for name in names]
     with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
-        return np.stack([np.asarray(data[name], np.float64) for name in names], axis=-1)
+        return np.stack(arrays, axis=-1, dtype=np.float64, casting="unsafe")
 
 
 def sound(parameters: Mapping[str, Any]) -> dict[str, float]:
