@@ -45,7 +45,7 @@ class Witness(NamedTuple):
 
 
 def gyro_findings(
-    flight: Flight, gyros: Mapping[str, Signal], drives: Mapping[str, Signal | None], witness: Witness | None
+    flight: Flight, gyros: Mapping[str, Signal], witness: Witness | None
 ) -> tuple[list[Found], list[Creep]]:
     """Test all gyros (name: samples), the main one first.
 
@@ -55,7 +55,7 @@ def gyro_findings(
     left = list(witness.creeps) if witness is not None else []
     for number, (name, sensor) in enumerate(gyros.items()):
         others = [gyros[other] for other in gyros if other != name]
-        steps = steps_of(flight, sensor, LIMITS, drives.get(name), CANDIDATE)
+        steps = steps_of(flight, sensor, LIMITS, CANDIDATE)
         kept = [step for step in steps if not any(_shows(other, step) for other in others)]
         pulses = [step for step in kept if step.is_pulse and step.score > LEVEL]
         kept = [step for step in kept if not step.is_pulse]

@@ -109,7 +109,7 @@ def _sensors(
     is_own = log.attitude_from_gyro is not False
     jumps, creeps = disagreements(flight, agreement, is_own) if agreement is not None else ([], [])
     witness = Witness(creeps, not is_own) if agreement is not None else None
-    own, left = gyro_findings(flight, gyros, {}, witness)
+    own, left = gyro_findings(flight, gyros, witness)
     found += own
     for name, sensor in gyros.items():
         component = component_name("gyro", name)

@@ -27,6 +27,7 @@ LEVELS = 100  # different readings that a sensor has below a limit
 ABSENT = 0.2  # s
 OTHERS_GO_ON = 0.6  # 1; share of the samples that the other sensors have meanwhile
 WINDOW = 0.25  # s; of the noise
+CALM = 0.3  # 1; quantile of the noise in flight that is the usual one
 NOISY = 6.0  # times the usual noise
 NOISE_LASTS = 0.5  # s
 HANDLED = 3.0  # times as much and as long, where nobody knows what moves the vehicle
@@ -163,7 +164,7 @@ def noise_findings(
     flying = flight.in_flight(sensor.time) & ~flight.near_impact(sensor.time)
     if flying.sum() < 200:
         return
-    floor = np.median(noise[flying], axis=0)
+    floor = np.quantile(noise[flying], CALM if flight.phases_known else 0.5, axis=0)
     if not np.all(floor > 0.0):  # an axis that repeats its readings has no noise to compare with
         return
     ratio = noise / floor
@@ -176,7 +177,7 @@ def noise_findings(
         start, end = float(sensor.time[runs[0].start]), float(sensor.time[runs[-1].stop - 1])
         # the window is centred: it sees a begin half a window early, where the level is crossed late
         size = float(np.median(noise[runs[0], axis]))
-        usual = float(np.median(noise[flying, axis]))
+        usual = float(floor[axis])
         factor = size / usual
         said = f"noise of {show(size, unit)}, {factor:.0f} times the usual, while the other axes stay calm"
         finding = make_finding(

@@ -14,7 +14,7 @@ from quadftc_replay.inspection.whitening import find_steps, is_pulse, peaks
 
 Floats = NDArray[np.float64]
 
-LEVEL = 10.0  # standard deviations; the largest in healthy flights of a Crazyflie is 7
+LEVEL = 8.0  # standard deviations; the largest in healthy flights of Crazyflies and PX4 is 4.2
 SLOWEST = 80.0  # Hz; below, motion itself looks like steps
 PULSE = 0.03  # s; what goes back within it is a pulse
 APART = 12  # samples; within which there is one step
@@ -41,15 +41,8 @@ class Limits(NamedTuple):
     floor: float  # standard deviation of its noise, at least
 
 
-def steps_of(
-    flight: Flight, sensor: Signal, limits: Limits, drive: Signal | None = None, level: float = LEVEL
-) -> list[Step]:
-    """Find the steps of a sensor (n, 3) in flight, in the order of time; begins and ends alike.
-
-    ``drive`` is what a model predicts of it (n, 3), up to what is slow; NaN where it predicts nothing.
-    """
-    if drive is not None:
-        sensor = Signal(sensor.time, sensor.value - np.nan_to_num(drive.value))
+def steps_of(flight: Flight, sensor: Signal, limits: Limits, level: float = LEVEL) -> list[Step]:
+    """Find the steps of a sensor (n, 3) in flight, in the order of time; begins and ends alike."""
     time = sensor.time
     if sensor.rate < SLOWEST or len(sensor) < 200:
         return []
