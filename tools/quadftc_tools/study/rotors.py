@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_campaign.batch.engine import Engine
-from quadftc_campaign.batch.parts import with_common_faults
+from quadftc_campaign.batch.parts import differing, numbers_of, with_common_faults
 from quadftc_campaign.flights import parts_of
 from quadftc_cli.screen import say
 from quadftc_flight.scenario import Scenario, parse_scenario
@@ -166,13 +166,13 @@ def faulty_sensor(sensor: str, kind: str, key: str, axes: Sequence[str], bounds:
 
 def fly_all(cases: Sequence[Case], lanes: int = LANES) -> Iterator[Any]:
     """Fly all cases; yield what the observer says in each, arrays (samples, ...)."""
-    engine = Engine(lanes=lanes)
     parts = with_common_faults([parts_of(case.scenario) for case in cases])
+    # what differs anywhere may differ in each block: one compilation for all
+    engine = Engine(lanes=lanes, free=tuple(differing([numbers_of(part.loop) for part in parts])))
     for start in range(0, len(cases), lanes):
         block = slice(start, start + lanes)
-        outcomes = engine.fly(
-            parts[block], [case.scenario.fault_events for case in cases[block]], traced=True
-        )
+        events = [case.scenario.fault_events for case in cases[block]]
+        outcomes = engine.fly(parts[block], events, traced=True)
         yield from (outcome.trace.estimate for outcome in outcomes if outcome.trace is not None)
 
 
@@ -272,15 +272,14 @@ def mixed_row(label: str, cases: Sequence[Case], said: Sequence[Said]) -> tuple[
 
 def study_healthy(flights: int, lanes: int = 16) -> str:
     """Fly without a fault; return the table of what is named all the same."""
-    named, sensed = 0, 0
-    for start in range(0, flights, 4 * lanes):
-        seeds = range(start, min(start + 4 * lanes, flights))
-        cases = [case_of(SEEDS["healthy"] + seed, "", lambda _: ("", -1, 0.0), HEALTHY) for seed in seeds]
-        for case, estimate in zip(cases, fly_all(cases, lanes), strict=True):
-            said = hear(case, estimate, 0.0, HEALTHY)
-            named += bool(np.isfinite(said.rotors).any())
-            sensed += bool(np.isfinite(said.sensors).any())
-        say(f"{seeds[-1] + 1} healthy flights: a rotor named in {named}, a sensor in {sensed}", stderr=True)
+    seed, named, sensed = SEEDS["healthy"], 0, 0
+    cases = [case_of(seed + index, "", lambda _: ("", -1, 0.0), HEALTHY) for index in range(flights)]
+    for number, estimate in enumerate(fly_all(cases, lanes), 1):
+        said = hear(cases[number - 1], estimate, 0.0, HEALTHY)
+        named += bool(np.isfinite(said.rotors).any())
+        sensed += bool(np.isfinite(said.sensors).any())
+        if number % (4 * lanes) == 0:
+            say(f"{number} healthy flights: a rotor named in {named}, a sensor in {sensed}", stderr=True)
     hours = write_number(flights * HEALTHY / 3600.0)
     head = ("flights of 80 s", "hours", "flights in which a rotor is named", "a sensor")
     return markdown(head, [(str(flights), hours, str(named), str(sensed))])
