@@ -146,18 +146,22 @@ class ArduPilotPhysics:
                 self.counts["frame_count skipped"] += missing
             emission = self._simulator.advance(rotor_speeds(self._simulator.plant.vehicle, packet.pwm))
         self._frame = packet.frame_count
-        self.shown = self._show(emission, self._simulator.time)
+        self.shown = self._show(emission, self._simulator)
         return self.shown.line
 
-    def _show(self, emission: Emission, time: float) -> Shown:
-        """Put the faults on a sample; SITL needs all of them, so a value stays until the next one comes."""
+    def _show(self, emission: Emission, simulator: Simulator) -> Shown:
+        """Put the faults on a sample and on the rotors.
+
+        SITL needs all samples, so a value stays until the next one comes.
+        """
         injected = None
         if emission.sample is not None:
             injected = self._injector.apply(emission.sample_stamp_ns, emission.sample)
             self._sample = held(injected, self._sample)
+            simulator.set_rotors(injected.rotors)
         motion = emission.flight
         assert motion is not None
-        return Shown(emission, injected, state_line(time, self._sample, motion))
+        return Shown(emission, injected, state_line(simulator.time, self._sample, motion))
 
 
 def held(injected: Faulty, last: ImuSample) -> ImuSample:

@@ -1,5 +1,5 @@
 # pyright: basic
-"""The ArduPilot backend: flies a simulated vehicle for ArduPilot's simulation (SITL), with sensor faults.
+"""The ArduPilot backend: flies a simulated vehicle for ArduPilot's simulation (SITL), with faults.
 
     ros2 run quadftc_sim ardupilot_backend --ros-args -p vehicle:=x500 -p "faults:=['bias channel=gyro ...']"
     sim_vehicle.py -v ArduCopter --model JSON:127.0.0.1
@@ -63,7 +63,7 @@ class ArduPilotBackendNode(GraphNode):
             self.settings.declare_list(name, "each: kind key=value..., as of plant and fault_injector")
         self._values = self.settings.values()
         plant: Any = self._simulator(400.0).plant  # refuses wrong values now
-        self._values["start"] = [*plant.start[:2], -plant.feet[0, 2]]
+        self._values |= {"start": [*plant.start[:2], -plant.feet[0, 2]], "rotors": plant.command_size}
         self.physics = ArduPilotPhysics(self._simulator, partial(injector_from, self._values))
         self._publish_imu, self._imu = self.publishes("imu/data"), ImuWire()
         self._truth = {

@@ -34,7 +34,7 @@ def packet(count, pwm=1000, rate=RATE, magic=18458, channels=16):
 
 def physics(*faults, **changes):
     values = {"vehicle": "x500", "plant": "free_flight", "start": [5.0, 2.0, 0.123], "seed": 1, **changes}
-    injections = [injection_from(fault) for fault in faults]
+    injections = [injection_from(fault, len(VEHICLE.rotors.positions)) for fault in faults]
     return ArduPilotPhysics(
         lambda rate: simulator_from({**values, "rate": rate}), lambda: FaultInjector(1, injections)
     )
@@ -122,6 +122,16 @@ def test_fault_is_in_what_sitl_gets():
     np.testing.assert_allclose(np.subtract(faulty["gyro"], healthy["gyro"]), [0.0, -0.3, 0.0], atol=1e-12)
     added = np.subtract(faulty["accel_body"], healthy["accel_body"])
     np.testing.assert_allclose(added, [0.0, 0.0, -1.0], atol=1e-12)
+
+
+def test_rotor_that_loses_half_its_thrust_turns_the_vehicle():
+    made = physics("loss rotors=1 value=0.5 start=0.25s", start=[0.0, 0.0, 10.0])
+    gyro = np.array([state["imu"]["gyro"] for state in flown(made, 160, hover_pwm())])
+    x, y = VEHICLE.rotors.positions[0, :2]
+    np.testing.assert_allclose(gyro[:100], 0.0, atol=0.01)
+    # it falls to the side of the weak rotor: forward, right, down
+    assert gyro[-1, 0] * -y > 0.5 * abs(y)
+    assert gyro[-1, 1] * -x > 0.5 * abs(x)
 
 
 @pytest.mark.parametrize("fault", ["dropout channel=imu start=0.25s", "nan channel=gyro start=0.25s"])
