@@ -21,9 +21,9 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "controller = quadftc_control.controller_node:main",
-            "position_controller = quadftc_control.position_controller_node:main",
-            "reference = quadftc_control.reference_node:main",
+            "controller = quadftc_control.executables:controller",
+            "position_controller = quadftc_control.executables:position_controller",
+            "reference = quadftc_control.executables:reference",
         ],
     },
 )

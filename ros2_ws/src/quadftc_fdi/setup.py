@@ -21,9 +21,9 @@ setup(
     extras_require={"test": ["pytest"]},
     entry_points={
         "console_scripts": [
-            "fault_observer = quadftc_fdi.fault_observer_node:main",
-            "attitude_estimator = quadftc_fdi.attitude_estimator_node:main",
-            "disturbance_observer = quadftc_fdi.disturbance_observer_node:main",
+            "fault_observer = quadftc_fdi.executables:fault_observer",
+            "attitude_estimator = quadftc_fdi.executables:attitude_estimator",
+            "disturbance_observer = quadftc_fdi.executables:disturbance_observer",
         ],
     },
 )

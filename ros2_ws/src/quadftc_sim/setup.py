@@ -23,9 +23,9 @@ setup(
     extras_require={"test": ["pytest"], "mujoco": ["mujoco>=3.2"]},
     entry_points={
         "console_scripts": [
-            "plant = quadftc_sim.plant_node:main",
-            "fault_injector = quadftc_sim.fault_injector_node:main",
-            "ardupilot_backend = quadftc_sim.ardupilot_backend_node:main",
+            "plant = quadftc_sim.executables:plant",
+            "fault_injector = quadftc_sim.executables:fault_injector",
+            "ardupilot_backend = quadftc_sim.executables:ardupilot_backend",
         ],
     },
 )

@@ -25,9 +25,9 @@ from rclpy.task import Future
 from quadftc_ros.conversions import NANOSECONDS
 from quadftc_ros.node import GraphNode
 from quadftc_ros.node_help import help_text, running_line, wants_help
+from quadftc_ros.starting import STOPPING
 
 EXECUTORS = ("events", "single")
-STOPPING = (signal.SIGINT, signal.SIGTERM)
 LAUNCHER = "QUADFTC_LAUNCHER"  # environment variable: the process whose end ends this one
 NEAR = 100_000  # ns; an executor that sleeps may wake so late
 MAX_WORDS = 1000  # characters of what is said about a wrong parameter

@@ -38,6 +38,13 @@ sys.exit(run_node(Told))
 """
 
 
+IMPORTED = """
+import signal
+signal.raise_signal(signal.{})
+print("imported", flush=True)
+"""
+
+
 def start(*arguments, late="", **environment):
     """The node; while it shuts down, signals of the numbers ``late`` come."""
     return subprocess.Popen(
@@ -77,6 +84,18 @@ def test_signal_ends_a_node_in_order_and_a_second_changes_nothing(number):
         output, errors = process.communicate(timeout=PATIENCE)
     assert (process.returncode, errors) == (0, "")
     assert output.endswith("destroyed\n")
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_signal_ends_a_node_in_order_while_it_is_imported(tmp_path, name):
+    (tmp_path / "slow_node.py").write_text(IMPORTED.format(name), encoding="utf-8")
+    call = "import sys; from quadftc_ros.starting import executable; sys.exit(executable('slow_node')())"
+    path = f"{tmp_path}{os.pathsep}{os.environ['PYTHONPATH']}"
+    environment = {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run(
+        [sys.executable, "-c", call], env=environment, capture_output=True, check=False, timeout=PATIENCE
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
 
 
 @pytest.mark.parametrize(

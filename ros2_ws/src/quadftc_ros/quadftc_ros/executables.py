@@ -1,0 +1,5 @@
+"""The executables of this package: each imports its node when it is called."""
+
+from quadftc_ros.starting import executable
+
+recorder = executable("quadftc_ros.recorder_node")
