@@ -33,12 +33,6 @@ VECTORS = {
 }
 
 
-def more(bench, messages, count=1):
-    """Wait for so many more messages."""
-    wanted = len(messages) + count
-    bench.until(lambda: len(messages) >= wanted)
-
-
 @pytest.fixture(scope="module")
 def paper_scenario():
     return with_duration(load_scenario(find_scenario("paper_faults")), DURATION)
@@ -75,25 +69,19 @@ def test_diagnosis_that_falls_silent_is_flown_without_until_it_is_back():
         observer = graph.children.process_ids()["fault_observer"]
         assert graph.wait_until_connected()
         bench.connect()
-        stages = iter(
-            [
-                (ControlStatus.MODE_FULL, lambda: os.kill(observer, signal.SIGSTOP)),
-                (ControlStatus.MODE_NO_DIAGNOSIS, lambda: os.kill(observer, signal.SIGCONT)),
-                (ControlStatus.MODE_FULL, lambda: None),
-            ]
+        stages = (
+            (ControlStatus.MODE_FULL, signal.SIGSTOP),
+            (ControlStatus.MODE_NO_DIAGNOSIS, signal.SIGCONT),
+            (ControlStatus.MODE_FULL, signal.SIGCONT),
         )
-        stage = next(stages)
         passed = []
 
         def watch(_samples):
-            nonlocal stage
-            more(bench, states)
-            while stage is not None and states[-1].mode == stage[0]:
-                passed.append(stage[0])
-                stage[1]()
-                stage = next(stages, None)
-                more(bench, states, 10)
-            return stage is not None
+            for mode, then in stages:
+                bench.until(lambda mode=mode: states and states[-1].mode == mode)
+                passed.append(mode)
+                os.kill(observer, then)
+            return False
 
         try:
             graph.run(watch)
@@ -112,12 +100,12 @@ def test_faults_injected_in_flight_are_estimated(paper_scenario):
         answers = []
 
         def inject(_samples):
-            more(bench, estimates)
-            if not answers:
-                request = {"kind": "bias", "channel": "attitude", "axes": ["roll"]}
-                request |= {"parameter_names": ["value"], "parameter_values": [0.05]}
-                answers.append(bench.call(InjectFault, "fault_injector/inject", **request))
-            return abs(estimates[-1].vector.x - 0.05) > 0.005
+            bench.until(lambda: estimates)
+            request = {"kind": "bias", "channel": "attitude", "axes": ["roll"]}
+            request |= {"parameter_names": ["value"], "parameter_values": [0.05]}
+            answers.append(bench.call(InjectFault, "fault_injector/inject", **request))
+            bench.until(lambda: abs(estimates[-1].vector.x - 0.05) < 0.005)
+            return False
 
         graph.run(inject)
     assert answers[0].success
