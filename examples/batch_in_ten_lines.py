@@ -15,7 +15,7 @@ from quadftc_campaign.batch.jax_settings import environment
 os.environ.update(environment())  # flags that XLA reads once, so before JAX is imported
 
 from quadftc_campaign.batch.engine import Engine
-from quadftc_campaign.batch.tally import flight_record
+from quadftc_campaign.batch.records import flight_record
 from quadftc_campaign.flights import parts_of
 from quadftc_flight.scenario import find_scenario, load_scenario
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from quadftc_campaign.batch.engine import Engine
-from quadftc_campaign.batch.tally import fault_records, flight_record
+from quadftc_campaign.batch.records import fault_records, flight_record
 from quadftc_flight.flight import NO_STATE, VECTORS, onset_ns, unknown_flight
 from quadftc_flight.metrics import flight_metrics, look_up
 from quadftc_sim.assembly import EPOCH_NS

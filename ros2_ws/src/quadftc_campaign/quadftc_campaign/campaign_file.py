@@ -40,7 +40,7 @@ from typing import Annotated, Any, Literal, NamedTuple, cast
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
-from quadftc_campaign.batch.tally import ROOTS, VARIATION
+from quadftc_campaign.batch.records import ROOTS, VARIATION
 from quadftc_campaign.distributions import GRID, Distribution, distribution
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers

@@ -170,7 +170,7 @@ def _fly_loop(
 ) -> Iterator[tuple[Row, Rows]]:
     """Yield the metrics of each flight and of its faults, from the batch engine."""
     from quadftc_campaign.batch.engine import engine_of_process, lanes_for
-    from quadftc_campaign.batch.tally import fault_records, flight_record
+    from quadftc_campaign.batch.records import fault_records, flight_record
 
     engine = engine_of_process(campaign.precision == "float32", lanes_for(len(numbers)))
     events = [(*scenario.fault_events, *scenario.rotor_events) for scenario in scenarios]

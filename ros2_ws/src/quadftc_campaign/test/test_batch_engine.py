@@ -14,8 +14,9 @@ from batch_flights import AGREE, assert_same_flight, assert_same_metrics, traced
 from quadftc_campaign.batch.engine import Engine
 from quadftc_campaign.batch.loop_step import Row
 from quadftc_campaign.batch.parts import structure_of, with_common_faults
+from quadftc_campaign.batch.records import flight_record
 from quadftc_campaign.batch.staged_step import StagedStep
-from quadftc_campaign.batch.tally import Schedule, flight_record, schedule_of, update_tally
+from quadftc_campaign.batch.tally import Schedule, schedule_of, update_tally
 from quadftc_campaign.flights import parts_of
 from quadftc_control.controller import controllers
 from quadftc_fdi.diagnosis import report_flight
@@ -329,7 +330,7 @@ SINGLE = """
 import json, sys
 from quadftc_campaign.batch.engine import Engine
 from quadftc_campaign.batch.staged_step import StagedStep
-from quadftc_campaign.batch.tally import flight_record
+from quadftc_campaign.batch.records import flight_record
 from quadftc_campaign.flights import parts_of
 from quadftc_flight.scenario import parse_scenario
 scenario = parse_scenario(sys.stdin.read())

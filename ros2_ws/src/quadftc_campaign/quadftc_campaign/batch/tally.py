@@ -1,12 +1,11 @@
-"""What a batch keeps of each flight: sums and extremes of its samples, and the metrics from them.
+"""What a batch keeps of each flight: sums and extremes of its samples.
 
-The metrics are those of `quadftc_flight.metrics` and `quadftc_flight.diagnosis_metrics`. Sums are taken out
-and set to zero every few hundred samples, and added in double precision.
+Sums are taken out and set to zero every few hundred samples, and added in double precision. Metrics come from
+them in `batch.records`.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -16,11 +15,8 @@ from numpy.typing import NDArray
 
 from quadftc_campaign.batch.loop_step import Row
 from quadftc_flight.diagnosis_metrics import ESTIMATE_THRESHOLD_DEG, GRACE_TIME
-from quadftc_flight.diagnosis_metrics.columns import number
-from quadftc_flight.diagnosis_metrics.which_rotor import SAID as SAID_KINDS
-from quadftc_flight.diagnosis_metrics.which_rotor import SIZE_TIME, is_sized, name_rotors, rotor_confusion
-from quadftc_flight.diagnosis_metrics.which_rotor import TRUE as TRUE_KINDS
-from quadftc_flight.diagnosis_metrics.which_sensor import SAID, TRUE, UNSEEN, Naming, confusion, name_sensors
+from quadftc_flight.diagnosis_metrics.which_rotor import SIZE_TIME, name_rotors, rotor_confusion
+from quadftc_flight.diagnosis_metrics.which_sensor import UNSEEN, Naming, confusion, name_sensors
 from quadftc_flight.fault_schedule import SENSORS, FaultEvent
 from quadftc_flight.metrics import LOST
 from quadftc_model.arrays import Array, namespace
@@ -34,14 +30,6 @@ Floats = NDArray[np.float64]
 Arrays = dict[str, Array]
 
 ABOVE = float(np.radians(ESTIMATE_THRESHOLD_DEG))  # rad
-# root mean squares: the sum of squares of each, and the number of samples in it
-ROOTS = {
-    "tracking_rmse_deg": ("tracking", "delivered"),
-    "fault_estimate_rmse_deg": ("estimate", "known"),
-    "disturbance_estimate_rmse": ("disturbance", "delivered"),
-    "torque_rms": ("torque", "delivered"),
-}
-VARIATION = "torque_total_variation"
 
 
 class RotorSchedule(NamedTuple):
@@ -344,199 +332,3 @@ def _rotor_schedule(flights: Sequence[Sequence[FaultEvent]], rotors: int) -> Rot
                 event.stop,
             )
     return schedule
-
-
-def metric_of(name: str, outcome: Outcome) -> Floats:
-    """Return one of `ROOTS` or `VARIATION`, (3,); NaN where no sample counts."""
-    if name == VARIATION:
-        return _if(outcome.span > 0.0, outcome.sums["variation"] / max(outcome.span, 1e-9))
-    squares, count = (outcome.sums[key] for key in ROOTS[name])
-    root = np.sqrt(_mean(squares, count))
-    return np.degrees(root) if name.endswith("_deg") else root
-
-
-def flight_record(outcome: Outcome) -> dict[str, Any]:
-    """Metrics of the whole flight by name, or by ``name.axis``; None where no sample counts."""
-    sums, marks = outcome.sums, outcome.marks
-    of_axes = {
-        "tracking_rmse_deg": metric_of("tracking_rmse_deg", outcome),
-        "tracking_max_deg": np.degrees(_if(sums["delivered"], marks["tracking"])),
-        "fault_estimate_rmse_deg": metric_of("fault_estimate_rmse_deg", outcome),
-        "fault_estimate_max_deg": np.degrees(_if(sums["known"], marks["estimate"])),
-        "disturbance_estimate_rmse": metric_of("disturbance_estimate_rmse", outcome),
-        "torque_rms": metric_of("torque_rms", outcome),
-        VARIATION: metric_of(VARIATION, outcome),
-        "saturation_share": _mean(sums["saturated"], sums["delivered"]),
-        "max_tilt_deg": np.degrees(np.arccos(np.clip(marks["upright"], -1.0, 1.0))),
-        "starting_share": _mean(sums["starting"], sums["delivered"]),
-        "healthy_time_s": sums["healthy"] * outcome.period,
-        "false_alarms": sums["alarms"],
-        "false_alarm_time_s": sums["alarmed"] * outcome.period,
-        "healthy_estimate_max_deg": np.degrees(_if(sums["healthy"], marks["score"])),
-    }
-    of_axes |= {
-        "attitude_error_rms_deg": np.degrees(np.sqrt(_mean(sums["tracking"].sum(), sums["delivered"]))),
-        "attitude_error_max_deg": np.degrees(_if(sums["delivered"] > 0.0, marks["error"])),
-    }
-    unusable = bool(marks["unusable"] or marks.get("astray"))
-    record: dict[str, Any] = {
-        "finite": not unusable,
-        "lost": bool(marks["lost"] or unusable),
-        **_sensor_record(sums, outcome.period),
-        **_rotor_record(sums, outcome.period),
-    }
-    if "position" in sums:
-        of_axes |= _position_record(outcome)
-    for name, values in of_axes.items():
-        if np.ndim(values):
-            record |= {f"{name}.{axis}": number(value) for axis, value in zip(AXES, values, strict=True)}
-        else:
-            record[name] = number(values)
-    return record
-
-
-def _position_record(outcome: Outcome) -> dict[str, Floats]:
-    """Return how far a vehicle is from where it shall be, and from where it is taken to be."""
-    sums, count = outcome.sums, outcome.sums["delivered"]
-    return {
-        "position_rmse_m": np.sqrt(_mean(sums["position"].sum(), count)),
-        "position_max_m": np.sqrt(_if(count > 0.0, outcome.marks["position"])),
-        "position_estimate_rmse_m": np.sqrt(_mean(sums["position_estimate"].sum(), count)),
-    }
-
-
-def _sensor_record(sums: dict[str, Floats], period: float) -> dict[str, float]:
-    """Which sensors are named, over all axes; as in ``sensors`` of the metrics."""
-    confused = sums["confusion"].sum(axis=-1) * period
-    names = {
-        "false_namings": "misnamings",
-        "false_naming_time_s": "misnamed",
-        "healthy_time_s": "sensors_healthy",
-    }
-    scales = {"false_namings": 1.0}
-    return {
-        f"sensors.confusion_s.{true}.{said}": float(confused[row, column])
-        for row, true in enumerate(TRUE)
-        for column, said in enumerate(SAID)
-    } | {
-        f"sensors.{name}.{sensor}": float(sums[key][place]) * scales.get(name, period)
-        for name, key in names.items()
-        for place, sensor in enumerate(SENSORS)
-    }
-
-
-def _rotor_record(sums: dict[str, Floats], period: float) -> dict[str, float]:
-    """Which rotors are named; as in ``rotors`` of the metrics."""
-    if "rotors_confusion" not in sums:
-        return {}
-    seconds = sums["rotors_confusion"] * period
-    return {
-        f"rotors.confusion_s.{true}.{said}": float(seconds[row, column])
-        for row, true in enumerate(TRUE_KINDS)
-        for column, said in enumerate(SAID_KINDS)
-    } | {
-        "rotors.false_namings": float(sums["rotors_misnamings"].sum()),
-        "rotors.false_naming_time_s": float(sums["rotors_misnamed"].sum()) * period,
-        "rotors.healthy_time_s": float(sums["rotors_healthy"].sum()) * period,
-    }
-
-
-def fault_records(outcome: Outcome, events: Sequence[FaultEvent]) -> list[dict[str, Any]]:
-    """Metrics of each fault, as in the records of `quadftc_flight.diagnosis_metrics`.
-
-    Those of the attitude have what is known of its estimate, those of each sensor whether it was named, and
-    so those of each rotor, with what is known of its effectiveness.
-    """
-    places = {(event.component, event.axis): itertools.count() for event in events}
-    records: list[dict[str, Any]] = []
-    for event in events:
-        if event.component == ROTOR:
-            place, rotor = next(places[event.component, event.axis]), int(event.axis) - 1
-            records.append(_rotor_fault_record(outcome, event, (place, rotor)))
-            continue
-        place, axis = next(places[event.component, event.axis]), AXES.index(event.axis)
-        records.append(_naming_record(outcome, event, (SENSORS.index(event.component), place, axis)))
-        if event.component == "attitude":
-            records[-1] |= _fault_record(outcome, event, (place, axis))
-    return records
-
-
-def _naming_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int, int]) -> dict[str, Any]:
-    sums = {name: float(each[at]) for name, each in outcome.sums.items() if name.startswith("fault_")}
-    marks = {name: each[at].item() for name, each in outcome.marks.items() if name.startswith("fault_")}
-    stated = sums["fault_delivered"]
-    judged = marks["fault_sized"] and stated > 0.0
-    named, already = math.isfinite(marks["fault_named_at"]), marks["fault_already"]
-    alarmed = math.isfinite(marks["fault_alarm_at"])
-    shares = {
-        f"{name}_share": sums[f"fault_{name}"] / stated if stated else None
-        for name in ("named", "ambiguous", "misnamed")
-    }
-    return {
-        **event._asdict(),
-        "named": named if judged else None,
-        "already_named": already if judged else None,
-        "naming_delay_s": marks["fault_named_at"] - event.start if judged and named and not already else None,
-        "alarm_delay_s": marks["fault_alarm_at"] - event.start if judged and alarmed else None,
-        **shares,
-        "attitude_error_max_deg": math.degrees(marks["fault_error"]) if stated else None,
-    }
-
-
-def _rotor_fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]) -> dict[str, Any]:
-    sums = {name: float(each[at]) for name, each in outcome.sums.items() if name.startswith("rotor_")}
-    marks = {name: each[at].item() for name, each in outcome.marks.items() if name.startswith("rotor_")}
-    stated, settled = sums["rotor_delivered"], sums["rotor_settled"]
-    sized = settled > 0.0 and is_sized(event)
-    named, already = math.isfinite(marks["rotor_named_at"]), marks["rotor_already"]
-    delay = marks["rotor_named_at"] - event.start if named and not already else None
-    return {
-        **event._asdict(),
-        "named": named if stated else None,
-        "already_named": already if stated else None,
-        "naming_delay_s": delay,
-        "named_share": sums["rotor_named"] / stated if stated else None,
-        "misnamed_share": sums["rotor_misnamed"] / stated if stated else None,
-        "size_error_mean": sums["rotor_error"] / settled if sized else None,
-        "size_error_max": marks["rotor_error_max"] if sized else None,
-        "position_error_max_m": math.sqrt(marks["rotor_away"]) if stated else None,
-    }
-
-
-def _fault_record(outcome: Outcome, event: FaultEvent, at: tuple[int, int]) -> dict[str, Any]:
-    sums = {name: float(each[at]) for name, each in outcome.sums.items() if name.startswith("event")}
-    marks = {name: each[at].item() for name, each in outcome.marks.items() if name.startswith("event")}
-    known, stated = sums["event_known"], sums["event_delivered"]
-    sized = marks["event_sized"] and stated > 0.0
-    detected = math.isfinite(marks["event_detected"]) if sized else None
-    above = math.isfinite(marks["event_above"]) if sized else None
-    already, already_above = marks["event_already"], marks["event_already_above"]
-    trusted = math.isfinite(marks["event_trusted"])
-
-    def delay(name: str, since: float, there: bool | None) -> float | None:
-        return marks[name] - since if there else None
-
-    return {
-        **event._asdict(),
-        "detected": detected,
-        "already_declared": already if sized else None,
-        "detection_delay_s": delay("event_detected", event.start, detected and not already),
-        "declared_share": sums["event_declared"] / stated if stated else None,
-        "recovered": trusted if detected else None,
-        "recovery_delay_s": delay("event_trusted", event.stop, detected and trusted),
-        "above_threshold": above,
-        "above_threshold_delay_s": delay("event_above", event.start, above and not already_above),
-        "estimate_rmse_deg": math.degrees(math.sqrt(sums["event_squares"] / known)) if known else None,
-        "estimate_bias_deg": math.degrees(sums["event_error"] / known) if known else None,
-        "estimate_max_deg": math.degrees(marks["event_error"]) if known else None,
-        "estimate_peak_deg": math.degrees(marks["event_score"]) if stated else None,
-        "tracking_rmse_deg": math.degrees(math.sqrt(sums["event_tracking"] / stated)) if stated else None,
-    }
-
-
-def _mean(total: Floats, count: Any) -> Floats:
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-def _if(condition: Any, values: Any) -> Floats:
-    return np.where(condition, values, np.nan)

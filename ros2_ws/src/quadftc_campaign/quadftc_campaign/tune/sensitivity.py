@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_campaign.batch.parts import Progress, numbers_of
-from quadftc_campaign.batch.tally import ROOTS, Outcome, metric_of
+from quadftc_campaign.batch.records import ROOTS, metric_of
+from quadftc_campaign.batch.tally import Outcome
 from quadftc_campaign.campaign_file import Campaign, Variant
 from quadftc_campaign.flights import flight_scenario, parts_of
 from quadftc_flight.scenario import ROLES, Part, Problem, Scheme
