@@ -24,7 +24,7 @@ KNOWN_TO_ROSDEP = {
         "launch",
     ),
     *("launch_ros", "nav_msgs", "rcl_interfaces", "rclpy", "ros2service", "rosgraph_msgs", "sensor_msgs"),
-    *("rosidl_default_generators", "rosidl_default_runtime", "std_msgs", "std_srvs"),
+    *("rosidl_default_generators", "rosidl_default_runtime", "std_msgs", "std_srvs", "visualization_msgs"),
     *(f"python3-{name}" for name in ("hypothesis", "numpy", "pytest", "ruamel.yaml", "scipy", "yaml")),
 }
 

@@ -9,7 +9,7 @@ PACKAGE = "quadftc_bringup"
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="Launch files, parameter files and the Foxglove layout of the quadftc graph.",
+    description="Launch files, parameter files, Foxglove layout and RViz configuration of the quadftc graph.",
     license="Apache-2.0",
     maintainer="quadftc maintainers",
     maintainer_email="maintainers@quadftc.example",
@@ -20,6 +20,7 @@ setup(
         (f"share/{PACKAGE}/launch", sorted(glob("launch/*.launch.py"))),
         (f"share/{PACKAGE}/config", sorted(glob("config/*.yaml"))),
         (f"share/{PACKAGE}/foxglove", sorted(glob("foxglove/*.json"))),
+        (f"share/{PACKAGE}/rviz", sorted(glob("rviz/*.rviz"))),
     ],
     python_requires=">=3.10",
     install_requires=["setuptools"],

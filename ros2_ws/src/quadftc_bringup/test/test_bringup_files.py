@@ -1,6 +1,7 @@
 """The files of this package name only nodes, topics and message fields that exist."""
 
 import ast
+import importlib
 import importlib.metadata
 import json
 import re
@@ -78,6 +79,17 @@ def test_layout_shows_whole_messages_of_existing_topics():
     ]
     assert shown == ["diagnosis"]
     assert set(shown) <= set(TOPICS)
+
+
+def test_viewers_show_what_the_scene_publishes():
+    layout = json.loads((PACKAGE / "foxglove" / "quadftc.json").read_text())
+    rviz = yaml.safe_load((PACKAGE / "rviz" / "quadftc.rviz").read_text())["Visualization Manager"]
+    told = importlib.import_module("quadftc_ros.scene_node").__doc__
+    shown = {topic for panel in layout["configById"].values() for topic in panel.get("topics", {})}
+    for display in rviz["Displays"]:
+        shown |= {display[key]["Value"] for key in ("Topic", "Description Topic") if key in display}
+    assert {topic for topic in shown if topic.removeprefix("/") not in told} == set()
+    assert "/scene/markers" in shown
 
 
 def test_layout_places_every_panel_once():
