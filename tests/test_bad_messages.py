@@ -330,7 +330,7 @@ def test_injector_answers_any_request_and_flies_on():
 
 @pytest.mark.parametrize("mode", ["realtime", "lockstep"])
 def test_plant_flies_on_whatever_torque_comes(mode):
-    with Wired(partial(PlantNode, timed=False), mode, autostart=False) as wired:
+    with Wired(partial(PlantNode, timed=False), mode, start_when_connected=False) as wired:
         assert wired.call("start", Trigger.Request()).success
         assert not wired.call("start", Trigger.Request()).success
 

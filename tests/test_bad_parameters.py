@@ -25,7 +25,7 @@ from quadftc_sim.plant_node import PlantNode
 from wired_node import Wired
 
 NODES = {
-    "plant": (PlantNode, {"autostart": False}),
+    "plant": (PlantNode, {"start_when_connected": False}),
     "fault_injector": (FaultInjectorNode, {}),
     "reference": (ReferenceNode, {}),
     **{f"fault_observer {kind}": (FaultObserverNode, {"observer": kind}) for kind in fault_observers.names()},

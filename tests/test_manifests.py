@@ -22,6 +22,7 @@ KNOWN_TO_ROSDEP = {
         "diagnostic_msgs",
         "geometry_msgs",
         "launch",
+        "lifecycle_msgs",
     ),
     *("launch_ros", "nav_msgs", "rcl_interfaces", "rclpy", "ros2service", "rosgraph_msgs", "sensor_msgs"),
     *("rosidl_default_generators", "rosidl_default_runtime", "std_msgs", "std_srvs", "visualization_msgs"),

@@ -16,6 +16,7 @@ from geometry_msgs.msg import Vector3Stamped
 from rcl_interfaces.msg import ParameterDescriptor, ParameterValue, SetParametersResult
 from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParameters
 from rclpy.context import Context
+from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 from rclpy.qos import QoSProfile
@@ -191,6 +192,7 @@ def _destroy_half_made(error: Exception) -> None:
     wait for ever (ros2/rmw_fastrtps, issue 666).
     """
     made = [frame.f_locals.get("self") for frame, _ in traceback.walk_tb(error.__traceback__)]
-    node = next((each for each in made if isinstance(each, Node)), None)
+    node = next((each for each in made if isinstance(each, LifecycleNode)), None)
     if node is not None:
-        Node.destroy_node(node)  # its own class may need what was not made
+        LifecycleNode.destroy_node(node)  # its own class may need what was not made
+        node._state_machine.destroy_when_not_in_use()

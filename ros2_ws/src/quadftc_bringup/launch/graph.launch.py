@@ -131,7 +131,7 @@ def generate_launch_description() -> LaunchDescription:
     recording = IfCondition(NotEqualsSubstitution(bag, ""))
     nodes = [
         _node(*RECORDER, recording, directory=ParameterValue(bag, value_type=str)),
-        _node(*PLANT, IfCondition(simulate), autostart=False),  # makes the clock, so does not follow it
+        _node(*PLANT, IfCondition(simulate), start_when_connected=False),  # it makes the clock
         _node(*FAULT_INJECTOR, IfCondition(simulate), use_sim_time=clock),
         *(_node(*node, use_sim_time=clock) for node in ONBOARD),
         *(

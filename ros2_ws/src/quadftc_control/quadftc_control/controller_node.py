@@ -166,7 +166,8 @@ class ControllerNode(GraphNode):
         self._act(self._manager.take_raw, stamp_ns, imu)
 
     def _on_watchdog(self) -> None:
-        self._act(self._manager.watch, self.pace.now().nanoseconds)
+        if self.active:
+            self._act(self._manager.watch, self.pace.now().nanoseconds)
 
     def _act(self, decide: Callable[..., Command | None], *inputs: Any) -> None:
         """Publish what is kept for observers that restart, then the torque and how it came about."""

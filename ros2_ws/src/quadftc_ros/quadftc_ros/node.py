@@ -1,4 +1,4 @@
-"""What all nodes of the graph share: mode, parameters, topics by the table, connections, diagnostics."""
+"""What all nodes share: mode, lifecycle, parameters, topics by the table, connections, diagnostics."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
-from rclpy.node import Node
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from std_srvs.srv import Trigger
@@ -23,6 +23,7 @@ from quadftc_model.parameters import parameter
 from quadftc_model.stepper import MAX_GAP
 from quadftc_ros.conversions import NANOSECONDS, stamp_of
 from quadftc_ros.diagnostics import OK, WARN, Diagnostics, SampleTiming
+from quadftc_ros.lifecycle import ManagedNode
 from quadftc_ros.parameters import NodeParameters
 from quadftc_ros.qos import service_profile, topic_profile
 from quadftc_ros.topics import PLANT_KINDS, TOPICS, PlantKind, missing_connections
@@ -48,12 +49,15 @@ class GraphParameters:
         choices=PLANT_KINDS,
         doc="test_stand: the vehicle turns about a fixed point; free_flight: it flies",
     )
+    autostart: bool = parameter(
+        True, doc="active at once; else unconfigured, until the lifecycle services configure and activate it"
+    )
     trace: str = parameter(
         "", doc="file (.npz) for the times at which messages come and go, written at the end; empty: none"
     )
 
 
-class GraphNode(Node):
+class GraphNode(ManagedNode):
     """Base of the graph's nodes, named as in the table of topics; ValueError for a wrong parameter.
 
     ``tap(topic)`` returns what gets a serialised copy of what the node publishes on a topic, for a recorder
@@ -76,32 +80,40 @@ class GraphNode(Node):
         # for time-outs: does not jump when the machine's clock is set, stands still with a paused simulation
         self.pace = self.get_clock() if self.get_parameter("use_sim_time").value else self.steady_clock
         self._flying = False
+        self._begin_anew: Callable[[], None] = lambda: None
         self._outputs: dict[str, Publisher] = {}
         self._inputs: dict[str, Subscription] = {}
 
     def ready(self) -> None:
-        """Call at the end of the constructor: warns of unknown parameters and starts the diagnostics."""
+        """Call at the end of the constructor: warns of unknown parameters, starts diagnostics and node."""
         for complaint in self.settings.unknown():
             self.get_logger().warning(complaint)
         # on the steady clock, as the time of a simulation may stand still
         self._heartbeat = self.create_timer(HEARTBEAT[self.mode], self._beat, clock=self.steady_clock)
+        if self.settings.values()["autostart"]:
+            self.begin()
 
     def publishes(self, topic: str) -> Callable[[Any], None]:
-        """Create the publisher of a topic of the table; return its ``publish``, of messages or serialised."""
+        """Create the publisher of a topic of the table; return its ``publish``, of messages or serialised.
+
+        While the node is not active, nothing is published.
+        """
         row = TOPICS[topic]
         profile = topic_profile(row.qos, self.mode)
         publisher = self.create_publisher(load_message_class(row.type_name), topic, profile)
         self._outputs[topic] = publisher
-        publish = tapped(publisher, self._tap)
-        if self._trace is None or topic == "/clock":  # which has no header
-            return publish
-        note = self._trace.noting(f"given {topic}")
+        send = tapped(publisher, self._tap)
+        traced = self._trace is not None and topic != "/clock"  # which has no header
+        note = self._trace.noting(f"given {topic}") if self._trace is not None and traced else None
 
-        def noted(message: Any) -> None:
-            note(leading_stamp_ns(message) if isinstance(message, bytes) else stamp_of(message))
-            publish(message)
+        def publish(message: Any) -> None:
+            if not self.active:
+                return
+            if note is not None:
+                note(leading_stamp_ns(message) if isinstance(message, bytes) else stamp_of(message))
+            send(message)
 
-        return noted
+        return publish
 
     def reads(
         self, topic: str, callback: Callable[[int, Any], None], decode: Callable[[bytes], Any] | None = None
@@ -109,15 +121,22 @@ class GraphNode(Node):
         """Subscribe to a topic of the table; ``callback(stamp_ns, decode(serialised))``.
 
         ``decode`` is a function of `quadftc_ros.wire`, or ``bytes`` for a topic that mostly tells the time;
-        by default the callback gets the message. What cannot be decoded is counted.
+        by default the callback gets the message. What cannot be decoded is counted. While the node is not
+        active, only what is latched is taken.
         """
         row, count = TOPICS[topic], self.diagnostics.count
         message_class = load_message_class(row.type_name)
         decode = decode or partial(read_message, message_class=message_class)
         note: Note = self._trace.noting(f"taken {topic}") if self._trace else lambda stamp_ns: None
         receive = receiver(topic, decoding(topic, callback, decode, count), count, note)
+        once = row.qos == "latched"  # it does not come again
+
+        def take(data: bytes) -> None:
+            if self.active or once:
+                receive(data)
+
         profile = topic_profile(row.qos, self.mode)
-        self._inputs[topic] = self.create_subscription(message_class, topic, receive, profile, raw=True)
+        self._inputs[topic] = self.create_subscription(message_class, topic, take, profile, raw=True)
 
     def driven_by(
         self,
@@ -149,7 +168,11 @@ class GraphNode(Node):
         self.create_service(service, f"~/{name}", answer, qos_profile=service_profile())
 
     def offers_reset(self, restart: Callable[[], None], words: str) -> None:
-        """Create the service ``~/reset``, which calls ``restart()`` and answers with ``words``."""
+        """Create the service ``~/reset``, which calls ``restart()`` and answers with ``words``.
+
+        The transition ``cleanup`` calls it, too.
+        """
+        self._begin_anew = restart
 
         def answer(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
             restart()
@@ -157,6 +180,20 @@ class GraphNode(Node):
             return response
 
         self.offers("reset", Trigger, answer)
+
+    def forget(self) -> None:
+        """Forget what came, so that the next sample is the first."""
+        self._begin_anew()
+
+    def must_act(self) -> str:
+        """Return why the node must stay active; empty: it may rest."""
+        return "in lock-step the other nodes wait for each of its messages" * (self.lockstep and self._flying)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Rest, and say so at once."""
+        outcome = super().on_deactivate(state)
+        self._beat()
+        return outcome
 
     def connections(self) -> dict[str, int]:
         """Return how many publishers (of an input) or readers (of an output) each topic has now."""
@@ -206,6 +243,8 @@ class GraphNode(Node):
 
     def _refresh(self) -> None:
         """Report what every node does, and what this one has to say."""
+        level, words = (OK, "active") if self.active else (WARN, "not active: publishes nothing")
+        self.diagnostics.report("lifecycle", level, words)
         timing = self._timing
         if timing.began:
             values = timing.values(0 if self.lockstep else self.now_ns())

@@ -134,6 +134,8 @@ class RecorderNode(GraphNode):
 
     def _take_by_stamp(self, write: Input, data: bytes) -> None:
         stamp_ns = flight_stamp_ns(data)
+        if not self.active:
+            return
         if stamp_ns is None:
             self.diagnostics.count("messages without a stamp, not recorded")
         elif stamp_ns:  # how many come before the flight depends on how fast the processes start
@@ -143,9 +145,10 @@ class RecorderNode(GraphNode):
             write(data, stamp_ns, stamp_ns)
 
     def _take_by_clock(self, write: Input, data: bytes) -> None:
-        now_ns = time.time_ns()
-        self.received += 1
-        write(data, now_ns, now_ns)
+        if self.active:
+            now_ns = time.time_ns()
+            self.received += 1
+            write(data, now_ns, now_ns)
 
     def _check(self) -> None:
         """Report how the recording stands; in lock-step, where all goes by samples, only what is wrong."""

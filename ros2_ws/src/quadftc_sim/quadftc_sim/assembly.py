@@ -38,7 +38,9 @@ class PlantParameters:
     rate: float = parameter(250.0, unit="Hz", low=10.0, high=4000.0, doc="control rate")
     duration: float = parameter(0.0, unit="s", low=0.0, doc="length of the flight; 0: without end")
     seed: int = parameter(0, low=0, doc="of the sensor's noise and bias")
-    autostart: bool = parameter(True, doc="start as soon as the graph is connected; else wait for ~/start")
+    start_when_connected: bool = parameter(
+        True, doc="start as soon as the graph is connected; else wait for ~/start"
+    )
     torque_timeout: float = parameter(
         0.5,
         unit="s",

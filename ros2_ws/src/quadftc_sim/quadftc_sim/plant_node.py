@@ -85,7 +85,7 @@ class PlantNode(GraphNode):
         self.offers_reset(self._restart, "a new flight begins")
         self._timer: Any = None  # for the start of the flight, then for its samples
         self._torque_lost: bool | None = None  # as reported
-        if self._values["autostart"]:
+        if self._values["start_when_connected"]:
             self._call_every(0.05, self._start_when_connected)
         self.ready()
 
@@ -96,15 +96,15 @@ class PlantNode(GraphNode):
 
     @property
     def due_ns(self) -> int:
-        """When `tick` is due, by the monotonic clock [ns]; in lock-step never.
+        """When `tick` is due, by the monotonic clock [ns]; in lock-step and while it rests, never.
 
         A flight that is late catches up at twice its rate: others have to keep up with it.
         """
-        return NEVER_NS if self.lockstep else max(self.flight.due_ns, self._rests_until_ns)
+        return NEVER_NS if self.lockstep or not self.active else max(self.flight.due_ns, self._rests_until_ns)
 
     def start(self) -> bool:
-        """Begin the flight; False if it has begun already."""
-        if self.flight.emitted:
+        """Begin the flight; False if it has begun already, or the node is not active."""
+        if self.flight.emitted or not self.active:
             return False
         self._stop_timer()
         if self._timed:
@@ -123,6 +123,11 @@ class PlantNode(GraphNode):
             self._torque_lost = lost
             level, words = (ERROR, "does not come: zero acts") if lost else (OK, "comes")
             self.diagnostics.report("torque", level, f"{self._topic} {words}")
+
+    def resume(self) -> None:
+        """Begin a new flight if one was interrupted."""
+        if self.flight.emitted:
+            self._restart()
 
     def report(self) -> None:
         """Report how far the flight is, and in real time how far behind the clock."""
@@ -198,12 +203,13 @@ class PlantNode(GraphNode):
         """Emit what is due: a timer that is late by periods skips them; the flight does not."""
         slack_ns = self.flight.period_ns // 2  # as the timer's clock may drift from ours
         for _ in range(2):  # not more at a time, so that others get to work, too
-            if time.monotonic_ns() + slack_ns >= self.flight.due_ns:
+            if self.active and time.monotonic_ns() + slack_ns >= self.flight.due_ns:
                 self.tick()
 
     def _on_start(self, request: Any, response: Any) -> Any:
         response.success = self.start()
-        response.message = "started" if response.success else "the flight has begun already"
+        refusal = "the flight has begun already" if self.active else "the node is not active"
+        response.message = "started" if response.success else refusal
         return response
 
 

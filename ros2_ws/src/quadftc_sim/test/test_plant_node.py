@@ -26,7 +26,7 @@ class Flight:
 
     def __init__(self, bench, **parameters):
         self.bench = bench
-        self.node = bench.run(PlantNode, **{"autostart": False, "rate": 250.0, **parameters})
+        self.node = bench.run(PlantNode, **{"start_when_connected": False, "rate": 250.0, **parameters})
         self.imu = bench.listen("plant/imu")
         self.truth = {topic: bench.listen(topic) for topic in TRUTH}
         self.command = bench.talk("torque/command")
@@ -215,7 +215,7 @@ def test_plant_that_never_hears_a_command_says_so(bench):
 
 @pytest.mark.parametrize("use_sim_time", [False, True])
 def test_flight_starts_by_itself_when_the_graph_is_connected(lockstep_bench, use_sim_time):
-    flight = Flight(lockstep_bench, autostart=True, use_sim_time=use_sim_time)
+    flight = Flight(lockstep_bench, start_when_connected=True, use_sim_time=use_sim_time)
     lockstep_bench.until(lambda: flight.imu)
     assert stamps(flight.imu) == [FIRST_NS]
 
@@ -223,7 +223,7 @@ def test_flight_starts_by_itself_when_the_graph_is_connected(lockstep_bench, use
 @pytest.mark.parametrize("mode", ["realtime", "lockstep"])
 def test_imu_is_best_effort_in_real_time_and_reliable_in_lockstep(request, mode):
     bench = request.getfixturevalue("bench" if mode == "realtime" else "lockstep_bench")
-    node = bench.run(PlantNode, autostart=False)
+    node = bench.run(PlantNode, start_when_connected=False)
     offered = {
         topic: node.get_publishers_info_by_topic(node.resolve_topic_name(topic))[0].qos_profile.reliability
         for topic in ("plant/imu", "plant/attitude")
@@ -236,7 +236,7 @@ def test_imu_is_best_effort_in_real_time_and_reliable_in_lockstep(request, mode)
 
 
 def test_parameters_are_described_with_unit_range_and_meaning(bench):
-    bench.run(PlantNode, autostart=False)
+    bench.run(PlantNode, start_when_connected=False)
     rate = bench.describe("plant", "rate")
     assert rate.description == "control rate [Hz]"
     assert (rate.floating_point_range[0].from_value, rate.floating_point_range[0].to_value) == (10.0, 4000.0)
@@ -245,7 +245,7 @@ def test_parameters_are_described_with_unit_range_and_meaning(bench):
 
 
 def test_what_is_fixed_for_a_flight_cannot_be_changed(bench):
-    bench.run(PlantNode, autostart=False, rate=100.0)
+    bench.run(PlantNode, start_when_connected=False, rate=100.0)
     result = bench.set_parameter("plant", "rate", 200.0)
     assert not result.successful
     assert "read-only" in result.reason

@@ -91,7 +91,7 @@ class GraphPlan:
         """Return the parameters of one node: with the mode, less empty lists, which to ROS have no type."""
         values = {**self.parameters.get(node, {}), **self._common}
         if node == "plant":
-            values["autostart"] = False
+            values["start_when_connected"] = False
         if self.traces is not None:
             values["trace"] = str(self.traces / f"{node}.npz")
         return {name: value for name, value in values.items() if value != []}
