@@ -50,10 +50,23 @@ def test_directory_of_runs_gives_a_page_and_figures_for_print(runs: Path, tmp_pa
 
 
 def test_page_without_figures_for_print_names_none(runs: Path, tmp_path: Path):
-    done = report(runs / "busy-proposed", "--no-figures", "--out", tmp_path / "report.html")
+    tables = tmp_path / "tables"
+    done = report(
+        runs / "busy-proposed", "--no-figures", "--tables", tables, "--out", tmp_path / "report.html"
+    )
     assert done.returncode == 0, done.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["report.html"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["report.html", "tables"]
+    assert sorted(path.name for path in tables.iterdir()) == ["busy.csv", "busy.tex"]
     assert "report_figures" not in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_figure_is_drawn_alone_and_an_unknown_one_is_refused(runs: Path, tmp_path: Path):
+    done = report(runs, "--figure", "busy-torque", "--out", tmp_path / "some.html")
+    assert done.returncode == 0, done.stderr
+    assert sorted(path.name for path in tmp_path.rglob("*.*")) == ["busy-torque.pdf", "busy-torque.png"]
+    done = report(runs, "--figure", "6", "--out", tmp_path / "some.html")
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: no figure '6' of these runs; there are: busy-fault-roll, ")
 
 
 def test_truncated_bag_is_read_to_its_end_with_a_warning(runs: Path, tmp_path: Path):

@@ -149,12 +149,13 @@ def _error_ratio(comparison: Comparison[Recorded], run: Recorded) -> float | Non
     if not has_observer(run):
         return None
     runs = [run, *(each for each in comparison.runs if not has_observer(each))]
-    alike = [each for each in runs if each.is_whole and _controls(each) == _controls(run)]
+    alike = [each for each in runs if each.is_whole and controls(each) == controls(run)]
     errors = [metric(each, "attitude_error_max_deg") for each in alike[:2]]
     return errors[0] / errors[1] if len(errors) == 2 and all(errors) else None
 
 
-def _controls(run: Recorded) -> tuple[Any, ...]:
+def controls(run: Recorded) -> tuple[Any, ...]:
+    """Name the disturbance observer and the controller of a run."""
     return run.summary.get("disturbance_observer"), run.summary.get("controller")
 
 

@@ -28,6 +28,7 @@ from quadftc_report.confusion import COLUMNS, ROTOR_COLUMNS, Confusion, confusio
 from quadftc_report.description import Figure
 from quadftc_report.draw_plotly import plotly_figure, spec_of
 from quadftc_report.figures import flight_figures, replay_figures
+from quadftc_report.headline import headline
 from quadftc_report.tables import metric_tables
 from quadftc_report.wording import NOTHING, counted, listing, plain, short
 
@@ -103,6 +104,8 @@ def render(
     ``folder`` holds the figures for print, beside the page; None: there are none.
     """
     runs = [run for part in (*parts, *replayed) for run in part.comparison.runs]
+    headlines = [(part, headline(part.comparison)) for part in (*parts, *replayed)]
+    clearest = max((verdict for _, verdict in headlines), key=attrgetter("contrast"))
 
     return render_template(
         "report.html",
@@ -115,6 +118,8 @@ def render(
         overview_row=lambda runs: show_row(pool(metric(run, "diagnosis") for run in runs)),
         several=pool_replays([part.comparison for part in replayed]),
         heading=_heading(parts, replayed),
+        headlines=headlines,
+        picture=clearest.picture(),
         versions=listing(sorted({run.versions.get("quadftc", "unknown") for run in runs})),
         warnings=warnings,
         verdicts=VERDICTS,

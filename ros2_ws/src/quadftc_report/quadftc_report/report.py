@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     import polars as pl
 
     from quadftc_campaign.campaign_file import Campaign
+    from quadftc_report.description import Figure
+    from quadftc_report.page import Section
 
 SUFFIXES = (".html", ".htm")
 READING = 0.3  # share of the work; the rest is drawing
@@ -49,47 +51,113 @@ def write_report(
     out: Path,
     *,
     with_figures: bool = True,
+    tables: Path | None = None,
     progress: Progress = lambda _what, _share: None,
 ) -> ReportFiles:
     """Write the report on recorded runs and replays: a page that needs no other file and no network.
 
     ``paths`` are runs and replays, or directories of such; one without any raises BagError. No file is
     replaced before all are written. ``with_figures``: a directory beside the page gets the figures for print
-    (PNG, PDF). ``progress`` is called with the current task and the share of the work that is done.
+    (PNG, PDF). ``tables``: a directory that gets the metrics as CSV and LaTeX. ``progress`` is called with
+    the current task and the share of the work that is done.
     """
-    folder = out.parent / f"{out.stem}_figures"
+    folder = figures_beside(out)
     _check_place(out, folder)
-    found = find_runs(paths)
-    runs, replays, left_out = _read_all(found, progress)
-    warnings = (*left_out, *(line for each in (*runs, *replays) for line in each.warnings))
+    if tables is not None:
+        _check_folder(tables)
+    found = _gather(paths, progress)
 
-    from quadftc_report.comparison import compare
-    from quadftc_report.page import flight_sections, render, replay_sections
+    from quadftc_report.page import render
 
-    parts = flight_sections(compare(runs))
-    replayed = replay_sections(compare(replays, [part.key for part in parts]))
-    figures = [figure for part in (*parts, *replayed) for figure in part.figures]
-    page = render(parts, warnings, replayed, folder.name if with_figures else None)
+    page = render(found.flown, found.warnings, found.replayed, folder.name if with_figures else None)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=f".{out.stem}_", dir=out.parent) as name:
             made = Path(name, out.name)
             made.write_text(page, encoding="utf-8")
             if with_figures:
-                from quadftc_report.draw_matplotlib import save_figure
-
-                drawn: list[Path] = []
-                for index, figure in enumerate(figures):
-                    progress(figure.key, READING + (1.0 - READING) * index / len(figures))
-                    drawn += save_figure(figure, Path(name, folder.name))
-                folder.mkdir(exist_ok=True)
-                for file in drawn:
-                    file.replace(folder / file.name)
+                _draw(found.figures, folder, Path(name, folder.name), progress)
             made.replace(out)
+        if tables is not None:
+            from quadftc_report.table_files import write_tables
+
+            tables.mkdir(parents=True, exist_ok=True)
+            for part in (*found.flown, *found.replayed):
+                write_tables(part.comparison, tables)
     except OSError as error:
         raise ReportError(f"{out}: cannot be written: {error.strerror or error}") from None
-    flown, replayed = (tuple(run.name for run in recorded) for recorded in (runs, replays))
-    return ReportFiles(out, folder if with_figures else None, flown, replayed, warnings)
+    names = ([run.name for part in parts for run in part.comparison.runs] for parts in found[:2])
+    flown, replayed = map(tuple, names)
+    return ReportFiles(out, folder if with_figures else None, flown, replayed, found.warnings)
+
+
+def write_figures(
+    paths: Sequence[Path],
+    folder: Path,
+    chosen: Sequence[str],
+    *,
+    progress: Progress = lambda _what, _share: None,
+) -> list[Path]:
+    """Draw some figures of recorded runs and replays, without a page; return the files (PNG, PDF).
+
+    ``chosen`` are keys of figures, such as ``paper_faults-tracking-roll``, or numbers in the paper.
+    """
+    _check_folder(folder)
+    found = _gather(paths, progress)
+    figures: list[Figure] = []
+    for key in chosen:
+        fitting = [each for each in found.figures if key in (each.key, *map(str, each.paper_figures))]
+        if not fitting:
+            there = ", ".join(each.key for each in found.figures) or "none"
+            raise ReportError(f"no figure '{key}' of these runs; there are: {there}")
+        figures += fitting
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{folder.name}_", dir=folder.parent) as name:
+            return _draw(figures, folder, Path(name), progress)
+    except OSError as error:
+        raise ReportError(f"{folder}: cannot be written: {error.strerror or error}") from None
+
+
+def figures_beside(out: Path) -> Path:
+    """Return the directory of the figures of a page."""
+    return out.parent / f"{out.stem}_figures"
+
+
+class _Gathered(NamedTuple):
+    """What there is to show, scenario by scenario and recording by recording."""
+
+    flown: list[Section]
+    replayed: list[Section]
+    warnings: tuple[str, ...]
+
+    @property
+    def figures(self) -> list[Figure]:
+        return [figure for part in (*self.flown, *self.replayed) for figure in part.figures]
+
+
+def _gather(paths: Sequence[Path], progress: Progress) -> _Gathered:
+    """Read runs and replays, and describe their figures."""
+    runs, replays, left_out = _read_all(find_runs(paths), progress)
+    warnings = (*left_out, *(line for each in (*runs, *replays) for line in each.warnings))
+
+    from quadftc_report.comparison import compare
+    from quadftc_report.page import flight_sections, replay_sections
+
+    parts = flight_sections(compare(runs))
+    return _Gathered(parts, replay_sections(compare(replays, [part.key for part in parts])), warnings)
+
+
+def _draw(figures: Sequence[Figure], folder: Path, made: Path, progress: Progress) -> list[Path]:
+    """Draw figures for print in the directory ``made``, then move them into ``folder``."""
+    from quadftc_report.draw_matplotlib import save_figure
+
+    drawn: list[Path] = []
+    for index, figure in enumerate(figures):
+        progress(figure.key, READING + (1.0 - READING) * index / len(figures))
+        drawn += save_figure(figure, made)
+    folder.mkdir(exist_ok=True)
+    return [file.replace(folder / file.name) for file in drawn]
 
 
 def _read_all(
@@ -143,11 +211,15 @@ def _check_place(out: Path, folder: Path) -> None:
         raise ReportError(f"{out}: is a directory; expected the name of a file in it, such as report.html")
     if out.suffix.lower() not in SUFFIXES:
         raise ReportError(f"{out}: expected a name that ends in .html")
-    if folder.exists() and not folder.is_dir():
-        raise ReportError(f"{folder}: is in the way; the figures go into a directory of that name")
+    _check_folder(folder)
     above = next(place for place in (out.parent, *out.absolute().parents) if place.exists())
     if not above.is_dir():
         raise ReportError(f"{out}: {above} is not a directory")
     for place in (above, *(each for each in (folder, out) if each.exists())):
         if not os.access(place, os.W_OK):
             raise ReportError(f"{place}: may not be written to")
+
+
+def _check_folder(folder: Path) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise ReportError(f"{folder}: is in the way; expected a directory, or a name that is free")

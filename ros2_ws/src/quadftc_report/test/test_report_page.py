@@ -209,9 +209,21 @@ def test_every_figure_brings_what_it_is_drawn_from(page):
         for attributes, text in page.find("script", "type")
         if attributes["type"] == "application/json"
     }
-    assert len(plots) == len(specs) == 18
+    assert len(plots) == len(specs) == 19  # and the picture at the top
     for attributes, _ in plots:
         assert specs[attributes["data-figure"]]["data"], attributes["id"]
+
+
+def test_page_begins_with_a_verdict_on_each_scenario_and_one_picture(page):
+    verdicts = [
+        (each["class"], text) for each, text in page.find("li", "class") if "verdict" in each["class"]
+    ]
+    assert [look for look, _ in verdicts] == ["verdict", "verdict"]  # a check fails in each
+    assert verdicts[0][1].startswith("small: proposed declares no fault, estimates 1 fault within ")
+    assert "; without diagnosis " in verdicts[0][1]
+    assert "without" not in verdicts[1][1]
+    ids = [attributes["id"] for _, attributes, _ in page.elements if "id" in attributes]
+    assert ids.index("picture") < ids.index("summary")
 
 
 def test_scenario_parameters_versions_and_seed_are_told(page):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 from pathlib import Path
 
@@ -16,7 +17,9 @@ from quadftc_flight.run_directory import RecordedRun
 from quadftc_flight.scenario import Scenario, parse_scenario
 from quadftc_flight.summary import summary
 from quadftc_model import samples
-from quadftc_report.comparison import Comparison, compare, is_ideal, list_injections, tell_run
+from quadftc_report.comparison import Comparison, compare, is_ideal, list_injections, metric, tell_run
+from quadftc_report.headline import headline
+from quadftc_report.table_files import write_tables
 from quadftc_report.tables import Cell, metric_tables
 from quadftc_report.wording import each_axis, plain, short
 
@@ -247,6 +250,40 @@ def test_sentence_tells_tracking_detection_and_checks(three, runs):
     assert text["my-fast_one"].endswith("; declares none of 2 faults; passes 3 of 3 checks.")
     assert text["plain"].endswith("; has no fault observer; passes 0 of 1 check.")
     assert "check" not in text["pid"]
+
+
+def test_verdict_is_on_the_best_run_beside_the_one_without_diagnosis(three, runs):
+    found = headline(three)
+    error, bare = (metric(runs[name], "attitude_error_max_deg") for name in ("my-fast_one", "plain"))
+    assert (
+        f"holds the attitude within {short(error)} deg; without diagnosis {short(bare)} deg" in found.sentence
+    )
+    assert found.sentence.endswith("; 1 of 4 checks FAILED.")
+    assert (found.is_good, found.contrast) == (False, pytest.approx(bare / error))
+    assert [run.scheme.name for run in found.shown.runs] == ["my-fast_one", "plain"]
+    alone = headline(Comparison((runs["pid"],), "one"))
+    assert alone.sentence.startswith("pid holds the attitude within ")
+    assert alone.sentence.endswith(" and has no diagnosis.")
+    declared = faults_declared(
+        runs["my-fast_one"], (0, slice(45, 93)), (2, slice(42, 100)), (1, slice(10, 20))
+    )
+    said = headline(Comparison((declared,), "one")).sentence
+    assert " names 2 of 5 faults after 35 ms (median), gives 1 false alarm and " in said
+
+
+def test_tables_hold_every_number_and_are_latex(three, runs, tmp_path):
+    table, latex = write_tables(three, tmp_path)
+    rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines()))
+    (found,) = [
+        row["value"]
+        for row in rows
+        if (row["run"], row["metric"], row["axis"]) == ("plain", "tracking_rmse_deg", "yaw")
+    ]
+    assert float(found) == metric(runs["plain"], "tracking_rmse_deg.yaw")
+    text = latex.read_text(encoding="utf-8")
+    assert r"my-fast\_one & roll & " in text
+    assert r"[N m/s] \\" in text
+    assert len({line.count("&") for line in text.splitlines() if "&" in line}) == 1
 
 
 def test_sentence_counts_faults_found_and_false_alarms(runs):

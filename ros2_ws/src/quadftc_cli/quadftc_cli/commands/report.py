@@ -25,23 +25,42 @@ def report(
     figures: Annotated[
         bool, Option(help="Write the figures as PNG and PDF, too, into a directory beside the page.")
     ] = True,
+    figure: Annotated[
+        list[str],
+        Option(
+            metavar="KEY",
+            help="Draw this figure alone, without a page: its key (paper_faults-tracking-roll), or its"
+            " number in the paper (3 to 14); may be repeated.",
+        ),
+    ] = [],  # noqa: B006
+    tables: Annotated[
+        Path | None, Option(metavar="DIR", help="Write the metrics as CSV and LaTeX (booktabs), too.")
+    ] = None,
 ) -> None:
     """Compare recorded runs and replays: one HTML page with figures and metrics, side by side.
 
     Runs of one scenario share figures and tables, with checks and what they say of the paper; so do replays
     of one recording. The page needs no network.
     """
-    from quadftc_report.report import write_report
+    from quadftc_report.report import figures_beside, write_figures, write_report
     from quadftc_report.wording import counted, listing
 
     with Bars(console()) as bars:
         update = bars.add("report")
-        written = write_report(
-            bags, out, with_figures=figures, progress=lambda what, share: update(share, what)
-        )
+
+        def progress(what: str, share: float) -> None:
+            update(share, what)
+
+        if figure:
+            drawn = write_figures(bags, figures_beside(out), figure, progress=progress)
+            say(*(f"figure: {file}" for file in drawn))
+            return
+        written = write_report(bags, out, with_figures=figures, tables=tables, progress=progress)
     warn(written.warnings)
     pairs = ((len(written.runs), "run"), (len(written.replays), "replay"))
     counts = listing([counted(number, what) for number, what in pairs if number])
     say(f"report on {counts}: {written.page}")
     if written.figures is not None:
         say(f"figures (PNG, PDF): {written.figures}")
+    if tables is not None:
+        say(f"tables (CSV, LaTeX): {tables}")
