@@ -74,12 +74,18 @@ OF_OPTION = {
         (*ARGUMENTS, "seed=-1", "x=1", "=", "a", "rate=nan", "name=../../x", "vehicle=../../x.toml")
     ),
 }
-# commands that fly for long or start many processes get only arguments that they refuse before
+# commands that fly for long, wait for a vehicle or serve get only arguments that they refuse before
 REFUSED = {
     "campaign": ["nowhere.yaml"],
     "tune": ["s.yaml"],
     "bench": ["latency", "--rate", "fast"],
     "doctor": ["x"],
+    "inject": ["bias", "value"],
+    "clear": ["-1"],
+    "set": ["attitude", "roll"],
+    "watch": ["--duration", "long"],
+    "live": ["--port", "-1"],
+    "serve": ["--port", "-1"],
 }
 SPARED = {
     *("--help", "--realtime-priority", "--loop", "--scheduler", "--workers", "--jobs", "--delay", "--graph"),
@@ -221,7 +227,8 @@ def bad_argument(draw: Draw, text: str) -> str:
 def _declared_parameters(app: typer.Typer) -> dict[str, list[Any]]:
     """Arguments and options of each command, as it declares them."""
     group: Any = typer.main.get_command(app)
-    return {name: group.get_command(None, name).params for name in group.list_commands(None)}
+    context = group.make_context("quadftc", [], resilient_parsing=True)
+    return {name: group.resolve_command(context, [name])[1].params for name in group.list_commands(context)}
 
 
 def bad_command_line(draw: Draw, app: typer.Typer) -> list[str]:
