@@ -105,9 +105,16 @@ def pytest_configure(config: pytest.Config) -> None:
 DOMAIN_LOCK = pytest.StashKey[IO[str]]()
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let everything be asked for."""
+    parser.addoption("--thorough", action="store_true", help="run the tests marked thorough, too")
+
+
 @pytest.hookimpl(tryfirst=True)  # before -m chooses
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that must not run beside others, and those that are slow."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Mark tests that must not run beside others, and slow ones; leave out those that are thorough."""
+    if not config.getoption("--thorough"):
+        items[:] = [item for item in items if item.get_closest_marker("thorough") is None]
     for item in items:
         if not isinstance(item, pytest.Function):
             continue

@@ -18,6 +18,7 @@ from quadftc_tools.soak.nodes import ALL, flights_of, flown, summary, table
 LONGEST_AWAY = 3.0
 
 
+@pytest.mark.thorough
 def test_flight_goes_on_when_nodes_are_killed_and_stopped():
     """Observers killed, while a sensor fault changes and in a disturbance; a controller stopped."""
     hits = [

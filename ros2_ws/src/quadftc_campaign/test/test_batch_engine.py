@@ -119,7 +119,13 @@ PARTS = {
 }
 
 
-@pytest.mark.parametrize("place", range(max(map(len, PARTS.values()))))
+@pytest.mark.parametrize(
+    "place",
+    [
+        pytest.param(place, marks=[pytest.mark.thorough] if PARTS["observer"][place] == "isolating" else [])
+        for place in range(len(PARTS["observer"]))
+    ],
+)
 def test_every_observer_and_controller_flies_alike(place):
     """Each in some flight; the scenarios have the others."""
     parts = {role: names[place % len(names)] for role, names in PARTS.items()}
@@ -179,6 +185,7 @@ def test_vehicles_of_several_inertias_and_motors_are_one_structure():
         assert_same_flight(flight, fly(scenario))
 
 
+@pytest.mark.thorough
 def test_sensors_with_and_without_slow_errors_are_one_structure():
     base = busy(observer="none").document
     grades = [{"grade": name, "delay": 2} for name in ("mems", "ahrs", "tactical")]
@@ -189,7 +196,7 @@ def test_sensors_with_and_without_slow_errors_are_one_structure():
         assert_same_flight(flight, fly(scenario))
 
 
-@pytest.mark.parametrize("staged", [True, False])
+@pytest.mark.parametrize("staged", [True, pytest.param(False, marks=pytest.mark.thorough)])
 def test_a_sensor_that_wanders_flies_alike(staged):
     sensor = {"grade": "ahrs", "attitude_wander_moving": 0.05, "delay": 1}
     flown = build_scenario(busy(observer="none").document.replaced({("sensors",): sensor}, "test"))
@@ -236,7 +243,11 @@ NOTHING_AFTER_A_GAP = (
 
 @pytest.mark.parametrize(
     ("faults", "observer", "staged"),
-    [(NOTHING_AT_FIRST, "supervised", True), (NOTHING_AFTER_A_GAP, "sliding_mode", False)],
+    [
+        (NOTHING_AT_FIRST, "sliding_mode", True),
+        (NOTHING_AFTER_A_GAP, "sliding_mode", False),
+        pytest.param(NOTHING_AT_FIRST, "supervised", True, marks=pytest.mark.thorough),
+    ],
 )
 def test_a_diagnosis_that_has_to_wait_for_a_sample_waits_alike(faults, observer, staged):
     expected = assert_flies_alike(busy(*faults, observer=observer), staged)

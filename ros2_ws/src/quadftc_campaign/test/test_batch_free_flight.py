@@ -60,6 +60,7 @@ def flown_step_by_step(scenario):
     return flight_of(jax.tree.map(lambda *leaves: np.stack(leaves), *rows), loop.period_ns)
 
 
+@pytest.mark.thorough
 def test_a_compiled_flight_is_that_of_the_closed_loop():
     scenario = free(observer="none")
     expected = fly(scenario)

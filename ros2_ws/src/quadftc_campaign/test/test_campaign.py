@@ -231,6 +231,7 @@ def flown_alone(campaign, size):
     return table.sort("flight", "variant", "fault")
 
 
+@pytest.mark.thorough
 def test_results_with_two_workers_are_those_without(alike, tmp_path):
     run = CampaignRun(alike, tmp_path / "out", size=3)
     extent = run.open(resume=False)

@@ -30,7 +30,7 @@ PAPER = ("paper_faults", "paper_constant_disturbance", "paper_varying_disturbanc
 CHECKED = {
     **{(name, "proposed"): None for name in PAPER},
     ("paper_faults", "conventional"): None,
-    ("mems_catalogue", "supervised"): None,
+    ("mems_catalogue", "supervised"): 60.0,
     ("mems_varying_disturbance", "supervised"): 45.0,
     ("mems_varying_disturbance", "indi"): 30.0,
     ("mems_faults", "supervised"): 45.0,
