@@ -19,9 +19,9 @@ from quadftc_control.controller_node import ControllerNode
 from quadftc_control.reference_node import ReferenceNode
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer_node import FaultObserverNode
+from quadftc_flight.checks import refuse_wrong_checks
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.scenario import load_scenario
-from quadftc_flight.summary import refuse_wrong_checks
 from quadftc_ros.executor import STOPPING, run_node
 from quadftc_sim.assembly import sample_count
 from quadftc_sim.fault_injector_node import FaultInjectorNode

@@ -22,6 +22,9 @@ vary:
   faults.*.start: {uniform: [10 s, 20 s]}            # of each fault
   rate: {grid: [125 Hz, 250 Hz]}
 report: {map: [faults.0.value, rate], metric: fault.estimate_rmse_deg}
+checks:                            # bounds on what comes out, see quadftc_campaign.campaign_checks
+  - {metric: tracking_rmse_deg.q95, below: 0.1}                      # of each variant, on every axis
+  - {metric: faults.all.missed_share, below: 0.01, variants: [supervised]}
 tune:                                    # for quadftc tune
   gains: [controller.k_c1, controller.phi, disturbance_observer.bandwidth]
   cost: {tracking_rmse_deg: 1, torque_total_variation: 0.1}  # weights, of metrics over their first values
@@ -41,6 +44,7 @@ from typing import Annotated, Any, Literal, NamedTuple, cast
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
 from quadftc_campaign.batch.records import ROOTS, VARIATION
+from quadftc_campaign.campaign_checks import CampaignCheck, wrong_checks
 from quadftc_campaign.distributions import GRID, Distribution, distribution
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
@@ -136,6 +140,7 @@ class CampaignKeys(_Keys):
     vary: dict[VaryingPath, Drawn] = {}
     precision: Literal["float64", "float32"] = "float64"
     report: ReportKeys = ReportKeys()
+    checks: list[CampaignCheck] = []
     tune: TuneKeys | None = None
 
 
@@ -199,13 +204,14 @@ def load_campaign(path: Path, flights: int | None = None, recordings: Path | Non
         for index, key in enumerate(campaign.report.map)
         if key not in campaign.vary
     )
+    problems += wrong_checks(campaign.checks, [variant.name for variant in campaign.variants])
     if problems:
         raise document.error(problems)
     return campaign
 
 
 def _model_at(path: Keys) -> type[BaseModel]:
-    models = {"report": ReportKeys, "tune": TuneKeys, "source": SourceKeys}
+    models = {"checks": CampaignCheck, "report": ReportKeys, "tune": TuneKeys, "source": SourceKeys}
     return models.get(str(path[0]) if path else "", CampaignKeys)
 
 

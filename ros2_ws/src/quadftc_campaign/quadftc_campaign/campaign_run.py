@@ -20,6 +20,7 @@ from typing import Any, NamedTuple, cast
 import polars as pl
 
 from quadftc_campaign.batch.parts import Progress, structure_of
+from quadftc_campaign.campaign_checks import campaign_results
 from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.cluster import cluster_client, devices, run_tasks
 from quadftc_campaign.errors import CampaignError
@@ -111,6 +112,8 @@ class CampaignRun:
             raise CampaignError(f"{self._directory / CHUNKS}: {error}") from None
         _write_table(frame, self._directory / FLIGHTS)
         summary, path = summary_of(self.campaign, frame), self._directory / SUMMARY
+        summary["checks"] = campaign_results(self.campaign.checks, summary["variants"])
+        summary["passed"] = all(check["passed"] for check in summary["checks"])
         with report_refusal(path):
             path.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
         return frame, summary

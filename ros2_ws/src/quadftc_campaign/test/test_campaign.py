@@ -12,6 +12,7 @@ import time
 import numpy as np
 import pytest
 
+from quadftc_campaign.campaign_checks import CampaignCheck, campaign_results
 from quadftc_campaign.campaign_file import load_campaign
 from quadftc_campaign.campaign_run import CampaignRun, chunks_of, fly_chunk
 from quadftc_campaign.cluster import cluster_client, run_tasks
@@ -23,6 +24,7 @@ from quadftc_flight.closed_loop import fly
 from quadftc_flight.diagnosis_metrics.which_sensor import SAID, TRUE
 from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.scenario import ScenarioError
+from quadftc_model.samples import AXES
 
 BASE = """
 duration: 1 s
@@ -155,6 +157,14 @@ def test_a_distribution_that_is_none_is_refused(raw, message):
         (
             ("set: [duration=0.4 s]", "set: [plant.kind=free_flight]\nsource: {kind: motion}"),
             "source.kind: motion: expected 'loop', as a free flight",
+        ),
+        (
+            ("vary:", "checks: [{metric: tracking_rms_deg.q95, below: 1}]\nvary:"),
+            r"checks\[0\].metric: no metric 'tracking_rms_deg' \(did you mean 'tracking_rmse_deg'\?\)",
+        ),
+        (
+            ("vary:", "checks: [{metric: faults.all.mised, below: 1, variants: [plein]}]\nvary:"),
+            r"(?s)'faults.all.mised': expected one of .*variants: no 'plein'; there are: plain\+smc",
         ),
     ],
 )
@@ -389,6 +399,28 @@ def test_attitude_errors_are_related_to_those_of_the_same_flight_without_a_diagn
     assert found["attitude_error_rms_deg_ratio"].to_list() == pytest.approx([1.0, 1.0, 1.0, 1.5, 0.5, None])
     alone = table_of(rows[3:])
     assert with_ratios(alone).columns == alone.columns
+
+
+def test_checks_of_a_campaign_are_held_against_every_variant_and_axis():
+    quantiles = {
+        f"tracking_rmse_deg.{axis}": {"q95": size} for axis, size in zip(AXES, (1, 2, 3), strict=True)
+    }
+    fault = {"count": 5, "judged": 4, "missed": 1, "unnamed": 0, "misnamed": 0}
+    fault["metrics"] = {"fault.detection_delay_s": {"max": 0.5}}
+    summary = {"flights": 9, "not_finite": 0, "lost": 2, "metrics": quantiles, "faults": {"all": fault}}
+    checks = [
+        CampaignCheck(metric="tracking_rmse_deg.q95", below=2.5),
+        CampaignCheck(metric="faults.all.missed_share", below=0.3, variants=("one",)),
+        CampaignCheck(metric="faults.all.detection_delay_s.max", below=0.1, variants=("other",)),
+        CampaignCheck(metric="lost", below=1.0),
+    ]
+    found = campaign_results(checks, {"one": summary, "other": summary})
+    passed = {
+        name: [each["passed"] for each in found if each["variant"] == name] for name in ("one", "other")
+    }
+    assert passed["one"] == [True, True, False, True, False]
+    assert passed["other"] == [True, True, False, False, False]
+    assert found[3]["value"] == 0.25
 
 
 def test_faults_of_several_sensors_are_told_apart_and_confusions_add_up(campaign):

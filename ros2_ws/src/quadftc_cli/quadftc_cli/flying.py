@@ -12,9 +12,11 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from quadftc_cli.commands import CHECK_FAILED, GOOD, INTERRUPTED
+from quadftc_cli.commands import INTERRUPTED
+from quadftc_cli.judging import judge
 from quadftc_cli.metric_table import diagnosis_table, fitting, heading, text
 from quadftc_cli.screen import Bars, console, plain_table
+from quadftc_flight.checks import refuse_wrong_checks
 from quadftc_flight.runs import RunError, RunOptions, prepare, run_name, write_summary
 from quadftc_flight.runs import run as run_scenario
 from quadftc_flight.scenario import (
@@ -27,7 +29,7 @@ from quadftc_flight.scenario import (
     with_components,
 )
 from quadftc_flight.side_by_side import run_side_by_side
-from quadftc_flight.summary import refuse_wrong_checks, relate_to_undiagnosed
+from quadftc_flight.summary import relate_to_undiagnosed
 from quadftc_model.samples import AXES
 from quadftc_ros.executor import StopSignals
 from quadftc_ros.scheduling import Scheduling
@@ -48,7 +50,7 @@ What = tuple[Sequence[str], str, Sequence[str], str, Mapping[str, str], str]
 How = tuple[str, str, str, bool, tuple[str, int, tuple[int, ...]]]
 
 
-def fly_named(what: What, out: Path, how: How, jobs: int | None) -> int:
+def fly_named(what: What, out: Path, how: How, jobs: int | None, junit: Path | None) -> int:
     """Fly the schemes of scenarios, so many side by side, and return the exit code."""
     names, scheme, overrides, gains, parts, label = what
     graph, mode, namespace, force, scheduling = how
@@ -66,11 +68,20 @@ def fly_named(what: What, out: Path, how: How, jobs: int | None) -> int:
         twice = next(name for name in runs if runs.count(name) > 1)
         raise RunError(f"{twice}: asked for twice; give scenarios other names")
     workers = 1 if mode == "realtime" else min(jobs or len(os.sched_getaffinity(0)), len(flights))
-    return fly_jobs(flights, out, options, workers)
+    return fly_jobs(flights, out, options, workers, junit)
 
 
-def fly_jobs(jobs: list[tuple[Scenario, Scheme]], out: Path, how: RunOptions, workers: int = 1) -> int:
-    """Fly scenarios with their schemes, show what came out, and return the exit code."""
+def fly_jobs(
+    jobs: list[tuple[Scenario, Scheme]],
+    out: Path,
+    how: RunOptions,
+    workers: int = 1,
+    junit: Path | None = None,
+) -> int:
+    """Fly scenarios with their schemes, show what came out, and return the exit code.
+
+    ``junit``: the file that gets the checks as JUnit XML.
+    """
     for scenario, _ in jobs:
         refuse_wrong_checks(scenario)
     names, screen = [run_name(*job) for job in jobs], console()
@@ -100,12 +111,9 @@ def fly_jobs(jobs: list[tuple[Scenario, Scheme]], out: Path, how: RunOptions, wo
         if (other := item.get("without_diagnosis")) and (ratio := other["attitude_error_max_deg_ratio"]):
             error = f"largest attitude error {ratio:.2g} times that of '{other['scheme']}'"
             screen.print(f"{item['name']}-{item['scheme']}: {error}")
-        for check in (check for check in item["checks"] if not check["passed"]):
-            what = f"{check['metric']} {check['axis'] or ''}".rstrip()
-            value = f"{_number(check['value'], 1.0, 4)}, required {check['bound']}"
-            screen.print(f"[red]FAILED[/] {item['name']}-{item['scheme']}: {what} = {value}")
     screen.print(f"bags and summaries: {out}")
-    return GOOD if all(item["passed"] for item in summaries) else CHECK_FAILED
+    checks = {f"{item['name']}-{item['scheme']}": item["checks"] for item in summaries}
+    return judge(checks, screen, junit, "run")
 
 
 def _print_tables(summaries: Sequence[Mapping[str, Any]], screen: Console) -> None:
@@ -135,7 +143,3 @@ def _narrow_table(summaries: Sequence[Mapping[str, Any]], count: int) -> Table:
             table.add_row(words, axis, *cells, verdict if axis == AXES[0] else "")
         table.add_section()
     return table
-
-
-def _number(value: Any, scale: float, digits: int) -> str:
-    return "-" if value is None else f"{scale * value:.{digits}f}"

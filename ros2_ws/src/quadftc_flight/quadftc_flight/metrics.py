@@ -90,8 +90,13 @@ def known_metrics(
 
     In free flight it has so many ``rotors``.
     """
-    nowhere = dataclasses.replace(unknown_flight(np.arange(2), rotors), time=np.array([-2.0, -1.0]))
-    return flight_metrics(nowhere, [FaultWindow(0.0, 1.0, AXES)] * window_count, events, rotor_events)
+    windows = [FaultWindow(0.0, 1.0, AXES)] * window_count
+    return flight_metrics(flight_of_nothing(rotors), windows, events, rotor_events)
+
+
+def flight_of_nothing(rotors: int = 0) -> Flight:
+    """Return a flight of two samples that knows nothing, for the names of what is computed of it."""
+    return dataclasses.replace(unknown_flight(np.arange(2), rotors), time=np.array([-2.0, -1.0]))
 
 
 def look_up(metrics: Any, path: str) -> Any:

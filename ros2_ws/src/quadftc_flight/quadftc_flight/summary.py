@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
+from quadftc_flight.checks import check_results
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow
 from quadftc_flight.flight import Flight
-from quadftc_flight.metrics import entries, flight_metrics, known_metrics, look_up
-from quadftc_flight.scenario import ROLES, Check, Scenario, Scheme
-from quadftc_flight.scenario.document import Problem
-from quadftc_model.samples import AXES
+from quadftc_flight.metrics import entries, flight_metrics
+from quadftc_flight.scenario import ROLES, Scenario, Scheme
 
 ROUNDING = 1e-6  # relative; the same metrics on another processor differ by less
 SHOWN = 3  # disagreements named in a warning
@@ -28,27 +27,11 @@ _TIMING = ("wall_time_s", "real_time_factor")  # entries that a bag cannot tell
 Truth = tuple[Sequence[FaultWindow], Sequence[FaultEvent]]  # of the attitude; of each axis of each sensor
 
 
-class CheckResult(NamedTuple):
-    """What became of a check on one axis."""
-
-    metric: str  # dotted path in ``summary["metrics"]``
-    axis: str | None  # None for a metric that has no axes
-    value: float | None  # None: the metric has no value here
-    bound: str  # what was required, in words
-    passed: bool
-
-
 class StoredSummary(NamedTuple):
     """The summary beside a bag."""
 
     data: dict[str, Any]  # empty if there is none
     problem: str  # what is wrong with the file, if anything
-
-
-def refuse_wrong_checks(scenario: Scenario) -> None:
-    """Raise a ScenarioError if there are checks on metrics that no flight of a scenario has."""
-    if problems := list(_wrong_checks(scenario)):
-        raise scenario.document.error(problems)
 
 
 def summary(
@@ -108,51 +91,6 @@ def partial_summary(
     unchecked = scheme.model_copy(update={"checks": ()})
     origin = {key: stored[key] for key in ("mode", "graph") if isinstance(stored.get(key), str)}
     return {**origin, **summary(flight, scenario, unchecked, None), "passed": None}
-
-
-def _wrong_checks(scenario: Scenario) -> Iterator[Problem]:
-    """Find the checks on metrics that no flight of this scenario has."""
-    checks = [
-        (("schemes", name, "checks", index), check)
-        for name, scheme in scenario.schemes.items()
-        for index, check in enumerate(scheme.checks)
-    ]
-    events = scenario.fault_events, scenario.rotor_events
-    known = len(scenario.fault_windows), *events, scenario.rotors
-    metrics = known_metrics(*known) if checks else {}
-    for path, check in checks:
-        try:
-            found = look_up(metrics, check.metric)
-        except KeyError as error:
-            yield Problem((*path, "metric"), str(error.args[0]))
-            continue
-        has_axes = isinstance(found, dict) and set(cast("dict[str, Any]", found)) == set(AXES)
-        if check.axis is not None and not has_axes:
-            yield Problem((*path, "axis"), f"'{check.metric}' has no axes")
-        elif not has_axes and found is not None and not isinstance(found, (int, float)):
-            yield Problem((*path, "metric"), f"'{check.metric}' is no number")
-
-
-def check_results(metrics: Mapping[str, Any], checks: Iterable[Check]) -> list[CheckResult]:
-    """Hold checks against metrics: one result for each check and axis. What has no value fails."""
-    results: list[CheckResult] = []
-    for check in checks:
-        try:
-            found: Any = look_up(metrics, check.metric)
-        except KeyError:
-            found = None
-        low = -math.inf if check.above is None else check.above
-        high = math.inf if check.below is None else check.below
-        bound = f"between {low:g} and {high:g}"
-        if math.isinf(low) or math.isinf(high):
-            bound = f"below {high:g}" if math.isinf(low) else f"above {low:g}"
-        values = dict(entries(found))
-        for axis in AXES if values and check.axis is None else (check.axis,):
-            raw = values.get(str(axis)) if values else found
-            value = float(raw) if isinstance(raw, (int, float)) else None
-            passed = value is not None and low < value < high
-            results.append(CheckResult(check.metric, axis, value, bound, passed))
-    return results
 
 
 def read_summary(file: Path) -> StoredSummary:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from quadftc_flight.checks import refuse_wrong_checks
 from quadftc_flight.diagnosis_metrics import GRACE_TIME, diagnosis_metrics, pool
 from quadftc_flight.diagnosis_metrics.columns import consistency_band, independent_samples
 from quadftc_flight.diagnosis_metrics.fault_statistics import show_row
@@ -18,7 +19,6 @@ from quadftc_flight.fault_schedule import FaultEvent, FaultWindow, attitude_even
 from quadftc_flight.flight import NO_STATE, VECTORS, Flight, unknown_flight
 from quadftc_flight.metrics import flight_metrics, known_metrics
 from quadftc_flight.scenario import ScenarioError, parse_scenario
-from quadftc_flight.summary import refuse_wrong_checks
 from quadftc_model.samples import AXES, FAULTY, HEALTHY, RECOVERING, STARTING, SUSPECT
 
 DEG = math.pi / 180.0

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
+from quadftc_flight.checks import check_results
 from quadftc_flight.fault_schedule import FaultWindow
 from quadftc_flight.flight import VECTORS, Flight, unknown_flight
 from quadftc_flight.metrics import flight_metrics, known_metrics, look_up
 from quadftc_flight.scenario import Check
-from quadftc_flight.summary import check_results
 from quadftc_model.samples import AXES, HEALTHY
 
 DEG = math.pi / 180.0

@@ -13,6 +13,7 @@ from quadftc_control.reference import reference_from
 from quadftc_control.trajectory import trajectory_from
 from quadftc_fdi.disturbance_observer import disturbance_observer_from
 from quadftc_fdi.fault_observer import fault_observer_from
+from quadftc_flight.checks import refuse_wrong_checks
 from quadftc_flight.scenario import (
     Scenario,
     ScenarioError,
@@ -29,7 +30,6 @@ from quadftc_flight.scenario import (
     with_rate,
     with_seed,
 )
-from quadftc_flight.summary import refuse_wrong_checks
 from quadftc_model.assembly import node_values
 from quadftc_sim.assembly import injector_from, simulator_from
 from quadftc_sim.fault import faults

@@ -12,7 +12,9 @@ import yaml
 
 from quadftc_bags.bag import BagError
 from quadftc_fdi.fault_observer import FaultObserver, fault_observer_from, fault_observers
-from quadftc_flight.scenario import Fault, parse_value
+from quadftc_flight.checks import check_results, problem_of
+from quadftc_flight.metrics import flight_of_nothing
+from quadftc_flight.scenario import Check, Fault, parse_value
 from quadftc_model.assembly import get, node_values
 from quadftc_replay.diagnose import Diagnosed, Progress, diagnose, flight_of
 from quadftc_replay.imu_from_bag import recording_from_bag
@@ -20,7 +22,7 @@ from quadftc_replay.imu_from_ulog import is_ulog, recording_from_ulog
 from quadftc_replay.imu_from_usdlog import recording_from_usdlog
 from quadftc_replay.imu_recording import Recording
 from quadftc_replay.overlay import faults_from, replay_events, replay_windows
-from quadftc_replay.replay_directory import YAML_WIDTH, ReplayOrigin, replay_summary
+from quadftc_replay.replay_directory import YAML_WIDTH, ReplayOrigin, replay_metrics, replay_summary
 from quadftc_replay.usdlog import is_usdlog
 from quadftc_sim.injector import FaultInjector
 
@@ -41,6 +43,7 @@ class ReplayOptions:
     fault_files: tuple[Path, ...] = ()  # YAML files with such; they come first
     seed: int = 0  # of the random faults
     skip_backwards: bool = False  # leave out samples whose stamp goes back, instead of refusing the recording
+    checks: tuple[Check, ...] = ()  # on the metrics of the replay
 
 
 class ChosenObserver(NamedTuple):
@@ -59,6 +62,7 @@ class Replay:
     observer: ChosenObserver
     faults: tuple[Fault, ...]
     seed: int
+    checks: tuple[Check, ...] = ()
 
     @property
     def name(self) -> str:
@@ -100,7 +104,19 @@ class Replay:
             "samples_without_body_rate": int((~imu.rate_valid).sum()),
             "samples_without_estimate": diagnosed.unusable,
         }
-        return {"name": self.name, **result, **without, "metrics": metrics}
+        checks = check_results(metrics, self.checks)
+        judged = {
+            "checks": [each._asdict() for each in checks],
+            "passed": all(each.passed for each in checks),
+        }
+        return {"name": self.name, **result, **without, "metrics": metrics, **judged}
+
+    def refuse_wrong_checks(self) -> None:
+        """Raise a ValueError if a check is on a metric that this replay does not have."""
+        known = replay_metrics(flight_of_nothing(), self.origin.fault_windows, self.origin.fault_events)
+        for check in self.checks:
+            if (problem := problem_of(check, known)) is not None:
+                raise ValueError(f"check: {problem[1]}")
 
     def parameter_file(self) -> str:
         """Write the parameters of the nodes that would do the same in the graph, as YAML for ROS."""
@@ -129,7 +145,11 @@ def plan_replay(path: Path, options: ReplayOptions) -> Replay:
             bound = f"must be before the end of {recording.name}, {recording.duration:.3f} s"
             raise ValueError(f"fault '{fault.spec}': start = {start:g} s: {bound}")
     observer = choose_observer(recording, options.observer, options.vehicle, options.settings)
-    return Replay(recording=recording, observer=observer, faults=faults, seed=options.seed)
+    plan = Replay(
+        recording=recording, observer=observer, faults=faults, seed=options.seed, checks=options.checks
+    )
+    plan.refuse_wrong_checks()
+    return plan
 
 
 def _reader(path: Path) -> Callable[[Path, str, bool], Recording]:

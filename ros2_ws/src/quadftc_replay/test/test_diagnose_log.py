@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from quadftc_replay.flight_log import FlightLog, Signal
-from quadftc_replay.inspection.diagnosis import write_junit, write_verdict
+from quadftc_replay.inspection.diagnosis import write_verdict, write_verdict_junit
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.overlay import overlay_faults
 from quadftc_replay.inspection.verdict import Verdict, schema
@@ -125,7 +125,7 @@ def test_published_schema_is_that_of_the_verdict(tmp_path: Path):
 
 def test_junit_counts_what_failed(tmp_path: Path):
     log = overlay_faults(hover(), faults_from((), ["stuck channel=gyro axis=y start=20s"]))
-    suite = ET.parse(write_junit(inspect(log).verdict, tmp_path / "verdict.xml")).getroot()
+    suite = ET.parse(write_verdict_junit(inspect(log).verdict, tmp_path / "verdict.xml")).getroot()
     assert (suite.get("tests"), suite.get("failures"), suite.get("skipped")) == ("5", "1", "1")
 
 

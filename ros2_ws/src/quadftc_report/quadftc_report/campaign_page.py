@@ -79,6 +79,7 @@ def render_campaign(results: Results, directory: Path, command_file: str) -> str
         "campaign.html",
         campaign=campaign,
         sides=sides,
+        checks=results.checks,
         tell=_tell,
         kinds=results.kinds,
         axes=AXES,

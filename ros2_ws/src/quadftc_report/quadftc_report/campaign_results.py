@@ -83,6 +83,7 @@ class Results(NamedTuple):
     campaign: Campaign
     frame: pl.DataFrame
     sides: tuple[Side, ...]
+    checks: Mapping[str, Sequence[Mapping[str, Any]]]  # what became of them, by variant
 
     @property
     def kinds(self) -> list[str]:
@@ -100,7 +101,10 @@ def results_of(campaign: Campaign, frame: pl.DataFrame, summary: Mapping[str, An
         first = observes and not any(side.role == "proposed" for side in sides)
         look = ("proposed", 0) if first else ("compared", sum(side.role == "compared" for side in sides))
         sides.append(Side(name, rows, summary["variants"][name], observes, *look))
-    return Results(campaign, frame, tuple(sides))
+    checks: dict[str, list[Mapping[str, Any]]] = {}
+    for check in summary.get("checks", ()):
+        checks.setdefault(check["variant"], []).append(check)
+    return Results(campaign, frame, tuple(sides), checks)
 
 
 def numbers(frame: pl.DataFrame, name: str) -> Floats:

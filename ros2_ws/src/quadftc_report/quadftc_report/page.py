@@ -75,6 +75,12 @@ class Section:
         return "real" if name in (*PAPER_SCENARIOS, *ON_REAL_SENSORS) else "own"
 
     @property
+    def checks(self) -> dict[str, Any]:
+        """What became of the checks of each run or replay that has any."""
+        found = ((self.comparison.label(run), run.summary.get("checks")) for run in self.comparison.runs)
+        return {label: checks for label, checks in found if checks}
+
+    @property
     def undecided(self) -> dict[str, int]:
         """Why claims cannot be judged, and how many each reason is for."""
         return Counter(each.reason for each in self.judgements if each.holds is None)

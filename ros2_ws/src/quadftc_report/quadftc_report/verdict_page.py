@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from quadftc_flight.junit import write_file
 from quadftc_replay.flight_log import FlightLog, Signal
-from quadftc_replay.inspection.diagnosis import write_file
 from quadftc_replay.inspection.found import Curve
 from quadftc_replay.inspection.inspect import Inspection
 from quadftc_replay.inspection.verdict import Finding, show, unjudged

@@ -15,8 +15,8 @@ from rich.table import Table
 from typer import Argument, Option
 
 from quadftc_campaign.errors import CampaignError
-from quadftc_cli.commands import GOOD, INTERRUPTED
-from quadftc_cli.commands.options import SchedulerOption, WorkersOption, workers_here
+from quadftc_cli.commands import INTERRUPTED
+from quadftc_cli.commands.options import JunitOption, SchedulerOption, WorkersOption, workers_here
 from quadftc_cli.screen import Bars, console
 
 if TYPE_CHECKING:
@@ -48,8 +48,12 @@ def campaign(
     recordings: Annotated[
         Path | None, Option(help="Directory of rosbag2 bags for a campaign on recordings.")
     ] = None,
+    junit: JunitOption = None,
 ) -> None:
-    """Fly a scenario thousands of times with drawn values; write table, summary and report."""
+    """Fly a scenario thousands of times with drawn values; write table, summary and report.
+
+    The exit code is 1 if a check of the file fails.
+    """
     from quadftc_campaign.campaign_file import load_campaign  # with what it needs, half a second
     from quadftc_campaign.flights import flight_scenario, variant_of
 
@@ -69,15 +73,22 @@ def campaign(
         chosen = loaded.variants[0]
         scenarios = [flight_scenario(loaded, number, chosen) for number in dict.fromkeys(flight)]
         jobs = [(scenario, scenario.scheme(chosen.scheme)) for scenario in scenarios]
-        raise typer.Exit(fly_jobs(jobs, directory / "runs", RunOptions(force=force)))
-    raise typer.Exit(_fly_all(loaded, file, directory, resume, scheduler, workers))
+        raise typer.Exit(fly_jobs(jobs, directory / "runs", RunOptions(force=force), junit=junit))
+    raise typer.Exit(_fly_all(loaded, file, directory, resume, scheduler, workers, junit))
 
 
 def _fly_all(
-    loaded: Campaign, file: Path, directory: Path, resume: bool, scheduler: str | None, workers: int | None
+    loaded: Campaign,
+    file: Path,
+    directory: Path,
+    resume: bool,
+    scheduler: str | None,
+    workers: int | None,
+    junit: Path | None,
 ) -> int:
     cores = workers_here(workers, scheduler)
     from quadftc_campaign.campaign_run import CampaignRun
+    from quadftc_cli.judging import judge
     from quadftc_report.campaign_results import results_of
     from quadftc_report.report import write_campaign_report
 
@@ -107,10 +118,12 @@ def _fly_all(
     if extent.missing:
         rate = f"{extent.samples / seconds:.3g} a second"
         screen.print(f"{extent.samples:.3g} closed-loop steps in {seconds:.1f} s: {rate}")
-    screen.print(_table(results_of(loaded, frame, summary)))
+    results = results_of(loaded, frame, summary)
+    screen.print(_table(results))
     screen.print(f"{frame.height} rows: {directory / 'flights.parquet'}")
     screen.print(f"numbers: {directory / 'summary.json'}; report: {report}")
-    return GOOD
+    checks = {f"{loaded.name}-{side.name}": results.checks.get(side.name, ()) for side in results.sides}
+    return judge(checks, screen, junit, "campaign")
 
 
 def _table(results: Results) -> Table:

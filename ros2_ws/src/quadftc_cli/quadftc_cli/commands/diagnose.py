@@ -43,8 +43,8 @@ def diagnose(
     from quadftc_replay.inspection.diagnosis import (
         DiagnosisOptions,
         diagnose_log,
-        write_junit,
         write_verdict,
+        write_verdict_junit,
     )
 
     options = DiagnosisOptions(baseline=baseline, faults=tuple(fault), vehicle=vehicle, seed=seed)
@@ -59,7 +59,7 @@ def diagnose(
 
         written.append(write_page(inspection, directory))
     if junit is not None:
-        written.append(write_junit(verdict, junit))
+        written.append(write_verdict_junit(verdict, junit))
     say(f"written: {', '.join(map(str, written))}")
     return GOOD if verdict.healthy else CHECK_FAILED
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import Annotated
 
 from typer import Option
@@ -21,6 +22,7 @@ SetOption = Annotated[
 GainsOption = Annotated[
     str, Option(help="Tuned gains for the vehicle and its sensors: a name or a file (see gains/).")
 ]
+JunitOption = Annotated[Path | None, Option(metavar="FILE", help="Write the checks as JUnit XML, too.")]
 SchedulerOption = Annotated[
     str | None, Option(help="Dask scheduler that exists, tcp://HOST:PORT; default: this machine.")
 ]

@@ -8,9 +8,11 @@ from typing import Annotated
 
 from typer import Argument, Option
 
+from quadftc_cli.commands import options
 from quadftc_cli.screen import Bars, console, say, warn
 
 FAULT_HELP = "Overlay a fault: 'bias axis=roll value=3deg start=60s stop=80s'; may be repeated."
+CHECK_HELP = "Hold a metric to a bound: 'diagnosis.total_false_alarms below=1'; may be repeated."
 COLUMNS = tuple(
     f"fault_estimate_{kind}{end}_deg" for end in ("", "_inside", "_outside") for kind in ("rmse", "max")
 )
@@ -43,16 +45,24 @@ def replay(
     ] = False,
     out: Annotated[Path, Option(help="Directory of the replays.", metavar="DIR")] = Path("results"),
     force: Annotated[bool, Option("--force", help="Replace an earlier replay of the same name.")] = False,
-) -> None:
+    check: Annotated[list[str], Option(metavar="SPEC", help=CHECK_HELP)] = [],  # noqa: B006
+    checks: Annotated[
+        list[Path],
+        Option(metavar="FILE.yaml", help="Hold it to the checks of a file: the key checks of a scheme."),
+    ] = [],  # noqa: B006
+    junit: options.JunitOption = None,
+) -> int:
     """Run a recorded IMU through the diagnosis, offline, with faults overlaid if asked; write a bag.
 
-    Beside the bag, summary.json says how good the estimates are.
+    Beside the bag, summary.json says how good the estimates are. The exit code is 1 if a check fails.
     """
+    from quadftc_cli.judging import judge
     from quadftc_cli.metric_table import axis_table, diagnosis_table
+    from quadftc_flight.checks import checks_from
     from quadftc_replay.plan import ReplayOptions
     from quadftc_replay.ros_output import replay as replay_recording
 
-    options = ReplayOptions(
+    how = ReplayOptions(
         topic=topic,
         observer=observer,
         settings=tuple(set_),
@@ -61,9 +71,10 @@ def replay(
         fault_files=tuple(faults),
         seed=seed,
         skip_backwards=skip_backwards,
+        checks=checks_from(checks, check),
     )
     with Bars(console()) as bars:
-        summary = replay_recording(bag, options, out, force, bars.add(bag.resolve().name))
+        summary = replay_recording(bag, how, out, force, bars.add(bag.resolve().name))
     warn(summary["warnings"])
     say(
         f"{summary['name']}: {summary['samples']} samples of {summary['topic']},"
@@ -74,3 +85,4 @@ def replay(
     screen.print(axis_table(summary["metrics"], COLUMNS))
     screen.print(diagnosis_table({summary["name"]: summary["metrics"]}, screen))
     say(f"bag and summary: {out / summary['bag']}")
+    return judge({summary["name"]: summary["checks"]}, screen, junit, "replay")

@@ -51,6 +51,7 @@ def run(
     jobs: Annotated[
         int | None, Option(min=1, help="Lock-step flights side by side; default: one for each core.")
     ] = None,
+    junit: options.JunitOption = None,
 ) -> None:
     """Fly scenarios through the node graph; write a bag and a summary for each run."""
     from quadftc_cli.flying import fly_named  # with what it needs, a second
@@ -59,4 +60,4 @@ def run(
     parts = {"observer": observer, "disturbance_observer": disturbance_observer, "controller": controller}
     what = (scenarios, scheme, overrides, gains, parts, label)
     how = (graph, mode, namespace, force, (wait, realtime_priority, tuple(core)))
-    raise typer.Exit(fly_named(what, out, how, jobs))
+    raise typer.Exit(fly_named(what, out, how, jobs, junit))

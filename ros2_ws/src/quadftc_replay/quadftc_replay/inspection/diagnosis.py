@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import tempfile
+from collections.abc import Iterator
 from pathlib import Path
-from xml.etree import ElementTree as ET
 
+from quadftc_flight.junit import Case, Failure, write_file, write_junit
 from quadftc_flight.scenario import Fault
 from quadftc_model.vehicle import load_vehicle
 from quadftc_replay.flight_log import FlightLog
@@ -64,40 +63,20 @@ def write_verdict(verdict: Verdict, directory: Path) -> Path:
     return write_file(directory / VERDICT, verdict.model_dump_json(indent=2) + "\n")
 
 
-def write_junit(verdict: Verdict, path: Path) -> Path:
+def write_verdict_junit(verdict: Verdict, path: Path) -> Path:
     """Write the verdict as JUnit XML: one test case for each component, failed where something was found."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    found = dict.fromkeys(finding.component for finding in verdict.findings)
-    names = list(dict.fromkeys([*verdict.judged, *found]))
-    skipped = [name for name in unjudged(verdict.judged, verdict.not_judged) if name not in names]
-    suite = ET.Element(
-        "testsuite",
-        name=f"quadftc diagnose {verdict.log}",
-        tests=str(len(names) + len(skipped)),
-        failures=str(len(found)),
-        skipped=str(len(skipped)),
-        time=f"{verdict.duration_s:.3f}",
-    )
-    for name in names:
-        case = ET.SubElement(suite, "testcase", classname=verdict.log, name=name)
-        for finding in verdict.findings:
-            if finding.component == name:
-                size = "" if finding.size is None else f" of {show(finding.size, finding.unit)}"
-                message = f"{finding.name}: {finding.kind}{size} from {finding.onset_s:.3f} s"
-                failure = ET.SubElement(case, "failure", message=message, type=finding.kind)
-                failure.text = "\n".join(finding.evidence)
-    for name in skipped:
-        case = ET.SubElement(suite, "testcase", classname=verdict.log, name=name)
-        reasons = [each.reason for each in verdict.not_judged if each.component == name]
-        ET.SubElement(case, "skipped", message="; ".join(reasons))
-    ET.indent(suite)
-    return write_file(path, ET.tostring(suite, encoding="unicode", xml_declaration=True) + "\n")
+    names = dict.fromkeys([*verdict.judged, *(finding.component for finding in verdict.findings)])
+    cases = [Case(verdict.log, name, tuple(_failures(verdict, name))) for name in names]
+    for name in unjudged(verdict.judged, verdict.not_judged):
+        if name not in names:
+            reasons = [each.reason for each in verdict.not_judged if each.component == name]
+            cases.append(Case(verdict.log, name, skipped="; ".join(reasons)))
+    return write_junit(path, f"quadftc diagnose {verdict.log}", cases, verdict.duration_s)
 
 
-def write_file(path: Path, text: str) -> Path:
-    """Write a text so that nobody sees half of it."""
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
-        stream.write(text)
-    Path(name).chmod(0o644)
-    return Path(name).replace(path)
+def _failures(verdict: Verdict, component: str) -> Iterator[Failure]:
+    for finding in verdict.findings:
+        if finding.component == component:
+            size = "" if finding.size is None else f" of {show(finding.size, finding.unit)}"
+            message = f"{finding.name}: {finding.kind}{size} from {finding.onset_s:.3f} s"
+            yield Failure(message, finding.kind, "\n".join(finding.evidence))

@@ -1,0 +1,63 @@
+"""Checks from files and from the command line, and what became of them as JUnit XML."""
+
+import re
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from quadftc_flight.checks import check_results, checks_from
+from quadftc_flight.junit import Case, check_cases, write_junit
+
+METRICS = {"lost": False, "missed": 2, "rmse": {"roll": 0.1, "pitch": 0.3, "yaw": None}}
+
+
+def test_checks_come_from_files_and_then_from_specifications(tmp_path):
+    file = tmp_path / "bounds.yaml"
+    file.write_text("checks:\n  - {metric: rmse, axis: roll, below: 0.2}\n", encoding="utf-8")
+    checks = checks_from([file], ["missed above=-1 below=2", "rmse below=0.2"])
+    results = check_results(METRICS, checks)
+    assert [(each.metric, each.axis, each.passed) for each in results] == [
+        ("rmse", "roll", True),
+        ("missed", None, False),
+        ("rmse", "roll", True),
+        ("rmse", "pitch", False),
+        ("rmse", "yaw", False),  # no value
+    ]
+
+
+@pytest.mark.parametrize(
+    ("spec", "said"),
+    [
+        ("rmse", "check 'rmse': expected 'above' or 'below', or both"),
+        ("rmse below=x", "check 'rmse below=x': expected numbers as above and below"),
+        ("rmse axis=rol below=1", "check 'rmse axis=rol below=1': axis: Input should be 'roll'"),
+        ("rmse above=2 below=1", "above = 2: must be less than below = 1"),
+    ],
+)
+def test_wrong_specification_is_refused_in_one_line(spec, said):
+    with pytest.raises(ValueError, match=re.escape(said)) as refused:
+        checks_from([], [spec])
+    assert "\n" not in str(refused.value)
+
+
+def test_file_without_checks_is_refused(tmp_path):
+    file = tmp_path / "bounds.yaml"
+    file.write_text("bounds: []\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"bounds.yaml:1: bounds: unknown key"):
+        checks_from([file], [])
+
+
+def test_junit_counts_what_failed_and_what_was_not_judged(tmp_path):
+    checks = [each._asdict() for each in check_results(METRICS, checks_from([], ["rmse below=0.2"]))]
+    cases = [
+        *check_cases("a-run", checks),
+        *check_cases("other", []),
+        Case("log", "gps", skipped="not logged"),
+    ]
+    suite = ET.parse(write_junit(tmp_path / "new" / "junit.xml", "quadftc run", cases)).getroot()
+    assert [suite.get(key) for key in ("tests", "failures", "skipped")] == ["5", "2", "1"]
+    assert [case.get("name") for case in suite][:2] == ["rmse roll below 0.2", "rmse pitch below 0.2"]
+    assert [failure.get("message") for failure in suite.iter("failure")] == [
+        "rmse pitch = 0.3, required below 0.2",
+        "rmse yaw = no value, required below 0.2",
+    ]
