@@ -81,6 +81,16 @@ def test_kind_of_fault_is_named(spec: str, component: str, kind: str):
     assert [(each.component, each.kind) for each in found] == [(component, kind)]
 
 
+def test_gyro_that_creeps_is_named_by_gravity():
+    time, rng = np.arange(0.0, 60.0, 0.01), np.random.default_rng(1)
+    rate, force = (level + 0.01 * rng.standard_normal((len(time), 3)) for level in (0.0, [0.0, 0.0, 9.81]))
+    rate[:, 1] += 0.01 * np.maximum(time - 20.0, 0.0)
+    sensors = {"gyros": {"": Signal(time, rate)}, "accelerometers": {"": Signal(time, force)}}
+    (found,) = inspect(FlightLog(path=Path("still"), format="test", **sensors)).verdict.findings
+    assert (found.name, found.kind) == ("gyro y", "offset")
+    assert found.size == pytest.approx(0.4, abs=0.1)
+
+
 def test_knock_is_no_gyro_fault():
     log = hover()
     log.gyros[""].value[5000, 0] += 3.0  # back in the next sample
@@ -199,9 +209,10 @@ def test_weak_rotor_is_named_against_a_healthy_flight_alone():
 def test_rotor_that_stands_still_is_named_by_its_speed():
     log = shares([1.0, 1.0, 1.0, 1.0], 6)
     assert log.rotor_commands is not None
-    speeds = 900.0 * np.sqrt(np.abs(log.rotor_commands.value))
-    speeds[1500:, 1] = 5.0
-    log = FlightLog(path=log.path, format="test", rotor_speeds=Signal(log.rotor_commands.time, speeds))
+    speeds, time = 900.0 * np.sqrt(np.abs(log.rotor_commands.value)), log.rotor_commands.time
+    speeds[:, 1] *= np.exp(-np.maximum(time - 15.0, 0.0) / 0.15)
+    speeds[1505:, 3] = 5.0  # stopped by a controller that flies on; this one is faster
+    log = FlightLog(path=log.path, format="test", rotor_speeds=Signal(time, speeds))
     (found,) = inspect(log).verdict.findings
     assert (found.element, found.kind) == ("2", "off")
     assert found.onset_s == pytest.approx(15.0, abs=0.05)

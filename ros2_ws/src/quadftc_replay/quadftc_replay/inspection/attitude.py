@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -98,6 +98,7 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Jump]) -> l
             score = np.where(
                 watched, np.abs(mean) / (np.maximum(CREEP_LEVEL * scatter, least) + share * moving), 0.0
             )
+            score[: count // 2] = score[len(score) - count // 2 :] = 0.0  # less than a window
             for run, best in _stretches(mean, score, round(BETWEEN / usual)):
                 span = Interval(float(time[run.start]), float(time[run.stop - 1]))
                 lasts = run.stop > len(time) - round(BETWEEN / usual)
@@ -126,11 +127,15 @@ def _touch(creep: Creep, other: Creep) -> bool:
 
 
 def attitude_findings(
-    flight: Flight, agreement: Agreement, jumps: Sequence[Jump], creeps: Sequence[Creep], is_own: bool
+    agreement: Agreement,
+    jumps: Sequence[Jump],
+    creeps: Sequence[Creep],
+    is_own: bool,
+    owner: Callable[[Creep], str | None] = lambda _: None,
 ) -> Iterator[Found]:
     """Say of jumps, and of creeps that no finding on the gyro explains.
 
-    ``is_own``: the attitude is computed from the gyro.
+    ``is_own``: the attitude is computed from the gyro. ``owner`` says whose a creep is, by another witness.
     """
     time, offset = agreement.time, np.cumsum(agreement.rest, axis=0) / DEGREE
     for jump in jumps:
@@ -151,7 +156,7 @@ def attitude_findings(
         lines = {"attitude less integrated gyro": offset[:, jump.axis]}
         yield Found(finding, curve_around(f"attitude {ANGLES[jump.axis]}", "deg", time, lines, span))
     for creep in creeps:
-        yield _creep_found(creep, agreement, is_own)
+        yield _creep_found(creep, agreement, is_own, owner(creep))
 
 
 def watch(flight: Flight, agreement: Agreement) -> Mask:
@@ -170,25 +175,28 @@ def disagreements(flight: Flight, agreement: Agreement, is_own: bool) -> tuple[l
     return [jump for jump in jumps if not is_own or jump.axis != 2], creeps
 
 
-def _creep_found(creep: Creep, agreement: Agreement, is_own: bool) -> Found:
-    is_gyro = abs(creep.size) > GYRO_CREEP
+def _creep_found(creep: Creep, agreement: Agreement, is_own: bool, owner: str | None) -> Found:
+    is_gyro = owner == "gyro" or (owner is None and abs(creep.size) > GYRO_CREEP)
     names = ("gyro", "xyz"[creep.axis]), ("attitude", ANGLES[creep.axis])
     (component, element), other = names if is_gyro else names[::-1]
     said = [
         f"gyro less attitude turns by {creep.size:+.3g} rad/s between {creep.span.start:.2f} and"
         f" {creep.span.end:.2f} s, {creep.score:.1f} times what healthy sensors leave"
     ]
-    said += ["no attitude creeps that fast"] if is_gyro else ["either of the two may drift"]
+    if owner is None:
+        said += ["no attitude creeps that fast"] if is_gyro else ["either of the two may drift"]
+    else:
+        said.append(f"gravity, felt by the accelerometer, says that it is the {owner}")
     if is_own:
         said.append("the attitude is computed from this gyro, so that an error of both does not show")
     finding = make_finding(
-        *(component, element, "offset" if is_gyro else "unknown", creep.span.start),
+        *(component, element, "offset" if is_gyro or owner else "unknown", creep.span.start),
         end_s=creep.end,
         size=creep.size if is_gyro else -creep.size,
         sigma=creep.sigma,
         unit="rad/s",
-        probability=(0.9 if is_gyro else 0.5) * confidence(creep.score, 1.0),
-        ambiguous_with=("/".join(other),),
+        probability=(0.9 if is_gyro or owner else 0.5) * confidence(creep.score, 1.0),
+        ambiguous_with=() if owner else ("/".join(other),),
         evidence=tuple(said),
     )
     span = (creep.span.start - 2.0 * AROUND, creep.span.end + 2.0 * AROUND)

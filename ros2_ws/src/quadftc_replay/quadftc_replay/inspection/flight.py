@@ -30,6 +30,7 @@ BRIDGED = 0.5  # s; shorter pauses belong to the flight
 SHORTEST = 2.0  # s; of a flight
 TAKE_OFF, LANDING = 1.5, 0.5  # s; left out at the begin and at the end
 IMPACT = 3.5 * STANDARD_GRAVITY  # m/s²; specific force of a collision or a hard landing
+SHAKEN = 2.0  # 1; times what most seconds reach, where vibration alone exceeds that
 CRASH = 3.0  # s; an impact so shortly before the end of a flight ends it
 BEFORE_IMPACT = 0.3  # s
 AFTER_IMPACT = 0.1  # s; around which nothing is judged
@@ -114,12 +115,14 @@ def row_means(values: Floats) -> Floats:
 
 
 def _find_impacts(log: FlightLog) -> Floats:
-    found = [
-        each.time[np.linalg.norm(each.value, axis=1) > IMPACT]
-        for each in log.accelerometers.values()
-        if len(each)
-    ]
-    return np.unique(np.concatenate([*found, np.zeros(0)]))
+    found = [np.zeros(0)]
+    for each in log.accelerometers.values():
+        if len(each):
+            size = np.nan_to_num(np.linalg.norm(each.value, axis=1))
+            seconds = np.flatnonzero(np.diff(np.floor(each.time), prepend=-1.0))
+            usual = float(np.median(np.maximum.reduceat(size, seconds)))
+            found.append(each.time[size > max(IMPACT, SHAKEN * usual)])
+    return np.unique(np.concatenate(found))
 
 
 def _find_flights(level: Signal, end: float, impacts: Floats) -> tuple[Interval, ...]:

@@ -209,14 +209,15 @@ def _rest_findings(flight: Flight, name: str, sensor: Signal) -> Iterator[Found]
     means = values.mean(axis=1)[quiet]
     starts = sensor.time[: blocks * count : count][quiet]
     for axis, element in enumerate(BODY_AXES):
-        size = float(np.median(means[:, axis]))
-        if abs(size) > OFFSET:
+        off = np.abs(means[:, axis]) > OFFSET
+        if off[-1] or off.mean() > 0.5:
+            size, start = float(np.median(means[off, axis])), float(starts[np.argmax(off)])
             said = f"it reads {size:+.3g} rad/s while the vehicle stands still"
             yield Found(
                 make_finding(
-                    *(component_name("gyro", name), element, "offset", float(starts[0])),
+                    *(component_name("gyro", name), element, "offset", start),
                     size=size,
-                    sigma=float(means[:, axis].std()),
+                    sigma=float(means[off, axis].std()),
                     unit="rad/s",
                     evidence=(said,),
                 )

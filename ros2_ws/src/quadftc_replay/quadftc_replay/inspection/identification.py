@@ -5,8 +5,8 @@
 u is what drives: rotor speeds squared, rotor commands, or commanded torque; T is the rotors' lag, d and c are
 slow. Least squares on what is between `BAND`, where slow disturbances and vibration are weak. Blocks of a
 second with a large residual weigh less, so that the stretch after a fault hardly counts. T is searched for.
-Gains that the log does not excite stay at their prior: no torque by all rotors together, and as much lift as
-the weight.
+Gains that the log does not excite stay at their prior: as much lift as the weight, and no torque. Rotors
+together have next to none whatever the log says: climbs and turns that go together would give them some.
 
 All signals are means over the bins of one grid, which needs no equal sampling, behind the same low-pass: its
 edge lies where the spectrum of the gyro is least, between motion and vibration. R² is what a fit to every
@@ -34,6 +34,7 @@ LAGS = np.array([0, 5, 10, 15, 20, 30, 40, 50, 60, 70, 85, 100, 120, 150]) * 1e-
 BLOCK = 1.0  # s
 ROUNDS = 4  # of the reweighted fit
 RIDGE = 3e-3  # 1; of the mean power of the inputs: where a log excites them less, gains stay at the prior
+TOGETHER = 30.0  # 1; as much again for all rotors together, which hardly turn a vehicle
 USABLE = 0.3  # 1; R² of an axis from which it is used
 AT_ALL, CLEAR = 0.05, 5.0  # 1; a lower one, if the gains are so many standard deviations
 SLOWEST = 25.0  # Hz; of gyro and inputs
@@ -290,6 +291,7 @@ def _fit_all(sums: BlockSums, prior: Floats, with_spread: bool = True) -> tuple[
 def _fit(sums: BlockSums, with_spread: bool) -> tuple[Floats, Floats]:
     """Fit gains (k, c) with block weights; return them and their standard deviations."""
     count, size, columns = sums.across.shape
+    ridge = RIDGE * np.eye(size) + (TOGETHER / size if size > 3 else 0.0) * np.ones((size, size))
     gain, spread = np.zeros((size, columns)), np.full((size, columns), np.inf)
     for column in range(columns):
         each = sums.across[:, :, column]
@@ -299,7 +301,7 @@ def _fit(sums: BlockSums, with_spread: bool) -> tuple[Floats, Floats]:
         for _ in range(ROUNDS):
             weight = 1.0 / np.maximum(left, float(np.median(left)) + 1e-12)
             total = np.einsum("b,bij->ij", weight, sums.squares)
-            total += (RIDGE * float(np.trace(total)) / size + 1e-12) * np.eye(size)
+            total += float(np.trace(total)) / size * ridge + 1e-12 * np.eye(size)
             gain[:, column] = np.linalg.solve(total, weight @ each)
             left = _residuals(one, gain[:, [column]])[:, 0] / sums.samples
         if with_spread and count > 2:

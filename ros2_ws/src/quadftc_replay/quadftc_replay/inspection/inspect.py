@@ -14,6 +14,7 @@ from quadftc_replay.inspection.flight import Flight, prepare
 from quadftc_replay.inspection.found import Found
 from quadftc_replay.inspection.gyro import BODY_AXES, Witness, component_name, gyro_findings
 from quadftc_replay.inspection.identification import Identified
+from quadftc_replay.inspection.own_attitude import OwnEstimate, estimate, offset_finding, owner_of
 from quadftc_replay.inspection.readings import absent_findings, noise_findings, reading_findings
 from quadftc_replay.inspection.rotors import judge_rotors
 from quadftc_replay.inspection.steps import SLOWEST
@@ -22,6 +23,7 @@ from quadftc_replay.inspection.verdict import VERSION, Finding, Model, NotJudged
 Progress = Callable[[float], None]
 SENSORS = {"gyro": ("rad/s", "gyros"), "accelerometer": ("m/s^2", "accelerometers")}
 SLOWEST_COMPARED = 40.0  # Hz; a slower gyro misses what happens between its samples
+SHAKES_BEFORE = 0.6  # s; tests over windows see what begins so much earlier
 QUATERNION = ("",)  # the elements of an attitude are judged together
 
 
@@ -111,6 +113,7 @@ def _sensors(
     witness = Witness(creeps, not is_own) if agreement is not None else None
     own, left = gyro_findings(flight, gyros, witness)
     found += own
+    gravity = _by_gravity(log, gyros)
     for name, sensor in gyros.items():
         component = component_name("gyro", name)
         if sensor.rate < SLOWEST and witness is None:
@@ -122,7 +125,8 @@ def _sensors(
         missing.append(NotJudged(component="gyro", reason="no body rate is logged"))
     if agreement is not None:
         judged.append("attitude")
-        found += attitude_findings(flight, agreement, jumps, left, is_own)
+        main = gravity.get(next(iter(gyros)))
+        found += attitude_findings(agreement, jumps, left, is_own, lambda creep: owner_of(creep, main))
     elif log.attitude is None:
         missing.append(NotJudged(component="attitude", reason="no attitude is logged"))
     elif not gyros:
@@ -137,7 +141,26 @@ def _sensors(
         found += accelerometer_findings(flight, component_name("accelerometer", name), sensor, others)
     if not log.accelerometers:
         missing.append(NotJudged(component="accelerometer", reason="no specific force is logged"))
-    return found
+    return found + _creeping(flight, gravity, found)
+
+
+def _creeping(flight: Flight, gravity: dict[str, OwnEstimate], found: list[Found]) -> list[Found]:
+    """Gyros whose offset creeps against gravity, of those and accelerometers of which nothing is known."""
+    known = {each.finding.component for each in found}
+    components = {component_name("gyro", name): own for name, own in gravity.items()}
+    if any(name.startswith("accelerometer") for name in known):
+        return []
+    creeps = [offset_finding(flight, name, own) for name, own in components.items() if name not in known]
+    return [each for each in creeps if each is not None]
+
+
+def _by_gravity(log: FlightLog, gyros: dict[str, Signal]) -> dict[str, OwnEstimate]:
+    """Estimate attitude and offset of each gyro by the main accelerometer, where they allow it."""
+    force = next(iter(log.accelerometers.values()), None)
+    if force is None:
+        return {}
+    found = {name: estimate(sensor, force) for name, sensor in gyros.items()}
+    return {name: own for name, own in found.items() if own is not None}
 
 
 def _without_doubles(found: list[Found]) -> list[Found]:
@@ -169,8 +192,8 @@ def _follows(finding: Finding, losses: list[Found]) -> bool:
     onsets = [each.finding.onset_s for each in losses if each.shakes]
     return (
         bool(onsets)
-        and finding.kind in ("offset", "noise", "unknown")
-        and finding.onset_s > min(onsets) - 0.1
+        and finding.kind in ("offset", "noise", "saturation", "unknown")
+        and finding.onset_s > min(onsets) - SHAKES_BEFORE
     )
 
 

@@ -44,7 +44,7 @@ def reading_findings(
     for axis, name in enumerate(names):
         values = sensor.value[:, axis]
         stuck = stuck_intervals(flight, sensor.time, values)
-        limits = limit_intervals(sensor.time, values)
+        limits = limit_intervals(sensor.time, values) if unit != "1" else []  # an attitude has none
         stuck = [each for each in stuck if not _overlaps(each, limits)]
         for kind, intervals in (("stuck", stuck), ("saturation", limits)):
             if intervals:

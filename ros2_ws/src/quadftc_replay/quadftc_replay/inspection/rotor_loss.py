@@ -6,7 +6,9 @@ mean of e after t less that before is compared with all rotors:
 
     s_i = g' W delta / g' W g,    g = -G_i mean(u_i),    W = diag(1 / sigma²)
 
-The first t is taken at which a rotor explains e well, far better than anything before, and goes on to.
+The first t is taken at which a rotor explains e far better than anything before, goes on to, and leaves no
+more than gains that are off by a third can. Yaw does not count: rotors that change their speed turn the
+vehicle, too.
 """
 
 from __future__ import annotations
@@ -29,14 +31,16 @@ from quadftc_replay.inspection.whitening import TO_SIGMA, Floats, Mask
 
 BEFORE = 0.3  # s; over which e is known
 AFTER = (0.06, 0.12)  # s; over which it has jumped
-STAYS = 0.3  # s; over which it has to stay so, if the log goes on for so long
+STAYS = (0.06, 0.15)  # s; after it jumped, over which it has to stay so, if the log goes on for so long
+SWITCHED = 0.5  # 1; of its drive, below which a rotor has been switched off
 SCORE = 100.0  # 1; what a rotor has to explain of the sum of squares, over sigma²
 CLEARER = 2.5  # times: what it has to explain more than anything before it
 SOONER = 0.5  # s; so long before it counts as before
 PARTS = (0.2, 0.35, 0.5, 0.75, 1.0)  # 1; of the flight, of which models look at what follows
 PAST = 2.0  # s; of which the scatter counts
-PEAK = 0.15  # s; from where it is seen first to where it is clearest
-SHARE = 0.7  # 1; of all that is to be explained
+PEAK = 0.1  # s; from where it is seen first to where it is clearest
+GAINS = 0.35  # 1; by which gains may be off, of those that an axis has
+FIT = 6.0  # 1; sum of squares that a rotor may leave, over what sigma and the gains explain
 LEAST, MOST = 0.3, 1.8  # 1; of the rotor's thrust: less is not seen for sure, more is something else
 AHEAD = 1.5  # times: what it has to explain more than the next rotor
 REMAINS = 0.5  # 1; of the share, that has to stay
@@ -93,9 +97,16 @@ def find_loss(grid: Grid, model: Identified, span: tuple[float, float]) -> Loss 
     """Find the first loss of a rotor in a span of time [s]; None if there is none."""
     if model.usable[:2].sum() < 2:
         return None
+    model = _without_yaw(model)
     rest = unexplained(grid, model)[:, model.usable]
     found = [_first_onset(grid, model, rest, after, span) for after in AFTER]
     return min(filter(None, found), key=lambda loss: (round(loss.onset, 1), -loss.score), default=None)
+
+
+def _without_yaw(model: Identified) -> Identified:
+    usable = model.usable.copy()
+    usable[2] = False
+    return model._replace(usable=usable)
 
 
 def _window_means(values: Floats, count: int) -> Floats:
@@ -124,6 +135,49 @@ def _scatter(change: Floats, watched: Mask, dt: float) -> Floats:
     return np.maximum(TO_SIGMA * local[np.maximum(rows, 0)], usual)
 
 
+class Compared(NamedTuple):
+    """How each rotor explains the changes."""
+
+    explained: Floats  # (n, rotors) of the sum of squares over sigma²
+    share: Floats  # (n, rotors) of its thrust
+    misfit: Floats  # (n, rotors) what it leaves, over what sigma and the gains explain
+
+
+def _compare(change: Floats, sigma: Floats, effect: Floats) -> Compared:
+    """Compare changes (n, c) with the effects of the rotors (n, rotors, c)."""
+    along = np.einsum("nrc,nc->nr", effect, change / sigma**2)
+    power = np.einsum("nrc,nc->nr", effect**2, 1.0 / sigma**2)
+    explained = np.where(along > 0.0, along**2 / np.maximum(power, 1e-12), 0.0)
+    usual = np.sqrt(np.mean(effect**2, axis=1))[:, None]  # of all rotors: one may have no effect on an axis
+    weight = 1.0 / (sigma[:, None] ** 2 + (GAINS * usual) ** 2)
+    share = np.sum(weight * effect * change[:, None], axis=2) / np.sum(weight * effect**2, axis=2)
+    off = GAINS * np.maximum(share, LEAST)[..., None] * usual
+    misfit = np.sum((change[:, None] - share[..., None] * effect) ** 2 / (sigma[:, None] ** 2 + off**2), 2)
+    return Compared(explained, share, misfit)
+
+
+def _turning(grid: Grid, effect: Floats, before: int, count: int) -> Floats:
+    """How far the angular acceleration itself changes as it does when rotors stop (n, rotors), 1: as far.
+
+    Gains that are too large make a rotor that slows down look like a loss of the opposite one.
+    """
+    change = _changes(np.gradient(grid.rate[:, :2], grid.dt, axis=0), before, count)
+    turn = effect[..., :2]
+    return np.einsum("nrc,nc->nr", turn, change) / np.maximum(np.einsum("nrc,nrc->nr", turn, turn), 1e-12)
+
+
+def turns_as_without(grid: Grid, model: Identified, rotor: int, moment: float) -> bool:
+    """Whether the vehicle, at a moment [s], starts to turn as it does when a rotor stops."""
+    rate = np.nan_to_num(grid.rate[:, :2])
+    rows = np.searchsorted(grid.time, (moment - AFTER[1], moment, moment + AFTER[0], moment + AFTER[1]))
+    if not model.usable[:2].all() or rows[1] <= rows[0] or rows[3] <= rows[2]:
+        return False
+    start, onset, soon, late = (int(row) for row in rows)
+    trend = (rate[onset] - rate[start]) / (onset - start)
+    change = rate[soon:late].mean(axis=0) - rate[onset] - trend * (0.5 * (soon + late) - onset)
+    return bool(change @ -model.gain[rotor, :2] > 0.0)
+
+
 def _first_onset(
     grid: Grid, model: Identified, rest: Floats, after: float, span: tuple[float, float]
 ) -> Loss | None:
@@ -135,40 +189,36 @@ def _first_onset(
     change = _changes(rest, before, count)
     sigma = _scatter(change, healthy, grid.dt) + 1e-9
     driven = _window_means(lagged(np.nan_to_num(grid.inputs), model.lag, grid.dt), count)
-    effect = -driven[:, :, None] * model.gain[:, model.usable][None]  # (n, rotors, c)
-    weighted = change / sigma**2
-    along = np.einsum("nrc,nc->nr", effect, weighted)
-    power = np.einsum("nrc,nc->nr", effect**2, 1.0 / sigma**2)
-    share = along / np.maximum(power, 1e-12)
-    explained = np.where(along > 0.0, along**2 / np.maximum(power, 1e-12), 0.0)
-    total = np.sum(change * weighted, axis=1)
+    effect = -driven[:, :, None] * model.gain[:, model.usable][None] + 1e-12  # (n, rotors, c)
+    seen = _compare(change, sigma, effect)
     watched = ndimage.binary_dilation(grid.flying, np.ones(2 * count + 1, np.bool_))
-    fits = (explained > np.maximum(SCORE, SHARE * total[:, None])) & watched[:, None]
-    fits &= (share > LEAST) & (share < MOST)
+    fits = (seen.explained > SCORE) & (seen.misfit < FIT) & watched[:, None]
+    fits &= (seen.share > LEAST) & (seen.share < MOST) & (_turning(grid, effect, before, count) > 0.0)
     fits &= ((grid.time >= span[0]) & (grid.time <= span[1]))[:, None]
     fits[len(fits) - count :] = False
-    if not fits.any():
-        return None
-    score = np.where(fits, explained, 0.0)
+    score = np.where(fits, seen.explained, 0.0)
     peak = round(PEAK / grid.dt)
-    for first in np.flatnonzero(score.max(axis=1) > 0.0).tolist():
+    for first in np.flatnonzero(fits.any(axis=1)).tolist():
         row = first + int(np.argmax(score[first : first + peak].max(axis=1)))
         rotor = int(np.argmax(score[row]))
         earlier = slice(0, max(row - round(SOONER / grid.dt), 0))
-        known = float(explained[earlier][grid.flying[earlier]].max(initial=0.0))
-        size = float(share[row, rotor])
-        if score[row, rotor] < CLEARER * known or not _stays(grid, model, rest, row, rotor, size):
+        known = float(seen.explained[earlier][grid.flying[earlier]].max(initial=0.0))
+        size = float(seen.share[row, rotor])
+        if score[row, rotor] < CLEARER * known or not _stays(grid, model, rest, row + count, rotor, size):
             continue
-        others = np.where(np.arange(len(share[row])) == rotor, 0.0, explained[row])
+        onset = _refine(grid, model, rest, sigma[row], row, rotor)
+        if not turns_as_without(grid, model, rotor, onset):
+            continue
+        others = np.where(np.arange(len(score[row])) == rotor, 0.0, score[row])
         second = int(np.argmax(others))
         is_close = float(score[row, rotor]) < AHEAD * float(others[second])
         gains, stds = model.gain[rotor, :2], model.gain_std[rotor, :2]
         of_gain = size * float(np.sqrt(np.mean((stds / gains) ** 2)))
         return Loss(
             rotor=rotor,
-            onset=_refine(grid, model, rest, sigma[row], row, rotor),
+            onset=onset,
             share=size,
-            sigma=float(np.hypot(1.0 / np.sqrt(power[row, rotor]), of_gain)),
+            sigma=float(np.hypot(size / np.sqrt(seen.explained[row, rotor]), of_gain)),
             score=float(score[row, rotor]),
             second=second if is_close else None,
         )
@@ -195,14 +245,22 @@ def _refine(grid: Grid, model: Identified, rest: Floats, sigma: Floats, row: int
 
 
 def _stays(grid: Grid, model: Identified, rest: Floats, row: int, rotor: int, share: float) -> bool:
-    """Whether the rotor still lacks its share a while later; a blow does not last."""
-    first, last = row + round(0.5 * STAYS / grid.dt), row + round(STAYS / grid.dt)
+    """Whether a rotor still lacks its share after it jumped, before a bin; a blow does not last.
+
+    Of a rotor that has been switched off meanwhile nobody knows.
+    """
+    first, last = row, row + round((STAYS[1] - STAYS[0]) / grid.dt)
     if last >= len(rest):
         return True
-    before = rest[max(row - round(BEFORE / grid.dt), 0) : row].mean(axis=0)
+    before = rest[max(row - round((BEFORE + STAYS[0]) / grid.dt), 0) : row - round(STAYS[0] / grid.dt)].mean(
+        axis=0
+    )
     later = rest[first:last].mean(axis=0) - before
-    driven = lagged(np.nan_to_num(grid.inputs), model.lag, grid.dt)[first:last, rotor].mean()
+    drive = lagged(np.nan_to_num(grid.inputs), model.lag, grid.dt)[:, rotor]
+    driven = float(drive[first:last].mean())
+    if driven < SWITCHED * float(drive[max(row - round(BEFORE / grid.dt), 0) : row].mean()):
+        return True
     effect = -driven * model.gain[rotor, model.usable]
-    scale = np.abs(model.gain[:, model.usable]).mean(axis=0) ** 2
+    scale = np.mean(model.gain[:, model.usable] ** 2, axis=0)
     remaining = float((later / scale) @ effect) / float((effect / scale) @ effect)
     return remaining > REMAINS * share

@@ -18,7 +18,7 @@ from quadftc_replay.inspection.identification import (
     in_blocks,
     make_grid,
 )
-from quadftc_replay.inspection.rotor_loss import SCORE, Loss, search_loss, unexplained
+from quadftc_replay.inspection.rotor_loss import SCORE, Loss, search_loss, turns_as_without, unexplained
 from quadftc_replay.inspection.rotor_trim import (
     SHARPER,
     Weak,
@@ -28,11 +28,18 @@ from quadftc_replay.inspection.rotor_trim import (
     trim_of,
 )
 from quadftc_replay.inspection.verdict import NotJudged
-from quadftc_replay.inspection.whitening import runs_of
+from quadftc_replay.inspection.whitening import Floats, runs_of
 
-STANDS = 0.25  # 1; of the mean speed of the others
-STANDS_FOR = 0.1  # s
+AT_ONCE = 0.15  # s; within which a controller stops the opposite rotor
+STANDS = 0.25  # 1; of the usual speed of the others
+STILL_FLYING = 0.7  # 1; of their usual speed, that the others have meanwhile
+FALLS = 3.0  # s; that a flight goes on after what is judged, as in a crash
+SLOWS = 0.3  # 1; of the steepest fall of its speed, at which the fall begins
+FALL, STEP = 0.5, 0.02  # s; before it stands; over which its fall is measured
+STANDS_FOR = 0.1  # s; though it was told to turn
+STOPS_FOR = 0.25  # s; else: manoeuvres stop rotors for less
 UNASKED = 0.8  # probability that it is a fault, where nobody knows what it was told
+ASKED = 0.6  # where it was told to: whoever flies on three rotors tells the fourth to stand
 ALL_OF_IT = 0.75  # 1; share of the thrust from which a rotor is off
 AROUND = 0.6  # s
 
@@ -61,10 +68,14 @@ def judge_rotors(flight: Flight, baseline: FlightLog | None) -> Rotors:
         )
     missing: list[NotJudged] = []
     can_see_loss = model is not None and bool(model.usable[:2].all())
-    found = list(_standing(flight))
-    if grid is not None and model is not None and loss is not None:
-        found.append(_loss_found(flight, grid, model, loss))
-    found = _first(found)
+    stopped = min(_standing(flight), key=lambda each: each.finding.onset_s, default=None)
+    lost, turns = None, False
+    if grid is not None and model is not None:
+        lost = None if loss is None else _loss_found(flight, grid, model, loss)
+        if stopped is not None:
+            moment = min(each.finding.onset_s for each in (stopped, lost) if each is not None)
+            turns = turns_as_without(grid, model, int(stopped.finding.element) - 1, moment)
+    found = _first(stopped, lost, turns)
     has_rotors = log.rotor_speeds is not None or log.rotor_commands is not None
     trim = trim_of(flight)
     if trim is not None:
@@ -79,17 +90,22 @@ def judge_rotors(flight: Flight, baseline: FlightLog | None) -> Rotors:
     return Rotors(found, model, has_rotors and (can_see_loss or trim is not None), missing)
 
 
-def _first(found: list[Found]) -> list[Found]:
-    """Keep the rotor that failed first: a controller that flies on stops others on purpose."""
-    if len(found) < 2:
-        return found
-    order = sorted(found, key=lambda each: each.finding.onset_s)
-    first = order[0]
-    same = [each for each in order[1:] if each.finding.element == first.finding.element]
-    best = next((each for each in [first, *same] if each.finding.kind == "off"), first)
-    said = tuple(dict.fromkeys([*best.finding.evidence, *first.finding.evidence]))
-    finding = best.finding.model_copy(update={"onset_s": first.finding.onset_s, "evidence": said})
-    return [Found(finding, best.curve or first.curve, True)]
+def _first(stopped: Found | None, lost: Found | None, turns: bool) -> list[Found]:
+    """Keep the rotor that failed first: a controller that flies on stops others on purpose.
+
+    It may stop them at once; so of two at the same time, the one that stands is to blame only if the vehicle
+    ``turns`` as it does without that one.
+    """
+    if stopped is None or lost is None:
+        return [each for each in (stopped, lost) if each is not None]
+    early, late = sorted((stopped, lost), key=lambda each: each.finding.onset_s)
+    if stopped.finding.element == lost.finding.element:
+        said = tuple(dict.fromkeys([*stopped.finding.evidence, *lost.finding.evidence]))
+        finding = stopped.finding.model_copy(update={"onset_s": early.finding.onset_s, "evidence": said})
+        return [Found(finding, stopped.curve or lost.curve, True)]
+    if late.finding.onset_s - early.finding.onset_s < AT_ONCE:
+        return [stopped if turns else lost]
+    return [early]
 
 
 def _not_judged(reason: str) -> NotJudged:
@@ -131,16 +147,23 @@ def _standing(flight: Flight) -> Iterator[Found]:
         return
     speeds = np.abs(np.nan_to_num(sensor.value))
     flying = flight.in_flight(sensor.time)
+    if not flying.any():
+        return
+    usual = float(np.median(speeds[flying]))
+    falling = np.zeros(len(flying), np.bool_)
+    for each in flight.intervals:
+        falling |= (sensor.time > each.end) & (sensor.time < each.end + FALLS)
     for rotor in range(speeds.shape[1]):
-        others = np.delete(speeds, rotor, axis=1)
-        stands = flying & (speeds[:, rotor] < STANDS * others.mean(axis=1))
+        others = np.median(np.delete(speeds, rotor, axis=1), axis=1)
+        there = flying | (falling & (others > STILL_FLYING * usual))
+        stands = there & (speeds[:, rotor] < STANDS * others)
         for run in runs_of(stands):
             start, end = float(sensor.time[run.start]), float(sensor.time[run.stop - 1])
-            if end - start < max(STANDS_FOR, 1.5 / sensor.rate):
-                continue
             asked = _asked_share(flight.log, rotor, start, min(end, start + 0.5))
-            if asked is not None and asked < STANDS:
-                continue  # it stands as it is told to
+            is_asked = asked is not None and asked < STANDS
+            least = STANDS_FOR if asked is not None and not is_asked else STOPS_FOR
+            if end - start < max(least, 1.5 / sensor.rate):
+                continue
             speed, rest = float(speeds[run, rotor].mean()), float(others[run].mean())
             said = [f"it turns at {speed:.0f} rad/s while the others turn at {rest:.0f} rad/s"]
             said.append(
@@ -148,19 +171,35 @@ def _standing(flight: Flight) -> Iterator[Found]:
                 if asked is None
                 else f"it is asked for {100 * asked:.0f} % of what the others are asked for"
             )
+            onset = _slows_down(sensor.time, speeds[:, rotor], run.start)
+            probability = UNASKED if asked is None else (ASKED if is_asked else CERTAIN)
             finding = make_finding(
-                *("rotor", str(rotor + 1), "off", start),
-                end_s=None if end > float(sensor.time[flying][-1]) - STANDS_FOR else end,
+                *("rotor", str(rotor + 1), "off", onset),
+                end_s=None if end > float(sensor.time[there][-1]) - STANDS_FOR else end,
                 size=1.0 - (speed / rest) ** 2,
                 unit="1",
-                probability=UNASKED if asked is None else CERTAIN,
-                ambiguous_with=("command",) if asked is None else (),
+                probability=probability,
+                ambiguous_with=() if probability == CERTAIN else ("command",),
                 evidence=tuple(said),
             )
             lines = {f"rotor {k + 1}": sensor.value[:, k] for k in range(speeds.shape[1])}
             span = (start - AROUND, min(end, start + 2.0) + AROUND)
             yield Found(finding, curve_around("speed of the rotors", "rad/s", sensor.time, lines, span), True)
             break
+
+
+def _slows_down(time: Floats, speed: Floats, row: int) -> float:
+    """Return when [s] the fall of a speed begins that ends below a limit at a row."""
+    reach = max(1, round(STEP / float(np.median(np.diff(time)))))
+    first = int(np.searchsorted(time, float(time[row]) - FALL))
+    part = speed[first : row + reach + 1]
+    if len(part) <= 2 * reach:
+        return float(time[row])
+    fall = part[:-reach] - part[reach:]  # over the samples that follow
+    steepest = int(np.argmax(fall))
+    slow = np.flatnonzero(fall[:steepest] < SLOWS * fall[steepest])
+    begins = int(slow[-1]) + 1 if len(slow) else 0
+    return float(time[first + begins + reach])
 
 
 def _asked_share(log: FlightLog, rotor: int, start: float, end: float) -> float | None:
