@@ -41,6 +41,7 @@ from quadftc_ros.executor import run_node
 from quadftc_ros.join import StampJoin
 from quadftc_ros.motion_wire import RotorsReader, RotorsWire
 from quadftc_ros.node import GraphNode
+from quadftc_ros.parameters import STAYS, VehicleParameters
 from quadftc_ros.rotor_wire import EffectivenessReader
 from quadftc_ros.topics import BASE_FRAME
 from quadftc_ros.transport import decoding
@@ -61,12 +62,17 @@ _REPORTS = {
 class ControllerParameters:
     """Parameters of the controller node besides those of the controller, which stand behind its name."""
 
-    vehicle: str = parameter("qball_x4", doc="name of a vehicle, or path of its TOML file")
-    controller: str = parameter("ismc", doc="name of the controller")
+    controller: str = parameter("ismc", doc="name of the controller; may be changed in flight")
 
 
 def _build(values: Mapping[str, Any]) -> tuple[Controller, Patience]:
     return controller_from(values), build_prefixed(Patience, values, "patience")
+
+
+def _warmed_up(law: Controller) -> Controller:
+    still = AttitudeReference(np.zeros(3), np.zeros(3), np.zeros(3))
+    warm_up(law, ControllerInputs(level_sample(), still, np.zeros(3)))
+    return law
 
 
 def faulty_part(status: Any) -> Floats:
@@ -82,16 +88,13 @@ class ControllerNode(GraphNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("controller", **kwargs)
-        self.settings.declare(ControllerParameters, read_only=True)
-        name = self.settings.values()["controller"]
-        self.settings.declare(controllers.get(name), f"{name}.")
+        self.settings.declare(VehicleParameters, read_only=True)
+        self.settings.declare_law(ControllerParameters, controllers, self._must_keep)
         self.settings.declare(Patience, "patience.")
         law, patience = _build(self.settings.values())
         self._flies = self.plant_kind == "free_flight"
-        still = AttitudeReference(np.zeros(3), np.zeros(3), np.zeros(3))
-        warm_up(law, ControllerInputs(level_sample(), still, np.zeros(3)))
-        self._manager = FlightManager(law, patience, READER, self.diagnostics.count)
-        self.settings.on_change(_build, lambda built: self._manager.configure(*built))
+        self._manager = FlightManager(_warmed_up(law), patience, READER, self.diagnostics.count)
+        self.settings.on_change(_build, self._use)
         self._publish_torque = self.publishes("torque/command")
         self._publish_status = self.publishes("control/status")
         self._body, self._status = wire.VectorWire(BASE_FRAME), wire.ControlStatusWire()
@@ -116,6 +119,15 @@ class ControllerNode(GraphNode):
             }
             self._watchdog = self.create_timer(WATCH_PERIOD, self._on_watchdog, clock=self.pace)
         self.ready()
+
+    def _use(self, built: tuple[Controller, Patience]) -> None:
+        """Fly with changed parameters, or have another controller take over."""
+        law, patience = built
+        self._manager.configure(law if self._manager.flies(law) else _warmed_up(law), patience)
+
+    def _must_keep(self) -> str:
+        """Return why another controller must not take over now; empty: it may."""
+        return STAYS if self.lockstep else self._manager.must_keep()
 
     def _on_reference(self, stamp_ns: int, wanted: AttitudeCommand) -> None:
         thrust = wanted.thrust if self._flies else None

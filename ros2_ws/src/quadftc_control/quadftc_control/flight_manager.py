@@ -15,13 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadftc_control.allocation import actuated
-from quadftc_control.controller import Controller, nothing_but, stepper_of
+from quadftc_control.controller import Controller, limited, nothing_but, stepper_of
 from quadftc_control.input_monitor import HeldTorque, InputMonitor, Mode, Patience
 from quadftc_control.last_words import LastWords, MessageReader
-from quadftc_control.reduced_attitude import enduring
+from quadftc_control.reduced_attitude import Enduring, enduring
 from quadftc_control.transfer import Transfer
 from quadftc_model import samples
 from quadftc_model.arrays import Components, Scalar, Vector
+from quadftc_model.fade import Fade
 from quadftc_model.rotors import wrench_from_speeds
 from quadftc_model.samples import AttitudeReference, ControllerInputs, ControllerOutput, ImuSample
 from quadftc_model.stepper import seconds
@@ -54,6 +55,8 @@ class FlightManager:
         self._monitor, self._transfer = InputMonitor(patience), Transfer(patience)
         self._last_words = LastWords(reader)
         self._held = HeldTorque()
+        self._next: Enduring | None = None  # takes over with the next sample
+        self._fade = Fade()  # of the torque (3,) [N m]
         self._status: Any = None  # last status of an observer that is silent, if it helps one that restarts
         self._mode: Mode | None = None
         self.stamp_ns = 0  # of the last command [ns]; 0 before the first
@@ -70,10 +73,25 @@ class FlightManager:
         self.kept: list[tuple[str, int, Any]] = []
 
     def configure(self, law: Controller, patience: Patience) -> None:
-        """Change parameters in flight."""
-        self._law = enduring(law)
-        self._stepper.law = self._law.without_estimate(self._missing)
+        """Change parameters in flight, or the law: another one takes over without a jump of the torque."""
+        changed = enduring(law)
+        if self.flies(law):
+            self._law, self._next = changed, None
+            self._stepper.law = changed.without_estimate(self._missing)
+        else:
+            self._next = changed
         self._monitor.patience = self._transfer.patience = patience
+
+    def flies(self, law: Controller) -> bool:
+        """Return whether it flies a law of this kind now."""
+        return type(enduring(law).law) is type(self._law.law)
+
+    def must_keep(self) -> str:
+        """Return why another law must not take over now; empty: it may."""
+        if self._mode not in (None, Mode.FULL):
+            return "something is missing: the controller does not fly in mode full"
+        weak = self.effectiveness is not None and min(self.effectiveness.tolist()) < 1.0
+        return "a rotor is weak" if weak else ""
 
     def restart(self) -> None:
         """Take the next sample for the first of a flight."""
@@ -178,8 +196,24 @@ class FlightManager:
             return None
         if self._stepper.replaced > replaced:
             self._count("the controller gave no number: the last torque is held")
+        output = self._faded(stamp_ns, inputs, output)
+        if self._next is not None:
+            self._law, self._next = self._next, None
+            law = self._stepper.law = self._law.without_estimate(self._missing)
+            new = self._stepper.resume(stamp_ns, inputs, law.init(inputs))
+            self._fade.begin(stamp_ns, output.torque - new.torque)
+            output = self._faded(stamp_ns, inputs, new)
         self._held.add(stamp_ns, output.torque)
         return self._command(stamp_ns, output, mode)
+
+    def _faded(self, stamp_ns: int, inputs: ControllerInputs, output: ControllerOutput) -> ControllerOutput:
+        """Add to the torque what is left of the difference between two laws."""
+        left = self._fade.at(stamp_ns)
+        if left is None:
+            return output
+        return output._replace(
+            torque=limited(self._law.vehicle, output.torque + left, inputs.effectiveness)[0]
+        )
 
     def _fly_on(self, stamp_ns: int, imu: ImuSample, mode: Mode) -> Command | None:
         """Fly on a clean sample, with the latest of all else."""

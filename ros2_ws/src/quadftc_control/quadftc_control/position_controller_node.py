@@ -36,6 +36,7 @@ from quadftc_ros.executor import run_node
 from quadftc_ros.join import PlaceGate, PlaceParameters
 from quadftc_ros.motion_wire import OdometryWire, PoseWire, PositionSampleReader
 from quadftc_ros.node import GraphNode
+from quadftc_ros.parameters import VehicleParameters
 from quadftc_ros.wire import ReferenceWire, imu_of, pose_of
 
 
@@ -43,7 +44,6 @@ from quadftc_ros.wire import ReferenceWire, imu_of, pose_of
 class PositionControllerParameters:
     """Parameters of the node besides those of the controller, which stand behind its name."""
 
-    vehicle: str = parameter("qball_x4", doc="name of a vehicle, or path of its TOML file")
     position_controller: str = parameter("geometric", doc="name of the position controller")
     source: str = parameter(
         "scenario", choices=("scenario", "topic"), doc="from `trajectories`, or position/setpoint"
@@ -55,6 +55,7 @@ class PositionControllerNode(GraphNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("position_controller", **kwargs)
+        self.settings.declare(VehicleParameters, read_only=True)
         self.settings.declare(PositionControllerParameters, read_only=True)
         name = self.settings.values()["position_controller"]
         self.settings.declare(position_controllers.get(name), f"{name}.")

@@ -26,7 +26,11 @@ from numpy.typing import NDArray
 
 from quadftc_control.input_monitor import Patience
 from quadftc_model import rotations
-from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, quaternion_product
+from quadftc_model.rotations import (
+    euler_from_quaternion,
+    quaternion_from_euler,
+    rotation_between,
+)
 from quadftc_model.samples import ImuSample
 from quadftc_model.stepper import MAX_GAP, seconds
 
@@ -34,7 +38,6 @@ from quadftc_model.stepper import MAX_GAP, seconds
 # lost or came back, beyond what it changes by otherwise; held by tests.
 TORQUE_JUMP = 0.10
 LONGEST = 0.1  # s; over a longer gap the body rate carries nothing on
-_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 
 
 class Transfer:
@@ -147,19 +150,10 @@ class Transfer:
 def _turn_of(sample: ImuSample, fault: NDArray[np.float64]) -> NDArray[np.float64]:
     """Rotation vector [rad] (3,) from a sample to what it would be without a fault (3,) [rad]."""
     right = quaternion_from_euler(euler_from_quaternion(sample.q_xyzw) - fault)
-    return rotation_vector(quaternion_product(sample.q_xyzw * _CONJUGATE, right))
+    return rotation_between(sample.q_xyzw, right)
 
 
 def _turn_between(sample: ImuSample, before: ImuSample, elapsed: float) -> NDArray[np.float64]:
     """Rotation vector [rad] (3,) from a sample to where the one before has come in a time [s]."""
     turned = rotations.quaternion_from_rotation_vector(before.body_rate * elapsed)
-    expected = quaternion_product(before.q_xyzw, turned)
-    return rotation_vector(quaternion_product(sample.q_xyzw * _CONJUGATE, expected))
-
-
-def rotation_vector(q_xyzw: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Rotation vector [rad] (3,) of a unit quaternion (4,), at most pi long."""
-    x, y, z, w = q_xyzw.tolist()
-    sine = math.sqrt(x * x + y * y + z * z)
-    angle = 2.0 * math.atan2(sine, abs(w))
-    return q_xyzw[:3] * (math.copysign(angle / sine, w) if sine > 0.0 else 2.0)
+    return rotation_between(sample.q_xyzw, rotations.quaternion_product(before.q_xyzw, turned))

@@ -66,6 +66,28 @@ class Flight:
         return self.manager.needs_raw(self.stamp_ns, self.raw)
 
 
+def torques(second=None, first="ismc"):
+    """Torques [N m] off the reference, before and after another controller takes over, or none."""
+    flight, vehicle = Flight(), load_vehicle("qball_x4")
+    flight.healthy = level_sample()._replace(q_xyzw=quaternion_from_euler(FAULT), body_rate=BIAS)
+    flight.manager.configure(controllers.get(first)(vehicle=vehicle), Patience())
+    found = [flight.next().output.torque for _ in range(300)]
+    assert flight.manager.must_keep() == ""
+    if second:
+        flight.manager.configure(controllers.get(second)(vehicle=vehicle), Patience())
+    return np.array(found + [flight.next().output.torque for _ in range(300)])
+
+
+@pytest.mark.parametrize(("first", "second"), [("ismc", "pid"), ("pid", "indi"), ("smc", "ismc")])
+def test_controller_that_takes_over_in_flight_does_not_make_the_torque_jump(first, second):
+    alone, found = torques(None, first), torques(second, first)
+    np.testing.assert_array_equal(found[:300], alone[:300])
+    np.testing.assert_allclose(found[300], alone[300], atol=1e-12)
+    authority = load_vehicle("qball_x4").authority
+    assert np.max(np.abs(np.diff(found[299:], axis=0)) / authority) < 0.01
+    assert np.max(np.abs(found[-1] - alone[-1])) > 1e-3  # it is another law
+
+
 @pytest.fixture
 def flight():
     started = Flight()

@@ -5,18 +5,20 @@ import pytest
 
 from quadftc_control.controllers.ismc import Ismc
 from quadftc_control.input_monitor import InputMonitor, Patience
-from quadftc_control.transfer import TORQUE_JUMP, Transfer, rotation_vector
+from quadftc_control.transfer import TORQUE_JUMP, Transfer
 from quadftc_model.rotations import (
     body_rates,
     euler_from_quaternion,
     quaternion_from_euler,
     quaternion_from_rotation_vector,
+    rotation_between,
 )
 from quadftc_model.samples import AttitudeReference, ControllerInputs, level_sample
 from quadftc_model.stepper import Stepper
 from quadftc_model.vehicle import load_vehicle
 
 DT, PERIOD_NS = 0.004, 4_000_000
+LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 FAULT = np.radians([2.0, -3.0, 4.0])
 BIAS = np.radians([1.0, -0.5, 0.7])  # rad/s
 SAMPLES = 2000  # 8 s
@@ -177,8 +179,8 @@ def test_imu_that_was_healthy_is_used_as_it_is_at_once_but_for_its_gyro_bias():
 def test_rotation_vector_is_the_inverse_of_the_quaternion(angle):
     vector = angle * np.array([0.6, 0.0, -0.8])
     q_xyzw = quaternion_from_rotation_vector(vector)
-    np.testing.assert_allclose(rotation_vector(q_xyzw), vector, atol=1e-12)
-    np.testing.assert_allclose(rotation_vector(-q_xyzw), vector, atol=1e-12)
+    np.testing.assert_allclose(rotation_between(LEVEL, q_xyzw), vector, atol=1e-12)
+    np.testing.assert_allclose(rotation_between(LEVEL, -q_xyzw), vector, atol=1e-12)
 
 
 def test_switching_gain_takes_over_with_its_layer_in_proportion():

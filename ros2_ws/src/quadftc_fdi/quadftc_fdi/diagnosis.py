@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from quadftc_fdi.fault_observer import FaultObserver, LastDiagnosis, await_start
 from quadftc_model import samples
 from quadftc_model.arrays import Scalar, Vector, rows_of
+from quadftc_model.fade import Fade
+from quadftc_model.rotations import rotation_between, turn
 from quadftc_model.samples import (
     ALARMS,
     FAULT_KINDS,
@@ -57,6 +59,12 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
     def __init__(self, law: FaultObserver) -> None:
         super().__init__(law, _usable_estimate)
         self._published: DiagnosisReport | None = None
+        self._next: FaultObserver | None = None  # takes over with the next complete sample
+        self._fade = Fade()  # of turn [rad] and body rate [rad/s], (6,)
+
+    def switch(self, law: FaultObserver) -> None:
+        """Have another law take over in flight, from what this one knows, without a jump."""
+        self._next = law
 
     def diagnose(
         self,
@@ -77,6 +85,8 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
         inputs = FaultObserverInputs(clean, torque, thrust, place, rotors)
         last, dt = self.words_for(stamp_ns), self.time_step(stamp_ns)
         complete = clean.attitude_valid and clean.rate_valid
+        if self._next is not None and dt == 0.0:
+            self.law, self._next = self._next, None
         if last is not None:
             last = last._replace(since=np.array([_age(stamp_ns, onset_ns) for onset_ns in last.onset_ns]))
             if not all(np.all(np.isfinite(part)) for part in last):
@@ -86,7 +96,37 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
         if dt == 0.0 and not complete:
             self.reset()
             return await_start(clean, of_sensors=False)
-        return self.step(stamp_ns, inputs)
+        estimate = self._faded(stamp_ns, self.step(stamp_ns, inputs))
+        if self._next is None or estimate is None or not complete:
+            return estimate
+        return self._hand_over(stamp_ns, inputs, estimate, self._next)
+
+    def _hand_over(
+        self, stamp_ns: int, inputs: FaultObserverInputs, before: FaultEstimate, law: FaultObserver
+    ) -> FaultEstimate | None:
+        """Start another law at a sample [ns] of which the present one has said ``before``.
+
+        No fault is confirmed, so it starts at the attitude that is read. The gyro bias is handed over.
+        """
+        last, bias = before.corrected, None if self.state is None else self.law.bias_of(self.state)
+        self.law, self._next = law, None
+        correction = last.body_rate - inputs.imu.body_rate if bias is None else -bias
+        known = LastDiagnosis(np.zeros(3), _UNKNOWN, _CLEAR, correction)
+        begun = samples.STARTING not in before.state.tolist() and correction.any()
+        state = law.resumed(inputs, known) if begun else law.init(inputs)
+        estimate = self.resume(stamp_ns, inputs, state)
+        turn = rotation_between(estimate.corrected.q_xyzw, last.q_xyzw)
+        self._fade.begin(stamp_ns, np.concatenate([turn, last.body_rate - estimate.corrected.body_rate]))
+        return self._faded(stamp_ns, estimate)
+
+    def _faded(self, stamp_ns: int, estimate: FaultEstimate | None) -> FaultEstimate | None:
+        """Add to a corrected sample what is left of the difference between two laws."""
+        left = self._fade.at(stamp_ns)
+        if estimate is None or left is None:
+            return estimate
+        corrected = estimate.corrected
+        q_xyzw, body_rate = turn(corrected.q_xyzw, left[:3]), corrected.body_rate + left[3:]
+        return estimate._replace(corrected=corrected._replace(q_xyzw=q_xyzw, body_rate=body_rate))
 
     def report(self, stamp_ns: int, estimate: FaultEstimate) -> DiagnosisReport | None:
         """Return the report on a sample [ns]; None if none is due. Call it with every estimate."""

@@ -24,6 +24,7 @@ from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import CommandGate
 from quadftc_ros.node import GraphNode
+from quadftc_ros.parameters import VehicleParameters
 from quadftc_ros.topics import BASE_FRAME
 from quadftc_ros.wire import VectorWire, imu_of, vector_of
 
@@ -32,7 +33,6 @@ from quadftc_ros.wire import VectorWire, imu_of, vector_of
 class ObserverParameters:
     """Parameters of the node besides those of the observer, which stand behind its name."""
 
-    vehicle: str = parameter("qball_x4", doc="name of a vehicle, or path of its TOML file")
     observer: str = parameter("exosystem", doc="name of the disturbance observer")
 
 
@@ -41,6 +41,7 @@ class DisturbanceObserverNode(GraphNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("disturbance_observer", **kwargs)
+        self.settings.declare(VehicleParameters, read_only=True)
         self.settings.declare(ObserverParameters, read_only=True)
         name = self.settings.values()["observer"]
         self.settings.declare(observer.disturbance_observers.get(name), f"{name}.")

@@ -54,6 +54,10 @@ class FaultObserver(VehicleLaw[FaultObserverInputs, FaultEstimate]):
         """
         return self.init(without_fault(inputs, last.fault))
 
+    def bias_of(self, state: Any) -> Vector | None:
+        """Return the gyro bias [rad/s] of a state; None: all of it is taken off the corrected rate."""
+        return None
+
     def describe(self, state: Any) -> dict[str, Vector]:
         """Return what else the observer knows, for people, by name and axis; none by default."""
         return {}

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from std_msgs.msg import Header
 
-from quadftc_fdi.diagnosis import Diagnosis, describe_axes, describe_component, watched_sensors
-from quadftc_fdi.fault_observer import LastDiagnosis, fault_observer_from, fault_observers
+from quadftc_fdi.diagnosis import COMPONENTS, Diagnosis, describe_axes, describe_component, watched_sensors
+from quadftc_fdi.fault_observer import FaultObserver, LastDiagnosis, fault_observer_from, fault_observers
 from quadftc_model import samples
 from quadftc_model.arrays import Scalar
 from quadftc_model.parameters import parameter
@@ -39,6 +39,7 @@ from quadftc_ros.executor import run_node
 from quadftc_ros.join import CommandGate, PlaceGate, PlaceParameters, SpeedGate
 from quadftc_ros.motion_wire import PositionSampleReader, RotorsReader
 from quadftc_ros.node import GraphNode
+from quadftc_ros.parameters import STAYS, VehicleParameters
 from quadftc_ros.rotor_wire import RotorStatusWire
 from quadftc_ros.topics import EARTH_FRAME
 from quadftc_ros.wire import DiagnosisWire, FaultStatusWire, ImuWire, VectorWire, imu_of, vector_of
@@ -55,8 +56,12 @@ NO_STATES = "declares no faults, it only estimates; isolating and supervised dec
 class ObserverParameters:
     """Parameters of the node besides those of the observer, which stand behind its name."""
 
-    vehicle: str = parameter("qball_x4", doc="name of a vehicle, or path of its TOML file")
-    observer: str = parameter("isolating", doc="name of the fault observer")
+    observer: str = parameter("isolating", doc="name of the fault observer; may be changed in flight")
+
+
+def _warmed_up(law: FaultObserver) -> FaultObserver:
+    warm_up(law, FaultObserverInputs(samples.level_sample(), np.zeros(3)))
+    return law
 
 
 class FaultObserverNode(GraphNode):
@@ -64,12 +69,10 @@ class FaultObserverNode(GraphNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("fault_observer", **kwargs)
-        self.settings.declare(ObserverParameters, read_only=True)
-        self._observer = name = self.settings.values()["observer"]
-        self.settings.declare(fault_observers.get(name), f"{name}.")
-        self._diagnosis = Diagnosis(fault_observer_from(self.settings.values()))
-        warm_up(self._diagnosis.law, FaultObserverInputs(samples.level_sample(), np.zeros(3)))
-        self.settings.on_change(fault_observer_from, partial(setattr, self._diagnosis, "law"))
+        self.settings.declare(VehicleParameters, read_only=True)
+        self.settings.declare_law(ObserverParameters, fault_observers, self._must_keep)
+        self._diagnosis = Diagnosis(_warmed_up(fault_observer_from(self.settings.values())))
+        self.settings.on_change(fault_observer_from, self._use)
         self._publish_corrected, self._imu = self.publishes("imu/corrected"), ImuWire()
         self._publish_estimate, self._earth = self.publishes("fault/estimate"), VectorWire(EARTH_FRAME)
         self._publish_status, self._status = self.publishes("fault/status"), FaultStatusWire()
@@ -87,13 +90,33 @@ class FaultObserverNode(GraphNode):
         self._estimate: FaultEstimate | None = None  # the last
         self._alarms: list[bool] = [False] * 3  # elements that are faulty
         self._raw = 0  # samples in a row without attitude
+        self._introduce()
+        self.ready()
+
+    def _introduce(self) -> None:
+        """Say which observer it is; what one before it has said no longer holds."""
+        self._observer = name = fault_observers.name_of(type(self._diagnosis.law))
+        self.diagnostics.forget(*(f"attitude fault {axis}" for axis in samples.AXES))
+        self.diagnostics.forget(*(f"{component} fault" for component in (*COMPONENTS, "rotor")))
         if self._diagnosis.law.has_detector:
             self.diagnostics.report("observer", OK, name)
         else:
             self.diagnostics.report("observer", WARN, f"{name} {NO_STATES}")
             if not self.lockstep:
                 self.get_logger().warning(f"observer {name} {NO_STATES}")
-        self.ready()
+
+    def _must_keep(self) -> str:
+        """Return why another observer must not take over now; empty: it may."""
+        if self.lockstep:
+            return STAYS
+        return "a fault is confirmed, which another observer would not know" if any(self._alarms) else ""
+
+    def _use(self, law: FaultObserver) -> None:
+        """Fly with changed parameters, or have another observer take over."""
+        if type(law) is type(self._diagnosis.law):
+            self._diagnosis.law = law
+        else:
+            self._diagnosis.switch(_warmed_up(law))
 
     def _read_flight(self) -> None:
         """Read what there is in free flight: a sample waits for its position, then for the rotor speeds."""
@@ -155,7 +178,7 @@ class FaultObserverNode(GraphNode):
         place: PositionSample | None = None,
         rotors: RotorReading | None = None,
     ) -> None:
-        replaced, resumed = self._diagnosis.replaced, self._diagnosis.resumed
+        replaced, resumed, law = self._diagnosis.replaced, self._diagnosis.resumed, self._diagnosis.law
         estimate = self._diagnosis.diagnose(stamp_ns, sample, torque, thrust, place, rotors)
         if estimate is None:
             self.diagnostics.count("imu/data: stamp repeated or went back")
@@ -171,8 +194,17 @@ class FaultObserverNode(GraphNode):
             self._publish_report(self._report(report))
         if self._diagnosis.resumed > resumed:
             self.get_logger().info("resumes where a fault observer has died")
+        if type(self._diagnosis.law) is not type(law):
+            self._introduce()
         if self._diagnosis.replaced > replaced:
             self.diagnostics.count("the estimate was unusable: the observer restarts")
+        self._watch_input(sample, estimate)
+        self._estimate = estimate
+        self._watch_alarms(estimate)
+        self.sampled(stamp_ns)
+
+    def _watch_input(self, sample: ImuSample, estimate: FaultEstimate) -> None:
+        """Count what is absent or unusable, and report a driver that gives no attitude."""
         if not estimate.corrected.rate_valid:
             self.diagnostics.count("imu/data: body rate absent or unusable")
         if not samples.sanitised(sample).attitude_valid:
@@ -184,9 +216,6 @@ class FaultObserverNode(GraphNode):
         elif self._raw:
             self._raw = 0
             self.diagnostics.forget("imu")
-        self._estimate = estimate
-        self._watch_alarms(estimate)
-        self.sampled(stamp_ns)
 
     def _watch_alarms(self, estimate: FaultEstimate) -> None:
         """Report at once when an alarm begins or ends; suspicions come and go."""

@@ -1,4 +1,6 @@
-"""An observer that is restarted in flight resumes where the one before has died."""
+"""An observer that is restarted or changed in flight goes on where the one before was."""
+
+import copy
 
 import numpy as np
 import pytest
@@ -122,6 +124,72 @@ def test_old_words_are_not_used():
     handover = ResumingStepper(Exosystem(vehicle=QBALL))
     handover.offer(FIRST_NS - round((OLDEST_WORDS + 0.1) * 1e9), "words")
     assert handover.words_for(FIRST_NS) is None
+
+
+def rested(first, second, before=400, after=260):
+    """A vehicle at rest without a fault whose observer is changed in flight.
+
+    Returns corrected Euler angles [deg] and body rates [deg/s] from the change on, and what the first
+    observer would have said there.
+    """
+    diagnosis, samples, found = Diagnosis(fault_observers.get(first)(vehicle=QBALL)), resting(), []
+
+    def corrected(by, k, each):
+        healthy = quaternion_from_euler(euler_from_quaternion(each.imu.q_xyzw) - FAULT)
+        sample = each.imu._replace(q_xyzw=healthy)
+        imu = by.diagnose(FIRST_NS + k * PERIOD_NS, sample, np.zeros(3)).corrected
+        return np.array([*euler_from_quaternion(imu.q_xyzw), *imu.body_rate]) / DEG
+
+    for k in range(before):
+        corrected(diagnosis, k, next(samples))
+    alone, each = copy.copy(diagnosis), next(samples)
+    diagnosis.switch(fault_observers.get(second)(vehicle=QBALL))
+    found = [corrected(diagnosis, before, each)]
+    found += [corrected(diagnosis, before + k, next(samples)) for k in range(1, after)]
+    assert isinstance(diagnosis.law, fault_observers.get(second))
+    return np.array(found), corrected(alone, before, each)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "step", "end"),
+    [
+        ("supervised", "isolating", 0.02, 0.05),
+        ("isolating", "sliding_mode", 0.02, 1.0),  # which leaves the gyro its bias
+        ("none", "supervised", 0.02, 0.1),
+    ],
+)
+def test_observer_that_takes_over_in_flight_goes_on_where_the_one_before_was(first, second, step, end):
+    found, alone = rested(first, second)
+    np.testing.assert_allclose(found[0], alone, atol=1e-9)
+    assert np.max(np.abs(np.diff(found[:, :3], axis=0))) < step  # deg; the sensor has noise of 0.1
+    assert np.max(np.abs(found[-1, :3])) < end
+
+
+def test_observer_is_changed_by_its_parameter_unless_a_fault_is_confirmed(bench):
+    with registered() as name:
+        node = bench.run(FaultObserverNode, observer=name)
+    imu, states, status = bench.talk("imu/data"), bench.listen("fault/status"), bench.watch_diagnostics()
+    bench.connect()
+    sent = 0
+
+    def fly(fault):
+        nonlocal sent
+        imu(imu_message(FIRST_NS + sent * PERIOD_NS, fault))
+        sent += 1
+        bench.until(lambda: len(states) >= sent)
+        return states[-1].state[0]
+
+    bench.until(lambda: fly(np.zeros(3)) == HEALTHY)
+    bench.until(lambda: fly(2.0 * FAULT) == FAULTY)
+    refusal = bench.set_parameter("fault_observer", "observer", "supervised")
+    assert "a fault is confirmed" in refusal.reason
+    bench.until(lambda: fly(np.zeros(3)) == HEALTHY)
+    assert not bench.set_parameter("fault_observer", "observer", "nonsense").successful
+    assert bench.set_parameter("fault_observer", "observer", "supervised").successful
+    fly(np.zeros(3))
+    bench.until(lambda: status["fault_observer: observer"].message == "supervised")
+    assert bench.set_parameter("fault_observer", "supervised.gyro_bias", 0.01).successful
+    assert node.settings.values()["observer"] == "supervised"
 
 
 KEPT = WORDS._replace(onset_ns=(FIRST_NS - 4_000_000_000, 0, 0), since=0.0)

@@ -15,6 +15,7 @@ import numpy as np
 from quadftc_model import arrays
 from quadftc_model.arrays import Quaternion, Scalar, Vector, clip, components, is_single, namespace, stacked
 
+_CONJUGATE = np.array([-1.0, -1.0, -1.0, 1.0])
 MIN_COS_PITCH = 1e-6  # 1; the Euler rates of (4) are bounded by this close to +-90 deg of pitch
 
 
@@ -118,6 +119,15 @@ def turn(q_xyzw: Quaternion, rotation_vector: Vector) -> Quaternion:
     if is_single(q_xyzw) and is_single(rotation_vector):
         return _normalised(_product(q_xyzw.tolist(), _turned_by(rotation_vector.tolist())))
     return normalise(quaternion_product(q_xyzw, quaternion_from_rotation_vector(rotation_vector)))
+
+
+def rotation_between(p_xyzw: Quaternion, q_xyzw: Quaternion) -> Vector:
+    """Rotation vector [rad] (3,) that turns a unit quaternion (4,) into another; at most pi long."""
+    difference = quaternion_product(p_xyzw * _CONJUGATE, q_xyzw)
+    x, y, z, w = difference.tolist()
+    sine = math.sqrt(x * x + y * y + z * z)
+    angle = 2.0 * math.atan2(sine, abs(w))
+    return difference[:3] * (math.copysign(angle / sine, w) if sine > 0.0 else 2.0)
 
 
 def turned(q: Sequence[Any], vector: Sequence[Any]) -> list[Any]:

@@ -46,9 +46,10 @@ class Diagnostics:
             status.level, status.message, self.changed = level, message, True
         status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
 
-    def forget(self, part: str) -> None:
-        """Report a part no longer."""
-        self._statuses.pop(part, None)
+    def forget(self, *parts: str) -> None:
+        """Report parts no longer."""
+        for part in parts:
+            self._statuses.pop(part, None)
 
     def count(self, event: str) -> None:
         """Count something that should not happen; the counts are part of every message.

@@ -14,9 +14,12 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 
 from quadftc_model.hints import nearest
-from quadftc_model.parameters import Parameter, convert, parameters_of
+from quadftc_model.parameters import Parameter, convert, parameter, parameters_of
+from quadftc_model.registry import Registry
 
 T = TypeVar("T")
+STAYS = "in lock-step it stays, so that two flights are alike"
+Refusal = Callable[[], str]  # gives the reason why a law must not be changed now; empty: it may
 
 _LARGEST = sys.float_info.max
 _LARGEST_INT = 2**63 - 1
@@ -48,6 +51,13 @@ def descriptor(spec: Parameter, read_only: bool = False) -> ParameterDescriptor:
     return text
 
 
+@dataclasses.dataclass(frozen=True)
+class VehicleParameters:
+    """The parameter of every node whose law is of a vehicle."""
+
+    vehicle: str = parameter("qball_x4", doc="name of a vehicle, or path of its TOML file")
+
+
 class NodeParameters:
     """The parameters of a node, as one flat mapping of dotted names."""
 
@@ -58,6 +68,7 @@ class NodeParameters:
         NodeParameters.told.clear()
         self._node = node
         self._names: list[str] = []
+        self._laws: list[tuple[str, Registry[Any], Refusal]] = []
         # what file and command line say; rclpy has no public way to ask
         self._given: Mapping[str, RosParameter] = node._parameter_overrides
 
@@ -80,6 +91,21 @@ class NodeParameters:
             self._names.append(spec.name)
             choices = f" ({described.additional_constraints})" if spec.choices else ""
             self.told.append((spec.name, default, described.description + choices))
+
+    def declare_law(self, component: type, registry: Registry[Any], refusal: Refusal) -> None:
+        """Declare a dataclass with one parameter, which names a law, and that law's own behind its name.
+
+        In flight another law may be named unless ``refusal()`` says why not; its own parameters come with it.
+        """
+        self.declare(component)
+        selector = self._names[-1]
+        self._laws.append((selector, registry, refusal))
+        self._declare_law(registry, self.values()[selector])
+
+    def _declare_law(self, registry: Registry[Any], name: str) -> None:
+        law, prefix = registry.get(name), f"{name}."
+        if not any(each.startswith(prefix) for each in self._names):
+            self.declare(law, prefix)
 
     def declare_list(self, name: str, doc: str) -> None:
         """Declare a list of texts that is read once, at the start; ValueError if something else is given."""
@@ -111,9 +137,16 @@ class NodeParameters:
 
         def check(changes: list[RosParameter]) -> SetParametersResult:
             values = self.values()
-            values.update({p.name: _plain(p.value) for p in changes if p.name in values})
+            named = {p.name: _plain(p.value) for p in changes if p.name in values}
+            if not named:  # others, or those of a law that are being declared
+                return SetParametersResult(successful=True)
             try:
-                built[:] = [build(values)]
+                for selector, registry, refusal in self._laws:
+                    if named.get(selector, values[selector]) != values[selector]:
+                        if reason := refusal():
+                            return SetParametersResult(successful=False, reason=f"{selector}: {reason}")
+                        self._declare_law(registry, named[selector])
+                built[:] = [build({**self.values(), **named})]
             except ValueError as error:
                 return SetParametersResult(successful=False, reason=str(error))
             return SetParametersResult(successful=True)

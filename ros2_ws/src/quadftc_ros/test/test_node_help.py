@@ -40,7 +40,7 @@ def test_help_has_usage_topics_and_parameters(told):
     lines = [line.split() for line in words.splitlines()]
     assert ["imu/data", "sensor_msgs/msg/Imu", "in"] in lines
     assert ["imu/corrected", "sensor_msgs/msg/Imu", "out"] in lines
-    assert ["observer", "isolating", "name", "of", "the", "fault", "observer"] in lines
+    assert ["observer", "isolating", "name", "of", "the", "fault"] in [line[:6] for line in lines]
 
 
 def test_help_of_a_node_with_a_parameter_that_must_be_given_says_which(told):

@@ -148,6 +148,10 @@ class Isolating(Supervised):
         """Resume with what was known of the attitude; gyro and accelerometer start as healthy."""
         return self._start(self.attitude_law.resumed(inputs, last), inputs)
 
+    def bias_of(self, state: Any) -> Vector:
+        """Return the gyro bias [rad/s] of a state."""
+        return self.attitude_law.bias_of(state.attitude)
+
     def describe(self, state: Any) -> dict[str, Vector]:
         """Return what the observer of the attitude knows besides."""
         return self.attitude_law.describe(state.attitude)

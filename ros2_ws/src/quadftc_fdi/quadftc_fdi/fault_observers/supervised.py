@@ -183,6 +183,10 @@ class Supervised(FaultObserver):
             raw=fresh.raw * 0.0,
         )
 
+    def bias_of(self, state: State) -> Vector:
+        """Return the gyro bias [rad/s] of a state."""
+        return state.filter.x[..., :3]
+
     def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Advance by ``dt`` [s] to the sample. An absent gyro keeps its last value."""
         imu = inputs.imu

@@ -1,0 +1,39 @@
+"""Going over from one law to another without a jump.
+
+At the change, what the two laws give at the same sample differs by an offset. It is added to what the new
+one gives, and given up in a straight line over `FADE`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from quadftc_model.stepper import seconds
+
+FADE = 1.0  # s; in which an offset is given up
+
+
+class Fade:
+    """An offset of one vehicle; none before `begin` and once it is given up."""
+
+    def __init__(self) -> None:
+        self._offset: Any = None
+        self._since_ns = 0
+
+    def begin(self, stamp_ns: int, offset: Any) -> None:
+        """Begin at a sample [ns] with an offset: an array."""
+        self._offset, self._since_ns = offset, stamp_ns
+
+    def end(self) -> None:
+        """Give the offset up at once."""
+        self._offset = None
+
+    def at(self, stamp_ns: int) -> Any:
+        """Return what is left of the offset at a sample [ns]; None: nothing."""
+        if self._offset is None:
+            return None
+        left = 1.0 - seconds(stamp_ns - self._since_ns) / FADE
+        if not 0.0 < left <= 1.0:
+            self._offset = None
+            return None
+        return left * self._offset
