@@ -18,6 +18,8 @@ from message_objects import set_stamp
 from quadftc_bags.bag import BagError
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_replay.readers import read_log
+from quadftc_replay.readers.bag_rotors import ARRAYS, add_rotors, find_rotor_choice
+from quadftc_replay.readers.signals import Signals
 
 PERIOD_NS = 10_000_000
 START_NS = 5_000_000_000
@@ -106,6 +108,24 @@ def test_topics_become_signals_whatever_the_storage_and_the_name(tmp_path, plugi
         assert log.position is not None
         assert log.battery is not None
         assert any("/imu/raw: the same samples as /imu/data" in note for note in log.notes)
+
+
+def test_rotors_are_known_by_the_names_of_their_topics(tmp_path):
+    kinds = dict.fromkeys(("/motor_speeds", "/esc/rpm_setpoint", "/other/joints"), ARRAYS[1])
+    stamp_ns, fields = np.arange(3) * PERIOD_NS, {"data": np.full((3, 4), 60.0, np.float32)}
+    data = {
+        name: {"stamp_ns": stamp_ns, **choose(fields)}
+        for name, kind in kinds.items()
+        if (choose := find_rotor_choice(name, kind)) is not None
+    }
+    assert set(data) == {"/motor_speeds", "/esc/rpm_setpoint"}
+    signals = Signals(tmp_path, "bag")
+    add_rotors(signals, {name: kinds[name] for name in data}, data, None)
+    log = signals.flight_log()
+    assert log.rotor_speeds is not None
+    assert log.rotor_speeds.value[0].tolist() == [60.0] * 4
+    assert log.rotor_commands is not None
+    assert log.rotor_commands.value[0].tolist() == [1.0] * 4
 
 
 def test_bag_cut_or_damaged_is_read_as_far_as_it_goes_or_refused_in_one_line(tmp_path):

@@ -7,8 +7,8 @@
 | attitude | that of ``Imu``, else of ``geometry_msgs/PoseStamped``, else of ``nav_msgs/Odometry`` |
 | position, velocity | ``nav_msgs/Odometry``, else ``PoseStamped`` |
 | body rate | angular velocity of ``Odometry``, if no gyro is there |
-| rotor speeds | ``sensor_msgs/JointState`` on ``rotors/speed`` [rad/s] |
-| rotor commands | ``sensor_msgs/JointState`` on ``rotors/command`` [rad/s, or 0 to 1] |
+| rotor speeds | ``sensor_msgs/JointState`` on ``rotors/speed`` [rad/s], and more (`bag_rotors`) |
+| rotor commands | ``sensor_msgs/JointState`` on ``rotors/command`` [rad/s, or 0 to 1], and more |
 | torque command | ``geometry_msgs/Vector3Stamped`` on ``torque/command`` [N m] |
 | battery | ``sensor_msgs/BatteryState.voltage`` [V] |
 | vehicle | parameters of the node ``fault_observer``, where `quadftc run` has recorded |
@@ -16,8 +16,7 @@
 Stamps are those of the headers; where none is set, the times of recording. Axes are those of REP-103. Absent
 orientations and rates are marked by covariance element 0, as REP-145 says. Of two IMUs with the same samples
 one is left out, and so is what `quadftc run` records beside the sensors: the truth, and its own estimates.
-Rotors are in the order of the numbers at the end of their joints' names. Commanded speeds become shares of
-the greatest thrust by their squares.
+Commanded speeds of the rotors become shares of the greatest thrust by their squares.
 """
 
 from __future__ import annotations
@@ -42,16 +41,15 @@ from quadftc_replay.readers.bag_columns import (
     Columns,
     ColumnTopic,
     read_columns,
-    trailing_number,
 )
+from quadftc_replay.readers.bag_rotors import add_rotors, find_rotor_choice
 from quadftc_replay.readers.signals import Signals
 
 FORMAT = "ROS 2 bag"
-IMU, FIELD, JOINTS = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField", "sensor_msgs/msg/JointState"
+IMU, FIELD = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
 ODOMETRY, POSE = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
 VECTOR, BATTERY = "geometry_msgs/msg/Vector3Stamped", "sensor_msgs/msg/BatteryState"
 MAIN_IMU, POSITION, TORQUE = "imu/data", "position/data", "torque/command"
-SPEEDS, COMMANDS = "rotors/speed", "rotors/command"
 # what `quadftc run` records beside the sensors: the truth, and what nodes made of the samples
 BESIDE = {MAIN_IMU: ("plant/imu", "imu/corrected"), POSITION: ("plant/odometry", "position/estimate")}
 WISHES = re.compile(r"setpoint|reference|command|goal|target|desired", re.IGNORECASE)
@@ -68,20 +66,6 @@ def _part(*names: str) -> Choose:
     return choose
 
 
-def _joints(fields: Columns) -> Columns:
-    """Keep the values of the joints, in the order of the numbers in their names."""
-    values = {name: fields[name] for name in ("velocity", "effort", "position")}
-    filled = [name for name, value in values.items() if value.ndim == 2 and value.shape[1]]
-    if not filled:
-        raise ValueError("no values, or a number of joints that changes")
-    value = values[filled[0]]
-    names = [str(name) for name in fields["name"][0]]
-    numbers = [trailing_number(name) for name in names]
-    if len(names) == value.shape[1] and len({*numbers} - {None}) == len(names):
-        value = value[:, np.argsort(np.array(numbers))]
-    return {"value": value, "is_speed": np.full(len(value), filled[0] == "velocity")}
-
-
 CHOOSERS: Mapping[str, Choose] = {
     IMU: _part(
         "orientation_xyzw",
@@ -92,7 +76,6 @@ CHOOSERS: Mapping[str, Choose] = {
         "linear_acceleration_covariance",
     ),
     FIELD: _part("magnetic_field"),
-    JOINTS: _joints,
     ODOMETRY: _part(
         "frame_id",
         "child_frame_id",
@@ -124,7 +107,7 @@ def read(path: Path) -> FlightLog:
     for kind, field, column in ((FIELD, "magnetometer", "magnetic_field"), (BATTERY, "battery", "voltage")):
         if name := topics.best(kind):
             signals.add(field, topics[name]["stamp_ns"], topics[name][column], name)
-    _add_rotors(signals, topics, vehicle)
+    add_rotors(signals, topics.kinds, topics.data, vehicle)
     if name := topics.best(VECTOR, TORQUE):
         signals.add("torque_command", topics[name]["stamp_ns"], topics[name]["vector"], name)
     return signals.flight_log(
@@ -173,8 +156,9 @@ def _ends(name: str, topic: str) -> bool:
 
 def _find_choice(name: str, kind: str) -> Choose | None:
     """Whether a topic counts, and what is kept of its messages."""
-    endings = {JOINTS: (SPEEDS, COMMANDS), VECTOR: (TORQUE,)}.get(kind)
-    return CHOOSERS.get(kind) if endings is None or any(_ends(name, each) for each in endings) else None
+    if kind == VECTOR and not _ends(name, TORQUE):
+        return None
+    return CHOOSERS.get(kind) or find_rotor_choice(name, kind)
 
 
 def _is_beside(name: str, names: list[str]) -> bool:
@@ -266,26 +250,6 @@ def _add_twist(signals: Signals, data: Columns, name: str) -> None:
         signals.add("velocity", data["stamp_ns"], np.where(in_body[:, None], earth, linear), name)
     if np.any(np.nan_to_num(angular)) and in_body.all() and not signals.has("gyros"):
         signals.add("body_rate", data["stamp_ns"], angular, name)
-
-
-def _add_rotors(signals: Signals, topics: _Topics, vehicle: Vehicle | None) -> None:
-    """Add measured speeds and commands of the rotors."""
-    if name := topics.best(JOINTS, SPEEDS):
-        signals.add("rotor_speeds", topics[name]["stamp_ns"], np.abs(topics[name]["value"]), name)
-    if not (name := topics.best(JOINTS, COMMANDS)):
-        return
-    data = topics[name]
-    command = np.asarray(data["value"], np.float64)
-    greatest = float(np.nanmax(np.abs(command), initial=0.0))
-    if greatest > 1.0:
-        if bool(data["is_speed"][0]):
-            greatest = vehicle.rotors.speed_max if vehicle else greatest
-            command = (command / greatest) ** 2
-            words = f"squares of the commanded speeds over {greatest:.6g} rad/s"
-        else:
-            command, words = command / greatest, f"shares of the greatest, {greatest:.6g}"
-        signals.notes.append(f"{name}: {words}")
-    signals.add("rotor_commands", data["stamp_ns"], np.clip(command, 0.0, 1.0), name)
 
 
 def _vehicle(bag: ColumnBag) -> Vehicle | None:
