@@ -28,14 +28,14 @@ def programs(what: str) -> tuple[str, str]:
 
 
 @contextmanager
-def start_browser(what: str) -> Iterator:
-    """Start the browser; ``what`` is tested in it, for the message if there is none."""
+def start_browser(what: str, *more: str) -> Iterator:
+    """Start the browser with ``more`` arguments; ``what`` is tested, for the message if there is none."""
     from selenium.webdriver import Chrome, ChromeOptions, ChromeService
 
     program, driver = programs(what)
     options = ChromeOptions()
     options.binary_location = program
-    for argument in ARGUMENTS:
+    for argument in (*ARGUMENTS, *more):
         options.add_argument(argument)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     with Chrome(options=options, service=ChromeService(driver)) as started:

@@ -12,6 +12,7 @@ setup(
     maintainer="quadftc maintainers",
     maintainer_email="maintainers@quadftc.example",
     packages=find_packages(exclude=["test"]),
+    package_data={PACKAGE: ["live_page/*.css", "live_page/*.js"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
@@ -29,6 +30,7 @@ setup(
             "clear = quadftc_cli.commands.inject:clear",
             "set = quadftc_cli.commands.set:set_",
             "watch = quadftc_cli.commands.watch:watch",
+            "live = quadftc_cli.commands.live:live",
             "new = quadftc_cli.commands.new:new",
             "replay = quadftc_cli.commands.replay:replay",
             "diagnose = quadftc_cli.commands.diagnose:diagnose",

@@ -46,7 +46,9 @@ class PositionControllerParameters:
 
     position_controller: str = parameter("geometric", doc="name of the position controller")
     source: str = parameter(
-        "scenario", choices=("scenario", "topic"), doc="from `trajectories`, or position/setpoint"
+        "scenario",
+        choices=("scenario", "topic"),
+        doc="from `trajectories`, or position/setpoint, which begins where `trajectories` begin",
     )
 
 
@@ -83,7 +85,9 @@ class PositionControllerNode(GraphNode):
 
     def _restart(self) -> None:
         values = self.settings.values()
-        self._setpoints = LiveTrajectory(build_prefixed(PositionSetpointFilter, values, "setpoint"))
+        begin = trajectory_from(values).at(0)
+        home = PositionSetpoint(begin.position, begin.yaw)
+        self._setpoints = LiveTrajectory(build_prefixed(PositionSetpointFilter, values, "setpoint"), home)
         self._guidance = Guidance(
             position_loop_from(values), self._setpoints if self._live else trajectory_from(values)
         )

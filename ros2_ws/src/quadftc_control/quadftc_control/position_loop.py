@@ -88,11 +88,11 @@ def position_loop_from(parameters: NodeParameters) -> PositionLoop:
 
 
 class LiveTrajectory:
-    """Live setpoints made smooth, on a stream of stamps; before the first one, no place to go."""
+    """Live setpoints made smooth, on a stream of stamps; before the first one, ``home`` is where to be."""
 
-    def __init__(self, law: PositionSetpointFilter) -> None:
+    def __init__(self, law: PositionSetpointFilter, home: PositionSetpoint) -> None:
         self._stepper = Stepper[PositionSetpoint, PositionReference](law)
-        self._setpoint = PositionSetpoint(np.zeros(3), 0.0)
+        self._setpoint = home
         self._last: PositionReference | None = None
 
     def take(self, setpoint: PositionSetpoint) -> None:

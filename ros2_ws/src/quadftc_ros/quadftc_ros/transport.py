@@ -47,6 +47,23 @@ def tapped(publisher: Publisher, tap: Tap | None) -> Callable[[Any], None]:
     return publish
 
 
+def both(first: Tap, second: Tap | None) -> Tap:
+    """Return a tap for two that want messages."""
+    if second is None:
+        return first
+
+    def choose(topic: str) -> Take | None:
+        takers = [take for take in (first(topic), second(topic)) if take is not None]
+
+        def take_all(data: bytes) -> None:
+            for take in takers:
+                take(data)
+
+        return take_all if len(takers) > 1 else takers[0] if takers else None
+
+    return choose
+
+
 def receiver(topic: str, callback: Callable[[int, bytes], None], count: Count, note: Note) -> Take:
     """Return what takes the serialised messages of a topic of the table, for ``callback(stamp_ns, data)``.
 

@@ -68,6 +68,7 @@ class PlantNode(GraphNode):
         self._values = self.settings.values()
         self._make_flight(0)
         self._rests_until_ns = 0  # real time: does not emit before, however late
+        self._without_torque = 0  # real time: samples whose torque had not come when the next was due
         rotors, simulator = self.flight.simulator.plant.command_size, self.flight.simulator
         self._output = PlantOutput(
             self, each_sample, (rotors, simulator.position_sensor) if law.flies else None
@@ -116,6 +117,7 @@ class PlantNode(GraphNode):
     def tick(self) -> None:
         """Real time: emit the next sample; zero torque has acted if none has come for too long."""
         self._rests_until_ns = time.monotonic_ns() + self.flight.period_ns // 2
+        self._without_torque += self.unanswered
         self.flight.wait()
         self._emit()
         lost = self.flight.torque_lost
@@ -136,7 +138,7 @@ class PlantNode(GraphNode):
         values: dict[str, object] = {"samples": flight.emitted}
         if not self.lockstep and flight.due_ns < NEVER_NS:
             behind = max(0.0, seconds(time.monotonic_ns() - flight.due_ns))
-            values["behind_s"] = f"{behind:.3f}"
+            values |= {"behind_s": f"{behind:.3f}", "without_torque": self._without_torque}
             if behind > LATE:
                 level, words = WARN, "flying, behind the wall clock"
         self.diagnostics.report("flight", level, words, **values)

@@ -80,12 +80,12 @@ def setpoint_values(target: str, pairs: dict[str, str]) -> dict[str, float]:
     return numbers
 
 
-def _send_setpoint(target: str, pairs: dict[str, str], namespace: str) -> None:
-    numbers, topic = setpoint_values(target, pairs), SETPOINTS[target][0]
-    from quadftc_bags.interfaces import load_message_class  # start ROS
-    from quadftc_cli.live import LiveGraph
+def setpoint_message(target: str, numbers: dict[str, float]) -> Any:
+    """Return the message of a setpoint in SI, but for its stamp."""
+    from quadftc_bags.interfaces import load_message_class  # starts ROS
     from quadftc_ros.topics import TOPICS
 
+    topic = SETPOINTS[target][0]
     message: Any = load_message_class(TOPICS[topic].type_name)()
     message.header.frame_id = TOPICS[topic].frame
     if target == "attitude":
@@ -94,6 +94,14 @@ def _send_setpoint(target: str, pairs: dict[str, str], namespace: str) -> None:
         place, turn = message.pose.position, message.pose.orientation
         place.x, place.y, place.z, yaw = numbers.values()
         turn.x, turn.y, turn.z, turn.w = map(float, quaternion_from_euler(np.array([0.0, 0.0, yaw])))
+    return message
+
+
+def _send_setpoint(target: str, pairs: dict[str, str], namespace: str) -> None:
+    numbers, topic = setpoint_values(target, pairs), SETPOINTS[target][0]
+    message = setpoint_message(target, numbers)
+    from quadftc_cli.live import LiveGraph
+
     with LiveGraph(namespace) as graph:
         graph.choose_vehicle("controller/get_parameters")
         publisher = graph.publisher(topic)

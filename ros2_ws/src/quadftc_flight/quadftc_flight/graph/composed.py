@@ -16,6 +16,7 @@ from quadftc_ros.executor import Pace, settled_memory
 from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.scheduling import SchedulingError, scheduled
 from quadftc_ros.topics import missing_connections
+from quadftc_ros.transport import Tap, both
 from quadftc_sim.fault_injector_node import FaultInjectorNode
 from quadftc_sim.plant_node import PlantNode
 
@@ -34,16 +35,16 @@ NODE_CLASSES: dict[str, type[Any]] = {
 class ComposedGraph(Graph):
     """All nodes of plans, each of a vehicle in a namespace of its own, in this process; a context manager.
 
-    ``executor`` is ``events`` or ``single``. Wrong parameters of a node, a bag that cannot be made, and two
-    vehicles in one namespace are a ValueError.
+    ``executor`` is ``events`` or ``single``; ``tap`` gets a copy of what all nodes publish. Wrong
+    parameters of a node, a bag that cannot be made, and two vehicles in one namespace are a ValueError.
     """
 
-    def __init__(self, *plans: GraphPlan, executor: str = "events") -> None:
+    def __init__(self, *plans: GraphPlan, executor: str = "events", tap: Tap | None = None) -> None:
         names = [plan.namespace.strip("/") for plan in plans]
         if len(set(names)) < len(names) or not names:
             raise ValueError(f"vehicles: {len(names)} in the namespaces {', '.join(sorted(set(names)))}")
         super().__init__(executor)
-        self._plan = plans[0]
+        self._plan, self._tap = plans[0], tap
         self._vehicles: list[dict[str, Any]] = []  # the nodes of each by name, its recorder among them
         try:
             for plan in plans:
@@ -54,11 +55,11 @@ class ComposedGraph(Graph):
             raise
 
     def _add_vehicle(self, plan: GraphPlan, nodes: dict[str, Any]) -> None:
-        tap, remaps = None, plan.remap_arguments
+        tap, remaps = self._tap, plan.remap_arguments
         if plan.bag is not None:
             parameters, inside = plan.recorder_parameters(), (*plan.executables, RECORDER)
             nodes[RECORDER] = self._add_node(RecorderNode, plan.namespace, parameters, remaps, inside=inside)
-            tap = nodes[RECORDER].tap
+            tap = both(nodes[RECORDER].tap, tap)
         for name in plan.executables:
             options = {"each_sample": self._slice.look, "timed": False} if name == "plant" else {}
             parameters = plan.node_parameters(name)

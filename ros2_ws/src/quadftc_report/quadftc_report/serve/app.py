@@ -1,58 +1,30 @@
 # pyright: basic
 """The web application: takes logs, hands out verdicts, and refuses whoever is not a page of its own.
 
-It is meant for this machine only. A request must name the host as 127.0.0.1 or localhost; else a page of
-another site could reach it by a name that it lets point here. It must come from a page of its own, if it says
-where from. Reports may not load anything and may not talk to anybody.
+It is meant for this machine only (`quadftc_report.serve.local`). Reports may not load anything and may not
+talk to anybody.
 """
 
 from __future__ import annotations
 
 import contextlib
-import socket
 from collections.abc import AsyncIterator
 from pathlib import Path
-from urllib.parse import unquote, urlsplit
+from urllib.parse import unquote
 
 from fastapi import FastAPI, HTTPException, Request
-from fastapi.responses import FileResponse, JSONResponse, PlainTextResponse
-from starlette.types import ASGIApp, Receive, Scope, Send
+from fastapi.responses import FileResponse, JSONResponse
 
 from quadftc_report.serve.jobs import RESULTS, Jobs, TooLargeError
+from quadftc_report.serve.local import OwnPagesOnly, address_of, listen
 from quadftc_report.serve.page import add_page
 
-HOSTS = ("127.0.0.1", "localhost")
 SEALED = {
     "Content-Security-Policy": "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline';"
     " img-src data: blob:; font-src data:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
     "X-Content-Type-Options": "nosniff",
     "Referrer-Policy": "no-referrer",
 }
-
-
-class OwnPagesOnly:
-    """Refuses requests and websockets to another host name, or from another site's page."""
-
-    def __init__(self, app: ASGIApp, hosts: tuple[str, ...] = HOSTS) -> None:
-        self.app, self.hosts = app, hosts
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or answer 403."""
-        if scope["type"] in ("http", "websocket") and not self._is_own(scope):
-            if scope["type"] == "websocket":
-                await send({"type": "websocket.close", "code": 1008})
-                return
-            await PlainTextResponse("only pages of this server may ask", 403)(scope, receive, send)
-            return
-        await self.app(scope, receive, send)
-
-    def _is_own(self, scope: Scope) -> bool:
-        headers = {name: value.decode("latin-1") for name, value in scope["headers"]}
-        host = headers.get(b"host", "")
-        origin = headers.get(b"origin")
-        if urlsplit(f"//{host}").hostname not in self.hosts:
-            return False
-        return origin is None or urlsplit(origin).netloc == host
 
 
 def make_app(jobs: Jobs) -> FastAPI:
@@ -96,16 +68,9 @@ def serve(folder: Path, port: int, at_a_time: int, largest: int, *, opens: bool 
     """Serve on 127.0.0.1 until interrupted; a ValueError says that the port is taken."""
     import uvicorn
 
-    listener = socket.socket()
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listener.bind((HOSTS[0], port))
-        listener.listen()
-    except (OSError, OverflowError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise ValueError(f"--port {port}: {reason}") from None
+    listener = listen(port)
     app = make_app(Jobs(folder, at_a_time, largest))
-    address = f"http://{HOSTS[0]}:{listener.getsockname()[1]}"
+    address = address_of(listener)
     print(f"serving {folder} on {address}; end with Ctrl-C", flush=True)  # noqa: T201
     if opens:
         import webbrowser

@@ -1,0 +1,42 @@
+"""``quadftc live``: a flight in real time, and its picture in the browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from typer import Option
+
+from quadftc_cli.commands.run import CoreOption, PriorityOption, WaitOption
+
+
+def live(
+    scenario: Annotated[
+        str, Option(help="Scenario to fly: its faults, its reference; default: hover, and sliders.")
+    ] = "",
+    scheme: Annotated[str, Option(help="Scheme of the scenario; default: its first.")] = "",
+    vehicle: Annotated[
+        str, Option(help="Vehicle: a name or a TOML file; default: that of the scenario.")
+    ] = "",
+    stand: Annotated[bool, Option("--stand", help="On a test stand, with sliders for the attitude.")] = False,
+    sliders: Annotated[bool, Option("--sliders", help="Follow sliders, not the scenario.")] = False,
+    rate: Annotated[str, Option(help="Control rate, such as 500 or '500 Hz'.")] = "",
+    duration: Annotated[float, Option(min=0.0, help="Length of the flight [s]; 0: until Ctrl-C.")] = 0.0,
+    record: Annotated[Path | None, Option(metavar="DIR", help="Bag to write; must not exist.")] = None,
+    namespace: Annotated[str, Option(help="ROS namespace of the vehicle.")] = "",
+    port: Annotated[int, Option(min=0, max=65535, help="Port on 127.0.0.1; 0: any that is free.")] = 8348,
+    browser: Annotated[bool, Option(help="Open the page in the browser.")] = True,
+    wait: WaitOption = "sleep",
+    realtime_priority: PriorityOption = 0,
+    core: CoreOption = [],  # noqa: B006
+) -> None:
+    """Fly in real time and show it in the browser: 3D, charts, states, faults to inject, setpoints.
+
+    Only this machine can reach the page. Ctrl-C ends flight and page.
+    """
+    from quadftc_cli.live_page.flying import Wish, fly_live  # with what it needs, a second
+
+    how = (wait, realtime_priority, tuple(core))
+    wish = Wish(scenario, scheme, vehicle, stand, sliders, rate, duration, record, namespace)
+    raise typer.Exit(fly_live(wish, port, browser, how))

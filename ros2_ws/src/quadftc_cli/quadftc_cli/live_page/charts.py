@@ -1,0 +1,158 @@
+# pyright: basic
+"""Strip charts of the last 30 s; rows of `Picture` go to the browser as they come, and are drawn there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nicegui import ui
+
+from quadftc_cli.live_page.picture import Picture
+from quadftc_cli.live_page.scene import CORRECTED, MEASURED, TRUTH
+
+WINDOW = 30.0  # s
+FONT = "Roboto, sans-serif"
+REFERENCE, BAND, INJECTED = "#9aa0a8", "rgba(0, 114, 178, 0.18)", "#d55e00"
+ROTORS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00", "#000000", "#999999")
+# first columns of three, by what is in them: those of `Picture._row`
+REFERENCE_AT, TRUTH_AT, MEASURED_AT, CORRECTED_AT = 1, 4, 7, 10
+RATE_AT, GYRO_AT, CORRECTED_RATE_AT = 13, 16, 19
+INJECTED_AT, ESTIMATE_AT, LOW_AT, BAND_AT, TORQUE_AT, ROTORS_AT = 22, 25, 28, 31, 34, 37
+
+
+class StripCharts(ui.element, component="charts.js"):
+    """Charts of an axis that can be chosen; draws them some 10 times a second."""
+
+    def __init__(self, picture: Picture) -> None:
+        super().__init__()
+        self._picture = picture
+        self._sent = 0
+        with ui.element("div").classes("charts"):
+            charts = [_chart(*each) for each in _plan(picture)]
+        self._props["charts"] = [{"id": chart.id, "columns": columns} for chart, columns in charts]
+        self._props["window"] = WINDOW
+
+    def push(self) -> None:
+        """Send the rows that have come since the last time."""
+        new = min(self._picture.count - self._sent, len(self._picture.rows))
+        self._sent = self._picture.count
+        if new:
+            rows = list(self._picture.rows)[-new:]
+            self.run_method("push", [[_short(value) for value in row] for row in rows])
+
+    def choose(self, axis: int) -> None:
+        """Show another axis."""
+        self.run_method("choose", axis)
+
+
+def _short(value: float) -> float | None:
+    return round(value, 4) if value == value else None  # NaN is none
+
+
+def _plan(picture: Picture) -> list[tuple[str, str, list[tuple[str, str, int, bool]], dict[str, Any]]]:
+    """Return of each chart title, unit, lines (name, colour, column, by axis) and options."""
+    plan = [
+        (
+            "attitude",
+            "deg",
+            [
+                ("reference", REFERENCE, REFERENCE_AT, True),
+                ("measured", MEASURED, MEASURED_AT, True),
+                ("truth", TRUTH, TRUTH_AT, True),
+                ("corrected", CORRECTED, CORRECTED_AT, True),
+            ],
+            {},
+        ),
+        (
+            "fault of the attitude sensor",
+            "deg",
+            [
+                ("low", "transparent", LOW_AT, True),
+                ("±2σ", BAND, BAND_AT, True),
+                ("injected", INJECTED, INJECTED_AT, True),
+                ("estimate", CORRECTED, ESTIMATE_AT, True),
+            ],
+            {},
+        ),
+        (
+            "body rate",
+            "deg/s",
+            [
+                ("gyro", MEASURED, GYRO_AT, True),
+                ("truth", TRUTH, RATE_AT, True),
+                ("corrected", CORRECTED, CORRECTED_RATE_AT, True),
+            ],
+            {},
+        ),
+    ]
+    if picture.rotors:
+        lines = [(f"{k + 1}", ROTORS[k % len(ROTORS)], ROTORS_AT + k, False) for k in range(picture.rotors)]
+        plan.append(("rotor effectiveness", "%", lines, {"min": 0, "max": 110}))
+    else:
+        plan.append(("torque command", "N m", [("torque", CORRECTED, TORQUE_AT, True)], {}))
+    return plan
+
+
+def _chart(title: str, unit: str, lines: list[tuple[str, str, int, bool]], y_axis: dict[str, Any]) -> Any:
+    """Make a chart; return it with the columns of its lines, and whether they are of the chosen axis."""
+    series: list[dict[str, Any]] = []
+    for name, colour, _, _ in lines:
+        line: dict[str, Any] = {
+            "name": name,
+            "type": "line",
+            "showSymbol": False,
+            "silent": True,
+            "color": colour,
+            "lineStyle": {"width": 3.0 if name in ("truth", "injected") else 1.4, "color": colour},
+            "data": [],
+        }
+        if name in ("low", "±2σ"):
+            line |= {"stack": "band", "stackStrategy": "all", "lineStyle": {"width": 0}}
+            line |= {"areaStyle": {"color": colour if name == "±2σ" else "transparent"}}
+        if name == "reference":
+            line["lineStyle"] |= {"type": "dashed"}
+        series.append(line)
+    small = {"fontSize": 11, "color": "#5b626c"}
+    options = {
+        "animation": False,
+        "textStyle": {"fontFamily": FONT},
+        "title": {
+            "text": f"{title} [{unit}]",
+            "left": 8,
+            "top": 4,
+            "textStyle": {"fontSize": 13, "fontWeight": 500, "color": "#2a2e34", "fontFamily": FONT},
+        },
+        "legend": {
+            "right": 8,
+            "top": 4,
+            "itemWidth": 14,
+            "itemHeight": 8,
+            "icon": "roundRect",
+            "textStyle": small,
+            "data": [name for name, *_ in lines if name != "low"] if len(lines) > 1 else [],
+        },
+        "grid": {"left": 46, "right": 16, "top": 30, "bottom": 22},
+        "xAxis": {
+            "type": "value",
+            "min": -WINDOW,
+            "max": 0,
+            "interval": 10,
+            "axisLabel": {**small, "formatter": "{value} s"},
+            "splitLine": {"lineStyle": {"color": "#eef0f3"}},
+            "axisLine": {"onZero": False, "lineStyle": {"color": "#c9ced6"}},
+            "axisTick": {"show": False},
+        },
+        "yAxis": {
+            "type": "value",
+            "scale": True,
+            "splitNumber": 3,
+            "axisLine": {"show": False},
+            "axisTick": {"show": False},
+            "axisLabel": small,
+            "splitLine": {"lineStyle": {"color": "#eef0f3"}},
+            **y_axis,
+        },
+        "series": series,
+    }
+    element = ui.echart(options).classes("chart").props(f'data-chart="{title}"')
+    return element, [[column, by_axis] for _, _, column, by_axis in lines]

@@ -1,0 +1,194 @@
+# pyright: basic
+"""The flight of ``quadftc live``: a composed graph in real time, whose page is a process of its own."""
+
+from __future__ import annotations
+
+import json
+import socket
+import subprocess
+import sys
+import tempfile
+import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from quadftc_cli.live_page.feed import Feed
+from quadftc_cli.screen import say
+from quadftc_control.trajectory import combined
+from quadftc_flight.graph.composed import ComposedGraph
+from quadftc_flight.graph.introduction import farewell, introduction
+from quadftc_flight.graph.plan import GraphError, GraphPlan
+from quadftc_flight.runs import RunOptions
+from quadftc_flight.scenario import Scenario, find_scenario, load_scenario, node_parameters, parse_scenario
+from quadftc_report.serve.local import address_of, listen
+from quadftc_ros.executor import StopSignals
+from quadftc_ros.scheduling import Scheduling
+
+START, END = 30.0, 5.0  # s; for the page to serve, and to end
+GUIDANCE = {"test_stand": "reference", "free_flight": "position_controller"}
+FEED = 1 << 18  # bytes that may wait for the page: some 60 frames, two seconds
+COMMON = """
+name: live
+duration: 3600 s
+rate: 250 Hz
+seed: 1
+sensors: {grade: mems}
+"""
+HOVER = f"""
+{COMMON}
+description: Hover in a light wind
+vehicle: x500
+plant: {{kind: free_flight, start: [0, 0, 1.5]}}
+position_sensor: {{grade: mocap}}
+trajectories:
+  - {{kind: hover, position: [0, 0, 1.5]}}
+wind:
+  - {{kind: dryden, wind_speed: 3, airspeed: 2, height: 6}}
+schemes:
+  isolating:
+    observer: isolating
+    disturbance_observer: exosystem
+    controller: ismc
+    position_controller: geometric
+"""
+LEVEL = f"""
+{COMMON}
+description: Level on a test stand
+vehicle: qball_x4
+schemes:
+  isolating: {{observer: isolating, disturbance_observer: exosystem, controller: ismc}}
+"""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What to fly, as the command line says it."""
+
+    scenario: str
+    scheme: str
+    vehicle: str
+    stand: bool
+    sliders: bool
+    rate: str
+    duration: float
+    record: Path | None
+    namespace: str
+
+
+def scenario_of(wish: Wish) -> Scenario:
+    """Build the scenario; a ValueError says what is wrong with it."""
+    vehicle = str(Path(wish.vehicle).resolve()) if wish.vehicle.endswith(".toml") else wish.vehicle
+    changes = {"vehicle": vehicle, "rate": wish.rate}
+    overrides = [f"{name}={value}" for name, value in changes.items() if value]
+    if not wish.scenario:
+        if wish.scheme:
+            raise ValueError("--scheme: belongs to --scenario")
+        return parse_scenario(LEVEL if wish.stand else HOVER, "live", overrides)
+    if wish.stand:
+        raise ValueError("--stand: the scenario says where it flies")
+    return load_scenario(find_scenario(wish.scenario), overrides)
+
+
+def plan_of(wish: Wish, scenario: Scenario, scheduling: Scheduling) -> GraphPlan:
+    """Plan the graph: it flies on behind the end of the scenario."""
+    parameters = {
+        node: dict(values) for node, values in node_parameters(scenario, wish.scheme or None).items()
+    }
+    parameters["plant"]["duration"] = wish.duration
+    if wish.sliders or not wish.scenario:
+        for node in GUIDANCE.values():
+            if node in parameters:
+                parameters[node]["source"] = "topic"
+    return GraphPlan(parameters, "realtime", wish.namespace, wish.record, scheduling=scheduling)
+
+
+def page_of(plan: GraphPlan, scenario: Scenario) -> dict[str, Any]:
+    """Return what the page has to know of a flight: the fields of `page.Flown`."""
+    values = plan.parameters
+    names = [Path(scenario.vehicle).stem, *(str(values[node]["observer"]) for node in ("fault_observer",))]
+    parts = f"{names[0]}, observer {names[1]}, controller {values['controller']['controller']}"
+    guidance = values[GUIDANCE[plan.plant]]
+    home = None
+    if guidance.get("source") == "topic":
+        home = (*begin_of(scenario), 0.0) if plan.plant == "free_flight" else (0.0, 0.0, 0.0)
+    return {
+        "title": scenario.description or scenario.name,
+        "parts": f"{parts}, {scenario.rate:g} Hz",
+        "vehicle": scenario.vehicle,
+        "plant": plan.plant,
+        "namespace": plan.namespace,
+        "home": home,
+    }
+
+
+def begin_of(scenario: Scenario) -> tuple[float, float, float]:
+    """Return where the trajectories of a scenario begin [m]."""
+    begin = combined([part.law for part in scenario.trajectories], 0.0).position
+    x, y, z = begin.tolist()
+    return x, y, z
+
+
+@contextmanager
+def serving(listener: socket.socket, flown: dict[str, Any]) -> Iterator[socket.socket]:
+    """Serve the page in a process of its own; yields the socket on which it takes frames.
+
+    A GraphError says if it does not start. It has a session of its own: Ctrl-C reaches this process alone.
+    """
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, FEED)
+    ends = (theirs.fileno(), listener.fileno())
+    command = [sys.executable, "-m", "quadftc_cli.live_page.server", *map(str, ends), json.dumps(flown)]
+    process = subprocess.Popen(command, pass_fds=ends, start_new_session=True, stdin=subprocess.DEVNULL)
+    theirs.close()
+    try:
+        ours.settimeout(START)
+        try:
+            ready = ours.recv(64)
+        except TimeoutError:
+            ready = b""
+        if not ready:
+            raise GraphError("the page did not start; see above")
+        yield ours
+    finally:
+        ours.close()  # it ends by that
+        try:
+            process.wait(END)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def fly_live(wish: Wish, port: int, opens: bool, how: tuple[Any, int, tuple[int, ...]]) -> int:
+    """Fly, show it, and return the exit code."""
+    options = RunOptions(mode="realtime", namespace=wish.namespace, scheduling=Scheduling(*how))
+    scenario = scenario_of(wish)
+    plan = plan_of(wish, scenario, options.scheduling)
+    with (
+        tempfile.TemporaryDirectory(prefix="quadftc_") as folder,
+        StopSignals() as stop,
+        listen(port) as listener,
+        serving(listener, page_of(plan, scenario)) as channel,
+    ):
+        if plan.bag is not None:
+            file = Path(folder, "parameters.yaml")
+            file.write_text(plan.parameter_file(), encoding="utf-8")
+            plan = replace(plan, attachments=(file,))
+        feed = Feed(channel, plan.namespace, plan.plant)
+        with ComposedGraph(plan, tap=feed.tap) as graph:
+            say(*introduction(plan), f"page:   {address_of(listener)}", stderr=True)
+            if opens:
+                webbrowser.open(address_of(listener))
+
+            def follow(_samples: int) -> bool:
+                feed.send()  # also when the controller is silent
+                return not stop.requested
+
+            wall = graph.run(follow)
+            status = graph.recorder.finish() if graph.recorder is not None else None
+    if status is not None and status.error is not None:
+        raise GraphError(f"{status.error}: the recording stopped")
+    say(farewell(plan, wall), stderr=True)
+    return 0

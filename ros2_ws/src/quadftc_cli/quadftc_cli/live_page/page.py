@@ -1,0 +1,260 @@
+# pyright: basic
+"""The page: the vehicle in 3D, strip charts, states of all components, faults to inject, setpoints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Awaitable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from fastapi import FastAPI
+from nicegui import background_tasks, ui
+
+from quadftc_cli.live_page.charts import StripCharts
+from quadftc_cli.live_page.commander import Commander
+from quadftc_cli.live_page.picture import Picture, State
+from quadftc_cli.live_page.scene import CORRECTED, MEASURED, TRUTH, VehicleScene
+from quadftc_flight.graph.plan import GraphError
+from quadftc_model.rotations import euler_from_quaternion
+from quadftc_model.samples import AXES
+from quadftc_ros.latest import ROLES
+from quadftc_ros.wire import pose_of
+
+FRAME_PERIOD = 1.0 / 30.0  # s
+TEXT_PERIOD = 0.2  # s; between two looks at states and numbers
+STYLE = Path(__file__).with_name("page.css")
+SENSOR_FAULTS = (  # label, axis that the charts show then, fault
+    ("roll reads +8°", 0, "bias axis=roll value=8deg"),
+    ("pitch drifts 1°/s", 1, "drift axis=pitch rate=1deg/s duration=10s"),
+    ("yaw is stuck", 2, "stuck axis=yaw duration=10s"),
+    ("gyro x +10°/s", 0, "bias channel=gyro axis=x value=10deg/s"),
+    ("gyro y stuck", 1, "stuck channel=gyro axis=y"),
+    ("accelerometer x +1 m/s²", 0, "bias channel=accelerometer axis=x value=1"),
+)
+ROTOR_FAULTS = (
+    ("rotor 1 loses 30 %", 0, "loss rotors=1 value=30%"),
+    ("rotor 3 loses 15 %", 0, "loss rotors=3 value=15%"),
+)
+SLIDERS = {  # target -> name, unit shown, SI per unit, least, largest, step
+    "attitude": (
+        ("roll", "°", math.radians(1.0), -20.0, 20.0, 0.5),
+        ("pitch", "°", math.radians(1.0), -20.0, 20.0, 0.5),
+        ("yaw", "°", math.radians(1.0), -90.0, 90.0, 1.0),
+    ),
+    "position": (
+        ("x", "m", 1.0, -3.0, 3.0, 0.1),
+        ("y", "m", 1.0, -3.0, 3.0, 0.1),
+        ("z", "m", 1.0, 0.5, 3.0, 0.1),
+        ("yaw", "°", math.radians(1.0), -90.0, 90.0, 1.0),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Flown:
+    """What flies, for the page's heading and its controls."""
+
+    title: str  # of the scenario
+    parts: str  # vehicle, observer, controller
+    vehicle: str  # name, or path of a TOML file
+    plant: str  # test_stand or free_flight
+    namespace: str
+    home: tuple[float, ...] | None  # live setpoint to begin with, in SI; None: the scenario's is followed
+
+
+def add_page(app: FastAPI, picture: Picture, commander: Commander, flown: Flown) -> None:
+    """Add the page to an application."""
+
+    @ui.page("/")
+    def page() -> None:
+        ui.add_css(STYLE)
+        _Page(picture, commander, flown)
+
+    ui.run_with(app, title="quadftc live", dark=False, tailwind=False, show_welcome_message=False)
+
+
+class _Page:
+    """One page, for as long as a browser shows it."""
+
+    def __init__(self, picture: Picture, commander: Commander, flown: Flown) -> None:
+        self._picture, self._commander, self._flown = picture, commander, flown
+        self._chips: dict[str, Any] = {}
+        self._shown: dict[str, Any] = {}
+        with ui.element("div").classes("page"):
+            self._heading()
+            with ui.element("div").classes("stage"):
+                self._scene = VehicleScene(picture)
+                self._legend()
+            with ui.element("div").classes("side"):
+                self._components()
+                self._faults()
+                if flown.home is not None:
+                    self._setpoints()
+            with ui.element("div").classes("lower"):
+                self._axis_choice()
+                self._charts = StripCharts(picture)
+        ui.timer(FRAME_PERIOD, self._draw)
+        ui.timer(TEXT_PERIOD, self._tell)
+
+    def _heading(self) -> None:
+        with ui.element("header").classes("heading"):
+            ui.label("quadftc live").classes("brand")
+            ui.label(self._flown.title).classes("title")
+            ui.label(self._flown.parts).classes("parts")
+            ui.element("div").classes("space")
+            for name in ("time", "rate", "lost", "mode"):
+                self._shown[name] = ui.label().classes("number").props(f'data-show="{name}"')
+
+    def _legend(self) -> None:
+        with ui.element("div").classes("legend"):
+            for name, colour in (("truth", TRUTH), ("measured", MEASURED), ("corrected", CORRECTED)):
+                with ui.element("span"):
+                    ui.element("i").style(f"background: {colour}")
+                    ui.label(name)
+                    self._shown[name] = ui.label().classes("number")
+
+    def _components(self) -> None:
+        with ui.element("section"):
+            ui.label("Components").classes("heading-2")
+            with ui.element("div").classes("components"):
+                for component, elements in self._picture.states().items():
+                    ui.label(component)
+                    with ui.element("div").classes("chips"):
+                        for element in elements:
+                            name = f"{component}/{element}"
+                            self._chips[name] = (
+                                ui.label(element).classes("chip").props(f'data-element="{name}"')
+                            )
+            self._shown["findings"] = ui.label().classes("findings").props('data-show="findings"')
+            self._shown["warnings"] = ui.label().classes("warnings")
+
+    def _faults(self) -> None:
+        presets = SENSOR_FAULTS + (ROTOR_FAULTS if self._picture.rotors else ())
+        plain = "unelevated no-caps dense color=grey-3 text-color=grey-10"
+        with ui.element("section"):
+            ui.label("Inject a fault").classes("heading-2")
+            with ui.element("div").classes("buttons"):
+                for label, axis, fault in presets:
+                    button = ui.button(label, on_click=partial(self._inject, fault, axis))
+                    button.props(f'{plain} data-fault="{fault}"').tooltip(fault)
+            with ui.element("div").classes("own"):
+                own = ui.input(value="noise axis=roll std_dev=1deg", placeholder="as quadftc inject takes it")
+                own.props("dense outlined").on("keydown.enter", lambda: self._inject(own.value or ""))
+                button = ui.button("Inject", on_click=lambda: self._inject(own.value or ""))
+                button.props("unelevated no-caps color=grey-9")
+            with ui.element("div").classes("injected"):
+                self._shown["injected"] = ui.element("div").classes("chips")
+                clear = ui.button("Clear all", on_click=lambda: self._attempt(self._commander.clear()))
+                clear.props('outline no-caps dense color=grey-9 data-clear="all"')
+            self._listed: list[Any] | None = None
+
+    def _setpoints(self) -> None:
+        target = "position" if self._picture.latest.flies else "attitude"
+        names = [row[0] for row in SLIDERS[target]]
+        values = self._commander.setpoints.setdefault(
+            target, dict(zip(names, self._flown.home or (), strict=True))
+        )
+
+        def take(name: str, unit: str, scale: float, shown: Any, event: Any) -> None:
+            values[name] = float(event.args) * scale
+            shown.set_text(f"{event.args:g} {unit}")
+            self._attempt(self._commander.set(target, values))
+
+        with ui.element("section"):
+            ui.label(f"{target.capitalize()} setpoint").classes("heading-2")
+            with ui.element("div").classes("sliders"):
+                for name, unit, scale, low, high, step in SLIDERS[target]:
+                    ui.label(name)
+                    slider = ui.slider(min=low, max=high, step=step, value=values[name] / scale)
+                    shown = ui.label(f"{slider.value:g} {unit}").classes("number")
+                    slider.props(f'dense color=grey-9 data-setpoint="{name}"')
+                    slider.on("update:model-value", partial(take, name, unit, scale, shown), throttle=0.1)
+
+    def _axis_choice(self) -> None:
+        def choose(event: Any) -> None:
+            self._charts.choose(AXES.index(event.value))
+
+        with ui.element("div").classes("axis"):
+            ui.label("Charts of")
+            names = {axis: f"{axis} ({letter})" for axis, letter in zip(AXES, "xyz", strict=True)}
+            self._axis = ui.toggle(names, value=AXES[0], on_change=choose).props(
+                "dense no-caps unelevated toggle-color=grey-9"
+            )
+
+    def _inject(self, fault: str, axis: int | None = None) -> None:
+        if axis is not None:
+            self._axis.set_value(AXES[axis])
+        self._attempt(self._commander.inject(fault))
+
+    def _attempt(self, act: Awaitable[Any]) -> None:
+        """Do what may be refused, and say why."""
+
+        async def attempt() -> None:
+            try:
+                await act
+            except (ValueError, GraphError) as error:
+                with self._scene.element:
+                    ui.notify(str(error), type="negative", position="bottom-right")
+
+        background_tasks.create(attempt())
+
+    def _draw(self) -> None:
+        """Show a frame."""
+        pose = self._picture.latest.read("position/reference", pose_of)
+        self._scene.show(None if pose is None else pose[0])
+        self._charts.push()
+
+    def _tell(self) -> None:
+        """Show states and numbers."""
+        picture = self._picture
+        findings: list[str] = []
+        for component, elements in picture.states().items():
+            for element, state in elements.items():
+                self._mark(f"{component}/{element}", state)
+                if state.name in ("faulty", "ambiguous", "recovering") and " since " in state.words:
+                    findings.append(f"{component} {element}: {state.words}")
+        self._set("findings", "\n".join(findings) or "no fault found")
+        shown = [f"{name}: {words}" for _, name, words in picture.warnings() if "fault" not in name]
+        self._set("warnings", "\n".join(shown[:3]))
+        self._set("time", "flight ended" if picture.over else f"{picture.time:.1f} s")
+        self._set("rate", f"{picture.value('controller', 'timing', 'rate_hz') or '-'} Hz")
+        self._set("lost", f"{picture.value('plant', 'flight', 'without_torque') or '0'} without torque")
+        self._set("mode", f"controller: {picture.mode()}")
+        self._show_angles()
+        self._list_injected()
+
+    def _show_angles(self) -> None:
+        """Say what the angle of the axis that the charts show is."""
+        axis, attitudes = str(self._axis.value), self._picture.latest.attitudes()
+        for role in ROLES:
+            words = "-"
+            if role in attitudes:
+                angle = math.degrees(euler_from_quaternion(attitudes[role])[AXES.index(axis)])
+                words = f"{axis} {angle:+.2f}°"
+            self._set(role, words)
+
+    def _mark(self, name: str, state: State) -> None:
+        chip = self._chips[name]
+        if chip.props.get("data-state") != state.name:
+            chip.props(f'data-state="{state.name}" title="{state.name}"')
+
+    def _set(self, name: str, text: str) -> None:
+        if self._shown[name].text != text:
+            self._shown[name].set_text(text)
+
+    def _list_injected(self) -> None:
+        """List the faults of the page, each with a button that ends it."""
+        listed = list(self._commander.injected)
+        if listed == self._listed:
+            return
+        self._listed = listed
+        self._shown["injected"].clear()
+        with self._shown["injected"]:
+            for each in listed:
+                chip = ui.chip(each.words, removable=True, color="orange-2").props("dense square")
+                chip.on_value_change(
+                    lambda _, number=each.number: self._attempt(self._commander.clear(number))
+                )

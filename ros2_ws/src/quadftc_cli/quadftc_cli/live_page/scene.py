@@ -1,0 +1,114 @@
+# pyright: basic
+"""The vehicle in 3D: truth solid, what is measured and corrected as ghosts, thrust as arrows."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from nicegui import ui
+
+from quadftc_cli.live_page.picture import Picture
+from quadftc_model.rotations import to_earth
+from quadftc_model.shape import ROTOR_HEIGHT, Part, parts_of
+
+TRUTH, MEASURED, CORRECTED = "#30343a", "#d55e00", "#0072b2"  # those of the charts
+GHOSTS = {"measured": MEASURED, "corrected": CORRECTED}
+GHOST_ALPHA, RING = 0.85, 0.07  # 1; of the rings around the rotors; their width over the radius of a rotor
+THRUST = "#009e73"
+THRUST_LENGTH = 0.9  # 1; of the arrow of a rotor that carries its share of the weight, over the span
+GROUND, GRID = "#f7f8fa", 0.5  # colour; m
+TARGET = "#cc79a7"
+SMOOTH = 32  # segments of a circle
+UPRIGHT = 0.5 * math.pi  # turns y, the axis of a cylinder, to z
+
+
+class VehicleScene:
+    """The vehicle of a picture in a 3D element of the page that is being built."""
+
+    def __init__(self, picture: Picture) -> None:
+        self._picture = picture
+        self._vehicle = picture.latest.vehicle
+        places = self._vehicle.rotors.positions
+        self._span = float(np.max(np.linalg.norm(places, axis=-1)))
+        camera = ui.scene.perspective_camera(fov=38, near=0.02, far=100)
+        self.element = ui.scene(
+            800, 500, grid=(10, round(10 / GRID)), camera=camera, background_color=GROUND, fps=30
+        ).classes("scene")
+        height = 1.5 if picture.latest.flies else 2.0 * self._span
+        self._lift = 0.0 if picture.latest.flies else height  # a test stand holds the vehicle above the grid
+        with self.element:
+            self._groups = {role: self._ghost(k, GHOSTS[role]) for k, role in enumerate(GHOSTS)}
+            self._groups["truth"] = self._truth()
+            self._target = (
+                self.element.sphere(0.06 * self._span).material(TARGET, 0.9) if picture.latest.flies else None
+            )
+        far = 4.3 * self._span
+        self.element.move_camera(
+            -0.62 * far, -0.68 * far, height + 0.42 * far, 0.0, 0.0, height + 0.12 * self._span, duration=0
+        )
+
+    def show(self, reference: Any) -> None:
+        """Put everything where it is now; ``reference`` is the position to be at, None: there is none."""
+        latest = self._picture.latest
+        attitudes, place = latest.attitudes(), latest.position() + np.array([0.0, 0.0, self._lift])
+        for role, group in self._groups.items():
+            group.visible(role in attitudes)
+            if role in attitudes:
+                columns = [to_earth(attitudes[role], axis) for axis in np.eye(3)]
+                group.move(*place.tolist()).rotate_R(np.round(np.transpose(columns), 5).tolist())
+        share = self._vehicle.weight / len(self._arrows)
+        for (shaft, head), thrust in zip(self._arrows, latest.thrusts().tolist(), strict=True):
+            length = max(0.02, THRUST_LENGTH * round(thrust / share, 3)) * self._span
+            shaft.scale(1.0, length, 1.0).move(z=0.5 * length)
+            head.move(z=length)
+        if self._target is not None and reference is not None:
+            self._target.move(*reference.tolist())
+
+    def _truth(self) -> Any:
+        """Make the solid vehicle with its thrust."""
+        with self.element.group() as group:
+            for part in parts_of(self._vehicle):
+                self._add(part, part.colour, part.alpha)
+            self._mast(TRUTH, 1.0)
+            self._arrows = [self._arrow(x, y) for x, y in self._vehicle.rotors.positions.tolist()]
+        return group
+
+    def _ghost(self, rank: int, colour: str) -> Any:
+        """Make a ghost: thin arms, a ring around each rotor, and a line along body z.
+
+        Arms hide in those of the truth, and rings are around one another, while all agree.
+        """
+        with self.element.group() as group:
+            for part in parts_of(self._vehicle):
+                if part.name.startswith("arm"):
+                    long, wide, high = part.size
+                    self._add(part._replace(size=(long, 0.5 * wide, 0.5 * high)), colour, 1.0)
+                elif part.name.startswith("rotor"):
+                    inner = 0.5 * part.size[0] * (1.0 + RING * rank)
+                    ring = self.element.ring(inner, inner * (1.0 + 0.8 * RING), SMOOTH)
+                    ring.material(colour, GHOST_ALPHA, "both").move(*part.position)
+            self._mast(colour, 1.25 + 0.12 * rank)
+        return group
+
+    def _add(self, part: Part, colour: str, alpha: float) -> None:
+        long, wide, high = part.size
+        if part.kind == "box":
+            shape = self.element.box(long, wide, high).rotate(0.0, 0.0, part.yaw)
+        else:
+            shape = self.element.cylinder(0.5 * long, 0.5 * long, high, SMOOTH).rotate(UPRIGHT, 0.0, 0.0)
+        shape.material(colour, alpha).move(*part.position)
+
+    def _mast(self, colour: str, length: float) -> None:
+        length, radius = length * self._span, 0.011 * self._span / length
+        mast = self.element.cylinder(radius, radius, length, SMOOTH).rotate(UPRIGHT, 0.0, 0.0)
+        mast.material(colour).move(z=0.5 * length)
+
+    def _arrow(self, x: float, y: float) -> tuple[Any, Any]:
+        """Make the arrow of a rotor, one metre long; return its shaft and its head."""
+        radius = 0.022 * self._span
+        with self.element.group().move(x, y, (ROTOR_HEIGHT + 0.01) * self._span):
+            shaft = self.element.cylinder(radius, radius, 1.0, SMOOTH).rotate(UPRIGHT, 0.0, 0.0)
+            head = self.element.cylinder(0.0, 2.6 * radius, 6.0 * radius, SMOOTH).rotate(UPRIGHT, 0.0, 0.0)
+        return shaft.material(THRUST), head.material(THRUST)

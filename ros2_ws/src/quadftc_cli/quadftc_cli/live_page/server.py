@@ -1,0 +1,75 @@
+"""The process of the page: ``python -m quadftc_cli.live_page.server CHANNEL LISTENER FLOWN``.
+
+The first two are open file descriptors: the socket from which frames of the flight come, and the one that
+browsers connect to. The last is a JSON object, the fields of `page.Flown`. It says "ready" on the socket when
+it serves, and ends when the socket is closed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import socket
+import sys
+from collections.abc import AsyncGenerator
+
+import uvicorn
+from fastapi import FastAPI
+
+from quadftc_cli.live_page.commander import Commander
+from quadftc_cli.live_page.feed import receive
+from quadftc_cli.live_page.page import Flown, add_page
+from quadftc_cli.live_page.picture import Picture
+from quadftc_model.vehicle import load_vehicle
+from quadftc_report.serve.local import OwnPagesOnly
+
+READY = b"ready"
+LAST_WORDS = 0.5  # s; for the page to say that the flight has ended
+
+
+def make_app(channel: socket.socket, flown: Flown, server: list[uvicorn.Server]) -> FastAPI:
+    """Build the application on the socket from which the flight comes; at its end it stops the server."""
+    vehicle = load_vehicle(flown.vehicle)
+    picture = Picture(vehicle, "free_flight" if flown.plant == "free_flight" else "test_stand")
+    commander = Commander(flown.namespace)
+
+    def take() -> None:
+        frame = receive(channel)
+        if frame is not None:
+            picture.take(frame)
+            return
+        picture.over = True
+        loop = asyncio.get_running_loop()
+        loop.remove_reader(channel)
+        loop.call_later(LAST_WORDS, stop)
+
+    def stop() -> None:
+        server[0].should_exit = True
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_app: FastAPI) -> AsyncGenerator[None]:
+        asyncio.get_running_loop().add_reader(channel, take)
+        channel.send(READY)
+        yield
+        commander.close()
+
+    app = FastAPI(title="quadftc live", lifespan=lifespan, docs_url=None, redoc_url=None, openapi_url=None)
+    add_page(app, picture, commander, flown)
+    app.add_middleware(OwnPagesOnly)
+    return app
+
+
+def main(channel: int, listener: int, flown: str) -> None:
+    """Serve until the flight is over."""
+    server: list[uvicorn.Server] = []
+    app = make_app(socket.socket(fileno=channel), Flown(**json.loads(flown)), server)
+    config = uvicorn.Config(
+        app, log_level="warning", access_log=False, server_header=False, timeout_graceful_shutdown=1
+    )
+    server.append(uvicorn.Server(config))
+    server[0].run(sockets=[socket.socket(fileno=listener)])
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3])
