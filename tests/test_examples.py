@@ -5,9 +5,13 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from sensor_msgs.msg import Imu
+
+from quadftc_model.rotations import euler_from_quaternion
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
@@ -44,11 +48,42 @@ def test_own_observer_flies_when_only_its_entry_point_names_it(tmp_path):
     assert error < 0.1 * fault
 
 
+def loaded(path):
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_autopilots_say_the_same_of_a_vehicle_that_rolls_right_and_looks_north():
+    half = np.radians(5.0)
+    q_wxyz, rate, force = [np.cos(half), np.sin(half), 0.0, 0.0], [0.1, 0.2, 0.3], [0.0, -1.7, -9.66]
+    px4 = SimpleNamespace(q=q_wxyz), SimpleNamespace(gyro_rad=rate, accelerometer_m_s2=force)
+    sample = loaded(EXAMPLES / "on_your_vehicle" / "px4_bridge.py").sample_of(*px4)
+    angles = np.degrees(euler_from_quaternion(sample.q_xyzw))
+    assert angles == pytest.approx([10.0, 0.0, 90.0])
+    assert sample.body_rate == pytest.approx([0.1, -0.2, -0.3])
+    message = Imu()
+    for field, names, values in (
+        (message.orientation, "xyzw", q_wxyz),
+        (message.angular_velocity, "xyz", rate),
+        (message.linear_acceleration, "xyz", force),
+    ):
+        for name, value in zip(names, values, strict=True):
+            setattr(field, name, value)
+    other = loaded(EXAMPLES / "on_your_vehicle" / "ardupilot_imu.py").sample_of(message, w_first=True)
+    for one, two in zip(sample, other, strict=True):
+        assert np.allclose(one, two)
+
+
+def test_thrust_follows_the_stick_within_its_limit():
+    share = loaded(EXAMPLES / "on_your_vehicle" / "px4_bridge.py").thrust_share
+    assert [share(stick, 0.8) for stick in (-1.0, 0.0, 1.0, float("nan"))] == [0.0, 0.5, 0.8, 0.0]
+
+
 @pytest.mark.slow
 def test_batch_in_ten_lines_flies_each_flight():
-    spec = importlib.util.spec_from_file_location("batch_in_ten_lines", EXAMPLES / "batch_in_ten_lines.py")
-    example = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(example)
+    example = loaded(EXAMPLES / "batch_in_ten_lines.py")
     sizes, errors = example.fly(3, "conventional")
     assert len(set(sizes)) == 3
     # without diagnosis the vehicle is off by the fault for a quarter of the flight, and by -2 deg for another

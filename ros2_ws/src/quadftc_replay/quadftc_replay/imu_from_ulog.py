@@ -16,7 +16,7 @@ Stamps are those of the sensor sample (``timestamp_sample`` where there is one),
 log has torques only without a unit, so the torque is zero. The attitude is PX4's own estimate, to which this
 gyro has contributed; where its estimator resets it, it jumps, and a warning says when.
 
-PX4's frames are north-east-down and forward-right-down; `readers.frames` turns them.
+PX4's frames are north-east-down and forward-right-down; `quadftc_model.frames` turns them.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
+from quadftc_model.frames import enu_flu_from_ned_frd, flu_from_frd
 from quadftc_model.rotations import quaternion_from_rotation_vector, quaternion_product
 from quadftc_model.samples import ImuSample
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_replay.imu_recording import Floats, Recording, Stamps, clean_samples, keep_good_stamps
-from quadftc_replay.readers.frames import enu_flu_from_ned_frd, flu_from_frd
 from quadftc_replay.readers.ulog import (
     ATTITUDE,
     FORCES,

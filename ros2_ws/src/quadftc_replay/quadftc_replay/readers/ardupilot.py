@@ -36,10 +36,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from quadftc_model.frames import enu_from_ned, flu_from_frd
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_replay.dataflash import read_dataflash
 from quadftc_replay.flight_log import FlightLog
-from quadftc_replay.readers.frames import enu_from_ned, flu_from_frd
 from quadftc_replay.readers.layouts import Layout, frame_layout
 from quadftc_replay.readers.signals import Signals, Stamps, columns, sound, thrust_of_throttle
 

@@ -35,9 +35,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
+from quadftc_model.frames import enu_flu_from_ned_frd, enu_from_ned, flu_from_frd
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_replay.flight_log import FlightLog, Floats
-from quadftc_replay.readers.frames import enu_flu_from_ned_frd, enu_from_ned, flu_from_frd
 from quadftc_replay.readers.layouts import Layout, frame_layout
 from quadftc_replay.readers.signals import Signals, Stamps, columns, rate_of, sound, thrust_of_throttle
 
