@@ -159,7 +159,8 @@ def _standing(flight: Flight) -> Iterator[Found]:
         stands = there & (speeds[:, rotor] < STANDS * others)
         for run in runs_of(stands):
             start, end = float(sensor.time[run.start]), float(sensor.time[run.stop - 1])
-            asked = _asked_share(flight.log, rotor, start, min(end, start + 0.5))
+            onset = _slows_down(sensor.time, speeds[:, rotor], run.start)
+            asked = _asked_share(flight.log, rotor, onset, start)
             is_asked = asked is not None and asked < STANDS
             least = STANDS_FOR if asked is not None and not is_asked else STOPS_FOR
             if end - start < max(least, 1.5 / sensor.rate):
@@ -169,9 +170,8 @@ def _standing(flight: Flight) -> Iterator[Found]:
             said.append(
                 "whether it was told to is not logged"
                 if asked is None
-                else f"it is asked for {100 * asked:.0f} % of what the others are asked for"
+                else f"as it slows down, it is asked for {100 * asked:.0f} % of what the others are asked for"
             )
-            onset = _slows_down(sensor.time, speeds[:, rotor], run.start)
             probability = UNASKED if asked is None else (ASKED if is_asked else CERTAIN)
             finding = make_finding(
                 *("rotor", str(rotor + 1), "off", onset),
@@ -203,12 +203,12 @@ def _slows_down(time: Floats, speed: Floats, row: int) -> float:
 
 
 def _asked_share(log: FlightLog, rotor: int, start: float, end: float) -> float | None:
-    """Mean command of a rotor over that of the others; None where commands are not logged."""
+    """Mean command of a rotor over that of the others, or the last one; None where it is not logged."""
     commands = log.rotor_commands
     if commands is None or commands.value.shape[1] <= rotor:
         return None
-    rows = slice(*np.searchsorted(commands.time, (start, end)))
-    part = commands.value[rows]
+    first, last = np.searchsorted(commands.time, (start, end), side="right")
+    part = commands.value[max(min(first, last - 1), 0) : last]
     own, others = part[:, rotor], np.delete(part, rotor, axis=1)
     own, others = own[np.isfinite(own)], others[np.isfinite(others)]
     if not len(own) or not len(others):
