@@ -19,6 +19,7 @@ KNOWN_TO_ROSDEP = {
         "ament_cmake",
         "ament_index_python",
         "builtin_interfaces",
+        "diagnostic_aggregator",
         "diagnostic_msgs",
         "geometry_msgs",
         "launch",

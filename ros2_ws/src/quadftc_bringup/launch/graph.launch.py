@@ -38,14 +38,17 @@ RECORDER = ("quadftc_ros", "recorder")
 START_DELAY = 6.0  # s, for the nodes to find each other (about 4 s): messages sent before that are lost
 
 
+def _shared(*path: str) -> PathJoinSubstitution:
+    return PathJoinSubstitution([FindPackageShare("quadftc_bringup"), *path])
+
+
 def _arguments() -> list[DeclareLaunchArgument]:
-    share = FindPackageShare("quadftc_bringup")
     return [
         DeclareLaunchArgument("namespace", default_value="", description="Namespace of the vehicle."),
         DeclareLaunchArgument(
             "params_file",
-            default_value=PathJoinSubstitution([share, "config", "graph.yaml"]),
-            description="Parameter file with overrides for any of the nodes.",
+            default_value=_shared("config", "graph.yaml"),
+            description="Parameter file for any of the nodes; there is one for each vehicle.",
         ),
         DeclareLaunchArgument(
             "mode",
@@ -74,6 +77,11 @@ def _arguments() -> list[DeclareLaunchArgument]:
         ),
         DeclareLaunchArgument("imu", default_value="imu/data", description="Topic of the IMU."),
         DeclareLaunchArgument("torque", default_value="torque/command", description="Topic of the torque."),
+        DeclareLaunchArgument(
+            "monitor",
+            default_value="false",
+            description="Group /diagnostics for rqt_robot_monitor, by diagnostic_aggregator.",
+        ),
         DeclareLaunchArgument(
             "bag", default_value="", description="New directory to record into; empty: none."
         ),
@@ -143,4 +151,12 @@ def generate_launch_description() -> LaunchDescription:
             for kind, node in GUIDANCE.items()
         ),
     ]
+    monitor = Node(
+        package="diagnostic_aggregator",
+        executable="aggregator_node",
+        name="analyzers",
+        parameters=[_shared("diagnostics", "analyzers.yaml")],
+        condition=IfCondition(LaunchConfiguration("monitor")),
+    )
+    nodes.append(monitor)
     return LaunchDescription([*_arguments(), *_introduction(simulate), *nodes, _start_call(simulate)])
