@@ -48,6 +48,20 @@ def test_commands_are_completed(monkeypatch):
     assert done.output.split() == ["repair", "replay", "report"]
 
 
+@pytest.mark.parametrize(
+    ("words", "count", "found"),
+    [
+        ("quadftc run paper_f", 2, ["paper_faults"]),
+        ("quadftc run paper_faults --observer iso", 4, ["isolating"]),
+    ],
+)
+def test_names_of_scenarios_and_observers_are_completed(monkeypatch, words, count, found):
+    monkeypatch.setenv("COMP_WORDS", words)
+    monkeypatch.setenv("COMP_CWORD", str(count))
+    done = CliRunner().invoke(app, env={"_QUADFTC_COMPLETE": "complete_bash"}, prog_name="quadftc")
+    assert done.output.split() == found
+
+
 def test_unknown_command_is_refused():
     done = call_quadftc("fly")
     assert (done.returncode, "fly" in done.stderr) == (2, True)

@@ -15,7 +15,9 @@ def check(
     target: Annotated[
         str,
         Argument(
-            metavar="SCENARIO|BAG|VEHICLE", help="Scenario or vehicle (file or name), or a recorded run."
+            metavar="SCENARIO|BAG|VEHICLE",
+            help="Scenario or vehicle (file or name), or a recorded run.",
+            autocompletion=options.complete_scenario,
         ),
     ],
     scheme: Annotated[str, Option(help="Scheme to judge; default: the scenario's first.")] = "",

@@ -10,11 +10,46 @@ from typer import Option
 
 from quadftc_campaign.errors import CampaignError
 
-ObserverOption = Annotated[str, Option(help="Fault observer in place of the scheme's.")]
-DisturbanceObserverOption = Annotated[
-    str, Option("--disturbance-observer", help="Disturbance observer in place of the scheme's.")
+
+def complete_scenario(incomplete: str) -> list[str]:
+    """Complete the name of a scenario in the shell; a path is completed by the shell itself."""
+    from quadftc_flight.scenario.files import scenario_names
+
+    return [name for name in scenario_names() if name.startswith(incomplete)]
+
+
+def _complete_observer(incomplete: str) -> list[str]:
+    from quadftc_fdi.fault_observer import fault_observers
+
+    return [name for name in fault_observers.names() if name.startswith(incomplete)]
+
+
+def _complete_disturbance_observer(incomplete: str) -> list[str]:
+    from quadftc_fdi.disturbance_observer import disturbance_observers
+
+    return [name for name in disturbance_observers.names() if name.startswith(incomplete)]
+
+
+def _complete_controller(incomplete: str) -> list[str]:
+    from quadftc_control.controller import controllers
+
+    return [name for name in controllers.names() if name.startswith(incomplete)]
+
+
+ObserverOption = Annotated[
+    str, Option(help="Fault observer in place of the scheme's.", autocompletion=_complete_observer)
 ]
-ControllerOption = Annotated[str, Option(help="Controller in place of the scheme's.")]
+DisturbanceObserverOption = Annotated[
+    str,
+    Option(
+        "--disturbance-observer",
+        help="Disturbance observer in place of the scheme's.",
+        autocompletion=_complete_disturbance_observer,
+    ),
+]
+ControllerOption = Annotated[
+    str, Option(help="Controller in place of the scheme's.", autocompletion=_complete_controller)
+]
 SetOption = Annotated[
     list[str],
     Option("--set", help="Any value of the scenario: a.b=v, faults.0.value='2 deg'; may be repeated."),

@@ -25,7 +25,13 @@ CoreOption = Annotated[list[int], Option(help="Real time: processor core to run 
 
 
 def run(
-    scenarios: Annotated[list[str], Argument(help="Scenario files, or names (see: quadftc list scenarios).")],
+    scenarios: Annotated[
+        list[str],
+        Argument(
+            help="Scenario files, or names (see: quadftc list scenarios).",
+            autocompletion=options.complete_scenario,
+        ),
+    ],
     scheme: Annotated[str, Option(help="Scheme to fly, or 'all'; default: the scenario's first.")] = "",
     observer: options.ObserverOption = "",
     disturbance_observer: options.DisturbanceObserverOption = "",
