@@ -12,6 +12,7 @@ from quadftc_fdi import disturbance_observer_node, fault_observer_node
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_flight.graph.plan import GraphPlan
 from quadftc_model.parameters import parameters_of
+from quadftc_ros.parameters import VehicleParameters
 
 PARAMETERS: dict[str, type] = {
     "fault_observer": fault_observer_node.ObserverParameters,
@@ -58,7 +59,7 @@ def _value_of(plan: GraphPlan, node: str, name: str) -> str:
     given = plan.parameters.get(node, {}).get(name)
     if given is not None:
         return str(given)
-    specs = parameters_of(PARAMETERS[node])
+    specs = (*parameters_of(VehicleParameters), *parameters_of(PARAMETERS[node]))
     return next(str(spec.default) for spec in specs if spec.name == name)
 
 
