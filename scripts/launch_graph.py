@@ -205,7 +205,7 @@ def launch(options: argparse.Namespace) -> int:
     """Run the graph; return the exit code."""
     from quadftc_flight.graph.introduction import farewell, introduction
     from quadftc_flight.graph.plan import GraphError, GraphPlan, check_options, check_remaps
-    from quadftc_flight.runs import GRAPHS
+    from quadftc_flight.runs import GRAPHS, check_namespace
     from quadftc_ros.executor import StopSignals
     from quadftc_ros.scheduling import Scheduling
 
@@ -214,6 +214,7 @@ def launch(options: argparse.Namespace) -> int:
         scheduling = Scheduling(options.wait, options.realtime_priority, tuple(options.core))
         check_options(options.graph, options.mode, scheduling, options.respawn)
         check_remaps(options.remap)
+        check_namespace(options.namespace)
         check_onboard(options)
         plan = GraphPlan(
             node_parameters_of(options),

@@ -204,6 +204,7 @@ def test_nodes_end_when_their_launcher_is_killed():
         (("--onboard", "--vehicle", "x500", "--mode", "lockstep"), ("--onboard", "real time")),
         (("--remap", "imu/dat:=/a"), ("imu/dat", "imu/data")),
         (("--remap", "imu/data"), ("expected TOPIC:=OTHER",)),
+        (("--namespace", "bad name"), ("bad name", "alphanumerics")),
         (("--scenario", BUSY, "--vehicle", "x500"), ("--vehicle", "scenario")),
         (("--params", "missing.yaml"), ("missing.yaml",)),
         (("--params", BUSY), ("busy.yaml", "ros__parameters")),

@@ -105,7 +105,7 @@ def test_observer_without_states_is_said_to_have_none():
     view = View("drone1")
     view.take("diagnosis", SimpleNamespace(faults=[], watched=[]), now=1.0)
     view.take("imu/data", imu_message(1), now=1.0)
-    assert "watched: nothing: this observer gives no states" in view.line(1.0)
+    assert "watched: nothing: no attitude yet, or an observer without states" in view.line(1.0)
 
 
 @pytest.fixture

@@ -43,6 +43,7 @@ def write_package(kind: str, name: str, directory: Path) -> list[Path]:
         "@NAME@": name,
         "@CLASS@": "".join(part.capitalize() for part in name.split("_")),
         "@KIND@": kind,
+        "@A_KIND@": f"{'An' if kind == 'observer' else 'A'} {kind}",
         "@GROUP@": row.group,
         "@DEPENDS@": row.depends,
         "@TESTS@": row.tests,
@@ -189,7 +190,7 @@ class @CLASS@(Fault):
         return state, present(inputs.value + xp.where(there, 1.0, 0.0) * xp.asarray(self.size))
 '''
 
-INIT = '''"""A @KIND@ for quadftc in a package of its own."""
+INIT = '''"""@A_KIND@ for quadftc in a package of its own."""
 '''
 
 SETUP = '''"""Build script of @NAME@ (ament_python)."""
@@ -201,7 +202,7 @@ PACKAGE = "@NAME@"
 setup(
     name=PACKAGE,
     version="0.1.0",
-    description="A @KIND@ for quadftc.",
+    description="@A_KIND@ for quadftc.",
     license="Apache-2.0",
     maintainer="you",
     maintainer_email="you@example.com",
@@ -222,7 +223,7 @@ PACKAGE_XML = """<?xml version="1.0"?>
 <package format="3">
   <name>@NAME@</name>
   <version>0.1.0</version>
-  <description>A @KIND@ for quadftc.</description>
+  <description>@A_KIND@ for quadftc.</description>
   <maintainer email="you@example.com">you</maintainer>
   <license>Apache-2.0</license>
 
@@ -245,7 +246,7 @@ install_scripts=$base/lib/@NAME@
 
 README = """# @NAME@
 
-A @KIND@ for quadftc: `@NAME@/@NAME@.py`. Build it in a workspace on top of quadftc, whose environment is
+@A_KIND@ for quadftc: `@NAME@/@NAME@.py`. Build it in a workspace on top of quadftc, whose environment is
 sourced:
 
 ```

@@ -112,7 +112,9 @@ class View:
         lines: list[str] = []
         if (diagnosis := self.present("diagnosis", now)) is not None:
             found = [_finding(fault) for fault in diagnosis.faults]
-            watched = ", ".join(diagnosis.watched) or "nothing: this observer gives no states"
+            watched = (
+                ", ".join(diagnosis.watched) or "nothing: no attitude yet, or an observer without states"
+            )
             lines.append(f"faults: {'; '.join(found) or 'none'} (watched: {watched})")
         if (status := self.present("control/status", now)) is not None:
             lines.append(f"controller: {MODES[status.mode] if status.mode < len(MODES) else status.mode}")

@@ -54,13 +54,18 @@ class RunOptions:
 
     def __post_init__(self) -> None:
         check_options(self.graph, self.mode, self.scheduling)
-        try:
-            validate_namespace(f"/{self.namespace.strip('/')}")
-        except InvalidNamespaceException as error:
-            words = str(error).split(": ", 1)[-1].splitlines()[0].rstrip(":")
-            raise ValueError(f"namespace = {self.namespace!r}: {words}") from None
-        except TypeError:  # it cannot be encoded
-            raise ValueError(f"namespace = {self.namespace!r}: is no text") from None
+        check_namespace(self.namespace)
+
+
+def check_namespace(namespace: str) -> None:
+    """Raise a ValueError if ROS has no such namespace; empty: none."""
+    try:
+        validate_namespace(f"/{namespace.strip('/')}")
+    except InvalidNamespaceException as error:
+        words = str(error).split(": ", 1)[-1].splitlines()[0].rstrip(":")
+        raise ValueError(f"namespace = {namespace!r}: {words}") from None
+    except TypeError:  # it cannot be encoded
+        raise ValueError(f"namespace = {namespace!r}: is no text") from None
 
 
 def run_name(scenario: Scenario, scheme: Scheme) -> str:
