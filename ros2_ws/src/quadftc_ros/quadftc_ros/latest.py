@@ -6,6 +6,7 @@ Messages come as bytes at the rate of the IMU, and are decoded only when somebod
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import Any
 
@@ -17,6 +18,7 @@ from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.vehicle import Vehicle
 from quadftc_ros.conversions import Floats
 from quadftc_ros.motion_wire import RotorsReader
+from quadftc_ros.rotor_wire import RotorConditionReader
 from quadftc_ros.topics import GRAPHS, PlantKind
 from quadftc_ros.wire import imu_of, vector_of
 
@@ -34,17 +36,22 @@ class Latest:
         self.flies = plant == "free_flight"
         self._data: dict[str, bytes] = {}
         self._place = FieldReader(Odometry, "pose.pose.position")
-        self._speeds = RotorsReader(len(vehicle.rotors.positions))
+        rotors = len(vehicle.rotors.positions)
+        self._speeds, self._condition = RotorsReader(rotors), RotorConditionReader(rotors)
+        self._none = np.zeros(rotors)
 
     @staticmethod
     def topics(plant: PlantKind) -> tuple[str, ...]:
         """Return the topics of a graph that `attitudes`, `position` and `thrusts` need."""
-        wanted = (*SOURCES.values(), *PLACES, "rotors/speed" if plant == "free_flight" else "torque/command")
+        thrust = ("rotors/speed", "rotors/fault") if plant == "free_flight" else ("torque/command",)
+        wanted = (*SOURCES.values(), *PLACES, *thrust)
         return tuple(topic for topic in wanted if topic in GRAPHS[plant])
 
     def put(self, topic: str, data: bytes) -> None:
-        """Take a message in CDR."""
-        self._data[topic] = data
+        """Take a message in CDR; what is too short for a stamp is none."""
+        with contextlib.suppress(ValueError):
+            leading_stamp_ns(data)
+            self._data[topic] = data
 
     def stamp_ns(self) -> int:
         """Return the newest stamp [ns]; 0 if nothing has come."""
@@ -81,15 +88,18 @@ class Latest:
         return np.zeros(3)
 
     def thrusts(self) -> Floats:
-        """Return the thrust (n,) [N] of each rotor, by its speed or the torque command; 0: unknown."""
+        """Return the thrust (n,) [N] of each rotor; 0: unknown.
+
+        It follows from its speed and the condition it is in, on a test stand from the torque command.
+        """
         rotors = self.vehicle.rotors
         if self.flies:
             speeds = self.read("rotors/speed", self._speeds)
-            return (
-                np.zeros(len(rotors.positions)) if speeds is None else rotors.thrust_coefficient * speeds**2
-            )
+            condition = self.read("rotors/fault", self._condition)
+            left = 1.0 if condition is None else condition.effectiveness
+            return self._none if speeds is None else rotors.thrust_coefficient * left * speeds**2
         torque = self.read("torque/command", vector_of)
         if torque is None:
-            return np.zeros(len(rotors.positions))
+            return self._none
         commands = rotors.command_trim + self.vehicle.allocation @ torque
         return np.clip(rotors.thrust_gain * (commands - rotors.command_idle), 0.0, None)

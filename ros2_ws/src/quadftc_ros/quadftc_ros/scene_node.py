@@ -2,8 +2,8 @@
 """The scene node: a vehicle that flies, for RViz and Foxglove, 30 times a second.
 
 Inputs: plant/attitude, in free flight plant/odometry (the truth, where there is one); imu/data,
-imu/corrected; position/data, where there is no truth; torque/command or rotors/speed. The last message of
-each counts.
+imu/corrected; position/data, where there is no truth; torque/command or rotors/speed, rotors/fault. The last
+message of each counts.
 Outputs: scene/truth, scene/measured, scene/corrected (geometry_msgs/PoseStamped); scene/markers
 (visualization_msgs/MarkerArray); robot_description (std_msgs/String, latched: a URDF); /tf, where tf2_msgs is
 installed: base_link and imu_link, and base_link_measured, base_link_corrected, all in map.
@@ -82,7 +82,7 @@ class SceneNode(GraphNode):
     def _draw(self) -> None:
         """Publish a picture, if anything has come since the last."""
         stamp_ns = self._latest.stamp_ns()
-        if stamp_ns == self._drawn_ns:
+        if not self.active or stamp_ns == self._drawn_ns:
             return
         self._drawn_ns = stamp_ns
         position, attitudes = self._latest.position(), self._latest.attitudes()

@@ -12,9 +12,11 @@ from visualization_msgs.msg import MarkerArray
 from message_objects import VectorWriter
 from node_bench import NodeBench, imu_message
 from quadftc_model.rotations import euler_from_quaternion
+from quadftc_model.samples import RotorCondition
 from quadftc_model.vehicle import load_vehicle
 from quadftc_ros.latest import Latest
 from quadftc_ros.motion_wire import OdometryWire, RotorsWire
+from quadftc_ros.rotor_wire import RotorConditionWire
 from quadftc_ros.scene_node import SceneNode
 from quadftc_ros.wire import VectorWire
 
@@ -66,6 +68,9 @@ def test_latest_forgets_what_is_silent_and_counts_thrust_by_speed():
     latest.put("plant/odometry", OdometryWire()(SECOND, np.array([1.0, 2.0, 3.0]), LEVEL, *np.zeros((2, 3))))
     assert float(np.sum(latest.thrusts())) == pytest.approx(vehicle.weight)
     assert latest.position().tolist() == [1.0, 2.0, 3.0]
+    weak = RotorCondition(np.array([0.5, 1.0, 1.0, 1.0]), np.full(4, np.inf), np.zeros(4, bool), np.zeros(4))
+    latest.put("rotors/fault", RotorConditionWire(4)(SECOND, weak))
+    assert latest.thrusts() == pytest.approx(vehicle.weight / 4.0 * weak.effectiveness)
     latest.put("plant/attitude", VectorWire("map")(3 * SECOND, np.zeros(3)))
     assert latest.thrusts().tolist() == [0.0] * 4
     assert latest.position().tolist() == [0.0, 0.0, 0.0]
@@ -80,4 +85,5 @@ def test_latest_shares_torque_among_rotors_of_a_test_stand():
     thrusts = latest.thrusts()
     assert vehicle.rotors.positions[:, 1] @ thrusts == pytest.approx(torque[0])
     latest.put("imu/data", b"no message at all")
+    latest.put("imu/corrected", b"none")
     assert latest.attitudes() == {}

@@ -68,7 +68,8 @@ class PlantNode(GraphNode):
         self._values = self.settings.values()
         self._make_flight(0)
         self._rests_until_ns = 0  # real time: does not emit before, however late
-        self._without_torque = 0  # real time: samples whose torque had not come when the next was due
+        # real time: samples after the first torque whose own had not come when the next was due; None: before
+        self._without_torque: int | None = None
         rotors, simulator = self.flight.simulator.plant.command_size, self.flight.simulator
         self._output = PlantOutput(
             self, each_sample, (rotors, simulator.position_sensor) if law.flies else None
@@ -117,7 +118,8 @@ class PlantNode(GraphNode):
     def tick(self) -> None:
         """Real time: emit the next sample; zero torque has acted if none has come for too long."""
         self._rests_until_ns = time.monotonic_ns() + self.flight.period_ns // 2
-        self._without_torque += self.unanswered
+        if self._without_torque is not None:
+            self._without_torque += self.unanswered
         self.flight.wait()
         self._emit()
         lost = self.flight.torque_lost
@@ -138,7 +140,7 @@ class PlantNode(GraphNode):
         values: dict[str, object] = {"samples": flight.emitted}
         if not self.lockstep and flight.due_ns < NEVER_NS:
             behind = max(0.0, seconds(time.monotonic_ns() - flight.due_ns))
-            values |= {"behind_s": f"{behind:.3f}", "without_torque": self._without_torque}
+            values |= {"behind_s": f"{behind:.3f}", "without_torque": self._without_torque or 0}
             if behind > LATE:
                 level, words = WARN, "flying, behind the wall clock"
         self.diagnostics.report("flight", level, words, **values)
@@ -177,6 +179,7 @@ class PlantNode(GraphNode):
     def _on_command(self, stamp_ns: int, command: Floats) -> None:
         if is_usable(command):
             self.flight.command(command)
+            self._without_torque = self._without_torque or 0
         else:
             self.diagnostics.count(f"{self._topic}: not finite")
         if self.lockstep:

@@ -28,7 +28,7 @@ TEXT_PERIOD = 0.2  # s; between two looks at states and numbers
 STYLE = Path(__file__).with_name("page.css")
 SENSOR_FAULTS = (  # label, axis that the charts show then, fault
     ("roll reads +8°", 0, "bias axis=roll value=8deg"),
-    ("pitch drifts 1°/s", 1, "drift axis=pitch rate=1deg/s duration=10s"),
+    ("pitch wanders ±5°", 1, "sine axis=pitch amplitude=5deg frequency=0.5Hz"),
     ("yaw is stuck", 2, "stuck axis=yaw duration=10s"),
     ("gyro x +10°/s", 0, "bias channel=gyro axis=x value=10deg/s"),
     ("gyro y stuck", 1, "stuck channel=gyro axis=y"),
@@ -105,7 +105,7 @@ class _Page:
             ui.label(self._flown.title).classes("title")
             ui.label(self._flown.parts).classes("parts")
             ui.element("div").classes("space")
-            for name in ("time", "rate", "lost", "mode"):
+            for name in ("time", "rate", "lost", "behind", "mode"):
                 self._shown[name] = ui.label().classes("number").props(f'data-show="{name}"')
 
     def _legend(self) -> None:
@@ -141,7 +141,7 @@ class _Page:
                     button = ui.button(label, on_click=partial(self._inject, fault, axis))
                     button.props(f'{plain} data-fault="{fault}"').tooltip(fault)
             with ui.element("div").classes("own"):
-                own = ui.input(value="noise axis=roll std_dev=1deg", placeholder="as quadftc inject takes it")
+                own = ui.input(value="noise axis=roll sigma=1deg", placeholder="as quadftc inject takes it")
                 own.props("dense outlined").on("keydown.enter", lambda: self._inject(own.value or ""))
                 button = ui.button("Inject", on_click=lambda: self._inject(own.value or ""))
                 button.props("unelevated no-caps color=grey-9")
@@ -222,6 +222,8 @@ class _Page:
         self._set("time", "flight ended" if picture.over else f"{picture.time:.1f} s")
         self._set("rate", f"{picture.value('controller', 'timing', 'rate_hz') or '-'} Hz")
         self._set("lost", f"{picture.value('plant', 'flight', 'without_torque') or '0'} without torque")
+        behind = picture.value("plant", "flight", "behind_s")
+        self._set("behind", f"{1e3 * float(behind or 0.0):.0f} ms behind")
         self._set("mode", f"controller: {picture.mode()}")
         self._show_angles()
         self._list_injected()

@@ -11,17 +11,33 @@ from nicegui import ui
 
 from quadftc_cli.live_page.picture import Picture
 from quadftc_model.rotations import to_earth
-from quadftc_model.shape import ROTOR_HEIGHT, Part, parts_of
+from quadftc_model.shape import LIGHT, ROTOR_HEIGHT, Part, parts_of
 
 TRUTH, MEASURED, CORRECTED = "#30343a", "#d55e00", "#0072b2"  # those of the charts
 GHOSTS = {"measured": MEASURED, "corrected": CORRECTED}
 GHOST_ALPHA, RING = 0.85, 0.07  # 1; of the rings around the rotors; their width over the radius of a rotor
 THRUST = "#009e73"
 THRUST_LENGTH = 0.9  # 1; of the arrow of a rotor that carries its share of the weight, over the span
-GROUND, GRID = "#f7f8fa", 0.5  # colour; m
+GROUND, GRID = "#f7f8fa", (20, 40)  # colour; size [m] and number of its lines
 TARGET = "#cc79a7"
+STEP = 1e-3  # m; the camera follows no less
 SMOOTH = 32  # segments of a circle
 UPRIGHT = 0.5 * math.pi  # turns y, the axis of a cylinder, to z
+
+
+class _Camera(ui.element, component="follow.js"):
+    """Has the camera of a scene follow the vehicle."""
+
+    def __init__(self, scene: int, start: tuple[float, ...]) -> None:
+        super().__init__()
+        self._props["scene"], self._props["start"] = scene, start
+        self._place = np.array(start)
+
+    def follow(self, place: list[float]) -> None:
+        """Look at the vehicle at a place [m]."""
+        if np.max(np.abs(np.subtract(place, self._place))) > STEP:
+            self._place = np.array(place)
+            self.run_method("follow", place)
 
 
 class VehicleScene:
@@ -34,25 +50,35 @@ class VehicleScene:
         self._span = float(np.max(np.linalg.norm(places, axis=-1)))
         camera = ui.scene.perspective_camera(fov=38, near=0.02, far=100)
         self.element = ui.scene(
-            800, 500, grid=(10, round(10 / GRID)), camera=camera, background_color=GROUND, fps=30
+            800,
+            500,
+            grid=GRID,
+            camera=camera,
+            background_color=GROUND,
+            fps=30,
         ).classes("scene")
-        height = 1.5 if picture.latest.flies else 2.0 * self._span
-        self._lift = 0.0 if picture.latest.flies else height  # a test stand holds the vehicle above the grid
+        # a test stand holds the vehicle above the grid
+        self._lift = np.array([0.0, 0.0, 0.0 if picture.latest.flies else 2.0 * self._span])
+        x, y, z = (picture.latest.position() + self._lift).tolist()
         with self.element:
             self._groups = {role: self._ghost(k, GHOSTS[role]) for k, role in enumerate(GHOSTS)}
             self._groups["truth"] = self._truth()
-            self._target = (
-                self.element.sphere(0.06 * self._span).material(TARGET, 0.9) if picture.latest.flies else None
-            )
+            if picture.latest.flies:
+                self._target: Any = self.element.sphere(0.06 * self._span).material(TARGET, 0.9)
+            else:
+                thick = 0.06 * self._span
+                post = Part("post", "cylinder", (thick, thick, z), (x, y, 0.5 * z), 0.0, LIGHT)
+                self._add(post, post.colour, post.alpha)
         far = 4.3 * self._span
         self.element.move_camera(
-            -0.62 * far, -0.68 * far, height + 0.42 * far, 0.0, 0.0, height + 0.12 * self._span, duration=0
+            *(x - 0.62 * far, y - 0.68 * far, z + 0.42 * far, x, y, z + 0.12 * self._span), duration=0
         )
+        self._camera = _Camera(self.element.id, (x, y, z))
 
     def show(self, reference: Any) -> None:
         """Put everything where it is now; ``reference`` is the position to be at, None: there is none."""
         latest = self._picture.latest
-        attitudes, place = latest.attitudes(), latest.position() + np.array([0.0, 0.0, self._lift])
+        attitudes, place = latest.attitudes(), latest.position() + self._lift
         for role, group in self._groups.items():
             group.visible(role in attitudes)
             if role in attitudes:
@@ -63,8 +89,9 @@ class VehicleScene:
             length = max(0.02, THRUST_LENGTH * round(thrust / share, 3)) * self._span
             shaft.scale(1.0, length, 1.0).move(z=0.5 * length)
             head.move(z=length)
-        if self._target is not None and reference is not None:
+        if latest.flies and reference is not None:
             self._target.move(*reference.tolist())
+        self._camera.follow(place.tolist())
 
     def _truth(self) -> Any:
         """Make the solid vehicle with its thrust."""
