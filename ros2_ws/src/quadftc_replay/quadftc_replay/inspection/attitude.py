@@ -23,6 +23,7 @@ LEVEL = 10.0  # standard deviations of a jump
 FLOOR = 0.05 * DEGREE  # rad; of its scatter
 JUMP = 2.0 * DEGREE  # rad; optical markers that are mistaken make 1.1 deg in healthy recordings
 OWN_JUMP = 5.0 * DEGREE  # rad; of an estimate made of the gyro, which is corrected now and then
+UNKNOWN_JUMP = 3.0 * DEGREE  # rad; where nobody knows what the attitude is made of
 PULSE = 0.1  # s; what goes back within it is an outlier
 CREEP_WINDOWS = (0.5, 2.0)  # s; over which the rates are compared
 CREEP = (0.1, 0.05)  # rad/s; least difference of the rates over each window
@@ -164,13 +165,16 @@ def watch(flight: Flight, agreement: Agreement) -> Mask:
     return flight.in_flight(agreement.time) & ~flight.near_impact(agreement.time)
 
 
-def disagreements(flight: Flight, agreement: Agreement, is_own: bool) -> tuple[list[Jump], list[Creep]]:
-    """Find jumps and creeps.
+def disagreements(
+    flight: Flight, agreement: Agreement, is_own: bool | None
+) -> tuple[list[Jump], list[Creep]]:
+    """Find jumps and creeps; ``is_own``: the attitude is computed from the gyro, None: not known.
 
     Estimators reset their heading in flight, by compass or satellites: such jumps in yaw are left out.
     """
     watched = watch(flight, agreement)
-    jumps = find_jumps(agreement, watched, OWN_JUMP if is_own else JUMP)
+    smallest = UNKNOWN_JUMP if is_own is None else (OWN_JUMP if is_own else JUMP)
+    jumps = find_jumps(agreement, watched, smallest)
     creeps = find_creeps(agreement, watched, jumps)
     return [jump for jump in jumps if not is_own or jump.axis != 2], creeps
 

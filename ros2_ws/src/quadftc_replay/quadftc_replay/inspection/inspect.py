@@ -109,7 +109,9 @@ def _sensors(
     """Tests of the sensors against each other."""
     log, found = flight.log, list[Found]()
     is_own = log.attitude_from_gyro is not False
-    jumps, creeps = disagreements(flight, agreement, is_own) if agreement is not None else ([], [])
+    jumps, creeps = (
+        ([], []) if agreement is None else disagreements(flight, agreement, log.attitude_from_gyro)
+    )
     witness = Witness(creeps, not is_own) if agreement is not None else None
     own, left = gyro_findings(flight, gyros, witness)
     found += own
