@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import subprocess
 import sys
@@ -13,7 +14,7 @@ import httpx
 import pytest
 from browser import start_browser
 
-from quadftc_report.serve.jobs import safe_name
+from quadftc_report.serve.jobs import Jobs, safe_name
 
 PARENTS = Path(__file__).resolve().parents
 DATA = next((parent / "shared/data" for parent in PARENTS if (parent / "shared/data").is_dir()), None)
@@ -113,6 +114,32 @@ def test_log_that_is_too_large_leaves_nothing_behind(address, folder):
     assert post(address, "large", large).status_code == 413
     assert post(address, "large", (large[:4096] for _ in range(257))).status_code == 413  # length not told
     assert set(folder.iterdir()) == before
+
+
+def test_next_logs_are_judged_against_the_baseline_and_with_the_faults(tmp_path, monkeypatch):
+    async def run(_self, job):
+        return f"judged {job.name}"
+
+    async def content():
+        yield b"log"
+
+    async def judge():
+        jobs = Jobs(tmp_path)
+        healthy = await jobs.receive("healthy", content())
+        jobs.mark_baseline(healthy.id)
+        jobs.put_faults("bias axis=roll value=3deg start=1s\n\n")
+        with pytest.raises(ValueError, match="no_such_fault"):
+            jobs.put_faults("no_such_fault axis=roll")
+        other = await jobs.receive("other", content())
+        await asyncio.gather(*jobs._tasks.values())
+        jobs.judge_again(healthy.id)
+        assert (other.baseline, other.faults) == (healthy.id, ("bias axis=roll value=3deg start=1s",))
+        assert (healthy.baseline, healthy.faults) == ("", other.faults)  # no log is its own baseline
+        await jobs.remove(healthy.id)
+        assert jobs.baseline == ""
+
+    monkeypatch.setattr(Jobs, "_run", run)
+    asyncio.run(judge())
 
 
 @pytest.fixture(scope="module")

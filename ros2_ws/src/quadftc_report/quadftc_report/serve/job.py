@@ -1,6 +1,6 @@
 """Judge one log in a process of its own.
 
-    python -m quadftc_report.serve.job LOG DIR
+    python -m quadftc_report.serve.job LOG DIR [--baseline=LOG] [--fault=SPEC]...
 
 writes ``verdict.json`` and ``report.html`` into DIR. Standard output has the share of the work that is done,
 a number a line, and last, with exit code 2, one line that says what is wrong with the log.
@@ -8,6 +8,7 @@ a number a line, and last, with exit code 2, one line that says what is wrong wi
 
 from __future__ import annotations
 
+import argparse
 import resource
 import sys
 from pathlib import Path
@@ -38,8 +39,13 @@ def main() -> int:
     from quadftc_replay.inspection.diagnosis import DiagnosisOptions, diagnose_log, write_verdict
     from quadftc_report.verdict_page import write_page
 
-    log, directory = (Path(argument) for argument in sys.argv[1:3])
-    said = -1.0
+    parser = argparse.ArgumentParser(allow_abbrev=False)
+    parser.add_argument("log", type=Path)
+    parser.add_argument("directory", type=Path)
+    parser.add_argument("--baseline", type=Path)
+    parser.add_argument("--fault", action="append", default=[])
+    asked = parser.parse_args()
+    log, said = asked.log, -1.0
 
     def progress(share: float) -> None:
         nonlocal said
@@ -49,7 +55,8 @@ def main() -> int:
             sys.stdout.flush()
 
     try:
-        inspection = diagnose_log(log, DiagnosisOptions(), progress)
+        options = DiagnosisOptions(baseline=asked.baseline, faults=tuple(asked.fault))
+        inspection = diagnose_log(log, options, progress)
     except MemoryError:
         sys.stdout.write("the log needs more memory than it may have\n")
         return BAD_INPUT
@@ -57,8 +64,8 @@ def main() -> int:
         words = " ".join(str(error).replace(f"{log}: ", "").replace(str(log), log.name).split())
         sys.stdout.write(f"{words}\n")
         return BAD_INPUT
-    write_page(inspection, directory)
-    write_verdict(inspection.verdict, directory)
+    write_page(inspection, asked.directory)
+    write_verdict(inspection.verdict, asked.directory)
     return 0
 
 

@@ -5,6 +5,8 @@
     FOLDER/<id>/verdict.json   and what else the judgement wrote
 
 The id is made here. Of the file's name only letters, digits, dots, hyphens and underscores get into a path.
+A log that is marked as the baseline, and faults to overlay, count for the logs that come next, and for those
+that are judged again.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from typing import Literal
 from pydantic import BaseModel, ValidationError
 
 from quadftc_replay.inspection.verdict import Verdict
+from quadftc_replay.overlay import faults_from
 
 JOB, VERDICT, REPORT = "job.json", "verdict.json", "report.html"
 RESULTS = {
@@ -52,6 +55,8 @@ class Job(BaseModel):
     state: State = "waiting"
     message: str = ""  # why it failed
     progress: float = 0.0  # share of the work that is done
+    baseline: str = ""  # id of the healthy log it is judged against
+    faults: tuple[str, ...] = ()  # specifications of faults that are put on it first
     verdict: Verdict | None = None
 
 
@@ -69,6 +74,8 @@ class Jobs:
         self.folder.mkdir(parents=True, exist_ok=True)
         self.largest = largest  # bytes of one upload
         self.version = 0  # grows whenever something changes
+        self.baseline = ""  # id of the log that the next ones are judged against
+        self.faults: tuple[str, ...] = ()  # that are put on the next ones
         self._jobs: dict[str, Job] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._places = asyncio.Semaphore(at_a_time)
@@ -83,7 +90,8 @@ class Jobs:
     async def receive(self, name: str, blocks: AsyncIterable[bytes]) -> Job:
         """Store a log block by block, and let it be judged; of one that is too large nothing is kept."""
         now = datetime.now(timezone.utc)
-        job = Job(id=f"{now:%Y%m%dT%H%M%S}-{secrets.token_hex(4)}", name=safe_name(name), received=now)
+        key = f"{now:%Y%m%dT%H%M%S}-{secrets.token_hex(4)}"
+        job = Job(id=key, name=safe_name(name), received=now)
         path = self._log(job)
         path.parent.mkdir(parents=True)
         try:
@@ -98,9 +106,40 @@ class Jobs:
             raise
         path.chmod(0o400)
         self._jobs[job.id] = job
+        self._start(job)
+        return job
+
+    def mark_baseline(self, key: str) -> None:
+        """Judge the next logs against this one, if there is such a one; empty: against none."""
+        self.baseline = key if key in self._jobs else ""
+        self.version += 1
+
+    def put_faults(self, text: str) -> None:
+        """Put faults on the next logs, a specification a line; a ValueError says in a line what is wrong."""
+        specs = tuple(line for each in text.splitlines() if (line := each.strip()))
+        faults_from((), specs)
+        self.faults = specs
+        self.version += 1
+
+    def judge_again(self, key: str) -> None:
+        """Judge a log once more, with the baseline and the faults of now; nothing happens while it runs."""
+        if (job := self._jobs.get(key)) is None or key in self._tasks:
+            return
+        for name in RESULTS:
+            (self.folder / key / name).unlink(missing_ok=True)
+        job.verdict, job.message, job.progress = None, "", 0.0
+        self._start(job)
+
+    def name_of(self, key: str) -> str:
+        """Name of a log; empty if there is none of this id."""
+        return self._jobs[key].name if key in self._jobs else ""
+
+    def _start(self, job: Job) -> None:
+        job.baseline, job.faults, job.state = self.baseline, self.faults, "waiting"
+        if job.baseline == job.id:
+            job.baseline = ""
         self._note(job)
         self._tasks[job.id] = asyncio.create_task(self._judge(job))
-        return job
 
     async def remove(self, key: str) -> None:
         """Stop a job if it runs, and delete its directory; nothing happens if there is none of this id."""
@@ -111,6 +150,7 @@ class Jobs:
             with contextlib.suppress(asyncio.CancelledError):
                 await task
         self._jobs.pop(key, None)
+        self.baseline = "" if self.baseline == key else self.baseline
         await asyncio.to_thread(shutil.rmtree, self.folder / key, ignore_errors=True)
         self.version += 1
 
@@ -154,8 +194,14 @@ class Jobs:
 
     async def _run(self, job: Job) -> str:
         """Run the process that judges; return what is wrong, empty if nothing is."""
+        options = [f"--fault={spec}" for spec in job.faults]
+        if job.baseline:
+            if (healthy := self._jobs.get(job.baseline)) is None:
+                return "its baseline was removed"
+            options.append(f"--baseline={self._log(healthy)}")
         process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "quadftc_report.serve.job", self._log(job), self.folder / job.id),
+            *options,
             stdin=asyncio.subprocess.DEVNULL,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.DEVNULL,

@@ -22,6 +22,7 @@ def add_page(app: FastAPI, jobs: Jobs) -> None:
         formats = "ROS 2 bags (.mcap, .db3), PX4 ULog, ArduPilot .BIN, Crazyflie uSD logs"
         ui.label(f"Drop flight logs here: {formats}. They stay on this machine, in {jobs.folder}.")
         _uploader(jobs)
+        _settings(jobs)
 
         @ui.refreshable
         def listing() -> None:
@@ -56,6 +57,23 @@ def _uploader(jobs: Jobs) -> None:
     upload.on("uploaded", lambda: upload.run_method("removeUploadedFiles"), args=[])
 
 
+def _settings(jobs: Jobs) -> None:
+    """Ask for faults to put on the logs that come next."""
+
+    def put() -> None:
+        try:
+            jobs.put_faults(faults.value or "")
+        except ValueError as error:
+            faults.props["error"], faults.props["error-message"] = True, str(error)
+        else:
+            faults.props["error"] = False
+        faults.update()
+
+    faults = ui.textarea("Faults to put on the next logs, one a line", value="\n".join(jobs.faults))
+    faults.props('dense outlined autogrow placeholder="bias channel=gyro axis=roll value=0.3 start=20s"')
+    faults.style("width: 100%; max-width: 50rem").on("blur", put)
+
+
 def _card(jobs: Jobs, job: Job) -> None:
     """Show one log."""
     with ui.card().style("width: 100%; max-width: 50rem").props(f'data-state="{job.state}"'):
@@ -66,12 +84,30 @@ def _card(jobs: Jobs, job: Job) -> None:
             _badge(job)
         if job.state == "running":
             ui.linear_progress(job.progress, show_value=False)
+        if job.baseline or job.faults:
+            against = (
+                [f"against {jobs.name_of(job.baseline) or 'a log that was removed'}"] if job.baseline else []
+            )
+            ui.label("; ".join([*against, *(f"with {spec}" for spec in job.faults)])).classes("text-grey")
         if job.message:
             ui.label(job.message)
         if job.verdict is not None:
             _verdict(jobs, job)
-        remove = ui.button("Remove", on_click=lambda: jobs.remove(job.id)).props("flat dense size=sm")
-        remove.style("align-self: end")
+        _buttons(jobs, job)
+
+
+def _buttons(jobs: Jobs, job: Job) -> None:
+    is_baseline = jobs.baseline == job.id
+    actions = {
+        "No longer the baseline" if is_baseline else "Baseline of the others": lambda: jobs.mark_baseline(
+            "" if is_baseline else job.id
+        ),
+        "Judge again": lambda: jobs.judge_again(job.id),
+        "Remove": lambda: jobs.remove(job.id),
+    }
+    with ui.row().style("align-self: end"):
+        for label, act in actions.items():
+            ui.button(label, on_click=act).props("flat dense size=sm")
 
 
 def _badge(job: Job) -> None:
