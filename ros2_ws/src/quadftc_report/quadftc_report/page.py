@@ -111,7 +111,10 @@ def render(
     """
     runs = [run for part in (*parts, *replayed) for run in part.comparison.runs]
     headlines = [(part, headline(part.comparison)) for part in (*parts, *replayed)]
-    clearest = max((verdict for _, verdict in headlines), key=attrgetter("contrast"))
+    shown, clearest = max(headlines, key=lambda pair: pair[1].contrast)
+    picture = clearest.picture()
+    if picture is not None and len(headlines) > 1:
+        picture = dataclasses.replace(picture, title=f"{shown.title}: {picture.title.lower()}")
 
     return render_template(
         "report.html",
@@ -125,7 +128,7 @@ def render(
         several=pool_replays([part.comparison for part in replayed]),
         heading=_heading(parts, replayed),
         headlines=headlines,
-        picture=clearest.picture(),
+        picture=picture,
         versions=listing(sorted({run.versions.get("quadftc", "unknown") for run in runs})),
         warnings=warnings,
         verdicts=VERDICTS,
