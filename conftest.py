@@ -35,6 +35,7 @@ SERIAL_FILES = {
     "test_children.py",
     "test_executor.py",
     "test_graph_realtime.py",
+    "test_launch_file.py",
     "test_launch_graph.py",
     "test_play.py",
     "test_recorder_faults.py",
@@ -43,7 +44,7 @@ SERIAL_FILES = {
 }
 SERIAL_FIXTURES = {"bench"}
 
-# Tests that take seconds each, mostly to compile or to fly; `scripts/test --quick` leaves them out.
+# Tests that take seconds each. `scripts/test --quick` and `colcon test` leave them out.
 SLOW_FILES = {
     "test_bag_repair.py",
     "test_batch_engine.py",
@@ -112,8 +113,13 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(tryfirst=True)  # before -m chooses
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark tests that must not run beside others, and slow ones; leave out those that are thorough."""
+    """Mark tests that must not run beside others, and slow ones; leave out those that are thorough.
+
+    `colcon test`, which alone names a package in its report, leaves out the slow ones, too.
+    """
     if not config.getoption("--thorough"):
+        left_out = SLOW_FILES if config.getoption("junitprefix") else ()
+        items[:] = [each for each in items if each.path.name not in left_out]
         items[:] = [item for item in items if item.get_closest_marker("thorough") is None]
     for item in items:
         if not isinstance(item, pytest.Function):
