@@ -18,7 +18,8 @@ GHOSTS = {"measured": MEASURED, "corrected": CORRECTED}
 GHOST_ALPHA, RING = 0.85, 0.07  # 1; of the rings around the rotors; their width over the radius of a rotor
 THRUST = "#009e73"
 THRUST_LENGTH = 0.9  # 1; of the arrow of a rotor that carries its share of the weight, over the span
-GROUND, GRID = "#f7f8fa", (20, 40)  # colour; size [m] and number of its lines
+GROUND, GRID = "#f7f8fa", "#dde1e7"  # colours
+GRID_HALF, GRID_STEP = 10, 0.5  # lines either side of the origin; m
 TARGET = "#cc79a7"
 STEP = 1e-3  # m; the camera follows no less
 SMOOTH = 32  # segments of a circle
@@ -52,7 +53,7 @@ class VehicleScene:
         self.element = ui.scene(
             800,
             500,
-            grid=GRID,
+            grid=False,
             camera=camera,
             background_color=GROUND,
             fps=30,
@@ -61,6 +62,7 @@ class VehicleScene:
         self._lift = np.array([0.0, 0.0, 0.0 if picture.latest.flies else 2.0 * self._span])
         x, y, z = (picture.latest.position() + self._lift).tolist()
         with self.element:
+            self._lay_grid()
             self._groups = {role: self._ghost(k, GHOSTS[role]) for k, role in enumerate(GHOSTS)}
             self._groups["truth"] = self._truth()
             if picture.latest.flies:
@@ -92,6 +94,13 @@ class VehicleScene:
         if latest.flies and reference is not None:
             self._target.move(*reference.tolist())
         self._camera.follow(place.tolist())
+
+    def _lay_grid(self) -> None:
+        """Lay the lines of the ground, as boxes: some renderers lose lines that pass behind the camera."""
+        long, thin = 2.0 * GRID_HALF * GRID_STEP, 0.007 * self._span
+        for k in range(-GRID_HALF, GRID_HALF + 1):
+            self.element.box(long, thin, thin).material(GRID).move(0.0, k * GRID_STEP, 0.0)
+            self.element.box(thin, long, thin).material(GRID).move(k * GRID_STEP, 0.0, 0.0)
 
     def _truth(self) -> Any:
         """Make the solid vehicle with its thrust."""
