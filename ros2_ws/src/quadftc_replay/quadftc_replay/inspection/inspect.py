@@ -143,16 +143,22 @@ def _sensors(
         found += accelerometer_findings(flight, component_name("accelerometer", name), sensor, others)
     if not log.accelerometers:
         missing.append(NotJudged(component="accelerometer", reason="no specific force is logged"))
-    return found + _creeping(flight, gravity, found)
+    return found + _creeping(flight, gravity, agreement, found)
 
 
-def _creeping(flight: Flight, gravity: dict[str, OwnEstimate], found: list[Found]) -> list[Found]:
+def _creeping(
+    flight: Flight, gravity: dict[str, OwnEstimate], agreement: Agreement | None, found: list[Found]
+) -> list[Found]:
     """Gyros whose offset creeps against gravity, of those and accelerometers of which nothing is known."""
     known = {each.finding.component for each in found}
-    components = {component_name("gyro", name): own for name, own in gravity.items()}
     if any(name.startswith("accelerometer") for name in known):
         return []
-    creeps = [offset_finding(flight, name, own) for name, own in components.items() if name not in known]
+    main = next(iter(gravity), None)  # the gyro that was compared with the attitude
+    creeps = [
+        offset_finding(flight, component_name("gyro", name), own, agreement if name == main else None)
+        for name, own in gravity.items()
+        if component_name("gyro", name) not in known
+    ]
     return [each for each in creeps if each is not None]
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from vqf import VQF
 
 from quadftc_replay.flight_log import Signal
+from quadftc_replay.inspection.agreement import Agreement
 from quadftc_replay.inspection.attitude import ANGLES, Creep
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
@@ -68,10 +69,13 @@ def estimate(gyro: Signal, accelerometer: Signal) -> OwnEstimate | None:
     return _run(edges[1:], rates, forces)
 
 
-def offset_finding(flight: Flight, component: str, own: OwnEstimate) -> Found | None:
+def offset_finding(
+    flight: Flight, component: str, own: OwnEstimate, agreement: Agreement | None
+) -> Found | None:
     """Say where a gyro's offset creeps away from what it was, on the axis where it begins first.
 
-    The other axes follow, as the tilt goes wrong. In flight, level, gravity tells nothing of z.
+    The other axes follow, as the tilt goes wrong. In flight, level, gravity tells nothing of z. A vehicle
+    that banks in a long turn looks the same; an attitude, where there is one, has to agree.
     """
     time, offset = own.offset
     settled = (time > time[0] + SETTLED) & (time < flight.intervals[-1].end)
@@ -86,6 +90,8 @@ def offset_finding(flight: Flight, component: str, own: OwnEstimate) -> Found | 
         return None
     axis = min(axes, key=lambda each: int(np.argmax(begun[:, each])))
     size, moments = float(sizes[axis]), time[begun[:, axis]]
+    if agreement is not None and not _is_seen(agreement, axis, size, time[np.argmax(np.abs(away[:, axis]))]):
+        return None
     lasts = abs(float(np.mean(away[settled][-10:, axis]))) > 0.5 * abs(size)
     element, onset, end = "xyz"[axis], float(moments[0]), None if lasts else float(moments[-1])
     said = f"against gravity, its offset creeps to {size:+.3g} rad/s; healthy gyros stay within 0.01 rad/s"
@@ -95,12 +101,20 @@ def offset_finding(flight: Flight, component: str, own: OwnEstimate) -> Found | 
         size=size,
         sigma=0.1 * abs(size),
         unit="rad/s",
-        probability=confidence(abs(size), CREEP),
+        probability=(0.7 if agreement is None else 1.0) * confidence(abs(size), CREEP),
+        ambiguous_with=("a long turn",) if agreement is None else (),
         evidence=(said,),
     )
     lines = {"offset of the gyro, by gravity": offset[:, axis]}
     span = (onset - AROUND, (end or float(time[-1])) + AROUND)
     return Found(finding, curve_around(f"offset of {component} {element}", "rad/s", time, lines, span))
+
+
+def _is_seen(agreement: Agreement, axis: int, size: float, moment: float) -> bool:
+    """Whether the attitude turns slower than the gyro by a share of an offset, around a moment [s]."""
+    near = np.abs(agreement.time - moment) < AROUND
+    rate = np.sum(agreement.rest[near, axis]) / max(float(np.sum(agreement.dt[near])), 1e-9)
+    return bool(-np.sign(size) * rate > SEEN * abs(size))
 
 
 def owner_of(creep: Creep, own: OwnEstimate | None) -> str | None:

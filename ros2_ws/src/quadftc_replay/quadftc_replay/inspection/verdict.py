@@ -90,7 +90,9 @@ def summarise(findings: Sequence[Finding], judged: Sequence[str], not_judged: Se
     if not findings:
         missing = unjudged(judged, not_judged)
         rest = f"; {join(missing)} could not be judged" if missing else ""
-        return f"No fault found in {join(list(judged))}{rest}."
+        partial = {each.component for each in not_judged}
+        found = [f"{each} (in part)" if each in partial else each for each in judged]
+        return f"No fault found in {join(found)}{rest}."
     parts = [_describe(each) for each in findings[:SENTENCE_FINDINGS]]
     if more := len(findings) - SENTENCE_FINDINGS:
         parts += [f"{more} more finding{'s' if more > 1 else ''}"] if more > 0 else []
