@@ -8,7 +8,6 @@ import socket
 import subprocess
 import sys
 import tempfile
-import webbrowser
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -132,8 +131,8 @@ def begin_of(scenario: Scenario) -> tuple[float, float, float]:
 
 
 @contextmanager
-def serving(listener: socket.socket, flown: dict[str, Any]) -> Iterator[socket.socket]:
-    """Serve the page in a process of its own; yields the socket on which it takes frames.
+def serving(listener: socket.socket, flown: dict[str, Any], opens: bool) -> Iterator[socket.socket]:
+    """Serve the page in a process of its own, which opens a browser; yields the socket for its frames.
 
     A GraphError says if it does not start. It has a session of its own: Ctrl-C reaches this process alone.
     """
@@ -141,6 +140,7 @@ def serving(listener: socket.socket, flown: dict[str, Any]) -> Iterator[socket.s
     ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, FEED)
     ends = (theirs.fileno(), listener.fileno())
     command = [sys.executable, "-m", "quadftc_cli.live_page.server", *map(str, ends), json.dumps(flown)]
+    command += [address_of(listener)] if opens else []
     process = subprocess.Popen(command, pass_fds=ends, start_new_session=True, stdin=subprocess.DEVNULL)
     theirs.close()
     try:
@@ -170,7 +170,7 @@ def fly_live(wish: Wish, port: int, opens: bool, how: tuple[Any, int, tuple[int,
         tempfile.TemporaryDirectory(prefix="quadftc_") as folder,
         StopSignals() as stop,
         listen(port) as listener,
-        serving(listener, page_of(plan, scenario)) as channel,
+        serving(listener, page_of(plan, scenario), opens) as channel,
     ):
         if plan.bag is not None:
             file = Path(folder, "parameters.yaml")
@@ -179,8 +179,6 @@ def fly_live(wish: Wish, port: int, opens: bool, how: tuple[Any, int, tuple[int,
         feed = Feed(channel, plan.namespace, plan.plant)
         with ComposedGraph(plan, tap=feed.tap) as graph:
             say(*introduction(plan), f"page:   {address_of(listener)}", stderr=True)
-            if opens:
-                webbrowser.open(address_of(listener))
 
             def follow(_samples: int) -> bool:
                 feed.send()  # also when the controller is silent

@@ -1,8 +1,8 @@
-"""The process of the page: ``python -m quadftc_cli.live_page.server CHANNEL LISTENER FLOWN``.
+"""The process of the page: ``python -m quadftc_cli.live_page.server CHANNEL LISTENER FLOWN [ADDRESS]``.
 
 The first two are open file descriptors: the socket from which frames of the flight come, and the one that
-browsers connect to. The last is a JSON object, the fields of `page.Flown`. It says "ready" on the socket when
-it serves, and ends when the socket is closed.
+browsers connect to. The third is a JSON object, the fields of `page.Flown`. The page says "ready" on the
+socket when it serves, opens a browser at the address, if there is one, and ends when the socket is closed.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ import contextlib
 import json
 import socket
 import sys
+import threading
+import webbrowser
 from collections.abc import AsyncGenerator
 
 import uvicorn
@@ -28,7 +30,9 @@ READY = b"ready"
 LAST_WORDS = 0.5  # s; for the page to say that the flight has ended
 
 
-def make_app(channel: socket.socket, flown: Flown, server: list[uvicorn.Server]) -> FastAPI:
+def make_app(
+    channel: socket.socket, flown: Flown, server: list[uvicorn.Server], address: str = ""
+) -> FastAPI:
     """Build the application on the socket from which the flight comes; at its end it stops the server."""
     vehicle = load_vehicle(flown.vehicle)
     picture = Picture(vehicle, "free_flight" if flown.plant == "free_flight" else "test_stand")
@@ -49,8 +53,11 @@ def make_app(channel: socket.socket, flown: Flown, server: list[uvicorn.Server])
 
     @contextlib.asynccontextmanager
     async def lifespan(_app: FastAPI) -> AsyncGenerator[None]:
-        asyncio.get_running_loop().add_reader(channel, take)
+        loop = asyncio.get_running_loop()
+        loop.add_reader(channel, take)
         channel.send(READY)
+        if address:
+            threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()  # may not return
         yield
         commander.close()
 
@@ -60,10 +67,10 @@ def make_app(channel: socket.socket, flown: Flown, server: list[uvicorn.Server])
     return app
 
 
-def main(channel: int, listener: int, flown: str) -> None:
+def main(channel: int, listener: int, flown: str, address: str = "") -> None:
     """Serve until the flight is over."""
     server: list[uvicorn.Server] = []
-    app = make_app(socket.socket(fileno=channel), Flown(**json.loads(flown)), server)
+    app = make_app(socket.socket(fileno=channel), Flown(**json.loads(flown)), server, address)
     config = uvicorn.Config(
         app, log_level="warning", access_log=False, server_header=False, timeout_graceful_shutdown=1
     )
@@ -72,4 +79,4 @@ def main(channel: int, listener: int, flown: str) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3])
+    main(int(sys.argv[1]), int(sys.argv[2]), *sys.argv[3:])
