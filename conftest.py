@@ -117,10 +117,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
     `colcon test`, which alone names a package in its report, leaves out the slow ones, too.
     """
-    if not config.getoption("--thorough"):
-        left_out = SLOW_FILES if config.getoption("junitprefix") else ()
-        items[:] = [each for each in items if each.path.name not in left_out]
-        items[:] = [item for item in items if item.get_closest_marker("thorough") is None]
     for item in items:
         if not isinstance(item, pytest.Function):
             continue
@@ -128,6 +124,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             item.add_marker(pytest.mark.serial)
         if item.path.name in SLOW_FILES:
             item.add_marker(pytest.mark.slow)
+    if not config.getoption("--thorough"):
+        left_out = ("thorough", "slow") if config.getoption("junitprefix") else ("thorough",)
+        items[:] = [item for item in items if not any(map(item.get_closest_marker, left_out))]
 
 
 @pytest.fixture
