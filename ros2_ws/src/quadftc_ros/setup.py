@@ -19,5 +19,10 @@ setup(
     python_requires=">=3.10",
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"]},
-    entry_points={"console_scripts": ["recorder = quadftc_ros.executables:recorder"]},
+    entry_points={
+        "console_scripts": [
+            "recorder = quadftc_ros.executables:recorder",
+            "scene = quadftc_ros.executables:scene",
+        ],
+    },
 )

@@ -3,3 +3,4 @@
 from quadftc_ros.starting import executable
 
 recorder = executable("quadftc_ros.recorder_node")
+scene = executable("quadftc_ros.scene_node")

@@ -6,6 +6,7 @@ from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 
 from node_bench import NodeBench, imu_message, vector_message
 from quadftc_ros.node import GraphNode
+from quadftc_ros.recorder_node import RecorderNode
 from quadftc_ros.wire import ImuWire, imu_of, vector_of
 
 SECOND = 1_000_000_000  # ns
@@ -117,3 +118,20 @@ def test_node_that_is_destroyed_leaves_the_graph(autostart):
         bench._executor.remove_node(node)
         node.destroy_node()
         bench.until(lambda: "fault_observer" not in bench.tester.get_node_names())
+
+
+def test_recorder_that_rests_stores_nothing(tmp_path):
+    with NodeBench() as bench:
+        node = bench.run(RecorderNode, directory=str(tmp_path / "bag"))
+        send = bench.talk("imu/data")
+        bench.connect()
+        stored = lambda: node.flush() and node.status.counts.get("/imu/data")  # noqa: E731
+        send(imu_message(SECOND))
+        bench.until(lambda: stored() == 1)
+        node.trigger_deactivate()
+        send(imu_message(2 * SECOND))
+        bench.call(GetState, "recorder/get_state")  # the sample has come
+        node.trigger_activate()
+        send(imu_message(3 * SECOND))
+        bench.until(lambda: stored() == 2)
+        assert node.finish().counts["/imu/data"] == 2

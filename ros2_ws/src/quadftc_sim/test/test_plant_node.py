@@ -220,6 +220,20 @@ def test_flight_starts_by_itself_when_the_graph_is_connected(lockstep_bench, use
     assert stamps(flight.imu) == [FIRST_NS]
 
 
+def test_plant_that_rests_in_real_time_emits_nothing_and_then_begins_a_new_flight(bench):
+    flight = Flight(bench)
+    flight.start()
+    bench.until(lambda: flight.imu)
+    first = flight.node.flight
+    assert flight.node.trigger_deactivate().name == "SUCCESS"
+    assert flight.node.due_ns == NEVER_NS
+    refusal = flight.start()
+    assert (refusal.success, refusal.message) == (False, "the node is not active")
+    flight.node.trigger_activate()
+    assert flight.node.flight is not first
+    assert not flight.node.flight.emitted  # it begins when the laws restart
+
+
 @pytest.mark.parametrize("mode", ["realtime", "lockstep"])
 def test_imu_is_best_effort_in_real_time_and_reliable_in_lockstep(request, mode):
     bench = request.getfixturevalue("bench" if mode == "realtime" else "lockstep_bench")
