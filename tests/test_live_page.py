@@ -142,6 +142,13 @@ def test_wrong_wish_is_refused(changes, words):
     assert "\n" not in str(caught.value)
 
 
+def test_what_flies_already_is_not_chosen_again():
+    from quadftc_cli.commands.live import live
+
+    with pytest.raises(ValueError, match="--attach: shows what flies already"):
+        live(attach=True, stand=True)
+
+
 def test_port_that_is_taken_is_refused_before_anything_flies():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]

@@ -24,6 +24,10 @@ def live(
     rate: Annotated[str, Option(help="Control rate, such as 500 or '500 Hz'.")] = "",
     duration: Annotated[float, Option(min=0.0, help="Length of the flight [s]; 0: until Ctrl-C.")] = 0.0,
     record: Annotated[Path | None, Option(metavar="DIR", help="Bag to write; must not exist.")] = None,
+    attach: Annotated[
+        bool,
+        Option("--attach", help="Fly nothing: show the graph that runs already, on a real vehicle, too."),
+    ] = False,
     namespace: Annotated[str, Option(help="ROS namespace of the vehicle.")] = "",
     port: Annotated[int, Option(min=0, max=65535, help="Port on 127.0.0.1; 0: any that is free.")] = 8348,
     browser: Annotated[bool, Option(help="Open the page in the browser.")] = True,
@@ -35,8 +39,12 @@ def live(
 
     Only this machine can reach the page. Ctrl-C ends flight and page.
     """
-    from quadftc_cli.live_page.flying import Wish, fly_live  # with what it needs, a second
+    from quadftc_cli.live_page.flying import Wish, fly_live, show_running  # with what it needs, a second
 
     how = (wait, realtime_priority, tuple(core))
     wish = Wish(scenario, scheme, vehicle, stand, sliders, rate, duration, record, namespace)
-    raise typer.Exit(fly_live(wish, port, browser, how))
+    if not attach:
+        raise typer.Exit(fly_live(wish, port, browser, how))
+    if any((scenario, scheme, vehicle, stand, sliders, rate, duration, record)):
+        raise ValueError("--attach: shows what flies already; only --namespace, --port, --browser go with it")
+    raise typer.Exit(show_running(namespace, port, browser))

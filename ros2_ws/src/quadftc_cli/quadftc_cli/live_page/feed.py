@@ -18,6 +18,7 @@ from quadftc_ros.transport import Take
 PERIOD = 1.0 / 30.0  # s, between two frames
 LARGEST = 1 << 16  # bytes of a frame
 DIAGNOSTICS = "/diagnostics"  # of many nodes: every message counts
+GUIDANCE = {"test_stand": "reference", "free_flight": "position_controller"}  # the node that follows sliders
 TRIGGER = "control/status"  # the last that the controller says of a sample: its torque is out
 SHOWN = (
     *("imu/data", "imu/corrected", "plant/attitude", "plant/rate", "plant/odometry", "position/data"),

@@ -14,7 +14,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from quadftc_cli.live_page.feed import Feed
+from quadftc_cli.live import LiveGraph
+from quadftc_cli.live_page.attached import follow, page_of_running
+from quadftc_cli.live_page.feed import GUIDANCE, Feed
 from quadftc_cli.screen import say
 from quadftc_control.trajectory import combined
 from quadftc_flight.graph.composed import ComposedGraph
@@ -27,7 +29,6 @@ from quadftc_ros.executor import StopSignals
 from quadftc_ros.scheduling import Scheduling
 
 START, END = 30.0, 5.0  # s; for the page to serve, and to end
-GUIDANCE = {"test_stand": "reference", "free_flight": "position_controller"}
 FEED = 1 << 18  # bytes that may wait for the page: some 60 frames, two seconds
 COMMON = """
 name: live
@@ -161,6 +162,17 @@ def serving(listener: socket.socket, flown: dict[str, Any], opens: bool) -> Iter
             process.wait()
 
 
+def show_running(namespace: str, port: int, opens: bool) -> int:
+    """Show a graph that runs already, and return the exit code."""
+    with LiveGraph(namespace) as graph:
+        flown = page_of_running(graph)
+        with StopSignals() as stop, listen(port) as listener, serving(listener, flown, opens) as channel:
+            say(f"{flown['title']}: {flown['parts']}", f"page:   {address_of(listener)}", stderr=True)
+            feed = Feed(channel, graph.namespace, flown["plant"])
+            follow(graph, feed, flown["plant"], lambda: not stop.requested)
+    return 0
+
+
 def fly_live(wish: Wish, port: int, opens: bool, how: tuple[Any, int, tuple[int, ...]]) -> int:
     """Fly, show it, and return the exit code."""
     options = RunOptions(mode="realtime", namespace=wish.namespace, scheduling=Scheduling(*how))
@@ -180,11 +192,11 @@ def fly_live(wish: Wish, port: int, opens: bool, how: tuple[Any, int, tuple[int,
         with ComposedGraph(plan, tap=feed.tap) as graph:
             say(*introduction(plan), f"page:   {address_of(listener)}", stderr=True)
 
-            def follow(_samples: int) -> bool:
+            def goes_on(_samples: int) -> bool:
                 feed.send()  # also when the controller is silent
                 return not stop.requested
 
-            wall = graph.run(follow)
+            wall = graph.run(goes_on)
             status = graph.recorder.finish() if graph.recorder is not None else None
     if status is not None and status.error is not None:
         raise GraphError(f"{status.error}: the recording stopped")

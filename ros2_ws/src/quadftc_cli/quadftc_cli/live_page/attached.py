@@ -1,0 +1,77 @@
+# pyright: basic
+"""``quadftc live --attach``: the page of a graph that runs already, in other processes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rcl_interfaces.srv import GetParameters
+from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+
+from quadftc_bags.interfaces import load_message_class
+from quadftc_cli.live import LiveGraph
+from quadftc_cli.live_page.feed import DIAGNOSTICS, GUIDANCE, Feed, shown_topics
+from quadftc_flight.graph.plan import SLICE, GraphError
+from quadftc_model.rotations import euler_from_quaternion
+from quadftc_ros.topics import TOPICS
+
+CONTROLLER = "controller/get_parameters"
+LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+ALL = QoSProfile(depth=100)
+
+
+def page_of_running(graph: LiveGraph) -> dict[str, Any]:
+    """Ask the nodes what flies; return the fields of `page.Flown`. A GraphError says who does not answer."""
+    graph.choose_vehicle(CONTROLLER)
+    vehicle, plant, controller = _values(graph, "controller", "vehicle", "plant_kind", "controller")
+    (observer,) = _values(graph, "fault_observer", "observer")
+    (source,) = _values(graph, GUIDANCE[plant], "source")
+    return {
+        "title": f"Attached to {graph.namespace or 'what flies'}",
+        "parts": f"{Path(vehicle).stem}, observer {observer}, controller {controller}",
+        "vehicle": vehicle,
+        "plant": plant,
+        "namespace": graph.namespace,
+        "home": _home(graph, plant) if source == "topic" else None,
+    }
+
+
+def follow(graph: LiveGraph, feed: Feed, plant: Any, goes_on: Callable[[], bool]) -> None:
+    """Hand what the graph says to the page until it is over."""
+    prefix = f"/{graph.namespace}/".replace("//", "/")
+    for topic in (*shown_topics(plant), DIAGNOSTICS):
+        full = topic if topic.startswith("/") else f"{prefix}{topic}"
+        kind = load_message_class(TOPICS[topic].type_name)
+        profile = ALL if topic == DIAGNOSTICS else LATEST
+        take: Any = feed.tap(full)  # each of these topics is shown
+        graph.node.create_subscription(kind, full, take, profile, raw=True)
+    while goes_on():
+        graph.spin(SLICE)
+        feed.send()
+
+
+def _home(graph: LiveGraph, plant: str) -> tuple[float, ...]:
+    """Return the setpoint that the sliders begin with, in SI: level, or where the vehicle shall be now."""
+    if plant == "test_stand":
+        return (0.0, 0.0, 0.0)
+    poses: list[Any] = []
+    graph.listen("position/reference", poses.append)
+    if not graph.until(lambda: poses):
+        raise GraphError("position/reference does not come: does the vehicle fly?")
+    place, turn = poses[-1].pose.position, poses[-1].pose.orientation
+    yaw = euler_from_quaternion(np.array([turn.x, turn.y, turn.z, turn.w]))[2]
+    return (place.x, place.y, place.z, float(yaw))
+
+
+def _values(graph: LiveGraph, node: str, *names: str) -> list[Any]:
+    """Return parameters of a node."""
+    request = GetParameters.Request(names=list(names))
+    values = graph.call(f"{node}/get_parameters", GetParameters, request).values
+    found = [parameter_value_to_python(value) for value in values]
+    if None in found:
+        raise GraphError(f"{node} has no parameter {names[found.index(None)]}")
+    return found
