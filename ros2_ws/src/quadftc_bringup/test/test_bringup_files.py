@@ -13,9 +13,11 @@ import yaml
 from quadftc_bags.interfaces import load_message_class
 from quadftc_control.controller_node import ControllerNode
 from quadftc_control.position_controller_node import PositionControllerNode
+from quadftc_control.reference_node import ReferenceNode
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_ros.topics import NODES, TOPICS
+from quadftc_sim.fault_injector_node import FaultInjectorNode
 from quadftc_sim.plant_node import PlantNode
 from quadftc_sim.sensors import GRADES
 from wired_node import Wired
@@ -25,9 +27,11 @@ LAUNCH_FILE = PACKAGE / "launch" / "graph.launch.py"
 NODE_CLASSES = {
     "controller": ControllerNode,
     "disturbance_observer": DisturbanceObserverNode,
+    "fault_injector": FaultInjectorNode,
     "fault_observer": FaultObserverNode,
     "plant": PlantNode,
     "position_controller": PositionControllerNode,
+    "reference": ReferenceNode,
 }
 PARAMETER_FILES = sorted((PACKAGE / "config").glob("*.yaml"))
 GAINS = sorted(PACKAGE.parents[2].glob("gains/*_mems.yaml"))  # in a clone
@@ -133,8 +137,7 @@ def parameters_in(file, node):
 @pytest.mark.parametrize("file", PARAMETER_FILES, ids=lambda file: file.name)
 def test_nodes_take_every_value_of_a_parameter_file(file):
     kind = "free_flight" if file.stem == "free_flight" else "test_stand"
-    sections = [key.removeprefix("/**/") for key in yaml.safe_load(file.read_text()) if key != "/**"]
-    for node in {"fault_observer", *sections} & {*NODE_CLASSES}:
+    for node in NODES[kind]:
         given = {"plant_kind": kind, **parameters_in(file, node)}
         with Wired(NODE_CLASSES[node], given.pop("mode", "realtime"), **given) as wired:
             assert wired.node.settings.unknown() == []
