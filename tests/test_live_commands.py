@@ -152,3 +152,12 @@ def test_parameter_is_set_by_a_command(served, capfd):
     assert capfd.readouterr().out == "reference: setpoint.bandwidth = 2\n"
     with pytest.raises(ValueError, match="out of range"):
         set_("reference", ["setpoint.bandwidth=0"])
+
+
+def test_state_of_a_node_is_changed_by_a_command(served, capfd):
+    from quadftc_cli.commands.set import set_
+
+    set_("reference", ["lifecycle=deactivate"])
+    assert capfd.readouterr().out == "reference: deactivate\n"
+    with pytest.raises(ValueError, match="'deactivate': expected one of cleanup, activate, shutdown"):
+        set_("reference", ["lifecycle=deactivate"])

@@ -39,7 +39,9 @@ def set_(
     """Set where a vehicle shall be, or parameters of a node that runs.
 
     ``set attitude roll=5deg`` and ``set position x=1 y=0 z=2 yaw=90deg`` are followed smoothly, by a
-    reference that is live. ``set fault_observer isolating.NAME=VALUE`` changes a parameter.
+    reference that is live. ``set fault_observer isolating.NAME=VALUE`` changes a parameter,
+    ``set fault_observer observer=supervised`` the observer in flight, and
+    ``set fault_observer lifecycle=deactivate`` makes a node rest.
     """
     pairs = read_pairs(values)
     if target in SETPOINTS:
@@ -114,13 +116,17 @@ def _send_setpoint(target: str, pairs: dict[str, str], namespace: str) -> None:
 
 
 def _set_parameters(node: str, pairs: dict[str, str], namespace: str) -> None:
-    """Show the parameters of a node, or change some."""
+    """Show the parameters of a node, or change some, and its state."""
     from rcl_interfaces.msg import Parameter
     from rcl_interfaces.srv import SetParameters
 
     from quadftc_cli.live import LiveGraph
 
     with LiveGraph(namespace) as graph:
+        if transition := pairs.pop("lifecycle", ""):
+            _change_state(graph, node, transition)
+            if not pairs:
+                return
         present = _present_parameters(graph, node)
         if unknown := next((name for name in pairs if name not in present), None):
             hint = nearest(unknown, present)
@@ -143,6 +149,22 @@ def _set_parameters(node: str, pairs: dict[str, str], namespace: str) -> None:
     if refused := [f"{name}: {each.reason}" for name, each in pairwise if not each.successful]:
         raise ValueError("\n".join(refused))
     say(*(f"{node}: {name} = {text}" for name, text in pairs.items()))
+
+
+def _change_state(graph: LiveGraph, node: str, transition: str) -> None:
+    """Have a node make a transition of its lifecycle."""
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions
+
+    asked = GetAvailableTransitions.Request()
+    ways = graph.call(f"{node}/get_available_transitions", GetAvailableTransitions, asked)
+    labels = [each.transition.label for each in ways.available_transitions]
+    if transition not in labels:
+        raise ValueError(f"lifecycle: {transition!r}: expected one of {', '.join(labels)}")
+    request = ChangeState.Request(transition=Transition(label=transition))
+    if not graph.call(f"{node}/change_state", ChangeState, request).success:
+        raise GraphError(f"{node} refuses to {transition}; its log says why")
+    say(f"{node}: {transition}")
 
 
 def _present_parameters(graph: LiveGraph, node: str) -> dict[str, tuple[Any, Any]]:
