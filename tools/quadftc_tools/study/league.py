@@ -1,0 +1,252 @@
+"""The league of docs/league.md: who names the faults that are put on recorded flights, and who cries wolf.
+
+    python -m quadftc_tools.study.league DATA [--runs RUNS] [--docs docs]
+
+DATA holds recordings in the folders ``broad/``, ``crazyflie/*/``, ``px4/``, RUNS those of `quadftc run`, of
+which the verdict alone is shown. ``quadftc diagnose`` takes all of them, every registered fault observer that
+says what is faulty those with an attitude: the begin of healthy logs, and a window around each fault. Without
+``--docs`` the tables are printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import itertools
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_cli.commands import BAD_INPUT, GOOD
+from quadftc_cli.screen import say
+from quadftc_fdi.fault_observer import FaultObserver, fault_observers
+from quadftc_model.samples import ImuSample
+from quadftc_model.stepper import NANOSECONDS_PER_SECOND
+from quadftc_model.vehicle import load_vehicle
+from quadftc_replay.diagnose import diagnose
+from quadftc_replay.flight_log import FlightLog, Signal
+from quadftc_replay.imu_recording import Recording, torque_before
+from quadftc_replay.inspection.flight import prepare
+from quadftc_replay.inspection.inspect import inspect
+from quadftc_replay.inspection.overlay import overlay_faults
+from quadftc_replay.inspection.verdict import unjudged
+from quadftc_replay.overlay import faults_from
+from quadftc_replay.readers import read_log
+from quadftc_sim.injector import FaultInjector
+from quadftc_tools.study.numbers import write_number
+from quadftc_tools.study.page import NOTHING, has_detector, markdown, publish_tables
+
+PAGE = "league.md"
+FAULTY = ("cut", "tape", "motor_failure", "brownout")  # in the names of logs that are not healthy
+VIOLENT = ("log113", "log119", "log15")  # above 250 deg/s
+LASTS, EDGE = 2.0, 3.0  # s; of an overlaid fault, and from the begin of the flight
+WINDOW, HEALTHY = 3.0, 20.0  # s; that an observer sees beside a fault, and of a healthy log
+SEEN, CLOSE = 0.25, 0.05  # s; from the true onset to one that is named: of a detection, of an isolation
+REPEATS, MOST = 6, 2  # of each case on each log, of an observer one; logs of a data set that an observer gets
+VEHICLE = "crazyflie_2x"  # of observers, where the log says none
+AXES = {"gyro": "xyz", "accelerometer": "xyz", "attitude": ("roll", "pitch", "yaw")}
+CASES = {
+    "gyro step 0.2 rad/s": ("gyro", "bias axis={axis} value={sign}0.2"),
+    "gyro step 0.4 rad/s": ("gyro", "bias axis={axis} value={sign}0.4"),
+    "gyro stuck": ("gyro", "stuck axis={axis}"),
+    "gyro noise 0.5 rad/s": ("gyro", "noise axis={axis} sigma=0.5"),
+    "accelerometer step 3 m/s²": ("accelerometer", "bias axis={axis} value={sign}3"),
+    "attitude step 5 deg": ("attitude", "bias axis={axis} value={sign}5deg"),
+}
+
+
+class Named(NamedTuple):
+    """A fault that somebody names."""
+
+    component: str
+    element: str
+    onset: float  # s
+
+
+Judge = Callable[[FlightLog], list[Named]]
+
+
+def judge_offline(log: FlightLog) -> list[Named]:
+    """`quadftc diagnose`."""
+    found = inspect(log).verdict.findings
+    return [Named(each.component, each.element, each.onset_s) for each in found]
+
+
+def judge_by(law: FaultObserver) -> Judge:
+    """A fault observer, sample by sample; what is ambiguous does not count."""
+
+    def judge(log: FlightLog) -> list[Named]:
+        recording, begin = recording_of(log), float(next(iter(log.gyros.values())).time[0])
+        named: list[Named] = []
+        known: set[tuple[str, str]] = set()
+        for report in diagnose(recording, law, FaultInjector(0)).reports:
+            faults = [fault for fault in report.faults if not fault.ambiguous_with]
+            for fault in faults:
+                if (fault.component, fault.element) not in known:
+                    onset = (fault.onset_ns - int(recording.stamp_ns[0])) / NANOSECONDS_PER_SECOND
+                    named.append(Named(fault.component, fault.element, begin + onset))
+            known = {(fault.component, fault.element) for fault in faults}
+        return named
+
+    return judge
+
+
+def recording_of(log: FlightLog) -> Recording:
+    """Main gyro, with the attitude and the specific force nearest in time."""
+    gyro, attitude = next(iter(log.gyros.values())), log.attitude
+    assert attitude is not None
+    half, count = 0.5 / gyro.rate, len(gyro)
+    q, has_attitude = _nearest(gyro.time, attitude, half)
+    sensor = next(iter(log.accelerometers.values()), Signal(np.zeros(2), np.full((2, 3), np.nan)))
+    force, has_force = _nearest(gyro.time, sensor, half)
+    has_rate = np.isfinite(gyro.value).all(axis=1)
+    q = np.where(has_attitude[:, None], q, [0.0, 0.0, 0.0, 1.0])
+    stamps, torque = _stamps(gyro.time), np.zeros((count, 3))
+    if log.torque_command is not None and log.torque_unit == "N m":
+        torque = torque_before(stamps, _stamps(log.torque_command.time), log.torque_command.value)
+    imu = ImuSample(q, np.nan_to_num(gyro.value), force, has_attitude, has_rate, has_force & has_rate)
+    return Recording(
+        name=log.path.name, path=log.path, topic="", namespace="/", stamp_ns=stamps, imu=imu, torque=torque
+    )
+
+
+def _stamps(time: NDArray[np.float64]) -> NDArray[np.int64]:
+    return np.round((time + 1.0) * NANOSECONDS_PER_SECOND).astype(np.int64)
+
+
+def _nearest(
+    time: NDArray[np.float64], sensor: Signal, reach: float
+) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    after = np.clip(np.searchsorted(sensor.time, time), 1, len(sensor) - 1)
+    nearer = after - (time - sensor.time[after - 1] < sensor.time[after] - time)
+    value = sensor.value[nearer]
+    there = (np.abs(sensor.time[nearer] - time) <= reach) & np.isfinite(value).all(axis=1)
+    return np.nan_to_num(value), there
+
+
+def cut(log: FlightLog, start: float, end: float) -> FlightLog:
+    """Keep what lies between two times [s]."""
+
+    def part(value: Any) -> Any:
+        if not isinstance(value, Signal):
+            return value
+        rows = slice(*np.searchsorted(value.time, (start, end)))
+        return Signal(value.time[rows], value.value[rows])
+
+    parts = {entry.name: part(getattr(log, entry.name)) for entry in dataclasses.fields(log)}
+    for name in ("gyros", "accelerometers"):
+        parts[name] = {key: part(each) for key, each in parts[name].items()}
+    return dataclasses.replace(log, **parts)
+
+
+def faults_on(log: FlightLog, title: str, repeats: int) -> Iterator[tuple[str, str, float]]:
+    """Element, specification and onset of each fault of a case on a log; none if it lacks the sensor."""
+    channel, spec = CASES[title]
+    attitude = log.attitude if log.attitude_from_gyro is not True else None
+    there = {"gyro": log.gyros, "accelerometer": log.accelerometers, "attitude": attitude}
+    flight = max(prepare(log).intervals, key=lambda each: each.end - each.start)
+    room = flight.start + min(EDGE, 0.2 * (flight.end - flight.start)), flight.end - LASTS
+    if not there[channel] or room[1] <= room[0]:
+        return
+    rng = np.random.default_rng([zlib.crc32(log.path.name.encode()), zlib.crc32(title.encode())])
+    turns = itertools.cycle(itertools.product(("", "-"), AXES[channel]))
+    for sign, axis in itertools.islice(turns, repeats):
+        onset = float(rng.uniform(*room))
+        what = f"{spec.format(axis=axis, sign=sign)} channel={channel}"
+        yield axis, f"{what} start={onset:.6f}s duration={LASTS:g}s", onset
+
+
+def case_cell(judge: Judge, logs: Sequence[FlightLog], title: str, is_offline: bool) -> str:
+    """Share of the faults of a case that are detected, and isolated."""
+    cases, detected, isolated = 0, 0, 0
+    for log in logs:
+        for element, spec, onset in faults_on(log, title, REPEATS if is_offline else 1):
+            faulty = overlay_faults(log, faults_from((), [spec]))
+            named = judge(faulty if is_offline else cut(faulty, onset - WINDOW, onset + LASTS + WINDOW))
+            right = [each for each in named if each[:2] == (CASES[title][0], element)]
+            cases += 1
+            detected += any(abs(each.onset - onset) < SEEN for each in named)
+            isolated += any(abs(each.onset - onset) < CLOSE for each in right)
+    if not cases:
+        return NOTHING
+    return f"{100.0 * detected / cases:.0f} / {100.0 * isolated / cases:.0f} % of {cases}"
+
+
+def read_groups(data: Path) -> dict[str, list[FlightLog]]:
+    """All logs, by data set."""
+    paths = [*data.glob("broad/*"), *data.glob("crazyflie/*/*"), *data.glob("px4/*")]
+    groups: dict[str, list[FlightLog]] = {}
+    for path in sorted(path for path in paths if path.name != "LICENSE"):
+        name = f"{path.parent.name}, violent" if path.name in VIOLENT else path.parent.name
+        groups.setdefault(name, []).append(read_log(path))
+    if not groups:
+        raise ValueError(f"{data}: no logs; expected broad/, crazyflie/*/ or px4/ there")
+    return groups
+
+
+def healthy_cells(judge: Judge, logs: Sequence[FlightLog], is_offline: bool) -> list[str]:
+    """How long healthy logs are, what is found in them, and how often an hour."""
+    flown = [prepare(log) for log in logs]
+    parts = [each.log if is_offline else cut(each.log, 0.0, HEALTHY) for each in flown]
+    seconds = sum(each.duration if is_offline else min(each.duration, HEALTHY) for each in flown)
+    found = sum(len(judge(part)) for part in parts)
+    return [str(len(logs)), f"{seconds:.0f} s", str(found), write_number(3600.0 * found / seconds)]
+
+
+def verdict_rows(groups: Mapping[str, Sequence[FlightLog]]) -> Iterator[list[str]]:
+    """What `quadftc diagnose` says of each log as it is."""
+    for group, logs in groups.items():
+        for log in logs:
+            said = inspect(log).verdict
+            missing = ", ".join(unjudged(said.judged, said.not_judged)) or NOTHING
+            sentence = said.sentence.partition("; ")[0].rstrip(".")
+            yield [group, log.path.name, f"{said.flight_s:.0f} s", sentence, missing]
+
+
+def make(data: Path, runs: Path | None) -> dict[str, str]:
+    """Run all, and return the tables."""
+    groups, vehicle = read_groups(data), load_vehicle(VEHICLE)
+    flown = [] if runs is None else [read_log(each.parent) for each in sorted(runs.glob("*/metadata.yaml"))]
+    judges: dict[str, Judge] = {"diagnose": judge_offline}
+    for name in sorted(filter(has_detector, fault_observers.names())):
+        judges[name] = judge_by(fault_observers.get(name)(vehicle=vehicle))
+    healthy_rows, fault_rows = list[list[str]](), list[list[str]]()
+    for (who, judge), (group, logs) in itertools.product(judges.items(), groups.items()):
+        is_offline = judge is judge_offline
+        healthy = [log for log in logs if not any(word in log.path.name for word in FAULTY)]
+        known = [log for log in healthy if log.attitude and log.gyros]
+        if taken := healthy if is_offline else known[:MOST]:
+            healthy_rows.append([who, group, *healthy_cells(judge, taken, is_offline)])
+            cells = [case_cell(judge, taken, title, is_offline) for title in CASES]
+            fault_rows += [[who, group, *cells]] if set(cells) != {NOTHING} else []
+            say(f"{who}: {group}", stderr=True)
+    of_verdicts = ["data set", "log", "in flight", "verdict", "could not be judged"]
+    of_healthy = ["who", "data set", "healthy logs", "judged", "findings", "per hour"]
+    return {
+        "league-verdicts": markdown(of_verdicts, verdict_rows({**groups, "quadftc run": flown})),
+        "league-healthy": markdown(of_healthy, healthy_rows),
+        "league-faults": markdown(["who", "data set", *CASES], fault_rows),
+    }
+
+
+def main() -> int:
+    """Write the tables into the page, or print them."""
+    parser = argparse.ArgumentParser(prog="league", description=f"Tables of docs/{PAGE}.")
+    parser.add_argument("data", type=Path, help="directory of the recordings")
+    parser.add_argument("--runs", type=Path, help="directory of recordings of quadftc run")
+    parser.add_argument("--docs", type=Path, help=f"directory of {PAGE}")
+    options = parser.parse_args()
+    try:
+        publish_tables(make(options.data, options.runs), options.docs and options.docs / PAGE)
+    except (ValueError, OSError) as error:
+        say(f"error: {error}", stderr=True)
+        return BAD_INPUT
+    return GOOD
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
