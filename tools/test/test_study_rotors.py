@@ -33,7 +33,8 @@ def said(rotor=None, sensor=None, delay=10, loss=0.25):
     sensors = SimpleNamespace(
         **{name: SimpleNamespace(state=state, ambiguous=clear) for name, state in states.items()}
     )
-    return SimpleNamespace(rotors=SimpleNamespace(state=rotors, effectiveness=left), sensors=sensors)
+    estimate = SimpleNamespace(rotors=SimpleNamespace(state=rotors, effectiveness=left), sensors=sensors)
+    return SimpleNamespace(trace=SimpleNamespace(estimate=estimate))
 
 
 def test_delay_and_error_of_a_rotor_are_measured():

@@ -5,7 +5,7 @@ python3 -m quadftc_tools.study.rotors --docs docs
 
 All flights are of the X500 with the `mems` IMU and motion capture, in turbulence of any direction, in gusts
 of torque of 0.5 rad/s², and with a centre of mass that is off by 5 mm. Half of them hover, half fly a circle
-at 2 m/s. The rotor and all sizes are drawn. Writes the tables of docs/rotors.md, section 2.
+at 2 m/s. The rotor and all sizes are drawn. Writes the tables and the figure of docs/rotors.md, section 2.
 """
 
 from __future__ import annotations
@@ -21,17 +21,26 @@ from numpy.typing import NDArray
 
 from quadftc_campaign.batch.engine import Engine
 from quadftc_campaign.batch.parts import differing, numbers_of, with_common_faults
+from quadftc_campaign.batch.records import flight_record
 from quadftc_campaign.flights import parts_of
 from quadftc_cli.screen import say
 from quadftc_flight.scenario import Scenario, parse_scenario
 from quadftc_model.samples import ALARMS
 from quadftc_tools.study.numbers import write_number, write_per_cent, write_times
-from quadftc_tools.study.page import NOTHING, markdown, publish_tables
+from quadftc_tools.study.page import NOTHING, markdown, publish, publish_tables
+from quadftc_tools.study.rotors_figure import Curve, draw_delays
 
 LANES = 32  # flights that fly together, each with all its samples
-RATE, ONSET, DURATION, HEALTHY = 250, 8.0, 10.5, 80.0  # Hz, s, s, s
+RATE, ONSET, DURATION, LONGER, HEALTHY = 250, 8.0, 10.5, 13.0, 80.0  # Hz, s; LONGER: of mixed faults
 JUDGED, FALLING = 2.0, 0.7  # s after the onset; with a rotor off, as this vehicle falls to the ground then
-SEEDS = {"sizes": 100_000, "ramps": 200_000, "mixed": 300_000, "healthy": 400_000}
+SEEDS = {
+    "sizes": 100_000,
+    "ramps": 200_000,
+    "mixed": 300_000,
+    "healthy": 400_000,
+    "steps": 500_000,
+    "slow": 600_000,
+}
 SENSORS = ("attitude", "gyro", "accelerometer")
 SIZES: tuple[tuple[float, float, int], ...] = (  # smallest and largest loss; flights, of the default 200
     (0.15, 0.4, 200),
@@ -43,6 +52,9 @@ SIZES: tuple[tuple[float, float, int], ...] = (  # smallest and largest loss; fl
     (1.0, 1.0, 100),
 )
 RAMPS = (0.5, 2.0, 8.0)  # s; over which 30 % are lost
+# of the figure: losses [1], times [s] over which 30 % are lost, and flights of each
+CURVES = {"steps": np.geomspace(0.03, 0.6, 12), "slow": np.geomspace(0.25, 8.0, 6)}
+EACH = 25
 # kind and channel of other faults, with what is drawn: axes, and a size between two bounds, of either sign
 OTHERS = (
     ("attitude", "bias", "value", ("roll", "pitch", "yaw"), (1.0, 8.0), " deg"),
@@ -67,6 +79,10 @@ MIXED_HEAD = (
     *(f"{name} named" for name in SENSORS),
     "the rotor named",
     "another rotor named",
+    "lost",
+    "furthest from its place, median / worst",
+    "lost without diagnosis",
+    "furthest then",
 )
 SCENARIO = """
 name: rotors
@@ -89,6 +105,10 @@ faults: [{faults}]
 schemes:
   isolating:
     observer: isolating
+    disturbance_observer: exosystem
+    controller: ismc
+    position_controller: geometric
+  undiagnosed:
     disturbance_observer: exosystem
     controller: ismc
     position_controller: geometric
@@ -164,21 +184,20 @@ def faulty_sensor(sensor: str, kind: str, key: str, axes: Sequence[str], bounds:
     return make
 
 
-def fly_all(cases: Sequence[Case], lanes: int = LANES) -> Iterator[Any]:
-    """Fly all cases; yield what the observer says in each, arrays (samples, ...)."""
-    parts = with_common_faults([parts_of(case.scenario) for case in cases])
+def fly_all(cases: Sequence[Case], scheme: str = "isolating", lanes: int = LANES) -> Iterator[Any]:
+    """Fly all cases; yield the outcome of each, with all its samples."""
+    parts = with_common_faults([parts_of(case.scenario, scheme) for case in cases])
     # what differs anywhere may differ in each block: one compilation for all
     engine = Engine(lanes=lanes, free=tuple(differing([numbers_of(part.loop) for part in parts])))
     for start in range(0, len(cases), lanes):
         block = slice(start, start + lanes)
         events = [case.scenario.fault_events for case in cases[block]]
-        outcomes = engine.fly(parts[block], events, traced=True)
-        yield from (outcome.trace.estimate for outcome in outcomes if outcome.trace is not None)
+        yield from engine.fly(parts[block], events, traced=True)
 
 
-def hear(case: Case, estimate: Any, onset: float = ONSET, judged: float = JUDGED) -> Said:
+def hear(case: Case, outcome: Any, onset: float = ONSET, judged: float = JUDGED) -> Said:
     """Return what is named in a flight."""
-    judged = FALLING if case.loss >= 1.0 else judged
+    judged, estimate = FALLING if case.loss >= 1.0 else judged, outcome.trace.estimate
     rotors = np.isin(np.asarray(estimate.rotors.state), ALARMS)
     sensors = [getattr(estimate.sensors, name) for name in SENSORS]
     named = [np.isin(np.asarray(each.state), ALARMS) & ~np.asarray(each.ambiguous) for each in sensors]
@@ -220,8 +239,8 @@ def write_errors(errors: Floats) -> str:
     return write_per_cent((float(np.median(errors)), float(errors.max()))) if len(errors) else NOTHING
 
 
-def study_faults(share: float) -> dict[str, str]:
-    """Fly all faults, a share of the flights that the tables have by default."""
+def study_faults(share: float) -> tuple[dict[str, str], dict[str, Curve]]:
+    """Fly all faults, a share of the flights that tables and curves have by default."""
     groups: list[tuple[str, str, list[Case]]] = []
 
     def add(table: str, label: str, count: int, component: str, make: Any) -> None:
@@ -235,18 +254,49 @@ def study_faults(share: float) -> dict[str, str]:
         add("sizes", label, count, "rotor", weak_rotor(low, high))
     for rise in RAMPS:
         add("ramps", f"{rise:g} s", 50, "rotor", weak_rotor(0.3, 0.3, rise))
-    add("mixed", "rotor: loss of 15 to 40 %", 200, "rotor", weak_rotor(0.15, 0.4))
-    for other in OTHERS:
-        add("mixed", f"{other[0]}: {other[1]}", 200, other[0], faulty_sensor(*other))
+    for size in CURVES["steps"]:
+        add("steps", f"{size}", EACH, "rotor", weak_rotor(size, size))
+    for rise in CURVES["slow"]:
+        add("slow", f"{rise}", EACH, "rotor", weak_rotor(0.3, 0.3, rise))
     heard = iter(fly_all([case for *_, cases in groups for case in cases]))
-    rows: dict[str, list[tuple[str, ...]]] = {"sizes": [], "ramps": [], "mixed": []}
+    rows: dict[str, list[tuple[str, ...]]] = {"sizes": [], "ramps": []}
+    curves: dict[str, Curve] = {name: [] for name in CURVES}
     for table, label, cases in groups:
         said = [hear(case, next(heard)) for case in cases]
-        rows[table].append(
-            {"sizes": loss_row, "ramps": ramp_row, "mixed": mixed_row}[table](label, cases, said)
-        )
-    heads = {"sizes": LOSS_HEAD, "ramps": RAMP_HEAD, "mixed": MIXED_HEAD}
-    return {f"rotor-{table}": markdown(heads[table], rows[table]) for table in rows}
+        if table in curves:
+            delays = [each.rotors[case.rotor] for case, each in zip(cases, said, strict=True)]
+            curves[table].append((float(label), np.array(delays)))
+            continue
+        rows[table].append({"sizes": loss_row, "ramps": ramp_row}[table](label, cases, said))
+    heads = {"sizes": LOSS_HEAD, "ramps": RAMP_HEAD}
+    return {f"rotor-{table}": markdown(heads[table], rows[table]) for table in rows}, curves
+
+
+def study_mixed(share: float) -> str:
+    """Fly one fault of any component at a time, with and without diagnosis; return the table."""
+    kinds = [("rotor: loss of 15 to 40 %", "rotor", weak_rotor(0.15, 0.4))]
+    kinds += [(f"{other[0]}: {other[1]}", other[0], faulty_sensor(*other)) for other in OTHERS]
+    count, rows = max(1, round(share * 200)), list[tuple[str, ...]]()
+    groups = [
+        [case_of(SEEDS["mixed"] + 1000 * kind + index, component, make, LONGER) for index in range(count)]
+        for kind, (_, component, make) in enumerate(kinds)
+    ]
+    cases = [case for group in groups for case in group]
+    flown, bare = fly_all(cases), fly_all(cases, "undiagnosed")
+    for (label, *_), group in zip(kinds, groups, strict=True):
+        outcomes = [next(flown) for _ in group]
+        said = [hear(case, outcome) for case, outcome in zip(group, outcomes, strict=True)]
+        held = (*holding(outcomes), *holding([next(bare) for _ in group]))
+        rows.append((*mixed_row(label, group, said), *held))
+    return markdown(MIXED_HEAD, rows)
+
+
+def holding(outcomes: Sequence[Any]) -> tuple[str, str]:
+    """Return the share of flights that are lost, and how far the others get from their place."""
+    records = [flight_record(outcome._replace(trace=None)) for outcome in outcomes]
+    far = [record["position_max_m"] for record in records if not record["lost"]]
+    spread = f"{np.median(far):.2f} / {max(far):.2f} m" if far else NOTHING
+    return write_per_cent((float(np.mean([record["lost"] for record in records])),)), spread
 
 
 def ramp_row(label: str, cases: Sequence[Case], said: Sequence[Said]) -> tuple[str, ...]:
@@ -274,8 +324,8 @@ def study_healthy(flights: int, lanes: int = 16) -> str:
     """Fly without a fault; return the table of what is named all the same."""
     seed, named, sensed = SEEDS["healthy"], 0, 0
     cases = [case_of(seed + index, "", lambda _: ("", -1, 0.0), HEALTHY) for index in range(flights)]
-    for number, estimate in enumerate(fly_all(cases, lanes), 1):
-        said = hear(cases[number - 1], estimate, 0.0, HEALTHY)
+    for number, outcome in enumerate(fly_all(cases, lanes=lanes), 1):
+        said = hear(cases[number - 1], outcome, 0.0, HEALTHY)
         named += bool(np.isfinite(said.rotors).any())
         sensed += bool(np.isfinite(said.sensors).any())
         if number % (4 * lanes) == 0:
@@ -286,16 +336,26 @@ def study_healthy(flights: int, lanes: int = 16) -> str:
 
 
 def main(arguments: Iterable[str] | None = None) -> int:
-    """Fly, and write the tables into docs/rotors.md."""
+    """Fly, and write tables and figure into docs/rotors.md."""
     parser = argparse.ArgumentParser(description="Rotor diagnosis in closed loop: docs/rotors.md, section 2.")
-    parser.add_argument("--share", type=float, default=1.0, help="of the flights with a fault")
+    parser.add_argument("--share", type=float, default=1.0, help="of the flights with a weak rotor")
+    parser.add_argument("--mixed", type=float, default=1.0, help="of the flights with any fault")
     parser.add_argument("--healthy", type=int, default=1000, help="healthy flights; 0: keep the table")
     parser.add_argument("--docs", type=Path, help="directory of rotors.md; without it the tables are printed")
     options = parser.parse_args(None if arguments is None else list(arguments))
-    tables = study_faults(options.share) if options.share > 0.0 else {}
+    tables, curves = study_faults(options.share) if options.share > 0.0 else ({}, {})
+    if options.mixed > 0.0:
+        tables["rotor-mixed"] = study_mixed(options.mixed)
     if options.healthy > 0:
         tables["rotor-healthy"] = study_healthy(options.healthy)
-    publish_tables(tables, options.docs / "rotors.md" if options.docs else None)
+    if options.docs:
+        publish(
+            options.docs / "rotors.md",
+            tables,
+            {"rotors_delay": lambda: draw_delays(curves)} if curves else {},
+        )
+    else:
+        publish_tables(tables, None)
     return 0
 
 
