@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from sensor_msgs.msg import Imu
 
+from quadftc_fdi.fault_observer import fault_observers
 from quadftc_model.rotations import euler_from_quaternion
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -101,6 +102,8 @@ def test_imu_example_names_its_options():
 def test_tutorial_still_runs_and_imports_what_there_is(monkeypatch):
     """Cells without the tag ``slow`` run on a shorter flight; of the others, the imports are looked up."""
     monkeypatch.setattr(plt, "show", plt.close)
+    assert "reckoner" not in fault_observers.names()  # it registers one
+    monkeypatch.setattr(fault_observers, "_components", dict(fault_observers._components))
     notebook = json.loads((EXAMPLES / "tutorial.ipynb").read_text(encoding="utf-8"))
     assert sum(bool(cell.get("outputs")) for cell in notebook["cells"]) == 9  # it was executed
     names: dict[str, object] = {}

@@ -349,6 +349,7 @@ def test_nodes_defaults_are_those_of_a_live_run():
     from quadftc_control.controller_node import ControllerParameters
     from quadftc_fdi import disturbance_observer_node, fault_observer_node
     from quadftc_model.parameters import parameters_of
+    from quadftc_ros.parameters import VehicleParameters
 
     nodes = {
         "fault_observer": fault_observer_node.ObserverParameters,
@@ -356,5 +357,5 @@ def test_nodes_defaults_are_those_of_a_live_run():
         "controller": ControllerParameters,
     }
     for node, (name, _, default) in PARTS.items():
-        specs = {spec.name: spec.default for spec in parameters_of(nodes[node])}
-        assert (specs[name], specs["vehicle"]) == (default, VEHICLE)
+        assert {spec.name: spec.default for spec in parameters_of(nodes[node])}[name] == default
+    assert [spec.default for spec in parameters_of(VehicleParameters)] == [VEHICLE]
