@@ -6,17 +6,8 @@ import numpy as np
 import pytest
 
 from quadftc_model.samples import FAULTY, HEALTHY
-from quadftc_tools.study.rotors import (
-    DURATION,
-    ONSET,
-    RATE,
-    SENSORS,
-    Case,
-    case_of,
-    hear,
-    loss_row,
-    weak_rotor,
-)
+from quadftc_tools.study.rotors import SENSORS, hear, loss_row
+from quadftc_tools.study.rotors_flights import DURATION, ONSET, RATE, Case, case_of, weak_rotor
 
 ROWS, BEGIN = round(DURATION * RATE), round(ONSET * RATE)
 
