@@ -63,8 +63,11 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
         self._fade = Fade()  # of turn [rad] and body rate [rad/s], (6,)
 
     def switch(self, law: FaultObserver) -> None:
-        """Have another law take over in flight, from what this one knows, without a jump."""
-        self._next = law
+        """Go on with changed parameters, or have another law take over from what is known, without a jump."""
+        if type(law) is type(self.law):
+            self.law, self._next = law, None
+        else:
+            self._next = law
 
     def diagnose(
         self,

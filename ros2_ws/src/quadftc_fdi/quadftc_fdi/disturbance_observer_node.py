@@ -24,7 +24,7 @@ from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import CommandGate
 from quadftc_ros.node import GraphNode
-from quadftc_ros.parameters import VehicleParameters
+from quadftc_ros.parameters import STAYS, VehicleParameters
 from quadftc_ros.topics import BASE_FRAME
 from quadftc_ros.wire import VectorWire, imu_of, vector_of
 
@@ -33,7 +33,12 @@ from quadftc_ros.wire import VectorWire, imu_of, vector_of
 class ObserverParameters:
     """Parameters of the node besides those of the observer, which stand behind its name."""
 
-    observer: str = parameter("exosystem", doc="name of the disturbance observer")
+    observer: str = parameter("exosystem", doc="name of the disturbance observer; may be changed in flight")
+
+
+def _warmed_up(law: observer.DisturbanceObserver) -> observer.DisturbanceObserver:
+    warm_up(law, DisturbanceObserverInputs(np.zeros(3), np.bool_(True), np.zeros(3)))
+    return law
 
 
 class DisturbanceObserverNode(GraphNode):
@@ -42,13 +47,10 @@ class DisturbanceObserverNode(GraphNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__("disturbance_observer", **kwargs)
         self.settings.declare(VehicleParameters, read_only=True)
-        self.settings.declare(ObserverParameters, read_only=True)
-        name = self.settings.values()["observer"]
-        self.settings.declare(observer.disturbance_observers.get(name), f"{name}.")
-        build = observer.disturbance_observer_from
-        self._estimation = observer.DisturbanceEstimation(build(self.settings.values()))
-        warm_up(self._estimation.law, DisturbanceObserverInputs(np.zeros(3), np.bool_(True), np.zeros(3)))
-        self.settings.on_change(build, partial(setattr, self._estimation, "law"))
+        registry, build = observer.disturbance_observers, observer.disturbance_observer_from
+        self.settings.declare_law(ObserverParameters, registry, lambda: STAYS if self.lockstep else "")
+        self._estimation = observer.DisturbanceEstimation(_warmed_up(build(self.settings.values())))
+        self.settings.on_change(build, self._use)
         self._publish, self._body = self.publishes("disturbance/estimate"), VectorWire(BASE_FRAME)
         self._gate = CommandGate(self.mode, self._on_sample, self.diagnostics.count)
         restart = self._estimation.restart
@@ -56,15 +58,26 @@ class DisturbanceObserverNode(GraphNode):
         self.reads("torque/command", self._gate.put_command, decode=vector_of)
         if not self.lockstep:
             self.reads("disturbance/kept", self._estimation.offer, decode=vector_of)
-        self.diagnostics.report("observer", OK, name)
+        self._introduce()
         self.ready()
 
+    def _introduce(self) -> None:
+        name = observer.disturbance_observers.name_of(type(self._estimation.law))
+        self.diagnostics.report("observer", OK, name)
+
+    def _use(self, law: observer.DisturbanceObserver) -> None:
+        """Fly with changed parameters, or have another observer take over."""
+        flies = type(law) is type(self._estimation.law)
+        self._estimation.switch(law if flies else _warmed_up(law))
+
     def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats) -> None:
-        replaced, resumed = self._estimation.replaced, self._estimation.resumed
+        replaced, resumed, law = self._estimation.replaced, self._estimation.resumed, self._estimation.law
         estimate = self._estimation.estimate(stamp_ns, sample, torque)
         if estimate is None:
             self.diagnostics.count("imu/corrected: stamp repeated or went back")
             return
+        if type(self._estimation.law) is not type(law):
+            self._introduce()
         if self._estimation.resumed > resumed:
             self.get_logger().info("resumes from the last estimate of a disturbance observer")
         if not sanitised(sample).rate_valid:

@@ -8,7 +8,7 @@ from accusing_observer import registered
 
 from node_bench import imu_message, vector_message
 from quadftc_fdi.diagnosis import Diagnosis
-from quadftc_fdi.disturbance_observer import DisturbanceEstimation
+from quadftc_fdi.disturbance_observer import DisturbanceEstimation, disturbance_observers
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.disturbance_observers.exosystem import Exosystem
 from quadftc_fdi.fault_observer import LastDiagnosis, fault_observers
@@ -224,6 +224,21 @@ def test_disturbance_estimation_resumes_once_at_a_sample_with_a_body_rate():
     assert (estimation.resumed, estimate[0]) == (1, pytest.approx(0.7))
     estimation.estimate(FIRST_NS + 2 * PERIOD_NS, level_sample(), np.zeros(3))
     assert estimation.resumed == 1
+
+
+def test_disturbance_observer_is_changed_in_flight_without_a_jump():
+    estimation, found = DisturbanceEstimation(Exosystem(vehicle=QBALL, bandwidth=50.0)), []
+    estimation.switch(Exosystem(vehicle=QBALL, bandwidth=20.0))  # of its own kind: only its parameters
+    changes = {100: "none", 400: "exosystem"}
+    for k in range(700):
+        if k in changes:
+            estimation.switch(disturbance_observers.get(changes[k])(vehicle=QBALL))
+        spun = level_sample()._replace(body_rate=np.array([0.5 * k * DT, 0.0, 0.0]))
+        found.append(estimation.estimate(FIRST_NS + k * PERIOD_NS, spun, np.zeros(3))[0])
+    assert found[100] == pytest.approx(0.5, abs=1e-3)
+    assert found[399] == 0.0
+    assert found[-1] == pytest.approx(0.5, abs=1e-3)
+    assert np.max(np.abs(np.diff(found[99:]))) < 0.025  # rad/s²; by the bandwidth
 
 
 def test_an_unusable_last_estimate_is_ignored():
