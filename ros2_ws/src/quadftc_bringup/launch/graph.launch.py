@@ -15,6 +15,7 @@ from launch.substitutions import (
     AndSubstitution,
     EqualsSubstitution,
     FindExecutable,
+    IfElseSubstitution,
     LaunchConfiguration,
     NotEqualsSubstitution,
     PathJoinSubstitution,
@@ -35,6 +36,7 @@ GUIDANCE = {
     "free_flight": ("quadftc_control", "position_controller"),
 }
 RECORDER = ("quadftc_ros", "recorder")
+SCENE = ("quadftc_ros", "scene")
 START_DELAY = 6.0  # s, for the nodes to find each other (about 4 s): messages sent before that are lost
 
 
@@ -45,6 +47,15 @@ def _shared(*path: str) -> PathJoinSubstitution:
 def _arguments() -> list[DeclareLaunchArgument]:
     return [
         DeclareLaunchArgument("namespace", default_value="", description="Namespace of the vehicle."),
+        DeclareLaunchArgument(
+            "frame_prefix",
+            default_value=IfElseSubstitution(
+                EqualsSubstitution(LaunchConfiguration("namespace"), ""),
+                if_value="",
+                else_value=[LaunchConfiguration("namespace"), "/"],
+            ),
+            description="In front of base_link and imu_link in messages and /tf; default: the namespace.",
+        ),
         DeclareLaunchArgument(
             "params_file",
             default_value=_shared("config", "graph.yaml"),
@@ -78,6 +89,9 @@ def _arguments() -> list[DeclareLaunchArgument]:
         DeclareLaunchArgument("imu", default_value="imu/data", description="Topic of the IMU."),
         DeclareLaunchArgument("torque", default_value="torque/command", description="Topic of the torque."),
         DeclareLaunchArgument(
+            "scene", default_value="false", description="Draw the vehicle for RViz and Foxglove, with /tf."
+        ),
+        DeclareLaunchArgument(
             "monitor",
             default_value="false",
             description="Group /diagnostics for rqt_robot_monitor, by diagnostic_aggregator.",
@@ -89,7 +103,8 @@ def _arguments() -> list[DeclareLaunchArgument]:
 
 
 def _node(package: str, name: str, condition: IfCondition | None = None, **parameters: object) -> Node:
-    common = {each: LaunchConfiguration(each) for each in ("mode", "plant_kind")}
+    common: dict[str, object] = {each: LaunchConfiguration(each) for each in ("mode", "plant_kind")}
+    common["frame_prefix"] = ParameterValue(LaunchConfiguration("frame_prefix"), value_type=str)
     return Node(
         package=package,
         executable=name,
@@ -151,6 +166,7 @@ def generate_launch_description() -> LaunchDescription:
             for kind, node in GUIDANCE.items()
         ),
     ]
+    nodes.append(_node(*SCENE, IfCondition(LaunchConfiguration("scene")), use_sim_time=clock))
     monitor = Node(
         package="diagnostic_aggregator",
         executable="aggregator_node",

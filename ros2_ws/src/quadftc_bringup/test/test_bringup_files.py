@@ -16,6 +16,7 @@ from quadftc_control.position_controller_node import PositionControllerNode
 from quadftc_control.reference_node import ReferenceNode
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer_node import FaultObserverNode
+from quadftc_ros.scene_node import SceneNode
 from quadftc_ros.topics import NODES, TOPICS
 from quadftc_sim.fault_injector_node import FaultInjectorNode
 from quadftc_sim.plant_node import PlantNode
@@ -32,10 +33,11 @@ NODE_CLASSES = {
     "plant": PlantNode,
     "position_controller": PositionControllerNode,
     "reference": ReferenceNode,
+    "scene": SceneNode,
 }
 PARAMETER_FILES = sorted((PACKAGE / "config").glob("*.yaml"))
 GAINS = sorted(PACKAGE.parents[2].glob("gains/*_mems.yaml"))  # in a clone
-NODE_NAMES = {*NODES["test_stand"], *NODES["free_flight"], "recorder"}
+NODE_NAMES = {*NODES["test_stand"], *NODES["free_flight"], "recorder", "scene"}
 
 
 def literals_of(tree):
@@ -59,8 +61,8 @@ def message_paths():
 
 def test_launch_file_starts_the_installed_executables_of_every_node():
     constants = literals_of(ast.parse(LAUNCH_FILE.read_text()))
-    launched = {constants["PLANT"], constants["FAULT_INJECTOR"], constants["RECORDER"], *constants["ONBOARD"]}
-    launched |= {*constants["GUIDANCE"].values()}
+    alone = ("PLANT", "FAULT_INJECTOR", "RECORDER", "SCENE")
+    launched = {*map(constants.get, alone), *constants["ONBOARD"], *constants["GUIDANCE"].values()}
     installed = {
         (entry.module.split(".")[0], entry.name)
         for entry in importlib.metadata.entry_points(group="console_scripts")
@@ -137,7 +139,7 @@ def parameters_in(file, node):
 @pytest.mark.parametrize("file", PARAMETER_FILES, ids=lambda file: file.name)
 def test_nodes_take_every_value_of_a_parameter_file(file):
     kind = "free_flight" if file.stem == "free_flight" else "test_stand"
-    for node in NODES[kind]:
+    for node in (*NODES[kind], "scene"):
         given = {"plant_kind": kind, **parameters_in(file, node)}
         with Wired(NODE_CLASSES[node], given.pop("mode", "realtime"), **given) as wired:
             assert wired.node.settings.unknown() == []

@@ -43,7 +43,6 @@ from quadftc_ros.motion_wire import RotorsReader, RotorsWire
 from quadftc_ros.node import GraphNode
 from quadftc_ros.parameters import STAYS, VehicleParameters
 from quadftc_ros.rotor_wire import EffectivenessReader
-from quadftc_ros.topics import BASE_FRAME
 from quadftc_ros.transport import decoding
 
 REFERENCE_AGE = 0.5  # s; real time: age from which a reference is reported as stopped
@@ -97,7 +96,7 @@ class ControllerNode(GraphNode):
         self.settings.on_change(_build, self._use)
         self._publish_torque = self.publishes("torque/command")
         self._publish_status = self.publishes("control/status")
-        self._body, self._status = wire.VectorWire(BASE_FRAME), wire.ControlStatusWire()
+        self._body, self._status = wire.VectorWire(self.base_frame), wire.ControlStatusWire(self.base_frame)
         self._mode: Mode | None = None
         inputs = ("imu", "reference", "disturbance", *(["speeds", "rotors"] if self._flies else []))
         self._join = StampJoin(inputs, self._on_all)
@@ -106,7 +105,7 @@ class ControllerNode(GraphNode):
         if self._flies:
             self._publish_speeds = self.publishes("rotors/command")
             count = len(law.vehicle.rotors.positions)
-            self._rotors = RotorsWire(count)
+            self._rotors = RotorsWire(count, self.base_frame)
             self.reads("rotors/speed", self._on_speeds, decode=RotorsReader(count))
             self.reads("rotors/status", self._on_rotors, decode=EffectivenessReader(count))
         self.reads("disturbance/estimate", self._on_disturbance, decode=wire.vector_of)

@@ -75,7 +75,8 @@ class PositionControllerNode(GraphNode):
         self.settings.on_change(position_loop_from, self._configure)
         self._publish_command, self._command = self.publishes("attitude/reference"), ReferenceWire()
         self._publish_reference, self._pose = self.publishes("position/reference"), PoseWire()
-        self._publish_estimate, self._odometry = self.publishes("position/estimate"), OdometryWire()
+        self._publish_estimate = self.publishes("position/estimate")
+        self._odometry = OdometryWire(self.base_frame)
         self.driven_by("imu/corrected", self._on_imu, restart=self._restart, decode=imu_of)
         self.reads("position/data", self._on_place, decode=PositionSampleReader())
         if self._live:

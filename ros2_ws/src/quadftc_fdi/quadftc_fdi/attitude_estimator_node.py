@@ -34,7 +34,7 @@ class AttitudeEstimatorNode(GraphNode):
         names = [field.name for field in dataclasses.fields(EstimatorParameters)]
         values = self.settings.values()
         self._estimator = AttitudeEstimator(EstimatorParameters(*(values[name] for name in names)))
-        self._publish, self._message = self.publishes("imu/data"), ImuWire()
+        self._publish, self._message = self.publishes("imu/data"), ImuWire(self.imu_frame)
         self._stamp_ns = -1
         self._std_devs: Floats | None = None  # of the last attitude [rad]
         self.driven_by("imu/data_raw", self._on_sample, restart=self._restart, decode=imu_of)

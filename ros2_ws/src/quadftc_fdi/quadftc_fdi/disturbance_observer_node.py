@@ -25,7 +25,6 @@ from quadftc_ros.executor import run_node
 from quadftc_ros.join import CommandGate
 from quadftc_ros.node import GraphNode
 from quadftc_ros.parameters import STAYS, VehicleParameters
-from quadftc_ros.topics import BASE_FRAME
 from quadftc_ros.wire import VectorWire, imu_of, vector_of
 
 
@@ -51,7 +50,7 @@ class DisturbanceObserverNode(GraphNode):
         self.settings.declare_law(ObserverParameters, registry, lambda: STAYS if self.lockstep else "")
         self._estimation = observer.DisturbanceEstimation(_warmed_up(build(self.settings.values())))
         self.settings.on_change(build, self._use)
-        self._publish, self._body = self.publishes("disturbance/estimate"), VectorWire(BASE_FRAME)
+        self._publish, self._body = self.publishes("disturbance/estimate"), VectorWire(self.base_frame)
         self._gate = CommandGate(self.mode, self._on_sample, self.diagnostics.count)
         restart = self._estimation.restart
         self.driven_by("imu/corrected", self._gate.put_sample, restart=restart, decode=imu_of)

@@ -73,10 +73,10 @@ class FaultObserverNode(GraphNode):
         self.settings.declare_law(ObserverParameters, fault_observers, self._must_keep)
         self._diagnosis = Diagnosis(_warmed_up(fault_observer_from(self.settings.values())))
         self.settings.on_change(fault_observer_from, self._use)
-        self._publish_corrected, self._imu = self.publishes("imu/corrected"), ImuWire()
+        self._publish_corrected, self._imu = self.publishes("imu/corrected"), ImuWire(self.imu_frame)
         self._publish_estimate, self._earth = self.publishes("fault/estimate"), VectorWire(EARTH_FRAME)
-        self._publish_status, self._status = self.publishes("fault/status"), FaultStatusWire()
-        self._publish_report, self._report = self.publishes("diagnosis"), DiagnosisWire()
+        self._publish_status, self._status = self.publishes("fault/status"), FaultStatusWire(self.imu_frame)
+        self._publish_report, self._report = self.publishes("diagnosis"), DiagnosisWire(self.imu_frame)
         if self.plant_kind == "free_flight":
             self._read_flight()
         else:
@@ -129,7 +129,8 @@ class FaultObserverNode(GraphNode):
             gate.put_sample(stamp_ns, (sample, place))
 
         self._speeds = SpeedGate(self.mode, self._on_rotors)
-        self._publish_rotors, self._rotors = self.publishes("rotors/status"), RotorStatusWire(rotors)
+        self._publish_rotors = self.publishes("rotors/status")
+        self._rotors = RotorStatusWire(rotors, self.base_frame)
         self.reads("rotors/speed", self._speeds.put_speeds, decode=RotorsReader(rotors))
         places = PlaceGate(self.mode, values["position.period"], values["position.delay"], put)
         self.driven_by("imu/data", places.put_sample, restart=self._diagnosis.restart, decode=imu_of)

@@ -55,8 +55,9 @@ def test_constant_disturbance_is_estimated_with_the_stamp_of_the_sample(lockstep
 
 
 def test_observer_none_estimates_zero(lockstep_bench):
-    observer = Observer(lockstep_bench, observer="none")
+    observer = Observer(lockstep_bench, observer="none", frame_prefix="uav1/")
     observer.fall(5)
+    assert observer.found[0].header.frame_id == "uav1/base_link"
     np.testing.assert_array_equal(observer.estimates(), np.zeros((5, 3)))
 
 

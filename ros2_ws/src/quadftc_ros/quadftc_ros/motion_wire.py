@@ -43,8 +43,8 @@ class OdometryWire:
     by the attitude before. Covariances are unknown (0).
     """
 
-    def __init__(self) -> None:
-        message = Odometry(header=Header(frame_id=EARTH_FRAME), child_frame_id=BASE_FRAME)
+    def __init__(self, frame: str = BASE_FRAME) -> None:
+        message = Odometry(header=Header(frame_id=EARTH_FRAME), child_frame_id=frame)
         self._write = FieldWriter(message, _POSITION, _ATTITUDE, _VELOCITY, _BODY_RATE)
 
     def __call__(
@@ -101,9 +101,9 @@ class PositionSampleReader:
 class RotorsWire:
     """Makes serialised speeds of rotors: joints rotor_1 ... with their velocity."""
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, frame: str = BASE_FRAME) -> None:
         names = rotor_names(count)
-        message = JointState(header=Header(frame_id=BASE_FRAME), name=names, velocity=[0.0] * count)
+        message = JointState(header=Header(frame_id=frame), name=names, velocity=[0.0] * count)
         self._write = FieldWriter(message, "velocity")
 
     def __call__(self, stamp_ns: int, speeds: Floats) -> bytes:

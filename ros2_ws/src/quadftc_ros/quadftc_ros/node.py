@@ -26,7 +26,7 @@ from quadftc_ros.diagnostics import OK, WARN, Diagnostics, SampleTiming
 from quadftc_ros.lifecycle import ManagedNode
 from quadftc_ros.parameters import NodeParameters
 from quadftc_ros.qos import service_profile, topic_profile
-from quadftc_ros.topics import PLANT_KINDS, TOPICS, PlantKind, missing_connections
+from quadftc_ros.topics import BASE_FRAME, IMU_FRAME, PLANT_KINDS, TOPICS, PlantKind, missing_connections
 from quadftc_ros.transport import MessageTrace, Note, Tap, decoding, receiver, tapped
 
 MODES = ("lockstep", "realtime")
@@ -48,6 +48,9 @@ class GraphParameters:
         "test_stand",
         choices=PLANT_KINDS,
         doc="test_stand: the vehicle turns about a fixed point; free_flight: it flies",
+    )
+    frame_prefix: str = parameter(
+        "", doc="in front of base_link and imu_link, such as drone1/ where a graph has two vehicles"
     )
     autostart: bool = parameter(
         True, doc="active at once; else unconfigured, until the lifecycle services configure and activate it"
@@ -71,6 +74,8 @@ class GraphNode(ManagedNode):
         self.settings.declare(GraphParameters, read_only=True)
         self.mode: str = self.settings.values()["mode"]
         self.plant_kind: PlantKind = self.settings.values()["plant_kind"]
+        prefix: str = self.settings.values()["frame_prefix"]
+        self.base_frame, self.imu_frame = prefix + BASE_FRAME, prefix + IMU_FRAME
         self.lockstep = self.mode == "lockstep"  # the graph advances sample by sample
         self._trace_file: str = self.settings.values()["trace"]
         self._trace = MessageTrace() if self._trace_file else None

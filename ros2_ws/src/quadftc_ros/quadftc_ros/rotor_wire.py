@@ -22,9 +22,9 @@ _STATUS = ("state", "effectiveness", "std_dev", "probability", "ambiguous")
 class RotorConditionWire:
     """Makes serialised conditions of rotors."""
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, frame: str = BASE_FRAME) -> None:
         self._healthy = *[1.0] * count, *[np.inf] * count, *[False] * count, *[0.0] * count
-        message = RotorConditionMessage(header=Header(frame_id=BASE_FRAME))
+        message = RotorConditionMessage(header=Header(frame_id=frame))
         message.effectiveness, message.speed_limit = [1.0] * count, [np.inf] * count
         message.stuck, message.unbalance = [False] * count, [0.0] * count
         self._write = FieldWriter(message, *_CONDITION)
@@ -55,8 +55,8 @@ class RotorConditionReader:
 class RotorStatusWire:
     """Makes serialised diagnoses of rotors."""
 
-    def __init__(self, count: int) -> None:
-        header = Header(frame_id=BASE_FRAME)
+    def __init__(self, count: int, frame: str = BASE_FRAME) -> None:
+        header = Header(frame_id=frame)
         self._write_nothing = FieldWriter(RotorStatus(header=header))
         message = RotorStatus(header=header, state=[0] * count, effectiveness=[1.0] * count)
         message.std_dev = message.probability = [-1.0] * count

@@ -30,7 +30,7 @@ from quadftc_ros.conversions import Floats, time_message
 from quadftc_ros.executor import run_node
 from quadftc_ros.latest import ROLES, Latest
 from quadftc_ros.node import GraphNode
-from quadftc_ros.topics import BASE_FRAME, EARTH_FRAME, IMU_FRAME, TOPICS
+from quadftc_ros.topics import EARTH_FRAME, TOPICS
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -99,10 +99,10 @@ class SceneNode(GraphNode):
     def _frames(self, stamp_ns: int, poses: dict[str, Pose]) -> list[TransformStamped]:
         """Return where the frames are; ``base_link`` is the truth, without one what is corrected."""
         true = poses.get("truth") or poses.get("corrected")
-        frames = [(EARTH_FRAME, f"{BASE_FRAME}_{role}", poses[role]) for role in GHOSTS if role in poses]
+        frames = [(EARTH_FRAME, f"{self.base_frame}_{role}", poses[role]) for role in GHOSTS if role in poses]
         if true is not None:
             imu = _pose(self._vehicle.aerodynamics.imu_position, Q_LEVEL)
-            frames += [(EARTH_FRAME, BASE_FRAME, true), (BASE_FRAME, IMU_FRAME, imu)]
+            frames += [(EARTH_FRAME, self.base_frame, true), (self.base_frame, self.imu_frame, imu)]
         return [_transform(stamp_ns, *frame) for frame in frames]
 
     def _publish_markers(self, stamp_ns: int, position: Floats, attitudes: dict[str, Floats]) -> None:

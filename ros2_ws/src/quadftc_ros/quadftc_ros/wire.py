@@ -98,8 +98,8 @@ class ImuWire:
     Covariances are unknown (0), or mark a channel absent (-1); that of the attitude may be given.
     """
 
-    def __init__(self) -> None:
-        self._write = NumberWriter(Imu(header=Header(frame_id=IMU_FRAME)))
+    def __init__(self, frame: str = IMU_FRAME) -> None:
+        self._write = NumberWriter(Imu(header=Header(frame_id=frame)))
 
     def __call__(self, stamp_ns: int, sample: ImuSample, variance: Floats | None = None) -> bytes:
         """Return the message of a sample of one vehicle; ``variance`` (3,) of the attitude [rad²]."""
@@ -130,8 +130,8 @@ class ReferenceWire:
 class FaultStatusWire:
     """Makes serialised status messages of the diagnosis."""
 
-    def __init__(self) -> None:
-        self._write = NumberWriter(FaultStatus(header=Header(frame_id=IMU_FRAME)))
+    def __init__(self, frame: str = IMU_FRAME) -> None:
+        self._write = NumberWriter(FaultStatus(header=Header(frame_id=frame)))
 
     def __call__(self, stamp_ns: int, estimate: FaultEstimate) -> bytes:
         """Return the message of an estimate of one vehicle."""
@@ -145,8 +145,8 @@ class FaultStatusWire:
 class DiagnosisWire:
     """Makes serialised reports on all components."""
 
-    def __init__(self) -> None:
-        self._header = Header(frame_id=IMU_FRAME)
+    def __init__(self, frame: str = IMU_FRAME) -> None:
+        self._header = Header(frame_id=frame)
         self._clean = PaddingCleaner(DIAGNOSIS).clean
 
     def __call__(self, report: DiagnosisReport) -> bytes:
@@ -166,8 +166,8 @@ def _fault_message(fault: samples.ComponentFault) -> ComponentFault:
 class ControlStatusWire:
     """Makes serialised status messages of the control."""
 
-    def __init__(self) -> None:
-        self._write = NumberWriter(ControlStatus(header=Header(frame_id=BASE_FRAME)))
+    def __init__(self, frame: str = BASE_FRAME) -> None:
+        self._write = NumberWriter(ControlStatus(header=Header(frame_id=frame)))
 
     def __call__(self, stamp_ns: int, output: ControllerOutput, mode: int, compute_time: float) -> bytes:
         """Return the message of a control step of one vehicle; ``compute_time`` in seconds."""

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from geometry_msgs.msg import PoseStamped, Vector3Stamped
+from geometry_msgs.msg import Pose, PoseStamped, Vector3Stamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Imu
 from visualization_msgs.msg import MarkerArray
@@ -27,7 +27,7 @@ BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 
 def test_scene_shows_truth_measured_and_thrust():
     with NodeBench() as bench:
-        bench.run(SceneNode, frame_rate=60.0)
+        node = bench.run(SceneNode, frame_rate=60.0, frame_prefix="uav1/")
         told = {"scene/truth": PoseStamped, "scene/measured": PoseStamped, "scene/markers": MarkerArray}
         heard = {topic: [] for topic in told}
         readers = [
@@ -51,6 +51,8 @@ def test_scene_shows_truth_measured_and_thrust():
         bench.until(seen)
     rolls = [math.degrees(roll_of(heard[f"scene/{role}"][-1])) for role in ("truth", "measured")]
     assert rolls == pytest.approx([math.degrees(0.1), math.degrees(0.2)])
+    frames = [each.child_frame_id for each in node._frames(SECOND, {"truth": Pose(), "measured": Pose()})]
+    assert frames == ["uav1/base_link_measured", "uav1/base_link", "uav1/imu_link"]
     names = [marker.ns for marker in heard["scene/markers"][-1].markers]
     assert {name: names.count(name) for name in set(names)} == {"truth": 18, "measured": 8, "thrust": 4}
 

@@ -23,7 +23,7 @@ from quadftc_model.parameters import parameter
 from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
-from quadftc_ros.topics import EARTH_FRAME, IMU_FRAME
+from quadftc_ros.topics import EARTH_FRAME
 from quadftc_ros.wire import ImuWire, VectorWire
 from quadftc_sim.ardupilot import ArduPilotPhysics, Shown
 from quadftc_sim.assembly import injector_from, simulator_from
@@ -65,9 +65,12 @@ class ArduPilotBackendNode(GraphNode):
         plant: Any = self._simulator(400.0).plant  # refuses wrong values now
         self._values |= {"start": [*plant.start[:2], -plant.feet[0, 2]], "rotors": plant.command_size}
         self.physics = ArduPilotPhysics(self._simulator, partial(injector_from, self._values))
-        self._publish_imu, self._imu = self.publishes("imu/data"), ImuWire()
+        self._publish_imu, self._imu = self.publishes("imu/data"), ImuWire(self.imu_frame)
         self._truth = {
-            channel: (self.publishes(topic), VectorWire(EARTH_FRAME if channel == "attitude" else IMU_FRAME))
+            channel: (
+                self.publishes(topic),
+                VectorWire(EARTH_FRAME if channel == "attitude" else self.imu_frame),
+            )
             for channel, topic in TRUTH.items()
         }
         self._flight = FlightOutput(self, plant.command_size, None)

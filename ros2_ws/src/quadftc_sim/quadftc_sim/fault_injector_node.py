@@ -23,7 +23,7 @@ from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
 from quadftc_ros.rotor_wire import RotorConditionWire
-from quadftc_ros.topics import EARTH_FRAME, IMU_FRAME
+from quadftc_ros.topics import EARTH_FRAME
 from quadftc_ros.wire import ImuWire, VectorWire, imu_of
 from quadftc_sim.assembly import InjectorParameters, injector_from
 from quadftc_sim.injection import RESERVED, TRUTH, make_injection, registry_of
@@ -43,14 +43,17 @@ class FaultInjectorNode(GraphNode):
         self._active: tuple[int, ...] = ()
         self._told = {"attitude"}  # channels whose truth is published
         self._restart()
-        self._publish_imu, self._imu = self.publishes("imu/data"), ImuWire()
+        self._publish_imu, self._imu = self.publishes("imu/data"), ImuWire(self.imu_frame)
         self._truth = {
-            channel: (self.publishes(topic), VectorWire(EARTH_FRAME if channel == "attitude" else IMU_FRAME))
+            channel: (
+                self.publishes(topic),
+                VectorWire(EARTH_FRAME if channel == "attitude" else self.imu_frame),
+            )
             for channel, topic in TRUTH.items()
         }
         self._rotors = rotors = self.settings.values()["rotors"]
         self._publish_rotors = self.publishes("rotors/fault") if self.plant_kind == "free_flight" else None
-        self._condition = RotorConditionWire(rotors)
+        self._condition = RotorConditionWire(rotors, self.base_frame)
         self._publish_dropped = self.publishes("fault/dropped")
         self.driven_by("plant/imu", self._on_imu, restart=self._restart, decode=imu_of)
         self.offers("inject", InjectFault, self._on_inject)
@@ -73,7 +76,7 @@ class FaultInjectorNode(GraphNode):
         if injected.present:  # first, as others wait for it
             self._publish_imu(self._imu(stamp_ns, injected.sample))
         else:
-            self._publish_dropped(Header(stamp=time_message(stamp_ns), frame_id=IMU_FRAME))
+            self._publish_dropped(Header(stamp=time_message(stamp_ns), frame_id=self.imu_frame))
         for channel, (publish, wire) in self._truth.items():
             if channel in self._told:
                 publish(wire(stamp_ns, getattr(injected, channel)))

@@ -11,7 +11,7 @@ from quadftc_model.rotations import to_body
 from quadftc_ros.conversions import NANOSECONDS
 from quadftc_ros.motion_wire import OdometryWire, PositionSampleWire, RotorsWire
 from quadftc_ros.node import GraphNode
-from quadftc_ros.topics import BASE_FRAME, EARTH_FRAME
+from quadftc_ros.topics import EARTH_FRAME
 from quadftc_ros.wire import ImuWire, VectorWire
 from quadftc_sim.position_sensor import PositionSensor
 from quadftc_sim.simulator import Emission
@@ -31,8 +31,8 @@ class PlantOutput:
         flight: tuple[int, PositionSensor | None] | None,
     ) -> None:
         self._node, self._each_sample = node, each_sample
-        self._publish_imu, self._imu = node.publishes("plant/imu"), ImuWire()
-        body = VectorWire(BASE_FRAME)
+        self._publish_imu, self._imu = node.publishes("plant/imu"), ImuWire(node.imu_frame)
+        body = VectorWire(node.base_frame)
         self._truth = (
             (node.publishes("plant/attitude"), VectorWire(EARTH_FRAME), "angles"),
             (node.publishes("plant/rate"), body, "body_rate"),
@@ -79,8 +79,10 @@ class FlightOutput:
     """What the plant publishes of an emission in free flight besides."""
 
     def __init__(self, node: GraphNode, rotors: int, sensor: PositionSensor | None) -> None:
-        self._publish_odometry, self._odometry = node.publishes("plant/odometry"), OdometryWire()
-        self._publish_speeds, self._speeds = node.publishes("rotors/speed"), RotorsWire(rotors)
+        self._publish_odometry = node.publishes("plant/odometry")
+        self._odometry = OdometryWire(node.base_frame)
+        self._publish_speeds = node.publishes("rotors/speed")
+        self._speeds = RotorsWire(rotors, node.base_frame)
         self._publish_wind, self._wind = node.publishes("wind/applied"), VectorWire(EARTH_FRAME)
         self._publish_place = node.publishes("position/data")
         self._place = sensor and PositionSampleWire(

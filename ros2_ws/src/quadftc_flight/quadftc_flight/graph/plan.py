@@ -87,9 +87,15 @@ class GraphPlan:
         """Parameters of every node."""
         return {"mode": self.mode} | ({} if self.plant == "test_stand" else {"plant_kind": self.plant})
 
+    @property
+    def _frames(self) -> dict[str, str]:
+        """Frames of a vehicle in a namespace have it in front, so that two vehicles do not share one."""
+        name = self.namespace.strip("/")
+        return {"frame_prefix": f"{name}/"} if name else {}
+
     def node_parameters(self, node: str) -> dict[str, Any]:
         """Return the parameters of one node: with the mode, less empty lists, which to ROS have no type."""
-        values = {**self.parameters.get(node, {}), **self._common}
+        values = {**self._frames, **self.parameters.get(node, {}), **self._common}
         if node == "plant":
             values["start_when_connected"] = False
         if self.traces is not None:
