@@ -2,7 +2,7 @@
 """The controller node: from attitude, reference and disturbance estimate to a torque within the authority.
 
 Inputs: imu/corrected, attitude/reference, disturbance/estimate; in free flight rotors/speed and
-rotors/status; in real time imu/data as fallback, and fault/status.
+rotors/status; in real time imu/data as fallback, fault/status and gyro/bias.
 Outputs: torque/command [N m], in free flight rotors/command [rad/s], control/status; in real time fault/kept,
 gyro/kept and disturbance/kept for observers that restart (`quadftc_control.last_words`).
 Services: ~/reset (std_srvs/Trigger).
@@ -113,6 +113,7 @@ class ControllerNode(GraphNode):
         self.reads("fault/status", self._manager.take_status, decode=bytes)
         self._fall_back = decoding("imu/data", self._on_fallback, wire.imu_of, self.diagnostics.count)
         if not self.lockstep:
+            self.reads("gyro/bias", self._manager.take_bias, decode=wire.vector_of)
             self._publish_kept = {
                 what: self.publishes(f"{what}/kept") for what in ("fault", "gyro", "disturbance")
             }

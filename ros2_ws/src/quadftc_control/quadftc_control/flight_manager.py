@@ -142,6 +142,11 @@ class FlightManager:
         """Note fault/status, serialised."""
         self._last_words.status = data
 
+    def take_bias(self, stamp_ns: int, bias: Vector) -> None:
+        """Note what the gyro is off by (3,) [rad/s]."""
+        if samples.is_usable(bias):
+            self._last_words.bias = stamp_ns, bias
+
     def take_corrected(self, stamp_ns: int, imu: ImuSample) -> Command | None:
         """Fly on a sample of imu/corrected, unless it is late or its observer is not trusted yet."""
         clean = samples.sanitised(imu)
@@ -257,7 +262,8 @@ class FlightManager:
         self._status, last_ns, correction = words
         fault = self._reader.faulty_part(self._status)
         self._transfer.expect(correction, fault if fault.any() and samples.is_usable(fault) else None)
-        self.kept += [("gyro", last_ns, correction), ("fault", last_ns, self._status)]
+        kept = self._last_words.gyro_correction(last_ns, correction)
+        self.kept += [("gyro", last_ns, kept), ("fault", last_ns, self._status)]
 
     def _keep_fault(self, stamp_ns: int, read: ImuSample, flown: ImuSample) -> None:
         """Keep what the fault has become, as far as that shows without a diagnosis."""

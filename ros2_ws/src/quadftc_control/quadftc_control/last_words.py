@@ -4,7 +4,8 @@ When an observer falls silent, the controller publishes for one that is started 
 
 * ``fault/kept``: the last fault/status. While the controller knows by how much imu/data is off without it,
   that fault replaces the old one 20 times a second, because a fault may change;
-* ``gyro/kept``: what imu/corrected last added to the body rate of imu/data [rad/s], minus the gyro bias;
+* ``gyro/kept``: minus the last gyro/bias [rad/s]; from an observer that does not tell it, what imu/corrected
+  last added to the body rate of imu/data;
 * ``disturbance/kept``: the last disturbance/estimate.
 
 The stamps are those of the last samples that were diagnosed.
@@ -25,6 +26,7 @@ from quadftc_model.stepper import MAX_GAP, seconds
 
 DEPTH = 64  # samples of imu/data of which imu/corrected may still come
 PERIOD = 0.05  # s; over which a fault is averaged when it is seen without diagnosis
+BIAS_AGE = 0.5  # s; an older gyro bias is not used
 
 
 class MessageReader(NamedTuple):
@@ -48,6 +50,7 @@ class LastWords:
         self.raws: deque[tuple[int, bytes]] = deque(maxlen=DEPTH)  # imu/data: stamp [ns], serialised
         self.corrected: tuple[int, ImuSample] | None = None  # the newest imu/corrected in use, with its stamp
         self.status: bytes | None = None  # the newest fault/status, serialised
+        self.bias: tuple[int, Vector] | None = None  # the newest gyro/bias: stamp [ns], (3,) [rad/s]
 
     @property
     def starting(self) -> bool:
@@ -76,6 +79,12 @@ class LastWords:
         mean = np.mean(self._faults, axis=0)
         self._faults.clear()
         return mean
+
+    def gyro_correction(self, stamp_ns: int, seen: Vector) -> Vector:
+        """Return what to add to the gyro [rad/s] (3,) of a sample [ns]: by its bias, else as ``seen``."""
+        if self.bias is None or not abs(seconds(stamp_ns - self.bias[0])) < BIAS_AGE:
+            return seen
+        return -self.bias[1]
 
     def recall(self, now_ns: int) -> tuple[Any, int, Vector] | None:
         """Return the last status (message), its stamp [ns] and the correction of the gyro [rad/s] (3,).

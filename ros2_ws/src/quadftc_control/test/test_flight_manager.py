@@ -110,6 +110,14 @@ def test_lost_diagnosis_is_kept_with_gyro_bias_and_fault_and_the_fault_is_taken_
     assert np.max(np.abs(command.output.error)) < 1e-3  # not 0.05 rad, the fault of imu/data
 
 
+def test_gyro_bias_is_kept_as_the_observer_tells_it_if_it_does(flight):
+    flight.manager.take_bias(30 * PERIOD_NS, np.full(3, np.nan))
+    flight.manager.take_bias(20 * PERIOD_NS, 2.0 * BIAS)
+    for _ in range(3):
+        flight.next(corrected=False)
+    np.testing.assert_allclose(flight.manager.kept[0][2], -2.0 * BIAS)
+
+
 def test_while_the_fault_is_taken_off_its_size_is_published_twenty_times_a_second(flight):
     for _ in range(3):
         flight.next(corrected=False)

@@ -131,6 +131,20 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
         q_xyzw, body_rate = turn(corrected.q_xyzw, left[:3]), corrected.body_rate + left[3:]
         return estimate._replace(corrected=corrected._replace(q_xyzw=q_xyzw, body_rate=body_rate))
 
+    def gyro_bias(self, sample: ImuSample, estimate: FaultEstimate) -> Vector | None:
+        """Return what the body rate of a sample is off by [rad/s] (3,): its bias, and all of a gyro fault.
+
+        A new bias leaves the corrected rate little by little, so it cannot be seen there at first. None where
+        the sample has no body rate.
+        """
+        if not sanitised(sample).rate_valid:
+            return None
+        taken_off = sample.body_rate - estimate.corrected.body_rate
+        bias = None if self.state is None else self.law.bias_of(self.state)
+        if bias is None or estimate.sensors is None:
+            return taken_off if bias is None else bias
+        return np.where(np.isin(estimate.sensors.gyro.state, ALARMS), taken_off, bias)
+
     def report(self, stamp_ns: int, estimate: FaultEstimate) -> DiagnosisReport | None:
         """Return the report on a sample [ns]; None if none is due. Call it with every estimate."""
         report = report_faults(stamp_ns, watched_sensors(self.law, estimate))

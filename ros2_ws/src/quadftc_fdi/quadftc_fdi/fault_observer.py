@@ -55,7 +55,7 @@ class FaultObserver(VehicleLaw[FaultObserverInputs, FaultEstimate]):
         return self.init(without_fault(inputs, last.fault))
 
     def bias_of(self, state: Any) -> Vector | None:
-        """Return the gyro bias [rad/s] of a state; None: all of it is taken off the corrected rate."""
+        """Return the gyro bias [rad/s] of a state; None: it is what is taken off the corrected rate."""
         return None
 
     def describe(self, state: Any) -> dict[str, Vector]:

@@ -4,8 +4,8 @@
 Inputs: imu/data; torque/command (observer (16) of the paper needs the torque that acted), in free flight
 rotors/command, rotors/speed and position/data. In real time fault/kept and gyro/kept: restarted in flight,
 the node resumes where the one before has died.
-Outputs: imu/corrected, fault/estimate, fault/status; diagnosis at 10 Hz and at once on a change; in free
-flight rotors/status.
+Outputs: imu/corrected, fault/estimate, fault/status; diagnosis, in real time with gyro/bias, at 10 Hz and at
+once on a change; in free flight rotors/status.
 Services: ~/reset (std_srvs/Trigger). A sample whose stamp repeats or goes back is refused and counted.
 """
 
@@ -85,6 +85,7 @@ class FaultObserverNode(GraphNode):
             self.reads("torque/command", gate.put_command, decode=vector_of)
         self._kept: dict[str, Any] = {}
         if not self.lockstep:
+            self._publish_bias, self._gyro = self.publishes("gyro/bias"), VectorWire(self.imu_frame)
             self.reads("gyro/kept", partial(self._on_kept, "gyro"), decode=vector_of)
             self.reads("fault/kept", partial(self._on_kept, "fault"))
         self._estimate: FaultEstimate | None = None  # the last
@@ -191,6 +192,9 @@ class FaultObserverNode(GraphNode):
         report = self._diagnosis.report(stamp_ns, estimate)
         if report is not None:
             self._publish_report(self._report(report))
+            bias = None if self.lockstep else self._diagnosis.gyro_bias(sample, estimate)
+            if bias is not None:
+                self._publish_bias(self._gyro(stamp_ns, bias))
         if self._diagnosis.resumed > resumed:
             self.get_logger().info("resumes where a fault observer has died")
         if type(self._diagnosis.law) is not type(law):

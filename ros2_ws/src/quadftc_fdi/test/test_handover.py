@@ -206,6 +206,17 @@ def test_diagnosis_resumes_at_the_first_complete_sample_after_the_words():
     assert estimate.onset_age[0] == pytest.approx(4.0 + DT)
 
 
+@pytest.mark.parametrize("name", ["isolating", "none"])
+def test_gyro_bias_is_told_while_it_still_leaves_the_corrected_rate(name):
+    diagnosis, samples = Diagnosis(fault_observers.get(name)(vehicle=QBALL)), resting()
+    for k in range(500):  # 2 s; the bias is known after about one, and leaves the rate in two
+        sample = next(samples).imu
+        estimate = diagnosis.diagnose(FIRST_NS + k * PERIOD_NS, sample, np.zeros(3))
+    assert np.max(np.abs(sample.body_rate - estimate.corrected.body_rate - BIAS)) > 0.3 * DEG
+    told = BIAS if name == "isolating" else np.zeros(3)
+    np.testing.assert_allclose(diagnosis.gyro_bias(sample, estimate), told, atol=0.05 * DEG)
+
+
 def test_words_that_are_not_finite_are_dropped():
     diagnosis, samples = Diagnosis(Supervised(vehicle=QBALL)), resting()
     diagnosis.offer(FIRST_NS - 1_000_000_000, KEPT._replace(gyro_correction=np.full(3, np.nan)))

@@ -107,6 +107,8 @@ _ROWS = (
     _topic("rotors/fault", ROTOR_CONDITION, "fault_injector", "plant", "reliable", BASE_FRAME, FREE),
     _topic("rotors/status", ROTOR_STATUS, "fault_observer", "controller", "reliable", BASE_FRAME, FREE),
     _topic("control/status", CONTROL_STATUS, "controller", "", "reliable", BASE_FRAME),
+    # real time: what the body rate of imu/data is off by, as far as the observer knows
+    _topic("gyro/bias", VECTOR, "fault_observer", "controller", "reliable", IMU_FRAME),
     # real time: the last words of an observer that has fallen silent, for the one started in its place
     _topic("fault/kept", FAULT_STATUS, "controller", "fault_observer", "latched", IMU_FRAME),
     _topic("gyro/kept", VECTOR, "controller", "fault_observer", "latched", BASE_FRAME),
