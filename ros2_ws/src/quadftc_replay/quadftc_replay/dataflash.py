@@ -8,16 +8,16 @@ All is little-endian. A letter of a format is a type, of some with a factor; pym
 reader is not used: it ends a log at the first message it does not know, and decodes message by message.
 Source: ArduPilot, libraries/AP_Logger/LogStructure.h.
 
-The file is mapped, not read; of the messages that were asked for the places are kept, 8 bytes each. Behind
-bytes that make no message the next one is looked for. A message that has the beginning of another inside, and
-none behind it, is left out.
+The file is mapped, not read; of the messages that were asked for the places are kept, 8 bytes each, thinned
+out where there are too many. Behind bytes that make no message the next one is looked for. A message that has
+the beginning of another inside, and none behind it, is left out.
 """
 
 from __future__ import annotations
 
 import mmap
 import struct
-from array import array
+from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT
 
 from quadftc_bags.bag import BagError
+from quadftc_replay.thinning import Forgetting, Places
 
 HEAD = b"\xa3\x95"
 BEGIN = 3  # bytes before the fields
@@ -51,18 +52,19 @@ class _Format(NamedTuple):
     factors: Mapping[str, float]  # of fields that are numbers
 
 
-def read_dataflash(path: Path, names: Mapping[str, Collection[str]]) -> DataflashLog:
-    """Read messages of some names, of each some fields; BagError if the file holds no format."""
+def read_dataflash(
+    path: Path, names: Mapping[str, Collection[str]], instances: Collection[str] = ()
+) -> DataflashLog:
+    """Read messages of some names, of each some fields; BagError if the file holds no format.
+
+    ``instances`` are fields that tell sensors apart: too many messages are thinned out for each by itself.
+    """
     try:
         with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            scan = _Scan(data, {*names, PARAMETER})
+            scan = _Scan(data, {*names, PARAMETER}, instances)
             scan.run()
-            formats = {scan.formats[kind].name: kind for kind in scan.places}
-            messages = {
-                name: scan.gather(formats[name], names[name])
-                for name in names
-                if name in formats and len(scan.places[formats[name]])
-            }
+            formats = {scan.formats[kind].name: kind for kind, places in scan.places.items() if places}
+            messages = {name: scan.gather(formats[name], names[name]) for name in names if name in formats}
             parameters = scan.gather(formats[PARAMETER], PARAMETER_FIELDS) if PARAMETER in formats else {}
     except (OSError, ValueError) as error:
         raise BagError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
@@ -90,10 +92,11 @@ def _numpy_type(code: str) -> str:
 class _Scan:
     """Finds the messages, and counts the bytes that are none."""
 
-    def __init__(self, data: mmap.mmap, names: Collection[str]) -> None:
-        self.data, self.names = data, names
+    def __init__(self, data: mmap.mmap, names: Collection[str], instances: Collection[str]) -> None:
+        self.data, self.names, self.instances = data, names, instances
         self.formats: dict[int, _Format] = {}
-        self.places: dict[int, array[int]] = {}
+        self.places: dict[int, defaultdict[int, Places]] = {}  # type -> instance -> places
+        self._instance_at: dict[int, int] = {}  # type -> byte of a message that tells the instance
         self.skipped = self.gaps = self.left = self.wrong_formats = 0
         self._lengths = [0] * 256
         self._lengths[FORMAT_TYPE] = BEGIN + FORMAT.size
@@ -101,8 +104,10 @@ class _Scan:
     def run(self) -> None:
         """Go through the file."""
         data, lengths, places, size = self.data, self._lengths, self.places, len(self.data)
+        forgetting = Forgetting(data)
         at = end = 0
         while at + BEGIN <= size:
+            forgetting.passed(at)
             is_head = data[at] == HEAD[0] and data[at + 1] == HEAD[1]
             after = at + (lengths[data[at + 2]] if is_head else 0)
             if after == at or after > size or not self._is_followed(at, after, size):
@@ -113,7 +118,7 @@ class _Scan:
             self.gaps += at > end
             kind = data[at + 2]
             if kind in places:
-                places[kind].append(at)
+                places[kind][data[at + self._instance_at[kind]]].add(at)
             elif kind == FORMAT_TYPE:
                 self._learn(at)
             at = end = after
@@ -145,7 +150,9 @@ class _Scan:
         factors = {field: factor or 1.0 for field, (code, factor, _) in both if not code.endswith("s")}
         self.formats[kind], self._lengths[kind] = _Format(name, row, factors), length
         if name in self.names:
-            self.places[kind] = array("Q")
+            field = next((each for each in self.instances if each in fields), None)
+            self._instance_at[kind] = 0 if field is None else BEGIN + int(row.fields[field][1])  # type: ignore
+            self.places[kind] = defaultdict(Places)
 
     def notes(self) -> Iterator[str]:
         """Say what is wrong with the log."""
@@ -155,23 +162,31 @@ class _Scan:
             yield f"cut short or damaged: {self.left} bytes behind the last message; left out"
         if self.wrong_formats:
             yield f"{self.wrong_formats} formats of messages make no sense; left out"
+        for kind, instances in self.places.items():
+            for number, places in instances.items():
+                name = self.formats[kind].name
+                yield from places.thinning.notes(f"{name} {number}" if self._instance_at[kind] else name)
 
     def gather(self, kind: int, fields: Collection[str]) -> dict[str, NDArray[Any]]:
         """Copy fields of a type of message out of the file, block by block; numbers with their factors."""
         row, factors = self.formats[kind].row, self.formats[kind].factors
-        places = np.frombuffer(self.places[kind], np.uint64).astype(np.int64)
+        each_at = [np.frombuffer(places.at, np.uint64) for places in self.places[kind].values()]
+        places = np.sort(np.concatenate(each_at)).astype(np.int64)
         view = np.frombuffer(self.data, np.uint8)
         span = np.arange(BEGIN, BEGIN + row.itemsize)
         there = [field for field in fields if field in (row.names or ())]
         columns: dict[str, NDArray[Any]] = {
-            field: np.empty(len(places), np.float64 if field in factors else row[field]) for field in there
+            field: np.empty(len(places), row[field] if factors.get(field, 1.0) == 1.0 else np.float64)
+            for field in there
         }
+        forgetting = Forgetting(self.data)
         for first in range(0, len(places), BLOCK):
             block = slice(first, first + BLOCK)
             table = np.ascontiguousarray(view[places[block, None] + span]).view(row)[:, 0]
             with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
                 for field in there:
                     columns[field][block] = table[field]
+            forgetting.passed(int(places[min(first + BLOCK, len(places)) - 1]))
         del view  # else the map could not be closed
         for field in there:
             if (factor := factors.get(field, 1.0)) != 1.0:

@@ -77,7 +77,7 @@ def recording_from_ulog(path: Path, topic: str = "", skip_backwards: bool = Fals
         imu=samples,
         torque=np.zeros((len(rate), 3)),
         rejected=kept.rejected,
-        warnings=(*damage, *kept.warnings, *absences, *jumps),
+        warnings=(*damage, *(f"{path}: {note}" for note in log.notes), *kept.warnings, *absences, *jumps),
     )
 
 

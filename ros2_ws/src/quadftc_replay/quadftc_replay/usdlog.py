@@ -17,7 +17,6 @@ from __future__ import annotations
 import mmap
 import struct
 import zlib
-from array import array
 from collections.abc import Container, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
+from quadftc_replay.thinning import Forgetting, Places
 
 MAGIC = 0xBC
 TIMES = {1: ("I", 1_000_000), 2: ("Q", 1000)}  # version -> type of a time, its unit [ns]
@@ -86,22 +86,25 @@ def _read(data: bytes | mmap.mmap, path: Path, wanted: Container[str] | None) ->
     events = header.events()
     is_whole = _check_sum(data) == int.from_bytes(data[-CHECK_SUM:], "little")
     rows = _Rows(data, events, header, len(data) - CHECK_SUM if is_whole else len(data), is_whole)
-    places = {key: array("Q") for key in events}
-    end = header.at
+    places = {key: Places() for key in events}
+    end, forgetting = header.at, Forgetting(data)
     for key, at in rows:
-        places[key].append(at)
+        forgetting.passed(at)
+        places[key].add(at)
         end = at + events[key].row.itemsize
     read = {
         event.name: _columns(data, places[key], event, header.unit_ns, wanted)
         for key, event in events.items()
     }
-    return UsdLog(read, tuple(_damage(path, is_whole, rows, len(data) - end)))
+    thinned = [note for key, event in events.items() for note in places[key].thinning.notes(event.name)]
+    return UsdLog(read, (*_damage(path, is_whole, rows, len(data) - end), *thinned))
 
 
 def _check_sum(data: bytes | mmap.mmap) -> int:
     """CRC-32 of all but the last bytes, block by block."""
-    total = 0
+    total, forgetting = 0, Forgetting(data)
     for first in range(0, len(data) - CHECK_SUM, BLOCK):
+        forgetting.passed(first)
         total = zlib.crc32(data[first : min(first + BLOCK, len(data) - CHECK_SUM)], total)
     return total
 
@@ -235,19 +238,21 @@ class _Rows:
 
 def _columns(
     data: bytes | mmap.mmap,
-    places: array[int],
+    places: Places,
     event: _Event,
     unit_ns: int,
     wanted: Container[str] | None,
 ) -> EventRows:
     """Gather the rows of an event, block by block."""
     names = {name: f"f{k}" for k, name in enumerate(event.variables, 2) if wanted is None or name in wanted}
-    stamp_ns = np.empty(len(places), np.int64)
-    columns = {name: np.empty(len(places), event.row[field]) for name, field in names.items()}
+    rows, forgetting = places.at, Forgetting(data)
+    stamp_ns = np.empty(len(rows), np.int64)
+    columns = {name: np.empty(len(rows), event.row[field]) for name, field in names.items()}
     size, step = event.row.itemsize, max(BLOCK // event.row.itemsize, 1)
-    for first in range(0, len(places), step):
+    for first in range(0, len(rows), step):
         block = slice(first, first + step)
-        table = np.frombuffer(b"".join([data[at : at + size] for at in places[block]]), event.row)
+        forgetting.passed(rows[first])
+        table = np.frombuffer(b"".join([data[at : at + size] for at in rows[block]]), event.row)
         stamp_ns[block] = table["f1"].astype(np.int64) * unit_ns
         for name, field in names.items():
             columns[name][block] = table[field]

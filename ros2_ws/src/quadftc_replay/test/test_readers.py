@@ -9,6 +9,7 @@ import pytest
 
 from quadftc_bags.bag import BagError
 from quadftc_model.rotations import euler_from_quaternion
+from quadftc_replay import thinning
 from quadftc_replay.flight_log import FlightLog
 from quadftc_replay.readers import read_log
 from quadftc_replay.readers.crazyflie import distribute
@@ -123,6 +124,27 @@ def test_damaged_real_log_is_read_or_refused_in_one_line(tmp_path, name):
             problem = str(error)
         assert "\n" not in problem
         assert not problem or problem.startswith(str(path))
+
+
+@needs_data
+@pytest.mark.parametrize(
+    ("name", "most"),
+    [
+        ("px4/motor_failure.ulg", 128),
+        ("crazyflie/crazyswarm2/log104", 256),
+        ("broad/10_slow_translation_a/10_slow_translation_a_0.mcap", 2**15),
+    ],
+)
+def test_long_log_is_thinned_out_and_says_so(name, most, monkeypatch):
+    whole = read_log(DATA / name).gyros[""]
+    monkeypatch.setattr(thinning, "MOST", most)
+    log = read_log(DATA / name)
+    few = log.gyros[""]
+    assert most // 2 <= len(few) <= most
+    stride = round(len(whole) / len(few))
+    np.testing.assert_array_equal(few.value, whole.value[::stride])
+    np.testing.assert_allclose(np.diff(few.time), np.diff(whole.time[::stride]), atol=1e-9)
+    assert any(f"one in {stride} was read" in note for note in log.notes)
 
 
 def test_damaged_parameters_are_left_out():

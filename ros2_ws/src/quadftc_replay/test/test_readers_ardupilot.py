@@ -11,6 +11,7 @@ from pymavlink.DFReader import DFReader_binary
 
 from quadftc_bags.bag import BagError
 from quadftc_model.rotations import euler_from_quaternion
+from quadftc_replay import thinning
 from quadftc_replay.dataflash import read_dataflash
 from quadftc_replay.readers import read_log
 from quadftc_replay.readers.ardupilot import group_reports
@@ -123,6 +124,15 @@ def test_units_axes_and_motors_are_those_of_the_interface(path):
     assert log.rotor_yaw_signs is not None
     assert np.sign(log.rotor_positions).tolist() == [[1, -1], [-1, 1], [1, 1], [-1, -1]]
     assert log.rotor_yaw_signs.tolist() == [-1.0, -1.0, 1.0, 1.0]
+
+
+def test_long_log_is_thinned_out_sensor_by_sensor(path, monkeypatch):
+    whole = read_log(path).gyros
+    monkeypatch.setattr(thinning, "MOST", 64)
+    few = read_log(path)
+    for name in ("", "1"):
+        np.testing.assert_array_equal(few.gyros[name].value, whole[name].value[::4])
+    assert "IMU 1: long; of 200 samples one in 4 was read" in few.notes
 
 
 def test_reports_of_escs_at_other_times_are_other_samples():

@@ -26,6 +26,7 @@ LIMIT_RUNS = 2  # how many such runs
 LEVELS = 100  # different readings that a sensor has below a limit
 ABSENT = 0.2  # s
 OTHERS_GO_ON = 0.6  # 1; share of the samples that the other sensors have meanwhile
+SLOWEST = 50.0  # Hz; between slower samples motion looks like noise
 WINDOW = 0.25  # s; of the noise
 CALM = 0.3  # 1; quantile of the noise in flight that is the usual one
 NOISY = 6.0  # times the usual noise
@@ -157,7 +158,7 @@ def noise_findings(
     flight: Flight, component: str, sensor: Signal, names: tuple[str, ...], unit: str
 ) -> Iterator[Found]:
     """Say when one axis gets noisy and the others do not."""
-    if len(sensor) < 500 or sensor.rate < 20.0:
+    if len(sensor) < 500 or sensor.rate < SLOWEST:
         return
     level, lasts = (NOISY, NOISE_LASTS) if flight.phases_known else (HANDLED * NOISY, HANDLED * NOISE_LASTS)
     noise = moving_noise(sensor)

@@ -44,6 +44,7 @@ FIT = 6.0  # 1; sum of squares that a rotor may leave, over what sigma and the g
 LEAST, MOST = 0.3, 1.8  # 1; of the rotor's thrust: less is not seen for sure, more is something else
 AHEAD = 1.5  # times: what it has to explain more than the next rotor
 REMAINS = 0.5  # 1; of the share, that has to stay
+PIECE = 2**16  # bins
 
 
 class Loss(NamedTuple):
@@ -144,7 +145,17 @@ class Compared(NamedTuple):
 
 
 def _compare(change: Floats, sigma: Floats, effect: Floats) -> Compared:
-    """Compare changes (n, c) with the effects of the rotors (n, rotors, c)."""
+    """Compare changes (n, c) with the effects of the rotors (n, rotors, c), piece by piece for memory."""
+    pieces = [slice(first, first + PIECE) for first in range(0, len(change), PIECE)]
+    return Compared(
+        *map(
+            np.concatenate,
+            zip(*(_compare_piece(change[k], sigma[k], effect[k]) for k in pieces), strict=True),
+        )
+    )
+
+
+def _compare_piece(change: Floats, sigma: Floats, effect: Floats) -> Compared:
     along = np.einsum("nrc,nc->nr", effect, change / sigma**2)
     power = np.einsum("nrc,nc->nr", effect**2, 1.0 / sigma**2)
     explained = np.where(along > 0.0, along**2 / np.maximum(power, 1e-12), 0.0)

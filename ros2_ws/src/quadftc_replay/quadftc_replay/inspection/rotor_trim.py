@@ -97,8 +97,8 @@ def trim_of(flight: Flight) -> Trim | None:
     usual = float(np.median(mean[steady]))
     steady &= np.abs(mean - usual) < STEADY * usual
     shares = sensor.value / np.maximum(mean, 1e-9)[:, None]
-    blocks = np.floor(sensor.time / BLOCK).astype(int)
-    means = [shares[steady & (blocks == b)].mean(axis=0) for b in np.unique(blocks[steady])]
+    starts = np.flatnonzero(np.diff(np.floor(sensor.time[steady] / BLOCK), prepend=-1.0))
+    means = [part.mean(axis=0) for part in np.split(shares[steady], starts)[1:]]
     if len(means) < LEAST:
         return None
     return Trim(np.array(means))

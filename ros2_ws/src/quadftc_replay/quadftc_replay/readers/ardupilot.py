@@ -81,7 +81,7 @@ FRAMES = {0: "plus", 3: "h", 6: "plus reversed"} | _X
 
 def read(path: Path) -> FlightLog:
     """Read a log; BagError if it is none, or if nothing in it can be used."""
-    log = read_dataflash(path, NAMES)
+    log = read_dataflash(path, NAMES, INSTANCES)
     signals = Signals(path, FORMAT)
     signals.notes += log.notes
     for field, (fast, fields) in SENSORS.items():
@@ -148,7 +148,7 @@ def _add_sensors(
 def _add_states(signals: Signals, messages: Mapping[str, Table]) -> None:
     """Add attitude, position, velocity, rates and torques, magnetometer and battery."""
     if table := _first(messages.get("ATT"), "Roll", "Pitch", "Yaw"):
-        roll, pitch, yaw = (DEGREE * table[name] for name in ("Roll", "Pitch", "Yaw"))
+        roll, pitch, yaw = DEGREE * columns(table, ("Roll", "Pitch", "Yaw")).T
         angles = np.stack([roll, -pitch, math.pi / 2 - yaw], axis=-1)
         signals.add("attitude", _stamps(table), quaternion_from_euler(angles), "ATT")
     for name in ESTIMATES:
@@ -236,7 +236,7 @@ def _add_speeds(signals: Signals, messages: Mapping[str, Table], motors: Mapping
     stamps, key = _stamps(table), next(name for name in INSTANCES if name in table)
     motor = np.array([motors.get(int(output), -1) for output in table[key].tolist()])
     used = np.flatnonzero(motor >= 0)
-    stamps, motor, speed = stamps[used], motor[used], np.abs(RPM * table["RPM"][used])
+    stamps, motor, speed = stamps[used], motor[used], RPM * np.abs(columns(table, ["RPM"])[used, 0])
     rows = group_reports(stamps, motor)
     if not len(rows) or not np.any(speed):
         return

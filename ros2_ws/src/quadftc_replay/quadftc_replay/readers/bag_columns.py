@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from quadftc_bags.bag import Bag, BagError, TopicInfo
 from quadftc_bags.storage import is_sqlite, read_records, read_sqlite, storage_files
+from quadftc_replay.thinning import Thinning
 
 SQLITE = b"SQLite format 3\0"
 BLOCK = 16384  # messages decoded at a time
@@ -28,14 +29,19 @@ class ColumnTopic(TopicInfo):
     """A topic that keeps columns, and only the messages of the present block."""
 
     choose: Choose = dict
-    blocks: list[Columns] = field(default_factory=list[Columns])
+    blocks: list[dict[str, NDArray[Any]]] = field(default_factory=list[dict[str, NDArray[Any]]])
     damaged: int = 0  # messages that could not be decoded
+    thinning: Thinning = field(default_factory=Thinning)
 
     def add(self, log_time: int, publish_time: int, data: memoryview, *, keep: bool) -> None:
         """Take a message, and decode the block when it is full."""
-        super().add(log_time, publish_time, data, keep=keep)
+        super().add(log_time, publish_time, data, keep=keep and self.thinning.keeps())
         if len(self.messages) >= BLOCK:
             self.settle()
+            if self.thinning.is_full():
+                self.blocks = [
+                    {name: values[::2].copy() for name, values in block.items()} for block in self.blocks
+                ]
 
     def settle(self) -> None:
         """Decode the messages that wait; what cannot be decoded is counted."""
@@ -47,7 +53,7 @@ class ColumnTopic(TopicInfo):
         self.messages.clear()
         del self.log_times[:], self.publish_times[:]
 
-    def _decode_block(self) -> Columns:
+    def _decode_block(self) -> dict[str, NDArray[Any]]:
         with np.errstate(invalid="ignore"):  # damaged bytes may be a signalling NaN
             fields = self.decode()
         log_ns = np.array(self.log_times, np.int64)
@@ -57,8 +63,8 @@ class ColumnTopic(TopicInfo):
     def columns(self) -> dict[str, NDArray[Any]]:
         """All that was decoded, in the order of recording; empty: nothing."""
         self.settle()
-        names = self.blocks[0].keys() if self.blocks else ()
-        whole = {name: np.concatenate([block[name] for block in self.blocks]) for name in names}
+        names = list(self.blocks[0]) if self.blocks else []
+        whole = {name: np.concatenate([block.pop(name) for block in self.blocks]) for name in names}
         if whole and bool(np.any(np.diff(whole["log_ns"]) < 0)):
             order = np.argsort(whole["log_ns"], kind="stable")
             whole = {name: values[order] for name, values in whole.items()}

@@ -61,7 +61,9 @@ def _part(*names: str) -> Choose:
 
     def choose(fields: Columns) -> Columns:
         kept = {name: fields[name] for name in names}
-        return {name: values[:, 0] if "covariance" in name else values for name, values in kept.items()}
+        return {
+            name: values[:, 0].copy() if "covariance" in name else values for name, values in kept.items()
+        }
 
     return choose
 
@@ -126,10 +128,11 @@ class _Topics:
         self.data: dict[str, Columns] = {}
         names = [f"/{name.strip('/')}" for name in bag.topics]
         for name, topic in bag.topics.items():
-            columns = cast("ColumnTopic", topic).columns()
-            if topic.count and cast("ColumnTopic", topic).damaged:
-                damaged = cast("ColumnTopic", topic).damaged
-                notes.append(f"{name}: {damaged} of {topic.count} messages cannot be decoded; left out")
+            topic = cast("ColumnTopic", topic)
+            columns = topic.columns()
+            if topic.damaged:
+                notes.append(f"{name}: {topic.damaged} of {topic.count} messages cannot be decoded; left out")
+            notes += topic.thinning.notes(name)
             if columns and not _is_beside(f"/{name.strip('/')}", names):
                 self.kinds[name], self.data[name] = topic.type_name, columns
 

@@ -40,6 +40,7 @@ from quadftc_model.stepper import NANOSECONDS_PER_SECOND
 from quadftc_replay.flight_log import FlightLog, Floats
 from quadftc_replay.readers.layouts import Layout, frame_layout
 from quadftc_replay.readers.signals import Signals, Stamps, columns, rate_of, sound, thrust_of_throttle
+from quadftc_replay.thinning import Messages
 
 FORMAT = "PX4 ULog"
 Dataset = Mapping[str, NDArray[Any]]  # field, elements as name[k] -> (n,)
@@ -78,6 +79,7 @@ class Contents(NamedTuple):
     data: dict[tuple[str, int], Dataset]  # topic and instance, with a sample or more
     parameters: Mapping[str, float]
     corrupt: bool
+    notes: tuple[str, ...]  # one line each
 
     def get(self, topic: str, instance: int = 0) -> Dataset | None:
         """Samples of a topic."""
@@ -92,6 +94,7 @@ def read(path: Path) -> FlightLog:
     """Read a log; BagError if it is none, or if nothing in it can be used."""
     log = read_contents(path)
     signals = Signals(path, FORMAT)
+    signals.notes += log.notes
     if log.corrupt:
         signals.notes.append("damaged; read what makes sense")
     _add_main(signals, log, "gyros", GYROS)
@@ -114,9 +117,19 @@ def read_contents(path: Path, topics: Sequence[str] = TOPICS) -> Contents:
     """Read some topics; BagError if the file is no log."""
     from pyulog import ULog  # takes its time, and is needed here only
 
+    buffers: dict[str, Messages] = {}
+
+    class Thinned(ULog):
+        """The library's reader, which keeps no more messages of a topic than make sense."""
+
+        class _MessageAddLogged(ULog._MessageAddLogged):
+            def __init__(self, *content: Any) -> None:
+                super().__init__(*content)
+                self.buffer = buffers[f"{self.message_name}[{self.multi_id}]"] = Messages()
+
     try:
         with path.open("rb") as stream, contextlib.redirect_stdout(io.StringIO()):  # the library prints
-            log = ULog(stream, list(topics))
+            log = Thinned(stream, list(topics))
     except OSError as error:
         raise BagError(f"{path}: {error.strerror or error}") from None
     except Exception as error:  # whatever the library makes of bytes that are no log
@@ -124,7 +137,8 @@ def read_contents(path: Path, topics: Sequence[str] = TOPICS) -> Contents:
         raise BagError(f"{path}: not a PX4 log (ULog): {words}") from None
     filled = [each for each in log.data_list if len(each.data.get("timestamp", ()))]
     data = {(each.name, each.multi_id): each.data for each in filled}
-    return Contents(data, sound(log.initial_parameters), log.file_corruption)
+    notes = tuple(note for name, each in buffers.items() for note in each.thinning.notes(name))
+    return Contents(data, sound(log.initial_parameters), log.file_corruption, notes)
 
 
 def stamps_of(data: Dataset) -> Stamps:
