@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from geometry_msgs.msg import Vector3
 from sensor_msgs.msg import Imu
 
 from quadftc_fdi.fault_observer import fault_observers
@@ -19,6 +20,15 @@ from quadftc_model.rotations import euler_from_quaternion
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
+# fields of px4_msgs (PX4, BSD-3) that the bridge may use: main of 2026-07-23, and release/1.15 to 1.18
+PX4 = {
+    "VehicleAttitude": ("timestamp", "timestamp_sample", "q", "delta_q_reset", "quat_reset_counter"),
+    "SensorCombined": ("timestamp", "gyro_rad", "accelerometer_timestamp_relative", "accelerometer_m_s2"),
+    "VehicleTorqueSetpoint": ("timestamp", "timestamp_sample", "xyz"),
+    "VehicleThrustSetpoint": ("timestamp", "timestamp_sample", "xyz"),
+    "OffboardControlMode": ("timestamp", "attitude", "body_rate", "thrust_and_torque", "direct_actuator"),
+    "ManualControlSetpoint": ("timestamp", "timestamp_sample", "valid", "throttle", "sticks_moving"),
+}
 FLY = """
 import matplotlib.pyplot as plt
 import numpy as np
@@ -79,6 +89,50 @@ def test_autopilots_say_the_same_of_a_vehicle_that_rolls_right_and_looks_north()
     other = loaded(EXAMPLES / "on_your_vehicle" / "ardupilot_imu.py").sample_of(message, w_first=True)
     for one, two in zip(sample, other, strict=True):
         assert np.allclose(one, two)
+
+
+def test_px4_bridge_uses_only_fields_that_px4_has(monkeypatch):
+    """The node on messages that know no other field; what it sends is there, and within its limits."""
+    sent, heard, given = [], {}, {"vehicle": "x500", "limit": 0.2, "thrust_limit": 0.8}
+    kinds = {name: px4_message(name, fields) for name, fields in PX4.items()}
+    monkeypatch.setitem(sys.modules, "px4_msgs", SimpleNamespace(msg=SimpleNamespace(**kinds)))
+    bridge = loaded(EXAMPLES / "on_your_vehicle" / "px4_bridge.py")
+
+    class Node:
+        def __init__(self, name): ...
+        def declare_parameter(self, name, default): ...
+        def get_parameter(self, name):
+            return SimpleNamespace(value=given[name])
+
+        def create_publisher(self, kind, topic, qos):
+            return SimpleNamespace(msg_type=kind, publish=lambda message: sent.append((topic, message)))
+
+        def create_subscription(self, kind, topic, callback, qos):
+            heard[topic] = lambda **fields: callback(kind(**fields))
+
+        def get_clock(self):
+            return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=5_000))
+
+    bridge.Px4Bridge.__bases__ = (Node,)
+    bridge.Px4Bridge()
+    heard["/fmu/out/sensor_combined"](timestamp=1_000, gyro_rad=np.zeros(3), accelerometer_m_s2=np.ones(3))
+    heard["/fmu/out/vehicle_attitude"](timestamp_sample=1_000, q=np.array([1.0, 0.0, 0.0, 0.0]))
+    heard["/fmu/out/manual_control_setpoint"](throttle=0.0)
+    heard["torque/command"](vector=Vector3(x=9.0, y=0.0, z=0.0))
+    (imu, _), (_, mode), (_, thrust), (_, torque) = sent
+    assert (imu, mode.thrust_and_torque, mode.timestamp) == ("imu/data", True, 5)
+    assert [*thrust.xyz, *torque.xyz] == pytest.approx([0.0, 0.0, -0.5, 0.2, 0.0, 0.0])
+
+
+def px4_message(name, fields):
+    """Make a class with these fields and no others, zero until they are given."""
+
+    def start(message, **given):
+        for field in fields:
+            setattr(message, field, given.pop(field, 0))
+        assert not given
+
+    return type(name, (), {"__slots__": fields, "__init__": start})
 
 
 def test_thrust_follows_the_stick_within_its_limit():

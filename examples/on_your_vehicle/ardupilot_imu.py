@@ -8,10 +8,12 @@ At the first sample the vehicle stands still: if gravity and attitude disagree, 
 
 from __future__ import annotations
 
+import contextlib
 import math
 
 import numpy as np
 import rclpy
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu
@@ -54,5 +56,6 @@ class ArduPilotImu(Node):
 
 
 if __name__ == "__main__":
-    rclpy.init()
-    rclpy.spin(ArduPilotImu())
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.init()
+        rclpy.spin(ArduPilotImu())

@@ -9,11 +9,13 @@ docs/on_your_vehicle.md names. It neither arms nor changes the mode: the pilot d
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any
 
 import numpy as np
 import rclpy
 from geometry_msgs.msg import Vector3Stamped
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import Imu
@@ -92,5 +94,6 @@ class Px4Bridge(Node):
 
 
 if __name__ == "__main__":
-    rclpy.init()
-    rclpy.spin(Px4Bridge())
+    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+        rclpy.init()
+        rclpy.spin(Px4Bridge())
