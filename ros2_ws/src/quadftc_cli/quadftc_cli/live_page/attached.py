@@ -37,6 +37,7 @@ def page_of_running(graph: LiveGraph) -> dict[str, Any]:
         "plant": plant,
         "namespace": graph.namespace,
         "home": _home(graph, plant) if source == "topic" else None,
+        "simulated": bool(graph.namespaces("fault_injector/inject")),
     }
 
 

@@ -63,6 +63,7 @@ class Flown:
     plant: str  # test_stand or free_flight
     namespace: str
     home: tuple[float, ...] | None  # live setpoint to begin with, in SI; None: the scenario's is followed
+    simulated: bool = True  # with plant and fault injector; False: a vehicle that exists
 
 
 def add_page(app: FastAPI, picture: Picture, commander: Commander, flown: Flown) -> None:
@@ -90,7 +91,8 @@ class _Page:
                 self._legend()
             with ui.element("div").classes("side"):
                 self._components()
-                self._faults()
+                if flown.simulated:
+                    self._faults()
                 if flown.home is not None:
                     self._setpoints()
             with ui.element("div").classes("lower"):
@@ -105,7 +107,8 @@ class _Page:
             ui.label(self._flown.title).classes("title")
             ui.label(self._flown.parts).classes("parts")
             ui.element("div").classes("space")
-            for name in ("time", "rate", "lost", "behind", "mode"):
+            of_plant = ("lost", "behind") if self._flown.simulated else ()
+            for name in ("time", "rate", *of_plant, "mode"):
                 self._shown[name] = ui.label().classes("number").props(f'data-show="{name}"')
 
     def _legend(self) -> None:
@@ -221,12 +224,13 @@ class _Page:
         self._set("warnings", "\n".join(shown[:3]))
         self._set("time", "flight ended" if picture.over else f"{picture.time:.1f} s")
         self._set("rate", f"{picture.value('controller', 'timing', 'rate_hz') or '-'} Hz")
-        self._set("lost", f"{picture.value('plant', 'flight', 'without_torque') or '0'} without torque")
-        behind = picture.value("plant", "flight", "behind_s")
-        self._set("behind", f"{1e3 * float(behind or 0.0):.0f} ms behind")
         self._set("mode", f"controller: {picture.mode()}")
         self._show_angles()
-        self._list_injected()
+        if self._flown.simulated:
+            self._set("lost", f"{picture.value('plant', 'flight', 'without_torque') or '0'} without torque")
+            behind = picture.value("plant", "flight", "behind_s")
+            self._set("behind", f"{1e3 * float(behind or 0.0):.0f} ms behind")
+            self._list_injected()
 
     def _show_angles(self) -> None:
         """Say what the angle of the axis that the charts show is."""

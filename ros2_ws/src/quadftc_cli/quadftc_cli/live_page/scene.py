@@ -81,6 +81,8 @@ class VehicleScene:
         """Put everything where it is now; ``reference`` is the position to be at, None: there is none."""
         latest = self._picture.latest
         attitudes, place = latest.attitudes(), latest.position() + self._lift
+        if "truth" not in attitudes and "corrected" in attitudes:  # on a vehicle that exists
+            attitudes["truth"] = attitudes["corrected"]
         for role, group in self._groups.items():
             group.visible(role in attitudes)
             if role in attitudes:
