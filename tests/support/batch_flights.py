@@ -2,13 +2,20 @@
 
 import dataclasses
 
+import jax
 import numpy as np
 import pytest
 
+from quadftc_campaign.batch.compiled import take
 from quadftc_campaign.batch.engine import Engine
+from quadftc_campaign.batch.inputs import InputSource
+from quadftc_campaign.batch.loop_step import ClosedLoop, may_start_late
 from quadftc_campaign.batch.records import fault_records, flight_record
+from quadftc_campaign.batch.tally import Outcome, schedule_of, update_tally
+from quadftc_campaign.flights import parts_of
 from quadftc_flight.flight import NO_STATE, VECTORS, onset_ns, unknown_flight
 from quadftc_flight.metrics import flight_metrics, look_up
+from quadftc_model.stepper import seconds
 from quadftc_sim.assembly import EPOCH_NS
 
 AGREE = 1e-9  # in SI
@@ -45,6 +52,29 @@ def traced(parts, scenarios, engine=None):
     outcomes = (engine or Engine()).fly(parts, events, traced=True)
     pairs = zip(outcomes, parts, strict=True)
     return [(outcome, flight_of(outcome.trace, one.loop.period_ns)) for outcome, one in pairs]
+
+
+def stepped(scenario, scheme=None):
+    """Outcome and flight of the batch's step in NumPy, which takes no compiling."""
+    one = parts_of(scenario, scheme)
+    loop, rotors = one.loop, one.loop.plant.command_size if one.loop.plant.flies else 0
+    schedule = schedule_of([(*scenario.fault_events, *scenario.rotor_events)], rotors)
+    source = InputSource([one], np.dtype(float))
+    inputs, times = source.next(loop.count)
+    first, inputs, schedule = take((source.first, inputs, schedule), 0, axis=-1)
+    given = [take((inputs, times), row) for row in range(loop.count)]
+    closed, begun = ClosedLoop(loop, may_start_late(loop)), loop.sensor.delay + 1
+    state, row = closed.begin(first, given[:begun])
+    rows, tally = [row], update_tally(None, row, schedule)
+    for each in given[begun:]:
+        state, row = closed.step(state, *each)
+        rows.append(row)
+        tally = update_tally(tally, row, schedule)
+    period = seconds(loop.period_ns)
+    marks = {**tally.ever, **tally.largest, **tally.smallest, **tally.last}
+    trace = jax.tree.map(lambda *leaves: np.stack(leaves), *rows)
+    span = (loop.count - begun) * period
+    return Outcome(tally.sums, marks, span, period, None, trace), flight_of(trace, loop.period_ns)
 
 
 def assert_same_flight(flight, expected, rtol=0.0):

@@ -1,13 +1,10 @@
 """In free flight, too, the batch engine flies what the closed loop flies."""
 
-import jax
 import numpy as np
 import pytest
-from batch_flights import assert_same_flight, assert_same_metrics, flight_of, traced
+from batch_flights import assert_same_flight, assert_same_metrics, stepped, traced
 
 from quadftc_campaign.batch.engine import Engine
-from quadftc_campaign.batch.inputs import InputSource
-from quadftc_campaign.batch.loop_step import ClosedLoop
 from quadftc_campaign.flights import parts_of
 from quadftc_flight.closed_loop import fly
 from quadftc_flight.scenario import build_scenario, parse_scenario
@@ -38,26 +35,6 @@ def free(observer="none", **changes):
     scenario = parse_scenario(FREE, overrides=[f"schemes.tested.observer={observer}"])
     changed = {(key,): value for key, value in changes.items()}
     return build_scenario(scenario.document.replaced(changed, "test")) if changed else scenario
-
-
-def flown_step_by_step(scenario):
-    """The flight of the batch's step in NumPy, which takes no compiling."""
-    one = parts_of(scenario)
-    loop = one.loop
-    source = InputSource([one], np.dtype(float))
-    inputs, times = source.next(loop.count)
-    given = [
-        jax.tree.map(lambda array, row=row: array[row], (jax.tree.map(lambda a: a[..., 0], inputs), times))
-        for row in range(loop.count)
-    ]
-    closed = ClosedLoop(loop, any(fault.channel == "imu" for fault in loop.injections))
-    first = loop.sensor.delay + 1
-    state, row = closed.begin(jax.tree.map(lambda array: array[..., 0], source.first), given[:first])
-    rows = [row]
-    for each in given[first:]:
-        state, row = closed.step(state, *each)
-        rows.append(row)
-    return flight_of(jax.tree.map(lambda *leaves: np.stack(leaves), *rows), loop.period_ns)
 
 
 @pytest.mark.thorough
@@ -94,7 +71,7 @@ def test_a_step_is_that_of_the_closed_loop(changes):
     """With an observer of all sensors, late positions, withheld samples, faulty rotors, measured speeds."""
     scenario = free(**changes)
     flight = fly(scenario)
-    assert_same_flight(flown_step_by_step(scenario), flight)
+    assert_same_flight(stepped(scenario)[1], flight)
     assert bool(np.any(flight.rotor_state == FAULTY)) == (WEAK in changes.get("faults", ()))
 
 

@@ -59,6 +59,9 @@ ALIKE = "\n".join(
 )
 
 
+SIZE = 3  # flights of a chunk; the same everywhere, as another number is compiled again
+
+
 @pytest.fixture
 def campaign(tmp_path):
     return written(tmp_path, CAMPAIGN)
@@ -235,27 +238,27 @@ def test_a_row_says_what_the_flight_alone_says(campaign):
             )
 
 
-def flown_alone(campaign, size):
+def flown_alone(campaign):
     """Return the table of a campaign that this process flies, without a worker."""
-    table = table_of([row for chunk in chunks_of(campaign, size) for row in fly_chunk(campaign, chunk)])
+    table = table_of([row for chunk in chunks_of(campaign, SIZE) for row in fly_chunk(campaign, chunk)])
     return table.sort("flight", "variant", "fault")
 
 
 @pytest.mark.thorough
 def test_results_with_two_workers_are_those_without(alike, tmp_path):
-    run = CampaignRun(alike, tmp_path / "out", size=3)
+    run = CampaignRun(alike, tmp_path / "out", SIZE)
     extent = run.open(resume=False)
     assert (extent.chunks, extent.missing) == (4, 4)
     seen = []
     run.fly(None, 2, seen.append)
     frame, summary = run.finish()
-    assert frame.equals(flown_alone(alike, 3))
+    assert frame.equals(flown_alone(alike))
     assert json.loads((tmp_path / "out" / "summary.json").read_text()) == json.loads(json.dumps(summary))
     assert sum(seen) <= extent.samples
 
 
 def test_a_worker_that_is_killed_in_the_middle_loses_nothing(alike):
-    chunks = chunks_of(alike, size=2)
+    chunks = chunks_of(alike, SIZE)
     expected = {place: fly_chunk(alike, chunk) for place, chunk in enumerate(chunks)}
     killed = threading.Event()
     with cluster_client(None, 2) as client:
@@ -303,7 +306,7 @@ def cluster(tmp_path):
 def test_a_cluster_that_exists_flies_the_same_with_a_worker_killed(alike, tmp_path, cluster):
     """Workers started by hand: one is killed in the middle, the other does its chunks again."""
     address, workers = cluster
-    run = CampaignRun(alike, tmp_path / "out", size=2)
+    run = CampaignRun(alike, tmp_path / "out", SIZE)
     run.open(resume=False)
     killed = threading.Event()
 
@@ -316,24 +319,24 @@ def test_a_cluster_that_exists_flies_the_same_with_a_worker_killed(alike, tmp_pa
     run.fly(address, 1, kill_once, said.append)
     frame, _ = run.finish()
     assert killed.is_set()
-    assert frame.equals(flown_alone(alike, 2))
+    assert frame.equals(flown_alone(alike))
     assert said
     assert "cpu" in said[0]
 
 
 def test_a_campaign_goes_on_where_it_was_and_ends_the_same(alike, tmp_path):
-    whole = CampaignRun(alike, tmp_path / "whole", size=3)
+    whole = CampaignRun(alike, tmp_path / "whole", SIZE)
     whole.open(resume=False)
     whole.fly(None, 1, lambda samples: None)
     expected, _ = whole.finish()
-    assert expected.equals(flown_alone(alike, 3))
+    assert expected.equals(flown_alone(alike))
     chunks = sorted((tmp_path / "whole" / "chunks").iterdir())
     broken = tmp_path / "broken"
-    CampaignRun(alike, broken, size=3).open(resume=False)
+    CampaignRun(alike, broken, SIZE).open(resume=False)
     for path in chunks[:2]:
         (broken / "chunks" / path.name).write_bytes(path.read_bytes())
     (broken / "chunks" / ".00002.parquet.part").write_bytes(b"half")  # what a kill leaves
-    again = CampaignRun(alike, broken, size=3)
+    again = CampaignRun(alike, broken, SIZE)
     assert again.open(resume=True).missing == 2
     again.fly(None, 1, lambda samples: None)
     frame, _ = again.finish()
@@ -357,7 +360,7 @@ def test_a_directory_with_another_campaign_is_left_alone(campaign, tmp_path):
 
 
 def test_a_full_disk_is_said_in_one_line(alike, tmp_path, monkeypatch):
-    run = CampaignRun(alike, tmp_path / "out", size=6)
+    run = CampaignRun(alike, tmp_path / "out", SIZE)
     run.open(resume=False)
 
     def full(descriptor):

@@ -1,5 +1,6 @@
 """What every controller of the registry keeps."""
 
+import jax
 import numpy as np
 import pytest
 from hypothesis import given
@@ -211,3 +212,16 @@ def test_torque_is_continuous_in_attitude_and_reference(name):
             for shift in (0.0, 1e-7)
         ]
         assert np.max(np.abs(torques[1] - torques[0]) / law.vehicle.inertia) < 1e-3
+
+
+@EVERY_CONTROLLER
+def test_jax_gives_the_same_numbers(name):
+    """Compiled, with the state carried by its loop."""
+    jax.config.update("jax_enable_x64", True)
+    law, sequence = controller(name), [inputs_at(index) for index in range(COUNT)]
+    state, first = jax.jit(lambda inputs: law.step(law.init(inputs), inputs, 0.0))(sequence[0])
+    rest = jax.tree.map(lambda *rows: np.stack(rows), *sequence[1:])
+    _, found = jax.lax.scan(lambda state, inputs: law.step(state, inputs, DT), state, rest)
+    expected = flown(law, sequence)
+    for one, rows, *others in zip(first, found, *expected, strict=True):
+        np.testing.assert_allclose(np.stack([one, *rows]), others, rtol=1e-12, atol=1e-12)

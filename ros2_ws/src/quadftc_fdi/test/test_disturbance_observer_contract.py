@@ -1,5 +1,6 @@
 """What every disturbance observer of the registry keeps."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -101,3 +102,14 @@ def test_start_without_rate_gives_no_kick_when_the_rate_comes(name):
     absent = [inputs._replace(body_rate=np.zeros((LANES, 3))) for inputs in absent]
     estimates = flown(observer(name), [*absent, inputs_at(5)])
     assert np.max(np.abs(estimates)) < 0.1
+
+
+@EVERY_OBSERVER
+def test_jax_gives_the_same_numbers(name):
+    """Compiled, with the state carried by its loop."""
+    jax.config.update("jax_enable_x64", True)
+    law, sequence = observer(name), [inputs_at(index, valid=index != 30) for index in range(COUNT)]
+    state, first = jax.jit(lambda inputs: law.step(law.init(inputs), inputs, 0.0))(sequence[0])
+    rest = jax.tree.map(lambda *rows: np.stack(rows), *sequence[1:])
+    _, found = jax.lax.scan(lambda state, inputs: law.step(state, inputs, DT), state, rest)
+    np.testing.assert_allclose(np.stack([first, *found]), flown(law, sequence), rtol=1e-12, atol=1e-12)

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from quadftc_campaign.batch.compiled import CompiledFlight, PerFlight, SlopeFlight, take
 from quadftc_campaign.batch.jax_settings import settle_precision
+from quadftc_campaign.batch.loop_step import may_start_late
 from quadftc_campaign.batch.parts import (
     FlightParts,
     Loop,
@@ -110,12 +111,7 @@ class Engine:
             schedule_of(events, rotors),
             {path: np.stack([direction[path] for direction in directions], axis=-1) for path in tuned},
         )
-        # a fault may leave nothing to begin with: on the first sample, or on one after a gap
-        late_start = any(
-            fault.channel == "imu" or (fault.start <= 0.0 and fault.channel in ("attitude", "gyro"))
-            for flight in flights
-            for fault in flight.loop.injections
-        )
+        late_start = any(may_start_late(flight.loop) for flight in flights)
         fixed = tuple(value.tobytes() for path, value in numbers[0].items() if path not in varying)
         of_rotors = per_flight.schedule.rotors
         most = per_flight.schedule.start.shape[1], None if of_rotors is None else len(of_rotors.start)

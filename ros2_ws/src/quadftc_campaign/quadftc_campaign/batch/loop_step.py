@@ -272,6 +272,14 @@ class ClosedLoop:
         return ready if first else ready | ~cast("Array", begins), observer, estimate
 
 
+def may_start_late(loop: Loop) -> bool:
+    """Tell whether a fault may leave nothing to begin with: on the first sample, or on one after a gap."""
+    return any(
+        fault.channel == "imu" or (fault.start <= 0.0 and fault.channel in ("attitude", "gyro"))
+        for fault in loop.injections
+    )
+
+
 def _row(
     at: tuple[Array, Array], motion: Motion, faulty: Faulty, wanted: Wanted, said: tuple[Any, Array, Any]
 ) -> Row:
