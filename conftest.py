@@ -16,14 +16,14 @@ from hypothesis import settings
 from quadftc_campaign.batch.jax_settings import environment
 
 # property tests: the same examples in every run, and no time limit for one
-settings.register_profile("quadftc", derandomize=True, database=None, deadline=None)
-settings.load_profile("quadftc")
+settings.register_profile("thorough", derandomize=True, database=None, deadline=None)
+settings.register_profile("usual", settings.get_profile("thorough"), max_examples=40)
 
 DOMAINS = range(1, 81)  # of those that ROS 2 can have on any Linux
 
 # Compiling took most of the tests' time, and the flights are short. The last two flags halve it again.
 QUICK_TO_COMPILE = (
-    "--xla_backend_optimization_level=1 --xla_llvm_disable_expensive_passes=true"
+    "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"
     " --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
 )
 
@@ -101,6 +101,7 @@ def pytest_configure(config: pytest.Config) -> None:
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in a background job; its children ignore it, too
         signal.signal(signal.SIGINT, signal.default_int_handler)
     config.stash[DOMAIN_LOCK] = _own_domain()
+    settings.load_profile("thorough" if config.getoption("--thorough") else "usual")
 
 
 DOMAIN_LOCK = pytest.StashKey[IO[str]]()
