@@ -82,7 +82,7 @@ def identical(one: Flight, other: Flight) -> bool:
     )
 
 
-@pytest.mark.parametrize(("name", "scheme"), map(marked, CHECKED))
+@pytest.mark.parametrize(("name", "scheme"), [*map(marked, CHECKED)])
 def test_scheme_passes_the_checks_of_its_scenario(name, scheme):
     scenario, flight = whole(name, scheme)
     checks = summary(flight, scenario, scenario.scheme(scheme), wall_time=1.0)["checks"]
