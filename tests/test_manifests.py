@@ -60,6 +60,20 @@ def test_manifest_names_what_the_package_imports(package):
     assert {key for key in unused - {"ros2service"} if key not in launched} == set()
 
 
+@pytest.mark.parametrize("package", PACKAGES, ids=lambda package: package.name)
+def test_setup_says_of_the_package_what_its_manifest_says(package):
+    """Name, version, description, licence and maintainer."""
+    call = ast.parse((package / "setup.py").read_text(encoding="utf-8")).body[-1].value
+    given = {each.arg: each.value for each in call.keywords}
+    manifest = ET.parse(package / "package.xml").getroot()
+    for field in ("version", "description", "license", "maintainer"):
+        assert ast.literal_eval(given[field]) == manifest.findtext(field)
+    assert ast.literal_eval(given["maintainer_email"]) == manifest.find("maintainer").get("email")
+    scripts = f"$base/lib/{package.name}"
+    lines = (package / "setup.cfg").read_text(encoding="utf-8").split()
+    assert lines == ["[develop]", f"script_dir={scripts}", "[install]", f"install_scripts={scripts}"]
+
+
 @pytest.mark.parametrize(
     "manifest", sorted(PACKAGES[0].parent.glob("*/package.xml")), ids=lambda file: file.parent.name
 )
