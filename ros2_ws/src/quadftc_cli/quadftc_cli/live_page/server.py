@@ -10,11 +10,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+import logging
+import os
 import socket
 import sys
 import threading
 import webbrowser
 from collections.abc import AsyncGenerator
+from pathlib import Path
 
 import uvicorn
 from fastapi import FastAPI
@@ -27,6 +30,7 @@ from quadftc_model.vehicle import load_vehicle
 from quadftc_report.serve.local import OwnPagesOnly
 
 READY = b"ready"
+NICE = 5  # of the page, and of a browser that it opens
 LAST_WORDS = 0.5  # s; for the page to say that the flight has ended
 
 
@@ -44,6 +48,7 @@ def make_app(
             picture.take(frame)
             return
         picture.over = True
+        logging.getLogger("uvicorn.error").setLevel(logging.CRITICAL)  # requests that are cut off now
         loop = asyncio.get_running_loop()
         loop.remove_reader(channel)
         loop.call_later(LAST_WORDS, stop)
@@ -67,8 +72,19 @@ def make_app(
     return app
 
 
+def give_way() -> None:
+    """Let the flight go first, also before a browser that this process opens.
+
+    Where Linux groups processes by session, niceness counts only in a session: the group has one of its own.
+    """
+    os.nice(NICE)
+    with contextlib.suppress(OSError):
+        Path("/proc/self/autogroup").write_text(str(NICE), encoding="ascii")
+
+
 def main(channel: int, listener: int, flown: str, address: str = "") -> None:
     """Serve until the flight is over."""
+    give_way()
     server: list[uvicorn.Server] = []
     app = make_app(socket.socket(fileno=channel), Flown(**json.loads(flown)), server, address)
     config = uvicorn.Config(
