@@ -13,7 +13,7 @@ from typing import IO, Any
 import pytest
 from hypothesis import settings
 
-from quadftc_campaign.batch.jax_settings import environment
+from quadftc_model.jax_settings import environment
 
 # property tests: the same examples in every run, and no time limit for one
 settings.register_profile("thorough", derandomize=True, database=None, deadline=None)

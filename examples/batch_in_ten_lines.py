@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 
-from quadftc_campaign.batch.jax_settings import environment
+from quadftc_model.jax_settings import environment
 
 os.environ.update(environment())  # flags that XLA reads once, so before JAX is imported
 

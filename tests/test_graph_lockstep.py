@@ -64,6 +64,25 @@ def test_graph_equals_the_closed_loop_when_everything_happens_at_once(fly_graph,
     assert_equal_bit_for_bit(flight, fly(busy_scenario, scheme))
 
 
+def test_compiled_graph_equals_the_compiled_closed_loop_and_numpy_to_rounding(fly_graph, busy_scenario):
+    directory, _ = fly_graph(busy_scenario, "proposed", compiled=True)
+    flight, numpy = flight_from_bag(read_bag(directory)), fly(busy_scenario, "proposed")
+    assert_equal_bit_for_bit(flight, fly(busy_scenario, "proposed", compiled=True))
+    assert not np.array_equal(flight.angles, numpy.angles)  # it was compiled
+    for name in ("angles", "body_rate", "fault_estimate", "torque"):
+        expected = getattr(numpy, name)
+        np.testing.assert_allclose(getattr(flight, name), expected, rtol=1e-9, atol=1e-9, err_msg=name)
+
+
+@pytest.mark.thorough
+def test_compiled_free_flight_equals_the_closed_loop(fly_graph):
+    scenario = with_duration(load_scenario(find_scenario("free_circle")), 16.0)  # with the first fault
+    directory, _ = fly_graph(scenario, "isolating", compiled=True)
+    flight = fly(scenario, "isolating", compiled=True)
+    assert_equal_bit_for_bit(flight_from_bag(read_bag(directory)), flight)
+    np.testing.assert_allclose(flight.position, fly(scenario, "isolating").position, rtol=0.0, atol=1e-9)
+
+
 @pytest.mark.parametrize("scheme", ["proposed", "conventional"])
 def test_graph_equals_the_closed_loop_on_the_paper_s_scenario(fly_graph, scheme):
     scenario = with_duration(load_scenario(find_scenario("paper_constant_disturbance"), SOONER), 3.5)

@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import quadftc_tools
-from quadftc_campaign.batch.jax_settings import environment
 from quadftc_flight.runs import RunError
+from quadftc_model.jax_settings import environment
 
 SCENARIO, SCHEME = "mems_faults", "supervised"
 OTHER_SCHEMES = ("proposed", "conventional")

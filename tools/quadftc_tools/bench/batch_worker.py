@@ -137,10 +137,10 @@ def bare_subject(scenario: Scenario, flights: int, float32: bool) -> Subject:
     import jax.numpy as jnp
     import numpy as np
 
-    from quadftc_campaign.batch.jax_settings import settle_precision
-    from quadftc_campaign.batch.staged_step import StagedStep
     from quadftc_campaign.flights import parts_of
+    from quadftc_model.jax_settings import settle_precision
     from quadftc_model.rotations import euler_from_quaternion
+    from quadftc_model.staged_step import StagedStep
     from quadftc_model.stepper import seconds
 
     settle_precision(float32)

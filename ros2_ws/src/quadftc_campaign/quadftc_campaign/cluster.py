@@ -11,9 +11,9 @@ import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
 
-from quadftc_campaign.batch.jax_settings import environment
 from quadftc_campaign.batch.parts import Progress
 from quadftc_campaign.errors import CampaignError
+from quadftc_model.jax_settings import environment
 
 RETRIES = 3  # of a chunk whose worker is lost
 TOPIC = "quadftc-samples"  # on which workers say how far they are

@@ -15,7 +15,6 @@ from batch_flights import AGREE, assert_same_flight, assert_same_metrics, steppe
 from quadftc_campaign.batch.engine import Engine
 from quadftc_campaign.batch.loop_step import Row
 from quadftc_campaign.batch.parts import structure_of, with_common_faults
-from quadftc_campaign.batch.staged_step import StagedStep
 from quadftc_campaign.batch.tally import Schedule, schedule_of, update_tally
 from quadftc_campaign.flights import parts_of
 from quadftc_control.controller import controllers
@@ -34,6 +33,7 @@ from quadftc_flight.scenario import (
 )
 from quadftc_model.arrays import rows_of
 from quadftc_model.samples import AXES, FAULTY, HEALTHY, STARTING, ControllerOutput, FaultEstimate
+from quadftc_model.staged_step import StagedStep
 from quadftc_model.units import quantity
 from quadftc_sim.fault import faults as fault_kinds
 
@@ -338,7 +338,7 @@ def test_flights_of_one_batch_do_not_touch_each_other():
 SINGLE = """
 import json, sys
 from quadftc_campaign.batch.engine import Engine
-from quadftc_campaign.batch.staged_step import StagedStep
+from quadftc_model.staged_step import StagedStep
 from quadftc_campaign.batch.records import flight_record
 from quadftc_campaign.flights import parts_of
 from quadftc_flight.scenario import parse_scenario

@@ -16,7 +16,6 @@ import numpy as np
 
 from quadftc_control.position_controller import position_controllers
 from quadftc_control.position_loop import (
-    NO_PLACE,
     Guidance,
     LiveTrajectory,
     PositionLoop,
@@ -28,7 +27,7 @@ from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import parameter
 from quadftc_model.position_estimator import PositionEstimator
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, to_body
-from quadftc_model.samples import ImuSample, PositionSample, is_usable, level_sample
+from quadftc_model.samples import NO_PLACE, ImuSample, PositionSample, is_usable, level_sample
 from quadftc_model.stepper import warm_up
 from quadftc_ros.conversions import Floats
 from quadftc_ros.diagnostics import OK

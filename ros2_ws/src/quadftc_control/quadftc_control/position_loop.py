@@ -21,6 +21,7 @@ from quadftc_model.assembly import NodeParameters, build_prefixed
 from quadftc_model.parameters import Checked
 from quadftc_model.position_estimator import PositionEstimator, PositionEstimatorInputs
 from quadftc_model.samples import (
+    NO_PLACE,
     AttitudeCommand,
     ImuSample,
     PositionEstimate,
@@ -29,8 +30,6 @@ from quadftc_model.samples import (
     is_usable,
 )
 from quadftc_model.stepper import Stepper
-
-NO_PLACE = PositionSample(np.zeros(3), np.zeros(3), np.bool_(False))  # no position came with a sample
 
 
 class PositionLoopInputs(NamedTuple):

@@ -17,6 +17,7 @@ from quadftc_model.rotations import rotation_between, turn
 from quadftc_model.samples import (
     ALARMS,
     FAULT_KINDS,
+    NO_PLACE,
     ComponentFault,
     DiagnosisReport,
     FaultEstimate,
@@ -62,6 +63,18 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
         self._next: FaultObserver | None = None  # takes over with the next complete sample
         self._fade = Fade()  # of turn [rad] and body rate [rad/s], (6,)
 
+    def compile_for(self, flies: bool) -> None:
+        """Run the observer compiled for what it sees on the test stand, or in free flight.
+
+        ValueError if it cannot be compiled.
+        """
+        inputs, vehicle = FaultObserverInputs(samples.level_sample(), np.zeros(3)), self.law.vehicle
+        if flies:
+            speeds = np.full(len(vehicle.rotors.positions), vehicle.hover_speed)
+            rotors = RotorReading(speeds, speeds)
+            inputs = inputs._replace(thrust=vehicle.weight, position=NO_PLACE, rotors=rotors)
+        self.compile(inputs)
+
     def switch(self, law: FaultObserver) -> None:
         """Go on with changed parameters, or have another law take over from what is known, without a jump."""
         if type(law) is type(self.law):
@@ -85,6 +98,8 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
         on the test stand.
         """
         clean = sanitised(sample)
+        if thrust is not None and place is None:
+            place = NO_PLACE
         inputs = FaultObserverInputs(clean, torque, thrust, place, rotors)
         last, dt = self.words_for(stamp_ns), self.time_step(stamp_ns)
         complete = clean.attitude_valid and clean.rate_valid

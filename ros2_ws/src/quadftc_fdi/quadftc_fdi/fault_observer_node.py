@@ -72,6 +72,8 @@ class FaultObserverNode(GraphNode):
         self.settings.declare(VehicleParameters, read_only=True)
         self.settings.declare_law(ObserverParameters, fault_observers, self._must_keep)
         self._diagnosis = Diagnosis(_warmed_up(fault_observer_from(self.settings.values())))
+        if self.settings.values()["compiled"]:
+            self._diagnosis.compile_for(flies=self.plant_kind == "free_flight")
         self.settings.on_change(fault_observer_from, self._use)
         self._publish_corrected, self._imu = self.publishes("imu/corrected"), ImuWire(self.imu_frame)
         self._publish_estimate, self._earth = self.publishes("fault/estimate"), VectorWire(EARTH_FRAME)

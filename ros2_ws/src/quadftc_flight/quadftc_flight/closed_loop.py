@@ -32,19 +32,28 @@ from quadftc_model.samples import (
 )
 from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count
 from quadftc_sim.injector import FaultInjector, Faulty
+from quadftc_sim.motion import compiled_motion
 from quadftc_sim.plant import Plant
 from quadftc_sim.rotor_fault import true_effectiveness
 from quadftc_sim.simulator import Emission, Simulator
 
 
-def fly(scenario: Scenario, scheme: Scheme | str | None = None, epoch_ns: int = EPOCH_NS) -> Flight:
-    """Fly a scenario with one of its schemes (the first by default); the first stamp is ``epoch_ns`` [ns]."""
+def fly(
+    scenario: Scenario,
+    scheme: Scheme | str | None = None,
+    epoch_ns: int = EPOCH_NS,
+    compiled: bool = False,
+) -> Flight:
+    """Fly a scenario with one of its schemes (the first by default); the first stamp is ``epoch_ns`` [ns].
+
+    ``compiled``: plant and fault observer run compiled by JAX; ValueError if one cannot be compiled.
+    """
     chosen = scheme if isinstance(scheme, Scheme) else scenario.scheme(scheme)
     # one object for each node of the graph
-    simulator = _simulator_of(scenario, epoch_ns)
+    simulator = _simulator_of(scenario, epoch_ns, compiled)
     injector = FaultInjector(scenario.seed, (fault.injection for fault in scenario.faults))
     channels = {fault.injection.channel for fault in scenario.faults}
-    diagnosis = Diagnosis(chosen.observer.law)
+    diagnosis = _diagnosis_of(scenario, chosen, compiled)
     disturbance_observer = DisturbanceEstimation(chosen.disturbance_observer.law)
     guidance = guidance_of(scenario, chosen)
     controller = stepper_of(guidance.law(chosen.controller.law), lambda: given.torque)
@@ -95,10 +104,20 @@ def plant_of(scenario: Scenario) -> Plant:
     return dataclasses.replace(scenario.plant, **changes)
 
 
-def _simulator_of(scenario: Scenario, epoch_ns: int) -> Simulator:
+def _simulator_of(scenario: Scenario, epoch_ns: int, compiled: bool) -> Simulator:
     """Return the vehicle of a scenario with its sensors."""
     plant, period = plant_of(scenario), period_ns(scenario.rate)
-    return Simulator(plant, scenario.sensor, period, epoch_ns, scenario.seed, scenario.position_sensor)
+    motion = compiled_motion(plant) if compiled else None
+    sensors = scenario.seed, scenario.position_sensor
+    return Simulator(plant, scenario.sensor, period, epoch_ns, *sensors, motion)
+
+
+def _diagnosis_of(scenario: Scenario, scheme: Scheme, compiled: bool) -> Diagnosis:
+    """Return the fault observer of a scheme on a stream."""
+    diagnosis = Diagnosis(scheme.observer.law)
+    if compiled:
+        diagnosis.compile_for(scenario.plant.flies)
+    return diagnosis
 
 
 def _place_in(emission: Emission) -> PositionSample | None:

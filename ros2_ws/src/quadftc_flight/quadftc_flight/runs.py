@@ -51,6 +51,7 @@ class RunOptions:
     namespace: str = ""  # of the vehicle; empty: none
     force: bool = False  # replace an earlier run of the same name
     scheduling: Scheduling = ORDINARY  # in real time: how to share the machine
+    compiled: bool = False  # plant and fault observer run compiled by JAX
 
     def __post_init__(self) -> None:
         check_options(self.graph, self.mode, self.scheduling)
@@ -100,9 +101,8 @@ def run(
     with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
         files = (Path(folder, "scenario.yaml"), Path(folder, "parameters.yaml"))
         parameters = node_parameters(scenario, scheme)
-        plan = GraphPlan(
-            parameters, options.mode, options.namespace, bag, files, scheduling=options.scheduling
-        )
+        how = {"scheduling": options.scheduling, "compiled": options.compiled}
+        plan = GraphPlan(parameters, options.mode, options.namespace, bag, files, **how)
         files[0].write_text(yaml.safe_dump(scenario.raw, sort_keys=False, width=120), encoding="utf-8")
         files[1].write_text(plan.parameter_file(), encoding="utf-8")
         wall_time, status = _fly(plan, options.graph, scenario.duration * scenario.rate, progress)

@@ -89,6 +89,9 @@ class PositionSample(NamedTuple):
     there: Flag  # a sample came with this IMU sample
 
 
+NO_PLACE = PositionSample(np.zeros(3), np.zeros(3), np.bool_(False))  # no position came with a sample
+
+
 class PositionEstimate(NamedTuple):
     """Estimated motion of the centre of mass, in earth axes."""
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Generic, Protocol, TypeVar
 
+from quadftc_model.compiled import CompiledLaw, Packed
+
 In_contra = TypeVar("In_contra", contravariant=True)
 Out_co = TypeVar("Out_co", covariant=True)
 In = TypeVar("In")
@@ -52,17 +54,30 @@ class Stepper(Generic[In, Out]):
 
     def __init__(self, law: Law[In, Out], guard: Callable[[In, Out], Out] | None = None) -> None:
         self.law, self._guard = law, guard
+        self._compiled: CompiledLaw | None = None
         self.replaced = 0  # outputs so far that could not be used
         self.reset()
 
     def reset(self) -> None:
         """Forget the state; the next sample is the first."""
-        self.state: Any = None
+        self._state: Any = None
         self.stamp_ns: int | None = None
+
+    @property
+    def state(self) -> Any:
+        """State of the law at the last sample; None before the first."""
+        return self._state.tree if isinstance(self._state, Packed) else self._state
+
+    def compile(self, inputs: In) -> None:
+        """Run the law compiled for inputs like these; another law, and other inputs, are run in NumPy.
+
+        ValueError if it cannot be compiled.
+        """
+        self._compiled = CompiledLaw(self.law, inputs)
 
     def resume(self, stamp_ns: int, inputs: In, state: Any) -> Out:
         """Go on at a sample [ns] from a state given: it is the first, but not from nothing."""
-        self.state = state
+        self._state = state
         return self._step(stamp_ns, inputs, 0.0)
 
     def time_step(self, stamp_ns: int) -> float | None:
@@ -85,7 +100,10 @@ class Stepper(Generic[In, Out]):
         return None if dt is None else self._step(stamp_ns, inputs, dt)
 
     def _step(self, stamp_ns: int, inputs: In, dt: float) -> Out:
-        self.state, output = self.law.step(self.state, inputs, dt)
+        if self._compiled is not None and self._compiled.law is self.law:
+            self._state, output = self._compiled.step(self._state, inputs, dt)
+        else:
+            self._state, output = self.law.step(self.state, inputs, dt)
         self.stamp_ns = stamp_ns
         used = output if self._guard is None else self._guard(inputs, output)
         if used is not output:

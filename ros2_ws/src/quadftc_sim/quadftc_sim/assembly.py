@@ -18,6 +18,7 @@ from quadftc_model.parameters import parameter
 from quadftc_sim.disturbance import disturbances
 from quadftc_sim.injection import Injection, make_injection
 from quadftc_sim.injector import FaultInjector
+from quadftc_sim.motion import compiled_motion
 from quadftc_sim.plant import plants
 from quadftc_sim.plants.test_stand import AttitudeStand
 from quadftc_sim.position_sensor import PositionSensor
@@ -83,13 +84,20 @@ def simulator_from(parameters: NodeParameters, epoch_ns: int = EPOCH_NS) -> Simu
     there = kind.flies and parameters.get("position_sensor", False)
     place = assembly.build_prefixed(PositionSensor, parameters, "position") if there else None
     period = period_ns(get(parameters, "rate", float))
-    return Simulator(plant, sensor, period, epoch_ns, get(parameters, "seed", int), place)
+    motion = compiled_motion(plant) if parameters.get("compiled", False) else None
+    return Simulator(plant, sensor, period, epoch_ns, get(parameters, "seed", int), place, motion)
 
 
-def flight_from(parameters: NodeParameters, epoch_ns: int, begin_ns: int) -> PlantFlight:
-    """Build a flight of the plant node: stamp of its first sample, and monotonic time of its begin [ns]."""
+def flight_from(
+    parameters: NodeParameters, epoch_ns: int, begin_ns: int, before: PlantFlight | None = None
+) -> PlantFlight:
+    """Build a flight of the plant node: stamp of its first sample, and monotonic time of its begin [ns].
+
+    ``before``: an earlier one with the same parameters, of the same vehicle.
+    """
+    simulator = before.simulator.anew(epoch_ns) if before else simulator_from(parameters, epoch_ns)
     duration, rate, timeout = (get(parameters, key, float) for key in ("duration", "rate", "torque_timeout"))
-    return PlantFlight(simulator_from(parameters, epoch_ns), sample_count(duration, rate), timeout, begin_ns)
+    return PlantFlight(simulator, sample_count(duration, rate), timeout, begin_ns)
 
 
 def injector_from(parameters: NodeParameters) -> FaultInjector:

@@ -66,7 +66,7 @@ class PlantNode(GraphNode):
         example = "constant start=5s amplitude=0.1Nm"
         self.settings.declare_list("disturbances", f"each: kind key=value..., e.g. '{example}'")
         self._values = self.settings.values()
-        self._make_flight(0)
+        self.flight = flight_from(self._values, 0, time.monotonic_ns())
         self._rests_until_ns = 0  # real time: does not emit before, however late
         # real time: samples after the first torque whose own had not come when the next was due; None: before
         self._without_torque: int | None = None
@@ -146,7 +146,7 @@ class PlantNode(GraphNode):
         self.diagnostics.report("flight", level, words, **values)
 
     def _make_flight(self, epoch_ns: int) -> None:
-        self.flight = flight_from(self._values, epoch_ns, time.monotonic_ns())
+        self.flight = flight_from(self._values, epoch_ns, time.monotonic_ns(), self.flight)
 
     def _emit(self) -> None:
         """Emit the next sample; in lock-step up to one that somebody will answer."""

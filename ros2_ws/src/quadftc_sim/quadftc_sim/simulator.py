@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadftc_model.arrays import Components, Quaternion, Vector
-from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
+from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.samples import ImuSample, PositionSample, RotorCondition
 from quadftc_model.stepper import seconds
 from quadftc_sim.flying_plant import FlyingPlant
+from quadftc_sim.motion import Motion, Seen, motion_of, see
 from quadftc_sim.plant import Plant
 from quadftc_sim.position_sensor import PositionSensor
 from quadftc_sim.sensor_draws import SensorDraws
@@ -55,6 +56,7 @@ class Simulator:
     """One vehicle with its IMU, level and at rest at first.
 
     ``epoch_ns`` is the stamp of the first sample, at scenario time 0; ``seed`` that of noise and bias.
+    ``motion`` is that of the plant, which may be compiled.
     """
 
     def __init__(
@@ -65,13 +67,15 @@ class Simulator:
         epoch_ns: int,
         seed: int,
         place: PositionSensor | None = None,
+        motion: Motion | None = None,
     ) -> None:
         if period_ns <= 0:
             raise ValueError(f"period_ns = {period_ns}: must be positive")
         self.plant, self.sensor, self.period_ns = plant, sensor, period_ns
         self._epoch_ns = self._stamp_ns = epoch_ns
         self._dt = seconds(period_ns)
-        self._random = SensorDraws(seed)
+        self._seed, self._random = seed, SensorDraws(seed)
+        self._move = motion or motion_of(plant)
         self._sensor_state = sensor.turn_on(self._random.turn_on)
         self.position_sensor = place
         self._place = _PlaceSensor(place, self._random, sensor.delay, self._dt) if place is not None else None
@@ -82,9 +86,15 @@ class Simulator:
         """Scenario time [s]."""
         return seconds(self._stamp_ns - self._epoch_ns)
 
+    def anew(self, epoch_ns: int) -> Simulator:
+        """Return the same simulator at the begin of a flight."""
+        return Simulator(
+            self.plant, self.sensor, self.period_ns, epoch_ns, self._seed, self.position_sensor, self._move
+        )
+
     def start(self) -> Emission:
         """Return the first emission; call once."""
-        return self._emit()
+        return self._emit(see(self.plant, self._state, self.time))
 
     def set_rotors(self, condition: RotorCondition | None) -> None:
         """Put the rotors of a free flight into a condition; None: as they are."""
@@ -96,30 +106,29 @@ class Simulator:
 
         The command is a torque [N m] (3,) on the test stand, rotor speeds [rad/s] (n,) in free flight.
         """
-        self._state = self.plant.step(self._state, command, self.time, self._dt)
+        before = self.time
         self._stamp_ns += self.period_ns
-        return self._emit()
+        self._state, seen = self._move(self._state, command, before, self.time, self._dt)
+        return self._emit(seen)
 
-    def _emit(self) -> Emission:
-        state, time = self._state, self.time
+    def _emit(self, seen: Seen) -> Emission:
+        state = self._state
         q_xyzw, body_rate = state.q_xyzw, state.body_rate
         draws = self._random.next(1, self.sensor.wanders)[0]
-        force = self.plant.specific_force(state, time)
         self._sensor_state, sample = self.sensor.step(
-            self._sensor_state, q_xyzw, body_rate, force, draws, self._dt
+            self._sensor_state, q_xyzw, body_rate, seen.force, draws, self._dt
         )
         flight = place = None
-        if isinstance(self.plant, FlyingPlant):
-            wind = self.plant.wind(time, state.velocity)
-            flight = FreeMotion(state.position, state.velocity, q_xyzw, state.speeds, wind)
+        if seen.wind is not None:
+            flight = FreeMotion(state.position, state.velocity, q_xyzw, state.speeds, seen.wind)
             place = self._place and self._place.measure(state.position, state.velocity)
         return Emission(
             stamp_ns=self._stamp_ns,
             sample=sample,
             sample_stamp_ns=self._stamp_ns - self.sensor.delay * self.period_ns,
-            angles=euler_from_quaternion(q_xyzw),
+            angles=seen.angles,
             body_rate=body_rate,
-            disturbance=self.plant.disturbance_acceleration(time, body_rate),
+            disturbance=seen.disturbance,
             flight=flight,
             place=place,
             place_stamp_ns=self._stamp_ns - self._place.behind * self.period_ns if self._place else 0,

@@ -13,8 +13,8 @@ import numpy as np
 from quadftc_campaign.batch.inputs import ALL_DRAWS, InputSource
 from quadftc_campaign.batch.loop_step import ClosedLoop, LoopState, Row, StepInputs, Times
 from quadftc_campaign.batch.parts import FlightParts, Progress, in_precision, with_numbers
-from quadftc_campaign.batch.staged_step import StagedStep
 from quadftc_campaign.batch.tally import Outcome, Schedule, Tally, update_tally
+from quadftc_model.staged_step import StagedStep
 from quadftc_model.stepper import seconds
 
 QUICK_TO_COMPILE = {"xla_backend_optimization_level": 0}  # the beginning runs once

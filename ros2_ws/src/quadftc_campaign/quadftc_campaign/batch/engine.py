@@ -5,16 +5,14 @@
 >>> outcomes = engine.fly([parts_of(scenario)], [scenario.fault_events])
 
 One engine keeps one core busy; for more, start a process for each (`quadftc_campaign` does). JAX reads its
-settings on its first import: see `quadftc_campaign.batch.jax_settings`.
+settings on its first import: see `quadftc_model.jax_settings`.
 """
 
 from __future__ import annotations
 
 import functools
-import os
 import traceback
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -22,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_campaign.batch.compiled import CompiledFlight, PerFlight, SlopeFlight, take
-from quadftc_campaign.batch.jax_settings import settle_precision
 from quadftc_campaign.batch.loop_step import may_start_late
 from quadftc_campaign.batch.parts import (
     FlightParts,
@@ -35,6 +32,7 @@ from quadftc_campaign.batch.parts import (
 )
 from quadftc_campaign.batch.tally import Outcome, schedule_of
 from quadftc_flight.fault_schedule import FaultEvent
+from quadftc_model.jax_settings import keep_compiled_code, settle_precision
 
 LANES = 128  # flights that fly together: their state stays in the cache
 UNTRACEABLE = (TypeError, AttributeError, NotImplementedError, ValueError)
@@ -128,9 +126,7 @@ class Engine:
 @functools.cache
 def engine_of_process(float32: bool, lanes: int, free: tuple[str, ...] = ()) -> Engine:
     """Return the engine of this process for such flights; what it compiles is kept on disk, too."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    jax.config.update("jax_compilation_cache_dir", str(cache / "quadftc" / "jax"))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.5)
+    keep_compiled_code()
     return Engine(float32, lanes, free)
 
 

@@ -53,6 +53,9 @@ def run(
     wait: WaitOption = "sleep",
     realtime_priority: PriorityOption = 0,
     core: CoreOption = [],  # noqa: B006
+    compiled: Annotated[
+        bool, Option("--compiled", help="Run plant and fault observer compiled by JAX: faster.")
+    ] = False,
     force: Annotated[bool, Option("--force", help="Replace earlier runs of the same name.")] = False,
     jobs: Annotated[
         int | None, Option(min=1, help="Lock-step flights side by side; default: one for each core.")
@@ -65,5 +68,5 @@ def run(
     overrides = [*set_, *([f"rate={rate}"] if rate else []), *([f"seed={seed}"] if seed else [])]
     parts = {"observer": observer, "disturbance_observer": disturbance_observer, "controller": controller}
     what = (scenarios, scheme, overrides, gains, parts, label)
-    how = (graph, mode, namespace, force, (wait, realtime_priority, tuple(core)))
+    how = (graph, mode, namespace, force, (wait, realtime_priority, tuple(core)), compiled)
     raise typer.Exit(fly_named(what, out, how, jobs, junit))

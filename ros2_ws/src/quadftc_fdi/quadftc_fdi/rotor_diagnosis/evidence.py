@@ -149,9 +149,13 @@ def _explain(
     rest = (left * left / (1.0 / weight[..., None, :] + unknown)).sum(axis=-1)  # (..., K, n)
     fits = (rest < FAR) & (loss > SHY) & (loss < LARGEST) & (likely > SUSPECT) & ~faulty[..., None, :]
     rest = xp.where(fits, rest, NEVER)
-    ranked = xp.sort(rest, axis=-1)
-    loud = (rest == ranked[..., :1]) & fits & (likely > ALARM) & (loss > SMALLEST)
-    alone = loud & (ranked[..., 1:2] > ranked[..., :1] + LEAD)
+    # smallest and second smallest; a sort would keep XLA from compiling the step into one kernel
+    least = rest.min(axis=-1, keepdims=True)
+    best = rest == least
+    others = xp.where(best, np.inf, rest).min(axis=-1, keepdims=True)
+    second = xp.where(best.sum(axis=-1, keepdims=True) > 1, least, others)
+    loud = best & fits & (likely > ALARM) & (loss > SMALLEST)
+    alone = loud & (second > least + LEAD)
     likely = (likely * fits).max(axis=-2)
     return Evidence(likely, loss[..., 0, :], fits.any(axis=-2), loud.any(axis=-2), alone.any(axis=-2))
 

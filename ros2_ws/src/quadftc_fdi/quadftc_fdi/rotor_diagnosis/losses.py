@@ -9,7 +9,7 @@ that is not named is zero, and known to be.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -62,7 +62,7 @@ def correct_losses(
     density = 2.0 * (TIMES[0] * seen.variance[..., 0, :] + TIMES[2] * seen.variance[..., 2, :])
     R = _diagonal(density / xp.maximum(dt, 1e-6))
     PH = P @ H.swapaxes(-1, -2)
-    gain = xp.linalg.solve(H @ PH + R, PH.swapaxes(-1, -2)).swapaxes(-1, -2)  # (..., n, 4)
+    gain = _solved(H @ PH + R, PH.swapaxes(-1, -2)).swapaxes(-1, -2)  # (..., n, 4)
     innovation = seen.mean[..., 0, :4] - seen.usual - (H @ state.mean[..., None])[..., 0]
     mean = clip(state.mean + (gain @ innovation[..., None])[..., 0], 0.0, 1.0)
     left = P - gain @ PH.swapaxes(-1, -2)
@@ -73,6 +73,23 @@ def std_dev_of(state: Losses) -> Array:
     """Standard deviation of each loss (..., n)."""
     xp = namespace(state.mean)
     return xp.sqrt(xp.maximum(state.covariance.diagonal(axis1=-2, axis2=-1), 0.0))
+
+
+def _solved(A: Array, B: Array) -> Array:
+    """X of A X = B, for A (..., 4, 4) symmetric and positive definite, and B (..., 4, n)."""
+    xp = namespace(A)
+    if xp is np:
+        return xp.linalg.solve(A, B)
+    # elimination without pivots; a call of LAPACK would keep XLA from compiling the step into one kernel
+    rows: list[Any] = [xp.concatenate([A[..., row, :], B[..., row, :]], axis=-1) for row in range(4)]
+    for row in range(4):
+        unit = rows[row] / rows[row][..., row : row + 1]
+        rows = [
+            unit if other == row else each - each[..., row : row + 1] * unit
+            for other, each in enumerate(rows)
+        ]
+    solved: Array = xp.stack(rows, axis=-2)
+    return solved[..., 4:]
 
 
 def _diagonal(parts: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Settings of JAX for the batch engine: flags, which JAX reads on its first import, and precision.
+"""Settings of JAX for batches and compiled steps: flags, which it reads on its first import, and precision.
 
 XLA cuts a step into hundreds of kernels, and the call of a kernel takes longer than one flight's numbers in
 it. Loops that XLA takes for small become one kernel with their bodies; a flag here says that all are small.
@@ -8,6 +8,7 @@ A loop with something that cannot be compiled so (a sort, a call of LAPACK) stay
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 WIDTH = "--xla_cpu_prefer_vector_width"  # the widest registers, of which XLA would use half
 SMALL_LOOP = "xla_cpu_small_while_loop_byte_threshold"  # what a loop reads and writes, at most [bytes]
@@ -32,3 +33,15 @@ def settle_precision(float32: bool) -> None:
         raise ValueError(f"precision {wanted}: this process computes in {there}; start another")
     _precisions.add(float32)
     jax.config.update("jax_enable_x64", not float32)  # pyright: ignore[reportUnknownMemberType]
+
+
+def keep_compiled_code() -> None:
+    """Have JAX keep on disk what it compiles, for later processes."""
+    import jax
+
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    for name, value in (
+        ("jax_compilation_cache_dir", str(cache / "quadftc" / "jax")),
+        ("jax_persistent_cache_min_compile_time_secs", 0.5),
+    ):
+        jax.config.update(name, value)  # pyright: ignore[reportUnknownMemberType]

@@ -4,7 +4,7 @@
 ``jax.vmap`` puts the flights first, so that the numbers of a vector register lie apart in memory, and
 leaves it to XLA where intermediate results are kept. XLA's compiler for CPUs fuses a sum into everything
 that uses it, and computes it again for each use. Here the flights are last, and the step is cut into
-functions that the compiler must not merge (`quadftc_campaign.batch.stages`). The numbers are those of
+functions that the compiler must not merge (`quadftc_model.stages`). The numbers are those of
 ``vmap`` up to rounding. With `supervised` this is 4 to 8 times as fast, depending on the machine; with the
 scheme `proposed` between no gain and 1.8 times (``quadftc bench batch``, docs/performance.md).
 """
@@ -23,7 +23,7 @@ from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
 from jax.extend import core
 
-from quadftc_campaign.batch.stages import (
+from quadftc_model.stages import (
     REDUCTIONS,
     Atom,
     Equation,
@@ -59,6 +59,7 @@ class StagedStep:
         if jax.tree.structure(shapes[0]) != jax.tree.structure(state):
             raise ValueError("the state after a step has other parts than before")
         carried, per_flight = len(jax.tree.leaves(state)), len(jax.tree.leaves((state, inputs)))
+        self.shapes = shapes  # of state and output, as trees of what has a shape and a dtype
         self._structure = jax.tree.structure(shapes)
         one = [jax.ShapeDtypeStruct(var.aval.shape, var.aval.dtype) for var in closed.jaxpr.invars]
         flat = jax.make_jaxpr(functools.partial(_inline, closed))(*one)
