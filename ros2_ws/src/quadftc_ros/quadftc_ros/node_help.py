@@ -15,6 +15,7 @@ from quadftc_ros.parameters import NodeParameters
 from quadftc_ros.topics import TOPICS
 
 HELP = ("-h", "--help")
+COMMON = ("/rosout", "/parameter_events", "/transition_event")  # topics of every node
 USAGE = "[--ros-args -p NAME:=VALUE -r TOPIC:=OTHER --params-file FILE]"
 
 
@@ -32,20 +33,21 @@ def help_text(make: Callable[[], Node]) -> str:
     while isinstance(source, partial):
         source = source.func
     module = inspect.getmodule(source)
-    name = sys.argv[0].rpartition("/")[2]
+    name, topics = sys.argv[0].rpartition("/")[2], dict[str, tuple[str, str]]()
     try:
         node = make()
-        name = node.get_name()
+        name, topics = node.get_name(), _topics_of(node)
         node.destroy_node()
     except ValueError as error:  # a parameter that has to be given; those before it are known
         missing = [f"Must be given: {error}", ""]
     else:
         missing: list[str] = []
-    rows = [
-        (each.name, each.type_name, "out" if name in each.publishers else "in")
+    topics |= {  # of both kinds of plant
+        each.name: (each.type_name, "out" if name in each.publishers else "in")
         for each in TOPICS.values()
         if name in (*each.publishers, *each.readers)
-    ]
+    }
+    rows = [(topic, *topics[topic]) for topic in sorted(topics)]
     parameters = [
         (parameter, _default(default), words) for parameter, default, words in sorted(NodeParameters.told)
     ]
@@ -55,6 +57,19 @@ def help_text(make: Callable[[], Node]) -> str:
         parts += ["Topics:", *_aligned(rows), ""]
     parts += ["Parameters (name, default, meaning):", *_aligned(parameters)]
     return "\n".join(parts) + "\n"
+
+
+def _topics_of(node: Node) -> dict[str, tuple[str, str]]:
+    """Return type and direction of each topic that a node has, without those of every node of ROS."""
+    return {
+        topic if topic in TOPICS else topic.removeprefix("/"): (
+            f"{end.msg_type.__module__.partition('.')[0]}/msg/{end.msg_type.__name__}",
+            direction,
+        )
+        for direction, ends in (("in", node.subscriptions), ("out", node.publishers))
+        for end in ends
+        if not (topic := end.topic_name).endswith(COMMON)
+    }
 
 
 def running_line(node: Node) -> str:

@@ -89,8 +89,9 @@ class NodeParameters:
             described = descriptor(spec, read_only)
             self._node.declare_parameter(spec.name, default, described)
             self._names.append(spec.name)
-            choices = f" ({described.additional_constraints})" if spec.choices else ""
-            self.told.append((spec.name, default, described.description + choices))
+            bounds = described.additional_constraints or _bounds(spec)
+            words = described.description + (f" ({bounds})" if bounds else "")
+            self.told.append((spec.name, default, words))
 
     def declare_law(self, component: type, registry: Registry[Any], refusal: Refusal) -> None:
         """Declare a dataclass with one parameter, which names a law, and that law's own behind its name.
@@ -157,6 +158,13 @@ class NodeParameters:
 
         self._node.add_on_set_parameters_callback(check)
         self._node.add_post_set_parameters_callback(put_to_use)
+
+
+def _bounds(spec: Parameter) -> str:
+    """Return the bounds of a number in words; empty: there are none."""
+    low = f"{spec.low:g} or more" if math.isfinite(spec.low) else ""
+    high = f"{spec.high:g} or less" if math.isfinite(spec.high) else ""
+    return f"{spec.low:g} to {spec.high:g}" if low and high else low or high
 
 
 def _plain(value: Any) -> Any:

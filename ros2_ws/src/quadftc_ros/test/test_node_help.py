@@ -9,6 +9,7 @@ from node_bench import NodeBench
 from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_ros.node_help import help_text, running_line, wants_help
 from quadftc_ros.recorder_node import RecorderNode
+from quadftc_ros.scene_node import SceneNode
 
 
 @pytest.fixture
@@ -41,6 +42,14 @@ def test_help_has_usage_topics_and_parameters(told):
     assert ["imu/data", "sensor_msgs/msg/Imu", "in"] in lines
     assert ["imu/corrected", "sensor_msgs/msg/Imu", "out"] in lines
     assert ["observer", "isolating", "name", "of", "the", "fault"] in [line[:6] for line in lines]
+
+
+def test_help_has_topics_that_are_not_of_the_table_and_bounds(told):
+    words = told(SceneNode)
+    lines = [line.split() for line in words.splitlines()]
+    assert ["scene/markers", "visualization_msgs/msg/MarkerArray", "out"] in lines
+    assert ["imu/corrected", "sensor_msgs/msg/Imu", "in"] in lines
+    assert "pictures a second [Hz] (1 to 60)" in words
 
 
 def test_help_of_a_node_with_a_parameter_that_must_be_given_says_which(told):
