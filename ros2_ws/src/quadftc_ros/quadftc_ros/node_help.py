@@ -61,15 +61,14 @@ def help_text(make: Callable[[], Node]) -> str:
 
 def _topics_of(node: Node) -> dict[str, tuple[str, str]]:
     """Return type and direction of each topic that a node has, without those of every node of ROS."""
-    return {
-        topic if topic in TOPICS else topic.removeprefix("/"): (
-            f"{end.msg_type.__module__.partition('.')[0]}/msg/{end.msg_type.__name__}",
-            direction,
-        )
-        for direction, ends in (("in", node.subscriptions), ("out", node.publishers))
-        for end in ends
-        if not (topic := end.topic_name).endswith(COMMON)
-    }
+    found: dict[str, tuple[str, str]] = {}
+    for direction, ends in (("in", node.subscriptions), ("out", node.publishers)):
+        for end in ends:
+            kind: Any = end.msg_type
+            topic = end.topic_name if end.topic_name in TOPICS else end.topic_name.removeprefix("/")
+            if not end.topic_name.endswith(COMMON):
+                found[topic] = (f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}", direction)
+    return found
 
 
 def running_line(node: Node) -> str:
