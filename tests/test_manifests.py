@@ -26,7 +26,14 @@ KNOWN_TO_ROSDEP = {
         "lifecycle_msgs",
     ),
     *("launch_ros", "nav_msgs", "rcl_interfaces", "rclpy", "ros2service", "rosgraph_msgs", "sensor_msgs"),
-    *("rosidl_default_generators", "rosidl_default_runtime", "std_msgs", "std_srvs", "visualization_msgs"),
+    *(
+        "rosidl_default_generators",
+        "rosidl_default_runtime",
+        "std_msgs",
+        "std_srvs",
+        "tf2_msgs",
+        "visualization_msgs",
+    ),
     *(f"python3-{name}" for name in ("hypothesis", "numpy", "pytest", "ruamel.yaml", "scipy", "yaml")),
 }
 

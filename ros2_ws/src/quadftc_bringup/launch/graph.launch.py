@@ -37,6 +37,7 @@ GUIDANCE = {
 }
 RECORDER = ("quadftc_ros", "recorder")
 SCENE = ("quadftc_ros", "scene")
+RESPAWN_DELAY, MOST_DEATHS = 0.1, 5  # s; restarts of a node that dies in flight
 START_DELAY = 6.0  # s, for the nodes to find each other (about 4 s): messages sent before that are lost
 
 
@@ -86,6 +87,11 @@ def _arguments() -> list[DeclareLaunchArgument]:
             default_value="true",
             description="Call plant/start when all nodes are up.",
         ),
+        DeclareLaunchArgument(
+            "respawn",
+            default_value="false",
+            description="Start a node again that dies in flight (not the plant): it resumes where it was.",
+        ),
         DeclareLaunchArgument("imu", default_value="imu/data", description="Topic of the IMU."),
         DeclareLaunchArgument("torque", default_value="torque/command", description="Topic of the torque."),
         DeclareLaunchArgument(
@@ -116,6 +122,9 @@ def _node(package: str, name: str, condition: IfCondition | None = None, **param
             ("torque/command", LaunchConfiguration("torque")),
         ],
         condition=condition,
+        respawn=False if (package, name) == PLANT else LaunchConfiguration("respawn"),
+        respawn_delay=RESPAWN_DELAY,
+        respawn_max_retries=MOST_DEATHS,
         output="screen",
     )
 
@@ -143,7 +152,9 @@ def _introduction(simulate: LaunchConfiguration) -> list[LogInfo]:
         )
         for name, rest in words.items()
     ]
-    return [*lines, LogInfo(msg=["bag: '", LaunchConfiguration("bag"), "' (empty: none; bag:=DIRECTORY)"])]
+    bag = LaunchConfiguration("bag")
+    none = LogInfo(msg="bag: none (bag:=DIRECTORY)", condition=IfCondition(EqualsSubstitution(bag, "")))
+    return [*lines, none, LogInfo(msg=["bag: ", bag], condition=IfCondition(NotEqualsSubstitution(bag, "")))]
 
 
 def generate_launch_description() -> LaunchDescription:

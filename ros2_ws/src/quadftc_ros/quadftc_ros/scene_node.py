@@ -33,7 +33,8 @@ from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import EARTH_FRAME, TOPICS
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)  # of what it reads
+SHOWN = QoSProfile(depth=1)  # reliable, as RViz asks for unless told otherwise; takes best effort, too
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 GHOSTS = {"measured": "#d55e00", "corrected": "#0072b2"}  # vermilion, blue (Okabe and Ito, 2008)
 GHOST_ALPHA = 0.35  # 1
@@ -64,8 +65,8 @@ class SceneNode(GraphNode):
         for topic in Latest.topics(self.plant_kind):
             kind = load_message_class(TOPICS[topic].type_name)
             self.create_subscription(kind, topic, partial(self._latest.put, topic), LATEST, raw=True)
-        self._poses = {role: self.create_publisher(PoseStamped, f"scene/{role}", LATEST) for role in ROLES}
-        self._markers = self.create_publisher(MarkerArray, "scene/markers", LATEST)
+        self._poses = {role: self.create_publisher(PoseStamped, f"scene/{role}", SHOWN) for role in ROLES}
+        self._markers = self.create_publisher(MarkerArray, "scene/markers", SHOWN)
         self._shapes = {role: self._make_shape(role) for role in ROLES}
         self._arrows = self._make_arrows()
         self._description = self.create_publisher(String, "robot_description", LATCHED)
