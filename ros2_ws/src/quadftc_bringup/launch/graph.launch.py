@@ -37,7 +37,8 @@ GUIDANCE = {
 }
 RECORDER = ("quadftc_ros", "recorder")
 SCENE = ("quadftc_ros", "scene")
-RESPAWN_DELAY, MOST_DEATHS = 0.1, 5  # s; restarts of a node that dies in flight
+RESPAWN_DELAY = 0.1  # s; of a node that dies in flight
+MOST_DEATHS = 5  # of a node, after which it stays dead
 START_DELAY = 6.0  # s, for the nodes to find each other (about 4 s): messages sent before that are lost
 
 
