@@ -144,11 +144,13 @@ SIGNS = np.array([-1.0, 1.0, -1.0, 1.0])
 GAINS = np.stack([60.0 * PLACES[:, 1], -50.0 * PLACES[:, 0], 8.0 * SIGNS], axis=1)  # rad/s² per unit
 
 
-def rocking(lost: int | None = None, onset: float = 20.0, share: float = 1.0, seed: int = 2) -> FlightLog:
-    """A quadrotor that a controller holds level in gusts; a rotor loses its share, and the log soon ends."""
+def rocking(
+    lost: int | None = None, onset: float = 20.0, share: float = 1.0, seed: int = 2, after: float = 0.5
+) -> FlightLog:
+    """A quadrotor that a controller holds level in gusts; ``after`` a rotor lost its share, the log ends."""
     rng = np.random.default_rng(seed)
     dt, time_constant = 1.0 / 500.0, 0.03
-    time = np.arange(0.0, onset + 0.5 if lost is not None else 30.0, dt)
+    time = np.arange(0.0, onset + after if lost is not None else 30.0, dt)
     angle, rate, thrust, gust = np.zeros(3), np.zeros(3), np.full(4, 0.5), np.zeros(3)
     rates, commands, forces = (np.zeros((len(time), k)) for k in (3, 4, 3))
     for row, now in enumerate(time):
@@ -179,6 +181,13 @@ def test_rotor_lost_in_flight_is_named_without_a_vehicle_file(rotor: int, share:
     assert found.size == pytest.approx(share, abs=0.3)
     assert verdict.model is not None
     assert all(verdict.model.usable[:2])
+
+
+def test_rotor_lost_before_there_is_a_model_is_named_by_what_follows():
+    (found,) = inspect(rocking(2, onset=2.0, share=0.6, after=13.0)).verdict.findings
+    assert (found.component, found.element) == ("rotor", "3")
+    assert found.onset_s == pytest.approx(2.0, abs=0.05)
+    assert found.size == pytest.approx(0.6, abs=0.2)
 
 
 def test_rotors_of_a_healthy_flight_are_judged_healthy():

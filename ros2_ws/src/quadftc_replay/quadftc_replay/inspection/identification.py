@@ -51,6 +51,17 @@ class Grid(NamedTuple):
     inputs: Floats  # (n, k)
     flying: Mask  # (n,) in flight, and every signal has samples
 
+    def until(self, time: float) -> Grid:
+        """Return the bins up to a time [s]."""
+        rows = int(np.searchsorted(self.time, time))
+        return self._replace(
+            **{
+                name: values[:rows]
+                for name, values in self._asdict().items()
+                if isinstance(values, np.ndarray)
+            }
+        )
+
 
 class Identified(NamedTuple):
     """The model; columns are roll, pitch, yaw and, with an accelerometer, the force along z."""
@@ -219,9 +230,11 @@ def _sum_up(driven: Floats, measured: Floats, starts: NDArray[np.int_]) -> Block
     )
 
 
-def identify(source: str, grid: Grid, blocks: Blocks, until: float = np.inf) -> Identified | None:
-    """Fit the model to the flight up to a time [s]; None if that is too little."""
-    rows = blocks.flown & (blocks.end < until)
+def identify(
+    source: str, grid: Grid, blocks: Blocks, until: float = np.inf, since: float = -np.inf
+) -> Identified | None:
+    """Fit the model to the flight between two times [s]; None if that is too little."""
+    rows = blocks.flown & (blocks.end < until) & (blocks.end > since + BLOCK)
     if rows.sum() < LEAST:
         return None
     prior = _prior(grid)

@@ -19,6 +19,7 @@ import numpy as np
 from scipy import ndimage
 
 from quadftc_replay.inspection.identification import (
+    Blocks,
     Grid,
     Identified,
     identify,
@@ -36,6 +37,7 @@ SWITCHED = 0.5  # 1; of its drive, below which a rotor has been switched off
 SCORE = 100.0  # 1; what a rotor has to explain of the sum of squares, over sigma²
 CLEARER = 2.5  # times: what it has to explain more than anything before it
 SOONER = 0.5  # s; so long before it counts as before
+BEGIN = 5.0  # s; of the flight, before there is a model
 PARTS = (0.2, 0.35, 0.5, 0.75, 1.0)  # 1; of the flight, of which models look at what follows
 PAST = 2.0  # s; of which the scatter counts
 PEAK = 0.1  # s; from where it is seen first to where it is clearest
@@ -69,12 +71,15 @@ def search_loss(source: str, grid: Grid) -> tuple[Loss | None, Identified | None
     """Find the first loss of a rotor, and return the model that shows it, else that of the whole flight.
 
     What comes after a loss would spoil the model. So models of longer and longer parts of the flight each
-    look at what follows, and a loss has to show with the model of all that came before it, too.
+    look at what follows, and a loss has to show with the model of all that came before it, too. The begin,
+    before which there is no model, is looked at with that of the rest.
     """
     blocks = in_blocks(grid)
     whole = identify(source, grid, blocks)
     if whole is None:
         return None, None
+    if (early := _look_back(source, grid, blocks)) is not None:
+        return early
     flown = grid.time[grid.flying]
     ends = [float(np.quantile(flown, part)) for part in PARTS]
     begin = float(flown[0])
@@ -92,6 +97,27 @@ def search_loss(source: str, grid: Grid) -> tuple[Loss | None, Identified | None
             begin = loss.onset + SOONER
         begin = max(begin, limit - SOONER)
     return None, whole
+
+
+def _look_back(source: str, grid: Grid, blocks: Blocks) -> tuple[Loss, Identified] | None:
+    """Find a loss at the begin of the flight by the model of the rest.
+
+    The rest does not tell what a rotor gave that was lost before. The others do: rotors together hardly turn
+    a vehicle, so that their gains add up to zero.
+    """
+    begin = float(grid.time[grid.flying][0])
+    later = identify(source, grid, blocks, since=begin + BEGIN)
+    if later is None:
+        return None
+    found: list[tuple[Loss, Identified]] = []
+    for rotor in range(grid.inputs.shape[1]):
+        gain = later.gain.copy()
+        gain[rotor, :3] -= gain[:, :3].sum(axis=0)
+        model = later._replace(gain=gain)
+        loss = find_loss(grid.until(begin + 2.0 * BEGIN), model, (begin, begin + BEGIN))
+        if loss is not None and loss.rotor == rotor:
+            found.append((loss, model))
+    return max(found, key=lambda each: each[0].score, default=None)
 
 
 def find_loss(grid: Grid, model: Identified, span: tuple[float, float]) -> Loss | None:
