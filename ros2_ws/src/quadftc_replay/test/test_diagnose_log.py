@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from quadftc_replay.flight_log import FlightLog, Signal
+from quadftc_replay.inspection.agreement import Agreement, parts_by
 from quadftc_replay.inspection.diagnosis import write_verdict, write_verdict_junit
 from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.overlay import overlay_faults
@@ -89,6 +90,18 @@ def test_gyro_that_creeps_is_named_by_gravity():
     (found,) = inspect(FlightLog(path=Path("still"), format="test", **sensors)).verdict.findings
     assert (found.name, found.kind) == ("gyro y", "offset")
     assert found.size == pytest.approx(0.4, abs=0.1)
+
+
+def test_attitude_confirms_a_step_of_the_gyro_where_both_part():
+    rng, dt = np.random.default_rng(5), np.full(5000, 1.0 / RATE)
+    time = np.cumsum(dt)
+    rest = 0.002 * np.diff(rng.standard_normal((5001, 3)), axis=0)  # noise of the attitude [rad]
+    rest[2000:, 0] -= 0.2 * dt[2000:]
+    agreement = Agreement(time, dt, rest, np.zeros(3), np.zeros((5000, 3)))
+    assert parts_by(agreement, 0, float(time[2000]), 0.2)
+    assert not parts_by(agreement, 0, float(time[2000]), -0.2)
+    assert not parts_by(agreement, 0, float(time[3000]), 0.2)
+    assert not parts_by(agreement, 1, float(time[2000]), 0.2)
 
 
 def test_knock_is_no_gyro_fault():

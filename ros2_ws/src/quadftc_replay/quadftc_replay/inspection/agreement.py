@@ -25,6 +25,9 @@ Floats = NDArray[np.float64]
 FASTEST = 400.0  # Hz; attitudes beyond are thinned out
 ROUNDS = 6  # of the reweighted fit
 HUBER = 2.0  # standard deviations
+ASIDE = 0.5  # s; before and after a step of the gyro, over which it parts from the attitude
+CLEAR = 4.0  # standard deviations of what it parts by otherwise
+SAME = 0.5  # 1; of the step
 
 
 class Agreement(NamedTuple):
@@ -58,6 +61,21 @@ def compare(attitude: Signal, gyro: Signal) -> Agreement | None:
         return None
     rest, bias = _fit(turn - theta, theta, np.diff(rate, axis=0), dt, good)
     return Agreement(time[1:], dt, np.where(good[:, None], rest, 0.0), bias, turn)
+
+
+def parts_by(agreement: Agreement, axis: int, moment: float, size: float) -> bool:
+    """Whether the gyro's rate parts from the attitude's by about ``size`` [rad/s] at a moment [s]."""
+    time, rates = agreement.time, agreement.rest[:, axis] / agreement.dt
+    count = max(3, round(ASIDE / float(np.median(agreement.dt))))
+    row = int(np.searchsorted(time, moment))
+    if row < count or row + count > len(time):
+        return False
+    total = np.concatenate([[0.0], np.cumsum(rates)])
+    means = (total[count:] - total[:-count]) / count
+    changes = means[:-count] - means[count:]  # of the gyro: before less after
+    sigma = TO_SIGMA * float(np.median(np.abs(changes)))
+    change = float(changes[row - count])
+    return abs(change) > CLEAR * sigma and abs(change - size) < SAME * abs(size)
 
 
 def _thinned(attitude: Signal, start: float, gyro_time: Floats) -> tuple[Floats, Floats]:

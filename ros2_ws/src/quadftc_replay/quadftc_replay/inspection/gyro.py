@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_replay.flight_log import MAIN, Signal
+from quadftc_replay.inspection.agreement import Agreement, parts_by
 from quadftc_replay.inspection.attitude import Creep
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
@@ -40,8 +41,13 @@ def component_name(kind: str, name: str) -> str:
 class Witness(NamedTuple):
     """What an attitude says of the main gyro."""
 
+    agreement: Agreement
     creeps: Sequence[Creep]
     is_independent: bool  # the attitude is not computed from the gyro
+
+    def confirms(self, step: Step) -> bool:
+        """Whether an independent attitude does not turn as the gyro says from a step on."""
+        return self.is_independent and parts_by(self.agreement, step.axis, step.onset, step.size)
 
 
 def gyro_findings(
@@ -62,7 +68,8 @@ def gyro_findings(
         ask = witness if number == 0 else None
         # where nobody knows what moves the vehicle, a step needs a witness
         trusted = (flight.phases_known and (ask is None or not ask.is_independent)) or bool(others)
-        joined = join_ends([step for step in kept if trusted and step.score > LEVEL])
+        clear = [step for step in kept if step.score > LEVEL]
+        joined = join_ends([step for step in clear if trusted or (ask is not None and ask.confirms(step))])
         if ask is not None:
             bordered = [(creep, _from_borders(creep, kept)) for creep in left]
             own = [step for _, step in bordered if step is not None]

@@ -112,7 +112,7 @@ def _sensors(
     jumps, creeps = (
         ([], []) if agreement is None else disagreements(flight, agreement, log.attitude_from_gyro)
     )
-    witness = Witness(creeps, not is_own) if agreement is not None else None
+    witness = Witness(agreement, creeps, not is_own) if agreement is not None else None
     own, left = gyro_findings(flight, gyros, witness)
     found += own
     gravity = _by_gravity(log, gyros)

@@ -17,6 +17,7 @@ Floats = NDArray[np.float64]
 LEVEL = 8.0  # standard deviations; the largest in healthy flights of Crazyflies and PX4 is 4.2
 SLOWEST = 80.0  # Hz; below, motion itself looks like steps
 PULSE = 0.03  # s; what goes back within it is a pulse
+UNKNOWN = 0.5  # s; at the begin of a log, of which nobody knows what was before
 APART = 12  # samples; within which there is one step
 SAME = 0.5  # 1; an end has the size of its begin to this share
 TOGETHER = 0.012  # s; steps of several axes within it have one cause
@@ -47,7 +48,7 @@ def steps_of(flight: Flight, sensor: Signal, limits: Limits, level: float = LEVE
     if sensor.rate < SLOWEST or len(sensor) < 200:
         return []
     flying = flight.in_flight(time)
-    watched = flying & ~flight.near_impact(time)
+    watched = flying & ~flight.near_impact(time) & (time > time[0] + UNKNOWN)
     found: list[Step] = []
     for axis in range(sensor.value.shape[1]):
         steps = find_steps(time, sensor.value[:, axis], flying, limits.floor)
