@@ -13,7 +13,13 @@ from quadftc_model.arrays import Array, Components, any_of, changed_where, is_si
 from quadftc_model.assembly import VehicleLaw, law_from
 from quadftc_model.registry import Registry
 from quadftc_model.rotors import attainable
-from quadftc_model.samples import ControllerInputs, ControllerOutput, is_usable
+from quadftc_model.samples import (
+    AttitudeReference,
+    ControllerInputs,
+    ControllerOutput,
+    is_usable,
+    level_sample,
+)
 from quadftc_model.stepper import Stepper
 from quadftc_model.vehicle import Vehicle
 
@@ -43,6 +49,14 @@ def stepper_of(
         return output if usable else nothing_but(last_torque())
 
     return Stepper(law, guard)
+
+
+def inputs_at_rest(vehicle: Vehicle, flies: bool) -> ControllerInputs:
+    """Return what a controller sees of a vehicle at rest, on the test stand or in free flight."""
+    zeros = np.zeros(3)
+    inputs = ControllerInputs(level_sample(), AttitudeReference(zeros, zeros, zeros), zeros)
+    ones = np.ones(len(vehicle.rotors.positions))
+    return inputs._replace(torque=zeros, effectiveness=ones) if flies else inputs
 
 
 def nothing_but(torque: Array) -> ControllerOutput:

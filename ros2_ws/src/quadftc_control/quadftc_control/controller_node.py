@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_control.controller import Controller, controller_from, controllers
+from quadftc_control.controller import Controller, controller_from, controllers, inputs_at_rest
 from quadftc_control.flight_manager import Command, FlightManager
 from quadftc_control.input_monitor import Mode, Patience
 from quadftc_control.last_words import MessageReader
@@ -31,7 +31,6 @@ from quadftc_model.samples import (
     AttitudeReference,
     ControllerInputs,
     ImuSample,
-    level_sample,
 )
 from quadftc_model.stepper import seconds, warm_up
 from quadftc_ros import wire
@@ -69,8 +68,7 @@ def _build(values: Mapping[str, Any]) -> tuple[Controller, Patience]:
 
 
 def _warmed_up(law: Controller) -> Controller:
-    still = AttitudeReference(np.zeros(3), np.zeros(3), np.zeros(3))
-    warm_up(law, ControllerInputs(level_sample(), still, np.zeros(3)))
+    warm_up(law, inputs_at_rest(law.vehicle, flies=False))
     return law
 
 
@@ -93,6 +91,8 @@ class ControllerNode(GraphNode):
         law, patience = _build(self.settings.values())
         self._flies = self.plant_kind == "free_flight"
         self._manager = FlightManager(_warmed_up(law), patience, READER, self.diagnostics.count)
+        if self.settings.values()["compiled"]:
+            self._manager.compile_for(self._flies)
         self.settings.on_change(_build, self._use)
         self._publish_torque = self.publishes("torque/command")
         self._publish_status = self.publishes("control/status")

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from quadftc_control.allocation import actuated
-from quadftc_control.controller import Controller, limited, nothing_but, stepper_of
+from quadftc_control.controller import Controller, inputs_at_rest, limited, nothing_but, stepper_of
 from quadftc_control.input_monitor import HeldTorque, InputMonitor, Mode, Patience
 from quadftc_control.last_words import LastWords, MessageReader
 from quadftc_control.reduced_attitude import Enduring, enduring
@@ -71,6 +71,10 @@ class FlightManager:
         # To publish for observers that restart, oldest first; whoever publishes it clears it: (what, stamp
         # [ns], value), "fault" with a status message, "gyro" or "disturbance" with an array (3,).
         self.kept: list[tuple[str, int, Any]] = []
+
+    def compile_for(self, flies: bool) -> None:
+        """Run the controller compiled for the test stand or for free flight; ValueError if it cannot be."""
+        self._stepper.compile(inputs_at_rest(self._law.vehicle, flies))
 
     def configure(self, law: Controller, patience: Patience) -> None:
         """Change parameters in flight, or the law: another one takes over without a jump of the torque."""

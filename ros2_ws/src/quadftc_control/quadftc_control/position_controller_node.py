@@ -70,6 +70,9 @@ class PositionControllerNode(GraphNode):
         self._place = build_prefixed(PlaceParameters, values, "position")
         law, still = position_loop_from(values), trajectory_from(values).at(0)
         warm_up(law, PositionLoopInputs(level_sample(), NO_PLACE, still))
+        self._guidance = Guidance(law, trajectory_from(values))
+        if values["compiled"]:
+            self._guidance.compile(still)
         self._restart()
         self.settings.on_change(position_loop_from, self._configure)
         self._publish_command, self._command = self.publishes("attitude/reference"), ReferenceWire()
@@ -88,9 +91,7 @@ class PositionControllerNode(GraphNode):
         begin = trajectory_from(values).at(0)
         home = PositionSetpoint(begin.position, begin.yaw)
         self._setpoints = LiveTrajectory(build_prefixed(PositionSetpointFilter, values, "setpoint"), home)
-        self._guidance = Guidance(
-            position_loop_from(values), self._setpoints if self._live else trajectory_from(values)
-        )
+        self._guidance.restart(self._setpoints if self._live else trajectory_from(values))
         self._gate = PlaceGate(self.mode, self._place.period, self._place.delay, self._on_sample)
 
     def _configure(self, law: PositionLoop) -> None:

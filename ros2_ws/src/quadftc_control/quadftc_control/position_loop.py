@@ -28,6 +28,7 @@ from quadftc_model.samples import (
     PositionReference,
     PositionSample,
     is_usable,
+    level_sample,
 )
 from quadftc_model.stepper import Stepper
 
@@ -118,6 +119,15 @@ class Guidance:
         self._stepper = Stepper(law, self._guard)
         self._last: PositionLoopOutput | None = None
         self.reference: PositionReference | None = None  # of the last sample
+
+    def compile(self, reference: PositionReference) -> None:
+        """Run the loop compiled for references like this one; a ValueError if it cannot be compiled."""
+        self._stepper.compile(PositionLoopInputs(level_sample(), NO_PLACE, reference))
+
+    def restart(self, trajectory: TrajectoryGenerator | LiveTrajectory) -> None:
+        """Take the next sample for the first of a flight along a trajectory."""
+        self._stepper.reset()
+        self.trajectory, self._last, self.reference = trajectory, None, None
 
     def configure(self, law: PositionLoop) -> None:
         """Change parameters in flight."""

@@ -9,18 +9,20 @@ lock-step. The nodes build the same parts from their parameters, so both fly the
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Set
+from collections.abc import Callable, Set
 from typing import Any
 
 import numpy as np
 
-from quadftc_control.controller import stepper_of
+from quadftc_control.controller import inputs_at_rest, stepper_of
+from quadftc_control.reduced_attitude import enduring
 from quadftc_fdi.diagnosis import Diagnosis
 from quadftc_fdi.disturbance_observer import DisturbanceEstimation
 from quadftc_flight.flight import Flight, onset_ns, unknown_flight
 from quadftc_flight.guidance import StandGuidance, guidance_of
 from quadftc_flight.reported import note_reports
 from quadftc_flight.scenario import Scenario, Scheme
+from quadftc_model.arrays import Vector
 from quadftc_model.samples import (
     AttitudeCommand,
     ControllerInputs,
@@ -30,6 +32,7 @@ from quadftc_model.samples import (
     PositionSample,
     effectiveness_of,
 )
+from quadftc_model.stepper import Stepper
 from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count
 from quadftc_sim.injector import FaultInjector, Faulty
 from quadftc_sim.motion import compiled_motion
@@ -46,7 +49,7 @@ def fly(
 ) -> Flight:
     """Fly a scenario with one of its schemes (the first by default); the first stamp is ``epoch_ns`` [ns].
 
-    ``compiled``: plant and fault observer run compiled by JAX; ValueError if one cannot be compiled.
+    ``compiled``: plant, fault observer and controllers run compiled by JAX; a ValueError if one cannot be.
     """
     chosen = scheme if isinstance(scheme, Scheme) else scenario.scheme(scheme)
     # one object for each node of the graph
@@ -55,8 +58,8 @@ def fly(
     channels = {fault.injection.channel for fault in scenario.faults}
     diagnosis = _diagnosis_of(scenario, chosen, compiled)
     disturbance_observer = DisturbanceEstimation(chosen.disturbance_observer.law)
-    guidance = guidance_of(scenario, chosen)
-    controller = stepper_of(guidance.law(chosen.controller.law), lambda: given.torque)
+    guidance = guidance_of(scenario, chosen, compiled)
+    controller = _controller_of(scenario, chosen, compiled, lambda: given.torque)
 
     given = guidance.before
     reports = list[DiagnosisReport]()  # on the topic `diagnosis`
@@ -118,6 +121,16 @@ def _diagnosis_of(scenario: Scenario, scheme: Scheme, compiled: bool) -> Diagnos
     if compiled:
         diagnosis.compile_for(scenario.plant.flies)
     return diagnosis
+
+
+def _controller_of(
+    scenario: Scenario, scheme: Scheme, compiled: bool, last_torque: Callable[[], Vector]
+) -> Stepper[ControllerInputs, ControllerOutput]:
+    """Return the controller of a scheme on a stream."""
+    controller, plant = stepper_of(enduring(scheme.controller.law), last_torque), scenario.plant
+    if compiled:
+        controller.compile(inputs_at_rest(plant.vehicle, plant.flies))
+    return controller
 
 
 def _place_in(emission: Emission) -> PositionSample | None:

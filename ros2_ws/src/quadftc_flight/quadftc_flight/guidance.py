@@ -12,9 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_control.allocation import actuated
-from quadftc_control.controller import Controller
 from quadftc_control.position_loop import Guidance, PositionLoop, PositionLoopOutput
-from quadftc_control.reduced_attitude import enduring
 from quadftc_control.reference import ReferenceGenerator
 from quadftc_control.trajectory import TrajectoryGenerator
 from quadftc_flight.flight import Flight
@@ -37,12 +35,8 @@ class StandGuidance:
 
     before = Given(np.zeros(3), np.zeros(3))  # the first command
 
-    def __init__(self, scenario: Scenario, _: Scheme) -> None:
+    def __init__(self, scenario: Scenario, _scheme: Scheme, _compiled: bool) -> None:
         self._reference = ReferenceGenerator([part.law for part in scenario.references])
-
-    def law(self, controller: Controller) -> Controller:
-        """Return what flies a controller of the scheme: it alone."""
-        return controller
 
     def at(self, stamp_ns: int, imu: ImuSample, place: PositionSample | None) -> AttitudeCommand:
         """Return what is wanted at a sample [ns], of the corrected IMU and of the position sensor."""
@@ -79,17 +73,15 @@ class StandGuidance:
 class FlightGuidance(StandGuidance):
     """The position controller of a free flight, with the trajectories that it follows."""
 
-    def __init__(self, scenario: Scenario, scheme: Scheme) -> None:
+    def __init__(self, scenario: Scenario, scheme: Scheme, compiled: bool) -> None:
         self._vehicle = scenario.plant.vehicle
-        trajectory = TrajectoryGenerator([part.law for part in scenario.trajectories])
-        self._guidance = Guidance(position_loop_of(scenario, scheme), trajectory)
+        parts = [part.law for part in scenario.trajectories]
+        self._guidance = Guidance(position_loop_of(scenario, scheme), TrajectoryGenerator(parts))
+        if compiled:
+            self._guidance.compile(TrajectoryGenerator(parts).at(0))
         self._wanted: PositionLoopOutput | None = None
         self._speeds = deque[Components](maxlen=scenario.sensor.delay + 1)
         self.before = Given(scenario.plant.first_command, np.zeros(3))
-
-    def law(self, controller: Controller) -> Controller:
-        """Return what flies the controller, also with a rotor off."""
-        return enduring(controller)
 
     def at(self, stamp_ns: int, imu: ImuSample, place: PositionSample | None) -> AttitudeCommand:
         """Return attitude and thrust by the position."""
@@ -135,6 +127,6 @@ def position_loop_of(scenario: Scenario, scheme: Scheme) -> PositionLoop:
     return PositionLoop(estimator=estimator_for(scenario), controller=scheme.position_controller.law)
 
 
-def guidance_of(scenario: Scenario, scheme: Scheme) -> StandGuidance:
-    """Return what a scheme of a scenario has."""
-    return (FlightGuidance if scenario.plant.flies else StandGuidance)(scenario, scheme)
+def guidance_of(scenario: Scenario, scheme: Scheme, compiled: bool) -> StandGuidance:
+    """Return what a scheme of a scenario has; what can be compiled is, if it is wanted."""
+    return (FlightGuidance if scenario.plant.flies else StandGuidance)(scenario, scheme, compiled)

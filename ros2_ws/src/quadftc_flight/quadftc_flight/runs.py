@@ -51,7 +51,7 @@ class RunOptions:
     namespace: str = ""  # of the vehicle; empty: none
     force: bool = False  # replace an earlier run of the same name
     scheduling: Scheduling = ORDINARY  # in real time: how to share the machine
-    compiled: bool = False  # plant and fault observer run compiled by JAX
+    compiled: bool = False  # plant, fault observer and controllers run compiled by JAX
 
     def __post_init__(self) -> None:
         check_options(self.graph, self.mode, self.scheduling)

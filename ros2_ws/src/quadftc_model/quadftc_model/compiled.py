@@ -11,6 +11,9 @@ JAX is imported only by what is compiled.
 
 from __future__ import annotations
 
+import dataclasses
+import functools
+import math
 import os
 import sys
 from collections.abc import Callable
@@ -42,14 +45,12 @@ def jax_on_cpu() -> Any:
     return jax
 
 
-class Packing(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Packing:
     """How the numbers of nested tuples lie in one vector of floats."""
 
     structure: Any  # of the tuples, as JAX describes it
-    shapes: tuple[tuple[int, ...], ...]  # of each array; () of a single number
-    dtypes: tuple[np.dtype[Any], ...]
-    places: tuple[slice | int, ...]
-    size: int
+    parts: tuple[tuple[tuple[int, ...], np.dtype[Any]], ...]  # shape and type of each array or number
 
     @classmethod
     def of(cls, tree: Any) -> Packing:
@@ -57,11 +58,36 @@ class Packing(NamedTuple):
         import jax
 
         leaves, structure = jax.tree.flatten(tree)
-        shapes = tuple(getattr(leaf, "shape", ()) for leaf in leaves)
-        ends = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes)]).tolist()
-        places = [slice(a, b) if shape else a for shape, a, b in zip(shapes, ends, ends[1:], strict=False)]
-        dtypes = tuple(np.dtype(getattr(leaf, "dtype", type(leaf))) for leaf in leaves)
-        return cls(structure, shapes, dtypes, tuple(places), ends[-1])
+        shapes = [getattr(leaf, "shape", ()) for leaf in leaves]
+        dtypes = [np.dtype(getattr(leaf, "dtype", type(leaf))) for leaf in leaves]
+        return cls(structure, tuple(zip(shapes, dtypes, strict=True)))
+
+    @functools.cached_property
+    def places(self) -> list[Any]:
+        """Where each part lies: an index of a single number, else a slice."""
+        ends = np.cumsum([0, *(math.prod(shape) for shape, _ in self.parts)]).tolist()
+        rows = zip(self.parts, ends, ends[1:], strict=False)
+        return [slice(first, end) if shape else first for (shape, _), first, end in rows]
+
+    @functools.cached_property
+    def rows(self) -> list[Any]:
+        """Type and place of each part."""
+        return [(dtype, place) for (_, dtype), place in zip(self.parts, self.places, strict=True)]
+
+    @functools.cached_property
+    def dtypes(self) -> list[Any]:
+        """Types that there are."""
+        return list({dtype for _, dtype in self.parts})
+
+    @functools.cached_property
+    def matrices(self) -> list[tuple[int, tuple[int, ...]]]:
+        """Numbers and shapes of the parts that have more than one axis."""
+        return [(number, shape) for number, (shape, _) in enumerate(self.parts) if len(shape) > 1]
+
+    @functools.cached_property
+    def size(self) -> int:
+        """Length of the vector."""
+        return sum(math.prod(shape) for shape, _ in self.parts)
 
     def vector(self, tree: Any) -> Array | None:
         """Return the vector of nested tuples of NumPy; None if they have another structure."""
@@ -70,26 +96,29 @@ class Packing(NamedTuple):
         leaves, structure = jax.tree.flatten(tree)
         if structure != self.structure:
             return None
+        for number, _ in self.matrices:
+            leaves[number] = leaves[number].ravel()
         vector = np.empty(self.size)
-        for leaf, shape, place in zip(leaves, self.shapes, self.places, strict=True):
-            vector[place] = leaf.ravel() if len(shape) > 1 else leaf
+        for place, leaf in zip(self.places, leaves, strict=True):
+            vector[place] = leaf
         return vector
 
     def tree(self, vector: Array) -> Any:
         """Return the nested tuples of a vector, in NumPy or JAX."""
         import jax
 
-        of_type = {dtype: vector.astype(dtype) for dtype in set(self.dtypes)}
-        rows = zip(self.shapes, self.dtypes, self.places, strict=True)
-        parts = [(shape, of_type[dtype][place]) for shape, dtype, place in rows]
-        leaves = [part.reshape(shape) if len(shape) > 1 else part for shape, part in parts]
+        of_type = {dtype: vector.astype(dtype) for dtype in self.dtypes}
+        leaves = [of_type[dtype][place] for dtype, place in self.rows]
+        for number, shape in self.matrices:
+            leaves[number] = leaves[number].reshape(shape)
         return jax.tree.unflatten(self.structure, leaves)
 
 
 class CompiledStep:
     """A step, compiled for the structure of a state and inputs.
 
-    A ValueError with the ``name`` of what it is a step of says why it cannot be compiled.
+    A ValueError with the ``name`` of what it is a step of says why it cannot be compiled. The state must have
+    numbers that change: else XLA makes more than one kernel of the step.
     """
 
     def __init__(self, name: str, step: Step, state: Any, inputs: Any) -> None:
@@ -100,7 +129,7 @@ class CompiledStep:
 
         def join(tree: Any) -> Any:
             leaves = [jax.numpy.ravel(leaf).astype(float) for leaf in jax.tree.leaves(tree)]
-            return jax.numpy.concatenate([jax.numpy.zeros(0), *leaves])
+            return jax.numpy.concatenate(leaves)
 
         def only_lane(tree: Any) -> Any:
             return jax.tree.map(lambda leaf: leaf[..., None], tree)

@@ -234,7 +234,11 @@ def effectiveness_of(rotors: RotorEstimate | None) -> Components | None:
 
 def is_usable(*vectors: Vector | Quaternion) -> bool:
     """Whether all numbers of NumPy vectors (n,) are finite and below `UNUSABLE`, as larger ones overflow."""
-    return all(-UNUSABLE < x < UNUSABLE for vector in vectors for x in vector.tolist())  # false for NaN
+    for vector in vectors:
+        for x in vector.tolist():
+            if not -UNUSABLE < x < UNUSABLE:  # true for NaN
+                return False
+    return True
 
 
 def sanitised(sample: ImuSample) -> ImuSample:

@@ -50,7 +50,8 @@ class GraphParameters:
         doc="test_stand: the vehicle turns about a fixed point; free_flight: it flies",
     )
     compiled: bool = parameter(
-        False, doc="plant and fault observer run compiled by JAX: faster, the same numbers to rounding"
+        False,
+        doc="plant, fault observer and controllers run compiled by JAX: faster, the same numbers to rounding",
     )
     frame_prefix: str = parameter(
         "", doc="in front of base_link and imu_link, such as drone1/ where a graph has two vehicles"

@@ -85,5 +85,5 @@ class EffectivenessReader:
             return None
         if len(values) != 2 * count:
             raise ValueError(f"{len(values)} numbers: expected 2 for each of {count} rotors")
-        confirmed = np.isin(values[:count], ALARMS)
-        return np.where(confirmed, np.clip(values[count:], 0.0, 1.0), 1.0)
+        rows = zip(values[:count], values[count:], strict=True)
+        return np.array([min(max(left, 0.0), 1.0) if state in ALARMS else 1.0 for state, left in rows])

@@ -49,7 +49,8 @@ def compiled_motion(plant: Plant) -> Motion:
 
     In free flight the rotors always have a condition, so that there is one function for healthy and faulty.
     """
-    move, healthy, nothing = motion_of(plant), rotor_condition((), plant.command_size, 0.0), np.zeros(0)
+    # the state comes with the inputs, as the rotors' condition changes from outside
+    move, healthy, nothing = motion_of(plant), rotor_condition((), plant.command_size, 0.0), np.zeros(1)
 
     def complete(state: Any) -> Any:
         if isinstance(plant, FlyingPlant) and state.rotors is None:
@@ -58,11 +59,11 @@ def compiled_motion(plant: Plant) -> Motion:
 
     first = complete(plant.init(quaternion_from_euler(np.zeros(3)), np.zeros(3)))
 
-    def advance(_: Any, inputs: tuple[Any, Components, float, float], dt: float) -> tuple[Any, Any]:
+    def advance(flown: Any, inputs: tuple[Any, Components, float, float], dt: float) -> tuple[Any, Any]:
         state, command, before, now = inputs
-        return (), move(state, command, before, now, dt)
+        return flown + dt, move(state, command, before, now, dt)
 
-    step = CompiledStep(type(plant).__name__, advance, (), (first, plant.first_command, 0.0, 0.0))
+    step = CompiledStep(type(plant).__name__, advance, nothing, (first, plant.first_command, 0.0, 0.0))
 
     def move_compiled(
         state: Any, command: Components, before: float, now: float, dt: float

@@ -54,7 +54,7 @@ def run(
     realtime_priority: PriorityOption = 0,
     core: CoreOption = [],  # noqa: B006
     compiled: Annotated[
-        bool, Option("--compiled", help="Run plant and fault observer compiled by JAX: faster.")
+        bool, Option("--compiled", help="Run plant, fault observer and controllers compiled by JAX.")
     ] = False,
     force: Annotated[bool, Option("--force", help="Replace earlier runs of the same name.")] = False,
     jobs: Annotated[
