@@ -1,8 +1,11 @@
 """The observer isolating in free flight: gusts, drifts, and what the position says of attitude and gyro."""
 
+import functools
+
 import jax
 import numpy as np
 import pytest
+from lanes import diagnose_together
 
 from quadftc_fdi.fault_observers.isolating import Isolating
 from quadftc_model.rigid_body import gyroscopic_acceleration
@@ -30,9 +33,10 @@ VEHICLE = load_vehicle("x500")
 SENSORS = ("attitude", "gyro", "accelerometer")
 
 
-def flight(count, change=lambda elapsed, sample: sample, gusts=1.0, place=True, seed=1):
+@functools.cache
+def without_fault(gusts, place, count=2500):
     """Inputs of a vehicle that holds its place, tilted against gusts that push it by 1.3 m/s² at most."""
-    rng, inputs = np.random.default_rng(seed), []
+    rng, inputs = np.random.default_rng(1), []
     size, pace = gusts * np.array([5.0, -5.0, 0.0]) * DEG, np.array([1.9, 2.7, 0.0])
     for index in range(count):
         angles, rates = size * np.sin(pace * index * DT), size * pace * np.cos(pace * index * DT)
@@ -42,8 +46,6 @@ def flight(count, change=lambda elapsed, sample: sample, gusts=1.0, place=True, 
             body_rate=body_rates(angles, rates) + 0.002 * rng.standard_normal(3),
             specific_force=force + 0.02 * rng.standard_normal(3),
         )
-        if index >= BEGIN:
-            sample = change((index - BEGIN) * DT, sample)
         there = np.bool_(place and index % 2 == 0)
         where = PositionSample(0.001 * rng.standard_normal(3) * there, np.zeros(3), there)
         turned = body_rates(angles, rates), body_acceleration(angles, rates, -(pace**2) * angles)
@@ -53,13 +55,22 @@ def flight(count, change=lambda elapsed, sample: sample, gusts=1.0, place=True, 
     return inputs
 
 
+def flight(count, change=lambda elapsed, sample: sample, gusts=1.0, place=True):
+    """The same with a fault from `BEGIN` on."""
+    inputs = without_fault(gusts, place)
+    faulty = enumerate(inputs[BEGIN:count])
+    return inputs[:BEGIN] + [each._replace(imu=change(index * DT, each.imu)) for index, each in faulty]
+
+
+LAW = Isolating(vehicle=VEHICLE, position_noise=0.001)
+
+
 def diagnose(inputs):
     """Estimates of a flight."""
-    law = Isolating(vehicle=VEHICLE, position_noise=0.001)
-    state, first = law.step(law.init(inputs[0]), inputs[0], 0.0)
+    state, first = LAW.step(LAW.init(inputs[0]), inputs[0], 0.0)
     estimates = [first]
     for each in inputs[1:]:
-        state, estimate = law.step(state, each, DT)
+        state, estimate = LAW.step(state, each, DT)
         estimates.append(estimate)
     return estimates
 
@@ -101,77 +112,105 @@ def turning(axis, offset):
     return lambda _, sample: sample._replace(body_rate=sample.body_rate + offset * np.eye(3)[axis])
 
 
-@pytest.mark.parametrize("place", [True, False])
-def test_gusts_are_no_fault(place):
-    assert verdicts(diagnose(flight(2500, place=place))) == []
-
-
-def test_the_front_of_a_gust_is_no_fault():
+def front_of_a_gust(elapsed):
     # 5 m/s within 0.3 s push the lightest vehicle by 1.75 m/s²: 0.246 / s x 5 m/s + 0.021 / m x (5 m/s)²
-    front = pushed(0, lambda elapsed: 0.875 * (1.0 - np.cos(np.pi * min(elapsed / 0.3, 1.0))))
-    assert verdicts(diagnose(flight(BEGIN + 200, front, gusts=0.0, place=False))) == []
+    return 0.875 * (1.0 - np.cos(np.pi * min(elapsed / 0.3, 1.0)))
 
 
-@pytest.mark.parametrize(("axis", "place"), [(0, True), (1, False), (2, True)])
-def test_a_step_of_the_accelerometer_is_named_at_once(axis, place):
-    estimates = diagnose(flight(BEGIN + 125, pushed(axis, lambda _: -1.0), place=place))
+def tilted_and_pushed(elapsed, sample):
+    return tilted(0, SLOW)(elapsed, pushed(1, lambda _: 1.0)(elapsed, sample))
+
+
+drift = pushed(0, lambda elapsed: 0.2 * elapsed)
+SLOW, LONG = 0.3 * DEG, BEGIN + 750
+STEPS = {0: True, 1: False, 2: True}  # of the accelerometer: axis, and whether there is a position
+TILTS, TURNS = {0: -SLOW, 1: SLOW}, {0: -SLOW, 1: SLOW}
+FLIGHTS = {
+    "gusts": {"count": 2500},
+    "gusts alone": {"count": 2500, "place": False},
+    "front": {"count": BEGIN + 200, "change": pushed(0, front_of_a_gust), "gusts": 0.0, "place": False},
+    **{
+        f"step {axis}": {"count": BEGIN + 125, "change": pushed(axis, lambda _: -1.0), "place": place}
+        for axis, place in STEPS.items()
+    },
+    "for a while": {"count": BEGIN + 1250, "change": pushed(0, lambda elapsed: float(elapsed < 2.0))},
+    "drift": {"count": BEGIN + 1250, "change": drift},
+    "drift alone": {"count": BEGIN + 1250, "change": drift, "place": False},
+    **{f"tilt {axis}": {"count": LONG, "change": tilted(axis, rate)} for axis, rate in TILTS.items()},
+    **{f"turn {axis}": {"count": LONG, "change": turning(axis, rate)} for axis, rate in TURNS.items()},
+    "yaw": {"count": LONG, "change": tilted(2, SLOW)},
+    "yaw rate": {"count": LONG, "change": turning(2, SLOW)},
+    "tilt alone": {"count": LONG, "change": tilted(1, SLOW), "place": False},
+    "both": {"count": BEGIN + 500, "change": tilted_and_pushed},
+}
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """Estimates of all flights by name, diagnosed in one batch."""
+    estimates = diagnose_together(diagnose, [flight(**case) for case in FLIGHTS.values()])
+    return dict(zip(FLIGHTS, estimates, strict=True))
+
+
+@pytest.mark.parametrize("name", ["gusts", "gusts alone", "front"])
+def test_gusts_are_no_fault(flown, name):
+    assert verdicts(flown[name]) == []
+
+
+@pytest.mark.parametrize(("axis", "place"), STEPS.items())
+def test_a_step_of_the_accelerometer_is_named_at_once(flown, axis, place):
+    estimates = flown[f"step {axis}"]
     assert verdicts(estimates) == [f"accelerometer {axis}"]
     assert named(estimates[BEGIN + 4])
     assert estimates[-1].sensors.accelerometer.size[axis] == pytest.approx(-1.0, abs=0.3 if place else 0.8)
 
 
-def test_an_accelerometer_that_is_well_again_is_trusted_again():
-    estimates = diagnose(flight(BEGIN + 1250, pushed(0, lambda elapsed: float(elapsed < 2.0))))
+def test_an_accelerometer_that_is_well_again_is_trusted_again(flown):
+    estimates = flown["for a while"]
     assert named(estimates[BEGIN + 499]) == {"accelerometer 0"}
     assert named(estimates[-1]) == set()
 
 
-def test_a_position_shows_an_accelerometer_that_drifts():
-    inputs = flight(BEGIN + 1250, pushed(0, lambda elapsed: 0.2 * elapsed))
-    assert verdicts(diagnose(inputs)) == ["accelerometer 0"]
-    blind = [each._replace(position=each.position._replace(there=np.False_)) for each in inputs]
-    assert verdicts(diagnose(blind)) == []
+def test_a_position_shows_an_accelerometer_that_drifts(flown):
+    assert verdicts(flown["drift"]) == ["accelerometer 0"]
+    assert verdicts(flown["drift alone"]) == []
 
 
-@pytest.mark.parametrize(("axis", "rate"), [(0, -0.3 * DEG), (1, 0.3 * DEG)])
-def test_a_drifting_tilt_is_the_attitudes(axis, rate):
-    estimates = diagnose(flight(BEGIN + 750, tilted(axis, rate)))
+@pytest.mark.parametrize("axis", TILTS)
+def test_a_drifting_tilt_is_the_attitudes(flown, axis):
+    estimates = flown[f"tilt {axis}"]
     assert named(estimates[-1]) == {f"attitude {axis}"}
     assert not any(f"gyro {axis}" in named(each) for each in estimates)
 
 
-@pytest.mark.parametrize(("axis", "offset"), [(0, -0.3 * DEG), (1, 0.3 * DEG)])
-def test_a_gyro_that_is_slightly_off_is_named(axis, offset):
-    estimates = diagnose(flight(BEGIN + 750, turning(axis, offset)))
+@pytest.mark.parametrize("axis", TURNS)
+def test_a_gyro_that_is_slightly_off_is_named(flown, axis):
+    estimates = flown[f"turn {axis}"]
     assert any(
         each.sensors.gyro.state[axis] == FAULTY and f"gyro {axis}" in named(each) for each in estimates
     )
     assert not any(f"attitude {axis}" in named(each) for each in estimates)
 
 
-@pytest.mark.parametrize("fault", [tilted(2, 0.3 * DEG), turning(2, 0.3 * DEG)])
-def test_yaw_stays_ambiguous(fault):
-    estimates = diagnose(flight(BEGIN + 750, fault))
-    assert verdicts(estimates) == ["attitude 2?", "gyro 2?"]
+@pytest.mark.parametrize("name", ["yaw", "yaw rate"])
+def test_yaw_stays_ambiguous(flown, name):
+    assert verdicts(flown[name]) == ["attitude 2?", "gyro 2?"]
 
 
-def test_without_position_a_drift_stays_ambiguous():
-    estimates = diagnose(flight(BEGIN + 750, tilted(1, 0.3 * DEG), place=False))
-    assert verdicts(estimates) == ["attitude 1?", "gyro 1?"]
+def test_without_position_a_drift_stays_ambiguous(flown):
+    assert verdicts(flown["tilt alone"]) == ["attitude 1?", "gyro 1?"]
 
 
-def test_jax_gives_the_same_numbers():
+def test_jax_gives_the_same_numbers(flown):
     jax.config.update("jax_enable_x64", True)
-    faults = [pushed(1, lambda _: 1.0), tilted(0, 0.3 * DEG)]
-    inputs = flight(BEGIN + 500, lambda elapsed, sample: faults[1](elapsed, faults[0](elapsed, sample)))
-    law = Isolating(vehicle=VEHICLE, position_noise=0.001)
+    inputs = flight(**FLIGHTS["both"])
 
     @jax.jit
     def fly(first, rest):
-        state, _ = law.step(law.init(first), first, 0.0)
-        return jax.lax.scan(lambda state, each: law.step(state, each, DT), state, rest)[1]
+        state, _ = LAW.step(LAW.init(first), first, 0.0)
+        return jax.lax.scan(lambda state, each: LAW.step(state, each, DT), state, rest)[1]
 
     found = fly(inputs[0], jax.tree.map(lambda *rows: np.stack(rows), *inputs[1:]))
-    wanted = jax.tree.map(lambda *rows: np.stack(rows), *diagnose(inputs)[1:])
+    wanted = jax.tree.map(lambda *rows: np.stack(rows), *flown["both"][1:])
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
         np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-9)

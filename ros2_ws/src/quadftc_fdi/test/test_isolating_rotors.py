@@ -2,9 +2,9 @@
 
 import dataclasses
 
-import jax
 import numpy as np
 import pytest
+from lanes import diagnose_together
 
 from quadftc_fdi.fault_observers.isolating import Isolating
 from quadftc_model.rotations import turn
@@ -76,9 +76,38 @@ def one_rotor(index, size):
     return lambda t: size * (np.arange(4) == index) * (t >= 0.0)
 
 
-@pytest.mark.parametrize(("index", "size", "speeds"), [(0, 0.15, False), (2, 0.4, True), (3, 0.7, False)])
-def test_weak_rotor_is_named_and_no_sensor_is(index, size, speeds):
-    estimates = diagnose(flight(BEGIN + 260, one_rotor(index, size), speeds=speeds))
+WEAK = {0: (0.15, False), 2: (0.4, True), 3: (0.7, False)}  # rotor, its loss, whether speeds are measured
+SENSOR_FAULTS = {
+    "gyro 0": lambda t, sample: sample._replace(body_rate=sample.body_rate + 0.3 * np.eye(3)[0]),
+    "gyro 1": lambda t, sample: sample._replace(body_rate=sample.body_rate * (1.0 - np.eye(3)[1])),
+    "accelerometer 2": lambda t, sample: sample._replace(
+        specific_force=sample.specific_force - 2.0 * np.eye(3)[2]
+    ),
+}
+FLIGHTS = {  # by name, and whether speeds are measured
+    **{(f"weak {index}", speeds): {"loss": one_rotor(index, size)} for index, (size, speeds) in WEAK.items()},
+    **{("off", speeds): {"count": BEGIN + 60, "off": (1,)} for speeds in (False, True)},
+    ("back", False): {"count": BEGIN + 300, "loss": lambda t: 0.4 * (np.arange(4) == 1) * (0.0 <= t < 0.5)},
+    **{(name, False): {"count": BEGIN + 100, "change": change} for name, change in SENSOR_FAULTS.items()},
+    ("healthy", False): {"count": BEGIN},
+}
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """Estimates of all flights, diagnosed in two batches."""
+    found = {}
+    for speeds in (False, True):
+        cases = {key: {"count": BEGIN + 260, **case} for key, case in FLIGHTS.items() if key[1] is speeds}
+        flights = [flight(**case, speeds=speeds) for case in cases.values()]
+        found |= zip(cases, diagnose_together(diagnose, flights), strict=True)
+    return found
+
+
+@pytest.mark.parametrize("index", WEAK)
+def test_weak_rotor_is_named_and_no_sensor_is(flown, index):
+    size, speeds = WEAK[index]
+    estimates = flown[f"weak {index}", speeds]
     assert verdicts(estimates[: BEGIN + 25]) == [f"rotor {index}"]  # 0.1 s
     assert verdicts(estimates) == [f"rotor {index}"]
     assert estimates[-1].rotors.effectiveness[index] == pytest.approx(1.0 - size, abs=0.03)
@@ -87,52 +116,38 @@ def test_weak_rotor_is_named_and_no_sensor_is(index, size, speeds):
 
 
 @pytest.mark.parametrize("speeds", [False, True])
-def test_rotor_that_is_off_is_named_and_no_sensor_is(speeds):
-    estimates = diagnose(flight(BEGIN + 60, speeds=speeds, off=(1,)))
+def test_rotor_that_is_off_is_named_and_no_sensor_is(flown, speeds):
+    estimates = flown["off", speeds]
     assert verdicts(estimates[: BEGIN + 15]) == ["rotor 1"]  # 60 ms
     assert verdicts(estimates) == ["rotor 1"]
     assert estimates[-1].rotors.effectiveness[1] < 0.1
 
 
-def test_rotor_that_is_back_is_no_fault_of_a_sensor():
-    estimates = diagnose(flight(BEGIN + 300, lambda t: 0.4 * (np.arange(4) == 1) * (0.0 <= t < 0.5)))
+def test_rotor_that_is_back_is_no_fault_of_a_sensor(flown):
+    estimates = flown["back", False]
     assert verdicts(estimates) == ["rotor 1"]
     assert verdicts(estimates[-1:]) == []
 
 
-SENSOR_FAULTS = {
-    "gyro 0": lambda t, sample: sample._replace(body_rate=sample.body_rate + 0.3 * np.eye(3)[0]),
-    "gyro 1": lambda t, sample: sample._replace(body_rate=sample.body_rate * (1.0 - np.eye(3)[1])),
-    "accelerometer 2": lambda t, sample: sample._replace(
-        specific_force=sample.specific_force - 2.0 * np.eye(3)[2]
-    ),
-}
-
-
 @pytest.mark.parametrize("named", SENSOR_FAULTS)
-def test_faulty_sensor_is_named_and_no_rotor_is(named):
-    estimates = diagnose(flight(BEGIN + 100, change=SENSOR_FAULTS[named]))
+def test_faulty_sensor_is_named_and_no_rotor_is(flown, named):
+    estimates = flown[named, False]
     assert verdicts(estimates[: BEGIN + 40]) == [named]
     assert not any(word.startswith("rotor") for word in verdicts(estimates))
 
 
-def test_healthy_flight_names_nothing_and_without_rotors_nothing_is_said_of_them():
-    inputs = flight(BEGIN)
-    assert verdicts(diagnose(inputs)) == []
-    assert diagnose([each._replace(rotors=None) for each in inputs[:10]])[-1].rotors is None
+def test_healthy_flight_names_nothing_and_without_rotors_nothing_is_said_of_them(flown):
+    assert verdicts(flown["healthy", False]) == []
+    assert diagnose([each._replace(rotors=None) for each in flight(10)])[-1].rotors is None
 
 
-def test_batch_gives_the_numbers_of_single_flights():
-    flights = [flight(BEGIN + 30, one_rotor(index, 0.4), speeds=True, seed=index) for index in (0, 3)]
-    batch = diagnose(
-        [jax.tree.map(lambda *lanes: np.stack(lanes), *each) for each in zip(*flights, strict=True)]
-    )
-    for lane, inputs in enumerate(flights):
-        alone = diagnose(inputs)
-        assert np.isin(alone[-1].rotors.state, ALARMS).any()
-        for many, one in zip(batch, alone, strict=True):
-            for column, value in zip(many.rotors, one.rotors, strict=True):
-                np.testing.assert_allclose(column[lane], value, rtol=1e-9, atol=1e-12)
+def test_batch_gives_the_numbers_of_single_flights(flown):
+    batch = flown["weak 2", True][: BEGIN + 30]
+    alone = diagnose(flight(BEGIN + 30, one_rotor(2, 0.4), speeds=True))
+    assert np.isin(alone[-1].rotors.state, ALARMS).any()
+    for many, one in zip(batch, alone, strict=True):
+        for column, value in zip(many.rotors, one.rotors, strict=True):
+            np.testing.assert_allclose(column, value, rtol=1e-9, atol=1e-12)
 
 
 def test_effects_of_the_rotors_are_those_of_the_vehicle_that_the_law_has_now():
