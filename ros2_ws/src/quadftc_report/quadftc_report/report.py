@@ -37,13 +37,14 @@ class ReportError(ValueError):
 
 
 class ReportFiles(NamedTuple):
-    """The files written, the names of the runs and replays in them, and the warnings on the page."""
+    """The files written, the names of the runs and replays in them, and what the page says first."""
 
     page: Path
     figures: Path | None  # directory of the figures for print
     runs: tuple[str, ...]
     replays: tuple[str, ...]
     warnings: tuple[str, ...]  # one line each
+    verdicts: tuple[str, ...]  # a sentence on each scenario and recording
 
 
 def write_report(
@@ -67,6 +68,7 @@ def write_report(
         _check_folder(tables)
     found = _gather(paths, progress)
 
+    from quadftc_report.headline import headline
     from quadftc_report.page import render
 
     page = render(found.flown, found.warnings, found.replayed, folder.name if with_figures else None)
@@ -88,7 +90,9 @@ def write_report(
         raise ReportError(f"{out}: cannot be written: {error.strerror or error}") from None
     names = ([run.name for part in parts for run in part.comparison.runs] for parts in found[:2])
     flown, replayed = map(tuple, names)
-    return ReportFiles(out, folder if with_figures else None, flown, replayed, found.warnings)
+    verdicts = [f"{each.title}: {headline(each.comparison).sentence}" for each in (*found[0], *found[1])]
+    files = out, folder if with_figures else None
+    return ReportFiles(*files, flown, replayed, found.warnings, tuple(verdicts))
 
 
 def write_figures(

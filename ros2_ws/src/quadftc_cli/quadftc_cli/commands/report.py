@@ -59,7 +59,7 @@ def report(
     warn(written.warnings)
     pairs = ((len(written.runs), "run"), (len(written.replays), "replay"))
     counts = listing([counted(number, what) for number, what in pairs if number])
-    say(f"report on {counts}: {written.page}")
+    say(*written.verdicts, f"report on {counts}: {written.page}")
     if written.figures is not None:
         say(f"figures (PNG, PDF): {written.figures}")
     if tables is not None:
