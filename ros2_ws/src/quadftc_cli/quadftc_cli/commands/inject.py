@@ -27,8 +27,8 @@ def inject(
 ) -> None:
     """Put a fault on a vehicle that flies: now, or after a start; until cleared, or for a duration.
 
-    ``quadftc list faults`` shows the kinds of sensors with their parameters, ``quadftc list rotor_faults``
-    those of rotors. Times count from now. Prints the number that ``quadftc clear`` takes.
+    'quadftc list faults' shows the kinds of sensors with their parameters, 'quadftc list rotor_faults'
+    those of rotors. Times count from now. Prints the number that 'quadftc clear' takes.
     """
     fields = request_fields(" ".join(fault))
     from quadftc_cli.live import LiveGraph  # starts ROS

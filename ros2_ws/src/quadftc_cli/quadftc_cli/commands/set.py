@@ -38,11 +38,14 @@ def set_(
 ) -> None:
     """Set where a vehicle shall be, or parameters of a node that runs.
 
-    ``set attitude roll=5deg`` and ``set position x=1 y=0 z=2 yaw=90deg`` are followed smoothly, by a
-    reference that is live. ``set fault_observer isolating.NAME=VALUE`` changes a parameter,
-    ``set fault_observer observer=supervised`` the observer in flight, and
-    ``set fault_observer lifecycle=deactivate`` makes a node rest.
-    """
+    \b
+    attitude roll=5deg                     follow an attitude, if the reference is live
+    position x=1 y=0 z=2 yaw=90deg         in free flight, a place
+    fault_observer                         show the parameters of a node
+    fault_observer isolating.NAME=VALUE    change one
+    fault_observer observer=supervised     change the observer in flight
+    fault_observer lifecycle=deactivate    have a node rest
+    """  # noqa: D301 (that is how Click keeps lines)
     pairs = read_pairs(values)
     if target in SETPOINTS:
         _send_setpoint(target, pairs, namespace)
