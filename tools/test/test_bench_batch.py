@@ -104,31 +104,44 @@ def test_process_that_cannot_do_its_job_says_why_in_one_line():
     assert "\n" not in str(raised.value)
 
 
-def test_benchmark_writes_what_it_measured(tmp_path, capfd, monkeypatch):
-    monkeypatch.setattr("quadftc_tools.bench.batch.SCHEME", "conventional")  # quickest to compile
-    monkeypatch.setattr("quadftc_tools.bench.batch.OTHER_SCHEMES", ())
-    monkeypatch.setattr("quadftc_tools.bench.batch.LEAST", 0.01)
-    short = ["--only", "conventional", "--flights", "2", "--precision", "float32", "--cores", "1"]
-    short += ["--repeats", "2", "--duration", "0.2"]
-    assert guarded(["bench", "batch", *short, "--out", str(tmp_path)]) == 0
-    written = json.loads((tmp_path / "batch.json").read_text(encoding="utf-8"))
-    assert written["machine"]["cores"] >= 1
-    rows = {row["name"]: row for row in written["results"]}
-    for name in ("conventional", "conventional, plain vmap"):
-        assert rows[name]["flights"] == 2
-        assert rows[name]["precision"] == "float32"
-        assert 0 < rows[name]["steps_per_second"]["median"] <= rows[name]["steps_per_second"]["best"]
-        assert len(rows[name]["repeats"]) == 2
-        assert rows[name]["memory_mib"] > 50.0
-    ours = {"conventional", "conventional, plain vmap", "conventional, one whole flight"}
-    assert set(rows) == {*ours, "free flight, conventional"}
-    assert (tmp_path / "batch.png").stat().st_size > 5000
-    printed = capfd.readouterr().out
-    assert "load" in printed
-    assert "conventional, float32: the rewritten step is " in printed
+@pytest.fixture
+def measured(tmp_path, capfd, monkeypatch):
+    """Run the benchmark shortly; return its rows by name, and what it printed."""
+
+    def run(only):
+        monkeypatch.setattr("quadftc_tools.bench.batch.SCHEME", "conventional")  # quickest to compile
+        monkeypatch.setattr("quadftc_tools.bench.batch.OTHER_SCHEMES", ())
+        monkeypatch.setattr("quadftc_tools.bench.batch.LEAST", 0.01)
+        short = ["--only", only, "--flights", "2", "--precision", "float32", "--cores", "1"]
+        short += ["--repeats", "2", "--duration", "0.2"]
+        assert guarded(["bench", "batch", *short, "--out", str(tmp_path)]) == 0
+        assert (tmp_path / "batch.png").stat().st_size > 5000
+        written = json.loads((tmp_path / "batch.json").read_text(encoding="utf-8"))
+        assert written["machine"]["cores"] >= 1
+        return {row["name"]: row for row in written["results"]}, capfd.readouterr().out
+
+    return run
+
+
+def test_benchmark_writes_what_it_measured(measured):
+    rows, printed = measured("one whole flight")
+    assert set(rows) == {"conventional, one whole flight"}
     whole = rows["conventional, one whole flight"]
+    assert (whole["flights"], whole["precision"], len(whole["repeats"])) == (1, "float32", 2)
+    assert 0 < whole["steps_per_second"]["median"] <= whole["steps_per_second"]["best"]
+    assert whole["memory_mib"] > 50.0
     assert whole["seconds"]["best"] == pytest.approx(20_000 / whole["steps_per_second"]["best"], rel=1e-3)
     assert f"conventional, one whole flight of 80 s, float32: {whole['seconds']['best']:.3f} s" in printed
+    assert "load" in printed
+
+
+@pytest.mark.thorough
+def test_benchmark_measures_the_plain_step_and_free_flight_too(measured):
+    rows, printed = measured("conventional")
+    ours = {"conventional", "conventional, plain vmap", "conventional, one whole flight"}
+    assert set(rows) == {*ours, "free flight, conventional"}
+    assert {rows[name]["flights"] for name in ("conventional", "conventional, plain vmap")} == {2}
+    assert "conventional, float32: the rewritten step is " in printed
 
 
 @pytest.mark.parametrize(

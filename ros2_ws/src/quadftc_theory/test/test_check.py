@@ -1,5 +1,6 @@
 """The check of a scheme: bounds from a scenario and from a recorded run, sections, verdict, JSON."""
 
+import functools
 import json
 
 import numpy as np
@@ -14,7 +15,8 @@ def loaded(name, *overrides):
     return load_scenario(find_scenario(name), list(overrides))
 
 
-def report(name, *overrides, scheme=None, **options):
+@functools.cache
+def report(name, *overrides, scheme="proposed", **options):
     scenario = loaded(name, *overrides)
     return check_scenario(scenario, scenario.scheme(scheme), **options)
 
