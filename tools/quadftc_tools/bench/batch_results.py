@@ -100,7 +100,8 @@ def batch_figure(results: Sequence[Mapping[str, Any]], out: Path) -> Path:
     axes.set(xscale="log", yscale="log", xlabel="flights in a process", ylabel="steps per second and core")
     axes.set_title("crosses: on more cores; dashed: double precision")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
+    if lines:
+        axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
     path = out / "batch.png"
     figure.savefig(path, dpi=120)
     return path
