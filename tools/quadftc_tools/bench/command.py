@@ -106,7 +106,9 @@ def latency(
 def lockstep(
     rate: Annotated[list[float], typer.Option(help="Control rates [Hz].")] = [250.0],  # noqa: B006
     vehicles: Annotated[list[int], typer.Option(min=1, help="In one process, and in as many.")] = [1],  # noqa: B006
+    scenario: Annotated[str, typer.Option(help="Scenario to fly, by its first scheme.")] = SCENARIO,
     observer: Observer = "sliding_mode",
+    compiled: Annotated[bool, typer.Option("--compiled", help="Compiled by JAX, too.")] = False,
     duration: Annotated[
         float | None, typer.Option(min=0.5, help="Length of a flight [s]; default: 10, thorough 20.")
     ] = None,
@@ -123,12 +125,12 @@ def lockstep(
     results: list[dict[str, Any]] = []
     with StopSignals() as stop, _bars() as bars:
         for each, count in itertools.product(rate, vehicles):
-            scenario = _scenario(observer, length, each)
-            scheme = scenario.scheme(None)
-            bar = bars.add_task(f"{each:g} Hz, vehicles: {count}", total=times * len(forms(count)))
+            flown = _scenario(observer, length, each, scenario)
+            chosen = forms(count, compiled)
+            bar = bars.add_task(f"{each:g} Hz, vehicles: {count}", total=times * len(chosen))
             # all forms in turn, so that a busy machine is as bad for all
-            for _, form in itertools.product(range(times), forms(count)):
-                found = measure_lockstep(scenario, scheme, form, count, lambda _: not stop.requested)
+            for _, form in itertools.product(range(times), chosen):
+                found = measure_lockstep(flown, flown.scheme(None), form, count, lambda _: not stop.requested)
                 results.append(_unless_stopped(found))
                 bars.advance(bar)
                 bars.refresh()
@@ -138,12 +140,14 @@ def lockstep(
 
 @bench.command()
 def step(
-    batches: Annotated[int, typer.Option(min=1, help="How often 250 steps are timed.")] = 40, out: Out = None
+    batches: Annotated[int, typer.Option(min=1, help="How often 250 steps are timed.")] = 40,
+    compiled: Annotated[bool, typer.Option("--compiled", help="Compiled by JAX.")] = False,
+    out: Out = None,
 ) -> None:
-    """What one step of each fault observer costs, for one vehicle in NumPy: half a minute."""
+    """What one step of each fault observer costs, for one vehicle: half a minute."""
     from quadftc_tools.bench.lockstep import step_costs, step_table
 
-    results = list(step_costs(batches))
+    results = list(step_costs(batches, compiled))
     console().print(step_table(results))
     _finish(out, "step", results)
 
@@ -206,8 +210,8 @@ def batch(
     _finish(out, "batch", results, shown.batch_figure)
 
 
-def _scenario(observer: str, duration: float, rate: float) -> Scenario:
-    loaded = with_duration(load_scenario(find_scenario(SCENARIO), [NO_DELAY]), duration)
+def _scenario(observer: str, duration: float, rate: float, name: str = SCENARIO) -> Scenario:
+    loaded = with_duration(load_scenario(find_scenario(name), [NO_DELAY]), duration)
     return with_components(with_rate(loaded, rate), observer=observer)
 
 

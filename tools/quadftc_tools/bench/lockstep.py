@@ -22,11 +22,13 @@ from quadftc_flight.closed_loop import fly
 from quadftc_flight.graph.composed import ComposedGraph
 from quadftc_flight.graph.plan import GraphPlan
 from quadftc_flight.scenario import Scenario, Scheme, load_scenario, node_parameters
+from quadftc_model.compiled import CompiledLaw
 from quadftc_model.samples import FaultObserverInputs, ImuSample
 from quadftc_tools.results_table import results_table
 
-RECORDING, COMPOSED, SINGLE, APART, ALONE = FORMS = (
+RECORDING, COMPILED, COMPOSED, SINGLE, APART, ALONE = FORMS = (
     "composed, recording",
+    "composed, recording, compiled",
     "composed",
     "composed, SingleThreadedExecutor",
     "composed, each vehicle in a process of its own",
@@ -40,9 +42,10 @@ MICROSECONDS = 1e6
 _barriers: list[Any] = []  # where the processes of `_wall_time_apart` wait for each other
 
 
-def forms(vehicles: int) -> tuple[str, ...]:
-    """Those of `FORMS` that differ for a number of vehicles."""
-    return tuple(form for form in FORMS if form != APART or vehicles > 1)
+def forms(vehicles: int, compiled: bool = False) -> tuple[str, ...]:
+    """Those of `FORMS` that differ for a number of vehicles; ``compiled``: that one, too."""
+    left_out = [APART] * (vehicles == 1) + [COMPILED] * (not compiled)
+    return tuple(form for form in FORMS if form not in left_out)
 
 
 def measure_lockstep(
@@ -50,17 +53,18 @@ def measure_lockstep(
 ) -> dict[str, Any] | None:
     """Fly a scenario in one of `FORMS`; None if ``progress``, called with the samples so far, ended it.
 
-    ``real_time_factor`` is of the whole, ``sample_us`` of one sample of one vehicle. GraphError if the graph
+    ``real_time_factor`` is of the whole, ``sample_us`` of one sample of one vehicle, as is ``processor_us``,
+    the processor time of all threads of this process; None if others fly. GraphError if the graph
     does not start or stalls.
     """
     parameters = node_parameters(scenario, scheme)
     if form == ALONE:
-        begin = time.monotonic()
+        begin, busy = time.monotonic(), time.process_time()
         for _ in range(vehicles):
             fly(scenario, scheme)
-        wall_time = time.monotonic() - begin
+        wall_time, busy = time.monotonic() - begin, time.process_time() - busy
     elif form == APART:
-        wall_time = _wall_time_apart(parameters, vehicles)
+        wall_time, busy = _wall_time_apart(parameters, vehicles), None
     else:
         going_on = True
 
@@ -69,7 +73,7 @@ def measure_lockstep(
             going_on = progress(samples)
             return going_on
 
-        wall_time = _wall_time_together(parameters, form, vehicles, follow)
+        wall_time, busy = _times_together(parameters, form, vehicles, follow)
         if not going_on:
             return None
     samples = scenario.duration * scenario.rate * vehicles
@@ -81,21 +85,25 @@ def measure_lockstep(
         "observer": scheme.observer.kind,
         "real_time_factor": round(scenario.duration / wall_time, 3),
         "sample_us": round(MICROSECONDS * wall_time / samples, 1),
+        "processor_us": None if busy is None else round(MICROSECONDS * busy / samples, 1),
     }
 
 
-def _wall_time_together(
+def _times_together(
     parameters: Mapping[str, Mapping[str, Any]], form: str, vehicles: int, follow: Callable[[int], bool]
-) -> float:
-    """Fly all vehicles in this process, each in a namespace of its own [s]."""
+) -> tuple[float, float]:
+    """Fly all vehicles in this process, each in a namespace of its own; wall and processor time [s]."""
     with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
-        bags = [Path(folder, f"bag_{number}") if form == RECORDING else None for number in range(vehicles)]
+        records = form in (RECORDING, COMPILED)
+        bags = [Path(folder, f"bag_{number}") if records else None for number in range(vehicles)]
         plans = [
-            GraphPlan(parameters, "lockstep", namespace=f"vehicle_{number}", bag=bag)
+            GraphPlan(parameters, "lockstep", f"vehicle_{number}", bag, compiled=form == COMPILED)
             for number, bag in enumerate(bags)
         ]
         with ComposedGraph(*plans, executor="single" if form == SINGLE else "events") as graph:
-            return graph.run(follow)
+            graph.wait_until_connected()
+            busy = time.process_time()
+            return graph.run(follow), time.process_time() - busy
 
 
 def _wall_time_apart(parameters: Mapping[str, Mapping[str, Any]], vehicles: int) -> float:
@@ -121,7 +129,7 @@ def _fly_one(parameters: Mapping[str, Mapping[str, Any]], number: int) -> float:
 def lockstep_table(results: Sequence[Mapping[str, Any]]) -> Table:
     """One row for each rate, number of vehicles and form; medians of the runs."""
     title = f"lock-step, {results[0]['observer']}"
-    numbers = ("times real time", "one sample [us]", "of the closed loop")
+    numbers = ("times real time", "one sample [us]", "of the closed loop", "processor [us]")
     table = results_table(title, ("rate [Hz]", "vehicles", "form"), numbers)
     for rate, count in dict.fromkeys((item["rate"], item["vehicles"]) for item in results):
         rows = [item for item in results if (item["rate"], item["vehicles"]) == (rate, count)]
@@ -131,12 +139,14 @@ def lockstep_table(results: Sequence[Mapping[str, Any]]) -> Table:
                 median_high([row[key] for row in rows if row["form"] == form])
                 for key in ("sample_us", "real_time_factor")
             )
-            cells = (f"{factor:.2f}", f"{sample:.0f}", f"{sample / alone:.2f}")
+            busy = [row["processor_us"] for row in rows if row["form"] == form and row["processor_us"]]
+            processor = f"{median_high(busy):.0f}" if busy else "-"
+            cells = (f"{factor:.2f}", f"{sample:.0f}", f"{sample / alone:.2f}", processor)
             table.add_row(f"{rate:g}", f"{count}", form, *cells)
     return table
 
 
-def step_costs(batches: int) -> Iterator[dict[str, Any]]:
+def step_costs(batches: int, compiled: bool = False) -> Iterator[dict[str, Any]]:
     """Measure every fault observer on a simulated healthy flight with a MEMS IMU at 250 Hz.
 
     Yields ``observer``, and ``best_us`` and ``median_us`` of batches of 250 steps.
@@ -152,19 +162,20 @@ def step_costs(batches: int) -> Iterator[dict[str, Any]]:
     ]
     for name in fault_observers.names():
         law = fault_observer_from({"vehicle": "qball_x4", "observer": name})
-        state, _ = law.step(law.init(samples[0]), samples[0], 0.0)
+        advance = CompiledLaw(law, samples[0]).step if compiled else law.step
+        state, _ = advance(law.init(samples[0]), samples[0], 0.0)
         for inputs in samples[1:-STEPS]:
-            state, _ = law.step(state, inputs, 1.0 / STEP_RATE)
-        costs = [_step_cost(law, state, samples[-STEPS:]) for _ in range(batches)]
+            state, _ = advance(state, inputs, 1.0 / STEP_RATE)
+        costs = [_step_cost(advance, state, samples[-STEPS:]) for _ in range(batches)]
         best, median = round(min(costs), 1), round(statistics.median(costs), 1)
         yield {"observer": name, "best_us": best, "median_us": median}
 
 
-def _step_cost(law: Any, state: Any, samples: list[FaultObserverInputs]) -> float:
+def _step_cost(advance: Any, state: Any, samples: list[FaultObserverInputs]) -> float:
     """Mean time of a step [us]."""
     begin = time.perf_counter()
     for inputs in samples:
-        state, _ = law.step(state, inputs, 1.0 / STEP_RATE)
+        state, _ = advance(state, inputs, 1.0 / STEP_RATE)
     return MICROSECONDS * (time.perf_counter() - begin) / len(samples)
 
 

@@ -34,14 +34,15 @@ Tap = Callable[[str], Take | None]  # full name of a topic -> what gets its mess
 
 def tapped(publisher: Publisher, tap: Tap | None) -> Callable[[Any], None]:
     """Return the ``publish`` of a publisher; a tap gets a copy. The message is serialised once, for both."""
-    send = publisher.publish
     take = None if tap is None else tap(publisher.topic_name)
     if take is None:
-        return send
+        return publisher.publish
+    handle = publisher.handle  # for bytes, without the detours of `publish`
 
     def publish(message: Any) -> None:
         data = message if isinstance(message, bytes) else serialize_message(message)
-        send(data)
+        with handle:
+            handle.publish_raw(data)
         take(data)
 
     return publish

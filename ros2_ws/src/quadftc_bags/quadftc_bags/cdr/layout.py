@@ -72,7 +72,12 @@ class Layout:
 
     def fits(self, data: bytes) -> bool:
         """Return whether another message of the type has this layout."""
-        return len(data) == len(self._data) and all(data[at : at + 4] == word for at, word in self.lengths)
+        if len(data) != len(self._data):
+            return False
+        for at, word in self.lengths:  # noqa: SIM110  # many times as fast as `all` with a generator
+            if data[at : at + 4] != word:
+                return False
+        return True
 
     def _pass_message(self, leaves: Sequence[Leaf] | None) -> None:
         if leaves is None:

@@ -19,6 +19,7 @@ from quadftc_bags.cdr.layout import FRAME, FRAME_LENGTH, PLAIN, STAMP
 
 NANOSECONDS = 1_000_000_000  # per second
 _LENGTHS = struct.Struct(">I"), struct.Struct("<I")  # of frame_id, by byte order
+_STAMPS = struct.Struct(">iI"), struct.Struct("<iI")  # by byte order
 _ROOM = bytes(4096)  # more than the numbers of a message take
 
 
@@ -26,7 +27,7 @@ def leading_stamp_ns(data: bytes) -> int:
     """Return the stamp [ns] that a serialised message begins with; ValueError if it is too short."""
     if len(data) < FRAME_LENGTH:
         raise ValueError(f"no stamp in {len(data)} bytes")
-    sec, nanosec = struct.unpack_from("<iI" if data[1] else ">iI", data, STAMP)
+    sec, nanosec = _STAMPS[data[1] != 0].unpack_from(data, STAMP)
     return sec * NANOSECONDS + nanosec
 
 
