@@ -168,7 +168,7 @@ def test_node_lives_through_bad_messages_and_answers_good_ones(case, mode):
     node_class, parameters, driver, answer = NODES[case]
     injects, clock = node_class is FaultInjectorNode, [1000 * SECOND]
 
-    @settings(max_examples=25)
+    @settings(max_examples=settings().max_examples // 4)
     @given(st.data())
     def sequence(data):
         now_ns = clock[0] = clock[0] + 20 * SECOND
@@ -310,7 +310,7 @@ def test_injector_answers_any_request_and_flies_on():
     with Wired(FaultInjectorNode, "realtime") as wired:
         now_ns = [900 * SECOND]
 
-        @settings(max_examples=250)
+        @settings(max_examples=2 * settings().max_examples)
         @given(REQUESTS, st.integers(0, 2**32 - 1))
         def ask(fields, number):
             answer = wired.call("inject", InjectFault.Request(**fields))

@@ -10,7 +10,13 @@ BIAS = {"kind": "bias", "channel": "accelerometer", "axes": "x", "value": 1.0, "
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("vehicle", vehicle_names())
+@pytest.mark.parametrize(
+    "vehicle",
+    [
+        pytest.param(name, marks=[] if name in ("x500", "crazyflie_2x") else [pytest.mark.thorough])
+        for name in vehicle_names()  # without option the largest and the smallest
+    ],
+)
 def test_circle_at_two_metres_a_second_in_gusts_is_followed_within_a_tenth_of_a_metre(vehicle):
     assert 0.001 < tracked(scenario_of(vehicle, "circle", "geometric")).rms < 0.1
 

@@ -12,6 +12,7 @@ import time
 import numpy as np
 import pytest
 
+from quadftc_campaign import campaign_run
 from quadftc_campaign.campaign_checks import CampaignCheck, campaign_results
 from quadftc_campaign.campaign_file import load_campaign
 from quadftc_campaign.campaign_run import CampaignRun, chunks_of, fly_chunk
@@ -330,6 +331,19 @@ def test_a_cluster_that_exists_flies_the_same_with_a_worker_killed(alike, tmp_pa
     assert "cpu" in said[0]
 
 
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """Chunks are flown here; the tests that kill workers show that these fly the same."""
+
+    def run_here(client, function, arguments, progress):
+        return enumerate(function(*each, progress) for each in arguments)
+
+    monkeypatch.setattr(campaign_run, "cluster_client", lambda address, workers: contextlib.nullcontext())
+    monkeypatch.setattr(campaign_run, "devices", lambda client: "here")
+    monkeypatch.setattr(campaign_run, "run_tasks", run_here)
+
+
+@pytest.mark.usefixtures("in_this_process")
 def test_a_campaign_goes_on_where_it_was_and_ends_the_same(alike, tmp_path):
     whole = CampaignRun(alike, tmp_path / "whole", SIZE)
     whole.open(resume=False)
@@ -365,6 +379,7 @@ def test_a_directory_with_another_campaign_is_left_alone(campaign, tmp_path):
         CampaignRun(campaign, tmp_path / "full").open(resume=False)
 
 
+@pytest.mark.usefixtures("in_this_process")
 def test_a_full_disk_is_said_in_one_line(alike, tmp_path, monkeypatch):
     run = CampaignRun(alike, tmp_path / "out", SIZE)
     run.open(resume=False)

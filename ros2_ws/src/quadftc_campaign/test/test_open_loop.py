@@ -142,8 +142,15 @@ def accusing():
 
 
 @pytest.mark.usefixtures("accusing")
-@pytest.mark.parametrize("observer", ["supervised", "threshold", "isolating", "accusing"])
-@pytest.mark.parametrize("more", ["", BEGINNING, MEMORY])
+@pytest.mark.parametrize(
+    ("observer", "more"),
+    [
+        ("supervised", ""),
+        ("threshold", BEGINNING),
+        ("threshold", MEMORY),
+        *((name, BEGINNING + MEMORY) for name in ("supervised", "isolating", "accusing")),
+    ],
+)
 def test_flights_diagnosed_together_are_those_diagnosed_alone(observer, more):
     head, _, rest = BASE.partition("faults:")
     text = head + FAULTS + more + rest[rest.index("schemes:") :].replace("supervised", observer)

@@ -181,7 +181,7 @@ def test_a_healthy_flight_raises_no_alarm_and_starts_within_two_seconds(flown):
     assert np.max(np.abs(healthy.wrong[TIME > 5.0])) < 0.06 * DEG
 
 
-@pytest.mark.parametrize("rate", [50.0, 1000.0])
+@pytest.mark.parametrize("rate", [50.0, 500.0, pytest.param(1000.0, marks=pytest.mark.thorough)])
 def test_it_works_at_other_rates(rate):
     time = times(6.5, rate)
     fault = a_fault(time, lambda elapsed: 0.0 * elapsed + 2.0 * DEG, start=3.0, stop=4.0)
