@@ -180,7 +180,8 @@ class Isolating(Supervised):
             return state, estimate._replace(
                 sensors=self._name(state, imu, estimate), rotors=rotor_watch.say_rotors(state.rotors)
             )
-        readings, monitor, accelerometer, verdict, flight, rotors = self._judge_readings(state, inputs, dt)
+        judged = self._judge_readings(state, inputs, dt)
+        readings, monitor, accelerometer, verdict, flight, rotors = judged
 
         # the attitude against the gyro, or the virtual one
         rate = monitor.filter.rate
@@ -194,15 +195,10 @@ class Isolating(Supervised):
         attitude, estimate = self.attitude_law.advance(before, imu, gyro, doubt, dt)
 
         # whose is a fault of the attitude? Where it is the gyro's, the attitude is acquitted
-        def vote() -> Vector | None:
-            if flight is None:
-                return None
-            return free_flight.vote(flight, accelerometer, estimate.fault, estimate.std_dev)
-
-        believed, monitor, attitude, estimate = changed_where(
+        believed, monitor, flight, attitude, estimate = changed_where(
             attitude.faulty,
-            lambda: self._blame(state, inputs, monitor, verdict, attitude, estimate, vote(), dt),
-            (hypotheses.start_hypotheses(attitude.faulty), monitor, attitude, estimate),
+            lambda: self._blame(state, inputs, judged, attitude, estimate, dt),
+            (hypotheses.start_hypotheses(attitude.faulty), monitor, flight, attitude, estimate),
         )
 
         missing = verdict.odd[..., ATTITUDE] | (state.missing & verdict.late[..., ATTITUDE])
@@ -214,18 +210,21 @@ class Isolating(Supervised):
         self,
         state: State,
         inputs: FaultObserverInputs,
-        monitor: GyroMonitor,
-        verdict: Verdict,
+        judged: Judged,
         attitude: supervised.State,
         estimate: FaultEstimate,
-        vote: Vector | None,
         dt: float,
-    ) -> tuple[Hypotheses, GyroMonitor, supervised.State, FaultEstimate]:
+    ) -> tuple[Hypotheses, GyroMonitor, FreeFlight | None, supervised.State, FaultEstimate]:
         """Judge whose a fault of the attitude is, and acquit the attitude where it is the gyro's."""
-        trace = monitor.trace
+        monitor, flight, vote = judged.gyro, judged.flight, None
+        new, fault = attitude.faulty & ~state.attitude.faulty, estimate.fault
+        if flight is not None:
+            flight = free_flight.follow_tilt(flight, fault, estimate.onset_age, new, dt)
+            vote = free_flight.vote(flight, judged.accelerometer, fault, estimate.std_dev)
+        trace, rate = monitor.trace, monitor.filter.rate
         seen = hypotheses.Evidence(
             (attitude.track.still < 1.0) & ~monitor.faulty,
-            verdict.stuck[..., ATTITUDE],
+            judged.verdict.stuck[..., ATTITUDE],
             trace.bend,
             trace.jump,
             trace.deviation,
@@ -235,15 +234,14 @@ class Isolating(Supervised):
             trace.scatter,
             vote,
         )
-        new, rate = attitude.faulty & ~state.attitude.faulty, monitor.filter.rate
-        believed, guilty = hypotheses.weigh(state.hypotheses, attitude.faulty, new, estimate.fault, seen, dt)
+        believed, guilty = hypotheses.weigh(state.hypotheses, attitude.faulty, new, fault, seen, dt)
         monitor = monitor._replace(faulty=monitor.faulty | guilty)
         attitude, estimate = changed_where(
             guilty,
             lambda: self._acquit(attitude, estimate, inputs, rate, guilty, vote),
             (attitude, estimate),
         )
-        return believed, monitor, attitude, estimate
+        return believed, monitor, flight, attitude, estimate
 
     def _judge_readings(self, state: State, inputs: FaultObserverInputs, dt: float) -> Judged:
         """Test the readings of all sensors, and judge rotors, gyro and accelerometer."""

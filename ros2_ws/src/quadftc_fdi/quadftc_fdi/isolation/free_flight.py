@@ -10,7 +10,9 @@ bias b that the accelerometer seems to have. An attitude that is off in tilt mov
     b = (g pitch error, -g roll error, 0) + error of the accelerometer
 
 What b is in healthy flight is learned. So b says whose a discrepancy s of attitude and gyro is: b / g is s
-where the attitude is wrong, and 0 where the gyro is. Without a discrepancy it is the accelerometer.
+where the attitude is wrong, and 0 where the gyro is. But b follows late. Its variance is P = q² T, where q is
+its walk and T its lag in steady state. So where the attitude is wrong, b / g is "due" to be s behind a lag T.
+Without a discrepancy it is the accelerometer.
 """
 
 from __future__ import annotations
@@ -53,6 +55,7 @@ LEAST = 0.012  # m/s²; of b in healthy flight, 1 sigma at least: 0.07 deg
 APART, CLOSE = 0.25, 0.1  # m/s²; by which a healthy accelerometer may be off without, with a position
 PULL, LOOSE = 0.5, 0.3  # s, m/s²/sqrt(s); how b is followed where the accelerometer is faulty
 SOONEST = 0.5  # s; age of a fault, at least, by which its rate is known
+ROUGHLY = 0.3  # 1; of what is not yet due of a tilt error, 1 sigma of what is due
 FINAL = 30.0  # 1; bound of log-odds
 
 
@@ -66,6 +69,7 @@ class FreeFlight(NamedTuple):
     spread: Vector  # mean square of its changes [m²/s⁴]
     learned: Scalar  # for how long it has been learned [s]
     settled: Scalar  # since attitude or gyro were last in doubt [s]
+    due: Vector  # part of the attitude's faults that b shows by now, if they are the attitude's [rad]
 
 
 def motion_law(delay: float, noise: float, gives_velocity: bool, velocity_noise: float) -> PositionEstimator:
@@ -88,7 +92,7 @@ def start_flight(law: PositionEstimator, inputs: FaultObserverInputs) -> FreeFli
     zeros = 0.0 * inputs.imu.specific_force
     zero = components(zeros)[0]
     motion = law.init(_motion_inputs(inputs))
-    return FreeFlight(inputs.thrust + zero, zeros + LOST, motion, zeros, zeros, zero, zero)
+    return FreeFlight(inputs.thrust + zero, zeros + LOST, motion, zeros, zeros, zero, zero, zeros)
 
 
 def predict_force(state: FreeFlight, thrust: Scalar, lag: float, dt: float) -> tuple[FreeFlight, Scalar]:
@@ -151,17 +155,29 @@ def step_flight(
     )
     monitor = AccelerometerMonitor(offset, excess * known, faulty, fault)
     base, spread, learned = _learned(state, excess, known & ~any_of(faulty | far), dt)
-    return FreeFlight(state.thrust, unsure, motion, base, spread, learned, settled), monitor, used
+    after = FreeFlight(state.thrust, unsure, motion, base, spread, learned, settled, state.due)
+    return after, monitor, used
+
+
+def follow_tilt(state: FreeFlight, fault: Vector, age: Vector, new: Mask, dt: float) -> FreeFlight:
+    """Follow what b shows of attitude faults [rad] of an age [s]; ``new`` ones have grown evenly so far."""
+    xp, lag = namespace(fault), column(components(state.motion.covariance)[5]) / WALK**2
+    ago = xp.maximum(age, dt)
+    grown = fault * (1.0 - lag / ago * (1.0 - exp(-ago / lag)))
+    return state._replace(
+        due=xp.where(new, grown, state.due + (1.0 - exp(-dt / lag)) * (fault - state.due))
+    )
 
 
 def vote(state: FreeFlight, monitor: AccelerometerMonitor, fault: Vector, std_dev: Vector) -> Vector:
     """Log-odds by the position, gyro over attitude, of an attitude fault [rad] known to ``std_dev`` [rad].
 
-    The tilt error by b is normal: about 0 where the gyro is wrong, about the fault where the attitude is.
+    The tilt error by b is normal: about 0 where the gyro is wrong, about what is due where the attitude is.
     """
     x, y, _ = components((state.motion.bias - state.base) / STANDARD_GRAVITY)
     sx, sy, _ = components(state.spread / STANDARD_GRAVITY**2)
-    (roll, pitch, _), (ur, up, _) = components(fault), components(std_dev * std_dev)
+    unsure = std_dev * std_dev + (ROUGHLY * (fault - state.due)) ** 2
+    (roll, pitch, _), (ur, up, _) = components(state.due), components(unsure)
     least = (LEAST / STANDARD_GRAVITY) ** 2
     counts = _known(state.motion) & (state.learned > NEEDED) & ~any_of(monitor.faulty)[..., 0]
 
