@@ -112,7 +112,8 @@ def _diagnose_together(
     if np.any(complete.any(axis=1) != complete.all(axis=1)):
         return [None] * len(places)
     torque = np.stack([flights[place].recording.torque for place in places], axis=1)
-    said = _step_through(law, recording.stamp_ns, seen, torque, complete[:, 0])
+    driven = np.array([flights[place].recording.driven for place in places])
+    said = _step_through(law, recording.stamp_ns, seen, torque, driven, complete[:, 0])
     usable = [
         np.all(np.abs(each) < UNUSABLE, axis=(0, 2))  # false for NaN
         for each in (said.fault, said.corrected.q_xyzw, said.corrected.body_rate, *_sizes(said))
@@ -141,6 +142,7 @@ def _step_through(
     stamp_ns: NDArray[np.int64],
     seen: ImuSample,
     torque: NDArray[np.float64],
+    driven: NDArray[np.bool_],
     complete: NDArray[np.bool_],
 ) -> FaultEstimate:
     """Diagnose samples (n, flights, ...), as `quadftc_fdi.diagnosis.Diagnosis` does those of one flight."""
@@ -152,7 +154,7 @@ def _step_through(
             stepper.reset()
             estimates.append(None)
             continue
-        estimate = stepper.step(stamp, FaultObserverInputs(sample, torque[row]))
+        estimate = stepper.step(stamp, FaultObserverInputs(sample, torque[row], driven=driven))
         assert estimate is not None  # stamps increase
         estimates.append(estimate)
     says_more = any(each is not None and each.sensors is not None for each in estimates)

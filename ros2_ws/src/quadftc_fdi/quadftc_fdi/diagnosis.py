@@ -40,6 +40,7 @@ COMPONENTS: Mapping[str, tuple[tuple[str, ...], str]] = {
     "gyro": (BODY_AXES, "rad/s"),
     "accelerometer": (BODY_AXES, "m/s^2"),
 }
+_AT_REST = np.zeros(3)
 _UNKNOWN = np.full(3, -1.0)
 _UNKNOWN_KIND = np.full(3, FAULT_KINDS.index("unknown"), np.uint8)
 _CLEAR = np.zeros(3, np.bool_)
@@ -86,21 +87,22 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
         self,
         stamp_ns: int,
         sample: ImuSample,
-        torque: Vector,
+        torque: Vector | None,
         thrust: Scalar | None = None,
         place: PositionSample | None = None,
         rotors: RotorReading | None = None,
     ) -> FaultEstimate | None:
         """Diagnose a sample [ns] as received; None if its stamp is repeated or went back.
 
-        ``torque`` [N m] and ``thrust`` [N] are those that acted since the sample before; ``place`` is what
-        the position sensor says with the sample, ``rotors`` what is known of the rotors. Without them, None:
-        on the test stand.
+        ``torque`` [N m] and ``thrust`` [N] are those that acted since the sample before; None: the torque is
+        unknown. ``place`` is what the position sensor says with the sample, ``rotors`` what is known of the
+        rotors. Without thrust, place and rotors, None: on the test stand.
         """
         clean = sanitised(sample)
         if thrust is not None and place is None:
             place = NO_PLACE
-        inputs = FaultObserverInputs(clean, torque, thrust, place, rotors)
+        driven = torque is not None
+        inputs = FaultObserverInputs(clean, torque if driven else _AT_REST, thrust, place, rotors, driven)
         last, dt = self.words_for(stamp_ns), self.time_step(stamp_ns)
         complete = clean.attitude_valid and clean.rate_valid
         if self._next is not None and dt == 0.0:

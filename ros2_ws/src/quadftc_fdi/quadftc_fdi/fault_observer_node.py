@@ -82,7 +82,7 @@ class FaultObserverNode(GraphNode):
         if self.plant_kind == "free_flight":
             self._read_flight()
         else:
-            gate = CommandGate(self.mode, self._on_sample, self.diagnostics.count)
+            gate = CommandGate(self.mode, self._on_sample, self.diagnostics.count, first=None)
             self.driven_by("imu/data", gate.put_sample, restart=self._diagnosis.restart, decode=imu_of)
             self.reads("torque/command", gate.put_command, decode=vector_of)
         self._kept: dict[str, Any] = {}
@@ -168,14 +168,14 @@ class FaultObserverNode(GraphNode):
         last = LastDiagnosis(fault, std_dev, faulty, self._kept["gyro"], onset_ns)
         self._diagnosis.offer(stamp_ns, last)
 
-    def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats) -> None:
+    def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats | None) -> None:
         self._diagnose(stamp_ns, sample, torque)
 
     def _diagnose(
         self,
         stamp_ns: int,
         sample: ImuSample,
-        torque: Floats,
+        torque: Floats | None,
         thrust: Scalar | None = None,
         place: PositionSample | None = None,
         rotors: RotorReading | None = None,

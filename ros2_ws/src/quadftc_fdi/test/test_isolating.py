@@ -13,6 +13,7 @@ from quadftc_model.samples import (
     FAULT_KINDS,
     FAULTY,
     HEALTHY,
+    SUSPECT,
     FaultObserverInputs,
     level_sample,
 )
@@ -26,7 +27,8 @@ BEGIN = 1250  # the sample at which faults begin
 class Hover:
     """A level vehicle at rest, diagnosed."""
 
-    def __init__(self, parameters):
+    def __init__(self, parameters, driven=True):
+        self.driven = driven
         self.law, self.rng = (
             Isolating(vehicle=load_vehicle("qball_x4"), **parameters),
             np.random.default_rng(1),
@@ -40,7 +42,8 @@ class Hover:
                 body_rate=0.002 * self.rng.standard_normal(3),
                 specific_force=np.array([0.0, 0.0, 9.80665]) + 0.02 * self.rng.standard_normal(3),
             )
-            inputs, start = FaultObserverInputs(change(index, sample), np.zeros(3)), self.state is None
+            inputs = FaultObserverInputs(change(index, sample), np.zeros(3), driven=self.driven)
+            start = self.state is None
             state = self.law.init(inputs) if start else self.state
             self.state, estimate = self.law.step(state, inputs, 0.0 if start else DT)
             self.estimates.append(estimate)
@@ -87,6 +90,35 @@ def test_a_healthy_vehicle_has_healthy_sensors():
     for estimate in hover(1500)[500:]:
         assert max(np.max(part.state) for part in estimate.sensors) <= 2  # suspicions come and go
         assert not estimate.sensors.gyro.ambiguous.any()
+
+
+def carried(index, sample):
+    """A sample of a vehicle in a hand, which waves and rests, with a gyro that repeats itself at rest."""
+    phase, moves = 6.0 * np.pi * index * DT, float(index % 1000 < 500)
+    angle, rate = 0.1 * moves * (1.0 - np.cos(phase)), 0.6 * np.pi * moves * np.sin(phase)
+    x = np.array([1.0, 0.0, 0.0])
+    return turned(lambda _: angle * x)(index, sample)._replace(
+        body_rate=np.round(sample.body_rate / 4.0 + rate * x, 3),
+        specific_force=sample.specific_force + 3.0 * moves * np.sin(phase) * x,
+    )
+
+
+def test_without_a_known_torque_motion_is_no_fault():
+    assert all(
+        np.max(part.state) <= SUSPECT
+        for each in Hover({}, driven=False).on(3000, carried).estimates[500:]
+        for part in each.sensors
+    )
+
+
+def test_without_a_known_torque_a_gyro_that_is_off_is_ambiguous():
+    off = shifted("body_rate", lambda _: np.array([0.3, 0.0, 0.0]))
+    last = Hover({}, driven=False).on(BEGIN).on(250, off).estimates[-1]
+    assert (
+        last.sensors.gyro.ambiguous.tolist()
+        == last.sensors.attitude.ambiguous.tolist()
+        == [True, False, False]
+    )
 
 
 @pytest.mark.parametrize("axis", range(3))

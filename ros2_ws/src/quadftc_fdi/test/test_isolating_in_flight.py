@@ -124,6 +124,7 @@ def tilted_and_pushed(elapsed, sample):
 drift = pushed(0, lambda elapsed: 0.2 * elapsed)
 SLOW, LONG = 0.3 * DEG, BEGIN + 750
 STEPS = {0: True, 1: False, 2: True}  # of the accelerometer: axis, and whether there is a position
+QUICK = {0: -4.0 * DEG, 1: 1.0 * DEG}  # tilts found before the position can show them
 TILTS, TURNS = {0: -SLOW, 1: SLOW}, {0: -SLOW, 1: SLOW}
 FLIGHTS = {
     "gusts": {"count": 2500},
@@ -137,7 +138,8 @@ FLIGHTS = {
     "drift": {"count": BEGIN + 1250, "change": drift},
     "drift alone": {"count": BEGIN + 1250, "change": drift, "place": False},
     **{f"tilt {axis}": {"count": LONG, "change": tilted(axis, rate)} for axis, rate in TILTS.items()},
-    **{f"turn {axis}": {"count": LONG, "change": turning(axis, rate)} for axis, rate in TURNS.items()},
+    **{f"quick {axis}": {"count": LONG, "change": tilted(axis, rate)} for axis, rate in QUICK.items()},
+    **{f"turn {axis}": {"count": BEGIN + 900, "change": turning(axis, rate)} for axis, rate in TURNS.items()},
     "yaw": {"count": LONG, "change": tilted(2, SLOW)},
     "yaw rate": {"count": LONG, "change": turning(2, SLOW)},
     "tilt alone": {"count": LONG, "change": tilted(1, SLOW), "place": False},
@@ -176,9 +178,10 @@ def test_a_position_shows_an_accelerometer_that_drifts(flown):
     assert verdicts(flown["drift alone"]) == []
 
 
+@pytest.mark.parametrize("pace", ["tilt", "quick"])
 @pytest.mark.parametrize("axis", TILTS)
-def test_a_drifting_tilt_is_the_attitudes(flown, axis):
-    estimates = flown[f"tilt {axis}"]
+def test_a_drifting_tilt_is_the_attitudes(flown, pace, axis):
+    estimates = flown[f"{pace} {axis}"]
     assert named(estimates[-1]) == {f"attitude {axis}"}
     assert not any(f"gyro {axis}" in named(each) for each in estimates)
 

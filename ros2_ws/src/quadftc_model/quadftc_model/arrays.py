@@ -215,12 +215,12 @@ def chosen(mask: Array, new: Any, old: Any) -> Any:
 
 
 def rows_of(part: Any, index: Any) -> Any:
-    """Return the elements at an index of every array of nested tuples; what is None stays so."""
+    """Return the elements at an index of every array of nested tuples; None and single flags stay so."""
     if isinstance(part, tuple):
         parts = cast("tuple[Any, ...]", part)
         kind: Any = type(parts)
         return kind(*(rows_of(each, index) for each in parts))
-    return None if part is None else part[index]
+    return part if part is None or isinstance(part, bool) else part[index]
 
 
 def cache_numbers(function: Callable[..., T]) -> Callable[..., T]:

@@ -124,6 +124,7 @@ class FaultObserverInputs(NamedTuple):
     thrust: Scalar | None = None  # of all rotors [N]; None: unknown, as on the test stand
     position: PositionSample | None = None  # None: there is no position sensor
     rotors: RotorReading | None = None  # None: neither commands nor speeds of single rotors are known
+    driven: Flag = True  # torque and thrust are known; if not, the torque is given as zero
 
 
 class SensorEstimate(NamedTuple):

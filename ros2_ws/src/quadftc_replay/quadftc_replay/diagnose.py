@@ -49,7 +49,8 @@ def diagnose(
         faulty = injector.apply(stamp_ns, ImuSample(*(column[row] for column in recording.imu)))
         estimate = None
         if faulty.present:
-            estimate = diagnosis.diagnose(stamp_ns, faulty.sample, recording.torque[row])
+            torque = recording.torque[row] if recording.driven else None
+            estimate = diagnosis.diagnose(stamp_ns, faulty.sample, torque)
             assert estimate is not None  # stamps increase
             reports += filter(None, [diagnosis.report(stamp_ns, estimate)])
         injected.append(faulty)

@@ -57,6 +57,11 @@ class Recording:
         return len(self.stamp_ns)
 
     @property
+    def driven(self) -> bool:
+        """Whether the torque is known."""
+        return self.torque_topic is not None
+
+    @property
     def duration(self) -> float:
         """Time from the first sample to the end of the last sample's period [s]."""
         span_ns = int(self.stamp_ns[-1] - self.stamp_ns[0])

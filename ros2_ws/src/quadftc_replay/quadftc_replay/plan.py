@@ -80,7 +80,7 @@ class Replay:
             observer=self.observer.name,
             faults=[fault.spec for fault in faults],
             seed=self.seed,
-            torque=recording.torque_topic or "zero: none recorded",
+            torque=recording.torque_topic or "unknown: none recorded",
             truth=f"{' and '.join(truth)} faults" if truth else "no fault: the recording counts as healthy",
             duration=recording.duration,
             samples=len(recording),

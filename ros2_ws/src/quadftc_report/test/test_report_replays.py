@@ -81,7 +81,7 @@ def made_replay(
         faults=[fault.spec for fault in faults],
         seed=0,
         truth="overlaid faults" if faults else "no fault: the recording counts as healthy",
-        torque="zero: none recorded",
+        torque="unknown: none recorded",
         duration=COUNT * PERIOD,
         samples=COUNT,
         samples_left_out={"stamp repeated": 7},

@@ -49,25 +49,28 @@ class StampJoin:
             self.given_up += 1
 
 
+NO_TORQUE = np.zeros(3)  # N m
+
+
 class CommandGate:
     """Call ``callback(stamp_ns, message, command)`` for IMU samples, with the command that acted before each.
 
     In real time that is the latest. In lock-step a sample waits for the command of the sample before; a stamp
     that is not later than the last begins a new flight. A command that is not finite is replaced by the one
-    before, and ``count`` gets the reason, with the ``topic``. ``first`` acts before any.
+    before, and ``count`` gets the reason, with the ``topic``. ``first`` acts before any; None: not known.
     """
 
     def __init__(
         self,
         mode: str,
-        callback: Callable[[int, Any, Floats], None],
+        callback: Callable[[int, Any, Any], None],
         count: Callable[[str], None],
         topic: str = "torque/command",
-        first: Floats | None = None,
+        first: Floats | None = NO_TORQUE,
     ) -> None:
         self._lockstep = mode == "lockstep"
         self._callback, self._count, self._topic = callback, count, topic
-        self._first = np.zeros(3) if first is None else first
+        self._first = first
         self._samples: deque[tuple[int, Any]] = deque(maxlen=DEPTH)
         self._newest_ns = -1
         self._begin()

@@ -53,6 +53,7 @@ from quadftc_model.arrays import (
     is_single,
     join,
     namespace,
+    pick,
 )
 from quadftc_model.parameters import parameter
 from quadftc_model.position_estimator import PositionEstimator
@@ -63,6 +64,7 @@ from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample,
 DEG = math.pi / 180.0
 CORRELATED = 0.06  # s; how long an error of the virtual gyro lasts
 LOST = 10.0  # rad²; variance of an attitude of which nothing is known: more means nothing
+UNDRIVEN = 30.0  # rad/s²/sqrt(s); random walk of the acceleration, at least, where the torque is unknown
 UNTESTED = 1e6  # rad²/s²; variance of a prediction that tests no gyro
 TWICE_LONG: float = 2.0 * sensor_noise.AVERAGED[sensor_noise.LONG].item()  # s
 VOTED = 1.0  # 1; log-odds of the position from which it has decided for the gyro
@@ -218,21 +220,24 @@ class Isolating(Supervised):
         """Judge whose a fault of the attitude is, and acquit the attitude where it is the gyro's."""
         monitor, flight, vote = judged.gyro, judged.flight, None
         new, fault = attitude.faulty & ~state.attitude.faulty, estimate.fault
+        abrupt = attitude.track.still < 1.0
         if flight is not None:
-            flight = free_flight.follow_tilt(flight, fault, estimate.onset_age, new, dt)
+            flight = free_flight.follow_tilt(flight, fault, estimate.onset_age, new, abrupt, dt)
             vote = free_flight.vote(flight, judged.accelerometer, fault, estimate.std_dev)
         trace, rate = monitor.trace, monitor.filter.rate
         seen = hypotheses.Evidence(
-            (attitude.track.still < 1.0) & ~monitor.faulty,
+            abrupt & ~monitor.faulty,
             judged.verdict.stuck[..., ATTITUDE],
             trace.bend,
             trace.jump,
             trace.deviation,
+            monitor.filter.rr,
             monitor.filter.acceleration,
             monitor.filter.dd,
             trace.needed,
             trace.scatter,
             vote,
+            column(inputs.driven) & attitude.faulty,
         )
         believed, guilty = hypotheses.weigh(state.hypotheses, attitude.faulty, new, fault, seen, dt)
         monitor = monitor._replace(faulty=monitor.faulty | guilty)
@@ -248,7 +253,8 @@ class Isolating(Supervised):
         imu, before, inertia = inputs.imu, state.attitude, self.vehicle.inertia
         xp, rate = namespace(imu.body_rate), state.gyro.filter.rate
         omega, angles = estimate_rate(before.filter.x, imu.body_rate), euler_from_quaternion(imu.q_xyzw)
-        gyroscopic, q = gyroscopic_acceleration(inertia, rate), self.disturbance**2
+        gyroscopic, least = gyroscopic_acceleration(inertia, rate), self.disturbance**2
+        q = pick(column(inputs.driven), least, max(least, UNDRIVEN**2))
         # predict
         state, inputs = self._watch_rotors(state, inputs, omega, gyroscopic, dt)
         drive = (inputs.torque - self.vehicle.rotational_drag * rate) / inertia
@@ -269,8 +275,9 @@ class Isolating(Supervised):
         moved = angles - state.readings.reading[..., ATTITUDE]
         raw = xp.concatenate([imu.body_rate, imu.specific_force, angles], axis=-1)
         square = xp.concatenate([omega - ahead_rate, off, moved], axis=-1) ** 2
-        variance, zeros = variance + UNTESTED * ~wanted, 0.0 * off
-        predicted = xp.concatenate([variance, unsure, zeros], axis=-1)
+        untested, zeros = column(inputs.driven) ^ True, 0.0 * off  # without the torque
+        variance = variance + UNTESTED * (untested | ~wanted)
+        predicted = xp.concatenate([variance, unsure + UNTESTED * untested, zeros], axis=-1)
         noise = xp.maximum(state.readings.variance, FLOOR)
         readings, verdict = reading_test.test_reading(
             state.readings, raw, there, square, predicted, noise, NOISY, dt
@@ -286,7 +293,7 @@ class Isolating(Supervised):
             readings.suspicion[..., FORCE],
             there[..., FORCE],
             verdict.of(FORCE),
-            before.faulty | monitor.faulty,
+            before.faulty | monitor.faulty | untested,
             dt,
         )
         if flight is None:

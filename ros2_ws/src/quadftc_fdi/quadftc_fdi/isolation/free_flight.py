@@ -55,6 +55,7 @@ LEAST = 0.012  # m/s²; of b in healthy flight, 1 sigma at least: 0.07 deg
 APART, CLOSE = 0.25, 0.1  # m/s²; by which a healthy accelerometer may be off without, with a position
 PULL, LOOSE = 0.5, 0.3  # s, m/s²/sqrt(s); how b is followed where the accelerometer is faulty
 SOONEST = 0.5  # s; age of a fault, at least, by which its rate is known
+GROWN = 2.0  # 1; lags of b for which an attitude fault has grown, at least, when it is found
 ROUGHLY = 0.3  # 1; of what is not yet due of a tilt error, 1 sigma of what is due
 FINAL = 30.0  # 1; bound of log-odds
 
@@ -159,14 +160,18 @@ def step_flight(
     return after, monitor, used
 
 
-def follow_tilt(state: FreeFlight, fault: Vector, age: Vector, new: Mask, dt: float) -> FreeFlight:
-    """Follow what b shows of attitude faults [rad] of an age [s]; ``new`` ones have grown evenly so far."""
+def follow_tilt(
+    state: FreeFlight, fault: Vector, age: Vector, new: Mask, abrupt: Mask, dt: float
+) -> FreeFlight:
+    """Follow what b shows of attitude faults [rad] of an age [s].
+
+    ``new`` ones have grown evenly so far. Unless they are ``abrupt``, that was for `GROWN` lags at least: a
+    slow fault is found late.
+    """
     xp, lag = namespace(fault), column(components(state.motion.covariance)[5]) / WALK**2
-    ago = xp.maximum(age, dt)
+    ago = xp.maximum(age, xp.where(abrupt, dt, GROWN * lag))
     grown = fault * (1.0 - lag / ago * (1.0 - exp(-ago / lag)))
-    return state._replace(
-        due=xp.where(new, grown, state.due + (1.0 - exp(-dt / lag)) * (fault - state.due))
-    )
+    return state._replace(due=xp.where(new, grown, state.due + (1.0 - exp(-dt / lag)) * (fault - state.due)))
 
 
 def vote(state: FreeFlight, monitor: AccelerometerMonitor, fault: Vector, std_dev: Vector) -> Vector:

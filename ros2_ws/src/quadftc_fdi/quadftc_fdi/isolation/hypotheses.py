@@ -68,11 +68,13 @@ class Evidence(NamedTuple):
     bend: Vector  # largest jump of the attitude of late, in standard deviations
     jump: Vector  # largest jump of the gyro of late, in standard deviations
     deviation: Vector  # gyro less attitude-based rate [rad/s]
+    unsure: Vector  # variance of that rate [rad²/s²]
     of_attitude: Vector  # unknown acceleration by attitude and torque [rad/s²]
     variance: Vector  # of that [rad²/s⁴]
     of_gyro: Vector  # unknown acceleration by gyro and torque [rad/s²]
     scatter: Vector  # squared change of the attitude's innovation, in variances
-    position: Vector | None = None  # log-odds by a position sensor; None: on the test stand
+    position: Vector | None  # log-odds by a position sensor; None: on the test stand
+    driven: Mask  # the torque is known; without it only the attitude's own jumps tell
 
 
 def weigh(
@@ -83,17 +85,19 @@ def weigh(
     ``new`` is declared at this sample, ``fault`` [rad] its size so far.
     """
     xp = namespace(fault)
-    jumped = new & (seen.jump * fault < 0.0) & (xp.abs(seen.jump) > JUMPED)
+    jumped = seen.driven & new & (seen.jump * fault < 0.0) & (xp.abs(seen.jump) > JUMPED)
     certain = xp.where(new, seen.abrupt & (xp.abs(seen.bend) > BENT), state.certain) | seen.stuck
     change = (1.0 - exp(-dt / SPREAD)) * (seen.deviation**2 - state.spread)
     spread = (state.spread + change) * faulty
     needs_gyro = xp.minimum(seen.of_gyro**2 / USUAL**2, MOST)
     needs_attitude = xp.minimum(seen.of_attitude**2 / (USUAL**2 + seen.variance), MOST)
     odd = clip(seen.scatter - SCATTERED, 0.0, MOST)
-    evidence = (state.evidence + (0.5 * dt / PERIOD) * (needs_gyro - needs_attitude - odd)) * faulty
+    news = (0.5 * dt / PERIOD) * (needs_gyro - needs_attitude - odd)
+    evidence = (state.evidence + seen.driven * news) * faulty
     # evidence of long ago fades, and none is final
     evidence = clip(evidence * exp(-dt / FADES), -FINAL, FINAL)
-    odds = belief_in_gyro(xp.sqrt(spread)) + evidence
+    rate = xp.sqrt(xp.maximum(spread - seen.unsure, 0.0))
+    odds = seen.driven * belief_in_gyro(rate) + evidence
     if seen.position is not None:
         odds = odds + seen.position
     certain = faulty & (certain | (odds < CLEARED))

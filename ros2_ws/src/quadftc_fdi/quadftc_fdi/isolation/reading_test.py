@@ -2,7 +2,7 @@
 
 outlier     beyond six standard deviations of the innovation: the reading is not to be used
 odd         three outliers, or readings that are absent, within few samples: a jump, noise, silence
-stuck       a reading that is repeated, more often than it ever was by chance
+stuck       a reading that is repeated more often than by chance: than it was, or than its grain lets expect
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_model.arrays import AnyArray, Bool, Float, Mask, Vector, changed_where, clip, exp, namespace
+from quadftc_model.samples import UNUSABLE
 
 OUTLIER = 6.0  # 1; standard deviations beyond which a reading is an outlier
 KEPT, ALARM = 0.8, 2.3  # 1; of the count of outliers from sample to sample; level of a fault: three in a row
@@ -23,6 +24,7 @@ EARLY, LATE, CLIP = 0.3, 20.0, 9.0  # s, s, 1; what the prior is worth; memory; 
 CHANCE, RARE = 0.01, math.log(1e-7)  # 1; of a repeated reading, at first; log of a chance that is none
 SAME = 1e-12  # SI; readings that differ by less, or by 8 roundings of 1, are the same
 LONG_RUN = 2.0  # 1; repetitions beyond which a run teaches nothing
+COARSE, LIKELY = 16.0, 0.7  # 1; chance of a repeated reading by its grain, in standard deviations; at most
 PATIENT = 20.0  # s; over which the chance is learned
 
 
@@ -42,6 +44,7 @@ class ReadingTest(NamedTuple):
     repeats: Channels  # how often it has been repeated
     chance: Channels  # share of repeated readings, learned
     held: Channels  # variance of an innovation before there were outliers
+    grain: Channels  # smallest change from reading to reading so far
 
 
 class Verdict(NamedTuple):
@@ -60,7 +63,8 @@ class Verdict(NamedTuple):
 def start_test(reading: Channels, prior: Limits) -> ReadingTest:
     """Start with the standard deviations of a noise that is not known."""
     zeros = namespace(reading).zeros_like(reading)
-    return ReadingTest(zeros + prior**2, zeros, zeros, zeros, reading, zeros, zeros + CHANCE, zeros)
+    chance, grain = zeros + CHANCE, zeros + UNUSABLE
+    return ReadingTest(zeros + prior**2, zeros, zeros, zeros, reading, zeros, chance, zeros, grain)
 
 
 def test_reading(
@@ -85,13 +89,16 @@ def test_reading(
     outlier = there & started & (square > OUTLIER**2 * held)
     missed = outlier | absent
     outliers = KEPT * state.outliers + missed
-    same = there & (xp.abs(reading - state.reading) < _least_change(reading.dtype))
+    change = xp.abs(reading - state.reading)
+    same = there & (change < _least_change(reading.dtype))
+    grain = xp.where(there & ~same, xp.minimum(state.grain, change), state.grain)
     learning = state.repeats <= LONG_RUN
     chance = state.chance + learning * (dt / PATIENT) * (same - state.chance)
 
     def judge_run() -> tuple[Channels, Flags, Flags]:
         repeats = (state.repeats + same) * same
-        run = xp.where(state.variance > noisy, repeats * xp.log(clip(chance, 1e-4, 0.99)), 0.0)
+        likely = xp.minimum(COARSE * grain / xp.sqrt(state.variance), LIKELY)
+        run = repeats * xp.log(clip(xp.maximum(chance, likely), 1e-4, 0.99)) * (state.variance > noisy)
         return repeats, started & (run < RARE), ~missed & ((run > 0.5 * RARE) | ~started)
 
     late, none = outliers > SOME, 0.0 * outliers
@@ -100,7 +107,9 @@ def test_reading(
         late, lambda: ((state.suspicion + dt) * late, started & (outliers > ALARM)), (none, late)
     )
     reading = changed_where(absent, lambda: xp.where(there, reading, state.reading), reading)
-    after = ReadingTest(state.variance, state.time, outliers, suspicion, reading, repeats, chance, held)
+    after = ReadingTest(
+        state.variance, state.time, outliers, suspicion, reading, repeats, chance, held, grain
+    )
     return after, Verdict(good, odd, stuck, late)
 
 
