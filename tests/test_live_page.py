@@ -171,6 +171,7 @@ def flown():
     process.communicate()
 
 
+@pytest.mark.slow
 def test_fault_is_injected_by_its_button_and_found(flown):
     """One flight in a browser: injected, found, cleared; the page loads nothing from elsewhere."""
     from selenium.webdriver.support.wait import WebDriverWait
