@@ -116,35 +116,36 @@ def _topics(plan: Replay, diagnosed: Diagnosed) -> dict[str, SerializedTopic]:
     """Messages of every topic, in the order of the table of the graph."""
     recording, rows, said = plan.recording, diagnosed.delivered, diagnosed.estimate
     every, given = recording.stamp_ns, recording.stamp_ns[rows]
+    frame = f"{recording.namespace.lstrip('/')}{IMU_FRAME}"  # as the graph names it in a namespace
     columns = said.fault, said.std_dev, said.state, said.onset_age
     estimates = map(FaultEstimate, *(column[rows] for column in columns), repeat(level_sample()))
     made = {
-        **(recording.passed_on or {UNTOUCHED: _encode_imu(every, recording.imu)}),
-        DATA: _encode_imu(given, ImuSample(*(column[rows] for column in diagnosed.seen))),
-        CORRECTED: _encode_imu(given, ImuSample(*(column[rows] for column in said.corrected))),
-        "fault/status": _serialise("quadftc_msgs/msg/FaultStatus", given, FaultStatusWire(), estimates),
+        **(recording.passed_on or {UNTOUCHED: _encode_imu(every, recording.imu, frame)}),
+        DATA: _encode_imu(given, ImuSample(*(column[rows] for column in diagnosed.seen)), frame),
+        CORRECTED: _encode_imu(given, ImuSample(*(column[rows] for column in said.corrected)), frame),
+        "fault/status": _serialise("quadftc_msgs/msg/FaultStatus", given, FaultStatusWire(frame), estimates),
         "fault/estimate": _serialise(VECTOR, given, VectorWire(EARTH_FRAME), said.fault[rows]),
     }
     stamps = np.array([report.stamp_ns for report in diagnosed.reports], np.int64)
-    write_report = DiagnosisWire()
+    write_report = DiagnosisWire(frame)
     messages = [write_report(report) for report in diagnosed.reports]
     made["diagnosis"] = SerializedTopic(DIAGNOSIS, stamps, messages)
     overlaid = {fault.injection.channel for fault in plan.faults}
     for channel, topic in TRUTH.items():
         if channel == "attitude" or channel in recording.faults or channel in overlaid:
-            wire = VectorWire(EARTH_FRAME if channel == "attitude" else IMU_FRAME)
+            wire = VectorWire(EARTH_FRAME if channel == "attitude" else frame)
             made[topic] = _serialise(VECTOR, every, wire, true_fault(recording, diagnosed, channel))
     if not rows.all():
-        made[DROPPED] = _serialise(HEADER, every[~rows], _dropped, every[~rows])
+        made[DROPPED] = _serialise(HEADER, every[~rows], _dropped, repeat(frame, int((~rows).sum())))
     return {topic: made[topic] for topic in TOPICS if topic in made}
 
 
-def _encode_imu(stamp_ns: Stamps, samples: ImuSample) -> SerializedTopic:
-    return _serialise(IMU, stamp_ns, ImuWire(), map(ImuSample, *samples))
+def _encode_imu(stamp_ns: Stamps, samples: ImuSample, frame: str) -> SerializedTopic:
+    return _serialise(IMU, stamp_ns, ImuWire(frame), map(ImuSample, *samples))
 
 
-def _dropped(stamp_ns: int, _: object) -> bytes:
-    return serialize_message(Header(stamp=time_message(stamp_ns), frame_id=IMU_FRAME))
+def _dropped(stamp_ns: int, frame: str) -> bytes:
+    return serialize_message(Header(stamp=time_message(stamp_ns), frame_id=frame))
 
 
 def _serialise(
