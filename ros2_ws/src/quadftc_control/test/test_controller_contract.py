@@ -7,8 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from quadftc_control.controller import controllers
-from quadftc_model.assembly import build_prefixed, node_values
-from quadftc_model.parameters import parameters_of
 from quadftc_model.rigid_body import angular_acceleration, propeller_momentum, rk4
 from quadftc_model.rotations import euler_from_quaternion, normalise, quaternion_from_euler, quaternion_rate
 from quadftc_model.rotors import commands_from_torque, torque_from_commands
@@ -79,20 +77,6 @@ def closed_loop(law, angles, duration):
         q_xyzw, rate = rk4(derivative, 0.0, motion, DT)
         motion = (normalise(q_xyzw), rate)
     return np.array(course)
-
-
-@EVERY_CONTROLLER
-def test_parameters_are_documented_with_a_unit_and_defaults_are_valid(name):
-    component = controllers.get(name)
-    assert all(spec.doc and spec.unit for spec in parameters_of(component))
-    controller(name)
-
-
-@EVERY_CONTROLLER
-def test_parameters_survive_the_way_through_a_node(name):
-    law = controller(name)
-    again = build_prefixed(type(law), node_values(law, "c"), "c", vehicle=law.vehicle)
-    assert node_values(again, "c") == node_values(law, "c")
 
 
 @EVERY_CONTROLLER

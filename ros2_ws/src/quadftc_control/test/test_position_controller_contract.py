@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 
 from quadftc_control.position_controller import PositionControllerInputs, position_controllers
 from quadftc_control.trajectory import trajectories
-from quadftc_model.assembly import build_prefixed, node_values
-from quadftc_model.parameters import build, parameters_of
+from quadftc_model.parameters import build
 from quadftc_model.rotations import quaternion_from_euler, to_earth
 from quadftc_model.samples import STANDARD_GRAVITY, ImuSample, PositionEstimate, PositionReference
 from quadftc_model.vehicle import load_vehicle, vehicle_names
@@ -73,14 +72,6 @@ def as_table(outputs):
         for each in outputs
     ]
     return np.array(parts)
-
-
-@EVERY_CONTROLLER
-def test_parameters_are_documented_and_survive_the_way_through_a_node(name):
-    law = controller(name)
-    assert all(spec.doc and spec.unit for spec in parameters_of(type(law)))
-    again = build_prefixed(type(law), node_values(law, "c"), "c", vehicle=law.vehicle)
-    assert node_values(again, "c") == node_values(law, "c")
 
 
 @EVERY_CONTROLLER

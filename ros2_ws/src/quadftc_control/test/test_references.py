@@ -1,14 +1,11 @@
 """References: rates and accelerations are derivatives, and every one is smooth."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from quadftc_control.reference import ReferenceGenerator, combined, references, smooth_rise
-from quadftc_model.assembly import build_prefixed, node_values
 from quadftc_model.parameters import build, parameters_of
 
 EVERY_REFERENCE = pytest.mark.parametrize("name", references.names())
@@ -24,20 +21,6 @@ def sized(name, **values):
     }
     others = {"start": 1.0, "stop": 7.0, "frequency": 2.0}
     return build(component, {**amounts, **{key: others[key] for key in others if key in own}, **values})
-
-
-@EVERY_REFERENCE
-def test_parameters_are_documented_with_a_unit_and_defaults_are_valid(name):
-    component = references.get(name)
-    assert all(spec.doc and spec.unit for spec in parameters_of(component))
-    component()
-
-
-@EVERY_REFERENCE
-def test_parameters_survive_the_way_through_a_node(name):
-    component = sized(name)
-    again = build_prefixed(type(component), node_values(component, "r"), "r")
-    assert dataclasses.asdict(again) == dataclasses.asdict(component)
 
 
 @EVERY_REFERENCE

@@ -5,8 +5,6 @@ import numpy as np
 import pytest
 
 from quadftc_fdi.disturbance_observer import disturbance_observers
-from quadftc_model.assembly import build_prefixed, node_values
-from quadftc_model.parameters import parameters_of
 from quadftc_model.samples import DisturbanceObserverInputs
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 
@@ -39,20 +37,6 @@ def flown(law, sequence):
         state, estimate = law.step(state, inputs, 0.0 if index == 0 else DT)
         estimates.append(estimate)
     return np.array(estimates)
-
-
-@EVERY_OBSERVER
-def test_parameters_are_documented_with_a_unit_and_defaults_are_valid(name):
-    component = disturbance_observers.get(name)
-    assert all(spec.doc and spec.unit for spec in parameters_of(component))
-    observer(name)
-
-
-@EVERY_OBSERVER
-def test_parameters_survive_the_way_through_a_node(name):
-    law = observer(name)
-    again = build_prefixed(type(law), node_values(law, "o"), "o", vehicle=law.vehicle)
-    assert node_values(again, "o") == node_values(law, "o")
 
 
 @EVERY_OBSERVER

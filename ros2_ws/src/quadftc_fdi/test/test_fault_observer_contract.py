@@ -8,7 +8,6 @@ import pytest
 
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_model.arrays import rows_of
-from quadftc_model.assembly import build_prefixed, node_values
 from quadftc_model.parameters import parameters_of
 from quadftc_model.rotations import body_rates, euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import (
@@ -90,20 +89,6 @@ def columns(estimate):
         *sensors,
         *(estimate.rotors or ()),
     )
-
-
-@EVERY_OBSERVER
-def test_parameters_are_documented_with_a_unit_and_defaults_are_valid(name):
-    component = fault_observers.get(name)
-    assert all(spec.doc and spec.unit for spec in parameters_of(component))
-    observer(name)
-
-
-@EVERY_OBSERVER
-def test_parameters_survive_the_way_through_a_node(name):
-    law = observer(name)
-    again = build_prefixed(type(law), node_values(law, "o"), "o", vehicle=law.vehicle)
-    assert node_values(again, "o") == node_values(law, "o")
 
 
 @EVERY_OBSERVER

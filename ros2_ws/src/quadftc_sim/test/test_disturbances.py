@@ -1,12 +1,10 @@
 """Disturbances: what every one keeps, and what each does."""
 
-import dataclasses
 import math
 
 import numpy as np
 import pytest
 
-from quadftc_model.assembly import build_prefixed, node_values
 from quadftc_model.parameters import build, parameters_of
 from quadftc_sim.disturbance import disturbances
 
@@ -20,20 +18,6 @@ def sized(name, **values):
     vectors = [spec for spec in parameters_of(component) if spec.is_vector]
     amounts = {spec.name: (0.2, 0.3, 0.4) for spec in vectors}
     return build(component, {**amounts, **values})
-
-
-@EVERY_DISTURBANCE
-def test_parameters_are_documented_with_a_unit_and_defaults_are_valid(name):
-    component = disturbances.get(name)
-    assert all(spec.doc and spec.unit for spec in parameters_of(component))
-    component()
-
-
-@EVERY_DISTURBANCE
-def test_parameters_survive_the_way_through_a_node(name):
-    component = sized(name, start=1.0)
-    again = build_prefixed(type(component), node_values(component, "d"), "d")
-    assert dataclasses.asdict(again) == dataclasses.asdict(component)
 
 
 @EVERY_DISTURBANCE

@@ -1,12 +1,10 @@
 """Fault laws: what every one keeps, and what each does to a channel."""
 
-import dataclasses
 import math
 
 import numpy as np
 import pytest
 
-from quadftc_model.assembly import build_prefixed, node_values
 from quadftc_model.parameters import build, parameters_of
 from quadftc_sim.fault import FaultInputs, faults
 
@@ -44,20 +42,6 @@ def flown(law, values, generator):
         state, output = law.step(state, sample, 0.0 if index == 0 else DT)
         outputs.append(output)
     return outputs
-
-
-@EVERY_FAULT
-def test_parameters_are_documented_with_a_unit_and_defaults_are_valid(name):
-    component = faults.get(name)
-    assert all(spec.doc and spec.unit for spec in parameters_of(component))
-    component()
-
-
-@EVERY_FAULT
-def test_parameters_survive_the_way_through_a_node(name):
-    component = sized(name)
-    again = build_prefixed(type(component), node_values(component, "f"), "f")
-    assert dataclasses.asdict(again) == dataclasses.asdict(component)
 
 
 @EVERY_FAULT

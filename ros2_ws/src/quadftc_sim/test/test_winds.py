@@ -1,6 +1,5 @@
 """Winds: what every one keeps, and what each does."""
 
-import dataclasses
 import itertools
 import math
 
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from quadftc_model.assembly import build_prefixed, node_values
 from quadftc_model.parameters import build, parameters_of
 from quadftc_sim.wind import winds
 
@@ -25,20 +23,6 @@ def sized(name, **values):
 
 def dryden(**values):
     return build(winds.get("dryden"), {"wind_speed": 10.0, "height": 20.0, "airspeed": 8.0, **values})
-
-
-@EVERY_WIND
-def test_parameters_are_documented_with_a_unit_and_defaults_are_valid(name):
-    component = winds.get(name)
-    assert all(spec.doc and spec.unit for spec in parameters_of(component))
-    component()
-
-
-@EVERY_WIND
-def test_parameters_survive_the_way_through_a_node(name):
-    component = sized(name, start=1.0)
-    again = build_prefixed(type(component), node_values(component, "w"), "w")
-    assert dataclasses.asdict(again) == dataclasses.asdict(component)
 
 
 @EVERY_WIND
