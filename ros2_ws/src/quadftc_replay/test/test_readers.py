@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -152,13 +153,19 @@ def test_damaged_parameters_are_left_out():
     assert sound(damaged) == {"a": 4.0, "e": 3.0}
 
 
-@pytest.mark.parametrize("content", [b"", b"\xbc\x09", b"not a log at all"])
+@pytest.mark.parametrize("content", [b"", b"\xbc\x09", b"not a log at all", b"PK\x03\x04"])
 def test_other_file_is_refused_in_one_line(tmp_path, content):
     path = tmp_path / "log"
     path.write_bytes(content)
     with pytest.raises(BagError, match="expected a log of one of the formats") as caught:
         read_log(path)
     assert "\n" not in str(caught.value)
+
+
+def test_pipe_is_refused_without_waiting(tmp_path):
+    os.mkfifo(tmp_path / "log")
+    with pytest.raises(BagError, match="neither a file nor a directory"):
+        read_log(tmp_path / "log")
 
 
 def test_one_damaged_stamp_costs_one_sample():

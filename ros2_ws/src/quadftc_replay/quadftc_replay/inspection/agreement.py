@@ -25,6 +25,7 @@ Floats = NDArray[np.float64]
 FASTEST = 400.0  # Hz; attitudes beyond are thinned out
 ROUNDS = 6  # of the reweighted fit
 HUBER = 2.0  # standard deviations
+SCALE = 0.1  # 1; largest scale and alignment: else an offset in a calm flight passes for one
 ASIDE = 0.5  # s; before and after a step of the gyro, over which it parts from the attitude
 CLEAR = 4.0  # standard deviations of what it parts by otherwise
 SAME = 0.5  # 1; of the step
@@ -110,6 +111,7 @@ def _fit(
         for _ in range(ROUNDS):
             scaled = columns * weight[:, None]
             found = np.linalg.lstsq(scaled.T @ columns, scaled.T @ difference[:, axis], rcond=1e-10)[0]
+            found[:3] = np.clip(found[:3], -SCALE, SCALE)
             rest[:, axis] = difference[:, axis] - columns @ found
             sigma = TO_SIGMA * float(np.median(np.abs(rest[good, axis]))) + 1e-12
             weight = good * np.minimum(1.0, HUBER * sigma / np.maximum(np.abs(rest[:, axis]), 1e-15))

@@ -10,21 +10,30 @@ from quadftc_replay.inspection.flight import Flight, rotor_level
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
 from quadftc_replay.inspection.whitening import runs_of
 
+FEWEST = 10  # samples
 LEAST = 2.5  # V; of one cell that is empty
 SAG = 0.12  # 1; of the median voltage in flight
 LASTS = 0.3  # s
 AROUND = 5.0  # s
 
 
-def battery_findings(flight: Flight) -> Iterator[Found]:
-    """Say when the battery breaks down."""
+def cannot_judge_battery(flight: Flight) -> str | None:
+    """Why nothing can be said of the battery; None: something can."""
     battery = flight.log.battery
-    if battery is None or len(battery) < 10 or not flight.phases_known:
-        return
+    if battery is None:
+        return "no voltage is logged"
+    if not flight.phases_known:
+        return "neither rotors nor thrust tell when it flies"
+    count = int(flight.in_flight(battery.time).sum())
+    return f"{count} samples of the voltage in flight are too few" if count < FEWEST else None
+
+
+def battery_findings(flight: Flight) -> Iterator[Found]:
+    """Say when a battery that can be judged breaks down."""
+    battery = flight.log.battery
+    assert battery is not None
     flying = flight.in_flight(battery.time)
     volts = battery.value[:, 0]
-    if flying.sum() < 10:
-        return
     usual = float(np.median(volts[flying]))
     if usual < LEAST:
         said = f"it reads {usual:.3g} V in flight: nothing flies on that, so the voltage is not measured"

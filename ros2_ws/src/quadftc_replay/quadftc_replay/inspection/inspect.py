@@ -9,7 +9,7 @@ from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.accelerometer import accelerometer_findings
 from quadftc_replay.inspection.agreement import Agreement, compare
 from quadftc_replay.inspection.attitude import attitude_findings, disagreements
-from quadftc_replay.inspection.battery import battery_findings
+from quadftc_replay.inspection.battery import battery_findings, cannot_judge_battery
 from quadftc_replay.inspection.flight import Flight, prepare
 from quadftc_replay.inspection.found import Found
 from quadftc_replay.inspection.gyro import BODY_AXES, Witness, component_name, gyro_findings
@@ -23,6 +23,7 @@ from quadftc_replay.inspection.verdict import VERSION, Finding, Model, NotJudged
 Progress = Callable[[float], None]
 SENSORS = {"gyro": ("rad/s", "gyros"), "accelerometer": ("m/s^2", "accelerometers")}
 SLOWEST_COMPARED = 40.0  # Hz; a slower gyro misses what happens between its samples
+FEWEST = 200  # samples of a sensor
 SHAKES_BEFORE = 0.6  # s; tests over windows see what begins so much earlier
 QUATERNION = ("",)  # the elements of an attitude are judged together
 
@@ -58,11 +59,11 @@ def inspect(
     judged += ["rotor"] if rotors.judged else []
     missing += rotors.missing
     progress(0.8)
-    if log.battery is not None:
+    if (reason := cannot_judge_battery(flight)) is None:
         judged.append("battery")
         found += battery_findings(flight)
     else:
-        missing.append(NotJudged(component="battery", reason="no voltage is logged"))
+        missing.append(NotJudged(component="battery", reason=reason))
     found = _in_order(_without_doubles(found))
     progress(1.0)
     return Inspection(
@@ -118,7 +119,9 @@ def _sensors(
     gravity = _by_gravity(log, gyros)
     for name, sensor in gyros.items():
         component = component_name("gyro", name)
-        if sensor.rate < SLOWEST and witness is None:
+        if len(sensor) < FEWEST:
+            missing.append(NotJudged(component=component, reason=f"{len(sensor)} samples are too few"))
+        elif sensor.rate < SLOWEST and witness is None:
             reason = f"{sensor.rate:.0f} Hz is too slow: steps look like motion below {SLOWEST:.0f} Hz"
             missing.append(NotJudged(component=component, reason=reason))
         else:
@@ -137,13 +140,24 @@ def _sensors(
         rate = next(iter(gyros.values())).rate
         reason = f"the gyro, at {rate:.0f} Hz, is too slow or too short to follow it"
         missing.append(NotJudged(component="attitude", reason=reason))
-    for name, sensor in log.accelerometers.items():
-        judged.append(component_name("accelerometer", name))
-        others = [each for other, each in log.accelerometers.items() if other != name]
-        found += accelerometer_findings(flight, component_name("accelerometer", name), sensor, others)
-    if not log.accelerometers:
-        missing.append(NotJudged(component="accelerometer", reason="no specific force is logged"))
+    found += _accelerometers(flight, judged, missing)
     return found + _creeping(flight, gravity, agreement, found)
+
+
+def _accelerometers(flight: Flight, judged: list[str], missing: list[NotJudged]) -> list[Found]:
+    """Tests of every accelerometer."""
+    found, sensors = list[Found](), flight.log.accelerometers
+    for name, sensor in sensors.items():
+        component = component_name("accelerometer", name)
+        if len(sensor) < FEWEST:
+            missing.append(NotJudged(component=component, reason=f"{len(sensor)} samples are too few"))
+            continue
+        judged.append(component)
+        others = [each for other, each in sensors.items() if other != name]
+        found += accelerometer_findings(flight, component, sensor, others)
+    if not sensors:
+        missing.append(NotJudged(component="accelerometer", reason="no specific force is logged"))
+    return found
 
 
 def _creeping(

@@ -37,10 +37,21 @@ READERS = (
 )
 
 
+OTHERS = {  # what people try as well
+    b"\x1f\x8b": "a file compressed by gzip, which has to be unpacked",
+    b"\x28\xb5\x2f\xfd": "a file compressed by zstd, which has to be unpacked",
+    b"PK\x03\x04": "a ZIP archive, which has to be unpacked",
+    b"FMT, ": "an ArduPilot log as text, whose .BIN can be read",
+    b"H Product:": "a Blackbox log",
+}
+
+
 def find_reader(path: Path) -> Reader:
     """Find what reads a file; a BagError of one line if nothing does."""
     if path.is_dir():  # of the formats only a bag is a directory
         return READERS[0]
+    if path.exists() and not path.is_file():  # a pipe would have us wait
+        raise BagError(f"{path}: neither a file nor a directory; expected a log")
     try:
         with path.open("rb") as stream:
             head = stream.read(HEAD)
@@ -49,7 +60,8 @@ def find_reader(path: Path) -> Reader:
     for reader in READERS:
         if head.startswith(reader.begins):
             return reader
-    found = "an empty file" if not head else f"a file that begins with {head[:8].hex(' ')}"
+    other = next((name for begin, name in OTHERS.items() if head.startswith(begin)), None)
+    found = other or (f"a file that begins with {head[:8].hex(' ')}" if head else "an empty file")
     known = ", ".join(reader.name for reader in READERS)
     raise BagError(f"{path}: {found}; expected a log of one of the formats {known}")
 
