@@ -76,6 +76,7 @@ def recording_from_ulog(path: Path, topic: str = "", skip_backwards: bool = Fals
         stamp_ns=kept.stamp_ns,
         imu=samples,
         torque=np.zeros((len(rate), 3)),
+        attitude_from_gyro=True,
         rejected=kept.rejected,
         warnings=(*damage, *(f"{path}: {note}" for note in log.notes), *kept.warnings, *absences, *jumps),
     )

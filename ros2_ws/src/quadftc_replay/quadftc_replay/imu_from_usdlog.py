@@ -110,6 +110,7 @@ def recording_from_usdlog(path: Path, topic: str = "", skip_backwards: bool = Fa
         imu=samples,
         torque=torque,
         torque_topic=flight.torque_source,
+        attitude_from_gyro=True,
         rejected=flight.rejected,
         warnings=(*flight.warnings, *absences),
     )

@@ -28,6 +28,7 @@ from quadftc_sim.injector import FaultInjector
 
 DEFAULT_OBSERVER = "supervised"
 DEFAULT_VEHICLE = "qball_x4"
+FROM_GYRO = "attitude_from_gyro"  # parameter of an observer to which it matters
 PREFIX = "observer."  # of a parameter that is set
 
 
@@ -174,9 +175,10 @@ def choose_observer(
     parameters |= {key: recorded[key] for key in parameters if key in recorded}
     kind = name or get(parameters, "observer", str)
     parameters["observer"] = kind
-    fault_observers.get(kind)
     if vehicle:
         parameters["vehicle"] = str(Path(vehicle).resolve()) if vehicle.endswith(".toml") else vehicle
+    if recording.attitude_from_gyro and hasattr(fault_observers.get(kind), FROM_GYRO):
+        parameters[f"{kind}.{FROM_GYRO}"] = True
     if not name:
         parameters |= {key: value for key, value in recorded.items() if key.startswith(f"{kind}.")}
     for setting in settings:

@@ -237,7 +237,7 @@ class Isolating(Supervised):
             trace.needed,
             trace.scatter,
             vote,
-            column(inputs.driven) & attitude.faulty,
+            attitude.faulty & column(inputs.driven) & (not self.attitude_from_gyro),
         )
         believed, guilty = hypotheses.weigh(state.hypotheses, attitude.faulty, new, fault, seen, dt)
         monitor = monitor._replace(faulty=monitor.faulty | guilty)

@@ -74,7 +74,7 @@ class Evidence(NamedTuple):
     of_gyro: Vector  # unknown acceleration by gyro and torque [rad/s²]
     scatter: Vector  # squared change of the attitude's innovation, in variances
     position: Vector | None  # log-odds by a position sensor; None: on the test stand
-    driven: Mask  # the torque is known; without it only the attitude's own jumps tell
+    telling: Mask  # the torque is known, and the attitude not made of the gyro; else only its own jumps tell
 
 
 def weigh(
@@ -85,7 +85,7 @@ def weigh(
     ``new`` is declared at this sample, ``fault`` [rad] its size so far.
     """
     xp = namespace(fault)
-    jumped = seen.driven & new & (seen.jump * fault < 0.0) & (xp.abs(seen.jump) > JUMPED)
+    jumped = seen.telling & new & (seen.jump * fault < 0.0) & (xp.abs(seen.jump) > JUMPED)
     certain = xp.where(new, seen.abrupt & (xp.abs(seen.bend) > BENT), state.certain) | seen.stuck
     change = (1.0 - exp(-dt / SPREAD)) * (seen.deviation**2 - state.spread)
     spread = (state.spread + change) * faulty
@@ -93,11 +93,11 @@ def weigh(
     needs_attitude = xp.minimum(seen.of_attitude**2 / (USUAL**2 + seen.variance), MOST)
     odd = clip(seen.scatter - SCATTERED, 0.0, MOST)
     news = (0.5 * dt / PERIOD) * (needs_gyro - needs_attitude - odd)
-    evidence = (state.evidence + seen.driven * news) * faulty
+    evidence = (state.evidence + seen.telling * news) * faulty
     # evidence of long ago fades, and none is final
     evidence = clip(evidence * exp(-dt / FADES), -FINAL, FINAL)
     rate = xp.sqrt(xp.maximum(spread - seen.unsure, 0.0))
-    odds = seen.driven * belief_in_gyro(rate) + evidence
+    odds = seen.telling * belief_in_gyro(rate) + evidence
     if seen.position is not None:
         odds = odds + seen.position
     certain = faulty & (certain | (odds < CLEARED))
