@@ -111,6 +111,21 @@ def test_without_a_known_torque_motion_is_no_fault():
     )
 
 
+@pytest.mark.parametrize("telling", [True, False])
+def test_a_gyro_that_needs_an_acceleration_is_guilty_if_the_torque_and_the_attitude_tell(telling):
+    yes, zero = np.array([True]), np.zeros(1)
+    seen = hypotheses.Evidence(
+        *(~yes, ~yes, zero, zero, zero, zero, zero, zero, zero + 6.0, zero, None),
+        telling=np.array([telling]),
+    )
+    state, guilty = hypotheses.start_hypotheses(~yes), []
+    for index in range(100):
+        state, named = hypotheses.weigh(state, yes, yes & (index == 0), zero + 0.05, seen, DT)
+        guilty.append(named[0])
+    assert any(guilty) == telling
+    assert telling or state.ambiguous[0]
+
+
 def test_without_a_known_torque_a_gyro_that_is_off_is_ambiguous():
     off = shifted("body_rate", lambda _: np.array([0.3, 0.0, 0.0]))
     last = Hover({}, driven=False).on(BEGIN).on(250, off).estimates[-1]
