@@ -1,5 +1,7 @@
 """Build script of quadftc_model (ament_python)."""
 
+from glob import glob
+
 from setuptools import find_packages, setup
 
 PACKAGE = "quadftc_model"
@@ -16,6 +18,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{PACKAGE}"]),
         (f"share/{PACKAGE}", ["package.xml"]),
+        (f"share/{PACKAGE}/meshes", sorted(glob("meshes/*.stl"))),
     ],
     python_requires=">=3.10",
     install_requires=["setuptools"],

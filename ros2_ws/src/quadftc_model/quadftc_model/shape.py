@@ -1,5 +1,7 @@
 """What a vehicle looks like, from its file alone: boxes and cylinders in the body frame, and a URDF of them.
 
+In the URDF, propellers take the place of the discs that the rotors sweep (tools/quadftc_tools/meshes.py).
+
 The frame is FLU, as that of the vehicle file. Sizes that the file does not have follow from the places of its
 rotors: a picture needs them, a law does not.
 """
@@ -18,6 +20,7 @@ ROTOR_RADIUS = 0.4  # 1; over the distance of two rotors that are neighbours; 0.
 ROTOR_HEIGHT = 0.09  # 1; of the rotors above the arms, over the distance of the farthest rotor
 DARK, LIGHT, NOSE = "#30343a", "#8a929c", "#e69f00"  # frame; rotors; what points forward
 DISC_ALPHA = 0.35  # 1; of the discs that the rotors sweep
+MESHES = "package://quadftc_model/meshes"
 
 Triple = tuple[float, float, float]
 
@@ -32,6 +35,7 @@ class Part(NamedTuple):
     yaw: float  # [rad]
     colour: str
     alpha: float = 1.0
+    mesh: str = ""  # file of a mesh of radius 1 that the URDF shows instead
 
 
 def rotor_radius(vehicle: Vehicle) -> float:
@@ -49,7 +53,7 @@ def parts_of(vehicle: Vehicle) -> tuple[Part, ...]:
         Part("body", "box", (0.5 * span, 0.32 * span, 0.13 * span), (0.0, 0.0, 0.0), 0.0, DARK),
         Part("nose", "box", (0.1 * span, 0.2 * span, 0.07 * span), (0.29 * span, 0.0, 0.0), 0.0, NOSE),
     ]
-    for number, (x, y) in enumerate(places, 1):
+    for number, ((x, y), spin) in enumerate(zip(places, vehicle.rotors.spin_sign, strict=True), 1):
         yaw, colour = math.atan2(y, x), NOSE if x > 0.1 * span else DARK
         arm = (math.hypot(x, y), 0.07 * span, 0.05 * span)
         disc = (2.0 * radius, 2.0 * radius, 0.012 * span)
@@ -72,7 +76,16 @@ def parts_of(vehicle: Vehicle) -> tuple[Part, ...]:
                 0.0,
                 LIGHT,
             ),
-            Part(f"rotor_{number}", "cylinder", disc, (x, y, top), 0.0, LIGHT, DISC_ALPHA),
+            Part(
+                f"rotor_{number}",
+                "cylinder",
+                disc,
+                (x, y, top),
+                yaw + 0.5 * math.pi,  # blades across the arm
+                LIGHT,
+                DISC_ALPHA,
+                "propeller_ccw.stl" if spin > 0.0 else "propeller_cw.stl",
+            ),
         ]
     return tuple(parts)
 
@@ -106,12 +119,16 @@ def _add_visual(link: ET.Element, part: Part) -> None:
     visual = ET.SubElement(link, "visual", name=part.name)
     ET.SubElement(visual, "origin", xyz=_words(part.position), rpy=_words((0.0, 0.0, part.yaw)))
     geometry = ET.SubElement(visual, "geometry")
-    if part.kind == "box":
+    alpha = part.alpha
+    if part.mesh:
+        scale, alpha = (0.5 * part.size[0],) * 3, 1.0
+        ET.SubElement(geometry, "mesh", filename=f"{MESHES}/{part.mesh}", scale=_words(scale))
+    elif part.kind == "box":
         ET.SubElement(geometry, "box", size=_words(part.size))
     else:
         ET.SubElement(geometry, "cylinder", radius=f"{0.5 * part.size[0]:g}", length=f"{part.size[2]:g}")
-    material = ET.SubElement(visual, "material", name=f"{part.colour[1:]}_{100.0 * part.alpha:.0f}")
-    ET.SubElement(material, "color", rgba=_words(rgba(part.colour, part.alpha)))
+    material = ET.SubElement(visual, "material", name=f"{part.colour[1:]}_{100.0 * alpha:.0f}")
+    ET.SubElement(material, "color", rgba=_words(rgba(part.colour, alpha)))
 
 
 def _words(numbers: object) -> str:

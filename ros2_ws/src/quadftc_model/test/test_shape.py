@@ -1,12 +1,15 @@
 """What a vehicle looks like."""
 
+from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 
-from quadftc_model.shape import parts_of, rotor_radius, urdf_of
+from quadftc_model.shape import MESHES, parts_of, rotor_radius, urdf_of
 from quadftc_model.vehicle import load_vehicle, vehicle_names
+
+MESH_FOLDER = Path(__file__).parents[1] / "meshes"  # in the source tree
 
 
 @pytest.mark.parametrize("name", vehicle_names())
@@ -30,3 +33,31 @@ def test_urdf_has_mass_shape_and_imu_of_the_vehicle(name):
     assert len(base.findall("visual")) == len(parts_of(vehicle))
     place = [float(word) for word in robot.find("joint/origin").get("xyz").split()]
     assert place == pytest.approx(vehicle.aerodynamics.imu_position)
+
+
+@pytest.mark.parametrize("name", vehicle_names())
+def test_urdf_shows_a_propeller_of_the_rotor_s_turning_direction_and_radius(name):
+    vehicle = load_vehicle(name)
+    meshes = ET.fromstring(urdf_of(vehicle)).findall("link/visual/geometry/mesh")
+    files = [mesh.get("filename").removeprefix(f"{MESHES}/") for mesh in meshes]
+    turning = {"propeller_ccw.stl": 1.0, "propeller_cw.stl": -1.0}
+    assert [turning[file] for file in files] == vehicle.rotors.spin_sign.tolist()
+    assert all((MESH_FOLDER / file).is_file() for file in files)
+    scales = np.array([mesh.get("scale").split() for mesh in meshes], dtype=float)
+    assert scales == pytest.approx(rotor_radius(vehicle), rel=1e-5)
+
+
+@pytest.mark.parametrize(("turning", "sign"), [("ccw", 1.0), ("cw", -1.0)])
+def test_propeller_is_a_closed_mesh_of_radius_1_that_lifts_along_z(turning, sign):
+    data = (MESH_FOLDER / f"propeller_{turning}.stl").read_bytes()
+    assert len(data) == 84 + 50 * int.from_bytes(data[80:84], "little")
+    records = np.frombuffer(data[84:], dtype=[("vectors", "<f4", (4, 3)), ("attribute", "<u2")])
+    normals, corners = records["vectors"][:, 0].astype(float), records["vectors"][:, 1:].astype(float)
+    assert np.hypot(corners[..., 0], corners[..., 1]).max() == pytest.approx(1.0, abs=1e-6)
+    assert corners[..., 2].min() == pytest.approx(0.0, abs=1e-6)  # stands on the motor
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert crosses.sum(axis=0) == pytest.approx(0.0, abs=1e-6)  # closed
+    assert np.einsum("ij,ij", corners[:, 0], crosses) > 0.0  # normals point outward
+    assert np.linalg.norm(crosses, axis=-1)[:, None] * normals == pytest.approx(crosses, abs=1e-6)
+    _, y, z = corners[corners[..., 0] > 0.3].T  # one blade: its leading edge is its higher one
+    assert np.polyfit(y, z, 1)[0] * sign > 0.2
