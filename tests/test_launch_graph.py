@@ -58,6 +58,20 @@ def finished(*arguments: object) -> tuple[int, str]:
     return process.returncode, errors
 
 
+@contextlib.contextmanager
+def flying(*arguments: object) -> Iterator[subprocess.Popen[str]]:
+    """The launcher, once its nodes command torques; none of them is left in the end."""
+    with NodeBench("realtime") as bench:
+        torques = bench.listen("torque/command")
+        with started(*arguments) as process:
+            bench.until(lambda: torques)
+            yield process
+    end = time.monotonic() + END
+    while nodes_running() and time.monotonic() < end and process.returncode == -signal.SIGKILL:
+        time.sleep(0.1)  # they notice by themselves
+    assert nodes_running() == []
+
+
 def nodes_running() -> list[str]:
     """Node processes of this workspace that are alive, by their command lines."""
     ours = {str(executable_path(*row)) for row in EXECUTABLES.values()}
@@ -118,33 +132,19 @@ def test_two_graphs_side_by_side_do_not_hear_each_other(
 
 @pytest.mark.parametrize(("graph", "number"), [("composed", signal.SIGINT), ("processes", signal.SIGTERM)])
 def test_signal_ends_the_nodes_and_the_launcher_with_0(graph: str, number: signal.Signals):
-    with NodeBench("realtime") as bench:
-        torques = bench.listen("torque/command")
-        with started("--graph", graph) as process:
-            bench.until(lambda: torques)
-            process.send_signal(number)
-            _, errors = process.communicate(timeout=END)
+    with flying("--graph", graph) as process:
+        process.send_signal(number)
+        _, errors = process.communicate(timeout=END)
     assert process.returncode == 0, errors
     assert "Traceback" not in errors
-    assert nodes_running() == []
 
 
 def test_death_of_a_node_ends_the_rest_and_is_reported():
-    with NodeBench("realtime") as bench:
-        torques = bench.listen("torque/command")
-        with started("--graph", "processes") as process:
-            bench.until(lambda: torques)
-            children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text(encoding="ascii")
-            victim = next(
-                int(child)
-                for child in children.split()
-                if b"disturbance_observer" in Path(f"/proc/{child}/cmdline").read_bytes()
-            )
-            os.kill(victim, signal.SIGKILL)
-            _, errors = process.communicate(timeout=END)
+    with flying("--graph", "processes") as process:
+        os.kill(child_of(process, "disturbance_observer"), signal.SIGKILL)
+        _, errors = process.communicate(timeout=END)
     assert process.returncode not in (0, None)
     assert "disturbance_observer" in errors
-    assert nodes_running() == []
 
 
 def child_of(process: subprocess.Popen[str], name: str) -> int:
@@ -182,15 +182,9 @@ def test_dead_node_is_started_again_if_asked_for_as_urgent_as_before():
 
 
 def test_nodes_end_when_their_launcher_is_killed():
-    with NodeBench("realtime") as bench:
-        torques = bench.listen("torque/command")
-        with started("--graph", "processes") as process:
-            bench.until(lambda: torques)
-            process.kill()
-    end = time.monotonic() + END
-    while nodes_running() and time.monotonic() < end:
-        time.sleep(0.1)
-    assert nodes_running() == []
+    with flying("--graph", "processes") as process:
+        process.kill()
+        process.wait()
 
 
 @pytest.mark.parametrize(
@@ -244,16 +238,12 @@ def test_signal_while_the_nodes_are_starting_leaves_none_behind(number: signal.S
 
 
 def test_second_signal_does_not_leave_nodes_behind():
-    with NodeBench("realtime") as bench:
-        torques = bench.listen("torque/command")
-        with started("--graph", "processes") as process:
-            bench.until(lambda: torques)
-            for _ in range(2):
-                process.send_signal(signal.SIGINT)
-            _, errors = process.communicate(timeout=END)
+    with flying("--graph", "processes") as process:
+        for _ in range(2):
+            process.send_signal(signal.SIGINT)
+        _, errors = process.communicate(timeout=END)
     assert process.returncode in (0, 130, 128 + signal.SIGKILL), errors
     assert "Traceback" not in errors
-    assert nodes_running() == []
 
 
 @pytest.mark.parametrize("graph", ["composed", "processes"])
