@@ -310,7 +310,7 @@ def test_injector_answers_any_request_and_flies_on():
     with Wired(FaultInjectorNode, "realtime") as wired:
         now_ns = [900 * SECOND]
 
-        @settings(max_examples=2 * settings().max_examples)
+        @settings(max_examples=5 * settings().max_examples // 2)
         @given(REQUESTS, st.integers(0, 2**32 - 1))
         def ask(fields, number):
             answer = wired.call("inject", InjectFault.Request(**fields))
