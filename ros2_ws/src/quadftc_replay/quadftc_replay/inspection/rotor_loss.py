@@ -71,15 +71,21 @@ def search_loss(source: str, grid: Grid) -> tuple[Loss | None, Identified | None
     """Find the first loss of a rotor, and return the model that shows it, else that of the whole flight.
 
     What comes after a loss would spoil the model. So models of longer and longer parts of the flight each
-    look at what follows, and a loss has to show with the model of all that came before it, too. The begin,
-    before which there is no model, is looked at with that of the rest.
+    look at what follows, and a loss has to show with the model of all that came before it, too. If there is
+    none with such a model, the begin is looked at with that of the rest.
     """
     blocks = in_blocks(grid)
     whole = identify(source, grid, blocks)
     if whole is None:
         return None, None
-    if (early := _look_back(source, grid, blocks)) is not None:
-        return early
+    ahead = _look_ahead(source, grid, blocks, whole)
+    if ahead is not None and ahead[0].onset > float(grid.time[grid.flying][0]) + BEGIN:
+        return ahead
+    return _look_back(source, grid, blocks) or ahead or (None, whole)
+
+
+def _look_ahead(source: str, grid: Grid, blocks: Blocks, whole: Identified) -> tuple[Loss, Identified] | None:
+    """Find the first loss by models of what was before, or before a bit later."""
     flown = grid.time[grid.flying]
     ends = [float(np.quantile(flown, part)) for part in PARTS]
     begin = float(flown[0])
@@ -96,7 +102,7 @@ def search_loss(source: str, grid: Grid) -> tuple[Loss | None, Identified | None
                 return again or loss, before or model
             begin = loss.onset + SOONER
         begin = max(begin, limit - SOONER)
-    return None, whole
+    return None
 
 
 def _look_back(source: str, grid: Grid, blocks: Blocks) -> tuple[Loss, Identified] | None:
