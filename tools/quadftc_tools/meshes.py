@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 STATIONS = 1.0 - 0.95 * np.linspace(1.0, 0.0, 20) ** 1.6  # along a blade, denser at the tip
 RADIUS, CHORD = (0.05, 0.2, 0.4, 0.6, 0.8, 0.93, 1.0), (0.1, 0.16, 0.215, 0.2, 0.155, 0.11, 0.03)
 PITCH = 0.9  # advance in a turn; a 10x4.5 propeller
-STEEPEST = np.deg2rad(35.0)  # of the blade, at the root
+ROOT = 0.2  # within this the twist levels off, at 35 deg
 THICKNESS = (0.2, 0.09)  # over the chord, at the root and at the tip
 CAMBER = 0.045  # over the chord
 CORNERS = 12  # of a blade section
@@ -62,7 +62,7 @@ def twice_area(triangles: Floats) -> Floats:
 def blade() -> Floats:
     """Return triangles of a blade along x whose leading edge points to y."""
     chords = PchipInterpolator(RADIUS, CHORD)(STATIONS)
-    pitch = np.minimum(np.arctan2(PITCH, 2.0 * np.pi * STATIONS), STEEPEST)
+    pitch = np.arctan2(PITCH, 2.0 * np.pi * np.hypot(STATIONS, ROOT))
     thicknesses = np.interp(STATIONS, (STATIONS[0], 1.0), THICKNESS)
     rings: list[Floats] = []
     for r, chord, angle, thickness in zip(STATIONS, chords, pitch, thicknesses, strict=True):
