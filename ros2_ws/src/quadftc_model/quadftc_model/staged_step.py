@@ -35,6 +35,24 @@ from quadftc_model.stages import (
     variables,
 )
 
+# number by number, so that flights need no treatment: ``vmap`` takes many times as long to trace
+ELEMENTWISE = {
+    "add",
+    "sub",
+    "mul",
+    "div",
+    "max",
+    "min",
+    "neg",
+    "abs",
+    "sqrt",
+    "sin",
+    "cos",
+    "exp",
+    "log",
+    "not",
+}
+ELEMENTWISE |= {"and", "or", "lt", "le", "gt", "ge", "eq", "ne", "select_n", "convert_element_type"}
 CALLS = ("jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call")
 
 
@@ -187,6 +205,8 @@ def _evaluate(equation: Equation, known: dict[Var, Any], batched: set[Var], flig
     if name == "dot_general":
         total = _contract(values, varies, *params["dimension_numbers"])
         return [jnp.broadcast_to(total, shape).astype(equation.outvars[0].aval.dtype)]
+    if name in ELEMENTWISE and all(varies) and all(value.shape == shape for value in values):
+        return bind(equation, values)
     axes = [-1 if each else None for each in varies]
     return jax.vmap(lambda *each: bind(equation, each), in_axes=axes, out_axes=-1)(*values)
 
