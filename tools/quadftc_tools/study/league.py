@@ -1,10 +1,10 @@
 """The league of docs/league.md: who names the faults that are put on recorded flights, and who cries wolf.
 
-    python -m quadftc_tools.study.league DATA [--runs RUNS] [--docs docs]
+    python -m quadftc_tools.study.league DATA [--docs docs]
 
-DATA holds recordings in the folders ``broad/``, ``crazyflie/*/``, ``px4/``, RUNS those of `quadftc run`, of
-which the verdict alone is shown. ``quadftc diagnose`` takes all of them, every registered fault observer that
-says what is faulty those with an attitude: the begin of healthy logs, and a window around each fault. Without
+DATA holds recordings in the folders ``broad/``, ``crazyflie/*/``, ``px4/``; scenarios of this repository
+are flown as well. ``quadftc diagnose`` takes all of them. Every registered fault observer that says what is
+faulty takes those with an attitude: the begin of healthy logs, and a window around each fault. Without
 ``--docs`` the tables are printed.
 """
 
@@ -35,8 +35,10 @@ from quadftc_replay.inspection.inspect import inspect
 from quadftc_replay.inspection.overlay import overlay_faults
 from quadftc_replay.inspection.verdict import unjudged
 from quadftc_replay.overlay import faults_from
+from quadftc_replay.plan import FROM_GYRO
 from quadftc_replay.readers import read_log
 from quadftc_sim.injector import FaultInjector
+from quadftc_tools.study.league_flights import FLOWN_FAULTY, FLOWN_HEALTHY, Truth, fly_log, truths
 from quadftc_tools.study.numbers import write_number
 from quadftc_tools.study.page import NOTHING, has_detector, markdown, publish_tables
 
@@ -46,8 +48,9 @@ VIOLENT = ("log113", "log119", "log15")  # above 250 deg/s
 LASTS, EDGE = 2.0, 3.0  # s; of an overlaid fault, and from the begin of the flight
 WINDOW, HEALTHY = 3.0, 20.0  # s; that an observer sees beside a fault, and of a healthy log
 SEEN, CLOSE = 0.25, 0.05  # s; from the true onset to one that is named: of a detection, of an isolation
-REPEATS, MOST = 6, 2  # of each case on each log, of an observer one; logs of a data set that an observer gets
+REPEATS, MOST = 6, 2  # of each case on each log; logs of a data set that an observer gets
 VEHICLE = "crazyflie_2x"  # of observers, where the log says none
+SIMULATED = "simulation"
 AXES = {"gyro": "xyz", "accelerometer": "xyz", "attitude": ("roll", "pitch", "yaw")}
 CASES = {
     "gyro step 0.2 rad/s": ("gyro", "bias axis={axis} value={sign}0.2"),
@@ -76,20 +79,22 @@ def judge_offline(log: FlightLog) -> list[Named]:
     return [Named(each.component, each.element, each.onset_s) for each in found]
 
 
-def judge_by(law: FaultObserver) -> Judge:
+def judge_by(observer: type[FaultObserver]) -> Judge:
     """A fault observer, sample by sample; what is ambiguous does not count."""
 
     def judge(log: FlightLog) -> list[Named]:
         recording, begin = recording_of(log), float(next(iter(log.gyros.values())).time[0])
+        known = {FROM_GYRO: True} if recording.attitude_from_gyro and hasattr(observer, FROM_GYRO) else {}
+        law = observer(vehicle=load_vehicle(log.vehicle or VEHICLE), **known)
         named: list[Named] = []
-        known: set[tuple[str, str]] = set()
+        named_before: set[tuple[str, str]] = set()
         for report in diagnose(recording, law, FaultInjector(0)).reports:
             faults = [fault for fault in report.faults if not fault.ambiguous_with]
             for fault in faults:
-                if (fault.component, fault.element) not in known:
+                if (fault.component, fault.element) not in named_before:
                     onset = (fault.onset_ns - int(recording.stamp_ns[0])) / NANOSECONDS_PER_SECOND
                     named.append(Named(fault.component, fault.element, begin + onset))
-            known = {(fault.component, fault.element) for fault in faults}
+            named_before = {(fault.component, fault.element) for fault in faults}
         return named
 
     return judge
@@ -106,11 +111,20 @@ def recording_of(log: FlightLog) -> Recording:
     has_rate = np.isfinite(gyro.value).all(axis=1)
     q = np.where(has_attitude[:, None], q, [0.0, 0.0, 0.0, 1.0])
     stamps, torque = _stamps(gyro.time), np.zeros((count, 3))
-    if log.torque_command is not None and log.torque_unit == "N m":
+    driven = log.torque_command is not None and log.torque_unit == "N m"
+    if log.torque_command is not None and driven:
         torque = torque_before(stamps, _stamps(log.torque_command.time), log.torque_command.value)
     imu = ImuSample(q, np.nan_to_num(gyro.value), force, has_attitude, has_rate, has_force & has_rate)
     return Recording(
-        name=log.path.name, path=log.path, topic="", namespace="/", stamp_ns=stamps, imu=imu, torque=torque
+        name=log.path.name,
+        path=log.path,
+        topic="",
+        namespace="/",
+        stamp_ns=stamps,
+        imu=imu,
+        torque=torque,
+        torque_topic="torque_command" if driven else None,
+        attitude_from_gyro=log.attitude_from_gyro is True,
     )
 
 
@@ -160,13 +174,18 @@ def faults_on(log: FlightLog, title: str, repeats: int) -> Iterator[tuple[str, s
         yield axis, f"{what} start={onset:.6f}s duration={LASTS:g}s", onset
 
 
+def around(log: FlightLog, onset: float) -> FlightLog:
+    """Keep what an observer sees of a fault."""
+    return cut(log, onset - WINDOW, onset + LASTS + WINDOW)
+
+
 def case_cell(judge: Judge, logs: Sequence[FlightLog], title: str, is_offline: bool) -> str:
     """Share of the faults of a case that are detected, and isolated."""
     cases, detected, isolated = 0, 0, 0
     for log in logs:
-        for element, spec, onset in faults_on(log, title, REPEATS if is_offline else 1):
+        for element, spec, onset in faults_on(log, title, REPEATS):
             faulty = overlay_faults(log, faults_from((), [spec]))
-            named = judge(faulty if is_offline else cut(faulty, onset - WINDOW, onset + LASTS + WINDOW))
+            named = judge(faulty if is_offline else around(faulty, onset))
             right = [each for each in named if each[:2] == (CASES[title][0], element)]
             cases += 1
             detected += any(abs(each.onset - onset) < SEEN for each in named)
@@ -207,13 +226,42 @@ def verdict_rows(groups: Mapping[str, Sequence[FlightLog]]) -> Iterator[list[str
             yield [group, log.path.name, f"{said.flight_s:.0f} s", sentence, missing]
 
 
-def make(data: Path, runs: Path | None) -> dict[str, str]:
+def truth_cell(named: Sequence[Named], truth: Truth) -> str:
+    """How long after its onset a fault of a scenario is named rightly; else whether something is, then."""
+    right = [
+        each.onset - truth.start
+        for each in named
+        if each.component == truth.component
+        and each.element in ("", *truth.elements)
+        and truth.start - SEEN < each.onset < truth.stop
+    ]
+    if right:
+        return f"{max(min(right, key=abs), 0.0):.2f} s"
+    return "other" if any(abs(each.onset - truth.start) < SEEN for each in named) else NOTHING
+
+
+def truth_rows(
+    judges: Mapping[str, Judge], flown: Sequence[tuple[FlightLog, list[Truth]]]
+) -> Iterator[list[str]]:
+    """Who names which fault of the simulated flights."""
+    for log, faults in flown:
+        offline = judge_offline(log)
+        for truth in faults:
+            said = [
+                offline if judge is judge_offline else judge(around(log, truth.start))
+                for judge in judges.values()
+            ]
+            yield [truth.title, *(truth_cell(named, truth) for named in said)]
+
+
+def make(data: Path) -> dict[str, str]:
     """Run all, and return the tables."""
-    groups, vehicle = read_groups(data), load_vehicle(VEHICLE)
-    flown = [] if runs is None else [read_log(each.parent) for each in sorted(runs.glob("*/metadata.yaml"))]
+    groups = read_groups(data)
+    groups[SIMULATED] = [fly_log(name, "faults=[]")[0] for name in FLOWN_HEALTHY]
+    flown = [(log, list(truths(scenario))) for log, scenario in map(fly_log, FLOWN_FAULTY)]
     judges: dict[str, Judge] = {"diagnose": judge_offline}
     for name in sorted(filter(has_detector, fault_observers.names())):
-        judges[name] = judge_by(fault_observers.get(name)(vehicle=vehicle))
+        judges[name] = judge_by(fault_observers.get(name))
     healthy_rows, fault_rows = list[list[str]](), list[list[str]]()
     for (who, judge), (group, logs) in itertools.product(judges.items(), groups.items()):
         is_offline = judge is judge_offline
@@ -227,9 +275,10 @@ def make(data: Path, runs: Path | None) -> dict[str, str]:
     of_verdicts = ["data set", "log", "in flight", "verdict", "could not be judged"]
     of_healthy = ["who", "data set", "healthy logs", "judged", "findings", "per hour"]
     return {
-        "league-verdicts": markdown(of_verdicts, verdict_rows({**groups, "quadftc run": flown})),
+        "league-verdicts": markdown(of_verdicts, verdict_rows(groups)),
         "league-healthy": markdown(of_healthy, healthy_rows),
         "league-faults": markdown(["who", "data set", *CASES], fault_rows),
+        "league-scenarios": markdown(["fault", *judges], truth_rows(judges, flown)),
     }
 
 
@@ -237,11 +286,10 @@ def main() -> int:
     """Write the tables into the page, or print them."""
     parser = argparse.ArgumentParser(prog="league", description=f"Tables of docs/{PAGE}.")
     parser.add_argument("data", type=Path, help="directory of the recordings")
-    parser.add_argument("--runs", type=Path, help="directory of recordings of quadftc run")
     parser.add_argument("--docs", type=Path, help=f"directory of {PAGE}")
     options = parser.parse_args()
     try:
-        publish_tables(make(options.data, options.runs), options.docs and options.docs / PAGE)
+        publish_tables(make(options.data), options.docs and options.docs / PAGE)
     except (ValueError, OSError) as error:
         say(f"error: {error}", stderr=True)
         return BAD_INPUT

@@ -29,6 +29,7 @@ from quadftc_model.samples import (
     ControllerOutput,
     DiagnosisReport,
     FaultEstimate,
+    ImuSample,
     PositionSample,
     effectiveness_of,
 )
@@ -46,10 +47,12 @@ def fly(
     scheme: Scheme | str | None = None,
     epoch_ns: int = EPOCH_NS,
     compiled: bool = False,
+    watch: Callable[[int, ImuSample], None] = lambda _stamp_ns, _sample: None,
 ) -> Flight:
     """Fly a scenario with one of its schemes (the first by default); the first stamp is ``epoch_ns`` [ns].
 
     ``compiled``: plant, fault observer and controllers run compiled by JAX; a ValueError if one cannot be.
+    ``watch`` is called with stamp [ns] and content of each sample, as the observers get it.
     """
     chosen = scheme if isinstance(scheme, Scheme) else scenario.scheme(scheme)
     # one object for each node of the graph
@@ -76,9 +79,11 @@ def fly(
         simulator.set_rotors(injected.rotors)
         if not injected.present:  # withheld: the command stays
             continue
+        watch(stamp_ns, injected.sample)
         # the nodes react; none refuses the sample, as stamps increase
-        acted = *guidance.acted(given), _place_in(emission), guidance.rotors(given)
-        estimate = diagnosis.diagnose(stamp_ns, injected.sample, *acted)
+        estimate = diagnosis.diagnose(
+            stamp_ns, injected.sample, *guidance.acted(given), _place_in(emission), guidance.rotors(given)
+        )
         assert estimate is not None
         effectiveness = effectiveness_of(estimate.rotors)
         disturbance = disturbance_observer.estimate(stamp_ns, estimate.corrected, given.torque)
