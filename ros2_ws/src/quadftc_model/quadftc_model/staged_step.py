@@ -86,11 +86,13 @@ class StagedStep:
         self._inputs: list[Var] = list(flat.jaxpr.invars)
         self._outputs: list[Atom] = list(flat.jaxpr.outvars)
         self._batched = set(self._inputs[:per_flight])
-        self._preparations = self._fold()
+        preparations = self._fold()
         places = jax.tree.unflatten(jax.tree.structure(state), range(carried))
         needed = self._prune(carried, jax.tree.leaves(shown(places)))
         # like ``inputs``: which leaves change an output
         self.needed = jax.tree.unflatten(jax.tree.structure(inputs), needed[carried:per_flight])
+        used = [*self._outputs, *(atom for equation in self._equations for atom in equation.invars)]
+        self._preparations = StageCutter(preparations, used, self._constants).cut()
         self._stages = StageCutter(self._equations, self._outputs, self._constants).cut()
 
     def __call__(self, state: Any, inputs: Any, common: Any) -> Any:
@@ -98,23 +100,28 @@ class StagedStep:
         leaves = jax.tree.leaves((state, inputs, common))
         flights = leaves[0].shape[-1]
         known: dict[Var, Any] = self._constants | dict(zip(self._inputs, leaves, strict=True))
-        for equation in self._preparations:
-            values = bind(equation, values_of(equation.invars, known))
-            known.update(zip(equation.outvars, values, strict=True))
+        for stage in self._preparations:
+            known |= self._run_apart(stage, known)
         for stage in self._stages:
             known |= self._run_apart(stage, known, flights)
         values, varies = values_of(self._outputs, known), _varies(self._outputs, self._batched)
         results = [_over_flights(*pair, flights) for pair in zip(values, varies, strict=True)]
         return jax.tree.unflatten(self._structure, results)
 
-    def _run_apart(self, stage: Stage, known: dict[Var, Any], flights: int) -> dict[Var, Any]:
-        """Compute the outputs of a stage in a function that the compiler must leave as it is."""
+    def _run_apart(self, stage: Stage, known: dict[Var, Any], flights: int | None = None) -> dict[Var, Any]:
+        """Compute the outputs of a stage in a function that the compiler must leave as it is.
+
+        Without ``flights`` it follows from ``common`` alone.
+        """
         inputs, equations, outputs = stage
 
         def run(*values: Any) -> list[Any]:
             inside = self._constants | dict(zip(inputs, values, strict=True))
             for equation in equations:
-                results = _evaluate(equation, inside, self._batched, flights)
+                if flights is None:
+                    results = bind(equation, values_of(equation.invars, inside))
+                else:
+                    results = _evaluate(equation, inside, self._batched, flights)
                 inside.update(zip(equation.outvars, results, strict=True))
             return [inside[var] for var in outputs]
 

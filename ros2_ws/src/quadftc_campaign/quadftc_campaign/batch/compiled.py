@@ -76,7 +76,9 @@ class CompiledFlight:
         if staged:
             self._step_all = StagedStep(self._step, state, (inputs, per_flight), times, Carried.shown)
             self._needed_draws = self._step_all.needed[0].draws
-        begin = jax.vmap(self._begin, in_axes=(-1, -1, None, -1), out_axes=-1)
+        begin: Any = jax.vmap(self._begin, in_axes=(-1, -1, None, -1), out_axes=-1)
+        if staged:
+            begin = self._staged_begin(drawn, *zip(*first, strict=True), per_flight)
         self.begin = jax.jit(begin, compiler_options=QUICK_TO_COMPILE)
         self.fly_stretch = jax.jit(self._fly_stretch, donate_argnums=0)
 
@@ -130,6 +132,16 @@ class CompiledFlight:
             tally = update_tally(tally, row, schedule)
             rows.append(row)
         return self._cast(Carried(state, tally)), rows if self._traced else []
+
+    def _staged_begin(self, *arguments: Any) -> Callable[..., Any]:
+        """Return `_begin` for many flights in stages, as a step that has no state before."""
+        drawn, inputs, times, per_flight = arguments
+
+        def begin(_: Any, given: Any, times: Any) -> Any:
+            return (), self._begin(given[0], given[1], times, given[2])
+
+        staged = StagedStep(begin, (), (drawn, inputs, per_flight), times)
+        return lambda drawn, inputs, times, per_flight: staged((), (drawn, inputs, per_flight), times)[1]
 
     def _step(
         self, state: Carried, inputs: tuple[StepInputs, PerFlight], times: Times
