@@ -66,8 +66,8 @@ class DisturbanceObserverNode(GraphNode):
 
     def _use(self, law: observer.DisturbanceObserver) -> None:
         """Fly with changed parameters, or have another observer take over."""
-        flies = type(law) is type(self._estimation.law)
-        self._estimation.switch(law if flies else _warmed_up(law))
+        goes_on = type(law) is type(self._estimation.law)
+        self._estimation.switch(law if goes_on else _warmed_up(law))
 
     def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats) -> None:
         replaced, resumed, law = self._estimation.replaced, self._estimation.resumed, self._estimation.law

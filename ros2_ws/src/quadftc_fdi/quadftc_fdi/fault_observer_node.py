@@ -116,8 +116,8 @@ class FaultObserverNode(GraphNode):
 
     def _use(self, law: FaultObserver) -> None:
         """Fly with changed parameters, or have another observer take over."""
-        flies = type(law) is type(self._diagnosis.law)
-        self._diagnosis.switch(law if flies else _warmed_up(law))
+        goes_on = type(law) is type(self._diagnosis.law)
+        self._diagnosis.switch(law if goes_on else _warmed_up(law))
 
     def _read_flight(self) -> None:
         """Read what there is in free flight: a sample waits for its position, then for the rotor speeds."""

@@ -25,6 +25,8 @@ from quadftc_model.arrays import Array
 from quadftc_model.jax_settings import environment, keep_compiled_code, settle_precision
 
 SETTLING = 5  # steps in which the structure of a state may still change
+# what JAX raises where a law cannot be traced
+UNTRACEABLE = (TypeError, AttributeError, NotImplementedError, ValueError)
 PERIOD = 0.004  # s; of the steps that a law is prepared with
 
 Step = Callable[[Any, Any, Any], tuple[Any, Any]]  # state, inputs, dt [s] -> state, output
@@ -152,7 +154,7 @@ class CompiledStep:
                 raise ValueError("the numbers of its state change their shape")
             vectors = np.zeros(self.state.size), np.zeros(self.inputs.size)
             self._run = jax.jit(run).lower(*vectors).compile()
-        except (TypeError, AttributeError, NotImplementedError, ValueError) as error:
+        except UNTRACEABLE as error:
             words = str(error).splitlines()[0]
             raise ValueError(f"compiled: JAX cannot compile {name}: {words}") from error
 

@@ -32,10 +32,10 @@ from quadftc_campaign.batch.parts import (
 )
 from quadftc_campaign.batch.tally import Outcome, schedule_of
 from quadftc_flight.fault_schedule import FaultEvent
+from quadftc_model.compiled import UNTRACEABLE
 from quadftc_model.jax_settings import keep_compiled_code, settle_precision
 
 LANES = 128  # flights that fly together: their state stays in the cache
-UNTRACEABLE = (TypeError, AttributeError, NotImplementedError, ValueError)
 
 Floats = NDArray[np.float64]
 Events = Sequence[Sequence[FaultEvent]]

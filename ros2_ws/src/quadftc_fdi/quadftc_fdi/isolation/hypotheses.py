@@ -19,6 +19,9 @@ noise: s is the squared change of its innovation in variances.
 
     l' = (d_g² - d_a²) / (2 sigma² T) - max(s - 3, 0) / (2 T)
 
+Without a known torque, or with an attitude made of the gyro, neither belief nor accelerations tell: l stays
+zero but for the position. m is less what the attitude-based rate may be off by.
+
 From 95 % for `HOLD` the gyro is named, and from 99.9 % for the attitude, the attitude.
 """
 
