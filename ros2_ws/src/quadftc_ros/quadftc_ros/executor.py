@@ -52,6 +52,7 @@ class Slice:
         self._executor = executor
         self._over: Future = Future()
         self._end = math.inf
+        self.looked: float | None = None  # monotonic time of the last `look` [s]
 
     def spin(self, duration: float) -> None:
         """Serve the nodes for a time [s]."""
@@ -60,7 +61,8 @@ class Slice:
 
     def look(self) -> None:
         """End the slice if its time is over."""
-        if time.monotonic() >= self._end:
+        self.looked = time.monotonic()
+        if self.looked >= self._end:
             self._end = math.inf
             self._over.set_result(None)
 
