@@ -73,11 +73,12 @@ def receiver(topic: str, callback: Callable[[int, bytes], None], count: Count, n
     """
     row = TOPICS[topic]
     is_imu = row.type_name == IMU
-    head = row.frame.encode() + b"\0"
+    head = row.frame.encode() + b"\0"  # the last frame that was right
     usual = slice(FRAME, FRAME + len(head))
     wrong_frame = f"{topic}: frame_id is not {row.frame}{', used all the same' if is_imu else ''}"
 
     def receive(data: bytes) -> None:
+        nonlocal head, usual
         try:
             stamp_ns = leading_stamp_ns(data)
         except ValueError:
@@ -92,6 +93,9 @@ def receiver(topic: str, callback: Callable[[int, bytes], None], count: Count, n
                 count(wrong_frame)
                 if not is_imu:
                     return
+            elif frame:
+                head = frame.encode() + b"\0"
+                usual = slice(FRAME, FRAME + len(head))
         note(stamp_ns)
         callback(stamp_ns, data)
 
