@@ -114,11 +114,17 @@ class NodeBench:
         TimeoutError
             If it does not.
         """
-        end = time.monotonic() + PATIENCE
+        if not self._holds(condition, PATIENCE):
+            raise TimeoutError(f"nothing happened within {PATIENCE:g} s")
+
+    def _holds(self, condition: Callable[[], Any], patience: float) -> bool:
+        """Let the nodes work until a condition holds, for a time [s]; return whether it does."""
+        end = time.monotonic() + patience
         while not condition():
             if time.monotonic() > end:
-                raise TimeoutError(f"nothing happened within {PATIENCE:g} s")
+                return False
             self._executor.spin_once(timeout_sec=0.05)
+        return True
 
     def call(self, service: type, name: str, **fields: Any) -> Any:
         """Call a service (relative name); return the response."""
@@ -127,12 +133,20 @@ class NodeBench:
 
     def call_all(self, service: Any, name: str, requests: Sequence[dict[str, Any]]) -> list[Any]:
         """Send requests to a service without waiting in between; return the responses, in the same order."""
-        client = self.tester.create_client(service, name, qos_profile=service_profile())
-        self.until(client.service_is_ready)
+        client = self._client(service, name)
         futures = [client.call_async(service.Request(**fields)) for fields in requests]
         self.until(lambda: all(future.done() for future in futures))
         self.tester.destroy_client(client)
         return [future.result() for future in futures]
+
+    def _client(self, service: Any, name: str) -> Any:
+        """Return a client that has found its service; on a busy machine discovery may miss one for good."""
+        for _ in range(3):
+            client = self.tester.create_client(service, name, qos_profile=service_profile())
+            if self._holds(client.service_is_ready, PATIENCE / 3):
+                return client
+            self.tester.destroy_client(client)
+        raise TimeoutError(f"no service {name} within {PATIENCE:g} s, with three clients")
 
     def set_parameter(self, node: str, name: str, value: Any) -> SetParametersResult:
         """Set a parameter of a node by its service."""
