@@ -45,6 +45,9 @@ bench = typer.Typer(
 )
 
 Observer = Annotated[str, typer.Option(help="Fault observer.")]
+CompiledOption = Annotated[
+    bool, typer.Option("--compiled", help="Laws compiled by JAX; lockstep: beside NumPy.")
+]
 Out = Annotated[
     Path | None,
     typer.Option(help="Directory for the results: JSON, and a figure of latencies or of batches."),
@@ -64,6 +67,7 @@ def latency(
     ] = None,
     repeat: Annotated[int, typer.Option(min=1, help="How often; medians are shown.")] = 1,
     record: Annotated[bool, typer.Option(help="Record a bag meanwhile.")] = True,
+    compiled: CompiledOption = False,
     wait: Annotated[
         Literal["sleep", "poll"] | None,
         typer.Option(help="Between samples; default: poll, where it is possible."),
@@ -80,7 +84,7 @@ def latency(
         wait = "sleep" if graph == "processes" or realtime_priority else "poll"
     length = duration or (60.0 if thorough else 20.0)
     scheduling = Scheduling(wait, realtime_priority, tuple(core))
-    options = part.LatencyOptions(graph, executor, record, scheduling)
+    options = part.LatencyOptions(graph, executor, record, compiled, scheduling)
     results: list[dict[str, Any]] = []
     with StopSignals() as stop, _bars() as bars:
         for each, number in itertools.product(rate, range(repeat)):
@@ -108,7 +112,7 @@ def lockstep(
     vehicles: Annotated[list[int], typer.Option(min=1, help="In one process, and in as many.")] = [1],  # noqa: B006
     scenario: Annotated[str, typer.Option(help="Scenario to fly, by its first scheme.")] = SCENARIO,
     observer: Observer = "sliding_mode",
-    compiled: Annotated[bool, typer.Option("--compiled", help="Compiled by JAX, too.")] = False,
+    compiled: CompiledOption = False,
     duration: Annotated[
         float | None, typer.Option(min=0.5, help="Length of a flight [s]; default: 10, thorough 20.")
     ] = None,
@@ -141,7 +145,7 @@ def lockstep(
 @bench.command()
 def step(
     batches: Annotated[int, typer.Option(min=1, help="How often 250 steps are timed.")] = 40,
-    compiled: Annotated[bool, typer.Option("--compiled", help="Compiled by JAX.")] = False,
+    compiled: CompiledOption = False,
     out: Out = None,
 ) -> None:
     """What one step of each fault observer costs, for one vehicle: half a minute."""

@@ -20,7 +20,7 @@ from quadftc_flight.graph.plan import GraphPlan, check_options
 from quadftc_flight.graph.processes import ProcessGraph
 from quadftc_flight.scenario import Scenario, Scheme, node_parameters
 from quadftc_ros.scheduling import ORDINARY, Scheduling
-from quadftc_ros.topics import TOPICS
+from quadftc_ros.topics import GRAPHS, TOPICS
 from quadftc_ros.transport import load_trace
 from quadftc_tools.bench.machine import Usage
 from quadftc_tools.results_table import results_table
@@ -61,6 +61,7 @@ class LatencyOptions:
     graph: str = "composed"  # or "processes"
     executor: str = "events"  # or "single"; of the composed graph
     record: bool = True  # write a bag meanwhile, and throw it away
+    compiled: bool = False  # plant, fault observer and controllers, by JAX
     scheduling: Scheduling = ORDINARY
 
     def __post_init__(self) -> None:
@@ -79,7 +80,9 @@ def measure_latency(
         traces.mkdir()
         paths = {"bag": bag, "traces": traces}
         parameters = node_parameters(scenario, scheme)
-        plan = GraphPlan(parameters, "realtime", **paths, scheduling=options.scheduling)
+        plan = GraphPlan(
+            parameters, "realtime", **paths, scheduling=options.scheduling, compiled=options.compiled
+        )
         going_on, processes = True, options.graph == "processes"
 
         def follow(samples: int) -> bool:
@@ -150,7 +153,7 @@ def lost_messages(traces: Traces) -> dict[str, int]:
     The last sample's do not count: the flight ends meanwhile.
     """
     lost: dict[str, int] = {}
-    for row in TOPICS.values():
+    for row in GRAPHS["free_flight" if "position_controller" in traces else "test_stand"].values():
         given: set[int] = set()
         for node in row.publishers:
             given |= _first_times(traces.get(node, {}), f"given {row.name}").keys()
