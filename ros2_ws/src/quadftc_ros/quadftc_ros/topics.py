@@ -20,6 +20,7 @@ PlantKind = Literal["test_stand", "free_flight"]
 
 IMU = "sensor_msgs/msg/Imu"
 FIELD = "sensor_msgs/msg/MagneticField"
+PRESSURE = "sensor_msgs/msg/FluidPressure"
 ROTORS = "sensor_msgs/msg/JointState"
 POSE = "geometry_msgs/msg/PoseStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -86,9 +87,11 @@ _ROWS = (
     _topic("plant/imu", IMU, "plant", "fault_injector", "sensor", IMU_FRAME),
     _topic("imu/data", IMU, "fault_injector", _IMU_READERS, "sensor", IMU_FRAME),
     _topic("imu/corrected", IMU, "fault_observer", _CORRECTED_READERS, "sensor", IMU_FRAME),
-    # a driver without attitude: `attitude_estimator` makes imu/data of these
+    # a driver without attitude: `attitude_estimator` makes imu/data of these. A plant that has a magnetometer
+    # or a barometer publishes them, too; no node waits for it
     _topic("imu/data_raw", IMU, "", "attitude_estimator", "sensor", IMU_FRAME),
     _topic("imu/mag", FIELD, "", "attitude_estimator", "sensor", IMU_FRAME),
+    _topic("imu/static_pressure", PRESSURE, "", "", "sensor", IMU_FRAME, FREE),
     _topic("mocap/pose", POSE, "", "attitude_estimator", "sensor", EARTH_FRAME),
     _topic("fault/estimate", VECTOR, "fault_observer", "", "reliable", EARTH_FRAME),
     _topic("fault/status", FAULT_STATUS, "fault_observer", "controller", "reliable", IMU_FRAME),

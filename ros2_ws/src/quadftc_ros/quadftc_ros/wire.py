@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import Imu, MagneticField
+from sensor_msgs.msg import FluidPressure, Imu, MagneticField
 from std_msgs.msg import Header
 
 from quadftc_bags.cdr.layout import PaddingCleaner
@@ -113,6 +113,31 @@ class ImuWire:
         q_xyzw, body_rate = sample.q_xyzw.tolist(), sample.body_rate.tolist()
         specific_force = sample.specific_force.tolist()
         return self._write(stamp_ns, *q_xyzw, *attitude, *body_rate, *rate, *specific_force, *force)
+
+
+class FieldWire:
+    """Makes serialised magnetic fields; ``std_dev`` [T] of each component, 0: unknown."""
+
+    def __init__(self, frame: str, std_dev: float) -> None:
+        v = std_dev**2
+        self._covariance = (v, 0.0, 0.0, 0.0, v, 0.0, 0.0, 0.0, v)
+        self._write = NumberWriter(MagneticField(header=Header(frame_id=frame)))
+
+    def __call__(self, stamp_ns: int, field: Floats) -> bytes:
+        """Return the message of a field (3,) [T] in body axes."""
+        return self._write(stamp_ns, *field.tolist(), *self._covariance)
+
+
+class PressureWire:
+    """Makes serialised pressures; ``std_dev`` [Pa], 0: unknown."""
+
+    def __init__(self, frame: str, std_dev: float) -> None:
+        self._variance = std_dev**2
+        self._write = NumberWriter(FluidPressure(header=Header(frame_id=frame)))
+
+    def __call__(self, stamp_ns: int, pressure: float) -> bytes:
+        """Return the message of a pressure [Pa]."""
+        return self._write(stamp_ns, pressure, self._variance)
 
 
 class ReferenceWire:

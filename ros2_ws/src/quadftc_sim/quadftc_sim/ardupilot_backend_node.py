@@ -62,7 +62,8 @@ class ArduPilotBackendNode(GraphNode):
         for name in ("winds", "disturbances", "faults"):
             self.settings.declare_list(name, "each: kind key=value..., as of plant and fault_injector")
         self._values = self.settings.values()
-        plant: Any = self._simulator(400.0).plant  # refuses wrong values now
+        simulator = self._simulator(400.0)  # refuses wrong values now
+        plant: Any = simulator.plant
         self._values |= {"start": [*plant.start[:2], -plant.feet[0, 2]], "rotors": plant.command_size}
         self.physics = ArduPilotPhysics(self._simulator, partial(injector_from, self._values))
         self._publish_imu, self._imu = self.publishes("imu/data"), ImuWire(self.imu_frame)
@@ -73,7 +74,7 @@ class ArduPilotBackendNode(GraphNode):
             )
             for channel, topic in TRUTH.items()
         }
-        self._flight = FlightOutput(self, plant.command_size, None)
+        self._flight = FlightOutput(self, simulator)
         self._socket = self._open_socket()
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="sitl", daemon=True)

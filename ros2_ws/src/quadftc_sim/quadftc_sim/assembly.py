@@ -2,7 +2,8 @@
 
 The node ``plant`` has those of `PlantParameters`, disturbances (list of specifications), those of the plant
 that ``plant`` names and ``imu.<parameter>`` for each parameter of the sensor. In free flight it has a list of
-winds, too, and ``position.<parameter>`` for each parameter of a position sensor. The node
+winds, too, and ``position.<parameter>``, ``mag.<parameter>`` and ``baro.<parameter>`` for each parameter of
+position sensor, magnetometer and barometer. The node
 ``fault_injector`` has those of `InjectorParameters` and faults (list of specifications). Others are ignored.
 A ValueError names the parameter that is wrong.
 """
@@ -15,9 +16,11 @@ import functools
 from quadftc_model import assembly
 from quadftc_model.assembly import NodeParameters, get
 from quadftc_model.parameters import parameter
+from quadftc_sim.barometer import Barometer
 from quadftc_sim.disturbance import disturbances
 from quadftc_sim.injection import Injection, make_injection
 from quadftc_sim.injector import FaultInjector
+from quadftc_sim.magnetometer import Magnetometer
 from quadftc_sim.motion import compiled_motion
 from quadftc_sim.plant import plants
 from quadftc_sim.plants.test_stand import AttitudeStand
@@ -83,9 +86,12 @@ def simulator_from(parameters: NodeParameters, epoch_ns: int = EPOCH_NS) -> Simu
     sensor = assembly.build_prefixed(ImuSensor, parameters, "imu")
     there = kind.flies and parameters.get("position_sensor", False)
     place = assembly.build_prefixed(PositionSensor, parameters, "position") if there else None
+    magnetometer = assembly.build_prefixed(Magnetometer, parameters, "mag")
+    barometer = assembly.build_prefixed(Barometer, parameters, "baro")
     period = period_ns(get(parameters, "rate", float))
     motion = compiled_motion(plant) if parameters.get("compiled", False) else None
-    return Simulator(plant, sensor, period, epoch_ns, get(parameters, "seed", int), place, motion)
+    seed = get(parameters, "seed", int)
+    return Simulator(plant, sensor, period, epoch_ns, seed, place, motion, magnetometer, barometer)
 
 
 def flight_from(

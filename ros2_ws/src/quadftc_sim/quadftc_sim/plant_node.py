@@ -32,6 +32,8 @@ from quadftc_ros.rotor_wire import RotorConditionReader
 from quadftc_ros.topics import missing_connections
 from quadftc_ros.wire import vector_of
 from quadftc_sim.assembly import EPOCH_NS, PlantParameters, flight_from
+from quadftc_sim.barometer import Barometer
+from quadftc_sim.magnetometer import Magnetometer
 from quadftc_sim.plant import plants
 from quadftc_sim.plant_output import PlantOutput
 from quadftc_sim.position_sensor import PositionSensor
@@ -60,6 +62,8 @@ class PlantNode(GraphNode):
         self.settings.declare(ImuSensor, "imu.", read_only=True)
         if law.flies:
             self.settings.declare(PositionSensor, "position.", read_only=True)
+            self.settings.declare(Magnetometer, "mag.", read_only=True)
+            self.settings.declare(Barometer, "baro.", read_only=True)
             self.settings.declare_list(
                 "winds", "each: kind key=value..., e.g. 'constant velocity_mean=2,0,0'"
             )
@@ -70,10 +74,8 @@ class PlantNode(GraphNode):
         self._rests_until_ns = 0  # real time: does not emit before, however late
         # real time: samples after the first torque whose own had not come when the next was due; None: before
         self._without_torque: int | None = None
-        rotors, simulator = self.flight.simulator.plant.command_size, self.flight.simulator
-        self._output = PlantOutput(
-            self, each_sample, (rotors, simulator.position_sensor) if law.flies else None
-        )
+        rotors = self.flight.simulator.plant.command_size
+        self._output = PlantOutput(self, each_sample, self.flight.simulator if law.flies else None)
         self._topic = "rotors/command" if law.flies else "torque/command"
         decode = RotorsReader(rotors) if law.flies else vector_of
         self.reads(self._topic, self._on_command, decode=decode)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from rosgraph_msgs.msg import Clock
@@ -12,23 +13,21 @@ from quadftc_ros.conversions import NANOSECONDS
 from quadftc_ros.motion_wire import OdometryWire, PositionSampleWire, RotorsWire
 from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import EARTH_FRAME
-from quadftc_ros.wire import ImuWire, VectorWire
-from quadftc_sim.position_sensor import PositionSensor
-from quadftc_sim.simulator import Emission
+from quadftc_ros.wire import FieldWire, ImuWire, PressureWire, VectorWire
+from quadftc_sim.simulator import Emission, Simulator
 
 
 class PlantOutput:
     """What the plant publishes of an emission: the IMU sample at once, the truth when nobody waits for it.
 
-    ``each_sample()`` is called after each emission. ``flight`` is there in free flight: the number of rotors
-    and the position sensor.
+    ``each_sample()`` is called after each emission. ``flight`` is the simulator of a free flight.
     """
 
     def __init__(
         self,
         node: GraphNode,
         each_sample: Callable[[], None],
-        flight: tuple[int, PositionSensor | None] | None,
+        flight: Simulator | None,
     ) -> None:
         self._node, self._each_sample = node, each_sample
         self._publish_imu, self._imu = node.publishes("plant/imu"), ImuWire(node.imu_frame)
@@ -38,7 +37,7 @@ class PlantOutput:
             (node.publishes("plant/rate"), body, "body_rate"),
             (node.publishes("disturbance/applied"), body, "disturbance"),
         )
-        self._flight = FlightOutput(node, *flight) if flight is not None else None
+        self._flight = FlightOutput(node, flight) if flight is not None else None
         self._publish_clock = node.publishes("/clock") if node.lockstep else None
         self._clock = Clock()
         self._stamp_ns = 0  # of the last emission
@@ -55,7 +54,7 @@ class PlantOutput:
             self._clock.clock.sec, self._clock.clock.nanosec = divmod(emission.stamp_ns, NANOSECONDS)
             self._publish_clock(self._clock)
         if self._flight is not None:
-            self._flight.show_place(emission)
+            self._flight.show_sensors(emission)
         if emission.sample is not None:  # before the truth, as others wait for it
             self._publish_imu(self._imu(emission.sample_stamp_ns, emission.sample))
         self.pending, self._stamp_ns = emission, emission.stamp_ns
@@ -78,7 +77,8 @@ class PlantOutput:
 class FlightOutput:
     """What the plant publishes of an emission in free flight besides."""
 
-    def __init__(self, node: GraphNode, rotors: int, sensor: PositionSensor | None) -> None:
+    def __init__(self, node: GraphNode, simulator: Simulator) -> None:
+        rotors, sensor = simulator.plant.command_size, simulator.position_sensor
         self._publish_odometry = node.publishes("plant/odometry")
         self._odometry = OdometryWire(node.base_frame)
         self._publish_speeds = node.publishes("rotors/speed")
@@ -88,11 +88,20 @@ class FlightOutput:
         self._place = sensor and PositionSampleWire(
             max(sensor.noise), max(sensor.velocity_noise), sensor.gives_velocity
         )
+        field, pressure = simulator.magnetometer, simulator.barometer
+        self._publish_field = node.publishes("imu/mag") if field.rate else None
+        self._field = FieldWire(node.imu_frame, math.hypot(field.noise, field.hard_iron))
+        self._publish_pressure = node.publishes("imu/static_pressure") if pressure.rate else None
+        self._pressure = PressureWire(node.imu_frame, math.hypot(pressure.noise, pressure.wander))
 
-    def show_place(self, emission: Emission) -> None:
-        """Publish what the position sensor says now."""
+    def show_sensors(self, emission: Emission) -> None:
+        """Publish what position sensor, magnetometer and barometer say now."""
         if self._place is not None and emission.place is not None and emission.place.there:
             self._publish_place(self._place(emission.place_stamp_ns, emission.place))
+        if emission.field is not None and self._publish_field is not None:
+            self._publish_field(self._field(emission.stamp_ns, emission.field))
+        if emission.pressure is not None and self._publish_pressure is not None:
+            self._publish_pressure(self._pressure(emission.stamp_ns, emission.pressure))
 
     def show_truth(self, emission: Emission) -> None:
         """Publish the true motion of vehicle, rotors and air."""

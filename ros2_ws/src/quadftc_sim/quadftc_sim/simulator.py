@@ -16,7 +16,9 @@ from quadftc_model.arrays import Components, Quaternion, Vector
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.samples import ImuSample, PositionSample, RotorCondition
 from quadftc_model.stepper import seconds
+from quadftc_sim.barometer import Barometer
 from quadftc_sim.flying_plant import FlyingPlant
+from quadftc_sim.magnetometer import Magnetometer
 from quadftc_sim.motion import Motion, Seen, motion_of, see
 from quadftc_sim.plant import Plant
 from quadftc_sim.position_sensor import PositionSensor
@@ -24,6 +26,7 @@ from quadftc_sim.sensor_draws import SensorDraws
 from quadftc_sim.sensors import ImuSensor
 
 NEVER_NS = sys.maxsize
+NO_MAGNETOMETER, NO_BAROMETER = Magnetometer(), Barometer()
 
 
 class FreeMotion(NamedTuple):
@@ -50,13 +53,16 @@ class Emission(NamedTuple):
         None  # what the position sensor says with the IMU sample; None: there is none
     )
     place_stamp_ns: int = 0  # when that was measured [ns]
+    field: Vector | None = None  # of the magnetometer [T], measured now; None: it does not measure now
+    pressure: float | None = None  # of the barometer [Pa], likewise
 
 
 class Simulator:
     """One vehicle with its IMU, level and at rest at first.
 
     ``epoch_ns`` is the stamp of the first sample, at scenario time 0; ``seed`` that of noise and bias.
-    ``motion`` is that of the plant, which may be compiled.
+    ``motion`` is that of the plant, which may be compiled. Position sensor,
+    magnetometer and barometer are those of a free flight.
     """
 
     def __init__(
@@ -68,6 +74,8 @@ class Simulator:
         seed: int,
         place: PositionSensor | None = None,
         motion: Motion | None = None,
+        magnetometer: Magnetometer = NO_MAGNETOMETER,
+        barometer: Barometer = NO_BAROMETER,
     ) -> None:
         if period_ns <= 0:
             raise ValueError(f"period_ns = {period_ns}: must be positive")
@@ -79,6 +87,9 @@ class Simulator:
         self._sensor_state = sensor.turn_on(self._random.turn_on)
         self.position_sensor = place
         self._place = _PlaceSensor(place, self._random, sensor.delay, self._dt) if place is not None else None
+        self.magnetometer, self.barometer = magnetometer, barometer
+        self._field = _FieldSensor(magnetometer, self._random, self._dt)
+        self._pressure = _PressureSensor(barometer, self._random, self._dt)
         self._state: Any = plant.init(quaternion_from_euler(np.zeros(3)), np.zeros(3))
 
     @property
@@ -88,9 +99,8 @@ class Simulator:
 
     def anew(self, epoch_ns: int) -> Simulator:
         """Return the same simulator at the begin of a flight."""
-        return Simulator(
-            self.plant, self.sensor, self.period_ns, epoch_ns, self._seed, self.position_sensor, self._move
-        )
+        others = self.position_sensor, self._move, self.magnetometer, self.barometer
+        return Simulator(self.plant, self.sensor, self.period_ns, epoch_ns, self._seed, *others)
 
     def start(self) -> Emission:
         """Return the first emission; call once."""
@@ -118,10 +128,12 @@ class Simulator:
         self._sensor_state, sample = self.sensor.step(
             self._sensor_state, q_xyzw, body_rate, seen.force, draws, self._dt
         )
-        flight = place = None
+        flight = place = field = pressure = None
         if seen.wind is not None:
             flight = FreeMotion(state.position, state.velocity, q_xyzw, state.speeds, seen.wind)
             place = self._place and self._place.measure(state.position, state.velocity)
+            field = self._field.measure(q_xyzw)
+            pressure = self._pressure.measure(state.position[2])
         return Emission(
             stamp_ns=self._stamp_ns,
             sample=sample,
@@ -132,6 +144,8 @@ class Simulator:
             flight=flight,
             place=place,
             place_stamp_ns=self._stamp_ns - self._place.behind * self.period_ns if self._place else 0,
+            field=field,
+            pressure=pressure,
         )
 
 
@@ -152,6 +166,45 @@ class _PlaceSensor:
             self._state, position, velocity, due, draws, self.behind, self._dt
         )
         return sample
+
+
+class _Due:
+    """Says which samples of an IMU, ``dt`` [s] apart, a sensor of a rate [Hz] measures at; 0: at none."""
+
+    def __init__(self, rate: float, dt: float) -> None:
+        self.every = max(1, round(1.0 / (rate * dt))) if rate else 0
+        self.period = self.every * dt
+        self._count = 0
+
+    def now(self) -> bool:
+        """Return whether it measures at the next sample; call once for each."""
+        due = self.every > 0 and self._count % self.every == 0
+        self._count += 1
+        return due
+
+
+class _FieldSensor:
+    def __init__(self, law: Magnetometer, random: SensorDraws, dt: float) -> None:
+        self._law, self._random, self._due = law, random, _Due(law.rate, dt)
+        self._hard_iron = law.turn_on(random.next_field())
+
+    def measure(self, q_xyzw: Quaternion) -> Vector | None:
+        if not self._due.now():
+            return None
+        return self._law.measure(self._hard_iron, q_xyzw, self._random.next_field())
+
+
+class _PressureSensor:
+    def __init__(self, law: Barometer, random: SensorDraws, dt: float) -> None:
+        self._law, self._random, self._due = law, random, _Due(law.rate, dt)
+        self._wander = law.turn_on(random.next_pressure())
+
+    def measure(self, height: float) -> float | None:
+        if not self._due.now():
+            return None
+        draws = self._random.next_pressure()
+        self._wander, pressure = self._law.measure(self._wander, height, draws, self._due.period)
+        return float(pressure)
 
 
 class PlantFlight:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import inspect
 import math
-from typing import Annotated, Any
+from collections.abc import Mapping
+from typing import Annotated, Any, cast
 
+from rich.console import Group
 from rich.table import Table
 from typer import Argument
 
@@ -20,8 +22,11 @@ from quadftc_flight.scenario import ScenarioError, find_scenario, load_scenario,
 from quadftc_model.parameters import Parameter, parameters_of
 from quadftc_model.registry import Registry
 from quadftc_model.vehicle import load_vehicle, vehicle_names
+from quadftc_sim.barometer import BAROMETER_GRADES, Barometer
 from quadftc_sim.disturbance import disturbances
 from quadftc_sim.fault import faults
+from quadftc_sim.magnetometer import MAGNETOMETER_GRADES, Magnetometer
+from quadftc_sim.position_sensor import POSITION_GRADES, PositionSensor
 from quadftc_sim.rotor_fault import rotor_faults
 from quadftc_sim.sensors import GRADES, ImuSensor
 from quadftc_sim.wind import winds
@@ -37,6 +42,12 @@ REGISTRIES: dict[str, Registry[Any]] = {
     "rotor_faults": rotor_faults,
     "disturbances": disturbances,
     "winds": winds,
+}
+SENSORS: dict[str, tuple[type, Mapping[str, Mapping[str, Any]]]] = {
+    "sensors": (ImuSensor, GRADES),
+    "position_sensor": (PositionSensor, POSITION_GRADES),
+    "magnetometer": (Magnetometer, MAGNETOMETER_GRADES),
+    "barometer": (Barometer, BAROMETER_GRADES),
 }
 KINDS = (*REGISTRIES, "sensors", "vehicles", "scenarios")
 
@@ -74,15 +85,27 @@ def _cells(row: Parameter) -> tuple[str, str, str, str]:
     return row.name, text, unit, row.doc + choices
 
 
-def _sensors() -> Table:
-    """Tabulate the grades of the IMU, angles in degrees."""
-    table = _table("sensors", "parameter", *GRADES, "unit", "meaning")
-    for row in parameters_of(ImuSensor):
+def _sensors() -> Group:
+    """Tabulate the grades of each sensor, angles in degrees."""
+    return Group(*(_grades(title, law, grades) for title, (law, grades) in SENSORS.items()))
+
+
+def _grades(title: str, law: type, grades: Mapping[str, Mapping[str, Any]]) -> Table:
+    table = _table(title, "parameter", *grades, "unit", "meaning")
+    for row in parameters_of(law):
         unit = row.unit.replace("rad", "deg")
         factor = math.degrees(1.0) if unit != row.unit else 1.0
-        values = [f"{factor * grade.get(row.name, 0.0):.3g}" for grade in GRADES.values()]
+        values = [_value(grade.get(row.name, row.default), factor) for grade in grades.values()]
         table.add_row(f"[bold]{row.name}[/]", *values, "" if unit == "1" else unit, row.doc)
     return table
+
+
+def _value(value: Any, factor: float) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    parts = cast("tuple[float, ...]", value if isinstance(value, tuple) else (value,))
+    words = [f"{factor * part:.4g}" for part in parts]
+    return words[0] if len(set(words)) == 1 else ", ".join(words)
 
 
 def _vehicles() -> Table:

@@ -20,7 +20,9 @@ from quadftc_model.registry import Registry
 from quadftc_model.samples import AXES
 from quadftc_model.spec import format_spec
 from quadftc_model.vehicle import Vehicle, load_vehicle
+from quadftc_sim.barometer import BAROMETER_GRADES, Barometer
 from quadftc_sim.injection import CHANNEL_UNITS, RESERVED, Injection, make_injection, registry_of
+from quadftc_sim.magnetometer import MAGNETOMETER_GRADES, Magnetometer
 from quadftc_sim.plant import Plant, plants
 from quadftc_sim.position_sensor import POSITION_GRADES, PositionSensor
 from quadftc_sim.rotor_fault import ROTOR
@@ -213,6 +215,23 @@ def build_position_sensor(raw: Any, info: ValidationInfo) -> PositionSensor | No
         return in_flight_only(raw)
     setting.place = _build_graded(PositionSensor, POSITION_GRADES, raw or {"grade": "mocap"})
     return setting.place
+
+
+def flight_sensor_builder(
+    kind: type[T], grades: Mapping[str, Mapping[str, Any]]
+) -> Callable[[Any, ValidationInfo], T]:
+    """Return what builds a further sensor of a free flight by its grade; its defaults are: none there."""
+
+    def build_it(raw: Any, info: ValidationInfo) -> T:
+        if not cast("Setting", info.context).flies:
+            in_flight_only(raw)
+        return kind() if raw is None else _build_graded(kind, grades, raw)
+
+    return build_it
+
+
+build_magnetometer = flight_sensor_builder(Magnetometer, MAGNETOMETER_GRADES)
+build_barometer = flight_sensor_builder(Barometer, BAROMETER_GRADES)
 
 
 def build_position_controller(raw: Any, info: ValidationInfo) -> Part | None:

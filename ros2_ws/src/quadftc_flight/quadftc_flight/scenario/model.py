@@ -30,7 +30,9 @@ from quadftc_model.position_estimator import PositionEstimator
 from quadftc_model.stepper import seconds
 from quadftc_model.units import quantity
 from quadftc_sim.assembly import period_ns
+from quadftc_sim.barometer import Barometer
 from quadftc_sim.disturbance import disturbances
+from quadftc_sim.magnetometer import Magnetometer
 from quadftc_sim.plant import Plant, plants
 from quadftc_sim.position_sensor import PositionSensor
 from quadftc_sim.sensors import ImuSensor
@@ -138,6 +140,10 @@ class Scenario(_Shape):
     )
     # in free flight
     position_sensor: Annotated[PositionSensor | None, PlainValidator(components.build_position_sensor)] = None
+    magnetometer: Annotated[Magnetometer, PlainValidator(components.build_magnetometer)] = cast(
+        "Magnetometer", None
+    )
+    barometer: Annotated[Barometer, PlainValidator(components.build_barometer)] = cast("Barometer", None)
     winds: tuple[Wind, ...] = Field(default=(), strict=False, alias="wind")
     trajectories: tuple[Trajectory, ...] = Field(default=(), strict=False)
     references: tuple[Reference, ...] = Field(default=(), strict=False)
@@ -340,6 +346,8 @@ def _flying(
             "winds": [part.spec for part in scenario.winds],
             "position_sensor": True,
             **node_values(place, "position"),
+            **node_values(scenario.magnetometer, "mag"),
+            **node_values(scenario.barometer, "baro"),
         },
         "fault_observer": {**nodes["fault_observer"], **known},
         "position_controller": {
