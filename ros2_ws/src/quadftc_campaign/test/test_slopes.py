@@ -1,6 +1,7 @@
 # pyright: basic
 """The derivative of a flight against differences of flights."""
 
+import contextlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -36,7 +37,14 @@ def built(scheme: str, **gains: object) -> tuple[FlightParts, tuple[FaultEvent, 
 
 @pytest.fixture(scope="module")
 def engine() -> Iterator[Engine]:
-    """One that compiles a scheme once; slopes with more care than other tests: they would be 0.1 % off."""
+    """One that compiles a scheme once."""
+    with careful():
+        yield Engine(lanes=8, free=FREE)
+
+
+@contextlib.contextmanager
+def careful() -> Iterator[None]:
+    """Compile slopes with more care than other tests: they would be 0.1 % off."""
     make = SlopeFlight.__init__
 
     def make_with_care(self: SlopeFlight, *arguments: Any) -> None:
@@ -46,7 +54,7 @@ def engine() -> Iterator[Engine]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(SlopeFlight, "__init__", make_with_care)
-        yield Engine(lanes=8, free=FREE)
+        yield
 
 
 def test_slopes_are_those_of_differences(engine: Engine) -> None:
@@ -92,3 +100,38 @@ def test_a_free_number_is_compiled_once(engine: Engine) -> None:
     there = len(engine._compiled)
     engine.fly(*([each] for each in built("proposed", controller__phi=[0.2, 0.2, 0.2])))
     assert len(engine._compiled) == there
+
+
+def built_flight(**gains: list[float]) -> tuple[FlightParts, tuple[FaultEvent, ...]]:
+    """A circle of 4 s through space, with a controller's gains."""
+    values = [f"schemes.conventional.controller.{name}={value}" for name, value in gains.items()]
+    short = ["duration=4 s", "faults=[]", "trajectories.0.start=0.5 s", "trajectories.0.stop=3.5 s"]
+    scenario = load_scenario(find_scenario("free_circle"), [*short, *values])
+    return parts_of(scenario, "conventional"), scenario.fault_events
+
+
+@pytest.mark.thorough
+def test_slopes_in_free_flight_are_those_of_differences() -> None:
+    """Through position control, allocation, rotors, wind and position sensor."""
+    base, ways = {"k_c2": [4.0, 4.0, 3.0], "phi": [0.5, 0.5, 0.5]}, np.eye(3)
+    free = tuple(f"controller.{name}" for name in base)
+    steps = {"k_c2": (ways[1], 1e-4), "phi": (ways[0] + ways[2], 1e-5)}
+    with careful():
+        engine = Engine(lanes=8, free=free)
+        parts, events = built_flight(**base)
+        still = dict.fromkeys(free, np.zeros(3))
+        directions = [{**still, f"controller.{name}": way} for name, (way, _) in steps.items()]
+        found = engine.fly([parts] * 2, [events] * 2, directions=directions)
+        moved = [
+            built_flight(**{**base, name: (np.array(base[name]) + sign * size * way).tolist()})[0]
+            for name, (way, size) in steps.items()
+            for sign in (-1, 1)
+        ]
+        flown = engine.fly(moved, [events] * 4)
+    for place, (_, size) in enumerate(steps.values()):
+        before, after = flown[2 * place].sums, flown[2 * place + 1].sums
+        for kind in ("tracking", "position", "torque", "variation"):
+            difference = (after[kind] - before[kind]) / (2.0 * size)
+            slope = found[place].slope[kind]
+            assert np.any(slope != 0.0)
+            np.testing.assert_allclose(slope, difference, rtol=1e-4, atol=1e-5 * np.max(np.abs(difference)))

@@ -38,7 +38,6 @@ tune:
   rate: 0.2
   held_out: 8
 """
-FREE_FLIGHT = 'schemes: [plain]\nset: ["references=[]", plant.kind=free_flight]'
 QUIET = np.log(6.0)  # where the made-up cost is least
 
 
@@ -142,11 +141,7 @@ def test_directions_are_those_of_what_is_built(tmp_path):
         ("schemes: [plain]", "schemes: [plain, other]", "one scheme is tuned"),
         ("tune:", "report: {}\nx_tune:", "unknown key"),
         (CAMPAIGN[CAMPAIGN.index("tune:") :], "", "no key 'tune'"),
-        (
-            "schemes: [plain]",
-            'schemes: [plain]\nset: ["references=[]", plant.kind=free_flight]',
-            "tuned on the test stand",
-        ),
+        ("controller.k_c1, ", "position_controller.k_p, ", "expected role.parameter"),
     ],
 )
 def test_what_cannot_be_tuned_is_refused(tmp_path, old, new, message):
