@@ -61,8 +61,8 @@ class Simulator:
     """One vehicle with its IMU, level and at rest at first.
 
     ``epoch_ns`` is the stamp of the first sample, at scenario time 0; ``seed`` that of noise and bias.
-    ``motion`` is that of the plant, which may be compiled. Position sensor,
-    magnetometer and barometer are those of a free flight.
+    ``motion`` is that of the plant, which may be compiled. Position sensor, magnetometer and barometer
+    measure in free flight alone.
     """
 
     def __init__(

@@ -220,14 +220,17 @@ def build_position_sensor(raw: Any, info: ValidationInfo) -> PositionSensor | No
 def flight_sensor_builder(
     kind: type[T], grades: Mapping[str, Mapping[str, Any]]
 ) -> Callable[[Any, ValidationInfo], T]:
-    """Return what builds a further sensor of a free flight by its grade; its defaults are: none there."""
+    """Return what builds a sensor of a free flight: a grade, with single parameters changed, or its defaults.
 
-    def build_it(raw: Any, info: ValidationInfo) -> T:
+    The defaults say that there is no such sensor.
+    """
+
+    def build_sensor_of_flight(raw: Any, info: ValidationInfo) -> T:
         if not cast("Setting", info.context).flies:
             in_flight_only(raw)
         return kind() if raw is None else _build_graded(kind, grades, raw)
 
-    return build_it
+    return build_sensor_of_flight
 
 
 build_magnetometer = flight_sensor_builder(Magnetometer, MAGNETOMETER_GRADES)
