@@ -38,7 +38,7 @@ def ahead(state, gyro, noise=NONE):
 def some_state(seed=0):
     rng = np.random.default_rng(seed)
     q = quaternion_from_euler(np.array([0.3, -0.4, 1.0]))
-    return start_filter(q, START)._replace(x=0.05 * rng.normal(size=13)), rng.normal(size=3)
+    return start_filter(q, np.diag(START**2))._replace(x=0.05 * rng.normal(size=13)), rng.normal(size=3)
 
 
 def test_the_transition_is_the_derivative_of_the_propagation():
@@ -57,7 +57,7 @@ def test_an_accelerated_rotation_is_integrated_to_third_order():
     """About an axis that turns, as the rate changes linearly within each step."""
 
     def error(steps):
-        dt, state = 0.4 / steps, start_filter(np.array([0.0, 0.0, 0.0, 1.0]), START)
+        dt, state = 0.4 / steps, start_filter(np.array([0.0, 0.0, 0.0, 1.0]), np.diag(START**2))
         none = np.zeros((0, SIZE, SIZE))
         for k in range(steps):
             before, after = (
@@ -104,7 +104,7 @@ def flown(flights, seconds, seed):
     w, phase = rng.uniform(0.5, 3.0, (flights, 3)), rng.uniform(0.0, 6.0, (flights, 3))
     q = quaternion_from_euler(np.zeros((flights, 3)))
     noisy = quaternion_product(q, quaternion_from_rotation_vector(0.1 * DEG * rng.normal(size=(flights, 3))))
-    state = start_filter(noisy, START)
+    state = start_filter(noisy, np.diag(START**2))
     everything = np.ones((flights, 3), bool)
     for k in range(round(seconds / DT)):
         omega = 0.5 * np.sin(w * k * DT + phase)

@@ -65,7 +65,7 @@ class Flown:
     def __init__(self, seconds, seed=2):
         rng = np.random.default_rng(seed)
         std_devs = np.concatenate([[SIGMA] * 3, [1.0 * DEG] * 3, [0.01] * 9, [0.01]])
-        self.filter = self.twin = start_filter(np.array([0.0, 0.0, 0.0, 1.0]), std_devs)
+        self.filter = self.twin = start_filter(np.array([0.0, 0.0, 0.0, 1.0]), np.diag(std_devs**2))
         self.anchors = set_anchors(self.filter.P)
         noise = ProcessNoise(np.array([1e-9]), np.array([0.0]))
         for _ in range(round(seconds / DT)):
@@ -287,13 +287,13 @@ class Recovering:
         self.alarm, self.abrupt, self.predicted = ROLL > 0.0, abrupt, predicted
         self.noise = np.random.default_rng(6)
 
-    def seconds_to_trust(self, level, seconds):
+    def seconds_to_trust(self, level, seconds, measured=True):
         """How long it takes (inf: longer than asked), and whether the fault outlasted our patience."""
         for k in range(round(seconds / DT)):
             residual = level * ROLL + SIGMA * self.noise.standard_normal(3)
             self.track = track_fault(
                 *(self.track, residual, VARIANCES, ZEROS, self.alarm, EVERY & self.abrupt),
-                *(ZEROS, EVERY, self.gains, DT),
+                *(ZEROS, EVERY & measured, self.gains, DT),
             )
             self.alarm = NONE
             judged = judge_recovery(
@@ -303,6 +303,8 @@ class Recovering:
                 VARIANCES,
                 VARIANCES[:, MIDDLE],
                 np.zeros(1),
+                EVERY & measured,
+                np.ones(3),
                 RECOVERY,
                 PATIENCE,
                 DT,
@@ -320,6 +322,15 @@ def test_a_fault_that_jumps_back_is_over_the_sooner_the_shorter_it_was(lasted, l
     ended, outlasted = flown.seconds_to_trust(0.0, 5.0)
     assert SOONEST - 2.0 * DT < ended < longest
     assert not outlasted
+
+
+def test_an_axis_that_is_not_measured_is_not_trusted_again():
+    flown = Recovering()
+    assert flown.seconds_to_trust(2.0 * DEG, 0.5) == (math.inf, False)
+    assert flown.seconds_to_trust(0.0, 0.1) == (math.inf, False)
+    flown.predicted = 10.0 * DEG  # what is not measured for long agrees with anything
+    assert flown.seconds_to_trust(0.0, 5.0, measured=False) == (math.inf, False)
+    assert flown.seconds_to_trust(0.0, 5.0)[0] < 0.7
 
 
 def test_a_fault_that_does_not_come_back_is_not_believed_away_as_dead_reckoning_drifts():

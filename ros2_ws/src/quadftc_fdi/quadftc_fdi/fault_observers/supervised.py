@@ -33,7 +33,7 @@ from quadftc_fdi.supervision import (
     sensor_noise,
 )
 from quadftc_fdi.supervision.inertial_filter import GAP, bias_variance, estimate_rate
-from quadftc_fdi.supervision.transition import ROTATION, Covariances, FilterState, ProcessNoise
+from quadftc_fdi.supervision.transition import BIAS, SIZE, Covariances, FilterState, ProcessNoise
 from quadftc_model import samples
 from quadftc_model.arrays import (
     Array,
@@ -69,9 +69,14 @@ FADING = 2.0  # s; in which a new gyro bias leaves the corrected rate: at once, 
 KNOCK = 0.5  # rad/s; a rate that bends by more from sample to sample has passages that the gyro misses
 MISSED = 0.3  # 1; share of such a bend that is missed
 HEALTHY = np.uint8(samples.HEALTHY)
+POLE = 4.0  # 1; variance of roll and yaw over that at level, from which a pole is close: 60 deg of pitch
+# 1; spectral density of slow errors over that of the longest average, at the rates of `sensor_noise`
+LASTING = np.array([1.0, 2.0, 4.0, 4.0])
 SHOWN = 0.3  # 1; share of the recovery time from which an axis is shown as recovering
 # covariance of what a wrong rotation has spoiled: itself, the bias (at 0.1 rad/s), the alignment
 SPOILED = np.diag([1.0] * 3 + [0.1**2] * 3 + [1.0] * 9 + [0.0])
+# which part of a covariance is neither of the rotation nor of the bias
+OF_REST = np.outer(np.arange(SIZE) >= BIAS.stop, np.arange(SIZE) >= BIAS.stop)
 
 
 class State(NamedTuple):
@@ -124,14 +129,17 @@ class Verdict(NamedTuple):
 class Supervised(FaultObserver):
     """Estimates the gyro's errors while an axis is healthy, and dead-reckons it while it is not."""
 
-    gyro_noise: float = parameter(0.007 * DEG, unit="rad/sqrt(s)", low=1e-8, doc="angle random walk N")
+    gyro_noise: float = parameter(0.005 * DEG, unit="rad/sqrt(s)", low=1e-8, doc="angle random walk N")
     gyro_moving: float = parameter(0.0004, unit="sqrt(s)", low=0.0, doc="what N grows by per body rate")
     gyro_shift: float = parameter(0.025 * DEG, unit="rad/s", low=0.0, doc="gyro bias by motion, 1 sigma")
     gyro_bias: float = parameter(1.5 * DEG, unit="rad/s", low=1e-6, doc="turn-on gyro bias, 1 sigma")
     gyro_bias_walk: float = parameter(2e-4 * DEG, unit="rad/s/sqrt(s)", low=0.0, doc="rate random walk K")
-    gyro_scale: float = parameter(0.01, unit="1", low=0.0, doc="scale and alignment errors, 1 sigma")
+    gyro_scale: float = parameter(0.005, unit="1", low=0.0, doc="scale errors, 1 sigma")
+    gyro_alignment: float = parameter(
+        0.01, unit="rad", low=0.0, doc="angle of the attitude sensor against the gyro, 1 sigma"
+    )
     gyro_scale_walk: float = parameter(
-        3e-4, unit="1/sqrt(rad)", low=0.0, doc="their random walk, by rotation"
+        3e-5, unit="1/sqrt(rad)", low=0.0, doc="random walk of both, by rotation"
     )
     delay: float = parameter(0.01, unit="s", low=0.0, doc="delay of attitude against gyro, 1 sigma")
     threshold: float = parameter(5.5, unit="1", low=1.0, doc="standard deviations at which an axis is faulty")
@@ -144,7 +152,7 @@ class Supervised(FaultObserver):
         """Start on the measurement, with the gyro unknown but for its data sheet."""
         imu = inputs.imu
         zeros = namespace(imu.body_rate).zeros_like(imu.body_rate)
-        estimate = inertial_filter.start_filter(imu.q_xyzw, self._initial_std_devs())
+        estimate = inertial_filter.start_filter(imu.q_xyzw, self._start_covariance())
         return State(
             filter=estimate,
             anchors=anchors.set_anchors(estimate.P),
@@ -168,11 +176,10 @@ class Supervised(FaultObserver):
         fault = last.fault * faulty
         fresh = self.init(without_fault(inputs, fault))
         # the angles of faulty axes are known as well as their faults, the bias better than at a start
-        std_devs = xp.zeros((*fault.shape[:-1], 16)) + self._initial_std_devs()
-        known = xp.sqrt(xp.maximum(last.std_dev, 0.0) ** 2 + sensor_noise.WHITE**2)
-        rotation = xp.where(faulty, known, std_devs[..., ROTATION])
-        std_devs = xp.concatenate([rotation, xp.zeros_like(fault) + KEPT, std_devs[..., 6:]], axis=-1)
-        P = std_devs[..., None] ** 2 * np.eye(16)
+        known = xp.maximum(last.std_dev, 0.0) ** 2 + sensor_noise.WHITE**2
+        rotation = xp.where(faulty, known, (UNKNOWN * sensor_noise.WHITE) ** 2)
+        variances = xp.concatenate([rotation, xp.zeros_like(fault) + KEPT**2], axis=-1)
+        P = fresh.filter.P * OF_REST + (variances @ np.eye(BIAS.stop, SIZE))[..., None] * np.eye(SIZE)
         x = xp.concatenate([-last.gyro_correction, fresh.filter.x[..., 3:]], axis=-1)
         means = xp.stack([fault, fault], axis=-1)
         return fresh._replace(
@@ -230,7 +237,8 @@ class Supervised(FaultObserver):
         verdict = changed_where(special, judge, _all_healthy(state, estimate, reading))
 
         # 5. Correct the filter by the axes that are neither faulty nor suspect.
-        estimate, dx = _correct(reading, verdict, odd, weights.white, doubt)
+        lasting = 1.0 + (by_rate @ (LASTING - 1.0))[..., None] * (4.0 * known.colour - 1.0).clip(0.0, 1.0)
+        estimate, dx = _correct(reading, verdict, odd, weights.white * lasting, doubt)
 
         # 6. Renew the anchors; restart the tests where what they remember no longer counts.
         earlier, promoted = anchors.update_anchors(
@@ -277,7 +285,8 @@ class Supervised(FaultObserver):
         estimate, prediction, residual = anchors.go_back_to_anchor(
             estimate, reading.prediction, earlier, reading.residuals, late, found.creeping, STARTED
         )
-        predicted, bias = prediction.variances[..., 0, :], bias_variance(estimate.P)
+        xp, bias = namespace(residual), bias_variance(estimate.P)
+        predicted = prediction.variances[..., 0, :]
 
         # Track the faults.
         gains = fault_track.tracker_gains(dt, self.tracking)
@@ -285,8 +294,10 @@ class Supervised(FaultObserver):
         seen = sensor, state.noise.colour, *declared, reading.valid
         track = fault_track.track_fault(state.track, residual, *seen, gains, dt)
         cautious = sensor_noise.cautious_spread(by_rate, prediction.gain)
+        blur = xp.maximum(prediction.gain / POLE, 1.0)
         judged = fault_track.judge_recovery(
-            track, faulty, predicted, sensor, cautious, bias, self.recovery, self.patience, dt
+            *(track, faulty, predicted, sensor, cautious, bias, reading.valid, blur),
+            *(self.recovery, self.patience, dt),
         )
         recovered, outlasted = judged.trusted, judged.outlasted
         faulty = faulty & ~recovered
@@ -323,10 +334,10 @@ class Supervised(FaultObserver):
             "slow_noise_deg": noise_deg[..., sensor_noise.LONG],
         }
 
-    def _initial_std_devs(self) -> NDArray[np.float64]:
-        """Standard deviations (16,) of the error state before the first measurement."""
-        attitude = UNKNOWN * sensor_noise.WHITE
-        return np.array([attitude] * 3 + [self.gyro_bias] * 3 + [self.gyro_scale] * 9 + [self.delay])
+    def _start_covariance(self) -> NDArray[np.float64]:
+        """Covariance (16, 16) of the error state before the first measurement."""
+        gyro = self.gyro_bias, self.gyro_scale, self.gyro_alignment
+        return inertial_filter.start_covariance(UNKNOWN * sensor_noise.WHITE, *gyro, self.delay)
 
     def _predict(
         self, state: State, gyro: Array, doubt: Array, dt: float
@@ -414,11 +425,12 @@ def _all_healthy(state: State, estimate: FilterState, reading: Reading) -> Verdi
 
 
 def _correct(
-    reading: Reading, verdict: Verdict, odd: Mask, white: float, doubt: Vector | float
+    reading: Reading, verdict: Verdict, odd: Mask, white: Vector, doubt: Vector | float
 ) -> tuple[FilterState, inertial_filter.Errors]:
     """Correct the filter by the axes that are neither faulty nor ``odd``; also return the correction.
 
-    ``white`` is the variance of white noise in a sample over that in the longest average.
+    ``white`` is the variance in a sample of the white noise that stands for slow errors, over that in the
+    longest average.
     """
     single, long = reading.sensor[..., sensor_noise.SAMPLE], reading.sensor[..., sensor_noise.LONG]
     used = reading.valid & ~(verdict.faulty | odd)

@@ -8,10 +8,12 @@ with beta = alpha² / (2 - alpha).
 
 A faulty axis is trusted again once its fault agrees with zero, stands still, and has done so long enough:
 the shorter the fault, the sooner. Zero alone is not enough: the uncertainty of dead reckoning grows, and in
-the end every fault agrees with it. A fault that was seen to leave zero must be seen to come back, by a jump
-or by moving; and every fault must be down to half of its peak, in standard deviations. A fault that stands
-still for ``patience`` seconds is taken for an error of the observer: otherwise a wrong start or a false alarm
-would never end.
+the end every fault agrees with it. So a fault that was seen to leave zero must be seen to come back: by a
+jump to less than half of its peak, or by more than dead reckoning can err. Every fault must be down to half
+of its peak, in standard deviations. One that stands still for ``patience`` seconds is taken for an error of
+the observer: otherwise a wrong start or a false alarm would never end. Samples without a measurement speak
+neither for an axis nor against it. Close to a pole, where dead reckoning errs more, a fault must be seen to
+come back the better.
 """
 
 from __future__ import annotations
@@ -28,11 +30,13 @@ from quadftc_model.arrays import AnyArray, Column, Float, Mask, Vector, cache_nu
 AVERAGES = np.array([0.15, 0.6])  # s; two averages of a fault, whose difference shows that it moves
 SLOWER = np.array([0.0, 0.5])  # 1; share by which their gains are less where the sensor errs slowly
 JUMPS = 25.0  # 1; squared standard deviations beyond which a fault jumps
-AGREES, STANDS = 12.0, 9.0  # 1; squared standard deviations
+AGREES, STANDS = 8.0, 9.0  # 1; squared standard deviations
+LEAPT = 25.0  # 1; the same of a fault that has jumped back: jumps to anywhere else are rare
 CLOSE = 6.0  # 1; the same of a fault that was never seen to move: it may be a slow ramp
 UNKNOWN = 0.5  # 1; the same of a fault of which dead reckoning no longer knows anything
-RETURNED, BACK = 0.25, 0.5  # 1; shares of the peak, in variances and in rad²
-SEEN = 0.3  # s; so long after a jump or a visible motion it is decided whether the fault has left zero
+RETURNED, BACK = 0.25, 0.5  # 1; shares of the peak, in variances and in rad
+CERTAIN = 9.0  # 1; squared standard deviations of dead reckoning by which a fault has come back for certain
+SEEN = 0.3  # s; so long after a jump or a visible motion it is judged whether the fault has left zero
 QUICK, SOONEST = 0.3, 0.15  # 1, s; share of a fault's age for which its axis must look healthy, and the least
 LONG_AGO = 1e3  # s
 ALMOST_STILL = 0.0087  # rad, 0.5 deg; an error of the observer moves a little, as the vehicle does
@@ -47,7 +51,7 @@ class Track(NamedTuple):
     still: Vector  # time since it was last seen to jump or to move [s]
     peak: Vector  # largest squared deviation from zero, in variances
     top: Vector  # the same in rad²
-    away: Vector  # 1: it was seen to leave zero, and not yet to come back
+    away: Vector  # 1: it was seen to leave zero, and not yet to come back; -1: it jumped back
     means: Float[AnyArray, "*batch 3 2"]  # two averages of it [rad]
     age: Vector  # time since the onset [s]
     calm: Vector  # how long the axis has looked healthy again [s]
@@ -145,6 +149,8 @@ def judge_recovery(
     variances: Statistics,
     cautious: Vector,
     bias_variance: Column,
+    valid: Mask,
+    blur: Vector,
     recovery: float,
     patience: float,
     dt: float,
@@ -155,6 +161,7 @@ def judge_recovery(
     at the age of ``patience`` [s]. ``predicted`` [rad²] is the variance of the dead-reckoned angle,
     ``variances`` [rad²] are those of the sensor, ``cautious`` [rad²] that of an average over 0.15 s by the
     prior, ``bias_variance`` [rad²/s²] that of the gyro bias, at which the angle drifts, ``dt`` [s] the step.
+    ``valid`` axes are measured. What comes back must agree ``blur`` times better than at level, in variances.
     """
     xp = namespace(predicted)
     spread = variances[..., MIDDLE]
@@ -166,19 +173,25 @@ def judge_recovery(
     still = xp.where(moves > JUMPS, 0.0, track.still)
     # Does it agree with zero, as far as dead reckoning knows?
     off = short**2 / (predicted + xp.maximum(spread, cautious))
-    peak = xp.maximum(track.peak, off)
+    peak, top = xp.maximum(track.peak, off * valid), xp.maximum(track.top, short**2 * valid / blur)
     # A fault that was seen to leave zero is there until it is seen to come back.
-    top = xp.maximum(track.top, short**2)
-    near = (off < AGREES) & ((short**2 < BACK * top) | (peak < AGREES))
-    away = xp.where(still < SEEN, ~near, track.away > 0.0)
-    limit = xp.where(away, UNKNOWN, xp.where(still < LONG_AGO, AGREES, CLOSE))
+    size, most, small = xp.abs(short), xp.sqrt(top), peak < AGREES
+    near, less = blur * off < AGREES, size < BACK * most
+    leaps = (track.samples * dt < SEEN) & (still < SEEN)
+    leapt_back = small | ((blur * off < LEAPT) & less)
+    come_back = near & less & (CERTAIN * predicted < (most - size) ** 2)
+    left = xp.where(still < SEEN, 1.0 - small, track.away)
+    left = xp.where(track.away < 0.0, track.away, xp.where(come_back, 0.0, left))
+    away = xp.where(valid, xp.where(leaps, 1.0 - 2.0 * leapt_back, left), track.away)
+    limit = xp.where(away > 0.0, UNKNOWN / blur, xp.where(still < LONG_AGO, AGREES, CLOSE))
+    limit = xp.where(away < 0.0, LEAPT, limit)
     agrees = off < xp.minimum(limit, RETURNED * peak)
     outlasted = (track.age > patience) & (xp.abs(motion) < ALMOST_STILL)
-    calm = (track.calm + dt) * (faulty & (((moves < STANDS) & agrees) | outlasted))
+    calm = (track.calm + dt * valid) * (faulty & (((moves < STANDS) & agrees) | outlasted))
     enough = xp.where(outlasted, recovery, (QUICK * track.age).clip(SOONEST, recovery))
-    trusted = faulty & (calm > enough)
+    trusted = faulty & valid & (calm > enough)
     return Recovery(
-        track._replace(calm=calm, still=still, away=1.0 * away, peak=peak, top=top),
+        track._replace(calm=calm, still=still, away=away, peak=peak, top=top),
         trusted,
         trusted & ~agrees,
         track.age,

@@ -30,6 +30,7 @@ from quadftc_fdi.supervision.measurement import Prediction
 from quadftc_fdi.supervision.transition import (
     BIAS,
     ROTATION,
+    SCALE,
     SIZE,
     Covariance,
     Covariances,
@@ -63,11 +64,26 @@ _OF_GYRO = np.outer(np.arange(SIZE) >= BIAS.start, np.arange(SIZE) >= BIAS.start
 LEFT_OUT = 1e6  # rad²; variance of a measurement that is left out
 
 
-def start_filter(q_xyzw: Quaternion, std_devs: NDArray[np.float64]) -> FilterState:
-    """Start at an attitude, with standard deviations (16,) of the error state."""
+def start_covariance(
+    attitude: float, bias: float, scale: float, alignment: float, delay: float
+) -> NDArray[np.float64]:
+    """Covariance (16, 16) of the error state for standard deviations [rad, rad/s, 1, rad, s].
+
+    M is the sum of a symmetric part (``scale`` errors, and axes that are not square to each other) and of a
+    skew part: by ``alignment``, the attitude sensor's axes are turned against the gyro's. Only the symmetric
+    part makes an attitude drift.
+    """
+    P = np.diag(np.array([attitude] * 3 + [bias] * 3 + [scale] * 9 + [delay]) ** 2)
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        pair = SCALE.start + np.array([3 * i + j, 3 * j + i])
+        P[np.ix_(pair, pair)] = 0.5 * scale**2 + alignment**2 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    return P
+
+
+def start_filter(q_xyzw: Quaternion, P: NDArray[np.float64]) -> FilterState:
+    """Start at an attitude, with a covariance (16, 16) of the error state."""
     xp, batch = namespace(q_xyzw), q_xyzw.shape[:-1]
-    P = xp.zeros((*batch, SIZE, SIZE)) + np.diag(std_devs**2)
-    return FilterState(q_xyzw, xp.zeros((*batch, SIZE - 3)), P)
+    return FilterState(q_xyzw, xp.zeros((*batch, SIZE - 3)), xp.zeros((*batch, SIZE, SIZE)) + P)
 
 
 def estimate_rate(x: Float[arrays.AnyArray, "*batch 13"], gyro: Vector) -> Vector:
