@@ -127,4 +127,4 @@ def test_faults_are_found_on_their_axes_in_loops_and_flips_and_none_else():
     onset = round(7.6 / DT)
     assert not np.any(alarms & ~faulty)
     assert np.all(alarms[onset + 5 :] == faulty[onset + 5 :])
-    assert np.max(np.abs(estimates - faults)[onset + 25 :]) < 2.0 * DEG
+    assert np.max(np.abs(estimates - faults)[onset + 25 :]) < 1.5 * DEG

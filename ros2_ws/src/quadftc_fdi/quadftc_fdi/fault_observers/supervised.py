@@ -129,7 +129,7 @@ class Verdict(NamedTuple):
 class Supervised(FaultObserver):
     """Estimates the gyro's errors while an axis is healthy, and dead-reckons it while it is not."""
 
-    gyro_noise: float = parameter(0.005 * DEG, unit="rad/sqrt(s)", low=1e-8, doc="angle random walk N")
+    gyro_noise: float = parameter(0.007 * DEG, unit="rad/sqrt(s)", low=1e-8, doc="angle random walk N")
     gyro_moving: float = parameter(0.0004, unit="sqrt(s)", low=0.0, doc="what N grows by per body rate")
     gyro_shift: float = parameter(0.025 * DEG, unit="rad/s", low=0.0, doc="gyro bias by motion, 1 sigma")
     gyro_bias: float = parameter(1.5 * DEG, unit="rad/s", low=1e-6, doc="turn-on gyro bias, 1 sigma")
