@@ -9,10 +9,11 @@ from quadftc_fdi.supervision.inertial_filter import (
     correct,
     estimate_rate,
     predict,
+    start_covariance,
     start_filter,
 )
 from quadftc_fdi.supervision.measurement import predict_angles
-from quadftc_fdi.supervision.transition import SIZE, ProcessNoise
+from quadftc_fdi.supervision.transition import SCALE, SIZE, ProcessNoise
 from quadftc_model.rotations import (
     euler_from_quaternion,
     quaternion_from_euler,
@@ -39,6 +40,13 @@ def some_state(seed=0):
     rng = np.random.default_rng(seed)
     q = quaternion_from_euler(np.array([0.3, -0.4, 1.0]))
     return start_filter(q, np.diag(START**2))._replace(x=0.05 * rng.normal(size=13)), rng.normal(size=3)
+
+
+def test_scale_errors_and_a_sensor_mounted_askew_begin_apart():
+    P = start_covariance(1.0, 1.0, 0.005, 0.01, 1.0)[SCALE, SCALE]
+    by_rows = np.eye(9).reshape(9, 3, 3)  # M of each element
+    symmetric, skew = [by_rows + sign * by_rows.swapaxes(-1, -2) for sign in (1.0, -1.0)]
+    assert np.allclose(P, (0.5 * 0.005**2 * symmetric + 0.01**2 * skew).reshape(9, 9), atol=1e-12)
 
 
 def test_the_transition_is_the_derivative_of_the_propagation():
