@@ -70,8 +70,6 @@ KNOCK = 0.5  # rad/s; a rate that bends by more from sample to sample has passag
 MISSED = 0.3  # 1; share of such a bend that is missed
 HEALTHY = np.uint8(samples.HEALTHY)
 POLE = 4.0  # 1; variance of roll and yaw over that at level, from which a pole is close: 60 deg of pitch
-# 1; spectral density of slow errors over that of the longest average, at the rates of `sensor_noise`
-LASTING = np.array([1.0, 2.0, 4.0, 4.0])
 SHOWN = 0.3  # 1; share of the recovery time from which an axis is shown as recovering
 # covariance of what a wrong rotation has spoiled: itself, the bias (at 0.1 rad/s), the alignment
 SPOILED = np.diag([1.0] * 3 + [0.1**2] * 3 + [1.0] * 9 + [0.0])
@@ -237,8 +235,8 @@ class Supervised(FaultObserver):
         verdict = changed_where(special, judge, _all_healthy(state, estimate, reading))
 
         # 5. Correct the filter by the axes that are neither faulty nor suspect.
-        lasting = 1.0 + (by_rate @ (LASTING - 1.0))[..., None] * (4.0 * known.colour - 1.0).clip(0.0, 1.0)
-        estimate, dx = _correct(reading, verdict, odd, weights.white * lasting, doubt)
+        white = weights.white * sensor_noise.lasting(by_rate, known.colour)
+        estimate, dx = _correct(reading, verdict, odd, white, doubt)
 
         # 6. Renew the anchors; restart the tests where what they remember no longer counts.
         earlier, promoted = anchors.update_anchors(

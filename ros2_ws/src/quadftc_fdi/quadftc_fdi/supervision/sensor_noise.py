@@ -58,6 +58,8 @@ SAMPLE, SHORT, MIDDLE, LONG = range(4)
 RATES = np.array([0.25, 0.7, 2.5, 8.0])  # rad/s
 # prior: white noise of a sample at 250 Hz, and a slow error over 0.15 s that grows with the body rate
 WHITE, SLOW, MEMORY, PERIOD = 0.1 * DEG, np.array([0.1, 0.2, 0.2, 0.3]) * DEG, 0.15, 0.004
+# 1; spectral density of slow errors over that of the longest average: what repeats with the attitude lasts
+LASTING = np.array([1.0, 2.0, 4.0, 4.0])
 # lower end and width, in its logarithm, of each interval between them
 INTERVALS = [*zip(RATES[:-1].tolist(), np.log(RATES[1:] / RATES[:-1]).tolist(), strict=True)]
 SLOWEST: float = RATES[0].item()
@@ -129,6 +131,11 @@ def slow_share(learned: Statistics, dt: float) -> Vector:
     """Share of slow errors in the variance of an average over 0.05 s."""
     white = dt / (2.0 * AVERAGED[SHORT] + dt)
     return (1.0 - white * learned[..., SAMPLE] / learned[..., SHORT]).clip(0.0, 1.0)
+
+
+def lasting(weights: Weights, colour: Vector) -> Vector:
+    """Spectral density of the error over that of its longest average; 1 of a sensor without slow errors."""
+    return 1.0 + (weights @ (LASTING - 1.0))[..., None] * (4.0 * colour - 1.0).clip(0.0, 1.0)
 
 
 def cautious_variances(learned: Statistics, weights: Weights, dt: float) -> Statistics:
