@@ -32,7 +32,7 @@ MANIFEST, CHUNKS, FLIGHTS, SUMMARY = "campaign.json", "chunks", "flights.parquet
 FORMAT = 2
 ANOTHER = "choose another --out"
 FLIGHTS_A_CHUNK = 256  # what a kill loses at most, of each worker; as many as are flown together
-OPEN_FLIGHTS_A_CHUNK = 24  # without the batch engine: these are in memory together, some 10 MB each
+OPEN_FLIGHTS_A_CHUNK = 16  # without a control loop: these are in memory together, 10 to 50 MB each
 
 
 class Extent(NamedTuple):
@@ -124,13 +124,15 @@ def chunks_of(campaign: Campaign, size: int | None = None) -> list[list[int]]:
 
     What changes the structure (`quadftc_campaign.batch.parts`) from one combination of the grids to another,
     such as the rate, keeps them apart. Others, such as inertias, are mixed: nothing is compiled for each.
-    Structures take turns, so that workers compile one each and not the same one at the same time.
+    Structures take turns, so that workers compile one each and not the same one at the same time. Flights on
+    one recording stay together: they are stepped together.
     """
-    cells, is_loop = campaign.cells, campaign.source.kind == "loop"
+    is_loop, bags = campaign.source.kind == "loop", len(campaign.recordings)
+    cells = bags or campaign.cells
     size = size or (FLIGHTS_A_CHUNK if is_loop else OPEN_FLIGHTS_A_CHUNK)
     groups: dict[Any, list[int]] = {}
     for cell in range(min(cells, campaign.flights)):
-        structure = None
+        structure = cell if bags else None
         if is_loop and cells > 1:
             structure = structure_of(parts_of(flight_scenario(campaign, cell, campaign.variants[0])).loop)
         groups.setdefault(structure, []).extend(range(cell, campaign.flights, cells))

@@ -12,8 +12,9 @@ from sensor_msgs.msg import Imu
 
 from message_objects import set_stamp
 from quadftc_bags.writer import BagWriter
+from quadftc_campaign import open_batch
 from quadftc_campaign.campaign_file import bags_in, load_campaign
-from quadftc_campaign.campaign_run import fly_chunk
+from quadftc_campaign.campaign_run import chunks_of, fly_chunk
 from quadftc_campaign.distributions import distribution, plain
 from quadftc_campaign.flights import flight_scenario
 from quadftc_campaign.open_batch import OpenFlight, diagnose_all
@@ -179,6 +180,41 @@ def test_flights_diagnosed_together_are_those_diagnosed_alone(observer, more):
             assert [each[:4] for each in found.faults] == [each[:4] for each in wanted.faults]
 
 
+def untraceable(law):
+    """Return the observer with a step that needs numbers, so that JAX cannot trace it."""
+
+    class Untraceable(type(law)):
+        def step(self, state, inputs, dt):
+            assert float(np.sum(inputs.imu.body_rate)) < 1e9
+            return super().step(state, inputs, dt)
+
+    return Untraceable(**{field.name: getattr(law, field.name) for field in dataclasses.fields(law)})
+
+
+@pytest.mark.parametrize("change", [None, untraceable])
+def test_long_flights_are_compiled_and_say_the_same_after_a_gap_too(change, monkeypatch):
+    head, _, rest = BASE.partition("faults:")
+    rest = rest[rest.index("schemes:") :].replace("supervised", "threshold")
+    text = head + FAULTS.replace("2 deg", "20 deg") + BEGINNING + rest
+    scenarios = [with_seed(parse_scenario(text), seed) for seed in range(3)]
+    recordings = [simulate(each) for each in scenarios]
+    stamp_ns = recordings[0].stamp_ns + 2_000_000_000 * (np.arange(len(recordings[0])) > 250)
+    flights = [
+        OpenFlight(dataclasses.replace(each, stamp_ns=stamp_ns), tuple(f.injection for f in one.faults), 1)
+        for each, one in zip(recordings, scenarios, strict=True)
+    ]
+    law = scenarios[0].scheme(None).observer.law
+    in_numpy = diagnose_all(flights, [law] * 3)
+    monkeypatch.setattr(open_batch, "WORTH_COMPILING", 1)
+    compiled = diagnose_all(flights, [law if change is None else change(law)] * 3)
+    for found, wanted in zip(compiled, in_numpy, strict=True):
+        assert (wanted.estimate.state == FAULTY).any()
+        np.testing.assert_array_equal(found.estimate.state, wanted.estimate.state)
+        np.testing.assert_allclose(found.estimate.fault, wanted.estimate.fault, rtol=0.0, atol=1e-12)
+        rates = found.estimate.corrected.body_rate, wanted.estimate.corrected.body_rate
+        np.testing.assert_allclose(*rates, rtol=0.0, atol=1e-12)
+
+
 def test_each_fault_of_each_observer_is_a_row(tmp_path):
     campaign = written(tmp_path, CAMPAIGN)
     assert [variant.name for variant in campaign.variants] == ["threshold", "threshold@0.05"]
@@ -261,6 +297,7 @@ def test_recordings_are_flown_in_turn_and_faults_come_later(tmp_path):
     for row in rows:
         assert 0.0 < row["source.delay"] < 10.0
         assert row["fault.start"] == pytest.approx(1.0 + row["source.delay"], abs=1e-8)
+    assert chunks_of(campaign) == [[0, 1, 2]]  # flights on one recording stay together
     scenario = flight_scenario(campaign, 0, campaign.variants[0])
     _, faults, _ = prepare(campaign, 0, scenario)
     assert len(faults) == 2

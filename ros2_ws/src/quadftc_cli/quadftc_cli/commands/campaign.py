@@ -115,9 +115,11 @@ def _fly_all(
     seconds = time.monotonic() - started
     frame, summary = flown.finish()
     report = write_campaign_report(loaded, frame, summary, directory, str(file))
-    if extent.missing:
+    if extent.missing and loaded.source.kind == "loop":
         rate = f"{extent.samples / seconds:.3g} a second"
         screen.print(f"{extent.samples:.3g} closed-loop steps in {seconds:.1f} s: {rate}")
+    elif extent.missing:
+        screen.print(f"flown in {seconds:.1f} s")
     results = results_of(loaded, frame, summary)
     screen.print(_table(results))
     screen.print(f"{frame.height} rows: {directory / 'flights.parquet'}")
