@@ -33,7 +33,6 @@ JUMPS = 25.0  # 1; squared standard deviations beyond which a fault jumps
 AGREES, STANDS = 8.0, 9.0  # 1; squared standard deviations
 LEAPT = 25.0  # 1; the same of a fault that has jumped back: jumps to anywhere else are rare
 CLOSE = 6.0  # 1; the same of a fault that was never seen to move: it may be a slow ramp
-UNKNOWN = 0.5  # 1; the same of a fault of which dead reckoning no longer knows anything
 RETURNED, BACK = 0.25, 0.5  # 1; shares of the peak, in variances and in rad
 CERTAIN = 9.0  # 1; squared standard deviations of dead reckoning by which a fault has come back for certain
 SEEN = 0.3  # s; so long after a jump or a visible motion it is judged whether the fault has left zero
@@ -183,9 +182,8 @@ def judge_recovery(
     left = xp.where(still < SEEN, 1.0 - small, track.away)
     left = xp.where(track.away < 0.0, track.away, xp.where(come_back, 0.0, left))
     away = xp.where(valid, xp.where(leaps, 1.0 - 2.0 * leapt_back, left), track.away)
-    limit = xp.where(away > 0.0, UNKNOWN / blur, xp.where(still < LONG_AGO, AGREES, CLOSE))
-    limit = xp.where(away < 0.0, LEAPT, limit)
-    agrees = off < xp.minimum(limit, RETURNED * peak)
+    limit = xp.where(away < 0.0, LEAPT, xp.where(still < LONG_AGO, AGREES, CLOSE))
+    agrees = (away <= 0.0) & (off < xp.minimum(limit, RETURNED * peak))
     outlasted = (track.age > patience) & (xp.abs(motion) < ALMOST_STILL)
     calm = (track.calm + dt * valid) * (faulty & (((moves < STANDS) & agrees) | outlasted))
     enough = xp.where(outlasted, recovery, (QUICK * track.age).clip(SOONEST, recovery))
