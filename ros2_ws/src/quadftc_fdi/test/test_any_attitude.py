@@ -79,6 +79,27 @@ def test_where_little_is_known_roll_and_yaw_correct_the_filter_but_are_not_teste
         np.testing.assert_array_equal(tested, testable)
 
 
+def test_across_a_pole_the_evidence_on_pitch_starts_anew():
+    """There the residual of pitch changes its sign, which is no fault."""
+    law, there = Supervised(vehicle=load_vehicle("qball_x4")), np.True_
+
+    def sample(pitch):
+        q_xyzw = quaternion_from_euler(np.array([0.0, pitch * DEG, 0.0]))
+        return FaultObserverInputs(
+            ImuSample(q_xyzw, np.zeros(3), np.zeros(3), there, there, there), np.zeros(3)
+        )
+
+    state = law.init(sample(89.9))
+    state, _ = law.step(state, sample(89.9), DT)
+    assert state.passing.tolist() == [False, True, False]
+    stale = state.evidence._replace(base=np.full(3, -2.0 * DEG), means=np.full((3, 5), -2.0 * DEG))
+    for passing in (False, True):
+        before = state._replace(evidence=stale, passing=np.array([False, passing, False]))
+        after, _ = law.step(before, sample(89.0), DT)
+        assert (after.evidence.base[1] > -1.5 * DEG) == passing
+        assert after.evidence.base[0] < -1.5 * DEG
+
+
 def flown(faulty_from):
     """Four flights of 11 s, the first healthy, then a fault of 5 deg of roll, pitch, yaw, from a time [s] on.
 

@@ -229,6 +229,17 @@ def test_a_gyro_that_is_healthy_again_is_trusted():
     assert estimates[-1].sensors.gyro.state[0] == HEALTHY
 
 
+@pytest.mark.parametrize(("size", "state"), [(1.0, SUSPECT), (3.0, FAULTY)])
+def test_a_small_fault_of_the_attitude_right_after_the_gyros_is_what_that_one_did(size, state):
+    def change(index, sample):
+        sample = shifted("body_rate", lambda _: np.array([0.3, 0.0, 0.0]))(index, sample)
+        return turned(lambda time: np.array([size * DEG * (time > 0.1), 0.0, 0.0]))(index, sample)
+
+    estimates = hover(BEGIN + 50, change)
+    assert max(states(each)[0][0] for each in estimates[BEGIN:]) == state
+    assert states(estimates[-1])[1] == [FAULTY, HEALTHY, HEALTHY]
+
+
 def test_a_jump_of_the_attitude_is_the_attitudes():
     last = hover(BEGIN + 250, turned(lambda _: np.array([0.0, 3.0 * DEG, 0.0])))[-1]
     assert states(last)[:2] == [[HEALTHY, FAULTY, HEALTHY], [HEALTHY] * 3]

@@ -112,6 +112,11 @@ def turning(axis, offset):
     return lambda _, sample: sample._replace(body_rate=sample.body_rate + offset * np.eye(3)[axis])
 
 
+def off_for_three_seconds(elapsed, sample):
+    """A gyro that comes to be off within 0.3 s, too slowly for a jump, and jumps back."""
+    return turning(0, -0.075 * min(elapsed / 0.3, 1.0) * (elapsed < 3.0))(elapsed, sample)
+
+
 def front_of_a_gust(elapsed):
     # 5 m/s within 0.3 s push the lightest vehicle by 1.75 m/s²: 0.246 / s x 5 m/s + 0.021 / m x (5 m/s)²
     return 0.875 * (1.0 - np.cos(np.pi * min(elapsed / 0.3, 1.0)))
@@ -140,6 +145,7 @@ FLIGHTS = {
     **{f"tilt {axis}": {"count": LONG, "change": tilted(axis, rate)} for axis, rate in TILTS.items()},
     **{f"quick {axis}": {"count": LONG, "change": tilted(axis, rate)} for axis, rate in QUICK.items()},
     **{f"turn {axis}": {"count": BEGIN + 900, "change": turning(axis, rate)} for axis, rate in TURNS.items()},
+    "off": {"count": BEGIN + 1250, "change": off_for_three_seconds},
     "yaw": {"count": LONG, "change": tilted(2, SLOW)},
     "yaw rate": {"count": LONG, "change": turning(2, SLOW)},
     "tilt alone": {"count": LONG, "change": tilted(1, SLOW), "place": False},
@@ -193,6 +199,12 @@ def test_a_gyro_that_is_slightly_off_is_named(flown, axis):
         each.sensors.gyro.state[axis] == FAULTY and f"gyro {axis}" in named(each) for each in estimates
     )
     assert not any(f"attitude {axis}" in named(each) for each in estimates)
+
+
+def test_a_gyro_that_is_off_is_named_until_it_reads_right_again(flown):
+    estimates = flown["off"]
+    assert all(named(each) == {"gyro 0"} for each in estimates[BEGIN + 250 : BEGIN + 749])
+    assert named(estimates[-1]) == set()
 
 
 @pytest.mark.parametrize("name", ["yaw", "yaw rate"])

@@ -70,6 +70,8 @@ TWICE_LONG: float = 2.0 * sensor_noise.AVERAGED[sensor_noise.LONG].item()  # s
 VOTED = 1.0  # 1; log-odds of the position from which it has decided for the gyro
 # rad/s; standard deviation of a virtual gyro, alone for long without an attitude, that is worse than a gyro
 LOST_RATE = 1.0
+# s, rad; a fault of the attitude so soon after the gyro's, and so small, is what that one did to the filter
+LED, SMALL = 0.3, 1.5 * DEG
 SLOW = 1.0  # rad/s; bandwidth in which an attitude made of the gyro can replace it
 
 
@@ -225,6 +227,7 @@ class Isolating(Supervised):
             flight = free_flight.follow_tilt(flight, fault, estimate.onset_age, new, abrupt, dt)
             vote = free_flight.vote(flight, judged.accelerometer, fault, estimate.std_dev)
         trace, rate = monitor.trace, monitor.filter.rate
+        led = new & any_of(monitor.faulty & (monitor.fault.age < LED)) & (abs(fault) < SMALL)
         seen = hypotheses.Evidence(
             abrupt & ~monitor.faulty,
             judged.verdict.stuck[..., ATTITUDE],
@@ -239,13 +242,22 @@ class Isolating(Supervised):
             vote,
             attitude.faulty & column(inputs.driven) & (not self.attitude_from_gyro),
         )
-        believed, guilty = hypotheses.weigh(state.hypotheses, attitude.faulty, new, fault, seen, dt)
-        monitor = monitor._replace(faulty=monitor.faulty | guilty)
-        attitude, estimate = changed_where(
-            guilty,
-            lambda: self._acquit(attitude, estimate, inputs, rate, guilty, vote),
-            (attitude, estimate),
-        )
+        faulty = attitude.faulty & ~led
+        believed, guilty = hypotheses.weigh(state.hypotheses, faulty, new, fault, seen, dt)
+        acquitted = guilty | led
+
+        def acquit() -> tuple[GyroMonitor, supervised.State, FaultEstimate]:
+            bias, followed = attitude.filter.x[..., :3], monitor.fault
+            if vote is not None:  # the position says that the attitude is right
+                xp, where = namespace(fault), guilty & (vote > VOTED)
+                slight, large = free_flight.gyro_error(fault, estimate.onset_age)
+                bias = bias + where * slight
+                mean, long = xp.where(where, large, followed.mean), xp.where(where, large, followed.long)
+                followed = followed._replace(mean=mean, long=long)
+            named = monitor._replace(faulty=monitor.faulty | guilty, fault=followed)
+            return named, *self._acquit(attitude, estimate, inputs, rate, acquitted, bias)
+
+        monitor, attitude, estimate = changed_where(acquitted, acquit, (monitor, attitude, estimate))
         return believed, monitor, flight, attitude, estimate
 
     def _judge_readings(self, state: State, inputs: FaultObserverInputs, dt: float) -> Judged:
@@ -372,18 +384,12 @@ class Isolating(Supervised):
         estimate: FaultEstimate,
         inputs: FaultObserverInputs,
         rate: Vector,
-        guilty: Mask,
-        vote: Vector | None,
+        acquitted: Mask,
+        bias: Vector,
     ) -> tuple[supervised.State, FaultEstimate]:
-        """Start again on the measured angles, and on the virtual rate, where the fault is the gyro's."""
-        xp, kept = namespace(estimate.fault), attitude.faulty & ~guilty
-        fault, since, bias = (
-            attitude.track.fault * kept,
-            attitude.track.age * kept,
-            attitude.filter.x[..., :3],
-        )
-        if vote is not None:  # the position says that the attitude is right: the gyro has another bias
-            bias = bias - free_flight.new_bias(estimate.fault, estimate.onset_age, guilty & (vote > VOTED))
+        """Start again on measured angles, virtual rate and a gyro ``bias`` where the fault is the gyro's."""
+        xp, kept = namespace(estimate.fault), attitude.faulty & ~acquitted
+        fault, since = attitude.track.fault * kept, attitude.track.age * kept
         last = LastDiagnosis(fault, 0.0 * fault, kept, -bias, since=since)
         fresh = self.attitude_law.resumed(inputs, last)._replace(
             gyro=attitude.gyro,
@@ -394,15 +400,15 @@ class Isolating(Supervised):
             outliers=attitude.outliers,
         )
         estimate = estimate._replace(
-            fault=estimate.fault * ~guilty,
-            state=xp.where(guilty, samples.SUSPECT, estimate.state).astype(xp.uint8),
-            onset_age=xp.where(guilty, -1.0, estimate.onset_age),
+            fault=estimate.fault * ~acquitted,
+            state=xp.where(acquitted, samples.SUSPECT, estimate.state).astype(xp.uint8),
+            onset_age=xp.where(acquitted, -1.0, estimate.onset_age),
             corrected=estimate.corrected._replace(
-                q_xyzw=xp.where(any_of(guilty), fresh.filter.q_xyzw, estimate.corrected.q_xyzw),
-                body_rate=xp.where(guilty, rate, estimate.corrected.body_rate),
+                q_xyzw=xp.where(any_of(acquitted), fresh.filter.q_xyzw, estimate.corrected.q_xyzw),
+                body_rate=xp.where(acquitted, rate, estimate.corrected.body_rate),
             ),
         )
-        return chosen(any_of(guilty)[..., 0], fresh, attitude), estimate
+        return chosen(any_of(acquitted)[..., 0], fresh, attitude), estimate
 
     def _fly(self, estimate: FaultEstimate, rate: Vector, believed: Hypotheses) -> ImuSample:
         """Return the sample for the controller."""

@@ -69,6 +69,7 @@ FADING = 2.0  # s; in which a new gyro bias leaves the corrected rate: at once, 
 KNOCK = 0.5  # rad/s; a rate that bends by more from sample to sample has passages that the gyro misses
 MISSED = 0.3  # 1; share of such a bend that is missed
 HEALTHY = np.uint8(samples.HEALTHY)
+PITCH = np.array([False, True, False])
 POLE = 4.0  # 1; variance of roll and yaw over that at level, from which a pole is close: 60 deg of pitch
 SHOWN = 0.3  # 1; share of the recovery time from which an axis is shown as recovering
 # covariance of what a wrong rotation has spoiled: itself, the bias (at 0.1 rad/s), the alignment
@@ -89,6 +90,7 @@ class State(NamedTuple):
     noise: sensor_noise.SensorNoise
     evidence: residual_tests.Evidence
     faulty: Mask
+    passing: Mask  # pitch was too close to a pole to be tested
     track: fault_track.Track
     raw: Column  # share of the gyro as it is in the corrected body rate
     rejected: Mask  # the last sample was an outlier
@@ -161,6 +163,7 @@ class Supervised(FaultObserver):
             noise=sensor_noise.start_noise(zeros),
             evidence=residual_tests.start_evidence(zeros),
             faulty=zeros > 1.0,
+            passing=zeros > 1.0,
             track=fault_track.start_track(zeros),
             raw=zeros[..., :1] + 1.0,
             rejected=zeros > 1.0,
@@ -216,8 +219,14 @@ class Supervised(FaultObserver):
         sensor, gain = reading.sensor, reading.prediction.gain
         spread = product(reading.predicted, weights.predicted) * known.seen
         trusted = ~state.faulty & reading.testable
+        # across a pole the residual of pitch changes its sign
+        evidence = changed_where(
+            state.passing,
+            lambda: residual_tests.restart(state.evidence, reading.residuals[..., 0], state.passing),
+            state.evidence,
+        )
         evidence, scores, squares = residual_tests.collect_evidence(
-            *(state.evidence, reading.residuals, sensor + spread, known.colour, trusted),
+            *(evidence, reading.residuals, sensor + spread, known.colour, trusted),
             *(weights, dt, self.threshold),
         )
         by_rate = sensor_noise.rate_weights(activity)
@@ -259,7 +268,8 @@ class Supervised(FaultObserver):
         (bias,), (raw,) = components(verdict.bias), components(state.raw)
         starting = bias > STARTED**2
         raw = stacked([pick(starting, raw, raw * exp(-dt / FADING))])
-        memory = noise, evidence, verdict.faulty, verdict.track, raw, scores.outlier, outliers
+        passing = reading.valid & ~reading.testable & PITCH
+        memory = noise, evidence, verdict.faulty, passing, verdict.track, raw, scores.outlier, outliers
         state = State(estimate, earlier, gyro, state.gyro, activity, motion, *memory)
         report = self._report(state, imu, scores.suspect, column(starting), special, verdict, sensor)
         return state, report

@@ -160,14 +160,19 @@ def declare_faults(scores: Scores, suspicion: Vector, trusted: Mask, threshold: 
     return changed_where(scores.suspect, declare, Findings(none, none, none, none))
 
 
-def update_evidence(evidence: Evidence, residual: Vector, promoted: One, restart: Mask) -> Evidence:
-    """Forget the evidence on axes that restart; follow the anchors where the young one became the old one."""
-    xp = namespace(restart)
+def update_evidence(evidence: Evidence, residual: Vector, promoted: One, outdated: Mask) -> Evidence:
+    """Forget outdated evidence; follow the anchors where the young one became the old one."""
 
-    def update() -> Evidence:
-        means = xp.where(promoted[..., None], evidence.means @ PROMOTION, evidence.means)
-        kept = ~restart[..., None]
-        base = xp.where(restart, residual, evidence.base)
-        return evidence._replace(means=means * kept, base=base, sums=evidence.sums * kept)
+    def follow() -> Evidence:
+        means = namespace(residual).where(promoted[..., None], evidence.means @ PROMOTION, evidence.means)
+        return evidence._replace(means=means)
 
-    return changed_where(restart | promoted, update, evidence)
+    evidence = changed_where(promoted, follow, evidence)
+    return changed_where(outdated, lambda: restart(evidence, residual, outdated), evidence)
+
+
+def restart(evidence: Evidence, residual: Vector, where: Mask) -> Evidence:
+    """Forget the evidence on some axes, and foretell slow errors from the residual [rad] of now."""
+    kept = ~where[..., None]
+    base = namespace(residual).where(where, residual, evidence.base)
+    return evidence._replace(means=evidence.means * kept, base=base, sums=evidence.sums * kept)
