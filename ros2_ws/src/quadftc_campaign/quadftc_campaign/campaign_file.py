@@ -168,14 +168,17 @@ class Campaign(CampaignKeys):
         return math.prod(len(each.values) for each in self.vary.values() if each.kind == GRID)
 
 
-def load_campaign(path: Path, flights: int | None = None, recordings: Path | None = None) -> Campaign:
+def load_campaign(
+    path: Path, flights: int | None = None, recordings: Path | None = None, seed: int | None = None
+) -> Campaign:
     """Load a campaign file; a `ScenarioError` has one line for each problem.
 
-    ``flights`` counts in place of the file's number, ``recordings`` in place of the directory of its source.
+    ``flights`` and ``seed`` count in place of the file's, ``recordings`` in place of its source's directory.
     """
     document = read_document(path)
-    if flights is not None:
-        document = document.replaced({("flights",): flights}, f"flights {flights}")
+    for key, value in {"flights": flights, "seed": seed}.items():
+        if value is not None:
+            document = document.replaced({(key,): value}, f"{key} {value}")
     try:
         keys = CampaignKeys.model_validate(document.data)
     except ValidationError as error:

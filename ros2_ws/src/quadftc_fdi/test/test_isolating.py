@@ -240,6 +240,17 @@ def test_a_small_fault_of_the_attitude_right_after_the_gyros_is_what_that_one_di
     assert states(estimates[-1])[1] == [FAULTY, HEALTHY, HEALTHY]
 
 
+@pytest.mark.parametrize(("sigma", "seed"), [(0.5, 5), (0.5, 15), (0.66, 12)])
+def test_what_a_noisy_attitude_has_made_of_the_rate_is_forgotten_once_it_is_named(sigma, seed):
+    noise = np.random.default_rng(seed)
+    estimates = hover(
+        BEGIN + 150, turned(lambda _: np.array([0.0, sigma * DEG * noise.standard_normal(), 0.0]))
+    )
+    for gyro in (each.sensors.gyro for each in estimates[BEGIN:]):
+        assert not np.any((gyro.state == FAULTY) & ~gyro.ambiguous)
+    assert estimates[-1].sensors.attitude.state[1] == FAULTY
+
+
 def test_a_jump_of_the_attitude_is_the_attitudes():
     last = hover(BEGIN + 250, turned(lambda _: np.array([0.0, 3.0 * DEG, 0.0])))[-1]
     assert states(last)[:2] == [[HEALTHY, FAULTY, HEALTHY], [HEALTHY] * 3]

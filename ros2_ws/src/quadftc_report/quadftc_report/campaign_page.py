@@ -70,8 +70,9 @@ def render_campaign(results: Results, directory: Path, command_file: str) -> str
     def again(flight: int, variant: str) -> str:
         """The command that flies a flight again."""
         words = ["scripts/quadftc", "campaign", command_file]
-        if isinstance(campaign.document.origins.get(("flights",)), str):  # not the file's number
-            words += ["--flights", str(campaign.flights)]
+        for key, number in {"flights": campaign.flights, "seed": campaign.seed}.items():
+            if isinstance(campaign.document.origins.get((key,)), str):  # not the file's
+                words += [f"--{key}", str(number)]
         words += ["--out", str(directory), "--flight", str(flight), "--variant", variant]
         return shlex.join(words)
 

@@ -195,11 +195,12 @@ def test_page_tells_every_variant_and_how_to_fly_the_worst_again(load, tmp_path)
     assert "http" not in text.partition("<script>")[0].replace("http-equiv", "")
 
 
-def test_command_names_the_number_of_flights_where_it_is_not_the_files(load, tmp_path):
+def test_command_names_the_number_of_flights_and_the_seed_where_they_are_not_the_files(load, tmp_path):
     load(VARY, flights=3)
-    campaign = load_campaign(tmp_path / "camp.yaml", flights=12)
+    campaign = load_campaign(tmp_path / "camp.yaml", flights=12, seed=5)
+    assert (campaign.flights, campaign.seed) == (12, 5)
     _, page = written(campaign, [each for each in flown() if each["variant"] == "watched"], tmp_path)
-    assert any("'my camp.yaml' --flights 12 --out" in command for command in page.commands)
+    assert any("'my camp.yaml' --flights 12 --seed 5 --out" in command for command in page.commands)
 
 
 @pytest.mark.parametrize("count", [1, 12])

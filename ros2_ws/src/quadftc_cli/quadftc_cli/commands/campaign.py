@@ -33,6 +33,7 @@ def campaign(
     file: Annotated[Path, Argument(help="Campaign file (see campaigns/).")],
     out: Annotated[Path | None, Option(help="Directory of the results; default: results/NAME.")] = None,
     flights: Annotated[int | None, Option(help="Number of flights in place of the file's.")] = None,
+    seed: Annotated[int | None, Option(help="Seed in place of the file's: other draws.")] = None,
     resume: Annotated[bool, Option("--resume", help="Go on with what is in the directory.")] = False,
     scheduler: SchedulerOption = None,
     workers: WorkersOption = None,
@@ -57,7 +58,7 @@ def campaign(
     from quadftc_campaign.campaign_file import load_campaign  # with what it needs, half a second
     from quadftc_campaign.flights import flight_scenario, variant_of
 
-    loaded = load_campaign(file, flights, recordings)
+    loaded = load_campaign(file, flights, recordings, seed)
     directory = out or Path("results") / loaded.name
     if variant:
         some = tuple(variant_of(loaded, name) for name in dict.fromkeys(variant))

@@ -281,7 +281,7 @@ class Isolating(Supervised):
         )
         state = state._replace(gyro=state.gyro._replace(faulty=faulty & ~forgiven))
         returns = (state.gyro.alone & wanted & ~state.gyro.faulty) | forgiven
-        ahead = gyro_monitor.adopt_gyro(ahead, omega, FLOOR[GYRO], returns)
+        ahead = gyro_monitor.adopt_gyro(ahead, omega, FLOOR[GYRO], state.gyro.trace.needed, returns)
         ahead_rate, variance = join([(axis[0], axis[6]) for axis in ahead.axes])
         flight, off, unsure = self._force_deviation(state, inputs, omega, dt)
         moved = angles - state.readings.reading[..., ATTITUDE]

@@ -149,12 +149,15 @@ def predict_monitor(
     return Ahead(turn(state.q_xyzw, turned), [axis for axis, _ in axes], drive, drive + gyroscopic)
 
 
-def adopt_gyro(ahead: Ahead, rate: Vector, variance: Vector, returns: Mask) -> Ahead:
-    """Go on at the rate of a gyro [rad/s], with a variance, where it is believed again."""
+def adopt_gyro(ahead: Ahead, rate: Vector, variance: Vector, acceleration: Vector, returns: Mask) -> Ahead:
+    """Go on at the rate [rad/s] and the unknown acceleration [rad/s²] by a gyro that is believed again.
+
+    What an attitude has made of them meanwhile may be wrong.
+    """
 
     def adopt() -> Ahead:
-        each = zip(ahead.axes, split(rate, variance, returns), strict=True)
-        return ahead._replace(axes=[rate_filter.adopt_rate(axis, *given) for axis, given in each])
+        each = zip(ahead.axes, split(rate, variance, acceleration, returns), strict=True)
+        return ahead._replace(axes=[rate_filter.adopt_gyro(axis, *given) for axis, given in each])
 
     return changed_where(returns, adopt, ahead)
 

@@ -134,8 +134,10 @@ def _correct(
     return after, ka * innovation
 
 
-def adopt_rate(state: Parts, adopted: Vector, variance: Vector, where: Mask) -> Parts:
-    """Start again at a rate [rad/s] of a variance, where asked for."""
-    rate, acceleration, slow, aa, ar, ad, rr, rd, dd = state
-    rate, rr = pick(where, adopted, rate), pick(where, variance, rr)
-    return rate, acceleration, slow, aa, ar * (where ^ True), ad, rr, rd * (where ^ True), dd
+def adopt_gyro(state: Parts, rate: Vector, variance: Vector, acceleration: Vector, where: Mask) -> Parts:
+    """Start again where asked for: at a rate [rad/s] of a variance, and an unknown acceleration [rad/s²]."""
+    before, d, slow, aa, ar, ad, rr, rd, dd = state
+    kept = where ^ True
+    rate, rr = pick(where, rate, before), pick(where, variance, rr)
+    d, dd = pick(where, acceleration, d), pick(where, UNKNOWN_ACCELERATION**2, dd)
+    return rate, d, slow, aa, ar * kept, ad * kept, rr, rd * kept, dd
