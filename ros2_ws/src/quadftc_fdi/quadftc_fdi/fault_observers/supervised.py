@@ -215,26 +215,9 @@ class Supervised(FaultObserver):
         estimate, earlier, P, omega, activity, motion = self._predict(state, gyro, doubt, dt)
 
         # 2. Test the residuals of the trusted axes, and learn from healthy ones.
-        reading, known = self._compare(estimate, earlier, P, imu, omega, state.noise), state.noise
-        sensor, gain = reading.sensor, reading.prediction.gain
-        spread = product(reading.predicted, weights.predicted) * known.seen
-        trusted = ~state.faulty & reading.testable
-        # across a pole the residual of pitch changes its sign
-        evidence = changed_where(
-            state.passing,
-            lambda: residual_tests.restart(state.evidence, reading.residuals[..., 0], state.passing),
-            state.evidence,
-        )
-        evidence, scores, squares = residual_tests.collect_evidence(
-            *(evidence, reading.residuals, sensor + spread, known.colour, trusted),
-            *(weights, dt, self.threshold),
-        )
-        by_rate = sensor_noise.rate_weights(activity)
-        odd = scores.suspect | scores.outlier
-        sound = trusted & ~odd
-        if not isinstance(doubt, float):
-            sound = sound & (doubt == 0.0)
-        noise = sensor_noise.learn_noise(known, squares, gain, spread, by_rate, sound, dt)
+        by_rate, known = sensor_noise.rate_weights(activity), state.noise
+        reading = self._compare(estimate, earlier, P, imu, omega, known)
+        evidence, scores, trusted, odd, noise = self._test(state, reading, by_rate, doubt, weights, dt)
 
         # 3. Declare faults; 4. track them, and judge which axes are trusted again, where there may be any.
         def judge() -> Verdict:
@@ -271,8 +254,41 @@ class Supervised(FaultObserver):
         passing = reading.valid & ~reading.testable & PITCH
         memory = noise, evidence, verdict.faulty, passing, verdict.track, raw, scores.outlier, outliers
         state = State(estimate, earlier, gyro, state.gyro, activity, motion, *memory)
-        report = self._report(state, imu, scores.suspect, column(starting), special, verdict, sensor)
+        report = self._report(state, imu, scores.suspect, column(starting), special, verdict, reading.sensor)
         return state, report
+
+    def _test(
+        self,
+        state: State,
+        reading: Reading,
+        by_rate: sensor_noise.Weights,
+        doubt: Vector | float,
+        weights: residual_tests.AveragingWeights,
+        dt: float,
+    ) -> tuple[residual_tests.Evidence, residual_tests.Scores, Mask, Mask, sensor_noise.SensorNoise]:
+        """Test the residuals of the trusted axes, and learn from those that are healthy.
+
+        Also return which axes are trusted, and which are suspect or outliers.
+        """
+        known, gain = state.noise, reading.prediction.gain
+        spread = product(reading.predicted, weights.predicted) * known.seen
+        trusted = ~state.faulty & reading.testable
+        # across a pole the residual of pitch changes its sign
+        evidence = changed_where(
+            state.passing,
+            lambda: residual_tests.restart(state.evidence, reading.residuals[..., 0], state.passing),
+            state.evidence,
+        )
+        evidence, scores, squares = residual_tests.collect_evidence(
+            *(evidence, reading.residuals, reading.sensor + spread, known.colour, trusted),
+            *(weights, dt, self.threshold),
+        )
+        odd = scores.suspect | scores.outlier
+        sound = trusted & ~odd
+        if not isinstance(doubt, float):
+            sound = sound & (doubt == 0.0)
+        noise = sensor_noise.learn_noise(known, squares, gain, spread, by_rate, sound, dt)
+        return evidence, scores, trusted, odd, noise
 
     def _judge(
         self,
