@@ -10,6 +10,7 @@ from quadftc_fdi.fault_observers.isolating import Isolating
 from quadftc_fdi.isolation import hypotheses, rate_filter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, turn
 from quadftc_model.samples import (
+    ALARMS,
     FAULT_KINDS,
     FAULTY,
     HEALTHY,
@@ -227,6 +228,16 @@ def test_a_gyro_that_is_healthy_again_is_trusted():
     estimates = hover(BEGIN + 700, shifted("body_rate", passing))
     assert estimates[BEGIN + 249].sensors.gyro.state[0] == FAULTY
     assert estimates[-1].sensors.gyro.state[0] == HEALTHY
+
+
+@pytest.mark.parametrize("size", [0.033, 0.06])
+def test_a_gyro_that_is_slightly_off_is_named_until_it_reads_right_again(size):
+    def passing(time):
+        return np.array([size, 0.0, 0.0]) * (time < 6.0)
+
+    estimates = hover(BEGIN + 2250, shifted("body_rate", passing))
+    assert all(each.sensors.gyro.state[0] in ALARMS for each in estimates[BEGIN + 3 : BEGIN + 1500])
+    assert states(estimates[-1])[:2] == [[HEALTHY] * 3] * 2
 
 
 @pytest.mark.parametrize(("size", "state"), [(1.0, SUSPECT), (3.0, FAULTY)])

@@ -247,13 +247,11 @@ class Isolating(Supervised):
         acquitted = guilty | led
 
         def acquit() -> tuple[GyroMonitor, supervised.State, FaultEstimate]:
-            bias, followed = attitude.filter.x[..., :3], monitor.fault
+            slight, large = gyro_monitor.gyro_error(fault, estimate.onset_age)
+            bias = attitude.filter.x[..., :3]
             if vote is not None:  # the position says that the attitude is right
-                xp, where = namespace(fault), guilty & (vote > VOTED)
-                slight, large = free_flight.gyro_error(fault, estimate.onset_age)
-                bias = bias + where * slight
-                mean, long = xp.where(where, large, followed.mean), xp.where(where, large, followed.long)
-                followed = followed._replace(mean=mean, long=long)
+                bias = bias + guilty * (vote > VOTED) * slight
+            followed = reading_test.begin_deviation(monitor.fault, large, guilty)
             named = monitor._replace(faulty=monitor.faulty | guilty, fault=followed)
             return named, *self._acquit(attitude, estimate, inputs, rate, acquitted, bias)
 

@@ -54,8 +54,6 @@ NEEDED = 2.0  # s; of learning, before b counts against attitude and gyro
 LEAST = 0.012  # m/s²; of b in healthy flight, 1 sigma at least: 0.07 deg
 APART, CLOSE = 0.25, 0.1  # m/s²; by which a healthy accelerometer may be off without, with a position
 PULL, LOOSE = 0.5, 0.3  # s, m/s²/sqrt(s); how b is followed where the accelerometer is faulty
-SLIGHT = 0.03  # rad/s; a gyro that is off by less cannot be told from a healthy one again
-SOONEST = 0.5  # s; age of a fault, at least, by which its rate is known
 GROWN = 2.0  # 1; lags of b for which an attitude fault has grown, at least, when it is found
 ROUGHLY = 0.3  # 1; of what is not yet due of a tilt error, 1 sigma of what is due
 FINAL = 30.0  # 1; bound of log-odds
@@ -194,17 +192,6 @@ def vote(state: FreeFlight, monitor: AccelerometerMonitor, fault: Vector, std_de
         return counts * clip(0.5 * said, -FINAL, FINAL)
 
     return stacked([odds(-y, roll, sy, ur), odds(x, pitch, sx, up), 0.0 * x])
-
-
-def gyro_error(fault: Vector, age: Vector) -> tuple[Vector, Vector]:
-    """What a gyro reads too much by an attitude fault [rad] over its age [s]: as its bias, and as its fault.
-
-    A gyro that is slightly off has another bias. One that is off by more is faulty until it reads right.
-    """
-    xp = namespace(fault)
-    error = -fault / xp.maximum(age, SOONEST)
-    slight = xp.abs(error) < SLIGHT
-    return error * slight, error * ~slight
 
 
 def _motion_inputs(inputs: FaultObserverInputs) -> PositionEstimatorInputs:

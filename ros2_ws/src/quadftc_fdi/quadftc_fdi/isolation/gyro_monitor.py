@@ -43,6 +43,8 @@ SCATTERED, LARGEST = 0.1, 100.0  # s, 1; over which the attitude's scatter is ta
 QUICK = 0.008  # s; noise of a gyro is quicker than this
 AGILE, MOST = 0.1, 7.0  # s, 1; how fast q is learned; log of its largest factor
 NEEDED = 0.06  # s; averaging time of the acceleration
+SLIGHT = 0.03  # rad/s; a gyro that is off by less cannot be told from a healthy one again
+SOONEST = 0.5  # s; age of a fault, at least, by which its rate is known
 LATELY, JUST = 1.0, 0.1  # s; how long a jump of the gyro, of the attitude is remembered
 
 
@@ -209,6 +211,17 @@ def step_monitor(
 
     still, fault = changed_where(faulty, follow, (faulty, state.fault))
     return GyroMonitor(q_xyzw, after, still, ~good, fault, ahead.drive, alone, trace), white, calm
+
+
+def gyro_error(fault: Vector, age: Vector) -> tuple[Vector, Vector]:
+    """What a gyro reads too much by an attitude fault [rad] over its age [s]: as its bias, and as its fault.
+
+    A gyro that is slightly off has another bias. One that is off by more is faulty until it reads right.
+    """
+    xp = namespace(fault)
+    error = -fault / xp.maximum(age, SOONEST)
+    slight = xp.abs(error) < SLIGHT
+    return error * slight, error * ~slight
 
 
 def _hear(

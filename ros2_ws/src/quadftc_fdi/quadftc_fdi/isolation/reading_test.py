@@ -135,6 +135,7 @@ def learn_noise(
 SHORT, LONG = 0.06, 0.4  # s; averages of the deviation of a faulty sensor
 MOVED = 25.0  # 1; squared difference of the two, in variances of the longer, that starts it again
 SCATTER = 3.0  # 1; squared changes, in variances, of a sensor that is healthy again, at most
+BACK = 0.5  # 1; share of its peak to which a fault must have come back
 QUICK, SOONEST, LATEST = 0.3, 0.3, 1.0  # 1, s, s; share of a fault's age for which it must agree; bounds
 
 
@@ -145,6 +146,7 @@ class Deviation(NamedTuple):
     calm: Vector  # how long it has looked healthy [s]
     mean: Vector  # over a short time
     long: Vector  # over a long time
+    peak: Vector  # largest size of that
     scatter: Vector  # squared change from reading to reading, in variances
     last: Vector  # deviation of the last reading
 
@@ -152,7 +154,15 @@ class Deviation(NamedTuple):
 def no_deviation(like: Vector) -> Deviation:
     """Return that of a healthy sensor."""
     zeros = namespace(like).zeros_like(like)
-    return Deviation(zeros, zeros, zeros, zeros, zeros, zeros)
+    return Deviation(*[zeros] * len(Deviation._fields))
+
+
+def begin_deviation(state: Deviation, size: Vector, where: Mask) -> Deviation:
+    """Begin on some axes with what the sensor is believed to read too much; 0: nothing is known of it."""
+    xp = namespace(size)
+    mean, long = xp.where(where, size, state.mean), xp.where(where, size, state.long)
+    peak = xp.where(where, xp.where(size == 0.0, UNUSABLE, xp.abs(size)), state.peak)
+    return state._replace(mean=mean, long=long, peak=peak)
 
 
 def follow_deviation(
@@ -179,8 +189,13 @@ def follow_deviation(
     mean = xp.where(alarm, deviation, state.mean + short * (deviation - state.mean))
     long = xp.where(alarm, deviation, state.long + slow * (deviation - state.long))
     long = xp.where((mean - long) ** 2 > MOVED * known, mean, long)  # the fault has changed, or has ended
+    size = xp.abs(long)
+    peak = xp.where(alarm, xp.where(alive, size, UNUSABLE), xp.maximum(size, state.peak))
     scatter = xp.where(alarm, SCATTER, state.scatter + short * (square - state.scatter))
     age = xp.where(alarm, age, state.age + dt)
-    calm = (state.calm + dt) * (alive & (long * long < 9.0 * known) & (scatter < SCATTER))
+    # a small fault must be seen to come back: it agrees with zero as it is
+    off = size * size / known
+    back = (off < 1.0) | ((off < 9.0) & (size < BACK * peak))
+    calm = (state.calm + dt) * (alive & back & (scatter < SCATTER))
     kept = faulty & (calm <= clip(QUICK * age, SOONEST, LATEST))
-    return kept, Deviation(*(kept * part for part in (age, calm, mean, long, scatter, deviation)))
+    return kept, Deviation(*(kept * part for part in (age, calm, mean, long, peak, scatter, deviation)))
