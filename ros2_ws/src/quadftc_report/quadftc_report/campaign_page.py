@@ -121,9 +121,13 @@ def _tell(side: Side) -> str:
     if not side.has_observer:
         said.append("has no fault observer")
     elif len(judged):
+        # an axis that is declared before the onset has not found the fault
+        before = int(np.sum(known(numbers(side.faults, "fault.already_declared"))))
         after = f", the median after {duration(float(np.median(delays)))}" if len(delays) else ""
+        early = f", {before} declared before their onset" if before else ""
         rate = f", {short(side.alarms_per_hour())} false alarms an hour"
-        said.append(f"finds {int(np.sum(judged))} of {counted(len(judged), 'fault')}{after}{rate}")
+        found = int(np.sum(judged)) - before
+        said.append(f"finds {found} of {counted(len(judged), 'fault')}{after}{early}{rate}")
     return f"'{side.name}' ({side.parts}): {'; '.join(said)}."
 
 

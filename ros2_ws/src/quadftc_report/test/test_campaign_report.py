@@ -180,6 +180,13 @@ def test_range_is_divided_into_parts_with_as_many_flights(load):
     assert (axis.names[0], axis.names[-1]) == ("1 to 1.18", "3.25 to 5")
 
 
+def test_an_axis_that_is_declared_before_the_onset_has_not_found_the_fault(load, tmp_path):
+    early = [fault(already_declared=True, detection_delay_s=None)] * 2 + [fault()] * 4
+    rows = [row(flight, "watched", "sliding_mode", **each) for flight, each in enumerate(early)]
+    _, page = written(load(VARY, flights=6), rows, tmp_path)
+    assert "finds 4 of 6 faults, the median after 100 ms, 2 declared before their onset" in page.text
+
+
 def test_page_tells_every_variant_and_how_to_fly_the_worst_again(load, tmp_path):
     text, page = written(load(BOTH, VARY, flights=24), flown(24), tmp_path)
     assert "finds 24 of 24 faults, the median after 100 ms, 0 false alarms an hour." in page.text
