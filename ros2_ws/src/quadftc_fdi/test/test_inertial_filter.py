@@ -93,7 +93,7 @@ def test_one_vehicle_and_a_batch_agree():
         )
         prediction = predict_angles(state, estimate_rate(state.x, np.broadcast_to(gyro, (*batch, 3))), P)
         variance = np.full((*batch, 3), 1e-6)
-        state, _ = correct(state, prediction, np.broadcast_to(residual, (*batch, 3)), variance, used)
+        state, _, _ = correct(state, prediction, np.broadcast_to(residual, (*batch, 3)), variance, used)
         moved = F.of(np.broadcast_to(np.eye(SIZE), (*batch, SIZE, SIZE)))
         return *state, moved, P, *map(np.asarray, prediction)
 
@@ -126,7 +126,7 @@ def flown(flights, seconds, seed):
             late, quaternion_from_rotation_vector(0.1 * DEG * rng.normal(size=(flights, 3)))
         )
         residual = wrap(euler_from_quaternion(read) - prediction.angles)
-        state, _ = correct(state, prediction, residual, (0.1 * DEG) ** 2 * prediction.gain, everything)
+        state, _, _ = correct(state, prediction, residual, (0.1 * DEG) ** 2 * prediction.gain, everything)
     turn = quaternion_product(state.q_xyzw * [-1, -1, -1, 1], q)
     wrong = np.concatenate([2.0 * turn[:, :3], truth[:, 3:] - state.x], axis=1)
     return wrong, state.P
@@ -148,5 +148,5 @@ def test_an_axis_that_is_left_out_is_not_corrected():
     state, gyro = some_state()
     prediction = predict_angles(state, estimate_rate(state.x, gyro))
     used = np.array([False, True, True])
-    _, dx = correct(state, prediction, np.array([1.0, 0.0, 0.0]), np.full(3, 1e-6), used)
+    _, dx, _ = correct(state, prediction, np.array([1.0, 0.0, 0.0]), np.full(3, 1e-6), used)
     np.testing.assert_array_equal(dx, 0.0)

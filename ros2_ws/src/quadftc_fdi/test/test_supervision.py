@@ -75,7 +75,7 @@ class Flown:
             self.twin, _, _ = predict(self.twin, P, self.gyro, ZEROS, noise, DT)
             self.prediction = predict_angles(self.filter, self.gyro)
             residual = 0.2 * SIGMA * rng.standard_normal(3)
-            self.filter, dx = correct(self.filter, self.prediction, residual, np.full(3, SIGMA**2), EVERY)
+            self.filter, dx, _ = correct(self.filter, self.prediction, residual, np.full(3, SIGMA**2), EVERY)
             self.anchors, _ = update_anchors(self.anchors, self.filter.P, dx, NO, NO, DT, 1e9)
         P = np.concatenate([self.filter.P[None], self.anchors.P])
         self.prediction = predict_angles(self.filter, self.gyro, P)

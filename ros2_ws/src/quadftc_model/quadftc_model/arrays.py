@@ -198,8 +198,10 @@ def changed_where(mask: Array | bool, change: Callable[[], T], unchanged: T) -> 
 def chosen(mask: Array, new: Any, old: Any) -> Any:
     """Arrays of ``new`` where a mask (...,) holds, of ``old`` elsewhere; both are nested tuples alike.
 
-    Where ``old`` has fewer arrays (a memory that fills), it is the new one.
+    Where ``old`` has fewer arrays (a memory that fills), it is the new one. The mask may be one bool.
     """
+    if isinstance(mask, (bool, np.bool_)):
+        return new if mask else old
     if isinstance(new, tuple):
         parts, others = cast("tuple[Any, ...]", new), cast("tuple[Any, ...]", old)
         if len(parts) != len(others):

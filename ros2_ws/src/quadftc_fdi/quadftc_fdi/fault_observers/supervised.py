@@ -27,17 +27,26 @@ from quadftc_fdi.fault_observer import FaultObserver, correct_sample, register, 
 from quadftc_fdi.supervision import (
     anchors,
     fault_track,
+    gravity,
     inertial_filter,
     measurement,
     residual_tests,
     sensor_noise,
 )
 from quadftc_fdi.supervision.inertial_filter import GAP, bias_variance, estimate_rate
-from quadftc_fdi.supervision.transition import BIAS, SIZE, Covariances, FilterState, ProcessNoise
+from quadftc_fdi.supervision.transition import (
+    BIAS,
+    SIZE,
+    Covariances,
+    FilterState,
+    ProcessNoise,
+    Transition,
+)
 from quadftc_model import samples
 from quadftc_model.arrays import (
     Array,
     Column,
+    Flag,
     Mask,
     States,
     Vector,
@@ -95,6 +104,7 @@ class State(NamedTuple):
     raw: Column  # share of the gyro as it is in the corrected body rate
     rejected: Mask  # the last sample was an outlier
     outliers: Vector  # outliers so far, and bursts of them
+    gravity: gravity.Gravity  # what the accelerometer knows of the tilt
 
 
 class Reading(NamedTuple):
@@ -168,6 +178,7 @@ class Supervised(FaultObserver):
             raw=zeros[..., :1] + 1.0,
             rejected=zeros > 1.0,
             outliers=zeros,
+            gravity=gravity.start_gravity(zeros),
         )
 
     def resumed(self, inputs: FaultObserverInputs, last: fault_observer.LastDiagnosis) -> State:
@@ -212,7 +223,7 @@ class Supervised(FaultObserver):
         weights = residual_tests.averaging_weights(dt)
 
         # 1. Predict: the gyro carries filter and anchors to this sample.
-        estimate, earlier, P, omega, activity, motion = self._predict(state, gyro, doubt, dt)
+        estimate, earlier, P, F, omega, activity, motion = self._predict(state, gyro, doubt, dt)
 
         # 2. Test the residuals of the trusted axes, and learn from healthy ones.
         by_rate, known = sensor_noise.rate_weights(activity), state.noise
@@ -226,9 +237,10 @@ class Supervised(FaultObserver):
         special = state.faulty | odd
         verdict = changed_where(special, judge, _all_healthy(state, estimate, reading))
 
-        # 5. Correct the filter by the axes that are neither faulty nor suspect.
+        # 5. Correct the filter by the axes that are neither faulty nor suspect, and a faulty tilt by gravity.
         white = weights.white * sensor_noise.lasting(by_rate, known.colour)
-        estimate, dx = _correct(reading, verdict, odd, white, doubt)
+        estimate, dx, factors = _correct(reading, verdict, odd, white, doubt)
+        felt, estimate, dx = self._feel(state, imu, estimate, verdict, dx, factors, F, doubt, dt)
 
         # 6. Renew the anchors; restart the tests where what they remember no longer counts.
         earlier, promoted = anchors.update_anchors(
@@ -252,7 +264,7 @@ class Supervised(FaultObserver):
         starting = bias > STARTED**2
         raw = stacked([pick(starting, raw, raw * exp(-dt / FADING))])
         passing = reading.valid & ~reading.testable & PITCH
-        memory = noise, evidence, verdict.faulty, passing, verdict.track, raw, scores.outlier, outliers
+        memory = noise, evidence, verdict.faulty, passing, verdict.track, raw, scores.outlier, outliers, felt
         state = State(estimate, earlier, gyro, state.gyro, activity, motion, *memory)
         report = self._report(state, imu, scores.suspect, column(starting), special, verdict, reading.sensor)
         return state, report
@@ -365,10 +377,10 @@ class Supervised(FaultObserver):
 
     def _predict(
         self, state: State, gyro: Array, doubt: Array, dt: float
-    ) -> tuple[FilterState, anchors.Anchors, Covariances, Vector, Column, Column]:
+    ) -> tuple[FilterState, anchors.Anchors, Covariances, Transition, Vector, Column, Column]:
         """Carry filter and anchors by the mean of two gyro samples.
 
-        Also return their covariances together, rate, activity and motion.
+        Also return their covariances together, the transition, rate, activity and motion.
         """
         omega, change = estimate_rate(state.filter.x, gyro), gyro - state.gyro
         turning, measured = length(omega), length(gyro)
@@ -391,7 +403,7 @@ class Supervised(FaultObserver):
         estimate, P, F = inertial_filter.predict(state.filter, state.anchors.P, mean, change, noise, dt)
         corrections, age = F.of(state.anchors.corrections), state.anchors.age
         earlier = anchors.Anchors(corrections, P[..., 1:, :, :], age)
-        return estimate, earlier, P, omega, stacked([activity]), stacked([motion])
+        return estimate, earlier, P, F, omega, stacked([activity]), stacked([motion])
 
     def _compare(
         self,
@@ -410,6 +422,31 @@ class Supervised(FaultObserver):
         variance = noise.exact[..., : sensor_noise.MIDDLE].sum(axis=-1) * prediction.gain
         masks = measurement.defined(prediction, estimate.P, variance, imu.attitude_valid)
         return Reading(prediction, residuals, predicted, sensor, *masks)
+
+    def _feel(
+        self,
+        state: State,
+        imu: ImuSample,
+        estimate: FilterState,
+        verdict: Verdict,
+        dx: inertial_filter.Errors,
+        factors: inertial_filter.Factors,
+        F: Transition,
+        doubt: Vector | float,
+        dt: float,
+    ) -> tuple[gravity.Gravity, FilterState, inertial_filter.Errors]:
+        """Learn what gravity says of the tilt, and correct the tilt by it where roll or pitch is faulty."""
+        tilted, before = _tilted(verdict.faulty), _tilted(state.faulty)
+        felt, horizontal = gravity.feel(
+            *(state.gravity, estimate.q_xyzw, imu.specific_force),
+            *(imu.force_valid, pick(before, False, True), dt),
+        )
+        begins = verdict.restart | pick(column(before), False, True)
+        if not isinstance(doubt, float):  # the virtual gyro's errors are others
+            begins = begins | any_of(doubt > 0.0)
+        return gravity.correct_tilt(
+            felt, estimate, dx, horizontal, F, verdict.prediction, factors, tilted, begins, dt
+        )
 
     def _report(
         self,
@@ -450,7 +487,7 @@ def _all_healthy(state: State, estimate: FilterState, reading: Reading) -> Verdi
 
 def _correct(
     reading: Reading, verdict: Verdict, odd: Mask, white: Vector, doubt: Vector | float
-) -> tuple[FilterState, inertial_filter.Errors]:
+) -> tuple[FilterState, inertial_filter.Errors, inertial_filter.Factors]:
     """Correct the filter by the axes that are neither faulty nor ``odd``; also return the correction.
 
     ``white`` is the variance in a sample of the white noise that stands for slow errors, over that in the
@@ -459,10 +496,18 @@ def _correct(
     single, long = reading.sensor[..., sensor_noise.SAMPLE], reading.sensor[..., sensor_noise.LONG]
     used = reading.valid & ~(verdict.faulty | odd)
     before, prediction, residual = verdict[:3]
-    after, dx = inertial_filter.correct(before, prediction, residual, larger(single, long * white), used)
+    after, dx, factors = inertial_filter.correct(
+        before, prediction, residual, larger(single, long * white), used
+    )
     if isinstance(doubt, float):
-        return after, dx
-    return inertial_filter.keep_gyro(before, after, dx, any_of(doubt > 0.0))
+        return after, dx, factors
+    return *inertial_filter.keep_gyro(before, after, dx, any_of(doubt > 0.0)), factors
+
+
+def _tilted(faulty: Mask) -> Flag:
+    """Whether roll or pitch is faulty."""
+    roll, pitch, _ = components(faulty)
+    return roll | pitch
 
 
 def _doubt(residual: Array) -> Array:

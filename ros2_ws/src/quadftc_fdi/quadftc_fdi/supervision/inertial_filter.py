@@ -59,6 +59,8 @@ from quadftc_model.arrays import (
 )
 from quadftc_model.rotations import turn
 
+Factors = Float[arrays.AnyArray, "*batch 3 4"]
+
 GAP = 0.15  # s; longer than the period of any IMU: the rate in a gap is a guess
 _OF_GYRO = np.outer(np.arange(SIZE) >= BIAS.start, np.arange(SIZE) >= BIAS.start)
 LEFT_OUT = 1e6  # rad²; variance of a measurement that is left out
@@ -130,8 +132,11 @@ def apply_correction(state: FilterState, dx: Errors) -> FilterState:
 
 def correct(
     state: FilterState, prediction: Prediction, residual: Vector, variance: Vector, used: Mask
-) -> tuple[FilterState, Errors]:
-    """Correct by the axes that are used: residual h - h^ [rad], diagonal of R [rad²]; return dx, too."""
+) -> tuple[FilterState, Errors, Factors]:
+    """Correct by the axes that are used: residual h - h^ [rad], diagonal of R [rad²]; return dx, too.
+
+    The factors (..., 3, 4) are L'^-1 and S^-1 (h - h^), for what else is correlated with the angles.
+    """
     # With S = L L' and W = P H' L'^-1: K = W L^-1, and K S K' = W W' is symmetric to the last bit.
     (i, j, k), (u, v, w), (x, y, z) = components(used), components(variance), components(residual)
     bent, bent_pitch = _second_order(prediction, state.P)
@@ -139,11 +144,12 @@ def correct(
     a, b, c, d, e, f = _inverse_cholesky(prediction.HPH, R, prediction.lean)
     x, y, z = x * i, y * j, z * k
     zero, u, v, w = 0.0 * a, a * x, b * x + c * y, d * x + e * y + f * z
-    factors = [a, b, d, a * u + b * v + d * w, zero, c, e, c * v + e * w, zero, zero, f, f * w]
-    W_dx = product(prediction.PH, stacked(factors).reshape(*residual.shape, 4))
+    rows = [a, b, d, a * u + b * v + d * w, zero, c, e, c * v + e * w, zero, zero, f, f * w]
+    factors = stacked(rows).reshape(*residual.shape, 4)
+    W_dx = product(prediction.PH, factors)
     W, dx = W_dx[..., :3], W_dx[..., 3]
     P = state.P - product(W, W.swapaxes(-1, -2))
-    return apply_correction(FilterState(state.q_xyzw, state.x, P), dx), dx
+    return apply_correction(FilterState(state.q_xyzw, state.x, P), dx), dx, factors
 
 
 def keep_gyro(before: FilterState, after: FilterState, dx: Errors, kept: Mask) -> tuple[FilterState, Errors]:

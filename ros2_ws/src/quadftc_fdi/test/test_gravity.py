@@ -1,0 +1,116 @@
+"""Gravity holds the tilt while roll or pitch is faulty, as far as it can be believed."""
+
+import math
+
+import numpy as np
+import pytest
+
+from quadftc_fdi.fault_observers.supervised import Supervised
+from quadftc_fdi.supervision import gravity
+from quadftc_model.rotations import quaternion_from_euler, rotation_between, to_body, turn
+from quadftc_model.samples import STANDARD_GRAVITY, FaultObserverInputs, ImuSample
+from quadftc_model.vehicle import load_vehicle
+
+DEG = math.pi / 180.0
+DT, FAULT, END = 0.02, 20.0, 40.0  # s
+TIME = np.arange(round(END / DT)) * DT
+UP = np.array([0.0, 0.0, STANDARD_GRAVITY])
+OBSERVER = Supervised(vehicle=load_vehicle("qball_x4"))
+OFF = np.array([0.5, -0.4, 0.0])  # m/s²; an accelerometer that is off by 2.9 and 2.3 deg
+# how fast a vehicle goes to and fro [m/s], what share its gyro reads too little, its rate of roll [rad/s]
+# during the fault, what its accelerometer reads in place of the specific force or in addition to it
+FLIGHTS = {
+    "rests": (0.0, 0.01, 1.5, {}),
+    "moves": (0.3, 0.01, 1.5, {}),
+    "moves fast": (1.0, 0.01, 1.5, {}),
+    "no accelerometer": (0.3, 0.01, 1.5, {"there": False}),
+    "reads zero": (0.3, 0.01, 1.5, {"reads": 0.0 * UP}),
+    "reads little": (0.3, 0.01, 1.5, {"reads": 0.005 * UP}),
+    "good gyro": (0.0, 0.0, 0.0, {"there": False}),
+    "good gyro, moves fast": (1.0, 0.0, 0.0, {}),
+    "good gyro, accelerometer off": (0.0, 0.0, 0.0, {"added": OFF}),
+}
+
+
+def samples_of(flights):
+    """IMU samples (n, flights, ...) with faults of 6 deg from 20 s on, and the true attitudes."""
+    rng, since = np.random.default_rng(2), np.maximum(TIME - FAULT, 0.0)
+    noise, white = rng.standard_normal((2, len(TIME), 3))
+    samples, attitudes = [], []
+    for size, little, rolling, reading in flights:
+        angles = rolling * since[:, None] * np.array([1.0, 0.0, 0.0])
+        swing = 2.0 * math.pi * np.array([0.4, 0.55, 0.0])
+        acceleration = size * swing * np.cos(swing * TIME[:, None])
+        q = quaternion_from_euler(angles)
+        force = to_body(q, UP + acceleration) + reading.get("added", 0.0)
+        force = np.broadcast_to(reading.get("reads", force), force.shape)
+        rate = (1.0 - little) * rolling * (since > 0.0)[:, None] * np.array([1.0, 0.0, 0.0])
+        rate = rate + 0.007 * DEG / math.sqrt(DT) * white
+        measured = quaternion_from_euler(angles + 0.1 * DEG * noise + 6.0 * DEG * (since > 0.0)[:, None])
+        there = np.full(len(TIME), reading.get("there", True))
+        samples.append((measured, rate, force, there | True, there | True, there))
+        attitudes.append(q)
+    return ImuSample(*(np.stack(parts, axis=1) for parts in zip(*samples, strict=True))), np.stack(
+        attitudes, 1
+    )
+
+
+def diagnose(samples, count):
+    """Attitudes (n, ..., 4) that fly, and the last state."""
+    state, found = None, []
+    for k in range(count):
+        imu = ImuSample(*(part[k] for part in samples))
+        inputs = FaultObserverInputs(imu, 0.0 * imu.body_rate)
+        state = OBSERVER.init(inputs) if state is None else state
+        state, estimate = OBSERVER.step(state, inputs, DT if k else 0.0)
+        found.append(estimate.corrected.q_xyzw)
+    return np.array(found), state
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """Largest error of the tilt [deg] during the fault, and what gravity is off by [deg], by flight."""
+    samples, true = samples_of(FLIGHTS.values())
+    found, state = diagnose(samples, len(TIME))
+    verticals = [to_body(q, UP / STANDARD_GRAVITY) for q in (found, true)]
+    error = np.linalg.norm(np.cross(*verticals), axis=-1)[TIME > FAULT].max(axis=0) / DEG
+    off = np.sqrt(state.gravity.off) / DEG
+    return dict(zip(FLIGHTS, zip(error, off, strict=True), strict=True))
+
+
+def test_gravity_bounds_what_a_wrong_gyro_does_to_the_tilt(flown):
+    assert flown["no accelerometer"][0] > 10.0
+    for name, bound in (("rests", 1.5), ("moves", 3.0), ("moves fast", 6.0)):
+        assert flown[name][0] < bound, name
+
+
+def test_a_reading_without_gravity_says_nothing(flown):
+    for name in ("reads zero", "reads little"):
+        assert flown[name] == flown["no accelerometer"]
+
+
+def test_a_good_gyro_is_believed_against_gravity(flown):
+    for name in ("good gyro, moves fast", "good gyro, accelerometer off"):
+        assert flown[name][0] == pytest.approx(flown["good gyro"][0], abs=0.1), name
+
+
+def test_it_learns_by_what_gravity_is_off(flown):
+    assert flown["good gyro, moves fast"][1] < 0.4
+    assert flown["good gyro, accelerometer off"][1] > 1.5
+
+
+def test_one_vehicle_and_a_batch_agree():
+    samples, _ = samples_of([FLIGHTS["moves"]])
+    until = round(24.0 / DT)
+    batch, _ = diagnose(samples, until)
+    one, _ = diagnose(ImuSample(*(part[:, 0] for part in samples)), until)
+    np.testing.assert_allclose(one, batch[:, 0], atol=1e-9)
+
+
+def test_a_tilt_error_is_seen_as_the_matrix_says():
+    true, error = quaternion_from_euler(np.array([0.3, -0.5, 2.0])), 1e-4 * np.array([1.0, -2.0, 0.5])
+    wrong = turn(true, -error)
+    np.testing.assert_allclose(rotation_between(wrong, true), error, atol=1e-8)
+    start = gravity.start_gravity(np.zeros(3))
+    _, seen = gravity.feel(start, wrong, to_body(true, UP), np.True_, True, DT)
+    np.testing.assert_allclose(seen, gravity.tilt_matrix(wrong) @ error, atol=1e-7)
