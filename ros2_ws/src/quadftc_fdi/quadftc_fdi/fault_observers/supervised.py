@@ -26,6 +26,7 @@ from quadftc_fdi import fault_observer
 from quadftc_fdi.fault_observer import FaultObserver, correct_sample, register, without_fault
 from quadftc_fdi.supervision import (
     anchors,
+    coasting,
     fault_track,
     gravity,
     inertial_filter,
@@ -104,7 +105,8 @@ class State(NamedTuple):
     raw: Column  # share of the gyro as it is in the corrected body rate
     rejected: Mask  # the last sample was an outlier
     outliers: Vector  # outliers so far, and bursts of them
-    gravity: gravity.Gravity  # what the accelerometer knows of the tilt
+    gravity: gravity.Gravity
+    coasting: coasting.Coasting
 
 
 class Reading(NamedTuple):
@@ -179,6 +181,7 @@ class Supervised(FaultObserver):
             rejected=zeros > 1.0,
             outliers=zeros,
             gravity=gravity.start_gravity(zeros),
+            coasting=coasting.start_coasting(zeros),
         )
 
     def resumed(self, inputs: FaultObserverInputs, last: fault_observer.LastDiagnosis) -> State:
@@ -237,10 +240,20 @@ class Supervised(FaultObserver):
         special = state.faulty | odd
         verdict = changed_where(special, judge, _all_healthy(state, estimate, reading))
 
-        # 5. Correct the filter by the axes that are neither faulty nor suspect, and a faulty tilt by gravity.
+        # 5. Correct the filter by the axes that are neither faulty nor suspect. Where one is faulty, correct
+        # it by gravity, too, and by what swings with the vehicle.
         white = weights.white * sensor_noise.lasting(by_rate, known.colour)
         estimate, dx, factors = _correct(reading, verdict, odd, white, doubt)
-        felt, estimate, dx = self._feel(state, imu, estimate, verdict, dx, factors, F, doubt, dt)
+        trusted = pick(_tilted(state.faulty), False, True)
+        felt, horizontal, there = gravity.feel(
+            state.gravity, estimate.q_xyzw, imu.specific_force, imu.force_valid, trusted, dt
+        )
+
+        def coast() -> tuple[coasting.Coasting, FilterState, inertial_filter.Errors]:
+            known = _known(state, reading, verdict, felt, horizontal, there, white, doubt)
+            return coasting.coast(state.coasting, estimate, dx, factors, F, verdict.prediction, known, dt)
+
+        states, estimate, dx = changed_where(verdict.faulty, coast, (state.coasting, estimate, dx))
 
         # 6. Renew the anchors; restart the tests where what they remember no longer counts.
         earlier, promoted = anchors.update_anchors(
@@ -264,7 +277,18 @@ class Supervised(FaultObserver):
         starting = bias > STARTED**2
         raw = stacked([pick(starting, raw, raw * exp(-dt / FADING))])
         passing = reading.valid & ~reading.testable & PITCH
-        memory = noise, evidence, verdict.faulty, passing, verdict.track, raw, scores.outlier, outliers, felt
+        memory = (
+            noise,
+            evidence,
+            verdict.faulty,
+            passing,
+            verdict.track,
+            raw,
+            scores.outlier,
+            outliers,
+            felt,
+            states,
+        )
         state = State(estimate, earlier, gyro, state.gyro, activity, motion, *memory)
         report = self._report(state, imu, scores.suspect, column(starting), special, verdict, reading.sensor)
         return state, report
@@ -423,31 +447,6 @@ class Supervised(FaultObserver):
         masks = measurement.defined(prediction, estimate.P, variance, imu.attitude_valid)
         return Reading(prediction, residuals, predicted, sensor, *masks)
 
-    def _feel(
-        self,
-        state: State,
-        imu: ImuSample,
-        estimate: FilterState,
-        verdict: Verdict,
-        dx: inertial_filter.Errors,
-        factors: inertial_filter.Factors,
-        F: Transition,
-        doubt: Vector | float,
-        dt: float,
-    ) -> tuple[gravity.Gravity, FilterState, inertial_filter.Errors]:
-        """Learn what gravity says of the tilt, and correct the tilt by it where roll or pitch is faulty."""
-        tilted, before = _tilted(verdict.faulty), _tilted(state.faulty)
-        felt, horizontal = gravity.feel(
-            *(state.gravity, estimate.q_xyzw, imu.specific_force),
-            *(imu.force_valid, pick(before, False, True), dt),
-        )
-        begins = verdict.restart | pick(column(before), False, True)
-        if not isinstance(doubt, float):  # the virtual gyro's errors are others
-            begins = begins | any_of(doubt > 0.0)
-        return gravity.correct_tilt(
-            felt, estimate, dx, horizontal, F, verdict.prediction, factors, tilted, begins, dt
-        )
-
     def _report(
         self,
         state: State,
@@ -493,15 +492,39 @@ def _correct(
     ``white`` is the variance in a sample of the white noise that stands for slow errors, over that in the
     longest average.
     """
-    single, long = reading.sensor[..., sensor_noise.SAMPLE], reading.sensor[..., sensor_noise.LONG]
-    used = reading.valid & ~(verdict.faulty | odd)
+    used, noise = reading.valid & ~(verdict.faulty | odd), _noise(reading, white)
     before, prediction, residual = verdict[:3]
-    after, dx, factors = inertial_filter.correct(
-        before, prediction, residual, larger(single, long * white), used
-    )
+    after, dx, factors = inertial_filter.correct(before, prediction, residual, noise, used)
     if isinstance(doubt, float):
         return after, dx, factors
     return *inertial_filter.keep_gyro(before, after, dx, any_of(doubt > 0.0)), factors
+
+
+def _noise(reading: Reading, white: Vector) -> Vector:
+    """Variance [rad²] of white noise that is as bad for the filter as the sensor's, see `_correct`."""
+    single, long = reading.sensor[..., sensor_noise.SAMPLE], reading.sensor[..., sensor_noise.LONG]
+    return larger(single, long * white)
+
+
+def _known(
+    state: State,
+    reading: Reading,
+    verdict: Verdict,
+    felt: gravity.Gravity,
+    horizontal: gravity.Horizontal,
+    there: Flag,
+    white: Vector,
+    doubt: Vector | float,
+) -> coasting.Known:
+    """Return what is known where an axis is faulty."""
+    anew = verdict.restart
+    if not isinstance(doubt, float):  # the virtual gyro's errors are others
+        anew = anew | any_of(doubt > 0.0)
+    tilted, there = any_of(state.faulty[..., :2]), (verdict.restart | True) & column(there)
+    fresh, begins = verdict.track.samples < 1.0, anew | ~(there & tilted)
+    noise = _noise(reading, white)
+    seen = verdict.residual, noise, reading.valid, verdict.faulty
+    return coasting.Known(felt, horizontal, there, *seen, anew | ~state.faulty | fresh, begins)
 
 
 def _tilted(faulty: Mask) -> Flag:

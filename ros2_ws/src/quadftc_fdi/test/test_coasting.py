@@ -1,4 +1,4 @@
-"""Gravity holds the tilt while roll or pitch is faulty, as far as it can be believed."""
+"""Without the attitude: gravity holds the tilt where it can be believed, and the gyro is learned."""
 
 import math
 
@@ -11,7 +11,7 @@ from quadftc_model.rotations import quaternion_from_euler, rotation_between, to_
 from quadftc_model.samples import STANDARD_GRAVITY, FaultObserverInputs, ImuSample
 from quadftc_model.vehicle import load_vehicle
 
-DEG = math.pi / 180.0
+DEG, SCALE = math.pi / 180.0, 6  # place of the scale error about x in the filter's covariance
 DT, FAULT, END = 0.02, 20.0, 40.0  # s
 TIME = np.arange(round(END / DT)) * DT
 UP = np.array([0.0, 0.0, STANDARD_GRAVITY])
@@ -26,6 +26,7 @@ FLIGHTS = {
     "no accelerometer": (0.3, 0.01, 1.5, {"there": False}),
     "reads zero": (0.3, 0.01, 1.5, {"reads": 0.0 * UP}),
     "reads little": (0.3, 0.01, 1.5, {"reads": 0.005 * UP}),
+    "swings": (0.0, 0.01, 6.0, {"there": False, "swings": 0.7}),
     "good gyro": (0.0, 0.0, 0.0, {"there": False}),
     "good gyro, moves fast": (1.0, 0.0, 0.0, {}),
     "good gyro, accelerometer off": (0.0, 0.0, 0.0, {"added": OFF}),
@@ -38,13 +39,16 @@ def samples_of(flights):
     noise, white = rng.standard_normal((2, len(TIME), 3))
     samples, attitudes = [], []
     for size, little, rolling, reading in flights:
-        angles = rolling * since[:, None] * np.array([1.0, 0.0, 0.0])
+        turning = 2.0 * math.pi * reading.get("swings", 0.0)
+        rolled = rolling * (np.sin(turning * since) / turning if turning else since)
+        angles = rolled[:, None] * np.array([1.0, 0.0, 0.0])
         swing = 2.0 * math.pi * np.array([0.4, 0.55, 0.0])
         acceleration = size * swing * np.cos(swing * TIME[:, None])
         q = quaternion_from_euler(angles)
         force = to_body(q, UP + acceleration) + reading.get("added", 0.0)
         force = np.broadcast_to(reading.get("reads", force), force.shape)
-        rate = (1.0 - little) * rolling * (since > 0.0)[:, None] * np.array([1.0, 0.0, 0.0])
+        rate = (1.0 - little) * rolling * np.cos(turning * since) * (since > 0.0)
+        rate = rate[:, None] * np.array([1.0, 0.0, 0.0])
         rate = rate + 0.007 * DEG / math.sqrt(DT) * white
         measured = quaternion_from_euler(angles + 0.1 * DEG * noise + 6.0 * DEG * (since > 0.0)[:, None])
         there = np.full(len(TIME), reading.get("there", True))
@@ -69,13 +73,15 @@ def diagnose(samples, count):
 
 @pytest.fixture(scope="module")
 def flown():
-    """Largest error of the tilt [deg] during the fault, and what gravity is off by [deg], by flight."""
+    """By flight: largest error of the tilt [deg] in the fault, what gravity is off by [deg], the gyro's scale
+    error about x as it is known then, and its standard deviation."""
     samples, true = samples_of(FLIGHTS.values())
     found, state = diagnose(samples, len(TIME))
     verticals = [to_body(q, UP / STANDARD_GRAVITY) for q in (found, true)]
     error = np.linalg.norm(np.cross(*verticals), axis=-1)[TIME > FAULT].max(axis=0) / DEG
-    off = np.sqrt(state.gravity.off) / DEG
-    return dict(zip(FLIGHTS, zip(error, off, strict=True), strict=True))
+    off, scale = np.sqrt(state.gravity.off) / DEG, state.filter.x[:, 3]
+    known = np.sqrt(state.filter.P[:, SCALE, SCALE])
+    return dict(zip(FLIGHTS, zip(error, off, scale, known, strict=True), strict=True))
 
 
 def test_gravity_bounds_what_a_wrong_gyro_does_to_the_tilt(flown):
@@ -87,11 +93,18 @@ def test_gravity_bounds_what_a_wrong_gyro_does_to_the_tilt(flown):
 def test_a_reading_without_gravity_says_nothing(flown):
     for name in ("reads zero", "reads little"):
         assert flown[name] == flown["no accelerometer"]
+    assert flown["no accelerometer"][3] > 0.004
 
 
 def test_a_good_gyro_is_believed_against_gravity(flown):
     for name in ("good gyro, moves fast", "good gyro, accelerometer off"):
         assert flown[name][0] == pytest.approx(flown["good gyro"][0], abs=0.1), name
+
+
+def test_what_swings_with_the_vehicle_is_an_error_of_the_gyro(flown):
+    _, _, scale, known = flown["swings"]
+    assert known < 0.0015  # 0.005 before
+    assert scale == pytest.approx(0.01, abs=0.003)
 
 
 def test_it_learns_by_what_gravity_is_off(flown):
@@ -112,5 +125,5 @@ def test_a_tilt_error_is_seen_as_the_matrix_says():
     wrong = turn(true, -error)
     np.testing.assert_allclose(rotation_between(wrong, true), error, atol=1e-8)
     start = gravity.start_gravity(np.zeros(3))
-    _, seen = gravity.feel(start, wrong, to_body(true, UP), np.True_, True, DT)
+    _, seen, _ = gravity.feel(start, wrong, to_body(true, UP), np.True_, True, DT)
     np.testing.assert_allclose(seen, gravity.tilt_matrix(wrong) @ error, atol=1e-7)
