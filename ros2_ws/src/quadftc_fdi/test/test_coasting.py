@@ -17,7 +17,7 @@ TIME = np.arange(round(END / DT)) * DT
 UP = np.array([0.0, 0.0, STANDARD_GRAVITY])
 OBSERVER = Supervised(vehicle=load_vehicle("qball_x4"))
 OFF = np.array([0.5, -0.4, 0.0])  # m/s²; an accelerometer that is off by 2.9 and 2.3 deg
-# how fast a vehicle goes to and fro [m/s], what share its gyro reads too little, its rate of roll [rad/s]
+# how fast a vehicle goes back and forth [m/s], what share its gyro reads too little, its rate of roll [rad/s]
 # during the fault, what its accelerometer reads in place of the specific force or in addition to it
 FLIGHTS = {
     "rests": (0.0, 0.01, 1.5, {}),
