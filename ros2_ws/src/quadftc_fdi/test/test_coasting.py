@@ -54,9 +54,8 @@ def samples_of(flights):
         there = np.full(len(TIME), reading.get("there", True))
         samples.append((measured, rate, force, there | True, there | True, there))
         attitudes.append(q)
-    return ImuSample(*(np.stack(parts, axis=1) for parts in zip(*samples, strict=True))), np.stack(
-        attitudes, 1
-    )
+    together = ImuSample(*(np.stack(parts, axis=1) for parts in zip(*samples, strict=True)))
+    return together, np.stack(attitudes, axis=1)
 
 
 def diagnose(samples, count):

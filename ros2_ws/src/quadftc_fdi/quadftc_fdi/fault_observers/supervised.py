@@ -244,7 +244,7 @@ class Supervised(FaultObserver):
         # it by gravity, too, and by what swings with the vehicle.
         white = weights.white * sensor_noise.lasting(by_rate, known.colour)
         estimate, dx, factors = _correct(reading, verdict, odd, white, doubt)
-        trusted = pick(_tilted(state.faulty), False, True)
+        trusted = ~any_of(state.faulty[..., :2])[..., 0]
         felt, horizontal, there = gravity.feel(
             state.gravity, estimate.q_xyzw, imu.specific_force, imu.force_valid, trusted, dt
         )
@@ -277,18 +277,8 @@ class Supervised(FaultObserver):
         starting = bias > STARTED**2
         raw = stacked([pick(starting, raw, raw * exp(-dt / FADING))])
         passing = reading.valid & ~reading.testable & PITCH
-        memory = (
-            noise,
-            evidence,
-            verdict.faulty,
-            passing,
-            verdict.track,
-            raw,
-            scores.outlier,
-            outliers,
-            felt,
-            states,
-        )
+        memory = noise, evidence, verdict.faulty, passing, verdict.track, raw
+        memory = *memory, scores.outlier, outliers, felt, states
         state = State(estimate, earlier, gyro, state.gyro, activity, motion, *memory)
         report = self._report(state, imu, scores.suspect, column(starting), special, verdict, reading.sensor)
         return state, report
@@ -487,10 +477,9 @@ def _all_healthy(state: State, estimate: FilterState, reading: Reading) -> Verdi
 def _correct(
     reading: Reading, verdict: Verdict, odd: Mask, white: Vector, doubt: Vector | float
 ) -> tuple[FilterState, inertial_filter.Errors, inertial_filter.Factors]:
-    """Correct the filter by the axes that are neither faulty nor ``odd``; also return the correction.
+    """Correct the filter by the axes that are neither faulty nor ``odd``; also return correction and factors.
 
-    ``white`` is the variance in a sample of the white noise that stands for slow errors, over that in the
-    longest average.
+    ``white`` is of `_noise`.
     """
     used, noise = reading.valid & ~(verdict.faulty | odd), _noise(reading, white)
     before, prediction, residual = verdict[:3]
@@ -501,7 +490,11 @@ def _correct(
 
 
 def _noise(reading: Reading, white: Vector) -> Vector:
-    """Variance [rad²] of white noise that is as bad for the filter as the sensor's, see `_correct`."""
+    """Variance [rad²] of a sample for the filter.
+
+    ``white`` is the variance in a sample of the white noise that stands for slow errors, over that in the
+    longest average.
+    """
     single, long = reading.sensor[..., sensor_noise.SAMPLE], reading.sensor[..., sensor_noise.LONG]
     return larger(single, long * white)
 
@@ -518,19 +511,14 @@ def _known(
 ) -> coasting.Known:
     """Return what is known where an axis is faulty."""
     anew = verdict.restart
+    counts = column(there) | (anew & ~anew)
     if not isinstance(doubt, float):  # the virtual gyro's errors are others
-        anew = anew | any_of(doubt > 0.0)
-    tilted, there = any_of(state.faulty[..., :2]), (verdict.restart | True) & column(there)
-    fresh, begins = verdict.track.samples < 1.0, anew | ~(there & tilted)
-    noise = _noise(reading, white)
-    seen = verdict.residual, noise, reading.valid, verdict.faulty
-    return coasting.Known(felt, horizontal, there, *seen, anew | ~state.faulty | fresh, begins)
-
-
-def _tilted(faulty: Mask) -> Flag:
-    """Whether roll or pitch is faulty."""
-    roll, pitch, _ = components(faulty)
-    return roll | pitch
+        virtual = any_of(doubt > 0.0)
+        anew, counts = anew | virtual, counts & ~virtual
+    fresh = anew | ~state.faulty | (verdict.track.samples < 1.0)
+    begins = anew | ~(counts & any_of(state.faulty[..., :2]))
+    seen = verdict.residual, _noise(reading, white), reading.valid, verdict.faulty
+    return coasting.Known(felt, horizontal, counts, *seen, fresh, begins)
 
 
 def _doubt(residual: Array) -> Array:

@@ -26,7 +26,7 @@ import numpy as np
 from quadftc_fdi.supervision import inertial_filter
 from quadftc_fdi.supervision.gravity import LEAST, Gravity, Horizontal, tilt_matrix
 from quadftc_fdi.supervision.measurement import Prediction
-from quadftc_fdi.supervision.transition import SIZE, Errors, FilterState, Transition
+from quadftc_fdi.supervision.transition import ROTATION, SIZE, Errors, FilterState, Transition
 from quadftc_model import arrays
 from quadftc_model.arrays import (
     Array,
@@ -45,16 +45,15 @@ from quadftc_model.arrays import (
 LASTING = 0.1  # s; density of u over its mean square: how long a velocity lasts
 CLOSE = math.radians(0.2)  # rad; what gravity is off by at least
 MANOEUVRE = 30.0 * math.radians(1.0) ** 2  # rad²/s³; how a fault bends
-ANYWHERE, DRIFTS = (
-    0.3,
-    math.radians(3.0),
-)  # rad, rad/s; of a fault at its beginning, and of its slope, 1 sigma
+ANYWHERE = 0.3  # rad; of a fault at its beginning, 1 sigma
+DRIFTS = math.radians(3.0)  # rad/s; of its slope
 SOON, SMALLEST = 1e-9, 1e-30  # s, rad²; no less, as it divides
 MORE = 8  # states: u (2), f (3), s (3)
 ALL = SIZE + MORE
-START = np.diag([0.0] * 2 + [ANYWHERE**2] * 3 + [DRIFTS**2] * 3)
-OF_U, OF_SLOPE = np.diag([1.0] * 2 + [0.0] * 6), np.diag([0.0] * (ALL - 3) + [1.0] * 3)
+U, FAULT, SLOPE = slice(SIZE, SIZE + 2), slice(SIZE + 2, SIZE + 5), slice(SIZE + 5, ALL)
 EYE, OF_FILTER = np.eye(ALL), np.arange(ALL) < SIZE
+OF_U, OF_FAULT, OF_SLOPE = (np.diag(EYE[which].sum(axis=0)) for which in (U, FAULT, SLOPE))
+START = ANYWHERE**2 * OF_FAULT + DRIFTS**2 * OF_SLOPE
 
 
 class Coasting(NamedTuple):
@@ -69,19 +68,19 @@ class Known(NamedTuple):
 
     gravity: Gravity
     horizontal: Horizontal  # specific force over g [1]
-    felt: Mask  # (..., 1) it is there
+    felt: Mask  # (..., 1) it is there, and counts
     residual: Vector  # measured minus predicted angle before this sample's corrections [rad]
     variance: Vector  # of its noise [rad²]
     valid: Mask  # it is measured
     faulty: Mask
     fresh: Mask  # the fault begins at this sample, or jumps
-    begins: Mask  # (..., 1) neither roll nor pitch was faulty before, or no specific force was there
+    begins: Mask  # (..., 1) neither roll nor pitch was faulty before, or no specific force counts
 
 
 def start_coasting(zeros: Vector) -> Coasting:
     """Start with nothing known of them."""
     rows = namespace(zeros).zeros((*zeros.shape[:-1], MORE, ALL))
-    return Coasting(rows[..., 0], rows + np.pad(START + LEAST**2 * OF_U, ((0, 0), (SIZE, 0))))
+    return Coasting(rows[..., 0], rows + (START + LEAST**2 * OF_U)[SIZE:])
 
 
 def coast(
@@ -103,13 +102,13 @@ def coast(
     begun = _begin(_follow(state, transition, prediction, factors), known)
     mean, joint = _predict(begun, estimate, dx, known.horizontal, dt)
     # u is bounded
-    share = _share(estimate, joint, known.gravity, tilted)
+    share = _share(estimate, joint, known.gravity)
     bounded = LASTING / larger(dt, SOON) * known.gravity.motion
-    for place in (SIZE, SIZE + 1):
-        mean, joint = _correct(mean, joint, EYE[place], 0.0, bounded, tilted[..., 0], share)
+    for h in EYE[U]:
+        mean, joint = _correct(mean, joint, h, 0.0, bounded, tilted[..., 0], share)
     # the residual is the fault
     used, all_of_it = known.faulty & known.valid, xp.ones_like(share)
-    faults = np.broadcast_to(EYE[SIZE + 2 : SIZE + 5, SIZE:], (*prediction.H.shape[:-1], MORE))
+    faults = np.broadcast_to(EYE[FAULT, SIZE:], (*prediction.H.shape[:-1], MORE))
     H = xp.concatenate([prediction.H, faults], axis=-1)
     for k in range(3):
         seen = H[..., k, :], known.residual[..., k], known.variance[..., k], used[..., k]
@@ -139,12 +138,8 @@ def _begin(state: Coasting, known: Known) -> Coasting:
     """Begin anew what begins in this sample."""
     xp = namespace(state.a)
     new = xp.concatenate([known.begins, known.begins, known.fresh, known.fresh], axis=-1)
-    start = START + column(column(known.gravity.motion)) * OF_U
-    start = xp.concatenate(
-        [xp.zeros_like(state.rows[..., :SIZE]), start + 0.0 * state.rows[..., SIZE:]], axis=-1
-    )
-    filter_too = xp.concatenate([xp.zeros_like(new), xp.zeros_like(new), new], axis=-1)
-    either = new[..., :, None] | filter_too[..., None, :]
+    start = (START + column(column(known.gravity.motion)) * OF_U)[..., SIZE:, :]
+    either = new[..., :, None] | xp.concatenate([new, new, new], axis=-1)[..., None, :] & ~OF_FILTER
     return Coasting(xp.where(new, 0.0, state.a), xp.where(either, start, state.rows))
 
 
@@ -156,24 +151,22 @@ def _predict(
 
     def move(x: Array) -> Array:
         """Turn errors (..., 24, n) of before into those after the step; the filter has made it."""
-        u = x[..., SIZE : SIZE + 2, :] - dt * product(H, x[..., :3, :])
-        f, s = x[..., SIZE + 2 : SIZE + 5, :], x[..., SIZE + 5 :, :]
-        return xp.concatenate([x[..., :SIZE, :], u, f + dt * s, s], axis=-2)
+        u, s = x[..., U, :] - dt * product(H, x[..., ROTATION, :]), x[..., SLOPE, :]
+        return xp.concatenate([x[..., :SIZE, :], u, x[..., FAULT, :] + dt * s, s], axis=-2)
 
     above = xp.concatenate([estimate.P, _t(state.rows[..., :SIZE])], axis=-1)
     P = xp.concatenate([above, state.rows], axis=-2)
-    u = state.a[..., :2] + dt * stacked(horizontal)
-    f, s = state.a[..., 2:5], state.a[..., 5:]
-    mean = xp.concatenate([dx, u, f + dt * s, s], axis=-1)
+    u, f, s = state.a[..., :2], state.a[..., 2:5], state.a[..., 5:]
+    mean = xp.concatenate([dx, u + dt * stacked(horizontal), f + dt * s, s], axis=-1)
     return mean, _t(move(_t(move(P)))) + (MANOEUVRE * dt) * OF_SLOPE
 
 
-def _share(estimate: FilterState, P: Array, gravity: Gravity, tilted: Mask) -> Array:
+def _share(estimate: FilterState, P: Array, gravity: Gravity) -> Array:
     """Share of gravity's correction that the filter takes: (...,)."""
     H = tilt_matrix(estimate.q_xyzw)
-    HPH = product(product(H, P[..., :3, :3]), _t(H))
+    HPH = product(product(H, P[..., ROTATION, ROTATION]), _t(H))
     known = larger(HPH[..., 0, 0] + HPH[..., 1, 1], SMALLEST)
-    return larger(1.0 - 2.0 * larger(gravity.off, CLOSE**2) / known, 0.0 * known) * tilted[..., 0]
+    return larger(1.0 - 2.0 * larger(gravity.off, CLOSE**2) / known, 0.0 * known)
 
 
 def _correct(
@@ -181,7 +174,7 @@ def _correct(
 ) -> tuple[Array, Array]:
     """Correct all states by h x = measured + noise, where ``used``; the filter by a ``share`` of it."""
     xp = namespace(mean)
-    Ph = product(P, (h + 0.0 * mean)[..., None])[..., 0]
+    Ph = product(P, h[..., None])[..., 0]
     gain = used / ((h * Ph).sum(axis=-1) + variance)
     error = measured - (h * mean).sum(axis=-1)
     partly = xp.where(OF_FILTER, column(share), 1.0)

@@ -16,6 +16,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from quadftc_model import arrays
 from quadftc_model.arrays import (
     Flag,
@@ -29,9 +31,8 @@ from quadftc_model.arrays import (
     larger,
     namespace,
     pick,
-    stacked,
 )
-from quadftc_model.rotations import turned
+from quadftc_model.rotations import to_body, turned
 from quadftc_model.samples import STANDARD_GRAVITY
 
 LEAK = 0.5  # s; changes of velocity that are faster count as motion
@@ -40,6 +41,8 @@ LEAST = 0.1 / STANDARD_GRAVITY  # s; of u, 1 sigma at least: 0.1 m/s
 SLOW, LEARNED = 5.0, 10.0  # s; averaging time of what gravity is off by (twice), and of its mean square
 DOUBTED = math.radians(0.5)  # rad; what it is off by, at the start
 WEIGHTLESS = 0.1  # 1; share of gravity below which a specific force says nothing of the tilt
+X, Y = np.eye(3)[:2]  # axes of the earth
+
 Horizontal = tuple[Scalar, Scalar]  # components along the earth's x and y axes
 
 
@@ -101,7 +104,5 @@ def feel(
 
 def tilt_matrix(q_xyzw: Quaternion) -> Float[arrays.AnyArray, "*batch 2 3"]:
     """H: what a rotation about the body axes adds to the horizontal specific force over g."""
-    x, y, z, w = components(q_xyzw)
-    r_x = stacked([1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)])
-    r_y = stacked([2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)])
+    r_x, r_y = to_body(q_xyzw, X), to_body(q_xyzw, Y)
     return namespace(q_xyzw).stack([-r_y, r_x], axis=-2)
