@@ -6,6 +6,8 @@ a faulty axis the gyro carries the angle on: measured minus predicted angle is t
 explains the states of an axis and the reasons; the parts are in `quadftc_fdi.supervision`:
 
     inertial_filter    predict by the gyro (`transition`), correct by the healthy axes (`measurement`)
+    gravity            what the accelerometer knows of the tilt
+    coasting           correct by gravity, and learn the gyro, while an axis is faulty
     anchors            earlier states of the filter, to which it goes back
     sensor_noise       learn the noise of the attitude
     residual_tests     collect evidence, declare faults
