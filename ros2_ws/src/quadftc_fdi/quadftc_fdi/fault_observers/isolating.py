@@ -196,7 +196,8 @@ class Isolating(Supervised):
             return virtual, (monitor.bad & known) * (2.0 * CORRELATED * dt) * monitor.filter.rr
 
         gyro, doubt = changed_where(monitor.bad, go_without, (imu.body_rate, 0.0))
-        attitude, estimate = self.attitude_law.advance(before, imu, gyro, doubt, dt)
+        ambiguous = any_of(state.hypotheses.ambiguous)
+        attitude, estimate = self.attitude_law.advance(before, imu, gyro, doubt, ambiguous, dt)
 
         # whose is a fault of the attitude? Where it is the gyro's, the attitude is acquitted
         believed, monitor, flight, attitude, estimate = changed_where(

@@ -215,15 +215,21 @@ class Supervised(FaultObserver):
         """Advance by ``dt`` [s] to the sample. An absent gyro keeps its last value."""
         imu = inputs.imu
         gyro = pick(column(imu.rate_valid), imu.body_rate, state.gyro)
-        return self.advance(state, imu, gyro, 0.0, dt)
+        return self.advance(state, imu, gyro, 0.0, False, dt)
 
     def advance(
-        self, state: State, imu: ImuSample, gyro: Vector, doubt: Vector | float, dt: float
+        self,
+        state: State,
+        imu: ImuSample,
+        gyro: Vector,
+        doubt: Vector | float,
+        ambiguous: Column | bool,
+        dt: float,
     ) -> tuple[State, FaultEstimate]:
         """Advance by ``dt`` [s] on a body rate [rad/s] in place of the sample's.
 
         ``doubt`` [rad²] is what it may be wrong by in this step, as a rotation about each axis, besides the
-        noise of a gyro.
+        noise of a gyro. ``ambiguous`` (..., 1) says whether a fault may be the gyro's.
         """
         weights = residual_tests.averaging_weights(dt)
 
@@ -252,7 +258,7 @@ class Supervised(FaultObserver):
         )
 
         def coast() -> tuple[coasting.Coasting, FilterState, inertial_filter.Errors]:
-            known = _known(state, reading, verdict, felt, horizontal, there, white, doubt)
+            known = _known(state, reading, verdict, felt, horizontal, there, white, doubt, ambiguous)
             return coasting.coast(state.coasting, estimate, dx, factors, F, verdict.prediction, known, dt)
 
         states, estimate, dx = changed_where(verdict.faulty, coast, (state.coasting, estimate, dx))
@@ -510,6 +516,7 @@ def _known(
     there: Flag,
     white: Vector,
     doubt: Vector | float,
+    ambiguous: Column | bool,
 ) -> coasting.Known:
     """Return what is known where an axis is faulty."""
     anew = verdict.restart
@@ -520,7 +527,7 @@ def _known(
     fresh = anew | ~state.faulty | (verdict.track.samples < 1.0)
     begins = anew | ~(counts & any_of(state.faulty[..., :2]))
     seen = verdict.residual, _noise(reading, white), reading.valid, verdict.faulty
-    return coasting.Known(felt, horizontal, counts, *seen, fresh, begins)
+    return coasting.Known(felt, horizontal, counts, *seen, fresh, begins, ambiguous)
 
 
 def _doubt(residual: Array) -> Array:

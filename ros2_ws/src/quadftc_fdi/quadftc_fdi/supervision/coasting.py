@@ -13,7 +13,8 @@ the filter, a has the error e_a <- A e_a + G e, where G = -H dt for u. Each corr
 by the healthy axes. A fault that jumps begins anew.
 
 Gravity does not make the tilt better known than what it is off by, nor than `CLOSE`: of its correction the
-filter takes a share (consider filter, Schmidt 1966).
+filter takes a share (consider filter, Schmidt 1966). In an ambiguous fault it takes none for the delay, as a
+gyro that is late passes for an attitude that is early.
 """
 
 from __future__ import annotations
@@ -26,10 +27,11 @@ import numpy as np
 from quadftc_fdi.supervision import inertial_filter
 from quadftc_fdi.supervision.gravity import LEAST, Gravity, Horizontal, tilt_matrix
 from quadftc_fdi.supervision.measurement import Prediction
-from quadftc_fdi.supervision.transition import ROTATION, SIZE, Errors, FilterState, Transition
+from quadftc_fdi.supervision.transition import DELAY, ROTATION, SIZE, Errors, FilterState, Transition
 from quadftc_model import arrays
 from quadftc_model.arrays import (
     Array,
+    Column,
     Float,
     Mask,
     Vector,
@@ -75,6 +77,7 @@ class Known(NamedTuple):
     faulty: Mask
     fresh: Mask  # the fault begins at this sample, or jumps
     begins: Mask  # (..., 1) neither roll nor pitch was faulty before, or no specific force counts
+    ambiguous: Column | bool  # (..., 1) a fault may be the gyro's: then its delay is not learned
 
 
 def start_coasting(zeros: Vector) -> Coasting:
@@ -107,12 +110,12 @@ def coast(
     for h in EYE[U]:
         mean, joint = _correct(mean, joint, h, 0.0, bounded, tilted[..., 0], share)
     # the residual is the fault
-    used, all_of_it = known.faulty & known.valid, xp.ones_like(share)
+    used, share = known.faulty & known.valid, 1.0 - known.ambiguous * EYE[DELAY]
     faults = np.broadcast_to(EYE[FAULT, SIZE:], (*prediction.H.shape[:-1], MORE))
     H = xp.concatenate([prediction.H, faults], axis=-1)
     for k in range(3):
         seen = H[..., k, :], known.residual[..., k], known.variance[..., k], used[..., k]
-        mean, joint = _correct(mean, joint, *seen, all_of_it)
+        mean, joint = _correct(mean, joint, *seen, share)
     total = mean[..., :SIZE]
     corrected = inertial_filter.apply_correction(estimate._replace(P=joint[..., :SIZE, :SIZE]), total - dx)
     after = Coasting(mean[..., SIZE:], joint[..., SIZE:, :]), corrected, total
@@ -162,23 +165,21 @@ def _predict(
 
 
 def _share(estimate: FilterState, P: Array, gravity: Gravity) -> Array:
-    """Share of gravity's correction that the filter takes: (...,)."""
+    """Share of gravity's correction that each state takes: (..., 24)."""
     H = tilt_matrix(estimate.q_xyzw)
     HPH = product(product(H, P[..., ROTATION, ROTATION]), _t(H))
     known = larger(HPH[..., 0, 0] + HPH[..., 1, 1], SMALLEST)
-    return larger(1.0 - 2.0 * larger(gravity.off, CLOSE**2) / known, 0.0 * known)
+    share = larger(1.0 - 2.0 * larger(gravity.off, CLOSE**2) / known, 0.0 * known)
+    return namespace(P).where(OF_FILTER, column(share), 1.0)
 
 
 def _correct(
     mean: Array, P: Array, h: Array, measured: Array, variance: Array, used: Array, share: Array
 ) -> tuple[Array, Array]:
-    """Correct all states by h x = measured + noise, where ``used``; the filter by a ``share`` of it."""
-    xp = namespace(mean)
+    """Correct all states by h x = measured + noise, where ``used``: each by its ``share`` (..., 24)."""
     Ph = product(P, h[..., None])[..., 0]
     gain = used / ((h * Ph).sum(axis=-1) + variance)
     error = measured - (h * mean).sum(axis=-1)
-    partly = xp.where(OF_FILTER, column(share), 1.0)
-    both = OF_FILTER[:, None] & OF_FILTER
-    less = xp.where(both, column(column(share * (2.0 - share))), 1.0)
-    mean = mean + partly * Ph * column(gain * error)
-    return mean, P - less * column(column(gain)) * Ph[..., :, None] * Ph[..., None, :]
+    mean = mean + share * Ph * column(gain * error)
+    i, j = share[..., :, None], share[..., None, :]
+    return mean, P - (i + j - i * j) * column(column(gain)) * Ph[..., :, None] * Ph[..., None, :]
