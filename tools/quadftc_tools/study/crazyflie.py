@@ -9,7 +9,9 @@ DIR holds logs of the uSD card in ``crazyswarm2/`` (torque commands) and ``sysid
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
@@ -199,8 +201,8 @@ class Entry(NamedTuple):
 
 def run_tests(
     entries: Mapping[str, Entry], logs: Sequence[Log], fitted: Mapping[str, AccelerationModel]
-) -> Iterator[Run]:
-    """Run every test with each torque model that it takes."""
+) -> list[Run]:
+    """Run every test with each torque model that it takes, on all cores."""
     rotors = load_vehicle(VEHICLE).rotors
     by_file = AccelerationModel(np.full(3, rotors.time_constant), np.ones(3))
     models = {
@@ -209,22 +211,24 @@ def run_tests(
         "no lag": dict.fromkeys(fitted, None),
         "no torque": dict.fromkeys(fitted, by_file._replace(gain=np.zeros(3))),
     }
-    for name, entry in entries.items():
-        for model in entry.models:
-            yield Run(
-                name,
-                model,
-                {
-                    (log.group, log.name): gyro_steps.judge(
-                        entry.test,
-                        recorded(log, models[model][log.group], entry.attitude).part(
-                            slice(log.take_off if entry.airborne else 0, None)
-                        ),
-                    )
-                    for log in logs
-                    if entry.takes(log)
-                },
-            )
+    with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        jobs = [
+            (name, model, log, pool.submit(judge_log, entry, log, models[model][log.group]))
+            for name, entry in entries.items()
+            for model in entry.models
+            for log in logs
+            if entry.takes(log)
+        ]
+        results: dict[tuple[str, str], dict[tuple[str, str], Result]] = {}
+        for name, model, log, job in jobs:
+            results.setdefault((name, model), {})[log.group, log.name] = job.result()
+    return [Run(*which, of_logs) for which, of_logs in results.items()]
+
+
+def judge_log(entry: Entry, log: Log, model: AccelerationModel | None) -> Result:
+    """Run a test on a log with a torque model, from the ground or from take-off on."""
+    rows = slice(log.take_off if entry.airborne else 0, None)
+    return gyro_steps.judge(entry.test, recorded(log, model, entry.attitude).part(rows))
 
 
 def tests() -> dict[str, Entry]:
@@ -289,7 +293,7 @@ def make(directory: Path) -> dict[str, str]:
         raise ValueError(f"{directory}: no logs in {' or '.join(FITTED)}")
     logs = [read_log(path) for path in paths]
     models = fit_groups(logs)
-    runs = list(run_tests(tests(), logs, models))
+    runs = run_tests(tests(), logs, models)
     return {
         "real-gyros-model": model_table(logs, models),
         "real-gyros-innovations": innovation_table(logs, models),
