@@ -22,7 +22,7 @@ import numpy as np
 
 from quadftc_fdi.fault_observer import LastDiagnosis, register
 from quadftc_fdi.fault_observers import supervised
-from quadftc_fdi.fault_observers.supervised import Supervised
+from quadftc_fdi.fault_observers.supervised import Rate, Supervised
 from quadftc_fdi.isolation import (
     accelerometer_monitor,
     free_flight,
@@ -195,9 +195,9 @@ class Isolating(Supervised):
             known = variances(before.filter.P)[..., ROTATION] < LOST
             return virtual, (monitor.bad & known) * (2.0 * CORRELATED * dt) * monitor.filter.rr
 
-        gyro, doubt = changed_where(monitor.bad, go_without, (imu.body_rate, 0.0))
-        ambiguous = any_of(state.hypotheses.ambiguous)
-        attitude, estimate = self.attitude_law.advance(before, imu, gyro, doubt, ambiguous, dt)
+        flown, doubt = changed_where(monitor.bad, go_without, (imu.body_rate, 0.0))
+        turns = Rate(flown, doubt, any_of(state.hypotheses.ambiguous))
+        attitude, estimate = self.attitude_law.advance(before, imu, turns, dt)
 
         # whose is a fault of the attitude? Where it is the gyro's, the attitude is acquitted
         believed, monitor, flight, attitude, estimate = changed_where(

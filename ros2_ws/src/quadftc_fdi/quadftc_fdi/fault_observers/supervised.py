@@ -111,6 +111,14 @@ class State(NamedTuple):
     coasting: coasting.Coasting
 
 
+class Rate(NamedTuple):
+    """The body rate that carries the attitude on."""
+
+    value: Vector  # [rad/s]
+    doubt: Vector | float = 0.0  # [rad²] of a rotation in this step, besides the noise of a gyro; 0: a gyro's
+    ambiguous: Column | bool = False  # (..., 1) a fault may be the gyro's
+
+
 class Reading(NamedTuple):
     """A measured attitude beside the predicted ones."""
 
@@ -215,31 +223,19 @@ class Supervised(FaultObserver):
         """Advance by ``dt`` [s] to the sample. An absent gyro keeps its last value."""
         imu = inputs.imu
         gyro = pick(column(imu.rate_valid), imu.body_rate, state.gyro)
-        return self.advance(state, imu, gyro, 0.0, False, dt)
+        return self.advance(state, imu, Rate(gyro), dt)
 
-    def advance(
-        self,
-        state: State,
-        imu: ImuSample,
-        gyro: Vector,
-        doubt: Vector | float,
-        ambiguous: Column | bool,
-        dt: float,
-    ) -> tuple[State, FaultEstimate]:
-        """Advance by ``dt`` [s] on a body rate [rad/s] in place of the sample's.
-
-        ``doubt`` [rad²] is what it may be wrong by in this step, as a rotation about each axis, besides the
-        noise of a gyro. ``ambiguous`` (..., 1) says whether a fault may be the gyro's.
-        """
+    def advance(self, state: State, imu: ImuSample, rate: Rate, dt: float) -> tuple[State, FaultEstimate]:
+        """Advance by ``dt`` [s] on a body rate in place of the sample's."""
         weights = residual_tests.averaging_weights(dt)
 
         # 1. Predict: the gyro carries filter and anchors to this sample.
-        estimate, earlier, P, F, omega, activity, motion = self._predict(state, gyro, doubt, dt)
+        estimate, earlier, P, F, omega, activity, motion = self._predict(state, rate, dt)
 
         # 2. Test the residuals of the trusted axes, and learn from healthy ones.
         by_rate, known = sensor_noise.rate_weights(activity), state.noise
         reading = self._compare(estimate, earlier, P, imu, omega, known)
-        evidence, scores, trusted, odd, noise = self._test(state, reading, by_rate, doubt, weights, dt)
+        evidence, scores, trusted, odd, noise = self._test(state, reading, by_rate, rate, weights, dt)
 
         # 3. Declare faults; 4. track them, and judge which axes are trusted again, where there may be any.
         def judge() -> Verdict:
@@ -251,14 +247,14 @@ class Supervised(FaultObserver):
         # 5. Correct the filter by the axes that are neither faulty nor suspect. Where one is faulty, correct
         # it by gravity, too, and by what swings with the vehicle.
         white = weights.white * sensor_noise.lasting(by_rate, known.colour)
-        estimate, dx, factors = _correct(reading, verdict, odd, white, doubt)
+        estimate, dx, factors = _correct(reading, verdict, odd, white, rate)
         trusted = ~any_of(state.faulty[..., :2])[..., 0]
         felt, horizontal, there = gravity.feel(
             state.gravity, estimate.q_xyzw, imu.specific_force, imu.force_valid, trusted, dt
         )
 
         def coast() -> tuple[coasting.Coasting, FilterState, inertial_filter.Errors]:
-            known = _known(state, reading, verdict, felt, horizontal, there, white, doubt, ambiguous)
+            known = _known(state, reading, verdict, felt, horizontal, there, white, rate)
             return coasting.coast(state.coasting, estimate, dx, factors, F, verdict.prediction, known, dt)
 
         states, estimate, dx = changed_where(verdict.faulty, coast, (state.coasting, estimate, dx))
@@ -287,7 +283,7 @@ class Supervised(FaultObserver):
         passing = reading.valid & ~reading.testable & PITCH
         memory = noise, evidence, verdict.faulty, passing, verdict.track, raw
         memory = *memory, scores.outlier, outliers, felt, states
-        state = State(estimate, earlier, gyro, state.gyro, activity, motion, *memory)
+        state = State(estimate, earlier, rate.value, state.gyro, activity, motion, *memory)
         report = self._report(state, imu, scores.suspect, column(starting), special, verdict, reading.sensor)
         return state, report
 
@@ -296,7 +292,7 @@ class Supervised(FaultObserver):
         state: State,
         reading: Reading,
         by_rate: sensor_noise.Weights,
-        doubt: Vector | float,
+        rate: Rate,
         weights: residual_tests.AveragingWeights,
         dt: float,
     ) -> tuple[residual_tests.Evidence, residual_tests.Scores, Mask, Mask, sensor_noise.SensorNoise]:
@@ -319,8 +315,8 @@ class Supervised(FaultObserver):
         )
         odd = scores.suspect | scores.outlier
         sound = trusted & ~odd
-        if not isinstance(doubt, float):
-            sound = sound & (doubt == 0.0)
+        if not isinstance(rate.doubt, float):
+            sound = sound & (rate.doubt == 0.0)
         noise = sensor_noise.learn_noise(known, squares, gain, spread, by_rate, sound, dt)
         return evidence, scores, trusted, odd, noise
 
@@ -398,12 +394,13 @@ class Supervised(FaultObserver):
         return inertial_filter.start_covariance(UNKNOWN * sensor_noise.WHITE, *gyro, self.delay)
 
     def _predict(
-        self, state: State, gyro: Array, doubt: Array, dt: float
+        self, state: State, rate: Rate, dt: float
     ) -> tuple[FilterState, anchors.Anchors, Covariances, Transition, Vector, Column, Column]:
         """Carry filter and anchors by the mean of two gyro samples.
 
         Also return their covariances together, the transition, rate, activity and motion.
         """
+        gyro = rate.value
         omega, change = estimate_rate(state.filter.x, gyro), gyro - state.gyro
         turning, measured = length(omega), length(gyro)
         (activity,), (before,) = components(state.activity), components(state.motion)
@@ -420,7 +417,7 @@ class Supervised(FaultObserver):
         rotation = changed_where(dt > GAP, widen, walk)
         bias = self.gyro_bias_walk**2 * dt + self.gyro_shift**2 * abs(motion - before)
         scale = self.gyro_scale_walk**2 * measured * dt
-        noise = ProcessNoise(column(rotation) + doubt, column(bias), column(scale))
+        noise = ProcessNoise(column(rotation) + rate.doubt, column(bias), column(scale))
         mean = gyro - 0.5 * change
         estimate, P, F = inertial_filter.predict(state.filter, state.anchors.P, mean, change, noise, dt)
         corrections, age = F.of(state.anchors.corrections), state.anchors.age
@@ -483,7 +480,7 @@ def _all_healthy(state: State, estimate: FilterState, reading: Reading) -> Verdi
 
 
 def _correct(
-    reading: Reading, verdict: Verdict, odd: Mask, white: Vector, doubt: Vector | float
+    reading: Reading, verdict: Verdict, odd: Mask, white: Vector, rate: Rate
 ) -> tuple[FilterState, inertial_filter.Errors, inertial_filter.Factors]:
     """Correct the filter by the axes that are neither faulty nor ``odd``; also return correction and factors.
 
@@ -492,9 +489,9 @@ def _correct(
     used, noise = reading.valid & ~(verdict.faulty | odd), _noise(reading, white)
     before, prediction, residual = verdict[:3]
     after, dx, factors = inertial_filter.correct(before, prediction, residual, noise, used)
-    if isinstance(doubt, float):
+    if isinstance(rate.doubt, float):
         return after, dx, factors
-    return *inertial_filter.keep_gyro(before, after, dx, any_of(doubt > 0.0)), factors
+    return *inertial_filter.keep_gyro(before, after, dx, any_of(rate.doubt > 0.0)), factors
 
 
 def _noise(reading: Reading, white: Vector) -> Vector:
@@ -515,19 +512,18 @@ def _known(
     horizontal: gravity.Horizontal,
     there: Flag,
     white: Vector,
-    doubt: Vector | float,
-    ambiguous: Column | bool,
+    rate: Rate,
 ) -> coasting.Known:
     """Return what is known where an axis is faulty."""
     anew = verdict.restart
     counts = column(there) | (anew & ~anew)
-    if not isinstance(doubt, float):  # the virtual gyro's errors are others
-        virtual = any_of(doubt > 0.0)
+    if not isinstance(rate.doubt, float):  # the virtual gyro's errors are others
+        virtual = any_of(rate.doubt > 0.0)
         anew, counts = anew | virtual, counts & ~virtual
     fresh = anew | ~state.faulty | (verdict.track.samples < 1.0)
     begins = anew | ~(counts & any_of(state.faulty[..., :2]))
     seen = verdict.residual, _noise(reading, white), reading.valid, verdict.faulty
-    return coasting.Known(felt, horizontal, counts, *seen, fresh, begins, ambiguous)
+    return coasting.Known(felt, horizontal, counts, *seen, fresh, begins, rate.ambiguous)
 
 
 def _doubt(residual: Array) -> Array:
