@@ -13,8 +13,8 @@ the filter, a has the error e_a <- A e_a + G e, where G = -H dt for u. Each corr
 by the healthy axes. A fault that jumps begins anew.
 
 Gravity does not make the tilt better known than what it is off by, nor than `CLOSE`: of its correction the
-filter takes a share (consider filter, Schmidt 1966). In an ambiguous fault it takes none for the delay, as a
-gyro that is late passes for an attitude that is early.
+filter takes a share (consider filter, Schmidt 1966). The residual of an
+ambiguous fault does not correct the delay, as a gyro that is late passes for an attitude that is early.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ class Known(NamedTuple):
     faulty: Mask
     fresh: Mask  # the fault begins at this sample, or jumps
     begins: Mask  # (..., 1) neither roll nor pitch was faulty before, or no specific force counts
-    ambiguous: Column | bool  # (..., 1) a fault may be the gyro's: then its delay is not learned
+    ambiguous: Column | bool  # (..., 1) a fault may be the gyro's: then the delay is not learned
 
 
 def start_coasting(zeros: Vector) -> Coasting:
