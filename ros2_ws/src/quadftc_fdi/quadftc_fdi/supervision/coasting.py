@@ -24,23 +24,34 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_fdi.supervision import inertial_filter
+from quadftc_fdi.supervision import inertial_filter, measurement
 from quadftc_fdi.supervision.gravity import LEAST, Gravity, Horizontal, tilt_matrix
-from quadftc_fdi.supervision.measurement import Prediction
-from quadftc_fdi.supervision.transition import DELAY, ROTATION, SIZE, Errors, FilterState, Transition
+from quadftc_fdi.supervision.measurement import MEASURED, Prediction
+from quadftc_fdi.supervision.transition import (
+    DELAY,
+    ROTATION,
+    SIZE,
+    Covariance,
+    Errors,
+    FilterState,
+    Transition,
+)
 from quadftc_model import arrays
 from quadftc_model.arrays import (
     Array,
     Column,
     Float,
     Mask,
+    Scalar,
     Vector,
     any_of,
     chosen,
     column,
+    components,
     larger,
     namespace,
     product,
+    root,
     stacked,
 )
 
@@ -51,18 +62,18 @@ ANYWHERE = 0.3  # rad; of a fault at its beginning, 1 sigma
 DRIFTS = math.radians(3.0)  # rad/s; of its slope
 SOON, SMALLEST = 1e-9, 1e-30  # s, rad²; no less, as it divides
 MORE = 8  # states: u (2), f (3), s (3)
-ALL = SIZE + MORE
-U, FAULT, SLOPE = slice(SIZE, SIZE + 2), slice(SIZE + 2, SIZE + 5), slice(SIZE + 5, ALL)
-EYE, OF_FILTER = np.eye(ALL), np.arange(ALL) < SIZE
-OF_U, OF_FAULT, OF_SLOPE = (np.diag(EYE[which].sum(axis=0)) for which in (U, FAULT, SLOPE))
+U, FAULT, SLOPE = slice(0, 2), slice(2, 5), slice(5, MORE)
+OF_U, OF_FAULT, OF_SLOPE = (np.diag(np.eye(MORE)[which].sum(axis=0)) for which in (U, FAULT, SLOPE))
 START = ANYWHERE**2 * OF_FAULT + DRIFTS**2 * OF_SLOPE
+OF_DELAY = np.eye(SIZE)[DELAY]
 
 
 class Coasting(NamedTuple):
     """The states a besides, which mean something only while an axis is faulty."""
 
     a: Float[arrays.AnyArray, "*batch 8"]  # u [s], f [rad], s [rad/s]
-    rows: Float[arrays.AnyArray, "*batch 8 24"]  # covariances with the filter's errors and one another
+    cross: Float[arrays.AnyArray, "*batch 8 16"]  # covariance of their errors with those of the filter
+    own: Float[arrays.AnyArray, "*batch 8 8"]  # and with one another
 
 
 class Known(NamedTuple):
@@ -80,10 +91,18 @@ class Known(NamedTuple):
     ambiguous: Column | bool  # (..., 1) a fault may be the gyro's: then the delay is not learned
 
 
+class Joint(NamedTuple):
+    """The filter's states, by their correction so far, with a."""
+
+    dx: Errors
+    P: Covariance
+    more: Coasting
+
+
 def start_coasting(zeros: Vector) -> Coasting:
     """Start with nothing known of them."""
-    rows = namespace(zeros).zeros((*zeros.shape[:-1], MORE, ALL))
-    return Coasting(rows[..., 0], rows + (START + LEAST**2 * OF_U)[SIZE:])
+    cross = namespace(zeros).zeros((*zeros.shape[:-1], MORE, SIZE))
+    return Coasting(cross[..., 0], cross, cross[..., :MORE] + (START + LEAST**2 * OF_U))
 
 
 def coast(
@@ -101,25 +120,12 @@ def coast(
     ``dx`` and ``factors`` are those of the correction by healthy axes (`inertial_filter.correct`). Return dx
     with what is corrected here.
     """
-    xp, tilted = namespace(dx), known.felt & any_of(known.faulty[..., :2])
     begun = _begin(_follow(state, transition, prediction, factors), known)
-    mean, joint = _predict(begun, estimate, dx, known.horizontal, dt)
-    # u is bounded
-    share = _share(estimate, joint, known.gravity)
-    bounded = LASTING / larger(dt, SOON) * known.gravity.motion
-    for h in EYE[U]:
-        mean, joint = _correct(mean, joint, h, 0.0, bounded, tilted[..., 0], share)
-    # the residual is the fault
-    used, share = known.faulty & known.valid, 1.0 - known.ambiguous * EYE[DELAY]
-    faults = np.broadcast_to(EYE[FAULT, SIZE:], (*prediction.H.shape[:-1], MORE))
-    H = xp.concatenate([prediction.H, faults], axis=-1)
-    for k in range(3):
-        seen = H[..., k, :], known.residual[..., k], known.variance[..., k], used[..., k]
-        mean, joint = _correct(mean, joint, *seen, share)
-    total = mean[..., :SIZE]
-    corrected = inertial_filter.apply_correction(estimate._replace(P=joint[..., :SIZE, :SIZE]), total - dx)
-    after = Coasting(mean[..., SIZE:], joint[..., SIZE:, :]), corrected, total
-    return chosen(any_of(known.faulty)[..., 0], after, (state, estimate, dx))
+    joint = Joint(dx, estimate.P, _predict(begun, estimate, known.horizontal, dt))
+    joint = _correct_by_gravity(joint, estimate, known, dt)
+    joint = _correct_by_faults(joint, prediction, known)
+    corrected = inertial_filter.apply_correction(estimate._replace(P=joint.P), joint.dx - dx)
+    return chosen(any_of(known.faulty)[..., 0], (joint.more, corrected, joint.dx), (state, estimate, dx))
 
 
 def _t(matrix: Array) -> Array:
@@ -130,56 +136,87 @@ def _follow(
     state: Coasting, transition: Transition, prediction: Prediction, factors: inertial_filter.Factors
 ) -> Coasting:
     """Follow the filter's prediction, and its correction by the healthy axes."""
-    cross, aa = transition.of(_t(state.rows[..., :SIZE])), state.rows[..., SIZE:]
-    W_a = product(product(_t(cross), _t(prediction.H)), factors)
-    W, W_a, more = product(prediction.PH, factors[..., :3]), W_a[..., :3], W_a[..., 3]
-    cross, aa = cross - product(W, _t(W_a)), aa - product(W_a, _t(W_a))
-    return Coasting(state.a + more, namespace(aa).concatenate([_t(cross), aa], axis=-1))
+    cross = _t(transition.of(_t(state.cross)))
+    W_more = product(product(cross, _t(prediction.H), MEASURED), factors)
+    W, W_a, more = product(prediction.PH, factors[..., :3]), W_more[..., :3], W_more[..., 3]
+    return Coasting(state.a + more, cross - product(W_a, _t(W)), state.own - product(W_a, _t(W_a)))
 
 
 def _begin(state: Coasting, known: Known) -> Coasting:
     """Begin anew what begins in this sample."""
     xp = namespace(state.a)
     new = xp.concatenate([known.begins, known.begins, known.fresh, known.fresh], axis=-1)
-    start = (START + column(column(known.gravity.motion)) * OF_U)[..., SIZE:, :]
-    either = new[..., :, None] | xp.concatenate([new, new, new], axis=-1)[..., None, :] & ~OF_FILTER
-    return Coasting(xp.where(new, 0.0, state.a), xp.where(either, start, state.rows))
+    start, rows = START + column(column(known.gravity.motion)) * OF_U, new[..., :, None]
+    return Coasting(
+        xp.where(new, 0.0, state.a),
+        xp.where(rows, 0.0, state.cross),
+        xp.where(rows | new[..., None, :], start, state.own),
+    )
 
 
-def _predict(
-    state: Coasting, estimate: FilterState, dx: Errors, horizontal: Horizontal, dt: float
-) -> tuple[Array, Array]:
-    """Return all states and their covariance, the filter's and a; the former are its correction dx so far."""
-    xp, H = namespace(dx), tilt_matrix(estimate.q_xyzw)
+def _predict(state: Coasting, estimate: FilterState, horizontal: Horizontal, dt: float) -> Coasting:
+    """Move a; the filter has made its step. E[a e'] <- A E[a e'] + G P, and E[a a'] likewise."""
+    xp, G = namespace(state.a), -dt * tilt_matrix(estimate.q_xyzw)
 
-    def move(x: Array) -> Array:
-        """Turn errors (..., 24, n) of before into those after the step; the filter has made it."""
-        u, s = x[..., U, :] - dt * product(H, x[..., ROTATION, :]), x[..., SLOPE, :]
-        return xp.concatenate([x[..., :SIZE, :], u, x[..., FAULT, :] + dt * s, s], axis=-2)
+    def move(x: Array) -> Array:  # A x of columns (..., 8, n)
+        return xp.concatenate(
+            [x[..., U, :], x[..., FAULT, :] + dt * x[..., SLOPE, :], x[..., SLOPE, :]], axis=-2
+        )
 
-    above = xp.concatenate([estimate.P, _t(state.rows[..., :SIZE])], axis=-1)
-    P = xp.concatenate([above, state.rows], axis=-2)
-    u, f, s = state.a[..., :2], state.a[..., 2:5], state.a[..., 5:]
-    mean = xp.concatenate([dx, u + dt * stacked(horizontal), f + dt * s, s], axis=-1)
-    return mean, _t(move(_t(move(P)))) + (MANOEUVRE * dt) * OF_SLOPE
+    def add(x: Array, to_u: Array) -> Array:
+        return xp.concatenate([x[..., U, :] + to_u, x[..., U.stop :, :]], axis=-2)
+
+    moved = move(state.cross)
+    cross = add(moved, product(G, estimate.P[..., ROTATION, :]))
+    own = add(move(_t(move(state.own))), product(G, _t(moved[..., ROTATION])))
+    own = add(_t(own), product(G, _t(cross[..., ROTATION]))) + (MANOEUVRE * dt) * OF_SLOPE
+    driven = xp.concatenate([dt * stacked(horizontal), 0.0 * state.a[..., U.stop :]], axis=-1)
+    return Coasting(move(state.a[..., None])[..., 0] + driven, cross, own)
 
 
-def _share(estimate: FilterState, P: Array, gravity: Gravity) -> Array:
-    """Share of gravity's correction that each state takes: (..., 24)."""
+def _correct_by_gravity(joint: Joint, estimate: FilterState, known: Known, dt: float) -> Joint:
+    """Correct by what is known of u: it is bounded."""
+    tilted = (known.felt & any_of(known.faulty[..., :2]))[..., 0]
+    bounded = LASTING / larger(dt, SOON) * known.gravity.motion
+    share = stacked([_share(estimate, known.gravity)])
+    for k in range(U.stop):
+        a, cross, own = joint.more
+        variance = own[..., k, k] + bounded
+        factors = stacked([tilted / root(variance), tilted * -a[..., k] / variance])[..., None, :]
+        joint = _correct(joint, cross[..., k, :, None], own[..., k, None], factors, share)
+    return joint
+
+
+def _share(estimate: FilterState, gravity: Gravity) -> Scalar:
+    """Share of gravity's correction that the filter takes."""
     H = tilt_matrix(estimate.q_xyzw)
-    HPH = product(product(H, P[..., ROTATION, ROTATION]), _t(H))
+    HPH = product(product(H, estimate.P[..., ROTATION, ROTATION]), _t(H))
     known = larger(HPH[..., 0, 0] + HPH[..., 1, 1], SMALLEST)
-    share = larger(1.0 - 2.0 * larger(gravity.off, CLOSE**2) / known, 0.0 * known)
-    return namespace(P).where(OF_FILTER, column(share), 1.0)
+    return larger(1.0 - 2.0 * larger(gravity.off, CLOSE**2) / known, 0.0 * known)
 
 
-def _correct(
-    mean: Array, P: Array, h: Array, measured: Array, variance: Array, used: Array, share: Array
-) -> tuple[Array, Array]:
-    """Correct all states by h x = measured + noise, where ``used``: each by its ``share`` (..., 24)."""
-    Ph = product(P, h[..., None])[..., 0]
-    gain = used / ((h * Ph).sum(axis=-1) + variance)
-    error = measured - (h * mean).sum(axis=-1)
-    mean = mean + share * Ph * column(gain * error)
+def _correct_by_faults(joint: Joint, prediction: Prediction, known: Known) -> Joint:
+    """Correct by the residuals of faulty axes: each is the fault."""
+    H, (a, cross, own), used = prediction.H, joint.more, known.faulty & known.valid
+    PH = product(joint.P, _t(H), MEASURED) + _t(cross[..., FAULT, :])
+    own_H = product(cross, _t(H), MEASURED) + own[..., FAULT]
+    HPH = product(H, PH, MEASURED) + own_H[..., FAULT, :]
+    error = known.residual - measurement.turned_angles(prediction, joint.dx) - a[..., FAULT]
+    factors = inertial_filter.correction_factors(HPH, components(known.variance), 0.0, error, used)
+    return _correct(joint, PH, own_H, factors, 1.0 - known.ambiguous * OF_DELAY)
+
+
+def _correct(joint: Joint, PH: Array, own_H: Array, factors: Array, share: Array) -> Joint:
+    """Correct all states by n measurements: the filter's by a ``share`` (..., 16) or (..., 1).
+
+    ``PH`` (..., 16, n) and ``own_H`` (..., 8, n) are their covariances with what is measured, ``factors``
+    (..., n, n + 1) as in `inertial_filter.correct`.
+    """
+    W_dx, W_da, (a, cross, own) = product(PH, factors), product(own_H, factors), joint.more
+    W, W_a = W_dx[..., :-1], W_da[..., :-1]
     i, j = share[..., :, None], share[..., None, :]
-    return mean, P - (i + j - i * j) * column(column(gain)) * Ph[..., :, None] * Ph[..., None, :]
+    return Joint(
+        joint.dx + share * W_dx[..., -1],
+        joint.P - (i + j - i * j) * product(W, _t(W)),
+        Coasting(a + W_da[..., -1], cross - product(W_a, _t(W)), own - product(W_a, _t(W_a))),
+    )

@@ -135,21 +135,30 @@ def correct(
 ) -> tuple[FilterState, Errors, Factors]:
     """Correct by the axes that are used: residual h - h^ [rad], diagonal of R [rad²]; return dx, too.
 
-    The factors (..., 3, 4) are L'^-1 and S^-1 (h - h^), for what else is correlated with the angles.
+    The factors are those of `correction_factors`, for what else is correlated with the angles.
     """
-    # With S = L L' and W = P H' L'^-1: K = W L^-1, and K S K' = W W' is symmetric to the last bit.
-    (i, j, k), (u, v, w), (x, y, z) = components(used), components(variance), components(residual)
-    bent, bent_pitch = _second_order(prediction, state.P)
-    R = pick(i, u + bent, LEFT_OUT), pick(j, v + bent_pitch, LEFT_OUT), pick(k, w + bent, LEFT_OUT)
-    a, b, c, d, e, f = _inverse_cholesky(prediction.HPH, R, prediction.lean)
-    x, y, z = x * i, y * j, z * k
-    zero, u, v, w = 0.0 * a, a * x, b * x + c * y, d * x + e * y + f * z
-    rows = [a, b, d, a * u + b * v + d * w, zero, c, e, c * v + e * w, zero, zero, f, f * w]
-    factors = stacked(rows).reshape(*residual.shape, 4)
+    # With W = P H' L'^-1: K = W L^-1, and K S K' = W W' is symmetric to the last bit.
+    (u, v, w), (bent, bent_pitch) = components(variance), _second_order(prediction, state.P)
+    R = u + bent, v + bent_pitch, w + bent
+    factors = correction_factors(prediction.HPH, R, prediction.lean, residual, used)
     W_dx = product(prediction.PH, factors)
     W, dx = W_dx[..., :3], W_dx[..., 3]
     P = state.P - product(W, W.swapaxes(-1, -2))
     return apply_correction(FilterState(state.q_xyzw, state.x, P), dx), dx, factors
+
+
+def correction_factors(HPH: Array, R: Sequence[Array], lean: Array, residual: Vector, used: Mask) -> Factors:
+    """L'^-1 and S^-1 (h - h^), with S = L L' = H P H' + R, of the residual h - h^ where it is used.
+
+    R is given by its diagonal and the sine s of pitch.
+    """
+    (i, j, k), (u, v, w), (x, y, z) = components(used), R, components(residual)
+    R = pick(i, u, LEFT_OUT), pick(j, v, LEFT_OUT), pick(k, w, LEFT_OUT)
+    a, b, c, d, e, f = _inverse_cholesky(HPH, R, lean)
+    x, y, z = x * i, y * j, z * k
+    zero, u, v, w = 0.0 * a, a * x, b * x + c * y, d * x + e * y + f * z
+    rows = [a, b, d, a * u + b * v + d * w, zero, c, e, c * v + e * w, zero, zero, f, f * w]
+    return stacked(rows).reshape(*residual.shape, 4)
 
 
 def keep_gyro(before: FilterState, after: FilterState, dx: Errors, kept: Mask) -> tuple[FilterState, Errors]:
