@@ -10,8 +10,10 @@ explains the states of an axis and the reasons; the parts are in `quadftc_fdi.su
     coasting           correct by gravity, and learn the gyro, while an axis is faulty
     anchors            earlier states of the filter, to which it goes back
     sensor_noise       learn the noise of the attitude
+    reading            the measured attitude beside the predicted ones
     residual_tests     collect evidence, declare faults
     fault_track        follow the fault, judge when the axis is trusted again
+    judgement          both, where an axis is faulty or suspect
 
 The noise of the attitude is learned. What is assumed of the gyro fits MEMS IMUs of every grade.
 """
@@ -36,7 +38,9 @@ from quadftc_fdi.supervision import (
     residual_tests,
     sensor_noise,
 )
-from quadftc_fdi.supervision.inertial_filter import GAP, bias_variance, estimate_rate
+from quadftc_fdi.supervision.inertial_filter import GAP, estimate_rate
+from quadftc_fdi.supervision.judgement import STARTED, Limits, Tested, Verdict, all_healthy, judge
+from quadftc_fdi.supervision.reading import Reading, compare, noise_of
 from quadftc_fdi.supervision.transition import (
     BIAS,
     SIZE,
@@ -67,14 +71,11 @@ from quadftc_model.arrays import (
     stacked,
 )
 from quadftc_model.parameters import parameter
-from quadftc_model.rotations import euler_from_quaternion
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample
 
 DEG = math.pi / 180.0
 UNKNOWN = 10.0  # 1; standard deviations of the attitude's noise: as good as nothing known
-STARTED = 0.1 * DEG  # rad/s; the gyro bias is known to this when the observer has started
 KEPT = 0.05 * DEG  # rad/s; a gyro bias taken over from an observer that has died is known to this
-SHORT = 2.0  # s; a fault that ends sooner was none
 RESTING, MOVING = 0.2, 0.6  # rad/s; a vehicle rests below, and moves above, as far as slow errors go
 MOVED = 2.0  # s; how long it counts as moving afterwards (time constant)
 FADING = 2.0  # s; in which a new gyro bias leaves the corrected rate: at once, it would jolt the flight
@@ -82,10 +83,7 @@ KNOCK = 0.5  # rad/s; a rate that bends by more from sample to sample has passag
 MISSED = 0.3  # 1; share of such a bend that is missed
 HEALTHY = np.uint8(samples.HEALTHY)
 PITCH = np.array([False, True, False])
-POLE = 4.0  # 1; variance of roll and yaw over that at level, from which a pole is close: 60 deg of pitch
 SHOWN = 0.3  # 1; share of the recovery time from which an axis is shown as recovering
-# covariance of what a wrong rotation has spoiled: itself, the bias (at 0.1 rad/s), the alignment
-SPOILED = np.diag([1.0] * 3 + [0.1**2] * 3 + [1.0] * 9 + [0.0])
 # which part of a covariance is neither of the rotation nor of the bias
 OF_REST = np.outer(np.arange(SIZE) >= BIAS.stop, np.arange(SIZE) >= BIAS.stop)
 
@@ -119,34 +117,6 @@ class Rate(NamedTuple):
     ambiguous: Column | bool = False  # (..., 1) a fault may be the gyro's
 
 
-class Reading(NamedTuple):
-    """A measured attitude beside the predicted ones."""
-
-    prediction: measurement.Prediction
-    residuals: anchors.Residuals  # [rad] of the filter and the anchors
-    predicted: anchors.Predicted  # variances [rad²] of the angles that these predict
-    sensor: sensor_noise.Statistics  # variances [rad²] of the sensor in the tests
-    valid: Mask  # measured, and can correct the filter
-    testable: Mask
-
-
-class Verdict(NamedTuple):
-    """What is judged of each axis, and where the filter is then."""
-
-    estimate: FilterState
-    prediction: measurement.Prediction
-    residual: Vector  # [rad]
-    predicted: Vector  # variances of the predicted angles [rad²]
-    bias: Column  # variance of the gyro bias [rad²/s²]
-    faulty: Mask
-    recovered: Mask  # trusted again
-    short: Mask  # trusted again so soon that there was no fault
-    alarm: anchors.One  # a fault is declared
-    hold: anchors.One  # an axis is suspect: no anchor is given up
-    restart: anchors.One  # the filter has gone back or was wrong: anchors and tests restart
-    track: fault_track.Track
-
-
 @register("supervised")
 class Supervised(FaultObserver):
     """Estimates the gyro's errors while an axis is healthy, and dead-reckons it while it is not."""
@@ -169,6 +139,10 @@ class Supervised(FaultObserver):
     tracking: float = parameter(0.06, unit="s", low=1e-3, doc="averaging time of the estimate of a fault")
     recovery: float = parameter(0.6, unit="s", low=0.0, doc="how long a faulty axis must look healthy")
     patience: float = parameter(120.0, unit="s", low=1.0, doc="after which a fault that stands still ends")
+
+    @property
+    def _limits(self) -> Limits:
+        return Limits(self.threshold, self.tracking, self.recovery, self.patience)
 
     def init(self, inputs: FaultObserverInputs) -> State:
         """Start on the measurement, with the gyro unknown but for its data sheet."""
@@ -234,15 +208,15 @@ class Supervised(FaultObserver):
 
         # 2. Test the residuals of the trusted axes, and learn from healthy ones.
         by_rate, known = sensor_noise.rate_weights(activity), state.noise
-        reading = self._compare(estimate, earlier, P, imu, omega, known)
-        evidence, scores, trusted, odd, noise = self._test(state, reading, by_rate, rate, weights, dt)
+        reading = compare(estimate, earlier, P, imu, omega, known)
+        tested = self._test(state, reading, by_rate, rate, weights, dt)
+        evidence, scores, _, odd, noise = tested
 
         # 3. Declare faults; 4. track them, and judge which axes are trusted again, where there may be any.
-        def judge() -> Verdict:
-            return self._judge(state, estimate, earlier, reading, evidence, scores, trusted, by_rate, dt)
-
+        seen = state.faulty, state.track, estimate, earlier, reading, tested, known, by_rate, dt
         special = state.faulty | odd
-        verdict = changed_where(special, judge, _all_healthy(state, estimate, reading))
+        healthy = all_healthy(state.faulty, state.track, estimate, reading)
+        verdict = changed_where(special, lambda: judge(self._limits, *seen), healthy)
 
         # 5. Correct the filter by the axes that are neither faulty nor suspect. Where one is faulty, correct
         # it by gravity, too, and by what swings with the vehicle.
@@ -295,11 +269,8 @@ class Supervised(FaultObserver):
         rate: Rate,
         weights: residual_tests.AveragingWeights,
         dt: float,
-    ) -> tuple[residual_tests.Evidence, residual_tests.Scores, Mask, Mask, sensor_noise.SensorNoise]:
-        """Test the residuals of the trusted axes, and learn from those that are healthy.
-
-        Also return which axes are trusted, and which are suspect or outliers.
-        """
+    ) -> Tested:
+        """Test the residuals of the trusted axes, and learn from those that are healthy."""
         known, gain = state.noise, reading.prediction.gain
         spread = product(reading.predicted, weights.predicted) * known.seen
         trusted = ~state.faulty & reading.testable
@@ -318,65 +289,7 @@ class Supervised(FaultObserver):
         if not isinstance(rate.doubt, float):
             sound = sound & (rate.doubt == 0.0)
         noise = sensor_noise.learn_noise(known, squares, gain, spread, by_rate, sound, dt)
-        return evidence, scores, trusted, odd, noise
-
-    def _judge(
-        self,
-        state: State,
-        estimate: FilterState,
-        earlier: anchors.Anchors,
-        reading: Reading,
-        evidence: residual_tests.Evidence,
-        scores: residual_tests.Scores,
-        trusted: Mask,
-        by_rate: sensor_noise.Weights,
-        dt: float,
-    ) -> Verdict:
-        """Declare faults, follow those that are there, and judge which axes are trusted again."""
-        # Go back to an anchor where a fault was found late, as it has misled the filter.
-        found = residual_tests.declare_faults(scores, evidence.suspicion, trusted, self.threshold)
-        faulty, late = state.faulty | found.alarm, found.alarm & ~found.sudden
-        estimate, prediction, residual = anchors.go_back_to_anchor(
-            estimate, reading.prediction, earlier, reading.residuals, late, found.creeping, STARTED
-        )
-        xp, bias = namespace(residual), bias_variance(estimate.P)
-        predicted = prediction.variances[..., 0, :]
-
-        # Track the faults.
-        gains = fault_track.tracker_gains(dt, self.tracking)
-        sensor, declared = reading.sensor, (found.alarm, found.abrupt, evidence.suspicion)
-        seen = sensor, state.noise.colour, *declared, reading.valid
-        track = fault_track.track_fault(state.track, residual, *seen, gains, dt)
-        cautious = sensor_noise.cautious_spread(by_rate, prediction.gain)
-        blur = xp.maximum(prediction.gain / POLE, 1.0)
-        judged = fault_track.judge_recovery(
-            *(track, faulty, predicted, sensor, cautious, bias, reading.valid, blur),
-            *(self.recovery, self.patience, dt),
-        )
-        recovered, outlasted = judged.trusted, judged.outlasted
-        faulty = faulty & ~recovered
-
-        # Where a fault has outlasted our patience, the filter was wrong: its rotation becomes uncertain, and
-        # the sensor is believed.
-        def spoil() -> tuple[FilterState, measurement.Prediction]:
-            P = estimate.P + _doubt(residual * outlasted)
-            return estimate._replace(P=P), measurement.predict_again(prediction, P)
-
-        estimate, prediction = changed_where(outlasted, spoil, (estimate, prediction))
-        return Verdict(
-            estimate,
-            prediction,
-            residual,
-            predicted,
-            bias,
-            faulty,
-            recovered,
-            short=recovered & (judged.age < SHORT),
-            alarm=any_of(found.alarm),
-            hold=any_of(scores.suspect),
-            restart=any_of(late | outlasted),
-            track=fault_track.clear_healthy(judged.track, faulty),
-        )
+        return Tested(evidence, scores, trusted, odd, noise)
 
     def describe(self, state: State) -> dict[str, Vector]:
         """Return what is learned of the sensor and counted, for people, by name and axis."""
@@ -424,24 +337,6 @@ class Supervised(FaultObserver):
         earlier = anchors.Anchors(corrections, P[..., 1:, :, :], age)
         return estimate, earlier, P, F, omega, stacked([activity]), stacked([motion])
 
-    def _compare(
-        self,
-        estimate: FilterState,
-        earlier: anchors.Anchors,
-        P: Covariances,
-        imu: ImuSample,
-        omega: Vector,
-        noise: sensor_noise.SensorNoise,
-    ) -> Reading:
-        """Compare a measured attitude with the predicted ones."""
-        prediction = measurement.predict_angles(estimate, omega, P)
-        residual = measurement.nearest_residual(prediction, euler_from_quaternion(imu.q_xyzw))
-        residuals, predicted = anchors.compare_anchors(earlier, prediction, residual)
-        sensor = noise.cautious * prediction.gain[..., None]
-        variance = noise.exact[..., : sensor_noise.MIDDLE].sum(axis=-1) * prediction.gain
-        masks = measurement.defined(prediction, estimate.P, variance, imu.attitude_valid)
-        return Reading(prediction, residuals, predicted, sensor, *masks)
-
     def _report(
         self,
         state: State,
@@ -471,37 +366,19 @@ class Supervised(FaultObserver):
         return FaultEstimate(*changed_where(special | starting, report_all, healthy), corrected)
 
 
-def _all_healthy(state: State, estimate: FilterState, reading: Reading) -> Verdict:
-    """Return what is judged where no axis is faulty or suspect."""
-    prediction, residuals, predicted = reading[:3]
-    none, no, bias = state.faulty, state.faulty[..., :1], bias_variance(estimate.P)
-    first = estimate, prediction, residuals[..., 0], predicted[..., 0], bias
-    return Verdict(*first, none, none, none, no, no, no, state.track)
-
-
 def _correct(
     reading: Reading, verdict: Verdict, odd: Mask, white: Vector, rate: Rate
 ) -> tuple[FilterState, inertial_filter.Errors, inertial_filter.Factors]:
     """Correct the filter by the axes that are neither faulty nor ``odd``; also return correction and factors.
 
-    ``white`` is of `_noise`.
+    ``white`` is of `noise_of`.
     """
-    used, noise = reading.valid & ~(verdict.faulty | odd), _noise(reading, white)
+    used, noise = reading.valid & ~(verdict.faulty | odd), noise_of(reading, white)
     before, prediction, residual = verdict[:3]
     after, dx, factors = inertial_filter.correct(before, prediction, residual, noise, used)
     if isinstance(rate.doubt, float):
         return after, dx, factors
     return *inertial_filter.keep_gyro(before, after, dx, any_of(rate.doubt > 0.0)), factors
-
-
-def _noise(reading: Reading, white: Vector) -> Vector:
-    """Variance [rad²] of a sample for the filter.
-
-    ``white`` is the variance in a sample of the white noise that stands for slow errors, over that in the
-    longest average.
-    """
-    single, long = reading.sensor[..., sensor_noise.SAMPLE], reading.sensor[..., sensor_noise.LONG]
-    return larger(single, long * white)
 
 
 def _known(
@@ -522,17 +399,8 @@ def _known(
         anew, counts = anew | virtual, counts & ~virtual
     fresh = anew | ~state.faulty | (verdict.track.samples < 1.0)
     begins = anew | ~(counts & any_of(state.faulty[..., :2]))
-    seen = verdict.residual, _noise(reading, white), reading.valid, verdict.faulty
+    seen = verdict.residual, noise_of(reading, white), reading.valid, verdict.faulty
     return coasting.Known(felt, horizontal, counts, *seen, fresh, begins, rate.ambiguous)
-
-
-def _doubt(residual: Array) -> Array:
-    """Covariance (..., 16, 16) of a rotation that was wrong by a residual (..., 3) [rad].
-
-    As long as the rotation was wrong, so were the axes in which the filter learned the gyro's errors.
-    """
-    size = namespace(residual).sum(residual**2, axis=-1)
-    return size[..., None, None] * SPOILED
 
 
 def _count_outliers(state: State, outlier: Mask, faulty: Mask, short: Mask) -> Vector:
