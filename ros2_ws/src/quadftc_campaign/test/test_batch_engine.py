@@ -65,8 +65,10 @@ def seconds(value):
     ("name", "scheme", "flown"),
     [
         ("paper_varying_disturbance", "proposed", compiled),
-        ("mems_faults", "supervised", stepped),
-        pytest.param("mems_faults", "supervised", compiled, marks=pytest.mark.thorough),
+        *(
+            pytest.param("mems_faults", "supervised", each, marks=pytest.mark.thorough)
+            for each in (stepped, compiled)
+        ),
     ],
 )
 def test_a_scenario_flies_as_in_the_closed_loop_to_its_end(name, scheme, flown):
@@ -158,6 +160,7 @@ def flown_alone():
     return scenario, outcome, made[0].as_text()
 
 
+@pytest.mark.thorough
 def test_a_flight_alone_is_one_kernel_and_says_what_the_metrics_say(flown_alone):
     """The loop over its samples is compiled as a whole."""
     scenario, outcome, text = flown_alone

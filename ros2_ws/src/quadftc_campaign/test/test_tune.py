@@ -157,6 +157,7 @@ def test_a_gain_of_zero_is_refused(tmp_path):
         checked(campaign)
 
 
+@pytest.mark.thorough
 def test_tuned_gains_fly_better_and_can_be_used(tmp_path, capsys):
     """A roll axis four times too soft, through gradients of real flights, to a file and into a scenario."""
     campaign = loaded(tmp_path)

@@ -147,12 +147,14 @@ def correct(
     return apply_correction(FilterState(state.q_xyzw, state.x, P), dx), dx, factors
 
 
-def correction_factors(HPH: Array, R: Sequence[Array], lean: Array, residual: Vector, used: Mask) -> Factors:
+def correction_factors(
+    HPH: Array, diagonal: Sequence[Array], lean: Array, residual: Vector, used: Mask
+) -> Factors:
     """L'^-1 and S^-1 (h - h^), with S = L L' = H P H' + R, of the residual h - h^ where it is used.
 
-    R is given by its diagonal and the sine s of pitch.
+    R is given by its ``diagonal`` and the sine s of pitch, ``lean``.
     """
-    (i, j, k), (u, v, w), (x, y, z) = components(used), R, components(residual)
+    (i, j, k), (u, v, w), (x, y, z) = components(used), diagonal, components(residual)
     R = pick(i, u, LEFT_OUT), pick(j, v, LEFT_OUT), pick(k, w, LEFT_OUT)
     a, b, c, d, e, f = _inverse_cholesky(HPH, R, lean)
     x, y, z = x * i, y * j, z * k
