@@ -13,8 +13,8 @@ the filter, a has the error e_a <- A e_a + G e, where G = -H dt for u. Each corr
 by the healthy axes. A fault that jumps begins anew.
 
 Gravity does not make the tilt better known than what it is off by, nor than `CLOSE`: of its correction the
-filter takes a share (consider filter, Schmidt 1966). The residual of an
-ambiguous fault does not correct the delay, as a gyro that is late passes for an attitude that is early.
+filter takes a share (consider filter, Schmidt 1966). The residual of an ambiguous fault does not correct the
+delay, as a gyro that is late passes for an attitude that is early.
 """
 
 from __future__ import annotations
@@ -210,7 +210,7 @@ def _correct(joint: Joint, PH: Array, own_H: Array, factors: Array, share: Array
     """Correct all states by n measurements: the filter's by a ``share`` (..., 16) or (..., 1).
 
     ``PH`` (..., 16, n) and ``own_H`` (..., 8, n) are their covariances with what is measured, ``factors``
-    (..., n, n + 1) as in `inertial_filter.correct`.
+    (..., n, n + 1) those of `inertial_filter.correction_factors`.
     """
     W_dx, W_da, (a, cross, own) = product(PH, factors), product(own_H, factors), joint.more
     W, W_a = W_dx[..., :-1], W_da[..., :-1]
