@@ -92,7 +92,7 @@ class Known(NamedTuple):
 
 
 class Joint(NamedTuple):
-    """The filter's states, by their correction so far, with a."""
+    """All states: those of the filter by their correction so far, and a."""
 
     dx: Errors
     P: Covariance
@@ -120,9 +120,10 @@ def coast(
     ``dx`` and ``factors`` are those of the correction by healthy axes (`inertial_filter.correct`). Return dx
     with what is corrected here.
     """
+    H = tilt_matrix(estimate.q_xyzw)
     begun = _begin(_follow(state, transition, prediction, factors), known)
-    joint = Joint(dx, estimate.P, _predict(begun, estimate, known.horizontal, dt))
-    joint = _correct_by_gravity(joint, estimate, known, dt)
+    joint = Joint(dx, estimate.P, _predict(begun, estimate.P, H, known.horizontal, dt))
+    joint = _correct_by_gravity(joint, H, known, dt)
     joint = _correct_by_faults(joint, prediction, known)
     corrected = inertial_filter.apply_correction(estimate._replace(P=joint.P), joint.dx - dx)
     return chosen(any_of(known.faulty)[..., 0], (joint.more, corrected, joint.dx), (state, estimate, dx))
@@ -154,9 +155,9 @@ def _begin(state: Coasting, known: Known) -> Coasting:
     )
 
 
-def _predict(state: Coasting, estimate: FilterState, horizontal: Horizontal, dt: float) -> Coasting:
+def _predict(state: Coasting, P: Covariance, H: Array, horizontal: Horizontal, dt: float) -> Coasting:
     """Move a; the filter has made its step. E[a e'] <- A E[a e'] + G P, and E[a a'] likewise."""
-    xp, G = namespace(state.a), -dt * tilt_matrix(estimate.q_xyzw)
+    xp, G = namespace(state.a), -dt * H
 
     def move(x: Array) -> Array:  # A x of columns (..., 8, n)
         return xp.concatenate(
@@ -167,18 +168,19 @@ def _predict(state: Coasting, estimate: FilterState, horizontal: Horizontal, dt:
         return xp.concatenate([x[..., U, :] + to_u, x[..., U.stop :, :]], axis=-2)
 
     moved = move(state.cross)
-    cross = add(moved, product(G, estimate.P[..., ROTATION, :]))
+    cross = add(moved, product(G, P[..., ROTATION, :]))
+    # rows, then columns: E[a a'] is symmetric
     own = add(move(_t(move(state.own))), product(G, _t(moved[..., ROTATION])))
     own = add(_t(own), product(G, _t(cross[..., ROTATION]))) + (MANOEUVRE * dt) * OF_SLOPE
     driven = xp.concatenate([dt * stacked(horizontal), 0.0 * state.a[..., U.stop :]], axis=-1)
     return Coasting(move(state.a[..., None])[..., 0] + driven, cross, own)
 
 
-def _correct_by_gravity(joint: Joint, estimate: FilterState, known: Known, dt: float) -> Joint:
+def _correct_by_gravity(joint: Joint, H: Array, known: Known, dt: float) -> Joint:
     """Correct by what is known of u: it is bounded."""
     tilted = (known.felt & any_of(known.faulty[..., :2]))[..., 0]
     bounded = LASTING / larger(dt, SOON) * known.gravity.motion
-    share = stacked([_share(estimate, known.gravity)])
+    share = stacked([_share(joint.P, H, known.gravity)])
     for k in range(U.stop):
         a, cross, own = joint.more
         variance = own[..., k, k] + bounded
@@ -187,10 +189,9 @@ def _correct_by_gravity(joint: Joint, estimate: FilterState, known: Known, dt: f
     return joint
 
 
-def _share(estimate: FilterState, gravity: Gravity) -> Scalar:
+def _share(P: Covariance, H: Array, gravity: Gravity) -> Scalar:
     """Share of gravity's correction that the filter takes."""
-    H = tilt_matrix(estimate.q_xyzw)
-    HPH = product(product(H, estimate.P[..., ROTATION, ROTATION]), _t(H))
+    HPH = product(product(H, P[..., ROTATION, ROTATION]), _t(H))
     known = larger(HPH[..., 0, 0] + HPH[..., 1, 1], SMALLEST)
     return larger(1.0 - 2.0 * larger(gravity.off, CLOSE**2) / known, 0.0 * known)
 

@@ -1,4 +1,4 @@
-"""Declare faults, follow them, and judge which axes are trusted again."""
+"""Where an axis is faulty or suspect: declare faults, follow them, and judge which axes are trusted again."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ SPOILED = np.diag([1.0] * 3 + [0.1**2] * 3 + [1.0] * 9 + [0.0])
 
 
 class Limits(NamedTuple):
-    """Parameters of `supervised`."""
+    """Those parameters of `Supervised` that a judgement needs; their meaning and units stand there."""
 
-    threshold: float  # 1; standard deviations at which an axis is faulty
-    tracking: float  # s; averaging time of the estimate of a fault
-    recovery: float  # s; how long a faulty axis must look healthy
-    patience: float  # s; after which a fault that stands still ends
+    threshold: float
+    tracking: float
+    recovery: float
+    patience: float
 
 
 class Tested(NamedTuple):
@@ -69,7 +69,7 @@ def judge(
     by_rate: sensor_noise.Weights,
     dt: float,
 ) -> Verdict:
-    """Judge a sample: ``faulty`` axes and ``track`` are those before, ``known`` is their noise then."""
+    """Judge a sample: ``faulty`` and ``track`` are those of the sample before, ``known`` its noise then."""
     evidence, scores, trusted = tested[:3]
     # Go back to an anchor where a fault was found late, as it has misled the filter.
     found = residual_tests.declare_faults(scores, evidence.suspicion, trusted, limits.threshold)
