@@ -5,7 +5,7 @@
 leaves it to XLA where intermediate results are kept. XLA's compiler for CPUs fuses a sum into everything
 that uses it, and computes it again for each use. Here the flights are last, and the step is cut into
 functions that the compiler must not merge (`quadftc_model.stages`). The numbers are those of
-``vmap`` up to rounding. With `supervised` this is 4 to 8 times as fast, depending on the machine; with the
+``vmap`` up to rounding. With `supervised` this is 3.5 to 8 times as fast, depending on the machine; with the
 scheme `proposed` between no gain and 1.8 times (``quadftc bench batch``, docs/performance.md).
 """
 
