@@ -71,9 +71,9 @@ class Stepper(Generic[In, Out]):
     def compile(self, inputs: In) -> None:
         """Run the law compiled for inputs like these; another law, and other inputs, are run in NumPy.
 
-        ValueError if it cannot be compiled.
+        So is a law without a state. ValueError if it cannot be compiled.
         """
-        self._compiled = CompiledLaw(self.law, inputs)
+        self._compiled = None if self.law.init(inputs) == () else CompiledLaw(self.law, inputs)
 
     def resume(self, stamp_ns: int, inputs: In, state: Any) -> Out:
         """Go on at a sample [ns] from a state given: it is the first, but not from nothing."""

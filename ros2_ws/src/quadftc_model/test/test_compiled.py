@@ -40,6 +40,16 @@ class Mixed:
         return after, (vector if extra is None else vector + extra, after[0].above, kind)
 
 
+class Stateless:
+    """A law that remembers nothing."""
+
+    def init(self, inputs):
+        return ()
+
+    def step(self, state, inputs, dt):
+        return state, 2.0 * inputs
+
+
 class Branching(Mixed):
     """A law that decides by data."""
 
@@ -60,6 +70,13 @@ def test_compiled_law_gives_the_numbers_of_numpy_whatever_the_inputs():
             assert np.result_type(a) == np.result_type(b)
     assert isinstance(compiled._state, Packed)
     assert plain.state[0].matrix[0, 1] != 0.0
+
+
+def test_law_without_a_state_is_run_in_numpy():
+    stepper = Stepper(Stateless())
+    stepper.compile(np.zeros(3))
+    for index in range(1, 4):
+        assert stepper.step(index * PERIOD, np.full(3, float(index))).tolist() == [2.0 * index] * 3
 
 
 def test_law_that_decides_by_data_is_refused_by_name():
