@@ -10,7 +10,9 @@ import abc
 import dataclasses
 from typing import Any, ClassVar, NamedTuple
 
-from quadftc_model.arrays import Array, Scalar, namespace
+import numpy as np
+
+from quadftc_model.arrays import Array, Scalar, is_single, namespace
 from quadftc_model.parameters import Checked
 from quadftc_model.registry import Registry
 
@@ -54,7 +56,8 @@ class Fault(Checked, abc.ABC):
 
 def present(value: Array) -> FaultOutput:
     """Return an output of which nothing is missing."""
-    return FaultOutput(value, namespace(value).ones_like(value[..., 0], dtype=bool))
+    whole = np.bool_(True) if is_single(value) else namespace(value).ones_like(value[..., 0], dtype=bool)
+    return FaultOutput(value, whole)
 
 
 faults: Registry[Any] = Registry("fault", "quadftc_sim.faults", "quadftc.faults")

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import Array, Flag, Scalar, Vector, chosen, namespace
+from quadftc_model.arrays import Array, Flag, Scalar, Vector, chosen, is_single, namespace
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import ImuSample, RotorCondition
 from quadftc_model.stepper import seconds
@@ -68,15 +68,15 @@ def inject(
     only give the condition of the rotors.
     """
     xp = namespace(sample.q_xyzw)
-    values, time = _channels(sample), xp.asarray(time)
-    angles = values["attitude"]
+    values, time = _channels(sample), xp.asarray(time)[()]
+    angles, zeros = values["attitude"], values["imu"]
     there = {
         "attitude": sample.attitude_valid,
         "gyro": sample.rate_valid,
         "accelerometer": sample.force_valid,
-        "imu": xp.ones_like(sample.rate_valid),
+        "imu": sample.rate_valid | True,
     }
-    turned = xp.zeros_like(sample.attitude_valid)  # whether a fault acts on the attitude
+    turned: Flag | None = None  # whether a fault acts on the attitude; None: none ever does
     new_states: list[InjectionState] = []
     for injection, state, draw in zip(injections, states, draws, strict=True):
         channel = injection.channel
@@ -84,7 +84,6 @@ def inject(
             new_states.append(state)
             continue
         healthy = values[channel]
-        zeros = xp.zeros_like(healthy)
         inputs = FaultInputs(healthy, time - injection.start, *(draw or (zeros, zeros)))
         acts: Any = (injection.start <= time) & (time < injection.stop)
         # A fault with a memory, such as a delay, sees the samples before its onset too.
@@ -92,14 +91,16 @@ def inject(
         before = chosen(state.begun, state.fault, injection.law.init(healthy))
         after, output = injection.law.step(before, inputs, dt)
         new_states.append(InjectionState(chosen(runs, after, before), state.begun | runs))
-        values[channel] = xp.where(acts[..., None] & injection.mask, output.value, healthy)
+        values[channel] = chosen(acts, xp.where(injection.mask, output.value, healthy), healthy)
         there[channel] = there[channel] & (output.valid | ~acts)
-        turned = turned | acts if channel == "attitude" else turned
+        if channel == "attitude":
+            turned = acts if turned is None else turned | acts
     attitude, gyro, force, _ = values.values()
     *valid, present = there.values()
-    # An attitude without a fault is kept as it is: a detour by Euler angles would round it.
-    q_xyzw = xp.where(turned[..., None], quaternion_from_euler(attitude), sample.q_xyzw)
-    fault = xp.where(turned[..., None], wrap(attitude - angles), 0.0)
+    q_xyzw, fault = sample.q_xyzw, zeros
+    if turned is not None:  # an attitude without a fault is kept: a detour by Euler angles would round it
+        q_xyzw = chosen(turned, quaternion_from_euler(attitude), q_xyzw)
+        fault = chosen(turned, wrap(attitude - angles), zeros)
     truth = (fault, gyro - sample.body_rate, force - sample.specific_force)
     faulty = ImuSample(q_xyzw, gyro, force, *valid)
     return tuple(new_states), Faulty(faulty, present, *truth, condition_of_rotors(injections, time))
@@ -113,11 +114,12 @@ def condition_of_rotors(injections: Iterable[Injection], time: Scalar) -> RotorC
 
 def _channels(sample: ImuSample) -> dict[str, Array]:
     """Return the three numbers of each channel (..., 3)."""
+    rate = sample.body_rate
     return {
         "attitude": euler_from_quaternion(sample.q_xyzw),
-        "gyro": sample.body_rate,
+        "gyro": rate,
         "accelerometer": sample.specific_force,
-        "imu": namespace(sample.q_xyzw).zeros_like(sample.body_rate),
+        "imu": np.zeros(3) if is_single(rate) else namespace(rate).zeros_like(rate),
     }
 
 
