@@ -61,6 +61,7 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
     def __init__(self, law: FaultObserver) -> None:
         super().__init__(law, _usable_estimate)
         self._published: DiagnosisReport | None = None
+        self._decided: tuple[object, ...] = ()  # what decides whether a report is due, at the last sample
         self._next: FaultObserver | None = None  # takes over with the next complete sample
         self._fade = Fade()  # of turn [rad] and body rate [rad/s], (6,)
 
@@ -164,6 +165,10 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
 
     def report(self, stamp_ns: int, estimate: FaultEstimate) -> DiagnosisReport | None:
         """Return the report on a sample [ns]; None if none is due. Call it with every estimate."""
+        decided = (self.law.has_detector, *_all_that_decides(stamp_ns, estimate))
+        if decided == self._decided:  # mostly; to say it in words takes ten times as long
+            return None
+        self._decided = decided
         report = report_faults(stamp_ns, watched_sensors(self.law, estimate))
         if not is_due(report, self._published):
             return None
@@ -259,6 +264,15 @@ def _confirmed(stamp_ns: int, component: str, sensor: SensorEstimate) -> Iterato
             ambiguous_with=rivals,
             onset_ns=onset_ns(stamp_ns, age),
         )
+
+
+def _all_that_decides(stamp_ns: int, estimate: FaultEstimate) -> tuple[int, bytes]:
+    """Return what a report can only become due by: the period, and all states, kinds and doubts."""
+    sensors, rotors = estimate.sensors or (), estimate.rotors
+    columns = [estimate.state]
+    for part in sensors if rotors is None else (*sensors, rotors):
+        columns += part.state, part.kind, part.ambiguous
+    return stamp_ns // REPORT_PERIOD_NS, b"".join([column.tobytes() for column in columns])
 
 
 def _verdicts(report: DiagnosisReport) -> list[tuple[object, ...]]:

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rclpy.clock import Clock
+from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
@@ -245,7 +245,10 @@ class GraphNode(ManagedNode):
 
     def now_ns(self) -> int:
         """Time of the node's clock [ns]: that of the machine, or /clock with use_sim_time."""
-        return self.get_clock().now().nanoseconds
+        clock = self.get_clock()
+        if isinstance(clock, ROSClock) and not clock.ros_time_is_active:
+            return time.time_ns()  # the same, without two objects of rclpy
+        return clock.now().nanoseconds
 
     def report(self) -> None:
         """Report to the diagnostics before each of their messages, in nodes that have more to say."""

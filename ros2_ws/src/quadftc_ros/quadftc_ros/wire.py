@@ -28,13 +28,15 @@ from quadftc_msgs.msg import ComponentFault, ControlStatus, Diagnosis, FaultStat
 from quadftc_ros.conversions import Floats, time_message
 from quadftc_ros.topics import BASE_FRAME, DIAGNOSIS, EARTH_FRAME, IMU_FRAME
 
-_UNKNOWN = (0.0,) * 8  # the rest of a covariance
+_UNKNOWN = (0.0,) * 9  # a covariance
+_ABSENT = (ABSENT, *_UNKNOWN[1:])
+_YES, _NO = np.bool_(True), np.bool_(False)
 
 
 def imu_of(data: bytes) -> ImuSample:
     """Sample of a serialised Imu; covariance element 0 marks absent channels."""
     values = read_numbers(data, Imu)
-    there = [np.bool_(values[at] != ABSENT) for at in (4, 16, 28)]
+    there = [_NO if values[at] == ABSENT else _YES for at in (4, 16, 28)]
     return ImuSample(np.array(values[:4]), np.array(values[13:16]), np.array(values[25:28]), *there)
 
 
@@ -103,10 +105,9 @@ class ImuWire:
 
     def __call__(self, stamp_ns: int, sample: ImuSample, variance: Floats | None = None) -> bytes:
         """Return the message of a sample of one vehicle; ``variance`` (3,) of the attitude [rad²]."""
-        attitude, rate, force = (
-            (0.0 if valid else ABSENT, *_UNKNOWN)
-            for valid in (sample.attitude_valid, sample.rate_valid, sample.force_valid)
-        )
+        attitude = _UNKNOWN if sample.attitude_valid else _ABSENT
+        rate = _UNKNOWN if sample.rate_valid else _ABSENT
+        force = _UNKNOWN if sample.force_valid else _ABSENT
         if variance is not None:
             x, y, z = variance.tolist()
             attitude = (x, 0.0, 0.0, 0.0, y, 0.0, 0.0, 0.0, z)

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_fdi.disturbance_observer import DisturbanceObserver, register
-from quadftc_model.arrays import Array, Flag, Scalar, Vector, cache_numbers, exp, namespace
+from quadftc_model.arrays import Array, Flag, Scalar, Vector, cache_numbers, chosen, exp, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.samples import DisturbanceObserverInputs
@@ -79,11 +79,11 @@ class Exosystem(DisturbanceObserver):
         inertia = self.vehicle.inertia
         Phi, CdGamma, gain = _discretised(self.model, self.frequency, self.bandwidth, dt)
         # predict x2 by the trapezoidal rule; without a body rate, f stays
-        rate = xp.where(inputs.rate_valid[..., None], inputs.body_rate, state.x2)
+        rate = chosen(inputs.rate_valid, inputs.body_rate, state.x2)
         f = 0.5 * (gyroscopic_acceleration(inertia, state.x2) + gyroscopic_acceleration(inertia, rate))
         predicted = state.x2 + dt * (f + inputs.torque / inertia) + state.zeta @ CdGamma
         # correct zeta by nu, once there has been a body rate to start from
-        x2 = xp.where(inputs.rate_valid[..., None], rate, predicted)
+        x2 = chosen(inputs.rate_valid, rate, predicted)
         nu = xp.where(state.started[..., None], x2 - predicted, 0.0)
         zeta = state.zeta @ Phi.T + nu[..., None] * gain
         return State(zeta, x2, state.started | inputs.rate_valid), zeta @ self.C_d
