@@ -46,8 +46,12 @@ SERIAL_FIXTURES = {"bench"}
 
 # Tests that take seconds each. `scripts/test --quick` and `colcon test` leave them out.
 SLOW_FILES = {
+    "test_any_attitude.py",
+    "test_augmented_kalman.py",
+    "test_bad_messages.py",
     "test_bag_repair.py",
     "test_batch_engine.py",
+    "test_batch_free_flight.py",
     "test_bench_batch.py",
     "test_campaign.py",
     "test_check.py",
@@ -55,22 +59,29 @@ SLOW_FILES = {
     "test_cli.py",
     "test_clock_jumps.py",
     "test_closed_loop.py",
+    "test_coasting.py",
+    "test_diagnose_log.py",
     "test_endurance.py",
     "test_examples.py",
     "test_executables.py",
     "test_fuzz.py",
     "test_graph_lockstep.py",
+    "test_heading.py",
     "test_inertial_filter.py",
     "test_isolability.py",
     "test_isolating.py",
     "test_isolating_in_flight.py",
     "test_isolating_rotors.py",
+    "test_mujoco.py",
     "test_open_loop.py",
     "test_replay_command.py",
+    "test_replay_directory.py",
     "test_report_command.py",
     "test_report_in_browser.py",
+    "test_rotor_off.py",
     "test_serve_command.py",
     "test_slopes.py",
+    "test_study_crazyflie.py",
     "test_study_diagnosis.py",
     "test_study_robustness.py",
     "test_supervised.py",
@@ -115,6 +126,15 @@ DOMAIN_LOCK = pytest.StashKey[IO[str]]()
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Let everything be asked for."""
     parser.addoption("--thorough", action="store_true", help="run the tests marked thorough, too")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Do not even import files of which -m would leave all tests out."""
+    chosen, name = config.getoption("markexpr"), collection_path.name
+    left_out = (name in SLOW_FILES and "not slow" in chosen) or (
+        name in SERIAL_FILES and "not serial" in chosen
+    )
+    return left_out or None
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m chooses

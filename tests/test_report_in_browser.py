@@ -61,9 +61,9 @@ def browser():
         yield started
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def opened(browser, page):
-    """The page in a wide window, with every figure drawn."""
+    """The page in a wide window, with every figure drawn; tests that open it anew come last."""
     return open_page(browser, page, WIDE)
 
 
