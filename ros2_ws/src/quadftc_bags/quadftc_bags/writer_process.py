@@ -136,15 +136,7 @@ class BagProcess(AbstractContextManager["BagProcess"]):
         return dataclasses.replace(self._status, dropped=dict(self._dropped), lost=lost)
 
     def hand_over(self) -> None:
-        """Hand over what waits, and listen: every 0.25 s.
-
-        In real time it is no more than the other process takes at once.
-        """
-        self._pass_on()
-        while not self._closed and self._receive(0.0):
-            pass
-
-    def _pass_on(self) -> None:
+        """Hand over what waits, in real time no more than the other process takes at once: every 0.25 s."""
         if not self._closed and not self._hand_over(PATIENCE if self._lockstep else 0.0) and self._lockstep:
             self._give_up()
 
@@ -155,7 +147,7 @@ class BagProcess(AbstractContextManager["BagProcess"]):
         """Hand the batch over, in lock-step even if that takes time; return whether there is room now."""
         if self._closed:
             return False
-        self._pass_on()
+        self.hand_over()
         backlog = len(self._batch) >= BATCH
         self._limit = min(len(self._batch) + BATCH, self._queue_size) if backlog else BATCH
         return len(self._batch) < self._limit
@@ -169,6 +161,8 @@ class BagProcess(AbstractContextManager["BagProcess"]):
                     self._connection.send_bytes(MESSAGES + b"".join(batch[:BATCH]))
             self._accepted += len(batch[:BATCH])
             del batch[:BATCH]
+        while self._receive(0.0):
+            pass
         return not batch
 
     def _finish(self) -> None:

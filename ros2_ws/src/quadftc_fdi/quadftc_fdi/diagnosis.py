@@ -166,7 +166,7 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
     def report(self, stamp_ns: int, estimate: FaultEstimate) -> DiagnosisReport | None:
         """Return the report on a sample [ns]; None if none is due. Call it with every estimate."""
         decided = (self.law.has_detector, *_all_that_decides(stamp_ns, estimate))
-        if decided == self._decided:  # mostly; to say it in words takes ten times as long
+        if decided == self._decided:  # mostly; to say it in words takes several times as long
             return None
         self._decided = decided
         report = report_faults(stamp_ns, watched_sensors(self.law, estimate))
