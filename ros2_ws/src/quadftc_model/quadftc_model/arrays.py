@@ -1,9 +1,11 @@
-"""The array namespace of an array: NumPy on board, JAX in batches, the same law in both."""
+"""What laws need of an array library: NumPy, or JAX, which traces them for batches and for C.
+
+Functions take their library from their arguments; a Python number is NumPy's.
+"""
 
 from __future__ import annotations
 
 import functools
-import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
@@ -36,184 +38,153 @@ Mask = Bool[AnyArray, "*batch 3"]
 States = UInt8[AnyArray, "*batch 3"]
 
 
-def namespace(array: Array) -> Any:
-    """Return the module with the functions (``sin``, ``where``...) for an array; NumPy for a sequence."""
-    if isinstance(array, np.ndarray):
-        return np
-    query = getattr(array, "__array_namespace__", None)
-    return np if query is None else query()
+def namespace(*arrays: Array) -> Any:
+    """Return the module with the functions (``sin``, ``where``...) for arrays and numbers."""
+    for array in arrays:
+        if not isinstance(array, np.ndarray) and hasattr(array, "__array_namespace__"):
+            return array.__array_namespace__()
+    return np
 
 
-def is_single(vector: Array) -> bool:
-    """Whether it is one NumPy vector (n,), for which Python floats are many times faster than arrays."""
-    return type(vector) is np.ndarray and vector.ndim == 1  # pyright: ignore[reportUnknownMemberType]
-
-
-def components(vector: Components) -> Any:
-    """Return the components along the last axis, (..., n) -> n times (...).
-
-    Those of a single NumPy vector are Python floats: the same numbers, and many times faster.
-    """
-    if type(vector) is np.ndarray and vector.ndim == 1:  # as `is_single`, without the call
-        return vector.tolist()
-    return tuple(vector[..., index] for index in range(vector.shape[-1]))  # pyright: ignore
+def components(vector: Components) -> tuple[Any, ...]:
+    """Return the components along the last axis, (..., n) -> n times (...)."""
+    return tuple(vector[..., index] for index in range(vector.shape[-1]))
 
 
 def stacked(parts: Sequence[Scalar]) -> Components:
     """Join components along a new last axis, the inverse of :func:`components`."""
-    if isinstance(parts[0], (float, bool)):
-        return np.array(parts)
-    return namespace(parts[0]).stack(parts, axis=-1)
+    xp = namespace(*parts)
+    return xp.stack(xp.broadcast_arrays(*map(xp.asarray, parts)), axis=-1)
 
 
-def split(*parts: Components) -> list[tuple[Any, ...]]:
-    """Return the numbers of each axis of arrays (n,) of one NumPy vehicle: (n,), (n,) -> n times two numbers.
-
-    A function of one axis is called on each: on Python numbers arithmetic is many times faster than on small
-    arrays. Arrays of many vehicles are not split, as the function takes all axes at once. `join` puts
-    results together.
-    """
-    if type(parts[0]) is np.ndarray and parts[0].ndim == 1:  # as `is_single`, without the call
-        return [*zip(*[part.tolist() for part in parts], strict=True)]
-    return [parts]
-
-
-def join(axes: Sequence[tuple[Any, ...]]) -> tuple[Any, ...]:
-    """Join what was found on each axis to arrays: the inverse of :func:`split`."""
-    return axes[0] if len(axes) == 1 else tuple(map(np.array, zip(*axes, strict=True)))
-
-
-def root(x: Array) -> Array:
-    """Square root of an array or a float."""
-    return math.sqrt(x) if isinstance(x, float) else namespace(x).sqrt(x)
-
-
-def largest(vector: Components) -> Any:
-    """Largest component along the last axis, (..., n) -> (...)."""
-    return max(vector.tolist()) if is_single(vector) else functools.reduce(larger, components(vector))
+def column(x: Array) -> Array:
+    """Give an array (...) an axis of length 1 at its end."""
+    return namespace(x).asarray(x)[..., None]
 
 
 def norm(vector: Components) -> Column:
     """Euclidean norm over the last axis, (..., n) -> (..., 1); its derivative at zero is 0, not NaN."""
-    if is_single(vector):
-        return np.array([math.sqrt(sum([x * x for x in vector.tolist()]))])
     xp = namespace(vector)
     square = xp.sum(vector * vector, axis=-1, keepdims=True)
-    if xp is np:
-        return np.sqrt(square)
     zero = square == 0.0
     return xp.where(zero, 0.0, xp.sqrt(xp.where(zero, 1.0, square)))
 
 
-def length(vector: Components) -> Any:
+def length(vector: Components) -> Scalar:
     """Euclidean norm over the last axis as :func:`norm`, (..., n) -> (...)."""
-    return math.hypot(*vector.tolist()) if is_single(vector) else norm(vector)[..., 0]
+    return norm(vector)[..., 0]
 
 
-def whole_nanoseconds(time: Array) -> Array:
+def largest(vector: Components) -> Scalar:
+    """Largest component along the last axis, (..., n) -> (...)."""
+    return functools.reduce(larger, components(vector))
+
+
+def whole_nanoseconds(time: Scalar) -> Scalar:
     """Round a time [s] to the nanosecond: 2.996 + 0.002 + 0.002 is 3, in whatever order it is added."""
-    if isinstance(time, float):
-        return round(time * 1e9) / 1e9
     return namespace(time).rint(time * 1e9) / 1e9
 
 
+def product(a: Array, b: Array, terms: Sequence[int] | None = None) -> Array:
+    """Matrix product a @ b, (..., n, k) and (..., k, m); over some of the inner indices if ``terms`` says so."""
+    if terms is None:
+        return a @ b
+    return functools.reduce(lambda x, y: x + y, [a[..., :, k, None] * b[..., k, None, :] for k in terms])
+
+
+def sqrt(x: Array) -> Array:
+    """Square root."""
+    return namespace(x).sqrt(x)
+
+
 def exp(x: Array) -> Array:
-    """Exponential of an array or a float."""
-    return math.exp(x) if isinstance(x, float) else namespace(x).exp(x)
+    """Exponential."""
+    return namespace(x).exp(x)
 
 
 def log(x: Array) -> Array:
-    """Natural logarithm of an array or a float."""
-    return math.log(x) if isinstance(x, float) else namespace(x).log(x)
+    """Natural logarithm."""
+    return namespace(x).log(x)
 
 
-def product(a: Array, b: Array, terms: Sequence[int] | None = None) -> Array:
-    """Matrix product a @ b of small matrices, (..., n, k) and (..., k, m).
-
-    Outside NumPy the sum is written out, over the inner indices ``terms`` for which neither is zero: a
-    compiler fuses it with what follows, over a whole batch at once, where it would call a routine for every
-    pair of matrices.
-    """
-    if isinstance(a, np.ndarray):
-        return a.dot(b) if a.ndim == 2 and b.ndim == 2 else a @ b  # for two matrices, `dot` is quicker
-    inner = range(a.shape[-1]) if terms is None else terms
-    parts = [a[..., :, k, None] * b[..., k, None, :] for k in inner]
-    return sum(parts[1:], parts[0])
+def sin(x: Array) -> Array:
+    """Sine of an angle [rad]."""
+    return namespace(x).sin(x)
 
 
-def clip(x: Array, low: Scalar, high: Scalar) -> Array:
-    """Hold ``x``, an array or a float, within two bounds."""
-    if isinstance(x, float):
-        return min(max(x, low), high)
-    xp = namespace(x)
-    return xp.minimum(xp.maximum(x, low), high)
+def cos(x: Array) -> Array:
+    """Cosine of an angle [rad]."""
+    return namespace(x).cos(x)
+
+
+def tan(x: Array) -> Array:
+    """Tangent of an angle [rad]."""
+    return namespace(x).tan(x)
+
+
+def arctan2(y: Array, x: Array) -> Array:
+    """Angle [rad] of the direction (x, y)."""
+    return namespace(y, x).arctan2(y, x)
+
+
+def arcsin(x: Array) -> Array:
+    """Angle [rad] within pi/2 of zero whose sine is x."""
+    return namespace(x).arcsin(x)
 
 
 def larger(x: Scalar, y: Scalar) -> Array:
-    """Return the larger of two arrays or floats."""
-    return max(x, y) if isinstance(x, float) else namespace(x).maximum(x, y)
+    """Return the larger of two; NaN if one is."""
+    return namespace(x, y).maximum(x, y)
 
 
 def smaller(x: Scalar, y: Scalar) -> Array:
-    """Return the smaller of two arrays or floats."""
-    return min(x, y) if isinstance(x, float) else namespace(x).minimum(x, y)
+    """Return the smaller of two; NaN if one is."""
+    return namespace(x, y).minimum(x, y)
 
 
-def column(x: Array) -> Array:
-    """Give an array (...) an axis of length 1 at its end; a float or a bool stays as it is."""
-    if isinstance(x, (float, bool, np.bool_)):
-        return cast("Any", x)
-    return x[..., None]
+def clip(x: Array, low: Scalar, high: Scalar) -> Array:
+    """Hold ``x`` within two bounds."""
+    return smaller(larger(x, low), high)
 
 
-def pick(flag: Array, x: Array, y: Array) -> Array:
-    """Return ``x`` where a flag holds and ``y`` elsewhere; all three may be single values."""
-    if isinstance(flag, (bool, np.bool_)):
-        return x if flag else y
-    return namespace(flag).where(flag, x, y)
+def where(flag: Array, x: Array, y: Array) -> Array:
+    """Return ``x`` where a flag holds and ``y`` elsewhere."""
+    return namespace(flag, x, y).where(flag, x, y)
 
 
 def any_of(mask: Array) -> Array:
     """Whether any is true over the last axis, kept as an axis of length 1: (..., n) bool -> (..., 1) bool."""
-    if is_single(mask):
-        return np.array([True in mask.tolist()])
     return mask.any(axis=-1, keepdims=True)
 
 
-def changed_where(mask: Array | bool, change: Callable[[], T], unchanged: T) -> T:
-    """Return ``change()``, which must equal ``unchanged`` if ``mask`` (..., n), or one bool, is false.
-
-    Then NumPy saves the work: most of the time nothing happens. Other libraries, whose masks may have no
-    values yet, always do it.
-    """
-    if type(mask) is np.ndarray and mask.ndim == 1:  # as `is_single`, without the call
-        return change() if True in mask.tolist() else unchanged
-    if isinstance(mask, (bool, np.bool_)):
-        return change() if mask else unchanged
-    if isinstance(mask, np.ndarray) and not mask.any():  # pyright: ignore[reportUnknownMemberType]
-        return unchanged
-    return change()
-
-
-def chosen(mask: Array, new: Any, old: Any) -> Any:
-    """Arrays of ``new`` where a mask (...,) holds, of ``old`` elsewhere; both are nested tuples alike.
-
-    Where ``old`` has fewer arrays (a memory that fills), it is the new one. The mask may be one bool.
-    """
-    if isinstance(mask, (bool, np.bool_)):
-        return new if mask else old
+def chosen(flag: Flag, new: T, old: T) -> T:
+    """Arrays of ``new`` where a flag (...) holds, of ``old`` elsewhere; both are nested tuples alike."""
     if isinstance(new, tuple):
         parts, others = cast("tuple[Any, ...]", new), cast("tuple[Any, ...]", old)
-        if len(parts) != len(others):
-            return parts
-        each = [chosen(mask, a, b) for a, b in zip(parts, others, strict=True)]
+        each = [chosen(flag, a, b) for a, b in zip(parts, others, strict=True)]
         kind: Any = type(parts)
-        return kind(*each) if hasattr(kind, "_fields") else tuple(each)
+        return kind(*each) if hasattr(kind, "_fields") else kind(each)
     if new is None:
-        return None
-    if isinstance(new, (bool, float)):
-        return pick(mask, new, old)
-    return namespace(new).where(mask.reshape(mask.shape + (1,) * (new.ndim - mask.ndim)), new, old)
+        return cast("T", None)
+    xp = namespace(flag, new, old)
+    one, other, given = xp.asarray(new), xp.asarray(old), xp.asarray(flag)
+    return xp.where(given.reshape(given.shape + (1,) * (one.ndim - given.ndim)), one, other)
+
+
+def branch(flag: Flag, then: Callable[[], T], otherwise: Callable[[], T]) -> T:
+    """Return ``then()`` where a flag (...) holds and ``otherwise()`` elsewhere, nested tuples alike.
+
+    For one vehicle only the one that is wanted is computed, in NumPy as in C; for many, both are. Meant for
+    what is dear and seldom; `where` is quicker for a few operations.
+    """
+    xp = namespace(flag)
+    if xp.asarray(flag).ndim:
+        return chosen(flag, then(), otherwise())
+    if xp is np:
+        return then() if flag else otherwise()
+    from jax import lax  # an array of JAX says that it is there
+
+    return lax.cond(flag, then, otherwise)
 
 
 def rows_of(part: Any, index: Any) -> Any:
@@ -223,20 +194,3 @@ def rows_of(part: Any, index: Any) -> Any:
         kind: Any = type(parts)
         return kind(*(rows_of(each, index) for each in parts))
     return part if part is None or isinstance(part, bool) else part[index]
-
-
-def cache_numbers(function: Callable[..., T]) -> Callable[..., T]:
-    """Keep the results for arguments that are all floats or texts, of which a flight has few.
-
-    Other arguments, such as parameters that JAX traces, are computed each time.
-    """
-    cached: Callable[..., T] = functools.lru_cache(maxsize=256)(function)
-
-    @functools.wraps(function)
-    def call(*arguments: Any) -> T:
-        for each in arguments:
-            if not isinstance(each, (float, str)):
-                return function(*arguments)
-        return cached(*arguments)
-
-    return call

@@ -23,24 +23,22 @@ A vehicle that spins turns its bias with it, faster than late and rare positions
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
-
-import numpy as np
 
 from quadftc_model.arrays import (
     Array,
     Flag,
     Scalar,
     Vector,
-    chosen,
+    branch,
     clip,
     column,
     components,
-    larger,
-    pick,
-    root,
+    largest,
+    length,
     stacked,
+    where,
 )
 from quadftc_model.parameters import Checked, parameter
 from quadftc_model.rotations import to_body, to_earth
@@ -112,18 +110,16 @@ class PositionEstimator(Checked):
         """Advance by ``dt`` [s] to a sample of the IMU."""
         new = self._predicted(state, inputs.imu, dt)
         there = inputs.sample.there & _is_usable(inputs.sample)
-        new = _where(there, lambda: self._corrected(new, inputs, there), new)
+        new = branch(there, lambda: self._corrected(new, inputs), lambda: new)
         return new, PositionEstimate(new.position, new.velocity, new.acceleration)
 
     def _predicted(self, state: State, imu: ImuSample, dt: float) -> State:
         """State at the time of a sample, without a position of that time."""
         known = imu.attitude_valid & imu.force_valid
         x, y, z = components(to_earth(imu.q_xyzw, imu.specific_force - state.bias))
-        acceleration = [pick(known, x, 0.0 * x), pick(known, y, 0.0 * y), pick(known, z - _G, 0.0 * z)]
-        last, velocity = components(state.acceleration), components(state.velocity)
-        gained = [0.5 * dt * (a + b) for a, b in zip(last, acceleration, strict=True)]
-        way = [dt * (v + 0.5 * d) for v, d in zip(velocity, gained, strict=True)]
-        noise = pick(known, self.acceleration_noise**2, self.unknown_acceleration**2)
+        acceleration = where(column(known), stacked([x, y, z - _G]), 0.0)
+        gained = 0.5 * dt * (state.acceleration + acceleration)
+        noise = where(known, self.acceleration_noise**2, self.unknown_acceleration**2)
         spin = _spin(imu)
         still = 1.0 - spin  # what turns with the body says nothing of the bias: it stays as it is
         noise = noise + spin * SPIN_NOISE**2
@@ -132,17 +128,17 @@ class PositionEstimator(Checked):
         )
         covariance = pp, pv, still * pb, vv, still * vb, bb
         return State(
-            state.position + stacked(way),
-            state.velocity + stacked(gained),
-            stacked(acceleration),
+            state.position + dt * (state.velocity + 0.5 * gained),
+            state.velocity + gained,
+            acceleration,
             state.bias,
             stacked(covariance),
             state.started,
             state.unheard + dt,
         )
 
-    def _corrected(self, state: State, inputs: PositionEstimatorInputs, there: Flag) -> State:
-        """State after a sample; where ``there`` (...) is false it is unchanged."""
+    def _corrected(self, state: State, inputs: PositionEstimatorInputs) -> State:
+        """State after a sample that is there."""
         sample, late = inputs.sample, self.delay
         pp, pv, pb, vv, vb, bb = components(state.covariance)
         half = 0.5 * late * late
@@ -151,17 +147,16 @@ class PositionEstimator(Checked):
         cross = (pp - late * pv - half * pb, pv - late * vv - half * vb, with_bias)
         spread = cross[0] - late * cross[1] - half * cross[2] + self.noise**2
         off = sample.position - (state.position - late * state.velocity + half * state.acceleration)
-        x, y, z = components(off * off)
-        far, bound = larger(larger(x, y), z), self.gate**2 * spread
+        far, bound = largest(off * off), self.gate**2 * spread
         fresh = state._replace(unheard=0.0 * state.unheard)
+        anew = (state.unheard > self.patience) & (far > bound) | ~state.started
 
         def better() -> State:
             gained = _gained(fresh, inputs.imu, off, cross, spread)
             return self._with_velocity(gained, inputs) if self.gives_velocity else gained
 
-        anew = (state.unheard > self.patience) & (far > bound) | ~state.started
-        kept = _where(there & state.started & (far <= bound), better, state)
-        return _where(there & anew, lambda: self._anew(fresh, sample), kept)
+        kept = branch(state.started & (far <= bound), better, lambda: state)
+        return branch(anew, lambda: self._anew(fresh, sample), lambda: kept)
 
     def _with_velocity(self, state: State, inputs: PositionEstimatorInputs) -> State:
         """State after the velocity of a sample."""
@@ -174,7 +169,7 @@ class PositionEstimator(Checked):
 
     def _anew(self, state: State, sample: PositionSample) -> State:
         """State that begins at a sample, with the velocity and the bias as known."""
-        velocity = sample.velocity if self.gives_velocity else state.velocity * column(state.started * 1.0)
+        velocity = sample.velocity if self.gives_velocity else state.velocity * column(state.started)
         return state._replace(
             position=sample.position + self.delay * velocity,
             velocity=velocity,
@@ -190,9 +185,7 @@ class PositionEstimator(Checked):
 
 def _spin(imu: ImuSample) -> Array:
     """How much the vehicle spins (...), from 0 at `SLOW` to 1 at `FAST`."""
-    p, q, r = components(imu.body_rate)
-    rate = root(p * p + q * q + r * r)
-    return clip((rate - SLOW) / (FAST - SLOW), 0.0, 1.0) * pick(imu.rate_valid, 1.0 + 0.0 * rate, 0.0 * rate)
+    return where(imu.rate_valid, clip((length(imu.body_rate) - SLOW) / (FAST - SLOW), 0.0, 1.0), 0.0)
 
 
 def _propagated(covariance: Covariance, noise: Any, walk: Any, dt: Any) -> list[Any]:
@@ -232,10 +225,3 @@ def _is_usable(sample: PositionSample) -> Flag:
     """Whether all numbers of a sample are finite and below `UNUSABLE`."""
     size = sum(abs(x) for part in sample[:2] for x in components(part))
     return size < UNUSABLE  # false for NaN, too
-
-
-def _where(flag: Flag, new: Callable[[], State], old: State) -> State:
-    """State ``new()`` where a flag (...) holds, else ``old``; for one vehicle, nothing in vain."""
-    if isinstance(flag, (bool, np.bool_)):
-        return new() if flag else old
-    return chosen(flag, new(), old)

@@ -6,7 +6,7 @@ and with it the body torque (y F, -x F, reaction torque).
 
 from __future__ import annotations
 
-from quadftc_model.arrays import Components, Scalar, Vector, changed_where, clip, namespace
+from quadftc_model.arrays import Components, Scalar, Vector, clip, larger, namespace, sqrt, where
 from quadftc_model.vehicle import Vehicle
 
 
@@ -48,27 +48,23 @@ def attainable(vehicle: Vehicle, torque: Vector) -> Vector:
     tilt, yaw = limited[..., :2] @ allocation[:2], limited[..., 2:] * allocation[2]
     room = vehicle.command_room
 
-    def scaled() -> Vector:
-        tilt_scale = _scale(room, abs(tilt).max(axis=-1, keepdims=True))
-        kept = tilt * tilt_scale
-        left = room - xp.where(yaw > 0.0, kept, -kept)
-        yaw_scale = _scale(left, abs(yaw)).min(axis=-1, keepdims=True)
-        return xp.concatenate([limited[..., :2] * tilt_scale, limited[..., 2:] * yaw_scale], axis=-1)
-
-    return changed_where(abs(tilt) + abs(yaw) > room, scaled, limited)
+    tilt_scale = _scale(room, abs(tilt).max(axis=-1, keepdims=True))
+    kept = tilt * tilt_scale
+    left = room - where(yaw > 0.0, kept, -kept)
+    yaw_scale = _scale(left, abs(yaw)).min(axis=-1, keepdims=True)
+    scaled = xp.concatenate([limited[..., :2] * tilt_scale, limited[..., 2:] * yaw_scale], axis=-1)
+    return where((abs(tilt) + abs(yaw) > room).any(axis=-1, keepdims=True), scaled, limited)
 
 
 def propeller_speeds(vehicle: Vehicle, commands: Components) -> Components:
     """Speed [rad/s] (..., n) of each propeller, unsigned, from its thrust: F = k Omega²."""
-    xp = namespace(commands)
     rotors = vehicle.rotors
-    thrust = rotors.thrust_gain * xp.maximum(commands - rotors.command_idle, 0.0)
-    return xp.sqrt(thrust / rotors.thrust_coefficient)
+    thrust = rotors.thrust_gain * larger(commands - rotors.command_idle, 0.0)
+    return sqrt(thrust / rotors.thrust_coefficient)
 
 
 def _scale(room: Components | float, wanted: Components) -> Components:
     """Factor within [0, 1] that brings ``wanted`` into ``room``; exactly 1 when it fits (to rounding)."""
-    xp = namespace(wanted)
-    room = xp.maximum(room, 0.0)  # rounding may leave it below zero
+    room = larger(room, 0.0)  # rounding may leave it below zero
     fits = wanted <= room * (1.0 + 1e-12)
-    return xp.where(fits, 1.0, room / xp.where(fits, 1.0, wanted))
+    return where(fits, 1.0, room / where(fits, 1.0, wanted))

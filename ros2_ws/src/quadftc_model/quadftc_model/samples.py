@@ -18,9 +18,10 @@ from quadftc_model.arrays import (
     Scalar,
     States,
     Vector,
+    column,
     components,
-    is_single,
     namespace,
+    where,
 )
 
 UNIT_NORM_TOLERANCE = 1e-2  # 1; a quaternion further from unit length is no attitude
@@ -248,8 +249,6 @@ def sanitised(sample: ImuSample) -> ImuSample:
     That is NaN, Inf, a quaternion off unit length, a body rate beyond `MAX_BODY_RATE`, and a specific force
     beyond `UNUSABLE`. Good channels are returned unchanged, bit for bit.
     """
-    if is_single(sample.q_xyzw) and _all_good(sample):
-        return sample
     xp = namespace(sample.q_xyzw)
     squared = [x * x for x in components(sample.q_xyzw)]
     unit = xp.abs(sum(squared) - 1.0) <= 2.0 * UNIT_NORM_TOLERANCE  # false for NaN and Inf, too
@@ -260,21 +259,10 @@ def sanitised(sample: ImuSample) -> ImuSample:
     force_valid = sample.force_valid & (pushed < UNUSABLE)
     level = xp.asarray([0.0, 0.0, 0.0, 1.0])
     return ImuSample(
-        q_xyzw=xp.where(attitude_valid[..., None], sample.q_xyzw, level),
-        body_rate=xp.where(rate_valid[..., None], sample.body_rate, 0.0),
-        specific_force=xp.where(force_valid[..., None], sample.specific_force, 0.0),
+        q_xyzw=where(column(attitude_valid), sample.q_xyzw, level),
+        body_rate=where(column(rate_valid), sample.body_rate, 0.0),
+        specific_force=where(column(force_valid), sample.specific_force, 0.0),
         attitude_valid=attitude_valid,
         rate_valid=rate_valid,
         force_valid=force_valid,
     )
-
-
-def _all_good(sample: ImuSample) -> bool:
-    """Whether every channel of the sample of one vehicle is there and can be used."""
-    if not (sample.attitude_valid and sample.rate_valid and sample.force_valid):
-        return False
-    squared = sum([x * x for x in sample.q_xyzw.tolist()])
-    turning = sum([abs(x) for x in sample.body_rate.tolist()])
-    force = sum([abs(x) for x in sample.specific_force.tolist()])
-    unit = abs(squared - 1.0) <= 2.0 * UNIT_NORM_TOLERANCE
-    return unit and turning <= MAX_BODY_RATE and force < UNUSABLE  # false for NaN, too

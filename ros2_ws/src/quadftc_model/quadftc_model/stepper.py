@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Generic, Protocol, TypeVar
 
-from quadftc_model.compiled import CompiledLaw, Packed
+import numpy as np
 
 In_contra = TypeVar("In_contra", contravariant=True)
 Out_co = TypeVar("Out_co", covariant=True)
@@ -31,7 +31,7 @@ class Law(Protocol[In_contra, Out_co]):
     """A law: explicit state, no clock, no memory of its own; its parameters are the fields of the object."""
 
     def init(self, inputs: In_contra) -> Any:
-        """Return the state at the first sample."""
+        """Return the state at the first sample; states keep their structure from here on."""
         ...
 
     def step(self, state: Any, inputs: In_contra, dt: float) -> tuple[Any, Out_co]:
@@ -39,24 +39,81 @@ class Law(Protocol[In_contra, Out_co]):
         ...
 
 
-def warm_up(law: Law[In, Any], inputs: In, dt: float = 0.004) -> None:
-    """Run a law beforehand and forget it: a first step, with its caches empty, takes many times as long."""
-    state, _ = law.step(law.init(inputs), inputs, 0.0)
-    law.step(state, inputs, dt)
+class Runner(Protocol[In, Out]):
+    """Runs a law for one vehicle, in NumPy or in C; states are its own, `tree` shows them."""
+
+    def first(self, inputs: In) -> tuple[Any, Out]:
+        """Return state and output at the first sample."""
+        ...
+
+    def resumed(self, inputs: In, words: Any) -> tuple[Any, Out]:
+        """Return state and output at a sample from which the law resumes by last words."""
+        ...
+
+    def step(self, state: Any, inputs: In, dt: float) -> tuple[Any, Out]:
+        """Advance by ``dt`` [s] to a sample."""
+        ...
+
+    def tree(self, state: Any) -> Any:
+        """Return the nested tuples of a state."""
+        ...
+
+
+class NumpyRunner(Generic[In, Out]):
+    """Runs a law in NumPy: the reference."""
+
+    def __init__(self, law: Any) -> None:
+        self._law = law
+
+    def first(self, inputs: In) -> tuple[Any, Out]:
+        """Return state and output at the first sample."""
+        with np.errstate(all="ignore"):
+            return self._law.step(self._law.init(inputs), inputs, 0.0)
+
+    def resumed(self, inputs: In, words: Any) -> tuple[Any, Out]:
+        """Return state and output at a sample from which the law resumes by last words."""
+        with np.errstate(all="ignore"):
+            return self._law.step(self._law.resumed(inputs, words), inputs, 0.0)
+
+    def step(self, state: Any, inputs: In, dt: float) -> tuple[Any, Out]:
+        """Advance by ``dt`` [s] to a sample."""
+        with np.errstate(all="ignore"):
+            return self._law.step(state, inputs, dt)
+
+    def tree(self, state: Any) -> Any:
+        """Return the state."""
+        return state
+
+
+Engine = Callable[[Any], Runner[Any, Any]]  # what runs a law
 
 
 class Stepper(Generic[In, Out]):
     """One law with its state and the stamp of its last sample.
 
     ``guard`` gets inputs and output of each step. It returns the output, or another in place of one that
-    cannot be used; then the law restarts at the next sample.
+    cannot be used; then the law restarts at the next sample. ``engine`` says what runs the law.
     """
 
-    def __init__(self, law: Law[In, Out], guard: Callable[[In, Out], Out] | None = None) -> None:
-        self.law, self._guard = law, guard
-        self._compiled: CompiledLaw | None = None
+    def __init__(
+        self,
+        law: Law[In, Out],
+        guard: Callable[[In, Out], Out] | None = None,
+        engine: Engine = NumpyRunner,
+    ) -> None:
+        self._engine, self._guard = engine, guard
         self.replaced = 0  # outputs so far that could not be used
+        self.law = law
         self.reset()
+
+    @property
+    def law(self) -> Law[In, Out]:
+        """The law; another one goes on with the state of the one before."""
+        return self._law
+
+    @law.setter
+    def law(self, law: Law[In, Out]) -> None:
+        self._law, self._runner = law, self._engine(law)
 
     def reset(self) -> None:
         """Forget the state; the next sample is the first."""
@@ -66,19 +123,12 @@ class Stepper(Generic[In, Out]):
     @property
     def state(self) -> Any:
         """State of the law at the last sample; None before the first."""
-        return self._state.tree if isinstance(self._state, Packed) else self._state
+        return None if self._state is None else self._runner.tree(self._state)
 
-    def compile(self, inputs: In) -> None:
-        """Run the law compiled for inputs like these; another law, and other inputs, are run in NumPy.
-
-        So is a law without a state. ValueError if it cannot be compiled.
-        """
-        self._compiled = None if self.law.init(inputs) == () else CompiledLaw(self.law, inputs)
-
-    def resume(self, stamp_ns: int, inputs: In, state: Any) -> Out:
-        """Go on at a sample [ns] from a state given: it is the first, but not from nothing."""
-        self._state = state
-        return self._step(stamp_ns, inputs, 0.0)
+    def begin(self, stamp_ns: int, inputs: In, words: Any = None) -> Out:
+        """Start at a sample [ns]; from what another law has said last, if that is given."""
+        begun = self._runner.first(inputs) if words is None else self._runner.resumed(inputs, words)
+        return self._keep(stamp_ns, inputs, begun)
 
     def time_step(self, stamp_ns: int) -> float | None:
         """Return the time step [s] to a sample [ns]; None if its stamp repeats or went back: it is refused.
@@ -95,15 +145,15 @@ class Stepper(Generic[In, Out]):
     def step(self, stamp_ns: int, inputs: In) -> Out | None:
         """Advance the law to a sample [ns]; None if it is refused."""
         dt = self.time_step(stamp_ns)
+        if dt is None:
+            return None
         if dt == 0.0:
-            return self.resume(stamp_ns, inputs, self.law.init(inputs))
-        return None if dt is None else self._step(stamp_ns, inputs, dt)
+            return self.begin(stamp_ns, inputs)
+        return self._keep(stamp_ns, inputs, self._runner.step(self._state, inputs, dt))
 
-    def _step(self, stamp_ns: int, inputs: In, dt: float) -> Out:
-        if self._compiled is not None and self._compiled.law is self.law:
-            self._state, output = self._compiled.step(self._state, inputs, dt)
-        else:
-            self._state, output = self.law.step(self.state, inputs, dt)
+    def _keep(self, stamp_ns: int, inputs: In, stepped: tuple[Any, Out]) -> Out:
+        """Keep the state, unless the output cannot be used; return what is used."""
+        self._state, output = stepped
         self.stamp_ns = stamp_ns
         used = output if self._guard is None else self._guard(inputs, output)
         if used is not output:
@@ -148,8 +198,8 @@ class ResumingStepper(Stepper[In, Out], Generic[In, Out, Words]):
         """Ignore the words, and later ones of the same loss."""
         self._words, self._used = None, True
 
-    def take_over(self, stamp_ns: int, inputs: In, state: Any) -> Out:
-        """Go on at a sample [ns] from the state that the words gave."""
+    def take_over(self, stamp_ns: int, inputs: In, words: Words) -> Out:
+        """Resume at a sample [ns] by the last words."""
         self.drop_words()
         self.resumed += 1
-        return self.resume(stamp_ns, inputs, state)
+        return self.begin(stamp_ns, inputs, words)

@@ -16,9 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from quadftc_model.numbers import LABEL, prepared
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_model.vehicle_checks import impossible
 from quadftc_model.vehicle_table import KEYS, Problem, line_of, read_section, shortened
+from quadftc_model.wrench_set import WrenchSet, wrench_set
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -56,17 +58,17 @@ class Rotors:
     rotor_inertia: float  # [kg m²] about the spin axis
     thrust_coefficient: float  # [N s²/rad²] thrust over squared speed
 
-    @functools.cached_property
+    @prepared
     def speed_min(self) -> float:
         """Speed at the smallest command [rad/s]."""
         return self._speed_at(self.command_min)
 
-    @functools.cached_property
+    @prepared
     def speed_max(self) -> float:
         """Speed at the largest command [rad/s]."""
         return self._speed_at(self.command_max)
 
-    @functools.cached_property
+    @prepared
     def torque_to_thrust(self) -> float:
         """Reaction torque over thrust [m]."""
         return self.yaw_gain / self.thrust_gain
@@ -93,9 +95,9 @@ class Aerodynamics:
 class Vehicle:
     """A multirotor: its rigid body and its rotors. One that cannot be is refused by :mod:`vehicle_checks`."""
 
-    name: str
-    description: str
-    source: str
+    name: str = dataclasses.field(metadata=LABEL)
+    description: str = dataclasses.field(metadata=LABEL)
+    source: str = dataclasses.field(metadata=LABEL)
     mass: float  # [kg]
     inertia: NDArray[np.float64]  # (3,) principal moments [kg m²], body frame
     rotational_drag: NDArray[np.float64]  # (3,) k_d1..k_d3 of (2) [N m s/rad]
@@ -130,30 +132,30 @@ class Vehicle:
             limits = f"({low:g}, {high:g}), the limits of the command"
             yield Problem("rotors.command_trim", f"= {trim}: must be in {limits}")
 
-    @functools.cached_property
+    @prepared
     def mixer(self) -> NDArray[np.float64]:
         """The matrix of (2), (3, n): body torque [N m] per unit of rotor command."""
         rotors = self.rotors
         x, y = rotors.positions[:, 0], rotors.positions[:, 1]
         return np.stack([rotors.thrust_gain * y, -rotors.thrust_gain * x, rotors.yaw_gain * rotors.yaw_sign])
 
-    @functools.cached_property
+    @prepared
     def allocation(self) -> NDArray[np.float64]:
         """Pseudo-inverse of the mixer, (n, 3): rotor commands around the trim per unit of torque."""
         return np.asarray(np.linalg.pinv(self.mixer), dtype=np.float64)
 
-    @functools.cached_property
+    @prepared
     def authority(self) -> NDArray[np.float64]:
         """Largest torque of each axis alone, both ways, (3,) [N m]."""
         return self.command_room / np.max(np.abs(self.allocation), axis=0)
 
-    @functools.cached_property
+    @prepared
     def command_room(self) -> float:
         """How far a rotor command can move from the trim, both ways [1]."""
         rotors = self.rotors
         return min(rotors.command_trim - rotors.command_min, rotors.command_max - rotors.command_trim)
 
-    @functools.cached_property
+    @prepared
     def effectiveness(self) -> NDArray[np.float64]:
         """Thrust [N] and body torque [N m] per unit of each rotor's thrust [N], (4, n).
 
@@ -162,17 +164,17 @@ class Vehicle:
         thrust = np.ones((1, len(self.rotors.positions)))
         return np.concatenate([thrust, self.mixer / self.rotors.thrust_gain])
 
-    @functools.cached_property
+    @prepared
     def force_allocation(self) -> NDArray[np.float64]:
         """Pseudo-inverse of the effectiveness, (n, 4): each rotor's thrust per unit of thrust and torque."""
         return np.asarray(np.linalg.pinv(self.effectiveness), dtype=np.float64)
 
-    @functools.cached_property
+    @prepared
     def thrust_max(self) -> float:
         """Largest thrust of all rotors together [N]."""
         return self._thrust_at(self.rotors.speed_max)
 
-    @functools.cached_property
+    @prepared
     def thrust_min(self) -> float:
         """Smallest thrust of all rotors together [N]."""
         return self._thrust_at(self.rotors.speed_min)
@@ -187,11 +189,16 @@ class Vehicle:
         """Largest thrust over the weight [1]."""
         return self.thrust_max / self.weight
 
-    @functools.cached_property
+    @prepared
     def hover_speed(self) -> float:
         """Speed at which the rotors, all alike, carry the weight [rad/s]."""
         rotors = self.rotors
         return math.sqrt(self.weight / (len(rotors.positions) * rotors.thrust_coefficient))
+
+    @prepared
+    def wrench_set(self) -> WrenchSet:
+        """The thrusts and torques that the rotors can give together."""
+        return wrench_set(self.effectiveness)
 
     def _thrust_at(self, speed: float) -> float:
         """Thrust [N] of all rotors, each at a speed [rad/s]."""

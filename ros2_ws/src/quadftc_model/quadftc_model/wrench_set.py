@@ -11,15 +11,16 @@ Where a component is left free, the set is the zonotope of the directions withou
 
 from __future__ import annotations
 
-import functools
 import itertools
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_model.arrays import Components, Scalar, namespace
-from quadftc_model.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from quadftc_model.vehicle import Vehicle
 
 THRUST, ROLL, PITCH, YAW = range(4)  # components of a wrench
 _PARALLEL = 1e-9  # 1; sine of an angle below which directions count as parallel
@@ -41,10 +42,27 @@ class Range(NamedTuple):
     above: int  # so many of the m bound from above, the others, negated, from below
 
 
+class Polygon(NamedTuple):
+    """The attainable (roll, pitch), prepared for the nearest point of it; m edges."""
+
+    normals: Floats  # (m, 2) of length 1
+    sides: Floats  # (2 n, m)
+    cosine: Floats  # (m, m) of edge j (rows) with edge k
+    ahead: Floats  # (m, m) 1 over how fast a step along edge k comes to edge j; 0 where it does not
+
+
+class Sharing(NamedTuple):
+    """Least squares of more than four rotors."""
+
+    products: Floats  # (n, 10) entries of E W E' (upper triangle) over the weights W
+    effect: Floats  # (4, n) with rows of size 1
+    size: Floats  # (4,) of the rows
+
+
 class WrenchSet(NamedTuple):
     """The attainable sets of a vehicle, for any limits of its rotors."""
 
-    tilt: Facets  # of (roll, pitch), thrust and yaw left free
+    tilt: Polygon  # of (roll, pitch), thrust and yaw left free
     thrust: Range  # over (roll, pitch), yaw left free
     thrust_held: Range  # over (roll, pitch, yaw)
     yaw: Range  # over (thrust, roll, pitch)
@@ -53,24 +71,24 @@ class WrenchSet(NamedTuple):
     ]  # each of n - 4 rotors, over a wrench and the limits of those after it
     last: tuple[int, ...]  # the other four
     inverse: Floats  # (4, 4) their thrusts from the wrench that remains
+    sharing: Sharing
 
 
-@functools.lru_cache(maxsize=64)
-def wrench_set(vehicle: Vehicle) -> WrenchSet:
-    """Return the attainable sets of a vehicle, of which a programme has few."""
-    effect = vehicle.effectiveness  # (4, n)
+def wrench_set(effect: Floats) -> WrenchSet:
+    """Return the attainable sets of rotors with an effectiveness (4, n), as `Vehicle.effectiveness`."""
     whole, lift = _facets(effect), _facets(effect[:3])
     order = _order(effect)
     spare, last = order[:-4], order[-4:]
     single = tuple((rotor, _rest(whole, effect, order[: k + 1])) for k, rotor in enumerate(spare))
     return WrenchSet(
-        tilt=_facets(effect[1:3]),
+        tilt=_polygon(_facets(effect[1:3])),
         thrust=_range(lift, THRUST),
         thrust_held=_range(whole, THRUST),
         yaw=_range(whole, YAW),
         single=single,
         last=last,
         inverse=np.asarray(np.linalg.inv(effect[:, last]), dtype=np.float64),
+        sharing=_sharing(effect),
     )
 
 
@@ -114,6 +132,22 @@ def _facets(directions: Floats) -> Facets:
     normals = normals / size.T
     sides = np.concatenate([np.minimum(reach, 0.0), np.maximum(reach, 0.0)], axis=1).T
     return Facets(normals, sides)
+
+
+def _polygon(facets: Facets) -> Polygon:
+    length = np.linalg.norm(facets.normals, axis=1)
+    normals, sides = facets.normals / length[:, None], facets.sides / length
+    x, y = normals.T
+    along = np.outer(x, -y) + np.outer(y, x)  # of edge j's normal with the direction of edge k
+    ahead = np.where(np.abs(along) > _PARALLEL, 1.0 / np.where(along == 0.0, 1.0, along), 0.0)
+    return Polygon(normals, sides, normals @ normals.T, ahead)
+
+
+def _sharing(effect: Floats) -> Sharing:
+    size: Floats = np.max(np.abs(effect), axis=1)
+    scaled = effect / size[:, None]
+    pairs = itertools.combinations_with_replacement(range(4), 2)
+    return Sharing(np.stack([scaled[a] * scaled[b] for a, b in pairs], axis=1), scaled, size)
 
 
 def _range(facets: Facets, component: int) -> Range:

@@ -1,0 +1,496 @@
+# pyright: basic
+"""A traced function as a graph of operations on arrays.
+
+JAX traces a function to a jaxpr. Here the functions that it calls are put in their places, equal operations are
+done once, those whose results nobody reads are left out, and what follows from constants alone is computed.
+
+Nothing is simplified that would change a number: ``0 * x`` stays, as x may be NaN, and so does ``x + 0``, as x
+may be -0. ``1 * x``, ``x / 1`` and ``x - 0`` are x for every x.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+# functions that a jaxpr calls, with the name of the parameter that holds them
+CALLS = {
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "core_call": "call_jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+    "custom_vjp_call": "call_jaxpr",
+    "remat": "jaxpr",
+    "checkpoint": "jaxpr",
+}
+SAME = ("copy", "copy_p", "stop_gradient", "optimization_barrier", "reduce_precision")
+# which elements an array has, not what they are: no arithmetic
+VIEWS = ("reshape", "transpose", "broadcast_in_dim", "slice", "rev", "concatenate")
+# operations that NumPy does exactly as C: correctly rounded, or not rounded at all
+EXACT: dict[str, Callable[..., Any]] = {
+    "add": np.add,
+    "sub": np.subtract,
+    "mul": np.multiply,
+    "neg": np.negative,
+    "abs": np.abs,
+    "sqrt": np.sqrt,
+    "max": np.maximum,
+    "min": np.minimum,
+    "eq": np.equal,
+    "ne": np.not_equal,
+    "lt": np.less,
+    "le": np.less_equal,
+    "gt": np.greater,
+    "ge": np.greater_equal,
+}
+LARGEST_POWER = 8  # x^n is written as products up to this n
+
+
+class Untraceable(ValueError):
+    """A function that cannot be compiled: where, what it does, and how to write it."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Source:
+    """Where in the law an operation stands."""
+
+    file: str
+    line: int
+    function: str
+
+    def __str__(self) -> str:
+        return f"{self.file}:{self.line} {self.function}"
+
+
+@dataclasses.dataclass(eq=False, slots=True)
+class Node:
+    """One array: the result of an operation on others, an input (no operands), or a constant (``value``)."""
+
+    op: str
+    operands: tuple[Node, ...]
+    params: dict[str, Any]
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    source: Source | None = None
+    value: NDArray[Any] | None = None
+
+    @property
+    def size(self) -> int:
+        """How many numbers it has."""
+        return math.prod(self.shape)
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether its numbers are known."""
+        return self.value is not None
+
+
+@dataclasses.dataclass
+class Graph:
+    """Operations in an order in which they can be done."""
+
+    inputs: list[Node]
+    outputs: list[Node]
+    nodes: list[Node]  # what the outputs need, without constants and inputs
+
+    @property
+    def operations(self) -> int:
+        """How many operations on numbers there are, those of loops and branches counted once."""
+        inside = [graph for node in self.nodes for graph in node.params.get("graphs", ())]
+        own = sum(node.size for node in self.nodes if node.op not in VIEWS)
+        return own + sum(graph.operations for graph in inside)
+
+
+def graph_of(closed: Any, source_of: Callable[[Any], Source | None]) -> Graph:
+    """Return the graph of a closed jaxpr; ``source_of`` says where an equation stands in the law."""
+    return _Builder(source_of).build(closed.jaxpr, closed.consts)
+
+
+class _Builder:
+    """Turns equations into nodes."""
+
+    def __init__(self, source_of: Callable[[Any], Source | None]) -> None:
+        self._source_of = source_of
+        self._known: dict[Any, Node] = {}  # by what is computed, so that equal operations are one
+        self._nodes: list[Node] = []
+
+    def build(self, jaxpr: Any, constants: Sequence[Any]) -> Graph:
+        """Return the graph of a jaxpr."""
+        inputs = [Node("input", (), {}, tuple(v.aval.shape), np.dtype(v.aval.dtype)) for v in jaxpr.invars]
+        outputs = self._run(jaxpr, [self.constant(each) for each in constants], inputs, None)
+        return Graph(inputs, outputs, _needed(self._nodes, outputs))
+
+    def constant(self, value: Any, dtype: Any = None) -> Node:
+        """Return a constant."""
+        array = np.asarray(value, dtype)
+        key = ("constant", array.shape, array.dtype.str, array.tobytes())
+        if key not in self._known:
+            self._known[key] = Node("constant", (), {}, array.shape, array.dtype, value=array)
+        return self._known[key]
+
+    def add(self, op: str, operands: Sequence[Node], like: Any, source: Source | None, **params: Any) -> Node:
+        """Return the result of an operation, of the shape and type of ``like``."""
+        shape, dtype = tuple(like.shape), np.dtype(like.dtype)
+        simple = self._simplified(op, operands, shape, dtype, params)
+        if simple is not None:
+            return simple
+        key = (op, *(id(each) for each in operands), shape, dtype.str, _frozen(params))
+        if key not in self._known:
+            node = Node(op, tuple(operands), params, shape, dtype, source)
+            self._known[key] = node
+            self._nodes.append(node)
+        return self._known[key]
+
+    def _run(
+        self, jaxpr: Any, constants: Sequence[Node], inputs: Sequence[Node], outer: Source | None
+    ) -> list[Node]:
+        """Put the equations of a jaxpr in; those of a function that is called stand where the call does."""
+        values: dict[Any, Node] = dict(zip(jaxpr.constvars, constants, strict=True))
+        values |= zip(jaxpr.invars, inputs, strict=True)
+
+        def value_of(atom: Any) -> Node:
+            return self.constant(atom.val, atom.aval.dtype) if hasattr(atom, "val") else values[atom]
+
+        for equation in jaxpr.eqns:
+            operands = [value_of(atom) for atom in equation.invars]
+            source = outer or self._source_of(equation)
+            results = self._apply(equation, operands, source)
+            values |= zip(equation.outvars, results, strict=True)
+        return [value_of(atom) for atom in jaxpr.outvars]
+
+    def _apply(self, equation: Any, operands: list[Node], source: Source | None) -> list[Node]:
+        """Return the results of an equation."""
+        name, params, out = equation.primitive.name, equation.params, [v.aval for v in equation.outvars]
+        if name in CALLS:
+            closed = params[CALLS[name]]
+            jaxpr = getattr(closed, "jaxpr", closed)
+            constants = [self.constant(each) for each in getattr(closed, "consts", ())]
+            return self._run(jaxpr, constants, operands, source)
+        if name == "custom_linear_solve":
+            return self._solve(params, operands, source)
+        if name in ("scan", "while", "cond"):
+            return self._control(name, params, operands, out, source)
+        rule = _RULES.get(name)
+        if rule is not None:
+            results = rule(self, operands, out, source, params)
+            return results if isinstance(results, list) else [results]
+        if len(out) > 1:
+            whole = Node(name, tuple(operands), dict(params), (), np.dtype(float), source)
+            self._nodes.append(whole)
+            return [self.add("result", [whole], each, source, index=k) for k, each in enumerate(out)]
+        return [self.add(name, operands, out[0], source, **params)]
+
+    def _solve(self, params: Any, operands: list[Node], source: Source | None) -> list[Node]:
+        """Solve a linear system by the function that JAX gives for it."""
+        lengths, closed = params["const_lengths"], params["jaxprs"].solve
+        before = lengths.matvec + lengths.vecmat
+        rest = operands[before + lengths.solve + lengths.transpose_solve :]
+        used = [*operands[before : before + lengths.solve], *rest]
+        return self._run(closed.jaxpr, [self.constant(each) for each in closed.consts], used, source)
+
+    def _control(
+        self, name: str, params: Any, operands: list[Node], out: Sequence[Any], source: Source | None
+    ) -> list[Node]:
+        """Keep a loop or a branch, with graphs of their own for what is inside."""
+        if name == "cond" and operands[0].op == "platform_index":
+            closed = params["branches"][operands[0].params["index"]]
+            constants = [self.constant(each) for each in closed.consts]
+            return self._run(closed.jaxpr, constants, operands[1:], source)
+        parts = {
+            "scan": lambda: [params["jaxpr"]],
+            "while": lambda: [params["cond_jaxpr"], params["body_jaxpr"]],
+            "cond": lambda: list(params["branches"]),
+        }[name]()
+        graphs = [graph_of(each, lambda equation: source or self._source_of(equation)) for each in parts]
+        kept = {key: params[key] for key in _COUNTS if key in params}
+        whole = Node(name, tuple(operands), {**kept, "graphs": graphs}, (), np.dtype(float), source)
+        self._nodes.append(whole)
+        return [self.add("result", [whole], each, source, index=k) for k, each in enumerate(out)]
+
+    def _simplified(
+        self, op: str, operands: Sequence[Node], shape: tuple[int, ...], dtype: np.dtype[Any], params: Any
+    ) -> Node | None:
+        """Return what an operation comes to without being done; None if it has to be done."""
+        first = operands[0] if operands else None
+        if first is not None and op in VIEWS:
+            if op != "concatenate" and first.shape == shape and _is_identity(op, params, shape):
+                return first
+            if all(each.is_constant for each in operands):
+                return self.constant(view(op, [each.value for each in operands], params), dtype)
+            if op == "concatenate" and len(operands) == 1:
+                return first
+            if op == "reshape" and first.op == "reshape":
+                like = _Like(shape, dtype)
+                return self.add("reshape", first.operands, like, first.source, shape=shape)
+            return None
+        if op == "convert_element_type" and first is not None:
+            if first.dtype == dtype:
+                return first
+            if first.is_constant:
+                return self.constant(first.value.astype(dtype))  # type: ignore[union-attr]
+        if operands and all(each.is_constant for each in operands):
+            values = [each.value for each in operands]
+            if op in EXACT:
+                with np.errstate(all="ignore"):
+                    return self.constant(EXACT[op](*values), dtype)
+            if op == "div" and dtype.kind == "f":
+                with np.errstate(all="ignore"):
+                    return self.constant(np.divide(*values), dtype)
+            if op in ("and", "or", "xor", "not") and dtype.kind == "b":
+                logical = {"and": np.logical_and, "or": np.logical_or, "xor": np.logical_xor}
+                return self.constant(~values[0] if op == "not" else logical[op](*values))  # type: ignore[operator]
+        if op == "select_n" and first is not None and first.is_constant and len(operands) == 3:
+            picks = np.unique(first.value.astype(int))  # type: ignore[union-attr]
+            chosen = operands[1 + int(picks[0])]
+            if len(picks) == 1 and chosen.shape == shape:
+                return chosen
+        if op == "select_n" and len(operands) == 3 and operands[1] is operands[2] and first is not None:
+            return operands[1]
+        if dtype.kind == "f" and len(operands) == 2:
+            return _neutral(op, operands, shape)
+        if dtype.kind == "b" and len(operands) == 2 and op in ("and", "or"):
+            return _logical(op, operands, shape)
+        return None
+
+
+@dataclasses.dataclass(frozen=True)
+class _Like:
+    """A shape and a type."""
+
+    shape: tuple[int, ...]
+    dtype: Any
+
+
+_COUNTS = (
+    *("num_consts", "num_carry", "length", "reverse"),  # of scan
+    *("cond_nconsts", "body_nconsts"),  # of while
+)
+
+
+def _neutral(op: str, operands: Sequence[Node], shape: tuple[int, ...]) -> Node | None:
+    """Return x for 1 x, x 1, x / 1 and x - 0."""
+    x, y = operands
+    if op in ("mul", "div") and _is_all(y, 1.0) and x.shape == shape:
+        return x
+    if op == "mul" and _is_all(x, 1.0) and y.shape == shape:
+        return y
+    if op == "sub" and _is_all(y, 0.0) and x.shape == shape and not np.any(np.signbit(y.value)):  # type: ignore[arg-type]
+        return x
+    return None
+
+
+def _logical(op: str, operands: Sequence[Node], shape: tuple[int, ...]) -> Node | None:
+    """Return what `and` and `or` come to where one side is known, or both are the same."""
+    x, y = operands
+    if x is y:
+        return x
+    for known, other in ((x, y), (y, x)):
+        if _is_all(known, op == "and") and other.shape == shape:
+            return other
+        if _is_all(known, op == "or") and known.shape == shape:
+            return known
+    return None
+
+
+def _is_all(node: Node, number: Any) -> bool:
+    return node.value is not None and bool(np.all(node.value == number))
+
+
+def _is_identity(op: str, params: Any, shape: tuple[int, ...]) -> bool:
+    """Whether a view of an array of the same shape is the array."""
+    if op == "transpose":
+        return tuple(params["permutation"]) == tuple(range(len(shape)))
+    if op == "rev":
+        return not params["dimensions"]
+    return True
+
+
+def view(op: str, values: Sequence[Any], params: Any) -> NDArray[Any]:
+    """Return a view of arrays."""
+    x = values[0]
+    if op == "reshape":
+        return x.reshape(params["shape"])
+    if op == "transpose":
+        return x.transpose(params["permutation"])
+    if op == "slice":
+        strides = params["strides"] or (1,) * x.ndim
+        return x[
+            tuple(
+                slice(*each)
+                for each in zip(params["start_indices"], params["limit_indices"], strides, strict=True)
+            )
+        ]
+    if op == "rev":
+        return np.flip(x, params["dimensions"])
+    if op == "concatenate":
+        return np.concatenate(values, axis=params["dimension"])
+    shape, places = params["shape"], params["broadcast_dimensions"]
+    whole = [1] * len(shape)
+    for axis, place in enumerate(places):
+        whole[place] = x.shape[axis]
+    return np.broadcast_to(x.reshape(whole), shape)
+
+
+def _needed(nodes: Sequence[Node], outputs: Iterable[Node]) -> list[Node]:
+    """Return the nodes that the outputs need, in their order."""
+    wanted = {id(each) for each in outputs}
+    kept: list[Node] = []
+    for node in reversed(nodes):
+        if id(node) in wanted:
+            kept.append(node)
+            wanted.update(id(each) for each in node.operands)
+    return kept[::-1]
+
+
+def _frozen(params: Any) -> str:
+    return repr(sorted((key, repr(value)) for key, value in params.items()))
+
+
+# what a primitive of JAX is here; other names stay as they are
+Rule = Callable[[_Builder, list[Node], Sequence[Any], "Source | None", Any], Any]
+_RULES: dict[str, Rule] = {}
+
+
+def _rule(*names: str) -> Callable[[Rule], Rule]:
+    def add(rule: Rule) -> Rule:
+        _RULES.update(dict.fromkeys(names, rule))
+        return rule
+
+    return add
+
+
+@_rule(*SAME)
+def _same(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> list[Node]:
+    return x
+
+
+@_rule("squeeze", "expand_dims", "reshape")
+def _reshape(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+    return b.add("reshape", x, out[0], source, shape=tuple(out[0].shape))
+
+
+@_rule("broadcast_in_dim")
+def _broadcast(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+    places = tuple(int(each) for each in params["broadcast_dimensions"])
+    shape = tuple(out[0].shape)
+    if x[0].size == math.prod(shape):  # axes of length 1 come in
+        return b.add("reshape", x, out[0], source, shape=shape)
+    return b.add("broadcast_in_dim", x, out[0], source, shape=shape, broadcast_dimensions=places)
+
+
+@_rule("transpose")
+def _transpose(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+    order = tuple(int(each) for each in params["permutation"])
+    return b.add("transpose", x, out[0], source, permutation=order)
+
+
+@_rule("slice")
+def _slice(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+    start, limit, strides = (params[key] for key in ("start_indices", "limit_indices", "strides"))
+    return b.add("slice", x, out[0], source, start_indices=start, limit_indices=limit, strides=strides)
+
+
+@_rule("rev")
+def _rev(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+    return b.add("rev", x, out[0], source, dimensions=tuple(params["dimensions"]))
+
+
+@_rule("concatenate")
+def _concatenate(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+    parts = [each for each in x if each.size] or x[:1]
+    return b.add("concatenate", parts, out[0], source, dimension=int(params["dimension"]))
+
+
+@_rule("stack")
+def _stack(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+    axis, shape = int(params["axis"]) % len(out[0].shape), list(out[0].shape)
+    shape[axis] = 1
+    like = _Like(tuple(shape), out[0].dtype)
+    parts = [b.add("reshape", [each], like, source, shape=tuple(shape)) for each in x]
+    return b.add("concatenate", parts, out[0], source, dimension=axis)
+
+
+@_rule("split")
+def _split(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> list[Node]:
+    axis, at, parts = params["axis"], 0, list[Node]()
+    for each in out:
+        start, limit = [0] * len(each.shape), list(x[0].shape)
+        start[axis], limit[axis] = at, at + each.shape[axis]
+        at = limit[axis]
+        where = {"start_indices": tuple(start), "limit_indices": tuple(limit), "strides": None}
+        parts.append(b.add("slice", x, each, source, **where))
+    return parts
+
+
+@_rule("convert_element_type")
+def _convert(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+    return b.add("convert_element_type", x, out[0], source)
+
+
+@_rule("integer_pow")
+def _power(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+    exponent = int(params["y"])
+    if not 0 < abs(exponent) <= LARGEST_POWER:
+        return b.add("pow", [*x, b.constant(float(exponent))], out[0], source)
+    found, square = None, x[0]
+    left = abs(exponent)
+    while left:  # by repeated squaring
+        if left % 2:
+            found = square if found is None else b.add("mul", [found, square], out[0], source)
+        left //= 2
+        if left:
+            square = b.add("mul", [square, square], out[0], source)
+    assert found is not None
+    if exponent > 0:
+        return found
+    one = b.constant(np.ones((), out[0].dtype))
+    return b.add("div", [_spread(b, one, out[0]), found], out[0], source)
+
+
+@_rule("square")
+def _square(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+    return b.add("mul", [x[0], x[0]], out[0], source)
+
+
+@_rule("clamp")
+def _clamp(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+    low, value, high = (_spread(b, each, out[0]) for each in x)
+    return b.add("min", [b.add("max", [value, low], out[0], source), high], out[0], source)
+
+
+@_rule("iota")
+def _iota(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+    shape, axis = tuple(out[0].shape), params["dimension"]
+    count = np.arange(shape[axis], dtype=out[0].dtype)
+    order = [1] * len(shape)
+    order[axis] = -1
+    return b.constant(np.broadcast_to(count.reshape(order), shape).copy())
+
+
+@_rule("platform_index")
+def _platform(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+    platforms = params["platforms"]
+    index = next((k for k, names in enumerate(platforms) if names is None or "cpu" in names), len(platforms) - 1)
+    return Node("platform_index", (), {"index": index}, (), np.dtype(np.int32))
+
+
+@_rule("pad")
+def _pad(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+    return b.add("pad", x, out[0], source, config=tuple(tuple(map(int, each)) for each in params["padding_config"]))
+
+
+def _spread(b: _Builder, node: Node, like: Any) -> Node:
+    """Return a node, of one number perhaps, with the shape of another."""
+    if node.shape == tuple(like.shape):
+        return node
+    shape = tuple(like.shape)
+    if node.value is not None:
+        return b.constant(np.broadcast_to(node.value, shape).copy())
+    typed = _Like(shape, node.dtype)
+    return b.add("broadcast_in_dim", [node], typed, node.source, shape=shape, broadcast_dimensions=())

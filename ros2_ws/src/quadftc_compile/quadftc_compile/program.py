@@ -1,0 +1,328 @@
+# pyright: basic
+"""A program: functions of one law, traced by JAX and written in C.
+
+The numbers of the law, and each argument and result, are structs. A function takes pointers to them:
+
+    void isolating_step(const isolating_numbers *numbers, const isolating_state *before,
+                        const isolating_inputs *inputs, const double *dt, isolating_state *after, ...)
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from quadftc_compile import emit
+from quadftc_compile.graph import Graph, Source, Untraceable, graph_of
+from quadftc_compile.layout import (
+    Layout,
+    Structs,
+    layout_of,
+    leaves_of,
+    member,
+    with_real,
+)
+from quadftc_model.numbers import numbers_of, with_numbers
+from quadftc_model.parameters import parameters_of
+
+OURS = ("quadftc_compile", "/jax/", "/numpy/", "quadftc_model/arrays.py")  # no source of a law
+# what JAX raises where a function does something that it cannot trace, and how to write it instead
+ADVICE = {
+    "TracerBoolConversionError": "it branches on data: write it with `where`",
+    "ConcretizationTypeError": "it needs a number before there is one: keep to array operations",
+    "TracerArrayConversionError": "it turns an array into NumPy's: take functions from `namespace(array)`",
+    "TracerIntegerConversionError": "it takes data for an index: use whole numbers that are known, or `where`",
+    "NonConcreteBooleanIndexError": "it picks elements by data: write it with `where`",
+    "UnexpectedTracerError": "it keeps a value from another trace: a law has no memory but its state",
+    "TypeError": "it does with an array what only a number can do",
+}
+
+
+@dataclasses.dataclass(frozen=True)
+class Function:
+    """What is to be compiled: ``call(law, *arguments) -> results``, a tuple by the names of ``results``."""
+
+    call: Callable[..., tuple[Any, ...]]
+    arguments: Mapping[str, Any]  # an example of each
+    results: Sequence[str]
+    kinds: Mapping[str, str] = dataclasses.field(default_factory=dict)  # argument or result -> name of its struct
+
+
+@dataclasses.dataclass(frozen=True)
+class Compiled:
+    """A function in C."""
+
+    name: str
+    arguments: dict[str, Layout]
+    results: dict[str, Layout]
+    statements: int
+    operations: int
+    stack: int  # bytes
+
+
+@dataclasses.dataclass(frozen=True)
+class Program:
+    """The C of a law."""
+
+    header: str
+    source: str
+    numbers: list[str]  # paths of the law's numbers that it takes
+    numbers_layout: Layout
+    functions: dict[str, Compiled]
+
+
+def write_program(name: str, law: Any, functions: Mapping[str, Function], real: str = "double") -> Program:
+    """Trace the functions of a law and write them in C; Untraceable says where one cannot be traced."""
+    import jax
+
+    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
+        raise RuntimeError("laws are traced in double precision: jax_enable_x64 is off in this process")
+    numbers = numbers_of(law)
+    traced = {key: _trace(f"{name}.{key}", law, numbers, each) for key, each in functions.items()}
+    used = [path for k, path in enumerate(numbers) if any(each.reads(k) for each in traced.values())]
+    return _Writer(name, law, numbers, used, real).write(traced)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Traced:
+    """A function as a graph; its first inputs are the numbers of the law."""
+
+    function: Function
+    graph: Graph
+    results: tuple[Any, ...]  # shapes and types
+
+    def reads(self, number: int) -> bool:
+        """Whether it reads one of the law's numbers."""
+        node = self.graph.inputs[number]
+        return node in self.graph.outputs or any(node in each.operands for each in self.graph.nodes)
+
+
+def _trace(name: str, law: Any, numbers: Mapping[str, Any], function: Function) -> _Traced:
+    import jax
+
+    arguments = list(function.arguments.values())
+    shapes = jax.tree.map(_shape_of, arguments)
+
+    def run(values: Sequence[Any], *given: Any) -> Any:
+        return function.call(with_numbers(law, dict(zip(numbers, values, strict=True))), *given)
+
+    try:
+        closed, results = jax.make_jaxpr(run, return_shape=True)(
+            [_shape_of(each) for each in numbers.values()], *shapes
+        )
+        return _Traced(function, graph_of(closed, source_of), results)
+    except Untraceable as error:
+        raise Untraceable(f"{name}: {error}") from None
+    except Exception as error:
+        raise Untraceable(f"{name}: {_explain(error)}") from error
+
+
+def _shape_of(value: Any) -> Any:
+    import jax
+
+    array = np.asarray(value)
+    return jax.ShapeDtypeStruct(array.shape, array.dtype)
+
+
+def _explain(error: Exception) -> str:
+    """Say where in the law an error comes from, and how to write it instead."""
+    place = ""
+    trace = error.__traceback__
+    while trace is not None:
+        file = trace.tb_frame.f_code.co_filename
+        if _is_law(file):
+            code = trace.tb_frame.f_code
+            place = f"{os.path.basename(file)}:{trace.tb_lineno} {code.co_name}: "
+        trace = trace.tb_next
+    kinds = [kind.__name__ for kind in type(error).__mro__]
+    advice = next((ADVICE[kind] for kind in kinds if kind in ADVICE), "")
+    words = str(error).splitlines()[0] if str(error) else kinds[0]
+    return f"{place}{advice or words}{f' ({words})' if advice else ''}"
+
+
+def source_of(equation: Any) -> Source | None:
+    """Return where in a law an equation of a jaxpr stands."""
+    traceback = equation.source_info.traceback
+    for frame in traceback.frames if traceback is not None else ():
+        if _is_law(frame.file_name):
+            return Source(os.path.basename(frame.file_name), frame.line_num, frame.function_name)
+    return None
+
+
+def _is_law(file: str) -> bool:
+    return not any(each in file for each in OURS) and not file.startswith("<")
+
+
+class _Writer:
+    """Writes a program."""
+
+    def __init__(self, name: str, law: Any, numbers: Mapping[str, Any], used: Sequence[str], real: str) -> None:
+        self._name, self._law, self._real = name, law, real
+        self._places = {path: k for k, path in enumerate(numbers)}
+        self._used = list(used)
+        self._layout = with_real(_nest({path: numbers[path] for path in used}), self._code)
+        self._structs = Structs(name)
+        self._declarations: list[str] = []
+        self._bodies: list[str] = []
+        self._tables: list[str] = []
+        self._compiled: dict[str, Compiled] = {}
+
+    @property
+    def _code(self) -> str:
+        return "f4" if self._real == "float" else "f8"
+
+    def write(self, traced: Mapping[str, _Traced]) -> Program:
+        """Return the program."""
+        self._name_numbers()
+        for key, each in traced.items():
+            self._write_function(key, each)
+        guard = f"{self._name.upper()}_H"
+        about = _summary_of(self._law)
+        header = "\n".join(
+            [
+                f"/* {about} Generated from the law {type(self._law).__name__}: do not change it here. */",
+                f"#ifndef {guard}\n#define {guard}\n\n#include <stdbool.h>\n#include <stdint.h>\n",
+                *self._structs.definitions,
+                *(f"{each};\n" for each in self._declarations),
+                f"#endif /* {guard} */\n",
+            ]
+        )
+        f = "f" if self._real == "float" else ""
+        source = "\n".join(
+            [
+                "#include <math.h>\n",
+                emit.HELPERS.format(real=self._real, f=f),
+                *self._tables,
+                "",
+                *self._bodies,
+            ]
+        )
+        return Program(header, source, self._used, self._layout, self._compiled)
+
+    def _name_numbers(self) -> None:
+        def name(layout: Layout, path: str, wanted: str) -> None:
+            for field, inside in layout[2]:
+                if inside[0] == "tuple":
+                    name(inside, f"{path}.{field}" if path else field, f"{wanted}_{field}")
+            self._structs.name_of(
+                layout, wanted, lambda field: comment_of(self._law, f"{path}.{field}" if path else field)
+            )
+
+        name(self._layout, "", "numbers")
+
+    def _write_function(self, key: str, traced: _Traced) -> None:
+        function, graph = traced.function, traced.graph
+        arguments = {n: with_real(layout_of(v), self._code) for n, v in function.arguments.items()}
+        results = {
+            n: with_real(layout_of(v), self._code) for n, v in zip(function.results, traced.results, strict=True)
+        }
+        name = f"{self._name}_{key}"
+        parameters = [f"const {self._structs.name_of(self._layout, 'numbers')} *numbers"]
+        inputs = ["" for _ in graph.inputs]
+        for k, path in enumerate(self._places):
+            inputs[k] = f"numbers->{member(path_members(path))}" if path in self._used else "0"
+        at = len(self._places)
+        for argument, layout in arguments.items():
+            kind = function.kinds.get(argument, argument)
+            if layout[0] == "array":
+                parameters.append(f"const {emit.C_TYPES[layout[1]]} *{argument}")
+            else:
+                parameters.append(f"const {self._structs.name_of(layout, kind)} *{argument}")
+            for text in _places_of(layout, argument):
+                inputs[at] = text
+                at += 1
+        outputs: list[str] = []
+        for result, layout in results.items():
+            kind = function.kinds.get(result, result)
+            if layout[0] == "array":
+                parameters.append(f"{emit.C_TYPES[layout[1]]} *{result}")
+            else:
+                parameters.append(f"{self._structs.name_of(layout, kind)} *{result}")
+            outputs += _places_of(layout, result)
+        emitter = emit.Emitter(self._real, tables=self._tables)
+        emitter.emit(graph, inputs, outputs)
+        unused = [each.split("*")[-1].strip() for each in parameters]
+        body = "\n".join(emitter.lines)
+        quiet = [f"    (void){each};" for each in unused if f"{each}->" not in body and f"*{each}" not in body and f"{each}[" not in body]
+        empty = [f"    {n}->nothing = 0;" for n, layout in results.items() if layout[0] == "tuple" and not leaves_of(layout)]
+        signature = f"void {name}(\n    " + ",\n    ".join(parameters) + ")"
+        self._declarations.append(signature)
+        self._bodies.append("\n".join([signature + "\n{", *quiet, *empty, *emitter.lines, "}\n"]))
+        self._compiled[key] = Compiled(
+            name, arguments, results, emitter.statements, graph.operations, emitter.stack
+        )
+
+
+def _places_of(layout: Layout, name: str) -> list[str]:
+    """Return the texts of all arrays of an argument, in the order in which JAX takes them."""
+    if layout[0] == "array":
+        return [name if layout[2] else f"*{name}"]
+    if layout[0] == "none":
+        return []
+    found: list[str] = []
+
+    def walk(inside: Layout, path: str) -> None:
+        if inside[0] == "array":
+            found.append(path)
+        elif inside[0] == "tuple":
+            for field, each in inside[2]:
+                walk(each, f"{path}.{field}" if path != name else f"{name}->{field}")
+
+    walk(layout, name)
+    return found
+
+
+def _nest(numbers: Mapping[str, Any]) -> Layout:
+    """Return the layout of a law's numbers: a struct for each part."""
+    inside: dict[str, Any] = {}
+    for path, value in numbers.items():
+        part = inside
+        *parents, last = path_members(path)
+        for each in parents:
+            part = part.setdefault(each, {})
+        part[last] = value
+
+    def layout(part: Any) -> Layout:
+        if isinstance(part, dict):
+            return ["tuple", "", [[name, layout(each)] for name, each in part.items()]]
+        return layout_of(part)
+
+    return layout(inside)
+
+
+def path_members(path: str) -> list[str]:
+    """Return the members of the struct of numbers to a path; numbered parts get names."""
+    return [f"part{each}" if each.isdecimal() else each.lstrip("_") for each in path.split(".")]
+
+
+def comment_of(law: Any, path: str) -> str:
+    """Return unit and meaning of a number of a law."""
+    from quadftc_compile.layout import field_comments
+    from quadftc_model.vehicle_table import KEYS
+
+    part: Any = law
+    *parents, last = path.split(".")
+    for each in parents:
+        part = part[int(each[4:])] if each.startswith("part") and each[4:].isdecimal() else getattr(part, each, None)
+    kind = type(part)
+    if dataclasses.is_dataclass(kind):
+        for spec in parameters_of(kind):
+            if spec.name == last:
+                return f"[{spec.unit}] {spec.doc}".replace("*/", "* /")
+    for table in KEYS.values():
+        if last in table and kind.__module__.startswith("quadftc_model.vehicle"):
+            return f"[{table[last].unit}] {table[last].doc}"
+    derived = inspect.getattr_static(kind, last, None)
+    if derived is not None and (words := inspect.getdoc(derived)):
+        return words.splitlines()[0].replace("*/", "* /")
+    return field_comments(kind).get(last, "")
+
+
+def _summary_of(law: Any) -> str:
+    words = inspect.getdoc(type(law)) or type(law).__name__
+    return words.splitlines()[0].replace("*/", "* /")
