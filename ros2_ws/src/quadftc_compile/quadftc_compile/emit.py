@@ -20,28 +20,14 @@ from typing import Any
 
 import numpy as np
 
+from quadftc_compile import text
 from quadftc_compile.graph import VIEWS, Graph, Node, Untraceable
+from quadftc_compile.layout import C_TYPES
+from quadftc_compile.operators import ELEMENTWISE, operate
+from quadftc_compile.text import Expression, Index, Indices, flat, variable
 
 FEW = 4  # numbers of an array that is written number by number
-WRITTEN_OUT = 8  # terms of a sum that are written out
 LONGEST = 24  # operations in one statement
-
-C_TYPES = {"f8": "double", "f4": "float", "b1": "bool", "u1": "uint8_t", "i4": "int32_t", "i8": "int64_t"}
-C_TYPES |= {"u4": "uint32_t", "u8": "uint64_t", "i1": "int8_t", "i2": "int16_t", "u2": "uint16_t"}
-
-# number by number: operands in braces
-OPERATORS = {"add": "{} + {}", "sub": "{} - {}", "mul": "{} * {}", "neg": "-{}"}
-OPERATORS |= {"eq": "{} == {}", "ne": "{} != {}", "lt": "{} < {}", "le": "{} <= {}", "gt": "{} > {}"}
-OPERATORS |= {"ge": "{} >= {}"}
-FUNCTIONS = ("sqrt", "cbrt", "exp", "exp2", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan")
-FUNCTIONS += ("sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "floor", "ceil", "erf", "erfc")
-TWO_ARGUMENTS = {"atan2": "atan2", "pow": "pow", "rem": "fmod", "nextafter": "nextafter"}
-ELEMENTWISE = {*OPERATORS, *FUNCTIONS, *TWO_ARGUMENTS, "div", "max", "min", "abs", "sign", "and", "or", "xor", "not"}
-ELEMENTWISE |= {"select_n", "convert_element_type", "is_finite", "round", "rsqrt", "logistic"}
-REDUCTIONS = {"reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "reduce_min": "min"}
-REDUCTIONS |= {"reduce_and": "and", "reduce_or": "or", "reduce_xor": "xor"}
-CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
-MANY_RESULTS = ("scan", "while", "cond", "lu", "sort")
 
 HELPERS = """\
 static inline {real} larger({real} x, {real} y) {{ return x >= y || x != x ? x : y; }}
@@ -52,51 +38,101 @@ static inline int64_t within(int64_t k, int64_t most) {{ return k < 0 ? 0 : k > 
 
 
 @dataclasses.dataclass(frozen=True)
-class Index:
-    """A whole number that is linear in loop variables: ``constant + sum(factor * variable)``."""
-
-    constant: int = 0
-    terms: tuple[tuple[str, int], ...] = ()  # sorted by variable
-
-    def __add__(self, other: Index | int) -> Index:
-        if isinstance(other, int):
-            return Index(self.constant + other, self.terms)
-        total = collections.Counter(dict(self.terms))
-        for name, factor in other.terms:
-            total[name] += factor
-        terms = tuple(sorted((name, factor) for name, factor in total.items() if factor))
-        return Index(self.constant + other.constant, terms)
-
-    def __mul__(self, factor: int) -> Index:
-        if factor == 0:
-            return Index()
-        return Index(self.constant * factor, tuple((name, factor * each) for name, each in self.terms))
-
-    def factor_of(self, variable: str) -> int:
-        """How far it moves by a step of a variable."""
-        return dict(self.terms).get(variable, 0)
-
-    def without(self, merged: str, into: str) -> Index:
-        """Return it where a loop variable has become part of another."""
-        return Index(self.constant, tuple((name, factor) for name, factor in self.terms if name != merged))
-
-    def __str__(self) -> str:
-        parts = [name if factor == 1 else f"{factor} * {name}" for name, factor in self.terms]
-        if self.constant or not parts:
-            parts.append(str(self.constant))
-        return " + ".join(parts).replace("+ -", "- ")
-
-
-Indices = Sequence[Index]
-
-
-@dataclasses.dataclass
 class Storage:
     """Where the numbers of a node are kept."""
 
     name: str
-    single: bool  # one variable, not an array
+    single: bool = False  # one variable, not an array
     separate: bool = False  # a variable for each number
+
+    def shifted(self, place: str) -> Storage:
+        """Return the array that begins at a place of this one."""
+        return Storage(f"({self.name} + {place})")
+
+
+Statement = Callable[["Emitter", Node, Storage], None]
+STATEMENTS: dict[str, Statement] = {}  # operations that are not done number by number
+WHOLE: dict[str, Callable[["Emitter", Node, Sequence[Storage]], None]] = {}  # those with several results
+ADDRESSED: set[str] = set()  # operations that read their operands as arrays that lie in one piece
+
+
+def statement(*names: str, addressed: bool = False) -> Callable[[Statement], Statement]:
+    """Register what writes some operations; ``addressed`` ones read their operands as arrays in one piece."""
+
+    def add(rule: Statement) -> Statement:
+        STATEMENTS.update(dict.fromkeys(names, rule))
+        ADDRESSED.update(names if addressed else ())
+        return rule
+
+    return add
+
+
+class Plan:
+    """Which results of a graph are kept, and which are written where they are used."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.inlined: set[int] = set()
+        self.looped: set[int] = set()  # read inside of loops, or as an array
+        self._kept: set[int] = set()  # read as an array in one piece
+        self._reads: dict[int, float] = collections.defaultdict(float)  # how often each number is read
+        for node in graph.outputs:
+            self._reads[id(node)] += 1.0
+            if node.size > FEW:
+                self.looped.add(id(node))
+        for node in reversed(graph.nodes):
+            self._decide(node)
+        self._shorten(graph)
+
+    def _decide(self, node: Node) -> None:
+        """Decide on a node, those that read it being decided on."""
+        reads, looped = self._reads[id(node)], id(node) in self.looped
+        inline = id(node) not in self._kept and self._is_inlined(node, reads, looped)
+        loops = looped if inline else node.size > FEW
+        if inline:
+            self.inlined.add(id(node))
+            if node.op == "reshape" and looped and not keeps_axes(node):
+                self._kept.add(id(node.operands[0]))
+        for operand, times in self._reads_of(node, reads if inline else 1.0):
+            self._reads[id(operand)] += times
+            if loops or node.op not in {*VIEWS, *ELEMENTWISE}:
+                self.looped.add(id(operand))
+            if node.op in ADDRESSED or node.op in WHOLE:
+                self._kept.add(id(operand))
+
+    def _is_inlined(self, node: Node, reads: float, looped: bool) -> bool:
+        if node.op == "concatenate":
+            return not looped
+        if node.op in VIEWS or node.op == "result":
+            return True
+        return node.op in ELEMENTWISE and reads <= 1.0 + 1e-9
+
+    def _reads_of(self, node: Node, reads: float) -> Iterator[tuple[Node, float]]:
+        """Yield how often each number of the operands is read, on average."""
+        for operand in node.operands:
+            if operand.op in ("constant", "input") or operand.size == 0:
+                continue
+            if node.op == "concatenate":
+                yield operand, reads
+            elif node.op in VIEWS or node.op in ELEMENTWISE:
+                yield operand, reads * node.size / operand.size
+            else:
+                yield operand, 1.0 if node.op.startswith("reduce_") else 2.0
+
+    def _shorten(self, graph: Graph) -> None:
+        """Keep some more results, so that no statement gets too long."""
+        length: dict[int, int] = {}
+        for node in graph.nodes:
+            own = 0 if node.op in VIEWS else 1
+            total = own + sum(length.get(id(each), 0) for each in node.operands)
+            if id(node) in self.inlined and node.op in ELEMENTWISE and total > LONGEST:
+                self.inlined.discard(id(node))
+            length[id(node)] = total if id(node) in self.inlined else 0
+
+
+def keeps_axes(node: Node) -> bool:
+    """Whether a reshape only adds and removes axes of length 1."""
+    (x,) = node.operands
+    return [n for n in x.shape if n != 1] == [n for n in node.shape if n != 1]
 
 
 @dataclasses.dataclass
@@ -108,314 +144,258 @@ class Loops:
 
 
 class Emitter:
-    """Writes the statements of a graph.
+    """Writes the statements of graphs."""
 
-    ``inputs`` says where the numbers of each input are, ``outputs`` where those of each output go: C texts such
-    as ``before->rate``. A text of more than one number is that of an array.
-    """
-
-    def __init__(self, real: str = "double") -> None:
+    def __init__(self, real: str = "double", tables: list[str] | None = None) -> None:
         self.real = real
         self.lines: list[str] = []
-        self.tables: list[str] = []  # constants
+        self.tables: list[str] = [] if tables is None else tables  # constants, of the whole file
+        self.helpers: set[str] = set()  # functions of `quadftc_compile.matrices` that are called
+        self.statements = 0
         self.stack = 0  # bytes of local arrays
-        self._table_names: dict[bytes, str] = {}
-        self._names = itertools.count()
+        self._numbers = itertools.count()
         self._depth = 1
         self._storage: dict[int, Storage] = {}
-        self._inline: set[int] = set()
+        self._plan = Plan(Graph([], [], []))
         self._loops: Loops | None = None
-        self._used_inside: list[Any] = []
+        self._sources: dict[str, None] = {}
 
-    # -- planning ----------------------------------------------------------------------------------------------
-
-    def emit(self, graph: Graph, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        """Write the statements."""
-        for node, text in zip(graph.inputs, inputs, strict=True):
-            self._storage[id(node)] = Storage(text, node.shape == ())
-        self._plan(graph)
-        targets: dict[int, str] = {}
-        for node, text in zip(graph.outputs, outputs, strict=True):
+    def emit(self, graph: Graph, inputs: Sequence[Storage], outputs: Sequence[Storage]) -> None:
+        """Write the statements of a graph; inputs and outputs do not overlap."""
+        outer, self._plan = self._plan, Plan(graph)
+        self._storage |= {id(node): where for node, where in zip(graph.inputs, inputs, strict=True)}
+        targets: dict[int, Storage] = {}
+        for node, where in zip(graph.outputs, outputs, strict=True):
             if node.op not in ("input", "constant", "result", *VIEWS) and id(node) not in targets:
-                targets[id(node)] = text  # computed right where it goes
-                self._inline.discard(id(node))
+                targets[id(node)] = where  # computed right where it goes
+                self._plan.inlined.discard(id(node))
         for node in graph.nodes:
-            if id(node) not in self._inline:
-                self._write_node(node, targets.get(id(node)))
-        for node, text in zip(graph.outputs, outputs, strict=True):
-            if targets.get(id(node)) != text:
-                self._copy(node, text)
-
-    def _plan(self, graph: Graph) -> None:
-        """Decide which results are written where they are used."""
-        demand: dict[int, float] = collections.defaultdict(float)  # how often each number is read
-        looped: set[int] = set()  # read inside of loops
-        for node in graph.outputs:
-            demand[id(node)] += 1.0
-            if node.size > FEW:
-                looped.add(id(node))
-        self._operations: dict[int, int] = {}
-        for node in graph.nodes:
-            own = 0 if node.op in VIEWS else 1
-            self._operations[id(node)] = own + sum(
-                self._operations.get(id(each), 0) for each in node.operands if each.op not in ("input", "constant")
-            )
-        kept: set[int] = set()  # read in another order of axes, so that it must lie in one piece
-        for node in reversed(graph.nodes):
-            read = demand[id(node)]
-            inline = id(node) not in kept and self._is_inlined(node, read, id(node) in looped)
-            if inline and node.op == "reshape" and id(node) in looped and not self._keeps_axes(node):
-                kept.add(id(node.operands[0]))
-            if inline:
-                self._inline.add(id(node))
-            loops = (id(node) in looped) if inline else node.size > FEW
-            for operand, times in self._reads(node, read if inline else 1.0):
-                demand[id(operand)] += times
-                if loops or node.op in MANY_RESULTS or node.op not in {*VIEWS, *ELEMENTWISE}:
-                    looped.add(id(operand))
-        self._looped = looped
-        # statements must not get too long: count again, from what is kept
-        length: dict[int, int] = {}
-        for node in graph.nodes:
-            own = 0 if node.op in VIEWS else 1
-            total = own + sum(length.get(id(each), 0) for each in node.operands)
-            if id(node) in self._inline and node.op in ELEMENTWISE and total > LONGEST:
-                self._inline.discard(id(node))
-            length[id(node)] = total if id(node) in self._inline else 0
-
-    def _is_inlined(self, node: Node, read: float, looped: bool) -> bool:
-        if node.op == "concatenate":
-            return not looped
-        if node.op in VIEWS or node.op == "result":
-            return True
-        if node.op not in ELEMENTWISE:
-            return False
-        return read <= 1.0 + 1e-9
-
-    def _keeps_axes(self, node: Node) -> bool:
-        """Whether a reshape only adds and removes axes of length 1."""
-        (x,) = node.operands
-        return [n for n in x.shape if n != 1] == [n for n in node.shape if n != 1]
-
-    def _reads(self, node: Node, read: float) -> Iterator[tuple[Node, float]]:
-        """Yield how often each number of the operands is read, on average."""
-        for operand in node.operands:
-            if operand.op in ("constant", "input") or operand.size == 0:
-                continue
-            if node.op == "concatenate":
-                yield operand, read
-            elif node.op in VIEWS:
-                yield operand, read * node.size / operand.size
-            elif node.op in ELEMENTWISE:
-                yield operand, read * node.size / operand.size
-            elif node.op in REDUCTIONS or node.op in ("pad",):
-                yield operand, 1.0
-            else:
-                yield operand, 2.0
+            if id(node) not in self._plan.inlined and node.op != "result":
+                self._write(node, targets.get(id(node)))
+        for node, where in zip(graph.outputs, outputs, strict=True):
+            if targets.get(id(node)) is not where and node.size:
+                self.copy(node, where)
+        self._plan = outer
 
     # -- statements --------------------------------------------------------------------------------------------
 
-    def _line(self, text: str) -> None:
-        self.lines.append("    " * self._depth + text)
+    def line(self, content: str) -> None:
+        """Write a line."""
+        self.lines.append("    " * self._depth + content)
 
-    def _open(self, text: str) -> None:
-        self._line(f"{text} {{")
+    def assign(self, target: str, value: Expression | str) -> None:
+        """Write an assignment."""
+        self.statements += 1
+        self.line(f"{target} = {value if isinstance(value, str) else value.text};")
+
+    def open(self, head: str) -> None:
+        """Begin a block."""
+        self.line(f"{head} {{")
         self._depth += 1
 
-    def _close(self) -> None:
+    def go_on(self, head: str) -> None:
+        """End a block and begin the next of the same statement."""
         self._depth -= 1
-        self._line("}")
+        self.open(f"}} {head}")
 
-    def _type(self, node: Node) -> str:
-        return self._type_of(node.dtype)
+    def close(self) -> None:
+        """End a block."""
+        self._depth -= 1
+        self.line("}")
 
-    def _type_of(self, dtype: np.dtype[Any]) -> str:
-        if dtype.kind == "f":
-            return self.real
-        return C_TYPES[dtype.str[1:]]
+    def name(self, letter: str) -> str:
+        """Return a name that is not in use."""
+        return f"{letter}{next(self._numbers)}"
 
-    def _declare(self, node: Node) -> Storage:
-        """Declare where the numbers of a node are kept."""
-        name, kind = f"v{next(self._names)}", self._type(node)
-        if node.size == 1:
-            self._line(f"{kind} {name};")
+    def type_of(self, dtype: np.dtype[Any]) -> str:
+        """Return the C type of numbers."""
+        return self.real if dtype.kind == "f" else C_TYPES[dtype.str[1:]]
+
+    def declare(self, shape: Sequence[int], dtype: np.dtype[Any], looped: bool = True) -> Storage:
+        """Declare where numbers are kept."""
+        name, kind, size = self.name("v"), self.type_of(dtype), math.prod(shape)
+        if size == 1:
+            self.line(f"{kind} {name};")
             return Storage(name, single=True)
-        if node.size <= FEW and id(node) not in self._looped:
-            self._line(f"{kind} {', '.join(f'{name}_{k}' for k in range(node.size))};")
-            return Storage(name, single=False, separate=True)
-        self._line(f"{kind} {name}[{max(node.size, 1)}];")
-        self.stack += node.size * (8 if kind in ("double", "int64_t") else 1 if kind == "bool" else 4)
-        return Storage(name, single=False)
+        if size <= FEW and not looped:
+            self.line(f"{kind} {', '.join(f'{name}_{k}' for k in range(size))};")
+            return Storage(name, separate=True)
+        self.line(f"{kind} {name}[{max(size, 1)}];")
+        self.stack += size * (4 if self.real == "float" and dtype.kind == "f" else dtype.itemsize)
+        return Storage(name)
 
-    def _write_node(self, node: Node, target: str | None) -> None:
-        """Write the statements that compute a node."""
-        if node.op in MANY_RESULTS:
-            self._write_many(node)
-            return
-        if node.size == 0:
-            self._storage[id(node)] = Storage("0", single=True)
-            return
-        storage = Storage(target, node.shape == ()) if target is not None else self._declare(node)
+    def keep(self, node: Node, storage: Storage) -> None:
+        """Note where a node is kept."""
         self._storage[id(node)] = storage
-        before = len(self.lines)
-        self._used: set[str] = set()
-        rule = _STATEMENTS.get(node.op)
-        if rule is not None:
-            rule(self, node, storage)
-        elif node.op in VIEWS or node.op in ELEMENTWISE:
-            self._fill(node, storage)
-        else:
-            raise Untraceable(_words(node, f"the operation '{node.op}' of JAX has no C"))
-        sources = [str(node.source)] if node.source else []
-        sources += sorted(self._used - set(sources))
-        if sources and before < len(self.lines):
-            self.lines[before] += f"  // {'; '.join(sources[:3])}"
 
-    def _copy(self, node: Node, text: str) -> None:
-        if node.size:
-            self._used = set()
-            self._fill(node, Storage(text, node.shape == ()), copied=True)
+    def _write(self, node: Node, target: Storage | None) -> None:
+        """Write the statements that compute a node."""
+        before, self._sources = len(self.lines), {}
+        if node.source is not None:
+            self._sources[str(node.source)] = None
+        if node.op in WHOLE:
+            nodes: list[Node] = node.params["results"]
+            results = [self.declare(each.shape, each.dtype) for each in nodes]
+            self._storage |= {id(each): where for each, where in zip(nodes, results, strict=True)}
+            WHOLE[node.op](self, node, results)
+            for where in results:
+                self.line(f"(void){where.name};")
+        elif node.size:
+            by_number = node.op in ELEMENTWISE or (node.op in VIEWS and node.op != "concatenate")
+            if target is None and node.size == 1 and by_number:
+                self._define(node)
+                self._note_sources(before)
+                return
+            storage = target or self.declare(node.shape, node.dtype, id(node) in self._plan.looped)
+            self.keep(node, storage)
+            if node.op in STATEMENTS:
+                STATEMENTS[node.op](self, node, storage)
+            elif node.op in VIEWS or node.op in ELEMENTWISE:
+                self._fill(node, storage)
+            else:
+                raise Untraceable(f"{node.source or 'it'}: '{node.op}' of JAX is not known in C")
+        self._note_sources(before)
 
-    def _fill(self, node: Node, storage: Storage, copied: bool = False) -> None:
+    def _note_sources(self, line: int) -> None:
+        """Write behind a line where in the law it comes from."""
+        if self._sources and len(self.lines) > line:
+            self.lines[line] += f"  // {'; '.join([*self._sources][:3])}"
+
+    def _define(self, node: Node) -> None:
+        """Write one number that is computed as such."""
+        at = [Index()] * len(node.shape)
+        value = self._seen(node, at) if node.op in VIEWS else self._operation(node, at)
+        storage = Storage(self.name("v"), single=True)
+        self.statements += 1
+        self.line(f"const {self.type_of(node.dtype)} {storage.name} = {value.text};")
+        self.keep(node, storage)
+
+    def copy(self, node: Node, storage: Storage) -> None:
+        """Write the numbers of a node, kept or not, into a place."""
+        self.each(node.shape, lambda at: self.put(storage, node.shape, at, self.at(node, at)))
+
+    def _fill(self, node: Node, storage: Storage) -> None:
         """Write all numbers of a node that is computed number by number."""
-        if node.op == "concatenate" and not (copied and id(node) in self._storage):
-            self._join(node, storage)
+        if node.op == "concatenate":
+            axis, offset = node.params["dimension"], 0
+            for part in node.operands:
+                self.copy_into(part, storage, node.shape, axis, offset)
+                offset += part.shape[axis]
             return
-        self._each(node.shape, lambda at: self._set(storage, node.shape, at, self._number(node, at, copied)))
+        number = self._seen if node.op in VIEWS else self._operation
+        self.each(node.shape, lambda at: self.put(storage, node.shape, at, number(node, at)))
 
-    def _join(self, node: Node, storage: Storage) -> None:
-        axis, offset = node.params["dimension"], 0
-        for part in node.operands:
+    def copy_into(self, part: Node, storage: Storage, shape: Sequence[int], axis: int, offset: int) -> None:
+        """Write a part of an array, from an offset along an axis on."""
 
-            def put(at: Indices, part: Node = part, offset: int = offset) -> str:
-                place = [index + (offset if k == axis else 0) for k, index in enumerate(at)]
-                return self._set(storage, node.shape, place, self.at(part, at))
+        def put(at: Indices) -> str:
+            place = [index + (offset if k == axis else 0) for k, index in enumerate(at)]
+            return self.put(storage, shape, place, self.at(part, at))
 
-            self._each(part.shape, put)
-            offset += part.shape[axis]
+        self.each(part.shape, put)
 
-    def _number(self, node: Node, at: Indices, copied: bool) -> str:
-        if copied or node.op in VIEWS and node.op != "concatenate":
-            return self.at(node, at) if copied else self._seen(node, at)
-        return self._operation(node, at)
+    def put(self, storage: Storage, shape: Sequence[int], at: Indices, value: Expression) -> str:
+        """Return the assignment of one number of an array."""
+        return f"{self.place(storage, shape, at)} = {value.text};"
 
-    def _each(self, shape: Sequence[int], statement: Callable[[Indices], str], always_loop: bool = False) -> None:
+    def each(self, shape: Sequence[int], statement: Callable[[Indices], str], loop: bool = False) -> None:
         """Write a statement for each index of a shape: one by one if they are few, else in loops."""
-        if math.prod(shape) <= FEW and not always_loop:
+        if math.prod(shape) <= FEW and not loop:
             for place in itertools.product(*(range(n) for n in shape)):
-                self._line(statement([Index(k) for k in place]))
+                self.statements += 1
+                self.line(statement([Index(k) for k in place]))
             return
-        outer, names = self._loops, [f"i{next(self._names)}" for _ in shape]
-        axes = [(name, n) for name, n in zip(names, shape, strict=True) if n != 1]
-        self._loops = Loops(axes)
-        at = [Index(0, ((name, 1),)) if n != 1 else Index() for name, n in zip(names, shape, strict=True)]
-        text = statement(at)
-        text = self._nest(text)
+        outer, names = self._loops, [self.name("i") for _ in shape]
+        self._loops = Loops([(name, n) for name, n in zip(names, shape, strict=True) if n != 1])
+        at = [variable(name) if n != 1 else Index() for name, n in zip(names, shape, strict=True)]
+        self._nest(statement(at))
         self._loops = outer
 
-    def _nest(self, text: str) -> str:
+    def _nest(self, content: str) -> None:
         """Write loops around a statement; axes that lie behind each other everywhere become one."""
-        loops = self._loops
-        assert loops is not None
-        axes, places = list(loops.axes), list(loops.places)
-        k = len(axes) - 2
-        while k >= 0:
+        assert self._loops is not None
+        axes, places = list(self._loops.axes), list(self._loops.places)
+        for k in range(len(axes) - 2, -1, -1):
             (a, n), (b, m) = axes[k], axes[k + 1]
             if all(each.factor_of(a) == m * each.factor_of(b) for each in places):
                 axes[k : k + 2] = [(b, n * m)]
-                places = [each.without(a, b) for each in places]
-            k -= 1
+                places = [each.without(a) for each in places]
         for number, each in enumerate(places):
-            text = text.replace(f"\0{number}\0", str(each))
+            content = content.replace(f"\0{number}\0", str(each))
         for name, count in axes:
-            self._open(f"for (int {name} = 0; {name} < {count}; {name}++)")
-        self._line(text)
+            self.open(f"for (int {name} = 0; {name} < {count}; {name}++)")
+        self.statements += 1
+        self.line(content)
         for _ in axes:
-            self._close()
-        return text
-
-    def _place(self, index: Index) -> str:
-        """Write an index; inside of loops its text follows when they are known."""
-        if self._loops is None or not index.terms:
-            return str(index)
-        self._loops.places.append(index)
-        return f"\0{len(self._loops.places) - 1}\0"
-
-    def _set(self, storage: Storage, shape: Sequence[int], at: Indices, value: str) -> str:
-        return f"{self._lvalue(storage, shape, at)} = {value};"
-
-    def _lvalue(self, storage: Storage, shape: Sequence[int], at: Indices) -> str:
-        if storage.single:
-            return storage.name
-        flat = _flat(shape, at)
-        if storage.separate:
-            assert not flat.terms
-            return f"{storage.name}_{flat.constant}"
-        return f"{storage.name}[{self._place(flat)}]"
+            self.close()
 
     # -- numbers -----------------------------------------------------------------------------------------------
 
-    def at(self, node: Node, at: Indices) -> str:
-        """Return the text of one number of a node."""
+    def place(self, storage: Storage, shape: Sequence[int], at: Indices) -> str:
+        """Return the text of one number that is kept."""
+        if storage.single:
+            return storage.name
+        where = flat(shape, at)
+        if storage.separate:
+            assert not where.terms
+            return f"{storage.name}_{where.constant}"
+        return f"{storage.name}[{self.index(where)}]"
+
+    def index(self, where: Index) -> str:
+        """Return the text of an index; inside of loops its text follows when they are known."""
+        if self._loops is None or not where.terms:
+            return str(where)
+        self._loops.places.append(where)
+        return f"\0{len(self._loops.places) - 1}\0"
+
+    def storage_of(self, node: Node) -> Storage:
+        """Return where a node is kept as an array in one piece."""
+        if node.value is not None:
+            return Storage(self.table(node.value))
+        return self._storage[id(node)]
+
+    def at(self, node: Node, at: Indices) -> Expression:
+        """Return one number of a node."""
         if node.value is not None:
             return self._constant(node, at)
         storage = self._storage.get(id(node))
         if storage is not None:
-            if node.size == 1:
-                at = [Index()] * len(node.shape)
-                if not storage.single and not storage.separate:
-                    return f"{storage.name}[0]"
-            return self._lvalue(storage, node.shape, at)
+            return Expression(self.place(storage, node.shape, at))
         if node.op in VIEWS:
             return self._seen(node, at)
-        assert id(node) in self._inline, node.op
+        assert id(node) in self._plan.inlined, node.op
         if node.source is not None:
-            self._used.add(str(node.source))
-        text = self._operation(node, at)
-        return text if _is_atom(text) else f"({text})"
+            self._sources[str(node.source)] = None
+        return self._operation(node, at)
 
-    def _constant(self, node: Node, at: Indices) -> str:
+    def literal(self, value: Any) -> Expression:
+        """Return a number that is known."""
+        return text.literal(value, self.real)
+
+    def _constant(self, node: Node, at: Indices) -> Expression:
         value = node.value
         assert value is not None
-        flat = _flat(node.shape, at)
-        if value.size == 1 or bool(np.all(value == value.flat[0])):
-            return self.literal(value.flat[0])
-        if not flat.terms:
-            return self.literal(value.flat[flat.constant])
-        return f"{self._table(value)}[{self._place(flat)}]"
+        where = flat(node.shape, at)
+        first = value.flat[0]
+        if bool(np.all(value == first)) or value.size == 1:
+            return self.literal(first)
+        if not where.terms:
+            return self.literal(value.flat[where.constant])
+        return Expression(f"{self.table(value)}[{self.index(where)}]")
 
-    def _table(self, value: Any) -> str:
-        key = value.tobytes() + value.dtype.str.encode() + b"%d" % value.size
-        if key not in self._table_names:
-            self._table_names[key] = name = f"k{len(self._table_names)}"
-            numbers = ", ".join(self.literal(each) for each in value.flat)
-            self.tables.append(f"static const {self._type_of(value.dtype)} {name}[{value.size}] = {{{numbers}}};")
-        return self._table_names[key]
+    def table(self, value: Any) -> str:
+        """Return the name of a table of numbers that are known."""
+        numbers = ", ".join(self.literal(each).text for each in value.flat)
+        content = f"[{max(value.size, 1)}] = {{{numbers or 0}}};"
+        kind = self.type_of(value.dtype)
+        for number, each in enumerate(self.tables):
+            if each == f"static const {kind} k{number}{content}":
+                return f"k{number}"
+        self.tables.append(f"static const {kind} k{len(self.tables)}{content}")
+        return f"k{len(self.tables) - 1}"
 
-    def literal(self, value: Any) -> str:
-        """Return a number in C."""
-        if isinstance(value, (bool, np.bool_)):
-            return "true" if value else "false"
-        if isinstance(value, (int, np.integer)):
-            return str(int(value)) if abs(int(value)) < 2**31 else f"INT64_C({int(value)})"
-        number = float(value)
-        if math.isnan(number):
-            return "NAN"
-        if math.isinf(number):
-            return "INFINITY" if number > 0 else "(-INFINITY)"
-        if self.real == "float":
-            single = float(np.float32(number))
-            if math.isinf(single):
-                return "INFINITY" if single > 0 else "(-INFINITY)"
-            text = f"{single!r}f" if single == number else f"{np.float32(number)!s}f"
-            if "." not in text and "e" not in text:
-                text = f"{text[:-1]}.0f"
-        else:
-            text = repr(number)
-        return f"({text})" if number < 0 or text.startswith("-") else text
-
-    def _seen(self, node: Node, at: Indices) -> str:
-        """Return the text of one number of a view."""
+    def _seen(self, node: Node, at: Indices) -> Expression:
+        """Return one number of a view."""
         (x, *_), params = node.operands, node.params
         if node.op == "transpose":
             inner: list[Index] = [Index()] * len(at)
@@ -426,20 +406,16 @@ class Emitter:
             places = params["broadcast_dimensions"]
             return self.at(x, [at[p] if n != 1 else Index() for p, n in zip(places, x.shape, strict=True)])
         if node.op == "slice":
-            strides = params["strides"] or (1,) * len(at)
-            starts = params["start_indices"]
+            strides, starts = params["strides"] or (1,) * len(at), params["start_indices"]
             return self.at(x, [k * s + int(b) for k, s, b in zip(at, strides, starts, strict=True)])
         if node.op == "rev":
-            turned = params["dimensions"]
-            return self.at(x, [k * -1 + (n - 1) if a in turned else k for a, (k, n) in enumerate(zip(at, x.shape, strict=True))])
-        if node.op == "concatenate":
-            return self._part(node, at)
-        return self._reshaped(node, at)
+            turned = enumerate(zip(at, x.shape, strict=True))
+            return self.at(x, [k * -1 + (n - 1) if a in params["dimensions"] else k for a, (k, n) in turned])
+        return self._part(node, at) if node.op == "concatenate" else self._reshaped(node, at)
 
-    def _part(self, node: Node, at: Indices) -> str:
+    def _part(self, node: Node, at: Indices) -> Expression:
         axis = node.params["dimension"]
-        if at[axis].terms:
-            raise AssertionError("a joined array is read in a loop, and has no place")
+        assert not at[axis].terms, "a joined array is read in a loop, and has no place"
         rest = at[axis].constant
         for part in node.operands:
             if rest < part.shape[axis]:
@@ -447,216 +423,21 @@ class Emitter:
             rest -= part.shape[axis]
         raise AssertionError("index out of range")
 
-    def _reshaped(self, node: Node, at: Indices) -> str:
+    def _reshaped(self, node: Node, at: Indices) -> Expression:
         (x,) = node.operands
-        if self._keeps_axes(node):
+        if keeps_axes(node):
             long = iter([index for index, n in zip(at, node.shape, strict=True) if n != 1])
             return self.at(x, [next(long) if n != 1 else Index() for n in x.shape])
-        flat = _flat(node.shape, at)
-        if not flat.terms:
-            place = np.unravel_index(flat.constant, x.shape)
-            return self.at(x, [Index(int(k)) for k in place])
-        storage = self._storage.get(id(x))
-        if storage is not None and not storage.separate:
-            return f"{storage.name}[{self._place(flat)}]"
-        if x.value is not None:
-            return f"{self._table(x.value)}[{self._place(flat)}]"
-        if x.op == "reshape":
-            return self._reshaped(dataclasses.replace(node, operands=x.operands), at)
-        raise AssertionError("reshape of what is not kept")
+        where = flat(node.shape, at)
+        if not where.terms:
+            return self.at(x, [Index(int(k)) for k in np.unravel_index(where.constant, x.shape)])
+        return Expression(f"{self.storage_of(x).name}[{self.index(where)}]")
 
-    def _operation(self, node: Node, at: Indices) -> str:
-        """Return the text of one number of an operation that is done number by number."""
-        op = node.op
+    def _operation(self, node: Node, at: Indices) -> Expression:
+        """Return one number of an operation that is done number by number."""
 
-        def term(operand: Node) -> str:
-            if not operand.shape:
-                return self.at(operand, [])
-            return self.at(operand, [k if n != 1 else Index() for k, n in zip(at, operand.shape, strict=True)])
+        def operand(x: Node) -> Expression:
+            inner = zip(at[len(at) - len(x.shape) :], x.shape, strict=True)
+            return self.at(x, [k if n != 1 else Index() for k, n in inner])
 
-        x = [term(each) for each in node.operands]
-        floating = node.operands[0].dtype.kind == "f"
-        f = "f" if self.real == "float" else ""
-        if op in OPERATORS:
-            text = OPERATORS[op].format(*x)
-            return _unsigned(text, node) if not floating and op in ("add", "sub", "mul", "neg") else text
-        if op == "div":
-            return f"{x[0]} / {x[1]}" if floating else f"({x[1]} == 0 ? -1 : {x[0]} / {x[1]})"
-        if op in ("max", "min"):
-            if floating:
-                return f"{'larger' if op == 'max' else 'smaller'}({x[0]}, {x[1]})"
-            return f"{x[0]} {'>' if op == 'max' else '<'} {x[1]} ? {x[0]} : {x[1]}"
-        if op == "abs":
-            return f"fabs{f}({x[0]})" if floating else f"{x[0]} < 0 ? -{x[0]} : {x[0]}"
-        if op == "sign":
-            return f"{x[0]} > 0 ? 1 : {x[0]} < 0 ? -1 : {x[0]}"
-        if op in FUNCTIONS:
-            return f"{op}{f}({x[0]})"
-        if op == "rem" and not floating:
-            return f"({x[1]} == 0 ? {x[0]} : {x[0]} % {x[1]})"
-        if op in TWO_ARGUMENTS:
-            return f"{TWO_ARGUMENTS[op]}{f}({x[0]}, {x[1]})"
-        if op == "rsqrt":
-            return f"{self.literal(1.0)} / sqrt{f}({x[0]})"
-        if op == "logistic":
-            return f"{self.literal(1.0)} / ({self.literal(1.0)} + exp{f}(-{x[0]}))"
-        if op == "round":
-            return f"{'rint' if int(node.params['rounding_method']) == 1 else 'round'}{f}({x[0]})"
-        if op == "is_finite":
-            return f"isfinite({x[0]}) != 0" if floating else "true"
-        if op in ("and", "or", "xor", "not"):
-            if node.dtype.kind == "b":
-                return {"and": "{} && {}", "or": "{} || {}", "xor": "{} != {}", "not": "!{}"}[op].format(*x)
-            return {"and": "{} & {}", "or": "{} | {}", "xor": "{} ^ {}", "not": "~{}"}[op].format(*x)
-        if op == "select_n":
-            text = x[1]
-            if node.operands[0].dtype.kind == "b":
-                return f"{x[0]} ? {x[2]} : {x[1]}"
-            for k in range(2, len(x)):
-                text = f"{x[0]} == {k - 1} ? {x[k]} : ({text})"
-            return text
-        if op == "convert_element_type":
-            return self._converted(node, node.operands[0], x[0])
-        raise AssertionError(op)
-
-    def _converted(self, node: Node, operand: Node, text: str) -> str:
-        kind = node.dtype.kind
-        if kind == "b":
-            return f"{text} != 0"
-        if operand.dtype.kind == "f" and kind in "iu":
-            return f"({self._type(node)})whole({text})"
-        return text if kind == "f" and operand.dtype.kind == "f" else f"({self._type(node)}){text}"
-
-    # -- sums, products, loops ---------------------------------------------------------------------------------
-
-    def _combine(self, op: str, node: Node, x: str, y: str) -> str:
-        """Return the text of one operation of a reduction."""
-        if op in ("max", "min"):
-            if node.dtype.kind == "f":
-                return f"{'larger' if op == 'max' else 'smaller'}({x}, {y})"
-            return f"{x} {'>' if op == 'max' else '<'} {y} ? {x} : {y}"
-        return {"add": "{} + {}", "mul": "{} * {}", "and": "{} && {}", "or": "{} || {}", "xor": "{} != {}"}[op].format(x, y)
-
-    def _fold(self, node: Node, storage: Storage, op: str, count: Sequence[int], term: Callable[[Indices, Indices], str]) -> None:
-        """Write a reduction: of each number, terms over some inner indices."""
-        terms = math.prod(count)
-        inner = list(itertools.product(*(range(n) for n in count)))
-        if terms <= WRITTEN_OUT or node.size * terms <= FEW * 2 * WRITTEN_OUT:
-
-            def whole(at: Indices) -> str:
-                text = term(at, [Index(k) for k in inner[0]])
-                for place in inner[1:]:
-                    text = self._combine(op, node, text if op in ("add", "mul") or _is_atom(text) else f"({text})", term(at, [Index(k) for k in place]))
-                return self._set(storage, node.shape, at, text)
-
-            self._each(node.shape, whole)
-            return
-        first = [Index(0)] * len(count)
-        if node.size == 1:
-            at = [Index()] * len(node.shape)
-            target = self._lvalue(storage, node.shape, at)
-            start = {"add": 0, "mul": 1, "and": True, "or": False, "xor": False}.get(op)
-            self._line(f"{target} = {term(at, first) if start is None else self.literal(float(start) if node.dtype.kind == 'f' else start)};")
-            self._each(count, lambda k: f"{target} = {self._combine(op, node, target, term(at, k))};", always_loop=True)
-            return
-        self._each(node.shape, lambda at: self._set(storage, node.shape, at, term(at, first)), always_loop=True)
-        for place in inner[1:] if terms <= 2 * WRITTEN_OUT else []:
-            at_k = [Index(k) for k in place]
-            self._each(node.shape, lambda at, at_k=at_k: self._set(storage, node.shape, at, self._combine(op, node, self._lvalue(storage, node.shape, at), term(at, at_k))), always_loop=True)
-        if terms > 2 * WRITTEN_OUT:
-            self._accumulate(node, storage, op, count, term)
-
-    def _accumulate(self, node: Node, storage: Storage, op: str, count: Sequence[int], term: Callable[[Indices, Indices], str]) -> None:
-        """Write the terms after the first in loops around those of the result."""
-        names = [f"j{next(self._names)}" for _ in count]
-        axes = [(name, n) for name, n in zip(names, count, strict=True) if n != 1]
-        for number, (name, n) in enumerate(axes):
-            self._open(f"for (int {name} = 0; {name} < {n}; {name}++)")
-        self._line(f"if ({' && '.join(f'{name} == 0' for name, _ in axes)}) continue;")
-        at_k = [Index(0, ((name, 1),)) if n != 1 else Index() for name, n in zip(names, count, strict=True)]
-        self._each(node.shape, lambda at: self._set(storage, node.shape, at, self._combine(op, node, self._lvalue(storage, node.shape, at), term(at, at_k))), always_loop=True)
-        for _ in axes:
-            self._close()
-
-    def reduce(self, node: Node, storage: Storage) -> None:
-        """Write a reduction over axes."""
-        (x,), axes = node.operands, tuple(node.params["axes"])
-        kept = [k for k in range(len(x.shape)) if k not in axes]
-
-        def term(at: Indices, inner: Indices) -> str:
-            place: list[Index] = [Index()] * len(x.shape)
-            for k, index in zip(kept, at, strict=True):
-                place[k] = index
-            for k, index in zip(axes, inner, strict=True):
-                place[k] = index
-            return self.at(x, place)
-
-        self._fold(node, storage, REDUCTIONS[node.op], [x.shape[k] for k in axes], term)
-
-    def contract(self, node: Node, storage: Storage) -> None:
-        """Write a product of matrices: dot_general."""
-        a, b = node.operands
-        (over_a, over_b), (batch_a, batch_b) = node.params["dimension_numbers"]
-        free_a = [k for k in range(len(a.shape)) if k not in (*over_a, *batch_a)]
-        free_b = [k for k in range(len(b.shape)) if k not in (*over_b, *batch_b)]
-
-        def term(at: Indices, inner: Indices) -> str:
-            at_a: list[Index] = [Index()] * len(a.shape)
-            at_b: list[Index] = [Index()] * len(b.shape)
-            for k, index in zip(batch_a, at, strict=False):
-                at_a[k] = index
-            for k, index in zip(batch_b, at, strict=False):
-                at_b[k] = index
-            rest = at[len(batch_a) :]
-            for k, index in zip(free_a, rest, strict=False):
-                at_a[k] = index
-            for k, index in zip(free_b, rest[len(free_a) :], strict=True):
-                at_b[k] = index
-            for k, index in zip(over_a, inner, strict=True):
-                at_a[k] = index
-            for k, index in zip(over_b, inner, strict=True):
-                at_b[k] = index
-            return f"{self.at(a, at_a)} * {self.at(b, at_b)}"
-
-        self._fold(node, storage, "add", [a.shape[k] for k in over_a], term)
-
-    def _write_many(self, node: Node) -> None:
-        raise Untraceable(_words(node, f"'{node.op}' is not there yet"))
-
-
-def _flat(shape: Sequence[int], at: Indices) -> Index:
-    """Return where an element lies among all of an array."""
-    place, step = Index(), 1
-    for n, index in zip(reversed(shape), reversed(at), strict=True):
-        place = place + (index * step if n != 1 else Index())
-        step *= n
-    return place
-
-
-def _is_stored(node: Node) -> bool:
-    return node.op in ("input", "constant")
-
-
-def _is_atom(text: str) -> bool:
-    """Whether a text needs no parentheses around it."""
-    if text.startswith("(") and text.endswith(")"):
-        depth = 0
-        for place, letter in enumerate(text):
-            depth += {"(": 1, ")": -1}.get(letter, 0)
-            if depth == 0:
-                return place == len(text) - 1
-    return not any(letter in text for letter in " -!~?") or (text.count("(") == 1 and text.endswith(")") and text[0].isalpha() and not any(c in text.split("(")[0] for c in " -!~?"))
-
-
-def _unsigned(text: str, node: Node) -> str:
-    return text
-
-
-def _words(node: Node, what: str) -> str:
-    return f"{node.source}: {what}" if node.source else what
-
-
-_STATEMENTS: dict[str, Callable[[Emitter, Node, Storage], None]] = {
-    **dict.fromkeys(REDUCTIONS, Emitter.reduce),
-    "dot_general": Emitter.contract,
-}
+        return operate(node, [operand(x) for x in node.operands], self.real)

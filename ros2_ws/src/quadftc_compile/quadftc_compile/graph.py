@@ -180,11 +180,19 @@ class _Builder:
         if rule is not None:
             results = rule(self, operands, out, source, params)
             return results if isinstance(results, list) else [results]
-        if len(out) > 1:
-            whole = Node(name, tuple(operands), dict(params), (), np.dtype(float), source)
-            self._nodes.append(whole)
-            return [self.add("result", [whole], each, source, index=k) for k, each in enumerate(out)]
+        if len(out) > 1 or name == "sort":
+            return self._whole(name, operands, out, source, dict(params))
         return [self.add(name, operands, out[0], source, **params)]
+
+    def _whole(
+        self, name: str, operands: Sequence[Node], out: Sequence[Any], source: Source | None, params: Any
+    ) -> list[Node]:
+        """Return the results of what has several."""
+        whole = Node(name, tuple(operands), params, (), np.dtype(float), source)
+        self._nodes.append(whole)
+        results = [self.add("result", [whole], each, source, index=k) for k, each in enumerate(out)]
+        params["results"] = results
+        return results
 
     def _solve(self, params: Any, operands: list[Node], source: Source | None) -> list[Node]:
         """Solve a linear system by the function that JAX gives for it."""
@@ -209,9 +217,7 @@ class _Builder:
         }[name]()
         graphs = [graph_of(each, lambda equation: source or self._source_of(equation)) for each in parts]
         kept = {key: params[key] for key in _COUNTS if key in params}
-        whole = Node(name, tuple(operands), {**kept, "graphs": graphs}, (), np.dtype(float), source)
-        self._nodes.append(whole)
-        return [self.add("result", [whole], each, source, index=k) for k, each in enumerate(out)]
+        return self._whole(name, operands, out, source, {**kept, "graphs": graphs})
 
     def _simplified(
         self, op: str, operands: Sequence[Node], shape: tuple[int, ...], dtype: np.dtype[Any], params: Any
@@ -414,6 +420,19 @@ def _stack(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> No
     like = _Like(tuple(shape), out[0].dtype)
     parts = [b.add("reshape", [each], like, source, shape=tuple(shape)) for each in x]
     return b.add("concatenate", parts, out[0], source, dimension=axis)
+
+
+@_rule("tile")
+def _tile(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+    times, dtype = [int(n) for n in params["reps"]], out[0].dtype
+    apart = tuple(n for each in x[0].shape for n in (1, each))
+    spread = tuple(n for r, each in zip(times, x[0].shape, strict=True) for n in (r, each))
+    one = b.add("reshape", x, _Like(apart, dtype), source, shape=apart)
+    places = tuple(range(len(spread)))
+    many = b.add(
+        "broadcast_in_dim", [one], _Like(spread, dtype), source, shape=spread, broadcast_dimensions=places
+    )
+    return b.add("reshape", [many], out[0], source, shape=tuple(out[0].shape))
 
 
 @_rule("split")

@@ -100,18 +100,21 @@ def _has_numbers(layout: Layout) -> bool:
     return layout[0] == "tuple" and (not layout[2] or any(_has_numbers(each) for _, each in layout[2]))
 
 
-def flatten(layout: Layout, tree: Any) -> list[Any]:
-    """Return the arrays of nested tuples in the order of :func:`leaves_of`; ValueError if they do not fit."""
-    return list(_flat(layout, tree, ""))
+def flatten(layout: Layout, tree: Any, shapes: bool = True) -> list[Any]:
+    """Return the arrays of nested tuples in the order of :func:`leaves_of`; ValueError if they do not fit.
+
+    Without ``shapes`` arrays may have others.
+    """
+    return list(_flat(layout, tree, "", shapes))
 
 
-def _flat(layout: Layout, tree: Any, path: str) -> Iterator[Any]:
+def _flat(layout: Layout, tree: Any, path: str, shapes: bool) -> Iterator[Any]:
     if layout[0] == "none":
         if tree is not None:
             raise ValueError(f"{path or 'value'}: expected None, not {type(tree).__name__}")
     elif layout[0] == "array":
         if math.prod(layout[2]):
-            if np.shape(tree) != tuple(layout[2]):
+            if shapes and np.shape(tree) != tuple(layout[2]):
                 raise ValueError(f"{path or 'value'}: expected shape {tuple(layout[2])}, not {np.shape(tree)}")
             yield tree
     else:
@@ -119,7 +122,7 @@ def _flat(layout: Layout, tree: Any, path: str) -> Iterator[Any]:
         if not isinstance(tree, tuple) or len(cast("tuple[Any, ...]", tree)) != len(fields):
             raise ValueError(f"{path or 'value'}: expected a tuple of {len(fields)}, not {type(tree).__name__}")
         for (name, inside), each in zip(fields, cast("tuple[Any, ...]", tree), strict=True):
-            yield from _flat(inside, each, f"{path}.{name}" if path else name)
+            yield from _flat(inside, each, f"{path}.{name}" if path else name, shapes)
 
 
 def unflatten(layout: Layout, leaves: Iterator[Any]) -> Any:

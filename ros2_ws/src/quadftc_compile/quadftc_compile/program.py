@@ -12,14 +12,19 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from quadftc_compile import emit
+from quadftc_compile import control as _control  # noqa: F401  (these know how to write what they are called)
+from quadftc_compile import emit, matrices
+from quadftc_compile import places as _places  # noqa: F401
+from quadftc_compile import sums as _sums  # noqa: F401
+from quadftc_compile.emit import Storage
 from quadftc_compile.graph import Graph, Source, Untraceable, graph_of
 from quadftc_compile.layout import (
+    C_TYPES,
     Layout,
     Structs,
     layout_of,
@@ -27,10 +32,11 @@ from quadftc_compile.layout import (
     member,
     with_real,
 )
+from quadftc_compile.recipe import Function
 from quadftc_model.numbers import numbers_of, with_numbers
 from quadftc_model.parameters import parameters_of
 
-OURS = ("quadftc_compile", "/jax/", "/numpy/", "quadftc_model/arrays.py")  # no source of a law
+HERE = os.path.dirname(__file__)
 # what JAX raises where a function does something that it cannot trace, and how to write it instead
 ADVICE = {
     "TracerBoolConversionError": "it branches on data: write it with `where`",
@@ -41,16 +47,6 @@ ADVICE = {
     "UnexpectedTracerError": "it keeps a value from another trace: a law has no memory but its state",
     "TypeError": "it does with an array what only a number can do",
 }
-
-
-@dataclasses.dataclass(frozen=True)
-class Function:
-    """What is to be compiled: ``call(law, *arguments) -> results``, a tuple by the names of ``results``."""
-
-    call: Callable[..., tuple[Any, ...]]
-    arguments: Mapping[str, Any]  # an example of each
-    results: Sequence[str]
-    kinds: Mapping[str, str] = dataclasses.field(default_factory=dict)  # argument or result -> name of its struct
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,10 +76,9 @@ def write_program(name: str, law: Any, functions: Mapping[str, Function], real: 
     """Trace the functions of a law and write them in C; Untraceable says where one cannot be traced."""
     import jax
 
-    if not jax.config.jax_enable_x64:  # pyright: ignore[reportAttributeAccessIssue]
-        raise RuntimeError("laws are traced in double precision: jax_enable_x64 is off in this process")
     numbers = numbers_of(law)
-    traced = {key: _trace(f"{name}.{key}", law, numbers, each) for key, each in functions.items()}
+    with jax.enable_x64(True):  # whatever this process computes in
+        traced = {key: _trace(f"{name}.{key}", law, numbers, each) for key, each in functions.items()}
     used = [path for k, path in enumerate(numbers) if any(each.reads(k) for each in traced.values())]
     return _Writer(name, law, numbers, used, real).write(traced)
 
@@ -155,7 +150,9 @@ def source_of(equation: Any) -> Source | None:
 
 
 def _is_law(file: str) -> bool:
-    return not any(each in file for each in OURS) and not file.startswith("<")
+    """Whether a file is one of a law, and not of a library or of what traces it."""
+    ours = file.startswith(HERE) or file.endswith("quadftc_model/arrays.py")
+    return not ours and "/jax/" not in file and "/numpy/" not in file and not file.startswith("<")
 
 
 class _Writer:
@@ -171,6 +168,7 @@ class _Writer:
         self._bodies: list[str] = []
         self._tables: list[str] = []
         self._compiled: dict[str, Compiled] = {}
+        self._helpers: set[str] = set()
 
     @property
     def _code(self) -> str:
@@ -197,6 +195,7 @@ class _Writer:
             [
                 "#include <math.h>\n",
                 emit.HELPERS.format(real=self._real, f=f),
+                *(matrices.FUNCTIONS[each].format(real=self._real, f=f) for each in sorted(self._helpers)),
                 *self._tables,
                 "",
                 *self._bodies,
@@ -222,31 +221,36 @@ class _Writer:
             n: with_real(layout_of(v), self._code) for n, v in zip(function.results, traced.results, strict=True)
         }
         name = f"{self._name}_{key}"
-        parameters = [f"const {self._structs.name_of(self._layout, 'numbers')} *numbers"]
-        inputs = ["" for _ in graph.inputs]
+        parameters = [f"const {self._structs.name_of(self._layout, 'numbers')} *restrict numbers"]
+        texts = ["" for _ in graph.inputs]
         for k, path in enumerate(self._places):
-            inputs[k] = f"numbers->{member(path_members(path))}" if path in self._used else "0"
+            texts[k] = f"numbers->{member(path_members(path))}" if path in self._used else "0"
         at = len(self._places)
         for argument, layout in arguments.items():
             kind = function.kinds.get(argument, argument)
             if layout[0] == "array":
-                parameters.append(f"const {emit.C_TYPES[layout[1]]} *{argument}")
+                parameters.append(f"const {C_TYPES[layout[1]]} *restrict {argument}")
             else:
-                parameters.append(f"const {self._structs.name_of(layout, kind)} *{argument}")
-            for text in _places_of(layout, argument):
-                inputs[at] = text
+                parameters.append(f"const {self._structs.name_of(layout, kind)} *restrict {argument}")
+            for text in _texts_of(layout, argument):
+                texts[at] = text
                 at += 1
         outputs: list[str] = []
         for result, layout in results.items():
             kind = function.kinds.get(result, result)
             if layout[0] == "array":
-                parameters.append(f"{emit.C_TYPES[layout[1]]} *{result}")
+                parameters.append(f"{C_TYPES[layout[1]]} *restrict {result}")
             else:
-                parameters.append(f"{self._structs.name_of(layout, kind)} *{result}")
-            outputs += _places_of(layout, result)
-        emitter = emit.Emitter(self._real, tables=self._tables)
-        emitter.emit(graph, inputs, outputs)
-        unused = [each.split("*")[-1].strip() for each in parameters]
+                parameters.append(f"{self._structs.name_of(layout, kind)} *restrict {result}")
+            outputs += _texts_of(layout, result)
+        emitter = emit.Emitter(self._real, self._tables)
+        emitter.emit(
+            graph,
+            [Storage(text, node.shape == ()) for text, node in zip(texts, graph.inputs, strict=True)],
+            [Storage(text, node.shape == ()) for text, node in zip(outputs, graph.outputs, strict=True)],
+        )
+        self._helpers |= emitter.helpers
+        unused = [each.split()[-1].lstrip("*") for each in parameters]
         body = "\n".join(emitter.lines)
         quiet = [f"    (void){each};" for each in unused if f"{each}->" not in body and f"*{each}" not in body and f"{each}[" not in body]
         empty = [f"    {n}->nothing = 0;" for n, layout in results.items() if layout[0] == "tuple" and not leaves_of(layout)]
@@ -256,9 +260,39 @@ class _Writer:
         self._compiled[key] = Compiled(
             name, arguments, results, emitter.statements, graph.operations, emitter.stack
         )
+        if "before" in arguments and "after" in results:
+            self._write_run(self._compiled[key])
+
+    def _write_run(self, step: Compiled) -> None:
+        """Write a function that calls a step for each of many samples; ``state`` is that of now, before and after."""
+        kind = self._structs.name_of(step.arguments["before"], "state")
+        given = {name: self._kind(layout, name) for name, layout in step.arguments.items() if name != "before"}
+        made = {name: self._kind(layout, name) for name, layout in step.results.items() if name != "after"}
+        parameters = [
+            f"const {self._structs.name_of(self._layout, 'numbers')} *numbers",
+            f"{kind} *state",
+            f"{kind} *spare",
+            *(f"const {each} *{name}" for name, each in given.items()),
+            *(f"{each} *{name}" for name, each in made.items()),
+            "int count",
+        ]
+        order = [*step.arguments, *step.results]
+        states = {"before": "k % 2 ? spare : state", "after": "k % 2 ? state : spare"}
+        values = ", ".join(states.get(name) or f"&{name}[k]" for name in order)
+        signature = f"void {step.name}_run(\n    " + ",\n    ".join(parameters) + ")"
+        self._declarations.append(signature)
+        self._bodies.append(
+            f"{signature}\n{{\n    for (int k = 0; k < count; k++) {{\n"
+            f"        {step.name}(numbers, {values});\n    }}\n"
+            "    if (count % 2) *state = *spare;\n}\n"
+        )
+
+    def _kind(self, layout: Layout, name: str) -> str:
+        """Return the type of an argument or a result."""
+        return C_TYPES[layout[1]] if layout[0] == "array" else self._structs.name_of(layout, name)
 
 
-def _places_of(layout: Layout, name: str) -> list[str]:
+def _texts_of(layout: Layout, name: str) -> list[str]:
     """Return the texts of all arrays of an argument, in the order in which JAX takes them."""
     if layout[0] == "array":
         return [name if layout[2] else f"*{name}"]

@@ -1,0 +1,177 @@
+"""From a law to functions that can be called: traced, written in C, built, kept, loaded."""
+
+from __future__ import annotations
+
+import ctypes
+import dataclasses
+import os
+import subprocess
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from quadftc_compile import cache
+from quadftc_compile.fingerprint import compiler, fingerprint, sources_of, tracer
+from quadftc_compile.layout import Layout, layout_of
+from quadftc_compile.recipe import Recipe
+from quadftc_model.numbers import structure_of
+
+# no contraction of products and sums, so that the same statement gives the same number on every machine
+FLAGS = ("-std=c99", "-O2", "-ftree-vectorize", "-march=native", "-ffp-contract=off", "-fno-math-errno")
+FLAGS += ("-fno-trapping-math", "-fPIC", "-shared", "-Wall", "-Wextra", "-pedantic")
+FORMAT = 1  # of records; another one for another way to call
+
+
+class BuildError(ValueError):
+    """A law cannot be compiled here: why. ``unkept``: it can, but not be kept."""
+
+    def __init__(self, words: str, unkept: bool = False) -> None:
+        super().__init__(words)
+        self.unkept = unkept
+
+
+@dataclasses.dataclass(frozen=True)
+class Entry:
+    """A function of a library."""
+
+    call: Any  # of ctypes; takes addresses
+    run: Any  # calls it for many samples; None of what has no state
+    arguments: dict[str, Layout]
+    results: dict[str, Layout]
+
+
+@dataclasses.dataclass(frozen=True)
+class Library:
+    """A compiled law."""
+
+    path: Path
+    numbers: list[str]  # paths of the numbers that it takes
+    numbers_layout: Layout
+    entries: dict[str, Entry]
+    facts: Mapping[str, Any]  # statements, seconds, bytes
+    held: Any  # the library of ctypes
+
+
+def key_of(recipe: Recipe) -> str:
+    """Return the key of a law in the cache: its structure, sources, tracer and compiler."""
+    shapes = {name: layout_of(tree) for each in recipe.functions.values() for name, tree in each.arguments.items()}
+    return fingerprint(
+        FORMAT,
+        FLAGS,
+        recipe.name,
+        structure_of(recipe.law),
+        sorted(recipe.functions),
+        shapes,
+        sources_of(type(recipe), *recipe.classes()),
+        tracer(),
+        compiler(),
+    )
+
+
+def find_library(recipe: Recipe) -> Library | None:
+    """Return a law that is compiled already; None if it is not, or has no cache."""
+    try:
+        entry = cache.load_entry(key_of(recipe))
+        return None if entry is None else _load(*entry)
+    except OSError:
+        return None
+
+
+def build_library(recipe: Recipe, keep: bool = True) -> Library:
+    """Return a compiled law, from the cache or made now; BuildError says why it cannot be.
+
+    Without ``keep`` the cache is left alone, and the functions may be of any kind.
+    """
+    if not keep:
+        library, record = _make(recipe)
+        with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
+            path = Path(folder) / f"{recipe.name}.so"
+            path.write_bytes(library)
+            return _load(path, record)
+    key = key_of(recipe)
+    with cache.lock_entry(key):
+        found = find_library(recipe)
+        if found is not None:
+            return found
+        library, record = _make(recipe)
+        try:
+            path = cache.store_entry(key, library, record)
+        except OSError as error:
+            raise BuildError(f"{recipe.name}: cannot be kept: {error}", unkept=True) from None
+    return _load(path, record)
+
+
+def _make(recipe: Recipe) -> tuple[bytes, dict[str, Any]]:
+    """Trace a law and compile its C; return library and record."""
+    import time
+
+    if tracer() is None:
+        raise BuildError(f"{recipe.name}: JAX is not installed, which traces laws (pip install jax)")
+    if compiler() is None:
+        raise BuildError(f"{recipe.name}: there is no C compiler (cc, gcc or clang)")
+    from quadftc_compile.program import write_program
+
+    begin = time.process_time()
+    try:
+        program = write_program(recipe.name, recipe.law, recipe.functions)
+    except ValueError as error:
+        raise BuildError(str(error)) from None
+    traced = time.process_time()
+    library = compile_c(recipe.name, program.header, program.source)
+    spent = os.times()
+    facts = {
+        "statements": {key: each.statements for key, each in program.functions.items()},
+        "operations": {key: each.operations for key, each in program.functions.items()},
+        "stack_bytes": {key: each.stack for key, each in program.functions.items()},
+        "trace_s": round(traced - begin, 3),
+        "compile_s": round(spent.children_user + spent.children_system, 3),
+        "bytes": len(library),
+    }
+    record = {
+        "name": recipe.name,
+        "numbers": program.numbers,
+        "numbers_layout": program.numbers_layout,
+        "functions": {
+            key: {"name": each.name, "arguments": each.arguments, "results": each.results}
+            for key, each in program.functions.items()
+        },
+        "facts": facts,
+    }
+    return library, record
+
+
+def compile_c(name: str, header: str, source: str, flags: tuple[str, ...] = FLAGS) -> bytes:
+    """Return the library of a program; BuildError with what the compiler says."""
+    found = compiler()
+    if found is None:
+        raise BuildError(f"{name}: there is no C compiler (cc, gcc or clang)")
+    try:
+        with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
+            place = Path(folder)
+            (place / f"{name}.h").write_text(header, encoding="utf-8")
+            (place / f"{name}.c").write_text(f'#include "{name}.h"\n\n{source}', encoding="utf-8")
+            command = [found[0], *flags, "-o", f"{name}.so", f"{name}.c", "-lm"]
+            told = subprocess.run(command, cwd=place, capture_output=True, text=True, check=False)
+            if told.returncode:
+                words = (told.stderr.strip().splitlines() or ["no words"])[0]
+                raise BuildError(f"{name}: {found[0]} fails with code {told.returncode}: {words}")
+            return (place / f"{name}.so").read_bytes()
+    except OSError as error:
+        raise BuildError(f"{name}: {error}") from None
+
+
+def _load(path: Path, record: Mapping[str, Any]) -> Library:
+    """Load a library that can be trusted."""
+    held = ctypes.CDLL(str(path))
+    entries: dict[str, Entry] = {}
+    for key, told in record["functions"].items():
+        call: Callable[..., None] = getattr(held, told["name"])
+        count = 1 + len(told["arguments"]) + len(told["results"])
+        call.argtypes, call.restype = [ctypes.c_void_p] * count, None  # type: ignore[attr-defined]
+        run = getattr(held, f"{told['name']}_run", None)
+        if run is not None:
+            run.argtypes, run.restype = [*[ctypes.c_void_p] * count, ctypes.c_int], None
+        entries[key] = Entry(call, run, told["arguments"], told["results"])
+    numbers, layout = list(record["numbers"]), record["numbers_layout"]
+    return Library(path, numbers, layout, entries, record["facts"], held)

@@ -1,0 +1,114 @@
+"""Where compiled laws are kept: a folder that belongs to the user alone.
+
+A library is loaded into the process, so whoever can write it can run code there. The folder, and what is in it,
+must belong to the user, and nobody else may write to it. Each entry has a record beside it that says what it is
+and what its bytes are; one that does not fit, or was made for another processor, is made anew.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import os
+import platform
+import stat
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+RECORD, LIBRARY = ".json", ".so"
+
+
+class CacheError(OSError):
+    """The folder cannot be used: why."""
+
+
+def cache_folder() -> Path:
+    """Return the folder, which is made if it is not there; CacheError if it cannot be used."""
+    home = os.environ.get("QUADFTC_CACHE")
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    folder = Path(home) if home else Path(base) / "quadftc" / "laws"
+    try:
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        folder.chmod(0o700)
+        status = folder.lstat()
+    except OSError as error:
+        raise CacheError(f"{folder}: {error.strerror}") from None
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid():
+        raise CacheError(f"{folder}: expected a folder of this user's own; set QUADFTC_CACHE to another")
+    return folder
+
+
+def processor() -> str:
+    """Return what a library is made for: the kind of the processor, and what it can do."""
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
+        told = sorted({line for line in lines if line.startswith(("flags", "Features", "model name"))})
+        return f"{platform.machine()} {hashlib.sha256(chr(10).join(told).encode()).hexdigest()[:16]}"
+    return f"{platform.machine()} {platform.processor()}"
+
+
+def load_entry(key: str) -> tuple[Path, dict[str, Any]] | None:
+    """Return library and record of an entry; None if it is not there, damaged, or not to be trusted."""
+    folder = cache_folder()
+    try:
+        record = json.loads(_trusted(folder / f"{key}{RECORD}").read_text(encoding="utf-8"))
+        library = _trusted(folder / f"{key}-{record['sha256'][:16]}{LIBRARY}")
+        content = library.read_bytes()
+        fits = record["key"] == key and record["processor"] == processor()
+        if not fits or hashlib.sha256(content).hexdigest() != record["sha256"]:
+            return None
+        return library, record
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _trusted(path: Path) -> Path:
+    """Return a path; OSError if it is not a file of this user's own that nobody else may write."""
+    status = path.lstat()
+    if not stat.S_ISREG(status.st_mode) or status.st_uid != os.getuid() or status.st_mode & 0o022:
+        raise OSError(f"{path}: not a file of this user's own")
+    return path
+
+
+def store_entry(key: str, library: bytes, record: dict[str, Any]) -> Path:
+    """Keep an entry; OSError if it cannot be written. What is half-written is never seen."""
+    folder, digest = cache_folder(), hashlib.sha256(library).hexdigest()
+    path = folder / f"{key}-{digest[:16]}{LIBRARY}"
+    _replace(path, library)
+    whole = {**record, "key": key, "processor": processor(), "sha256": digest}
+    _replace(folder / f"{key}{RECORD}", json.dumps(whole).encode())
+    return path
+
+
+def _replace(path: Path, content: bytes) -> None:
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=".new-")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(name, path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            os.unlink(name)
+        raise
+
+
+@contextlib.contextmanager
+def lock_entry(key: str) -> Iterator[None]:
+    """Hold an entry, so that of several processes one makes it and the others wait; without a folder, no lock."""
+    try:
+        path = cache_folder() / f"{key}.lock"
+        file = path.open("w")
+    except OSError:
+        yield
+        return
+    with file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+        with contextlib.suppress(OSError):
+            path.unlink()

@@ -1,0 +1,95 @@
+# pyright: basic
+"""Loops and branches of a traced function in C: scan, while, cond."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from quadftc_compile.emit import WHOLE, Emitter, Storage
+from quadftc_compile.graph import Graph, Node
+from quadftc_compile.text import Index
+
+
+def write_cond(emitter: Emitter, node: Node, results: Sequence[Storage]) -> None:
+    """Write a branch: the first operand says which."""
+    which, *operands = node.operands
+    number = emitter.at(which, [Index()] * len(which.shape)).text
+    inputs = [_storage(emitter, each) for each in operands]
+    graphs: list[Graph] = node.params["graphs"]
+    for k in range(len(graphs) - 1, -1, -1):
+        if k == len(graphs) - 1:
+            emitter.open(f"if ({number} >= {k})")
+        else:
+            emitter.go_on("else" if k == 0 else f"else if ({number} == {k})")
+        emitter.emit(graphs[k], inputs, results)
+    emitter.close()
+
+
+def write_scan(emitter: Emitter, node: Node, results: Sequence[Storage]) -> None:
+    """Write a loop that carries arrays, takes an element of others each time, and gathers more."""
+    params, (graph,) = node.params, node.params["graphs"]
+    constants, carried, length = params["num_consts"], params["num_carry"], params["length"]
+    inputs = [_storage(emitter, each) for each in node.operands]
+    for each, where in zip(node.operands[constants : constants + carried], results, strict=False):
+        emitter.copy(each, where)
+    name = emitter.name("t")
+    emitter.open(f"for (int {name} = 0; {name} < {length}; {name}++)")
+    step = f"({length - 1} - {name})" if params["reverse"] else name
+    elements = [
+        _element(where, inside, step)
+        for where, inside in zip(inputs[constants + carried :], graph.inputs[constants + carried :], strict=True)
+    ]
+    gathered = [
+        _element(where, inside, step)
+        for where, inside in zip(results[carried:], graph.outputs[carried:], strict=True)
+    ]
+    after = [emitter.declare(each.shape, each.dtype) for each in graph.outputs[:carried]]
+    emitter.emit(graph, [*inputs[:constants], *results[:carried], *elements], [*after, *gathered])
+    _move(emitter, graph.outputs[:carried], after, results[:carried])
+    emitter.close()
+
+
+def write_while(emitter: Emitter, node: Node, results: Sequence[Storage]) -> None:
+    """Write a loop that goes on while something holds."""
+    test, body = node.params["graphs"]
+    of_test, of_body = node.params["cond_nconsts"], node.params["body_nconsts"]
+    inputs = [_storage(emitter, each) for each in node.operands]
+    for each, where in zip(node.operands[of_test + of_body :], results, strict=True):
+        emitter.copy(each, where)
+    emitter.open("for (;;)")
+    goes_on = emitter.declare((), np.dtype(bool))
+    emitter.emit(test, [*inputs[:of_test], *results], [goes_on])
+    emitter.line(f"if (!{goes_on.name}) break;")
+    after = [emitter.declare(each.shape, each.dtype) for each in body.outputs]
+    emitter.emit(body, [*inputs[of_test : of_test + of_body], *results], after)
+    _move(emitter, body.outputs, after, results)
+    emitter.close()
+
+
+def _storage(emitter: Emitter, node: Node) -> Storage:
+    """Return where an operand is, as what is inside a loop reads it."""
+    if node.value is not None and node.size == 1:
+        return Storage(emitter.literal(node.value.flat[0]).within(0), single=True)
+    return emitter.storage_of(node)
+
+
+def _element(where: Storage, inside: Node, step: str) -> Storage:
+    """Return an element along the first axis of what a loop takes or gathers."""
+    if where.single:
+        return where
+    if inside.shape == ():
+        return Storage(f"{where.name}[{step}]", single=True)
+    return where.shifted(f"{inside.size} * {step}")
+
+
+def _move(emitter: Emitter, nodes: Sequence[Node], before: Sequence[Storage], after: Sequence[Storage]) -> None:
+    """Write copies of arrays."""
+    for node, one, other in zip(nodes, before, after, strict=True):
+        held = Node("input", (), {}, node.shape, node.dtype)
+        emitter.keep(held, one)
+        emitter.copy(held, other)
+
+
+WHOLE |= {"cond": write_cond, "scan": write_scan, "while": write_while}

@@ -1,0 +1,184 @@
+"""What runs the laws of a vehicle: C that is generated from them, or NumPy, the reference.
+
+A law that is not compiled yet is compiled at its first use, in a process of its own, so that this one does not
+load JAX. A law that cannot be compiled flies in NumPy, and a line says why, once.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import json
+import os
+import pickle
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from quadftc_compile.build import BuildError, Library, build_library, find_library, key_of
+from quadftc_compile.layout import layout_of
+from quadftc_compile.recipe import Recipe, recipe_of
+from quadftc_compile.runner import CRunner
+from quadftc_model.stepper import Engine, NumpyRunner, Runner
+
+ENGINES = ("c", "numpy")
+Log = Callable[[str], None]
+
+_libraries: dict[str, Library] = {}  # that this process has loaded
+_told: set[str] = set()  # what has been said already
+_lock = threading.Lock()
+
+
+def say(words: str) -> None:
+    """Write a line for people."""
+    print(f"quadftc: {words}", file=sys.stderr, flush=True)
+
+
+def engine_named(name: str, log: Log = say) -> Engine:
+    """Return the engine "c" or "numpy"; ``log`` gets what people should know."""
+    if name not in ENGINES:
+        raise ValueError(f"engine = {name!r}: expected one of {', '.join(ENGINES)}")
+    return CEngine(log) if name == "c" else NumpyRunner
+
+
+def engine_from(values: Mapping[str, Any], log: Log = say) -> Engine:
+    """Return the engine that the parameter ``engine`` of a node names."""
+    return engine_named(str(values["engine"]), log)
+
+
+class CEngine:
+    """Runs laws in C.
+
+    A law with a method ``example() -> inputs`` is compiled when its runner is made, any other at its first sample.
+    """
+
+    def __init__(self, log: Log = say) -> None:
+        self._log = log
+
+    def __call__(self, law: Any) -> Runner[Any, Any]:
+        """Return what runs a law."""
+        runner = _Chosen(law, self._library_for)
+        if hasattr(law, "example"):
+            runner.choose(law.example())
+        return runner
+
+    def prepare(self, laws: Iterable[Any]) -> None:
+        """Compile laws, which have examples of their inputs, side by side; what is compiled already is loaded."""
+        recipes = [_recipe(law, law.example()) for law in laws]
+        missing = [each for each in recipes if _loaded(each) is None]
+        if not missing:
+            return
+        with concurrent.futures.ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+            list(pool.map(self._library_of, missing))
+
+    def is_ready(self, law: Any, inputs: Any) -> bool:
+        """Whether a law can be run in C without compiling it now."""
+        try:
+            return _loaded(_recipe(law, inputs)) is not None
+        except ValueError:
+            return False
+
+    def _library_for(self, law: Any, inputs: Any) -> Library | None:
+        return self._library_of(_recipe(law, inputs))
+
+    def _library_of(self, recipe: Recipe) -> Library | None:
+        """Return a compiled law, compiled now if need be; None if it has to fly in NumPy."""
+        library = _loaded(recipe)
+        if library is not None:
+            return library
+        try:
+            self._tell(f"compiling {recipe.name} for this machine, once: some seconds")
+            library = _build(recipe)
+        except BuildError as error:
+            self._tell(f"flies in NumPy, which is slower: {error}")
+            return None
+        with _lock:
+            return _libraries.setdefault(key_of(recipe), library)
+
+    def _tell(self, words: str) -> None:
+        with _lock:
+            if words in _told:
+                return
+            _told.add(words)
+        self._log(words)
+
+
+class _Chosen:
+    """A runner in C, or in NumPy if the law has none; chosen by the structure of the first inputs."""
+
+    def __init__(self, law: Any, library_for: Callable[[Any, Any], Library | None]) -> None:
+        self._law, self._library_for = law, library_for
+        self._runner: Runner[Any, Any] | None = None
+        self._layout: Any = None
+
+    def choose(self, inputs: Any) -> Runner[Any, Any]:
+        """Return the runner for inputs like these."""
+        layout = layout_of(inputs)
+        if self._runner is None or layout != self._layout:
+            library = self._library_for(self._law, inputs)
+            self._runner = NumpyRunner(self._law) if library is None else CRunner(self._law, library)
+            self._layout = layout
+            self.step = self._runner.step  # from here on without a detour
+        return self._runner
+
+    def first(self, inputs: Any) -> tuple[Any, Any]:
+        """Return state and output at the first sample."""
+        return self.choose(inputs).first(inputs)
+
+    def resumed(self, inputs: Any, words: Any) -> tuple[Any, Any]:
+        """Return state and output at a sample from which the law resumes by last words."""
+        return self.choose(inputs).resumed(inputs, words)
+
+    def step(self, state: Any, inputs: Any, dt: float) -> tuple[Any, Any]:
+        """Advance by ``dt`` [s] to a sample."""
+        return self.choose(inputs).step(state, inputs, dt)
+
+    def tree(self, state: Any) -> Any:
+        """Return the nested tuples of a state."""
+        return state if self._runner is None else self._runner.tree(state)
+
+
+def _recipe(law: Any, inputs: Any) -> Recipe:
+    words = law.example_words() if hasattr(law, "example_words") else None
+    return recipe_of(law, inputs, words)
+
+
+def _loaded(recipe: Recipe) -> Library | None:
+    """Return a law that is compiled already."""
+    key = key_of(recipe)
+    if key not in _libraries and (found := find_library(recipe)) is not None:
+        with _lock:
+            _libraries.setdefault(key, found)
+    return _libraries.get(key)
+
+
+def _build(recipe: Recipe) -> Library:
+    """Compile a law: here if JAX is loaded already, else in a process of its own."""
+    if "jax" in sys.modules:
+        return _build_here(recipe)
+    try:
+        content = pickle.dumps(recipe)
+    except (pickle.PicklingError, AttributeError, TypeError):  # a law of a function, of an interactive session
+        return _build_here(recipe)
+    command = [sys.executable, "-m", "quadftc_compile.worker"]
+    told = subprocess.run(command, input=content, capture_output=True, check=False)
+    try:
+        answer = json.loads(told.stdout.decode().splitlines()[-1])
+    except (ValueError, IndexError):
+        return _build_here(recipe)
+    if answer.get("unknown"):  # it cannot import what this process can
+        return _build_here(recipe)
+    if "error" in answer:
+        raise BuildError(answer["error"])
+    return find_library(recipe) or _build_here(recipe)
+
+
+def _build_here(recipe: Recipe) -> Library:
+    """Compile a law in this process; where nothing can be kept, for this process alone."""
+    try:
+        return build_library(recipe)
+    except BuildError as error:
+        if not error.unkept:
+            raise
+        return build_library(recipe, keep=False)

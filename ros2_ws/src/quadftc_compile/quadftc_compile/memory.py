@@ -1,0 +1,141 @@
+"""Nested tuples in and out of memory that C reads and writes, in few operations of the interpreter."""
+
+from __future__ import annotations
+
+import collections
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_compile.layout import Layout, Leaf, flatten, kind_of, leaves_of, numpy_type, unflatten
+
+Bytes = NDArray[np.uint8]
+
+
+class Memory:
+    """The memory of one struct."""
+
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+        self._leaves = leaves_of(layout)
+        size = max(numpy_type(layout).itemsize, 1)
+        whole = np.zeros(-(-size // 8), np.float64)  # so that it is aligned
+        self.bytes: Bytes = whole.view(np.uint8)[:size]
+        self.address: int = whole.ctypes.data
+        self._views = [_view(self.bytes, leaf) for leaf in self._leaves]
+
+    def write(self, tree: Any) -> None:
+        """Write nested tuples; ValueError if they have another structure."""
+        for view, leaf in zip(self._views, flatten(self.layout, tree), strict=True):
+            view[...] = leaf
+
+    def read(self) -> Any:
+        """Return nested tuples of copies."""
+        return unflatten(self.layout, iter([view.copy()[()] for view in self._views]))
+
+    def leaves(self) -> list[NDArray[Any]]:
+        """Return views of all arrays, in the order of the layout."""
+        return self._views
+
+    def view(self) -> Any:
+        """Return nested tuples of views, which change with the memory."""
+        return unflatten(self.layout, iter(self._views))
+
+
+class Rows:
+    """The memory of many structs, one after the other."""
+
+    def __init__(self, layout: Layout, count: int) -> None:
+        self.layout = layout
+        self._size = max(numpy_type(layout).itemsize, 1)
+        whole = np.zeros(-(-count * self._size // 8) + 1, np.float64)
+        self._bytes: Bytes = whole.view(np.uint8)[: count * self._size].reshape(count, self._size)
+        self.address: int = whole.ctypes.data
+
+    def columns(self) -> list[NDArray[Any]]:
+        """Return views (count, ...) of all arrays, in the order of the layout."""
+        found: list[NDArray[Any]] = []
+        for leaf in leaves_of(self.layout):
+            end = leaf.offset + leaf.size * leaf.dtype.itemsize
+            column = self._bytes[:, leaf.offset : end].view(leaf.dtype)
+            found.append(column.reshape(-1, *leaf.shape) if leaf.shape else column[:, 0])
+        return found
+
+    def write(self, tree: Any) -> None:
+        """Write nested tuples of arrays (count, ...), or (...) where all rows are alike."""
+        for column, leaf in zip(self.columns(), flatten(self.layout, tree, shapes=False), strict=True):
+            column[...] = leaf
+
+    def read(self) -> Any:
+        """Return nested tuples of arrays (count, ...)."""
+        return unflatten(self.layout, iter([np.ascontiguousarray(each) for each in self.columns()]))
+
+
+def _view(memory: Bytes, leaf: Leaf) -> NDArray[Any]:
+    end = leaf.offset + leaf.size * leaf.dtype.itemsize
+    return memory[leaf.offset : end].view(leaf.dtype).reshape(leaf.shape)
+
+
+def make_writer(layout: Layout, memory: Memory) -> Callable[[Any], None]:
+    """Return a function that writes nested tuples, as `Memory.write`, but without a check of each shape."""
+    names: dict[str, Any] = {}
+    lines = ["def write(x):"]
+    for number, leaf in enumerate(leaves_of(layout)):
+        source = _access(layout, leaf.path)
+        if leaf.shape:
+            names[f"v{number}"] = _view(memory.bytes, leaf)
+            lines.append(f"    v{number}[...] = {source}")
+        else:
+            kind = leaf.dtype.name
+            names[kind] = memory.bytes[: len(memory.bytes) // leaf.dtype.itemsize * leaf.dtype.itemsize].view(leaf.dtype)
+            lines.append(f"    {kind}[{leaf.offset // leaf.dtype.itemsize}] = {source}")
+    lines.append("    return")
+    exec("\n".join(lines), names)  # noqa: S102  (of names and numbers that are made here)
+    return names["write"]
+
+
+def _access(layout: Layout, path: tuple[str, ...]) -> str:
+    """Return the text of what is at a path of nested tuples."""
+    found = "x"
+    for name in path:
+        fields = [field for field, _ in layout[2]]
+        found += f".{name}" if layout[1] else f"[{fields.index(name)}]"
+        layout = layout[2][fields.index(name)][1]
+    return found
+
+
+def make_reader(layout: Layout, memory: Memory) -> Callable[[], Any]:
+    """Return a function that reads nested tuples as `Memory.read`: arrays of one shape and type at a time."""
+    leaves = leaves_of(layout)
+    groups: dict[tuple[str, tuple[int, ...]], list[int]] = collections.defaultdict(list)
+    for number, leaf in enumerate(leaves):
+        groups[leaf.dtype.name, leaf.shape].append(number)
+    names: dict[str, Any] = {}
+    lines = ["def read():"]
+    for group, ((kind, shape), members) in enumerate(groups.items()):
+        dtype, size = np.dtype(kind), leaves[members[0]].size
+        source = memory.bytes[: len(memory.bytes) // dtype.itemsize * dtype.itemsize].view(dtype)
+        starts = np.array([leaves[k].offset // dtype.itemsize for k in members])
+        names[f"take{group}"] = source.take
+        names[f"where{group}"] = (starts[:, None] + np.arange(size)).reshape(len(members), *shape)
+        targets = "".join(f"r{k}, " for k in members)
+        lines.append(f"    {targets}= take{group}(where{group})")
+
+    def build(inside: Layout, numbers: Any) -> str:
+        if inside[0] == "none":
+            return "None"
+        if inside[0] == "array":
+            number = next(numbers, None)
+            return f"r{number}"
+        parts = ", ".join(build(each, numbers) for _, each in inside[2])
+        if not inside[1]:
+            return f"({parts}{',' if parts else ''})"
+        name = f"k{len(names)}"
+        names[name] = kind_of(inside[1])
+        return f"{name}({parts})"
+
+    lines.append(f"    return {build(layout, iter(range(len(leaves))))}")
+    exec("\n".join(lines), names)  # noqa: S102
+    return names["read"]

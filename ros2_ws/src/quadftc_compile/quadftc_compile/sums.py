@@ -1,0 +1,154 @@
+# pyright: basic
+"""Sums, products of matrices and other reductions in C."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+
+from quadftc_compile.emit import FEW, Emitter, Storage, statement
+from quadftc_compile.graph import Node
+from quadftc_compile.operators import combine
+from quadftc_compile.text import Expression, Index, Indices, binary, variable
+
+WRITTEN_OUT = 8  # terms of a sum that are written out in one expression
+REDUCTIONS = {"reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "reduce_min": "min"}
+REDUCTIONS |= {"reduce_and": "and", "reduce_or": "or", "reduce_xor": "xor"}
+CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
+NEUTRAL = {"add": 0, "mul": 1, "and": True, "or": False, "xor": False}
+
+Term = Callable[[Indices, Indices], Expression]  # of the indices of the result, and of those summed over
+
+
+@statement(*REDUCTIONS)
+def reduce(emitter: Emitter, node: Node, storage: Storage) -> None:
+    """Write a reduction over axes."""
+    (x,), axes = node.operands, tuple(node.params["axes"])
+    kept = [k for k in range(len(x.shape)) if k not in axes]
+
+    def term(at: Indices, inner: Indices) -> Expression:
+        place = dict(zip(kept, at, strict=True)) | dict(zip(axes, inner, strict=True))
+        return emitter.at(x, [place[k] for k in range(len(x.shape))])
+
+    fold(emitter, node, storage, REDUCTIONS[node.op], [x.shape[k] for k in axes], term)
+
+
+@statement("dot_general")
+def contract(emitter: Emitter, node: Node, storage: Storage) -> None:
+    """Write a product of matrices, (batch, free of a, free of b), summed over what they share."""
+    a, b = node.operands
+    (over_a, over_b), (batch_a, batch_b) = node.params["dimension_numbers"]
+    free_a = [k for k in range(len(a.shape)) if k not in (*over_a, *batch_a)]
+    free_b = [k for k in range(len(b.shape)) if k not in (*over_b, *batch_b)]
+    batch = len(batch_a)
+
+    def term(at: Indices, inner: Indices) -> Expression:
+        of_a, of_b = at[batch : batch + len(free_a)], at[batch + len(free_a) :]
+        place_a = _places((batch_a, at[:batch]), (free_a, of_a), (over_a, inner))
+        place_b = _places((batch_b, at[:batch]), (free_b, of_b), (over_b, inner))
+        return binary("*", emitter.at(a, place_a), emitter.at(b, place_b))
+
+    fold(emitter, node, storage, "add", [a.shape[k] for k in over_a], term)
+
+
+def _places(*parts: tuple[Sequence[int], Indices]) -> list[Index]:
+    """Return indices by axis."""
+    found = {axis: index for axes, indices in parts for axis, index in zip(axes, indices, strict=True)}
+    return [found[k] for k in range(len(found))]
+
+
+def fold(
+    emitter: Emitter, node: Node, storage: Storage, op: str, count: Sequence[int], term: Term
+) -> None:
+    """Write a reduction by an operation: for each number of a node, its terms over inner indices."""
+    terms, shape = math.prod(count), node.shape
+    inner = [[Index(k) for k in place] for place in itertools.product(*(range(n) for n in count))]
+    if terms == 0:
+        neutral = float(NEUTRAL[op]) if node.dtype.kind == "f" else NEUTRAL[op]
+        emitter.each(shape, lambda at: emitter.put(storage, shape, at, emitter.literal(neutral)))
+    elif terms <= WRITTEN_OUT or node.size * terms <= 2 * FEW * WRITTEN_OUT:
+
+        def whole(at: Indices) -> str:
+            total = term(at, inner[0])
+            for each in inner[1:]:
+                total = combine(op, node.dtype, total, term(at, each))
+            return emitter.put(storage, shape, at, total)
+
+        emitter.each(shape, whole)
+    else:
+        _fold_in_loops(emitter, node, storage, op, count, term)
+
+
+def _fold_in_loops(
+    emitter: Emitter, node: Node, storage: Storage, op: str, count: Sequence[int], term: Term
+) -> None:
+    """Write a reduction as a loop over its terms around one over its numbers: these lie side by side."""
+    shape, names = node.shape, [emitter.name("j") for _ in count]
+    first = [Index() for _ in count]
+    emitter.each(shape, lambda at: emitter.put(storage, shape, at, term(at, first)), loop=node.size > FEW)
+    for name, n in zip(names, count, strict=True):
+        emitter.open(f"for (int {name} = 0; {name} < {n}; {name}++)")
+    emitter.line(f"if ({' + '.join(names)} == 0) continue;")
+    place = [variable(name) for name in names]
+
+    def more(at: Indices) -> str:
+        so_far = Expression(emitter.place(storage, shape, at))
+        return emitter.put(storage, shape, at, combine(op, node.dtype, so_far, term(at, place)))
+
+    emitter.each(shape, more, loop=node.size > FEW)
+    for _ in names:
+        emitter.close()
+
+
+@statement(*CUMULATIVE)
+def accumulate(emitter: Emitter, node: Node, storage: Storage) -> None:
+    """Write sums of all elements up to each one along an axis."""
+    (x,), axis, shape = node.operands, node.params["axis"], node.shape
+    backwards, op = node.params["reverse"], CUMULATIVE[node.op]
+    others = [n if k != axis else 1 for k, n in enumerate(shape)]
+    first = shape[axis] - 1 if backwards else 0
+
+    def along(at: Indices, index: Index) -> list[Index]:
+        return [index if k == axis else each for k, each in enumerate(at)]
+
+    def start(at: Indices) -> str:
+        place = along(at, Index(first))
+        return emitter.put(storage, shape, place, emitter.at(x, place))
+
+    emitter.each(others, start)
+    name = emitter.name("j")
+    emitter.open(f"for (int {name} = 1; {name} < {shape[axis]}; {name}++)")
+    step = variable(name) * (-1 if backwards else 1) + first
+    last = step + (1 if backwards else -1)
+
+    def more(at: Indices) -> str:
+        so_far = Expression(emitter.place(storage, shape, along(at, last)))
+        place = along(at, step)
+        return emitter.put(storage, shape, place, combine(op, node.dtype, so_far, emitter.at(x, place)))
+
+    emitter.each(others, more)
+    emitter.close()
+
+
+@statement("argmax", "argmin", addressed=True)
+def find_extreme(emitter: Emitter, node: Node, storage: Storage) -> None:
+    """Write where the largest or smallest element along an axis is: the first, and NaN before all others."""
+    (x,), (axis,) = node.operands, node.params["axes"]
+    sign = ">" if node.op == "argmax" else "<"
+    kept = [k for k in range(len(x.shape)) if k != axis]
+    name = emitter.name("j")
+    emitter.each(node.shape, lambda at: emitter.put(storage, node.shape, at, emitter.literal(0)))
+    emitter.open(f"for (int {name} = 1; {name} < {x.shape[axis]}; {name}++)")
+    source, step = emitter.storage_of(x), math.prod(x.shape[axis + 1 :])
+
+    def better(at: Indices) -> str:
+        place = dict(zip(kept, at, strict=True)) | {axis: Index()}
+        base = [place[k] for k in range(len(x.shape))]
+        best = emitter.place(storage, node.shape, at)
+        old = f"{emitter.place(source, x.shape, base)[:-1]} + {step} * {best}]"
+        new = emitter.at(x, [variable(name) if k == axis else place[k] for k in range(len(x.shape))]).text
+        return f"if ({new} {sign} {old} || ({new} != {new} && {old} == {old})) {best} = {name};"
+
+    emitter.each(node.shape, better)
+    emitter.close()
