@@ -41,7 +41,7 @@ States = UInt8[AnyArray, "*batch 3"]
 def namespace(*arrays: Array) -> Any:
     """Return the module with the functions (``sin``, ``where``...) for arrays and numbers."""
     for array in arrays:
-        if not isinstance(array, np.ndarray) and hasattr(array, "__array_namespace__"):
+        if not isinstance(array, (np.ndarray, np.generic)) and hasattr(array, "__array_namespace__"):
             return array.__array_namespace__()
     return np
 
@@ -75,6 +75,12 @@ def length(vector: Components) -> Scalar:
     return norm(vector)[..., 0]
 
 
+def cross(a: Vector, b: Vector) -> Vector:
+    """Cross product a x b (..., 3)."""
+    (ax, ay, az), (bx, by, bz) = components(a), components(b)
+    return stacked([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+
+
 def largest(vector: Components) -> Scalar:
     """Largest component along the last axis, (..., n) -> (...)."""
     return functools.reduce(larger, components(vector))
@@ -90,6 +96,22 @@ def product(a: Array, b: Array, terms: Sequence[int] | None = None) -> Array:
     if terms is None:
         return a @ b
     return functools.reduce(lambda x, y: x + y, [a[..., :, k, None] * b[..., k, None, :] for k in terms])
+
+
+def diagonal(matrix: Array) -> Components:
+    """Diagonal of square matrices, (..., n, n) -> (..., n)."""
+    n = matrix.shape[-1]
+    return matrix.reshape(*matrix.shape[:-2], n * n)[..., :: n + 1]
+
+
+def solve_positive(A: Array, B: Array) -> Array:
+    """X of A X = B, A (..., n, n) symmetric and positive definite, B (..., n, m): elimination, no pivots."""
+    xp, n = namespace(A, B), A.shape[-1]
+    rows: list[Any] = [xp.concatenate([A[..., row, :], B[..., row, :]], axis=-1) for row in range(n)]
+    for row in range(n):
+        unit = rows[row] / rows[row][..., row : row + 1]
+        rows = [unit if k == row else each - each[..., row : row + 1] * unit for k, each in enumerate(rows)]
+    return xp.stack(rows, axis=-2)[..., n:]
 
 
 def sqrt(x: Array) -> Array:

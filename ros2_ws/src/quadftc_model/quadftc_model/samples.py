@@ -6,6 +6,8 @@ Every type is a NamedTuple of arrays with any leading axes (none on board, one f
 
 from __future__ import annotations
 
+import functools
+import operator
 from typing import NamedTuple
 
 import numpy as np
@@ -79,7 +81,7 @@ class PositionReference(NamedTuple):
     acceleration: Vector  # [m/s²]
     yaw: Scalar  # [rad]
     yaw_rate: Scalar  # [rad/s]
-    jerk: Vector | None = None  # [m/s³]; None: not known
+    jerk: Vector  # [m/s³]; zeros where it is not known
 
 
 class PositionSample(NamedTuple):
@@ -105,7 +107,8 @@ class RotorReading(NamedTuple):
     """What is known of the rotors at a sample; n rotors, in the order of the vehicle file."""
 
     command: Components  # speeds commanded since the sample before (..., n) [rad/s]
-    speeds: Components | None = None  # measured at the sample (..., n) [rad/s]; None: not measured
+    speeds: Components  # measured at the sample (..., n) [rad/s]
+    measured: Flag  # the speeds are known; if not, what stands there says nothing
 
 
 class RotorCondition(NamedTuple):
@@ -118,14 +121,17 @@ class RotorCondition(NamedTuple):
 
 
 class FaultObserverInputs(NamedTuple):
-    """What a fault observer sees: the sample, and what the rotors gave since the sample before."""
+    """What a fault observer sees: the sample, and what the rotors gave since the sample before.
+
+    In free flight there are thrust, position and rotors, too; on the test stand these are None.
+    """
 
     imu: ImuSample
     torque: Vector  # [N m]
-    thrust: Scalar | None = None  # of all rotors [N]; None: unknown, as on the test stand
-    position: PositionSample | None = None  # None: there is no position sensor
-    rotors: RotorReading | None = None  # None: neither commands nor speeds of single rotors are known
-    driven: Flag = True  # torque and thrust are known; if not, the torque is given as zero
+    thrust: Scalar | None = None  # of all rotors [N]
+    position: PositionSample | None = None
+    rotors: RotorReading | None = None
+    driven: Flag = np.True_  # torque and thrust are known; if not, the torque is given as zero
 
 
 class SensorEstimate(NamedTuple):
@@ -168,8 +174,8 @@ class FaultEstimate(NamedTuple):
     state: States  # STARTING ... RECOVERING
     onset_age: Vector  # time since the onset of the present fault [s]; -1: no fault
     corrected: ImuSample  # the sample as the controller shall see it
-    sensors: SensorDiagnosis | None = None  # None: the observer takes all but the attitude for healthy
-    rotors: RotorEstimate | None = None  # None: the observer takes the rotors for healthy
+    sensors: SensorDiagnosis | None = None  # None: of an observer of the attitude alone
+    rotors: RotorEstimate | None = None  # None: of one that knows nothing of rotors, and on the test stand
 
 
 class ComponentFault(NamedTuple):
@@ -203,14 +209,26 @@ class DisturbanceObserverInputs(NamedTuple):
     torque: Vector  # [N m]
 
 
+class RotorFeedback(NamedTuple):
+    """What is known of the rotors at a sample in free flight; n rotors, in the order of the vehicle file."""
+
+    torque: Vector  # of the measured speeds [N m]; zeros where they are not measured
+    measured: Flag
+    effectiveness: Components  # of each rotor (..., n) [1]; 1 where nothing is known
+
+
 class ControllerInputs(NamedTuple):
     """What a controller sees."""
 
     imu: ImuSample
     reference: AttitudeReference
     disturbance: Vector  # estimate of d in (36) [rad/s²]
-    torque: Vector | None = None  # of the rotors, from their measured speeds [N m]; None: not measured
-    effectiveness: Components | None = None  # of the rotors (..., n) [1]; None: all are healthy
+    rotors: RotorFeedback | None = None  # None: on the test stand
+
+    @property
+    def effectiveness(self) -> Components | None:
+        """Effectiveness of the rotors (..., n) [1]; None: on the test stand."""
+        return None if self.rotors is None else self.rotors.effectiveness
 
 
 class ControllerOutput(NamedTuple):
@@ -241,6 +259,11 @@ def is_usable(*vectors: Vector | Quaternion) -> bool:
             if not -UNUSABLE < x < UNUSABLE:  # true for NaN
                 return False
     return True
+
+
+def usable(*arrays: Components) -> Flag:
+    """Whether all numbers of arrays (..., n) are finite and below `UNUSABLE` (...), as :func:`is_usable`."""
+    return functools.reduce(operator.and_, [(abs(x) < UNUSABLE).all(axis=-1) for x in arrays])
 
 
 def sanitised(sample: ImuSample) -> ImuSample:

@@ -20,7 +20,7 @@ from quadftc_model.numbers import LABEL, prepared
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_model.vehicle_checks import impossible
 from quadftc_model.vehicle_table import KEYS, Problem, line_of, read_section, shortened
-from quadftc_model.wrench_set import WrenchSet, wrench_set
+from quadftc_model.wrench_set import WrenchSet, extremes, limits, wrench_set
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -199,6 +199,17 @@ class Vehicle:
     def wrench_set(self) -> WrenchSet:
         """The thrusts and torques that the rotors can give together."""
         return wrench_set(self.effectiveness)
+
+    @prepared
+    def hover_yaw(self) -> float:
+        """Yaw torque that healthy rotors have in hover, the weaker way [N m]."""
+        least, most = extremes(self.wrench_set.yaw, limits(self), np.array([self.weight, 0.0, 0.0]))
+        return float(np.minimum(most, -least))
+
+    @prepared
+    def reach(self) -> float:
+        """Distance of the outermost rotor from body z [m]."""
+        return float(np.max(np.hypot(*self.rotors.positions.T)))
 
     def _thrust_at(self, speed: float) -> float:
         """Thrust [N] of all rotors, each at a speed [rad/s]."""
