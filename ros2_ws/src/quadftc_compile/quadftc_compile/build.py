@@ -5,8 +5,10 @@ from __future__ import annotations
 import ctypes
 import dataclasses
 import os
+import platform
 import subprocess
 import tempfile
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -18,8 +20,9 @@ from quadftc_compile.recipe import Recipe
 from quadftc_model.numbers import structure_of
 
 # no contraction of products and sums, so that the same statement gives the same number on every machine
-FLAGS = ("-std=c99", "-O2", "-ftree-vectorize", "-march=native", "-ffp-contract=off", "-fno-math-errno")
-FLAGS += ("-fno-trapping-math", "-fPIC", "-shared", "-Wall", "-Wextra", "-pedantic")
+STANDARD = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
+NATIVE = "-march=native" if platform.machine() in ("x86_64", "i686") else "-mcpu=native"
+FLAGS = (*STANDARD, NATIVE, "-fPIC", "-shared", "-Wall", "-Wextra", "-pedantic")
 FORMAT = 1  # of records; another one for another way to call
 
 
@@ -104,8 +107,6 @@ def build_library(recipe: Recipe, keep: bool = True) -> Library:
 
 def _make(recipe: Recipe) -> tuple[bytes, dict[str, Any]]:
     """Trace a law and compile its C; return library and record."""
-    import time
-
     if tracer() is None:
         raise BuildError(f"{recipe.name}: JAX is not installed, which traces laws (pip install jax)")
     if compiler() is None:

@@ -15,6 +15,7 @@ import collections
 import dataclasses
 import itertools
 import math
+import re
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -82,16 +83,35 @@ class Plan:
         for node in reversed(graph.nodes):
             self._decide(node)
         self._shorten(graph)
+        self.last: dict[int, list[Node]] = self._find_last(graph)  # by node: what is read there for the last time
+
+    def _find_last(self, graph: Graph) -> dict[int, list[Node]]:
+        """Return for each node that is kept which others nobody reads after it."""
+        reader: dict[int, tuple[Node, Node]] = {}  # of what is kept: itself, and the last that reads it
+        through: dict[int, list[Node]] = {}  # of what is inlined: what it reads
+        for node in graph.nodes:
+            read = [kept for each in node.operands for kept in through.get(id(each), [each])]
+            if id(node) in self.inlined or node.op == "result":
+                through[id(node)] = read if node.op != "result" else [node]
+            else:
+                reader |= {id(each): (each, node) for each in read}
+        outputs = {id(kept) for each in graph.outputs for kept in through.get(id(each), [each])}
+        found: dict[int, list[Node]] = collections.defaultdict(list)
+        for each, last in reader.values():
+            if id(each) not in outputs:
+                found[id(last)].append(each)
+        return found
 
     def _decide(self, node: Node) -> None:
         """Decide on a node, those that read it being decided on."""
         reads, looped = self._reads[id(node)], id(node) in self.looped
+        if node.op == "reshape" and (id(node) in self._kept or (looped and not keeps_axes(node))):
+            self._kept.discard(id(node))  # it lies where what it reshapes lies
+            self._kept.add(id(node.operands[0]))
         inline = id(node) not in self._kept and self._is_inlined(node, reads, looped)
         loops = looped if inline else node.size > FEW
         if inline:
             self.inlined.add(id(node))
-            if node.op == "reshape" and looped and not keeps_axes(node):
-                self._kept.add(id(node.operands[0]))
         for operand, times in self._reads_of(node, reads if inline else 1.0):
             self._reads[id(operand)] += times
             if loops or node.op not in {*VIEWS, *ELEMENTWISE}:
@@ -152,7 +172,7 @@ class Emitter:
         self.tables: list[str] = [] if tables is None else tables  # constants, of the whole file
         self.helpers: set[str] = set()  # functions of `quadftc_compile.matrices` that are called
         self.statements = 0
-        self.stack = 0  # bytes of local arrays
+        self._work: list[tuple[str, int, bool]] = []  # arrays for results: type, numbers, in use
         self._numbers = itertools.count()
         self._depth = 1
         self._storage: dict[int, Storage] = {}
@@ -172,6 +192,8 @@ class Emitter:
         for node in graph.nodes:
             if id(node) not in self._plan.inlined and node.op != "result":
                 self._write(node, targets.get(id(node)))
+                for read in self._plan.last.get(id(node), ()):
+                    self._release(read)
         for node, where in zip(graph.outputs, outputs, strict=True):
             if targets.get(id(node)) is not where and node.size:
                 self.copy(node, where)
@@ -220,9 +242,39 @@ class Emitter:
         if size <= FEW and not looped:
             self.line(f"{kind} {', '.join(f'{name}_{k}' for k in range(size))};")
             return Storage(name, separate=True)
-        self.line(f"{kind} {name}[{max(size, 1)}];")
-        self.stack += size * (4 if self.real == "float" and dtype.kind == "f" else dtype.itemsize)
-        return Storage(name)
+        return Storage(self._take(kind, max(size, 1)))
+
+    def _take(self, kind: str, size: int) -> str:
+        """Return the name of an array for results; one that nobody reads any more is used again."""
+        free = [(n, k) for k, (type_, n, used) in enumerate(self._work) if type_ == kind and not used]
+        fitting = [(n, k) for n, k in free if size <= n]
+        if fitting:
+            n, place = min(fitting)
+        elif free:
+            (_, place), n = max(free), size
+        else:
+            place, n = len(self._work), size
+            self._work.append((kind, size, True))
+        self._work[place] = (kind, n, True)
+        return f"w{place}"
+
+    def _release(self, node: Node) -> None:
+        """Give the array of a result back that nobody reads any more."""
+        storage = self._storage.get(id(node))
+        if storage is not None and re.fullmatch(r"w\d+", storage.name):
+            kind, size, _ = self._work[int(storage.name[1:])]
+            self._work[int(storage.name[1:])] = (kind, size, False)
+
+    @property
+    def arrays(self) -> list[str]:
+        """Declarations of the arrays for results, which come first."""
+        return [f"    {kind} w{k}[{size}];" for k, (kind, size, _) in enumerate(self._work)]
+
+    @property
+    def stack(self) -> int:
+        """Bytes of these arrays."""
+        sizes = {"double": 8, "int64_t": 8, "uint64_t": 8, "float": 4, "int32_t": 4, "uint32_t": 4}
+        return sum(size * sizes.get(kind, 1) for kind, size, _ in self._work)
 
     def keep(self, node: Node, storage: Storage) -> None:
         """Note where a node is kept."""
@@ -352,6 +404,8 @@ class Emitter:
         """Return where a node is kept as an array in one piece."""
         if node.value is not None:
             return Storage(self.table(node.value))
+        if node.op == "reshape" and id(node) not in self._storage:
+            return self.storage_of(node.operands[0])
         return self._storage[id(node)]
 
     def at(self, node: Node, at: Indices) -> Expression:

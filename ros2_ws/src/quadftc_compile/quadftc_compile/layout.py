@@ -14,6 +14,7 @@ import functools
 import importlib
 import inspect
 import io
+import json
 import math
 import re
 import tokenize
@@ -153,7 +154,7 @@ class Structs:
 
     def __init__(self, prefix: str) -> None:
         self._prefix = prefix
-        self._names: dict[str, str] = {}  # by layout
+        self.names: dict[str, str] = {}  # by layout, as JSON
         self._taken: set[str] = set()
         self.definitions: list[str] = []
 
@@ -162,12 +163,12 @@ class Structs:
 
         ``wanted`` is the name of what has none; ``comments`` says what its members are.
         """
-        key = repr(layout)
-        if key not in self._names:
+        key = json.dumps(layout)
+        if key not in self.names:
             name = _unused(f"{self._prefix}_{_snake(layout[1].split(':')[-1]) if layout[1] else wanted}", self._taken)
-            self._names[key] = name
+            self.names[key] = name
             self.definitions.append(self._define(layout, name, comments))
-        return self._names[key]
+        return self.names[key]
 
     def _define(self, layout: Layout, name: str, comments: Callable[[str], str] | None) -> str:
         told = field_comments(kind_of(layout[1])) if layout[1] else {}

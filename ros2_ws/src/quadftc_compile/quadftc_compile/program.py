@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import math
 import os
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -70,6 +71,7 @@ class Program:
     numbers: list[str]  # paths of the law's numbers that it takes
     numbers_layout: Layout
     functions: dict[str, Compiled]
+    structs: dict[str, str]  # names by layout, as JSON
 
 
 def write_program(name: str, law: Any, functions: Mapping[str, Function], real: str = "double") -> Program:
@@ -201,7 +203,7 @@ class _Writer:
                 *self._bodies,
             ]
         )
-        return Program(header, source, self._used, self._layout, self._compiled)
+        return Program(header, source, self._used, self._layout, self._compiled, self._structs.names)
 
     def _name_numbers(self) -> None:
         def name(layout: Layout, path: str, wanted: str) -> None:
@@ -256,7 +258,7 @@ class _Writer:
         empty = [f"    {n}->nothing = 0;" for n, layout in results.items() if layout[0] == "tuple" and not leaves_of(layout)]
         signature = f"void {name}(\n    " + ",\n    ".join(parameters) + ")"
         self._declarations.append(signature)
-        self._bodies.append("\n".join([signature + "\n{", *quiet, *empty, *emitter.lines, "}\n"]))
+        self._bodies.append("\n".join([signature + "\n{", *quiet, *empty, *emitter.arrays, *emitter.lines, "}\n"]))
         self._compiled[key] = Compiled(
             name, arguments, results, emitter.statements, graph.operations, emitter.stack
         )
@@ -278,7 +280,14 @@ class _Writer:
         ]
         order = [*step.arguments, *step.results]
         states = {"before": "k % 2 ? spare : state", "after": "k % 2 ? state : spare"}
-        values = ", ".join(states.get(name) or f"&{name}[k]" for name in order)
+        layouts = {**step.arguments, **step.results}
+
+        def at(name: str) -> str:
+            layout = layouts[name]
+            size = math.prod(layout[2]) if layout[0] == "array" else 1
+            return f"&{name}[{f'{size} * ' if size != 1 else ''}k]"
+
+        values = ", ".join(states.get(name) or at(name) for name in order)
         signature = f"void {step.name}_run(\n    " + ",\n    ".join(parameters) + ")"
         self._declarations.append(signature)
         self._bodies.append(

@@ -8,13 +8,14 @@ import math
 from collections.abc import Callable, Sequence
 
 from quadftc_compile.emit import FEW, Emitter, Storage, statement
-from quadftc_compile.graph import Node
+from quadftc_compile.graph import VIEWS, Node
 from quadftc_compile.operators import combine
 from quadftc_compile.text import Expression, Index, Indices, binary, variable
 
-WRITTEN_OUT = 8  # terms of a sum that are written out in one expression
+WRITTEN_OUT = 16  # terms of a sum that are written out in one expression
 REDUCTIONS = {"reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "reduce_min": "min"}
 REDUCTIONS |= {"reduce_and": "and", "reduce_or": "or", "reduce_xor": "xor"}
+DENSE = 8  # times each number of a matrix is read, from which on it pays to copy it
 CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
 NEUTRAL = {"add": 0, "mul": 1, "and": True, "or": False, "xor": False}
 
@@ -42,6 +43,8 @@ def contract(emitter: Emitter, node: Node, storage: Storage) -> None:
     free_a = [k for k in range(len(a.shape)) if k not in (*over_a, *batch_a)]
     free_b = [k for k in range(len(b.shape)) if k not in (*over_b, *batch_b)]
     batch = len(batch_a)
+    if node.size * math.prod(a.shape[k] for k in over_a) > DENSE * b.size:
+        b = _beside(emitter, b, [*batch_b, *over_b, *free_b])
 
     def term(at: Indices, inner: Indices) -> Expression:
         of_a, of_b = at[batch : batch + len(free_a)], at[batch + len(free_a) :]
@@ -50,6 +53,19 @@ def contract(emitter: Emitter, node: Node, storage: Storage) -> None:
         return binary("*", emitter.at(a, place_a), emitter.at(b, place_b))
 
     fold(emitter, node, storage, "add", [a.shape[k] for k in over_a], term)
+
+
+def _beside(emitter: Emitter, node: Node, order: Sequence[int]) -> Node:
+    """Return an array that is read often with its axes in an order, so that what is read in turn lies side by side."""
+    if list(order) == sorted(order) and node.op not in VIEWS:
+        return node
+    shape = [node.shape[k] for k in order]
+    copied = Node("transpose", (node,), {"permutation": tuple(order)}, tuple(shape), node.dtype, node.source)
+    storage = emitter.declare(shape, node.dtype)
+    emitter.copy(copied, storage)
+    emitter.keep(copied, storage)
+    back = tuple(list(order).index(k) for k in range(len(order)))
+    return Node("transpose", (copied,), {"permutation": back}, node.shape, node.dtype, node.source)
 
 
 def _places(*parts: tuple[Sequence[int], Indices]) -> list[Index]:
@@ -83,21 +99,39 @@ def fold(
 def _fold_in_loops(
     emitter: Emitter, node: Node, storage: Storage, op: str, count: Sequence[int], term: Term
 ) -> None:
-    """Write a reduction as a loop over its terms around one over its numbers: these lie side by side."""
-    shape, names = node.shape, [emitter.name("j") for _ in count]
+    """Write a reduction as loops over its terms, around one over the last axis of its result.
+
+    So the numbers of a row lie side by side, and are in reach while their terms come.
+    """
+    shape = node.shape
+    long = [k for k, n in enumerate(shape) if n != 1]
+    row = long[-1] if long else -1
+    around, names = {k: emitter.name("i") for k in long[:-1]}, [emitter.name("j") for _ in count]
+    for k, name in around.items():
+        emitter.open(f"for (int {name} = 0; {name} < {shape[k]}; {name}++)")
+    place = [variable(around[k]) if k in around else Index() for k in range(len(shape))]
+    one_row = [shape[row] if k == row else 1 for k in range(len(shape))]
     first = [Index() for _ in count]
-    emitter.each(shape, lambda at: emitter.put(storage, shape, at, term(at, first)), loop=node.size > FEW)
-    for name, n in zip(names, count, strict=True):
-        emitter.open(f"for (int {name} = 0; {name} < {n}; {name}++)")
-    emitter.line(f"if ({' + '.join(names)} == 0) continue;")
-    place = [variable(name) for name in names]
+
+    def at_row(at: Indices) -> list[Index]:
+        return [at[k] if k == row else place[k] for k in range(len(shape))]
+
+    def start(at: Indices) -> str:
+        return emitter.put(storage, shape, at_row(at), term(at_row(at), first))
 
     def more(at: Indices) -> str:
-        so_far = Expression(emitter.place(storage, shape, at))
-        return emitter.put(storage, shape, at, combine(op, node.dtype, so_far, term(at, place)))
+        so_far = Expression(emitter.place(storage, shape, at_row(at)))
+        total = combine(op, node.dtype, so_far, term(at_row(at), [variable(name) for name in names]))
+        return emitter.put(storage, shape, at_row(at), total)
 
-    emitter.each(shape, more, loop=node.size > FEW)
-    for _ in names:
+    loop = one_row[row] > FEW if long else False
+    emitter.each(one_row, start, loop=loop)
+    for number, (name, n) in enumerate(zip(names, count, strict=True)):
+        emitter.open(f"for (int {name} = {int(len(names) == 1 and number == 0)}; {name} < {n}; {name}++)")
+    if len(names) > 1:
+        emitter.line(f"if ({' + '.join(names)} == 0) continue;")
+    emitter.each(one_row, more, loop=loop)
+    for _ in [*names, *around]:
         emitter.close()
 
 
