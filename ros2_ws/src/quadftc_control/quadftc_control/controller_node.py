@@ -19,20 +19,15 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_control.controller import Controller, controller_from, controllers, inputs_at_rest
+from quadftc_compile.engine import engine_from
+from quadftc_control.controller import Controller, controller_from, controllers
 from quadftc_control.flight_manager import Command, FlightManager
 from quadftc_control.input_monitor import Mode, Patience
 from quadftc_control.last_words import MessageReader
 from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import parameter
-from quadftc_model.samples import (
-    ALARMS,
-    AttitudeCommand,
-    AttitudeReference,
-    ControllerInputs,
-    ImuSample,
-)
-from quadftc_model.stepper import seconds, warm_up
+from quadftc_model.samples import ALARMS, AttitudeCommand, ImuSample
+from quadftc_model.stepper import seconds
 from quadftc_ros import wire
 from quadftc_ros.conversions import Floats, array_of, revise_status
 from quadftc_ros.diagnostics import ERROR, OK, WARN
@@ -67,11 +62,6 @@ def _build(values: Mapping[str, Any]) -> tuple[Controller, Patience]:
     return controller_from(values), build_prefixed(Patience, values, "patience")
 
 
-def _warmed_up(law: Controller) -> Controller:
-    warm_up(law, inputs_at_rest(law.vehicle, flies=False))
-    return law
-
-
 def faulty_part(status: Any) -> Floats:
     """Return the estimate (3,) [rad] of a status message, zero on axes without an alarm."""
     return array_of(status.estimate) * np.isin(status.state, ALARMS)
@@ -89,20 +79,19 @@ class ControllerNode(GraphNode):
         self.settings.declare_law(ControllerParameters, controllers, self._must_keep)
         self.settings.declare(Patience, "patience.")
         law, patience = _build(self.settings.values())
-        self._flies = self.plant_kind == "free_flight"
-        self._manager = FlightManager(_warmed_up(law), patience, READER, self.diagnostics.count)
-        if self.settings.values()["compiled"]:
-            self._manager.compile_for(self._flies)
+        flies = self.plant_kind == "free_flight"
+        engine = engine_from(self.settings.values(), self.get_logger().info)
+        self._manager = FlightManager(law, patience, READER, self.diagnostics.count, flies, engine)
         self.settings.on_change(_build, self._use)
         self._publish_torque = self.publishes("torque/command")
         self._publish_status = self.publishes("control/status")
         self._body, self._status = wire.VectorWire(self.base_frame), wire.ControlStatusWire(self.base_frame)
         self._mode: Mode | None = None
-        inputs = ("imu", "reference", "disturbance", *(["speeds", "rotors"] if self._flies else []))
-        self._join = StampJoin(inputs, self._on_all)
+        inputs = ("imu", "reference", "disturbance", *(["speeds", "rotors"] if flies else []))
+        self._join = StampJoin(inputs, partial(self._act, self._manager.fly))
         self.driven_by("imu/corrected", self._on_corrected, restart=self._manager.restart, decode=wire.imu_of)
         self.reads("attitude/reference", self._on_reference, decode=wire.attitude_command_in)
-        if self._flies:
+        if flies:
             self._publish_speeds = self.publishes("rotors/command")
             count = len(law.vehicle.rotors.positions)
             self._rotors = RotorsWire(count, self.base_frame)
@@ -122,16 +111,14 @@ class ControllerNode(GraphNode):
 
     def _use(self, built: tuple[Controller, Patience]) -> None:
         """Fly with changed parameters, or have another controller take over."""
-        law, patience = built
-        self._manager.configure(law if self._manager.flies(law) else _warmed_up(law), patience)
+        self._manager.configure(*built)
 
     def _must_keep(self) -> str:
         """Return why another controller must not take over now; empty: it may."""
         return STAYS if self.lockstep else self._manager.must_keep()
 
     def _on_reference(self, stamp_ns: int, wanted: AttitudeCommand) -> None:
-        thrust = wanted.thrust if self._flies else None
-        usable = self._manager.take_reference(stamp_ns, wanted.attitude, thrust)
+        usable = self._manager.take_reference(stamp_ns, wanted)
         if self.lockstep and usable is not None:
             self._join.put("reference", stamp_ns, usable)
 
@@ -155,20 +142,6 @@ class ControllerNode(GraphNode):
             self._join.put("imu", stamp_ns, imu)
         else:
             self._act(self._manager.take_corrected, stamp_ns, imu)
-
-    def _on_all(
-        self,
-        stamp_ns: int,
-        imu: ImuSample,
-        reference: AttitudeReference,
-        disturbance: Floats,
-        speeds: Floats | None = None,
-        effectiveness: Floats | None = None,
-    ) -> None:
-        """Lock-step: all inputs of one sample are there."""
-        torque = self._manager.rotor_torque(speeds, effectiveness)
-        inputs = ControllerInputs(imu, reference, disturbance, torque, effectiveness)
-        self._act(self._manager.fly, stamp_ns, inputs)
 
     def _on_raw(self, stamp_ns: int, data: bytes) -> None:
         if not self.lockstep and self._manager.needs_raw(stamp_ns, data):
@@ -203,8 +176,8 @@ class ControllerNode(GraphNode):
     def report(self) -> None:
         """Report a reference that stands still because its node does."""
         manager = self._manager
-        if not self.lockstep and manager.stamp_ns and manager.reference is not None:
-            old = seconds(manager.stamp_ns - manager.reference_ns) > REFERENCE_AGE
+        if not self.lockstep and manager.stamp_ns and manager.wanted is not None:
+            old = seconds(manager.stamp_ns - manager.wanted_ns) > REFERENCE_AGE
             words = "attitude/reference does not come: the last is held" if old else "comes"
             self.diagnostics.report("reference", WARN if old else OK, words)
 

@@ -1,8 +1,8 @@
 """What the controller decides in flight: which IMU it flies on, what it commands, what it keeps for others.
 
 For each sample that comes, `InputMonitor` says which IMU is used and whether the disturbance estimate is
-trusted (the mode), `Transfer` makes the change from one IMU to another continuous, the control law gives the
-torque, and `LastWords` keeps what both observers said last, for observers that restart.
+trusted (the mode), `Transfer` makes the change from one IMU to another continuous, `AttitudeLoop` gives
+torque and rotor speeds, and `LastWords` keeps what both observers said last, for observers that restart.
 
 Pure: samples and stamps come in, a `Command` comes out, and `kept` collects what is published beside it.
 """
@@ -14,18 +14,23 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadftc_control.allocation import actuated
-from quadftc_control.controller import Controller, inputs_at_rest, limited, nothing_but, stepper_of
+from quadftc_control.attitude_loop import (
+    AttitudeLoop,
+    AttitudeLoopInputs,
+    AttitudeLoopOutput,
+    attitude_stepper,
+    nothing_but,
+)
+from quadftc_control.controller import Controller, limited
 from quadftc_control.input_monitor import HeldTorque, InputMonitor, Mode, Patience
 from quadftc_control.last_words import LastWords, MessageReader
-from quadftc_control.reduced_attitude import Enduring, enduring
 from quadftc_control.transfer import Transfer
 from quadftc_model import samples
-from quadftc_model.arrays import Components, Scalar, Vector
+from quadftc_model.arrays import Components, Vector
 from quadftc_model.fade import Fade
 from quadftc_model.rotors import wrench_from_speeds
-from quadftc_model.samples import AttitudeReference, ControllerInputs, ControllerOutput, ImuSample
-from quadftc_model.stepper import seconds
+from quadftc_model.samples import AttitudeCommand, ControllerOutput, ImuSample
+from quadftc_model.stepper import Engine, NumpyRunner, seconds
 
 ROTORS_AGE = 0.1  # s; measured speeds that differ by more from the sample are not of its time
 
@@ -40,22 +45,29 @@ class Command(NamedTuple):
 
 
 class FlightManager:
-    """Flies one vehicle on whatever comes.
+    """Flies one vehicle on whatever comes, in free flight if it ``flies``.
 
     ``law`` is for when there is a disturbance estimate; ``count`` gets the reason when an input or output
     cannot be used.
     """
 
     def __init__(
-        self, law: Controller, patience: Patience, reader: MessageReader, count: Callable[[str], None]
+        self,
+        law: Controller,
+        patience: Patience,
+        reader: MessageReader,
+        count: Callable[[str], None],
+        flies: bool = False,
+        engine: Engine = NumpyRunner,
     ) -> None:
-        self._law, self._count, self._reader = enduring(law), count, reader
+        self._flies, self._count, self._reader = flies, count, reader
+        self._law = self._loop_of(law)
         self._torque: Vector = np.zeros(3)  # last command [N m]
-        self._stepper = stepper_of(self._law, lambda: self._torque)
+        self._stepper = attitude_stepper(self._law, lambda: self._torque, engine)
         self._monitor, self._transfer = InputMonitor(patience), Transfer(patience)
         self._last_words = LastWords(reader)
         self._held = HeldTorque()
-        self._next: Enduring | None = None  # takes over with the next sample
+        self._next: AttitudeLoop | None = None  # takes over with the next sample
         self._fade = Fade()  # of the torque (3,) [N m]
         self._status: Any = None  # last status of an observer that is silent, if it helps one that restarts
         self._mode: Mode | None = None
@@ -63,55 +75,47 @@ class FlightManager:
         self._watched_ns = self._silent_since_ns = 0
         self._missing = 0.0  # share of the disturbance estimate that is missing
         self._trusted = False  # the disturbance estimate
-        self.reference: AttitudeReference | None = None
-        self._thrust: Scalar | None = None  # wanted with the reference [N], in free flight
-        self.reference_ns = 0
+        self.wanted: AttitudeCommand | None = None
+        self.wanted_ns = 0
         self._speeds: tuple[int, Components] | None = None  # of the rotors: stamp [ns], measured [rad/s]
-        self.effectiveness: Components | None = None  # of the rotors, as last estimated [1]; None: unknown
+        self.effectiveness = self._healthy  # of the rotors, as last estimated [1]
         # To publish for observers that restart, oldest first; whoever publishes it clears it: (what, stamp
         # [ns], value), "fault" with a status message, "gyro" or "disturbance" with an array (3,).
         self.kept: list[tuple[str, int, Any]] = []
 
-    def compile_for(self, flies: bool) -> None:
-        """Run the controller compiled for the test stand or for free flight; ValueError if it cannot be."""
-        self._stepper.compile(inputs_at_rest(self._law.vehicle, flies))
-
     def configure(self, law: Controller, patience: Patience) -> None:
         """Change parameters in flight, or the law: another one takes over without a jump of the torque."""
-        changed = enduring(law)
-        if self.flies(law):
+        changed = self._loop_of(law)
+        if self.has(law):
             self._law, self._next = changed, None
             self._stepper.law = changed.without_estimate(self._missing)
         else:
             self._next = changed
         self._monitor.patience = self._transfer.patience = patience
 
-    def flies(self, law: Controller) -> bool:
+    def has(self, law: Controller) -> bool:
         """Return whether it flies a law of this kind now."""
-        return type(enduring(law).law) is type(self._law.law)
+        return type(law) is type(self._law.controller)
 
     def must_keep(self) -> str:
         """Return why another law must not take over now; empty: it may."""
         if self._mode not in (None, Mode.FULL):
             return "something is missing: the controller does not fly in mode full"
-        weak = self.effectiveness is not None and min(self.effectiveness.tolist()) < 1.0
-        return "a rotor is weak" if weak else ""
+        return "a rotor is weak" if np.any(self.effectiveness < 1.0) else ""
 
     def restart(self) -> None:
         """Take the next sample for the first of a flight."""
         self._stepper.reset()
         self._transfer.reset()
-        self.effectiveness = None
+        self.effectiveness = self._healthy
 
-    def take_reference(
-        self, stamp_ns: int, reference: AttitudeReference, thrust: Scalar | None = None
-    ) -> AttitudeReference | None:
-        """Note a reference, in free flight with the thrust [N]; return the last usable one."""
-        if samples.is_usable(*reference) and (thrust is None or abs(thrust) < samples.UNUSABLE):
-            self.reference, self.reference_ns, self._thrust = reference, stamp_ns, thrust
+    def take_reference(self, stamp_ns: int, wanted: AttitudeCommand) -> AttitudeCommand | None:
+        """Note a reference and the thrust that comes with it; return the last usable one."""
+        if samples.is_usable(*wanted.attitude) and abs(wanted.thrust) < samples.UNUSABLE:
+            self.wanted, self.wanted_ns = wanted, stamp_ns
         else:
             self._count("attitude/reference: not finite")
-        return self.reference
+        return self.wanted
 
     def take_disturbance(self, stamp_ns: int, disturbance: Vector) -> Vector:
         """Note a disturbance estimate (3,) [rad/s²]; return it, or zero if it cannot be used."""
@@ -130,17 +134,13 @@ class FlightManager:
         self._speeds = stamp_ns, speeds
         return speeds
 
-    def take_effectiveness(self, effectiveness: Components | None) -> Components | None:
-        """Note the estimated effectiveness of the rotors; return it, None if there is none to use."""
+    def take_effectiveness(self, effectiveness: Components | None) -> Components:
+        """Note the estimated effectiveness of the rotors; return what to fly with: 1 without a usable one."""
         if effectiveness is not None and not samples.is_usable(effectiveness):
             self._count("rotors/status: not finite")
             effectiveness = None
-        self.effectiveness = effectiveness
-        return effectiveness
-
-    def rotor_torque(self, speeds: Components | None, effectiveness: Components | None) -> Vector | None:
-        """Torque [N m] of rotor speeds [rad/s]; None without speeds."""
-        return None if speeds is None else wrench_from_speeds(self._law.vehicle, speeds, effectiveness)[0]
+        self.effectiveness = self._healthy if effectiveness is None else effectiveness
+        return self.effectiveness
 
     def take_status(self, stamp_ns: int, data: bytes) -> None:
         """Note fault/status, serialised."""
@@ -194,45 +194,64 @@ class FlightManager:
         if mode is Mode.FULL or not self.stamp_ns:
             return None
         torque = self._held.mean if mode is Mode.HOLD else np.zeros(3)
-        return self._command(self.stamp_ns, nothing_but(torque), mode)
+        return self._without_law(self.stamp_ns, torque, mode)
 
-    def fly(self, stamp_ns: int, inputs: ControllerInputs, mode: Mode = Mode.FULL) -> Command | None:
-        """Step the law; None for a stamp that is refused (repeated, or earlier than the last)."""
-        self.effectiveness = inputs.effectiveness
+    def fly(
+        self,
+        stamp_ns: int,
+        imu: ImuSample,
+        wanted: AttitudeCommand,
+        disturbance: Vector,
+        speeds: Components | None = None,
+        effectiveness: Components | None = None,
+        mode: Mode = Mode.FULL,
+    ) -> Command | None:
+        """Step the law; None for a stamp that is refused (repeated, or earlier than the last).
+
+        ``speeds`` (n,) [rad/s] are those measured, None if they are not; ``effectiveness`` (n,) [1] is there
+        in free flight.
+        """
+        inputs = AttitudeLoopInputs(imu, wanted, disturbance)
+        if self._flies:
+            measured = np.bool_(speeds is not None)
+            speeds = np.zeros_like(self._healthy) if speeds is None else speeds
+            inputs = inputs._replace(speeds=speeds, measured=measured, effectiveness=effectiveness)
         replaced = self._stepper.replaced
-        output = self._stepper.step(stamp_ns, inputs)
-        if output is None:
+        said = self._stepper.step(stamp_ns, inputs)
+        if said is None:
             return None
         if self._stepper.replaced > replaced:
             self._count("the controller gave no number: the last torque is held")
-        output = self._faded(stamp_ns, inputs, output)
+        said = self._faded(stamp_ns, inputs, said)
         if self._next is not None:
             self._law, self._next = self._next, None
-            law = self._stepper.law = self._law.without_estimate(self._missing)
-            new = self._stepper.resume(stamp_ns, inputs, law.init(inputs))
-            self._fade.begin(stamp_ns, output.torque - new.torque)
-            output = self._faded(stamp_ns, inputs, new)
-        self._held.add(stamp_ns, output.torque)
-        return self._command(stamp_ns, output, mode)
+            self._stepper.law = self._law.without_estimate(self._missing)
+            new = self._stepper.begin(stamp_ns, inputs)
+            self._fade.begin(stamp_ns, said.output.torque - new.output.torque)
+            said = self._faded(stamp_ns, inputs, new)
+        self._held.add(stamp_ns, said.output.torque)
+        return self._command(stamp_ns, said, mode)
 
-    def _faded(self, stamp_ns: int, inputs: ControllerInputs, output: ControllerOutput) -> ControllerOutput:
+    def _faded(
+        self, stamp_ns: int, inputs: AttitudeLoopInputs, said: AttitudeLoopOutput
+    ) -> AttitudeLoopOutput:
         """Add to the torque what is left of the difference between two laws."""
         left = self._fade.at(stamp_ns)
         if left is None:
-            return output
-        return output._replace(
-            torque=limited(self._law.vehicle, output.torque + left, inputs.effectiveness)[0]
-        )
+            return said
+        torque, _ = limited(self._law.vehicle, said.output.torque + left, inputs.effectiveness)
+        output = said.output._replace(torque=torque)
+        return self._law.actuated(inputs.command.thrust, output, inputs.effectiveness)
 
     def _fly_on(self, stamp_ns: int, imu: ImuSample, mode: Mode) -> Command | None:
         """Fly on a clean sample, with the latest of all else."""
-        if self.reference is None:
+        if self.wanted is None:
             self._count("no attitude/reference yet")
             return None
         if self._stepper.time_step(stamp_ns) is None:
             return None  # repeated: imu/corrected of a sample that imu/data has served already
         if self._mode is Mode.OFF and not self._monitor.is_back(stamp_ns):
-            return self._command(stamp_ns, nothing_but(np.zeros(3)), Mode.OFF)
+            return self._without_law(stamp_ns, np.zeros(3), Mode.OFF)
         # The disturbance estimate fades when it gets old; the switching gain takes over its share.
         disturbance, share, trusted = self._monitor.disturbance_at(stamp_ns)
         if not trusted:
@@ -247,15 +266,14 @@ class FlightManager:
         flown = self._transfer.used(stamp_ns, imu, mode is Mode.NO_DIAGNOSIS)
         if mode is Mode.NO_DIAGNOSIS:
             self._keep_fault(stamp_ns, imu, flown)
-        torque = self._measured_torque(stamp_ns)
-        inputs = ControllerInputs(flown, self.reference, disturbance, torque, self.effectiveness)
-        return self.fly(stamp_ns, inputs, mode)
+        speeds = self._speeds_at(stamp_ns)
+        return self.fly(stamp_ns, flown, self.wanted, disturbance, speeds, self.effectiveness, mode)
 
-    def _measured_torque(self, stamp_ns: int) -> Vector | None:
-        """Torque of the latest rotor speeds [N m]; None if they are old, or never came."""
+    def _speeds_at(self, stamp_ns: int) -> Components | None:
+        """Return the latest rotor speeds [rad/s]; None if they are old, or never came."""
         if self._speeds is None or abs(seconds(stamp_ns - self._speeds[0])) > ROTORS_AGE:
             return None
-        return self.rotor_torque(self._speeds[1], self.effectiveness)
+        return self._speeds[1]
 
     def _lose_diagnosis(self, stamp_ns: int) -> None:
         """Keep what a fault observer that restarts needs, and tell the transfer what is known of imu/data."""
@@ -277,11 +295,20 @@ class FlightManager:
             self._reader.revise(self._status, stamp_ns, fault, self._monitor.patience.jump)
             self.kept.append(("fault", stamp_ns, self._status))
 
-    def _command(self, stamp_ns: int, output: ControllerOutput, mode: Mode) -> Command:
-        speeds = None
-        if self._thrust is not None:
-            thrust = 0.0 if mode is Mode.OFF else self._thrust
-            allocated, output = actuated(self._law.vehicle, thrust, output, self.effectiveness)
-            speeds = allocated.speeds
-        self._torque, self.stamp_ns, self._mode = output.torque, stamp_ns, mode
-        return Command(stamp_ns, output, mode, speeds)
+    def _without_law(self, stamp_ns: int, torque: Vector, mode: Mode) -> Command:
+        """Command a torque [N m] and, unless in mode off, the thrust as last wanted."""
+        thrust = 0.0 if mode is Mode.OFF or self.wanted is None else self.wanted.thrust
+        said = self._law.actuated(thrust, nothing_but(torque), self.effectiveness)
+        return self._command(stamp_ns, said, mode)
+
+    def _command(self, stamp_ns: int, said: AttitudeLoopOutput, mode: Mode) -> Command:
+        self._torque, self.stamp_ns, self._mode = said.output.torque, stamp_ns, mode
+        return Command(stamp_ns, said.output, mode, said.speeds)
+
+    def _loop_of(self, law: Controller) -> AttitudeLoop:
+        return AttitudeLoop(controller=law, flies=self._flies)
+
+    @property
+    def _healthy(self) -> Components:
+        """Effectiveness of rotors that are healthy."""
+        return np.ones(len(self._law.vehicle.rotors.positions))

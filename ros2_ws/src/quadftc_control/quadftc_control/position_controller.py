@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-import functools
 import math
 from typing import Any, NamedTuple
 
@@ -28,19 +27,27 @@ from quadftc_model.arrays import (
     Flag,
     Scalar,
     Vector,
+    arctan2,
     chosen,
     clip,
     components,
+    cos,
     larger,
+    length,
     namespace,
-    pick,
+    norm,
+    sin,
     smaller,
+    sqrt,
     stacked,
+    tan,
+    where,
 )
 from quadftc_model.assembly import VehicleLaw, law_from
+from quadftc_model.numbers import prepared
 from quadftc_model.parameters import parameter
 from quadftc_model.registry import Registry
-from quadftc_model.rotations import euler_from_quaternion
+from quadftc_model.rotations import euler_from_quaternion, to_earth
 from quadftc_model.samples import (
     AIR_DENSITY,
     STANDARD_GRAVITY,
@@ -51,6 +58,7 @@ from quadftc_model.samples import (
     PositionReference,
 )
 
+UP = np.array([0.0, 0.0, 1.0])  # 1; along z
 SPINNING, STILL = 2.0, 1.0  # rad/s; yaw rate that nobody asks for, from which on, and until when, it spins
 LEAST_ASIDE = 0.2  # 1; of the largest thrust: what the level part has however much height needs
 
@@ -101,7 +109,7 @@ class PositionController(VehicleLaw[PositionControllerInputs, AttitudeCommand]):
         doc="largest angular acceleration of the commands, of what the rotors can give",
     )
 
-    @functools.cached_property
+    @prepared
     def turning(self) -> Vector:
         """Largest angular acceleration of the commands, (3,) [rad/s²]."""
         return self.agility * self.vehicle.authority / self.vehicle.inertia
@@ -122,7 +130,7 @@ class PositionController(VehicleLaw[PositionControllerInputs, AttitudeCommand]):
     def init(self, inputs: PositionControllerInputs) -> State:
         """Start from the present attitude, still."""
         angles = euler_from_quaternion(inputs.imu.q_xyzw)
-        zeros = 0.0 * angles
+        zeros = namespace(angles).zeros_like(angles)
         reference = AttitudeReference(angles, zeros, zeros)
         return State(self.start(inputs), Pushed(zeros, zeros), reference, inputs.imu.rate_valid & False)
 
@@ -130,98 +138,74 @@ class PositionController(VehicleLaw[PositionControllerInputs, AttitudeCommand]):
         self, state: State, inputs: PositionControllerInputs, dt: float
     ) -> tuple[State, AttitudeCommand]:
         """Compute attitude and thrust for a sample."""
+        imu, shall = inputs.imu, inputs.reference
         law, wanted = self.push(state.law, inputs, state.last, dt)
-        x, y, z = (a + b for a, b in zip(self._planned(inputs.reference), components(wanted), strict=True))
-        whole = [x, y, z + STANDARD_GRAVITY]
+        whole = self._planned(shall) + wanted + STANDARD_GRAVITY * UP
         force = self._limited(whole)
-        given = wanted - stacked([a - b for a, b in zip(whole, force, strict=True)])  # the same if not cut
-        angles = euler_from_quaternion(inputs.imu.q_xyzw)
-        yaw = components(angles)[2]
-        spins = self._spins(state, inputs.imu)
-
-        def held() -> AttitudeReference:
-            turn = 2.0 / self.bandwidth * inputs.reference.yaw_rate
-            roll, pitch = _tilt(force, yaw + turn)
-            setpoint = stacked([roll, pitch, inputs.reference.yaw + turn + 0.0 * roll])
-            return filtered(state.reference, setpoint, self.bandwidth, self.turning, dt)
-
-        def spun() -> AttitudeReference:
-            roll, pitch = _tilt(force, yaw)
-            return AttitudeReference(stacked([roll, pitch, yaw]), 0.0 * angles, 0.0 * angles)
-
-        if isinstance(spins, (bool, np.bool_)):
-            reference = spun() if spins else held()
-        else:
-            reference = chosen(spins, spun(), held())
-        thrust = self._thrust(inputs.imu, force, spins)
-        return State(law, Pushed(wanted, given), reference, spins), AttitudeCommand(reference, thrust)
+        given = wanted - (whole - force)  # the same if not cut
+        angles = euler_from_quaternion(imu.q_xyzw)
+        spins = self._spins(state, imu)
+        # roll and pitch at the yaw to come, and through the filter; if it spins, at the present yaw and as is
+        turn = 2.0 / self.bandwidth * shall.yaw_rate
+        roll, pitch = _tilt(force, where(spins, angles[..., 2], angles[..., 2] + turn))
+        setpoint = stacked([roll, pitch, shall.yaw + turn])
+        held = filtered(state.reference, setpoint, self.bandwidth, self.turning, dt)
+        zeros = namespace(angles).zeros_like(angles)
+        spun = AttitudeReference(stacked([roll, pitch, angles[..., 2]]), zeros, zeros)
+        reference = chosen(spins, spun, held)
+        command = AttitudeCommand(reference, self._thrust(imu, force, spins))
+        return State(law, Pushed(wanted, given), reference, spins), command
 
     def _spins(self, state: State, imu: ImuSample) -> Flag:
         """Whether the vehicle spins (...): its yaw is nobody's, and its roll and pitch turn with it."""
-        rate = components(imu.body_rate)[2]
-        asked = components(state.reference.rates)[2]
+        rate, asked = imu.body_rate[..., 2], state.reference.rates[..., 2]
         begins = (abs(rate) > SPINNING) & (abs(rate - asked) > SPINNING)
-        spins = pick(state.spins, abs(rate) > STILL, begins)
-        return np.bool_(spins) if isinstance(spins, bool) else spins
+        return where(state.spins, abs(rate) > STILL, begins)
 
-    def _planned(self, reference: PositionReference) -> list[Any]:
-        """Acceleration that the trajectory asks for and drag takes [m/s²], earlier by what lags."""
+    def _planned(self, reference: PositionReference) -> Vector:
+        """Acceleration that the trajectory asks for and drag takes [m/s²] (..., 3), earlier by what lags."""
         x, y, z = components(reference.acceleration)
-        if reference.jerk is not None:
-            jx, jy, jz = components(reference.jerk)
-            lag = 2.0 / self.bandwidth
-            x, y, z = x + lag * jx, y + lag * jy, z + self.vehicle.rotors.time_constant * jz
+        jx, jy, jz = components(reference.jerk)
         u, v, _ = components(reference.velocity)
-        drag = self._drag(_functions(u).sqrt(u * u + v * v))
-        return [x + drag * u, y + drag * v, z]
+        lag, drag = 2.0 / self.bandwidth, self.drag(sqrt(u * u + v * v))
+        z_earlier = z + self.vehicle.rotors.time_constant * jz
+        return stacked([x + lag * jx + drag * u, y + lag * jy + drag * v, z_earlier])
 
-    def _drag(self, speed: Any) -> Any:
+    def drag(self, speed: Scalar) -> Scalar:
         """Deceleration over level speed [1/s] in still air, of the rotors and of the body."""
         vehicle = self.vehicle
         air = vehicle.aerodynamics
         rotors = air.rotor_drag * len(vehicle.rotors.positions) * vehicle.hover_speed
         return (rotors + 0.5 * AIR_DENSITY * air.drag_area[0] * speed) / vehicle.mass
 
-    def _limited(self, force: list[Any]) -> list[Any]:
-        """Force over mass [m/s²], earth axes, within tilt and thrust; height comes first."""
-        x, y, z = force
+    def _limited(self, force: Vector) -> Vector:
+        """Force over mass [m/s²] (..., 3), earth axes, within tilt and thrust; height comes first."""
+        aside, up = force[..., :2], force[..., 2:]
         largest = self.vehicle.thrust_max / self.vehicle.mass
         top = self.max_thrust * largest
-        up = clip(z, self.min_thrust * largest, top)
-        functions = _functions(up)
+        up = clip(up, self.min_thrust * largest, top)
         # at the top of the thrust, a little is left for the level part all the same
-        left = functions.sqrt(clip(top * top - up * up, (LEAST_ASIDE * top) ** 2, top * top))
-        bound = smaller(up * _functions(self.max_tilt).tan(self.max_tilt), left)
-        scale = bound / larger(functions.sqrt(x * x + y * y), bound)
-        return [scale * x, scale * y, up]
+        left = sqrt(clip(top * top - up * up, (LEAST_ASIDE * top) ** 2, top * top))
+        bound = smaller(up * tan(self.max_tilt), left)
+        scale = bound / larger(norm(aside), bound)
+        return namespace(force).concatenate([scale * aside, up], axis=-1)
 
-    def _thrust(self, imu: ImuSample, force: list[Any], spins: Flag) -> Scalar:
-        """Thrust [N]: the wanted force over mass, along body z as it is now.
+    def _thrust(self, imu: ImuSample, force: Vector, spins: Flag) -> Scalar:
+        """Thrust [N] (...): the wanted force over mass, along body z as it is now.
 
         A vehicle that begins to spin is tilted far, and its thrust is what turns it back: it is kept then.
         """
-        x, y, z, w = components(imu.q_xyzw)
-        fx, fy, fz = force
-        along = 2.0 * (x * z + w * y) * fx + 2.0 * (y * z - w * x) * fy + (1.0 - 2.0 * (x * x + y * y)) * fz
-        whole = _functions(fx).sqrt(fx * fx + fy * fy + fz * fz)
-        along = pick(spins, whole + smaller(along, 0.0), along)
+        along = (to_earth(imu.q_xyzw, UP) * force).sum(axis=-1)
+        along = where(spins, length(force) + smaller(along, 0.0), along)
         largest = self.vehicle.thrust_max
         return clip(self.vehicle.mass * along, self.min_thrust * largest, self.max_thrust * largest)
 
 
-def _tilt(force: list[Any], yaw: Any) -> tuple[Any, Any]:
+def _tilt(force: Vector, yaw: Scalar) -> tuple[Scalar, Scalar]:
     """Roll and pitch [rad] that turn body z along a force, at a yaw [rad]."""
-    x, y, z = force
-    functions = _functions(x)
-    atan2 = math.atan2 if isinstance(x, float) else functions.arctan2
-    cos, sin = functions.cos(yaw), functions.sin(yaw)
-    ahead, left = cos * x + sin * y, cos * y - sin * x
-    return atan2(-left, functions.sqrt(ahead * ahead + z * z)), atan2(ahead, z)
-
-
-def _functions(x: Any) -> Any:
-    """Module with ``sin``, ``cos``, ``tan``, ``sqrt`` for a float or an array."""
-    return math if isinstance(x, float) else namespace(x)
+    x, y, z = components(force)
+    ahead, left = cos(yaw) * x + sin(yaw) * y, cos(yaw) * y - sin(yaw) * x
+    return arctan2(-left, sqrt(ahead * ahead + z * z)), arctan2(ahead, z)
 
 
 position_controllers: Registry[Any] = Registry(

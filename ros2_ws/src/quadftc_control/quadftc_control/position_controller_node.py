@@ -14,21 +14,28 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_control.position_controller import position_controllers
-from quadftc_control.position_loop import (
-    Guidance,
-    LiveTrajectory,
-    PositionLoop,
-    PositionLoopInputs,
-    position_loop_from,
+from quadftc_compile.engine import engine_from
+from quadftc_control.guidance import (
+    FlightGuidanceInputs,
+    GuidanceOutput,
+    LiveGuidanceInputs,
+    ScenarioClock,
+    flight_guidance_from,
+    live_guidance_from,
 )
-from quadftc_control.trajectory import PositionSetpoint, PositionSetpointFilter, trajectory_from
+from quadftc_control.position_controller import position_controllers
+from quadftc_control.trajectory import (
+    PositionSetpoint,
+    PositionSetpointFilter,
+    combined,
+    trajectories_from,
+)
 from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import parameter
 from quadftc_model.position_estimator import PositionEstimator
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, to_body
-from quadftc_model.samples import NO_PLACE, ImuSample, PositionSample, is_usable, level_sample
-from quadftc_model.stepper import warm_up
+from quadftc_model.samples import NO_PLACE, ImuSample, PositionSample, is_usable
+from quadftc_model.stepper import Stepper
 from quadftc_ros.conversions import Floats
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
@@ -68,13 +75,12 @@ class PositionControllerNode(GraphNode):
         values = self.settings.values()
         self._live = values["source"] == "topic"
         self._place = build_prefixed(PlaceParameters, values, "position")
-        law, still = position_loop_from(values), trajectory_from(values).at(0)
-        warm_up(law, PositionLoopInputs(level_sample(), NO_PLACE, still))
-        self._guidance = Guidance(law, trajectory_from(values))
-        if values["compiled"]:
-            self._guidance.compile(still)
+        build = live_guidance_from if self._live else flight_guidance_from
+        engine = engine_from(values, self.get_logger().info)
+        self._stepper = Stepper[Any, GuidanceOutput](build(values), engine=engine)
+        self._clock = ScenarioClock()
         self._restart()
-        self.settings.on_change(position_loop_from, self._configure)
+        self.settings.on_change(build, partial(setattr, self._stepper, "law"))
         self._publish_command, self._command = self.publishes("attitude/reference"), ReferenceWire()
         self._publish_reference, self._pose = self.publishes("position/reference"), PoseWire()
         self._publish_estimate = self.publishes("position/estimate")
@@ -87,15 +93,11 @@ class PositionControllerNode(GraphNode):
         self.ready()
 
     def _restart(self) -> None:
-        values = self.settings.values()
-        begin = trajectory_from(values).at(0)
-        home = PositionSetpoint(begin.position, begin.yaw)
-        self._setpoints = LiveTrajectory(build_prefixed(PositionSetpointFilter, values, "setpoint"), home)
-        self._guidance.restart(self._setpoints if self._live else trajectory_from(values))
+        begin = combined(trajectories_from(self.settings.values()), 0.0)
+        self._setpoint = PositionSetpoint(begin.position, begin.yaw)
+        self._stepper.reset()
+        self._clock.reset()
         self._gate = PlaceGate(self.mode, self._place.period, self._place.delay, self._on_sample)
-
-    def _configure(self, law: PositionLoop) -> None:
-        self._guidance.configure(law)
 
     def _on_imu(self, stamp_ns: int, imu: ImuSample) -> None:
         self._gate.put_sample(stamp_ns, imu)
@@ -109,17 +111,22 @@ class PositionControllerNode(GraphNode):
     def _on_setpoint(self, stamp_ns: int, pose: tuple[Floats, Floats]) -> None:
         position, q_xyzw = pose
         if is_usable(position, q_xyzw):
-            self._setpoints.take(PositionSetpoint(position, euler_from_quaternion(q_xyzw)[2]))
+            self._setpoint = PositionSetpoint(position, euler_from_quaternion(q_xyzw)[2])
         else:
             self.diagnostics.count("position/setpoint: not finite")
 
     def _on_sample(self, stamp_ns: int, imu: ImuSample, place: PositionSample | None) -> None:
-        output, reference = self._guidance.at(stamp_ns, imu, place), self._guidance.reference
-        if output is None or reference is None:
+        seen = imu, NO_PLACE if place is None else place
+        if self._live:
+            output = self._stepper.step(stamp_ns, LiveGuidanceInputs(*seen, self._setpoint))
+        else:
+            elapsed = self._clock.elapsed(stamp_ns)
+            output = self._stepper.step(stamp_ns, FlightGuidanceInputs(*seen, elapsed))
+        if output is None:
             self.diagnostics.count("imu/corrected: stamp repeated or went back")
             return
         # the controller waits for the attitude: publish it first
-        (attitude, thrust), estimate = output.command, output.estimate
+        reference, estimate, (attitude, thrust) = output
         self._publish_command(self._command(stamp_ns, attitude, float(thrust)))
         heading = quaternion_from_euler(np.array([0.0, 0.0, reference.yaw]))
         self._publish_reference(self._pose(stamp_ns, reference.position, heading))

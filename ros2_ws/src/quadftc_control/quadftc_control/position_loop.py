@@ -1,6 +1,7 @@
 """The outer loop of free flight: from corrected IMU and position samples to attitude and thrust.
 
-Position estimator and position controller are laws of their own; this one runs them one after the other.
+Position estimator and position controller are laws of their own; this one runs them one after the other. An
+output that cannot be used is replaced by the last that could, and both laws start again at the next sample.
 """
 
 from __future__ import annotations
@@ -8,29 +9,24 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from quadftc_control.position_controller import (
     PositionController,
     PositionControllerInputs,
     position_controller_from,
 )
-from quadftc_control.trajectory import PositionSetpoint, PositionSetpointFilter, TrajectoryGenerator
-from quadftc_model.arrays import namespace
+from quadftc_model.arrays import Flag, branch, chosen, column, namespace, where
 from quadftc_model.assembly import NodeParameters, build_prefixed
 from quadftc_model.parameters import Checked
 from quadftc_model.position_estimator import PositionEstimator, PositionEstimatorInputs
 from quadftc_model.samples import (
-    NO_PLACE,
     AttitudeCommand,
+    AttitudeReference,
     ImuSample,
     PositionEstimate,
     PositionReference,
     PositionSample,
-    is_usable,
-    level_sample,
+    usable,
 )
-from quadftc_model.stepper import Stepper
 
 
 class PositionLoopInputs(NamedTuple):
@@ -49,10 +45,12 @@ class PositionLoopOutput(NamedTuple):
 
 
 class State(NamedTuple):
-    """States of both laws."""
+    """States of both laws, and the last output that could be used; before the first, level hover."""
 
     estimator: Any
     controller: Any
+    last: PositionLoopOutput
+    good: Flag  # it is that of the last sample
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -64,85 +62,35 @@ class PositionLoop(Checked):
 
     def init(self, inputs: PositionLoopInputs) -> State:
         """Start at a sample; until a position comes, the vehicle is taken to be where it shall be."""
-        place, xp = inputs.place, namespace(inputs.place.position)
-        start = xp.where(place.there[..., None], place.position, inputs.reference.position)
-        seen = PositionEstimatorInputs(inputs.imu, place._replace(position=start))
-        estimator = self.estimator.init(seen)
-        _, estimate = self.estimator.step(estimator, seen, 0.0)
-        wanted = PositionControllerInputs(inputs.imu, estimate, inputs.reference)
-        return State(estimator, self.controller.init(wanted))
+        place, shall = inputs.place, inputs.reference
+        start = where(column(place.there), place.position, shall.position)
+        xp = namespace(start)
+        zeros = xp.zeros_like(start)
+        estimate = PositionEstimate(start, zeros, zeros)
+        hover = AttitudeCommand(
+            AttitudeReference(zeros, zeros, zeros),
+            self.controller.vehicle.weight * xp.ones_like(start[..., 0]),
+        )
+        return State(
+            self.estimator.init(PositionEstimatorInputs(inputs.imu, place._replace(position=start))),
+            self.controller.init(PositionControllerInputs(inputs.imu, estimate, shall)),
+            PositionLoopOutput(PositionEstimate(shall.position, zeros, zeros), hover),
+            place.there | True,
+        )
 
     def step(self, state: State, inputs: PositionLoopInputs, dt: float) -> tuple[State, PositionLoopOutput]:
         """Advance by ``dt`` [s] to a sample."""
+        state = branch(state.good, lambda: state, lambda: self.init(inputs)._replace(last=state.last))
         seen = PositionEstimatorInputs(inputs.imu, inputs.place)
         estimator, estimate = self.estimator.step(state.estimator, seen, dt)
         wanted = PositionControllerInputs(inputs.imu, estimate, inputs.reference)
         controller, command = self.controller.step(state.controller, wanted, dt)
-        return State(estimator, controller), PositionLoopOutput(estimate, command)
+        good = usable(*estimate, *command.attitude, column(command.thrust))
+        last = chosen(good, PositionLoopOutput(estimate, command), state.last)
+        return State(estimator, controller, last, good), last
 
 
 def position_loop_from(parameters: NodeParameters) -> PositionLoop:
     """Build the outer loop from the parameters of its node, the estimator's behind ``estimator.``."""
     estimator = build_prefixed(PositionEstimator, parameters, "estimator")
     return PositionLoop(estimator=estimator, controller=position_controller_from(parameters))
-
-
-class LiveTrajectory:
-    """Live setpoints made smooth, on a stream of stamps; before the first one, ``home`` is where to be."""
-
-    def __init__(self, law: PositionSetpointFilter, home: PositionSetpoint) -> None:
-        self._stepper = Stepper[PositionSetpoint, PositionReference](law)
-        self._setpoint = home
-        self._last: PositionReference | None = None
-
-    def take(self, setpoint: PositionSetpoint) -> None:
-        """Note a setpoint."""
-        self._setpoint = setpoint
-
-    def at(self, stamp_ns: int) -> PositionReference:
-        """Return the reference at a stamp [ns]; the last one if the stamp is repeated or went back."""
-        reference = self._stepper.step(stamp_ns, self._setpoint)
-        if reference is not None:
-            self._last = reference
-        assert self._last is not None
-        return self._last
-
-
-class Guidance:
-    """The outer loop on a stream: it follows trajectories or live setpoints.
-
-    A command that cannot be used is replaced by the last one, and the loop restarts.
-    """
-
-    def __init__(self, law: PositionLoop, trajectory: TrajectoryGenerator | LiveTrajectory) -> None:
-        self.trajectory = trajectory
-        self._stepper = Stepper(law, self._guard)
-        self._last: PositionLoopOutput | None = None
-        self.reference: PositionReference | None = None  # of the last sample
-
-    def compile(self, reference: PositionReference) -> None:
-        """Run the loop compiled for references like this one; a ValueError if it cannot be compiled."""
-        self._stepper.compile(PositionLoopInputs(level_sample(), NO_PLACE, reference))
-
-    def restart(self, trajectory: TrajectoryGenerator | LiveTrajectory) -> None:
-        """Take the next sample for the first of a flight along a trajectory."""
-        self._stepper.reset()
-        self.trajectory, self._last, self.reference = trajectory, None, None
-
-    def configure(self, law: PositionLoop) -> None:
-        """Change parameters in flight."""
-        self._stepper.law = law
-
-    def at(self, stamp_ns: int, imu: ImuSample, place: PositionSample | None) -> PositionLoopOutput | None:
-        """Return what is wanted at a sample [ns]; None if its stamp is repeated or went back."""
-        self.reference = self.trajectory.at(stamp_ns)
-        inputs = PositionLoopInputs(imu, NO_PLACE if place is None else place, self.reference)
-        output = self._stepper.step(stamp_ns, inputs)
-        if output is not None:
-            self._last = output
-        return output
-
-    def _guard(self, inputs: PositionLoopInputs, output: PositionLoopOutput) -> PositionLoopOutput:
-        (attitude, thrust), estimate = output.command, output.estimate
-        usable = is_usable(*attitude, *estimate, np.array([thrust]))
-        return output if usable or self._last is None else self._last

@@ -29,8 +29,6 @@ the axis is body z. What the rotor opposite to one that is off gives in the mean
 from __future__ import annotations
 
 import dataclasses
-import functools
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,24 +36,28 @@ import numpy as np
 from quadftc_control.controller import Controller
 from quadftc_control.sliding_surface import tracking
 from quadftc_model.arrays import (
-    Array,
     Components,
     Flag,
+    Scalar,
     Vector,
-    chosen,
+    arctan2,
+    branch,
+    clip,
     components,
-    is_single,
     larger,
     namespace,
-    pick,
     smaller,
+    sqrt,
     stacked,
+    where,
 )
 from quadftc_model.parameters import Checked, parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, to_body, to_earth
 from quadftc_model.samples import AttitudeReference, ControllerInputs, ControllerOutput, ImuSample
 from quadftc_model.vehicle import Vehicle
-from quadftc_model.wrench_set import extremes, limits, wrench_set
+from quadftc_model.wrench_set import extremes, limits
+
+UP = np.array([0.0, 0.0, 1.0])  # 1; along body z
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -79,9 +81,9 @@ class ReducedAttitude(Checked):
         x, y, z = components(wanted_direction(imu, reference))
         (jx, jy, jz), lag = components(vehicle.inertia), vehicle.rotors.time_constant + 0.5 * dt
         # the rate wanted, along e: about (-y, x, 0), by the angle between body z and the direction
-        across = _root(x * x + y * y)
-        bound = self.agility * vehicle.weight * reach(vehicle) / (jz * larger(abs(r), self.slowest))
-        speed = smaller(self.k_direction * _arctan2(across, z), bound) / larger(across, 1e-9)
+        across = sqrt(x * x + y * y)
+        bound = self.agility * vehicle.weight * vehicle.reach / (jz * larger(abs(r), self.slowest))
+        speed = smaller(self.k_direction * arctan2(across, z), bound) / larger(across, 1e-9)
         wx, wy = -speed * y, speed * x
         # what it takes as the vehicle spins, and what damps, each as it will be when the rotors have it
         k = self.k_rate
@@ -94,43 +96,28 @@ class ReducedAttitude(Checked):
         """Whether this law flies (...), where it did (``active``) or not at the sample before."""
         left = yaw_left(vehicle, effectiveness)
         turning = abs(components(imu.body_rate)[2]) > self.still
-        return pick(active, (left < self.leave) | turning, left < self.enter)
+        return where(active, (left < self.leave) | turning, left < self.enter)
 
 
-def yaw_left(vehicle: Vehicle, effectiveness: Components) -> Array:
+def yaw_left(vehicle: Vehicle, effectiveness: Components) -> Scalar:
     """Yaw torque that weak rotors have left in hover, the weaker way, of that of healthy ones (...) [1].
 
     Negative where they cannot hover without turning, or not at all.
     """
-    xp, whole = namespace(effectiveness), wrench_set(vehicle)
-    bounds = limits(vehicle, xp.clip(effectiveness, 0.0, 1.0))
-    level = 0.0 * bounds[..., :2]
+    xp, whole = namespace(effectiveness), vehicle.wrench_set
+    bounds = limits(vehicle, clip(effectiveness, 0.0, 1.0))
+    level = xp.zeros_like(bounds[..., :2])
     hover = xp.concatenate([vehicle.weight + level[..., :1], level], axis=-1)
     least, most = extremes(whole.yaw, bounds, hover)
     _, highest = extremes(whole.thrust, bounds, level)
-    return xp.where(highest < vehicle.weight, -1.0, xp.minimum(most, -least) / _healthy_yaw(vehicle))
-
-
-@functools.lru_cache(maxsize=64)
-def _healthy_yaw(vehicle: Vehicle) -> float:
-    """Yaw torque of healthy rotors in hover, the weaker way [N m]."""
-    least, most = extremes(wrench_set(vehicle).yaw, limits(vehicle), np.array([vehicle.weight, 0.0, 0.0]))
-    return min(float(most), -float(least))
+    return where(highest < vehicle.weight, -1.0, smaller(most, -least) / vehicle.hover_yaw)
 
 
 def wanted_direction(imu: ImuSample, reference: AttitudeReference) -> Vector:
     """Direction (..., 3) in body axes of body z at the wanted roll and pitch, and the present yaw."""
     yaw = euler_from_quaternion(imu.q_xyzw)[..., 2:]
-    xp = namespace(yaw)
-    wanted = quaternion_from_euler(xp.concatenate([reference.angles[..., :2], yaw], axis=-1))
-    up = xp.asarray([0.0, 0.0, 1.0]) + 0.0 * reference.angles
-    return to_body(imu.q_xyzw, to_earth(wanted, up))
-
-
-def reach(vehicle: Vehicle) -> float:
-    """Distance of the outermost rotor from body z [m]."""
-    x, y = vehicle.rotors.positions.T
-    return float(np.max(np.hypot(x, y)))
+    angles = namespace(yaw).concatenate([reference.angles[..., :2], yaw], axis=-1)
+    return to_body(imu.q_xyzw, to_earth(quaternion_from_euler(angles), UP))
 
 
 class State(NamedTuple):
@@ -141,20 +128,15 @@ class State(NamedTuple):
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
-class Enduring(Controller):
+class Enduring(Checked):
     """A controller, and reduced attitude control instead of it while the rotors leave no yaw torque.
 
-    Without an effectiveness of the rotors, and with one of 1, it is the controller, bit for bit. When the
-    controller comes back it starts anew, so that nothing has wound up meanwhile.
+    On the test stand, and with an effectiveness of 1, it is the controller, bit for bit. When the controller
+    comes back it starts anew, so that nothing has wound up meanwhile.
     """
 
     law: Controller
     reduced: ReducedAttitude = dataclasses.field(default_factory=ReducedAttitude)
-
-    def without_estimate(self, missing: float) -> Enduring:
-        """Return the law to fly with where part of the disturbance estimate is missing."""
-        law = self.law.without_estimate(missing)
-        return self if law is self.law else dataclasses.replace(self, law=law)
 
     def init(self, inputs: ControllerInputs) -> State:
         """Start with the controller."""
@@ -162,35 +144,18 @@ class Enduring(Controller):
 
     def step(self, state: State, inputs: ControllerInputs, dt: float) -> tuple[State, ControllerOutput]:
         """Compute the torque for a sample."""
-        effectiveness = inputs.effectiveness
-        if effectiveness is None:
-            law, output = self.law.step(state.law, inputs, dt)
-            return State(law, state.active & False), output
-        if is_single(effectiveness) and not state.active and min(effectiveness.tolist()) >= 1.0:
+        if inputs.rotors is None:
             law, output = self.law.step(state.law, inputs, dt)
             return State(law, state.active), output
-        active = self.reduced.takes_over(self.vehicle, state.active, inputs.imu, effectiveness)
-        if is_single(effectiveness):
-            flown = self._reduced(inputs, dt) if active else self.law.step(state.law, inputs, dt)
-        else:
-            flown = chosen(active, self._reduced(inputs, dt), self.law.step(state.law, inputs, dt))
-        return State(flown[0], active), flown[1]
+        weak = inputs.rotors.effectiveness
+        active = self.reduced.takes_over(self.law.vehicle, state.active, inputs.imu, weak)
+        law, output = branch(
+            active, lambda: self._reduced(inputs, dt), lambda: self.law.step(state.law, inputs, dt)
+        )
+        return State(law, active), output
 
     def _reduced(self, inputs: ControllerInputs, dt: float) -> tuple[Any, ControllerOutput]:
         """State of the controller that starts anew, and the torque that controls the direction."""
-        torque = self.reduced.torque(self.vehicle, inputs.imu, inputs.reference, dt)
-        output = ControllerOutput(torque, tracking(inputs).x1e, 0.0 * torque, torque != torque)
-        return self.law.init(inputs), output
-
-
-def enduring(law: Controller) -> Enduring:
-    """Return a controller that endures the loss of a rotor."""
-    return law if isinstance(law, Enduring) else Enduring(vehicle=law.vehicle, law=law)
-
-
-def _root(x: Array) -> Array:
-    return math.sqrt(x) if isinstance(x, float) else namespace(x).sqrt(x)
-
-
-def _arctan2(y: Array, x: Array) -> Array:
-    return math.atan2(y, x) if isinstance(y, float) else namespace(y).arctan2(y, x)
+        torque = self.reduced.torque(self.law.vehicle, inputs.imu, inputs.reference, dt)
+        zeros = namespace(torque).zeros_like(torque)
+        return self.law.init(inputs), ControllerOutput(torque, tracking(inputs).x1e, zeros, zeros > 0.0)

@@ -1,6 +1,6 @@
-"""Where the attitude shall be: the interface of references, their registry, and two sources of them.
+"""Where the attitude shall be: the interface of references, their registry, and the filter of live setpoints.
 
-A scenario adds up references, Euler angles with two derivatives; live setpoints go through a filter.
+A scenario adds up references, Euler angles with two derivatives (`quadftc_control.guidance`).
 """
 
 from __future__ import annotations
@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_model.arrays import Array, Vector, clip, namespace
+from quadftc_model.arrays import Array, Column, Scalar, Vector, clip, namespace
 from quadftc_model.assembly import NodeParameters, components_from
 from quadftc_model.parameters import Checked, parameter
 from quadftc_model.registry import Registry
 from quadftc_model.rotations import wrap
-from quadftc_model.samples import AttitudeReference, is_usable
-from quadftc_model.stepper import seconds
+from quadftc_model.samples import AttitudeReference
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -28,16 +27,23 @@ class Reference(Checked, abc.ABC):
     """Base of all references; those of a scenario add up."""
 
     @abc.abstractmethod
-    def sample(self, time: Array) -> AttitudeReference:
+    def sample(self, time: Scalar | Column) -> AttitudeReference:
         """Angles [rad], rates [rad/s], accelerations [rad/s²], at a scenario time [s], () -> (3,).
 
-        Many times at once are a column, (n, 1) -> (n, 3).
+        Many times at once are a column, (..., 1) -> (..., 3).
         """
 
 
-def combined(references: Sequence[Reference], time: Array) -> AttitudeReference:
+def level(time: Scalar | Column) -> AttitudeReference:
+    """Level and still, at a time as :meth:`Reference.sample` takes it."""
+    xp = namespace(time)
+    zeros = xp.zeros_like(time) + xp.zeros(3)
+    return AttitudeReference(zeros, zeros, zeros)
+
+
+def combined(references: Sequence[Reference], time: Scalar | Column) -> AttitudeReference:
     """Sum of references at ``time`` [s]; with none, level and still."""
-    parts = [each.sample(time) for each in references] or [AttitudeReference(*np.zeros((3, 3)))]
+    parts = [each.sample(time) for each in references] or [level(time)]
     return functools.reduce(lambda a, b: AttitudeReference(*map(operator.add, a, b)), parts)
 
 
@@ -57,30 +63,9 @@ references: Registry[Any] = Registry("reference", "quadftc_control.references", 
 register = references.register
 
 
-class ReferenceGenerator:
-    """The reference of a scenario on a stream of stamps; the first stamp is scenario time 0.
-
-    A reference that cannot be used, such as one with absurd accelerations, is replaced by the last one.
-    """
-
-    def __init__(self, parts: Sequence[Reference]) -> None:
-        self.parts = tuple(parts)
-        self._last = combined((), 0.0)
-        self._epoch_ns: int | None = None
-
-    def at(self, stamp_ns: int) -> AttitudeReference:
-        """Return the reference at a stamp [ns]."""
-        if self._epoch_ns is None:
-            self._epoch_ns = stamp_ns
-        reference = combined(self.parts, seconds(stamp_ns - self._epoch_ns))
-        if is_usable(*reference):
-            self._last = reference
-        return self._last
-
-
-def reference_from(parameters: NodeParameters) -> ReferenceGenerator:
-    """Build the reference of a node from its list ``references``; level without any."""
-    return ReferenceGenerator(components_from(references, parameters, "references"))
+def references_from(parameters: NodeParameters) -> tuple[Reference, ...]:
+    """Build the references of a node from its list ``references``."""
+    return tuple(components_from(references, parameters, "references"))
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -93,13 +78,17 @@ class SetpointFilter(Checked):
     bandwidth: float = parameter(3.0, unit="rad/s", low=1e-3, high=50.0, doc="natural frequency w")
     max_acceleration: float = parameter(5.0, unit="rad/s^2", low=1e-3, doc="bound of each component")
 
-    def init(self, inputs: Array) -> AttitudeReference:
+    def example(self) -> Vector:
+        """Return the setpoint of one vehicle that is level."""
+        return np.zeros(3)
+
+    def init(self, inputs: Vector) -> AttitudeReference:
         """Start at a setpoint (..., 3) [rad], still."""
         zeros = namespace(inputs).zeros_like(inputs)
         return AttitudeReference(inputs, zeros, zeros)
 
     def step(
-        self, state: AttitudeReference, inputs: Array, dt: float
+        self, state: AttitudeReference, inputs: Vector, dt: float
     ) -> tuple[AttitudeReference, AttitudeReference]:
         """Advance by ``dt`` [s] towards a setpoint (..., 3) [rad]; the state is the last reference."""
         reference = filtered(state, inputs, self.bandwidth, self.max_acceleration, dt)

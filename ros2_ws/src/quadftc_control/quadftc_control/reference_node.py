@@ -15,11 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_control.reference import SetpointFilter, reference_from
+from quadftc_compile.engine import engine_from
+from quadftc_control.guidance import ScenarioClock, stand_guidance_from
+from quadftc_control.reference import SetpointFilter
 from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import parameter
-from quadftc_model.samples import AttitudeReference, is_usable
-from quadftc_model.stepper import Stepper, warm_up
+from quadftc_model.samples import is_usable
+from quadftc_model.stepper import Stepper
 from quadftc_ros.conversions import Floats
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
@@ -48,13 +50,13 @@ class ReferenceNode(GraphNode):
         example = "step angles=5deg,0,0 start=5s"
         self.settings.declare_list("references", f"each: kind key=value..., e.g. '{example}'")
         values = self.settings.values()
-        build = partial(build_prefixed, SetpointFilter, prefix="setpoint")
-        self._filter = Stepper[Any, AttitudeReference](build(values))
         self._live = values["source"] == "topic"
-        reference_from(values).at(0)  # as `warm_up` does
-        warm_up(self._filter.law, np.zeros(3))
+        filter_from = partial(build_prefixed, SetpointFilter, prefix="setpoint")
+        build = filter_from if self._live else stand_guidance_from
+        engine = engine_from(values, self.get_logger().info)
+        self._stepper, self._clock = Stepper[Any, Any](build(values), engine=engine), ScenarioClock()
         self._restart()
-        self.settings.on_change(build, partial(setattr, self._filter, "law"))
+        self.settings.on_change(build, partial(setattr, self._stepper, "law"))
         self._publish = self.publishes("attitude/reference")
         self._message = ReferenceWire()
         self.driven_by("imu/data", self._on_imu, restart=self._restart, decode=bytes)  # for its stamp
@@ -64,8 +66,8 @@ class ReferenceNode(GraphNode):
         self.ready()
 
     def _restart(self) -> None:
-        self._generator = reference_from(self.settings.values())
-        self._filter.reset()
+        self._stepper.reset()
+        self._clock.reset()
         self._setpoint = np.zeros(3)
 
     def _on_setpoint(self, stamp_ns: int, setpoint: Floats) -> None:
@@ -75,13 +77,12 @@ class ReferenceNode(GraphNode):
         self._setpoint = setpoint
 
     def _on_imu(self, stamp_ns: int, _data: bytes) -> None:
-        reference = (
-            self._filter.step(stamp_ns, self._setpoint) if self._live else self._generator.at(stamp_ns)
-        )
-        if reference is None:
+        wanted = self._setpoint if self._live else self._clock.elapsed(stamp_ns)
+        output = self._stepper.step(stamp_ns, wanted)
+        if output is None:
             self.diagnostics.count("imu/data: stamp repeated or went back")
             return
-        self._publish(self._message(stamp_ns, reference))
+        self._publish(self._message(stamp_ns, output if self._live else output.attitude))
         self.sampled(stamp_ns)
 
 

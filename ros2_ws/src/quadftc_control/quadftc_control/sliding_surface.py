@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from quadftc_model.arrays import Array, clip
+from quadftc_model.arrays import Vector, clip
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import body_acceleration, euler_from_quaternion, euler_rates, wrap
 from quadftc_model.samples import ControllerInputs
@@ -20,10 +20,10 @@ from quadftc_model.vehicle import Vehicle
 class Tracking(NamedTuple):
     """Where the attitude is, and how far off."""
 
-    x1: Array  # (..., 3) Euler angles [rad]
-    x1_dot: Array  # (..., 3) [rad/s]
-    x1e: Array  # (..., 3) error (37) [rad]
-    x1e_dot: Array  # (..., 3) [rad/s]
+    x1: Vector  # Euler angles [rad]
+    x1_dot: Vector  # [rad/s]
+    x1e: Vector  # error (37) [rad]
+    x1e_dot: Vector  # [rad/s]
 
 
 def tracking(inputs: ControllerInputs) -> Tracking:
@@ -33,7 +33,7 @@ def tracking(inputs: ControllerInputs) -> Tracking:
     return Tracking(x1, x1_dot, wrap(x1 - inputs.reference.angles), x1_dot - inputs.reference.rates)
 
 
-def sat(S: Array, phi: Array) -> Array:
+def sat(S: Vector, phi: Vector) -> Vector:
     """Saturation (41) of each component of S (..., 3) with boundary layers phi (3,).
 
     S / phi inside, sign(S) outside.
@@ -42,8 +42,8 @@ def sat(S: Array, phi: Array) -> Array:
 
 
 def torque_for(
-    vehicle: Vehicle, inputs: ControllerInputs, track: Tracking, x1_ddot: Array, d_hat: Array
-) -> Array:
+    vehicle: Vehicle, inputs: ControllerInputs, track: Tracking, x1_ddot: Vector, d_hat: Vector
+) -> Vector:
     """Torque [N m] (..., 3) that gives x1'' [rad/s²]: B_u^-1 (x1'' - f(x2) - d^) of (45)."""
     omega_dot = body_acceleration(track.x1, track.x1_dot, x1_ddot)
     f_x2 = gyroscopic_acceleration(vehicle.inertia, inputs.imu.body_rate)

@@ -19,18 +19,12 @@ rate add up, and faults end. Towards imu/corrected, delta is what has come of th
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from numpy.typing import NDArray
 
 from quadftc_control.input_monitor import Patience
 from quadftc_model import rotations
-from quadftc_model.rotations import (
-    euler_from_quaternion,
-    quaternion_from_euler,
-    rotation_between,
-)
+from quadftc_model.arrays import Vector, length
+from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, rotation_between
 from quadftc_model.samples import ImuSample
 from quadftc_model.stepper import MAX_GAP, seconds
 
@@ -56,7 +50,7 @@ class Transfer:
         self._blending = self._held = self._reckoning = self._rate_stays = False
         self.expect(None, None)
 
-    def expect(self, rate_correction: NDArray[np.float64] | None, fault: NDArray[np.float64] | None) -> None:
+    def expect(self, rate_correction: Vector | None, fault: Vector | None) -> None:
         """Say what is known of imu/data, before it is used in place of imu/corrected.
 
         What the diagnosis has last added to its body rate [rad/s], and its last fault [rad]; None: not known.
@@ -93,7 +87,7 @@ class Transfer:
         if self._used is None or not self.known:
             return False
         turn = _turn_between(corrected, self._used, seconds(stamp_ns - self._stamp_ns))
-        return math.sqrt(turn.dot(turn)) > self.patience.jump
+        return bool(length(turn) > self.patience.jump)
 
     def _change(
         self, stamp_ns: int, sample: ImuSample, before: ImuSample | None, elapsed: float, raw: bool
@@ -119,13 +113,13 @@ class Transfer:
             self._turn = _turn_between(sample, before, elapsed)
             return
         turn = _turn_between(self._shifted(stamp_ns, sample), before, elapsed)
-        if math.sqrt(turn.dot(turn)) > self.patience.jump:
+        if length(turn) > self.patience.jump:
             if not self._rate_stays:
                 self._rate = self._rate * max(0.0, self._weight(stamp_ns))
             self._begin(stamp_ns, _turn_between(sample, before, elapsed), held=True)
             self._reckoning = False  # so that it ends, however often the sensor jumps
 
-    def _begin(self, stamp_ns: int, turn: NDArray[np.float64], held: bool) -> None:
+    def _begin(self, stamp_ns: int, turn: Vector, held: bool) -> None:
         self._turn, self._since_ns, self._blending, self._held = turn, stamp_ns, True, held
 
     def _shifted(self, stamp_ns: int, sample: ImuSample) -> ImuSample:
@@ -147,13 +141,13 @@ class Transfer:
         return 1.0 - elapsed / self.patience.blend
 
 
-def _turn_of(sample: ImuSample, fault: NDArray[np.float64]) -> NDArray[np.float64]:
+def _turn_of(sample: ImuSample, fault: Vector) -> Vector:
     """Rotation vector [rad] (3,) from a sample to what it would be without a fault (3,) [rad]."""
     right = quaternion_from_euler(euler_from_quaternion(sample.q_xyzw) - fault)
     return rotation_between(sample.q_xyzw, right)
 
 
-def _turn_between(sample: ImuSample, before: ImuSample, elapsed: float) -> NDArray[np.float64]:
+def _turn_between(sample: ImuSample, before: ImuSample, elapsed: float) -> Vector:
     """Rotation vector [rad] (3,) from a sample to where the one before has come in a time [s]."""
     turned = rotations.quaternion_from_rotation_vector(before.body_rate * elapsed)
     return rotation_between(sample.q_xyzw, rotations.quaternion_product(before.q_xyzw, turned))

@@ -16,47 +16,32 @@ after it can still give the rest; the last four then have one solution.
 
 from __future__ import annotations
 
-import functools
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
 
 import numpy as np
 
 from quadftc_model.arrays import (
-    Array,
     Components,
+    Scalar,
     Vector,
-    changed_where,
+    branch,
     clip,
+    column,
     components,
+    larger,
     namespace,
+    smaller,
     stacked,
+    where,
 )
 from quadftc_model.vehicle import Vehicle
-from quadftc_model.wrench_set import Floats, WrenchSet, extremes, limits, wrench_set
+from quadftc_model.wrench_set import extremes, limits
 
 CARRIED = 1.3  # 1; of the weight: up to this thrust, yaw is reversed if need be; 1.3 carries 40 deg of tilt
 GIVES_WAY = 2.0  # 1; thrust that yaw is reversed for, over what a yaw torque of zero lacks
 LEAST_WEIGHT = 1e-6  # 1; of a rotor in the least squares, so that rotors that are off leave them solvable
-
-
-class _Polygon(NamedTuple):
-    """The set of (roll, pitch), prepared for `_nearest`; m edges."""
-
-    normals: Floats  # (m, 2) of length 1
-    sides: Floats  # (2 n, m)
-    cosine: Floats  # (m, m) of edge j (rows) with edge k
-    ahead: Floats  # (m, m) 1 over how fast a step along edge k comes to edge j; 0 where it does not
-
-
-class _Sharing(NamedTuple):
-    """Least squares of more than four rotors."""
-
-    products: Floats  # (n, 10) entries of E W E' (upper triangle) over the weights W
-    effect: Floats  # (4, n) with rows of size 1
-    size: Floats  # (4,) of the rows
 
 
 def weak_thrusts(
@@ -64,110 +49,83 @@ def weak_thrusts(
 ) -> tuple[Components, Components]:
     """Thrusts [N] (..., n) that rotors really give, and the wrench (..., 4), for the one wanted (..., 4)."""
     effectiveness = clip(effectiveness, 0.0, 1.0)
-    whole, bounds = wrench_set(vehicle), limits(vehicle, effectiveness)
-    count = effectiveness.shape[-1]
+    bounds, count = limits(vehicle, effectiveness), effectiveness.shape[-1]
     low, high = bounds[..., :count], bounds[..., count:]
-    thrusts = _shared(vehicle, whole, wanted, effectiveness)
+    thrusts = _shared(vehicle, wanted, effectiveness)
 
     def cut() -> tuple[Components, Components]:
-        given = _reachable(vehicle, whole, bounds, wanted)
-        asked = _shared(vehicle, whole, given, effectiveness)
-        return clip(_placed(vehicle, whole, bounds, given, asked), low, high), given
+        given = _reachable(vehicle, bounds, wanted)
+        asked = _shared(vehicle, given, effectiveness)
+        return clip(_placed(vehicle, bounds, given, asked), low, high), given
 
-    return changed_where((thrusts < low) | (thrusts > high), cut, (thrusts, wanted))
+    outside = ((thrusts < low) | (thrusts > high)).any(axis=-1)
+    return branch(outside, cut, lambda: (thrusts, wanted))
 
 
 def reachable_in_hover(vehicle: Vehicle, torque: Vector, effectiveness: Components) -> Vector:
     """Torque [N m] (..., 3) nearest to the wanted one that weak rotors have beside the weight."""
     xp = namespace(torque)
-    weight = vehicle.weight + 0.0 * torque[..., :1]
+    weight = vehicle.weight * xp.ones_like(torque[..., :1])
     wanted = xp.concatenate([weight, torque], axis=-1)
     return weak_thrusts(vehicle, wanted, effectiveness)[1][..., 1:]
 
 
-def _reachable(vehicle: Vehicle, whole: WrenchSet, bounds: Components, wanted: Components) -> Components:
+def _reachable(vehicle: Vehicle, bounds: Components, wanted: Components) -> Components:
     """Wrench (..., 4) nearest to the wanted one, in the order of the stages."""
-    xp = namespace(bounds)
+    xp, whole = namespace(bounds), vehicle.wrench_set
+    # 1
     tilt = _nearest(vehicle, bounds, wanted[..., 1:3])
-    held = xp.concatenate([tilt, xp.zeros_like(tilt[..., :1])], axis=-1)
+    # 2: the nearest thrust that some yaw torque allows, and that one of zero does
     thrust = wanted[..., 0]
     least, most = extremes(whole.thrust, bounds, tilt)
     free = _within(thrust, least, most)
-    lowest, highest = extremes(whole.thrust_held, bounds, held)
+    still = xp.concatenate([tilt, xp.zeros_like(tilt[..., :1])], axis=-1)
+    lowest, highest = extremes(whole.thrust_held, bounds, still)
     carried = CARRIED * vehicle.weight
-    carried = carried + GIVES_WAY * xp.maximum(carried - highest, 0.0)
-    upright = xp.maximum(_within(thrust, lowest, highest), xp.minimum(free, carried))
-    thrust = xp.where(free > carried, _within(upright, least, most), free)
-    known = xp.concatenate([thrust[..., None], tilt], axis=-1)
+    carried = carried + GIVES_WAY * larger(carried - highest, 0.0)
+    upright = larger(_within(thrust, lowest, highest), smaller(free, carried))
+    thrust = where(free > carried, _within(upright, least, most), free)
+    # 3
+    known = xp.concatenate([column(thrust), tilt], axis=-1)
     yaw = _within(wanted[..., 3], *extremes(whole.yaw, bounds, known))
-    return xp.concatenate([known, yaw[..., None]], axis=-1)
+    return xp.concatenate([known, column(yaw)], axis=-1)
 
 
-def _within(x: Array, low: Array, high: Array) -> Array:
+def _within(x: Scalar, low: Scalar, high: Scalar) -> Scalar:
     """Nearest to ``x`` in a range; in its middle if it is empty, which rounding may leave."""
-    xp = namespace(low)
     middle = 0.5 * (low + high)
-    return xp.minimum(xp.maximum(x, xp.minimum(low, middle)), xp.maximum(high, middle))
+    return clip(x, smaller(low, middle), larger(high, middle))
 
 
 def _nearest(vehicle: Vehicle, bounds: Components, tilt: Components) -> Components:
     """Roll and pitch torque (..., 2) [N m] nearest to those wanted, in the polygon of attainable ones."""
-    shape = _polygon(vehicle)
-    xp = namespace(bounds)
-    beyond = tilt @ shape.normals.T - bounds @ shape.sides  # (..., m) how far outside each edge
-
-    def moved() -> Components:
-        # from the foot on each edge k, along it as far as all other edges j allow: (..., j, k)
-        room = beyond[..., None, :] * shape.cosine - beyond[..., :, None]
-        step = room * shape.ahead
-        most = xp.where(shape.ahead > 0.0, step, math.inf).min(axis=-2)
-        least = xp.where(shape.ahead < 0.0, step, -math.inf).max(axis=-2)
-        along = xp.minimum(xp.maximum(0.0, least), most)
-        gap = xp.maximum(least - most, 0.0)  # no part of this edge is within the others
-        cost = xp.where(beyond > 0.0, beyond**2 + along**2 + 1e6 * gap**2, math.inf)
-        best = xp.where(cost <= cost.min(axis=-1, keepdims=True), 1.0, 0.0)
-        share = best / best.sum(axis=-1, keepdims=True)  # several only where they meet in a corner
-        x, y = shape.normals.T
-        across = np.stack([-y, x], axis=-1)
-        return tilt - (share * beyond) @ shape.normals + (share * along) @ across
-
-    outside = beyond > 0.0
-    new = changed_where(outside, moved, tilt)
-    return xp.where(outside.any(axis=-1, keepdims=True), new, tilt)
+    normals, sides, cosine, ahead = vehicle.wrench_set.tilt
+    beyond = tilt @ normals.T - bounds @ sides  # (..., m) how far outside each edge
+    # from the foot on each edge k, along it as far as all other edges j allow: (..., j, k)
+    step = (beyond[..., None, :] * cosine - beyond[..., :, None]) * ahead
+    most = where(ahead > 0.0, step, math.inf).min(axis=-2)
+    least = where(ahead < 0.0, step, -math.inf).max(axis=-2)
+    along = smaller(larger(0.0, least), most)
+    gap = larger(least - most, 0.0)  # no part of this edge is within the others
+    cost = where(beyond > 0.0, beyond**2 + along**2 + 1e6 * gap**2, math.inf)
+    best = where(cost <= cost.min(axis=-1, keepdims=True), 1.0, 0.0)
+    share = best / best.sum(axis=-1, keepdims=True)  # several only where they meet in a corner
+    across = normals[:, ::-1] * np.array([-1.0, 1.0])
+    moved = tilt - (share * beyond) @ normals + (share * along) @ across
+    return where((beyond > 0.0).any(axis=-1, keepdims=True), moved, tilt)
 
 
-@functools.lru_cache(maxsize=64)
-def _polygon(vehicle: Vehicle) -> _Polygon:
-    normals, sides = wrench_set(vehicle).tilt
-    length = np.linalg.norm(normals, axis=1)
-    normals, sides = normals / length[:, None], sides / length
-    x, y = normals.T
-    along = np.outer(x, -y) + np.outer(y, x)  # of edge j's normal with the direction of edge k
-    ahead = np.where(np.abs(along) > 1e-9, 1.0 / np.where(along == 0.0, 1.0, along), 0.0)
-    return _Polygon(normals, sides, normals @ normals.T, ahead)
-
-
-def _shared(vehicle: Vehicle, whole: WrenchSet, wrench: Components, effectiveness: Components) -> Components:
+def _shared(vehicle: Vehicle, wrench: Components, effectiveness: Components) -> Components:
     """Thrusts (..., n) [N] of least squares, whatever the limits."""
-    if not whole.single:
+    if effectiveness.shape[-1] == 4:
         return wrench @ vehicle.force_allocation.T
-    sharing = _sharing(vehicle)
-    weights = namespace(wrench).maximum(effectiveness**2, LEAST_WEIGHT)
-    entries = components(weights @ sharing.products)
-    solved = _solve(entries, components(wrench / sharing.size))
-    return weights * (stacked(solved) @ sharing.effect)
+    products, effect, size = vehicle.wrench_set.sharing
+    weights = larger(effectiveness**2, LEAST_WEIGHT)
+    solved = _solve(components(weights @ products), components(wrench / size))
+    return weights * (stacked(solved) @ effect)
 
 
-@functools.lru_cache(maxsize=64)
-def _sharing(vehicle: Vehicle) -> _Sharing:
-    effect = vehicle.effectiveness
-    size = np.max(np.abs(effect), axis=1)
-    scaled = effect / size[:, None]
-    pairs = itertools.combinations_with_replacement(range(4), 2)
-    return _Sharing(np.stack([scaled[a] * scaled[b] for a, b in pairs], axis=1), scaled, size)
-
-
-def _solve(entries: Sequence[Any], right: Sequence[Any]) -> list[Any]:
+def _solve(entries: Sequence[Scalar], right: Sequence[Scalar]) -> list[Scalar]:
     """Solve M z = right, M positive definite with these entries (upper triangle by rows), by elimination."""
     pairs = itertools.combinations_with_replacement(range(4), 2)
     matrix = dict(zip(pairs, entries, strict=True))
@@ -185,19 +143,15 @@ def _solve(entries: Sequence[Any], right: Sequence[Any]) -> list[Any]:
     return found
 
 
-def _placed(
-    vehicle: Vehicle, whole: WrenchSet, bounds: Components, wrench: Components, asked: Components
-) -> Components:
+def _placed(vehicle: Vehicle, bounds: Components, wrench: Components, asked: Components) -> Components:
     """Thrusts (..., n) [N] within their limits that give a wrench which is possible, near those asked for."""
-    if not whole.single:
+    whole, count = vehicle.wrench_set, asked.shape[-1]
+    if count == 4:
         return asked
-    xp, effect, count = namespace(bounds), vehicle.effectiveness, asked.shape[-1]
-    found: list[Any] = [None] * count
+    found: dict[int, Scalar] = {}
     for rotor, over in whole.single:
-        own = xp.minimum(xp.maximum(asked[..., rotor], bounds[..., rotor]), bounds[..., rotor + count])
+        own = clip(asked[..., rotor], bounds[..., rotor], bounds[..., rotor + count])
         found[rotor] = thrust = _within(own, *extremes(over, bounds, wrench))
-        wrench = wrench - thrust[..., None] * effect[:, rotor]
-    rest = wrench @ whole.inverse.T
-    for index, rotor in enumerate(whole.last):
-        found[rotor] = rest[..., index]
-    return xp.stack(found, axis=-1)
+        wrench = wrench - column(thrust) * vehicle.effectiveness[:, rotor]
+    found |= zip(whole.last, components(wrench @ whole.inverse.T), strict=True)
+    return stacked([found[rotor] for rotor in range(count)])

@@ -84,6 +84,16 @@ def test_what_four_rotors_can_give_is_given_exactly(vehicle):
         np.testing.assert_allclose(forces(vehicle, allocated), thrusts, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("name", vehicle_names())
+def test_four_rotors_have_their_yaw_torque_of_hover_and_no_more(name):
+    vehicle = load_vehicle(name)
+    for share in (0.999, 1.001):
+        torque = np.array([0.0, 0.0, share * vehicle.hover_yaw])
+        given = [allocate(vehicle, vehicle.weight, sign * torque).torque[2] for sign in (1.0, -1.0)]
+        kept = np.isclose(np.abs(given), torque[2], rtol=1e-9)
+        assert np.all(kept) == (share < 1.0)
+
+
 @EVERY_VEHICLE
 @given(shares=st.tuples(st.floats(-0.5, 3.0), SHARE, SHARE, SHARE))
 def test_rotors_stay_within_their_limits_and_give_what_is_told(vehicle, shares):

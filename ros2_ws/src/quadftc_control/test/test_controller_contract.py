@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from law_contract import assert_state_keeps_its_structure, assert_step_is_traced
 
 from quadftc_control.controller import controllers
 from quadftc_model.rigid_body import angular_acceleration, propeller_momentum, rk4
 from quadftc_model.rotations import euler_from_quaternion, normalise, quaternion_from_euler, quaternion_rate
 from quadftc_model.rotors import commands_from_torque, torque_from_commands
-from quadftc_model.samples import AttitudeReference, ControllerInputs, ImuSample
+from quadftc_model.samples import AttitudeReference, ControllerInputs, ImuSample, RotorFeedback
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 
 EVERY_CONTROLLER = pytest.mark.parametrize("name", controllers.names())
@@ -118,15 +119,37 @@ def test_torque_is_attainable_for_wild_inputs(name, vehicle, samples):
         assert np.all(np.abs(moves) <= law.vehicle.command_room * (1.0 + 1e-9))
 
 
+def with_rotors(inputs, effectiveness, measured=False):
+    """The inputs with what is known of four rotors; measured, they give a torque."""
+    rate = inputs.imu.body_rate
+    flag = np.broadcast_to(np.bool_(measured), rate.shape[:-1])[()]
+    weak = np.broadcast_to(effectiveness, (*rate.shape[:-1], 4)).copy()
+    return inputs._replace(rotors=RotorFeedback(0.01 * rate * measured, flag, weak))
+
+
 @EVERY_CONTROLLER
 def test_effectiveness_of_one_changes_nothing_and_less_of_it_gives_a_finite_torque(name):
     law, sequence = controller(name), [inputs_at(index) for index in range(COUNT)]
-    plain, *others = (
-        flown(law, [each._replace(effectiveness=weak) for each in sequence])
-        for weak in (None, np.ones((LANES, 4)), np.tile([0.6, 1.0, 1.0, 0.0], (LANES, 1)))
+    plain = flown(law, sequence)
+    healthy, weak = (
+        flown(law, [with_rotors(each, effectiveness) for each in sequence])
+        for effectiveness in (np.ones(4), np.array([0.6, 1.0, 1.0, 0.0]))
     )
-    np.testing.assert_array_equal([each.torque for each in others[0]], [each.torque for each in plain])
-    assert np.all(np.isfinite([each.torque for each in others[1]]))
+    np.testing.assert_array_equal([each.torque for each in healthy], [each.torque for each in plain])
+    assert np.all(np.isfinite([each.torque for each in weak]))
+
+
+@EVERY_CONTROLLER
+@pytest.mark.parametrize("flies", [False, True])
+@pytest.mark.parametrize("batched", [False, True])
+def test_state_keeps_its_structure_and_the_step_is_traced(name, flies, batched):
+    law, sequence = controller(name), [inputs_at(index) for index in range(3)]
+    sequence = sequence if batched else [lane(inputs, 0) for inputs in sequence]
+    if flies:
+        weak = np.array([1.0, 0.5, 1.0, 1.0])
+        sequence = [with_rotors(each, weak, index == 1) for index, each in enumerate(sequence)]
+    assert_state_keeps_its_structure(law, sequence)
+    assert_step_is_traced(law, sequence[1])
 
 
 @EVERY_CONTROLLER

@@ -13,13 +13,26 @@ from std_srvs.srv import Trigger
 
 from message_objects import ReferenceWriter
 from node_bench import imu_message, vector_message
+from quadftc_control.attitude_loop import AttitudeLoop, AttitudeLoopInputs
 from quadftc_control.controller import Controller, controllers
 from quadftc_control.controller_node import ControllerNode
 from quadftc_control.input_monitor import HeldTorque
-from quadftc_model.samples import FAULTY, HEALTHY, AttitudeReference, ControllerOutput
+from quadftc_model.rotations import quaternion_from_euler
+from quadftc_model.samples import (
+    FAULTY,
+    HEALTHY,
+    AttitudeCommand,
+    AttitudeReference,
+    ControllerOutput,
+    RotorEstimate,
+    level_sample,
+)
 from quadftc_model.vehicle import load_vehicle
 from quadftc_msgs.msg import ControlStatus, FaultStatus
 from quadftc_ros.conversions import stamp_of, time_message
+from quadftc_ros.motion_wire import RotorsWire
+from quadftc_ros.rotor_wire import RotorStatusWire
+from quadftc_ros.wire import ReferenceWire
 
 FIRST_NS = 1_000_000_000
 PERIOD_NS = 4_000_000
@@ -154,6 +167,37 @@ def test_stamps_that_go_back_in_lockstep_begin_a_new_flight(lockstep_bench):
         for k in range(10):
             pilot.step(angles=(0.02 * k, 0.0, 0.0))
     assert pilot.torques[:10] == pilot.torques[10:]
+
+
+def test_in_free_flight_rotors_get_what_the_inner_loop_says(lockstep_bench):
+    """With speeds that are not usable at one sample, and nothing known of the rotors at the first."""
+    vehicle = load_vehicle("qball_x4")
+    pilot = Pilot(lockstep_bench, plant_kind="free_flight")
+    talk = {topic: lockstep_bench.talk(topic) for topic in ("rotors/speed", "rotors/status")}
+    commands = lockstep_bench.listen("rotors/command")
+    lockstep_bench.connect()
+    zeros, speeds = np.zeros(3), np.array([400.0, 410.0, 390.0, 405.0])
+    command = AttitudeCommand(AttitudeReference(zeros, zeros, zeros), np.float64(12.0))
+    law, state = AttitudeLoop(controller=controllers.get("ismc")(vehicle=vehicle), flies=True), None
+    for index in range(4):
+        stamp_ns = FIRST_NS + index * PERIOD_NS
+        measured, weak = np.bool_(index != 2), np.array([1.0, 0.9, 1.0, 1.0] if index else [1.0] * 4)
+        for topic in INPUTS[1:]:
+            if topic != "attitude/reference":
+                pilot.send[topic](pilot.message(topic, TILT, stamp_ns))
+        pilot.send["attitude/reference"](ReferenceWire()(stamp_ns, command.attitude, 12.0))
+        talk["rotors/speed"](RotorsWire(4)(stamp_ns, speeds if measured else speeds * math.nan))
+        state_of = np.array([HEALTHY, FAULTY, HEALTHY, HEALTHY], dtype=np.uint8)
+        flags = np.zeros(4, dtype=bool)
+        status = RotorEstimate(state_of, weak, *np.zeros((3, 4)), state_of, flags) if index else None
+        talk["rotors/status"](RotorStatusWire(4)(stamp_ns, status))
+        lockstep_bench.until(lambda count=index: len(commands) > count)
+        imu = level_sample()._replace(q_xyzw=quaternion_from_euler(np.array(TILT)))
+        given = np.where(measured, speeds, 0.0)
+        inputs = AttitudeLoopInputs(imu, command, zeros, given, measured, weak)
+        state = law.init(inputs) if state is None else state
+        state, output = law.step(state, inputs, PERIOD_NS / 1e9 if index else 0.0)
+        np.testing.assert_allclose(commands[-1].velocity, output.speeds, rtol=1e-9)
 
 
 # What follows is about real time. Where silence is not the subject, no pause of a slow machine is one.

@@ -9,7 +9,7 @@ from quadftc_control.controller import controllers
 from quadftc_control.flight_manager import FlightManager
 from quadftc_control.input_monitor import Mode, Patience
 from quadftc_model.rotations import quaternion_from_euler
-from quadftc_model.samples import AttitudeReference, level_sample
+from quadftc_model.samples import AttitudeCommand, AttitudeReference, level_sample
 from quadftc_model.vehicle import load_vehicle
 
 PERIOD_NS = 4_000_000
@@ -39,13 +39,18 @@ class Reader:
         status[0] = fault
 
 
+def wanted(size, thrust=-1.0):
+    """A command of angles, rates and accelerations of a size."""
+    return AttitudeCommand(AttitudeReference(*np.full((3, 3), size)), np.float64(thrust))
+
+
 class Flight:
     """A manager with samples to feed it; imu/data is off by a fault and a gyro bias."""
 
-    def __init__(self, **patience):
+    def __init__(self, flies=False, **patience):
         law = controllers.get("ismc")(vehicle=load_vehicle("qball_x4"))
         self.counted = []
-        self.manager = FlightManager(law, Patience(**patience), Reader(), self.counted.append)
+        self.manager = FlightManager(law, Patience(**patience), Reader(), self.counted.append, flies)
         self.stamp_ns = 0
         self.healthy = level_sample()
         self.raw = level_sample()._replace(q_xyzw=quaternion_from_euler(FAULT), body_rate=BIAS)
@@ -54,8 +59,7 @@ class Flight:
         """Feed one sample; return the command, or None."""
         manager = self.manager
         self.stamp_ns += PERIOD_NS
-        zeros = np.zeros(3)
-        manager.take_reference(self.stamp_ns, AttitudeReference(zeros, zeros, zeros))
+        manager.take_reference(self.stamp_ns, wanted(0.0, 10.0))
         manager.take_status(self.stamp_ns, [FAULT])
         if disturbance:
             manager.take_disturbance(self.stamp_ns, np.array([1.0, 2.0, 3.0]))
@@ -168,23 +172,57 @@ def test_silence_holds_the_torque_then_commands_zero(flight):
 
 @pytest.mark.parametrize("size", [np.nan, np.inf, 2e6])
 def test_unusable_inputs_are_counted_and_not_used(flight, size):
-    bad = np.full(3, size)
-    before = flight.manager.reference
-    assert flight.manager.take_reference(0, AttitudeReference(bad, bad, bad)) is before
-    assert not flight.manager.take_disturbance(0, bad).any()
-    assert len(flight.counted) == 2
+    before = flight.manager.wanted
+    assert flight.manager.take_reference(0, wanted(size)) is before
+    assert flight.manager.take_reference(0, wanted(0.0, size)) is before
+    assert not flight.manager.take_disturbance(0, np.full(3, size)).any()
+    assert len(flight.counted) == 3
 
 
-def test_rotor_speeds_are_flown_on_while_they_are_fresh_and_finite(monkeypatch):
-    flight, seen = Flight(), []
-    manager = flight.manager
-    monkeypatch.setattr(manager, "fly", lambda _stamp_ns, inputs, _mode: seen.append(inputs.torque))
+def test_rotor_speeds_are_flown_on_while_they_are_fresh_and_finite():
+    flight = Flight(flies=True)
+    manager, step, seen = flight.manager, flight.manager._stepper.step, []
+
+    def noted(stamp_ns, inputs):
+        seen.append(inputs)
+        return step(stamp_ns, inputs)
+
+    manager._stepper.step = noted
     spinning = np.array([400.0, 400.0, 410.0, 390.0])
     for measured in (None, spinning, np.full(4, np.nan), *[None] * 30):
         if measured is not None:
             manager.take_speeds(flight.stamp_ns + PERIOD_NS, measured)
         flight.next()
-    assert seen[0] is None
-    assert all(torque[0] > 0.0 for torque in seen[1:20])  # rotor 3 is on the left
-    assert seen[-1] is None  # 0.12 s later
+    assert not seen[0].measured
+    assert all(each.measured and np.array_equal(each.speeds, spinning) for each in seen[1:20])
+    assert not seen[-1].measured  # 0.12 s later
     assert flight.counted == ["rotors/speed: not finite"]
+
+
+def test_in_free_flight_rotors_hold_the_thrust_in_silence_and_stop_at_its_end():
+    flight, vehicle = Flight(flies=True), load_vehicle("qball_x4")
+    for _ in range(30):
+        command = flight.next()
+    np.testing.assert_allclose(vehicle.rotors.thrust_coefficient * np.sum(command.speeds**2), 10.0)
+    flight.manager.watch(0)
+    held = flight.manager.watch(200_000_000)
+    np.testing.assert_allclose(vehicle.rotors.thrust_coefficient * np.sum(held.speeds**2), 10.0)
+    np.testing.assert_allclose(flight.manager.watch(600_000_000).speeds, vehicle.rotors.speed_min)
+
+
+def test_controller_that_takes_over_in_free_flight_does_not_make_the_speeds_jump():
+    flight, vehicle = Flight(flies=True), load_vehicle("qball_x4")
+    flight.healthy = level_sample()._replace(q_xyzw=quaternion_from_euler(FAULT), body_rate=BIAS)
+    found = [flight.next().speeds for _ in range(100)]
+    flight.manager.configure(controllers.get("pid")(vehicle=vehicle), Patience())
+    found += [flight.next().speeds for _ in range(100)]
+    assert np.max(np.abs(np.diff(found[99:], axis=0))) < 0.01 * vehicle.hover_speed
+
+
+def test_weak_rotor_keeps_the_controller_and_an_estimate_that_is_none_counts_as_healthy():
+    manager = Flight(flies=True).manager
+    assert manager.take_effectiveness(np.array([1.0, 0.5, 1.0, 1.0]))[1] == 0.5
+    assert manager.must_keep() == "a rotor is weak"
+    assert manager.take_effectiveness(np.full(4, np.nan)).tolist() == [1.0] * 4
+    assert manager.take_effectiveness(None).tolist() == [1.0] * 4
+    assert manager.must_keep() == ""

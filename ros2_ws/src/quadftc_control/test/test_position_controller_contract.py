@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from law_contract import assert_state_keeps_its_structure, assert_step_is_traced
 
 from quadftc_control.position_controller import PositionControllerInputs, position_controllers
 from quadftc_control.trajectory import trajectories
@@ -36,7 +37,7 @@ def inputs_of(angles, position, velocity, reference, acceleration=None):
 
 def resting(position=(0.0, 0.0, 0.0), yaw=0.0):
     zeros = np.zeros(3)
-    return PositionReference(np.array(position, dtype=float), zeros, zeros, yaw, 0.0)
+    return PositionReference(np.array(position, dtype=float), zeros, zeros, yaw, 0.0, zeros)
 
 
 def inputs_at(index):
@@ -166,6 +167,15 @@ def test_batch_and_jax_equal_the_loop(name, vehicle):
         np.testing.assert_allclose(compiled[:, one], alone, rtol=1e-12, atol=1e-12)
 
 
+@EVERY_CONTROLLER
+@pytest.mark.parametrize("batched", [False, True])
+def test_state_keeps_its_structure_and_the_step_is_traced(name, batched):
+    law, sequence = controller(name), [inputs_at(index) for index in range(3)]
+    sequence = sequence if batched else [lane(inputs, 0) for inputs in sequence]
+    assert_state_keeps_its_structure(law, sequence)
+    assert_step_is_traced(law, sequence[1])
+
+
 class PointMass:
     """A vehicle that has its attitude at once and its thrust after the lag, and what pushes it [m/s²]."""
 
@@ -189,7 +199,7 @@ class PointMass:
             self.angles = output.attitude.angles
             self.thrust += share * (output.thrust - self.thrust)
             lift = to_earth(quaternion_from_euler(self.angles), UP) * self.thrust / self.law.vehicle.mass
-            drag = self.law._drag(float(np.hypot(*self.velocity[:2]))) * self.velocity * [1.0, 1.0, 0.0]
+            drag = self.law.drag(float(np.hypot(*self.velocity[:2]))) * self.velocity * [1.0, 1.0, 0.0]
             self.acceleration = lift - STANDARD_GRAVITY * UP - drag + self.push
             self.position = self.position + DT * (self.velocity + 0.5 * DT * self.acceleration)
             self.velocity = self.velocity + DT * self.acceleration
@@ -222,7 +232,7 @@ class WithoutJerk:
         self._trajectory = trajectory
 
     def sample(self, time):
-        return self._trajectory.sample(time)._replace(jerk=None)
+        return self._trajectory.sample(time)._replace(jerk=np.zeros(3))
 
 
 @EVERY_CONTROLLER

@@ -8,10 +8,10 @@ import pytest
 from quadftc_control.controllers.indi import Indi
 from quadftc_control.controllers.ismc import Ismc
 from quadftc_control.controllers.pid import Pid
-from quadftc_control.reduced_attitude import ReducedAttitude, enduring, wanted_direction, yaw_left
+from quadftc_control.reduced_attitude import Enduring, ReducedAttitude, wanted_direction, yaw_left
 from quadftc_model.rigid_body import angular_acceleration, rk4
 from quadftc_model.rotations import normalise, quaternion_from_euler, quaternion_rate
-from quadftc_model.samples import AttitudeReference, ControllerInputs, level_sample
+from quadftc_model.samples import AttitudeReference, ControllerInputs, RotorFeedback, level_sample
 from quadftc_model.vehicle import load_vehicle
 
 DT = 0.004
@@ -22,7 +22,8 @@ OFF, HEALTHY = np.array([0.0, 1.0, 1.0, 1.0]), np.ones(4)
 def inputs_of(effectiveness, angles=(0.0, 0.0, 0.0), rate=(0.0, 0.0, 0.0), wanted=(0.0, 0.0, 0.0)):
     imu = level_sample()._replace(q_xyzw=quaternion_from_euler(np.array(angles)), body_rate=np.array(rate))
     reference = AttitudeReference(np.array(wanted), np.zeros(3), np.zeros(3))
-    return ControllerInputs(imu, reference, np.zeros(3), None, effectiveness)
+    rotors = RotorFeedback(np.zeros(3), np.bool_(False), effectiveness)
+    return ControllerInputs(imu, reference, np.zeros(3), None if effectiveness is None else rotors)
 
 
 def flown(law, sequence):
@@ -56,7 +57,7 @@ def test_healthy_rotors_are_flown_as_by_the_controller_bit_for_bit(controller):
         sequence = [inputs_of(effectiveness, *each) for each in rest]
         state = law.init(sequence[0])
         for index, (inputs, output) in enumerate(
-            zip(sequence, flown(enduring(law), sequence)[0], strict=True)
+            zip(sequence, flown(Enduring(law=law), sequence)[0], strict=True)
         ):
             state, alone = law.step(state, inputs, DT if index else 0.0)
             for one, other in zip(alone, output, strict=True):
@@ -67,14 +68,14 @@ def test_it_takes_over_when_a_rotor_is_off_and_leaves_when_it_is_back_and_yaw_is
     spins = (0.0, 0.0, 5.0)
     sequence = [inputs_of(HEALTHY)] + [inputs_of(OFF)] * 2
     sequence += [inputs_of(OFF, rate=spins), inputs_of(HEALTHY, rate=spins), inputs_of(HEALTHY)]
-    assert flown(enduring(Ismc(vehicle=VEHICLE)), sequence)[1] == [False, True, True, True, True, False]
+    assert flown(Enduring(law=Ismc(vehicle=VEHICLE)), sequence)[1] == [False, True, True, True, True, False]
 
 
 def test_between_both_thresholds_it_stays_what_it_was():
     share = np.linspace(1.0, 0.0, 1000)
     left = np.array([float(yaw_left(VEHICLE, np.array([x, 1.0, 1.0, 1.0]))) for x in share])
     between = np.array([share[np.argmin(np.abs(left - 0.15))], 1.0, 1.0, 1.0])
-    law = enduring(Ismc(vehicle=VEHICLE))
+    law = Enduring(law=Ismc(vehicle=VEHICLE))
     assert flown(law, [inputs_of(each) for each in (HEALTHY, between, OFF, between)])[1] == [
         False,
         False,
@@ -120,7 +121,7 @@ def test_batch_equals_the_loop():
         [inputs_of(np.clip(rng.uniform(-0.5, 1.5, 4), 0, 1), *rng.normal(0, 0.3, (3, 3))) for _ in range(20)]
         for _ in range(4)
     ]
-    law = enduring(Ismc(vehicle=VEHICLE))
+    law = Enduring(law=Ismc(vehicle=VEHICLE))
 
     def together(parts):
         if isinstance(parts[0], tuple):
@@ -143,7 +144,7 @@ def test_batch_equals_the_loop():
 
 def test_jax_equals_the_loop():
     jax = pytest.importorskip("jax")
-    law, rng = enduring(Pid(vehicle=VEHICLE)), np.random.default_rng(3)
+    law, rng = Enduring(law=Pid(vehicle=VEHICLE)), np.random.default_rng(3)
     sequence = [
         inputs_of(np.clip(rng.uniform(-0.5, 1.5, 4), 0, 1), *rng.normal(0, 0.3, (3, 3))) for _ in range(9)
     ]

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from quadftc_control.reference import ReferenceGenerator, combined, references, smooth_rise
+from quadftc_control.reference import combined, references, smooth_rise
+from quadftc_model.numbers import numbers_of, with_numbers
 from quadftc_model.parameters import build, parameters_of
 
 EVERY_REFERENCE = pytest.mark.parametrize("name", references.names())
@@ -49,6 +50,18 @@ def test_rates_and_accelerations_are_the_derivatives(name):
         before, now, after = (sized(name).sample(float(time) + offset) for offset in (-step, 0.0, step))
         np.testing.assert_allclose(now.rates, (after.angles - before.angles) / (2 * step), atol=1e-8)
         np.testing.assert_allclose(now.accelerations, (after.rates - before.rates) / (2 * step), atol=1e-8)
+
+
+@EVERY_REFERENCE
+def test_jax_gives_the_same_numbers_with_all_of_the_law_unknown(name):
+    jax = pytest.importorskip("jax")
+    law = sized(name)
+    numbers = numbers_of(law)
+    with jax.enable_x64(True):
+        unknown = jax.jit(lambda values, time: with_numbers(law, values).sample(time))
+        for found, expected in zip(unknown(numbers, TIMES[:, None]), law.sample(TIMES[:, None]), strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-13)
+        assert unknown(numbers, 7.3).angles.shape == (3,)
 
 
 @EVERY_REFERENCE
@@ -104,9 +117,3 @@ def test_smooth_rise_has_no_slope_or_curvature_at_its_ends(fraction):
 @given(st.floats(0.0, 1.0))
 def test_smooth_rise_never_falls(fraction):
     assert smooth_rise(np.array(fraction))[1] >= 0.0
-
-
-def test_first_stamp_is_scenario_time_zero():
-    generator = ReferenceGenerator([sized("step")])
-    generator.at(5_000_000_000)
-    np.testing.assert_array_equal(generator.at(7_000_000_000).angles, sized("step").sample(2.0).angles)

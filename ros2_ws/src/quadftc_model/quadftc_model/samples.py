@@ -7,7 +7,6 @@ Every type is a NamedTuple of arrays with any leading axes (none on board, one f
 from __future__ import annotations
 
 import functools
-import operator
 from typing import NamedTuple
 
 import numpy as np
@@ -263,7 +262,7 @@ def is_usable(*vectors: Vector | Quaternion) -> bool:
 
 def usable(*arrays: Components) -> Flag:
     """Whether all numbers of arrays (..., n) are finite and below `UNUSABLE` (...), as :func:`is_usable`."""
-    return functools.reduce(operator.and_, [(abs(x) < UNUSABLE).all(axis=-1) for x in arrays])
+    return functools.reduce(lambda a, b: a & b, [(abs(x) < UNUSABLE).all(axis=-1) for x in arrays])
 
 
 def sanitised(sample: ImuSample) -> ImuSample:

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from quadftc_model.rotations import quaternion_from_euler
-from quadftc_model.samples import UNUSABLE, ImuSample, is_usable, sanitised
+from quadftc_model.samples import UNUSABLE, ImuSample, is_usable, sanitised, usable
 
 TRUE = np.bool_(True)
 CHANNELS = {"q_xyzw": "attitude_valid", "body_rate": "rate_valid", "specific_force": "force_valid"}
@@ -57,3 +57,4 @@ def test_batch_is_cleaned_vehicle_by_vehicle():
 def test_a_vector_is_usable_if_it_is_finite_and_not_absurd(vector):
     assert is_usable(vector) == bool(np.all(np.isfinite(vector)) and np.max(np.abs(vector)) < UNUSABLE)
     assert is_usable(np.zeros(3), vector) == is_usable(vector)
+    assert usable(np.zeros((2, 3)), np.stack([vector, np.zeros(3)])).tolist() == [is_usable(vector), True]

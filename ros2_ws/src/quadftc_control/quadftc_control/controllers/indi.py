@@ -18,7 +18,7 @@ has this part, and a low-pass of time constant kappa in the yaw command takes th
 paper's test stand has no such torque, and no measured speeds.
 
 The effectiveness matrix is in the allocation, which undoes it. Where rotors are weak, tau_f has to be the
-torque of the thrusts that they really give, so whoever turns speeds into ``torque`` knows how weak.
+torque of the thrusts that they really give, so whoever turns speeds into torque knows how weak.
 
 Deviations: increments are torques, not rotor commands; full kinematics (see sliding_surface).
 """
@@ -28,22 +28,26 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from quadftc_control.controller import Controller, limited, register
 from quadftc_control.sliding_surface import tracking
-from quadftc_model.arrays import Array, exp, larger, namespace, pick
+from quadftc_model.arrays import Flag, Vector, column, exp, larger, namespace, where
+from quadftc_model.numbers import prepared
 from quadftc_model.parameters import Axes, parameter
 from quadftc_model.rotations import body_acceleration
 from quadftc_model.samples import ControllerInputs, ControllerOutput
 
+ABOUT_Z = np.array([0.0, 0.0, 1.0])  # 1
 DAMPING = 2.0 * math.sqrt(0.5)  # 1; twice the damping ratio of a Butterworth filter of second order
 
 
 class Filtered(NamedTuple):
     """A signal behind the filter."""
 
-    last: Array  # (..., 3) signal at the last sample
-    value: Array  # (..., 3) filtered
-    slope: Array  # (..., 3) its derivative
+    last: Vector  # signal at the last sample
+    value: Vector  # filtered
+    slope: Vector  # its derivative
 
 
 class State(NamedTuple):
@@ -51,9 +55,9 @@ class State(NamedTuple):
 
     rate: Filtered  # body rate [rad/s]
     torque: Filtered  # of the rotors, mean between two samples [N m]
-    rotors: Array  # (..., 3) torque of the rotors [N m]
-    wanted: Array  # (..., 3) torque that shall act, after the limits [N m]
-    given: Array  # (..., 3) torque that is commanded for it [N m]
+    rotors: Vector  # torque of the rotors [N m]
+    wanted: Vector  # torque that shall act, after the limits [N m]
+    given: Vector  # torque that is commanded for it [N m]
 
 
 @register("indi")
@@ -72,8 +76,8 @@ class Indi(Controller):
         """Start without torque, at rest for the filters."""
         rate = inputs.imu.body_rate
         zeros = namespace(rate).zeros_like(rate)
-        there = self.measured_torque and inputs.torque is not None
-        torque = inputs.torque if there else zeros
+        known, torque = self._measured(inputs)
+        torque = where(known, torque, zeros)
         return State(Filtered(rate, rate, zeros), Filtered(torque, torque, zeros), torque, zeros, zeros)
 
     def step(self, state: State, inputs: ControllerInputs, dt: float) -> tuple[State, ControllerOutput]:
@@ -85,50 +89,52 @@ class Indi(Controller):
         # angular acceleration, and the torque of the same time
         rate = self._filter(state.rate, inputs.imu.body_rate, dt)
         acceleration = 0.5 * (state.rate.slope + rate.slope)  # of the filtered rate, between the samples
-        mean, rotors = self._rotor_torque(state, inputs, dt)
+        known, measured = self._measured(inputs)
+        mean, now = self._modelled(state, dt)
+        mean, now = where(known, 0.5 * (state.rotors + measured), mean), where(known, measured, now)
         torque = self._filter(state.torque, mean, dt)
-        acting = torque.value
-        if self.measured_torque and inputs.torque is not None:
-            acting = acting + xp.asarray([0.0, 0.0, self.spin_up]) * torque.slope
+        acting = torque.value + where(known, self.spin_up * ABOUT_Z * torque.slope, 0.0)
 
         wanted_slope = track.x1e_dot + k_angle * track.x1e
         x1_ddot = inputs.reference.accelerations - k_rate * wanted_slope
         omega_dot = body_acceleration(track.x1, track.x1_dot, x1_ddot)
-        wanted, cut = limited(
-            self.vehicle, acting + inertia * (omega_dot - acceleration), inputs.effectiveness
-        )
+        asked = acting + inertia * (omega_dot - acceleration)
+        wanted, cut = limited(self.vehicle, asked, inputs.effectiveness)
         given = wanted
-        if inputs.torque is not None:
-            yaw = 1.0 - exp(-dt / self.spin_up)
-            given = state.given + xp.asarray([1.0, 1.0, yaw]) * (wanted - state.given)
+        if inputs.rotors is not None:
+            low_passed = state.given + (1.0 - exp(-dt / self.spin_up)) * (wanted - state.given)
+            given = where(column(inputs.rotors.measured) & (ABOUT_Z > 0.0), low_passed, wanted)
         output = ControllerOutput(given, track.x1e, xp.zeros_like(given), cut)
-        return State(rate, torque, rotors, wanted, given), output
+        return State(rate, torque, now, wanted, given), output
 
-    @property
+    @prepared
     def rotor_bandwidth(self) -> float:
         """Bandwidth of the rotors in the model [rad/s]."""
-        own = 1.0 / self.vehicle.rotors.time_constant
-        return pick(self.motor_bandwidth > 0.0, self.motor_bandwidth, own)
+        return self.motor_bandwidth or 1.0 / self.vehicle.rotors.time_constant
 
-    @property
+    @prepared
     def spin_up(self) -> float:
         """kappa: change of a rotor's momentum over that of its drag torque, around hover [s]."""
         rotors = self.vehicle.rotors
         drag = 2.0 * rotors.torque_to_thrust * rotors.thrust_coefficient * self.vehicle.hover_speed
-        return larger(rotors.rotor_inertia / drag, 1e-6)
+        return max(rotors.rotor_inertia / drag, 1e-6)
 
-    def _rotor_torque(self, state: State, inputs: ControllerInputs, dt: float) -> tuple[Array, Array]:
-        """Torque of the rotors: its mean since the last sample, and now [N m]."""
-        before = state.rotors
-        if self.measured_torque and inputs.torque is not None:
-            return 0.5 * (before + inputs.torque), inputs.torque
+    def _measured(self, inputs: ControllerInputs) -> tuple[Flag, Vector]:
+        """Whether the torque of the rotors is known of measured speeds (..., 1), and that torque [N m]."""
+        if self.measured_torque and inputs.rotors is not None:
+            return column(inputs.rotors.measured), inputs.rotors.torque
+        zeros = namespace(inputs.imu.body_rate).zeros_like(inputs.imu.body_rate)
+        return column(inputs.imu.rate_valid & False), zeros
+
+    def _modelled(self, state: State, dt: float) -> tuple[Vector, Vector]:
+        """Torque of the rotors by the last command: its mean since the last sample, and now [N m]."""
         # exact for a first-order lag and a command that is held
         steps = larger(self.rotor_bandwidth * dt, 1e-6)
         reached = 1.0 - exp(-steps)
-        change = state.wanted - before
-        return before + (1.0 - reached / steps) * change, before + reached * change
+        change = state.wanted - state.rotors
+        return state.rotors + (1.0 - reached / steps) * change, state.rotors + reached * change
 
-    def _filter(self, state: Filtered, signal: Array, dt: float) -> Filtered:
+    def _filter(self, state: Filtered, signal: Vector, dt: float) -> Filtered:
         """Butterworth filter of second order, discretised by the trapezoidal rule."""
         half = 0.5 * dt
         stiffness, damping = self.cutoff**2, DAMPING * self.cutoff

@@ -25,7 +25,7 @@ import numpy as np
 
 from quadftc_control.controller import Controller, anti_windup, limited, register
 from quadftc_control.sliding_surface import sat, torque_for, tracking
-from quadftc_model.arrays import Array, clip, namespace
+from quadftc_model.arrays import Vector, clip, namespace, where
 from quadftc_model.parameters import Axes, parameter
 from quadftc_model.samples import ControllerInputs, ControllerOutput
 
@@ -33,11 +33,11 @@ from quadftc_model.samples import ControllerInputs, ControllerOutput
 class State(NamedTuple):
     """Controller state at the last sample."""
 
-    integral: Array  # (..., 3) of x1e [rad s], as of the last sample
-    start: Array  # (..., 3) k_c2 x1e(t0) + x1e'(t0), and how far the surface has moved along [rad/s]
-    x1e: Array  # (..., 3) [rad]
-    wanted: Array  # (..., 3) torque before the limits [N m]
-    given: Array  # (..., 3) torque after the limits [N m]
+    integral: Vector  # of x1e [rad s], as of the last sample
+    start: Vector  # k_c2 x1e(t0) + x1e'(t0), and how far the surface has moved along [rad/s]
+    x1e: Vector  # [rad]
+    wanted: Vector  # torque before the limits [N m]
+    given: Vector  # torque after the limits [N m]
 
 
 @register("ismc")
@@ -83,7 +83,7 @@ class Ismc(Controller):
         integral = anti_windup(state.integral, mean, state.wanted, state.given, dt)
         surface = x1e_dot + k_c2 * x1e + k_c1 * integral - state.start  # (38)
         # while the torque is cut S obeys no law: the surface moves along, S stays within its layer
-        excess = xp.where(state.wanted != state.given, surface - clip(surface, -phi, phi), 0.0)
+        excess = where(state.wanted != state.given, surface - clip(surface, -phi, phi), 0.0)
         S = surface - excess
         x1_ddot = inputs.reference.accelerations - k_c2 * x1e_dot - k_c1 * x1e - k_c3 * sat(S, phi)
         wanted = torque_for(self.vehicle, inputs, track, x1_ddot, inputs.disturbance)  # (45)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from quadftc_control.controller import Controller, anti_windup, limited, register
 from quadftc_control.sliding_surface import tracking
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Vector, namespace
 from quadftc_model.parameters import Axes, parameter
 from quadftc_model.rotations import body_rates
 from quadftc_model.samples import ControllerInputs, ControllerOutput
@@ -22,10 +22,10 @@ from quadftc_model.samples import ControllerInputs, ControllerOutput
 class State(NamedTuple):
     """Controller state at the last sample."""
 
-    integral: Array  # (..., 3) of minus the rate error [rad]
-    filtered: Array  # (..., 3) body rate, low-passed [rad/s]
-    wanted: Array  # (..., 3) torque before the limits [N m]
-    given: Array  # (..., 3) torque after the limits [N m]
+    integral: Vector  # of minus the rate error [rad]
+    filtered: Vector  # body rate, low-passed [rad/s]
+    wanted: Vector  # torque before the limits [N m]
+    given: Vector  # torque after the limits [N m]
 
 
 @register("pid")

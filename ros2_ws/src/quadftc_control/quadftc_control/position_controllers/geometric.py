@@ -13,12 +13,10 @@ yaw of Euler angles follows the trajectory, where the paper projects a heading o
 
 from __future__ import annotations
 
-from typing import Any
-
 from quadftc_control.controller import anti_windup
 from quadftc_control.position_controller import PositionController, PositionControllerInputs, Pushed, register
 from quadftc_control.trajectory import within
-from quadftc_model.arrays import Array, Vector, clip, namespace
+from quadftc_model.arrays import Vector, clip, namespace, where
 from quadftc_model.parameters import Axes, parameter
 
 
@@ -32,20 +30,20 @@ class Geometric(PositionController):
     max_error: float = parameter(2.0, unit="m", low=0.01, doc="bound of the error of position")
     max_trim: float = parameter(3.0, unit="m/s^2", low=0.0, doc="bound of what the integral gives")
 
-    def start(self, inputs: PositionControllerInputs) -> Array:
+    def start(self, inputs: PositionControllerInputs) -> Vector:
         """Start with nothing in the integral."""
-        return 0.0 * inputs.estimate.position
+        return namespace(inputs.estimate.position).zeros_like(inputs.estimate.position)
 
     def push(
-        self, state: Any, inputs: PositionControllerInputs, last: Pushed, dt: float
-    ) -> tuple[Any, Vector]:
+        self, state: Vector, inputs: PositionControllerInputs, last: Pushed, dt: float
+    ) -> tuple[Vector, Vector]:
         """Correct the errors; the state is the acceleration that the integral takes away."""
         now, shall = inputs.estimate, inputs.reference
         off = now.position - shall.position
         error = within(off, self.max_error)
         xp = namespace(error)
         k_p, k_v, k_i = map(xp.asarray, (self.k_p, self.k_v, self.k_i))
-        gathered = k_i * xp.where(error == off, error, 0.0)  # on the way to a far place, nothing
+        gathered = k_i * where(error == off, error, 0.0)  # on the way to a far place, nothing
         trim = anti_windup(state, gathered, last.wanted, last.given, dt)
         trim = clip(trim, -self.max_trim, self.max_trim)
         return trim, -k_p * error - k_v * (now.velocity - shall.velocity) - trim

@@ -9,20 +9,20 @@ The derivative acts on the estimated acceleration, low-passed, beyond that of th
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from quadftc_control.controller import anti_windup
 from quadftc_control.position_controller import PositionController, PositionControllerInputs, Pushed, register
 from quadftc_control.trajectory import within
-from quadftc_model.arrays import Array, Vector, clip, namespace
+from quadftc_model.arrays import Vector, clip, namespace, where
 from quadftc_model.parameters import Axes, parameter
 
 
 class State(NamedTuple):
     """State at the last sample."""
 
-    trim: Array  # (..., 3) what the integral takes away [m/s²]
-    filtered: Array  # (..., 3) acceleration beyond that of the trajectory, low-passed [m/s²]
+    trim: Vector  # what the integral takes away [m/s²]
+    filtered: Vector  # acceleration beyond that of the trajectory, low-passed [m/s²]
 
 
 @register("pid_cascade")
@@ -41,12 +41,12 @@ class PidCascade(PositionController):
 
     def start(self, inputs: PositionControllerInputs) -> State:
         """Start with nothing in the integral."""
-        zeros = 0.0 * inputs.estimate.position
+        zeros = namespace(inputs.estimate.position).zeros_like(inputs.estimate.position)
         return State(zeros, zeros)
 
     def push(
         self, state: State, inputs: PositionControllerInputs, last: Pushed, dt: float
-    ) -> tuple[Any, Vector]:
+    ) -> tuple[State, Vector]:
         """Correct the errors."""
         now, shall = inputs.estimate, inputs.reference
         xp = namespace(now.position)
@@ -54,7 +54,7 @@ class PidCascade(PositionController):
         whole = k_position * (shall.position - now.position)
         towards = within(whole, self.max_correction)
         error = now.velocity - shall.velocity - towards
-        gathered = k_i * xp.where(towards == whole, error, 0.0)  # on the way to a far place, nothing
+        gathered = k_i * where(towards == whole, error, 0.0)  # on the way to a far place, nothing
         trim = anti_windup(state.trim, gathered, last.wanted, last.given, dt)
         trim = clip(trim, -self.max_trim, self.max_trim)
         share = dt * self.cutoff / (1.0 + dt * self.cutoff)  # backward Euler of the low-pass

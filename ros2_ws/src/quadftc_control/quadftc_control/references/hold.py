@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from quadftc_control.reference import Reference, register
-from quadftc_model.arrays import Array, namespace
+from quadftc_control.reference import Reference, level, register
+from quadftc_model.arrays import Column, Scalar, namespace
 from quadftc_model.parameters import Axes, parameter
 from quadftc_model.samples import AttitudeReference
 
@@ -14,8 +14,7 @@ class Hold(Reference):
 
     angles: Axes = parameter((0.0, 0.0, 0.0), unit="rad", low=-100.0, high=100.0, doc="roll, pitch, yaw")
 
-    def sample(self, time: Array) -> AttitudeReference:
+    def sample(self, time: Scalar | Column) -> AttitudeReference:
         """Return the angles with zero rates."""
-        xp = namespace(time)
-        zeros = 0.0 * time + xp.zeros(3)
-        return AttitudeReference(zeros + xp.asarray(self.angles), zeros, zeros)
+        still = level(time)
+        return still._replace(angles=still.angles + namespace(time).asarray(self.angles))

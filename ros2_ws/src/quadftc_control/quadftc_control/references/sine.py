@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from quadftc_control.reference import Reference, register, smooth_rise
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Column, Scalar, cos, namespace, sin
 from quadftc_model.parameters import Axes, Timed, parameter
 from quadftc_model.samples import AttitudeReference
 
@@ -21,7 +21,7 @@ class Sine(Timed, Reference):
     stop: float = parameter(math.inf, unit="s", low=0.0, doc="begin of the fade-out, scenario time")
     fade: float = parameter(2.0, unit="s", low=1e-3, high=1e6, doc="duration of fade-in and fade-out")
 
-    def sample(self, time: Array) -> AttitudeReference:
+    def sample(self, time: Scalar | Column) -> AttitudeReference:
         """Return the oscillation at ``time`` [s]."""
         xp = namespace(time)
         up = smooth_rise((time - self.start) / self.fade)
@@ -29,12 +29,11 @@ class Sine(Timed, Reference):
         envelope = up[0] - down[0]
         envelope_dot = (up[1] - down[1]) / self.fade
         envelope_ddot = (up[2] - down[2]) / self.fade**2
-        omega = xp.asarray(self.frequency)
-        angle = omega * (time - self.start) + xp.asarray(self.phase)
-        sin = xp.asarray(self.amplitude) * xp.sin(angle)
-        cos = xp.asarray(self.amplitude) * omega * xp.cos(angle)
+        omega, phase, size = map(xp.asarray, (self.frequency, self.phase, self.amplitude))
+        angle = omega * (time - self.start) + phase
+        value, slope = size * sin(angle), size * omega * cos(angle)
         return AttitudeReference(
-            envelope * sin,
-            envelope_dot * sin + envelope * cos,
-            envelope_ddot * sin + 2.0 * envelope_dot * cos - envelope * omega**2 * sin,
+            envelope * value,
+            envelope_dot * value + envelope * slope,
+            envelope_ddot * value + 2.0 * envelope_dot * slope - envelope * omega**2 * value,
         )

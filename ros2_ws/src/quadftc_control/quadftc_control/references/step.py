@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from quadftc_control.reference import Reference, register, smooth_rise
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Column, Scalar, namespace
 from quadftc_model.parameters import Axes, Timed, parameter
 from quadftc_model.samples import AttitudeReference
 
@@ -22,12 +22,11 @@ class Step(Timed, Reference):
     stop: float = parameter(math.inf, unit="s", low=0.0, doc="begin of the fall, scenario time")
     rise: float = parameter(2.0, unit="s", low=1e-3, high=1e6, doc="duration of rise and fall")
 
-    def sample(self, time: Array) -> AttitudeReference:
+    def sample(self, time: Scalar | Column) -> AttitudeReference:
         """Return the step at ``time`` [s]."""
-        xp = namespace(time)
         up = smooth_rise((time - self.start) / self.rise)
         down = smooth_rise((time - self.stop) / self.rise)
-        angles = xp.asarray(self.angles)
+        angles = namespace(time).asarray(self.angles)
         return AttitudeReference(
             angles * (up[0] - down[0]),
             angles * (up[1] - down[1]) / self.rise,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from quadftc_control.trajectory import Trajectory, along, register, there_and_back
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Scalar, cos, sin
 from quadftc_model.parameters import Axes, Timed, parameter
 from quadftc_model.samples import PositionReference
 
@@ -26,9 +26,8 @@ class Circle(Timed, Trajectory):
     yaw: float = parameter(0.0, unit="rad", low=-100.0, high=100.0, doc="heading")
     follow: bool = parameter(False, doc="the heading is counted from the direction of flight")
 
-    def sample(self, time: Array) -> PositionReference:
+    def sample(self, time: Scalar) -> PositionReference:
         """Return the motion at ``time`` [s]."""
-        xp = namespace(time)
         phase = there_and_back(time, self.start, self.stop, self.rise, self.speed / self.radius)
-        x, y = self.radius * xp.cos(phase.value), self.radius * xp.sin(phase.value)
+        x, y = self.radius * cos(phase.value), self.radius * sin(phase.value)
         return along(self.centre, ((x, y), (-y, x), (-x, -y), (y, -x)), phase, self.yaw, self.follow)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from quadftc_control.trajectory import Trajectory, along, register, there_and_back
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Scalar, cos, sin
 from quadftc_model.parameters import Axes, Timed, parameter
 from quadftc_model.samples import PositionReference
 
@@ -27,12 +27,11 @@ class FigureEight(Timed, Trajectory):
     yaw: float = parameter(0.0, unit="rad", low=-100.0, high=100.0, doc="heading")
     follow: bool = parameter(False, doc="the heading is counted from the direction of flight")
 
-    def sample(self, time: Array) -> PositionReference:
+    def sample(self, time: Scalar) -> PositionReference:
         """Return the motion at ``time`` [s]."""
-        xp = namespace(time)
         phase = there_and_back(time, self.start, self.stop, self.rise, 2.0 * math.pi / self.period)
         a, b, angle = 0.5 * self.length, 0.5 * self.width, phase.value
-        sin, cos = a * xp.sin(angle), a * xp.cos(angle)
-        sin_2, cos_2 = b * xp.sin(2.0 * angle), b * xp.cos(2.0 * angle)
-        curve = ((sin, sin_2), (cos, 2.0 * cos_2), (-sin, -4.0 * sin_2), (-cos, -8.0 * cos_2))
+        s, c = a * sin(angle), a * cos(angle)
+        s_2, c_2 = b * sin(2.0 * angle), b * cos(2.0 * angle)
+        curve = ((s, s_2), (c, 2.0 * c_2), (-s, -4.0 * s_2), (-c, -8.0 * c_2))
         return along(self.centre, curve, phase, self.yaw, self.follow)

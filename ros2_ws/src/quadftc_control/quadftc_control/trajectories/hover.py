@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from quadftc_control.trajectory import Trajectory, register
-from quadftc_model.arrays import Array, stacked
+from quadftc_control.trajectory import Trajectory, at_origin, register
+from quadftc_model.arrays import Scalar, namespace
 from quadftc_model.parameters import Axes, parameter
 from quadftc_model.samples import PositionReference
 
@@ -15,11 +15,8 @@ class Hover(Trajectory):
     position: Axes = parameter((0.0, 0.0, 1.0), unit="m", low=-1e5, high=1e5, doc="where")
     yaw: float = parameter(0.0, unit="rad", low=-100.0, high=100.0, doc="heading")
 
-    def sample(self, time: Array) -> PositionReference:
+    def sample(self, time: Scalar) -> PositionReference:
         """Return the place."""
-        zero = 0.0 * time
-        x, y, z = self.position
-        still = stacked([zero, zero, zero])
-        return PositionReference(
-            stacked([x + zero, y + zero, z + zero]), still, still, self.yaw + zero, zero, still
-        )
+        still = at_origin(time)
+        position = still.position + namespace(time).asarray(self.position)
+        return still._replace(position=position, yaw=still.yaw + self.yaw)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import functools
 import math
 
 import numpy as np
 
 from quadftc_control.trajectory import Trajectory, register
-from quadftc_model.arrays import AnyArray, Array, clip, namespace
+from quadftc_model.arrays import AnyArray, Array, Scalar, clip, column, namespace
+from quadftc_model.numbers import prepared
 from quadftc_model.parameters import Axes, parameter
 from quadftc_model.samples import PositionReference
 
@@ -49,7 +49,7 @@ class Waypoints(Trajectory):
         if any(b <= a for a, b in zip(self.times, self.times[1:], strict=False)):
             raise ValueError(f"times = {self.times}: each must be later than the one before")
 
-    @functools.cached_property
+    @prepared
     def legs(self) -> AnyArray:
         """From each point to the next, (n, 5): change in x, y, z [m], begin after start [s], duration [s]."""
         change = np.diff(np.reshape(self.points, (-1, 3)), axis=0)
@@ -62,17 +62,20 @@ class Waypoints(Trajectory):
             begin = np.cumsum(duration) - duration
         return np.column_stack([change, begin, duration])
 
-    def sample(self, time: Array) -> PositionReference:
+    def sample(self, time: Scalar) -> PositionReference:
         """Return the motion at ``time`` [s]."""
-        xp = namespace(time)
         change, begin, duration = self.legs[:, :3], self.legs[:, 3], self.legs[:, 4]
-        zero = 0.0 * time
-        position, velocity, acceleration, jerk = (
-            (part / duration**order) @ change
-            for order, part in enumerate(_rise((xp.asarray(time)[..., None] - self.start - begin) / duration))
+        value, rate, slope, curvature = _rise((column(time) - self.start - begin) / duration)  # (..., n)
+        xp = namespace(time)
+        zero = xp.zeros_like(time)
+        return PositionReference(
+            position=xp.asarray(self.points[:3]) + value @ change,
+            velocity=(rate / duration) @ change,
+            acceleration=(slope / duration**2) @ change,
+            yaw=self.yaw + zero,
+            yaw_rate=zero,
+            jerk=(curvature / duration**3) @ change,
         )
-        first = xp.asarray(self.points[:3])
-        return PositionReference(first + position, velocity, acceleration, self.yaw + zero, zero, jerk)
 
 
 def _rise(fraction: Array) -> tuple[Array, Array, Array, Array]:

@@ -1,0 +1,168 @@
+"""The inner loop: what stands between an attitude with a thrust and the rotors."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from law_contract import assert_state_keeps_its_structure, assert_step_is_traced
+
+from quadftc_control.attitude_loop import AttitudeLoop, AttitudeLoopInputs, attitude_stepper
+from quadftc_control.controller import Controller, controllers
+from quadftc_model.rotations import quaternion_from_euler
+from quadftc_model.rotors import wrench_from_speeds
+from quadftc_model.samples import AttitudeCommand, AttitudeReference, ControllerInputs, ControllerOutput
+from quadftc_model.vehicle import load_vehicle
+
+VEHICLE = load_vehicle("hummingbird")
+DT, COUNT, LANES = 0.004, 40, 4
+EVERY = pytest.mark.parametrize("name", controllers.names())
+WHERE = pytest.mark.parametrize("flies", [False, True])
+
+
+def loop(name="indi", flies=True):
+    return AttitudeLoop(controller=controllers.get(name)(vehicle=VEHICLE), flies=flies)
+
+
+def sequence_of(flies, lane=0):
+    """Inputs over time; a rotor gets weak and is off, and speeds are measured at two of three samples."""
+    rng = np.random.default_rng(lane)
+    found = []
+    for index in range(COUNT):
+        angles, rate, shall = rng.normal(0.0, 0.1, (3, 3))
+        start = loop(flies=flies).example()
+        imu = start.imu._replace(q_xyzw=quaternion_from_euler(angles), body_rate=rate)
+        thrust = np.float64(VEHICLE.weight * rng.uniform(0.5, 2.5))
+        command = AttitudeCommand(AttitudeReference(shall, np.zeros(3), np.zeros(3)), thrust)
+        inputs = start._replace(imu=imu, command=command, disturbance=rng.normal(0.0, 0.1, 3))
+        if flies:
+            left = np.clip(2.0 - 0.1 * index - 0.2 * lane, 0.0, 1.0)
+            inputs = inputs._replace(
+                speeds=VEHICLE.hover_speed * rng.uniform(0.9, 1.1, 4),
+                measured=np.bool_(index % 3 > 0),
+                effectiveness=np.array([left, 1.0, 1.0, 1.0]),
+            )
+        found.append(inputs)
+    return found
+
+
+def flown(law, sequence, step=None):
+    """All outputs over a sequence of inputs; the first step takes no time."""
+    state, outputs = law.init(sequence[0]), []
+    for index, inputs in enumerate(sequence):
+        state, output = (step or law.step)(state, inputs, DT if index else 0.0)
+        outputs.append(output)
+    return outputs
+
+
+def as_table(outputs):
+    """Torque, error, sliding variable and squared speeds over time."""
+    return np.array(
+        [
+            np.concatenate([*each.output[:3], [] if each.speeds is None else np.square(each.speeds)], -1)
+            for each in outputs
+        ]
+    )
+
+
+def together(parts):
+    """Inputs of some vehicles as inputs with one more axis."""
+    if isinstance(parts[0], tuple):
+        return type(parts[0])(*map(together, zip(*parts, strict=True)))
+    return None if parts[0] is None else np.stack([np.asarray(each) for each in parts])
+
+
+@EVERY
+@WHERE
+def test_state_keeps_its_structure_and_the_step_is_traced(name, flies):
+    law, sequence = loop(name, flies), sequence_of(flies)
+    assert_state_keeps_its_structure(law, sequence)
+    assert_step_is_traced(law, sequence[1])
+    assert_step_is_traced(law, together(sequence[:3]))
+
+
+@EVERY
+@WHERE
+def test_batch_and_jax_equal_the_loop(name, flies):
+    jax = pytest.importorskip("jax")
+    law, lanes = loop(name, flies), [sequence_of(flies, lane) for lane in range(LANES)]
+    alone = [as_table(flown(law, each)) for each in lanes]
+    size = np.max(np.abs(alone), axis=(0, 1)) + 1e-12
+    batch = [together(each) for each in zip(*lanes, strict=True)]
+    table = np.concatenate
+    outputs = flown(law, batch)
+    many = [
+        table([*each.output[:3], np.zeros((LANES, 0)) if each.speeds is None else each.speeds**2], -1)
+        for each in outputs
+    ]
+    np.testing.assert_allclose(np.array(many) / size, np.swapaxes(alone, 0, 1) / size, atol=1e-9)
+    with jax.enable_x64(True):
+        compiled = as_table(flown(law, lanes[1], jax.jit(law.step)))
+    np.testing.assert_allclose(compiled / size, alone[1] / size, atol=1e-9)
+
+
+@EVERY
+def test_test_stand_gets_the_torque_of_the_controller_bit_for_bit(name):
+    law, sequence = loop(name, flies=False), sequence_of(flies=False)
+    seen = [ControllerInputs(each.imu, each.command.attitude, each.disturbance) for each in sequence]
+    for found, expected in zip(flown(law, sequence), flown(law.controller, seen), strict=True):
+        assert found.speeds is None
+        for one, other in zip(found.output, expected, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+@EVERY
+def test_speeds_give_the_torque_that_is_told_and_the_thrust_where_it_fits(name):
+    for inputs, (output, speeds) in zip(
+        sequence_of(flies=True), flown(loop(name), sequence_of(flies=True)), strict=True
+    ):
+        torque, thrust = wrench_from_speeds(VEHICLE, speeds, inputs.effectiveness)
+        np.testing.assert_allclose(torque / VEHICLE.authority, output.torque / VEHICLE.authority, atol=1e-7)
+        within = (speeds > VEHICLE.rotors.speed_min) & (speeds < VEHICLE.rotors.speed_max)
+        if np.all(within & (inputs.effectiveness == 1.0)):
+            np.testing.assert_allclose(thrust, inputs.command.thrust, rtol=1e-7)
+
+
+def test_speeds_that_are_not_measured_say_nothing():
+    sequence = [each._replace(measured=np.bool_(False)) for each in sequence_of(flies=True)]
+    other = [each._replace(speeds=np.full(4, np.nan)) for each in sequence]
+    np.testing.assert_array_equal(as_table(flown(loop(), sequence)), as_table(flown(loop(), other)))
+    measured = [each._replace(measured=np.bool_(True)) for each in sequence]
+    assert np.max(np.abs(as_table(flown(loop(), sequence)) - as_table(flown(loop(), measured)))) > 1e-3
+
+
+def test_no_effectiveness_means_healthy_rotors():
+    sequence = sequence_of(flies=True)
+    healthy = [each._replace(effectiveness=np.ones(4)) for each in sequence]
+    unknown = [each._replace(effectiveness=None) for each in sequence]
+    np.testing.assert_array_equal(as_table(flown(loop(), healthy)), as_table(flown(loop(), unknown)))
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Defective(Controller):
+    """Its torque is no number at one of its steps."""
+
+    def init(self, inputs: ControllerInputs) -> int:
+        return 0
+
+    def step(self, state: int, inputs: ControllerInputs, dt: float) -> tuple[int, ControllerOutput]:
+        torque = np.full(3, np.nan if state == 3 else 0.001 * (state + 1))
+        return state + 1, ControllerOutput(torque, np.zeros(3), np.zeros(3), np.zeros(3, dtype=bool))
+
+
+@WHERE
+def test_last_torque_is_held_where_the_output_is_no_number(flies):
+    law = AttitudeLoop(controller=Defective(vehicle=VEHICLE), flies=flies)
+    given = []
+    stepper = attitude_stepper(law, lambda: given[-1].output.torque)
+    given.extend(stepper.step(1 + index * 4_000_000, law.example()) for index in range(5))
+    np.testing.assert_allclose([each.output.torque[0] for each in given], [0.001, 0.002, 0.003, 0.003, 0.001])
+    assert stepper.replaced == 1
+    if flies:
+        np.testing.assert_array_equal(given[3].speeds, given[2].speeds)
+
+
+@WHERE
+def test_example_is_an_input_of_one_vehicle(flies):
+    example = loop(flies=flies).example()
+    assert isinstance(example, AttitudeLoopInputs)
+    assert (example.speeds is not None) == flies
