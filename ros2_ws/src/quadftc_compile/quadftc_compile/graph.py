@@ -160,12 +160,14 @@ class _Builder:
         for equation in jaxpr.eqns:
             operands = [value_of(atom) for atom in equation.invars]
             source = outer or self._source_of(equation)
-            results = self._apply(equation, operands, source)
+            results = self._apply(equation, operands, source, outer)
             values |= zip(equation.outvars, results, strict=True)
         return [value_of(atom) for atom in jaxpr.outvars]
 
-    def _apply(self, equation: Any, operands: list[Node], source: Source | None) -> list[Node]:
-        """Return the results of an equation."""
+    def _apply(
+        self, equation: Any, operands: list[Node], source: Source | None, outer: Source | None
+    ) -> list[Node]:
+        """Return the results of an equation; ``outer`` is where the function is called that it stands in."""
         name, params, out = equation.primitive.name, equation.params, [v.aval for v in equation.outvars]
         if name in CALLS:
             closed = params[CALLS[name]]
@@ -175,7 +177,7 @@ class _Builder:
         if name == "custom_linear_solve":
             return self._solve(params, operands, source)
         if name in ("scan", "while", "cond"):
-            return self._control(name, params, operands, out, source)
+            return self._control(name, params, operands, out, source, outer)
         rule = _RULES.get(name)
         if rule is not None:
             results = rule(self, operands, out, source, params)
@@ -203,7 +205,13 @@ class _Builder:
         return self._run(closed.jaxpr, [self.constant(each) for each in closed.consts], used, source)
 
     def _control(
-        self, name: str, params: Any, operands: list[Node], out: Sequence[Any], source: Source | None
+        self,
+        name: str,
+        params: Any,
+        operands: list[Node],
+        out: Sequence[Any],
+        source: Source | None,
+        outer: Source | None,
     ) -> list[Node]:
         """Keep a loop or a branch, with graphs of their own for what is inside."""
         if name == "cond" and operands[0].op == "platform_index":
@@ -215,7 +223,7 @@ class _Builder:
             "while": lambda: [params["cond_jaxpr"], params["body_jaxpr"]],
             "cond": lambda: list(params["branches"]),
         }[name]()
-        graphs = [graph_of(each, lambda equation: source or self._source_of(equation)) for each in parts]
+        graphs = [graph_of(each, lambda equation: outer or self._source_of(equation)) for each in parts]
         kept = {key: params[key] for key in _COUNTS if key in params}
         return self._whole(name, operands, out, source, {**kept, "graphs": graphs})
 
