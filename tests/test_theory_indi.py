@@ -10,7 +10,13 @@ from quadftc_control.controller import controllers
 from quadftc_model.parameters import build
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.rotors import wrench_from_speeds
-from quadftc_model.samples import STANDARD_GRAVITY, AttitudeReference, ControllerInputs, ImuSample
+from quadftc_model.samples import (
+    STANDARD_GRAVITY,
+    AttitudeReference,
+    ControllerInputs,
+    ImuSample,
+    RotorFeedback,
+)
 from quadftc_model.vehicle import load_vehicle
 from quadftc_sim.disturbance import disturbances
 from quadftc_sim.plants.free_flight import FreeFlight
@@ -100,7 +106,8 @@ def flown_free(law=None, noise=0.0, motor_bandwidth=0.0, duration=4.0, angles=ZE
     for index in range(round(duration / DT)):
         seen = motion.body_rate + noise * generator.standard_normal(3)
         imu = ImuSample(motion.q_xyzw, seen, ZEROS, TRUE, TRUE, TRUE)
-        inputs = ControllerInputs(imu, LEVEL, ZEROS, wrench_from_speeds(X500, motion.speeds)[0])
+        torque, _ = wrench_from_speeds(X500, motion.speeds)
+        inputs = ControllerInputs(imu, LEVEL, ZEROS, RotorFeedback(torque, np.bool_(True), np.ones(4)))
         memory = controller.init(inputs) if memory is None else memory
         memory, output = controller.step(memory, inputs, DT if index else 0.0)
         errors.append(output.error)
