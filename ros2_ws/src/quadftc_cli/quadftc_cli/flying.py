@@ -46,15 +46,15 @@ COLUMNS = (
 
 # names of scenarios, scheme, overrides, gains, components by role, label
 What = tuple[Sequence[str], str, Sequence[str], str, Mapping[str, str], str]
-# graph, mode, namespace, whether to replace, what `Scheduling` takes, and whether compiled
-How = tuple[str, str, str, bool, tuple[str, int, tuple[int, ...]], bool]
+# graph, mode, namespace, whether to replace, what `Scheduling` takes, and the engine
+How = tuple[str, str, str, bool, tuple[str, int, tuple[int, ...]], str]
 
 
 def fly_named(what: What, out: Path, how: How, jobs: int | None, junit: Path | None) -> int:
     """Fly the schemes of scenarios, so many side by side, and return the exit code."""
     names, scheme, overrides, gains, parts, label = what
-    graph, mode, namespace, force, scheduling, compiled = how
-    options = RunOptions(graph, mode, namespace, force, Scheduling(*scheduling), compiled)
+    graph, mode, namespace, force, scheduling, engine = how
+    options = RunOptions(graph, mode, namespace, force, Scheduling(*scheduling), engine)
     flights: list[tuple[Scenario, Scheme]] = []
     for name in names:
         plain = load_scenario(find_scenario(name), overrides, gains)

@@ -98,7 +98,7 @@ class Plan:
         outputs = {id(kept) for each in graph.outputs for kept in through.get(id(each), [each])}
         found: dict[int, list[Node]] = collections.defaultdict(list)
         for each, last in reader.values():
-            if id(each) not in outputs:
+            if id(each) not in outputs and each.op != "input":  # those belong to who has made them
                 found[id(last)].append(each)
         return found
 

@@ -20,10 +20,11 @@ from quadftc_compile.build import BuildError, Library, build_library, find_libra
 from quadftc_compile.layout import layout_of
 from quadftc_compile.recipe import Recipe, recipe_of
 from quadftc_compile.runner import CRunner
+from quadftc_model.numbers import structure_of
 from quadftc_model.stepper import Engine, NumpyRunner, Runner
 
 ENGINES = ("c", "numpy")
-Log = Callable[[str], None]
+Log = Callable[[str], object]
 
 _libraries: dict[str, Library] = {}  # that this process has loaded
 _told: set[str] = set()  # what has been said already
@@ -111,6 +112,16 @@ class _Chosen:
         self._law, self._library_for = law, library_for
         self._runner: Runner[Any, Any] | None = None
         self._layout: Any = None
+        self._structure: Any = None
+
+    def configure(self, law: Any) -> bool:
+        """Go on with the numbers of another law of the same structure; False: it has another."""
+        if self._runner is not None:
+            self._structure = self._structure or structure_of(self._law)
+            if structure_of(law) != self._structure or not self._runner.configure(law):
+                return False
+        self._law = law
+        return True
 
     def choose(self, inputs: Any) -> Runner[Any, Any]:
         """Return the runner for inputs like these."""

@@ -81,7 +81,11 @@ def write_program(name: str, law: Any, functions: Mapping[str, Function], real: 
     numbers = numbers_of(law)
     with jax.enable_x64(True):  # whatever this process computes in
         traced = {key: _trace(f"{name}.{key}", law, numbers, each) for key, each in functions.items()}
-    used = [path for k, path in enumerate(numbers) if any(each.reads(k) for each in traced.values())]
+    used = [
+        path
+        for k, (path, number) in enumerate(numbers.items())
+        if number.size and any(each.reads(k) for each in traced.values())
+    ]
     return _Writer(name, law, numbers, used, real).write(traced)
 
 

@@ -63,10 +63,11 @@ class CRunner:
         self._back = self._step.bound(before=other, after=one)
         self.configure(law)
 
-    def configure(self, law: Any) -> None:
-        """Run with the numbers of a law of the same structure."""
+    def configure(self, law: Any) -> bool:
+        """Go on with the numbers of another law, which must be of the same structure."""
         self.law = law
         write_numbers(self._library, law, self._numbers)
+        return True
 
     def first(self, inputs: Any) -> tuple[CState, Any]:
         """Return state and output at the first sample."""

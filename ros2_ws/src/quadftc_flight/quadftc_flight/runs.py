@@ -51,7 +51,7 @@ class RunOptions:
     namespace: str = ""  # of the vehicle; empty: none
     force: bool = False  # replace an earlier run of the same name
     scheduling: Scheduling = ORDINARY  # in real time: how to share the machine
-    compiled: bool = False  # plant, fault observer and controllers run compiled by JAX
+    engine: str = "c"  # what runs the laws: "c" or "numpy"
 
     def __post_init__(self) -> None:
         check_options(self.graph, self.mode, self.scheduling)
@@ -101,7 +101,7 @@ def run(
     with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
         files = (Path(folder, "scenario.yaml"), Path(folder, "parameters.yaml"))
         parameters = node_parameters(scenario, scheme)
-        how = {"scheduling": options.scheduling, "compiled": options.compiled}
+        how = {"scheduling": options.scheduling, "engine": options.engine}
         plan = GraphPlan(parameters, options.mode, options.namespace, bag, files, **how)
         files[0].write_text(yaml.safe_dump(scenario.raw, sort_keys=False, width=120), encoding="utf-8")
         files[1].write_text(plan.parameter_file(), encoding="utf-8")

@@ -215,4 +215,4 @@ def rows_of(part: Any, index: Any) -> Any:
         parts = cast("tuple[Any, ...]", part)
         kind: Any = type(parts)
         return kind(*(rows_of(each, index) for each in parts))
-    return part if part is None or isinstance(part, bool) else part[index]
+    return part if part is None or isinstance(part, (bool, np.bool_)) else part[index]

@@ -260,6 +260,17 @@ def is_usable(*vectors: Vector | Quaternion) -> bool:
     return True
 
 
+def has_attitude(sample: ImuSample) -> bool:
+    """Whether a NumPy sample of one vehicle has an attitude that :func:`sanitised` keeps."""
+    squared = sum([x * x for x in sample.q_xyzw.tolist()])
+    return bool(sample.attitude_valid) and abs(squared - 1.0) <= 2.0 * UNIT_NORM_TOLERANCE
+
+
+def has_rate(sample: ImuSample) -> bool:
+    """Whether a NumPy sample of one vehicle has a body rate that :func:`sanitised` keeps."""
+    return bool(sample.rate_valid) and sum([abs(x) for x in sample.body_rate.tolist()]) <= MAX_BODY_RATE
+
+
 def usable(*arrays: Components) -> Flag:
     """Whether all numbers of arrays (..., n) are finite and below `UNUSABLE` (...), as :func:`is_usable`."""
     return functools.reduce(lambda a, b: a & b, [(abs(x) < UNUSABLE).all(axis=-1) for x in arrays])

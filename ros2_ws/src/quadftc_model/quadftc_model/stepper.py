@@ -58,6 +58,10 @@ class Runner(Protocol[In, Out]):
         """Return the nested tuples of a state."""
         ...
 
+    def configure(self, law: Any) -> bool:
+        """Go on with another law of the same structure, from the same states; False: it cannot."""
+        ...
+
 
 class NumpyRunner(Generic[In, Out]):
     """Runs a law in NumPy: the reference."""
@@ -83,6 +87,13 @@ class NumpyRunner(Generic[In, Out]):
     def tree(self, state: Any) -> Any:
         """Return the state."""
         return state
+
+    def configure(self, law: Any) -> bool:
+        """Go on with another law of the same kind."""
+        if type(law) is not type(self._law):
+            return False
+        self._law = law
+        return True
 
 
 Engine = Callable[[Any], Runner[Any, Any]]  # what runs a law
@@ -113,7 +124,15 @@ class Stepper(Generic[In, Out]):
 
     @law.setter
     def law(self, law: Law[In, Out]) -> None:
-        self._law, self._runner = law, self._engine(law)
+        if not (hasattr(self, "_runner") and self._runner.configure(law)):
+            self._runner = self._engine(law)
+        self._law = law
+
+    def replace_law(self, law: Law[In, Out], example: In) -> None:
+        """Go on with another law in flight: in NumPy, if it would have to be compiled for inputs first."""
+        state, is_ready = self.state, getattr(self._engine, "is_ready", None)
+        quick = self._engine if is_ready is None or is_ready(law, example) else NumpyRunner
+        self._law, self._runner, self._state = law, quick(law), state
 
     def reset(self) -> None:
         """Forget the state; the next sample is the first."""

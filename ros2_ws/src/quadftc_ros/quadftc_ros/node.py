@@ -49,9 +49,8 @@ class GraphParameters:
         choices=PLANT_KINDS,
         doc="test_stand: the vehicle turns about a fixed point; free_flight: it flies",
     )
-    compiled: bool = parameter(
-        False,
-        doc="plant, fault observer and controllers run compiled by JAX: faster, the same numbers to rounding",
+    engine: str = parameter(
+        "c", choices=("c", "numpy"), doc="what runs the laws: C that is generated from them, or NumPy"
     )
     frame_prefix: str = parameter(
         "", doc="in front of base_link and imu_link, such as drone1/ where a graph has two vehicles"

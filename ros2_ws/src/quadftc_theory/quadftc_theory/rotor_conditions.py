@@ -22,7 +22,7 @@ from scipy.optimize import fsolve
 
 from quadftc_control.reduced_attitude import ReducedAttitude, yaw_left
 from quadftc_model.vehicle import Vehicle
-from quadftc_model.wrench_set import extremes, limits, wrench_set
+from quadftc_model.wrench_set import extremes, limits
 from quadftc_theory.conditions import Condition, Floats, Verdict, assess
 
 SHARES = np.linspace(0.0, 1.0, 101)  # 1; of a rotor's effectiveness, and of the opposite rotor's thrust
@@ -103,7 +103,7 @@ def _steady_rate(vehicle: Vehicle, thrusts: Floats, start: Floats | None) -> Flo
 
 def _highest(vehicle: Vehicle, effectiveness: Floats, held: bool) -> float:
     """Largest thrust over the weight without roll and pitch torque; ``held``: without yaw torque, too."""
-    whole, bounds = wrench_set(vehicle), limits(vehicle, effectiveness)
+    whole, bounds = vehicle.wrench_set, limits(vehicle, effectiveness)
     over = whole.thrust_held if held else whole.thrust
     return float(extremes(over, bounds, np.zeros(3 if held else 2))[1]) / vehicle.weight
 

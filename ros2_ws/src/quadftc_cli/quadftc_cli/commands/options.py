@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from typer import Option
 
@@ -71,3 +71,6 @@ def workers_here(workers: int | None, scheduler: str | None) -> int:
             f"--workers {workers}: must be positive, and is for this machine, not for --scheduler"
         )
     return workers or len(os.sched_getaffinity(0))
+EngineOption = Annotated[
+    Literal["c", "numpy"], Option(help="What runs the laws: C that is generated from them, or NumPy.")
+]

@@ -53,9 +53,7 @@ def run(
     wait: WaitOption = "sleep",
     realtime_priority: PriorityOption = 0,
     core: CoreOption = [],  # noqa: B006
-    compiled: Annotated[
-        bool, Option("--compiled", help="Run plant, fault observer and controllers compiled by JAX.")
-    ] = False,
+    engine: options.EngineOption = "c",
     force: Annotated[bool, Option("--force", help="Replace earlier runs of the same name.")] = False,
     jobs: Annotated[
         int | None, Option(min=1, help="Lock-step flights side by side; default: one for each core.")
@@ -68,5 +66,5 @@ def run(
     overrides = [*set_, *([f"rate={rate}"] if rate else []), *([f"seed={seed}"] if seed else [])]
     parts = {"observer": observer, "disturbance_observer": disturbance_observer, "controller": controller}
     what = (scenarios, scheme, overrides, gains, parts, label)
-    how = (graph, mode, namespace, force, (wait, realtime_priority, tuple(core)), compiled)
+    how = (graph, mode, namespace, force, (wait, realtime_priority, tuple(core)), engine)
     raise typer.Exit(fly_named(what, out, how, jobs, junit))

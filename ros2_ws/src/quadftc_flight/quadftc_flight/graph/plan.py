@@ -51,7 +51,7 @@ class GraphPlan:
     namespace: str = ""  # of the vehicle; empty: none
     bag: Path | None = None  # directory of the bag to write
     attachments: tuple[Path, ...] = ()  # files that go into the bag
-    compiled: bool = False  # plant, fault observer and controllers run compiled by JAX
+    engine: str = "c"  # what runs the laws: "c" or "numpy"
     traces: Path | None = None  # directory for the times at which messages come and go, a file for each node
     scheduling: Scheduling = ORDINARY  # in real time: how to share the machine
     respawn: bool = False  # in real time, as processes: restart a node that dies in flight, but not the plant
@@ -87,7 +87,7 @@ class GraphPlan:
     def _common(self) -> dict[str, Any]:
         """Parameters of every node."""
         more = {"plant_kind": self.plant} if self.plant != "test_stand" else {}
-        return {"mode": self.mode, **more, **({"compiled": True} if self.compiled else {})}
+        return {"mode": self.mode, **more, "engine": self.engine}
 
     @property
     def _frames(self) -> dict[str, str]:
