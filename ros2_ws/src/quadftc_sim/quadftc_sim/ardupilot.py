@@ -20,7 +20,8 @@ from quadftc_model.rotations import quaternion_product
 from quadftc_model.samples import ImuSample, level_sample, sanitised
 from quadftc_model.vehicle import Vehicle
 from quadftc_sim.injector import FaultInjector, Faulty
-from quadftc_sim.simulator import Emission, FreeMotion, Simulator
+from quadftc_sim.simulator import Emission, Simulator
+from quadftc_sim.vehicle_simulation import FreeMotion
 
 HEADER = struct.Struct("<HHI")  # magic, frame_rate [Hz], frame_count
 CHANNELS = {18458: 16, 29569: 32}  # magic -> numbers of pwm that follow, uint16 [us]

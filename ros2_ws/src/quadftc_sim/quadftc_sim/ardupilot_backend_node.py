@@ -19,6 +19,7 @@ import time
 from functools import partial
 from typing import Any
 
+from quadftc_compile.engine import engine_from
 from quadftc_model.parameters import parameter
 from quadftc_ros.diagnostics import OK, WARN
 from quadftc_ros.executor import run_node
@@ -62,10 +63,11 @@ class ArduPilotBackendNode(GraphNode):
         for name in ("winds", "disturbances", "faults"):
             self.settings.declare_list(name, "each: kind key=value..., as of plant and fault_injector")
         self._values = self.settings.values()
+        self._engine = engine_from(self._values, self.get_logger().info)
         simulator = self._simulator(400.0)  # refuses wrong values now
         plant: Any = simulator.plant
         self._values |= {"start": [*plant.start[:2], -plant.feet[0, 2]], "rotors": plant.command_size}
-        self.physics = ArduPilotPhysics(self._simulator, partial(injector_from, self._values))
+        self.physics = ArduPilotPhysics(self._simulator, partial(injector_from, self._values, self._engine))
         self._publish_imu, self._imu = self.publishes("imu/data"), ImuWire(self.imu_frame)
         self._truth = {
             channel: (
@@ -74,7 +76,7 @@ class ArduPilotBackendNode(GraphNode):
             )
             for channel, topic in TRUTH.items()
         }
-        self._flight = FlightOutput(self, simulator)
+        self._flight = FlightOutput(self, simulator.law)
         self._socket = self._open_socket()
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="sitl", daemon=True)
@@ -106,7 +108,7 @@ class ArduPilotBackendNode(GraphNode):
         super().destroy_node()
 
     def _simulator(self, rate: float) -> Simulator:
-        return simulator_from({**self._values, "rate": rate}, time.time_ns())
+        return simulator_from({**self._values, "rate": rate}, time.time_ns(), self._engine)
 
     def _open_socket(self) -> socket.socket:
         address, port = self._values["address"], self._values["port"]

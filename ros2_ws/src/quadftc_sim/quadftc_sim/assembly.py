@@ -12,21 +12,23 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+from typing import Any
 
 from quadftc_model import assembly
 from quadftc_model.assembly import NodeParameters, get
 from quadftc_model.parameters import parameter
+from quadftc_model.stepper import Engine, NumpyRunner, seconds
 from quadftc_sim.barometer import Barometer
 from quadftc_sim.disturbance import disturbances
 from quadftc_sim.injection import Injection, make_injection
 from quadftc_sim.injector import FaultInjector
 from quadftc_sim.magnetometer import Magnetometer
-from quadftc_sim.motion import compiled_motion
-from quadftc_sim.plant import plants
+from quadftc_sim.plant import Plant, plants
 from quadftc_sim.plants.test_stand import AttitudeStand
 from quadftc_sim.position_sensor import PositionSensor
 from quadftc_sim.sensors import ImuSensor
 from quadftc_sim.simulator import PlantFlight, Simulator
+from quadftc_sim.vehicle_simulation import VehicleSimulation
 from quadftc_sim.wind import winds
 
 EPOCH_NS = 1_000_000_000  # ns; stamp of the first sample in lock-step, where 0 means "unset"
@@ -75,7 +77,29 @@ def sample_count(duration: float, rate: float) -> int:
     return round(duration * rate)
 
 
-def simulator_from(parameters: NodeParameters, epoch_ns: int = EPOCH_NS) -> Simulator:
+def vehicle_from(
+    plant: Plant,
+    imu: ImuSensor,
+    period_ns: int,
+    position: PositionSensor | None = None,
+    magnetometer: Magnetometer | None = None,
+    barometer: Barometer | None = None,
+) -> VehicleSimulation:
+    """Return a vehicle with its sensors at a period [ns]; a magnetometer or barometer of rate 0 is none."""
+    period = seconds(period_ns)
+    return VehicleSimulation(
+        plant=plant,
+        imu=imu,
+        period=period,
+        position=position.beside(imu.delay, 1.0 / period) if position is not None else None,
+        magnetometer=magnetometer if magnetometer is not None and magnetometer.rate > 0.0 else None,
+        barometer=barometer if barometer is not None and barometer.rate > 0.0 else None,
+    )
+
+
+def simulator_from(
+    parameters: NodeParameters, epoch_ns: int = EPOCH_NS, engine: Engine = NumpyRunner
+) -> Simulator:
     """Build the simulator from the parameters of the plant node; its first stamp is ``epoch_ns``."""
     laws = tuple(assembly.components_from(disturbances, parameters, "disturbances"))
     context = {"vehicle": assembly.vehicle_from(parameters), "disturbances": laws}
@@ -83,34 +107,40 @@ def simulator_from(parameters: NodeParameters, epoch_ns: int = EPOCH_NS) -> Simu
     if kind.flies:
         context["winds"] = tuple(assembly.components_from(winds, parameters, "winds"))
     plant = assembly.build_named(kind, parameters, **context)
-    sensor = assembly.build_prefixed(ImuSensor, parameters, "imu")
-    there = kind.flies and parameters.get("position_sensor", False)
-    place = assembly.build_prefixed(PositionSensor, parameters, "position") if there else None
-    magnetometer = assembly.build_prefixed(Magnetometer, parameters, "mag")
-    barometer = assembly.build_prefixed(Barometer, parameters, "baro")
-    period = period_ns(get(parameters, "rate", float))
-    motion = compiled_motion(plant) if parameters.get("compiled", False) else None
-    seed = get(parameters, "seed", int)
-    return Simulator(plant, sensor, period, epoch_ns, seed, place, motion, magnetometer, barometer)
+    sensors: list[Any] = []
+    if kind.flies:
+        there = parameters.get("position_sensor", False)
+        sensors = [
+            assembly.build_prefixed(PositionSensor, parameters, "position") if there else None,
+            assembly.build_prefixed(Magnetometer, parameters, "mag"),
+            assembly.build_prefixed(Barometer, parameters, "baro"),
+        ]
+    imu = assembly.build_prefixed(ImuSensor, parameters, "imu")
+    law = vehicle_from(plant, imu, period_ns(get(parameters, "rate", float)), *sensors)
+    return Simulator(law, epoch_ns, get(parameters, "seed", int), engine)
 
 
 def flight_from(
-    parameters: NodeParameters, epoch_ns: int, begin_ns: int, before: PlantFlight | None = None
+    parameters: NodeParameters,
+    epoch_ns: int,
+    begin_ns: int,
+    before: PlantFlight | None = None,
+    engine: Engine = NumpyRunner,
 ) -> PlantFlight:
     """Build a flight of the plant node: stamp of its first sample, and monotonic time of its begin [ns].
 
     ``before``: an earlier one with the same parameters, of the same vehicle.
     """
-    simulator = before.simulator.anew(epoch_ns) if before else simulator_from(parameters, epoch_ns)
+    simulator = before.simulator.anew(epoch_ns) if before else simulator_from(parameters, epoch_ns, engine)
     duration, rate, timeout = (get(parameters, key, float) for key in ("duration", "rate", "torque_timeout"))
     return PlantFlight(simulator, sample_count(duration, rate), timeout, begin_ns)
 
 
-def injector_from(parameters: NodeParameters) -> FaultInjector:
+def injector_from(parameters: NodeParameters, engine: Engine = NumpyRunner) -> FaultInjector:
     """Build the fault injector with its scheduled faults, numbered from 1 in their order."""
     rotors = int(parameters.get("rotors", 0))
     injections = [injection_from(text, rotors) for text in assembly.texts(parameters, "faults")]
-    return FaultInjector(get(parameters, "seed", int), injections)
+    return FaultInjector(get(parameters, "seed", int), injections, rotors, engine)
 
 
 def injection_from(text: str, rotors: int = 0) -> Injection:

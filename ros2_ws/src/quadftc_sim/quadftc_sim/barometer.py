@@ -10,8 +10,9 @@ The slow error, of weather, temperature and airflow, is a first-order Gauss-Mark
 from __future__ import annotations
 
 import dataclasses
+from typing import NamedTuple
 
-from quadftc_model.arrays import Array, Scalar, exp
+from quadftc_model.arrays import Array, Flag, Scalar, exp, sqrt, where
 from quadftc_model.parameters import Checked, parameter
 
 SEA_LEVEL = 101325.0  # Pa, P0
@@ -28,6 +29,21 @@ def standard_pressure(height: Scalar) -> Scalar:
 def pressure_height(pressure: Scalar) -> Scalar:
     """Height above sea level [m] at which the standard atmosphere has a pressure [Pa]."""
     return TEMPERATURE / LAPSE * (1.0 - (pressure / SEA_LEVEL) ** (1.0 / EXPONENT))
+
+
+class PressureInputs(NamedTuple):
+    """What a barometer sees at a sample of the IMU."""
+
+    height: Scalar  # above the start [m]
+    due: Flag  # it measures now
+    draws: Array  # (..., 2) standard normal numbers: slow error, noise
+
+
+class PressureSample(NamedTuple):
+    """What a barometer says."""
+
+    pressure: Scalar  # [Pa]
+    there: Flag  # it has measured now
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -48,18 +64,21 @@ class Barometer(Checked):
         0.0, unit="m", low=-500.0, high=9000.0, doc="of the place where the vehicle starts, above sea level"
     )
 
-    def turn_on(self, draws: Array) -> Scalar:
-        """Return the slow error [Pa] at the start; ``draws`` (..., 2) are standard normal numbers."""
+    def every(self, imu_rate: float) -> int:
+        """How many samples of the IMU, at ``imu_rate`` [Hz], come to one of it: the nearest number."""
+        return max(1, round(imu_rate / self.rate))
+
+    def init(self, draws: Array) -> Scalar:
+        """Return the slow error [Pa] at the start; ``draws`` as of the inputs."""
         return self.wander * draws[..., 0]
 
-    def measure(self, wander: Scalar, height: Scalar, draws: Array, dt: float) -> tuple[Scalar, Scalar]:
-        """Return the slow error of the next sample, ``dt`` [s] later, and the pressure [Pa] of this one.
-
-        ``height`` is that above the start [m], ``draws`` are as of `turn_on`.
-        """
-        pressure = standard_pressure(self.altitude + height) + wander + self.noise * draws[..., 1]
+    def step(self, wander: Scalar, inputs: PressureInputs, dt: float) -> tuple[Scalar, PressureSample]:
+        """Return the slow error of the next sample, ``dt`` [s] later, and the pressure if it is due."""
+        draws, height = inputs.draws, self.altitude + inputs.height
+        pressure = standard_pressure(height) + wander + self.noise * draws[..., 1]
         keep = exp(-dt / self.wander_time)
-        return keep * wander + (1.0 - keep * keep) ** 0.5 * self.wander * draws[..., 0], pressure
+        later = keep * wander + sqrt(1.0 - keep * keep) * self.wander * draws[..., 0]
+        return where(inputs.due, later, wander), PressureSample(pressure, inputs.due)
 
 
 BAROMETER_GRADES: dict[str, dict[str, float]] = {

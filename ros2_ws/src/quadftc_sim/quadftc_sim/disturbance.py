@@ -7,7 +7,7 @@ import dataclasses
 import math
 from typing import Any
 
-from quadftc_model.arrays import Array, namespace, whole_nanoseconds
+from quadftc_model.arrays import Column, Scalar, Vector, column, where, whole_nanoseconds
 from quadftc_model.parameters import Timed, parameter
 from quadftc_model.registry import Registry
 
@@ -20,15 +20,14 @@ class Disturbance(Timed, abc.ABC):
     stop: float = parameter(math.inf, unit="s", low=0.0, doc="end, scenario time")
 
     @abc.abstractmethod
-    def shape(self, elapsed: Array) -> Array:
-        """Torque [N m] (3,), body frame, ``elapsed`` seconds after the onset."""
+    def shape(self, elapsed: Column) -> Vector:
+        """Torque [N m] (..., 3), body frame, ``elapsed`` seconds (..., 1) after the onset."""
 
-    def torque(self, time: Array) -> Array:
-        """Torque [N m] (3,), body frame, at scenario time ``time`` [s]."""
-        xp = namespace(time)
+    def torque(self, time: Scalar) -> Vector:
+        """Torque [N m] (..., 3), body frame, at scenario time ``time`` [s] (...)."""
         stamp = whole_nanoseconds(time)  # so that start and stop mean the same at whatever step
         acts = (self.start <= stamp) & (stamp < self.stop)
-        return xp.where(acts, self.shape(time - self.start), 0.0)
+        return where(column(acts), self.shape(column(time - self.start)), 0.0)
 
 
 disturbances: Registry[Any] = Registry("disturbance", "quadftc_sim.disturbances", "quadftc.disturbances")

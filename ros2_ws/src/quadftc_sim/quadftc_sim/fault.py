@@ -10,9 +10,7 @@ import abc
 import dataclasses
 from typing import Any, ClassVar, NamedTuple
 
-import numpy as np
-
-from quadftc_model.arrays import Array, Scalar, is_single, namespace
+from quadftc_model.arrays import Flag, Scalar, Vector, namespace
 from quadftc_model.parameters import Checked
 from quadftc_model.registry import Registry
 
@@ -20,17 +18,17 @@ from quadftc_model.registry import Registry
 class FaultInputs(NamedTuple):
     """One sample of the channel, healthy."""
 
-    value: Array  # (..., 3)
-    elapsed: Scalar  # time since the onset [s]; negative before it
-    normal: Array  # (..., 3) standard normal numbers
-    uniform: Array  # (..., 3) numbers uniform in [0, 1)
+    value: Vector  # (..., 3)
+    elapsed: Scalar  # time since the onset [s] (...); negative before it
+    normal: Vector  # (..., 3) standard normal numbers
+    uniform: Vector  # (..., 3) numbers uniform in [0, 1)
 
 
 class FaultOutput(NamedTuple):
     """The channel as the fault leaves it."""
 
-    value: Array  # (..., 3)
-    valid: Any  # (...,) bool; False: the channel is missing from this sample
+    value: Vector  # (..., 3)
+    valid: Flag  # (...); False: the channel is missing from this sample
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -45,7 +43,14 @@ class Fault(Checked, abc.ABC):
     channels: ClassVar[tuple[str, ...]] = ("attitude", "gyro", "accelerometer")
     whole_channel: ClassVar[bool] = False  # the fault cannot be put on some of the axes only
 
-    def init(self, value: Array) -> Any:
+    def for_period(self, period: float) -> Fault:
+        """Return the fault for samples that are ``period`` [s] apart; most are the same for any.
+
+        One whose state has a number of samples fixes it here.
+        """
+        return self
+
+    def init(self, value: Vector) -> Any:
         """Return the state at the first sample (..., 3); most faults have none."""
         return ()
 
@@ -54,10 +59,9 @@ class Fault(Checked, abc.ABC):
         """Return the state and the channel with the fault on all three axes."""
 
 
-def present(value: Array) -> FaultOutput:
+def present(value: Vector) -> FaultOutput:
     """Return an output of which nothing is missing."""
-    whole = np.bool_(True) if is_single(value) else namespace(value).ones_like(value[..., 0], dtype=bool)
-    return FaultOutput(value, whole)
+    return FaultOutput(value, namespace(value).ones_like(value[..., 0], dtype=bool))
 
 
 faults: Registry[Any] = Registry("fault", "quadftc_sim.faults", "quadftc.faults")

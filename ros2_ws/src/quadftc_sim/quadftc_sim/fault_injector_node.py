@@ -16,6 +16,7 @@ from typing import Any
 
 from std_msgs.msg import Header
 
+from quadftc_compile.engine import engine_from
 from quadftc_model.samples import ImuSample
 from quadftc_msgs.srv import ClearFault, InjectFault
 from quadftc_ros.conversions import time_message
@@ -40,6 +41,7 @@ class FaultInjectorNode(GraphNode):
         self.settings.declare(InjectorParameters, read_only=True)
         example = "bias axes=roll value=1deg start=20s"
         self.settings.declare_list("faults", f"each: kind key=value..., e.g. '{example}'")
+        self._engine = engine_from(self.settings.values(), self.get_logger().info)
         self._active: tuple[int, ...] = ()
         self._told = {"attitude"}  # channels whose truth is published
         self._restart()
@@ -61,7 +63,7 @@ class FaultInjectorNode(GraphNode):
         self.ready()
 
     def _restart(self) -> None:
-        self._injector = injector_from(self.settings.values())
+        self._injector = injector_from(self.settings.values(), self._engine)
         self._told.update(injection.channel for injection in self._injector.injections.values())
         self._last_ns = -1
 

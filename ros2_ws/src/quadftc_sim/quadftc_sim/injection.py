@@ -48,6 +48,11 @@ class Injection:
     stop: float
     law: Any  # a `Fault`, or a `RotorFault`
 
+    def for_period(self, period: float) -> Injection:
+        """Return the injection for samples that are ``period`` [s] apart: itself, if it is one for any."""
+        law = self.law if self.channel == ROTOR else self.law.for_period(period)
+        return self if law is self.law else dataclasses.replace(self, law=law)
+
 
 def registry_of(kind: Any, values: Mapping[str, Any]) -> Registry[Any]:
     """Return the registry of a fault by its name and raw values: it is on a rotor if they say so.

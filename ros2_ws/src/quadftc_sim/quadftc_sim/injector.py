@@ -1,23 +1,29 @@
 """Fault injection: a pure step for one vehicle or many flights at once, and the injector of one vehicle.
 
-The batch engine runs the step; `FaultInjector` runs it for a vehicle whose injections come and go.
+Both are made of the same laws, each of which can be compiled on its own:
+
+    sample -> `Split` -> one `ChannelFault` after the other -> `Join` -> sample
+    healthy rotors -> one `RotorsFault` after the other -> their condition
+
+So a closed loop that runs `inject`, and a `FaultInjector`, whose injections come and go, give the same
+numbers.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import Array, Flag, Scalar, Vector, chosen, is_single, namespace
+from quadftc_model.arrays import Flag, Scalar, Vector, chosen, column, namespace, where
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
-from quadftc_model.samples import ImuSample, RotorCondition
-from quadftc_model.stepper import seconds
+from quadftc_model.samples import ImuSample, RotorCondition, level_sample
+from quadftc_model.stepper import Engine, NumpyRunner, Runner, seconds
 from quadftc_sim.fault import FaultInputs
 from quadftc_sim.injection import Injection, fault_generators
-from quadftc_sim.rotor_fault import ROTOR, rotor_condition
+from quadftc_sim.rotor_fault import ROTOR, healthy_rotors, with_fault
 
 
 class FaultDraws(NamedTuple):
@@ -34,6 +40,23 @@ class InjectionState(NamedTuple):
     begun: Flag  # it has been stepped
 
 
+class Channel(NamedTuple):
+    """One channel of a sample, with the faults so far."""
+
+    value: Vector  # Euler angles [rad], body rate [rad/s] or specific force [m/s²]; of the whole IMU zeros
+    valid: Flag  # it is there
+    faulty: Flag  # a fault acts on it
+
+
+class Channels(NamedTuple):
+    """The channels of a sample that a fault can be on."""
+
+    attitude: Channel
+    gyro: Channel
+    accelerometer: Channel
+    imu: Channel  # all of it
+
+
 class Faulty(NamedTuple):
     """A sample with its faults, and the truth about them; NaN where a channel is not a number."""
 
@@ -42,85 +65,183 @@ class Faulty(NamedTuple):
     attitude: Vector  # true fault of the attitude [rad]
     gyro: Vector  # [rad/s]
     accelerometer: Vector  # [m/s²]
-    rotors: RotorCondition | None = None  # None: all are healthy, and always were
+    rotors: RotorCondition | None = None  # None: on the test stand
 
 
-def begin(injections: Sequence[Injection], sample: ImuSample) -> tuple[InjectionState, ...]:
-    """State before the first sample."""
-    nothing, values = namespace(sample.q_xyzw).zeros_like(sample.attitude_valid), _channels(sample)
+class ChannelInputs(NamedTuple):
+    """What a fault sees of a sample."""
+
+    channel: Channel
+    time: Scalar  # scenario time of the sample [s]
+    dt: float  # since the sample before [s]; 0 at the first of all, at which few faults begin
+    draws: FaultDraws | None  # None: the fault is not random
+
+
+class JoinInputs(NamedTuple):
+    """A sample, its channels as they were, and as the faults have left them."""
+
+    sample: ImuSample
+    healthy: Channels
+    channels: Channels
+
+
+class RotorInputs(NamedTuple):
+    """Condition of the rotors with the faults so far."""
+
+    condition: RotorCondition
+    time: Scalar  # scenario time [s]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Split:
+    """A sample as channels, of three numbers each."""
+
+    def example(self) -> ImuSample:
+        """Return inputs as at a first sample."""
+        return level_sample()
+
+    def init(self, inputs: ImuSample) -> tuple[()]:
+        """Return no state."""
+        return ()
+
+    def step(self, state: tuple[()], inputs: ImuSample, dt: float) -> tuple[tuple[()], Channels]:
+        """Return the channels of a sample."""
+        rate, none = inputs.body_rate, inputs.rate_valid & False
+        return state, Channels(
+            Channel(euler_from_quaternion(inputs.q_xyzw), inputs.attitude_valid, none),
+            Channel(rate, inputs.rate_valid, none),
+            Channel(inputs.specific_force, inputs.force_valid, none),
+            Channel(namespace(rate).zeros_like(rate), inputs.rate_valid | True, none),
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ChannelFault:
+    """One fault on one channel, from its start to its stop, on the axes of its mask."""
+
+    injection: Injection
+
+    def example(self) -> ChannelInputs:
+        """Return inputs as at a first sample."""
+        _, channels = Split().step((), level_sample(), 0.0)
+        draws = FaultDraws(np.zeros(3), np.zeros(3)) if self.injection.law.is_random else None
+        return ChannelInputs(getattr(channels, self.injection.channel), 0.0, 0.0, draws)
+
+    def init(self, inputs: ChannelInputs) -> InjectionState:
+        """Return the state before the first sample."""
+        channel = inputs.channel
+        return InjectionState(self.injection.law.init(channel.value), channel.faulty & False)
+
+    def step(self, state: InjectionState, inputs: ChannelInputs, dt: float) -> tuple[InjectionState, Channel]:
+        """Put the fault on a sample; the time step is in the inputs, as a fault may begin in mid-flight."""
+        injection, law = self.injection, self.injection.law
+        healthy, valid, faulty = inputs.channel
+        xp = namespace(healthy)
+        zeros, time = xp.zeros_like(healthy), xp.asarray(inputs.time)
+        acts = (injection.start <= time) & (time < injection.stop)
+        # a fault with a memory, such as a delay, sees the samples before its onset too
+        runs = acts | (time < injection.start) if law.has_memory else acts
+        before = chosen(state.begun, state.fault, law.init(healthy))
+        draws = inputs.draws or FaultDraws(zeros, zeros)
+        after, output = law.step(before, FaultInputs(healthy, time - injection.start, *draws), inputs.dt)
+        state = InjectionState(chosen(runs, after, before), state.begun | runs)
+        value = where(column(acts) & injection.mask, output.value, healthy)
+        return state, Channel(value, valid & (output.valid | ~acts), faulty | acts)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Join:
+    """Channels as a sample again, and the truth: what the faults have made of each."""
+
+    def example(self) -> JoinInputs:
+        """Return inputs as at a first sample."""
+        _, channels = Split().step((), level_sample(), 0.0)
+        return JoinInputs(level_sample(), channels, channels)
+
+    def init(self, inputs: JoinInputs) -> tuple[()]:
+        """Return no state."""
+        return ()
+
+    def step(self, state: tuple[()], inputs: JoinInputs, dt: float) -> tuple[tuple[()], Faulty]:
+        """Return the sample; an attitude without a fault is kept, as Euler angles would round it."""
+        attitude, gyro, accelerometer, imu = inputs.channels
+        fault, gyro_fault, accelerometer_fault = (
+            where(column(now.faulty), now.value - before.value, 0.0)
+            for now, before in zip(inputs.channels[:3], inputs.healthy[:3], strict=True)
+        )
+        turned = quaternion_from_euler(attitude.value)
+        sample = ImuSample(
+            where(column(attitude.faulty), turned, inputs.sample.q_xyzw),
+            gyro.value,
+            accelerometer.value,
+            attitude.valid,
+            gyro.valid,
+            accelerometer.valid,
+        )
+        return state, Faulty(sample, imu.valid, wrap(fault), gyro_fault, accelerometer_fault)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RotorsFault:
+    """One fault on rotors, from its start to its stop."""
+
+    injection: Injection
+
+    def example(self) -> RotorInputs:
+        """Return inputs as at a first sample."""
+        return RotorInputs(healthy_rotors(np.zeros(len(self.injection.mask))), 0.0)
+
+    def init(self, inputs: RotorInputs) -> tuple[()]:
+        """Return no state."""
+        return ()
+
+    def step(self, state: tuple[()], inputs: RotorInputs, dt: float) -> tuple[tuple[()], RotorCondition]:
+        """Return the condition with the fault."""
+        return state, with_fault(inputs.condition, self.injection, inputs.time)
+
+
+def begin(injections: Sequence[Injection], sample: ImuSample) -> tuple[Any, ...]:
+    """State before the first sample; the injections are those for the period, see `Injection.for_period`."""
+    _, channels = Split().step((), sample, 0.0)
     return tuple(
-        InjectionState(() if each.channel == ROTOR else each.law.init(values[each.channel]), nothing)
+        ()
+        if each.channel == ROTOR
+        else ChannelFault(each).init(ChannelInputs(getattr(channels, each.channel), 0.0, 0.0, None))
         for each in injections
     )
 
 
 def inject(
     injections: Sequence[Injection],
-    states: Sequence[InjectionState],
+    states: Sequence[Any],
     sample: ImuSample,
     time: Scalar,
     dt: float,
     draws: Sequence[FaultDraws | None],
-) -> tuple[tuple[InjectionState, ...], Faulty]:
-    """Put the faults on a sample at a scenario time [s] (...,), ``dt`` [s] after the one before.
+    rotors: int = 0,
+) -> tuple[tuple[Any, ...], Faulty]:
+    """Put the faults on a sample at a scenario time [s] (...), ``dt`` [s] after the one before.
 
     The injections act in their order; ``draws`` has None for faults that are not random. Those on rotors
-    only give the condition of the rotors.
+    give the condition of the ``rotors`` that a vehicle in free flight has.
     """
-    xp = namespace(sample.q_xyzw)
-    values, time = _channels(sample), xp.asarray(time)[()]
-    angles, zeros = values["attitude"], values["imu"]
-    there = {
-        "attitude": sample.attitude_valid,
-        "gyro": sample.rate_valid,
-        "accelerometer": sample.force_valid,
-        "imu": sample.rate_valid | True,
-    }
-    turned: Flag | None = None  # whether a fault acts on the attitude; None: none ever does
-    new_states: list[InjectionState] = []
+    rotors = max((len(each.mask) for each in injections if each.channel == ROTOR), default=rotors)
+    _, healthy = Split().step((), sample, 0.0)
+    still = namespace(sample.body_rate).zeros_like(sample.body_rate, shape=(*sample.rate_valid.shape, rotors))
+    channels, condition, after = healthy, healthy_rotors(still), list[Any]()
     for injection, state, draw in zip(injections, states, draws, strict=True):
-        channel = injection.channel
-        if channel == ROTOR:
-            new_states.append(state)
-            continue
-        healthy = values[channel]
-        inputs = FaultInputs(healthy, time - injection.start, *(draw or (zeros, zeros)))
-        acts: Any = (injection.start <= time) & (time < injection.stop)
-        # A fault with a memory, such as a delay, sees the samples before its onset too.
-        runs = acts | (time < injection.start) if injection.law.has_memory else acts
-        before = chosen(state.begun, state.fault, injection.law.init(healthy))
-        after, output = injection.law.step(before, inputs, dt)
-        new_states.append(InjectionState(chosen(runs, after, before), state.begun | runs))
-        values[channel] = chosen(acts, xp.where(injection.mask, output.value, healthy), healthy)
-        there[channel] = there[channel] & (output.valid | ~acts)
-        if channel == "attitude":
-            turned = acts if turned is None else turned | acts
-    attitude, gyro, force, _ = values.values()
-    *valid, present = there.values()
-    q_xyzw, fault = sample.q_xyzw, zeros
-    if turned is not None:  # an attitude without a fault is kept: a detour by Euler angles would round it
-        q_xyzw = chosen(turned, quaternion_from_euler(attitude), q_xyzw)
-        fault = chosen(turned, wrap(attitude - angles), zeros)
-    truth = (fault, gyro - sample.body_rate, force - sample.specific_force)
-    faulty = ImuSample(q_xyzw, gyro, force, *valid)
-    return tuple(new_states), Faulty(faulty, present, *truth, condition_of_rotors(injections, time))
+        if injection.channel == ROTOR:
+            new, condition = RotorsFault(injection).step(state, RotorInputs(condition, time), 0.0)
+        else:
+            inputs = ChannelInputs(getattr(channels, injection.channel), time, dt, draw)
+            new, channel = ChannelFault(injection).step(state, inputs, 0.0)
+            channels = channels._replace(**{injection.channel: channel})
+        after.append(new)
+    _, faulty = Join().step((), JoinInputs(sample, healthy, channels), 0.0)
+    return tuple(after), faulty._replace(rotors=condition if rotors else None)
 
 
-def condition_of_rotors(injections: Iterable[Injection], time: Scalar) -> RotorCondition | None:
-    """Return the condition of the rotors at a scenario time [s] (...); None without faults on rotors."""
-    on_rotors = [each for each in injections if each.channel == ROTOR]
-    return rotor_condition(on_rotors, on_rotors[0].mask.shape[-1], time) if on_rotors else None
-
-
-def _channels(sample: ImuSample) -> dict[str, Array]:
-    """Return the three numbers of each channel (..., 3)."""
-    rate = sample.body_rate
-    return {
-        "attitude": euler_from_quaternion(sample.q_xyzw),
-        "gyro": rate,
-        "accelerometer": sample.specific_force,
-        "imu": np.zeros(3) if is_single(rate) else namespace(rate).zeros_like(rate),
-    }
+Choose = Callable[[Any], Runner[Any, Any]]  # what runs a law
 
 
 @dataclasses.dataclass
@@ -129,7 +250,10 @@ class _Scheduled:
 
     injection: Injection
     generators: tuple[np.random.Generator, np.random.Generator]  # normal, uniform
-    state: InjectionState | None = None
+    runner: Runner[Any, Any]
+    state: Any = None
+    first: ChannelInputs | None = None  # what it saw first; None: it has not run
+    is_fixed: bool = False  # it is one for the period
 
     def draw(self) -> FaultDraws | None:
         """Return the random numbers of the next sample."""
@@ -138,22 +262,53 @@ class _Scheduled:
         normal, uniform = self.generators
         return FaultDraws(normal.standard_normal(3), uniform.random(3))
 
+    def run(self, inputs: ChannelInputs, choose: Choose) -> Channel:
+        """Put the fault on a channel.
+
+        The first time step says the period. A fault that depends on it begins again at what it saw first.
+        """
+        if not self.is_fixed and inputs.dt > 0.0:
+            self.is_fixed = True
+            injection = self.injection.for_period(inputs.dt)
+            if injection is not self.injection:
+                self.injection, self.runner = injection, choose(ChannelFault(injection))
+                if self.first is not None:
+                    self.state, _ = self.runner.first(self.first)
+        if self.first is None:
+            self.first = inputs
+            self.state, channel = self.runner.first(inputs)
+        else:
+            self.state, channel = self.runner.step(self.state, inputs, inputs.dt)
+        return channel
+
 
 class FaultInjector:
     """All faults of one vehicle: those scheduled from the start are numbered from 1.
 
-    ``seed`` is that of the random faults (noise, spikes, dropout).
+    ``seed`` is that of the random faults (noise, spikes, dropout); ``rotors`` how many a vehicle in free
+    flight has, 0 on the test stand.
+
+    ``engine`` says what runs the laws. One that would have to compile a law first (its ``is_ready`` says so)
+    does that for the faults scheduled from the start. One that comes later must not wait: it runs in NumPy.
+    So does a delay, of which the first two samples say how many samples it has; it only moves numbers.
     """
 
-    def __init__(self, seed: int = 0, injections: Iterable[Injection] = ()) -> None:
-        self._seed = seed
+    def __init__(
+        self,
+        seed: int = 0,
+        injections: Iterable[Injection] = (),
+        rotors: int = 0,
+        engine: Engine = NumpyRunner,
+    ) -> None:
+        self._seed, self._engine = seed, engine
         self._scheduled: dict[int, _Scheduled] = {}
         self._count = 0
         self._epoch_ns: int | None = None
         self._stamp_ns = 0
-        self._rotors = 0  # of a vehicle that has had a fault on a rotor
+        self._healthy = healthy_rotors(np.zeros(rotors)) if rotors else None
+        self._split, self._join = engine(Split()), engine(Join())
         for injection in injections:
-            self.add(injection)
+            self._schedule(injection, engine)
 
     @property
     def injections(self) -> dict[int, Injection]:
@@ -173,11 +328,7 @@ class FaultInjector:
 
     def add(self, injection: Injection) -> int:
         """Schedule an injection; return its number."""
-        self._count += 1
-        if injection.channel == ROTOR:
-            self._rotors = len(injection.mask)
-        self._scheduled[self._count] = _Scheduled(injection, fault_generators(self._seed, self._count))
-        return self._count
+        return self._schedule(injection, self._choose)
 
     def clear(self, number: int = 0) -> int:
         """End one injection, or all (0); return how many ended."""
@@ -193,20 +344,40 @@ class FaultInjector:
         self._stamp_ns = stamp_ns
         time = self.now
         self._scheduled = {n: each for n, each in self._scheduled.items() if time < each.injection.stop}
-        scheduled = [(each, each.injection) for each in self._scheduled.values()]
-        on_rotors = [fault for _, fault in scheduled if fault.channel == ROTOR]
-        rotors = rotor_condition(on_rotors, self._rotors, time) if self._rotors else None
         running = [
             each
-            for each, fault in scheduled
-            if fault.channel != ROTOR and (fault.start <= time or fault.law.has_memory)
+            for each in self._scheduled.values()
+            if each.injection.start <= time or each.injection.law.has_memory
         ]
-        if not running:  # mostly; the step costs as much as an observer
+        on_sensors, condition = list[_Scheduled](), self._healthy
+        for each in running:
+            if each.injection.channel != ROTOR:
+                on_sensors.append(each)
+            elif condition is not None:
+                _, condition = each.runner.first(RotorInputs(condition, time))
+        if not on_sensors:  # mostly
             zeros = np.zeros(3)
-            return Faulty(sample, np.bool_(True), zeros, zeros, zeros, rotors)
-        injections = [each.injection for each in running]
-        states = [each.state or begin([each.injection], sample)[0] for each in running]
-        after, faulty = inject(injections, states, sample, time, dt, [each.draw() for each in running])
-        for each, state in zip(running, after, strict=True):
-            each.state = state
-        return faulty._replace(rotors=rotors)
+            return Faulty(sample, np.bool_(True), zeros, zeros, zeros, condition)
+        _, healthy = self._split.first(sample)
+        channels = healthy
+        for each in on_sensors:
+            name = each.injection.channel
+            inputs = ChannelInputs(getattr(channels, name), time, dt, each.draw())
+            channels = channels._replace(**{name: each.run(inputs, self._choose)})
+        _, faulty = self._join.first(JoinInputs(sample, healthy, channels))
+        return faulty._replace(rotors=condition)
+
+    def _schedule(self, injection: Injection, choose: Choose) -> int:
+        self._count += 1
+        if injection.channel == ROTOR:
+            self._healthy = healthy_rotors(np.zeros(len(injection.mask)))
+        runner = choose(RotorsFault(injection) if injection.channel == ROTOR else ChannelFault(injection))
+        generators = fault_generators(self._seed, self._count)
+        self._scheduled[self._count] = _Scheduled(injection, generators, runner)
+        return self._count
+
+    def _choose(self, law: Any) -> Runner[Any, Any]:
+        """Return what runs a law from now on, without having to wait."""
+        is_ready = getattr(self._engine, "is_ready", None)
+        waits = is_ready is not None and not is_ready(law, law.example())
+        return NumpyRunner(law) if waits else self._engine(law)

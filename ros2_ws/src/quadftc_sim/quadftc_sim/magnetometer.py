@@ -12,12 +12,29 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import NamedTuple
 
-from quadftc_model.arrays import Array, Quaternion, Vector, namespace
+from quadftc_model.arrays import Flag, Quaternion, Vector, namespace
+from quadftc_model.numbers import prepared
 from quadftc_model.parameters import Checked, parameter
 from quadftc_model.rotations import to_body
 
 MICROTESLA = 1e-6  # T
+
+
+class FieldInputs(NamedTuple):
+    """What a magnetometer sees at a sample of the IMU."""
+
+    q_xyzw: Quaternion
+    due: Flag  # it measures now
+    draws: Vector  # standard normal numbers
+
+
+class FieldSample(NamedTuple):
+    """What a magnetometer says."""
+
+    field: Vector  # [T], body axes
+    there: Flag  # it has measured now
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,21 +61,25 @@ class Magnetometer(Checked):
         0.0, unit="rad", low=-math.pi, high=math.pi, doc="of the field, from north to east"
     )
 
-    @property
+    @prepared
     def earth_field(self) -> tuple[float, float, float]:
         """The field of the earth [T] towards east, north and up."""
         level = self.strength * math.cos(self.inclination)
         east, north = level * math.sin(self.declination), level * math.cos(self.declination)
         return east, north, -self.strength * math.sin(self.inclination)
 
-    def turn_on(self, draws: Array) -> Vector:
+    def every(self, imu_rate: float) -> int:
+        """How many samples of the IMU, at ``imu_rate`` [Hz], come to one of it: the nearest number."""
+        return max(1, round(imu_rate / self.rate))
+
+    def init(self, draws: Vector) -> Vector:
         """Return the hard iron [T] of a flight; ``draws`` (..., 3) are standard normal numbers."""
         return self.hard_iron * draws
 
-    def measure(self, hard_iron: Vector, q_xyzw: Quaternion, draws: Array) -> Vector:
-        """Return the field [T] (..., 3) that it measures at an attitude; ``draws`` as of `turn_on`."""
-        field = namespace(q_xyzw).asarray(self.earth_field)
-        return to_body(q_xyzw, field) + hard_iron + self.noise * draws
+    def step(self, hard_iron: Vector, inputs: FieldInputs, dt: float) -> tuple[Vector, FieldSample]:
+        """Return the hard iron, and the field that it measures if it is due."""
+        field = to_body(inputs.q_xyzw, namespace(inputs.q_xyzw).asarray(self.earth_field))
+        return hard_iron, FieldSample(field + hard_iron + self.noise * inputs.draws, inputs.due)
 
 
 MAGNETOMETER_GRADES: dict[str, dict[str, float]] = {

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-import functools
 from typing import Any, ClassVar
 
 import numpy as np
 
-from quadftc_model.arrays import Components, Quaternion, Vector
+from quadftc_model.arrays import Components, Quaternion, Vector, namespace
+from quadftc_model.numbers import prepared
 from quadftc_model.parameters import Checked, parameter
 from quadftc_model.registry import Registry
 from quadftc_model.vehicle import Vehicle
@@ -26,6 +26,7 @@ class Plant(Checked, abc.ABC):
     """
 
     flies: ClassVar[bool]  # whether it takes rotor speeds [rad/s] (..., n), or else a torque [N m] (..., 3)
+    traceable: ClassVar[bool] = True  # whether a compiler can trace it
 
     vehicle: Vehicle
     disturbances: tuple[Disturbance, ...] = ()
@@ -53,12 +54,12 @@ class Plant(Checked, abc.ABC):
         if self.motor_bandwidth > 0.0 and not self.motor_lag:
             raise ValueError(f"motor_bandwidth = {self.motor_bandwidth:g} rad/s: motor_lag is false")
 
-    @functools.cached_property
+    @prepared
     def inertia(self) -> Vector:
         """True principal moments of inertia [kg m²]."""
         return self.vehicle.inertia * np.array(self.inertia_factor)
 
-    @functools.cached_property
+    @prepared
     def motor_time_constant(self) -> float:
         """Time constant of the motor lag [s]."""
         own = self.vehicle.rotors.time_constant
@@ -70,7 +71,10 @@ class Plant(Checked, abc.ABC):
 
     @abc.abstractmethod
     def step(self, state: Any, command: Components, time: float, dt: float) -> Any:
-        """Advance by ``dt`` [s] from scenario time ``time`` [s] under a command, held."""
+        """Advance by ``dt`` [s] from scenario time ``time`` [s] under a command, held.
+
+        With ``dt`` 0 the vehicle stays as it is.
+        """
 
     @abc.abstractmethod
     def specific_force(self, state: Any, time: float) -> Vector:
@@ -78,8 +82,8 @@ class Plant(Checked, abc.ABC):
 
     def disturbance(self, time: float, like: Vector) -> Vector:
         """Sum of the disturbance torques at ``time`` [N m], shaped as ``like``."""
-        torques = [disturbance.torque(time) for disturbance in self.disturbances]
-        return sum(torques, start=0.0 * like)
+        zeros = namespace(like).zeros_like(like)
+        return sum((disturbance.torque(time) for disturbance in self.disturbances), start=zeros)
 
     def disturbance_acceleration(self, time: float, like: Vector) -> Vector:
         """Disturbance at ``time`` [rad/s²], shaped as ``like``: its torque over the true inertia."""

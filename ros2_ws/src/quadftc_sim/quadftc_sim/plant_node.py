@@ -21,6 +21,7 @@ from typing import Any
 
 from std_srvs.srv import Trigger
 
+from quadftc_compile.engine import engine_from
 from quadftc_model.samples import RotorCondition, is_usable
 from quadftc_model.stepper import MAX_GAP, seconds
 from quadftc_ros.conversions import Floats
@@ -70,12 +71,13 @@ class PlantNode(GraphNode):
         example = "constant start=5s amplitude=0.1Nm"
         self.settings.declare_list("disturbances", f"each: kind key=value..., e.g. '{example}'")
         self._values = self.settings.values()
-        self.flight = flight_from(self._values, 0, time.monotonic_ns())
+        engine = engine_from(self._values, self.get_logger().info)
+        self.flight = flight_from(self._values, 0, time.monotonic_ns(), engine=engine)
         self._rests_until_ns = 0  # real time: does not emit before, however late
         # real time: samples after the first torque whose own had not come when the next was due; None: before
         self._without_torque: int | None = None
         rotors = self.flight.simulator.plant.command_size
-        self._output = PlantOutput(self, each_sample, self.flight.simulator if law.flies else None)
+        self._output = PlantOutput(self, each_sample, self.flight.simulator.law if law.flies else None)
         self._topic = "rotors/command" if law.flies else "torque/command"
         decode = RotorsReader(rotors) if law.flies else vector_of
         self.reads(self._topic, self._on_command, decode=decode)

@@ -8,26 +8,26 @@ from collections.abc import Callable
 
 from rosgraph_msgs.msg import Clock
 
-from quadftc_model.rotations import to_body
 from quadftc_ros.conversions import NANOSECONDS
 from quadftc_ros.motion_wire import OdometryWire, PositionSampleWire, RotorsWire
 from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import EARTH_FRAME
 from quadftc_ros.wire import FieldWire, ImuWire, PressureWire, VectorWire
-from quadftc_sim.simulator import Emission, Simulator
+from quadftc_sim.simulator import Emission
+from quadftc_sim.vehicle_simulation import VehicleSimulation
 
 
 class PlantOutput:
     """What the plant publishes of an emission: the IMU sample at once, the truth when nobody waits for it.
 
-    ``each_sample()`` is called after each emission. ``flight`` is the simulator of a free flight.
+    ``each_sample()`` is called after each emission. ``flight`` is a vehicle in free flight.
     """
 
     def __init__(
         self,
         node: GraphNode,
         each_sample: Callable[[], None],
-        flight: Simulator | None,
+        flight: VehicleSimulation | None,
     ) -> None:
         self._node, self._each_sample = node, each_sample
         self._publish_imu, self._imu = node.publishes("plant/imu"), ImuWire(node.imu_frame)
@@ -77,8 +77,8 @@ class PlantOutput:
 class FlightOutput:
     """What the plant publishes of an emission in free flight besides."""
 
-    def __init__(self, node: GraphNode, simulator: Simulator) -> None:
-        rotors, sensor = simulator.plant.command_size, simulator.position_sensor
+    def __init__(self, node: GraphNode, law: VehicleSimulation) -> None:
+        rotors, sensor = law.plant.command_size, law.position and law.position.sensor
         self._publish_odometry = node.publishes("plant/odometry")
         self._odometry = OdometryWire(node.base_frame)
         self._publish_speeds = node.publishes("rotors/speed")
@@ -88,27 +88,29 @@ class FlightOutput:
         self._place = sensor and PositionSampleWire(
             max(sensor.noise), max(sensor.velocity_noise), sensor.gives_velocity
         )
-        field, pressure = simulator.magnetometer, simulator.barometer
-        self._publish_field = node.publishes("imu/mag") if field.rate else None
-        self._field = FieldWire(node.imu_frame, math.hypot(field.noise, field.hard_iron))
-        self._publish_pressure = node.publishes("imu/static_pressure") if pressure.rate else None
-        self._pressure = PressureWire(node.imu_frame, math.hypot(pressure.noise, pressure.wander))
+        field, pressure = law.magnetometer, law.barometer
+        self._publish_field = node.publishes("imu/mag") if field else None
+        self._field = field and FieldWire(node.imu_frame, math.hypot(field.noise, field.hard_iron))
+        self._publish_pressure = node.publishes("imu/static_pressure") if pressure else None
+        self._pressure = pressure and PressureWire(
+            node.imu_frame, math.hypot(pressure.noise, pressure.wander)
+        )
 
     def show_sensors(self, emission: Emission) -> None:
         """Publish what position sensor, magnetometer and barometer say now."""
         if self._place is not None and emission.place is not None and emission.place.there:
             self._publish_place(self._place(emission.place_stamp_ns, emission.place))
-        if emission.field is not None and self._publish_field is not None:
+        if emission.field is not None and self._publish_field and self._field:
             self._publish_field(self._field(emission.stamp_ns, emission.field))
-        if emission.pressure is not None and self._publish_pressure is not None:
+        if emission.pressure is not None and self._publish_pressure and self._pressure:
             self._publish_pressure(self._pressure(emission.stamp_ns, emission.pressure))
 
     def show_truth(self, emission: Emission) -> None:
         """Publish the true motion of vehicle, rotors and air."""
         motion, stamp_ns = emission.flight, emission.stamp_ns
         assert motion is not None
-        position, velocity, q_xyzw, speeds, wind = motion
-        forward = to_body(q_xyzw, velocity)
-        self._publish_odometry(self._odometry(stamp_ns, position, q_xyzw, forward, emission.body_rate))
-        self._publish_speeds(self._speeds(stamp_ns, speeds))
-        self._publish_wind(self._wind(stamp_ns, wind))
+        self._publish_odometry(
+            self._odometry(stamp_ns, motion.position, motion.q_xyzw, motion.body_velocity, emission.body_rate)
+        )
+        self._publish_speeds(self._speeds(stamp_ns, motion.speeds))
+        self._publish_wind(self._wind(stamp_ns, motion.wind))

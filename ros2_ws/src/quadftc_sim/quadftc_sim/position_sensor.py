@@ -9,16 +9,26 @@ from __future__ import annotations
 import dataclasses
 from typing import NamedTuple
 
-from quadftc_model.arrays import Array, Vector, exp, namespace
+from quadftc_model.arrays import Array, Flag, Vector, column, exp, namespace, sqrt
 from quadftc_model.parameters import Axes, Checked, parameter
 from quadftc_model.samples import PositionSample
+from quadftc_sim.delay_line import fill_line, shift_line
+
+
+class PositionInputs(NamedTuple):
+    """What a position sensor measures, true, at a sample of the IMU."""
+
+    position: Vector  # [m]
+    velocity: Vector  # [m/s]
+    due: Flag  # it is one of every n samples, at which it measures
+    draws: Array  # (..., 3, 3) standard normal numbers: position, velocity, slow error
 
 
 class PositionSensorState(NamedTuple):
     """Slow error, and the samples that are on their way."""
 
     wander: Vector  # [m]
-    pending: tuple[PositionSample, ...]  # oldest first
+    pending: PositionSample  # a line of as many samples as it is behind, oldest first
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -45,37 +55,43 @@ class PositionSensor(Checked):
         """How many samples of the IMU a position is behind."""
         return round(self.delay * imu_rate)
 
-    def turn_on(self, draws: Array) -> PositionSensorState:
-        """State with the slow error drawn, and nothing on its way; ``draws`` as of :meth:`step`."""
-        return PositionSensorState(namespace(draws).asarray(self.wander) * draws[..., 2, :], ())
+    def beside(self, imu_delay: int, imu_rate: float) -> PositionSampling:
+        """Return the sensor beside an IMU of a rate [Hz] that is some samples late."""
+        return PositionSampling(
+            sensor=self, every=self.every(imu_rate), behind=imu_delay + self.lag(imu_rate)
+        )
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class PositionSampling:
+    """A position sensor beside an IMU."""
+
+    sensor: PositionSensor
+    every: int  # samples of the IMU to one of it
+    behind: int  # samples of the IMU between measuring a position and its arrival
+
+    def init(self, draws: Array) -> PositionSensorState:
+        """State with the slow error drawn, and nothing on its way; ``draws`` as of the inputs."""
+        xp = namespace(draws)
+        wander = xp.asarray(self.sensor.wander) * draws[..., 2, :]
+        zeros = xp.zeros_like(wander)
+        nothing = PositionSample(zeros, zeros, xp.zeros_like(zeros[..., 0], dtype=bool))
+        return PositionSensorState(wander, fill_line(nothing, self.behind, nothing.there.ndim))
 
     def step(
-        self,
-        state: PositionSensorState,
-        position: Vector,
-        velocity: Vector,
-        due: Array,
-        draws: Array,
-        behind: int,
-        dt: float,
-    ) -> tuple[PositionSensorState, PositionSample | None]:
-        """Measure a motion [m], [m/s]; return what comes out now, or None at the start.
-
-        It is ``behind`` samples old.
-        ``due`` (...) bool: this is one of every n samples. ``draws`` are standard normal numbers (..., 3, 3):
-        position, velocity, slow error. ``dt`` is the period of the IMU [s].
-        """
-        xp = namespace(position)
-        measured = position + state.wander + xp.asarray(self.noise) * draws[..., 0, :]
-        speed = velocity + xp.asarray(self.velocity_noise) * draws[..., 1, :]
-        sample = PositionSample(measured, speed if self.gives_velocity else 0.0 * speed, due)
-        keep = exp(-dt / self.wander_time)
-        fresh = (1.0 - keep * keep) ** 0.5 * xp.asarray(self.wander) * draws[..., 2, :]
-        pending = (*state.pending, sample)
-        wander = keep * state.wander + fresh
-        if len(pending) <= behind:
-            return PositionSensorState(wander, pending), None
-        return PositionSensorState(wander, pending[1:]), pending[0]
+        self, state: PositionSensorState, inputs: PositionInputs, dt: float
+    ) -> tuple[PositionSensorState, PositionSample]:
+        """Measure the motion; return what arrives now. ``dt`` is the period of the IMU [s]."""
+        xp, sensor, draws = namespace(inputs.draws), self.sensor, inputs.draws
+        position = inputs.position + state.wander + xp.asarray(sensor.noise) * draws[..., 0, :]
+        velocity = inputs.velocity + xp.asarray(sensor.velocity_noise) * draws[..., 1, :]
+        if not sensor.gives_velocity:
+            velocity = xp.zeros_like(velocity)
+        taken = PositionSample(position, velocity, inputs.due)
+        keep = column(exp(-dt / sensor.wander_time))
+        wander = keep * state.wander + sqrt(1.0 - keep * keep) * xp.asarray(sensor.wander) * draws[..., 2, :]
+        pending, output = shift_line(state.pending, taken, position.ndim - 1)
+        return PositionSensorState(wander, pending), output
 
 
 POSITION_GRADES: dict[str, dict[str, float | bool | Axes]] = {

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Array, Column, Vector, column, cos, sin
 
 COMPONENTS = 32  # K, sines of a signal
 SCALE = math.sqrt(2.0 / COMPONENTS)
@@ -35,14 +35,10 @@ def cosines_and_sines(history: float) -> Floats:
     return np.stack([np.sin(phases), np.cos(phases)])
 
 
-def sum_of_sines(frequencies: Array, weights: Array, time: Array) -> Array:
-    """Sum the weighted cosines and sines, (..., 3), at a time [s], () or (..., 1).
+def sum_of_sines(frequencies: Array, weights: Array, time: Column) -> Vector:
+    """Sum the weighted cosines and sines, (..., 3), at a time [s] (..., 1).
 
     Flights of a batch that differ in the weights alone share the cosines and sines.
     """
-    xp = namespace(time)
-    time = xp.asarray(time)
-    more = (1,) * (time.ndim - 1)
-    angle = xp.reshape(xp.asarray(frequencies), (COMPONENTS, *more, 3)) * time
-    cosine, sine = xp.reshape(xp.asarray(weights), (2, COMPONENTS, *more, 3))
-    return (cosine * xp.cos(angle) + sine * xp.sin(angle)).sum(axis=0)
+    angle = frequencies * column(time)  # (..., COMPONENTS, 3)
+    return (weights[0] * cos(angle) + weights[1] * sin(angle)).sum(axis=-2)

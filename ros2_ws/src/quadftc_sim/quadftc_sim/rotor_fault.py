@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable
 from typing import Any, ClassVar, NamedTuple
 
-from quadftc_model.arrays import Components, Scalar, namespace
+from quadftc_model.arrays import Components, Scalar, column, namespace, smaller, where
 from quadftc_model.parameters import Checked
 from quadftc_model.registry import Registry
 from quadftc_model.samples import RotorCondition
@@ -41,32 +41,41 @@ class RotorFault(Checked, abc.ABC):
         """Return what the fault does ``elapsed`` [s] (...) after its onset."""
 
 
-def rotor_condition(faults: Iterable[Any], rotors: int, time: Scalar) -> RotorCondition:
-    """Return the condition of ``rotors`` rotors at a scenario time [s] (...).
+def healthy_rotors(like: Components) -> RotorCondition:
+    """Return the condition of rotors without a fault, shaped as ``like`` (..., n)."""
+    xp = namespace(like)
+    ones, zeros = xp.ones_like(like), xp.zeros_like(like)
+    return RotorCondition(ones, xp.full_like(like, math.inf), xp.zeros_like(like, dtype=bool), zeros)
 
-    The faults are injections on rotors. Losses multiply, of speed limits the lowest counts, and unbalances
-    add.
+
+def with_fault(condition: RotorCondition, fault: Any, time: Scalar) -> RotorCondition:
+    """Return a condition with a fault, an injection on rotors, at a scenario time [s] (...).
+
+    Losses multiply, of speed limits the lowest counts, and unbalances add.
     """
+    acts = column((fault.start <= time) & (time < fault.stop)) & fault.mask
+    effect = RotorEffect(*map(column, fault.law.effect(time - fault.start)))
+    return RotorCondition(
+        condition.effectiveness * where(acts, effect.effectiveness, 1.0),
+        smaller(condition.speed_limit, where(acts, effect.speed_limit, math.inf)),
+        condition.stuck | (acts & effect.stuck),
+        condition.unbalance + where(acts, effect.unbalance, 0.0),
+    )
+
+
+def rotor_condition(faults: Iterable[Any], rotors: int, time: Scalar) -> RotorCondition:
+    """Return the condition of ``rotors`` rotors with faults at a scenario time [s] (...)."""
     xp = namespace(time)
-    now: Any = xp.asarray(time)
-    ones = xp.ones((*now.shape, rotors), dtype=now.dtype)
-    condition = RotorCondition(ones, math.inf * ones, ones < 0.0, 0.0 * ones)
+    condition = healthy_rotors(xp.zeros((*xp.shape(time), rotors)))
     for fault in faults:
-        acts = ((fault.start <= now) & (now < fault.stop))[..., None] & fault.mask
-        effect = RotorEffect(*(xp.asarray(part)[..., None] for part in fault.law.effect(now - fault.start)))
-        condition = RotorCondition(
-            xp.where(acts, condition.effectiveness * effect.effectiveness, condition.effectiveness),
-            xp.where(acts, xp.minimum(condition.speed_limit, effect.speed_limit), condition.speed_limit),
-            condition.stuck | (acts & effect.stuck),
-            xp.where(acts, condition.unbalance + effect.unbalance, condition.unbalance),
-        )
+        condition = with_fault(condition, fault, time)
     return condition
 
 
 def true_effectiveness(condition: RotorCondition) -> Components:
     """Return thrust over that of a healthy rotor (..., n) [1]: 0 of a rotor that is off."""
     off = condition.speed_limit <= 0.0
-    return namespace(off).where(off, 0.0, condition.effectiveness)
+    return where(off, 0.0, condition.effectiveness)
 
 
 rotor_faults: Registry[Any] = Registry("rotor fault", "quadftc_sim.rotor_faults", "quadftc.rotor_faults")

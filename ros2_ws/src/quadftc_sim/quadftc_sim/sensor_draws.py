@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import Array, Vector
+from quadftc_model.arrays import Array, Flag, Vector
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -23,15 +23,41 @@ PLACE = 3  # rows of three for the position sensor: position, velocity, slow err
 
 
 class TurnOn(NamedTuple):
-    """Random numbers of a flight."""
+    """Random numbers of the IMU for a flight."""
 
-    uniform: Vector  # (3,) within [-1, 1], of the gyro bias
-    gyro: Array  # (3, 3) standard normal, of scale and misalignment
-    wander: Array  # (3, 3) standard normal, of the slow error at the start
+    uniform: Vector  # (..., 3) within [-1, 1], of the gyro bias
+    gyro: Array  # (..., 3, 3) standard normal, of scale and misalignment
+    wander: Array  # (..., 3, 3) standard normal, of the slow error at the start
+
+
+class Due(NamedTuple):
+    """Which sensors measure at a sample of the IMU; None where there is no such sensor."""
+
+    position: Flag | None
+    field: Flag | None  # the magnetometer
+    pressure: Flag | None  # the barometer
+
+
+class FirstDraws(NamedTuple):
+    """Random numbers that the sensors of a vehicle begin with; None where there is no such sensor."""
+
+    imu: TurnOn
+    position: Array  # (..., 3, 3)
+    field: Array  # (..., 3)
+    pressure: Array  # (..., 2)
+
+
+class SampleDraws(NamedTuple):
+    """Standard normal numbers of a sample; None where there is no such sensor."""
+
+    imu: Array  # (..., 7, 3)
+    position: Array  # (..., 3, 3)
+    field: Array  # (..., 3)
+    pressure: Array  # (..., 2)
 
 
 class SensorDraws:
-    """Draws the random numbers of one IMU, in the order of the flight; ``turn_on`` are those it begins with.
+    """Draws the random numbers of one vehicle, in the order of the flight; ``turn_on`` are the IMU's first.
 
     ``seed`` is that of the flight. The slow stream is [seed, 0, 1], that of the position sensor [seed, 0, 2],
     of the magnetometer [seed, 0, 3], of the barometer [seed, 0, 4]; faults count from [seed, 1, 0].
@@ -45,7 +71,7 @@ class SensorDraws:
         uniform, normal = self._white.uniform(-1.0, 1.0, 3), self._slow.standard_normal((2, SLOW, 3))
         self.turn_on = TurnOn(uniform, *normal)
 
-    def next(self, count: int, slow: bool) -> Float[NDArray[Any], "count rows 3"]:
+    def next(self, count: int, slow: bool = True) -> Float[NDArray[Any], "count rows 3"]:
         """Draw standard normal numbers for ``count`` samples: `DRAWS` each, or those of white noise alone."""
         white = self._white.standard_normal((count, WHITE, 3))
         if not slow:
@@ -56,10 +82,24 @@ class SensorDraws:
         """Draw standard normal numbers of the position sensor for ``count`` IMU samples."""
         return self._place.standard_normal((count, PLACE, 3))
 
-    def next_field(self) -> Vector:
-        """Draw standard normal numbers (3,) for a sample of the magnetometer, or its start."""
-        return self._field.standard_normal(3)
+    def first(self, due: Due) -> FirstDraws:
+        """Draw the numbers that sensors begin with; ``due`` says which there are."""
+        return FirstDraws(
+            self.turn_on,
+            None if due.position is None else self.next_place(1)[0],
+            None if due.field is None else self._field.standard_normal(3),
+            None if due.pressure is None else self._pressure.standard_normal(2),
+        )
 
-    def next_pressure(self) -> Vector:
-        """Draw standard normal numbers (2,) for a sample of the barometer, or its start."""
-        return self._pressure.standard_normal(2)
+    def sample(self, due: Due) -> SampleDraws:
+        """Draw the numbers of a sample; magnetometer and barometer take some only when they measure."""
+        return SampleDraws(
+            self.next(1)[0],
+            None if due.position is None else self.next_place(1)[0],
+            None if due.field is None else _normal_if(due.field, self._field, 3),
+            None if due.pressure is None else _normal_if(due.pressure, self._pressure, 2),
+        )
+
+
+def _normal_if(due: Flag, generator: np.random.Generator, count: int) -> Array:
+    return generator.standard_normal(count) if due else np.zeros(count)

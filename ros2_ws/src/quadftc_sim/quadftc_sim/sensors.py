@@ -20,26 +20,43 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import Array, Quaternion, Vector, is_single, namespace
+from quadftc_model.arrays import Array, Flag, Quaternion, Vector, column, exp, namespace, sqrt
 from quadftc_model.parameters import Checked, parameter
 from quadftc_model.rotations import earth_z_in_body, quaternion_from_rotation_vector, quaternion_product
 from quadftc_model.samples import STANDARD_GRAVITY, ImuSample
+from quadftc_sim.delay_line import fill_line, shift_line
 from quadftc_sim.sensor_draws import WHITE, TurnOn
 
 WANDER_TIMES = (0.1, 0.45, 2.0)  # s; correlation times of the slow error of an attitude filter
+
+
+class ImuInputs(NamedTuple):
+    """What an IMU measures, true, at a sample."""
+
+    q_xyzw: Quaternion
+    body_rate: Vector  # [rad/s]
+    specific_force: Vector  # [m/s²], body axes
+    draws: Array  # (..., 7, 3) standard normal numbers: see `quadftc_sim.sensor_draws`
+
+
+class ImuOutput(NamedTuple):
+    """What comes out of an IMU at a sample."""
+
+    sample: ImuSample  # ``delay`` samples old
+    there: Flag  # False at the start, while the first sample is on its way
 
 
 class ImuState(NamedTuple):
     """Errors of the IMU that last, and the samples that are on their way."""
 
     gyro_bias: Vector  # [rad/s]
-    gyro_error: Array | None  # (..., 3, 3) scale and misalignment [1]; None: the gyro has none
-    wander: Array | None  # (..., 3, 3) x_k, one a row [rad]; None: the attitude does not wander
-    pending: tuple[ImuSample, ...]  # oldest first
+    gyro_error: Array  # (..., 3, 3) scale and misalignment [1]
+    wander: Array  # (..., 3, 3) x_k, one a row [rad]
+    pending: ImuOutput  # a line of ``delay`` samples, oldest first
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -61,82 +78,50 @@ class ImuSensor(Checked):
     accelerometer_noise: float = parameter(0.0, unit="m/s^2", low=0.0, doc="accelerometer noise, 1 sigma")
     delay: int = parameter(0, low=0, high=100, doc="samples between measuring and publishing")
 
-    @property
-    def wanders(self) -> bool:
-        """Whether the attitude has a slow error; it needs random numbers of its own."""
-        return _acts(self.attitude_wander) or _acts(self.attitude_wander_moving)
-
-    def init(self, gyro_bias: Vector) -> ImuState:
-        """State with a gyro bias [rad/s], no other error and nothing on its way."""
-        zeros = namespace(gyro_bias).zeros_like(gyro_bias)
-        none = namespace(gyro_bias).stack((zeros, zeros, zeros), axis=-2)
+    def init(self, drawn: TurnOn) -> ImuState:
+        """State with the errors of a flight drawn, and nothing on its way."""
+        xp = namespace(drawn.uniform)
+        zeros = xp.zeros_like(drawn.uniform)
+        level = xp.concatenate([zeros, xp.ones_like(zeros[..., :1])], axis=-1)
+        absent = xp.zeros_like(zeros[..., 0], dtype=bool)
+        nothing = ImuOutput(ImuSample(level, zeros, zeros, absent, absent, absent), absent)
         return ImuState(
-            gyro_bias, none if _acts(self.gyro_scale) else None, none if self.wanders else None, ()
+            self.gyro_bias * drawn.uniform,
+            self.gyro_scale * drawn.gyro,
+            self.attitude_wander / math.sqrt(len(WANDER_TIMES)) * drawn.wander,
+            fill_line(nothing, self.delay, absent.ndim),
         )
 
-    def turn_on(self, drawn: TurnOn) -> ImuState:
-        """State with the errors of a flight drawn, and nothing on its way."""
-        state = self.init(self.gyro_bias * drawn.uniform)
-        if state.gyro_error is not None:
-            state = state._replace(gyro_error=self.gyro_scale * drawn.gyro)
-        if state.wander is not None:
-            share = self.attitude_wander / math.sqrt(len(WANDER_TIMES))
-            state = state._replace(wander=share * drawn.wander)
-        return state
-
-    def step(
-        self,
-        state: ImuState,
-        q_xyzw: Quaternion,
-        body_rate: Vector,
-        specific_force: Vector,
-        draws: Array,
-        dt: float,
-    ) -> tuple[ImuState, ImuSample | None]:
-        """Measure the motion; return the sample that comes out now, ``delay`` old, or None at the start.
-
-        ``specific_force`` is the true one [m/s²], body axes. ``draws`` are standard normal numbers, (..., 7,
-        3), or (..., 4, 3) where the attitude does not wander; see `quadftc_sim.sensor_draws`. ``dt`` is the
-        sampling period [s].
-        """
-        tilt, wander = self.attitude_noise * draws[..., 0, :], state.wander
-        if wander is not None:
-            tilt = tilt + wander.sum(axis=-2)
-            wander = self._wander_on(wander, body_rate, draws[..., WHITE:, :], dt)
-        if _acts(self.attitude_lag):
-            tilt = tilt - self.attitude_lag * body_rate
-        attitude = quaternion_product(q_xyzw, quaternion_from_rotation_vector(tilt))
-        noise = self.gyro_noise / math.sqrt(dt) * draws[..., 1, :]
-        rate = body_rate + state.gyro_bias + noise
-        if state.gyro_error is not None:
-            rate = rate + (state.gyro_error * body_rate[..., None, :]).sum(axis=-1)
-        force = specific_force + self.accelerometer_noise * draws[..., 2, :]
-        # for one vehicle a flag as the graph has it, which is quicker than an array without axes
-        single = is_single(q_xyzw)
-        there = np.bool_(True) if single else namespace(q_xyzw).ones_like(q_xyzw[..., 0], dtype=bool)
-        sample = ImuSample(attitude, rate, force, there, there, there)
-        bias = state.gyro_bias + self.gyro_bias_walk * math.sqrt(dt) * draws[..., 3, :]
-        pending = (*state.pending, sample)
-        if len(pending) <= self.delay:
-            return ImuState(bias, state.gyro_error, wander, pending), None
-        return ImuState(bias, state.gyro_error, wander, pending[1:]), pending[0]
+    def step(self, state: ImuState, inputs: ImuInputs, dt: float) -> tuple[ImuState, ImuOutput]:
+        """Measure the motion; ``dt`` is the sampling period [s], at the first sample too."""
+        q_xyzw, omega, force, draws = inputs
+        root = sqrt(column(dt))
+        # the attitude is off by e
+        e = self.attitude_noise * draws[..., 0, :] + state.wander.sum(axis=-2) - self.attitude_lag * omega
+        attitude = quaternion_product(q_xyzw, quaternion_from_rotation_vector(e))
+        # the gyro by its bias, noise, scale and misalignment
+        noise = self.gyro_noise / root * draws[..., 1, :]
+        rate = omega + state.gyro_bias + noise + (state.gyro_error * omega[..., None, :]).sum(axis=-1)
+        measured_force = force + self.accelerometer_noise * draws[..., 2, :]
+        there = namespace(rate).ones_like(rate[..., 0], dtype=bool)
+        taken = ImuOutput(ImuSample(attitude, rate, measured_force, there, there, there), there)
+        # the lasting errors of the next sample
+        bias = state.gyro_bias + self.gyro_bias_walk * root * draws[..., 3, :]
+        wander = self._wander_on(state.wander, omega, draws[..., WHITE:, :], dt)
+        pending, output = shift_line(state.pending, taken, there.ndim)
+        return ImuState(bias, state.gyro_error, wander, pending), output
 
     def _wander_on(self, wander: Array, body_rate: Vector, draws: Array, dt: float) -> Array:
         """Return the slow errors x_k (..., 3, 3) [rad] one sample later."""
         motion = abs(body_rate).sum(axis=-1)[..., None, None]
         size = self.attitude_wander + self.attitude_wander_moving * motion
-        keep = np.exp(-dt / np.array(WANDER_TIMES))[:, None]
-        return keep * wander + np.sqrt((1.0 - keep**2) / len(WANDER_TIMES)) * size * draws
+        keep = column(exp(-column(dt) / np.array(WANDER_TIMES)))
+        return keep * wander + sqrt((1.0 - keep**2) / len(WANDER_TIMES)) * size * draws
 
 
 def resting_force(q_xyzw: Quaternion) -> Vector:
     """Specific force [m/s²] (..., 3) of a body that does not accelerate: the reaction to gravity."""
     return STANDARD_GRAVITY * earth_z_in_body(q_xyzw)
-
-
-def _acts(number: Any) -> bool:
-    """Whether a parameter may differ from zero; in a batch it may be an array of the flights' values."""
-    return not (isinstance(number, float) and number == 0.0)
 
 
 _DEG = math.pi / 180.0

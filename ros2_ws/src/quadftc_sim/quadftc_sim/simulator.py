@@ -7,36 +7,20 @@ at its beginning. In real time it mostly comes long before the end, and the peri
 
 from __future__ import annotations
 
+import copy
 import sys
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import Components, Quaternion, Vector
-from quadftc_model.rotations import quaternion_from_euler
+from quadftc_model.arrays import Components, Vector
 from quadftc_model.samples import ImuSample, PositionSample, RotorCondition
-from quadftc_model.stepper import seconds
-from quadftc_sim.barometer import Barometer
-from quadftc_sim.flying_plant import FlyingPlant
-from quadftc_sim.magnetometer import Magnetometer
-from quadftc_sim.motion import Motion, Seen, motion_of, see
-from quadftc_sim.plant import Plant
-from quadftc_sim.position_sensor import PositionSensor
+from quadftc_model.stepper import Engine, NumpyRunner, Runner, seconds
+from quadftc_sim.rotor_fault import healthy_rotors
 from quadftc_sim.sensor_draws import SensorDraws
-from quadftc_sim.sensors import ImuSensor
+from quadftc_sim.vehicle_simulation import FreeMotion, VehicleInputs, VehicleOutput, VehicleSimulation
 
 NEVER_NS = sys.maxsize
-NO_MAGNETOMETER, NO_BAROMETER = Magnetometer(), Barometer()
-
-
-class FreeMotion(NamedTuple):
-    """True motion through space, in earth axes."""
-
-    position: Vector  # [m]
-    velocity: Vector  # [m/s]
-    q_xyzw: Quaternion
-    speeds: Components  # of the rotors [rad/s]
-    wind: Vector  # [m/s]
 
 
 class Emission(NamedTuple):
@@ -48,49 +32,29 @@ class Emission(NamedTuple):
     angles: Vector  # true Euler angles [rad]
     body_rate: Vector  # true body rate [rad/s]
     disturbance: Vector  # true disturbance [rad/s²]: its torque over the true inertia
-    flight: FreeMotion | None = None  # of a vehicle in free flight
-    place: PositionSample | None = (
-        None  # what the position sensor says with the IMU sample; None: there is none
-    )
-    place_stamp_ns: int = 0  # when that was measured [ns]
-    field: Vector | None = None  # of the magnetometer [T], measured now; None: it does not measure now
-    pressure: float | None = None  # of the barometer [Pa], likewise
+    flight: FreeMotion | None  # of a vehicle in free flight
+    place: PositionSample | None  # what arrives from the position sensor now; None: there is no such sensor
+    place_stamp_ns: int  # when that was measured [ns]
+    field: Vector | None  # of the magnetometer [T], measured now; None: it does not measure now
+    pressure: float | None  # of the barometer [Pa], likewise
 
 
 class Simulator:
-    """One vehicle with its IMU, level and at rest at first.
+    """One vehicle with its sensors: draws their random numbers, keeps the stamps, and runs the law.
 
     ``epoch_ns`` is the stamp of the first sample, at scenario time 0; ``seed`` that of noise and bias.
-    ``motion`` is that of the plant, which may be compiled. Position sensor, magnetometer and barometer
-    measure in free flight alone.
+    ``engine`` says what runs the law; a plant that no compiler can trace runs in NumPy.
     """
 
     def __init__(
-        self,
-        plant: Plant,
-        sensor: ImuSensor,
-        period_ns: int,
-        epoch_ns: int,
-        seed: int,
-        place: PositionSensor | None = None,
-        motion: Motion | None = None,
-        magnetometer: Magnetometer = NO_MAGNETOMETER,
-        barometer: Barometer = NO_BAROMETER,
+        self, law: VehicleSimulation, epoch_ns: int, seed: int, engine: Engine = NumpyRunner
     ) -> None:
-        if period_ns <= 0:
-            raise ValueError(f"period_ns = {period_ns}: must be positive")
-        self.plant, self.sensor, self.period_ns = plant, sensor, period_ns
-        self._epoch_ns = self._stamp_ns = epoch_ns
-        self._dt = seconds(period_ns)
-        self._seed, self._random = seed, SensorDraws(seed)
-        self._move = motion or motion_of(plant)
-        self._sensor_state = sensor.turn_on(self._random.turn_on)
-        self.position_sensor = place
-        self._place = _PlaceSensor(place, self._random, sensor.delay, self._dt) if place is not None else None
-        self.magnetometer, self.barometer = magnetometer, barometer
-        self._field = _FieldSensor(magnetometer, self._random, self._dt)
-        self._pressure = _PressureSensor(barometer, self._random, self._dt)
-        self._state: Any = plant.init(quaternion_from_euler(np.zeros(3)), np.zeros(3))
+        self.law, self.plant, self.period_ns = law, law.plant, round(law.period * 1e9)
+        self._seed = seed
+        self._runner: Runner[VehicleInputs, VehicleOutput] = (
+            engine(law) if law.plant.traceable else NumpyRunner(law)
+        )
+        self._begin(epoch_ns)
 
     @property
     def time(self) -> float:
@@ -98,18 +62,20 @@ class Simulator:
         return seconds(self._stamp_ns - self._epoch_ns)
 
     def anew(self, epoch_ns: int) -> Simulator:
-        """Return the same simulator at the begin of a flight."""
-        others = self.position_sensor, self._move, self.magnetometer, self.barometer
-        return Simulator(self.plant, self.sensor, self.period_ns, epoch_ns, self._seed, *others)
+        """Return the same simulator at the begin of a flight; this one cannot go on then."""
+        again = copy.copy(self)
+        again._begin(epoch_ns)
+        return again
 
     def start(self) -> Emission:
         """Return the first emission; call once."""
-        return self._emit(see(self.plant, self._state, self.time))
+        self._state, output = self._runner.first(self._inputs(self.plant.first_command, self.time))
+        return self._emission(output)
 
     def set_rotors(self, condition: RotorCondition | None) -> None:
         """Put the rotors of a free flight into a condition; None: as they are."""
-        if isinstance(self.plant, FlyingPlant):
-            self._state = self.plant.with_rotors(self._state, condition)
+        if self.plant.flies and condition is not None:
+            self._rotors = condition
 
     def advance(self, command: Components) -> Emission:
         """Fly one period under a command, held; return the emission at its end.
@@ -118,93 +84,40 @@ class Simulator:
         """
         before = self.time
         self._stamp_ns += self.period_ns
-        self._state, seen = self._move(self._state, command, before, self.time, self._dt)
-        return self._emit(seen)
+        inputs = self._inputs(command, before)
+        self._state, output = self._runner.step(self._state, inputs, self.law.period)
+        return self._emission(output)
 
-    def _emit(self, seen: Seen) -> Emission:
-        state = self._state
-        q_xyzw, body_rate = state.q_xyzw, state.body_rate
-        draws = self._random.next(1, self.sensor.wanders)[0]
-        self._sensor_state, sample = self.sensor.step(
-            self._sensor_state, q_xyzw, body_rate, seen.force, draws, self._dt
-        )
-        flight = place = field = pressure = None
-        if seen.wind is not None:
-            flight = FreeMotion(state.position, state.velocity, q_xyzw, state.speeds, seen.wind)
-            place = self._place and self._place.measure(state.position, state.velocity)
-            field = self._field.measure(q_xyzw)
-            pressure = self._pressure.measure(state.position[2])
+    def _begin(self, epoch_ns: int) -> None:
+        """Go to the first sample."""
+        self._epoch_ns = self._stamp_ns = epoch_ns
+        self._random, self._count, self._state = SensorDraws(self._seed), 0, None
+        self._first_draws = self._random.first(self.law.due(0))
+        self._rotors = healthy_rotors(self.plant.first_command) if self.plant.flies else None
+
+    def _inputs(self, command: Components, before: float) -> VehicleInputs:
+        """Draw the numbers of the next sample; return the inputs of the law."""
+        due = self.law.due(self._count)
+        self._count += 1
+        draws = self._random.sample(due)
+        return VehicleInputs(command, self._rotors, before, self.time, due, draws, self._first_draws)
+
+    def _emission(self, output: VehicleOutput) -> Emission:
+        law, stamp_ns, period_ns = self.law, self._stamp_ns, self.period_ns
+        imu, field, pressure = output.imu, output.field, output.pressure
         return Emission(
-            stamp_ns=self._stamp_ns,
-            sample=sample,
-            sample_stamp_ns=self._stamp_ns - self.sensor.delay * self.period_ns,
-            angles=seen.angles,
-            body_rate=body_rate,
-            disturbance=seen.disturbance,
-            flight=flight,
-            place=place,
-            place_stamp_ns=self._stamp_ns - self._place.behind * self.period_ns if self._place else 0,
-            field=field,
-            pressure=pressure,
+            stamp_ns=stamp_ns,
+            sample=imu.sample if imu.there else None,
+            sample_stamp_ns=stamp_ns - law.imu.delay * period_ns,
+            angles=output.angles,
+            body_rate=output.body_rate,
+            disturbance=output.disturbance,
+            flight=output.flight,
+            place=output.position,
+            place_stamp_ns=stamp_ns - law.position.behind * period_ns if law.position else 0,
+            field=field.field if field is not None and field.there else None,
+            pressure=float(pressure.pressure) if pressure is not None and pressure.there else None,
         )
-
-
-class _PlaceSensor:
-    """The position sensor beside an IMU that is ``imu_delay`` samples late, at a period of ``dt`` [s]."""
-
-    def __init__(self, law: PositionSensor, random: SensorDraws, imu_delay: int, dt: float) -> None:
-        self._law, self._random, self._dt = law, random, dt
-        self._every, self.behind = law.every(1.0 / dt), imu_delay + law.lag(1.0 / dt)
-        self._state = law.turn_on(random.next_place(1)[0])
-        self._count = 0
-
-    def measure(self, position: Vector, velocity: Vector) -> PositionSample | None:
-        due = np.bool_(self._count % self._every == 0)
-        self._count += 1
-        draws = self._random.next_place(1)[0]
-        self._state, sample = self._law.step(
-            self._state, position, velocity, due, draws, self.behind, self._dt
-        )
-        return sample
-
-
-class _Due:
-    """Says which samples of an IMU, ``dt`` [s] apart, a sensor of a rate [Hz] measures at; 0: at none."""
-
-    def __init__(self, rate: float, dt: float) -> None:
-        self.every = max(1, round(1.0 / (rate * dt))) if rate else 0
-        self.period = self.every * dt
-        self._count = 0
-
-    def now(self) -> bool:
-        """Return whether it measures at the next sample; call once for each."""
-        due = self.every > 0 and self._count % self.every == 0
-        self._count += 1
-        return due
-
-
-class _FieldSensor:
-    def __init__(self, law: Magnetometer, random: SensorDraws, dt: float) -> None:
-        self._law, self._random, self._due = law, random, _Due(law.rate, dt)
-        self._hard_iron = law.turn_on(random.next_field())
-
-    def measure(self, q_xyzw: Quaternion) -> Vector | None:
-        if not self._due.now():
-            return None
-        return self._law.measure(self._hard_iron, q_xyzw, self._random.next_field())
-
-
-class _PressureSensor:
-    def __init__(self, law: Barometer, random: SensorDraws, dt: float) -> None:
-        self._law, self._random, self._due = law, random, _Due(law.rate, dt)
-        self._wander = law.turn_on(random.next_pressure())
-
-    def measure(self, height: float) -> float | None:
-        if not self._due.now():
-            return None
-        draws = self._random.next_pressure()
-        self._wander, pressure = self._law.measure(self._wander, height, draws, self._due.period)
-        return float(pressure)
 
 
 class PlantFlight:

@@ -7,7 +7,7 @@ import dataclasses
 import math
 from typing import Any
 
-from quadftc_model.arrays import Array, namespace, whole_nanoseconds
+from quadftc_model.arrays import Column, Scalar, Vector, column, where, whole_nanoseconds
 from quadftc_model.parameters import Timed, parameter
 from quadftc_model.registry import Registry
 
@@ -20,14 +20,14 @@ class Wind(Timed, abc.ABC):
     stop: float = parameter(math.inf, unit="s", low=0.0, doc="end, scenario time")
 
     @abc.abstractmethod
-    def shape(self, elapsed: Array) -> Array:
-        """Velocity of the air [m/s] (3,), earth axes, ``elapsed`` seconds after the onset."""
+    def shape(self, elapsed: Column) -> Vector:
+        """Velocity of the air [m/s] (..., 3), earth axes, ``elapsed`` seconds (..., 1) after the onset."""
 
-    def velocity(self, time: Array) -> Array:
-        """Velocity of the air [m/s] (3,), earth axes, at scenario time ``time`` [s]."""
+    def velocity(self, time: Scalar) -> Vector:
+        """Velocity of the air [m/s] (..., 3), earth axes, at scenario time ``time`` [s] (...)."""
         stamp = whole_nanoseconds(time)  # so that start and stop mean the same at whatever step
         blows = (self.start <= stamp) & (stamp < self.stop)
-        return namespace(time).where(blows, self.shape(time - self.start), 0.0)
+        return where(column(blows), self.shape(column(time - self.start)), 0.0)
 
 
 winds: Registry[Any] = Registry("wind", "quadftc_sim.winds", "quadftc.winds")

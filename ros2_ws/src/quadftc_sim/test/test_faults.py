@@ -18,7 +18,7 @@ def sized(name, **values):
     """A fault whose numbers in the unit of the channel are not zero."""
     component = faults.get(name)
     vectors = [spec.name for spec in parameters_of(component) if spec.is_vector]
-    return build(component, {**dict.fromkeys(vectors, 0.3), **values}, units=UNITS)
+    return build(component, {**dict.fromkeys(vectors, 0.3), **values}, units=UNITS).for_period(DT)
 
 
 def inputs(value=VALUE, elapsed=0.0, normal=0.0, uniform=0.5):

@@ -7,19 +7,27 @@ import pytest
 
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.vehicle import load_vehicle
+from quadftc_sim.assembly import vehicle_from
 from quadftc_sim.barometer import (
     BAROMETER_GRADES,
     SEA_LEVEL,
     Barometer,
+    PressureInputs,
     pressure_height,
     standard_pressure,
 )
-from quadftc_sim.magnetometer import MAGNETOMETER_GRADES, Magnetometer
+from quadftc_sim.magnetometer import MAGNETOMETER_GRADES, FieldInputs, Magnetometer
 from quadftc_sim.plants.free_flight import FreeFlight
 from quadftc_sim.sensors import ImuSensor
 from quadftc_sim.simulator import Simulator
 
-NONE = np.zeros(3)
+NONE, DUE = np.zeros(3), np.bool_(True)
+
+
+def measured(law, q_xyzw):
+    """The field [T] that a magnetometer without errors says."""
+    errors = np.zeros((*q_xyzw.shape[:-1], 3))
+    return law.step(errors, FieldInputs(q_xyzw, DUE, errors), 0.05)[1].field
 
 
 @pytest.mark.parametrize(("height", "pressure"), [(0.0, 101325.0), (1000.0, 89874.6), (5000.0, 54019.9)])
@@ -30,33 +38,41 @@ def test_the_pressure_is_that_of_the_standard_atmosphere(height, pressure):
 
 def test_level_and_facing_east_the_field_is_that_of_the_earth():
     law = Magnetometer(rate=20.0, inclination=math.radians(60.0), declination=math.radians(10.0))
-    east, north, up = law.measure(NONE, quaternion_from_euler(NONE), NONE)
+    east, north, up = measured(law, quaternion_from_euler(NONE))
     assert math.degrees(math.atan2(east, north)) == pytest.approx(10.0)
     assert math.degrees(math.atan2(-up, math.hypot(east, north))) == pytest.approx(60.0)
-    turned = law.measure(NONE, quaternion_from_euler(np.array([0.0, 0.0, math.pi / 2])), NONE)
+    turned = measured(law, quaternion_from_euler(np.array([0.0, 0.0, math.pi / 2])))
     assert turned == pytest.approx([north, -east, up])  # facing north: x is north, y is west
 
 
 def test_at_any_attitude_the_field_is_as_strong():
     rng = np.random.default_rng(1)
     law, q_xyzw = Magnetometer(rate=20.0), quaternion_from_euler(rng.uniform(-3.0, 3.0, (50, 3)))
-    field = law.measure(np.zeros((50, 3)), q_xyzw, np.zeros((50, 3)))
+    field = measured(law, q_xyzw)
     assert np.linalg.norm(field, axis=-1) == pytest.approx(np.full(50, law.strength))
-    one = law.measure(NONE, q_xyzw[7], NONE)
+    one = measured(law, q_xyzw[7])
     assert field[7] == pytest.approx(one, abs=1e-18)
 
 
 def test_the_slow_error_of_the_pressure_keeps_its_size():
     rng, law = np.random.default_rng(2), Barometer(rate=50.0, wander=10.0, wander_time=1.0)
-    wander = law.turn_on(rng.standard_normal((400, 2)))
+    wander = law.init(rng.standard_normal((400, 2)))
     for _ in range(200):
-        wander, pressure = law.measure(wander, 0.0, rng.standard_normal((400, 2)), 0.02)
-    assert np.std(pressure - SEA_LEVEL) == pytest.approx(10.0, rel=0.15)
+        wander, said = law.step(wander, PressureInputs(0.0, DUE, rng.standard_normal((400, 2))), 0.02)
+    assert np.std(said.pressure - SEA_LEVEL) == pytest.approx(10.0, rel=0.15)
+
+
+def test_a_sensor_that_does_not_measure_keeps_its_error():
+    law, draws = Barometer(rate=50.0, wander=10.0), np.ones(2)
+    wander, said = law.step(np.float64(3.0), PressureInputs(0.0, np.bool_(False), draws), 0.02)
+    assert wander == 3.0
+    assert not said.there
 
 
 def fly(**sensors):
     plant = FreeFlight(vehicle=load_vehicle("x500"))
-    simulator = Simulator(plant, ImuSensor(attitude_noise=0.01), 4_000_000, 0, 5, **sensors)
+    law = vehicle_from(plant, ImuSensor(attitude_noise=0.01), 4_000_000, **sensors)
+    simulator = Simulator(law, 0, 5)
     emissions = [simulator.start()]
     emissions += [simulator.advance(plant.first_command) for _ in range(99)]
     return emissions

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from quadftc_model.vehicle import load_vehicle
+from quadftc_sim.assembly import vehicle_from
 from quadftc_sim.plants.test_stand import AttitudeStand
 from quadftc_sim.sensors import ImuSensor
 from quadftc_sim.simulator import NEVER_NS, PlantFlight, Simulator
@@ -15,9 +16,8 @@ ROLL, NOTHING = np.array([0.02, 0.0, 0.0]), np.zeros(3)
 
 
 def flight(count=0, torque_timeout=0.5, delay=0):
-    simulator = Simulator(
-        AttitudeStand(vehicle=load_vehicle("qball_x4")), ImuSensor(delay=delay), PERIOD_NS, EPOCH_NS, seed=1
-    )
+    plant = AttitudeStand(vehicle=load_vehicle("qball_x4"))
+    simulator = Simulator(vehicle_from(plant, ImuSensor(delay=delay), PERIOD_NS), EPOCH_NS, seed=1)
     return PlantFlight(simulator, count, torque_timeout, BEGIN_NS)
 
 

@@ -30,29 +30,24 @@ def test_wind_blows_from_start_inclusive_to_stop_exclusive(name):
     law = sized(name, start=2.0, stop=3.0)
     blowing = [bool(np.any(law.velocity(time) != 0.0)) for time in (1.999, 2.001, 2.999, 3.0, 9.0)]
     assert blowing == [False, True, True, False, False]
-    np.testing.assert_array_equal(law.velocity(2.0), law.shape(0.0))
+    np.testing.assert_array_equal(law.velocity(2.0), law.shape(np.zeros(1)))
 
 
 @EVERY_WIND
-def test_batch_of_times_and_jax_equal_the_loop(name):
-    jax = pytest.importorskip("jax")
+def test_batch_of_times_equals_the_loop(name):
     law = sized(name, start=2.0, stop=5.0)
-    column = TIMES[:, None].copy()
-    column.setflags(write=False)
+    times = TIMES.copy()
+    times.setflags(write=False)
     loop = np.array([law.velocity(float(time)) for time in TIMES])
     assert loop.shape == (25, 3)
     assert loop.dtype == np.float64
-    np.testing.assert_allclose(law.velocity(column), loop, rtol=1e-12, atol=1e-14)
-    with jax.enable_x64(True):
-        np.testing.assert_allclose(jax.jit(law.velocity)(column), loop, rtol=1e-12, atol=1e-13)
-        one = jax.jit(law.velocity)(jax.numpy.asarray(3.25))
-    np.testing.assert_allclose(one, law.velocity(3.25), rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(law.velocity(times), loop, rtol=1e-12, atol=1e-14)
 
 
 @EVERY_WIND
 def test_wind_is_continuous_within_its_window(name):
     law = sized(name)
-    time = np.arange(1e-6, 20.0, 1e-3)[:, None]
+    time = np.arange(1e-6, 20.0, 1e-3)
     step = np.abs(np.diff(law.velocity(time), axis=0)).max(axis=0)
     finer = np.abs(law.velocity(time + 1e-6) - law.velocity(time)).max(axis=0)
     assert np.all(step < 0.2)
@@ -83,7 +78,7 @@ def test_gust_rises_holds_and_falls_by_half_a_cosine():
 
 def test_gust_without_end_keeps_its_peak_as_the_specification_has_it():
     law = build(winds.get("gust"), {"amplitude": 3.0, "rise": 1.0, "hold": 1e9})
-    np.testing.assert_allclose(law.velocity(np.array([[1.0], [50.0], [1e6]])), 3.0)
+    np.testing.assert_allclose(law.velocity(np.array([1.0, 50.0, 1e6])), 3.0)
 
 
 def test_dryden_has_the_lengths_and_intensities_of_the_specification():
@@ -120,7 +115,7 @@ def test_dryden_has_its_standard_deviations_and_autocorrelations():
     """R_u = exp(-s), R_v,w = (1 - s / 2) exp(-s) with s = V t / L, against a long record."""
     law = dryden(height=5.0, history=7)
     dt = 0.05
-    wind = law.velocity(np.arange(0.0, 6000.0, dt)[:, None])
+    wind = law.velocity(np.arange(0.0, 6000.0, dt))
     np.testing.assert_allclose(wind.std(axis=0), law.std_devs, rtol=0.03)
     np.testing.assert_allclose(wind.mean(axis=0), 0.0, atol=0.03 * law.std_devs[0])
     assert np.max(np.abs(np.corrcoef(wind.T) - np.eye(3))) < 0.03
@@ -141,7 +136,7 @@ def test_dryden_has_its_standard_deviations_over_many_histories_from_the_start()
 
 
 def test_dryden_is_near_gaussian():
-    wind = dryden(height=5.0).velocity(np.arange(0.0, 6000.0, 0.05)[:, None])
+    wind = dryden(height=5.0).velocity(np.arange(0.0, 6000.0, 0.05))
     kurtosis = np.mean(wind**4, axis=0) / np.var(wind, axis=0) ** 2
     np.testing.assert_allclose(kurtosis, 3.0, atol=0.2)
 

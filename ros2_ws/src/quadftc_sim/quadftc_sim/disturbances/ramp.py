@@ -2,7 +2,7 @@
 
 import math
 
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Column, Vector, namespace, smaller
 from quadftc_model.parameters import parameter
 from quadftc_sim.disturbance import Disturbance, register
 
@@ -14,7 +14,6 @@ class Ramp(Disturbance):
     rate: tuple[float, ...] = parameter((0.0, 0.0, 0.0), unit="N m/s", doc="slope of each body axis")
     rise: float = parameter(math.inf, unit="s", low=0.0, doc="how long it grows")
 
-    def shape(self, elapsed: Array) -> Array:
-        """Torque [N m] (3,) after ``elapsed`` seconds."""
-        xp = namespace(elapsed)
-        return xp.asarray(self.rate) * xp.minimum(elapsed, self.rise)
+    def shape(self, elapsed: Column) -> Vector:
+        """Torque [N m] (..., 3) after ``elapsed`` seconds (..., 1)."""
+        return namespace(elapsed).asarray(self.rate) * smaller(elapsed, self.rise)

@@ -1,36 +1,42 @@
 """Values that come late: a slow filter, a congested bus; the stamp does not tell."""
 
-import math
-from typing import ClassVar, NamedTuple
+from __future__ import annotations
 
-from quadftc_model.arrays import Array
+import dataclasses
+import math
+from typing import ClassVar
+
+from quadftc_model.arrays import Array, Vector
 from quadftc_model.parameters import parameter
+from quadftc_sim.delay_line import fill_line, shift_line
 from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
 
-
-class Past(NamedTuple):
-    """Values of the last samples, oldest first; before there are enough, the first stands for older ones."""
-
-    values: tuple[Array, ...]
+LONGEST = 4000  # samples; the longest delay at the highest rate
 
 
 @register("delay")
 class Delay(Fault):
-    """The value of ``delay`` ago, in whole samples."""
+    """The value of ``delay`` ago, in whole samples: `for_period` says how many.
+
+    The state are the values of these samples (..., samples, 3), oldest first. Before there are enough, the
+    first value stands for older ones.
+    """
 
     has_memory: ClassVar[bool] = True
 
     delay: float = parameter(0.0, unit="s", low=0.0, high=1.0, doc="how old the value is")
+    samples: int = 0
 
-    def init(self, value: Array) -> Past:
+    def for_period(self, period: float) -> Delay:
+        """Return the fault for samples that are ``period`` [s] apart; where they vary, it counts samples."""
+        samples = math.floor(min(self.delay / period + 0.5, LONGEST))
+        return dataclasses.replace(self, samples=samples)
+
+    def init(self, value: Vector) -> Array:
         """Remember the first value (..., 3)."""
-        return Past((value,))
+        return fill_line(value, self.samples, value.ndim - 1)
 
-    def step(self, state: Past, inputs: FaultInputs, dt: float) -> tuple[Past, FaultOutput]:
-        """Return the oldest value wanted; at the start of a flight the oldest that there is."""
-        if dt == 0.0:
-            return state, present(state.values[0])
-        count = math.floor(self.delay / dt + 0.5)
-        values = (*state.values, inputs.value)
-        values = (values[0],) * (count + 1 - len(values)) + values
-        return Past(values[-(count + 1) :]), present(values[-(count + 1)])
+    def step(self, state: Array, inputs: FaultInputs, dt: float) -> tuple[Array, FaultOutput]:
+        """Return the oldest value."""
+        state, late = shift_line(state, inputs.value, inputs.value.ndim - 1)
+        return state, present(late)

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from quadftc_model.arrays import namespace
+from quadftc_model.arrays import column, namespace, smaller
 from quadftc_model.parameters import parameter
 from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
 
@@ -17,5 +17,5 @@ class Drift(Fault):
 
     def step(self, state: Any, inputs: FaultInputs, dt: float) -> tuple[Any, FaultOutput]:
         """Add the ramp."""
-        xp = namespace(inputs.value)
-        return state, present(inputs.value + xp.asarray(self.rate) * xp.minimum(inputs.elapsed, self.rise))
+        rate = namespace(inputs.value).asarray(self.rate)
+        return state, present(inputs.value + rate * smaller(column(inputs.elapsed), self.rise))

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from quadftc_model.arrays import namespace
+from quadftc_model.arrays import column, namespace, sin
 from quadftc_model.parameters import parameter
 from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
 
@@ -18,5 +18,5 @@ class Sine(Fault):
     def step(self, state: Any, inputs: FaultInputs, dt: float) -> tuple[Any, FaultOutput]:
         """Add the oscillation."""
         xp = namespace(inputs.value)
-        angle = xp.asarray(self.frequency) * inputs.elapsed + xp.asarray(self.phase)
-        return state, present(inputs.value + xp.asarray(self.amplitude) * xp.sin(angle))
+        amplitude, frequency, phase = map(xp.asarray, (self.amplitude, self.frequency, self.phase))
+        return state, present(inputs.value + amplitude * sin(frequency * column(inputs.elapsed) + phase))

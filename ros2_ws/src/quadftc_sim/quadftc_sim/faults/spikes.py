@@ -2,7 +2,7 @@
 
 from typing import Any, ClassVar
 
-from quadftc_model.arrays import namespace
+from quadftc_model.arrays import column, namespace, where
 from quadftc_model.parameters import parameter
 from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
 
@@ -18,6 +18,7 @@ class Spikes(Fault):
 
     def step(self, state: Any, inputs: FaultInputs, dt: float) -> tuple[Any, FaultOutput]:
         """Add a spike to the samples that the numbers drawn choose."""
-        xp = namespace(inputs.value)
-        spike = xp.asarray(self.amplitude) * xp.where(inputs.normal < 0.0, -1.0, 1.0)
-        return state, present(inputs.value + xp.where(inputs.uniform < self.rate * dt, spike, 0.0))
+        amplitude = namespace(inputs.value).asarray(self.amplitude)
+        spike = amplitude * where(inputs.normal < 0.0, -1.0, 1.0)
+        hit = inputs.uniform < column(self.rate * dt)
+        return state, present(inputs.value + where(hit, spike, 0.0))

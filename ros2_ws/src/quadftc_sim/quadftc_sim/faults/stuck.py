@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Vector, column, where
 from quadftc_sim.fault import Fault, FaultInputs, FaultOutput, present, register
 
 
@@ -12,11 +12,11 @@ class Stuck(Fault):
 
     has_memory: ClassVar[bool] = True
 
-    def init(self, value: Array) -> Array:
+    def init(self, value: Vector) -> Vector:
         """Remember the first value (..., 3)."""
         return value
 
-    def step(self, state: Array, inputs: FaultInputs, dt: float) -> tuple[Array, FaultOutput]:
+    def step(self, state: Vector, inputs: FaultInputs, dt: float) -> tuple[Vector, FaultOutput]:
         """Follow the value up to the onset, then hold it."""
-        held = namespace(inputs.value).where(inputs.elapsed <= 0.0, inputs.value, state)
+        held = where(column(inputs.elapsed <= 0.0), inputs.value, state)
         return held, present(held)

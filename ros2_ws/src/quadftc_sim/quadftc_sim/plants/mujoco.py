@@ -11,18 +11,18 @@ MuJoCo's, stiffer than that of `free_flight`. One vehicle at a time: no batch ca
 
 from __future__ import annotations
 
-import functools
 import importlib
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import Array, Components, Vector, components, is_single
+from quadftc_model.arrays import Array, Components, Vector
+from quadftc_model.numbers import prepared
 from quadftc_model.parameters import parameter
-from quadftc_model.rotations import turned
+from quadftc_model.rotations import to_earth
 from quadftc_model.samples import STANDARD_GRAVITY
-from quadftc_sim.flying_plant import FaultyRotors, FlightState, FlyingPlant, Parts
+from quadftc_sim.flying_plant import FlightState, FlyingPlant, RotorState
 from quadftc_sim.plant import register
 
 ROTOR_MASS = 1e-4  # 1; of each rotor over that of the vehicle, to which it is added in the file
@@ -43,6 +43,7 @@ class _World(NamedTuple):
 class Mujoco(FlyingPlant):
     """A vehicle that flies in MuJoCo, an optional package: pip install mujoco."""
 
+    traceable = False
     substeps: int = parameter(4, low=1, high=1000, doc="integration steps to a control period")
 
     def __post_init__(self) -> None:
@@ -51,69 +52,62 @@ class Mujoco(FlyingPlant):
 
     def step(self, state: FlightState, command: Components, time: float, dt: float) -> FlightState:
         """Advance by ``dt`` [s] from scenario time ``time`` [s] under rotor speeds [rad/s] (n,), held."""
-        rotors = self.vehicle.rotors
+        spin, lag = self.vehicle.rotors.spin_sign, self.motor_lag
         wanted = self.speeds_wanted(state, _one_vehicle(command))
         mujoco, model, data = self._world
-        faults = state.rotors
-        self._set(state if self.motor_lag else state._replace(speeds=wanted))
+        state = state if lag else state._replace(speeds=wanted)
+        if dt == 0.0:  # a step that MuJoCo does not do
+            return state
+        self._set(state)
         model.opt.timestep = step = dt / self.substeps
-        left = math.exp(-0.5 * step / self.motor_time_constant) if self.motor_lag else 0.0
+        left = math.exp(-0.5 * step / self.motor_time_constant) if lag else 0.0
+        rotors = state.rotors
         for index in range(self.substeps):
-            speeds = wanted + left * (rotors.spin_sign * data.qvel[6:] - wanted)
-            turned_by = 0.5 * step * rotors.spin_sign * speeds
-            if faults is not None:  # in the middle of the substep
-                faults = faults._replace(angle=faults.angle + turned_by)
-            self._load(speeds, wanted, time + (index + 0.5) * step, faults)
+            speeds = wanted + left * (spin * data.qvel[6:] - wanted)  # in the middle of the substep
+            half = 0.5 * step * spin * speeds
+            rotors = rotors._replace(angle=rotors.angle + half)
+            self._load(self._state(speeds, rotors), wanted, time + (index + 0.5) * step)
             mujoco.mj_step(model, data)
-            if faults is not None:
-                faults = faults._replace(angle=faults.angle + turned_by)
-        return FlightState(
-            data.qpos[:3].copy(),
-            data.qvel[:3].copy(),
-            data.qpos[[4, 5, 6, 3]],
-            data.qvel[3:6].copy(),
-            rotors.spin_sign * data.qvel[6:] if self.motor_lag else wanted,
-            faults,
-        )
+            rotors = rotors._replace(angle=rotors.angle + half)
+        return self._state(spin * data.qvel[6:] if lag else wanted, rotors)
 
     def specific_force(self, state: FlightState, time: float) -> Vector:
         """What MuJoCo's accelerometer measures at the place of the IMU [m/s²]."""
         mujoco, model, data = self._world
         self._set(state)
-        self._load(state.speeds, state.speeds, time, state.rotors)
+        self._load(state, state.speeds, time)
         mujoco.mj_forward(model, data)
         return data.sensordata.copy()
+
+    def _state(self, speeds: Components, rotors: RotorState) -> FlightState:
+        """Return the state that MuJoCo is in, with rotors as given."""
+        qpos, qvel = self._world.data.qpos, self._world.data.qvel
+        return FlightState(
+            qpos[:3].copy(), qvel[:3].copy(), qpos[[4, 5, 6, 3]], qvel[3:6].copy(), speeds, rotors
+        )
 
     def _set(self, state: FlightState) -> None:
         """Take over a state; nothing of what was flown before remains."""
         data, spin = self._world.data, self.vehicle.rotors.spin_sign
-        x, y, z, w = components(_one_vehicle(state.q_xyzw))
+        x, y, z, w = _one_vehicle(state.q_xyzw)
         data.qpos[:3], data.qpos[3:7], data.qpos[7:] = state.position, (w, x, y, z), 0.0
         data.qvel[:3], data.qvel[3:6], data.qvel[6:] = state.velocity, state.body_rate, spin * state.speeds
         data.qacc_warmstart[:] = 0.0
 
-    def _load(self, speeds: Components, wanted: Components, time: float, faults: FaultyRotors | None) -> None:
+    def _load(self, state: FlightState, wanted: Components, time: float) -> None:
         """Set thrusts, servos, and what acts from outside, along the axes of the earth."""
         data, rotors = self._world.data, self.vehicle.rotors
-        count = len(speeds)
-        data.ctrl[:count] = rotors.thrust_coefficient * speeds * speeds
+        count = len(wanted)
+        thrusts = rotors.thrust_coefficient * state.speeds * state.speeds
+        data.ctrl[:count] = state.rotors.condition.effectiveness * thrusts
         data.ctrl[count:] = rotors.spin_sign * wanted
-        motion, (air, other) = data.qvel[:6].tolist(), self._weather(time)
-        w, x, y, z = data.qpos[3:7].tolist()
-        q, omega = (x, y, z, w), motion[3:]
-        dragging = speeds if faults is None else faults.condition.effectiveness * speeds
-        force = self._drag(q, motion[:3], air, sum(dragging.tolist()))
-        damping = components(self.vehicle.rotational_drag)
-        torque: Parts = [m - k * each for m, k, each in zip(other, damping, omega, strict=True)]
-        if faults is not None:
-            data.ctrl[:count] *= faults.condition.effectiveness
-            rows = (speeds, faults.condition.unbalance, faults.angle)
-            shaking, yawing = self._shaking(*(components(row) for row in rows))
-            force = [f + each for f, each in zip(force, shaking, strict=True)]
-            torque = [*torque[:2], torque[2] + yawing]
-        data.xfrc_applied[1] = [*turned(q, force), *turned(q, torque)]
+        shake_x, shake_y, yaw = self.shaking(state)
+        force = self.drag(state, time) + np.array([shake_x, shake_y, 0.0])
+        damping = self.vehicle.rotational_drag * state.body_rate
+        torque = self.disturbance(time, state.body_rate) - damping + np.array([0.0, 0.0, yaw])
+        data.xfrc_applied[1] = [*to_earth(state.q_xyzw, force), *to_earth(state.q_xyzw, torque)]
 
-    @functools.cached_property
+    @prepared
     def _world(self) -> _World:
         try:
             mujoco: Any = importlib.import_module("mujoco")
@@ -127,7 +121,7 @@ class Mujoco(FlyingPlant):
             raise ValueError(f"plant 'mujoco', vehicle '{self.vehicle.name}': {words}") from None
         return _World(mujoco, model, mujoco.MjData(model))
 
-    @functools.cached_property
+    @prepared
     def mjcf(self) -> str:
         """The vehicle as a model of MuJoCo, in its XML format."""
         vehicle, rotors = self.vehicle, self.vehicle.rotors
@@ -172,6 +166,6 @@ def _row(numbers: Any) -> str:
 
 def _one_vehicle(vector: Array) -> Components:
     """Refuse many vehicles at once, and numbers that a compiler traces."""
-    if not is_single(vector):
+    if type(vector) is not np.ndarray or np.ndim(vector) != 1:
         raise ValueError(f"plant 'mujoco' flies one vehicle in NumPy, not {type(vector).__name__}")
-    return vector
+    return np.asarray(vector)

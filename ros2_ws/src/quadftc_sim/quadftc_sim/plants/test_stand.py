@@ -32,10 +32,9 @@ class AttitudeStand(Plant):
 
     def init(self, q_xyzw: Quaternion, body_rate: Vector) -> StandState:
         """State at an attitude and a body rate [rad/s], rotors at trim."""
-        xp = namespace(q_xyzw)
-        trim = xp.full_like(q_xyzw[..., :1], self.vehicle.rotors.command_trim)
-        commands = xp.concatenate([trim] * len(self.vehicle.rotors.positions), axis=-1)
-        return StandState(q_xyzw, body_rate, commands)
+        shape = (*q_xyzw.shape[:-1], len(self.vehicle.rotors.positions))
+        still = namespace(q_xyzw).zeros_like(q_xyzw, shape=shape)
+        return StandState(q_xyzw, body_rate, still + self.vehicle.rotors.command_trim)
 
     def step(self, state: StandState, command: Vector, time: float, dt: float) -> StandState:
         """Advance by ``dt`` [s] from scenario time ``time`` [s] under a torque command [N m], held.
@@ -43,39 +42,29 @@ class AttitudeStand(Plant):
         The command goes through the mixer and its limits.
         """
         wanted = commands_from_torque(self.vehicle, command)
+        arrays = state if self.motor_lag else state._replace(commands=wanted)
         step = dt / self.substeps
-        if self.motor_lag:
-            arrays, derivative = tuple(state), self._lagging(wanted)
-        else:
-            arrays, derivative = (state.q_xyzw, state.body_rate), self._driven(wanted)
         for index in range(self.substeps):
-            q_xyzw, *rest = rk4(derivative, time + index * step, arrays, step)
-            arrays = (normalise(q_xyzw), *rest)
-        return StandState(*(arrays if self.motor_lag else (*arrays, wanted)))
+            q_xyzw, body_rate, commands = rk4(self._derivative(wanted), time + index * step, arrays, step)
+            arrays = StandState(normalise(q_xyzw), body_rate, commands)
+        return arrays
 
     def specific_force(self, state: StandState, time: float) -> Vector:
         """The reaction to gravity alone [m/s²]: the accelerometer is at the fixed point."""
         return resting_force(state.q_xyzw)
 
-    def _driven(self, commands: Components) -> Derivative:
-        """Derivative of attitude and body rate under rotor commands that are held."""
-        rotor_torque = torque_from_commands(self.vehicle, commands)
-        momentum = propeller_momentum(self.vehicle, commands)
-
-        def derivative(time: float, arrays: tuple[Array, ...]) -> tuple[Array, ...]:
-            q_xyzw, body_rate = arrays
-            torque = rotor_torque + self.disturbance(time, body_rate)
-            acceleration = angular_acceleration(self.vehicle, body_rate, torque, momentum, self.inertia)
-            return quaternion_rate(q_xyzw, body_rate), acceleration
-
-        return derivative
-
-    def _lagging(self, wanted: Components) -> Derivative:
+    def _derivative(self, wanted: Components) -> Derivative:
         """Derivative of attitude, body rate and rotor commands, which follow those that are wanted."""
 
         def derivative(time: float, arrays: tuple[Array, ...]) -> tuple[Array, ...]:
-            *motion, commands = arrays
-            command_rate = (wanted - commands) / self.motor_time_constant
-            return (*self._driven(commands)(time, tuple(motion)), command_rate)
+            q_xyzw, body_rate, commands = arrays
+            momentum = propeller_momentum(self.vehicle, commands)
+            torque = torque_from_commands(self.vehicle, commands) + self.disturbance(time, body_rate)
+            acceleration = angular_acceleration(self.vehicle, body_rate, torque, momentum, self.inertia)
+            if self.motor_lag:
+                command_rate = (wanted - commands) / self.motor_time_constant
+            else:
+                command_rate = namespace(commands).zeros_like(commands)
+            return quaternion_rate(q_xyzw, body_rate), acceleration, command_rate
 
         return derivative

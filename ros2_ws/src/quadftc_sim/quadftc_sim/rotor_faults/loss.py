@@ -1,6 +1,6 @@
 """A rotor that gives less thrust at its speed: a worn, bent or taped propeller, ice."""
 
-from quadftc_model.arrays import Array, Scalar, clip, namespace
+from quadftc_model.arrays import Scalar, clip, where
 from quadftc_model.parameters import parameter
 from quadftc_sim.rotor_fault import RotorEffect, RotorFault, register
 
@@ -17,9 +17,7 @@ class Loss(RotorFault):
         return RotorEffect(effectiveness=1.0 - self.value * grown(elapsed, self.rise))
 
 
-def grown(elapsed: Scalar, rise: Scalar) -> Array:
+def grown(elapsed: Scalar, rise: Scalar) -> Scalar:
     """Share (...) of a fault that is there ``elapsed`` [s] after its onset; it grows over ``rise`` [s]."""
-    xp = namespace(elapsed)
-    gradual = xp.asarray(rise) > 0.0
-    share = clip(xp.asarray(elapsed) / xp.where(gradual, rise, 1.0), 0.0, 1.0)
-    return xp.where(gradual, share, 1.0)
+    gradual = rise > 0.0
+    return where(gradual, clip(elapsed / where(gradual, rise, 1.0), 0.0, 1.0), 1.0)

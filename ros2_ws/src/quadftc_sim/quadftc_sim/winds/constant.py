@@ -1,6 +1,6 @@
 """Mean wind."""
 
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Column, Vector, namespace
 from quadftc_model.parameters import Axes, parameter
 from quadftc_sim.wind import Wind, register
 
@@ -13,6 +13,6 @@ class Constant(Wind):
         (0.0, 0.0, 0.0), unit="m/s", low=-100.0, high=100.0, doc="east, north, up"
     )
 
-    def shape(self, elapsed: Array) -> Array:
-        """Return the wind, whatever the time."""
-        return namespace(elapsed).asarray(self.velocity_mean) + 0.0 * elapsed
+    def shape(self, elapsed: Column) -> Vector:
+        """Velocity of the air [m/s] (3,), the same at any time."""
+        return namespace(elapsed).asarray(self.velocity_mean)

@@ -1,13 +1,13 @@
 """Turbulence near the ground."""
 
-import functools
 import math
 
 import numpy as np
 
-from quadftc_model.arrays import Array, namespace
+from quadftc_model.arrays import Column, Vector, namespace
+from quadftc_model.numbers import prepared
 from quadftc_model.parameters import parameter
-from quadftc_sim.random_sines import SCALE, cosines_and_sines, spectral_quantiles, sum_of_sines
+from quadftc_sim.random_sines import SCALE, Floats, cosines_and_sines, spectral_quantiles, sum_of_sines
 from quadftc_sim.wind import Wind, register
 
 FOOT = 0.3048  # m
@@ -34,39 +34,39 @@ class Dryden(Wind):
     direction: float = parameter(0.0, unit="rad", doc="to which the mean wind blows, from east to north")
     history: float = parameter(0.0, unit="1", doc="number from which the phases are drawn")
 
-    @functools.cached_property
-    def scale_lengths(self) -> Array:
+    @prepared
+    def scale_lengths(self) -> Floats:
         """L_u, L_v, L_w [m], (3,)."""
         length = self.height / self._height_term**1.2
         return np.array([length, length, self.height])
 
-    @functools.cached_property
-    def std_devs(self) -> Array:
+    @prepared
+    def std_devs(self) -> Floats:
         """Standard deviations sigma_u, sigma_v, sigma_w [m/s], (3,)."""
         vertical = 0.1 * self.wind_speed
         horizontal = vertical / self._height_term**0.4
         return np.array([horizontal, horizontal, vertical])
 
-    @functools.cached_property
-    def frequencies(self) -> Array:
+    @prepared
+    def frequencies(self) -> Floats:
         """Angular frequencies w_k [rad/s] of u, v, w, (COMPONENTS, 3)."""
         quantiles = spectral_quantiles()
         x = np.concatenate([np.tan(0.5 * math.pi * quantiles[:, :1]), _transverse(quantiles[:, 1:])], axis=1)
         return x * self.airspeed / self.scale_lengths
 
-    @functools.cached_property
-    def weights(self) -> Array:
+    @prepared
+    def weights(self) -> Floats:
         """Amplitudes [m/s] of cosine and sine of each frequency, (2, COMPONENTS, 3)."""
         return SCALE * self.std_devs * cosines_and_sines(self.history)
 
-    @functools.cached_property
-    def axes(self) -> Array:
+    @prepared
+    def axes(self) -> Floats:
         """Directions of u, v, w in earth axes, (3, 3), by rows."""
         cosine, sine = math.cos(self.direction), math.sin(self.direction)
         return np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
-    def shape(self, elapsed: Array) -> Array:
-        """Velocity of the air [m/s] (..., 3) after ``elapsed`` seconds, () or (..., 1)."""
+    def shape(self, elapsed: Column) -> Vector:
+        """Velocity of the air [m/s] (..., 3) after ``elapsed`` seconds (..., 1)."""
         velocity = sum_of_sines(self.frequencies, self.weights, elapsed)
         return velocity @ namespace(velocity).asarray(self.axes)
 
@@ -75,7 +75,7 @@ class Dryden(Wind):
         return 0.177 + 0.000823 * self.height / FOOT
 
 
-def _transverse(quantiles: Array) -> Array:
+def _transverse(quantiles: Floats) -> Floats:
     """Return x = w L / V at quantiles q of the spectrum of v and w.
 
     Its integral up to x = tan a is (2 a - sin(2 a) / 2) / pi. Newton finds a; the slope is in [1, 3].

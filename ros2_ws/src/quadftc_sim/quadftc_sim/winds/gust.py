@@ -2,7 +2,7 @@
 
 import math
 
-from quadftc_model.arrays import Array, clip, namespace
+from quadftc_model.arrays import Column, Vector, clip, cos, namespace
 from quadftc_model.parameters import Axes, parameter
 from quadftc_sim.wind import Wind, register
 
@@ -23,12 +23,11 @@ class Gust(Wind):
     rise: float = parameter(1.0, unit="s", low=0.01, doc="d_m / V, how long the gust grows")
     hold: float = parameter(0.0, unit="s", low=0.0, doc="how long it lasts at its peak")
 
-    def shape(self, elapsed: Array) -> Array:
-        """Velocity of the air [m/s] (..., 3) after ``elapsed`` seconds, () or (..., 1)."""
-        xp = namespace(elapsed)
+    def shape(self, elapsed: Column) -> Vector:
+        """Velocity of the air [m/s] (..., 3) after ``elapsed`` seconds (..., 1)."""
         grown = self._half_wave(elapsed) - self._half_wave(elapsed - self.rise - self.hold)
-        return xp.asarray(self.amplitude) * grown
+        return namespace(elapsed).asarray(self.amplitude) * grown
 
-    def _half_wave(self, elapsed: Array) -> Array:
+    def _half_wave(self, elapsed: Column) -> Column:
         """Grow from 0 to 1 within the rise."""
-        return 0.5 - 0.5 * namespace(elapsed).cos(math.pi * clip(elapsed / self.rise, 0.0, 1.0))
+        return 0.5 - 0.5 * cos(math.pi * clip(elapsed / self.rise, 0.0, 1.0))

@@ -1,0 +1,38 @@
+"""Delay lines: the values of the last samples, of a fixed number, oldest first.
+
+A line holds NamedTuples of arrays, nested or not, with any leading axes, and its own axis behind those: a
+vector (..., 3) becomes (..., count, 3), a flag (...) becomes (..., count).
+"""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar, cast
+
+from quadftc_model.arrays import namespace
+
+T = TypeVar("T")
+
+
+def fill_line(value: T, count: int, leading: int) -> T:
+    """Return a line of ``count`` values that are all alike, with so many ``leading`` axes."""
+    if isinstance(value, tuple):
+        parts = cast("tuple[Any, ...]", value)
+        kind: Any = type(parts)
+        return kind(*(fill_line(each, count, leading) for each in parts))
+    xp = namespace(value)
+    array = xp.expand_dims(xp.asarray(value), leading)
+    return xp.broadcast_to(array, (*array.shape[:leading], count, *array.shape[leading + 1 :]))
+
+
+def shift_line(line: T, value: T, leading: int) -> tuple[T, T]:
+    """Put a value at the end of a line; return the line, and the value that leaves it at its beginning."""
+    if isinstance(line, tuple):
+        lines, values = cast("tuple[Any, ...]", line), cast("tuple[Any, ...]", value)
+        kind: Any = type(lines)
+        parts = [shift_line(a, b, leading) for a, b in zip(lines, values, strict=True)]
+        return kind(*(kept for kept, _ in parts)), kind(*(out for _, out in parts))
+    xp, before, array = namespace(line, value), (slice(None),) * leading, cast("Any", line)
+    if array.shape[leading] == 0:
+        return line, value
+    longer = xp.concatenate([array, xp.expand_dims(xp.asarray(value), leading)], axis=leading)
+    return longer[(*before, slice(1, None))], longer[(*before, 0)]
