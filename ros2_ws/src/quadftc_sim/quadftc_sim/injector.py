@@ -354,17 +354,17 @@ class FaultInjector:
             if each.injection.channel != ROTOR:
                 on_sensors.append(each)
             elif condition is not None:
-                _, condition = each.runner.first(RotorInputs(condition, time))
+                _, condition = each.runner.step((), RotorInputs(condition, time), dt)
         if not on_sensors:  # mostly
             zeros = np.zeros(3)
             return Faulty(sample, np.bool_(True), zeros, zeros, zeros, condition)
-        _, healthy = self._split.first(sample)
+        _, healthy = self._split.step((), sample, dt)
         channels = healthy
         for each in on_sensors:
             name = each.injection.channel
             inputs = ChannelInputs(getattr(channels, name), time, dt, each.draw())
             channels = channels._replace(**{name: each.run(inputs, self._choose)})
-        _, faulty = self._join.first(JoinInputs(sample, healthy, channels))
+        _, faulty = self._join.step((), JoinInputs(sample, healthy, channels), dt)
         return faulty._replace(rotors=condition)
 
     def _schedule(self, injection: Injection, choose: Choose) -> int:
