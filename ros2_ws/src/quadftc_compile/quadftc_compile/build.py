@@ -21,8 +21,17 @@ from quadftc_model.numbers import structure_of
 
 # no contraction of products and sums, so that the same statement gives the same number on every machine
 STANDARD = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
-NATIVE = "-march=native" if platform.machine() in ("x86_64", "i686") else "-mcpu=native"
-FLAGS = (*STANDARD, NATIVE, "-fPIC", "-shared", "-Wall", "-Wextra", "-pedantic")
+# gcc joins products and sums in spite of -ffp-contract=off where it makes vectors of pairs (vfmaddsub)
+NATIVE = ("-march=native", "-mno-fma", "-mno-fma4", "-mno-avx512f")
+FLAGS = (
+    *STANDARD,
+    *(NATIVE if platform.machine() in ("x86_64", "i686") else ("-mcpu=native",)),
+    "-fPIC",
+    "-shared",
+    "-Wall",
+    "-Wextra",
+    "-pedantic",
+)
 FORMAT = 1  # of records; another one for another way to call
 
 
@@ -58,7 +67,9 @@ class Library:
 
 def key_of(recipe: Recipe) -> str:
     """Return the key of a law in the cache: its structure, sources, tracer and compiler."""
-    shapes = {name: layout_of(tree) for each in recipe.functions.values() for name, tree in each.arguments.items()}
+    shapes = {
+        name: layout_of(tree) for each in recipe.functions.values() for name, tree in each.arguments.items()
+    }
     return fingerprint(
         FORMAT,
         FLAGS,

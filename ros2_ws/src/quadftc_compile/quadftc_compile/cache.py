@@ -1,8 +1,8 @@
 """Where compiled laws are kept: a folder that belongs to the user alone.
 
-A library is loaded into the process, so whoever can write it can run code there. The folder, and what is in it,
-must belong to the user, and nobody else may write to it. Each entry has a record beside it that says what it is
-and what its bytes are; one that does not fit, or was made for another processor, is made anew.
+A library is loaded into the process, so whoever can write it can run code there. The folder, and what is in
+it, must belong to the user, and nobody else may write to it. Each entry has a record beside it that says what
+it is and what its bytes are; one that does not fit, or was made for another processor, is made anew.
 """
 
 from __future__ import annotations
@@ -91,16 +91,16 @@ def _replace(path: Path, content: bytes) -> None:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(name, path)
+        Path(name).replace(path)
     except BaseException:
         with contextlib.suppress(OSError):
-            os.unlink(name)
+            Path(name).unlink()
         raise
 
 
 @contextlib.contextmanager
 def lock_entry(key: str) -> Iterator[None]:
-    """Hold an entry, so that of several processes one makes it and the others wait; without a folder, no lock."""
+    """Hold an entry: of several processes one makes it, the others wait. Without a folder, no lock."""
     try:
         path = cache_folder() / f"{key}.lock"
         file = path.open("w")

@@ -39,7 +39,9 @@ def write_scan(emitter: Emitter, node: Node, results: Sequence[Storage]) -> None
     step = f"({length - 1} - {name})" if params["reverse"] else name
     elements = [
         _element(where, inside, step)
-        for where, inside in zip(inputs[constants + carried :], graph.inputs[constants + carried :], strict=True)
+        for where, inside in zip(
+            inputs[constants + carried :], graph.inputs[constants + carried :], strict=True
+        )
     ]
     gathered = [
         _element(where, inside, step)
@@ -84,7 +86,9 @@ def _element(where: Storage, inside: Node, step: str) -> Storage:
     return where.shifted(f"{inside.size} * {step}")
 
 
-def _move(emitter: Emitter, nodes: Sequence[Node], before: Sequence[Storage], after: Sequence[Storage]) -> None:
+def _move(
+    emitter: Emitter, nodes: Sequence[Node], before: Sequence[Storage], after: Sequence[Storage]
+) -> None:
     """Write copies of arrays."""
     for node, one, other in zip(nodes, before, after, strict=True):
         held = Node("input", (), {}, node.shape, node.dtype)

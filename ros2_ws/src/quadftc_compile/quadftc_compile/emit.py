@@ -1,9 +1,9 @@
 # pyright: basic
 """C statements of a graph: a loop for an array, one statement for a number.
 
-An operation is written where its result is used if that is once; else its result is kept in a variable. Views
-(slices, transposes, broadcasts) are no statements: they only change indices. Arrays of up to `FEW` numbers are
-written number by number, larger ones as loops, which a C compiler turns into vector instructions.
+An operation is written where its result is used if that is once; else its result is kept in a variable.
+Views (slices, transposes, broadcasts) are no statements: they only change indices. Arrays of up to `FEW`
+numbers are written number by number, larger ones as loops, which a C compiler turns into vector instructions.
 
 The order of sums is that of the indices, and nothing is rearranged: the same graph gives the same numbers
 wherever it stands.
@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from quadftc_compile import text
-from quadftc_compile.graph import VIEWS, Graph, Node, Untraceable
+from quadftc_compile.graph import VIEWS, Graph, Node, UntraceableError
 from quadftc_compile.layout import C_TYPES
 from quadftc_compile.operators import ELEMENTWISE, operate
 from quadftc_compile.text import Expression, Index, Indices, flat, variable
@@ -53,7 +53,7 @@ class Storage:
 
 Statement = Callable[["Emitter", Node, Storage], None]
 STATEMENTS: dict[str, Statement] = {}  # operations that are not done number by number
-WHOLE: dict[str, Callable[["Emitter", Node, Sequence[Storage]], None]] = {}  # those with several results
+WHOLE: dict[str, Callable[[Emitter, Node, Sequence[Storage]], None]] = {}  # those with several results
 ADDRESSED: set[str] = set()  # operations that read their operands as arrays that lie in one piece
 
 
@@ -83,7 +83,9 @@ class Plan:
         for node in reversed(graph.nodes):
             self._decide(node)
         self._shorten(graph)
-        self.last: dict[int, list[Node]] = self._find_last(graph)  # by node: what is read there for the last time
+        self.last: dict[int, list[Node]] = self._find_last(
+            graph
+        )  # by node: what is read there for the last time
 
     def _find_last(self, graph: Graph) -> dict[int, list[Node]]:
         """Return for each node that is kept which others nobody reads after it."""
@@ -199,7 +201,7 @@ class Emitter:
                 self.copy(node, where)
         self._plan = outer
 
-    # -- statements --------------------------------------------------------------------------------------------
+    # -- statements ------------------------------------------------------------
 
     def line(self, content: str) -> None:
         """Write a line."""
@@ -305,7 +307,7 @@ class Emitter:
             elif node.op in VIEWS or node.op in ELEMENTWISE:
                 self._fill(node, storage)
             else:
-                raise Untraceable(f"{node.source or 'it'}: '{node.op}' of JAX is not known in C")
+                raise UntraceableError(f"{node.source or 'it'}: '{node.op}' of JAX is not known in C")
         self._note_sources(before)
 
     def _note_sources(self, line: int) -> None:
@@ -381,7 +383,7 @@ class Emitter:
         for _ in axes:
             self.close()
 
-    # -- numbers -----------------------------------------------------------------------------------------------
+    # -- numbers ------------------------------------------------------------
 
     def place(self, storage: Storage, shape: Sequence[int], at: Indices) -> str:
         """Return the text of one number that is kept."""

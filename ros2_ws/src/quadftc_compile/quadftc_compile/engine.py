@@ -1,7 +1,7 @@
 """What runs the laws of a vehicle: C that is generated from them, or NumPy, the reference.
 
-A law that is not compiled yet is compiled at its first use, in a process of its own, so that this one does not
-load JAX. A law that cannot be compiled flies in NumPy, and a line says why, once.
+A law that is not compiled yet is compiled at its first use, in a process of its own, so that this one does
+not load JAX. A law that cannot be compiled flies in NumPy, and a line says why, once.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ _lock = threading.Lock()
 
 def say(words: str) -> None:
     """Write a line for people."""
-    print(f"quadftc: {words}", file=sys.stderr, flush=True)
+    sys.stderr.write(f"quadftc: {words}\n")
+    sys.stderr.flush()
 
 
 def engine_named(name: str, log: Log = say) -> Engine:
@@ -51,7 +52,8 @@ def engine_from(values: Mapping[str, Any], log: Log = say) -> Engine:
 class CEngine:
     """Runs laws in C.
 
-    A law with a method ``example() -> inputs`` is compiled when its runner is made, any other at its first sample.
+    A law with a method ``example() -> inputs`` is compiled when its runner is made, others at their first
+    sample.
     """
 
     def __init__(self, log: Log = say) -> None:
@@ -65,7 +67,7 @@ class CEngine:
         return runner
 
     def prepare(self, laws: Iterable[Any]) -> None:
-        """Compile laws, which have examples of their inputs, side by side; what is compiled already is loaded."""
+        """Compile laws side by side, which have examples of their inputs; load what is compiled already."""
         recipes = [_recipe(law, law.example()) for law in laws]
         missing = [each for each in recipes if _loaded(each) is None]
         if not missing:
@@ -170,7 +172,7 @@ def _build(recipe: Recipe) -> Library:
         return _build_here(recipe)
     try:
         content = pickle.dumps(recipe)
-    except (pickle.PicklingError, AttributeError, TypeError):  # a law of a function, of an interactive session
+    except (pickle.PicklingError, AttributeError, TypeError):  # a law that a function has defined
         return _build_here(recipe)
     command = [sys.executable, "-m", "quadftc_compile.worker"]
     told = subprocess.run(command, input=content, capture_output=True, check=False)

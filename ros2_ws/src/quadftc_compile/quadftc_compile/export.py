@@ -1,4 +1,4 @@
-"""A law for the vehicle itself: C and header, its numbers, an example that reads samples, a way to build them.
+"""A law for the vehicle itself: C and header, its numbers, an example that reads samples, a way to build it.
 
 What is written needs nothing but a C99 compiler and libm: no heap, no globals, no operating system.
 """
@@ -33,7 +33,7 @@ class Exported(NamedTuple):
 
 
 def export_law(recipe: Recipe, folder: Path, real: str = "double", about: str = "") -> Exported:
-    """Write a law with its functions ``first`` and ``step`` into a folder; OSError if it cannot be written."""
+    """Write a law, its functions ``first`` and ``step``, into a folder; OSError if it cannot be written."""
     program = write_program(recipe.name, recipe.law, recipe.functions, real)
     name, columns = recipe.name, sample_columns(program.functions["step"].arguments["inputs"])
     folder.mkdir(parents=True, exist_ok=True)
@@ -86,7 +86,9 @@ def _numbers(recipe: Recipe, program: Program, real: str) -> str:
 
     def initial(part: Any, depth: int) -> str:
         if isinstance(part, dict):
-            inside = ",\n".join(f"{'    ' * depth}.{key} = {initial(each, depth + 1)}" for key, each in part.items())
+            inside = ",\n".join(
+                f"{'    ' * depth}.{key} = {initial(each, depth + 1)}" for key, each in part.items()
+            )
             return "{\n" + inside + "}"
         numbers = [literal(each, real).text for each in np.ravel(part)]
         return numbers[0] if np.ndim(part) == 0 else "{" + ", ".join(numbers) + "}"
@@ -96,7 +98,7 @@ def _numbers(recipe: Recipe, program: Program, real: str) -> str:
     guard = f"{name.upper()}_NUMBERS_H"
     return (
         f"/* The numbers of {name} for one vehicle; other vehicles and parameters need another of these files. */\n"
-        f"#ifndef {guard}\n#define {guard}\n\n#include <math.h>\n\n#include \"{name}.h\"\n\n"
+        f'#ifndef {guard}\n#define {guard}\n\n#include <math.h>\n\n#include "{name}.h"\n\n'
         f"static const {kind} {name}_default = {initial(tree, 1)};\n\n#endif\n"
     )
 
@@ -104,7 +106,10 @@ def _numbers(recipe: Recipe, program: Program, real: str) -> str:
 def _main(name: str, program: Program, real: str) -> str:
     """Return an example: it reads samples from standard input and writes what comes out."""
     step = program.functions["step"]
-    kinds = {key: _kind(program, name, layout, key) for key, layout in (*step.arguments.items(), *step.results.items())}
+    kinds = {
+        key: _kind(program, name, layout, key)
+        for key, layout in (*step.arguments.items(), *step.results.items())
+    }
     reads = [
         f"    if (!next(&number)) return false;\n    in->{'.'.join(leaf.path)}{f'[{k}]' if leaf.shape else ''} = {_cast(leaf.dtype.kind, real)}number;"
         for leaf in leaves_of(step.arguments["inputs"])
@@ -199,7 +204,7 @@ def _readme(recipe: Recipe, program: Program, real: str, columns: Sequence[str],
     size = {key: _bytes(layout) for key, layout in (*step.arguments.items(), *step.results.items())}
     return f"""# {name} in C
 
-{about or 'A law of quadftc'}, in {'single' if real == 'float' else 'double'} precision: C99 and libm alone, no heap, no globals. Calls need no order between vehicles.
+{about or "A law of quadftc"}, in {"single" if real == "float" else "double"} precision: C99 and libm alone, no heap, no globals. Calls need no order between vehicles.
 
 ```c
 #include "{name}.h"
@@ -213,14 +218,14 @@ A step reads one state and writes another: let two of them take turns. A state t
 
 | | |
 |---|---|
-| state, each of two | {size['before']} bytes |
-| inputs, output | {size['inputs']}, {size['output']} bytes |
+| state, each of two | {size["before"]} bytes |
+| inputs, output | {size["inputs"]}, {size["output"]} bytes |
 | numbers | {_bytes(program.numbers_layout)} bytes |
 | stack of a step, besides registers | {step.stack} bytes |
 | operations on numbers in a step, branches counted once | {step.operations} |
 
 `cmake -B build && cmake --build build && build/{name}_main < samples.csv > out.csv` builds the example. `samples.csv` has the columns
-{', '.join(f'`{each}`' for each in columns[:6])} and so on, {len(columns)} in all; `quadftc export --samples BAG` makes one of a recording.
+{", ".join(f"`{each}`" for each in columns[:6])} and so on, {len(columns)} in all; `quadftc export --samples BAG` makes one of a recording.
 """
 
 

@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import Any
 
 # import a.b.c / from a.b import (c, d)
-IMPORT = re.compile(r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n(]+)|import[ \t]+([\w., \t]+))", re.M)
+IMPORT = re.compile(
+    r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n(]+)|import[ \t]+([\w., \t]+))", re.M
+)
 
 
 def fingerprint(*parts: Any) -> str:
@@ -23,7 +25,7 @@ def fingerprint(*parts: Any) -> str:
 
 
 def sources_of(*classes: type) -> str:
-    """Return a digest of the modules of classes, and of all that these import, but for installed libraries."""
+    """Return a digest of the modules of classes and of all that these import, but for installed libraries."""
     modules = {kind.__module__ for each in classes for kind in each.__mro__}
     return _digest(frozenset(modules))
 

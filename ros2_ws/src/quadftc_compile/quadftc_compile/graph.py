@@ -1,11 +1,11 @@
 # pyright: basic
 """A traced function as a graph of operations on arrays.
 
-JAX traces a function to a jaxpr. Here the functions that it calls are put in their places, equal operations are
-done once, those whose results nobody reads are left out, and what follows from constants alone is computed.
+JAX traces a function to a jaxpr. Here the functions that it calls are put in their places, equal operations
+are done once, those whose results nobody reads are left out, and what follows from constants is computed.
 
-Nothing is simplified that would change a number: ``0 * x`` stays, as x may be NaN, and so does ``x + 0``, as x
-may be -0. ``1 * x``, ``x / 1`` and ``x - 0`` are x for every x.
+Nothing is simplified that would change a number: ``0 * x`` stays, as x may be NaN, and so does ``x + 0``, as
+x may be -0. ``1 * x``, ``x / 1`` and ``x - 0`` are x for every x.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ EXACT: dict[str, Callable[..., Any]] = {
 LARGEST_POWER = 8  # x^n is written as products up to this n
 
 
-class Untraceable(ValueError):
+class UntraceableError(ValueError):
     """A function that cannot be compiled: where, what it does, and how to write it."""
 
 
@@ -231,46 +231,60 @@ class _Builder:
         self, op: str, operands: Sequence[Node], shape: tuple[int, ...], dtype: np.dtype[Any], params: Any
     ) -> Node | None:
         """Return what an operation comes to without being done; None if it has to be done."""
-        first = operands[0] if operands else None
-        if first is not None and op in VIEWS:
-            if op != "concatenate" and first.shape == shape and _is_identity(op, params, shape):
-                return first
-            if all(each.is_constant for each in operands):
-                return self.constant(view(op, [each.value for each in operands], params), dtype)
-            if op == "concatenate" and len(operands) == 1:
-                return first
-            if op == "reshape" and first.op == "reshape":
-                like = _Like(shape, dtype)
-                return self.add("reshape", first.operands, like, first.source, shape=shape)
+        if not operands:
             return None
-        if op == "convert_element_type" and first is not None:
-            if first.dtype == dtype:
-                return first
-            if first.is_constant:
-                return self.constant(first.value.astype(dtype))  # type: ignore[union-attr]
-        if operands and all(each.is_constant for each in operands):
-            values = [each.value for each in operands]
-            if op in EXACT:
-                with np.errstate(all="ignore"):
-                    return self.constant(EXACT[op](*values), dtype)
-            if op == "div" and dtype.kind == "f":
-                with np.errstate(all="ignore"):
-                    return self.constant(np.divide(*values), dtype)
-            if op in ("and", "or", "xor", "not") and dtype.kind == "b":
-                logical = {"and": np.logical_and, "or": np.logical_or, "xor": np.logical_xor}
-                return self.constant(~values[0] if op == "not" else logical[op](*values))  # type: ignore[operator]
-        if op == "select_n" and first is not None and first.is_constant and len(operands) == 3:
-            picks = np.unique(first.value.astype(int))  # type: ignore[union-attr]
-            chosen = operands[1 + int(picks[0])]
-            if len(picks) == 1 and chosen.shape == shape:
-                return chosen
-        if op == "select_n" and len(operands) == 3 and operands[1] is operands[2] and first is not None:
-            return operands[1]
+        if op in VIEWS:
+            return self._simplified_view(op, operands, shape, dtype, params)
+        if op == "convert_element_type" and operands[0].dtype == dtype:
+            return operands[0]
+        if all(each.is_constant for each in operands):
+            known = _evaluated(op, [each.value for each in operands], dtype)
+            if known is not None:
+                return self.constant(known, dtype)
+        if op == "select_n":
+            return _selected(operands, shape)
         if dtype.kind == "f" and len(operands) == 2:
             return _neutral(op, operands, shape)
         if dtype.kind == "b" and len(operands) == 2 and op in ("and", "or"):
             return _logical(op, operands, shape)
         return None
+
+    def _simplified_view(
+        self, op: str, operands: Sequence[Node], shape: tuple[int, ...], dtype: np.dtype[Any], params: Any
+    ) -> Node | None:
+        first = operands[0]
+        if op != "concatenate" and first.shape == shape and _is_identity(op, params, shape):
+            return first
+        if all(each.is_constant for each in operands):
+            return self.constant(view(op, [each.value for each in operands], params), dtype)
+        if op == "concatenate" and len(operands) == 1:
+            return first
+        if op == "reshape" and first.op == "reshape":
+            return self.add("reshape", first.operands, _Like(shape, dtype), first.source, shape=shape)
+        return None
+
+
+def _evaluated(op: str, values: Sequence[Any], dtype: np.dtype[Any]) -> Any:
+    """Return what an operation on constants is; None if a library might give another number."""
+    if op == "convert_element_type":
+        return values[0].astype(dtype)
+    exact = {**EXACT, **(LOGICAL if dtype.kind == "b" else {"div": np.divide} if dtype.kind == "f" else {})}
+    with np.errstate(all="ignore"):
+        return exact[op](*values) if op in exact else None
+
+
+def _selected(operands: Sequence[Node], shape: tuple[int, ...]) -> Node | None:
+    """Return what a choice of two comes to where it is known, or both are the same."""
+    which, *cases = operands
+    if len(cases) != 2:
+        return None
+    if cases[0] is cases[1]:
+        return cases[0]
+    picks = np.unique(which.value.astype(int)) if which.value is not None else ()
+    return cases[int(picks[0])] if len(picks) == 1 and cases[int(picks[0])].shape == shape else None
+
+
+LOGICAL = {"and": np.logical_and, "or": np.logical_or, "xor": np.logical_xor, "not": np.logical_not}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -503,13 +517,17 @@ def _iota(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Nod
 @_rule("platform_index")
 def _platform(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
     platforms = params["platforms"]
-    index = next((k for k, names in enumerate(platforms) if names is None or "cpu" in names), len(platforms) - 1)
+    index = next(
+        (k for k, names in enumerate(platforms) if names is None or "cpu" in names), len(platforms) - 1
+    )
     return Node("platform_index", (), {"index": index}, (), np.dtype(np.int32))
 
 
 @_rule("pad")
 def _pad(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
-    return b.add("pad", x, out[0], source, config=tuple(tuple(map(int, each)) for each in params["padding_config"]))
+    return b.add(
+        "pad", x, out[0], source, config=tuple(tuple(map(int, each)) for each in params["padding_config"])
+    )
 
 
 def _spread(b: _Builder, node: Node, like: Any) -> Node:

@@ -116,12 +116,16 @@ def _flat(layout: Layout, tree: Any, path: str, shapes: bool) -> Iterator[Any]:
     elif layout[0] == "array":
         if math.prod(layout[2]):
             if shapes and np.shape(tree) != tuple(layout[2]):
-                raise ValueError(f"{path or 'value'}: expected shape {tuple(layout[2])}, not {np.shape(tree)}")
+                raise ValueError(
+                    f"{path or 'value'}: expected shape {tuple(layout[2])}, not {np.shape(tree)}"
+                )
             yield tree
     else:
         fields = layout[2]
         if not isinstance(tree, tuple) or len(cast("tuple[Any, ...]", tree)) != len(fields):
-            raise ValueError(f"{path or 'value'}: expected a tuple of {len(fields)}, not {type(tree).__name__}")
+            raise ValueError(
+                f"{path or 'value'}: expected a tuple of {len(fields)}, not {type(tree).__name__}"
+            )
         for (name, inside), each in zip(fields, cast("tuple[Any, ...]", tree), strict=True):
             yield from _flat(inside, each, f"{path}.{name}" if path else name, shapes)
 
@@ -146,7 +150,7 @@ def kind_of(name: str) -> Callable[..., Any]:
         raise ValueError(f"{name}: no such type") from error
 
 
-# -- C ---------------------------------------------------------------------------------------------------------
+# -- C --------------------------------------------------------------------------------------------
 
 
 class Structs:
@@ -165,7 +169,9 @@ class Structs:
         """
         key = json.dumps(layout)
         if key not in self.names:
-            name = _unused(f"{self._prefix}_{_snake(layout[1].split(':')[-1]) if layout[1] else wanted}", self._taken)
+            name = _unused(
+                f"{self._prefix}_{_snake(layout[1].split(':')[-1]) if layout[1] else wanted}", self._taken
+            )
             self.names[key] = name
             self.definitions.append(self._define(layout, name, comments))
         return self.names[key]
@@ -205,7 +211,7 @@ def _unused(name: str, taken: set[str]) -> str:
 
 
 def _snake(name: str) -> str:
-    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name.split(".")[-1]).lower()
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name.rsplit(".", maxsplit=1)[-1]).lower()
 
 
 @functools.cache
@@ -218,7 +224,11 @@ def field_comments(kind: Any) -> dict[str, str]:
     found: dict[str, str] = {}
     field = ""
     for token in tokenize.generate_tokens(io.StringIO(inspect.cleandoc(source)).readline):
-        if token.type == tokenize.NAME and re.match(rf"\s*{token.string}\s*:", token.line) and token.start[1] <= 4:
+        if (
+            token.type == tokenize.NAME
+            and re.match(rf"\s*{token.string}\s*:", token.line)
+            and token.start[1] <= 4
+        ):
             field = token.string
         elif token.type == tokenize.COMMENT and field and token.line.strip() != token.string:
             found.setdefault(field, _plain(token.string.lstrip("# ")))

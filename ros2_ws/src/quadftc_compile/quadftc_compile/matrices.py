@@ -1,5 +1,5 @@
 # pyright: basic
-"""What JAX leaves to LAPACK, for small matrices in C: factors of a matrix, triangular systems; and sorting."""
+"""What JAX leaves to LAPACK, in C for small matrices: factors, triangular systems; and sorting."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 
 from quadftc_compile.emit import WHOLE, Emitter, Storage, statement
-from quadftc_compile.graph import Node, Untraceable
+from quadftc_compile.graph import Node, UntraceableError
 from quadftc_compile.text import Index, variable
 
 # functions of C by name; {real} is the type of a number, {f} the suffix of its functions
@@ -89,7 +89,9 @@ def write_cholesky(emitter: Emitter, node: Node, storage: Storage) -> None:
     emitter.helpers.add("cholesky_factor")
     a_name, size = emitter.storage_of(a).name, n * n
     _each_matrix(
-        emitter, node.shape, f"cholesky_factor({n}, {a_name} + {{0}} * {size}, {storage.name} + {{0}} * {size});"
+        emitter,
+        node.shape,
+        f"cholesky_factor({n}, {a_name} + {{0}} * {size}, {storage.name} + {{0}} * {size});",
     )
 
 
@@ -99,11 +101,14 @@ def write_triangular_solve(emitter: Emitter, node: Node, storage: Storage) -> No
     a, b = node.operands
     params, (n, m) = node.params, b.shape[-2:]
     if not params["left_side"]:
-        raise Untraceable(f"{node.source or 'it'}: write x A = b as A' x' = b'")
+        raise UntraceableError(f"{node.source or 'it'}: write x A = b as A' x' = b'")
     emitter.helpers.add("solve_triangular")
     flags = [params["lower"], params["transpose_a"], params["unit_diagonal"]]
     words = ", ".join("true" if flag else "false" for flag in flags)
-    b_at, a_at = f"{emitter.storage_of(b).name} + {{0}} * {n * m}", f"{emitter.storage_of(a).name} + {{0}} * {n * n}"
+    b_at, a_at = (
+        f"{emitter.storage_of(b).name} + {{0}} * {n * m}",
+        f"{emitter.storage_of(a).name} + {{0}} * {n * n}",
+    )
     calls = f"solve_triangular({n}, {m}, {a_at}, {b_at}, {storage.name} + {{0}} * {n * m}, {words});"
     _each_matrix(emitter, b.shape, calls)
 
@@ -113,7 +118,9 @@ def write_lu(emitter: Emitter, node: Node, results: Sequence[Storage]) -> None:
     (a,) = node.operands
     n = a.shape[-1]
     if a.shape[-2] != n or math.prod(a.shape[:-2]) != 1 or n == 1:
-        raise Untraceable(f"{node.source or 'it'}: factors are known in C of one square matrix at a time")
+        raise UntraceableError(
+            f"{node.source or 'it'}: factors are known in C of one square matrix at a time"
+        )
     emitter.helpers.add("lu_factor")
     names = ", ".join(each.name for each in (emitter.storage_of(a), *results))
     emitter.line(f"lu_factor({n}, {names});")
@@ -123,14 +130,16 @@ def write_sort(emitter: Emitter, node: Node, results: Sequence[Storage]) -> None
     """Write arrays sorted along an axis by the first of them: insertion, which keeps the order of equals."""
     axis, first = node.params["dimension"], node.operands[0]
     if node.params["num_keys"] != 1:
-        raise Untraceable(f"{node.source or 'it'}: sorting by several keys is not known in C")
+        raise UntraceableError(f"{node.source or 'it'}: sorting by several keys is not known in C")
     for operand, where in zip(node.operands, results, strict=True):
         emitter.copy(operand, where)
     shape, step = first.shape, math.prod(first.shape[axis + 1 :])
     names = {k: emitter.name("i") for k, n in enumerate(shape) if k != axis and n != 1}
     for k, name in names.items():
         emitter.open(f"for (int {name} = 0; {name} < {shape[k]}; {name}++)")
-    base = emitter.place(Storage("x"), shape, [variable(names[k]) if k in names else Index() for k in range(len(shape))])
+    base = emitter.place(
+        Storage("x"), shape, [variable(names[k]) if k in names else Index() for k in range(len(shape))]
+    )
     start = base[2:-1]
     k, j = emitter.name("j"), emitter.name("j")
     emitter.open(f"for (int {k} = 1; {k} < {shape[axis]}; {k}++)")

@@ -89,10 +89,12 @@ def make_writer(layout: Layout, memory: Memory) -> Callable[[Any], None]:
             lines.append(f"    v{number}[...] = {source}")
         else:
             kind = leaf.dtype.name
-            names[kind] = memory.bytes[: len(memory.bytes) // leaf.dtype.itemsize * leaf.dtype.itemsize].view(leaf.dtype)
+            names[kind] = memory.bytes[: len(memory.bytes) // leaf.dtype.itemsize * leaf.dtype.itemsize].view(
+                leaf.dtype
+            )
             lines.append(f"    {kind}[{leaf.offset // leaf.dtype.itemsize}] = {source}")
     lines.append("    return")
-    exec("\n".join(lines), names)  # noqa: S102  (of names and numbers that are made here)
+    exec("\n".join(lines), names)
     return names["write"]
 
 
@@ -137,5 +139,5 @@ def make_reader(layout: Layout, memory: Memory) -> Callable[[], Any]:
         return f"{name}({parts})"
 
     lines.append(f"    return {build(layout, iter(range(len(leaves))))}")
-    exec("\n".join(lines), names)  # noqa: S102
+    exec("\n".join(lines), names)
     return names["read"]

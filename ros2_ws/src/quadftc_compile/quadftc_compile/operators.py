@@ -1,62 +1,81 @@
 # pyright: basic
 """Operations that are done number by number, as expressions of C.
 
-`max` and `min` are NaN where an operand is, as NumPy's and JAX's are; sums and products are done as they stand.
+`max` and `min` are NaN where an operand is, as NumPy's and JAX's are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from quadftc_compile.graph import Node
 from quadftc_compile.layout import C_TYPES
 from quadftc_compile.text import Expression, binary, call, choice, literal, unary
 
-SIGNS = {"add": "+", "sub": "-", "mul": "*", "eq": "==", "ne": "!=", "lt": "<", "le": "<=", "gt": ">", "ge": ">="}
-FUNCTIONS = ("sqrt", "cbrt", "exp", "exp2", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan")
-FUNCTIONS += ("sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "floor", "ceil", "erf", "erfc")
+SIGNS = {"add": "+", "sub": "-", "mul": "*"}
+SIGNS |= {"eq": "==", "ne": "!=", "lt": "<", "le": "<=", "gt": ">", "ge": ">="}
+FUNCTIONS = {"sqrt", "cbrt", "exp", "exp2", "expm1", "log", "log1p", "floor", "ceil", "erf", "erfc"}
+FUNCTIONS |= {"sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"}
 TWO_ARGUMENTS = {"atan2": "atan2", "pow": "pow", "rem": "fmod", "nextafter": "nextafter"}
-OTHERS = ("div", "max", "min", "neg", "abs", "sign", "and", "or", "xor", "not", "select_n", "convert_element_type")
-OTHERS += ("is_finite", "round", "rsqrt", "logistic")
-ELEMENTWISE = {*SIGNS, *FUNCTIONS, *TWO_ARGUMENTS, *OTHERS}
-LOGICAL = {"and": "&&", "or": "||", "xor": "!="}
 BITS = {"and": "&", "or": "|", "xor": "^"}
+LOGICAL = {"and": "&&", "or": "||", "xor": "!="}
 
 
 def operate(node: Node, x: Sequence[Expression], real: str) -> Expression:
     """Return one number of an operation on numbers."""
     op, floating = node.op, node.operands[0].dtype.kind == "f"
-    f = "f" if real == "float" else ""
     if op in SIGNS:
         return binary(SIGNS[op], *x)
-    if op == "div":
-        quotient = binary("/", *x)
-        return quotient if floating else choice(binary("==", x[1], Expression("0")), Expression("-1"), quotient)
     if op in ("max", "min"):
         return combine(op, node.dtype, *x)
-    if op == "neg":
-        return unary("-", x[0])
-    if op in ("abs", "sign"):
-        return _size(op, x[0], floating, real)
-    if op in FUNCTIONS:
-        return call(f"{op}{f}", x[0])
-    if op in TWO_ARGUMENTS and floating:
-        return call(f"{TWO_ARGUMENTS[op]}{f}", *x)
-    if op == "rem":
-        return choice(binary("==", x[1], Expression("0")), x[0], binary("%", *x))
-    if op == "rsqrt":
-        return binary("/", literal(1.0, real), call(f"sqrt{f}", x[0]))
-    if op == "logistic":
-        one = literal(1.0, real)
-        return binary("/", one, binary("+", one, call(f"exp{f}", unary("-", x[0]))))
-    if op == "round":
-        return call(f"{'rint' if int(node.params['rounding_method']) == 1 else 'round'}{f}", x[0])
-    if op == "is_finite":
-        return binary("!=", call("isfinite", x[0]), Expression("0")) if floating else Expression("true")
     if op in ("and", "or", "xor", "not"):
         return _logical(op, node.dtype, x)
-    return _select(node, x) if op == "select_n" else _convert(node, x[0], real)
+    if op in FUNCTIONS or (op in TWO_ARGUMENTS and floating):
+        return call(f"{TWO_ARGUMENTS.get(op, op)}{_suffix(real)}", *x)
+    return _OTHERS[op](node, x, floating, real)
+
+
+def _suffix(real: str) -> str:
+    """Return the end of the names of functions of libm."""
+    return "f" if real == "float" else ""
+
+
+def _divide(_: Node, x: Sequence[Expression], floating: bool, __: str) -> Expression:
+    quotient = binary("/", *x)
+    return quotient if floating else choice(binary("==", x[1], ZERO), Expression("-1"), quotient)
+
+
+def _logistic(_: Node, x: Sequence[Expression], __: bool, real: str) -> Expression:
+    one = literal(1.0, real)
+    return binary("/", one, binary("+", one, call(f"exp{_suffix(real)}", unary("-", x[0]))))
+
+
+def _round(node: Node, x: Sequence[Expression], _: bool, real: str) -> Expression:
+    return call(f"{'rint' if int(node.params['rounding_method']) == 1 else 'round'}{_suffix(real)}", x[0])
+
+
+def _is_finite(_: Node, x: Sequence[Expression], floating: bool, __: str) -> Expression:
+    return binary("!=", call("isfinite", x[0]), ZERO) if floating else Expression("true")
+
+
+ZERO = Expression("0")
+_OTHERS: dict[str, Callable[[Node, Sequence[Expression], bool, str], Expression]] = {
+    "div": _divide,
+    "neg": lambda node, x, floating, real: unary("-", x[0]),
+    "abs": lambda node, x, floating, real: _size("abs", x[0], floating, real),
+    "sign": lambda node, x, floating, real: _size("sign", x[0], floating, real),
+    "rem": lambda node, x, floating, real: choice(binary("==", x[1], ZERO), x[0], binary("%", *x)),
+    "rsqrt": lambda node, x, floating, real: binary(
+        "/", literal(1.0, real), call(f"sqrt{_suffix(real)}", x[0])
+    ),
+    "logistic": _logistic,
+    "round": _round,
+    "is_finite": _is_finite,
+    "select_n": lambda node, x, floating, real: _select(node, x),
+    "convert_element_type": lambda node, x, floating, real: _convert(node, x[0], real),
+}
+ELEMENTWISE = {*SIGNS, *FUNCTIONS, *TWO_ARGUMENTS, *_OTHERS, "max", "min", "and", "or", "xor", "not"}
 
 
 def combine(op: str, dtype: Any, x: Expression, y: Expression) -> Expression:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 
 from quadftc_compile.emit import Emitter, Storage, statement
-from quadftc_compile.graph import Node, Untraceable
+from quadftc_compile.graph import Node, UntraceableError
 from quadftc_compile.text import Expression, Index, Indices, binary, call, choice, flat, variable
 
 FILLED = "FILL_OR_DROP"  # mode of JAX: beyond the end there is nothing
@@ -60,7 +60,7 @@ def pad(emitter: Emitter, node: Node, storage: Storage) -> None:
     x, filling = node.operands
     config = node.params["config"]
     if any(low < 0 or high < 0 for low, high, _ in config):
-        raise Untraceable(f"{node.source or 'it'}: padding by less than nothing is not known in C")
+        raise UntraceableError(f"{node.source or 'it'}: padding by less than nothing is not known in C")
     emitter.each(node.shape, lambda at: emitter.put(storage, node.shape, at, emitter.at(filling, [])))
 
     def put(at: Indices) -> str:
@@ -130,7 +130,9 @@ def scatter(emitter: Emitter, node: Node, storage: Storage) -> None:
     emitter.copy(x, storage)
     batch = [k for k in range(len(update.shape)) if k not in numbers.update_window_dims]
     free = [
-        k for k in range(len(x.shape)) if k not in (*numbers.inserted_window_dims, *numbers.operand_batching_dims)
+        k
+        for k in range(len(x.shape))
+        if k not in (*numbers.inserted_window_dims, *numbers.operand_batching_dims)
     ]
     sizes = [1] * len(x.shape)
     for k, axis in zip(free, numbers.update_window_dims, strict=True):

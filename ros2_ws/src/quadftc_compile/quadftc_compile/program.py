@@ -12,8 +12,8 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import math
-import os
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from quadftc_compile import emit, matrices
 from quadftc_compile import places as _places  # noqa: F401
 from quadftc_compile import sums as _sums  # noqa: F401
 from quadftc_compile.emit import Storage
-from quadftc_compile.graph import Graph, Source, Untraceable, graph_of
+from quadftc_compile.graph import Graph, Source, UntraceableError, graph_of
 from quadftc_compile.layout import (
     C_TYPES,
     Layout,
@@ -37,13 +37,13 @@ from quadftc_compile.recipe import Function
 from quadftc_model.numbers import numbers_of, with_numbers
 from quadftc_model.parameters import parameters_of
 
-HERE = os.path.dirname(__file__)
+HERE = str(Path(__file__).parent)
 # what JAX raises where a function does something that it cannot trace, and how to write it instead
 ADVICE = {
     "TracerBoolConversionError": "it branches on data: write it with `where`",
     "ConcretizationTypeError": "it needs a number before there is one: keep to array operations",
     "TracerArrayConversionError": "it turns an array into NumPy's: take functions from `namespace(array)`",
-    "TracerIntegerConversionError": "it takes data for an index: use whole numbers that are known, or `where`",
+    "TracerIntegerConversionError": "it takes data for an index: use known whole numbers, or `where`",
     "NonConcreteBooleanIndexError": "it picks elements by data: write it with `where`",
     "UnexpectedTracerError": "it keeps a value from another trace: a law has no memory but its state",
     "TypeError": "it does with an array what only a number can do",
@@ -75,7 +75,7 @@ class Program:
 
 
 def write_program(name: str, law: Any, functions: Mapping[str, Function], real: str = "double") -> Program:
-    """Trace the functions of a law and write them in C; Untraceable says where one cannot be traced."""
+    """Trace the functions of a law and write them in C; UntraceableError says where one cannot be traced."""
     import jax
 
     numbers = numbers_of(law)
@@ -117,10 +117,10 @@ def _trace(name: str, law: Any, numbers: Mapping[str, Any], function: Function) 
             [_shape_of(each) for each in numbers.values()], *shapes
         )
         return _Traced(function, graph_of(closed, source_of), results)
-    except Untraceable as error:
-        raise Untraceable(f"{name}: {error}") from None
+    except UntraceableError as error:
+        raise UntraceableError(f"{name}: {error}") from None
     except Exception as error:
-        raise Untraceable(f"{name}: {_explain(error)}") from error
+        raise UntraceableError(f"{name}: {_explain(error)}") from error
 
 
 def _shape_of(value: Any) -> Any:
@@ -138,7 +138,7 @@ def _explain(error: Exception) -> str:
         file = trace.tb_frame.f_code.co_filename
         if _is_law(file):
             code = trace.tb_frame.f_code
-            place = f"{os.path.basename(file)}:{trace.tb_lineno} {code.co_name}: "
+            place = f"{Path(file).name}:{trace.tb_lineno} {code.co_name}: "
         trace = trace.tb_next
     kinds = [kind.__name__ for kind in type(error).__mro__]
     advice = next((ADVICE[kind] for kind in kinds if kind in ADVICE), "")
@@ -151,7 +151,7 @@ def source_of(equation: Any) -> Source | None:
     traceback = equation.source_info.traceback
     for frame in traceback.frames if traceback is not None else ():
         if _is_law(frame.file_name):
-            return Source(os.path.basename(frame.file_name), frame.line_num, frame.function_name)
+            return Source(Path(frame.file_name).name, frame.line_num, frame.function_name)
     return None
 
 
@@ -164,7 +164,9 @@ def _is_law(file: str) -> bool:
 class _Writer:
     """Writes a program."""
 
-    def __init__(self, name: str, law: Any, numbers: Mapping[str, Any], used: Sequence[str], real: str) -> None:
+    def __init__(
+        self, name: str, law: Any, numbers: Mapping[str, Any], used: Sequence[str], real: str
+    ) -> None:
         self._name, self._law, self._real = name, law, real
         self._places = {path: k for k, path in enumerate(numbers)}
         self._used = list(used)
@@ -224,7 +226,8 @@ class _Writer:
         function, graph = traced.function, traced.graph
         arguments = {n: with_real(layout_of(v), self._code) for n, v in function.arguments.items()}
         results = {
-            n: with_real(layout_of(v), self._code) for n, v in zip(function.results, traced.results, strict=True)
+            n: with_real(layout_of(v), self._code)
+            for n, v in zip(function.results, traced.results, strict=True)
         }
         name = f"{self._name}_{key}"
         parameters = [f"const {self._structs.name_of(self._layout, 'numbers')} *restrict numbers"]
@@ -258,11 +261,21 @@ class _Writer:
         self._helpers |= emitter.helpers
         unused = [each.split()[-1].lstrip("*") for each in parameters]
         body = "\n".join(emitter.lines)
-        quiet = [f"    (void){each};" for each in unused if f"{each}->" not in body and f"*{each}" not in body and f"{each}[" not in body]
-        empty = [f"    {n}->nothing = 0;" for n, layout in results.items() if layout[0] == "tuple" and not leaves_of(layout)]
+        quiet = [
+            f"    (void){each};"
+            for each in unused
+            if f"{each}->" not in body and f"*{each}" not in body and f"{each}[" not in body
+        ]
+        empty = [
+            f"    {n}->nothing = 0;"
+            for n, layout in results.items()
+            if layout[0] == "tuple" and not leaves_of(layout)
+        ]
         signature = f"void {name}(\n    " + ",\n    ".join(parameters) + ")"
         self._declarations.append(signature)
-        self._bodies.append("\n".join([signature + "\n{", *quiet, *empty, *emitter.arrays, *emitter.lines, "}\n"]))
+        self._bodies.append(
+            "\n".join([signature + "\n{", *quiet, *empty, *emitter.arrays, *emitter.lines, "}\n"])
+        )
         self._compiled[key] = Compiled(
             name, arguments, results, emitter.statements, graph.operations, emitter.stack
         )
@@ -270,9 +283,13 @@ class _Writer:
             self._write_run(self._compiled[key])
 
     def _write_run(self, step: Compiled) -> None:
-        """Write a function that calls a step for each of many samples; ``state`` is that of now, before and after."""
-        kind = self._structs.name_of(step.arguments["before"], "state")
-        given = {name: self._kind(layout, name) for name, layout in step.arguments.items() if name != "before"}
+        """Write a function that calls a step for many samples; ``state`` is that before, then that after."""
+        before = step.arguments["before"]
+        kind = self._kind(before, "state")
+        size = math.prod(before[2]) if before[0] == "array" else 1
+        given = {
+            name: self._kind(layout, name) for name, layout in step.arguments.items() if name != "before"
+        }
         made = {name: self._kind(layout, name) for name, layout in step.results.items() if name != "after"}
         parameters = [
             f"const {self._structs.name_of(self._layout, 'numbers')} *numbers",
@@ -297,7 +314,8 @@ class _Writer:
         self._bodies.append(
             f"{signature}\n{{\n    for (int k = 0; k < count; k++) {{\n"
             f"        {step.name}(numbers, {values});\n    }}\n"
-            "    if (count % 2) *state = *spare;\n}\n"
+            f"    for (int k = 0; count % 2 && k < {size}; k++) {{\n        state[k] = spare[k];\n    }}\n"
+            "}\n"
         )
 
     def _kind(self, layout: Layout, name: str) -> str:
@@ -355,7 +373,11 @@ def comment_of(law: Any, path: str) -> str:
     part: Any = law
     *parents, last = path.split(".")
     for each in parents:
-        part = part[int(each[4:])] if each.startswith("part") and each[4:].isdecimal() else getattr(part, each, None)
+        part = (
+            part[int(each[4:])]
+            if each.startswith("part") and each[4:].isdecimal()
+            else getattr(part, each, None)
+        )
     kind = type(part)
     if dataclasses.is_dataclass(kind):
         for spec in parameters_of(kind):

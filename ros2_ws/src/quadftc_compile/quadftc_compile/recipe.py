@@ -15,7 +15,9 @@ class Function:
     call: Callable[..., tuple[Any, ...]]
     arguments: Mapping[str, Any]  # an example of each
     results: tuple[str, ...]
-    kinds: Mapping[str, str] = dataclasses.field(default_factory=dict)  # argument or result -> its struct's name
+    kinds: Mapping[str, str] = dataclasses.field(
+        default_factory=dict
+    )  # argument or result -> its struct's name
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,7 +70,7 @@ def resume(law: Any, inputs: Any, words: Any) -> tuple[Any, Any]:
 def recipe_of(law: Any, inputs: Any, words: Any = None, name: str = "") -> Recipe:
     """Return the recipe of a law with ``init`` and ``step``, for inputs like an example.
 
-    With an example of last ``words``, its function ``resumed`` is compiled, too. Its state is that of ``init``.
+    With an example of last ``words`` its function ``resumed`` is compiled, too.
     """
     import numpy as np
 
@@ -82,7 +84,9 @@ def recipe_of(law: Any, inputs: Any, words: Any = None, name: str = "") -> Recip
         ),
     }
     if words is not None:
-        functions["resumed"] = Function(resume, {"inputs": inputs, "words": words}, ("after", "output"), kinds)
+        functions["resumed"] = Function(
+            resume, {"inputs": inputs, "words": words}, ("after", "output"), kinds
+        )
     return Recipe(name or _snake(type(law).__name__), law, functions)
 
 

@@ -19,7 +19,9 @@ class Call:
 
     def __init__(self, entry: Entry, numbers: Memory, shared: dict[str, Memory]) -> None:
         # states have memory of their own; that of all else is made here
-        self._memories = {name: Memory(layout) for name, layout in entry.arguments.items() if name not in shared}
+        self._memories = {
+            name: Memory(layout) for name, layout in entry.arguments.items() if name not in shared
+        }
         self.outputs = {name: Memory(layout) for name, layout in entry.results.items() if name not in shared}
         self.writers = {name: make_writer(each.layout, each) for name, each in self._memories.items()}
         self.readers = {name: make_reader(each.layout, each) for name, each in self.outputs.items()}
@@ -29,7 +31,9 @@ class Call:
         """Return the function on some states, without arguments."""
         places = {**self._memories, **self.outputs, **states}
         order = [*self._entry.arguments, *self._entry.results]
-        return functools.partial(self._entry.call, self._numbers.address, *(places[name].address for name in order))
+        return functools.partial(
+            self._entry.call, self._numbers.address, *(places[name].address for name in order)
+        )
 
 
 class CState:
@@ -101,9 +105,9 @@ class CRunner:
         return one, self._read_output()
 
     def run(self, state: Any, inputs: Any, dt: Any) -> tuple[CState, Any]:
-        """Advance over many samples; inputs are nested tuples of arrays (count, ...), ``dt`` [s] (count,) or one.
+        """Advance over many samples: inputs are nested tuples of arrays (count, ...); ``dt`` [s], too.
 
-        An array without the first axis is the same at all samples. Return the state, and outputs (count, ...).
+        An array without the first axis is the same at all samples. Return the state, outputs (count, ...).
         """
         entry, (one, other) = self._library.entries["step"], self._states
         if state is not one:

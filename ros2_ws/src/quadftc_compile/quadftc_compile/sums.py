@@ -56,7 +56,7 @@ def contract(emitter: Emitter, node: Node, storage: Storage) -> None:
 
 
 def _beside(emitter: Emitter, node: Node, order: Sequence[int]) -> Node:
-    """Return an array that is read often with its axes in an order, so that what is read in turn lies side by side."""
+    """Return an array with its axes in an order in which what is read in turn lies side by side."""
     if list(order) == sorted(order) and node.op not in VIEWS:
         return node
     shape = [node.shape[k] for k in order]
@@ -74,9 +74,7 @@ def _places(*parts: tuple[Sequence[int], Indices]) -> list[Index]:
     return [found[k] for k in range(len(found))]
 
 
-def fold(
-    emitter: Emitter, node: Node, storage: Storage, op: str, count: Sequence[int], term: Term
-) -> None:
+def fold(emitter: Emitter, node: Node, storage: Storage, op: str, count: Sequence[int], term: Term) -> None:
     """Write a reduction by an operation: for each number of a node, its terms over inner indices."""
     terms, shape = math.prod(count), node.shape
     inner = [[Index(k) for k in place] for place in itertools.product(*(range(n) for n in count))]

@@ -15,7 +15,7 @@ def main() -> None:
     from quadftc_compile.build import BuildError, build_library
 
     try:
-        recipe = pickle.loads(sys.stdin.buffer.read())  # noqa: S301  (of the process that has started this one)
+        recipe = pickle.loads(sys.stdin.buffer.read())
     except Exception as error:  # whatever a law's own module raises
         answers.write(json.dumps({"unknown": str(error)}) + "\n")
         return

@@ -82,3 +82,23 @@ class Floating(LowPass):
         """Do so."""
         size = float(inputs.value[0])
         return state, size * inputs.value
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Rotation(Checked):
+    """Products of complex numbers in pairs, which compilers like to fuse; its state is one array."""
+
+    def example(self) -> Any:
+        """Return inputs as it takes them."""
+        return np.zeros(8)
+
+    def init(self, inputs: Any) -> Any:
+        """Start at the inputs."""
+        return inputs
+
+    def step(self, state: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
+        """Multiply with the inputs."""
+        xp = namespace(inputs)
+        (a, b), (c, d) = (each.reshape(4, 2).T for each in (state, inputs))
+        product = xp.stack([a * c - b * d, a * d + b * c], axis=-1).reshape(8)
+        return product, dt * product + inputs

@@ -40,7 +40,9 @@ def _scan_back(x):
 
 
 def _while(x):
-    return lax.while_loop(lambda c: jnp.sum(c[0]) < 50.0, lambda c: (c[0] * 2.0 + 1.0, c[1] + 1), (jnp.abs(x), 0))
+    return lax.while_loop(
+        lambda c: jnp.sum(c[0]) < 50.0, lambda c: (c[0] * 2.0 + 1.0, c[1] + 1), (jnp.abs(x), 0)
+    )
 
 
 CASES = {
@@ -54,7 +56,15 @@ CASES = {
         (A,),
     ),
     "odd numbers": (
-        lambda x: (x + 0.0, 0.0 * x, x - 0.0, jnp.maximum(x, 1.0), jnp.minimum(1.0, x), jnp.abs(x), jnp.sign(x)),
+        lambda x: (
+            x + 0.0,
+            0.0 * x,
+            x - 0.0,
+            jnp.maximum(x, 1.0),
+            jnp.minimum(1.0, x),
+            jnp.abs(x),
+            jnp.sign(x),
+        ),
         (ODD,),
     ),
     "odd comparisons": (
@@ -64,27 +74,63 @@ CASES = {
     "rounding": (lambda x: (jnp.rint(2.5 * x), jnp.floor(x), jnp.ceil(x), jnp.clip(x, -0.5, 0.5)), (A,)),
     "logic": (lambda x, y: ((x > 0) & (y > 0), (x > 0) | ~(y > 0), (x > 0) ^ (y > 0)), (A, B)),
     "integers": (
-        lambda k: (k * 3 - 1, k // 2, k % 2, jnp.maximum(k, 1), k.astype(float) / 2, (k > 0).astype(jnp.uint8)),
+        lambda k: (
+            k * 3 - 1,
+            k // 2,
+            k % 2,
+            jnp.maximum(k, 1),
+            k.astype(float) / 2,
+            (k > 0).astype(jnp.uint8),
+        ),
         (np.arange(-4, 5),),
     ),
     "views": (
-        lambda x: (x.T, x[1:3, ::2], x[::-1], x.reshape(3, 8), x.T.reshape(-1), x[None, :, None], jnp.flip(x)),
+        lambda x: (
+            x.T,
+            x[1:3, ::2],
+            x[::-1],
+            x.reshape(3, 8),
+            x.T.reshape(-1),
+            x[None, :, None],
+            jnp.flip(x),
+        ),
         (A,),
     ),
-    "views of sums": (lambda x, y: ((x + y).T.reshape(3, 8) * 2.0, jnp.tile(x + y, (2, 1)), (x * y)[:, 1]), (A, B)),
+    "views of sums": (
+        lambda x, y: ((x + y).T.reshape(3, 8) * 2.0, jnp.tile(x + y, (2, 1)), (x * y)[:, 1]),
+        (A, B),
+    ),
     "joined": (
         lambda x, y: (jnp.concatenate([x, y, x + y], axis=1), jnp.stack([x, 2 * y], axis=1), jnp.pad(x, 1)),
         (A, B),
     ),
     "joined in a loop": (lambda x, y: (jnp.concatenate([x, y]) * 2.0 + jnp.concatenate([y, x]),), (A, B)),
     "sums": (
-        lambda x: (x.sum(), x.sum(axis=0), x.max(axis=1), x.min(), (x > 0).any(axis=1), (x > 0).all(), x.prod(axis=0)),
+        lambda x: (
+            x.sum(),
+            x.sum(axis=0),
+            x.max(axis=1),
+            x.min(),
+            (x > 0).any(axis=1),
+            (x > 0).all(),
+            x.prod(axis=0),
+        ),
         (RANDOM.normal(size=(9, 20)),),
     ),
-    "small sums": (lambda x: (x.sum(), x.sum(axis=0), jnp.cumsum(x, axis=1), jnp.argmax(x, axis=1), x.mean()), (A,)),
+    "small sums": (
+        lambda x: (x.sum(), x.sum(axis=0), jnp.cumsum(x, axis=1), jnp.argmax(x, axis=1), x.mean()),
+        (A,),
+    ),
     "extremes": (lambda x: (jnp.argmax(x), jnp.argmin(x, axis=0), jnp.cumsum(x[::-1], axis=0)), (A,)),
     "products": (
-        lambda x, y: (x @ y.T, y.T @ x, x[0] @ y[1], jnp.einsum("ij,kj->ik", x, y), x @ y[2], jnp.outer(x[0], y[0])),
+        lambda x, y: (
+            x @ y.T,
+            y.T @ x,
+            x[0] @ y[1],
+            jnp.einsum("ij,kj->ik", x, y),
+            x @ y[2],
+            jnp.outer(x[0], y[0]),
+        ),
         (A, B),
     ),
     "larger products": (
@@ -111,9 +157,15 @@ CASES = {
     "scan back": (_scan_back, (A,)),
     "while": (_while, (A,)),
     "branch": (lambda x: lax.cond(x[0, 0] > 0.0, lambda: (x.T, x.sum()), lambda: (2.0 * x.T, 1.0)), (A,)),
-    "other branch": (lambda x: lax.cond(x[0, 0] <= 0.0, lambda: (x.T, x.sum()), lambda: (2.0 * x.T, 1.0)), (A,)),
+    "other branch": (
+        lambda x: lax.cond(x[0, 0] <= 0.0, lambda: (x.T, x.sum()), lambda: (2.0 * x.T, 1.0)),
+        (A,),
+    ),
     "switch": (lambda k: (lax.switch(k[0], [lambda: 1.0, lambda: 2.0, lambda: 3.0]),), (INDEX,)),
-    "mapped": (lambda x, y: (jax.vmap(lambda a, b: jnp.outer(a, b).sum() + jnp.linalg.norm(a))(x, y),), (A, B)),
+    "mapped": (
+        lambda x, y: (jax.vmap(lambda a, b: jnp.outer(a, b).sum() + jnp.linalg.norm(a))(x, y),),
+        (A, B),
+    ),
     "mapped branch": (
         lambda x: (jax.vmap(lambda a: lax.cond(a[0] > 0, lambda: a * 2.0, lambda: -a))(x),),
         (A,),
@@ -125,7 +177,10 @@ CASES = {
     "not symmetric": (lambda x, b: (jnp.linalg.solve(x, b),), (SQUARE, RANDOM.normal(size=5))),
     "sorted": (lambda x: (jnp.sort(x, axis=1), jnp.argsort(x, axis=0)), (A,)),
     "scalars": (lambda x: (x[0] * x[1] + x[2], jnp.float64(3.0) * x[0], x[0] > x[1]), (VECTOR,)),
-    "constants": (lambda x: (x * np.arange(3.0), jnp.where(x > np.arange(3.0), 1, 0), jnp.arange(3), x), (VECTOR,)),
+    "constants": (
+        lambda x: (x * np.arange(3.0), jnp.where(x > np.arange(3.0), 1, 0), jnp.arange(3), x),
+        (VECTOR,),
+    ),
     "empty": (lambda x: (x[:0], x[:0].sum(), jnp.concatenate([x[:0], x])), (VECTOR,)),
 }
 
@@ -135,9 +190,7 @@ def compiled(call, arguments, name="function"):
     names = [f"x{k}" for k in range(len(arguments))]
     count = len(call(*map(jnp.asarray, arguments)))
     results = tuple(f"y{k}" for k in range(count))
-    function = Function(
-        lambda law, *given: call(*given), dict(zip(names, arguments, strict=True)), results
-    )
+    function = Function(lambda law, *given: call(*given), dict(zip(names, arguments, strict=True)), results)
     library = build_library(Recipe(name, NoLaw(), {"call": function}), keep=False)
     return call_once(library, NoLaw(), "call", *arguments)
 
@@ -154,7 +207,10 @@ def test_generated_c_gives_the_numbers_of_jax(name):
         np.testing.assert_allclose(other, one, rtol=1e-12, atol=1e-14)
         if one.dtype.kind == "f":
             zero = one == 0.0
-            np.testing.assert_array_equal(np.signbit(other)[zero] if np.ndim(other) else other == 0, np.signbit(one)[zero] if one.ndim else one == 0)
+            np.testing.assert_array_equal(
+                np.signbit(other)[zero] if np.ndim(other) else other == 0,
+                np.signbit(one)[zero] if one.ndim else one == 0,
+            )
 
 
 def test_generated_c_keeps_denormal_numbers_as_numpy_does():
@@ -166,5 +222,8 @@ def test_generated_c_keeps_denormal_numbers_as_numpy_does():
 
 
 def test_what_c_does_not_know_is_named_with_its_place():
-    with jax.enable_x64(True), pytest.raises(BuildError, match=r"test_emit.py:\d+ .*: 'eigh?' of JAX is not known"):
+    with (
+        jax.enable_x64(True),
+        pytest.raises(BuildError, match=r"test_emit.py:\d+ .*: 'eigh?' of JAX is not known"),
+    ):
         compiled(lambda x: (jnp.linalg.eigvalsh(x),), (POSITIVE,))

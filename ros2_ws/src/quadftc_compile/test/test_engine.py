@@ -20,7 +20,7 @@ from quadftc_compile.runner import CRunner
 from quadftc_model.stepper import NumpyRunner, Stepper
 
 sys.path.insert(0, str(Path(__file__).parent))  # so that another process can import these laws, too
-from small_laws import Branching, Floating, Inputs, LowPass
+from small_laws import Branching, Floating, Inputs, LowPass, Rotation
 
 RANDOM = np.random.default_rng(3)
 
@@ -62,6 +62,14 @@ def test_c_gives_the_numbers_of_numpy_sample_by_sample_and_in_a_stretch():
     np.testing.assert_array_equal(c.tree(last).mean, of_c.mean)
 
 
+def test_products_and_sums_are_rounded_one_by_one():
+    law, inputs = Rotation(), [RANDOM.uniform(-1.0, 1.0, 8) for _ in range(20)]
+    state, wanted = run(NumpyRunner(law), inputs)
+    of_c, found = run(CRunner(law, build_library(recipe_of(law, law.example()))), inputs)
+    assert np.array_equal(found, wanted)
+    assert np.array_equal(of_c, state)
+
+
 def test_other_numbers_need_no_other_library_but_another_structure_does():
     one, other, more = (LowPass(time=0.1), LowPass(time=0.7, gain=(3.0, 1.0, 1.0)), LowPass(order=2))
     keys = {key_of(recipe_of(law, law.example())) for law in (one, other)}
@@ -69,7 +77,9 @@ def test_other_numbers_need_no_other_library_but_another_structure_does():
     assert key_of(recipe_of(more, more.example())) not in keys
     runner = CRunner(other, build_library(recipe_of(one, one.example())))
     inputs = samples(10)
-    np.testing.assert_allclose(run(runner, inputs)[1], run(NumpyRunner(other), inputs)[1], rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(
+        run(runner, inputs)[1], run(NumpyRunner(other), inputs)[1], rtol=1e-12, atol=1e-13
+    )
 
 
 def test_a_law_resumes_in_c_from_last_words():
@@ -80,7 +90,9 @@ def test_a_law_resumes_in_c_from_last_words():
     state, output = c.resumed(inputs, words)
     same, wanted = reference.resumed(inputs, words)
     np.testing.assert_allclose(output, wanted, rtol=1e-12, atol=1e-13)
-    np.testing.assert_allclose(c.step(state, later, 0.1)[1], reference.step(same, later, 0.1)[1], rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(
+        c.step(state, later, 0.1)[1], reference.step(same, later, 0.1)[1], rtol=1e-12, atol=1e-13
+    )
 
 
 def test_a_compiled_law_is_found_again_without_jax(own_cache):
@@ -137,7 +149,9 @@ def test_a_damaged_or_foreign_file_is_made_anew(own_cache, damage):
     assert anew.path.read_bytes() == content
     assert not anew.path.is_symlink()
     inputs = samples(5)
-    np.testing.assert_allclose(run(CRunner(law, anew), inputs)[1], run(NumpyRunner(law), inputs)[1], rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(
+        run(CRunner(law, anew), inputs)[1], run(NumpyRunner(law), inputs)[1], rtol=1e-12, atol=1e-13
+    )
 
 
 def test_a_folder_of_somebody_else_is_refused(monkeypatch, tmp_path):
@@ -208,7 +222,9 @@ def test_a_folder_that_cannot_be_written_costs_only_the_next_start(own_cache, mo
     monkeypatch.setattr(engine, "_build", engine._build_here)
     runner = CEngine(said.append)(law)
     assert type(runner._runner) is CRunner
-    np.testing.assert_allclose(run(runner, inputs)[1], run(NumpyRunner(law), inputs)[1], rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(
+        run(runner, inputs)[1], run(NumpyRunner(law), inputs)[1], rtol=1e-12, atol=1e-13
+    )
     assert list(own_cache.glob("*.so")) == []
     assert list(own_cache.glob(".new-*")) == []
 
@@ -218,14 +234,18 @@ def test_changed_sources_give_another_key(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     text = (Path(__file__).parent / "small_laws.py").read_text(encoding="utf-8")
     code = (
-        "import my_law; from quadftc_compile.build import key_of; from quadftc_compile.recipe import recipe_of\n"
+        "import my_law\n"
+        "from quadftc_compile.build import key_of\n"
+        "from quadftc_compile.recipe import recipe_of\n"
         "law = my_law.LowPass(); print(key_of(recipe_of(law, law.example())))"
     )
     keys = []
     for version in (text, text.replace("mean + share", "mean + 0.5 * share"), text):
         module.write_text(version, encoding="utf-8")
         env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
-        told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=env)
+        told = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=env
+        )
         keys.append(told.stdout)
     assert keys[0] == keys[2] != keys[1]
 
@@ -238,7 +258,9 @@ def test_a_stepper_flies_another_law_of_the_same_structure_in_c():
         if number == 10:
             stepper.law = reference.law = dataclasses.replace(law, time=2.0)
         stamp = 10**9 + number * 10_000_000
-        np.testing.assert_allclose(stepper.step(stamp, inputs), reference.step(stamp, inputs), rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(
+            stepper.step(stamp, inputs), reference.step(stamp, inputs), rtol=1e-12, atol=1e-13
+        )
     np.testing.assert_allclose(stepper.state.mean, reference.state.mean, rtol=1e-12, atol=1e-13)
 
 

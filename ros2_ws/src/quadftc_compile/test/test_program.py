@@ -97,7 +97,9 @@ def test_an_exported_law_reads_samples_and_says_what_it_says_here(tmp_path, reci
         if row:
             state, output = runner.step(state, inputs, dt)
         wanted = np.concatenate([np.ravel(each) for each in output])
-        np.testing.assert_allclose(shown[row, 1:], wanted, rtol=1e-12 if real == "double" else 1e-3, atol=1e-5)
+        np.testing.assert_allclose(
+            shown[row, 1:], wanted, rtol=1e-12 if real == "double" else 1e-3, atol=1e-5
+        )
     assert len(shown) == 60
 
 
@@ -106,5 +108,7 @@ def test_a_table_of_samples_has_a_column_for_each_number(tmp_path):
     exported = export_law(recipe_of(law, law.example()), tmp_path)
     assert exported.columns == ["dt", "value[0]", "value[1]", "value[2]", "there"]
     path = tmp_path / "samples.csv"
-    write_samples(path, exported.program.functions["step"].arguments["inputs"], [(0.5, Inputs(np.arange(3.0), True))])
+    write_samples(
+        path, exported.program.functions["step"].arguments["inputs"], [(0.5, Inputs(np.arange(3.0), True))]
+    )
     assert path.read_text(encoding="utf-8").splitlines()[1] == "0.5,0.0,1.0,2.0,1.0"

@@ -54,7 +54,9 @@ def components(vector: Components) -> tuple[Any, ...]:
 def stacked(parts: Sequence[Scalar]) -> Components:
     """Join components along a new last axis, the inverse of :func:`components`."""
     xp = namespace(*parts)
-    return xp.stack(xp.broadcast_arrays(*map(xp.asarray, parts)), axis=-1)
+    if len({np.shape(part) for part in parts}) > 1:
+        parts = xp.broadcast_arrays(*parts)
+    return xp.stack(parts, axis=-1)
 
 
 def column(x: Array) -> Array:
@@ -92,7 +94,7 @@ def whole_nanoseconds(time: Scalar) -> Scalar:
 
 
 def product(a: Array, b: Array, terms: Sequence[int] | None = None) -> Array:
-    """Matrix product a @ b, (..., n, k) and (..., k, m); over some of the inner indices if ``terms`` says so."""
+    """Matrix product a @ b, (..., n, k) and (..., k, m); over the inner indices ``terms`` alone if given."""
     if terms is None:
         return a @ b
     return functools.reduce(lambda x, y: x + y, [a[..., :, k, None] * b[..., k, None, :] for k in terms])

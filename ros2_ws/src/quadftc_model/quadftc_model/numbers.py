@@ -1,11 +1,11 @@
 """The numbers of a law, and its structure.
 
-A law is a frozen dataclass, and so are its parts (a vehicle, another law). Their texts, whole numbers, switches
-and shapes are the *structure*: a step is compiled for it. Their floats and arrays are *numbers*, each with a
-path (``vehicle.inertia``): the compiled step takes them as arguments.
+A law is a frozen dataclass, and so are its parts (a vehicle, another law). Their texts, whole numbers,
+switches and shapes are the *structure*: a step is compiled for it. Their floats and arrays are *numbers*,
+each with a path (``vehicle.inertia``): the compiled step takes them as arguments.
 
-What follows from parameters alone, and need not be traced (a validation, an inverse, a set of facets), stands in
-a property that is `prepared`: it is computed once, in NumPy, and its results are numbers like any others.
+What follows from parameters alone, and need not be traced (a validation, an inverse, a set of facets), stands
+in a property that is `prepared`: computed once, in NumPy, and its results are numbers like any others.
 """
 
 from __future__ import annotations

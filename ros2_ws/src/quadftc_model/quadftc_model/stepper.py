@@ -125,13 +125,13 @@ class Stepper(Generic[In, Out]):
     @law.setter
     def law(self, law: Law[In, Out]) -> None:
         if not (hasattr(self, "_runner") and self._runner.configure(law)):
-            self._runner = self._engine(law)
+            self._runner: Runner[In, Out] = self._engine(law)
         self._law = law
 
     def replace_law(self, law: Law[In, Out], example: In) -> None:
         """Go on with another law in flight: in NumPy, if it would have to be compiled for inputs first."""
         state, is_ready = self.state, getattr(self._engine, "is_ready", None)
-        quick = self._engine if is_ready is None or is_ready(law, example) else NumpyRunner
+        quick: Engine = self._engine if is_ready is None or is_ready(law, example) else NumpyRunner
         self._law, self._runner, self._state = law, quick(law), state
 
     def reset(self) -> None:
