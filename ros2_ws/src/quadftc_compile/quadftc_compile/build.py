@@ -32,7 +32,7 @@ FLAGS = (
     "-Wextra",
     "-pedantic",
 )
-FORMAT = 1  # of records; another one for another way to call
+FORMAT = 2  # of records; another one for another way to call
 
 
 class BuildError(ValueError):

@@ -33,7 +33,7 @@ class Exported(NamedTuple):
 
 
 def export_law(recipe: Recipe, folder: Path, real: str = "double", about: str = "") -> Exported:
-    """Write a law, its functions ``first`` and ``step``, into a folder; OSError if it cannot be written."""
+    """Write a law, its functions ``init`` and ``step``, into a folder; OSError if it cannot be written."""
     program = write_program(recipe.name, recipe.law, recipe.functions, real)
     name, columns = recipe.name, sample_columns(program.functions["step"].arguments["inputs"])
     folder.mkdir(parents=True, exist_ok=True)
@@ -156,12 +156,11 @@ int main(void) {{
     while ((letter = getchar()) != EOF && letter != '\\n') {{}}
     printf("{head}\\n");
     if (!read_sample(&dt, &in)) return EXIT_FAILURE;
-    {name}_first(&{name}_default, &in, &states[0], &out);
-    show(sample, &out);
-    while (read_sample(&dt, &in)) {{
+    {name}_init(&{name}_default, &in, &states[0]);
+    for (dt = 0; ; sample++) {{
         {name}_step(&{name}_default, &states[sample % 2], &in, &dt, &states[(sample + 1) % 2], &out);
-        sample++;
         show(sample, &out);
+        if (!read_sample(&dt, &in)) break;
     }}
     return EXIT_SUCCESS;
 }}
@@ -210,11 +209,11 @@ def _readme(recipe: Recipe, program: Program, real: str, columns: Sequence[str],
 #include "{name}.h"
 #include "{name}_numbers.h"
 
-{name}_first(&{name}_default, &in, &states[0], &out);                    /* the first sample */
+{name}_init(&{name}_default, &in, &states[0]);                           /* at the first sample: dt = 0 */
 {name}_step(&{name}_default, &states[0], &in, &dt, &states[1], &out);    /* dt [s] after the one before */
 ```
 
-A step reads one state and writes another: let two of them take turns. A state that is not finite any more is left by calling `{name}_first` again.
+A step reads one state and writes another: let two of them take turns. A state that is not finite any more is left by calling `{name}_init` again.
 
 | | |
 |---|---|

@@ -116,11 +116,28 @@ def _trace(name: str, law: Any, numbers: Mapping[str, Any], function: Function) 
         closed, results = jax.make_jaxpr(run, return_shape=True)(
             [_shape_of(each) for each in numbers.values()], *shapes
         )
+        _check_state(function, results)
         return _Traced(function, graph_of(closed, source_of), results)
     except UntraceableError as error:
         raise UntraceableError(f"{name}: {error}") from None
     except Exception as error:
         raise UntraceableError(f"{name}: {_explain(error)}") from error
+
+
+def _check_state(function: Function, results: tuple[Any, ...]) -> None:
+    """Raise an UntraceableError where a step changes the structure of a state."""
+    made = dict(zip(function.results, results, strict=True))
+    if "before" not in function.arguments or "after" not in made:
+        return
+    before, after = (layout_of(each) for each in (function.arguments["before"], made["after"]))
+    if before != after:
+        parts = {".".join(each.path): f"{each.dtype} {each.shape}" for each in leaves_of(before)}
+        others = {".".join(each.path): f"{each.dtype} {each.shape}" for each in leaves_of(after)}
+        path = next((p for p in {**parts, **others} if parts.get(p) != others.get(p)), "state")
+        raise UntraceableError(
+            f"state.{path}: {parts.get(path, 'absent')} by init, {others.get(path, 'absent')} after a step: "
+            "a state has one structure"
+        )
 
 
 def _shape_of(value: Any) -> Any:

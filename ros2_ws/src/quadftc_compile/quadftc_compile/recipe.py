@@ -7,6 +7,8 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+import numpy as np
+
 
 @dataclasses.dataclass(frozen=True)
 class Function:
@@ -15,9 +17,7 @@ class Function:
     call: Callable[..., tuple[Any, ...]]
     arguments: Mapping[str, Any]  # an example of each
     results: tuple[str, ...]
-    kinds: Mapping[str, str] = dataclasses.field(
-        default_factory=dict
-    )  # argument or result -> its struct's name
+    kinds: Mapping[str, str] = dataclasses.field(default_factory=dict[str, str])  # names of their structs
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,9 +52,9 @@ def _parts(tree: Any) -> Iterator[Any]:
         yield from _parts(each)
 
 
-def first(law: Any, inputs: Any) -> tuple[Any, Any]:
-    """State and output at the first sample."""
-    return law.step(law.init(inputs), inputs, 0.0)
+def init(law: Any, inputs: Any) -> tuple[Any]:
+    """State at the first sample; a step of 0 s from it gives the output."""
+    return (law.init(inputs),)
 
 
 def step(law: Any, before: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
@@ -62,9 +62,9 @@ def step(law: Any, before: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
     return law.step(before, inputs, dt)
 
 
-def resume(law: Any, inputs: Any, words: Any) -> tuple[Any, Any]:
-    """State and output at a sample from which it resumes by last words."""
-    return law.step(law.resumed(inputs, words), inputs, 0.0)
+def resumed(law: Any, inputs: Any, words: Any) -> tuple[Any]:
+    """State that resumes at a sample by last words; a step of 0 s from it gives the output."""
+    return (law.resumed(inputs, words),)
 
 
 def recipe_of(law: Any, inputs: Any, words: Any = None, name: str = "") -> Recipe:
@@ -72,22 +72,16 @@ def recipe_of(law: Any, inputs: Any, words: Any = None, name: str = "") -> Recip
 
     With an example of last ``words`` its function ``resumed`` is compiled, too.
     """
-    import numpy as np
-
     kinds = {"before": "state", "after": "state"}
     with np.errstate(all="ignore"):
-        state = law.init(inputs)
+        arguments = {"before": law.init(inputs), "inputs": inputs, "dt": np.float64(0.004)}
     functions = {
-        "first": Function(first, {"inputs": inputs}, ("after", "output"), kinds),
-        "step": Function(
-            step, {"before": state, "inputs": inputs, "dt": np.float64(0.004)}, ("after", "output"), kinds
-        ),
+        "init": Function(init, {"inputs": inputs}, ("after",), kinds),
+        "step": Function(step, arguments, ("after", "output"), kinds),
     }
     if words is not None:
-        functions["resumed"] = Function(
-            resume, {"inputs": inputs, "words": words}, ("after", "output"), kinds
-        )
-    return Recipe(name or _snake(type(law).__name__), law, functions)
+        functions["resumed"] = Function(resumed, {"inputs": inputs, "words": words}, ("after",), kinds)
+    return Recipe(name or _snake(getattr(law, "name", "") or type(law).__name__), law, functions)
 
 
 def _snake(name: str) -> str:

@@ -58,7 +58,7 @@ class CRunner:
         one, other = Memory(layout), Memory(layout)
         self._states = CState(one), CState(other)
         shared = {"before": one, "after": other}
-        self._first = Call(entries["first"], self._numbers, shared)
+        self._init = Call(entries["init"], self._numbers, shared)
         self._step = Call(entries["step"], self._numbers, shared)
         self._resumed = Call(entries["resumed"], self._numbers, shared) if "resumed" in entries else None
         self._write_inputs, self._write_dt = self._step.writers["inputs"], self._step.writers["dt"]
@@ -75,20 +75,19 @@ class CRunner:
 
     def first(self, inputs: Any) -> tuple[CState, Any]:
         """Return state and output at the first sample."""
-        call = self._first
-        call.writers["inputs"](inputs)
-        call.bound(after=self._states[0].memory)()
-        return self._states[0], call.readers["output"]()
+        return self._begin(self._init, inputs)
 
     def resumed(self, inputs: Any, words: Any) -> tuple[CState, Any]:
         """Return state and output at a sample from which the law resumes by last words."""
-        call = self._resumed
-        if call is None:
+        if self._resumed is None:
             raise ValueError(f"{self._library.path.name}: this law does not resume")
+        self._resumed.writers["words"](words)
+        return self._begin(self._resumed, inputs)
+
+    def _begin(self, call: Call, inputs: Any) -> tuple[CState, Any]:
         call.writers["inputs"](inputs)
-        call.writers["words"](words)
         call.bound(after=self._states[0].memory)()
-        return self._states[0], call.readers["output"]()
+        return self.step(self._states[0], inputs, 0.0)
 
     def step(self, state: Any, inputs: Any, dt: float) -> tuple[CState, Any]:
         """Advance by ``dt`` [s] to a sample; a state may also be nested tuples."""
