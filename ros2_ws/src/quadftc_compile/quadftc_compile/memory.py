@@ -49,28 +49,29 @@ class Rows:
 
     def __init__(self, layout: Layout, count: int) -> None:
         self.layout = layout
-        self._size = max(numpy_type(layout).itemsize, 1)
-        whole = np.zeros(-(-count * self._size // 8) + 1, np.float64)
-        self._bytes: Bytes = whole.view(np.uint8)[: count * self._size].reshape(count, self._size)
+        self.size = max(numpy_type(layout).itemsize, 1)  # bytes of one
+        whole = np.zeros(-(-count * self.size // 8) + 1, np.float64)
+        self._bytes: Bytes = whole.view(np.uint8)[: count * self.size].reshape(count, self.size)
         self.address: int = whole.ctypes.data
+        self._columns = [self._column(leaf) for leaf in leaves_of(layout)]
 
-    def columns(self) -> list[NDArray[Any]]:
-        """Return views (count, ...) of all arrays, in the order of the layout."""
-        found: list[NDArray[Any]] = []
-        for leaf in leaves_of(self.layout):
-            end = leaf.offset + leaf.size * leaf.dtype.itemsize
-            column = self._bytes[:, leaf.offset : end].view(leaf.dtype)
-            found.append(column.reshape(-1, *leaf.shape) if leaf.shape else column[:, 0])
-        return found
+    def _column(self, leaf: Leaf) -> NDArray[Any]:
+        end = leaf.offset + leaf.size * leaf.dtype.itemsize
+        column = self._bytes[:, leaf.offset : end].view(leaf.dtype)
+        return column.reshape(-1, *leaf.shape) if leaf.shape else column[:, 0]
 
-    def write(self, tree: Any) -> None:
+    def write(self, tree: Any, count: int | None = None) -> None:
         """Write nested tuples of arrays (count, ...), or (...) where all rows are alike."""
-        for column, leaf in zip(self.columns(), flatten(self.layout, tree, shapes=False), strict=True):
-            column[...] = leaf
+        for column, leaf in zip(self._columns, flatten(self.layout, tree, shapes=False), strict=True):
+            column[:count] = leaf
+
+    def view(self, count: int | None = None) -> Any:
+        """Return nested tuples of views (count, ...), which change with the memory."""
+        return unflatten(self.layout, iter([each[:count] for each in self._columns]))
 
     def read(self) -> Any:
         """Return nested tuples of arrays (count, ...)."""
-        return unflatten(self.layout, iter([np.ascontiguousarray(each) for each in self.columns()]))
+        return unflatten(self.layout, iter([np.ascontiguousarray(each) for each in self._columns]))
 
 
 def _view(memory: Bytes, leaf: Leaf) -> NDArray[Any]:

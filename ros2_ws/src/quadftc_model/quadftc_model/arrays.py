@@ -211,6 +211,17 @@ def branch(flag: Flag, then: Callable[[], T], otherwise: Callable[[], T]) -> T:
     return lax.cond(flag, then, otherwise)
 
 
+def finite(part: Any, batch: int = 0) -> Flag:
+    """Whether all floats of nested tuples of arrays are finite, for each of ``batch`` leading axes."""
+    if isinstance(part, tuple):
+        parts = [finite(each, batch) for each in cast("tuple[Any, ...]", part)]
+        return functools.reduce(lambda a, b: a & b, parts, np.True_)
+    xp = namespace(part)
+    if part is None or xp.asarray(part).dtype.kind != "f":
+        return np.True_
+    return xp.isfinite(part).all(axis=tuple(range(batch, np.ndim(part))))
+
+
 def rows_of(part: Any, index: Any) -> Any:
     """Return the elements at an index of every array of nested tuples; None and single flags stay so."""
     if isinstance(part, tuple):

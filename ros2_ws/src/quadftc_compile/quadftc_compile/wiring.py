@@ -1,0 +1,352 @@
+# pyright: basic
+"""Several compiled laws flown together for a stretch of samples, in C.
+
+A `quadftc_model.composition.Composition` is run once with tokens for its values. What it does with them,
+calls of laws and moves of values, becomes a list of instructions, which a small function in C repeats sample
+by sample. So nothing is compiled but the laws, which nodes and closed loop share.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import dataclasses
+import functools
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from quadftc_compile import cache
+from quadftc_compile.build import FLAGS, Library, compile_c
+from quadftc_compile.fingerprint import compiler, fingerprint
+from quadftc_compile.layout import Layout, layout_of, leaves_of, unflatten
+from quadftc_compile.memory import Memory, Rows
+from quadftc_compile.runner import numbers_in, write_numbers
+from quadftc_model.composition import Composition
+
+BLOCK = 2048  # samples that are flown in one call
+CALL, COPY, SKIP = range(3)
+INSTRUCTION = np.dtype([("kind", "i8"), ("first", "i8"), ("last", "i8")])
+CALLED = np.dtype(
+    [(name, "i8") for name in ("init", "step", "numbers", "one", "other", "inputs", "dt", "output", "now")]
+)
+COPIED = np.dtype([(name, "i8") for name in ("to", "to_stride", "from", "from_stride", "bytes")])
+HEADER = """\
+#include <stdint.h>
+
+typedef struct {
+    int64_t kind, first, last;
+} instruction;
+
+typedef struct {
+    void (*init)(const void *numbers, const void *inputs, void *after);
+    void (*step)(const void *numbers, const void *before, const void *inputs, const double *dt,
+                 void *after, void *output);
+    const void *numbers;
+    void *states[2];
+    const void *inputs;
+    const double *dt;
+    void *output;
+    int64_t now; /* which of the states is that of now */
+} call;
+
+typedef struct {
+    char *to;
+    int64_t to_stride; /* bytes to the next sample */
+    const char *from;
+    int64_t from_stride;
+    int64_t bytes;
+} copy;
+
+void conduct(const instruction *instructions, int64_t count, call *calls, const copy *copies,
+             int64_t samples);
+"""
+SOURCE = """\
+#include <string.h>
+
+/* Repeat instructions for each sample: 0 call a law, 1 copy, 2 go on at `last` unless a flag holds. */
+void conduct(const instruction *instructions, int64_t count, call *calls, const copy *copies,
+             int64_t samples)
+{
+    for (int64_t sample = 0; sample < samples; sample++) {
+        for (int64_t k = 0; k < count; k++) {
+            const int64_t first = instructions[k].first, last = instructions[k].last;
+            if (instructions[k].kind == 0) {
+                call *law = &calls[first];
+                if (*law->dt == 0.0) law->init(law->numbers, law->inputs, law->states[law->now]);
+                law->step(law->numbers, law->states[law->now], law->inputs, law->dt, law->states[!law->now],
+                          law->output);
+                law->now = !law->now;
+            } else if (instructions[k].kind == 1) {
+                for (int64_t n = first; n < last; n++) {
+                    memcpy(copies[n].to + sample * copies[n].to_stride,
+                           copies[n].from + sample * copies[n].from_stride, (size_t)copies[n].bytes);
+                }
+            } else if (!copies[first].from[sample * copies[first].from_stride]) {
+                k = last - 1;
+            }
+        }
+    }
+}
+"""
+
+
+@functools.cache
+def conductor() -> Any:
+    """Return the function that repeats instructions; BuildError if it cannot be compiled."""
+    key = fingerprint("conductor", HEADER, SOURCE, FLAGS, compiler())
+    try:
+        found = cache.load_entry(key)
+        path = (
+            cache.store_entry(key, compile_c("conductor", HEADER, SOURCE), {}) if found is None else found[0]
+        )
+        held = ctypes.CDLL(str(path))
+    except OSError:
+        with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
+            path = Path(folder) / "conductor.so"
+            path.write_bytes(compile_c("conductor", HEADER, SOURCE))
+            held = ctypes.CDLL(str(path))
+    function = held.conduct
+    pointer, number = ctypes.c_void_p, ctypes.c_int64
+    function.argtypes, function.restype = [pointer, number, pointer, pointer, number], None
+    return function
+
+
+@dataclasses.dataclass(frozen=True)
+class Token:
+    """An array that lies somewhere; a composition can only pass it on."""
+
+    address: int
+    stride: int  # bytes to that of the next sample; 0: it lies there at every sample
+    dtype: np.dtype[Any]
+    shape: tuple[int, ...]
+
+    @property
+    def bytes(self) -> int:
+        """How many bytes it has."""
+        return int(np.prod(self.shape, dtype=int)) * self.dtype.itemsize
+
+    def __bool__(self) -> bool:
+        raise TypeError("a composition of laws cannot decide by a value: use `calls.branch`")
+
+
+@dataclasses.dataclass(frozen=True)
+class StateToken:
+    """The state of a law."""
+
+    name: str
+
+
+class Wiring:
+    """A composition of compiled laws for one vehicle."""
+
+    def __init__(
+        self, composition: Composition, libraries: Mapping[str, Library], inputs: Any, block: int = BLOCK
+    ) -> None:
+        """Wire laws for inputs like an example; ValueError if the composition does more than move values."""
+        self._composition, self._libraries, self._block = composition, libraries, block
+        self._held: list[Any] = []  # memory that instructions point to
+        self._instructions: list[tuple[int, int, int]] = []
+        self._copies: list[tuple[int, int, int, int, int]] = []
+        self._calls: list[tuple[int, ...]] = []
+        self._laws: dict[str, _Law] = {}
+        self._called_laws: set[str] = set()
+        self._begin: list[tuple[Memory, Any]] = []  # what a flight begins with
+        kept = self._keep(composition.init(self))
+        given = Rows(layout_of(inputs), block)
+        after, output = composition.step(self, kept, _tokens(given.layout, given.address, given.size))
+        made = Rows(self._layout(output), block)
+        self._move(output, _tokens(made.layout, made.address, made.size))
+        settled = self._keep_like(after)  # what becomes of a value may need another as it was
+        self._move(after, settled)
+        self._move(settled, kept)
+        self._given, self._made = given, made
+        self._program = np.array(self._instructions, INSTRUCTION)
+        self._called, self._copied = np.array(self._calls, CALLED), np.array(self._copies, COPIED)
+        self.begin()
+
+    def begin(self) -> None:
+        """Go to the begin of a flight."""
+        for memory, value in self._begin:
+            memory.write(value)
+        self._called["now"] = 0
+
+    def configure(self, composition: Composition) -> None:
+        """Fly with the numbers of other laws of the same structures; call `begin` then."""
+        self._composition = composition
+        for name, law in self._laws.items():
+            write_numbers(self._libraries[name], composition.laws[name], law.numbers)
+
+    def run(self, inputs: Any, count: int) -> Any:
+        """Fly ``count`` samples, at most a block; inputs and outputs are arrays (count, ...).
+
+        Outputs are views, which the next call changes.
+        """
+        if not 0 <= count <= self._block:
+            raise ValueError(f"count = {count}: expected at most {self._block} samples")
+        self._given.write(inputs, count)
+        conductor()(
+            self._program.ctypes.data,
+            len(self._program),
+            self._called.ctypes.data,
+            self._copied.ctypes.data,
+            count,
+        )
+        return self._made.view(count)
+
+    # -- what a composition calls ------------------------------------------------------------------------
+
+    def init(self, name: str) -> StateToken:
+        """Give a law its memory."""
+        law, library = self._composition.laws[name], self._libraries[name]
+        entry, init = library.entries["step"], library.entries["init"]
+        places = {key: Memory(layout) for key, layout in {**entry.arguments, **entry.results}.items()}
+        numbers = numbers_in(library, law)
+        self._held += [numbers, *places.values(), library]
+        with np.errstate(all="ignore"):
+            self._begin.append((places["before"], law.init(law.example())))
+        functions = (ctypes.cast(each.call, ctypes.c_void_p).value or 0 for each in (init, entry))
+        order = (numbers, *(places[key] for key in ("before", "after", "inputs", "dt", "output")))
+        inputs, dt, output = (
+            _tokens(places[key].layout, places[key].address, 0) for key in ("inputs", "dt", "output")
+        )
+        self._laws[name] = _Law(len(self._calls), numbers, inputs, dt, output)
+        self._calls.append((*functions, *(each.address for each in order), 0))
+        return StateToken(name)
+
+    def step(self, name: str, state: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
+        """Note the call of a law."""
+        law = self._laws[name]
+        if state != StateToken(name):
+            raise ValueError(f"{name}: expected its own state")
+        if name in self._called_laws:
+            raise ValueError(f"{name}: called twice at a sample")
+        self._called_laws.add(name)
+        self._move((inputs, dt), (law.inputs, law.dt), constants_stay=True)
+        self._instructions.append((CALL, law.number, 0))
+        return state, law.output
+
+    def branch(self, flag: Any, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
+        """Note what is done where a flag holds."""
+        at, others = len(self._instructions), otherwise()
+        if len(self._instructions) != at:
+            raise ValueError("a composition of laws cannot call them where a flag does not hold")
+        chosen = self._keep_like(others)
+        self._move(others, chosen)
+        skip = len(self._instructions)
+        self._instructions.append((SKIP, len(self._copies), 0))
+        self._copies.append((0, 0, flag.address, flag.stride, 0))
+        self._move(then(), chosen)
+        self._instructions[skip] = (SKIP, self._instructions[skip][1], len(self._instructions))
+        return chosen
+
+    # -- memory ------------------------------------------------------------------------------------------
+
+    def _keep(self, state: Any) -> Any:
+        """Return tokens for a state."""
+        if isinstance(state, tuple):
+            return _like(state, [self._keep(each) for each in state])
+        return state if state is None or isinstance(state, StateToken) else self._constant(state, begins=True)
+
+    def _constant(self, value: Any, begins: bool = False) -> Token:
+        memory = Memory(layout_of(value))
+        memory.write(value)
+        self._held.append(memory)
+        if begins:
+            self._begin.append((memory, np.copy(value)))
+        array = np.asarray(value)
+        return Token(memory.address, 0, array.dtype, array.shape)
+
+    def _keep_like(self, tree: Any) -> Any:
+        """Return tokens of new memory, as large as what is in a tree; states stay themselves."""
+        if isinstance(tree, tuple):
+            return _like(tree, [self._keep_like(each) for each in tree])
+        if tree is None or isinstance(tree, StateToken):
+            return tree
+        dtype, shape = (tree.dtype, tree.shape) if isinstance(tree, Token) else _array(tree)
+        return self._constant(np.zeros(shape, dtype))
+
+    def _layout(self, tree: Any) -> Layout:
+        if isinstance(tree, Token):
+            return ["array", tree.dtype.str[1:], list(tree.shape)]
+        if isinstance(tree, tuple):
+            layout = layout_of(_like(tree, [None] * len(tree)))
+            return [
+                "tuple",
+                layout[1],
+                [[n, self._layout(e)] for (n, _), e in zip(layout[2], tree, strict=True)],
+            ]
+        return layout_of(tree)
+
+    # -- moves -------------------------------------------------------------------------------------------
+
+    def _move(self, source: Any, target: Any, constants_stay: bool = False) -> None:
+        """Note moves of values; constants are moved at every sample, or now, if they stay where they are."""
+        begin = len(self._copies)
+        for value, place in _pairs(source, target):
+            if isinstance(value, StateToken) or isinstance(place, StateToken):
+                if value != place:
+                    raise ValueError(f"{value}, {place}: the state of one law cannot become that of another")
+                continue
+            token = value if isinstance(value, Token) else self._constant(value)
+            if token.shape != place.shape or token.dtype != place.dtype:
+                raise ValueError(f"{token.dtype} {token.shape}: expected {place.dtype} {place.shape}")
+            if constants_stay and token is not value:
+                ctypes.memmove(place.address, token.address, token.bytes)
+            elif token != place and token.bytes:
+                self._note(token, place, begin)
+        if len(self._copies) > begin:
+            self._instructions.append((COPY, begin, len(self._copies)))
+
+    def _note(self, value: Token, place: Token, begin: int) -> None:
+        """Note a move; one together with that before where both places lie side by side."""
+        copied = (place.address, place.stride, value.address, value.stride, value.bytes)
+        if len(self._copies) > begin:
+            to, to_stride, source, stride, size = self._copies[-1]
+            gap = place.address - to
+            alike = (to_stride, stride, gap) == (place.stride, value.stride, value.address - source)
+            if alike and size <= gap < size + 8:
+                self._copies[-1] = (to, to_stride, source, stride, gap + value.bytes)
+                return
+        self._copies.append(copied)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Law:
+    number: int
+    numbers: Memory
+    inputs: Any  # tokens
+    dt: Any
+    output: Any
+
+
+def _tokens(layout: Layout, address: int, stride: int) -> Any:
+    """Return tokens for the arrays of a struct."""
+    found = [Token(address + leaf.offset, stride, leaf.dtype, leaf.shape) for leaf in leaves_of(layout)]
+    return unflatten(layout, iter(found))
+
+
+def _like(tree: tuple[Any, ...], parts: list[Any]) -> Any:
+    kind: Any = type(tree)
+    return kind(*parts) if hasattr(kind, "_fields") else tuple(parts)
+
+
+def _array(value: Any) -> tuple[np.dtype[Any], tuple[int, ...]]:
+    array = np.asarray(value)
+    return array.dtype, array.shape
+
+
+def _pairs(source: Any, target: Any) -> Iterator[tuple[Any, Any]]:
+    """Yield the arrays of two nested tuples alike; ValueError if they are not."""
+    if isinstance(target, tuple):
+        if not isinstance(source, tuple) or len(source) != len(target):
+            raise ValueError(f"{type(source).__name__}: expected {type(target).__name__}")
+        for a, b in zip(source, target, strict=True):
+            yield from _pairs(a, b)
+    elif target is None or source is None:
+        if source is not target:
+            raise ValueError(f"{source!r}: expected {target!r}")
+    else:
+        yield source, target

@@ -1,0 +1,93 @@
+"""Several laws that act together: which law gets what of which.
+
+A composition only moves values between laws; whatever is computed, a law computes. So one description serves
+to fly in NumPy and in C, law by law, and to be traced as a whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from quadftc_model.arrays import branch
+from quadftc_model.stepper import Engine, Runner
+
+T = TypeVar("T")
+
+
+class Calls(Protocol):
+    """How a composition calls its laws."""
+
+    def init(self, name: str) -> Any:
+        """Return a state of a law to begin with: that at its example."""
+        ...
+
+    def step(self, name: str, state: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
+        """Step a law by ``dt`` [s]; where that is 0, the law begins."""
+        ...
+
+    def branch(self, flag: Any, then: Callable[[], T], otherwise: Callable[[], T]) -> T:
+        """Return ``then()`` where a flag holds and ``otherwise()`` elsewhere, nested tuples alike."""
+        ...
+
+
+class Composition(Protocol):
+    """Laws by name, and a step that calls them."""
+
+    @property
+    def laws(self) -> Mapping[str, Any]:
+        """The laws; each has an ``example()`` of its inputs."""
+        ...
+
+    def init(self, calls: Calls) -> Any:
+        """Return a state to begin with."""
+        ...
+
+    def step(self, calls: Calls, state: Any, inputs: Any) -> tuple[Any, Any]:
+        """Advance to the next sample."""
+        ...
+
+
+class PlainCalls:
+    """Calls the laws as they are, for one vehicle or many."""
+
+    def __init__(self, laws: Mapping[str, Any]) -> None:
+        self._laws = laws
+
+    def init(self, name: str) -> Any:
+        """Return the state of a law at its example."""
+        return self._laws[name].init(self._laws[name].example())
+
+    def step(self, name: str, state: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
+        """Step a law by ``dt`` [s]; where that is 0, the law begins."""
+        law = self._laws[name]
+        before = branch(dt == 0.0, lambda: law.init(inputs), lambda: state)
+        return law.step(before, inputs, dt)
+
+    def branch(self, flag: Any, then: Callable[[], T], otherwise: Callable[[], T]) -> T:
+        """Return ``then()`` where a flag holds and ``otherwise()`` elsewhere."""
+        return branch(flag, then, otherwise)
+
+
+class RunnerCalls:
+    """Calls what runs the laws of one vehicle, each by itself."""
+
+    def __init__(self, laws: Mapping[str, Any], engine: Engine) -> None:
+        self._laws = laws
+        self._runners: dict[str, Runner[Any, Any]] = {name: engine(law) for name, law in laws.items()}
+
+    def init(self, name: str) -> Any:
+        """Return the state of a law at its example."""
+        with np.errstate(all="ignore"):
+            return self._laws[name].init(self._laws[name].example())
+
+    def step(self, name: str, state: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
+        """Step a law by ``dt`` [s]; where that is 0, the law begins."""
+        runner = self._runners[name]
+        return runner.first(inputs) if dt == 0.0 else runner.step(state, inputs, float(dt))
+
+    def branch(self, flag: Any, then: Callable[[], T], otherwise: Callable[[], T]) -> T:
+        """Return ``then()`` if a flag holds, or ``otherwise()``."""
+        return then() if flag else otherwise()
