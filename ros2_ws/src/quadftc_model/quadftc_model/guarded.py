@@ -60,6 +60,15 @@ class Guarded(Generic[In, Out]):
 
     law: RestartingLaw[In, Out]
 
+    def example(self) -> In:
+        """Return inputs of the law as they will come, for the compiler."""
+        law: Any = self.law
+        return law.example()
+
+    def example_words(self) -> Any:
+        """Return last words of the law as they may come, for the compiler; None: it does not resume."""
+        return getattr(self.law, "example_words", lambda: None)()
+
     def init(self, inputs: In) -> GuardedState:
         """Return the state at the first sample."""
         return GuardedState(self.law.init(inputs), ~self.law.ready(inputs))
