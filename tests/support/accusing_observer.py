@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from quadftc_fdi.fault_observer import fault_observers
 from quadftc_fdi.fault_observers.none import NoDiagnosis
-from quadftc_model.arrays import Vector, namespace
+from quadftc_model.arrays import Vector, column, namespace
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion
 from quadftc_model.samples import (
@@ -61,9 +61,8 @@ class AccusingObserver(NoDiagnosis):
 def accuse_fast(rotors: RotorReading) -> RotorEstimate:
     """Take a rotor for weak that is 3 % faster than the mean; ambiguous if it is told to slow down."""
     speeds, xp = rotors.speeds, namespace(rotors.command)
-    assert speeds is not None
     excess = speeds / speeds.mean(axis=-1, keepdims=True) - 1.0
-    weak = excess > 0.03
+    weak = column(rotors.measured) & (excess > 0.03)
     return RotorEstimate(
         state=xp.where(weak, FAULTY, HEALTHY).astype(xp.uint8),
         effectiveness=1.0 - 1.5 * excess,

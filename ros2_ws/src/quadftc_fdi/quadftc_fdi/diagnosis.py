@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_fdi.fault_observer import FaultObserver, LastDiagnosis, await_start
+from quadftc_fdi.fault_observer import FaultObserver, LastDiagnosis
+from quadftc_fdi.observation import Observation, ObservationInputs
 from quadftc_model import samples
-from quadftc_model.arrays import Scalar, Vector, rows_of
+from quadftc_model.arrays import Vector, rows_of
 from quadftc_model.fade import Fade
+from quadftc_model.guarded import Guarded, GuardedOutput
 from quadftc_model.rotations import rotation_between, turn
 from quadftc_model.samples import (
     ALARMS,
@@ -21,15 +23,15 @@ from quadftc_model.samples import (
     ComponentFault,
     DiagnosisReport,
     FaultEstimate,
-    FaultObserverInputs,
     ImuSample,
     PositionSample,
     RotorEstimate,
     RotorReading,
     SensorEstimate,
-    sanitised,
+    has_attitude,
+    has_rate,
 )
-from quadftc_model.stepper import NANOSECONDS_PER_SECOND, ResumingStepper, seconds
+from quadftc_model.stepper import NANOSECONDS_PER_SECOND, Engine, NumpyRunner, ResumingStepper, seconds
 
 REPORT_PERIOD_NS = 100_000_000  # ns; the topic ``diagnosis`` comes at 10 Hz, and at once on a change
 SEVEREST_FIRST = (samples.FAULTY, samples.RECOVERING, samples.SUSPECT, samples.STARTING, samples.HEALTHY)
@@ -40,7 +42,7 @@ COMPONENTS: Mapping[str, tuple[tuple[str, ...], str]] = {
     "gyro": (BODY_AXES, "rad/s"),
     "accelerometer": (BODY_AXES, "m/s^2"),
 }
-_AT_REST = np.zeros(3)
+_NO_TORQUE = np.zeros(3)
 _UNKNOWN = np.full(3, -1.0)
 _UNKNOWN_KIND = np.full(3, FAULT_KINDS.index("unknown"), np.uint8)
 _CLEAR = np.zeros(3, np.bool_)
@@ -48,102 +50,103 @@ _SHOWN_IN = {"gyro": ("deg_s", math.degrees(1.0)), "rotor": ("percent", 100.0)}
 _CONFUSED_WITH = {"attitude": "gyro", "gyro": "attitude"}  # on the same axis
 
 
-class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosis]):
+class Diagnosis(ResumingStepper[ObservationInputs, GuardedOutput[FaultEstimate], LastDiagnosis]):
     """A fault observer on a stream.
 
     It starts at the first sample with attitude and rate, also after a gap and an estimate that cannot be
     used. Every later sample with a new stamp gives an estimate and a corrected sample, whatever is wrong with
-    it.
+    it. ``engine`` runs the observer; ``flies`` says whether it is in free flight.
     """
 
-    law: FaultObserver
-
-    def __init__(self, law: FaultObserver) -> None:
-        super().__init__(law, _usable_estimate)
+    def __init__(self, observer: FaultObserver, engine: Engine = NumpyRunner, flies: bool = False) -> None:
+        super().__init__(Guarded(Observation(observer, flies)), engine=engine)
+        self.observer, self._flies = observer, flies
         self._published: DiagnosisReport | None = None
         self._decided: tuple[object, ...] = ()  # what decides whether a report is due, at the last sample
         self._next: FaultObserver | None = None  # takes over with the next complete sample
         self._fade = Fade()  # of turn [rad] and body rate [rad/s], (6,)
 
-    def compile_for(self, flies: bool) -> None:
-        """Run the observer compiled for what it sees on the test stand, or in free flight.
+    @property
+    def memory(self) -> Any:
+        """State of the observer; None where it starts at the next sample."""
+        state = self.state
+        return None if state is None or state.starts else state.law
 
-        ValueError if it cannot be compiled.
-        """
-        inputs, vehicle = FaultObserverInputs(samples.level_sample(), np.zeros(3)), self.law.vehicle
-        if flies:
-            speeds = np.full(len(vehicle.rotors.positions), vehicle.hover_speed)
-            rotors = RotorReading(speeds, speeds)
-            inputs = inputs._replace(thrust=vehicle.weight, position=NO_PLACE, rotors=rotors)
-        self.compile(inputs)
-
-    def switch(self, law: FaultObserver) -> None:
+    def switch(self, observer: FaultObserver) -> None:
         """Go on with changed parameters, or have another law take over from what is known, without a jump."""
-        if type(law) is type(self.law):
-            self.law, self._next = law, None
+        if type(observer) is type(self.observer):
+            self._use(observer)
         else:
-            self._next = law
+            self._next = observer
+
+    def offer(self, stamp_ns: int, words: LastDiagnosis) -> None:
+        """Offer what an observer that has died said last [stamp in ns], to resume from."""
+        if all(np.all(np.isfinite(part)) for part in words):
+            super().offer(stamp_ns, words)
 
     def diagnose(
         self,
         stamp_ns: int,
         sample: ImuSample,
-        torque: Vector | None,
-        thrust: Scalar | None = None,
-        place: PositionSample | None = None,
+        torque: Vector | None = None,
         rotors: RotorReading | None = None,
+        place: PositionSample | None = None,
     ) -> FaultEstimate | None:
         """Diagnose a sample [ns] as received; None if its stamp is repeated or went back.
 
-        ``torque`` [N m] and ``thrust`` [N] are those that acted since the sample before; None: the torque is
-        unknown. ``place`` is what the position sensor says with the sample, ``rotors`` what is known of the
-        rotors. Without thrust, place and rotors, None: on the test stand.
+        On the test stand, ``torque`` [N m] is the one that acted since the sample before; None: unknown. In
+        free flight, ``rotors`` say what acted, and ``place`` what the position sensor says; None: nothing.
         """
-        clean = sanitised(sample)
-        if thrust is not None and place is None:
-            place = NO_PLACE
-        driven = torque is not None
-        inputs = FaultObserverInputs(clean, torque if driven else _AT_REST, thrust, place, rotors, driven)
+        if rotors is not None:
+            inputs = ObservationInputs(sample, None, rotors, NO_PLACE if place is None else place)
+        else:
+            known = np.bool_(torque is not None)
+            inputs = ObservationInputs(sample, _NO_TORQUE if torque is None else torque, driven=known)
         last, dt = self.words_for(stamp_ns), self.time_step(stamp_ns)
-        complete = clean.attitude_valid and clean.rate_valid
         if self._next is not None and dt == 0.0:
-            self.law, self._next = self._next, None
-        if last is not None:
-            last = last._replace(since=np.array([_age(stamp_ns, onset_ns) for onset_ns in last.onset_ns]))
-            if not all(np.all(np.isfinite(part)) for part in last):
-                self.drop_words()
-            elif complete and dt is not None:
-                return self.take_over(stamp_ns, inputs, self.law.resumed(inputs, last))
-        if dt == 0.0 and not complete:
-            self.reset()
-            return await_start(clean, of_sensors=False)
-        estimate = self._faded(stamp_ns, self.step(stamp_ns, inputs))
-        if self._next is None or estimate is None or not complete:
+            self._use(self._next)
+        if last is not None and dt is not None and _is_complete(sample):
+            since = last.since + last.faulty * seconds(stamp_ns - self._words_ns)
+            return self._said(self.take_over(stamp_ns, inputs, last._replace(since=since)))
+        output = self.step(stamp_ns, inputs)
+        if output is None:
+            return None
+        estimate = self._faded(stamp_ns, self._said(output))
+        if self._next is None or not _is_complete(sample):
             return estimate
         return self._hand_over(stamp_ns, inputs, estimate, self._next)
 
     def _hand_over(
-        self, stamp_ns: int, inputs: FaultObserverInputs, before: FaultEstimate, law: FaultObserver
-    ) -> FaultEstimate | None:
-        """Start another law at a sample [ns] of which the present one has said ``before``.
+        self, stamp_ns: int, inputs: ObservationInputs, before: FaultEstimate, observer: FaultObserver
+    ) -> FaultEstimate:
+        """Start another observer at a sample [ns] of which the present one has said ``before``.
 
         No fault is confirmed, so it starts at the attitude that is read. The gyro bias is handed over.
         """
-        last, bias = before.corrected, None if self.state is None else self.law.bias_of(self.state)
-        self.law, self._next = law, None
-        correction = last.body_rate - inputs.imu.body_rate if bias is None else -bias
-        known = LastDiagnosis(np.zeros(3), _UNKNOWN, _CLEAR, correction)
+        last, memory = before.corrected, self.memory
+        bias = None if memory is None else self.observer.bias_of(memory)
+        correction = last.body_rate - inputs.sample.body_rate if bias is None else -bias
         begun = samples.STARTING not in before.state.tolist() and correction.any()
-        state = law.resumed(inputs, known) if begun else law.init(inputs)
-        estimate = self.resume(stamp_ns, inputs, state)
+        known = LastDiagnosis(np.zeros(3), _UNKNOWN, _CLEAR, correction, np.zeros(3))
+        self._use(observer)
+        estimate = self._said(self.begin(stamp_ns, inputs, known if begun else None))
         turn = rotation_between(estimate.corrected.q_xyzw, last.q_xyzw)
         self._fade.begin(stamp_ns, np.concatenate([turn, last.body_rate - estimate.corrected.body_rate]))
         return self._faded(stamp_ns, estimate)
 
-    def _faded(self, stamp_ns: int, estimate: FaultEstimate | None) -> FaultEstimate | None:
+    def _said(self, output: GuardedOutput[FaultEstimate]) -> FaultEstimate:
+        self.replaced += int(output.failed)
+        return output.said
+
+    def _use(self, observer: FaultObserver) -> None:
+        law = Guarded(Observation(observer, self._flies))
+        self.replace_law(law, law.example())
+        self.observer, self._next = observer, None
+
+    def _faded(self, stamp_ns: int, estimate: FaultEstimate) -> FaultEstimate:
         """Add to a corrected sample what is left of the difference between two laws."""
         left = self._fade.at(stamp_ns)
-        if estimate is None or left is None:
+        if left is None:
             return estimate
         corrected = estimate.corrected
         q_xyzw, body_rate = turn(corrected.q_xyzw, left[:3]), corrected.body_rate + left[3:]
@@ -155,21 +158,22 @@ class Diagnosis(ResumingStepper[FaultObserverInputs, FaultEstimate, LastDiagnosi
         A new bias leaves the corrected rate little by little, so it cannot be seen there at first. None where
         the sample has no body rate.
         """
-        if not sanitised(sample).rate_valid:
+        if not has_rate(sample):
             return None
         taken_off = sample.body_rate - estimate.corrected.body_rate
-        bias = None if self.state is None else self.law.bias_of(self.state)
+        memory = self.memory
+        bias = None if memory is None else self.observer.bias_of(memory)
         if bias is None or estimate.sensors is None:
             return taken_off if bias is None else bias
         return np.where(np.isin(estimate.sensors.gyro.state, ALARMS), taken_off, bias)
 
     def report(self, stamp_ns: int, estimate: FaultEstimate) -> DiagnosisReport | None:
         """Return the report on a sample [ns]; None if none is due. Call it with every estimate."""
-        decided = (self.law.has_detector, *_all_that_decides(stamp_ns, estimate))
+        decided = (self.observer.has_detector, *_all_that_decides(stamp_ns, estimate))
         if decided == self._decided:  # mostly; to say it in words takes several times as long
             return None
         self._decided = decided
-        report = report_faults(stamp_ns, watched_sensors(self.law, estimate))
+        report = report_faults(stamp_ns, watched_sensors(self.observer, estimate))
         if not is_due(report, self._published):
             return None
         self._published = report
@@ -336,15 +340,6 @@ def _describe_doubts(fault: ComponentFault) -> dict[str, str]:
     return doubts | ({"or": ", ".join(fault.ambiguous_with)} if fault.ambiguous_with else {})
 
 
-def _age(stamp_ns: int, onset_ns: int) -> float:
-    return seconds(max(0, stamp_ns - onset_ns)) if onset_ns else 0.0
-
-
-def _usable_estimate(inputs: FaultObserverInputs, estimate: FaultEstimate) -> FaultEstimate:
-    fault, corrected = estimate.fault, estimate.corrected
-    usable = samples.is_usable(fault, corrected.q_xyzw, corrected.body_rate)
-    for sensor in estimate.sensors or ():
-        usable = usable and samples.is_usable(*sensor[1:5])
-    if estimate.rotors is not None:
-        usable = usable and samples.is_usable(*estimate.rotors[1:5])
-    return estimate if usable else await_start(inputs.imu, of_sensors=False)
+def _is_complete(sample: ImuSample) -> bool:
+    """Whether a sample has attitude and body rate, as an observer needs them to start."""
+    return has_attitude(sample) and has_rate(sample)

@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import Vector
+from quadftc_model.arrays import Flag, Vector, namespace
 from quadftc_model.assembly import VehicleLaw, law_from
 from quadftc_model.fade import Fade
+from quadftc_model.guarded import Guarded, GuardedOutput
+from quadftc_model.numbers import structure_of
 from quadftc_model.registry import Registry
-from quadftc_model.samples import DisturbanceObserverInputs, ImuSample, is_usable, sanitised
-from quadftc_model.stepper import ResumingStepper
+from quadftc_model.samples import (
+    DisturbanceObserverInputs,
+    ImuSample,
+    has_rate,
+    is_usable,
+    level_sample,
+    sanitised,
+    usable,
+)
+from quadftc_model.stepper import Engine, NumpyRunner, ResumingStepper
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -24,22 +34,73 @@ class DisturbanceObserver(VehicleLaw[DisturbanceObserverInputs, Vector]):
         return self.init(inputs)
 
 
-class DisturbanceEstimation(ResumingStepper[DisturbanceObserverInputs, Vector, Vector]):
+class DisturbanceObservationInputs(NamedTuple):
+    """A corrected sample as it is received, and the torque that acted since the sample before."""
+
+    corrected: ImuSample
+    torque: Vector  # [N m]
+
+    @property
+    def seen(self) -> DisturbanceObserverInputs:
+        """What the observer sees; a body rate that cannot be used is absent."""
+        clean = sanitised(self.corrected)
+        return DisturbanceObserverInputs(clean.body_rate, clean.rate_valid, self.torque)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DisturbanceObservation:
+    """A disturbance observer on received samples; nodes and the closed loop without ROS run this law."""
+
+    observer: DisturbanceObserver
+
+    def init(self, inputs: DisturbanceObservationInputs) -> Any:
+        """Return the state of the observer at the first sample."""
+        return self.observer.init(inputs.seen)
+
+    def step(self, state: Any, inputs: DisturbanceObservationInputs, dt: float) -> tuple[Any, Vector]:
+        """Advance the observer by ``dt`` [s] to a sample."""
+        return self.observer.step(state, inputs.seen, dt)
+
+    def resumed(self, inputs: DisturbanceObservationInputs, estimate: Vector) -> Any:
+        """Return the state that resumes from the last estimate [rad/s²] of another."""
+        return self.observer.resumed(inputs.seen, estimate)
+
+    def ready(self, inputs: DisturbanceObservationInputs) -> Flag:
+        """Whether the observer can start at a sample: at any."""
+        return inputs.corrected.rate_valid | True
+
+    def usable(self, output: Vector) -> Flag:
+        """Whether all numbers of an estimate can be used."""
+        return usable(output)
+
+    def fallback(self, inputs: DisturbanceObservationInputs, output: Vector) -> Vector:
+        """Return what is said in place of an estimate: no disturbance."""
+        return namespace(output).zeros_like(output)
+
+    def example(self) -> DisturbanceObservationInputs:
+        """Return inputs as they will come, for the compiler."""
+        return DisturbanceObservationInputs(level_sample(), np.zeros(3))
+
+    def example_words(self) -> Vector:
+        """Return a last estimate as it may come, for the compiler."""
+        return np.zeros(3)
+
+
+class DisturbanceEstimation(ResumingStepper[DisturbanceObservationInputs, GuardedOutput[Vector], Vector]):
     """A disturbance observer on a stream. An estimate that cannot be used becomes zero and restarts it."""
 
-    law: DisturbanceObserver
-
-    def __init__(self, law: DisturbanceObserver) -> None:
-        super().__init__(law, lambda _, estimate: estimate if is_usable(estimate) else np.zeros(3))
+    def __init__(self, observer: DisturbanceObserver, engine: Engine = NumpyRunner) -> None:
+        super().__init__(Guarded(DisturbanceObservation(observer)), engine=engine)
+        self.observer = observer  # that runs
         self._next: DisturbanceObserver | None = None  # takes over with the next body rate
         self._fade = Fade()  # of the estimate [rad/s²], (3,)
 
-    def switch(self, law: DisturbanceObserver) -> None:
+    def switch(self, observer: DisturbanceObserver) -> None:
         """Go on with changed parameters, or have another law take over from the estimate, without a jump."""
-        if type(law) is type(self.law):
-            self.law, self._next = law, None
+        if structure_of(observer) == structure_of(self.observer):
+            self._use(observer)
         else:
-            self._next = law
+            self._next = observer
 
     def offer(self, stamp_ns: int, words: Vector) -> None:
         """Offer the last estimate [rad/s², stamp in ns] of an observer that has died, to resume from."""
@@ -51,20 +112,28 @@ class DisturbanceEstimation(ResumingStepper[DisturbanceObserverInputs, Vector, V
 
         ``torque`` [N m] is the one that acted since the sample before.
         """
-        clean = sanitised(corrected)
-        inputs = DisturbanceObserverInputs(clean.body_rate, clean.rate_valid, torque)
+        inputs = DisturbanceObservationInputs(corrected, torque)
         last = self.words_for(stamp_ns)
-        if last is not None and inputs.rate_valid and self.time_step(stamp_ns) is not None:
-            return self.take_over(stamp_ns, inputs, self.law.resumed(inputs, last))
-        estimate, left = self.step(stamp_ns, inputs), self._fade.at(stamp_ns)
-        if estimate is None:
+        if last is not None and has_rate(corrected) and self.time_step(stamp_ns) is not None:
+            return self._said(self.take_over(stamp_ns, inputs, last))
+        output, left = self.step(stamp_ns, inputs), self._fade.at(stamp_ns)
+        if output is None:
             return None
-        estimate = estimate if left is None else estimate + left
-        if self._next is not None and inputs.rate_valid:
-            self.law, self._next = self._next, None
-            new = self.resume(stamp_ns, inputs, self.law.resumed(inputs, estimate))
-            self._fade.begin(stamp_ns, estimate - new)
+        said = self._said(output)
+        estimate = said if left is None else said + left
+        if self._next is not None and has_rate(corrected):
+            self._use(self._next)
+            self._fade.begin(stamp_ns, estimate - self._said(self.begin(stamp_ns, inputs, estimate)))
         return estimate
+
+    def _said(self, output: GuardedOutput[Vector]) -> Vector:
+        self.replaced += int(output.failed)
+        return output.said
+
+    def _use(self, observer: DisturbanceObserver) -> None:
+        law = Guarded(DisturbanceObservation(observer))
+        self.replace_law(law, law.example())
+        self.observer, self._next = observer, None
 
 
 disturbance_observers: Registry[Any] = Registry(

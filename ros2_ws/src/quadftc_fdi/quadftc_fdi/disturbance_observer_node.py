@@ -13,14 +13,12 @@ import dataclasses
 from functools import partial
 from typing import Any
 
-import numpy as np
-
+from quadftc_compile.engine import engine_from
 from quadftc_fdi import disturbance_observer as observer
 from quadftc_model.parameters import parameter
-from quadftc_model.samples import DisturbanceObserverInputs, ImuSample, sanitised
-from quadftc_model.stepper import warm_up
+from quadftc_model.samples import ImuSample, has_rate
 from quadftc_ros.conversions import Floats
-from quadftc_ros.diagnostics import OK
+from quadftc_ros.diagnostics import ERROR, OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import CommandGate
 from quadftc_ros.node import GraphNode
@@ -35,11 +33,6 @@ class ObserverParameters:
     observer: str = parameter("exosystem", doc="name of the disturbance observer; may be changed in flight")
 
 
-def _warmed_up(law: observer.DisturbanceObserver) -> observer.DisturbanceObserver:
-    warm_up(law, DisturbanceObserverInputs(np.zeros(3), np.bool_(True), np.zeros(3)))
-    return law
-
-
 class DisturbanceObserverNode(GraphNode):
     """A disturbance observer on the stream of corrected IMU samples."""
 
@@ -48,8 +41,10 @@ class DisturbanceObserverNode(GraphNode):
         self.settings.declare(VehicleParameters, read_only=True)
         registry, build = observer.disturbance_observers, observer.disturbance_observer_from
         self.settings.declare_law(ObserverParameters, registry, lambda: STAYS if self.lockstep else "")
-        self._estimation = observer.DisturbanceEstimation(_warmed_up(build(self.settings.values())))
-        self.settings.on_change(build, self._use)
+        values = self.settings.values()
+        engine = engine_from(values, self.get_logger().info)
+        self._estimation = observer.DisturbanceEstimation(build(values), engine)
+        self.settings.on_change(build, self._estimation.switch)
         self._publish, self._body = self.publishes("disturbance/estimate"), VectorWire(self.base_frame)
         self._gate = CommandGate(self.mode, self._on_sample, self.diagnostics.count)
         restart = self._estimation.restart
@@ -57,29 +52,30 @@ class DisturbanceObserverNode(GraphNode):
         self.reads("torque/command", self._gate.put_command, decode=vector_of)
         if not self.lockstep:
             self.reads("disturbance/kept", self._estimation.offer, decode=vector_of)
-        self._introduce()
+        self._replaced = 0  # estimates that could not be used, up to the last report
         self.ready()
 
-    def _introduce(self) -> None:
-        name = observer.disturbance_observers.name_of(type(self._estimation.law))
-        self.diagnostics.report("observer", OK, name)
-
-    def _use(self, law: observer.DisturbanceObserver) -> None:
-        """Fly with changed parameters, or have another observer take over."""
-        goes_on = type(law) is type(self._estimation.law)
-        self._estimation.switch(law if goes_on else _warmed_up(law))
+    def report(self) -> None:
+        """Report which observer it is, and whether it had to restart since the last report."""
+        name = observer.disturbance_observers.name_of(type(self._estimation.observer))
+        restarts = self._estimation.replaced
+        if restarts > self._replaced:
+            self.diagnostics.report("observer", ERROR, f"{name} restarts: its estimate was unusable")
+        else:
+            self.diagnostics.report("observer", OK, name)
+        self._replaced = restarts
 
     def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats) -> None:
-        replaced, resumed, law = self._estimation.replaced, self._estimation.resumed, self._estimation.law
+        replaced, resumed = self._estimation.replaced, self._estimation.resumed
+        running = self._estimation.observer
         estimate = self._estimation.estimate(stamp_ns, sample, torque)
         if estimate is None:
             self.diagnostics.count("imu/corrected: stamp repeated or went back")
             return
-        if type(self._estimation.law) is not type(law):
-            self._introduce()
+        self.diagnostics.changed |= self._estimation.observer is not running
         if self._estimation.resumed > resumed:
             self.get_logger().info("resumes from the last estimate of a disturbance observer")
-        if not sanitised(sample).rate_valid:
+        if not has_rate(sample):
             self.diagnostics.count("imu/corrected: body rate absent or unusable")
         if self._estimation.replaced > replaced:
             self.diagnostics.count("the estimate was unusable: the observer restarts")

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple
 
-import numpy as np
-
 from quadftc_model import samples
-from quadftc_model.arrays import AnyArray, Bool, Mask, Quaternion, Vector, is_single, namespace
+from quadftc_model.arrays import AnyArray, Array, Bool, Flag, Mask, Quaternion, Vector, larger, namespace
 from quadftc_model.assembly import VehicleLaw, law_from
 from quadftc_model.registry import Registry
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, turn
@@ -24,6 +21,7 @@ from quadftc_model.samples import (
 )
 
 MAX_PITCH = math.radians(80.0)  # rad; steeper, roll and yaw are not defined well enough to be compared
+SHORTEST = 1e-9  # s; of a time step that divides: it is 0 at the first sample
 
 
 class LastDiagnosis(NamedTuple):
@@ -33,8 +31,7 @@ class LastDiagnosis(NamedTuple):
     std_dev: Vector  # its standard deviation [rad]; -1: not known
     faulty: Mask  # a fault was confirmed and had not ended
     gyro_correction: Vector  # what it added to the gyro [rad/s]: minus the bias
-    onset_ns: Sequence[int] = (0, 0, 0)  # stamp of the onset of each axis [ns]; 0: none
-    since: Vector | float = 0.0  # time since these onsets, at the sample from which it is resumed [s]
+    since: Vector  # time since the onsets of these faults [s]
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -83,18 +80,13 @@ def dead_reckon(q_xyzw: Quaternion, rate: Vector, next_rate: Vector, dt: float) 
 
 def comparable(angles: Vector, others: Vector) -> Bool[AnyArray, "*batch 1"]:
     """Whether two attitudes, in Euler angles [rad], are both away from 90 deg of pitch."""
-    if is_single(angles) and is_single(others):
-        (_, pitch, _), (_, other, _) = angles.tolist(), others.tolist()
-        return np.array([abs(pitch) < MAX_PITCH and abs(other) < MAX_PITCH])
-    xp = namespace(angles)
-    steeper = xp.maximum(xp.abs(angles[..., 1:2]), xp.abs(others[..., 1:2]))
-    return steeper < MAX_PITCH
+    return larger(abs(angles[..., 1:2]), abs(others[..., 1:2])) < MAX_PITCH
 
 
 def correct_sample(imu: ImuSample, q_xyzw: Quaternion, body_rate: Vector) -> ImuSample:
     """Put the observer's attitude and body rate [rad/s] into a sample."""
     _, _, force, attitude_valid, rate_valid, force_valid = imu
-    return ImuSample(q_xyzw, body_rate, force, attitude_valid | np.True_, rate_valid, force_valid)
+    return ImuSample(q_xyzw, body_rate, force, attitude_valid | True, rate_valid, force_valid)
 
 
 def assume_healthy(fault: Vector, corrected: ImuSample) -> FaultEstimate:
@@ -104,24 +96,39 @@ def assume_healthy(fault: Vector, corrected: ImuSample) -> FaultEstimate:
     return FaultEstimate(fault, unknown, state, unknown, corrected)
 
 
-def await_start(sample: ImuSample, of_sensors: bool) -> FaultEstimate:
+def await_start(imu: ImuSample, said: FaultEstimate) -> FaultEstimate:
     """Return the estimate before an observer has started: no fault is known, the sample passes.
 
-    ``of_sensors``: the observer diagnoses gyro and accelerometer, too.
+    It has the parts of what the observer has ``said``, or would say.
     """
-    xp = namespace(sample.body_rate)
-    zeros, unknown = xp.zeros_like(sample.body_rate), xp.full_like(sample.body_rate, -1.0)
-    state = xp.full_like(zeros, samples.STARTING, dtype=xp.uint8)
-    sensor = SensorEstimate(state, zeros, unknown, unknown, zeros, xp.zeros_like(state), zeros > 0.0)
-    sensors = SensorDiagnosis(sensor, sensor, sensor) if of_sensors else None
-    return FaultEstimate(zeros, unknown, state, unknown, sample, sensors)
+    state, zeros, unknown, none, kind = _nothing_known(said.fault)
+    sensor = SensorEstimate(state, zeros, unknown, unknown, zeros, kind, none)
+    sensors = None if said.sensors is None else SensorDiagnosis(sensor, sensor, sensor)
+    rotors = None if said.rotors is None else await_rotors(said.rotors)
+    return FaultEstimate(zeros, unknown, state, unknown, imu, sensors, rotors)
 
 
-def await_rotors(rotors: RotorEstimate) -> RotorEstimate:
-    """Return what is said of rotors before an observer has started, shaped as what it will say."""
-    xp, ones = namespace(rotors.effectiveness), 0.0 * rotors.effectiveness + 1.0
-    state = xp.full_like(rotors.state, samples.STARTING)
-    return RotorEstimate(state, ones, -ones, -ones, 0.0 * ones, xp.zeros_like(rotors.kind), ones < 0.0)
+def await_rotors(said: RotorEstimate) -> RotorEstimate:
+    """Return what is said of rotors before an observer has started: as far as known, they are healthy."""
+    state, zeros, unknown, none, kind = _nothing_known(said.effectiveness)
+    return RotorEstimate(state, zeros + 1.0, unknown, unknown, zeros, kind, none)
+
+
+def is_usable_estimate(estimate: FaultEstimate) -> Flag:
+    """Whether all numbers of an estimate are finite and below `samples.UNUSABLE` (...)."""
+    corrected = estimate.corrected
+    found = [estimate.fault, estimate.std_dev, estimate.onset_age, corrected.q_xyzw, corrected.body_rate]
+    for part in (*(estimate.sensors or ()), estimate.rotors):
+        found += () if part is None else part[1:5]
+    return samples.usable(*found)
+
+
+def _nothing_known(like: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """States STARTING, zeros, minus ones, false and fault kinds "", shaped as an array."""
+    xp = namespace(like)
+    zeros = xp.zeros_like(like)
+    state = xp.full_like(like, samples.STARTING, dtype=xp.uint8)
+    return state, zeros, zeros - 1.0, zeros > 0.0, xp.zeros_like(state)
 
 
 class Detection(NamedTuple):

@@ -18,23 +18,15 @@ from typing import Any
 import numpy as np
 from std_msgs.msg import Header
 
+from quadftc_compile.engine import engine_from
 from quadftc_fdi.diagnosis import COMPONENTS, Diagnosis, describe_axes, describe_component, watched_sensors
-from quadftc_fdi.fault_observer import FaultObserver, LastDiagnosis, fault_observer_from, fault_observers
+from quadftc_fdi.fault_observer import LastDiagnosis, fault_observer_from, fault_observers
 from quadftc_model import samples
-from quadftc_model.arrays import Scalar
 from quadftc_model.parameters import parameter
-from quadftc_model.rotors import wrench_from_speeds
-from quadftc_model.samples import (
-    ALARMS,
-    FaultEstimate,
-    FaultObserverInputs,
-    ImuSample,
-    PositionSample,
-    RotorReading,
-)
-from quadftc_model.stepper import warm_up
+from quadftc_model.samples import ALARMS, FaultEstimate, ImuSample, PositionSample, RotorReading
+from quadftc_model.stepper import seconds
 from quadftc_ros.conversions import Floats, array_of, stamp_of
-from quadftc_ros.diagnostics import OK, WARN
+from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import CommandGate, PlaceGate, PlaceParameters, SpeedGate
 from quadftc_ros.motion_wire import PositionSampleReader, RotorsReader
@@ -59,11 +51,6 @@ class ObserverParameters:
     observer: str = parameter("isolating", doc="name of the fault observer; may be changed in flight")
 
 
-def _warmed_up(law: FaultObserver) -> FaultObserver:
-    warm_up(law, FaultObserverInputs(samples.level_sample(), np.zeros(3)))
-    return law
-
-
 class FaultObserverNode(GraphNode):
     """A fault observer on the stream of IMU samples."""
 
@@ -71,15 +58,15 @@ class FaultObserverNode(GraphNode):
         super().__init__("fault_observer", **kwargs)
         self.settings.declare(VehicleParameters, read_only=True)
         self.settings.declare_law(ObserverParameters, fault_observers, self._must_keep)
-        self._diagnosis = Diagnosis(_warmed_up(fault_observer_from(self.settings.values())))
-        if self.settings.values()["compiled"]:
-            self._diagnosis.compile_for(flies=self.plant_kind == "free_flight")
-        self.settings.on_change(fault_observer_from, self._use)
+        values, flies = self.settings.values(), self.plant_kind == "free_flight"
+        engine = engine_from(values, self.get_logger().info)
+        self._diagnosis = Diagnosis(fault_observer_from(values), engine, flies)
+        self.settings.on_change(fault_observer_from, self._diagnosis.switch)
         self._publish_corrected, self._imu = self.publishes("imu/corrected"), ImuWire(self.imu_frame)
         self._publish_estimate, self._earth = self.publishes("fault/estimate"), VectorWire(EARTH_FRAME)
         self._publish_status, self._status = self.publishes("fault/status"), FaultStatusWire(self.imu_frame)
         self._publish_report, self._report = self.publishes("diagnosis"), DiagnosisWire(self.imu_frame)
-        if self.plant_kind == "free_flight":
+        if flies:
             self._read_flight()
         else:
             gate = CommandGate(self.mode, self._on_sample, self.diagnostics.count, first=None)
@@ -93,20 +80,18 @@ class FaultObserverNode(GraphNode):
         self._estimate: FaultEstimate | None = None  # the last
         self._alarms: list[bool] = [False] * 3  # elements that are faulty
         self._raw = 0  # samples in a row without attitude
+        self._replaced = 0  # estimates that could not be used, up to the last report
         self._introduce()
         self.ready()
 
     def _introduce(self) -> None:
-        """Say which observer it is; what one before it has said no longer holds."""
-        self._observer = name = fault_observers.name_of(type(self._diagnosis.law))
+        """Note which observer it is; what one before it has said no longer holds."""
+        self._observer = fault_observers.name_of(type(self._diagnosis.observer))
         self.diagnostics.forget(*(f"attitude fault {axis}" for axis in samples.AXES))
         self.diagnostics.forget(*(f"{component} fault" for component in (*COMPONENTS, "rotor")))
-        if self._diagnosis.law.has_detector:
-            self.diagnostics.report("observer", OK, name)
-        else:
-            self.diagnostics.report("observer", WARN, f"{name} {NO_STATES}")
-            if not self.lockstep:
-                self.get_logger().warning(f"observer {name} {NO_STATES}")
+        self.diagnostics.changed = True
+        if not self._diagnosis.observer.has_detector and not self.lockstep:
+            self.get_logger().warning(f"observer {self._observer} {NO_STATES}")
 
     def _must_keep(self) -> str:
         """Return why another observer must not take over now; empty: it may."""
@@ -114,14 +99,9 @@ class FaultObserverNode(GraphNode):
             return STAYS
         return "a fault is confirmed, which another observer would not know" if any(self._alarms) else ""
 
-    def _use(self, law: FaultObserver) -> None:
-        """Fly with changed parameters, or have another observer take over."""
-        goes_on = type(law) is type(self._diagnosis.law)
-        self._diagnosis.switch(law if goes_on else _warmed_up(law))
-
     def _read_flight(self) -> None:
         """Read what there is in free flight: a sample waits for its position, then for the rotor speeds."""
-        vehicle, topic = self._diagnosis.law.vehicle, "rotors/command"
+        vehicle, topic = self._diagnosis.observer.vehicle, "rotors/command"
         rotors = len(vehicle.rotors.positions)
         first = np.full(rotors, vehicle.hover_speed)
         self.settings.declare(PlaceParameters, "position.", read_only=True)
@@ -154,18 +134,24 @@ class FaultObserverNode(GraphNode):
     ) -> None:
         """Diagnose a sample of a free flight, with the speeds [rad/s] measured with it."""
         sample, place, command = message
-        acted = wrench_from_speeds(self._diagnosis.law.vehicle, command)
-        self._diagnose(stamp_ns, sample, *acted, place, RotorReading(command, speeds))
+        rotors = RotorReading(command, np.zeros_like(command), np.False_)
+        if speeds is not None:
+            rotors = RotorReading(command, speeds, np.True_)
+        self._diagnose(stamp_ns, sample, rotors=rotors, place=place)
 
     def _on_kept(self, what: str, stamp_ns: int, value: Any) -> None:
         self._kept[what] = value
         if len(self._kept) < 2:
             return
         status = self._kept["fault"]
-        fault, std_dev = array_of(status.estimate), array_of(status.std_dev)
-        faulty = np.isin(status.state, ALARMS)
-        onset_ns = [stamp_of(Header(stamp=time)) for time in status.onset]
-        last = LastDiagnosis(fault, std_dev, faulty, self._kept["gyro"], onset_ns)
+        onsets_ns = [stamp_of(Header(stamp=time)) for time in status.onset]
+        last = LastDiagnosis(
+            fault=array_of(status.estimate),
+            std_dev=array_of(status.std_dev),
+            faulty=np.isin(status.state, ALARMS),
+            gyro_correction=self._kept["gyro"],
+            since=np.array([seconds(max(0, stamp_ns - onset)) if onset else 0.0 for onset in onsets_ns]),
+        )
         self._diagnosis.offer(stamp_ns, last)
 
     def _on_sample(self, stamp_ns: int, sample: ImuSample, torque: Floats | None) -> None:
@@ -175,13 +161,13 @@ class FaultObserverNode(GraphNode):
         self,
         stamp_ns: int,
         sample: ImuSample,
-        torque: Floats | None,
-        thrust: Scalar | None = None,
-        place: PositionSample | None = None,
+        torque: Floats | None = None,
         rotors: RotorReading | None = None,
+        place: PositionSample | None = None,
     ) -> None:
-        replaced, resumed, law = self._diagnosis.replaced, self._diagnosis.resumed, self._diagnosis.law
-        estimate = self._diagnosis.diagnose(stamp_ns, sample, torque, thrust, place, rotors)
+        replaced, resumed = self._diagnosis.replaced, self._diagnosis.resumed
+        observer = self._diagnosis.observer
+        estimate = self._diagnosis.diagnose(stamp_ns, sample, torque, rotors, place)
         if estimate is None:
             self.diagnostics.count("imu/data: stamp repeated or went back")
             return
@@ -199,7 +185,7 @@ class FaultObserverNode(GraphNode):
                 self._publish_bias(self._gyro(stamp_ns, bias))
         if self._diagnosis.resumed > resumed:
             self.get_logger().info("resumes where a fault observer has died")
-        if type(self._diagnosis.law) is not type(law):
+        if type(self._diagnosis.observer) is not type(observer):
             self._introduce()
         if self._diagnosis.replaced > replaced:
             self.diagnostics.count("the estimate was unusable: the observer restarts")
@@ -212,7 +198,7 @@ class FaultObserverNode(GraphNode):
         """Count what is absent or unusable, and report a driver that gives no attitude."""
         if not estimate.corrected.rate_valid:
             self.diagnostics.count("imu/data: body rate absent or unusable")
-        if not samples.sanitised(sample).attitude_valid:
+        if not samples.has_attitude(sample):
             self.diagnostics.count("imu/data: attitude absent or unusable")
             self._raw += 1
             if self._raw == RAW_AFTER:
@@ -232,10 +218,11 @@ class FaultObserverNode(GraphNode):
             self.diagnostics.changed = True
 
     def report(self) -> None:
-        """Report the fault of each axis of the attitude and of each other component, if anybody looks."""
+        """Report the observer, and the fault of each axis of the attitude and of each other component."""
+        law, memory = self._diagnosis.observer, self._diagnosis.memory
+        self._report_observer()
         if self._estimate is None or self._observer == "none":
             return
-        law, memory = self._diagnosis.law, self._diagnosis.state
         more = {} if memory is None else law.describe(memory)
         for axis, state, values in describe_axes(self._estimate, more):
             if law.has_detector:
@@ -245,6 +232,19 @@ class FaultObserverNode(GraphNode):
         for component, sensor in watched_sensors(law, self._estimate).items():
             if component != "attitude":
                 self._report_fault(f"{component} fault", *describe_component(component, sensor))
+
+    def _report_observer(self) -> None:
+        """Report which observer it is, and whether it had to restart since the last report."""
+        restarts = self._diagnosis.replaced
+        if restarts > self._replaced:
+            self.diagnostics.report(
+                "observer", ERROR, f"{self._observer} restarts: its estimate was unusable"
+            )
+        elif self._diagnosis.observer.has_detector:
+            self.diagnostics.report("observer", OK, self._observer)
+        else:
+            self.diagnostics.report("observer", WARN, f"{self._observer} {NO_STATES}")
+        self._replaced = restarts
 
     def _report_fault(self, part: str, state: int, values: dict[str, str]) -> None:
         level = OK if state in (samples.STARTING, samples.HEALTHY) else WARN

@@ -89,7 +89,7 @@ def test_reset_starts_anew_at_the_next_sample(diagnosis):
 def test_new_law_goes_on_with_the_state_of_the_old(diagnosis):
     for index in range(100):
         diagnosis.diagnose(START + index * PERIOD, sample(), NO_TORQUE)
-    diagnosis.law = fault_observers.get("sliding_mode")(vehicle=load_vehicle("qball_x4"), epsilon_s=0.7)
+    diagnosis.switch(fault_observers.get("sliding_mode")(vehicle=load_vehicle("qball_x4"), epsilon_s=0.7))
     turned = sample(q_xyzw=quaternion_from_euler(ANGLES + 0.01))
     for index in range(100, 150):
         estimate = diagnosis.diagnose(START + index * PERIOD, turned, NO_TORQUE)
@@ -193,8 +193,8 @@ def test_report_is_due_when_stamps_go_back():
     assert is_due(DiagnosisReport(START + 40_000_000, (), ()), said)
 
 
-def test_observer_of_the_attitude_alone_reports_its_faults(diagnosis):
-    diagnosis.law = fault_observers.get("threshold")(vehicle=load_vehicle("qball_x4"))
+def test_observer_of_the_attitude_alone_reports_its_faults():
+    diagnosis = Diagnosis(fault_observers.get("threshold")(vehicle=load_vehicle("qball_x4")))
     estimate = FaultEstimate(
         np.array([0.1, 0.0, 0.0]),
         np.full(3, -1.0),
@@ -212,8 +212,8 @@ def test_observer_of_the_attitude_alone_reports_its_faults(diagnosis):
 
 
 @pytest.mark.parametrize("name", ["none", "sliding_mode"])
-def test_observer_that_never_decides_watches_nothing(diagnosis, name):
-    diagnosis.law = fault_observers.get(name)(vehicle=load_vehicle("qball_x4"))
+def test_observer_that_never_decides_watches_nothing(name):
+    diagnosis = Diagnosis(fault_observers.get(name)(vehicle=load_vehicle("qball_x4")))
     assert diagnosis.report(START, diagnosis.diagnose(START, sample(), NO_TORQUE)) == (START, (), ())
 
 

@@ -5,15 +5,24 @@ import numpy as np
 import pytest
 
 from quadftc_fdi.disturbance_observer import disturbance_observers
+from quadftc_model.numbers import numbers_of, with_numbers
+from quadftc_model.parameters import parameters_of
 from quadftc_model.samples import DisturbanceObserverInputs
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 
 EVERY_OBSERVER = pytest.mark.parametrize("name", disturbance_observers.names())
+# with every value of those parameters that are structure
+EVERY_STRUCTURE = [
+    (name, {spec.name: choice})
+    for name in disturbance_observers.names()
+    for spec in parameters_of(disturbance_observers.get(name))
+    for choice in spec.choices
+] + [(name, {}) for name in disturbance_observers.names()]
 DT, COUNT, LANES = 0.004, 60, 5
 
 
-def observer(name, vehicle="qball_x4"):
-    return disturbance_observers.get(name)(vehicle=load_vehicle(vehicle))
+def observer(name, vehicle="qball_x4", **parameters):
+    return disturbance_observers.get(name)(vehicle=load_vehicle(vehicle), **parameters)
 
 
 def inputs_at(index, valid=True):
@@ -97,3 +106,43 @@ def test_jax_gives_the_same_numbers(name):
     rest = jax.tree.map(lambda *rows: np.stack(rows), *sequence[1:])
     _, found = jax.lax.scan(lambda state, inputs: law.step(state, inputs, DT), state, rest)
     np.testing.assert_allclose(np.stack([first, *found]), flown(law, sequence), rtol=1e-12, atol=1e-12)
+
+
+def shapes(tree):
+    """Structure, shapes and types of nested tuples of arrays."""
+    leaves, structure = jax.tree.flatten(tree)
+    return structure, [(np.shape(leaf), np.asarray(leaf).dtype) for leaf in leaves]
+
+
+@pytest.mark.parametrize(("name", "parameters"), EVERY_STRUCTURE)
+def test_state_keeps_its_structure_from_the_first_sample_on(name, parameters):
+    law, inputs = observer(name, **parameters), lane(inputs_at(0), 0)
+    state = law.init(inputs)
+    assert shapes(law.resumed(inputs, np.ones(3))) == shapes(state)
+    for index in range(10):
+        state, estimate = law.step(state, lane(inputs_at(index, index != 5), 0), DT * (index > 0))
+        assert shapes(state) == shapes(law.init(inputs))
+        assert shapes(estimate) == shapes(np.zeros(3))
+
+
+@pytest.mark.parametrize(("name", "parameters"), EVERY_STRUCTURE)
+def test_step_is_traced_with_all_its_numbers(name, parameters):
+    jax.config.update("jax_enable_x64", True)
+    law, inputs = observer(name, **parameters), lane(inputs_at(0), 0)
+    state = law.init(inputs)
+
+    def step(values, *arguments):
+        return with_numbers(law, values).step(*arguments)
+
+    _, traced = jax.make_jaxpr(step, return_shape=True)(numbers_of(law), state, inputs, DT)
+    leaves, structure = jax.tree.flatten(traced)
+    assert shapes(law.step(state, inputs, DT)) == (structure, [(leaf.shape, leaf.dtype) for leaf in leaves])
+
+
+@EVERY_OBSERVER
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_what_is_no_number_raises_nothing(name, bad):
+    law, inputs = observer(name), lane(inputs_at(0), 0)
+    with np.errstate(all="ignore"):
+        state, _ = law.step(law.init(inputs), inputs._replace(torque=np.full(3, bad)), DT)
+        law.step(state, inputs._replace(body_rate=np.full(3, bad)), DT)

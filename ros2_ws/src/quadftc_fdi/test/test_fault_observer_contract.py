@@ -6,8 +6,9 @@ import jax
 import numpy as np
 import pytest
 
-from quadftc_fdi.fault_observer import fault_observers
+from quadftc_fdi.fault_observer import LastDiagnosis, fault_observers, is_usable_estimate
 from quadftc_model.arrays import rows_of
+from quadftc_model.numbers import numbers_of, with_numbers
 from quadftc_model.parameters import parameters_of
 from quadftc_model.rotations import body_rates, euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import (
@@ -17,6 +18,7 @@ from quadftc_model.samples import (
     STARTING,
     FaultObserverInputs,
     ImuSample,
+    PositionSample,
     RotorReading,
 )
 from quadftc_model.vehicle import load_vehicle, vehicle_names
@@ -51,16 +53,19 @@ def inputs_at(index, missing=(), fault=0.02):
         rate_valid=absent if "rate" in missing else there,
         force_valid=there,
     )
-    inputs = FaultObserverInputs(imu, 0.1 * np.cos(angles))
-    for array in (*imu, inputs.torque):
+    inputs = FaultObserverInputs(imu, 0.1 * np.cos(angles), driven=there.copy())
+    for array in (*imu, inputs.torque, inputs.driven):
         array.setflags(write=False)
     return inputs
 
 
-def with_rotors(inputs, measured):
-    """The same with what is known of the rotors of a Qball-X4."""
+def in_flight(inputs, measured):
+    """The same in free flight, with what is known of the rotors of a Qball-X4."""
     speeds = 250.0 + 20.0 * np.repeat(inputs.imu.body_rate[..., :2], 2, axis=-1)
-    return inputs._replace(rotors=RotorReading(speeds, 1.01 * speeds if measured else None))
+    there = np.ones(LANES, dtype=bool)
+    place = PositionSample(0.1 * inputs.imu.body_rate, np.zeros((LANES, 3)), there)
+    rotors = RotorReading(speeds, 1.01 * speeds, there & measured)
+    return inputs._replace(thrust=np.full(LANES, 13.7), position=place, rotors=rotors)
 
 
 def lane(inputs, index):
@@ -68,6 +73,7 @@ def lane(inputs, index):
     return rows_of(inputs, index)
 
 
+@np.errstate(all="ignore")  # as the runner of a law
 def flown(law, sequence, start=None):
     """State after a sequence of inputs, and all estimates; the first step takes no time."""
     state, estimates = start, []
@@ -118,7 +124,7 @@ def test_estimates_have_their_shapes_and_types_and_are_finite(name, vehicle, bat
 
 @EVERY_OBSERVER
 def test_what_is_said_of_rotors_has_one_element_for_each(name):
-    sequence = [with_rotors(inputs_at(index), measured=True) for index in range(COUNT)]
+    sequence = [in_flight(inputs_at(index), measured=True) for index in range(COUNT)]
     for estimate in flown(observer(name), sequence)[1]:
         for column in estimate.rotors or ():
             assert column.shape == (LANES, 4)
@@ -182,7 +188,7 @@ def test_batch_equals_the_loop(name, rotors):
     missing = {25: ("attitude",), 26: ("attitude", "rate"), 27: ("rate",)}
     sequence = [inputs_at(index, missing.get(index, ())) for index in range(COUNT)]
     if rotors:
-        sequence = [with_rotors(inputs, measured=True) for inputs in sequence]
+        sequence = [in_flight(inputs, measured=True) for inputs in sequence]
     batch = flown(law, sequence)[1]
     for one in range(LANES):
         alone = flown(law, [lane(inputs, one) for inputs in sequence])[1]
@@ -213,6 +219,70 @@ def spoilt(imu, missing):
     return imu._replace(q_xyzw=q_xyzw, body_rate=imu.body_rate + 50.0 * ("rate" in missing))
 
 
+def shapes(tree):
+    """Structure, shapes and types of nested tuples of arrays."""
+    leaves, structure = jax.tree.flatten(tree)
+    return structure, [(np.shape(leaf), np.asarray(leaf).dtype) for leaf in leaves]
+
+
+def cases_of(inputs):
+    """The inputs of one vehicle on the test stand and in free flight."""
+    return lane(inputs, 0), lane(in_flight(inputs, measured=True), 0)
+
+
+WORDS = LastDiagnosis(np.zeros(3), np.zeros(3), np.eye(3)[0] > 0.0, np.zeros(3), np.eye(3)[0])
+
+
+@EVERY_OBSERVER
+def test_state_and_estimate_keep_their_structure_from_the_first_sample_on(name):
+    law = observer(name)
+    for number, inputs in enumerate(cases_of(inputs_at(0))):
+        first, said = law.step(law.init(inputs), inputs, 0.0)
+        assert shapes(first) == shapes(law.init(inputs)) == shapes(law.resumed(inputs, WORDS))
+        state = first
+        for index in range(1, 30):
+            state, estimate = law.step(state, cases_of(inputs_at(index))[number], DT)
+            assert shapes(state) == shapes(first)
+            assert shapes(estimate) == shapes(said)
+
+
+@EVERY_OBSERVER
+def test_step_is_traced_with_all_its_numbers_and_gives_the_same_types(name):
+    jax.config.update("jax_enable_x64", True)
+    law = observer(name)
+    numbers = numbers_of(law)
+    for inputs in cases_of(inputs_at(0)):
+        state = law.init(inputs)
+
+        def step(values, *arguments):
+            return with_numbers(law, values).step(*arguments)
+
+        def resume(values, *arguments):
+            return with_numbers(law, values).resumed(*arguments)
+
+        jaxpr, traced = jax.make_jaxpr(step, return_shape=True)(numbers, state, inputs, DT)
+        assert jaxpr.eqns
+        leaves, structure = jax.tree.flatten(traced)
+        expected = structure, [(leaf.shape, leaf.dtype) for leaf in leaves]
+        assert shapes(law.step(state, inputs, DT)) == expected
+        jax.make_jaxpr(resume)(numbers, inputs, WORDS)
+
+
+@EVERY_OBSERVER
+def test_what_is_no_number_raises_nothing(name):
+    law = observer(name)
+    for inputs in cases_of(inputs_at(0)):
+        state, _ = law.step(law.init(inputs), inputs, 0.0)
+        for bad in (np.nan, np.inf):
+            torque = inputs._replace(torque=np.full(3, bad))
+            imu = inputs.imu._replace(body_rate=np.full(3, bad), q_xyzw=np.full(4, bad))
+            with np.errstate(all="ignore"):
+                for each in (torque, inputs._replace(imu=imu)):
+                    after, estimate = law.step(state, each, DT)
+                    law.step(after, inputs, DT)
+                assert is_usable_estimate(estimate) == np.isfinite(estimate.corrected.body_rate).all()
+
+
 @EVERY_OBSERVER
 def test_parameter_out_of_bounds_is_refused_by_name(name):
     component = fault_observers.get(name)
@@ -228,7 +298,7 @@ def test_jax_gives_the_same_numbers(name):
     """One law, two array libraries: compiled, and with the state carried by its loop."""
     jax.config.update("jax_enable_x64", True)
     law = observer(name)
-    sequence = [with_rotors(inputs_at(index), measured=False) for index in range(COUNT)]
+    sequence = [in_flight(inputs_at(index), measured=index % 7 > 2) for index in range(COUNT)]
     _, expected = flown(law, sequence)
 
     def first(inputs):

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from accusing_observer import registered
+from accusing_observer import AccusingObserver, registered
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import ReliabilityPolicy
 from std_msgs.msg import Header
@@ -13,7 +13,8 @@ from std_srvs.srv import Trigger
 from message_objects import FaultStatusWriter, imu_sample
 from node_bench import imu_message, vector_message
 from quadftc_fdi.fault_observer_node import RAW_AFTER, FaultObserverNode
-from quadftc_model.samples import FAULTY, HEALTHY, FaultEstimate
+from quadftc_model.arrays import where
+from quadftc_model.samples import FAULTY, HEALTHY, STARTING, FaultEstimate
 from quadftc_ros.conversions import stamp_of
 from quadftc_ros.parameters import STAYS
 
@@ -315,6 +316,30 @@ def test_diagnostics_tell_the_fault_of_each_sensor(accused, lockstep_bench):
     healthy = observer.status[accelerometer]
     assert (healthy.level, healthy.message, healthy.values) == (DiagnosticStatus.OK, "healthy", [])
     assert observer.status["fault_observer: attitude fault roll"].message == "healthy"
+
+
+class Endless(AccusingObserver):
+    """Says nothing finite of a gyro that reads more than 1 rad/s."""
+
+    def step(self, state, inputs, dt):
+        state, estimate = super().step(state, inputs, dt)
+        endless = where(abs(inputs.imu.body_rate) > 1.0, np.inf, estimate.fault)
+        return state, estimate._replace(fault=endless)
+
+
+def test_unusable_estimate_is_an_error_for_a_while_and_the_observer_restarts_at_once(lockstep_bench):
+    with registered(Endless) as name:
+        observer = Observer(lockstep_bench, observer=name)
+    turn(observer, 0.0, 3)
+    turn(observer, 2.0)
+    told = "fault_observer: observer"
+    lockstep_bench.until(lambda: observer.status[told].level == DiagnosticStatus.ERROR)
+    assert observer.status[told].message == "accusing restarts: its estimate was unusable"
+    assert observer.found["fault/status"][-1].state.tolist() == [STARTING] * 3
+    turn(observer, 0.0)
+    assert observer.found["fault/status"][-1].state.tolist() == [HEALTHY] * 3
+    turn(observer, 0.0, 300)  # more than a second
+    lockstep_bench.until(lambda: observer.status[told].level == DiagnosticStatus.OK)
 
 
 def test_observer_of_the_attitude_alone_has_no_status_of_the_gyro(lockstep_bench):

@@ -36,8 +36,8 @@ WORDS = LastDiagnosis(
     fault=FAULT,
     std_dev=np.array([0.05, 0.01, 0.01]) * DEG,
     faulty=np.array([True, False, False]),
-    since=np.array([4.0, 0.0, 0.0]),
     gyro_correction=-BIAS,
+    since=np.array([3.0, 0.0, 0.0]),
 )
 QBALL = load_vehicle("qball_x4")
 
@@ -54,12 +54,12 @@ def resting(seed=3):
 def test_supervised_goes_on_with_fault_and_bias():
     observer, samples = Supervised(vehicle=QBALL), resting()
     stepper, first = Stepper(observer), next(samples)
-    found = [stepper.resume(FIRST_NS, first, observer.resumed(first, WORDS))]
+    found = [stepper.begin(FIRST_NS, first, WORDS)]
     found += [stepper.step(FIRST_NS + k * PERIOD_NS, next(samples)) for k in range(1, 1250)]  # 5 s
     states = np.array([each.state for each in found])
     assert np.all(states[:, 0] == FAULTY)
     assert np.all(states[:, 1:] == HEALTHY)
-    assert found[0].onset_age[0] == pytest.approx(4.0)
+    assert found[0].onset_age[0] == pytest.approx(3.0)
     angles = np.array([euler_from_quaternion(each.corrected.q_xyzw) for each in found]) / DEG
     rates = np.array([each.corrected.body_rate for each in found]) / DEG
     assert np.max(np.abs(angles)) < 0.5
@@ -76,7 +76,7 @@ def test_supervised_that_has_taken_over_trusts_the_sensor_when_its_fault_ends():
     observer, samples = Supervised(vehicle=QBALL), resting()
     stepper = Stepper(observer)
     first = next(samples)
-    stepper.resume(FIRST_NS, first, observer.resumed(first, WORDS))
+    stepper.begin(FIRST_NS, first, WORDS)
     for k in range(1, 500):
         stepper.step(FIRST_NS + k * PERIOD_NS, next(samples))
     for k, each in zip(range(2500), samples, strict=False):
@@ -90,9 +90,8 @@ def test_supervised_that_has_taken_over_trusts_the_sensor_when_its_fault_ends():
 def test_every_observer_can_go_on(name):
     observer, samples = fault_observers.get(name)(vehicle=QBALL), resting()
     first = next(samples)
-    state = observer.resumed(first, WORDS)
     stepper = Stepper(observer)
-    estimates = [stepper.resume(FIRST_NS, first, state)]
+    estimates = [stepper.begin(FIRST_NS, first, WORDS)]
     estimates += [stepper.step(FIRST_NS + k * PERIOD_NS, next(samples)) for k in range(1, 5)]
     assert np.all(np.isfinite([each.corrected.q_xyzw for each in estimates]))
 
@@ -102,7 +101,7 @@ def test_disturbance_observer_goes_on_from_the_estimate(model):
     observer = Exosystem(vehicle=QBALL, model=model)
     inputs = DisturbanceObserverInputs(np.zeros(3), np.bool_(True), np.zeros(3))
     estimate = np.array([1.0, -2.0, 0.5])
-    found = Stepper(observer).resume(FIRST_NS, inputs, observer.resumed(inputs, estimate))
+    found = Stepper(observer).begin(FIRST_NS, inputs, estimate)
     np.testing.assert_allclose(found, estimate)
 
 
@@ -146,7 +145,7 @@ def rested(first, second, before=400, after=260):
     diagnosis.switch(fault_observers.get(second)(vehicle=QBALL))
     found = [corrected(diagnosis, before, each)]
     found += [corrected(diagnosis, before + k, next(samples)) for k in range(1, after)]
-    assert isinstance(diagnosis.law, fault_observers.get(second))
+    assert isinstance(diagnosis.observer, fault_observers.get(second))
     return np.array(found), corrected(alone, before, each)
 
 
@@ -192,12 +191,9 @@ def test_observer_is_changed_by_its_parameter_unless_a_fault_is_confirmed(bench)
     assert node.settings.values()["observer"] == "supervised"
 
 
-KEPT = WORDS._replace(onset_ns=(FIRST_NS - 4_000_000_000, 0, 0), since=0.0)
-
-
 def test_diagnosis_resumes_at_the_first_complete_sample_after_the_words():
     diagnosis, samples = Diagnosis(Supervised(vehicle=QBALL)), resting()
-    diagnosis.offer(FIRST_NS - 1_000_000_000, KEPT)
+    diagnosis.offer(FIRST_NS - 1_000_000_000, WORDS)
     blind = level_sample()._replace(attitude_valid=np.bool_(False))
     estimate = diagnosis.diagnose(FIRST_NS, blind, np.zeros(3))
     assert (diagnosis.resumed, estimate.state.tolist()) == (0, [STARTING] * 3)
@@ -219,7 +215,7 @@ def test_gyro_bias_is_told_while_it_still_leaves_the_corrected_rate(name):
 
 def test_words_that_are_not_finite_are_dropped():
     diagnosis, samples = Diagnosis(Supervised(vehicle=QBALL)), resting()
-    diagnosis.offer(FIRST_NS - 1_000_000_000, KEPT._replace(gyro_correction=np.full(3, np.nan)))
+    diagnosis.offer(FIRST_NS - 1_000_000_000, WORDS._replace(gyro_correction=np.full(3, np.nan)))
     for k in range(3):
         estimate = diagnosis.diagnose(FIRST_NS + k * PERIOD_NS, next(samples).imu, np.zeros(3))
     assert (diagnosis.resumed, estimate.state.tolist()) == (0, [STARTING] * 3)

@@ -25,8 +25,8 @@ from quadftc_model.rotations import (
 DEG = math.pi / 180.0
 DT = 0.004
 START = np.concatenate([[0.1 * DEG] * 3, [1.0 * DEG] * 3, [0.01] * 9, [0.01]])
-NOISE = ProcessNoise(np.array([(0.007 * DEG) ** 2 * DT]), np.array([0.0]))
-NONE = ProcessNoise(np.array([0.0]), np.array([0.0]))
+NOISE = ProcessNoise(np.array([(0.007 * DEG) ** 2 * DT]), np.zeros(1), np.zeros(1))
+NONE = ProcessNoise(np.zeros(1), np.zeros(1), np.zeros(1))
 
 
 def ahead(state, gyro, noise=NONE):
@@ -82,7 +82,7 @@ def test_an_accelerated_rotation_is_integrated_to_third_order():
 
 def test_one_vehicle_and_a_batch_agree():
     state, gyro = some_state()
-    walk = ProcessNoise(np.array([1e-6]), np.array([1e-7]))
+    walk = ProcessNoise(np.array([1e-6]), np.array([1e-7]), np.array([1e-8]))
     residual, used = np.array([0.01, -0.02, 0.03]), np.array([True, False, True])
 
     def stepped(batch):
@@ -91,7 +91,7 @@ def test_one_vehicle_and_a_batch_agree():
         state, P, F = predict(
             state, earlier, np.broadcast_to(gyro, (*batch, 3)), np.broadcast_to(gyro, (*batch, 3)), walk, DT
         )
-        prediction = predict_angles(state, estimate_rate(state.x, np.broadcast_to(gyro, (*batch, 3))), P)
+        prediction = predict_angles(state, estimate_rate(state.x, np.broadcast_to(gyro, (*batch, 3))))
         variance = np.full((*batch, 3), 1e-6)
         state, _, _ = correct(state, prediction, np.broadcast_to(residual, (*batch, 3)), variance, used)
         moved = F.of(np.broadcast_to(np.eye(SIZE), (*batch, SIZE, SIZE)))

@@ -43,7 +43,7 @@ class Hover:
                 body_rate=0.002 * self.rng.standard_normal(3),
                 specific_force=np.array([0.0, 0.0, 9.80665]) + 0.02 * self.rng.standard_normal(3),
             )
-            inputs = FaultObserverInputs(change(index, sample), np.zeros(3), driven=self.driven)
+            inputs = FaultObserverInputs(change(index, sample), np.zeros(3), driven=np.bool_(self.driven))
             start = self.state is None
             state = self.law.init(inputs) if start else self.state
             self.state, estimate = self.law.step(state, inputs, 0.0 if start else DT)
@@ -116,7 +116,7 @@ def test_without_a_known_torque_motion_is_no_fault():
 def test_a_gyro_that_needs_an_acceleration_is_guilty_if_the_torque_and_the_attitude_tell(telling):
     yes, zero = np.array([True]), np.zeros(1)
     seen = hypotheses.Evidence(
-        *(~yes, ~yes, zero, zero, zero, zero, zero, zero, zero + 6.0, zero, None),
+        *(~yes, ~yes, zero, zero, zero, zero, zero, zero, zero + 6.0, zero, zero),
         telling=np.array([telling]),
     )
     state, guilty = hypotheses.start_hypotheses(~yes), []
@@ -335,13 +335,13 @@ def test_the_virtual_gyro_follows_a_torque_as_well_as_it_says():
         time = index * dt
         angles = np.array([0.1 * np.sin(wave * time), 0.0, 0.0])
         drive = np.array([-0.1 * wave**2 * np.sin(wave * (time - 0.5 * dt)), 0.0, 0.0])
-        state, turned = rate_filter.predict(state, drive, zeros, 1.0, dt)
+        state, turned = rate_filter.predict(state, drive, zeros, np.ones(3), dt)
         q_xyzw = turn(q_xyzw, turned)
         measured = quaternion_from_euler(angles + noise * rng.standard_normal(3))
         rotation = rate_filter.rotation_to(q_xyzw, measured)
         used = np.ones(3, dtype=bool)
-        corrected = rate_filter.correct_by_attitude(state, rotation, zeros + noise**2, used)
-        state, q_xyzw = rate_filter.RateFilter(*corrected[0]), turn(q_xyzw, corrected[1])
+        state, corrected = rate_filter.correct_by_attitude(state, rotation, zeros + noise**2, used)
+        q_xyzw = turn(q_xyzw, corrected)
         if index > 500:
             errors.append(state.rate - [0.1 * wave * np.cos(wave * time), 0.0, 0.0])
             claimed.append(state.rr)

@@ -65,6 +65,7 @@ def flight(count, change=lambda elapsed, sample: sample, gusts=1.0, place=True):
 LAW = Isolating(vehicle=VEHICLE, position_noise=0.001)
 
 
+@np.errstate(all="ignore")  # as the runner of a law
 def diagnose(inputs):
     """Estimates of a flight."""
     state, first = LAW.step(LAW.init(inputs[0]), inputs[0], 0.0)

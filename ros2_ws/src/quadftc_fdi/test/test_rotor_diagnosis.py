@@ -47,7 +47,8 @@ def flight(model, loss=lambda t: 0.0, count=1800, seed=1, gusts=0.5, torque=(4.0
         read, force = rate + MEMS[0] * rng.standard_normal(3), acts[3] + MEMS[1] * rng.standard_normal()
         if change is not None and index >= BEGIN:
             read, force = change((index - BEGIN) * DT, read, force)
-        inputs.append(RotorInputs(thrusts, read, np.float64(force), np.zeros(3), np.bool_(True)))
+        seen = thrusts, read, np.float64(force), np.zeros(3), np.True_, thrusts
+        inputs.append(RotorInputs(*seen, measured=np.False_))
     return inputs
 
 
@@ -127,7 +128,7 @@ def test_rotor_is_not_judged_before_something_is_learned():
 def measured(inputs, speeds):
     """The same with measured thrusts: what they shall be is known beside."""
     return [
-        each._replace(thrusts=speeds(index, each.thrusts), wanted=each.thrusts)
+        each._replace(thrusts=speeds(index, each.thrusts), measured=np.True_)
         for index, each in enumerate(inputs)
     ]
 

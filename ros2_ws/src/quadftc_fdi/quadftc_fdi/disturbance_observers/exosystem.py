@@ -19,14 +19,26 @@ at exp(-bandwidth dt), all of them, which for the constant exosystem is lambda =
 
 from __future__ import annotations
 
-import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from quadftc_fdi.disturbance_observer import DisturbanceObserver, register
-from quadftc_model.arrays import Array, Flag, Scalar, Vector, cache_numbers, chosen, exp, namespace
+from quadftc_model.arrays import (
+    Array,
+    Flag,
+    Scalar,
+    Vector,
+    chosen,
+    column,
+    exp,
+    namespace,
+    sin,
+    stacked,
+    where,
+)
+from quadftc_model.numbers import prepared
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.samples import DisturbanceObserverInputs
@@ -71,75 +83,79 @@ class Exosystem(DisturbanceObserver):
 
     def step(self, state: State, inputs: DisturbanceObserverInputs, dt: float) -> tuple[State, Vector]:
         """Advance by ``dt`` [s]; a sample without body rate is predicted, not corrected."""
-        if isinstance(dt, float) and dt == 0.0:
-            return state, state.zeta @ self.C_d
-        xp = namespace(inputs.body_rate)
-        if state.zeta.shape[-1] != len(self.C_d):  # the model was changed in flight
-            state = state._replace(zeta=self.init(inputs).zeta)
-        inertia = self.vehicle.inertia
-        Phi, CdGamma, gain = _discretised(self.model, self.frequency, self.bandwidth, dt)
+        moved = chosen(dt > 0.0, self._moved(state, inputs, where(dt > 0.0, dt, 1.0)), state)
+        return moved, moved.zeta @ self.C_d
+
+    def _moved(self, state: State, inputs: DisturbanceObserverInputs, dt: Scalar) -> State:
+        inertia, known = self.vehicle.inertia, column(inputs.rate_valid)
+        Phi, CdGamma, gain = self._discretised(dt)
         # predict x2 by the trapezoidal rule; without a body rate, f stays
-        rate = chosen(inputs.rate_valid, inputs.body_rate, state.x2)
+        rate = where(known, inputs.body_rate, state.x2)
         f = 0.5 * (gyroscopic_acceleration(inertia, state.x2) + gyroscopic_acceleration(inertia, rate))
         predicted = state.x2 + dt * (f + inputs.torque / inertia) + state.zeta @ CdGamma
         # correct zeta by nu, once there has been a body rate to start from
-        x2 = chosen(inputs.rate_valid, rate, predicted)
-        nu = xp.where(state.started[..., None], x2 - predicted, 0.0)
+        x2 = where(known, rate, predicted)
+        nu = where(column(state.started), x2 - predicted, 0.0)
         zeta = state.zeta @ Phi.T + nu[..., None] * gain
-        return State(zeta, x2, state.started | inputs.rate_valid), zeta @ self.C_d
+        return State(zeta, x2, state.started | inputs.rate_valid)
+
+    def _discretised(self, dt: Scalar) -> tuple[Array, Array, Array]:
+        """Phi (n, n), C_d Gamma (n,) and the gain l (n,) of a step, in closed form."""
+        change, CdGamma = _blocks(self.model, self.frequency, dt)
+        xp, n = namespace(change), len(CdGamma)
+        gain = _gain(change / dt, CdGamma / dt, (exp(-self.bandwidth * dt) - 1.0) / dt)
+        return xp.eye(n) + change, CdGamma, gain
 
     def poles(self, dt: float) -> Matrix:
         """Poles (n,) [rad/s] of the observer stepped by ``dt`` [s]: log of the eigenvalues over dt."""
-        Phi, CdGamma, gain = _discretised(self.model, self.frequency, self.bandwidth, dt)
+        Phi, CdGamma, gain = self._discretised(dt)
         eigenvalues = np.asarray(np.linalg.eigvals(Phi - np.outer(gain, CdGamma)), np.complex128)
         return np.asarray(np.log(eigenvalues) / dt)
 
-    @functools.cached_property
+    @prepared
     def C_d(self) -> Matrix:
         """C_d of (42), (n,): the first state of each block."""
-        return np.concatenate([np.eye(_SIZES[name])[0] for name in self.model.split("+")])
+        return np.array(_OUTPUTS[self.model])
 
 
-@cache_numbers
-def _discretised(model: str, frequency: Scalar, bandwidth: Scalar, dt: Scalar) -> tuple[Array, Array, Array]:
-    """Phi (n, n), C_d Gamma (n,) and the gain l (n,) of a step, in closed form."""
-    xp = namespace(1.0 * frequency * bandwidth * dt)
-    blocks = {name: _block(name, frequency, dt, xp) for name in model.split("+")}
-    n, at = sum(_SIZES[name] for name in blocks), 0
-    rows: list[Any] = []
-    for change, _ in blocks.values():  # rows of Phi - I, with zeros around the block
-        left, right = xp.zeros(at), xp.zeros(n - at - len(change))
-        rows += [xp.concatenate([left, xp.stack([xp.asarray(x) for x in row]), right]) for row in change]
-        at += len(change)
-    D = xp.stack(rows) / dt
-    CdGamma = xp.stack([xp.asarray(x) for _, integral in blocks.values() for x in integral])
-    gain = _gain(D, CdGamma / dt, (exp(-bandwidth * dt) - 1.0) / dt, xp)
-    return xp.eye(n) + dt * D, CdGamma, gain
-
-
-def _block(name: str, frequency: Array, dt: Array, xp: Any) -> tuple[list[list[Array]], list[Array]]:
-    """Phi - I and C_d Gamma of one block: exp(A_d dt) - I, and the first row of its integral."""
-    if name == "constant":
-        return [[0.0 * dt]], [dt]
-    if name == "ramp":
-        return [[0.0 * dt, dt], [0.0 * dt, 0.0 * dt]], [dt, 0.5 * dt * dt]
-    sine, half = xp.sin(frequency * dt), xp.sin(0.5 * frequency * dt)
+def _blocks(model: str, frequency: Scalar, dt: Scalar) -> tuple[Array, Array]:
+    """Phi - I (n, n), that is exp(A_d dt) - I, and C_d Gamma (n,) of the exosystem of a model."""
+    sine, half = sin(frequency * dt), sin(0.5 * frequency * dt)
     fall = 2.0 * half * half  # 1 - cos, without cancellation
-    return [[-fall, sine], [-sine, -fall]], [sine / frequency, fall / frequency]
+    turn, integral = [[-fall, sine], [-sine, -fall]], [sine / frequency, fall / frequency]
+    zero = 0.0 * dt
+    rows, output = {
+        "constant": ([[zero]], [dt]),
+        "ramp": ([[zero, dt], [zero, zero]], [dt, 0.5 * dt * dt]),
+        "harmonic": (turn, integral),
+        "constant+harmonic": ([[zero] * 3, *([zero, *row] for row in turn)], [dt, *integral]),
+    }[model]
+    return namespace(sine).stack([stacked(row) for row in rows]), stacked(output)
 
 
-def _gain(D: Array, c: Array, pole: Array, xp: Any) -> Array:
+def _gain(D: Array, c: Array, pole: Array) -> Array:
     """Gain l (n,) that puts all eigenvalues of D - l c at ``pole``: Ackermann's formula.
 
-    In the delta operator, D = (Phi - I) / dt: observability stays well conditioned as dt goes to 0.
+    l = (D - pole I)^n v, where v is the last column of the inverse of the observability matrix, of rows c,
+    c D, c D²: a cross product over a determinant. In the delta operator, D = (Phi - I) / dt, observability
+    stays well conditioned as dt goes to 0.
     """
-    n = D.shape[-1]
-    observability, wanted = [c], xp.eye(n)
-    for _ in range(n - 1):
-        observability.append(observability[-1] @ D)
+    xp, n = namespace(D), len(c)
+    if n == 3:
+        last, v = c @ D @ D, xp.cross(c, c @ D)
+    elif n == 2:
+        last, v = c @ D, stacked([-c[1], c[0]])
+    else:
+        last, v = c, xp.ones(1)
+    v = v / (last @ v)
     for _ in range(n):
-        wanted = wanted @ (D - pole * xp.eye(n))
-    return wanted @ xp.linalg.solve(xp.stack(observability), xp.eye(n)[:, -1:])[:, 0]
+        v = D @ v - pole * v
+    return v
 
 
-_SIZES = {"constant": 1, "ramp": 2, "harmonic": 2}
+_OUTPUTS = {
+    "constant": (1.0,),
+    "ramp": (1.0, 0.0),
+    "harmonic": (1.0, 0.0),
+    "constant+harmonic": (1.0, 1.0, 0.0),
+}

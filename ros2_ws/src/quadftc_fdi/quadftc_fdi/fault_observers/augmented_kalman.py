@@ -37,8 +37,34 @@ import math
 from typing import NamedTuple
 
 from quadftc_fdi import fault_observer
-from quadftc_fdi.fault_observer import FaultObserver, comparable, correct_sample, dead_reckon, register
-from quadftc_model.arrays import AnyArray, Array, Float, Quaternion, Vector, components, namespace
+from quadftc_fdi.fault_observer import (
+    SHORTEST,
+    FaultObserver,
+    comparable,
+    correct_sample,
+    dead_reckon,
+    register,
+)
+from quadftc_model.arrays import (
+    AnyArray,
+    Array,
+    Float,
+    Quaternion,
+    Vector,
+    clip,
+    column,
+    components,
+    cos,
+    diagonal,
+    larger,
+    namespace,
+    sin,
+    solve_positive,
+    sqrt,
+    stacked,
+    tan,
+    where,
+)
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs
@@ -88,7 +114,7 @@ class AugmentedKalman(FaultObserver):
         imu = inputs.imu
         xp = namespace(imu.body_rate)
         zeros = xp.zeros_like(imu.body_rate)
-        angle = zeros + xp.where(imu.attitude_valid[..., None], self.attitude_noise, UNKNOWN)
+        angle = zeros + where(column(imu.attitude_valid), self.attitude_noise, UNKNOWN)
         std_devs = xp.concatenate([angle, zeros + self.gyro_bias, zeros], axis=-1)
         hidden = xp.concatenate([xp.eye(3), xp.zeros((3, 3)), -xp.eye(3)], axis=-1)  # x^ is off by the fault
         P = (std_devs**2)[..., None] * xp.eye(9) + self.initial_fault**2 * (hidden.T @ hidden)
@@ -100,30 +126,29 @@ class AugmentedKalman(FaultObserver):
     def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Predict on the gyro over ``dt`` [s], adapt, and correct by the attitude."""
         imu = inputs.imu
-        xp = namespace(imu.body_rate)
         # predict by the gyro; an absent one keeps its last value
-        gyro = xp.where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
+        gyro = where(column(imu.rate_valid), imu.body_rate, state.gyro)
         b = state.gyro_bias
         q_xyzw = dead_reckon(state.q_xyzw, state.gyro - b, gyro - b, dt)
         x, y = euler_from_quaternion(q_xyzw), euler_from_quaternion(imu.q_xyzw)
         E, J = kinematic_matrices(x, gyro - b)
-        EE = E @ xp.swapaxes(E, -1, -2)
+        EE = E @ E.swapaxes(-1, -2)
         predicted = self._predict(state.P, E, J, EE, imu.rate_valid, dt)
         # innovation r and its covariance S; adapt the variance of the fault, then correct
-        usable = imu.attitude_valid[..., None] & comparable(x, y) & (dt > 0.0)
-        r = xp.where(usable, wrap(y - x - state.fault), 0.0)
+        usable = column(imu.attitude_valid) & comparable(x, y) & (dt > 0.0)
+        r = where(usable, wrap(y - x - state.fault), 0.0)
         PH = predicted[..., :3] + predicted[..., 6:]  # P H', H = [I 0 I]
         S = PH[..., :3, :] + PH[..., 6:, :] + self.attitude_noise**2 * EE
-        state, growth = self._adapt(state, r, xp.einsum("...ii->...i", S), usable, dt)
+        state, growth = self._adapt(state, r, diagonal(S), usable, dt)
         correction, P = _correct(predicted, PH, S, growth, r, usable)
         # detect the fault by its size in standard deviations
         fault = wrap(state.fault + correction[..., 6:])
-        std_dev = xp.sqrt(xp.einsum("...ii->...i", P)[..., 6:])
+        std_dev = sqrt(diagonal(P)[..., 6:])
         detection = state.detection.step(
-            xp.abs(fault) / std_dev, self.detection_level, self.recovery_level, self.recovery_time, dt
+            abs(fault) / std_dev, self.detection_level, self.recovery_level, self.recovery_time, dt
         )
         state = state._replace(
-            q_xyzw=xp.where(usable, quaternion_from_euler(x + correction[..., :3]), q_xyzw),
+            q_xyzw=where(usable, quaternion_from_euler(x + correction[..., :3]), q_xyzw),
             gyro_bias=b + correction[..., 3:6],
             fault=fault,
             P=P,
@@ -138,29 +163,28 @@ class AugmentedKalman(FaultObserver):
         xp = namespace(P)
         F = xp.concatenate([xp.eye(3) + dt * J, -dt * E, xp.zeros_like(E)], axis=-1)  # its upper rows
         upper = F @ P
-        gap = xp.where(rate_valid, 0.0, self.gap_walk**2)[..., None, None] * xp.eye(3)
-        angles = upper @ xp.swapaxes(F, -1, -2) + dt * (self.gyro_noise**2 * EE + gap)
+        gap = where(column(column(rate_valid)), 0.0, self.gap_walk**2) * xp.eye(3)
+        angles = upper @ F.swapaxes(-1, -2) + dt * (self.gyro_noise**2 * EE + gap)
         across = upper[..., 3:]
         walks = [dt * self.gyro_bias_walk**2] * 3 + [dt * self.fault_walk**2] * 3
         others = P[..., 3:, 3:] + xp.asarray(walks) * xp.eye(6)
         above = xp.concatenate([angles, across], axis=-1)
-        below = xp.concatenate([xp.swapaxes(across, -1, -2), others], axis=-1)
+        below = xp.concatenate([across.swapaxes(-1, -2), others], axis=-1)
         return xp.concatenate([above, below], axis=-2)
 
     def _adapt(self, state: State, r: Array, S_ii: Array, usable: Array, dt: float) -> tuple[State, Array]:
         """Means of the innovation, and what is added to P_f,ii (..., 3) [rad²]."""
-        xp = namespace(r)
-        starts = isinstance(dt, float) and dt == 0.0
-        gains = xp.zeros(len(WINDOWS)) if starts else dt / (xp.asarray(WINDOWS) + dt)
-        m = state.means + xp.where(usable[..., None], gains * (r[..., None] - state.means), 0.0)
+        windows = namespace(r).asarray(WINDOWS)
+        gains = dt / larger(windows + dt, SHORTEST)
+        m = state.means + where(column(usable), gains * (r[..., None] - state.means), 0.0)
         v = S_ii[..., None] * (gains / (2.0 - gains))  # of the mean of white innovations
-        excess = xp.max(xp.where(m * m > self.gate**2 * v, m * m - v, 0.0), axis=-1)
-        excess = xp.where(usable, excess, 0.0)  # (lambda_i - 1) P_f,ii
+        excess = where(m * m > self.gate**2 * v, m * m - v, 0.0).max(axis=-1)
+        excess = where(usable, excess, 0.0)  # (lambda_i - 1) P_f,ii
         sudden = excess > 0.0
-        alert = xp.where(sudden, self.alert_time, xp.maximum(state.alert - dt, 0.0))
+        alert = where(sudden, self.alert_time, larger(state.alert - dt, 0.0))
         faulty = state.detection.detected | (alert > 0.0)
-        walk = xp.where(faulty, max(self.faulty_walk**2 - self.fault_walk**2, 0.0), 0.0)
-        means = xp.where(sudden[..., None], 0.0, m)
+        walk = where(faulty, larger(self.faulty_walk**2 - self.fault_walk**2, 0.0), 0.0)
+        means = where(column(sudden), 0.0, m)
         return state._replace(means=means, alert=alert), excess + dt * walk
 
 
@@ -169,10 +193,10 @@ def _correct(P: Array, PH: Array, S: Array, growth: Array, r: Array, usable: Arr
     xp = namespace(P)
     more = growth[..., None] * xp.eye(3)
     grown = xp.concatenate([PH[..., :6, :], PH[..., 6:, :] + more], axis=-2)
-    K = xp.where(usable[..., None], grown @ xp.linalg.inv(S + more), 0.0)
-    growths = xp.concatenate([xp.zeros_like(growth), xp.zeros_like(growth), growth], axis=-1)
-    after = P + growths[..., None] * xp.eye(9) - K @ xp.swapaxes(grown, -1, -2)
-    return (K @ r[..., None])[..., 0], 0.5 * (after + xp.swapaxes(after, -1, -2))
+    K = where(column(usable), solve_positive(S + more, grown.swapaxes(-1, -2)).swapaxes(-1, -2), 0.0)
+    growths = xp.concatenate([xp.zeros_like(r), xp.zeros_like(r), growth], axis=-1)
+    after = P + growths[..., None] * xp.eye(9) - K @ grown.swapaxes(-1, -2)
+    return (K @ r[..., None])[..., 0], 0.5 * (after + after.swapaxes(-1, -2))
 
 
 def kinematic_matrices(
@@ -183,18 +207,15 @@ def kinematic_matrices(
     Pitch is kept within ``MAX_PITCH``, so that both are bounded.
     """
     xp = namespace(angles)
-    phi, theta, _ = components(
-        xp.minimum(xp.maximum(angles, -fault_observer.MAX_PITCH), fault_observer.MAX_PITCH)
-    )
-    phi = components(angles)[0]
+    phi, theta, _ = components(angles)
+    theta = clip(theta, -fault_observer.MAX_PITCH, fault_observer.MAX_PITCH)
     _, q, r = components(body_rate)
-    s, c, t, sec = xp.sin(phi), xp.cos(phi), xp.tan(theta), 1.0 / xp.cos(theta)
+    s, c, t, sec = sin(phi), cos(phi), tan(theta), 1.0 / cos(theta)
     across = s * q + c * r  # cos(theta) psi'
     theta_dot = c * q - s * r
     one, zero = xp.ones_like(s), xp.zeros_like(s)
     E = [one, s * t, c * t, zero, c, -s, zero, s * sec, c * sec]
-    d_phi = [t * theta_dot, -across, sec * theta_dot]
-    d_theta = [sec * sec * across, zero, sec * t * across]
-    J = [element for row in zip(d_phi, d_theta, [zero] * 3, strict=True) for element in row]
-    shape = (*angles.shape[:-1], 3, 3)
-    return xp.stack(E, axis=-1).reshape(shape), xp.stack(J, axis=-1).reshape(shape)
+    by_phi = stacked([t * theta_dot, -across, sec * theta_dot])
+    by_theta = stacked([sec * sec * across, zero, sec * t * across])
+    J = xp.stack([by_phi, by_theta, xp.zeros_like(angles)], axis=-1)
+    return stacked(E).reshape(J.shape), J

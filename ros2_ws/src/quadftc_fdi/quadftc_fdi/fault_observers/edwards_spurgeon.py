@@ -38,7 +38,7 @@ from typing import NamedTuple
 from quadftc_fdi import fault_observer
 from quadftc_fdi.fault_observer import FaultObserver, comparable, correct_sample, dead_reckon, register
 from quadftc_fdi.fault_observers.sliding_mode import implicit_injection
-from quadftc_model.arrays import Quaternion, Vector, exp, namespace
+from quadftc_model.arrays import Quaternion, Vector, column, exp, namespace, where
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs
@@ -78,23 +78,22 @@ class EdwardsSpurgeon(FaultObserver):
     def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Advance by ``dt`` [s] to the sample."""
         imu = inputs.imu
-        xp = namespace(imu.body_rate)
         # the kinematics run on the gyro; an absent gyro keeps its last value
-        y2 = xp.where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
+        y2 = where(column(imu.rate_valid), imu.body_rate, state.gyro)
         q_xyzw = dead_reckon(state.q_xyzw, state.gyro, y2, dt)
         x = euler_from_quaternion(q_xyzw)
         y1 = euler_from_quaternion(imu.q_xyzw)
-        usable = imu.attitude_valid[..., None] & comparable(x, y1)
+        usable = column(imu.attitude_valid) & comparable(x, y1)
         # inject on the surface e = 0; the low pass of nu is the fault, its leak corrects x^
-        innovation = xp.where(usable, wrap(y1 - x), state.fault)  # x - x^ + f_s
+        innovation = where(usable, wrap(y1 - x), state.fault)  # x - x^ + f_s
         c = state.e + dt * self.a_f * innovation
         e, nu = implicit_injection(c, self.a_s, self.rho, 0.0, dt)
         fault = state.fault + (1.0 - exp(-dt / self.tau)) * (nu / self.a_f - state.fault)
         leaked = quaternion_from_euler(x + dt * (self.leak / self.a_f) * nu)
-        q_xyzw = xp.where(usable, leaked, q_xyzw)
+        q_xyzw = where(usable, leaked, q_xyzw)
         detection = state.detection.step(
-            xp.abs(fault), self.detection_level, self.recovery_level, self.recovery_time, dt
+            abs(fault), self.detection_level, self.recovery_level, self.recovery_time, dt
         )
         corrected = correct_sample(imu, q_xyzw, y2)
-        estimate = detection.report(fault, xp.full_like(fault, -1.0), ~detection.low, corrected)
+        estimate = detection.report(fault, namespace(fault).full_like(fault, -1.0), ~detection.low, corrected)
         return State(q_xyzw, e, fault, y2, detection), estimate

@@ -13,14 +13,12 @@ and their limits; docs/isolability.md says what is possible.
 
 from __future__ import annotations
 
-import dataclasses
-import functools
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadftc_fdi.fault_observer import LastDiagnosis, register
+from quadftc_fdi.fault_observer import SHORTEST, LastDiagnosis, register
 from quadftc_fdi.fault_observers import supervised
 from quadftc_fdi.fault_observers.supervised import Rate, Supervised
 from quadftc_fdi.isolation import (
@@ -29,6 +27,7 @@ from quadftc_fdi.isolation import (
     gyro_monitor,
     hypotheses,
     naming,
+    rate_filter,
     reading_test,
     rotor_watch,
 )
@@ -36,27 +35,30 @@ from quadftc_fdi.isolation.accelerometer_monitor import AccelerometerMonitor
 from quadftc_fdi.isolation.free_flight import FreeFlight
 from quadftc_fdi.isolation.gyro_monitor import AttitudeReading, GyroMonitor, GyroReading
 from quadftc_fdi.isolation.hypotheses import Hypotheses
-from quadftc_fdi.isolation.reading_test import ReadingTest, Verdict, start_test
+from quadftc_fdi.isolation.reading_test import Channels, Flags, ReadingTest, Verdict, start_test
 from quadftc_fdi.isolation.rotor_watch import RotorWatch
-from quadftc_fdi.rotor_diagnosis.rotor_model import Effects, vehicle_effects
+from quadftc_fdi.rotor_diagnosis.monitor import estimate_rotors
+from quadftc_fdi.rotor_diagnosis.rotor_model import Effects, effects_of, model_of
 from quadftc_fdi.supervision import sensor_noise
 from quadftc_fdi.supervision.inertial_filter import estimate_rate
-from quadftc_fdi.supervision.transition import ROTATION, variances
+from quadftc_fdi.supervision.transition import ROTATION
 from quadftc_model import samples
 from quadftc_model.arrays import (
     Mask,
+    Scalar,
     Vector,
     any_of,
-    changed_where,
-    chosen,
+    branch,
     column,
-    is_single,
-    join,
+    diagonal,
+    larger,
     namespace,
-    pick,
+    stacked,
+    where,
 )
+from quadftc_model.numbers import prepared
 from quadftc_model.parameters import parameter
-from quadftc_model.position_estimator import PositionEstimator
+from quadftc_model.position_estimator import PositionEstimator, PositionEstimatorInputs
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import earth_z_in_body, euler_from_quaternion, quaternion_from_euler, turn
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample, SensorDiagnosis
@@ -76,7 +78,6 @@ SLOW = 1.0  # rad/s; bandwidth in which an attitude made of the gyro can replace
 
 
 GYRO, FORCE, ATTITUDE = slice(0, 3), slice(3, 6), slice(6, 9)  # channels of the readings
-THERE = np.full(9, True)
 # rad/s, m/s², rad; noise at first, and squared: in flight at least (vibration comes and goes), of the best
 # sensor; of one that may repeat itself. A test of the attitude by itself finds only whether it is stuck
 PRIOR = np.repeat((0.02, 0.5, 1e-3), 3)
@@ -95,7 +96,7 @@ class State(NamedTuple):
     hypotheses: Hypotheses
     missing: Mask  # the attitude is absent, or was a moment ago
     flight: FreeFlight | None  # None on the test stand
-    rotors: RotorWatch | None  # None: nothing is known of single rotors
+    rotors: RotorWatch | None  # None on the test stand
 
 
 class Judged(NamedTuple):
@@ -126,90 +127,83 @@ class Isolating(Supervised):
     gives_velocity: bool = parameter(False, doc="whether the position sensor measures the velocity, too")
     velocity_noise: float = parameter(0.1, unit="m/s", low=1e-3, high=100.0, doc="of a velocity, 1 sigma")
 
-    @functools.cached_property
-    def attitude_law(self) -> Supervised:
-        """The observer of the attitude."""
-        names = [field.name for field in dataclasses.fields(Supervised)]
-        return Supervised(**{name: getattr(self, name) for name in names})
-
-    @functools.cached_property
+    @prepared
     def motion_law(self) -> PositionEstimator:
         """The estimator of what attitude and accelerometer do wrong in free flight."""
         return free_flight.motion_law(
             self.position_delay, self.position_noise, self.gives_velocity, self.velocity_noise
         )
 
-    @property
+    @prepared
     def rotor_effects(self) -> Effects:
         """What the rotors do to gyro and accelerometer."""
-        return vehicle_effects(self.vehicle)
+        return effects_of(model_of(self.vehicle))
 
     def init(self, inputs: FaultObserverInputs) -> Any:
         """Start on the measurement."""
-        return self._start(self.attitude_law.init(inputs), inputs)
+        return self._start(super().init(inputs), inputs)
 
     def resumed(self, inputs: FaultObserverInputs, last: LastDiagnosis) -> Any:
         """Resume with what was known of the attitude; gyro and accelerometer start as healthy."""
-        return self._start(self.attitude_law.resumed(inputs, last), inputs)
+        return self._start(super().resumed(inputs, last), inputs)
 
     def bias_of(self, state: Any) -> Vector:
         """Return the gyro bias [rad/s] of a state."""
-        return self.attitude_law.bias_of(state.attitude)
+        return super().bias_of(state.attitude)
 
     def describe(self, state: Any) -> dict[str, Vector]:
         """Return what the observer of the attitude knows besides."""
-        return self.attitude_law.describe(state.attitude)
+        return super().describe(state.attitude)
 
     def _start(self, attitude: supervised.State, inputs: FaultObserverInputs) -> State:
         imu, drive = inputs.imu, inputs.torque / self.vehicle.inertia
-        xp, angles = namespace(imu.body_rate), euler_from_quaternion(imu.q_xyzw)
         rate = estimate_rate(attitude.filter.x, imu.body_rate)
+        flight = rotors = None
+        if inputs.thrust is not None:
+            flight = free_flight.start_flight(self.motion_law, _motion_inputs(inputs), inputs.thrust)
+        if inputs.rotors is not None:
+            rotors = rotor_watch.start_watch(self.vehicle, self.rotor_effects, imu, inputs.rotors)
         return State(
             attitude,
-            start_test(xp.concatenate([imu.body_rate, imu.specific_force, angles], axis=-1), PRIOR),
+            start_test(_channels(imu), PRIOR),
             gyro_monitor.start_monitor(imu.q_xyzw, rate, drive, sensor_noise.WHITE**2),
             accelerometer_monitor.start_accelerometer(imu.specific_force),
             hypotheses.start_hypotheses(attitude.faulty),
-            attitude.faulty & ~attitude.faulty,
-            free_flight.start_flight(self.motion_law, inputs),
-            rotor_watch.start_watch(self.vehicle, self.rotor_effects, inputs),
+            namespace(attitude.faulty).zeros_like(attitude.faulty),
+            flight,
+            rotors,
         )
 
     def step(self, state: Any, inputs: FaultObserverInputs, dt: float) -> tuple[Any, FaultEstimate]:
         """Advance by ``dt`` [s] to the sample."""
-        imu, before, xp = inputs.imu, state.attitude, namespace(inputs.imu.body_rate)
-        if isinstance(dt, float) and dt == 0.0:
-            attitude, estimate = self.attitude_law.step(before, inputs, dt)
-            state = state._replace(attitude=attitude)
-            return state, estimate._replace(
-                sensors=self._name(state, imu, estimate), rotors=rotor_watch.say_rotors(state.rotors)
-            )
-        judged = self._judge_readings(state, inputs, dt)
+        imu, before = inputs.imu, state.attitude
+        judged = branch(
+            dt > 0.0, lambda: self._judge_readings(state, inputs, dt), lambda: _begin_judging(state)
+        )
         readings, monitor, accelerometer, verdict, flight, rotors = judged
 
         # the attitude against the gyro, or the virtual one
         rate = monitor.filter.rate
-
-        def go_without() -> tuple[Vector, Vector | float]:
-            virtual = xp.where(monitor.bad, rate + before.filter.x[..., :3], imu.body_rate)
-            known = variances(before.filter.P)[..., ROTATION] < LOST
-            return virtual, (monitor.bad & known) * (2.0 * CORRELATED * dt) * monitor.filter.rr
-
-        flown, doubt = changed_where(monitor.bad, go_without, (imu.body_rate, 0.0))
-        turns = Rate(flown, doubt, any_of(state.hypotheses.ambiguous))
-        attitude, estimate = self.attitude_law.advance(before, imu, turns, dt)
+        flown = where(monitor.bad, rate + before.filter.x[..., :3], imu.body_rate)
+        known = diagonal(before.filter.P)[..., ROTATION] < LOST
+        doubt = where(monitor.bad & known, 2.0 * CORRELATED * dt * monitor.filter.rr, 0.0)
+        turns = Rate(flown, any_of(state.hypotheses.ambiguous), doubt)
+        attitude, estimate = self.advance(before, imu, turns, dt)
 
         # whose is a fault of the attitude? Where it is the gyro's, the attitude is acquitted
-        believed, monitor, flight, attitude, estimate = changed_where(
-            attitude.faulty,
+        believed, monitor, flight, attitude, estimate = branch(
+            any_of(attitude.faulty)[..., 0] & (dt > 0.0),
             lambda: self._blame(state, inputs, judged, attitude, estimate, dt),
-            (hypotheses.start_hypotheses(attitude.faulty), monitor, flight, attitude, estimate),
+            lambda: (hypotheses.start_hypotheses(attitude.faulty), monitor, flight, attitude, estimate),
         )
 
         missing = verdict.odd[..., ATTITUDE] | (state.missing & verdict.late[..., ATTITUDE])
         state = State(attitude, readings, monitor, accelerometer, believed, missing, flight, rotors)
-        corrected, sensors = self._fly(estimate, rate, believed), self._name(state, imu, estimate)
-        return state, FaultEstimate(*estimate[:4], corrected, sensors, rotor_watch.say_rotors(rotors))
+        return state, estimate._replace(
+            corrected=self._fly(estimate, rate, believed),
+            sensors=self._name(state, imu, estimate),
+            rotors=None if rotors is None else estimate_rotors(rotors.monitor),
+        )
 
     def _blame(
         self,
@@ -218,12 +212,12 @@ class Isolating(Supervised):
         judged: Judged,
         attitude: supervised.State,
         estimate: FaultEstimate,
-        dt: float,
+        dt: Scalar,
     ) -> tuple[Hypotheses, GyroMonitor, FreeFlight | None, supervised.State, FaultEstimate]:
         """Judge whose a fault of the attitude is, and acquit the attitude where it is the gyro's."""
-        monitor, flight, vote = judged.gyro, judged.flight, None
-        new, fault = attitude.faulty & ~state.attitude.faulty, estimate.fault
-        abrupt = attitude.track.still < 1.0
+        monitor, flight, fault = judged.gyro, judged.flight, estimate.fault
+        new, abrupt = attitude.faulty & ~state.attitude.faulty, attitude.track.still < 1.0
+        vote = namespace(fault).zeros_like(fault)
         if flight is not None:
             flight = free_flight.follow_tilt(flight, fault, estimate.onset_age, new, abrupt, dt)
             vote = free_flight.vote(flight, judged.accelerometer, fault, estimate.std_dev)
@@ -249,47 +243,46 @@ class Isolating(Supervised):
 
         def acquit() -> tuple[GyroMonitor, supervised.State, FaultEstimate]:
             slight, large = gyro_monitor.gyro_error(fault, estimate.onset_age)
-            bias = attitude.filter.x[..., :3]
-            if vote is not None:  # the position says that the attitude is right
-                bias = bias + guilty * (vote > VOTED) * slight
+            # where the position says that the attitude is right, a slight error is a bias
+            bias = attitude.filter.x[..., :3] + guilty * (vote > VOTED) * slight
             followed = reading_test.begin_deviation(monitor.fault, large, guilty)
             named = monitor._replace(faulty=monitor.faulty | guilty, fault=followed)
             return named, *self._acquit(attitude, estimate, inputs, rate, acquitted, bias)
 
-        monitor, attitude, estimate = changed_where(acquitted, acquit, (monitor, attitude, estimate))
+        monitor, attitude, estimate = branch(
+            any_of(acquitted)[..., 0], acquit, lambda: (monitor, attitude, estimate)
+        )
         return believed, monitor, flight, attitude, estimate
 
     def _judge_readings(self, state: State, inputs: FaultObserverInputs, dt: float) -> Judged:
         """Test the readings of all sensors, and judge rotors, gyro and accelerometer."""
         imu, before, inertia = inputs.imu, state.attitude, self.vehicle.inertia
-        xp, rate = namespace(imu.body_rate), state.gyro.filter.rate
-        omega, angles = estimate_rate(before.filter.x, imu.body_rate), euler_from_quaternion(imu.q_xyzw)
+        xp, rate, rotors = namespace(imu.body_rate), state.gyro.filter.rate, inputs.rotors
+        omega, there = estimate_rate(before.filter.x, imu.body_rate), _there(imu)
         gyroscopic, least = gyroscopic_acceleration(inertia, rate), self.disturbance**2
-        q = pick(column(inputs.driven), least, max(least, UNDRIVEN**2))
+        driven, measured = column(inputs.driven), False if rotors is None else rotors.measured
+        q = where(driven, least, larger(least, UNDRIVEN**2))
         # predict
         state, inputs = self._watch_rotors(state, inputs, omega, gyroscopic, dt)
         drive = (inputs.torque - self.vehicle.rotational_drag * rate) / inertia
-        lag = 0.0 if _measured(inputs) else self.rotor_lag
+        lag = where(measured, 0.0, self.rotor_lag)
         ahead = gyro_monitor.predict_monitor(state.gyro, drive, gyroscopic, q, lag, dt)
-        # test
-        wanted = ~state.hypotheses.ambiguous
         # where the gyro is believed again, go on at its rate
-        there, faulty = _there(imu), state.gyro.faulty
-        forgiven = changed_where(
-            faulty, lambda: faulty & there[..., GYRO] & (state.gyro.filter.rr > LOST_RATE**2), faulty
-        )
+        wanted, faulty = ~state.hypotheses.ambiguous, state.gyro.faulty
+        forgiven = faulty & there[..., GYRO] & (state.gyro.filter.rr > LOST_RATE**2)
         state = state._replace(gyro=state.gyro._replace(faulty=faulty & ~forgiven))
         returns = (state.gyro.alone & wanted & ~state.gyro.faulty) | forgiven
-        ahead = gyro_monitor.adopt_gyro(ahead, omega, FLOOR[GYRO], state.gyro.trace.needed, returns)
-        ahead_rate, variance = join([(axis[0], axis[6]) for axis in ahead.axes])
+        adopted = omega, FLOOR[GYRO], state.gyro.trace.needed, returns
+        ahead = ahead._replace(filter=rate_filter.adopt_gyro(ahead.filter, *adopted))
+        # test
         flight, off, unsure = self._force_deviation(state, inputs, omega, dt)
-        moved = angles - state.readings.reading[..., ATTITUDE]
-        raw = xp.concatenate([imu.body_rate, imu.specific_force, angles], axis=-1)
-        square = xp.concatenate([omega - ahead_rate, off, moved], axis=-1) ** 2
-        untested, zeros = column(inputs.driven) ^ True, 0.0 * off  # without the torque
-        variance = variance + UNTESTED * (untested | ~wanted)
-        predicted = xp.concatenate([variance, unsure + UNTESTED * untested, zeros], axis=-1)
-        noise = xp.maximum(state.readings.variance, FLOOR)
+        raw = _channels(imu)
+        moved = raw[..., ATTITUDE] - state.readings.reading[..., ATTITUDE]
+        square = xp.concatenate([omega - ahead.filter.rate, off, moved], axis=-1) ** 2
+        # without the torque, or with an attitude that may be wrong, predictions test nothing
+        variance = ahead.filter.rr + UNTESTED * (~driven | ~wanted)
+        predicted = xp.concatenate([variance, unsure + UNTESTED * ~driven, xp.zeros_like(off)], axis=-1)
+        noise = larger(state.readings.variance, FLOOR)
         readings, verdict = reading_test.test_reading(
             state.readings, raw, there, square, predicted, noise, NOISY, dt
         )
@@ -304,14 +297,14 @@ class Isolating(Supervised):
             readings.suspicion[..., FORCE],
             there[..., FORCE],
             verdict.of(FORCE),
-            before.faulty | monitor.faulty | untested,
+            before.faulty | monitor.faulty | ~driven,
             dt,
         )
         if flight is None:
             accelerometer, learned = accelerometer_monitor.step_accelerometer(state.accelerometer, *force)
         else:
             flight, accelerometer, learned = free_flight.step_flight(
-                flight, self.motion_law, state.accelerometer, inputs, *force
+                flight, self.motion_law, state.accelerometer, _motion_inputs(inputs), *force
             )
         used = xp.concatenate([taught, learned, there[..., ATTITUDE]], axis=-1)
         square = xp.concatenate([white, square[..., FORCE.start :]], axis=-1)
@@ -319,62 +312,59 @@ class Isolating(Supervised):
         return Judged(readings, monitor, accelerometer, verdict, flight, state.rotors)
 
     def _watch_rotors(
-        self, state: State, inputs: FaultObserverInputs, omega: Vector, gyroscopic: Vector, dt: float
+        self, state: State, inputs: FaultObserverInputs, omega: Vector, gyroscopic: Vector, dt: Scalar
     ) -> tuple[State, FaultObserverInputs]:
         """Judge the rotors; return the torque and the thrust that they give, with what is unknown of them."""
         if state.rotors is None or inputs.rotors is None:
             return state, inputs
-        vehicle, gyro, flight = self.vehicle, state.gyro, state.flight
+        xp, vehicle, gyro, flight = namespace(omega), self.vehicle, state.gyro, state.flight
         turns = gyroscopic - vehicle.rotational_drag * gyro.filter.rate / vehicle.inertia
-        suspects = namespace(omega).concatenate([gyro.faulty, state.accelerometer.faulty[..., 2:]], axis=-1)
+        suspects = xp.concatenate([gyro.faulty, state.accelerometer.faulty[..., 2:]], axis=-1)
         rotors, acts = rotor_watch.step_watch(
-            *(state.rotors, vehicle, self.rotor_effects, inputs),
+            *(state.rotors, vehicle, self.rotor_effects, inputs, inputs.rotors),
             *(omega, turns, ~any_of(suspects)[..., 0], dt),
         )
-
-        def doubt() -> tuple[ReadingTest, GyroMonitor, FreeFlight | None]:
-            xp, filtered, more = namespace(omega), gyro.filter, column(acts.pushing)
-            unknown = gyro._replace(filter=filtered._replace(dd=xp.maximum(filtered.dd, acts.turning)))
-            # also for readings that are outliers already
-            parts = acts.turning * dt**2, 0.0 * omega[..., :2], more, 0.0 * omega
-            held = state.readings.held + xp.concatenate(parts, axis=-1)
-            readings = state.readings._replace(held=held)
-            if flight is None:
-                return readings, unknown, None
-            unsure = xp.maximum(flight.unsure[..., 2:], more)
-            unsure = xp.concatenate([flight.unsure[..., :2], unsure], axis=-1)
-            return readings, unknown, flight._replace(unsure=unsure)
-
-        known = state.readings, gyro, flight
-        readings, gyro, flight = changed_where(rotors.monitor.unsure, doubt, known)
-        state = state._replace(readings=readings, gyro=gyro, flight=flight, rotors=rotors)
+        # what a suspect rotor may do is no evidence against a sensor, nor is a reading an outlier for it
+        unknown = gyro.filter._replace(dd=larger(gyro.filter.dd, acts.turning))
+        none = xp.zeros_like(omega)
+        pushing = xp.concatenate([none[..., :2], column(acts.pushing)], axis=-1)
+        held = state.readings.held + xp.concatenate([acts.turning * dt**2, pushing, none], axis=-1)
+        if flight is not None:
+            flight = flight._replace(unsure=larger(flight.unsure, pushing))
+        state = state._replace(
+            readings=state.readings._replace(held=held),
+            gyro=gyro._replace(filter=unknown),
+            flight=flight,
+            rotors=rotors,
+        )
         return state, inputs._replace(torque=acts.torque, thrust=acts.thrust)
 
     def _force_deviation(
-        self, state: State, inputs: FaultObserverInputs, omega: Vector, dt: float
+        self, state: State, inputs: FaultObserverInputs, omega: Vector, dt: Scalar
     ) -> tuple[FreeFlight | None, Vector, Vector]:
         """What the accelerometer reads too much, against gravity or thrust, and the variance of that."""
         monitor, force = state.accelerometer, inputs.imu.specific_force
         if state.flight is None or inputs.thrust is None:
             vertical = earth_z_in_body(turn(state.attitude.filter.q_xyzw, dt * omega))
             off = accelerometer_monitor.deviation_of(monitor, force, vertical)
-            return None, off, 0.0 * off
-        lag = 0.0 if _measured(inputs) else self.vehicle.rotors.time_constant
+            return None, off, namespace(off).zeros_like(off)
+        lag = self.vehicle.rotors.time_constant
+        if inputs.rotors is not None:
+            lag = where(inputs.rotors.measured, 0.0, lag)
         flight, thrust = free_flight.predict_force(state.flight, inputs.thrust, lag, dt)
         off = free_flight.deviation_of(monitor.offset, force, thrust, self.vehicle.mass)
         return flight, off, flight.unsure
 
     def _attitude_reading(
-        self, imu: ImuSample, before: supervised.State, there: Mask, dt: float
+        self, imu: ImuSample, before: supervised.State, there: Mask, dt: Scalar
     ) -> AttitudeReading:
         """Return the attitude of a sample, with what is known of it."""
-        noise = before.noise.exact
+        noise, step = before.noise.exact, larger(dt, SHORTEST)
         single, long = noise[..., sensor_noise.SAMPLE], noise[..., sensor_noise.LONG]
         # a slow error of the attitude counts as white noise of the same density at low frequency
-        white = (TWICE_LONG + dt) / dt
-        variance = namespace(single).maximum(single, long * white)
+        variance = larger(single, long * (TWICE_LONG + dt) / step)
         if self.attitude_from_gyro:
-            variance = namespace(single).maximum(variance, self.disturbance**2 / (SLOW**6 * dt))
+            variance = larger(variance, self.disturbance**2 / (SLOW**6 * step))
         return AttitudeReading(imu.q_xyzw, single, variance, there, ~before.faulty)
 
     def _acquit(
@@ -388,42 +378,41 @@ class Isolating(Supervised):
     ) -> tuple[supervised.State, FaultEstimate]:
         """Start again on measured angles, virtual rate and a gyro ``bias`` where the fault is the gyro's."""
         xp, kept = namespace(estimate.fault), attitude.faulty & ~acquitted
-        fault, since = attitude.track.fault * kept, attitude.track.age * kept
-        last = LastDiagnosis(fault, 0.0 * fault, kept, -bias, since=since)
-        fresh = self.attitude_law.resumed(inputs, last)._replace(
-            gyro=attitude.gyro,
-            gyro_before=attitude.gyro_before,
-            activity=attitude.activity,
-            motion=attitude.motion,
-            noise=attitude.noise,
-            outliers=attitude.outliers,
+        fault, since = where(kept, attitude.track.fault, 0.0), where(kept, attitude.track.age, 0.0)
+        last = LastDiagnosis(fault, xp.zeros_like(fault), kept, -bias, since)
+        fresh = (
+            super()
+            .resumed(inputs, last)
+            ._replace(
+                gyro=attitude.gyro,
+                gyro_before=attitude.gyro_before,
+                activity=attitude.activity,
+                motion=attitude.motion,
+                noise=attitude.noise,
+                outliers=attitude.outliers,
+            )
         )
-        estimate = estimate._replace(
-            fault=estimate.fault * ~acquitted,
-            state=xp.where(acquitted, samples.SUSPECT, estimate.state).astype(xp.uint8),
-            onset_age=xp.where(acquitted, -1.0, estimate.onset_age),
-            corrected=estimate.corrected._replace(
-                q_xyzw=xp.where(any_of(acquitted), fresh.filter.q_xyzw, estimate.corrected.q_xyzw),
-                body_rate=xp.where(acquitted, rate, estimate.corrected.body_rate),
-            ),
+        corrected = estimate.corrected._replace(
+            q_xyzw=fresh.filter.q_xyzw, body_rate=where(acquitted, rate, estimate.corrected.body_rate)
         )
-        return chosen(any_of(acquitted)[..., 0], fresh, attitude), estimate
+        return fresh, estimate._replace(
+            fault=where(acquitted, 0.0, estimate.fault),
+            state=where(acquitted, samples.SUSPECT, estimate.state).astype(xp.uint8),
+            onset_age=where(acquitted, -1.0, estimate.onset_age),
+            corrected=corrected,
+        )
 
     def _fly(self, estimate: FaultEstimate, rate: Vector, believed: Hypotheses) -> ImuSample:
         """Return the sample for the controller."""
-        xp, corrected = namespace(rate), estimate.corrected
-        corrected = corrected._replace(rate_valid=corrected.rate_valid | True)
-
-        def blend() -> ImuSample:
-            beyond = believed.ambiguous & (xp.abs(estimate.fault) > self.belief)
-            shift, share = hypotheses.flown(estimate.fault, believed.ambiguous, self.belief)
-            angles = euler_from_quaternion(corrected.q_xyzw) + shift
-            return corrected._replace(
-                q_xyzw=xp.where(any_of(beyond), quaternion_from_euler(angles), corrected.q_xyzw),
-                body_rate=corrected.body_rate + share * (rate - corrected.body_rate),
-            )
-
-        return changed_where(believed.ambiguous, blend, corrected)
+        corrected = estimate.corrected
+        beyond = believed.ambiguous & (abs(estimate.fault) > self.belief)
+        shift, share = hypotheses.flown(estimate.fault, believed.ambiguous, self.belief)
+        shifted = quaternion_from_euler(euler_from_quaternion(corrected.q_xyzw) + shift)
+        return corrected._replace(
+            q_xyzw=where(any_of(beyond), shifted, corrected.q_xyzw),
+            body_rate=corrected.body_rate + share * (rate - corrected.body_rate),
+            rate_valid=corrected.rate_valid | True,
+        )
 
     def _name(self, state: State, imu: ImuSample, estimate: FaultEstimate) -> SensorDiagnosis:
         """Say what is known of each sensor."""
@@ -437,14 +426,25 @@ class Isolating(Supervised):
         )
 
 
-def _measured(inputs: FaultObserverInputs) -> bool:
-    """Whether torque and thrust are those of measured rotor speeds."""
-    return inputs.rotors is not None and inputs.rotors.speeds is not None
+def _begin_judging(state: State) -> Judged:
+    """Return what is judged of the first sample: nothing yet."""
+    no = state.readings.time < 0.0
+    verdict = Verdict(~no, no, no, no)
+    return Judged(state.readings, state.gyro, state.accelerometer, verdict, state.flight, state.rotors)
 
 
-def _there(imu: ImuSample) -> Mask:
+def _motion_inputs(inputs: FaultObserverInputs) -> PositionEstimatorInputs:
+    """Return the inputs of the estimator of motion in free flight."""
+    assert inputs.position is not None
+    return PositionEstimatorInputs(inputs.imu, inputs.position)
+
+
+def _channels(imu: ImuSample) -> Channels:
+    """Return the readings of the nine channels."""
+    angles = euler_from_quaternion(imu.q_xyzw)
+    return namespace(angles).concatenate([imu.body_rate, imu.specific_force, angles], axis=-1)
+
+
+def _there(imu: ImuSample) -> Flags:
     """Whether each of the nine channels has a reading."""
-    valid = imu.rate_valid, imu.force_valid, imu.attitude_valid
-    if is_single(imu.body_rate):
-        return THERE if all(valid) else np.repeat(valid, 3)
-    return namespace(imu.body_rate).stack([flag for flag in valid for _ in range(3)], axis=-1)
+    return stacked([flag for flag in (imu.rate_valid, imu.force_valid, imu.attitude_valid) for _ in range(3)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 from quadftc_fdi.fault_observer import FaultObserver, assume_healthy, register
-from quadftc_model.arrays import namespace
+from quadftc_model.arrays import column, namespace, where
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample
 
 
@@ -24,9 +24,8 @@ class NoDiagnosis(FaultObserver):
     ) -> tuple[ImuSample, FaultEstimate]:
         """Return the sample as it is, with an estimate of zero."""
         imu = inputs.imu
-        xp = namespace(imu.body_rate)
         used = imu._replace(
-            q_xyzw=xp.where(imu.attitude_valid[..., None], imu.q_xyzw, state.q_xyzw),
-            body_rate=xp.where(imu.rate_valid[..., None], imu.body_rate, state.body_rate),
+            q_xyzw=where(column(imu.attitude_valid), imu.q_xyzw, state.q_xyzw),
+            body_rate=where(column(imu.rate_valid), imu.body_rate, state.body_rate),
         )
-        return used, assume_healthy(xp.zeros_like(imu.body_rate), used)
+        return used, assume_healthy(namespace(imu.body_rate).zeros_like(imu.body_rate), used)

@@ -32,11 +32,21 @@ grow without bound, only the difference acts, and is the state.
 
 from __future__ import annotations
 
-import math
 from typing import ClassVar, NamedTuple
 
-from quadftc_fdi.fault_observer import FaultObserver, assume_healthy, correct_sample, register
-from quadftc_model.arrays import Array, Column, Vector, is_single, namespace, norm
+from quadftc_fdi.fault_observer import SHORTEST, FaultObserver, assume_healthy, correct_sample, register
+from quadftc_model.arrays import (
+    Array,
+    Column,
+    Scalar,
+    Vector,
+    column,
+    larger,
+    namespace,
+    norm,
+    sqrt,
+    where,
+)
 from quadftc_model.parameters import parameter
 from quadftc_model.rigid_body import gyroscopic_acceleration
 from quadftc_model.rotations import euler_from_quaternion, euler_rates, quaternion_from_euler, wrap
@@ -93,8 +103,7 @@ class SlidingMode(FaultObserver):
     def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Advance both observers by ``dt`` [s] to the sample."""
         imu = inputs.imu
-        xp = namespace(imu.body_rate)
-        h1 = xp.where(imu.rate_valid[..., None], imu.body_rate, state.h1)
+        h1 = where(column(imu.rate_valid), imu.body_rate, state.h1)
         z1, k1, v1 = self._rate_observer(state, inputs.torque, h1, dt)
         state = self._fault_observer(state, inputs, h1, dt)._replace(z1=z1, k1=k1, v1=v1, h1=h1)
         return state, assume_healthy(state.v2, correct_sample(imu, quaternion_from_euler(state.z2), h1))
@@ -112,11 +121,10 @@ class SlidingMode(FaultObserver):
     def _fault_observer(self, state: State, inputs: FaultObserverInputs, h1: Array, dt: float) -> State:
         """Observer (17) with (21), (26) and (27): z2^, e3, k2^, v2 and h2 - z2^ at the new sample."""
         imu = inputs.imu
-        xp = namespace(h1)
         L1 = self.L1 + (0.5 * self.H * state.k2 if self.kinematics == "full" else 0.0)  # D2 = 0 for (5)
         z2 = self._kinematics(state.z2, state.h1, h1, dt) + 0.5 * dt * L1 * state.e3  # but for L1 e3+ dt / 2
         measured = wrap(euler_from_quaternion(imu.q_xyzw) - z2)  # h2 - z2^
-        innovation = xp.where(imu.attitude_valid[..., None], measured, state.innovation)  # absent: as before
+        innovation = where(column(imu.attitude_valid), measured, state.innovation)  # absent: as before
         rho = self.epsilon_s + self.epsilon_2
         c = state.e3 + dt * innovation
         e3, v2 = implicit_injection(c, self.L2 + 0.5 * dt * L1, rho, self.delta, dt)
@@ -134,7 +142,7 @@ class SlidingMode(FaultObserver):
 
 
 def implicit_injection(
-    c: Vector, linear: Array, rho: float, delta: float, dt: float
+    c: Vector, linear: Array, rho: Scalar, delta: Scalar, dt: Scalar
 ) -> tuple[Vector, Vector]:
     """Solve e = c - dt (linear e + injection), injection = rho e / (|e| + delta); return both.
 
@@ -142,31 +150,13 @@ def implicit_injection(
     delta = 0 the injection takes the value that keeps e at 0. With ``dt`` [s] of 0 the error stays c.
     """
     size = norm(c)
-    if is_single(size):
-        gain = linear if isinstance(linear, float) else float(linear[0])
-        return _inject_one(c, float(size[0]), gain, rho, delta, dt)
-    xp = namespace(c)
     a = 1.0 + dt * linear
     b = a * delta + dt * rho - size
     # positive root of a n² + b n - |c| delta = 0, in the form that does not cancel for b > 0
-    root = xp.sqrt(b * b + 4.0 * a * delta * size)
-    n = xp.where(b > 0.0, 2.0 * size * delta / xp.where(b > 0.0, b + root, 1.0), (root - b) / (2.0 * a))
-    unit = c / xp.where(size > 0.0, size, 1.0)
-    sliding = rho / xp.where(n + delta > 0.0, n + delta, 1.0) * n
-    starts = isinstance(dt, float) and dt == 0.0
-    held = 0.0 * size if starts else size / dt  # delta = 0 and n = 0
-    return n * unit, xp.where(n + delta > 0.0, sliding, held) * unit
-
-
-def _inject_one(
-    c: Array, size: float, linear: float, rho: float, delta: float, dt: float
-) -> tuple[Array, Array]:
-    """`implicit_injection` of one vehicle: the same in floats, for which the branches are branches."""
-    a = 1.0 + dt * linear
-    b = a * delta + dt * rho - size
-    root = math.sqrt(b * b + 4.0 * a * delta * size)
-    n = 2.0 * size * delta / (b + root) if b > 0.0 else (root - b) / (2.0 * a)
-    held = size / dt if dt > 0.0 else 0.0 * size  # delta = 0 and n = 0
-    injection = rho / (n + delta) * n if n + delta > 0.0 else held
-    unit = c / (size if size > 0.0 else 1.0)
-    return n * unit, injection * unit
+    root = sqrt(b * b + 4.0 * a * delta * size)
+    n = where(b > 0.0, 2.0 * size * delta / where(b > 0.0, b + root, 1.0), (root - b) / (2.0 * a))
+    unit = c / where(size > 0.0, size, 1.0)
+    # where delta = 0 and n = 0, the injection holds e there
+    sliding = rho / where(n + delta > 0.0, n + delta, 1.0) * n
+    held = where(dt > 0.0, size / larger(dt, SHORTEST), 0.0)
+    return n * unit, where(n + delta > 0.0, sliding, held) * unit

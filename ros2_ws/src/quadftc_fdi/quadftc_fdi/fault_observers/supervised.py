@@ -41,35 +41,27 @@ from quadftc_fdi.supervision import (
 from quadftc_fdi.supervision.inertial_filter import GAP, estimate_rate
 from quadftc_fdi.supervision.judgement import STARTED, Limits, Tested, Verdict, all_healthy, judge
 from quadftc_fdi.supervision.reading import Reading, compare, noise_of
-from quadftc_fdi.supervision.transition import (
-    BIAS,
-    SIZE,
-    Covariances,
-    FilterState,
-    ProcessNoise,
-    Transition,
-)
+from quadftc_fdi.supervision.transition import BIAS, SIZE, FilterState, ProcessNoise, Transition
 from quadftc_model import samples
 from quadftc_model.arrays import (
-    Array,
     Column,
     Flag,
     Mask,
-    States,
+    Scalar,
     Vector,
     any_of,
-    changed_where,
+    branch,
     clip,
     column,
-    components,
     exp,
     larger,
-    length,
     namespace,
-    pick,
+    norm,
     product,
-    stacked,
+    sqrt,
+    where,
 )
+from quadftc_model.numbers import prepared
 from quadftc_model.parameters import parameter
 from quadftc_model.samples import FaultEstimate, FaultObserverInputs, ImuSample
 
@@ -81,7 +73,6 @@ MOVED = 2.0  # s; how long it counts as moving afterwards (time constant)
 FADING = 2.0  # s; in which a new gyro bias leaves the corrected rate: at once, it would jolt the flight
 KNOCK = 0.5  # rad/s; a rate that bends by more from sample to sample has passages that the gyro misses
 MISSED = 0.3  # 1; share of such a bend that is missed
-HEALTHY = np.uint8(samples.HEALTHY)
 PITCH = np.array([False, True, False])
 SHOWN = 0.3  # 1; share of the recovery time from which an axis is shown as recovering
 # which part of a covariance is neither of the rotation nor of the bias
@@ -110,11 +101,11 @@ class State(NamedTuple):
 
 
 class Rate(NamedTuple):
-    """The body rate that carries the attitude on."""
+    """The body rate that carries the attitude on: of the gyro, or of what may take its place."""
 
     value: Vector  # [rad/s]
-    doubt: Vector | float = 0.0  # [rad²] of a rotation in this step, besides the noise of a gyro; 0: a gyro's
-    ambiguous: Column | bool = False  # (..., 1) a fault may be the gyro's
+    ambiguous: Mask  # (..., 1) a fault may be the gyro's
+    doubt: Vector | None = None  # [rad²] of a rotation in this step, besides a gyro's noise; None: it is one
 
 
 @register("supervised")
@@ -148,7 +139,7 @@ class Supervised(FaultObserver):
         """Start on the measurement, with the gyro unknown but for its data sheet."""
         imu = inputs.imu
         zeros = namespace(imu.body_rate).zeros_like(imu.body_rate)
-        estimate = inertial_filter.start_filter(imu.q_xyzw, self._start_covariance())
+        estimate = inertial_filter.start_filter(imu.q_xyzw, self.first_covariance)
         return State(
             filter=estimate,
             anchors=anchors.set_anchors(estimate.P),
@@ -170,23 +161,23 @@ class Supervised(FaultObserver):
 
     def resumed(self, inputs: FaultObserverInputs, last: fault_observer.LastDiagnosis) -> State:
         """Resume with the gyro bias as it was, and with the faults taken off the faulty axes."""
-        xp = namespace(inputs.imu.body_rate)
-        faulty = xp.asarray(last.faulty)
-        fault = last.fault * faulty
-        fresh = self.init(without_fault(inputs, fault))
+        xp, faulty = namespace(inputs.imu.body_rate), last.faulty
+        fault = where(faulty, last.fault, 0.0)
+        fresh = Supervised.init(self, without_fault(inputs, fault))  # also for an observer that extends it
         # the angles of faulty axes are known as well as their faults, the bias better than at a start
-        known = xp.maximum(last.std_dev, 0.0) ** 2 + sensor_noise.WHITE**2
-        rotation = xp.where(faulty, known, (UNKNOWN * sensor_noise.WHITE) ** 2)
-        variances = xp.concatenate([rotation, xp.zeros_like(fault) + KEPT**2], axis=-1)
+        known = larger(last.std_dev, 0.0) ** 2 + sensor_noise.WHITE**2
+        rotation = where(faulty, known, (UNKNOWN * sensor_noise.WHITE) ** 2)
+        variances = xp.concatenate([rotation, xp.full_like(fault, KEPT**2)], axis=-1)
         P = fresh.filter.P * OF_REST + (variances @ np.eye(BIAS.stop, SIZE))[..., None] * np.eye(SIZE)
         x = xp.concatenate([-last.gyro_correction, fresh.filter.x[..., 3:]], axis=-1)
-        means = xp.stack([fault, fault], axis=-1)
         return fresh._replace(
             filter=fresh.filter._replace(x=x, P=P),
             anchors=anchors.set_anchors(P),
             faulty=faulty,
-            track=fresh.track._replace(fault=fault, means=means, age=last.since * faulty),
-            raw=fresh.raw * 0.0,
+            track=fresh.track._replace(
+                fault=fault, means=xp.stack([fault, fault], axis=-1), age=where(faulty, last.since, 0.0)
+            ),
+            raw=xp.zeros_like(fresh.raw),
         )
 
     def bias_of(self, state: State) -> Vector:
@@ -196,27 +187,31 @@ class Supervised(FaultObserver):
     def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Advance by ``dt`` [s] to the sample. An absent gyro keeps its last value."""
         imu = inputs.imu
-        gyro = pick(column(imu.rate_valid), imu.body_rate, state.gyro)
-        return self.advance(state, imu, Rate(gyro), dt)
+        gyro = where(column(imu.rate_valid), imu.body_rate, state.gyro)
+        ambiguous = namespace(gyro).zeros_like(gyro[..., :1], dtype=bool)
+        return self.advance(state, imu, Rate(gyro, ambiguous), dt)
 
-    def advance(self, state: State, imu: ImuSample, rate: Rate, dt: float) -> tuple[State, FaultEstimate]:
+    def advance(self, state: State, imu: ImuSample, rate: Rate, dt: Scalar) -> tuple[State, FaultEstimate]:
         """Advance by ``dt`` [s] on a body rate in place of the sample's."""
         weights = residual_tests.averaging_weights(dt)
 
         # 1. Predict: the gyro carries filter and anchors to this sample.
-        estimate, earlier, P, F, omega, activity, motion = self._predict(state, rate, dt)
+        estimate, earlier, F, omega, activity, motion = self._predict(state, rate, dt)
 
         # 2. Test the residuals of the trusted axes, and learn from healthy ones.
         by_rate, known = sensor_noise.rate_weights(activity), state.noise
-        reading = compare(estimate, earlier, P, imu, omega, known)
+        reading = compare(estimate, earlier, imu, omega, known)
         tested = self._test(state, reading, by_rate, rate, weights, dt)
         evidence, scores, _, odd, noise = tested
 
         # 3. Declare faults; 4. track them, and judge which axes are trusted again, where there may be any.
+        limits = Limits(self.threshold, self.tracking, self.recovery, self.patience)
         seen = state.faulty, state.track, estimate, earlier, reading, tested, known, by_rate, dt
-        special = state.faulty | odd
-        healthy = all_healthy(state.faulty, state.track, estimate, reading)
-        verdict = changed_where(special, lambda: judge(self._limits, *seen), healthy)
+        verdict = branch(
+            any_of(state.faulty | odd)[..., 0],
+            lambda: judge(limits, *seen),
+            lambda: all_healthy(state.faulty, state.track, estimate, reading),
+        )
 
         # 5. Correct the filter by the axes that are neither faulty nor suspect. Where one is faulty, correct
         # it by gravity, too, and by what swings with the vehicle.
@@ -231,35 +226,40 @@ class Supervised(FaultObserver):
             known = _known(state, reading, verdict, felt, horizontal, there, white, rate)
             return coasting.coast(state.coasting, estimate, dx, factors, F, verdict.prediction, known, dt)
 
-        states, estimate, dx = changed_where(verdict.faulty, coast, (state.coasting, estimate, dx))
+        states, estimate, dx = branch(
+            any_of(verdict.faulty)[..., 0], coast, lambda: (state.coasting, estimate, dx)
+        )
 
         # 6. Renew the anchors; restart the tests where what they remember no longer counts.
         earlier, promoted = anchors.update_anchors(
             earlier, estimate.P, dx, verdict.restart, verdict.hold, dt, self.anchor_age
         )
-
-        def renew() -> tuple[residual_tests.Evidence, sensor_noise.SensorNoise, Vector]:
-            outdated = verdict.faulty | verdict.recovered | verdict.restart | (dt > GAP)
-            return (
-                residual_tests.update_evidence(evidence, verdict.residual - shift, promoted, outdated),
-                sensor_noise.settle_noise(noise, promoted, verdict.alarm, verdict.short, by_rate),
-                _count_outliers(state, scores.outlier, verdict.faulty, verdict.short),
-            )
-
         # the filter's own correction is no change of the sensor
         shift = measurement.turned_angles(verdict.prediction, dx)
-        evidence = evidence._replace(base=evidence.base - shift)
-        news = special | state.rejected | promoted | (dt > GAP)
-        evidence, noise, outliers = changed_where(news, renew, (evidence, noise, state.outliers))
-        (bias,), (raw,) = components(verdict.bias), components(state.raw)
-        starting = bias > STARTED**2
-        raw = stacked([pick(starting, raw, raw * exp(-dt / FADING))])
-        passing = reading.valid & ~reading.testable & PITCH
-        memory = noise, evidence, verdict.faulty, passing, verdict.track, raw
-        memory = *memory, scores.outlier, outliers, felt, states
-        state = State(estimate, earlier, rate.value, state.gyro, activity, motion, *memory)
-        report = self._report(state, imu, scores.suspect, column(starting), special, verdict, reading.sensor)
-        return state, report
+        outdated = verdict.faulty | verdict.recovered | verdict.restart | (dt > GAP)
+        evidence = residual_tests.update_evidence(
+            evidence._replace(base=evidence.base - shift), verdict.residual - shift, promoted, outdated
+        )
+        starting = verdict.bias > STARTED**2
+        after = State(
+            filter=estimate,
+            anchors=earlier,
+            gyro=rate.value,
+            gyro_before=state.gyro,
+            activity=activity,
+            motion=motion,
+            noise=sensor_noise.settle_noise(noise, promoted, verdict.alarm, verdict.short, by_rate),
+            evidence=evidence,
+            faulty=verdict.faulty,
+            passing=reading.valid & ~reading.testable & PITCH,
+            track=verdict.track,
+            raw=where(starting, state.raw, state.raw * exp(-dt / FADING)),
+            rejected=scores.outlier,
+            outliers=_count_outliers(state, scores.outlier, verdict.faulty, verdict.short),
+            gravity=felt,
+            coasting=states,
+        )
+        return after, self._report(after, imu, scores.suspect, starting, verdict, reading)
 
     def _test(
         self,
@@ -268,102 +268,86 @@ class Supervised(FaultObserver):
         by_rate: sensor_noise.Weights,
         rate: Rate,
         weights: residual_tests.AveragingWeights,
-        dt: float,
+        dt: Scalar,
     ) -> Tested:
         """Test the residuals of the trusted axes, and learn from those that are healthy."""
         known, gain = state.noise, reading.prediction.gain
         spread = product(reading.predicted, weights.predicted) * known.seen
         trusted = ~state.faulty & reading.testable
         # across a pole the residual of pitch changes its sign
-        evidence = changed_where(
-            state.passing,
-            lambda: residual_tests.restart(state.evidence, reading.residuals[..., 0], state.passing),
-            state.evidence,
-        )
+        evidence = residual_tests.restart(state.evidence, reading.residuals[..., 0], state.passing)
         evidence, scores, squares = residual_tests.collect_evidence(
             *(evidence, reading.residuals, reading.sensor + spread, known.colour, trusted),
             *(weights, dt, self.threshold),
         )
         odd = scores.suspect | scores.outlier
         sound = trusted & ~odd
-        if not isinstance(rate.doubt, float):
+        if rate.doubt is not None:
             sound = sound & (rate.doubt == 0.0)
         noise = sensor_noise.learn_noise(known, squares, gain, spread, by_rate, sound, dt)
         return Tested(evidence, scores, trusted, odd, noise)
 
     def describe(self, state: State) -> dict[str, Vector]:
         """Return what is learned of the sensor and counted, for people, by name and axis."""
-        noise = state.noise.exact
-        noise_deg = namespace(noise).sqrt(noise) / DEG
+        noise_deg = sqrt(state.noise.exact) / DEG
         return {
             "outliers": state.outliers,
             "noise_deg": noise_deg[..., sensor_noise.SAMPLE],
             "slow_noise_deg": noise_deg[..., sensor_noise.LONG],
         }
 
-    def _start_covariance(self) -> NDArray[np.float64]:
+    @prepared
+    def first_covariance(self) -> NDArray[np.float64]:
         """Covariance (16, 16) of the error state before the first measurement."""
         gyro = self.gyro_bias, self.gyro_scale, self.gyro_alignment
         return inertial_filter.start_covariance(UNKNOWN * sensor_noise.WHITE, *gyro, self.delay)
 
     def _predict(
-        self, state: State, rate: Rate, dt: float
-    ) -> tuple[FilterState, anchors.Anchors, Covariances, Transition, Vector, Column, Column]:
+        self, state: State, rate: Rate, dt: Scalar
+    ) -> tuple[FilterState, anchors.Anchors, Transition, Vector, Column, Column]:
         """Carry filter and anchors by the mean of two gyro samples.
 
-        Also return their covariances together, the transition, rate, activity and motion.
+        Also return the transition, rate, activity and motion.
         """
         gyro = rate.value
         omega, change = estimate_rate(state.filter.x, gyro), gyro - state.gyro
-        turning, measured = length(omega), length(gyro)
-        (activity,), (before,) = components(state.activity), components(state.motion)
-        activity = larger(turning, activity * exp(-dt / MOVED))
+        measured = norm(gyro)
+        activity = larger(norm(omega), state.activity * exp(-dt / MOVED))
         motion = clip((activity - RESTING) / (MOVING - RESTING), 0.0, 1.0)
-        bend = length(change - (state.gyro - state.gyro_before))
+        bend = norm(change - (state.gyro - state.gyro_before))
         walk = (self.gyro_noise**2 + (self.gyro_moving * measured) ** 2) * dt
         walk = walk + (MISSED * dt * larger(bend - KNOCK, 0.0)) ** 2
-
-        def widen() -> Array:  # by how far off the rate may be in a gap
-            off = 0.5 * length(change) + 0.1 * measured
-            return walk + (dt > GAP) * (off * dt) ** 2
-
-        rotation = changed_where(dt > GAP, widen, walk)
-        bias = self.gyro_bias_walk**2 * dt + self.gyro_shift**2 * abs(motion - before)
+        # by how far off the rate may be in a gap
+        walk = walk + where(dt > GAP, ((0.5 * norm(change) + 0.1 * measured) * dt) ** 2, 0.0)
+        bias = self.gyro_bias_walk**2 * dt + self.gyro_shift**2 * abs(motion - state.motion)
         scale = self.gyro_scale_walk**2 * measured * dt
-        noise = ProcessNoise(column(rotation) + rate.doubt, column(bias), column(scale))
+        noise = ProcessNoise(walk if rate.doubt is None else walk + rate.doubt, bias, scale)
         mean = gyro - 0.5 * change
         estimate, P, F = inertial_filter.predict(state.filter, state.anchors.P, mean, change, noise, dt)
-        corrections, age = F.of(state.anchors.corrections), state.anchors.age
-        earlier = anchors.Anchors(corrections, P[..., 1:, :, :], age)
-        return estimate, earlier, P, F, omega, stacked([activity]), stacked([motion])
+        earlier = anchors.Anchors(F.of(state.anchors.corrections), P, state.anchors.age)
+        return estimate, earlier, F, omega, activity, motion
 
     def _report(
         self,
         state: State,
         imu: ImuSample,
         suspect: Mask,
-        starting: Array,
-        special: Mask,
+        starting: Mask,
         verdict: Verdict,
-        sensor: Array,
+        reading: Reading,
     ) -> FaultEstimate:
-        faulty, track, xp = state.faulty, state.track, namespace(imu.body_rate)
+        faulty, track = state.faulty, state.track
         omega = estimate_rate(state.filter.x, state.gyro)
         corrected = correct_sample(imu, state.filter.q_xyzw, omega + state.raw * (state.gyro - omega))
-        predicted = xp.maximum(verdict.predicted, 0.0)
-
-        def report_all() -> tuple[Vector, Vector, States, Vector]:
-            started = xp.where(suspect, samples.SUSPECT, samples.HEALTHY)
-            trusted = xp.where(starting, samples.STARTING, started)
-            out = xp.where(track.calm > SHOWN * self.recovery, samples.RECOVERING, samples.FAULTY)
-            states = xp.where(faulty, out, trusted).astype(xp.uint8)
-            variance = predicted + faulty * fault_track.track_variance(track, sensor)
-            # an outlier is a fault of one sample
-            fault = track.fault + (state.rejected & ~faulty) * verdict.residual
-            return fault, xp.sqrt(variance), states, xp.where(faulty, track.age, -1.0)
-
-        healthy = track.fault, xp.sqrt(predicted), faulty + HEALTHY, faulty - 1.0
-        return FaultEstimate(*changed_where(special | starting, report_all, healthy), corrected)
+        started = where(suspect, samples.SUSPECT, samples.HEALTHY)
+        trusted = where(starting, samples.STARTING, started)
+        out = where(track.calm > SHOWN * self.recovery, samples.RECOVERING, samples.FAULTY)
+        states = where(faulty, out, trusted).astype(namespace(track.fault).uint8)
+        tracked = where(faulty, fault_track.track_variance(track, reading.sensor), 0.0)
+        # an outlier is a fault of one sample
+        fault = track.fault + where(state.rejected & ~faulty, verdict.residual, 0.0)
+        std_dev = sqrt(larger(verdict.predicted, 0.0) + tracked)
+        return FaultEstimate(fault, std_dev, states, where(faulty, track.age, -1.0), corrected)
 
 
 def _correct(
@@ -376,7 +360,7 @@ def _correct(
     used, noise = reading.valid & ~(verdict.faulty | odd), noise_of(reading, white)
     before, prediction, residual = verdict[:3]
     after, dx, factors = inertial_filter.correct(before, prediction, residual, noise, used)
-    if isinstance(rate.doubt, float):
+    if rate.doubt is None:
         return after, dx, factors
     return *inertial_filter.keep_gyro(before, after, dx, any_of(rate.doubt > 0.0)), factors
 
@@ -392,9 +376,8 @@ def _known(
     rate: Rate,
 ) -> coasting.Known:
     """Return what is known where an axis is faulty."""
-    anew = verdict.restart
-    counts = column(there) | (anew & ~anew)
-    if not isinstance(rate.doubt, float):  # the virtual gyro's errors are others
+    anew, counts = verdict.restart, column(there)
+    if rate.doubt is not None:  # the virtual gyro's errors are others
         virtual = any_of(rate.doubt > 0.0)
         anew, counts = anew | virtual, counts & ~virtual
     fresh = anew | ~state.faulty | (verdict.track.samples < 1.0)
@@ -405,8 +388,4 @@ def _known(
 
 def _count_outliers(state: State, outlier: Mask, faulty: Mask, short: Mask) -> Vector:
     """Count an outlier when the next sample agrees, and a burst of them when its fault has ended soon."""
-
-    def count() -> Vector:
-        return state.outliers + ((state.rejected & ~outlier & ~faulty) | short)
-
-    return changed_where(state.rejected | short, count, state.outliers)
+    return state.outliers + ((state.rejected & ~outlier & ~faulty) | short)

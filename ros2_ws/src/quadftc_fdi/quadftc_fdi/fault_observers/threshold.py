@@ -39,7 +39,7 @@ from typing import NamedTuple
 
 from quadftc_fdi.fault_observer import FaultObserver, comparable, correct_sample, dead_reckon, register
 from quadftc_model import samples
-from quadftc_model.arrays import Array, Quaternion, States, Vector, namespace
+from quadftc_model.arrays import Array, Quaternion, States, Vector, any_of, column, larger, namespace, where
 from quadftc_model.parameters import parameter
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, wrap
 from quadftc_model.samples import FAULTY, HEALTHY, FaultEstimate, FaultObserverInputs
@@ -86,48 +86,47 @@ class Threshold(FaultObserver):
     def step(self, state: State, inputs: FaultObserverInputs, dt: float) -> tuple[State, FaultEstimate]:
         """Advance by ``dt`` [s] to the sample."""
         imu = inputs.imu
-        xp = namespace(imu.body_rate)
-        gyro = xp.where(imu.rate_valid[..., None], imu.body_rate, state.gyro)
+        gyro = where(column(imu.rate_valid), imu.body_rate, state.gyro)
         y = euler_from_quaternion(imu.q_xyzw)
         q_xyzw = dead_reckon(state.q_xyzw, state.gyro, gyro, dt)
         x = euler_from_quaternion(q_xyzw)
-        usable = imu.attitude_valid[..., None] & comparable(x, y)
+        usable = column(imu.attitude_valid) & comparable(x, y)
         # low pass of the inconsistency, and its sum beyond the threshold
         g = dt / (self.filter_time + dt)
-        r = xp.where(usable, wrap(y - x), state.residual)
-        rho = xp.where(usable, (1.0 - g) * (state.rho + wrap(r - state.residual)), state.rho)
-        excess = (xp.abs(rho) / self.filter_time - self.rate_threshold) * dt
-        a = xp.maximum(state.accumulated + xp.where(usable, excess, 0.0), 0.0)
+        r = where(usable, wrap(y - x), state.residual)
+        rho = where(usable, (1.0 - g) * (state.rho + wrap(r - state.residual)), state.rho)
+        excess = (abs(rho) / self.filter_time - self.rate_threshold) * dt
+        a = larger(state.accumulated + where(usable, excess, 0.0), 0.0)
         # switch, and pull x^ to y where nothing adds up
-        state = self._switch(state, a, xp.abs(r), dt)
+        state = self._switch(state, a, abs(r), dt)
         switched = state.state >= FAULTY
-        pull = xp.where(usable & (state.state == HEALTHY), g * r, 0.0)
-        q_xyzw = xp.where(usable, quaternion_from_euler(x + pull), q_xyzw)
+        pull = where(usable & (state.state == HEALTHY), g * r, 0.0)
+        q_xyzw = where(usable, quaternion_from_euler(x + pull), q_xyzw)
         state = state._replace(q_xyzw=q_xyzw, gyro=gyro, residual=r - pull, rho=rho)
         # give the measured attitude, x^ where it is absent, and on switched axes the angles of x^
-        measured = imu.attitude_valid[..., None]
-        mixed = quaternion_from_euler(xp.where(switched, x, y))
-        known = xp.where(measured, imu.q_xyzw, q_xyzw)
-        given = xp.where(measured & xp.any(switched, axis=-1, keepdims=True), mixed, known)
-        fault, age = xp.where(switched, r, 0.0), xp.where(switched, state.age, -1.0)
+        measured = column(imu.attitude_valid)
+        mixed = quaternion_from_euler(where(switched, x, y))
+        known = where(measured, imu.q_xyzw, q_xyzw)
+        given = where(measured & any_of(switched), mixed, known)
+        fault, age = where(switched, r, 0.0), where(switched, state.age, -1.0)
         corrected = correct_sample(imu, given, gyro)
-        return state, FaultEstimate(fault, xp.full_like(age, -1.0), state.state, age, corrected)
+        return state, FaultEstimate(fault, namespace(age).full_like(age, -1.0), state.state, age, corrected)
 
     def _switch(self, state: State, a: Array, residual: Array, dt: float) -> State:
         """Take the transitions of the table, with the new a and |y - x^|, each (..., 3)."""
         xp = namespace(a)
         was_switched = state.state >= FAULTY
         small = residual < self.recovery_angle
-        calm = xp.where(was_switched & small, state.calm + dt, 0.0)
-        age = xp.where((a > 0.0) | was_switched, state.age + dt, 0.0)
+        calm = where(was_switched & small, state.calm + dt, 0.0)
+        age = where((a > 0.0) | was_switched, state.age + dt, 0.0)
         over = (calm >= self.recovery_time) | (age >= self.patience)
-        trusted = xp.where(a > self.angle_threshold, FAULTY, xp.where(a > 0.0, samples.SUSPECT, HEALTHY))
-        distrusted = xp.where(over, HEALTHY, xp.where(small, samples.RECOVERING, FAULTY))
-        now = xp.where(was_switched, distrusted, trusted)
+        trusted = where(a > self.angle_threshold, FAULTY, where(a > 0.0, samples.SUSPECT, HEALTHY))
+        distrusted = where(over, HEALTHY, where(small, samples.RECOVERING, FAULTY))
+        now = where(was_switched, distrusted, trusted)
         ended = was_switched & over
         return state._replace(
-            accumulated=xp.where(ended, 0.0, a),
+            accumulated=where(ended, 0.0, a),
             state=now.astype(xp.uint8),
-            age=xp.where(ended, 0.0, age),
-            calm=xp.where(ended, 0.0, calm),
+            age=where(ended, 0.0, age),
+            calm=where(ended, 0.0, calm),
         )

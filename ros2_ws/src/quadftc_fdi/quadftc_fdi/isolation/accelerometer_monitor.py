@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from quadftc_fdi.isolation import reading_test
 from quadftc_fdi.isolation.reading_test import Deviation, Verdict
-from quadftc_model.arrays import Mask, Vector, any_of, changed_where, exp, namespace
+from quadftc_model.arrays import Mask, Scalar, Vector, any_of, exp, namespace, where
 from quadftc_model.samples import STANDARD_GRAVITY
 
 OFFSET = 0.2  # m/s²; 1 sigma of what a healthy one may read too much for long: 1 deg is 0.17 m/s²
@@ -47,7 +47,7 @@ def step_accelerometer(
     there: Mask,
     verdict: Verdict,
     doubtful: Mask,
-    dt: float,
+    dt: Scalar,
 ) -> tuple[AccelerometerMonitor, Mask]:
     """Advance by ``dt`` [s] to a reading of `deviation_of`; also return where its noise may be learned.
 
@@ -56,18 +56,13 @@ def step_accelerometer(
     """
     quiet = ~any_of(doubtful)
     used = verdict.good & quiet & ~state.faulty
-    mean = state.mean + (1.0 - exp(-dt / AVERAGED)) * used * (deviation - state.mean)
+    mean = state.mean + (1.0 - exp(-dt / AVERAGED)) * where(used, deviation - state.mean, 0.0)
     far = used & (mean * mean > (ALARM * OFFSET) ** 2)
-
-    def judge() -> tuple[Mask, Vector, Mask, Deviation]:
-        alarm = ~state.faulty & (verdict.stuck | (verdict.odd & (quiet | ~there)) | far)
-        faulty, alive, known = state.faulty | alarm, there & ~verdict.stuck, noise + OFFSET**2
-        kept, fault = reading_test.follow_deviation(
-            state.fault, faulty, alarm, alive, suspicion, deviation, noise, known, dt
-        )
-        return used & ~alarm, mean * ~kept, kept, fault
-
-    strange = state.faulty | verdict.stuck | verdict.odd | far
-    used, mean, faulty, fault = changed_where(strange, judge, (used, mean, state.faulty, state.fault))
-    offset = state.offset + (dt / (LEARNED + dt)) * used * deviation
-    return AccelerometerMonitor(offset, mean, faulty, fault), used
+    alarm = ~state.faulty & (verdict.stuck | (verdict.odd & (quiet | ~there)) | far)
+    alive, known = there & ~verdict.stuck, noise + OFFSET**2
+    faulty, fault = reading_test.follow_deviation(
+        state.fault, state.faulty | alarm, alarm, alive, suspicion, deviation, noise, known, dt
+    )
+    used = used & ~alarm
+    offset = state.offset + (dt / (LEARNED + dt)) * where(used, deviation, 0.0)
+    return AccelerometerMonitor(offset, where(faulty, 0.0, mean), faulty, fault), used

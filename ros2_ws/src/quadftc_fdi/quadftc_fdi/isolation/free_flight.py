@@ -19,16 +19,18 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
+from quadftc_fdi.fault_observer import SHORTEST
 from quadftc_fdi.isolation import reading_test
 from quadftc_fdi.isolation.accelerometer_monitor import AccelerometerMonitor
-from quadftc_fdi.isolation.reading_test import Deviation, Verdict
+from quadftc_fdi.isolation.reading_test import Verdict
 from quadftc_model.arrays import (
     Flag,
     Mask,
     Scalar,
     Vector,
     any_of,
-    changed_where,
     clip,
     column,
     components,
@@ -36,12 +38,12 @@ from quadftc_model.arrays import (
     larger,
     log,
     namespace,
-    pick,
     smaller,
     stacked,
+    where,
 )
 from quadftc_model.position_estimator import PositionEstimator, PositionEstimatorInputs, State
-from quadftc_model.samples import STANDARD_GRAVITY, FaultObserverInputs, PositionSample
+from quadftc_model.samples import STANDARD_GRAVITY
 
 GUSTY = 1.0  # m/s²/sqrt(s); random walk of the drag: a gust of 5 m/s within 0.3 s is followed
 LOST = 1.0  # m²/s⁴; variance of a drag of which nothing is known
@@ -57,6 +59,7 @@ PULL, LOOSE = 0.5, 0.3  # s, m/s²/sqrt(s); how b is followed where the accelero
 GROWN = 2.0  # 1; lags of b for which an attitude fault has grown, at least, when it is found
 ROUGHLY = 0.3  # 1; of what is not yet due of a tilt error, 1 sigma of what is due
 FINAL = 30.0  # 1; bound of log-odds
+TILTS = np.array([True, True, False])  # of which the position says something
 
 
 class FreeFlight(NamedTuple):
@@ -85,21 +88,17 @@ def motion_law(delay: float, noise: float, gives_velocity: bool, velocity_noise:
     )
 
 
-def start_flight(law: PositionEstimator, inputs: FaultObserverInputs) -> FreeFlight | None:
-    """Start at a sample; None on the test stand."""
-    if inputs.thrust is None:
-        return None
-    zeros = 0.0 * inputs.imu.specific_force
-    zero = components(zeros)[0]
-    motion = law.init(_motion_inputs(inputs))
-    return FreeFlight(inputs.thrust + zero, zeros + LOST, motion, zeros, zeros, zero, zero, zeros)
+def start_flight(law: PositionEstimator, inputs: PositionEstimatorInputs, thrust: Scalar) -> FreeFlight:
+    """Start at a sample, with a commanded thrust [N]."""
+    zeros = namespace(inputs.imu.specific_force).zeros_like(inputs.imu.specific_force)
+    zero = zeros[..., 0]
+    return FreeFlight(thrust + zero, zeros + LOST, law.init(inputs), zeros, zeros, zero, zero, zeros)
 
 
-def predict_force(state: FreeFlight, thrust: Scalar, lag: float, dt: float) -> tuple[FreeFlight, Scalar]:
+def predict_force(state: FreeFlight, thrust: Scalar, lag: Scalar, dt: Scalar) -> tuple[FreeFlight, Scalar]:
     """Predict by a commanded thrust [N]; return what is known then, and the thrust that acts [N]."""
-    acts = state.thrust + (1.0 - exp(-dt / larger(lag, 1e-9))) * (thrust - state.thrust)
-    xp = namespace(state.unsure)
-    return state._replace(thrust=acts, unsure=xp.minimum(state.unsure + GUSTY**2 * dt, LOST)), acts
+    acts = state.thrust + (1.0 - exp(-dt / larger(lag, SHORTEST))) * (thrust - state.thrust)
+    return state._replace(thrust=acts, unsure=smaller(state.unsure + GUSTY**2 * dt, LOST)), acts
 
 
 def deviation_of(offset: Vector, force: Vector, thrust: Scalar, mass: float) -> Vector:
@@ -112,7 +111,7 @@ def step_flight(
     state: FreeFlight,
     law: PositionEstimator,
     monitor: AccelerometerMonitor,
-    inputs: FaultObserverInputs,
+    inputs: PositionEstimatorInputs,
     deviation: Vector,
     noise: Vector,
     suspicion: Vector,
@@ -126,51 +125,43 @@ def step_flight(
     ``noise`` is the variance of a reading, ``suspicion`` [s] how long there have been outliers. ``doubtful``:
     attitude or gyro is in doubt. Also return where the noise may be learned.
     """
-    motion, _ = law.step(state.motion, _motion_inputs(inputs), dt)
-    settled = pick(any_of(doubtful)[..., 0], 0.0 * state.settled, state.settled + dt)
+    motion, _ = law.step(state.motion, inputs, dt)
+    settled = where(any_of(doubtful)[..., 0], 0.0, state.settled + dt)
     known = column(_known(motion) & (settled > SETTLED))
     excess = motion.bias - state.base
     used = verdict.good & ~monitor.faulty
     gain = used * state.unsure / (state.unsure + noise)
     offset, unsure = monitor.offset + gain * deviation, (1.0 - gain) * state.unsure
     far = known & (excess * excess > OFF**2)
-
-    def judge() -> tuple[Mask, Vector, State, Mask, Deviation]:
-        late = far & ~monitor.faulty
-        alarm = ~monitor.faulty & (verdict.stuck | verdict.odd | far)
-        begun = monitor.offset + late * (deviation - excess)
-        off, alive = deviation - late * (deviation - excess), there & ~verdict.stuck
-        close = noise + pick(known, CLOSE**2 + column(components(motion.covariance)[5]), APART**2)
-        faulty, fault = reading_test.follow_deviation(
-            monitor.fault, monitor.faulty | alarm, alarm, alive, suspicion, off, noise, close, dt
-        )
-        pulled = begun + (dt / PULL) * (faulty & known) * (off - excess)
-        xp = namespace(offset)
-        kept = xp.where(faulty, pulled, offset)
-        return used & ~alarm, kept, _loosened(motion, faulty, alarm, dt), faulty, fault
-
-    strange = monitor.faulty | verdict.stuck | verdict.odd | far
-    used, offset, motion, faulty, fault = changed_where(
-        strange, judge, (used, offset, motion, monitor.faulty, monitor.fault)
+    # judge; a fault that b shows is as large as b says
+    late, alarm = far & ~monitor.faulty, ~monitor.faulty & (verdict.stuck | verdict.odd | far)
+    moved = where(late, deviation - excess, 0.0)
+    off, alive = deviation - moved, there & ~verdict.stuck
+    close = noise + where(known, CLOSE**2 + column(_bias_variance(motion)), APART**2)
+    faulty, fault = reading_test.follow_deviation(
+        monitor.fault, monitor.faulty | alarm, alarm, alive, suspicion, off, noise, close, dt
     )
-    monitor = AccelerometerMonitor(offset, excess * known, faulty, fault)
+    # b pulls the offset of a faulty one
+    pulled = monitor.offset + moved + (dt / PULL) * where(faulty & known, off - excess, 0.0)
+    monitor = AccelerometerMonitor(where(faulty, pulled, offset), excess * known, faulty, fault)
     base, spread, learned = _learned(state, excess, known & ~any_of(faulty | far), dt)
+    motion = _loosened(motion, faulty, alarm, dt)
     after = FreeFlight(state.thrust, unsure, motion, base, spread, learned, settled, state.due)
-    return after, monitor, used
+    return after, monitor, used & ~alarm
 
 
 def follow_tilt(
-    state: FreeFlight, fault: Vector, age: Vector, new: Mask, abrupt: Mask, dt: float
+    state: FreeFlight, fault: Vector, age: Vector, new: Mask, abrupt: Mask, dt: Scalar
 ) -> FreeFlight:
     """Follow what b shows of attitude faults [rad] of an age [s].
 
     ``new`` ones have grown evenly so far. Unless they are ``abrupt``, that was for `GROWN` lags at least: a
     slow fault is found late.
     """
-    xp, lag = namespace(fault), column(components(state.motion.covariance)[5]) / WALK**2
-    ago = xp.maximum(age, xp.where(abrupt, dt, GROWN * lag))
+    lag = column(_bias_variance(state.motion)) / WALK**2
+    ago = larger(age, where(abrupt, dt, GROWN * lag))
     grown = fault * (1.0 - lag / ago * (1.0 - exp(-ago / lag)))
-    return state._replace(due=xp.where(new, grown, state.due + (1.0 - exp(-dt / lag)) * (fault - state.due)))
+    return state._replace(due=where(new, grown, state.due + (1.0 - exp(-dt / lag)) * (fault - state.due)))
 
 
 def vote(state: FreeFlight, monitor: AccelerometerMonitor, fault: Vector, std_dev: Vector) -> Vector:
@@ -180,42 +171,33 @@ def vote(state: FreeFlight, monitor: AccelerometerMonitor, fault: Vector, std_de
     """
     x, y, _ = components((state.motion.bias - state.base) / STANDARD_GRAVITY)
     sx, sy, _ = components(state.spread / STANDARD_GRAVITY**2)
+    none = namespace(x).zeros_like(x)
+    tilt, size, spread = stacked([-y, x, none]), state.due, stacked([sy, sx, none])
     unsure = std_dev * std_dev + (ROUGHLY * (fault - state.due)) ** 2
-    (roll, pitch, _), (ur, up, _) = components(state.due), components(unsure)
-    least = (LEAST / STANDARD_GRAVITY) ** 2
     counts = _known(state.motion) & (state.learned > NEEDED) & ~any_of(monitor.faulty)[..., 0]
-
-    def odds(tilt: Scalar, size: Scalar, spread: Scalar, unsure: Scalar) -> Scalar:
-        own = least + spread
-        both = own + unsure
-        said = (tilt - size) ** 2 / both - tilt**2 / own + log(both / own)
-        return counts * clip(0.5 * said, -FINAL, FINAL)
-
-    return stacked([odds(-y, roll, sy, ur), odds(x, pitch, sx, up), 0.0 * x])
-
-
-def _motion_inputs(inputs: FaultObserverInputs) -> PositionEstimatorInputs:
-    """Inputs of the estimator of b; without a position sensor, no sample is there."""
-    sample, force = inputs.position, inputs.imu.specific_force
-    if sample is None:
-        zeros = 0.0 * force
-        sample = PositionSample(zeros, zeros, inputs.imu.force_valid & ~inputs.imu.force_valid)
-    return PositionEstimatorInputs(inputs.imu, sample)
+    own = (LEAST / STANDARD_GRAVITY) ** 2 + spread
+    both = own + unsure
+    said = (tilt - size) ** 2 / both - tilt**2 / own + log(both / own)
+    return where(column(counts) & TILTS, clip(0.5 * said, -FINAL, FINAL), 0.0)
 
 
 def _known(motion: State) -> Flag:
-    return motion.started & (components(motion.covariance)[5] < KNOWN**2)
+    return motion.started & (_bias_variance(motion) < KNOWN**2)
 
 
-def _learned(state: FreeFlight, excess: Vector, calm: Mask, dt: float) -> tuple[Vector, Vector, Scalar]:
+def _bias_variance(motion: State) -> Scalar:
+    return motion.covariance[..., 5]
+
+
+def _learned(state: FreeFlight, excess: Vector, calm: Mask, dt: Scalar) -> tuple[Vector, Vector, Scalar]:
     """Learn b in healthy flight: mean, mean square of its changes, and for how long."""
     gain = calm * column(dt / (EARLY + state.learned))
-    learned = smaller(state.learned + dt * components(calm)[0], 0.0 * state.learned + LEARNED)
+    learned = smaller(state.learned + dt * calm[..., 0], LEARNED)
     return state.base + gain * excess, state.spread + gain * (excess * excess - state.spread), learned
 
 
-def _loosened(motion: State, faulty: Mask, alarm: Mask, dt: float) -> State:
+def _loosened(motion: State, faulty: Mask, alarm: Mask, dt: Scalar) -> State:
     """Let b follow a faulty accelerometer faster."""
-    *others, bb = components(motion.covariance)
     more = any_of(faulty)[..., 0] * LOOSE**2 * dt + any_of(alarm)[..., 0] * LOST
+    *others, bb = components(motion.covariance)
     return motion._replace(covariance=stacked([*others, bb + more]))

@@ -13,28 +13,27 @@ jumps of both: one that is no outlier still tells whose a discrepancy is.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from quadftc_fdi.fault_observer import SHORTEST
 from quadftc_fdi.isolation import rate_filter, reading_test
-from quadftc_fdi.isolation.rate_filter import Parts, RateFilter
+from quadftc_fdi.isolation.rate_filter import RateFilter
 from quadftc_fdi.isolation.reading_test import OUTLIER, Deviation
 from quadftc_model.arrays import (
+    Column,
     Mask,
     Quaternion,
     Scalar,
     Vector,
-    cache_numbers,
-    changed_where,
+    any_of,
     clip,
+    column,
     exp,
-    join,
     larger,
     namespace,
-    pick,
-    root,
     smaller,
-    split,
+    sqrt,
+    where,
 )
 from quadftc_model.rotations import turn
 
@@ -46,9 +45,6 @@ NEEDED = 0.06  # s; averaging time of the acceleration
 SLIGHT = 0.03  # rad/s; a gyro that is off by less cannot be told from a healthy one again
 SOONEST = 0.5  # s; age of a fault, at least, by which its rate is known
 LATELY, JUST = 1.0, 0.1  # s; how long a jump of the gyro, of the attitude is remembered
-
-
-Numbers = tuple[Any, ...]  # on an axis, or arrays of axes
 
 
 class Trace(NamedTuple):
@@ -82,7 +78,7 @@ class Ahead(NamedTuple):
     """Prediction for a sample."""
 
     q_xyzw: Quaternion
-    axes: Sequence[Parts]  # of its filter, as of `split`
+    filter: RateFilter
     drive: Vector  # acceleration by the torque, behind the rotors' lag [rad/s²]
     known: Vector  # that and the one by the body's rotation [rad/s²]
 
@@ -111,22 +107,6 @@ class AttitudeReading(NamedTuple):
     healthy: Mask  # as far as others know
 
 
-class Gains(NamedTuple):
-    """Shares of a sample in averages, and what is left of that which fades."""
-
-    quick: float
-    scattered: float
-    needed: float
-    lately: float
-    just: float
-
-
-@cache_numbers
-def _gains(dt: float) -> Gains:
-    quick, scattered, needed = [1.0 - exp(-dt / time) for time in (QUICK, SCATTERED, NEEDED)]
-    return Gains(quick, scattered, needed, exp(-dt / LATELY), exp(-dt / JUST))
-
-
 def start_monitor(q_xyzw: Quaternion, rate: Vector, drive: Vector, variance: Scalar) -> GyroMonitor:
     """Start at an attitude of a variance [rad²], a body rate [rad/s], an acceleration by torque [rad/s²]."""
     zeros = namespace(rate).zeros_like(rate)
@@ -136,36 +116,22 @@ def start_monitor(q_xyzw: Quaternion, rate: Vector, drive: Vector, variance: Sca
 
 
 def predict_monitor(
-    state: GyroMonitor, drive: Vector, gyroscopic: Vector, q: Scalar, lag: Scalar, dt: float
+    state: GyroMonitor, drive: Vector, gyroscopic: Vector, q: Column, lag: Scalar, dt: Scalar
 ) -> Ahead:
     """Predict the rate.
 
-    ``drive`` and ``gyroscopic`` [rad/s²] are the accelerations by the torque, with rotors of a ``lag`` [s],
-    and by the body's rotation. ``q`` [rad²/s⁵] is the least density of the noise that moves the unknown one.
+    ``drive`` and ``gyroscopic`` [rad/s²] are the accelerations by the torque, with rotors of a ``lag`` (...,)
+    [s], and by the body's rotation. ``q`` (..., 1) [rad²/s⁵] is the least density of the noise that moves the
+    unknown one.
     """
-    drive = state.drive + (1.0 - exp(-dt / larger(lag, 1e-9))) * (drive - state.drive)
-    inputs = split(drive, gyroscopic, q * exp(state.trace.agility))
-    each = zip(split(*state.filter), inputs, strict=True)
-    axes = [rate_filter.predict(axis, *given, dt=dt) for axis, given in each]
-    (turned,) = join([(rotation,) for _, rotation in axes])
-    return Ahead(turn(state.q_xyzw, turned), [axis for axis, _ in axes], drive, drive + gyroscopic)
-
-
-def adopt_gyro(ahead: Ahead, rate: Vector, variance: Vector, acceleration: Vector, returns: Mask) -> Ahead:
-    """Go on at the rate [rad/s] and the unknown acceleration [rad/s²] by a gyro that is believed again.
-
-    What an attitude has made of them meanwhile may be wrong.
-    """
-
-    def adopt() -> Ahead:
-        each = zip(ahead.axes, split(rate, variance, acceleration, returns), strict=True)
-        return ahead._replace(axes=[rate_filter.adopt_gyro(axis, *given) for axis, given in each])
-
-    return changed_where(returns, adopt, ahead)
+    drive = state.drive + column(1.0 - exp(-dt / larger(lag, SHORTEST))) * (drive - state.drive)
+    q = q * exp(state.trace.agility)
+    ahead, turned = rate_filter.predict(state.filter, drive, gyroscopic, q, dt)
+    return Ahead(turn(state.q_xyzw, turned), ahead, drive, drive + gyroscopic)
 
 
 def step_monitor(
-    state: GyroMonitor, ahead: Ahead, gyro: GyroReading, attitude: AttitudeReading, dt: float
+    state: GyroMonitor, ahead: Ahead, gyro: GyroReading, attitude: AttitudeReading, dt: Scalar
 ) -> tuple[GyroMonitor, Vector, Mask]:
     """Advance by ``dt`` [s] to a sample.
 
@@ -173,44 +139,27 @@ def step_monitor(
     what changes quickly is noise, what keeps its sign is unknown acceleration, and raises q.
     """
     # against a rate that the gyro does not correct, an outlier proves nothing
-    strange = gyro.stuck | gyro.odd
-    alarm = changed_where(
-        strange, lambda: ~state.faulty & (gyro.stuck | (gyro.odd & (gyro.wanted | ~gyro.there))), strange
-    )
+    alarm = ~state.faulty & (gyro.stuck | (gyro.odd & (gyro.wanted | ~gyro.there)))
     faulty = state.faulty | alarm
     good = gyro.good & ~faulty
     used = good & gyro.wanted
     calm, alone = used & ~gyro.late, attitude.there & ~gyro.wanted
     begins = alone & ~state.alone  # what the angle was off by must not look like a rate
 
-    # axis by axis; but the rotations of the attitude need all three
-    gains, traces = _gains(dt), split(*state.trace)
-    inputs = split(gyro.rate, gyro.noise, gyro.there, used, calm, state.filter.rate, ahead.known)
-    each = zip(ahead.axes, traces, inputs, strict=True)
-    heard = [_hear(*given, gains, dt) for given in each]
-    turned, white = join([found for _, found, _ in heard])
+    # correct by gyro and attitude
+    before = state.filter.rate
+    filtered, turned, white, trace = _hear(ahead, state.trace, gyro, used, calm, before, dt)
     q_xyzw = turn(ahead.q_xyzw, turned)
-    rotation = rate_filter.rotation_to(q_xyzw, attitude.q_xyzw)
-    inputs = split(
-        *(rotation, gyro.rate, gyro.there, begins, attitude.healthy | ~used),
-        *(attitude.there, attitude.sample, attitude.variance),
+    wanted = attitude.healthy | ~used
+    filtered, q_xyzw, trace = _see(filtered, q_xyzw, trace, gyro, attitude, begins, wanted, dt)
+
+    # follow a faulty gyro; the virtual rate changes with the noise of each attitude, too
+    alive, known = gyro.there & ~gyro.stuck, BIASED**2 + 0.15 * (filtered.rr + gyro.noise)
+    noise = gyro.noise + filtered.ar * filtered.ar / (filtered.aa + attitude.variance)
+    still, fault = reading_test.follow_deviation(
+        state.fault, faulty, alarm, alive, gyro.suspicion, trace.deviation, noise, known, dt
     )
-    each = zip(heard, traces, inputs, strict=True)
-    seen = [_see(axis, trace, news, given, gains) for (axis, _, news), trace, given in each]
-    takes, taken, turned = join([found for _, found, _ in seen])
-    q_xyzw = turn(changed_where(takes, lambda: turn(q_xyzw, taken), q_xyzw), turned)
-    after, trace = RateFilter(*join([axis for axis, _, _ in seen])), Trace(*join([each[2] for each in seen]))
-
-    def follow() -> tuple[Mask, Deviation]:
-        alive, known = gyro.there & ~gyro.stuck, BIASED**2 + 0.15 * (after.rr + gyro.noise)
-        # the virtual rate changes with the noise of each attitude, too
-        noise = gyro.noise + after.ar * after.ar / (after.aa + attitude.variance)
-        return reading_test.follow_deviation(
-            state.fault, faulty, alarm, alive, gyro.suspicion, trace.deviation, noise, known, dt
-        )
-
-    still, fault = changed_where(faulty, follow, (faulty, state.fault))
-    return GyroMonitor(q_xyzw, after, still, ~good, fault, ahead.drive, alone, trace), white, calm
+    return GyroMonitor(q_xyzw, filtered, still, ~good, fault, ahead.drive, alone, trace), white, calm
 
 
 def gyro_error(fault: Vector, age: Vector) -> tuple[Vector, Vector]:
@@ -218,62 +167,70 @@ def gyro_error(fault: Vector, age: Vector) -> tuple[Vector, Vector]:
 
     A gyro that is slightly off has another bias. One that is off by more is faulty until it reads right.
     """
-    xp = namespace(fault)
-    error = -fault / xp.maximum(age, SOONEST)
-    slight = xp.abs(error) < SLIGHT
+    error = -fault / larger(age, SOONEST)
+    slight = abs(error) < SLIGHT
     return error * slight, error * ~slight
 
 
 def _hear(
-    axis: Parts, trace: Numbers, reading: Numbers, gains: Gains, dt: float
-) -> tuple[Parts, tuple[Vector, Vector], Numbers]:
-    """Correct by a reading of the gyro.
+    ahead: Ahead, trace: Trace, gyro: GyroReading, used: Mask, calm: Mask, before: Vector, dt: Scalar
+) -> tuple[RateFilter, Vector, Vector, Trace]:
+    """Correct by a reading of the gyro, after a rate of ``before`` [rad/s].
 
-    Also return the rotation [rad] and the square of what is noise [rad²/s²], and what the trace says of the
-    gyro, from the jump on.
+    Also return the rotation [rad] and the square of what is noise [rad²/s²].
     """
-    rate, noise, there, used, calm, before, known = reading
-    deviation, jump, last, drift, agility, needed, *_ = trace
-    innovation, variance = rate - axis[0], axis[6] + noise
-    change = innovation - drift
-    white = (1.0 - 0.5 * gains.quick) * change * change
-    keeps = clip(innovation * last / variance, -3.0, 3.0)
-    jump = _recent(jump, innovation / root(variance) * used, gains.lately)
-    agility = clip(agility + (dt / AGILE) * keeps * calm, 0.0, MOST)
+    quick, average = 1.0 - exp(-dt / QUICK), 1.0 - exp(-dt / NEEDED)
+    innovation, variance = gyro.rate - ahead.filter.rate, ahead.filter.rr + gyro.noise
+    change = innovation - trace.drift
+    white = (1.0 - 0.5 * quick) * change * change
+    keeps = clip(innovation * trace.innovation / variance, -3.0, 3.0)
     # gyro and torque together ask for an acceleration
-    asked = (rate - (before + deviation)) / dt - known
-    asked = pick(there & (deviation != 0.0), asked, needed)
-    needed = needed + gains.needed * (asked - needed)
-    axis, turned = rate_filter.correct_by_gyro(axis, innovation, noise, used)
-    last, drift = pick(calm, innovation, last), pick(calm, drift + gains.quick * change, drift)
-    return axis, (turned, white), (jump, last, drift, agility, needed)
+    asked = (gyro.rate - (before + trace.deviation)) / larger(dt, SHORTEST) - ahead.known
+    asked = where(gyro.there & (trace.deviation != 0.0), asked, trace.needed)
+    corrected, turned = rate_filter.correct_by_gyro(ahead.filter, innovation, gyro.noise, used)
+    trace = trace._replace(
+        jump=_recent(trace.jump, innovation / sqrt(variance) * used, exp(-dt / LATELY)),
+        innovation=where(calm, innovation, trace.innovation),
+        drift=where(calm, trace.drift + quick * change, trace.drift),
+        agility=clip(trace.agility + (dt / AGILE) * keeps * calm, 0.0, MOST),
+        needed=trace.needed + average * (asked - trace.needed),
+    )
+    return corrected, turned, white, trace
 
 
 def _see(
-    axis: Parts, trace: Numbers, of_gyro: Numbers, reading: Numbers, gains: Gains
-) -> tuple[Parts, tuple[Mask, Vector, Vector], Numbers]:
-    """Correct by a measured attitude, by the rotation to it, where it is wanted; take over its jumps.
-
-    Also return whether a rotation is taken over, that rotation and the one of the correction [rad], and the
-    trace.
-    """
-    rotation, rate, gyro_there, begins, wanted, there, sample, variance = reading
-    *_, last, bend, scatter = trace
-    step, noise = (rotation - last) * there, 2.0 * sample
-    small = step * step <= OUTLIER**2 * (noise + axis[3])
+    state: RateFilter,
+    q_xyzw: Quaternion,
+    trace: Trace,
+    gyro: GyroReading,
+    attitude: AttitudeReading,
+    begins: Mask,
+    wanted: Mask,
+    dt: Scalar,
+) -> tuple[RateFilter, Quaternion, Trace]:
+    """Correct by a measured attitude where it is ``wanted``; take over its jumps."""
+    rotation = rate_filter.rotation_to(q_xyzw, attitude.q_xyzw)
+    there, noise = attitude.there, 2.0 * attitude.sample
+    step = where(there, rotation - trace.rotation, 0.0)
+    small = step * step <= OUTLIER**2 * (noise + state.aa)
     like_before = there & small
-    taken = (small ^ True) * step + (begins & small) * rotation
-    rotation = pick(like_before, rotation, last) * (begins ^ True)
-    axis, turned = rate_filter.correct_by_attitude(axis, rotation, variance, like_before & wanted)
-    jump = step / root(noise)
-    square = smaller(jump * jump, LARGEST)
-    scatter = scatter + there * gains.scattered * (square - scatter)
-    bend = _recent(bend, jump, gains.just)
-    trace = ((rate - axis[0]) * gyro_there, *of_gyro, rotation, bend, scatter)
-    return axis, (begins | (like_before ^ True), taken, turned), trace
+    taken = where(small, where(begins, rotation, 0.0), step)
+    rotation = where(begins, 0.0, where(like_before, rotation, trace.rotation))
+    after, turned = rate_filter.correct_by_attitude(state, rotation, attitude.variance, like_before & wanted)
+    jumps = turn(q_xyzw, taken)
+    q_xyzw = turn(where(any_of(begins | ~like_before), jumps, q_xyzw), turned)
+    jump = step / sqrt(noise)
+    square, average = smaller(jump * jump, LARGEST), 1.0 - exp(-dt / SCATTERED)
+    trace = trace._replace(
+        deviation=where(gyro.there, gyro.rate - after.rate, 0.0),
+        rotation=rotation,
+        bend=_recent(trace.bend, jump, exp(-dt / JUST)),
+        scatter=trace.scatter + there * average * (square - trace.scatter),
+    )
+    return after, q_xyzw, trace
 
 
-def _recent(largest: Vector, news: Vector, kept: float) -> Vector:
+def _recent(largest: Vector, news: Vector, kept: Scalar) -> Vector:
     """Keep the largest number of late, with its sign."""
     faded = largest * kept
-    return pick(news * news > faded * faded, news, faded)
+    return where(news * news > faded * faded, news, faded)

@@ -30,7 +30,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from quadftc_model.arrays import Mask, Vector, clip, exp, namespace
+from quadftc_model.arrays import Mask, Scalar, Vector, clip, exp, larger, log, namespace, smaller, sqrt, where
 
 DEG = math.pi / 180.0
 BENT, JUMPED = 4.2, 4.2  # 1; standard deviations of a jump of the attitude, of the gyro
@@ -59,8 +59,9 @@ class Hypotheses(NamedTuple):
 
 def start_hypotheses(faulty: Mask) -> Hypotheses:
     """Start with faults that are taken for the attitude's."""
-    zeros = 0.0 * faulty
-    return Hypotheses(faulty, zeros > 1.0, zeros, zeros, zeros, zeros)
+    xp = namespace(faulty)
+    zeros = xp.zeros_like(faulty, dtype=float)
+    return Hypotheses(faulty, xp.zeros_like(faulty), zeros, zeros, zeros, zeros)
 
 
 class Evidence(NamedTuple):
@@ -76,58 +77,53 @@ class Evidence(NamedTuple):
     variance: Vector  # of that [rad²/s⁴]
     of_gyro: Vector  # unknown acceleration by gyro and torque [rad/s²]
     scatter: Vector  # squared change of the attitude's innovation, in variances
-    position: Vector | None  # log-odds by a position sensor; None: on the test stand
+    position: Vector  # log-odds by a position sensor; 0 where there is none
     telling: Mask  # the torque is known, and the attitude not made of the gyro; else only its own jumps tell
 
 
 def weigh(
-    state: Hypotheses, faulty: Mask, new: Mask, fault: Vector, seen: Evidence, dt: float
+    state: Hypotheses, faulty: Mask, new: Mask, fault: Vector, seen: Evidence, dt: Scalar
 ) -> tuple[Hypotheses, Mask]:
     """Weigh the hypotheses of the axes whose attitude is ``faulty``; also return where it is the gyro's.
 
     ``new`` is declared at this sample, ``fault`` [rad] its size so far.
     """
-    xp = namespace(fault)
-    jumped = seen.telling & new & (seen.jump * fault < 0.0) & (xp.abs(seen.jump) > JUMPED)
-    certain = xp.where(new, seen.abrupt & (xp.abs(seen.bend) > BENT), state.certain) | seen.stuck
+    jumped = seen.telling & new & (seen.jump * fault < 0.0) & (abs(seen.jump) > JUMPED)
+    certain = where(new, seen.abrupt & (abs(seen.bend) > BENT), state.certain) | seen.stuck
     change = (1.0 - exp(-dt / SPREAD)) * (seen.deviation**2 - state.spread)
     spread = (state.spread + change) * faulty
-    needs_gyro = xp.minimum(seen.of_gyro**2 / USUAL**2, MOST)
-    needs_attitude = xp.minimum(seen.of_attitude**2 / (USUAL**2 + seen.variance), MOST)
+    needs_gyro = smaller(seen.of_gyro**2 / USUAL**2, MOST)
+    needs_attitude = smaller(seen.of_attitude**2 / (USUAL**2 + seen.variance), MOST)
     odd = clip(seen.scatter - SCATTERED, 0.0, MOST)
     news = (0.5 * dt / PERIOD) * (needs_gyro - needs_attitude - odd)
     evidence = (state.evidence + seen.telling * news) * faulty
     # evidence of long ago fades, and none is final
     evidence = clip(evidence * exp(-dt / FADES), -FINAL, FINAL)
-    rate = xp.sqrt(xp.maximum(spread - seen.unsure, 0.0))
-    odds = seen.telling * belief_in_gyro(rate) + evidence
-    if seen.position is not None:
-        odds = odds + seen.position
+    rate = sqrt(larger(spread - seen.unsure, 0.0))
+    odds = seen.telling * belief_in_gyro(rate) + evidence + seen.position
     certain = faulty & (certain | (odds < CLEARED))
     held = (state.held + dt) * (faulty & ~certain & (odds > NAMED))
-    guilty = faulty & ~certain & (jumped | (held > HOLD) | (xp.abs(fault) > HUGE))
+    guilty = faulty & ~certain & (jumped | (held > HOLD) | (abs(fault) > HUGE))
     ambiguous = faulty & ~certain & ~guilty
     gyro = ambiguous / (1.0 + exp(-clip(odds, -30.0, 30.0)))
-    return Hypotheses(
-        certain, ambiguous, spread * ambiguous, evidence * ~guilty, held * ~guilty, gyro
-    ), guilty
+    kept = spread * ambiguous, evidence * ~guilty, held * ~guilty
+    return Hypotheses(certain, ambiguous, *kept, gyro), guilty
 
 
 def belief_in_gyro(rate: Vector) -> Vector:
     """Log-odds that a discrepancy of this rate [rad/s] is the gyro's and not the attitude's."""
-    xp, m = namespace(rate), clip(rate, SLOWEST, FASTEST)
-    odds = m / CREEPS + math.log(CREEPS / math.log(FASTEST / SLOWEST)) - xp.log(m)
-    return xp.minimum(odds, STRONGEST)
+    m = clip(rate, SLOWEST, FASTEST)
+    odds = m / CREEPS + math.log(CREEPS / math.log(FASTEST / SLOWEST)) - log(m)
+    return smaller(odds, STRONGEST)
 
 
-def flown(fault: Vector, ambiguous: Mask, belief: float) -> tuple[Vector, Vector]:
+def flown(fault: Vector, ambiguous: Mask, belief: Scalar) -> tuple[Vector, Vector]:
     """Decide by what to fly: up to a limit of an ambiguous fault [rad] by the gyro, beyond by the attitude.
 
     Return what is to be added to the dead-reckoned angles [rad], and the share of the attitude-based rate.
     Where the attitude is right, the error is ``belief`` [rad] at most; where the gyro is, it is less by that
     than without diagnosis.
     """
-    xp = namespace(fault)
     shift = (fault - clip(fault, -belief, belief)) * ambiguous
-    share = clip((xp.abs(fault) / belief - 1.0) / BLEND, 0.0, 1.0) * ambiguous
+    share = clip((abs(fault) / belief - 1.0) / BLEND, 0.0, 1.0) * ambiguous
     return shift, share

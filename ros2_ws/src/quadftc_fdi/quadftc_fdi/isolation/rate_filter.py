@@ -5,8 +5,7 @@ Each body axis has its own filter of angle, rate and unknown acceleration. The t
     omega' = f(omega) + u / J + d,   d' = white noise of density q,   angle' = omega
 
 and each sample corrects it by the attitude (the rotation between measured and predicted one, in body axes)
-and by the gyro, as far as they are used. Without the gyro, its rate is a virtual gyro. All functions are of
-one axis, or of arrays of axes.
+and by the gyro, as far as they are used. Without the gyro, its rate is a virtual gyro.
 
 What the torque model does not know is noise of the rate: a rotor lag and a wrong inertia err by a share of
 the torque's fast changes, which d cannot follow.
@@ -14,7 +13,7 @@ the torque's fast changes, which d cannot follow.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from quadftc_model.arrays import (
     Mask,
@@ -25,8 +24,8 @@ from quadftc_model.arrays import (
     components,
     exp,
     namespace,
-    pick,
     stacked,
+    where,
 )
 from quadftc_model.samples import MAX_BODY_RATE
 
@@ -53,9 +52,6 @@ class RateFilter(NamedTuple):
     dd: Vector
 
 
-Parts = tuple[Any, ...]  # those of a `RateFilter`, of one axis or of arrays of axes
-
-
 def start_rate_filter(rate: Vector, drive: Vector, variance: Scalar) -> RateFilter:
     """Start at a body rate, an acceleration by the torque and a variance of the angles [rad²]."""
     zeros = namespace(rate).zeros_like(rate)
@@ -63,7 +59,9 @@ def start_rate_filter(rate: Vector, drive: Vector, variance: Scalar) -> RateFilt
     return RateFilter(rate, zeros, drive, variance + zeros, zeros, zeros, unknown[0], zeros, unknown[1])
 
 
-def predict(state: Parts, drive: Vector, gyroscopic: Vector, q: Scalar, dt: float) -> tuple[Parts, Vector]:
+def predict(
+    state: RateFilter, drive: Vector, gyroscopic: Vector, q: Vector, dt: Scalar
+) -> tuple[RateFilter, Vector]:
     """Predict by the accelerations [rad/s²] of the torque and of the body's own rotation.
 
     ``q`` [rad²/s⁵] is the density of the noise that moves d. Also return the rotation.
@@ -79,13 +77,13 @@ def predict(state: Parts, drive: Vector, gyroscopic: Vector, q: Scalar, dt: floa
     rr, rd = rr + dt * rd, rd + dt * dd
     aa, ar, rr = aa + dt * ar + h * ad, ar + dt * ad, rr + dt * rd + missed * missed
     rate = clip(rate + dt * acceleration, -MAX_BODY_RATE, MAX_BODY_RATE)
-    return (rate, unknown, slow, aa, ar, ad, rr, rd, dd + q * dt), turned
+    return RateFilter(rate, unknown, slow, aa, ar, ad, rr, rd, dd + q * dt), turned
 
 
 def rotation_to(predicted: Quaternion, measured: Quaternion) -> Vector:
     """Rotation from a predicted attitude to a measured one, in body axes [rad]; small angles."""
     (px, py, pz, pw), (x, y, z, w) = components(predicted), components(measured)
-    sign = pick(pw * w + px * x + py * y + pz * z < 0.0, -2.0, 2.0)
+    sign = where(pw * w + px * x + py * y + pz * z < 0.0, -2.0, 2.0)
     return stacked(
         [
             sign * (pw * x - px * w - py * z + pz * y),
@@ -95,32 +93,36 @@ def rotation_to(predicted: Quaternion, measured: Quaternion) -> Vector:
     )
 
 
-def correct_by_attitude(state: Parts, rotation: Vector, variance: Vector, used: Mask) -> tuple[Parts, Vector]:
+def correct_by_attitude(
+    state: RateFilter, rotation: Vector, variance: Vector, used: Mask
+) -> tuple[RateFilter, Vector]:
     """Correct by a measured attitude: rotation to it [rad], variance of it [rad²].
 
     Also return the rotation.
     """
-    _, _, _, aa, ar, ad, *_ = state
-    return _correct(state, (aa, ar, ad), rotation, used / (aa + variance))
+    seen = state.aa, state.ar, state.ad
+    return _correct(state, seen, rotation, used / (state.aa + variance))
 
 
-def correct_by_gyro(state: Parts, innovation: Vector, variance: Vector, used: Mask) -> tuple[Parts, Vector]:
+def correct_by_gyro(
+    state: RateFilter, innovation: Vector, variance: Vector, used: Mask
+) -> tuple[RateFilter, Vector]:
     """Correct by a gyro: what it reads more than the predicted rate [rad/s], variance of it [rad²/s²].
 
     Also return the rotation.
     """
-    _, _, _, _, ar, _, rr, rd, _ = state
-    return _correct(state, (ar, rr, rd), innovation, used / (rr + variance))
+    seen = state.ar, state.rr, state.rd
+    return _correct(state, seen, innovation, used / (state.rr + variance))
 
 
 def _correct(
-    state: Parts, seen: tuple[Vector, Vector, Vector], innovation: Vector, weight: Vector
-) -> tuple[Parts, Vector]:
+    state: RateFilter, seen: tuple[Vector, Vector, Vector], innovation: Vector, weight: Vector
+) -> tuple[RateFilter, Vector]:
     """Correct by an innovation: covariances of the state with it, one over its variance."""
     rate, acceleration, slow, aa, ar, ad, rr, rd, dd = state
     a, r, d = seen
     ka, kr, kd = a * weight, r * weight, d * weight
-    after = (
+    after = RateFilter(
         rate + kr * innovation,
         acceleration + kd * innovation,
         slow,
@@ -134,10 +136,16 @@ def _correct(
     return after, ka * innovation
 
 
-def adopt_gyro(state: Parts, rate: Vector, variance: Vector, acceleration: Vector, where: Mask) -> Parts:
+def adopt_gyro(
+    state: RateFilter, rate: Vector, variance: Vector, acceleration: Vector, returns: Mask
+) -> RateFilter:
     """Start again where asked for: at a rate [rad/s] of a variance, and an unknown acceleration [rad/s²]."""
-    before, d, slow, aa, ar, ad, rr, rd, dd = state
-    kept = where ^ True
-    rate, rr = pick(where, rate, before), pick(where, variance, rr)
-    d, dd = pick(where, acceleration, d), pick(where, UNKNOWN_ACCELERATION**2, dd)
-    return rate, d, slow, aa, ar * kept, ad * kept, rr, rd * kept, dd
+    return state._replace(
+        rate=where(returns, rate, state.rate),
+        acceleration=where(returns, acceleration, state.acceleration),
+        ar=where(returns, 0.0, state.ar),
+        ad=where(returns, 0.0, state.ad),
+        rr=where(returns, variance, state.rr),
+        rd=where(returns, 0.0, state.rd),
+        dd=where(returns, UNKNOWN_ACCELERATION**2, state.dd),
+    )

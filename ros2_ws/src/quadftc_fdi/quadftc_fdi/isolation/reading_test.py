@@ -7,14 +7,28 @@ stuck       a reading that is repeated more often than by chance: than it was, o
 
 from __future__ import annotations
 
-import functools
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_model.arrays import AnyArray, Bool, Float, Mask, Vector, changed_where, clip, exp, namespace
+from quadftc_model.arrays import (
+    AnyArray,
+    Bool,
+    Float,
+    Mask,
+    Scalar,
+    Vector,
+    clip,
+    exp,
+    larger,
+    log,
+    namespace,
+    smaller,
+    sqrt,
+    where,
+)
 from quadftc_model.samples import UNUSABLE
 
 OUTLIER = 6.0  # 1; standard deviations beyond which a reading is an outlier
@@ -22,7 +36,7 @@ KEPT, ALARM = 0.8, 2.3  # 1; of the count of outliers from sample to sample; lev
 SOME = 0.5  # 1; of the count: there are outliers
 EARLY, LATE, CLIP = 0.3, 20.0, 9.0  # s, s, 1; what the prior is worth; memory; bound of squares
 CHANCE, RARE = 0.01, math.log(1e-7)  # 1; of a repeated reading, at first; log of a chance that is none
-SAME = 1e-12  # SI; readings that differ by less, or by 8 roundings of 1, are the same
+SAME, ROUNDINGS = 1e-12, 8.0  # SI, 1; readings that differ by less, or by 8 roundings of 1, are the same
 LONG_RUN = 2.0  # 1; repetitions beyond which a run teaches nothing
 COARSE, LIKELY = 16.0, 0.7  # 1; chance of a repeated reading by its grain, in standard deviations; at most
 PATIENT = 20.0  # s; over which the chance is learned
@@ -75,61 +89,44 @@ def test_reading(
     predicted: Channels,
     noise: Channels,
     noisy: Limits,
-    dt: float,
+    dt: Scalar,
 ) -> tuple[ReadingTest, Verdict]:
     """Test readings: squared innovations, variances of the predictions and of the noise.
 
     A sensor whose noise has a variance below ``noisy`` may repeat itself.
     """
-    xp, absent = namespace(reading), ~there
     started = state.time > EARLY
     # over readings that are left out the prediction gets worse, which must not hide a step
-    some, variance = state.outliers > SOME, predicted + noise
-    held = changed_where(some, lambda: xp.where(some, state.held, variance), variance)
-    outlier = there & started & (square > OUTLIER**2 * held)
-    missed = outlier | absent
+    held = where(state.outliers > SOME, state.held, predicted + noise)
+    missed = ~there | (started & (square > OUTLIER**2 * held))
     outliers = KEPT * state.outliers + missed
-    change = xp.abs(reading - state.reading)
-    same = there & (change < _least_change(reading.dtype))
-    grain = xp.where(there & ~same, xp.minimum(state.grain, change), state.grain)
-    learning = state.repeats <= LONG_RUN
-    chance = state.chance + learning * (dt / PATIENT) * (same - state.chance)
-
-    def judge_run() -> tuple[Channels, Flags, Flags]:
-        repeats = (state.repeats + same) * same
-        likely = xp.minimum(COARSE * grain / xp.sqrt(state.variance), LIKELY)
-        run = repeats * xp.log(clip(xp.maximum(chance, likely), 1e-4, 0.99)) * (state.variance > noisy)
-        return repeats, started & (run < RARE), ~missed & ((run > 0.5 * RARE) | ~started)
-
-    late, none = outliers > SOME, 0.0 * outliers
-    repeats, stuck, good = changed_where(same, judge_run, (none, same, ~missed))
-    suspicion, odd = changed_where(
-        late, lambda: ((state.suspicion + dt) * late, started & (outliers > ALARM)), (none, late)
-    )
-    reading = changed_where(absent, lambda: xp.where(there, reading, state.reading), reading)
-    after = ReadingTest(
-        state.variance, state.time, outliers, suspicion, reading, repeats, chance, held, grain
-    )
-    return after, Verdict(good, odd, stuck, late)
-
-
-@functools.cache
-def _least_change(dtype: Any) -> float:
-    """Return the difference below which two readings of a type are the same."""
-    return max(SAME, 8.0 * float(np.finfo(dtype).eps))
+    late = outliers > SOME
+    suspicion, odd = (state.suspicion + dt) * late, late & started & (outliers > ALARM)
+    # readings that are repeated
+    change = abs(reading - state.reading)
+    same = there & (change < max(SAME, ROUNDINGS * float(np.finfo(reading.dtype).eps)))
+    grain = where(there & ~same, smaller(state.grain, change), state.grain)
+    chance = state.chance + (state.repeats <= LONG_RUN) * (dt / PATIENT) * (same - state.chance)
+    repeats = (state.repeats + 1.0) * same
+    likely = larger(chance, smaller(COARSE * grain / sqrt(state.variance), LIKELY))
+    run = repeats * log(clip(likely, 1e-4, 0.99)) * (state.variance > noisy)
+    good = ~missed & ((run > 0.5 * RARE) | ~started)
+    verdict = Verdict(good, odd, started & (run < RARE), late)
+    reading = where(there, reading, state.reading)
+    parts = outliers, suspicion, reading, repeats, chance, held, grain
+    return ReadingTest(state.variance, state.time, *parts), verdict
 
 
 def learn_noise(
-    state: ReadingTest, square: Channels, predicted: Channels, used: Flags, least: Limits, dt: float
+    state: ReadingTest, square: Channels, predicted: Channels, used: Flags, least: Limits, dt: Scalar
 ) -> ReadingTest:
     """Learn the variance of a reading, ``least`` or more, from squared innovations, where it is used."""
-    xp = namespace(square)
     expected = predicted + state.variance
     learned = dt * used
-    time = xp.minimum(state.time + learned, LATE)
-    news = xp.minimum(square / expected, CLIP) - 1.0
+    time = smaller(state.time + learned, LATE)
+    news = smaller(square / expected, CLIP) - 1.0
     change = 2.0 * learned / (EARLY + time) * news * state.variance**2 / expected
-    return state._replace(variance=xp.maximum(state.variance + change, least), time=time)
+    return state._replace(variance=larger(state.variance + change, least), time=time)
 
 
 SHORT, LONG = 0.06, 0.4  # s; averages of the deviation of a faulty sensor
@@ -145,7 +142,7 @@ class Deviation(NamedTuple):
     age: Vector  # of the fault [s]
     calm: Vector  # how long it has looked healthy [s]
     mean: Vector  # over a short time
-    long: Vector  # over a long time
+    slow: Vector  # over a long time
     peak: Vector  # largest size of that
     scatter: Vector  # squared change from reading to reading, in variances
     last: Vector  # deviation of the last reading
@@ -157,12 +154,11 @@ def no_deviation(like: Vector) -> Deviation:
     return Deviation(*[zeros] * len(Deviation._fields))
 
 
-def begin_deviation(state: Deviation, size: Vector, where: Mask) -> Deviation:
+def begin_deviation(state: Deviation, size: Vector, begins: Mask) -> Deviation:
     """Begin on some axes with what the sensor is believed to read too much; 0: nothing is known of it."""
-    xp = namespace(size)
-    mean, long = xp.where(where, size, state.mean), xp.where(where, size, state.long)
-    peak = xp.where(where, xp.where(size == 0.0, UNUSABLE, xp.abs(size)), state.peak)
-    return state._replace(mean=mean, long=long, peak=peak)
+    peak = where(begins, where(size == 0.0, UNUSABLE, abs(size)), state.peak)
+    mean, slow = where(begins, size, state.mean), where(begins, size, state.slow)
+    return state._replace(mean=mean, slow=slow, peak=peak)
 
 
 def follow_deviation(
@@ -174,28 +170,28 @@ def follow_deviation(
     deviation: Vector,
     noise: Vector,
     known: Vector,
-    dt: float,
+    dt: Scalar,
 ) -> tuple[Mask, Deviation]:
     """Follow the deviation of the faulty axes; return which are faulty still.
 
     ``alarm``: since this sample, at an ``age`` [s]; ``alive``: there is a reading, and it changes.
     ``noise`` is the variance of a healthy reading, ``known`` that of the average deviation over `LONG`.
     """
-    xp = namespace(deviation)
-    deviation = xp.where(alive, deviation, 0.0)
-    change = deviation - xp.where(alarm, deviation, state.last)
+    deviation = where(alive, deviation, 0.0)
+    change = deviation - where(alarm, deviation, state.last)
     square = change * change / (2.0 * noise)
-    short, slow = 1.0 - exp(-dt / SHORT), 1.0 - exp(-dt / LONG)
-    mean = xp.where(alarm, deviation, state.mean + short * (deviation - state.mean))
-    long = xp.where(alarm, deviation, state.long + slow * (deviation - state.long))
-    long = xp.where((mean - long) ** 2 > MOVED * known, mean, long)  # the fault has changed, or has ended
-    size = xp.abs(long)
-    peak = xp.where(alarm, xp.where(alive, size, UNUSABLE), xp.maximum(size, state.peak))
-    scatter = xp.where(alarm, SCATTER, state.scatter + short * (square - state.scatter))
-    age = xp.where(alarm, age, state.age + dt)
+    quick, gain = 1.0 - exp(-dt / SHORT), 1.0 - exp(-dt / LONG)
+    mean = where(alarm, deviation, state.mean + quick * (deviation - state.mean))
+    slow = where(alarm, deviation, state.slow + gain * (deviation - state.slow))
+    slow = where((mean - slow) ** 2 > MOVED * known, mean, slow)  # the fault has changed, or has ended
+    size = abs(slow)
+    peak = where(alarm, where(alive, size, UNUSABLE), larger(size, state.peak))
+    scatter = where(alarm, SCATTER, state.scatter + quick * (square - state.scatter))
+    age = where(alarm, age, state.age + dt)
     # a small fault must be seen to come back: it agrees with zero as it is
     off = size * size / known
     back = (off < 1.0) | ((off < 9.0) & (size < BACK * peak))
     calm = (state.calm + dt) * (alive & back & (scatter < SCATTER))
     kept = faulty & (calm <= clip(QUICK * age, SOONEST, LATEST))
-    return kept, Deviation(*(kept * part for part in (age, calm, mean, long, peak, scatter, deviation)))
+    parts = age, calm, mean, slow, peak, scatter, deviation
+    return kept, Deviation(*(where(kept, part, 0.0) for part in parts))

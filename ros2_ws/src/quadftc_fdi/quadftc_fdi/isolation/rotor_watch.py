@@ -10,27 +10,31 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from quadftc_fdi.rotor_diagnosis.monitor import (
     RotorInputs,
     RotorMonitor,
-    estimate_rotors,
     start_rotors,
     step_rotors,
 )
 from quadftc_fdi.rotor_diagnosis.rotor_model import Effects, lagged, thrusts_of
 from quadftc_model.arrays import (
+    Array,
     Components,
     Flag,
     Scalar,
     Vector,
     any_of,
-    changed_where,
+    column,
     components,
     larger,
     largest,
+    namespace,
     stacked,
+    where,
 )
-from quadftc_model.samples import FaultObserverInputs, RotorEstimate
+from quadftc_model.samples import FaultObserverInputs, ImuSample, RotorReading
 from quadftc_model.vehicle import Vehicle
 
 
@@ -51,14 +55,12 @@ class Acts(NamedTuple):
     pushing: Scalar  # the same of the specific force along z [m²/s⁴]
 
 
-def start_watch(vehicle: Vehicle, effects: Effects, inputs: FaultObserverInputs) -> RotorWatch | None:
-    """Start at a sample; None where nothing is known of the rotors."""
-    if inputs.rotors is None:
-        return None
-    commanded, measured = inputs.rotors
-    speeds = commanded if measured is None else measured
-    seen = _inputs(vehicle, inputs, speeds, commanded, 0.0 * inputs.torque, True)
-    return RotorWatch(start_rotors(effects, seen), commanded, speeds)
+def start_watch(vehicle: Vehicle, effects: Effects, imu: ImuSample, rotors: RotorReading) -> RotorWatch:
+    """Start at a sample."""
+    speeds = where(column(rotors.measured), rotors.speeds, rotors.command)
+    known = namespace(imu.body_rate).zeros_like(imu.body_rate)
+    seen = _inputs(vehicle, imu, rotors, speeds, rotors.command, known, np.True_)
+    return RotorWatch(start_rotors(effects, seen), rotors.command, speeds)
 
 
 def step_watch(
@@ -66,29 +68,30 @@ def step_watch(
     vehicle: Vehicle,
     effects: Effects,
     inputs: FaultObserverInputs,
+    rotors: RotorReading,
     rate: Vector,
     known: Vector,
     healthy: Flag,
-    dt: float,
+    dt: Scalar,
 ) -> tuple[RotorWatch, Acts]:
     """Advance by ``dt`` [s] to a sample; also return what the rotors give.
 
     ``rate`` is the gyro's, less its known errors [rad/s]; ``known`` the angular acceleration by all but the
     rotors [rad/s²]; ``healthy``: neither gyro nor accelerometer were faulty.
     """
-    assert inputs.rotors is not None
-    command, measured = inputs.rotors
-    commanded = lagged(state.commanded, command, vehicle.rotors.time_constant, dt)
-    speeds = commanded if measured is None else measured
+    commanded = lagged(state.commanded, rotors.command, vehicle.rotors.time_constant, dt)
+    speeds = where(column(rotors.measured), rotors.speeds, commanded)
     swirl = _swirl(vehicle, state.speeds, speeds, rate, dt)
-    cleared = inputs._replace(imu=inputs.imu._replace(body_rate=rate))
-    seen = _inputs(vehicle, cleared, speeds, commanded, known + swirl / vehicle.inertia, healthy)
-    monitor = step_rotors(state.monitor, effects, seen, dt)
-    acts = _acting(monitor, state.monitor.thrusts, vehicle, effects, inputs, swirl)
+    known = known + swirl / vehicle.inertia
+    imu = inputs.imu._replace(body_rate=rate)
+    monitor = step_rotors(
+        state.monitor, effects, _inputs(vehicle, imu, rotors, speeds, commanded, known, healthy), dt
+    )
+    acts = _acting(monitor, state.monitor.thrusts, vehicle, effects, inputs, rotors, swirl)
     return RotorWatch(monitor, commanded, speeds), acts
 
 
-def _swirl(vehicle: Vehicle, last: Components, speeds: Components, rate: Vector, dt: float) -> Vector:
+def _swirl(vehicle: Vehicle, last: Components, speeds: Components, rate: Vector, dt: Scalar) -> Vector:
     """Torque [N m] of rotors that are sped up, and that are turned with their angular momentum."""
     rotors = vehicle.rotors
     spun, earlier = (rotors.spin_sign * speeds).sum(axis=-1), (rotors.spin_sign * last).sum(axis=-1)
@@ -101,7 +104,8 @@ def _swirl(vehicle: Vehicle, last: Components, speeds: Components, rate: Vector,
 def _kick(vehicle: Vehicle, speeds: Components) -> Vector:
     """Torque [N m] of the fastest rotor, if it is switched off."""
     yaw = vehicle.rotors.rotor_inertia * largest(speeds) / larger(vehicle.rotors.time_constant, 1e-3)
-    return stacked([0.0 * yaw, 0.0 * yaw, yaw])
+    none = namespace(yaw).zeros_like(yaw)
+    return stacked([none, none, yaw])
 
 
 def _acting(
@@ -110,57 +114,42 @@ def _acting(
     vehicle: Vehicle,
     effects: Effects,
     inputs: FaultObserverInputs,
+    rotors: RotorReading,
     swirl: Vector,
 ) -> Acts:
     """Return what the rotors give, after thrusts of ``before`` [N].
 
     Measured speeds say it. Else it is what is commanded, less the losses.
     """
-    assert inputs.rotors is not None
-    command, measured = inputs.rotors
-    torque, thrust = inputs.torque, inputs.thrust
-    if measured is not None:
-        wrench = _wrench(vehicle, 0.5 * (before + monitor.thrusts))
-        torque, thrust = wrench[..., 1:] + swirl, monitor.thrusts.sum(axis=-1)
-    zeros = 0.0 * torque
-
-    def weakened() -> tuple[Vector, Scalar | None, Vector, Scalar]:
-        commanded, lost = thrusts_of(vehicle, command), monitor.losses.mean
-        mean, now = commanded, commanded
-        if measured is not None:
-            mean, now = 0.5 * (before + monitor.thrusts), monitor.thrusts
-        variance = (effects.square * ((commanded * monitor.unsure) ** 2)[..., None, :]).sum(axis=-1)
-        # nor is the inertia of a rotor known well that is sped up by much
-        kick = swirl if measured is not None else _kick(vehicle, command)
-        turning = variance[..., :3] + any_of(monitor.unsure) * (kick / vehicle.inertia) ** 2
-        left = None if thrust is None else thrust - (now * lost).sum(axis=-1)
-        return torque - _wrench(vehicle, mean * lost)[..., 1:], left, turning, variance[..., 3]
-
-    given = torque, thrust, zeros, zeros[..., 2]
-    return Acts(*changed_where(monitor.named | monitor.unsure, weakened, given))
-
-
-def say_rotors(state: RotorWatch | None) -> RotorEstimate | None:
-    """Say what is known of each rotor."""
-    return None if state is None else estimate_rotors(state.monitor)
+    measured, told, lost = column(rotors.measured), thrusts_of(vehicle, rotors.command), monitor.losses.mean
+    mean = where(measured, 0.5 * (before + monitor.thrusts), told)
+    now = where(measured, monitor.thrusts, told)
+    torque = where(measured, _wrench(vehicle, mean)[..., 1:] + swirl, inputs.torque)
+    thrust = inputs.thrust
+    if thrust is not None:
+        thrust = where(rotors.measured, now.sum(axis=-1), thrust) - (now * lost).sum(axis=-1)
+    variance = (told * monitor.unsure) ** 2 @ effects.square.T
+    # nor is the inertia of a rotor known well that is sped up by much
+    kick = where(measured, swirl, _kick(vehicle, rotors.command))
+    turning = variance[..., :3] + any_of(monitor.unsure) * (kick / vehicle.inertia) ** 2
+    return Acts(torque - _wrench(vehicle, mean * lost)[..., 1:], thrust, turning, variance[..., 3])
 
 
 def _inputs(
     vehicle: Vehicle,
-    inputs: FaultObserverInputs,
+    imu: ImuSample,
+    rotors: RotorReading,
     speeds: Components,
     commanded: Components,
     known: Vector,
-    healthy: Flag | bool,
+    healthy: Flag,
 ) -> RotorInputs:
-    imu, rotors = inputs.imu, inputs.rotors
-    assert rotors is not None
     usable = imu.rate_valid & imu.force_valid & healthy
-    thrusts, force = thrusts_of(vehicle, speeds), imu.specific_force[..., 2]
-    wanted = None if rotors.speeds is None else thrusts_of(vehicle, commanded)
-    return RotorInputs(thrusts, imu.body_rate, force, known, usable, wanted)
+    thrusts, wanted = thrusts_of(vehicle, speeds), thrusts_of(vehicle, commanded)
+    force = imu.specific_force[..., 2]
+    return RotorInputs(thrusts, imu.body_rate, force, known, usable, wanted, rotors.measured)
 
 
-def _wrench(vehicle: Vehicle, thrusts: Components) -> Components:
+def _wrench(vehicle: Vehicle, thrusts: Components) -> Array:
     """Thrust [N] and torque [N m] of the rotors' thrusts [N], (..., 4)."""
-    return (vehicle.effectiveness * thrusts[..., None, :]).sum(axis=-1)
+    return thrusts @ vehicle.effectiveness.T

@@ -26,7 +26,20 @@ from typing import NamedTuple
 import numpy as np
 
 from quadftc_fdi.rotor_diagnosis.rotor_model import Effects
-from quadftc_model.arrays import Array, Flag, Scalar, cache_numbers, changed_where, namespace, product
+from quadftc_model.arrays import (
+    Array,
+    Flag,
+    Scalar,
+    any_of,
+    branch,
+    column,
+    exp,
+    larger,
+    namespace,
+    smaller,
+    stacked,
+    where,
+)
 
 TIMES = np.array([0.015, 0.06, 0.25, 1.0])  # s; over which residuals are averaged
 EARLY = np.array([0.3, 0.3, 0.6, 2.0])  # s; what the prior of each variance is worth
@@ -74,49 +87,44 @@ class Judged(NamedTuple):
 def start_residuals(effects: Effects, thrusts: Array) -> Residuals:
     """Start at thrusts (..., n)."""
     xp, ones = namespace(thrusts), np.ones((len(TIMES), 1))
-    zeros = 0.0 * thrusts
-    still = 0.0 * effects.size + zeros[..., :1]
+    zeros = xp.zeros_like(thrusts)
+    still = zeros[..., :1] + xp.zeros_like(effects.size)
     mean = xp.concatenate([still, thrusts, zeros], axis=-1)[..., None, :] * ones
-    variance = (PRIOR * effects.size + still)[..., None, :] ** 2 * ones
+    variance = (still + PRIOR * effects.size)[..., None, :] ** 2 * ones
     return Residuals(mean, still, variance, zeros[..., 0])
 
 
-def average(state: Residuals, residual: Array, thrusts: Array, losses: Array, dt: float) -> Residuals:
+def average(state: Residuals, residual: Array, thrusts: Array, losses: Array, dt: Scalar) -> Residuals:
     """Average a sample: residual (..., 4), thrusts and known losses (..., n)."""
     news = namespace(residual).concatenate([residual, thrusts, thrusts * losses], axis=-1)
-    return state._replace(mean=state.mean + _gains(dt) * (news[..., None, :] - state.mean))
+    gains = (1.0 - exp(-dt / TIMES))[:, None]
+    return state._replace(mean=state.mean + gains * (news[..., None, :] - state.mean))
 
 
-def judge(
-    state: Residuals, effects: Effects, faulty: Array, std_dev: Array, measured: bool = False
-) -> Judged:
+def judge(state: Residuals, effects: Effects, faulty: Array, std_dev: Array, measured: Flag) -> Judged:
     """Judge the rotors that are not ``faulty``; ``std_dev`` is that of the losses of those (..., n).
 
     ``measured``: thrusts are those of measured speeds.
     """
     n, mean = faulty.shape[-1], state.mean
-    thrusts = mean[..., 4 : 4 + n]  # (..., K, n)
-    model = product(thrusts, effects.columns)
-    known = product(mean[..., 4 + n :], effects.columns)
-    deviation = mean[..., :4] - state.usual[..., None, :] + known
+    thrusts, lost = mean[..., 4 : 4 + n], mean[..., 4 + n :]  # (..., K, n)
+    model = thrusts @ effects.columns
+    deviation = mean[..., :4] - state.usual[..., None, :] + lost @ effects.columns
     fast = UNSURE * (model - model[..., -1:, :])
     variance = state.variance + fast * fast
-
-    def doubt() -> Array:
-        unsure = (KNOWN * mean[..., 4 + n :]) ** 2 + (thrusts * std_dev[..., None, :]) ** 2
-        return variance + product(unsure, effects.columns * effects.columns)
-
-    weight = 1.0 / changed_where(faulty, doubt, variance)
-    n_over = -thrusts * product(deviation * weight, effects.rows)
-    q_over = thrusts * thrusts * product(weight, effects.square) + 1e-30
+    # known losses may be otherwise
+    unsure = (KNOWN * lost) ** 2 + (thrusts * std_dev[..., None, :]) ** 2
+    unsure = where(column(any_of(faulty)), unsure @ (effects.columns * effects.columns), 0.0)
+    weight = 1.0 / (variance + unsure)
+    n_over = -thrusts * ((deviation * weight) @ effects.rows)
+    q_over = thrusts * thrusts * (weight @ effects.square) + 1e-30
     loss = n_over / q_over
     likely = n_over * loss * (n_over > 0.0)
-    none = faulty & ~faulty
-    quiet = Evidence(0.0 * likely[..., 0, :], loss[..., 0, :], none, none, none)
-    found = changed_where(
-        (likely > SUSPECT).any(axis=-2),
+    none, zeros = faulty & ~faulty, namespace(loss).zeros_like(std_dev)
+    found = branch(
+        (likely > SUSPECT).any(axis=(-2, -1)),
         lambda: _explain(effects, thrusts, deviation, weight, loss, likely, faulty, measured),
-        quiet,
+        lambda: Evidence(zeros, loss[..., 0, :], none, none, none),
     )
     return Judged(found, deviation, variance)
 
@@ -124,8 +132,8 @@ def judge(
 def change_of(state: Residuals, effects: Effects, judged: Judged) -> Array:
     """Return l of what known losses leave, whatever its sign and direction, by the two shortest averages."""
     weight = 1.0 / judged.variance[..., :2, :]
-    n_over = product(judged.deviation[..., :2, :] * weight, effects.rows)
-    return (n_over * n_over / product(weight, effects.square)).max(axis=-2)
+    n_over = (judged.deviation[..., :2, :] * weight) @ effects.rows
+    return (n_over * n_over / (weight @ effects.square)).max(axis=-2)
 
 
 def _explain(
@@ -136,44 +144,36 @@ def _explain(
     loss: Array,
     likely: Array,
     faulty: Array,
-    measured: bool,
+    measured: Flag,
 ) -> Evidence:
     """Judge by direction, too."""
-    xp = namespace(deviation)
-    shape = (loss * thrusts)[..., None] * effects.columns[..., None, :, :]  # (..., K, n, 4)
+    shape = (loss * thrusts)[..., None] * effects.columns  # (..., K, n, 4)
     square = shape * shape
     turning = square[..., :3].sum(axis=-1, keepdims=True)
-    leak = np.array([LEAK, LEAK, LEAK if measured else KICK, 0.0])
+    kick = where(measured, LEAK, KICK)
+    leak = stacked([LEAK, LEAK, kick, 0.0])[..., None, None, :]
     unknown = BENT**2 * square + leak**2 * turning
     left = deviation[..., None, :] + shape
     rest = (left * left / (1.0 / weight[..., None, :] + unknown)).sum(axis=-1)  # (..., K, n)
     fits = (rest < FAR) & (loss > SHY) & (loss < LARGEST) & (likely > SUSPECT) & ~faulty[..., None, :]
-    rest = xp.where(fits, rest, NEVER)
-    # smallest and second smallest; a sort would keep XLA from compiling the step into one kernel
+    rest = where(fits, rest, NEVER)
+    # smallest and second smallest
     least = rest.min(axis=-1, keepdims=True)
     best = rest == least
-    others = xp.where(best, np.inf, rest).min(axis=-1, keepdims=True)
-    second = xp.where(best.sum(axis=-1, keepdims=True) > 1, least, others)
+    others = where(best, np.inf, rest).min(axis=-1, keepdims=True)
+    second = where(best.sum(axis=-1, keepdims=True) > 1, least, others)
     loud = best & fits & (likely > ALARM) & (loss > SMALLEST)
     alone = loud & (second > least + LEAD)
     likely = (likely * fits).max(axis=-2)
     return Evidence(likely, loss[..., 0, :], fits.any(axis=-2), loud.any(axis=-2), alone.any(axis=-2))
 
 
-def learn(state: Residuals, effects: Effects, deviation: Array, calm: Flag, dt: float) -> Residuals:
+def learn(state: Residuals, effects: Effects, deviation: Array, calm: Array, dt: Scalar) -> Residuals:
     """Learn d_0 and V where all is ``calm`` (...): 0 to 1."""
-    xp = namespace(deviation)
     time = calm * dt
-    learned = xp.minimum(state.learned + time, LATE)
-    usual = state.usual + (time / (SOON + learned))[..., None] * deviation[..., 1, :]
-    square = xp.minimum(deviation * deviation, CLIP * state.variance)
+    learned = smaller(state.learned + time, LATE)
+    usual = state.usual + column(time / (SOON + learned)) * deviation[..., 1, :]
+    square = smaller(deviation * deviation, CLIP * state.variance)
     share = time[..., None, None] / (EARLY[:, None] + learned[..., None, None])
     variance = state.variance + share * (square - state.variance)
-    least = (LEAST * effects.size) ** 2
-    return Residuals(state.mean, usual, xp.maximum(variance, least[..., None, :]), learned)
-
-
-@cache_numbers
-def _gains(dt: float) -> Array:
-    """Share of a sample in each average, (K, 1)."""
-    return 1.0 - namespace(dt).exp(-dt / TIMES)[:, None]
+    return Residuals(state.mean, usual, larger(variance, (LEAST * effects.size) ** 2), learned)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_model.arrays import Array, Scalar, cache_numbers, changed_where, namespace
+from quadftc_model.arrays import Array, Scalar, clip, exp, larger, namespace
 
 TIMES = np.array([0.015, 0.06])  # s
 FAR = np.array([0.35, 0.12])  # 1; of hover thrust, for each time
@@ -38,37 +38,27 @@ class Following(NamedTuple):
 
 def start_following(thrusts: Array) -> Following:
     """Start at thrusts (..., n), as commanded."""
-    xp, zeros = namespace(thrusts), 0.0 * thrusts
+    xp = namespace(thrusts)
+    zeros = xp.zeros_like(thrusts)
     mean = xp.concatenate([thrusts, thrusts], axis=-1)[..., None, :] * np.ones((2, 1))
     return Following(mean, zeros, zeros, zeros > 1.0, zeros, zeros > 1.0)
 
 
-def step_following(state: Following, thrusts: Array, wanted: Array, hover: Scalar, dt: float) -> Following:
+def step_following(state: Following, thrusts: Array, wanted: Array, hover: Scalar, dt: Scalar) -> Following:
     """Advance by ``dt`` [s]: measured and commanded thrust (..., n)."""
     xp, n = namespace(thrusts), thrusts.shape[-1]
     news = xp.concatenate([thrusts, wanted], axis=-1)
-    mean = state.mean + _gains(dt) * (news[..., None, :] - state.mean)
+    mean = state.mean + (1.0 - exp(-dt / TIMES))[:, None] * (news[..., None, :] - state.mean)
     given, asked = mean[..., :n], mean[..., n:]
     quick = UNSURE * abs(wanted - asked[..., 1, :])
-    differs = abs(asked - given) > FAR[:, None] * hover + quick[..., None, :]
-    apart = differs[..., 0, :] | differs[..., 1, :]
-    state = state._replace(mean=mean)
-
-    def compare() -> Following:
-        time = (state.apart + dt) * apart
-        faulty = state.faulty | (time > HOLD)
-        # a rotor that nobody asks for anything shows nothing
-        shows = (asked > LEAST * hover) & (given > 0.5 * asked) & (given < 2.0 * asked)
-        calm = (state.calm + dt) * (faulty & shows.all(axis=-2) & ~apart)
-        faulty = faulty & (calm < RECOVERED)
-        share = 1.0 - given[..., 0, :] / xp.maximum(asked[..., 0, :], 1e-3 * hover)
-        share = xp.minimum(xp.maximum(share, 0.0), 1.0) * faulty
-        still = faulty & (abs(thrusts - given[..., 1, :]) < STEADY * hover)
-        return Following(mean, time, calm * faulty, faulty, share, still)
-
-    return changed_where(apart | state.faulty | (state.apart > 0.0), compare, state)
-
-
-@cache_numbers
-def _gains(dt: float) -> Array:
-    return 1.0 - namespace(dt).exp(-dt / TIMES)[:, None]
+    apart = (abs(asked - given) > FAR[:, None] * hover + quick[..., None, :]).any(axis=-2)
+    time = (state.apart + dt) * apart
+    faulty = state.faulty | (time > HOLD)
+    # a rotor that nobody asks for anything shows nothing
+    shows = (asked > LEAST * hover) & (given > 0.5 * asked) & (given < 2.0 * asked)
+    calm = (state.calm + dt) * (faulty & shows.all(axis=-2) & ~apart)
+    faulty = faulty & (calm < RECOVERED)
+    share = 1.0 - given[..., 0, :] / larger(asked[..., 0, :], 1e-3 * hover)
+    share = clip(share, 0.0, 1.0) * faulty
+    still = faulty & (abs(thrusts - given[..., 1, :]) < STEADY * hover)
+    return Following(mean, time, calm * faulty, faulty, share, still)

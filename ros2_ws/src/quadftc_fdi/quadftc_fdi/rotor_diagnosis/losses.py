@@ -9,13 +9,24 @@ that is not named is zero, and known to be.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from quadftc_fdi.rotor_diagnosis.evidence import TIMES, Residuals
 from quadftc_fdi.rotor_diagnosis.rotor_model import Effects
-from quadftc_model.arrays import Array, clip, namespace
+from quadftc_model.arrays import (
+    Array,
+    Scalar,
+    clip,
+    diagonal,
+    larger,
+    namespace,
+    smaller,
+    solve_positive,
+    sqrt,
+    where,
+)
 
 UNKNOWN = 0.25  # 1; standard deviation of a loss at first, and at most
 CHANGES = 0.03  # 1/sqrt(s); random walk of a loss
@@ -31,14 +42,13 @@ class Losses(NamedTuple):
 
 def start_losses(thrusts: Array) -> Losses:
     """Start without a loss; thrusts (..., n)."""
-    zeros = 0.0 * thrusts
-    return Losses(zeros, zeros[..., None] * zeros[..., None, :])
+    zeros = namespace(thrusts).zeros_like(thrusts)
+    return Losses(zeros, _diagonal(zeros))
 
 
 def open_losses(state: Losses, new: Array, loss: Array) -> Losses:
     """Begin with the ``new`` ones (..., n), at a loss (..., n)."""
-    xp = namespace(loss)
-    mean = xp.where(new, clip(loss, 0.0, 1.0), state.mean)
+    mean = where(new, clip(loss, 0.0, 1.0), state.mean)
     return Losses(mean, state.covariance + _diagonal(new * UNKNOWN**2))
 
 
@@ -49,20 +59,19 @@ def close_losses(state: Losses, healthy: Array) -> Losses:
 
 
 def correct_losses(
-    state: Losses, seen: Residuals, effects: Effects, named: Array, change: Array, dt: float
+    state: Losses, seen: Residuals, effects: Effects, named: Array, change: Array, dt: Scalar
 ) -> Losses:
     """Advance by ``dt`` [s]; ``change`` is l of what the known losses leave (..., n)."""
-    xp, n = namespace(change), change.shape[-1]
+    n = change.shape[-1]
     noise = CHANGES**2 * dt + JUMP**2 * (change > JUMPED)
-    variance = state.covariance.diagonal(axis1=-2, axis2=-1)
-    room = xp.maximum(UNKNOWN**2 - variance, 0.0)
-    P = state.covariance + _diagonal(named * xp.minimum(noise, room))
+    room = larger(UNKNOWN**2 - diagonal(state.covariance), 0.0)
+    P = state.covariance + _diagonal(named * smaller(noise, room))
     # four channels at once
     H = -effects.rows * (named * seen.mean[..., 0, 4 : 4 + n])[..., None, :]  # (..., 4, n)
     density = 2.0 * (TIMES[0] * seen.variance[..., 0, :] + TIMES[2] * seen.variance[..., 2, :])
-    R = _diagonal(density / xp.maximum(dt, 1e-6))
+    R = _diagonal(density / larger(dt, 1e-6))
     PH = P @ H.swapaxes(-1, -2)
-    gain = _solved(H @ PH + R, PH.swapaxes(-1, -2)).swapaxes(-1, -2)  # (..., n, 4)
+    gain = solve_positive(H @ PH + R, PH.swapaxes(-1, -2)).swapaxes(-1, -2)  # (..., n, 4)
     innovation = seen.mean[..., 0, :4] - seen.usual - (H @ state.mean[..., None])[..., 0]
     mean = clip(state.mean + (gain @ innovation[..., None])[..., 0], 0.0, 1.0)
     left = P - gain @ PH.swapaxes(-1, -2)
@@ -71,25 +80,7 @@ def correct_losses(
 
 def std_dev_of(state: Losses) -> Array:
     """Standard deviation of each loss (..., n)."""
-    xp = namespace(state.mean)
-    return xp.sqrt(xp.maximum(state.covariance.diagonal(axis1=-2, axis2=-1), 0.0))
-
-
-def _solved(A: Array, B: Array) -> Array:
-    """X of A X = B, for A (..., 4, 4) symmetric and positive definite, and B (..., 4, n)."""
-    xp = namespace(A)
-    if xp is np:
-        return xp.linalg.solve(A, B)
-    # elimination without pivots; a call of LAPACK would keep XLA from compiling the step into one kernel
-    rows: list[Any] = [xp.concatenate([A[..., row, :], B[..., row, :]], axis=-1) for row in range(4)]
-    for row in range(4):
-        unit = rows[row] / rows[row][..., row : row + 1]
-        rows = [
-            unit if other == row else each - each[..., row : row + 1] * unit
-            for other, each in enumerate(rows)
-        ]
-    solved: Array = xp.stack(rows, axis=-2)
-    return solved[..., 4:]
+    return sqrt(larger(diagonal(state.covariance), 0.0))
 
 
 def _diagonal(parts: Array) -> Array:

@@ -11,10 +11,7 @@ from the start is no fault: a centre of mass that is off, a wrong inertia, a rot
 
 from __future__ import annotations
 
-import functools
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import NamedTuple
 
 from quadftc_fdi.rotor_diagnosis import evidence, following, losses
 from quadftc_fdi.rotor_diagnosis.evidence import Evidence, Judged, Residuals
@@ -27,11 +24,14 @@ from quadftc_model.arrays import (
     Flag,
     Scalar,
     Vector,
-    changed_where,
+    branch,
+    chosen,
     clip,
-    is_single,
+    column,
+    exp,
     larger,
     namespace,
+    where,
 )
 from quadftc_model.samples import FAULT_KINDS, RotorEstimate
 
@@ -52,7 +52,7 @@ class RotorMonitor(NamedTuple):
 
     residuals: Residuals
     losses: Losses
-    following: Following | None  # None: speeds are not measured
+    following: Following  # as far as speeds are measured
     rate: Vector  # of the last sample that was used [rad/s]
     thrusts: Array  # of the last sample (..., n)
     fresh: Flag  # there is such a sample just before
@@ -74,66 +74,56 @@ class RotorInputs(NamedTuple):
     force: Scalar  # specific force along body z [m/s²]
     known: Vector  # angular acceleration of other known causes: the body's rotation, drag [rad/s²]
     usable: Flag  # gyro and accelerometer are there, and healthy
-    wanted: Array | None = (
-        None  # thrusts that the lagged commands ask for (..., n); None: no speeds are measured
-    )
+    wanted: Array  # thrusts that the lagged commands ask for (..., n)
+    measured: Flag  # the thrusts are those of measured speeds
 
 
 def start_rotors(effects: Effects, inputs: RotorInputs) -> RotorMonitor:
     """Start at a sample."""
     thrusts = inputs.thrusts
-    zeros = 0.0 * thrusts
+    zeros = namespace(thrusts).zeros_like(thrusts)
     no = zeros > 1.0
     return RotorMonitor(
         evidence.start_residuals(effects, thrusts),
         losses.start_losses(thrusts),
-        None if inputs.wanted is None else following.start_following(thrusts),
+        following.start_following(thrusts),
         inputs.rate,
         thrusts,
-        inputs.usable & inputs.usable,
+        inputs.usable,
         *(zeros, zeros, no, zeros, zeros, no, zeros, no),
     )
 
 
-def step_rotors(state: RotorMonitor, effects: Effects, inputs: RotorInputs, dt: float) -> RotorMonitor:
+def step_rotors(state: RotorMonitor, effects: Effects, inputs: RotorInputs, dt: Scalar) -> RotorMonitor:
     """Advance by ``dt`` [s] to a sample."""
-    xp, thrusts = namespace(inputs.thrusts), inputs.thrusts
+    thrusts, named = inputs.thrusts, state.named
     used = inputs.usable & state.fresh & _carried(effects, thrusts)
     residual = _residual(state, effects, inputs, used, dt)
     seen = evidence.average(state.residuals, residual, thrusts, state.losses.mean, dt)
-    unsure = changed_where(state.named, lambda: losses.std_dev_of(state.losses), state.losses.mean)
-    judged = evidence.judge(seen, effects, state.named, unsure, inputs.wanted is not None)
-    suspect, named = judged.evidence.suspect, state.named
+    judged = evidence.judge(seen, effects, named, losses.std_dev_of(state.losses), inputs.measured)
+    suspect = judged.evidence.suspect
     busy = suspect | named | (state.suspected > 0.0) | state.unsure
-
-    def doubt() -> Array:
-        return used * ~named.any(axis=-1) * (1.0 - (1.0 - DOUBTED) * suspect.any(axis=-1))
-
-    calm = changed_where(busy, doubt, 1.0 * used)
+    calm = used * ~named.any(axis=-1) * where(suspect.any(axis=-1), DOUBTED, 1.0)
     state = state._replace(
         residuals=evidence.learn(seen, effects, judged.deviation, calm, dt),
-        rate=xp.where(inputs.usable[..., None], inputs.rate, state.rate),
+        rate=where(column(inputs.usable), inputs.rate, state.rate),
         thrusts=thrusts,
-        fresh=inputs.usable & inputs.usable,
+        fresh=inputs.usable,
         likely=judged.evidence.likely,
     )
-    state = changed_where(busy, lambda: _decide(state, effects, judged, used, dt), state)
-    if inputs.wanted is not None and state.following is not None:
-        state = _compare(state, state.following, effects, inputs.wanted, thrusts, dt)
-    return state
+    state = branch(busy.any(axis=-1), lambda: _decide(state, effects, judged, used, dt), lambda: state)
+    return chosen(inputs.measured, _compare(state, effects, inputs.wanted, thrusts, dt), state)
 
 
-def _decide(state: RotorMonitor, effects: Effects, judged: Judged, used: Flag, dt: float) -> RotorMonitor:
+def _decide(state: RotorMonitor, effects: Effects, judged: Judged, used: Flag, dt: Scalar) -> RotorMonitor:
     """Name rotors by the evidence, and follow those that are named."""
-    found, ready = judged.evidence, (used & (state.residuals.learned > NEEDED))[..., None]
+    found, ready = judged.evidence, column(used & (state.residuals.learned > NEEDED))
     suspected = (state.suspected + dt) * (found.suspect & ready)
     blamed = (state.blamed + dt) * (found.alarm & ready)
     state = state._replace(suspected=suspected, blamed=blamed)
-    new = (blamed > HOLD) & ~state.named
-    state = changed_where(new, lambda: _name(state, new, found), state)
-    none, seen = 0.0 * state.age, state.residuals
-    change = changed_where(state.named, lambda: evidence.change_of(seen, effects, judged), none)
-    state = changed_where(state.named, lambda: _follow(state, effects, change, used, dt), state)
+    state = _name(state, (blamed > HOLD) & ~state.named, found)
+    change = evidence.change_of(state.residuals, effects, judged)
+    state = _follow(state, effects, change, used, dt)
     changing = state.named & ((state.age < NEW) | (change > losses.JUMPED))
     return state._replace(unsure=(suspected > 0.0) | changing)
 
@@ -141,61 +131,28 @@ def _decide(state: RotorMonitor, effects: Effects, judged: Judged, used: Flag, d
 def estimate_rotors(state: RotorMonitor) -> RotorEstimate:
     """Say what is known of each rotor."""
     xp, followed, named = namespace(state.age), state.following, state.named
-    faulty = named if followed is None else named | followed.faulty
-    learned: Any = state.residuals.learned
-    suspect, starting = state.suspected > 0.0, (learned <= NEEDED)[..., None]
-    none = 0.0 * state.age
-    healthy = _known_estimate(len(state.age)) if is_single(state.age) else _healthy_estimate(none)
-
-    def unsettled() -> RotorEstimate:
-        states = xp.where(suspect, samples.SUSPECT, samples.HEALTHY)
-        odds = clip(0.5 * (state.likely - evidence.ALARM), -30.0, 30.0)
-        return healthy._replace(
-            state=xp.where(starting, samples.STARTING, states).astype(xp.uint8),
-            probability=suspect / (1.0 + xp.exp(-odds)),
-        )
-
-    healthy = changed_where(suspect | starting, unsettled, healthy)
-
-    def untrusted() -> RotorEstimate:
-        left = 1.0 - state.losses.mean
-        kind = xp.where(left < 1.0 - OFF, STOPPED, LOSS)
-        if followed is not None:
-            # a rotor that keeps its speed gives what a healthy one does at this speed
-            stopped = followed.share > OFF
-            left = left * (1.0 - followed.share * (stopped | ~followed.still))
-            stuck = xp.where(followed.still, STUCK, LOSS)
-            kind = xp.where(followed.faulty, xp.where(stopped, STOPPED, stuck), kind)
-        calm = state.calm if followed is None else xp.where(named, state.calm, followed.calm)
-        shown = xp.where(calm > SHOWN, samples.RECOVERING, samples.FAULTY)
-        return RotorEstimate(
-            xp.where(faulty, shown, healthy.state).astype(xp.uint8),
-            xp.where(faulty, left, 1.0),
-            xp.where(faulty, losses.std_dev_of(state.losses), -1.0),
-            xp.where(faulty, state.age, -1.0),
-            xp.where(faulty, 1.0 - 0.5 * state.ambiguous, healthy.probability),
-            (faulty * kind).astype(xp.uint8),
-            faulty & state.ambiguous,
-        )
-
-    return changed_where(faulty, untrusted, healthy)
-
-
-@functools.cache
-def _known_estimate(rotors: int) -> RotorEstimate:
-    """Return what is said of the healthy rotors of one vehicle; not to be written to."""
-    estimate = _healthy_estimate(np.zeros(rotors))
-    for column_of in estimate:
-        column_of.setflags(write=False)
-    return estimate
-
-
-def _healthy_estimate(none: Array) -> RotorEstimate:
-    """Return what is said of healthy rotors; ``none`` are zeros (..., n)."""
-    xp, unknown = namespace(none), none - 1.0
-    kind = none.astype(xp.uint8)
+    faulty, suspect = named | followed.faulty, state.suspected > 0.0
+    # healthy ones
+    starting = column(state.residuals.learned <= NEEDED)
+    trusted = where(starting, samples.STARTING, where(suspect, samples.SUSPECT, samples.HEALTHY))
+    odds = clip(0.5 * (state.likely - evidence.ALARM), -30.0, 30.0)
+    likely = where(suspect, 1.0 / (1.0 + exp(-odds)), 0.0)
+    # faulty ones; a rotor that keeps its speed gives what a healthy one does at this speed
+    left = 1.0 - state.losses.mean
+    kind = where(left < 1.0 - OFF, STOPPED, LOSS)
+    stopped = followed.share > OFF
+    left = left * (1.0 - followed.share * (stopped | ~followed.still))
+    kind = where(followed.faulty, where(stopped, STOPPED, where(followed.still, STUCK, LOSS)), kind)
+    shown = where(named, state.calm, followed.calm) > SHOWN
+    distrusted = where(shown, samples.RECOVERING, samples.FAULTY)
     return RotorEstimate(
-        kind + np.uint8(samples.HEALTHY), none + 1.0, unknown, unknown, none, kind, none > 0.0
+        where(faulty, distrusted, trusted).astype(xp.uint8),
+        where(faulty, left, 1.0),
+        where(faulty, losses.std_dev_of(state.losses), -1.0),
+        where(faulty, state.age, -1.0),
+        where(faulty, 1.0 - 0.5 * state.ambiguous, likely),
+        where(faulty, kind, 0).astype(xp.uint8),
+        faulty & state.ambiguous,
     )
 
 
@@ -204,67 +161,57 @@ def _carried(effects: Effects, thrusts: Array) -> Flag:
     return thrusts.sum(axis=-1) > FLYING * thrusts.shape[-1] * effects.hover
 
 
-def _residual(state: RotorMonitor, effects: Effects, inputs: RotorInputs, used: Flag, dt: float) -> Array:
+def _residual(state: RotorMonitor, effects: Effects, inputs: RotorInputs, used: Flag, dt: Scalar) -> Array:
     """Return r of a sample (..., 4); what explains nothing new where none is used."""
-    xp = namespace(inputs.rate)
     now, mean = inputs.thrusts, 0.5 * (inputs.thrusts + state.thrusts)
-    turned = (inputs.rate - state.rate) / larger(dt, 1e-6) - inputs.known
-    turned = turned - (effects.rows[..., :3, :] @ mean[..., None])[..., 0]
-    pushed = inputs.force - (effects.rows[..., 3, :] * now).sum(axis=-1)
-    residual = xp.concatenate([turned, pushed[..., None]], axis=-1)
-
-    def explained() -> Array:
-        lost = (effects.rows @ (now * state.losses.mean)[..., None])[..., 0]
-        return xp.where(used[..., None], residual, state.residuals.usual - lost)
-
-    return changed_where(~used, explained, residual)
+    turned = (inputs.rate - state.rate) / larger(dt, 1e-6) - inputs.known - mean @ effects.columns[:, :3]
+    pushed = column(inputs.force) - now @ effects.columns[:, 3:]
+    residual = namespace(turned).concatenate([turned, pushed], axis=-1)
+    lost = (now * state.losses.mean) @ effects.columns
+    return where(column(used), residual, state.residuals.usual - lost)
 
 
 def _name(state: RotorMonitor, new: Array, found: Evidence) -> RotorMonitor:
     """Name rotors."""
-    xp, n = namespace(state.age), new.shape[-1]
-    age = xp.where(new, xp.maximum(state.suspected, state.blamed), state.age)
+    n, mean = new.shape[-1], state.residuals.mean
+    age = where(new, larger(state.suspected, state.blamed), state.age)
     opened = losses.open_losses(state.losses, new, found.loss)
     # the averages have seen the loss since its onset
-    mean = state.residuals.mean
-    seen = 1.0 - xp.exp(-(new * age)[..., None, :] / evidence.TIMES[:, None])
+    seen = 1.0 - exp(-(new * age)[..., None, :] / evidence.TIMES[:, None])
     known = mean[..., 4 + n :] + (new * opened.mean)[..., None, :] * seen * mean[..., 4 : 4 + n]
-    residuals = state.residuals._replace(mean=xp.concatenate([mean[..., : 4 + n], known], axis=-1))
+    mean = namespace(mean).concatenate([mean[..., : 4 + n], known], axis=-1)
     return state._replace(
-        residuals=residuals,
+        residuals=state.residuals._replace(mean=mean),
         losses=opened,
         named=state.named | new,
         age=age,
-        calm=xp.where(new, 0.0, state.calm),
+        calm=where(new, 0.0, state.calm),
         ambiguous=(state.ambiguous & ~new) | (new & ~found.alone),
     )
 
 
-def _follow(state: RotorMonitor, effects: Effects, change: Array, used: Flag, dt: float) -> RotorMonitor:
+def _follow(state: RotorMonitor, effects: Effects, change: Array, used: Flag, dt: Scalar) -> RotorMonitor:
     """Estimate the losses of the rotors that are named, and acquit who has recovered."""
-    xp, counts = namespace(state.age), state.named & used[..., None]
+    counts = state.named & column(used)
     lost = losses.correct_losses(state.losses, state.residuals, effects, counts, change, dt)
-    small = xp.maximum(CERTAIN * losses.std_dev_of(lost), WEAK)
+    small = larger(CERTAIN * losses.std_dev_of(lost), WEAK)
     calm = (state.calm + dt * counts) * (state.named & (lost.mean < small) & (small < 0.15))
     back = calm > RECOVERED
     lost = losses.close_losses(lost, back)
     still = state.named & ~back
-    age = (state.age + dt) * still
+    age = where(state.named, (state.age + dt) * still, state.age)
     return state._replace(
         losses=lost, named=still, age=age, calm=calm * still, ambiguous=state.ambiguous & still
     )
 
 
 def _compare(
-    state: RotorMonitor, before: Following, effects: Effects, wanted: Array, thrusts: Array, dt: float
+    state: RotorMonitor, effects: Effects, wanted: Array, thrusts: Array, dt: Scalar
 ) -> RotorMonitor:
     """Name rotors that do not follow their commands, too."""
+    before = state.following
     followed = following.step_following(before, thrusts, wanted, effects.hover, dt)
-
-    def follow() -> Array:
-        new = followed.faulty & ~before.faulty & ~state.named
-        age = state.age + dt * (followed.faulty & before.faulty & ~state.named) + new * followed.apart
-        return age * (followed.faulty | state.named)
-
-    age = changed_where(followed.faulty | before.faulty, follow, state.age)
+    new = followed.faulty & ~before.faulty & ~state.named
+    age = state.age + dt * (followed.faulty & before.faulty & ~state.named) + new * followed.apart
+    age = age * (followed.faulty | state.named)
     return state._replace(following=followed, age=age, unsure=state.unsure | (followed.apart > 0.0))

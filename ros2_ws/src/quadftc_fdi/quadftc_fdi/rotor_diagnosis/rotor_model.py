@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import functools
 from typing import NamedTuple
-
-import numpy as np
 
 from quadftc_model.arrays import AnyArray, Array, Components, Float, Scalar, exp, larger, namespace
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_model.vehicle import Vehicle
 
-Matrix = Float[AnyArray, "*batch 3 n"]
+Matrix = Float[AnyArray, "3 n"]
 
 
 class RotorModel(NamedTuple):
@@ -24,10 +21,10 @@ class RotorModel(NamedTuple):
 class Effects(NamedTuple):
     """A `RotorModel` as the law needs it: four channels, three angular ones and the specific force."""
 
-    rows: Array  # (..., 4, n)
-    columns: Array  # the same, (..., n, 4)
+    rows: Array  # (4, n)
+    columns: Array  # the same, (n, 4)
     square: Array  # of the rows, element by element
-    size: Array  # (..., 4) the largest effect of a rotor in hover on each channel [rad/s², m/s²]
+    size: Array  # (4,) the largest effect of a rotor in hover on each channel [rad/s², m/s²]
     hover: Scalar  # thrust of a rotor when all alike carry the weight
 
 
@@ -36,8 +33,8 @@ def effects_of(model: RotorModel) -> Effects:
     xp = namespace(model.force)
     rows = xp.concatenate([model.angular, model.force[..., None, :]], axis=-2)
     hover = STANDARD_GRAVITY / model.force.sum(axis=-1)
-    size = xp.abs(rows).max(axis=-1) * hover[..., None]
-    return Effects(rows, xp.asarray(rows.swapaxes(-1, -2)), rows * rows, size, hover)
+    size = abs(rows).max(axis=-1) * hover[..., None]
+    return Effects(rows, rows.swapaxes(-1, -2), rows * rows, size, hover)
 
 
 def model_of(vehicle: Vehicle) -> RotorModel:
@@ -46,23 +43,11 @@ def model_of(vehicle: Vehicle) -> RotorModel:
     return RotorModel(effect[1:] / inertia[..., None], effect[0] / vehicle.mass)
 
 
-def vehicle_effects(vehicle: Vehicle) -> Effects:
-    """Return the effects of the rotors of a vehicle; those of one whose numbers are NumPy's are kept."""
-    numbers = (vehicle.inertia, vehicle.effectiveness)
-    known = all(type(each) is np.ndarray for each in numbers) and isinstance(vehicle.mass, float)
-    return _known_effects(vehicle) if known else effects_of(model_of(vehicle))
-
-
-@functools.lru_cache(maxsize=8)
-def _known_effects(vehicle: Vehicle) -> Effects:
-    return effects_of(model_of(vehicle))
-
-
 def thrusts_of(vehicle: Vehicle, speeds: Components) -> Components:
     """Thrust [N] (..., n) of healthy rotors at their speeds [rad/s]."""
     return vehicle.rotors.thrust_coefficient * speeds * speeds
 
 
-def lagged(last: Components, command: Components, lag: Scalar, dt: float) -> Components:
+def lagged(last: Components, command: Components, lag: Scalar, dt: Scalar) -> Components:
     """Return what follows a command, held for ``dt`` [s], by a first-order lag [s]."""
     return last + (1.0 - exp(-dt / larger(lag, 1e-9))) * (command - last)

@@ -21,18 +21,18 @@ from quadftc_fdi.supervision.measurement import MEASURED, Prediction
 from quadftc_fdi.supervision.transition import SIZE, Covariance, Covariances, FilterState
 from quadftc_model import arrays
 from quadftc_model.arrays import (
-    Array,
     Column,
     Float,
     Mask,
+    Scalar,
     Vector,
     any_of,
-    changed_where,
-    components,
+    branch,
+    chosen,
+    larger,
     namespace,
-    pick,
     product,
-    stacked,
+    where,
 )
 
 Residuals = Float[arrays.AnyArray, "*batch 3 5"]
@@ -65,14 +65,16 @@ def set_anchors(P: Covariance) -> Anchors:
 def compare_anchors(
     anchors: Anchors, prediction: Prediction, residual: Vector
 ) -> tuple[Residuals, Predicted]:
-    """Compare the measured angles with those of the anchors, given the prediction by filter and anchors.
+    """Compare the measured angles with those of the anchors, given the filter's prediction and residual.
 
     Return the residuals [rad] of the filter (three times), the old and the young anchor, and the variances
     (..., angle, source) of the angles [rad²] that filter, old and young anchor predict.
     """
     shifts = product(prediction.H, anchors.corrections, MEASURED)
-    residuals = residual[..., None] + product(shifts, TO_RESIDUALS)
-    return residuals, prediction.variances.swapaxes(-1, -2)
+    xp, residuals = namespace(residual), residual[..., None] + shifts @ TO_RESIDUALS
+    variances = measurement.variances_by(prediction, anchors.P)
+    variances = xp.concatenate([prediction.variances[..., None, :], variances], axis=-2)
+    return residuals, variances.swapaxes(-1, -2)
 
 
 def go_back_to_anchor(
@@ -82,7 +84,7 @@ def go_back_to_anchor(
     residuals: Residuals,
     back: Mask,
     far: Mask,
-    known: float,
+    known: Scalar,
 ) -> tuple[FilterState, Prediction, Vector]:
     """Go back to an anchor where an axis asks for it.
 
@@ -91,28 +93,18 @@ def go_back_to_anchor(
     the fault has done. ``residuals`` [rad] are of `compare_anchors`. Also return the prediction and the
     residual (..., 3) [rad] of the filter.
     """
-    xp = namespace(back)
-
-    def go_back() -> tuple[FilterState, Prediction, Vector]:
-        # which anchor: a bias may be known half as well, in variance, as now
-        old, young = (anchors.P[..., which, :, :] for which in (0, 1))
-        limit = xp.maximum(known**2, 2.0 * inertial_filter.bias_variance(estimate.P))
-        old_knows, young_knows = (inertial_filter.bias_variance(each) <= limit for each in (old, young))
-        returns, to_old = any_of(back) & young_knows, any_of(far) & old_knows
-
-        def choose(now: Array, old: Array, young: Array) -> Array:
-            extra = (None,) * (now.ndim - returns.ndim)
-            return xp.where(returns[(..., *extra)], xp.where(to_old[(..., *extra)], old, young), now)
-
-        # take back the corrections since then; covariance and residual are those of the anchor
-        c = anchors.corrections
-        dx = choose(xp.zeros_like(c[..., 0]), c[..., 0], c[..., 1])
-        P = choose(estimate.P, old, young)
-        residual = choose(*(residuals[..., k] for k in (0, OLD, YOUNG)))
-        moved = inertial_filter.apply_correction(estimate._replace(P=P), -dx)
-        return moved, measurement.predict_again(prediction, P), residual
-
-    return changed_where(back, go_back, (estimate, prediction, residuals[..., 0]))
+    xp, c = namespace(back), anchors.corrections
+    # which anchor: a bias may be known half as well, in variance, as now
+    old, young = (anchors.P[..., which, :, :] for which in (0, 1))
+    limit = larger(known**2, 2.0 * inertial_filter.bias_variance(estimate.P))
+    old_knows, young_knows = (inertial_filter.bias_variance(each) <= limit for each in (old, young))
+    returns, to_old = (any_of(back) & young_knows)[..., 0], (any_of(far) & old_knows)[..., 0]
+    # take back the corrections since then; covariance and residual are those of the anchor
+    now = xp.zeros_like(c[..., 0]), estimate.P, residuals[..., 0]
+    then = chosen(to_old, (c[..., 0], old, residuals[..., OLD]), (c[..., 1], young, residuals[..., YOUNG]))
+    dx, P, residual = chosen(returns, then, now)
+    moved = inertial_filter.apply_correction(estimate._replace(P=P), -dx)
+    return moved, measurement.predict_again(prediction, P), residual
 
 
 def update_anchors(
@@ -121,27 +113,26 @@ def update_anchors(
     dx: inertial_filter.Errors,
     restart: One,
     hold: One,
-    dt: float,
-    greatest_age: float,
+    dt: Scalar,
+    greatest_age: Scalar,
 ) -> tuple[Anchors, One]:
     """Note a correction dx of the filter; promote the young anchor at half of ``greatest_age`` [s].
 
     Where ``restart``, both anchors move to the present state, with the filter's covariance P. Where ``hold``,
     none is given up, as it may be needed soon. Also return where the young one has become the old one.
     """
-    (age,), (held,) = components(anchors.age), components(hold)
-    age = age + dt
-    promoted, age = stacked([pick(held, False, age > 0.5 * greatest_age)]), stacked([age])
+    age = anchors.age + dt
+    promoted = ~hold & (age > 0.5 * greatest_age)
     changes = restart | promoted
     kept = Anchors(anchors.corrections + dx[..., None], anchors.P, age)
 
     def replace() -> Anchors:
         xp, now = namespace(dx), P[..., None, :, :]
         again, moved = restart[..., None], changes[..., None]
-        c = xp.where(moved, (kept.corrections * ~again) @ NEXT_ONE, kept.corrections)
+        c = where(moved, (kept.corrections * ~again) @ NEXT_ONE, kept.corrections)
         old, young = kept.P[..., :1, :, :], kept.P[..., 1:, :, :]
-        old = xp.where(again[..., None], now, xp.where(moved[..., None], young, old))
-        young = xp.where(moved[..., None], now, young)
+        old = where(again[..., None], now, where(moved[..., None], young, old))
+        young = where(moved[..., None], now, young)
         return Anchors(c, xp.concatenate([old, young], axis=-3), age * ~changes)
 
-    return changed_where(changes, replace, kept), promoted
+    return branch(changes[..., 0], replace, lambda: kept), promoted

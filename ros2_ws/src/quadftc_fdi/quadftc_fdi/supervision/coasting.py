@@ -24,6 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from quadftc_fdi.fault_observer import SHORTEST
 from quadftc_fdi.supervision import inertial_filter, measurement
 from quadftc_fdi.supervision.gravity import LEAST, Gravity, Horizontal, tilt_matrix
 from quadftc_fdi.supervision.measurement import MEASURED, Prediction
@@ -45,14 +46,14 @@ from quadftc_model.arrays import (
     Scalar,
     Vector,
     any_of,
-    chosen,
-    column,
     components,
+    diagonal,
     larger,
     namespace,
     product,
-    root,
+    sqrt,
     stacked,
+    where,
 )
 
 LASTING = 0.1  # s; density of u over its mean square: how long a velocity lasts
@@ -60,7 +61,7 @@ CLOSE = math.radians(0.2)  # rad; what gravity is off by at least
 MANOEUVRE = 30.0 * math.radians(1.0) ** 2  # rad²/s³; how a fault bends
 ANYWHERE = 0.3  # rad; of a fault at its beginning, 1 sigma
 DRIFTS = math.radians(3.0)  # rad/s; of its slope
-SOON, SMALLEST = 1e-9, 1e-30  # s, rad²; no less, as it divides
+SMALLEST = 1e-30  # rad²; no less, as it divides
 MORE = 8  # states: u (2), f (3), s (3)
 U, FAULT, SLOPE = slice(0, 2), slice(2, 5), slice(5, MORE)
 OF_U, OF_FAULT, OF_SLOPE = (np.diag(np.eye(MORE)[which].sum(axis=0)) for which in (U, FAULT, SLOPE))
@@ -88,7 +89,7 @@ class Known(NamedTuple):
     faulty: Mask
     fresh: Mask  # the fault begins at this sample, or jumps
     begins: Mask  # (..., 1) neither roll nor pitch was faulty before, or no specific force counts
-    ambiguous: Column | bool  # (..., 1) a fault may be the gyro's: then the delay is not learned
+    ambiguous: Mask  # (..., 1) a fault may be the gyro's: then the delay is not learned
 
 
 class Joint(NamedTuple):
@@ -113,9 +114,9 @@ def coast(
     transition: Transition,
     prediction: Prediction,
     known: Known,
-    dt: float,
+    dt: Scalar,
 ) -> tuple[Coasting, FilterState, Errors]:
-    """Correct the filter where an axis is faulty.
+    """Correct the filter of a vehicle of which an axis is faulty.
 
     ``dx`` and ``factors`` are those of the correction by healthy axes (`inertial_filter.correct`). Return dx
     with what is corrected here.
@@ -126,7 +127,7 @@ def coast(
     joint = _correct_by_gravity(joint, H, known, dt)
     joint = _correct_by_faults(joint, prediction, known)
     corrected = inertial_filter.apply_correction(estimate._replace(P=joint.P), joint.dx - dx)
-    return chosen(any_of(known.faulty)[..., 0], (joint.more, corrected, joint.dx), (state, estimate, dx))
+    return joint.more, corrected, joint.dx
 
 
 def _t(matrix: Array) -> Array:
@@ -147,15 +148,15 @@ def _begin(state: Coasting, known: Known) -> Coasting:
     """Begin anew what begins in this sample."""
     xp = namespace(state.a)
     new = xp.concatenate([known.begins, known.begins, known.fresh, known.fresh], axis=-1)
-    start, rows = START + column(column(known.gravity.motion)) * OF_U, new[..., :, None]
+    start, rows = START + known.gravity.motion[..., None] * OF_U, new[..., :, None]
     return Coasting(
-        xp.where(new, 0.0, state.a),
-        xp.where(rows, 0.0, state.cross),
-        xp.where(rows | new[..., None, :], start, state.own),
+        where(new, 0.0, state.a),
+        where(rows, 0.0, state.cross),
+        where(rows | new[..., None, :], start, state.own),
     )
 
 
-def _predict(state: Coasting, P: Covariance, H: Array, horizontal: Horizontal, dt: float) -> Coasting:
+def _predict(state: Coasting, P: Covariance, H: Array, horizontal: Horizontal, dt: Scalar) -> Coasting:
     """Move a; the filter has made its step. E[a e'] <- A E[a e'] + G P, and E[a a'] likewise."""
     xp, G = namespace(state.a), -dt * H
 
@@ -172,28 +173,28 @@ def _predict(state: Coasting, P: Covariance, H: Array, horizontal: Horizontal, d
     # rows, then columns: E[a a'] is symmetric
     own = add(move(_t(move(state.own))), product(G, _t(moved[..., ROTATION])))
     own = add(_t(own), product(G, _t(cross[..., ROTATION]))) + (MANOEUVRE * dt) * OF_SLOPE
-    driven = xp.concatenate([dt * stacked(horizontal), 0.0 * state.a[..., U.stop :]], axis=-1)
+    driven = xp.concatenate([dt * horizontal, xp.zeros_like(state.a[..., U.stop :])], axis=-1)
     return Coasting(move(state.a[..., None])[..., 0] + driven, cross, own)
 
 
-def _correct_by_gravity(joint: Joint, H: Array, known: Known, dt: float) -> Joint:
+def _correct_by_gravity(joint: Joint, H: Array, known: Known, dt: Scalar) -> Joint:
     """Correct by what is known of u: it is bounded."""
     tilted = (known.felt & any_of(known.faulty[..., :2]))[..., 0]
-    bounded = LASTING / larger(dt, SOON) * known.gravity.motion
-    share = stacked([_share(joint.P, H, known.gravity)])
+    bounded = LASTING / larger(dt, SHORTEST) * known.gravity.motion[..., 0]
+    share = _share(joint.P, H, known.gravity)
     for k in range(U.stop):
         a, cross, own = joint.more
         variance = own[..., k, k] + bounded
-        factors = stacked([tilted / root(variance), tilted * -a[..., k] / variance])[..., None, :]
+        factors = stacked([tilted / sqrt(variance), tilted * -a[..., k] / variance])[..., None, :]
         joint = _correct(joint, cross[..., k, :, None], own[..., k, None], factors, share)
     return joint
 
 
-def _share(P: Covariance, H: Array, gravity: Gravity) -> Scalar:
+def _share(P: Covariance, H: Array, gravity: Gravity) -> Column:
     """Share of gravity's correction that the filter takes."""
     HPH = product(product(H, P[..., ROTATION, ROTATION]), _t(H))
-    known = larger(HPH[..., 0, 0] + HPH[..., 1, 1], SMALLEST)
-    return larger(1.0 - 2.0 * larger(gravity.off, CLOSE**2) / known, 0.0 * known)
+    known = larger(diagonal(HPH).sum(axis=-1, keepdims=True), SMALLEST)
+    return larger(1.0 - 2.0 * larger(gravity.off, CLOSE**2) / known, 0.0)
 
 
 def _correct_by_faults(joint: Joint, prediction: Prediction, known: Known) -> Joint:

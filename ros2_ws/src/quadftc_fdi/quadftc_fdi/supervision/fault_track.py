@@ -18,14 +18,28 @@ come back the better.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadftc_fdi.fault_observer import SHORTEST
 from quadftc_fdi.supervision.sensor_noise import MIDDLE, SAMPLE, SHORT, Statistics
-from quadftc_model.arrays import AnyArray, Column, Float, Mask, Vector, cache_numbers, namespace
+from quadftc_model.arrays import (
+    AnyArray,
+    Array,
+    Column,
+    Float,
+    Mask,
+    Scalar,
+    Vector,
+    clip,
+    column,
+    larger,
+    namespace,
+    smaller,
+    sqrt,
+    where,
+)
 
 AVERAGES = np.array([0.15, 0.6])  # s; two averages of a fault, whose difference shows that it moves
 SLOWER = np.array([0.0, 0.5])  # 1; share by which their gains are less where the sensor errs slowly
@@ -59,24 +73,18 @@ class Track(NamedTuple):
 class TrackerGains(NamedTuple):
     """Gains of one step."""
 
-    mean: NDArray[np.float64]  # (2,) of a sample in the two averages
-    alpha: float  # of a sample in the fault
-    beta_dt: float  # [1/s] in its slope: beta / dt
-    settled: float  # samples after a jump before the slope moves
+    mean: Array  # (2,) of a sample in the two averages
+    alpha: Scalar  # of a sample in the fault
+    beta_dt: Scalar  # [1/s] in its slope: beta / dt
+    settled: Scalar  # samples after a jump before the slope moves
 
 
-@cache_numbers
-def tracker_gains(dt: float, tracking: float) -> TrackerGains:
+def tracker_gains(dt: Scalar, tracking: Scalar) -> TrackerGains:
     """Gains for a step ``dt`` and an averaging time [s]."""
-    starts = isinstance(dt, float) and dt == 0.0
     alpha = 1.4 * dt / (tracking + dt)
     beta = alpha**2 / (2.0 - alpha)
-    return TrackerGains(
-        mean=dt / (AVERAGES + dt),
-        alpha=alpha,
-        beta_dt=0.0 if starts else beta / dt,
-        settled=math.inf if starts else 1.4 / alpha,
-    )
+    settled = 1.4 / larger(alpha, SHORTEST)
+    return TrackerGains(dt / (AVERAGES + dt), alpha, beta / larger(dt, SHORTEST), settled)
 
 
 def start_track(like: Vector) -> Track:
@@ -96,35 +104,35 @@ def track_fault(
     suspicion: Vector,
     valid: Mask,
     gains: TrackerGains,
-    dt: float,
+    dt: Scalar,
 ) -> Track:
     """Follow the residual [rad] of the faulty axes, as far as they are measured in this sample (``valid``).
 
     The track starts where an axis is declared faulty (``alarm``), with the fault as old as the suspicion [s].
     """
-    xp = namespace(residual)
     expected = track.fault + track.slope * dt
     error = residual - expected
     jump = alarm | (error**2 > JUMPS * variances[..., SAMPLE])
     # right after a jump the fault is the mean of the samples since, and the slope waits
     samples = (track.samples + valid) * ~jump
     mean = 1.0 / (samples + 1.0)
-    alpha = xp.maximum(gains.alpha, mean) * valid
-    average = gains.mean * (1.0 - colour[..., None] * SLOWER)
-    average = xp.maximum(average, mean[..., None]) * valid[..., None]
+    alpha = larger(gains.alpha, mean) * valid
+    average = gains.mean * (1.0 - column(colour) * SLOWER)
+    average = larger(average, column(mean)) * column(valid)
     return track._replace(
         fault=expected + alpha * error,
         slope=(track.slope + gains.beta_dt * valid * error) * (samples > gains.settled),
         samples=samples,
-        still=xp.where(alarm, LONG_AGO * ~abrupt, (track.still + dt) * ~jump),
-        means=track.means + average * (residual[..., None] - track.means),
-        age=xp.where(alarm, suspicion, track.age + dt),
+        still=where(alarm, LONG_AGO * ~abrupt, (track.still + dt) * ~jump),
+        means=track.means + average * (column(residual) - track.means),
+        age=where(alarm, suspicion, track.age + dt),
     )
 
 
 def clear_healthy(track: Track, faulty: Mask) -> Track:
     """Set the track of all axes that are not faulty to zero."""
-    return Track(*(part * (faulty if part.ndim == faulty.ndim else faulty[..., None]) for part in track))
+    masks = (faulty if part.ndim == faulty.ndim else column(faulty) for part in track)
+    return Track(*(where(mask, part, 0.0) for mask, part in zip(masks, track, strict=True)))
 
 
 def track_variance(track: Track, variances: Statistics) -> Vector:
@@ -150,9 +158,9 @@ def judge_recovery(
     bias_variance: Column,
     valid: Mask,
     blur: Vector,
-    recovery: float,
-    patience: float,
-    dt: float,
+    recovery: Scalar,
+    patience: Scalar,
+    dt: Scalar,
 ) -> Recovery:
     """Judge which faulty axes are trusted again.
 
@@ -162,31 +170,30 @@ def judge_recovery(
     prior, ``bias_variance`` [rad²/s²] that of the gyro bias, at which the angle drifts, ``dt`` [s] the step.
     ``valid`` axes are measured. What comes back must agree ``blur`` times better than at level, in variances.
     """
-    xp = namespace(predicted)
     spread = variances[..., MIDDLE]
     # Does it stand still? The two averages of a fault that moves differ.
     short, long = track.means[..., 0], track.means[..., 1]
     motion = short - long
     motion_variance = spread + bias_variance * (AVERAGES[1] - AVERAGES[0]) ** 2
     moves = motion**2 / motion_variance
-    still = xp.where(moves > JUMPS, 0.0, track.still)
+    still = where(moves > JUMPS, 0.0, track.still)
     # Does it agree with zero, as far as dead reckoning knows?
-    off = short**2 / (predicted + xp.maximum(spread, cautious))
-    peak, top = xp.maximum(track.peak, off * valid), xp.maximum(track.top, short**2 * valid / blur)
+    off = short**2 / (predicted + larger(spread, cautious))
+    peak, top = larger(track.peak, off * valid), larger(track.top, short**2 * valid / blur)
     # A fault that was seen to leave zero is there until it is seen to come back.
-    size, most, small = xp.abs(short), xp.sqrt(top), peak < AGREES
+    size, most, small = abs(short), sqrt(top), peak < AGREES
     near, less = blur * off < AGREES, size < BACK * most
     leaps = (track.samples * dt < SEEN) & (still < SEEN)
     leapt_back = small | ((blur * off < LEAPT) & less)
     come_back = near & less & (CERTAIN * predicted < (most - size) ** 2)
-    left = xp.where(still < SEEN, 1.0 - small, track.away)
-    left = xp.where(track.away < 0.0, track.away, xp.where(come_back, 0.0, left))
-    away = xp.where(valid, xp.where(leaps, 1.0 - 2.0 * leapt_back, left), track.away)
-    limit = xp.where(away < 0.0, LEAPT, xp.where(still < LONG_AGO, AGREES, CLOSE))
-    agrees = (away <= 0.0) & (off < xp.minimum(limit, RETURNED * peak))
-    outlasted = (track.age > patience) & (xp.abs(motion) < ALMOST_STILL)
+    left = where(still < SEEN, 1.0 - small, track.away)
+    left = where(track.away < 0.0, track.away, where(come_back, 0.0, left))
+    away = where(valid, where(leaps, 1.0 - 2.0 * leapt_back, left), track.away)
+    limit = where(away < 0.0, LEAPT, where(still < LONG_AGO, AGREES, CLOSE))
+    agrees = (away <= 0.0) & (off < smaller(limit, RETURNED * peak))
+    outlasted = (track.age > patience) & (abs(motion) < ALMOST_STILL)
     calm = (track.calm + dt * valid) * (faulty & (((moves < STANDS) & agrees) | outlasted))
-    enough = xp.where(outlasted, recovery, (QUICK * track.age).clip(SOONEST, recovery))
+    enough = where(outlasted, recovery, clip(QUICK * track.age, SOONEST, recovery))
     trusted = faulty & valid & (calm > enough)
     return Recovery(
         track._replace(calm=calm, still=still, away=away, peak=peak, top=top),

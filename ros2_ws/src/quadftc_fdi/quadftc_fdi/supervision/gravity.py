@@ -20,19 +20,19 @@ import numpy as np
 
 from quadftc_model import arrays
 from quadftc_model.arrays import (
+    Column,
     Flag,
     Float,
     Quaternion,
     Scalar,
     Vector,
-    cache_numbers,
-    components,
+    column,
     exp,
     larger,
     namespace,
-    pick,
+    where,
 )
-from quadftc_model.rotations import to_body, turned
+from quadftc_model.rotations import to_body, to_earth
 from quadftc_model.samples import STANDARD_GRAVITY
 
 LEAK = 0.5  # s; changes of velocity that are faster count as motion
@@ -43,63 +43,44 @@ DOUBTED = math.radians(0.5)  # rad; what it is off by, at the start
 WEIGHTLESS = 0.1  # 1; share of gravity below which a specific force says nothing of the tilt
 X, Y = np.eye(3)[:2]  # axes of the earth
 
-Horizontal = tuple[Scalar, Scalar]  # components along the earth's x and y axes
+Horizontal = Float[arrays.AnyArray, "*batch 2"]  # components along the earth's x and y axes
 
 
 class Gravity(NamedTuple):
     """What is known of the specific force."""
 
     moving: Horizontal  # u without its slow changes [s]
-    motion: Scalar  # its mean square [s²]
+    motion: Column  # its mean square [s²]
     mean: Horizontal  # average of u', and its average: what gravity is off by [rad]
     smooth: Horizontal
-    off: Scalar  # its mean square [rad²]
-
-
-class AveragingGains(NamedTuple):
-    """Gains of one step."""
-
-    leak: float  # what is left of u
-    rise: float  # of a square in `motion`
-    fade: float
-    slow: float  # of a sample in `mean` and `smooth`
-    learned: float  # of a square in `off`
-
-
-@cache_numbers
-def averaging_gains(dt: float) -> AveragingGains:
-    """Gains for a step ``dt`` [s]."""
-    return AveragingGains(exp(-dt / LEAK), *(1.0 - exp(-dt / time) for time in (RISE, FADE, SLOW, LEARNED)))
+    off: Column  # its mean square [rad²]
 
 
 def start_gravity(zeros: Vector) -> Gravity:
     """Start with nothing known."""
-    zero = components(zeros)[0]
-    none = zero, zero
+    zero, none = zeros[..., :1], zeros[..., :2]
     return Gravity(none, zero + LEAST**2, none, none, zero + DOUBTED**2)
 
 
 def feel(
-    state: Gravity, q_xyzw: Quaternion, force: Vector, there: Flag, trusted: Flag, dt: float
+    state: Gravity, q_xyzw: Quaternion, force: Vector, there: Flag, trusted: Flag, dt: Scalar
 ) -> tuple[Gravity, Horizontal, Flag]:
     """Turn a specific force [m/s²] to earth axes; learn what it is while the tilt is ``trusted``.
 
     Also return its horizontal part over g, and whether it is ``there`` and says something of the tilt.
     """
-    x, y, z = turned(components(q_xyzw), components(force))
-    there = there & (x * x + y * y + z * z > (WEIGHTLESS * STANDARD_GRAVITY) ** 2)
-    unit = pick(there, 1.0 / STANDARD_GRAVITY, 0.0)
-    x, y, gains = unit * x, unit * y, averaging_gains(dt)
-    u, v = gains.leak * (state.moving[0] + dt * x), gains.leak * (state.moving[1] + dt * y)
-    change = u * u + v * v - state.motion
-    motion = larger(state.motion + pick(change > 0.0, gains.rise, gains.fade) * change, LEAST**2)
-    learns = pick(there & trusted, 1.0, 0.0)
-    slow, learned = learns * gains.slow, learns * gains.learned
-    (a, b), (c, d) = state.mean, state.smooth
-    a, b = a + slow * (x - a), b + slow * (y - b)
-    c, d = c + slow * (a - c), d + slow * (b - d)
-    off = state.off + learned * (0.5 * (c * c + d * d) - state.off)
-    return Gravity((u, v), motion, (a, b), (c, d), off), (x, y), there
+    there = there & ((force * force).sum(axis=-1) > (WEIGHTLESS * STANDARD_GRAVITY) ** 2)
+    felt = where(column(there), to_earth(q_xyzw, force)[..., :2] / STANDARD_GRAVITY, 0.0)
+    moving = exp(-dt / LEAK) * (state.moving + dt * felt)
+    change = (moving * moving).sum(axis=-1, keepdims=True) - state.motion
+    gain = 1.0 - exp(-dt / where(change > 0.0, RISE, FADE))
+    motion = larger(state.motion + gain * change, LEAST**2)
+    learns = column(there & trusted)
+    slow, learned = learns * (1.0 - exp(-dt / SLOW)), learns * (1.0 - exp(-dt / LEARNED))
+    mean = state.mean + slow * (felt - state.mean)
+    smooth = state.smooth + slow * (mean - state.smooth)
+    off = state.off + learned * (0.5 * (smooth * smooth).sum(axis=-1, keepdims=True) - state.off)
+    return Gravity(moving, motion, mean, smooth, off), felt, there
 
 
 def tilt_matrix(q_xyzw: Quaternion) -> Float[arrays.AnyArray, "*batch 2 3"]:

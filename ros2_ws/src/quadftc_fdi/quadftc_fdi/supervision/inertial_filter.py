@@ -19,7 +19,6 @@ and P says how uncertain that is. Arrays have any leading axes; no branch depend
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -38,7 +37,6 @@ from quadftc_fdi.supervision.transition import (
     FilterState,
     ProcessNoise,
     Transition,
-    variances,
 )
 from quadftc_model import arrays
 from quadftc_model.arrays import (
@@ -47,15 +45,18 @@ from quadftc_model.arrays import (
     Float,
     Mask,
     Quaternion,
+    Scalar,
     Vector,
-    changed_where,
+    branch,
     components,
+    diagonal,
     larger,
     largest,
     namespace,
-    pick,
     product,
+    sqrt,
     stacked,
+    where,
 )
 from quadftc_model.rotations import turn
 
@@ -102,27 +103,24 @@ def estimate_rate(x: Float[arrays.AnyArray, "*batch 13"], gyro: Vector) -> Vecto
 
 
 def predict(
-    state: FilterState, earlier: Covariances, gyro: Vector, change: Vector, noise: ProcessNoise, dt: float
+    state: FilterState, earlier: Covariances, gyro: Vector, change: Vector, noise: ProcessNoise, dt: Scalar
 ) -> tuple[FilterState, Covariances, Transition]:
     """Turn by the mean of two gyro samples [rad/s], ``dt`` [s] apart, and their difference.
 
-    ``earlier`` are covariances of states that run on the gyro alone. Also return the covariances after the
-    step, first that of the state, and the transition F.
+    ``earlier`` are covariances of states that run on the gyro alone; those after the step are returned, too,
+    and the transition F.
     """
-    omega = estimate_rate(state.x, gyro)
+    xp, omega = namespace(gyro), estimate_rate(state.x, gyro)
     F = transition.transition(omega, gyro, dt)
-    P = F.around(state.P, earlier, noise)
+    P = F.around(xp.concatenate([state.P[..., None, :, :], earlier], axis=-3), noise)
     # if the rate is linear in time: the axis turns, too (coning, of third order in dt)
-    (x, y, z), (a, b, c) = components(omega), components(change)
-    third = dt**2 / 12.0 * (dt < GAP)
-    cone = y * c - z * b, z * a - x * c, x * b - y * a
-    turned = stacked([dt * x + third * cone[0], dt * y + third * cone[1], dt * z + third * cone[2]])
-    return FilterState(turn(state.q_xyzw, turned), state.x, P[..., 0, :, :]), P, F
+    turned = dt * omega + where(dt < GAP, dt**2 / 12.0, 0.0) * xp.cross(omega, change)
+    return FilterState(turn(state.q_xyzw, turned), state.x, P[..., 0, :, :]), P[..., 1:, :, :], F
 
 
 def bias_variance(P: Covariance) -> Column:
     """Largest variance of the gyro bias [rad²/s²] over the axes."""
-    return stacked([largest(variances(P)[..., BIAS])])
+    return diagonal(P)[..., BIAS].max(axis=-1, keepdims=True)
 
 
 def apply_correction(state: FilterState, dx: Errors) -> FilterState:
@@ -148,16 +146,15 @@ def correct(
 
 
 def correction_factors(
-    HPH: Array, diagonal: Sequence[Array], lean: Array, residual: Vector, used: Mask
+    HPH: Array, variance: Sequence[Scalar], lean: Scalar, residual: Vector, used: Mask
 ) -> Factors:
     """L'^-1 and S^-1 (h - h^), with S = L L' = H P H' + R, of the residual h - h^ where it is used.
 
-    R is given by its ``diagonal`` and the sine s of pitch, ``lean``.
+    R is given by its diagonal, ``variance``, and the sine s of pitch, ``lean``.
     """
-    (i, j, k), (u, v, w), (x, y, z) = components(used), diagonal, components(residual)
-    R = pick(i, u, LEFT_OUT), pick(j, v, LEFT_OUT), pick(k, w, LEFT_OUT)
+    R = [where(flag, each, LEFT_OUT) for flag, each in zip(components(used), variance, strict=True)]
+    x, y, z = components(where(used, residual, 0.0))
     a, b, c, d, e, f = _inverse_cholesky(HPH, R, lean)
-    x, y, z = x * i, y * j, z * k
     zero, u, v, w = 0.0 * a, a * x, b * x + c * y, d * x + e * y + f * z
     rows = [a, b, d, a * u + b * v + d * w, zero, c, e, c * v + e * w, zero, zero, f, f * w]
     return stacked(rows).reshape(*residual.shape, 4)
@@ -171,27 +168,25 @@ def keep_gyro(before: FilterState, after: FilterState, dx: Errors, kept: Mask) -
     """
 
     def undo() -> tuple[FilterState, Errors]:
-        xp = namespace(dx)
-        P = xp.where(kept[..., None] & _OF_GYRO, before.P, after.P)
-        rotation = dx * ~(kept & (np.arange(SIZE) >= BIAS.start))
-        return FilterState(after.q_xyzw, xp.where(kept, before.x, after.x), P), rotation
+        P = where(kept[..., None] & _OF_GYRO, before.P, after.P)
+        rotation = where(kept & (np.arange(SIZE) >= BIAS.start), 0.0, dx)
+        return FilterState(after.q_xyzw, where(kept, before.x, after.x), P), rotation
 
-    return changed_where(kept, undo, (after, dx))
+    return branch(kept[..., 0], undo, lambda: (after, dx))
 
 
 def _second_order(prediction: Prediction, P: Covariance) -> tuple[Array, Array]:
     """Variance of roll and yaw, and of pitch [rad²], that H leaves out: near a pole they are not linear."""
-    (gain, _, _), known = components(prediction.gain), largest(variances(P)[..., ROTATION])
+    (gain, _, _), known = components(prediction.gain), largest(diagonal(P)[..., ROTATION])
     bent = (gain - 1.0) * known
     return 0.5 * bent * bent, 0.25 * bent * known
 
 
-def _inverse_cholesky(HPH: Array, R: Sequence[Array], lean: Array) -> tuple[Array, ...]:
+def _inverse_cholesky(HPH: Array, R: Sequence[Scalar], lean: Scalar) -> tuple[Array, ...]:
     """Lower triangle of L^-1, row by row, with L L' = H P H' + R, of the diagonal and the sine of pitch."""
     a, _, _, b, d, _, c, e, f = components(HPH.reshape(*HPH.shape[:-2], 9))
     x, y, z = R
-    sqrt = math.sqrt if isinstance(a, float) else namespace(HPH).sqrt
-    c = c + lean * sqrt(x * z) * (larger(x, z) < LEFT_OUT)
+    c = c + where(larger(x, z) < LEFT_OUT, lean * sqrt(x * z), 0.0)
     i00 = 1.0 / sqrt(a + x)
     l10, l20 = b * i00, c * i00
     i11 = 1.0 / sqrt(d + y - l10 * l10)

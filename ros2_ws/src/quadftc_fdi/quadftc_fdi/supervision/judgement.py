@@ -10,8 +10,8 @@ import numpy as np
 from quadftc_fdi.supervision import anchors, fault_track, measurement, residual_tests, sensor_noise
 from quadftc_fdi.supervision.inertial_filter import bias_variance
 from quadftc_fdi.supervision.reading import Reading
-from quadftc_fdi.supervision.transition import FilterState
-from quadftc_model.arrays import Array, Column, Mask, Vector, any_of, changed_where, namespace
+from quadftc_fdi.supervision.transition import Covariance, FilterState
+from quadftc_model.arrays import Column, Mask, Scalar, Vector, any_of, larger, where
 
 DEG = math.pi / 180.0
 STARTED = 0.1 * DEG  # rad/s; the gyro bias is known to this when the observer has started
@@ -24,10 +24,10 @@ SPOILED = np.diag([1.0] * 3 + [0.1**2] * 3 + [1.0] * 9 + [0.0])
 class Limits(NamedTuple):
     """Those parameters of `Supervised` that a judgement needs; their meaning and units stand there."""
 
-    threshold: float
-    tracking: float
-    recovery: float
-    patience: float
+    threshold: Scalar
+    tracking: Scalar
+    recovery: Scalar
+    patience: Scalar
 
 
 class Tested(NamedTuple):
@@ -67,7 +67,7 @@ def judge(
     tested: Tested,
     known: sensor_noise.SensorNoise,
     by_rate: sensor_noise.Weights,
-    dt: float,
+    dt: Scalar,
 ) -> Verdict:
     """Judge a sample: ``faulty`` and ``track`` are those of the sample before, ``known`` its noise then."""
     evidence, scores, trusted = tested[:3]
@@ -77,8 +77,7 @@ def judge(
     estimate, prediction, residual = anchors.go_back_to_anchor(
         estimate, reading.prediction, earlier, reading.residuals, late, found.creeping, STARTED
     )
-    xp, bias = namespace(residual), bias_variance(estimate.P)
-    predicted = prediction.variances[..., 0, :]
+    bias, predicted = bias_variance(estimate.P), prediction.variances
 
     # Track the faults.
     gains = fault_track.tracker_gains(dt, limits.tracking)
@@ -86,7 +85,7 @@ def judge(
     seen = sensor, known.colour, *declared, reading.valid
     track = fault_track.track_fault(track, residual, *seen, gains, dt)
     cautious = sensor_noise.cautious_spread(by_rate, prediction.gain)
-    blur = xp.maximum(prediction.gain / POLE, 1.0)
+    blur = larger(prediction.gain / POLE, 1.0)
     judged = fault_track.judge_recovery(
         *(track, faulty, predicted, sensor, cautious, bias, reading.valid, blur),
         *(limits.recovery, limits.patience, dt),
@@ -96,11 +95,8 @@ def judge(
 
     # Where a fault has outlasted our patience, the filter was wrong: its rotation becomes uncertain, and
     # the sensor is believed.
-    def spoil() -> tuple[FilterState, measurement.Prediction]:
-        P = estimate.P + spoiled_by(residual * outlasted)
-        return estimate._replace(P=P), measurement.predict_again(prediction, P)
-
-    estimate, prediction = changed_where(outlasted, spoil, (estimate, prediction))
+    P = estimate.P + spoiled_by(where(outlasted, residual, 0.0))
+    estimate, prediction = estimate._replace(P=P), measurement.predict_again(prediction, P)
     return Verdict(
         estimate,
         prediction,
@@ -119,16 +115,14 @@ def judge(
 
 def all_healthy(none: Mask, track: fault_track.Track, estimate: FilterState, reading: Reading) -> Verdict:
     """Return what is judged where no axis is faulty or suspect."""
-    prediction, residuals, predicted = reading[:3]
-    no, bias = none[..., :1], bias_variance(estimate.P)
-    first = estimate, prediction, residuals[..., 0], predicted[..., 0], bias
+    prediction, residual, no = reading.prediction, reading.residuals[..., 0], none[..., :1]
+    first = estimate, prediction, residual, prediction.variances, bias_variance(estimate.P)
     return Verdict(*first, none, none, none, no, no, no, track)
 
 
-def spoiled_by(residual: Array) -> Array:
+def spoiled_by(residual: Vector) -> Covariance:
     """Covariance (..., 16, 16) of a rotation that was wrong by a residual (..., 3) [rad].
 
     As long as the rotation was wrong, so were the axes in which the filter learned the gyro's errors.
     """
-    size = namespace(residual).sum(residual**2, axis=-1)
-    return size[..., None, None] * SPOILED
+    return (residual**2).sum(axis=-1)[..., None, None] * SPOILED

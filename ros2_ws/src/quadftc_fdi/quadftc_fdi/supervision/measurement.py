@@ -14,34 +14,26 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from quadftc_fdi.supervision.transition import (
-    DELAY,
-    ROTATION,
-    SIZE,
-    Covariance,
-    Covariances,
-    Errors,
-    FilterState,
-    variances,
-)
+from quadftc_fdi.supervision.transition import DELAY, ROTATION, Covariance, Covariances, Errors, FilterState
 from quadftc_model import arrays
 from quadftc_model.arrays import (
     Array,
     Flag,
     Float,
     Mask,
+    Scalar,
     Vector,
-    changed_where,
     components,
-    is_single,
+    cos,
+    diagonal,
     larger,
     largest,
     namespace,
-    pick,
     product,
+    sin,
     stacked,
+    where,
 )
 from quadftc_model.rotations import euler_from_quaternion, turn, wrap
 
@@ -58,21 +50,22 @@ class Prediction(NamedTuple):
     angles: Vector  # Euler angles of tau ago [rad]
     H: MeasurementMatrix
     gain: Vector  # variance of each angle for one of 1 rad² about each body axis
-    lean: Float[arrays.AnyArray, "*batch"] | float  # sine of pitch
+    lean: Scalar  # sine of pitch
     PH: Float[arrays.AnyArray, "*batch 16 3"]  # P H'
     HPH: Float[arrays.AnyArray, "*batch 3 3"]  # covariance of the angles [rad²]
-    variances: Float[arrays.AnyArray, "*batch n 3"]  # its diagonal, and those by other covariances
+
+    @property
+    def variances(self) -> Vector:
+        """Variances of the angles [rad²]."""
+        return diagonal(self.HPH)
 
 
-def predict_angles(state: FilterState, omega: Vector, P: Covariances | None = None) -> Prediction:
-    """Predict the Euler angles that the attitude sensor should read, at a body rate [rad/s].
-
-    P are covariances of the error state, first that of the filter, which is the only one by default.
-    """
+def predict_angles(state: FilterState, omega: Vector) -> Prediction:
+    """Predict the Euler angles that the attitude sensor should read, at a body rate [rad/s]."""
     since = omega * state.x[..., 12:13]
     angles = euler_from_quaternion(turn(state.q_xyzw, -since))
     H, gain, lean = measurement_matrix(angles, omega, since)
-    return Prediction(angles, H, gain, lean, *_seen(state.P[..., None, :, :] if P is None else P, H))
+    return Prediction(angles, H, gain, lean, *_seen(state.P, H))
 
 
 def nearest_residual(prediction: Prediction, measured: Vector) -> Vector:
@@ -81,18 +74,10 @@ def nearest_residual(prediction: Prediction, measured: Vector) -> Vector:
     (phi, theta, psi) and (phi + pi, pi - theta, psi + pi) are one attitude. Of these two, the angles nearer
     to the predicted ones are the measured ones: so pitch goes on beyond 90 deg.
     """
-    (a, b, c), (x, y, z) = components(measured), components(prediction.angles)
-    roll, pitch, yaw = wrap(a - x), wrap(b - y), wrap(c - z)
-    near = stacked([roll, pitch, yaw])
-
-    def choose() -> Vector:
-        xp, weight = namespace(near), 1.0 / prediction.gain
-        other = stacked([wrap(a + math.pi - x), wrap(math.pi - b - y), wrap(c + math.pi - z)])
-        farther = ((near**2 - other**2) * weight).sum(axis=-1, keepdims=True) > 0.0
-        return xp.where(farther, other, near)
-
-    # nearer in pitch the others are never, so they must be so in roll or yaw
-    return changed_where(larger(abs(roll), abs(yaw)) > 0.5 * math.pi, choose, near)
+    near = wrap(measured - prediction.angles)
+    other = wrap(measured * np.array([1.0, -1.0, 1.0]) + math.pi - prediction.angles)
+    farther = ((near**2 - other**2) / prediction.gain).sum(axis=-1, keepdims=True) > 0.0
+    return where(farther, other, near)
 
 
 def defined(prediction: Prediction, P: Covariance, variance: Vector, there: Flag) -> tuple[Mask, Mask]:
@@ -105,18 +90,29 @@ def defined(prediction: Prediction, P: Covariance, variance: Vector, there: Flag
     repels pitch), against the noise.
     """
     (roll, pitch, yaw), (gain, _, _) = components(variance), components(prediction.gain)
-    known = largest(variances(P)[..., ROTATION])
+    known = largest(diagonal(P)[..., ROTATION])
     bent = (gain - 1.0) * known
-    usable = (larger(roll, yaw) < DEFINED**2) & (gain < 0.99 / MIN_COS**2)
-    usable, always = pick(there, usable, False), pick(there, usable | True, False)
-    clear, straight = usable & (bent < DEFINED**2), always & (bent * known < 0.25 * pitch)
-    return stacked([usable, always, usable]), stacked([clear, straight, clear])
+    usable = there & (larger(roll, yaw) < DEFINED**2) & (gain < 0.99 / MIN_COS**2)
+    clear, straight = usable & (bent < DEFINED**2), there & (bent * known < 0.25 * pitch)
+    return stacked([usable, there, usable]), stacked([clear, straight, clear])
 
 
 def predict_again(prediction: Prediction, P: Covariance) -> Prediction:
     """Return the prediction with another covariance of the error state."""
-    PH, HPH, variances = _seen(P[..., None, :, :], prediction.H)
-    return prediction._replace(PH=PH, HPH=HPH, variances=variances)
+    PH, HPH = _seen(P, prediction.H)
+    return prediction._replace(PH=PH, HPH=HPH)
+
+
+def _seen(P: Covariance, H: MeasurementMatrix) -> tuple[Array, Array]:
+    """P H' and H P H'."""
+    PH = product(P, H.swapaxes(-1, -2), MEASURED)
+    return PH, product(H, PH, MEASURED)
+
+
+def variances_by(prediction: Prediction, P: Covariances) -> Float[arrays.AnyArray, "*batch n 3"]:
+    """Variances of the angles [rad²] by other covariances of the error state."""
+    H = prediction.H[..., None, :, :]
+    return (product(H, P, MEASURED) * H).sum(axis=-1)
 
 
 def turned_angles(prediction: Prediction, dx: Errors) -> Vector:
@@ -124,29 +120,13 @@ def turned_angles(prediction: Prediction, dx: Errors) -> Vector:
     return product(prediction.H, dx[..., None], MEASURED)[..., 0]
 
 
-def _seen(P: Covariances, H: MeasurementMatrix) -> tuple[Array, Array, Array]:
-    """P H' and H P H' of the first covariance, and the diagonals of H P H' of all."""
-    if type(P) is np.ndarray and P.ndim == 3:
-        seen = P.reshape(-1, SIZE).dot(H.T).reshape(-1, SIZE, 3)
-        covariances = H @ seen
-        return seen[0], covariances[0], covariances.reshape(-1, 9)[:, ::4]
-    PH = product(P[..., 0, :, :], H.swapaxes(-1, -2), MEASURED)
-    HPH, each = product(H, PH, MEASURED), H[..., None, :, :]
-    others = (product(each, P[..., 1:, :, :], MEASURED) * each).sum(axis=-1)
-    diagonal = HPH.reshape(*HPH.shape[:-2], 1, 9)[..., ::4]
-    return PH, HPH, namespace(HPH).concatenate([diagonal, others], axis=-2)
-
-
 def measurement_matrix(
     angles: Vector, omega: Vector, since: Vector
-) -> tuple[MeasurementMatrix, Vector, Array]:
+) -> tuple[MeasurementMatrix, Vector, Scalar]:
     """H at Euler angles, body rate [rad/s] and rotation since then [rad]; also gain and sine of pitch."""
-    phi, theta, _ = components(angles)
-    single, xp = isinstance(phi, float), namespace(angles)
-    sin, cos = (math.sin, math.cos) if single else (xp.sin, xp.cos)
+    xp, (phi, theta, _) = namespace(angles), components(angles)
     s_phi, c_phi, s_theta = sin(phi), cos(phi), sin(theta)
     secant = 1.0 / larger(cos(theta), MIN_COS)  # these angles have no pitch beyond 90 deg
-    one = 1.0 if single else xp.ones_like(s_phi)
     tangent = s_theta * secant
     a, b, c, d = s_phi * tangent, c_phi * tangent, s_phi * secant, c_phi * secant
     (p, q, r), (x, y, z) = components(omega), components(since)
@@ -157,21 +137,8 @@ def measurement_matrix(
         *(c * z - d * y, c + d * x, d - c * x),
     ]
     slopes = [-(p + a * q + b * r), s_phi * r - c_phi * q, -(c * q + d * r)]
+    rotation = stacked(turned).reshape(*angles.shape, 3)
+    unseen = xp.zeros((*angles.shape, DELAY - 3))
+    H = xp.concatenate([rotation, unseen, stacked(slopes)[..., None]], axis=-1)
     square = secant * secant
-    gain = stacked([square, one, square])
-    if is_single(omega):
-        return np.array([*turned, *slopes, 0.0]).take(_PLACES), gain, s_theta
-    rotation = xp.stack(turned, axis=-1).reshape(*angles.shape, 3)
-    unseen = xp.zeros((*omega.shape[:-1], 3, DELAY - 3), rotation.dtype)
-    return xp.concatenate([rotation, unseen, xp.stack(slopes, axis=-1)[..., None]], axis=-1), gain, s_theta
-
-
-def _places() -> NDArray[np.int64]:
-    """Where each element of H stands among its rotation part (by rows), its last column and 0."""
-    places = np.full((3, SIZE), 12)
-    places[:, ROTATION] = np.arange(9).reshape(3, 3)
-    places[:, DELAY] = 9 + np.arange(3)
-    return places
-
-
-_PLACES = _places()
+    return H, stacked([square, xp.ones_like(square), square]), s_theta

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from quadftc_fdi.supervision import anchors, measurement, sensor_noise
-from quadftc_fdi.supervision.transition import Covariances, FilterState
-from quadftc_model.arrays import Mask, Vector, larger
+from quadftc_fdi.supervision.transition import FilterState
+from quadftc_model.arrays import Mask, Vector, column, larger
 from quadftc_model.rotations import euler_from_quaternion
 from quadftc_model.samples import ImuSample
 
@@ -25,16 +25,15 @@ class Reading(NamedTuple):
 def compare(
     estimate: FilterState,
     earlier: anchors.Anchors,
-    P: Covariances,
     imu: ImuSample,
     omega: Vector,
     noise: sensor_noise.SensorNoise,
 ) -> Reading:
     """Compare a measured attitude with the predicted ones."""
-    prediction = measurement.predict_angles(estimate, omega, P)
+    prediction = measurement.predict_angles(estimate, omega)
     residual = measurement.nearest_residual(prediction, euler_from_quaternion(imu.q_xyzw))
     residuals, predicted = anchors.compare_anchors(earlier, prediction, residual)
-    sensor = noise.cautious * prediction.gain[..., None]
+    sensor = noise.cautious * column(prediction.gain)
     variance = noise.exact[..., : sensor_noise.MIDDLE].sum(axis=-1) * prediction.gain
     masks = measurement.defined(prediction, estimate.P, variance, imu.attitude_valid)
     return Reading(prediction, residuals, predicted, sensor, *masks)

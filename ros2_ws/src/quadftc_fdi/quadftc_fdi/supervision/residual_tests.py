@@ -18,16 +18,29 @@ disturbs them all, and going back to an anchor loses the evidence against them.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadftc_fdi.fault_observer import SHORTEST
 from quadftc_fdi.supervision.anchors import PROMOTION, One, Residuals
 from quadftc_fdi.supervision.sensor_noise import AVERAGED, LONG, Statistics
 from quadftc_model import arrays
-from quadftc_model.arrays import Float, Mask, Vector, any_of, cache_numbers, changed_where, namespace
+from quadftc_model.arrays import (
+    Array,
+    Float,
+    Mask,
+    Scalar,
+    Vector,
+    any_of,
+    clip,
+    column,
+    larger,
+    namespace,
+    smaller,
+    sqrt,
+    where,
+)
 
 MEANS = AVERAGED[1:]  # s; averaging times, the last two of the anchors
 LEVELS = np.array([1.08, 1.0, 1.0, 0.95, 0.95])  # 1; of the threshold, as short averages have more chances
@@ -37,11 +50,9 @@ ALLOWANCE, LIMIT, LARGEST = 2.5, 4.5, 4.4  # 1; of the cumulative sum, and the l
 OUTLIER = 5.0  # 1; standard deviations beyond which a sample is an outlier
 SUSPICION = 0.75  # 1; share of the threshold at which an axis is suspect
 TOGETHER = 0.6  # 1; share that is enough when another axis is declared faulty
-AXES = np.ones((3, 1))  # a table alike on all axes: NumPy is twice as fast where shapes are alike
-RATIOS = AXES * [math.inf, *LEVELS**2]  # 1; of the squares; a sample by itself declares nothing
+RATIOS = np.array([np.inf, *LEVELS**2])  # 1; of the squares; a sample by itself declares nothing
 SUDDEN = 0.06  # s; so soon after the first suspicion the filter has learned nothing from the fault
-BOTH_WAYS = AXES * [1.0, -1.0]
-ZERO, MOST, STEP, ALLOWED = [np.full((3, 2), each) for each in (0.0, 2.0 * LIMIT, LARGEST, ALLOWANCE)]
+BOTH_WAYS = np.array([1.0, -1.0])
 
 Sums = Float[arrays.AnyArray, "*batch 3 2"]
 
@@ -76,23 +87,17 @@ class Findings(NamedTuple):
 class AveragingWeights(NamedTuple):
     """Weights of one step."""
 
-    mean: NDArray[np.float64]  # (3, 5) of a sample in the averages
-    predicted: NDArray[np.float64]  # (3, 6) of the variances of three predictions in those of the statistics
-    white: float  # variance of white noise in a sample over that in the longest average
+    mean: Array  # (5,) of a sample in the averages
+    predicted: Array  # (3, 6) of the variances of three predictions in those of the statistics
+    white: Scalar  # variance of white noise in a sample over that in the longest average
 
 
-@cache_numbers
-def averaging_weights(dt: float) -> AveragingWeights:
+def averaging_weights(dt: Scalar) -> AveragingWeights:
     """Weights for a step ``dt`` [s]."""
-    starts = isinstance(dt, float) and dt == 0.0
-    white = dt / (2.0 * AVERAGED + dt) if not starts else np.ones_like(AVERAGED)
-    xp = namespace(white)
-    rows = [(white + SHARE * (AVERAGED > 0.0)) * OF_FILTER, IS_OLD, IS_YOUNG]
-    return AveragingWeights(
-        mean=AXES * (dt / (MEANS + dt)),
-        predicted=xp.stack([xp.asarray(row) for row in rows]),
-        white=1.0 / white[LONG],
-    )
+    white = where(dt > 0.0, dt / larger(2.0 * AVERAGED + dt, SHORTEST), 1.0)
+    of_filter = (white + SHARE * (AVERAGED > 0.0)) * OF_FILTER
+    predicted = namespace(white).stack([of_filter, IS_OLD, IS_YOUNG])
+    return AveragingWeights(dt / (MEANS + dt), predicted, 1.0 / white[LONG])
 
 
 def start_evidence(like: Vector) -> Evidence:
@@ -108,71 +113,52 @@ def collect_evidence(
     colour: Vector,
     trusted: Mask,
     weights: AveragingWeights,
-    dt: float,
-    threshold: float,
+    dt: Scalar,
+    threshold: Scalar,
 ) -> tuple[Evidence, Scores, Statistics]:
     """Test the residuals [rad] of one sample on the axes trusted so far and measured in it.
 
     ``variances`` [rad²] are those of healthy statistics. An axis is faulty at ``threshold`` standard
     deviations. Also return the squares of the statistics [rad²].
     """
-    xp = namespace(residuals)
-    residual = residuals[..., 0]
-    sample = (residual - colour * evidence.base)[..., None]
-    size = sample / xp.sqrt(variances[..., :1])
-    means = evidence.means + weights.mean * (residuals - evidence.means)
-    base = evidence.base + weights.mean[..., 0] * (residual - evidence.base)
-    # Cumulative sums of the residual beyond the allowance, in its standard deviations.
-    sums = evidence.sums + xp.minimum(size * BOTH_WAYS, STEP) - ALLOWED
-    sums = xp.minimum(xp.maximum(sums, ZERO), MOST)
+    xp, residual = namespace(residuals), residuals[..., 0]
+    sample = column(residual - colour * evidence.base)
+    size = sample / sqrt(variances[..., :1])
     # An outlier is left out of the averages: alone it is no fault, and three are one by their sum.
-    outlier = trusted & (xp.abs(size[..., 0]) > OUTLIER)
-    odd = outlier | ~trusted
-
-    def leave_out() -> tuple[Residuals, Vector, Sums]:
-        kept = xp.where(odd[..., None], evidence.means, means)
-        kept_base = xp.where(odd, evidence.base, base)
-        return kept, kept_base, xp.where(trusted[..., None], sums, evidence.sums)
-
-    means, base, sums = changed_where(odd, leave_out, (means, base, sums))
+    outlier = trusted & (abs(size[..., 0]) > OUTLIER)
+    counts = trusted & ~outlier
+    means = evidence.means + weights.mean * (residuals - evidence.means)
+    means = where(column(counts), means, evidence.means)
+    base = where(counts, evidence.base + weights.mean[0] * (residual - evidence.base), evidence.base)
+    # Cumulative sums of the residual beyond the allowance, in its standard deviations.
+    sums = evidence.sums + smaller(size * BOTH_WAYS, LARGEST) - ALLOWANCE
+    sums = where(column(trusted), clip(sums, 0.0, 2.0 * LIMIT), evidence.sums)
     squares = xp.concatenate([sample, means], axis=-1) ** 2
-    mean_score = (squares / variances / RATIOS).max(axis=-1)
-    sum_score = xp.maximum(sums[..., 0], sums[..., 1])
-    suspect = trusted & ((sum_score > 0.5 * LIMIT) | (mean_score > (SUSPICION * threshold) ** 2))
+    scores = (squares / variances / RATIOS).max(axis=-1), larger(sums[..., 0], sums[..., 1])
+    suspect = trusted & ((scores[1] > 0.5 * LIMIT) | (scores[0] > (SUSPICION * threshold) ** 2))
     suspicion = (evidence.suspicion + dt) * suspect
-    scores = Scores(mean_score, sum_score, suspect, outlier)
-    return Evidence(means, base, sums, suspicion), scores, squares
+    return Evidence(means, base, sums, suspicion), Scores(*scores, suspect, outlier), squares
 
 
-def declare_faults(scores: Scores, suspicion: Vector, trusted: Mask, threshold: float) -> Findings:
+def declare_faults(scores: Scores, suspicion: Vector, trusted: Mask, threshold: Scalar) -> Findings:
     """Declare the axes faulty whose score is above the threshold, given how long [s] they were suspect."""
-
-    def declare() -> Findings:
-        abrupt = trusted & (scores.sum > LIMIT)
-        creeping = trusted & (scores.mean > threshold**2) & ~abrupt
-        alarm = abrupt | creeping
-        # with one axis found, less is enough on the others
-        close = scores.suspect | (trusted & (scores.mean > (TOGETHER * threshold) ** 2))
-        alarm = alarm | (any_of(alarm) & close)
-        return Findings(alarm, abrupt, alarm & ~creeping & (suspicion < SUDDEN), creeping)
-
-    none = scores.suspect  # where no axis is suspect, there is no alarm either
-    return changed_where(scores.suspect, declare, Findings(none, none, none, none))
+    abrupt = trusted & (scores.sum > LIMIT)
+    creeping = trusted & (scores.mean > threshold**2) & ~abrupt
+    alarm = abrupt | creeping
+    # with one axis found, less is enough on the others
+    close = scores.suspect | (trusted & (scores.mean > (TOGETHER * threshold) ** 2))
+    alarm = alarm | (any_of(alarm) & close)
+    return Findings(alarm, abrupt, alarm & ~creeping & (suspicion < SUDDEN), creeping)
 
 
 def update_evidence(evidence: Evidence, residual: Vector, promoted: One, outdated: Mask) -> Evidence:
     """Forget outdated evidence; follow the anchors where the young one became the old one."""
-
-    def follow() -> Evidence:
-        means = namespace(residual).where(promoted[..., None], evidence.means @ PROMOTION, evidence.means)
-        return evidence._replace(means=means)
-
-    evidence = changed_where(promoted, follow, evidence)
-    return changed_where(outdated, lambda: restart(evidence, residual, outdated), evidence)
+    means = where(column(promoted), evidence.means @ PROMOTION, evidence.means)
+    return restart(evidence._replace(means=means), residual, outdated)
 
 
-def restart(evidence: Evidence, residual: Vector, where: Mask) -> Evidence:
+def restart(evidence: Evidence, residual: Vector, outdated: Mask) -> Evidence:
     """Forget the evidence on some axes, and foretell slow errors from the residual [rad] of now."""
-    kept = ~where[..., None]
-    base = namespace(residual).where(where, residual, evidence.base)
+    kept = column(~outdated)
+    base = where(outdated, residual, evidence.base)
     return evidence._replace(means=evidence.means * kept, base=base, sums=evidence.sums * kept)

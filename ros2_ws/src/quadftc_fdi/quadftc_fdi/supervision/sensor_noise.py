@@ -25,7 +25,6 @@ averages over 0.05 and 0.15 s are than those of white noise.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -36,16 +35,16 @@ from quadftc_model.arrays import (
     Column,
     Float,
     Mask,
+    Scalar,
     Vector,
-    cache_numbers,
-    changed_where,
+    branch,
     clip,
     column,
-    components,
     larger,
+    log,
     namespace,
-    pick,
-    stacked,
+    smaller,
+    where,
 )
 
 Statistics = Float[arrays.AnyArray, "*batch 3 6"]  # a sample, three averages, old and young anchor
@@ -60,19 +59,14 @@ RATES = np.array([0.25, 0.7, 2.5, 8.0])  # rad/s
 WHITE, SLOW, MEMORY, PERIOD = 0.1 * DEG, np.array([0.1, 0.2, 0.2, 0.3]) * DEG, 0.15, 0.004
 # 1; spectral density of slow errors over that of the longest average: what repeats with the attitude lasts
 LASTING = np.array([1.0, 2.0, 4.0, 4.0])
-# lower end and width, in its logarithm, of each interval between them
-INTERVALS = [*zip(RATES[:-1].tolist(), np.log(RATES[1:] / RATES[:-1]).tolist(), strict=True)]
-SLOWEST: float = RATES[0].item()
 LEAST = (0.001 * DEG) ** 2  # rad²; no attitude sensor is better
 EARLY = np.array([0.1, 0.1, 0.2, 0.5, 2.0, 2.0])  # s; what the prior is worth
 LATE = 120.0  # s; experience beyond this is forgotten
 RECENT = 2.0  # 1; C
 WORTH = RECENT * EARLY[:, None]  # s; C T
 FASTEST = 0.3  # 1/s; largest gain, so that the time between two anchors cannot do more than renew
-COLOUR = (
-    0.5,
-    10.0,
-)  # 1; caution begins at 0.5 / 10 of a sample's variance in slow errors, and is full at 1.5 / 10
+# 1; caution begins at 0.5 / 10 of a sample's variance in slow errors, and is full at 1.5 / 10
+COLOUR = 0.5, 10.0
 # s, 1/s; what is learned is known at once in the first seconds, with a larger gain; no multiple of a sampling
 # time, where rounding would decide
 START, FRESH = 5.011, 4.0
@@ -115,11 +109,10 @@ def start_noise(like: Vector) -> SensorNoise:
 
 def rate_weights(rate: Column) -> Weights:
     """Weights of `RATES` for linear interpolation in the logarithm of a body rate [rad/s]."""
-    (rate,) = components(rate)
-    log = math.log if isinstance(rate, float) else namespace(rate).log
-    rate = larger(rate, SLOWEST)
-    a, b, c = [clip(log(rate / low) / step, 0.0, 1.0) for low, step in INTERVALS]
-    return stacked([1.0 - a, a - b, b - c, c])
+    xp = namespace(rate)
+    passed = clip(log(larger(rate, RATES[0]) / RATES[:-1]) / np.log(RATES[1:] / RATES[:-1]), 0.0, 1.0)
+    below, above = [xp.ones_like(rate), passed], [passed, xp.zeros_like(rate)]
+    return xp.concatenate(below, axis=-1) - xp.concatenate(above, axis=-1)
 
 
 def at_rate(values: ByMotion, weights: Weights) -> Statistics:
@@ -127,32 +120,26 @@ def at_rate(values: ByMotion, weights: Weights) -> Statistics:
     return (values * weights[..., None, None, :]).sum(axis=-1)
 
 
-def slow_share(learned: Statistics, dt: float) -> Vector:
+def slow_share(learned: Statistics, dt: Scalar) -> Vector:
     """Share of slow errors in the variance of an average over 0.05 s."""
     white = dt / (2.0 * AVERAGED[SHORT] + dt)
-    return (1.0 - white * learned[..., SAMPLE] / learned[..., SHORT]).clip(0.0, 1.0)
+    return clip(1.0 - white * learned[..., SAMPLE] / learned[..., SHORT], 0.0, 1.0)
 
 
 def lasting(weights: Weights, colour: Vector) -> Vector:
     """Spectral density of the error over that of its longest average; 1 of a sensor without slow errors."""
-    return 1.0 + (weights @ (LASTING - 1.0))[..., None] * (4.0 * colour - 1.0).clip(0.0, 1.0)
+    return 1.0 + column(weights @ (LASTING - 1.0)) * clip(4.0 * colour - 1.0, 0.0, 1.0)
 
 
-def cautious_variances(learned: Statistics, weights: Weights, dt: float) -> Statistics:
+def cautious_variances(learned: Statistics, weights: Weights, dt: Scalar) -> Statistics:
     """Return variances [rad²] that are no less than the prior, as far as the noise is not white.
 
     A sensor that errs slowly errs more at times than it did before.
     """
     sample, short, middle = (learned[..., index] for index in (SAMPLE, SHORT, MIDDLE))
-    slow = (short + middle) / sample - _share_of_white(dt)
-    caution = clip(COLOUR[1] * slow - COLOUR[0], 0.0, 1.0)
-    return larger(learned, caution[..., None] * at_rate(PRIOR, weights))
-
-
-@cache_numbers
-def _share_of_white(dt: float) -> float:
-    """Sum of the variances of white noise in averages over 0.05 and 0.15 s, over that of a sample."""
-    return sum(dt / (2.0 * each + dt) for each in AVERAGED[[SHORT, MIDDLE]].tolist())
+    white = sum(dt / (2.0 * AVERAGED[index] + dt) for index in (SHORT, MIDDLE))
+    caution = clip(COLOUR[1] * ((short + middle) / sample - white) - COLOUR[0], 0.0, 1.0)
+    return larger(learned, column(caution) * at_rate(PRIOR, weights))
 
 
 def cautious_spread(weights: Weights, gain: Vector) -> Vector:
@@ -167,60 +154,49 @@ def learn_noise(
     predicted: Statistics,
     weights: Weights,
     taken: Mask,
-    dt: float,
+    dt: Scalar,
 ) -> SensorNoise:
     """Learn from the squares of the statistics [rad²] on the axes that are ``taken``, every `PAUSE`.
 
     ``gain`` is the variance of each angle for one of 1 rad² about each body axis, ``predicted`` [rad²] what
     the prediction gives to the variances of the statistics.
     """
-    (elapsed,) = components(noise.elapsed)
-    elapsed = elapsed + dt
-    due = elapsed > PAUSE
+    elapsed = noise.elapsed + dt
 
     def learn() -> SensorNoise:
-        xp, now = namespace(squares), column(column(due))
-        scale, step = gain[..., None], (column(elapsed * due) * taken)[..., None]  # (..., 3, 1)
+        scale, step = gain[..., None], (elapsed * taken)[..., None]  # (..., 3, 1)
         expected = noise.exact * scale + predicted
-        surprise = xp.minimum(squares / expected, CLIP)
+        surprise = smaller(squares / expected, CLIP)
         news = (surprise * surprise / 3.0 - 1.0) / expected * (scale * step)
         u = weights[..., None, :]  # (..., 1, 4)
-        time = xp.minimum(noise.time + step * u, LATE)
-        new = noise.time.sum(axis=-1) < START
-        fastest = changed_where(new, lambda: xp.where(new, FRESH, FASTEST)[..., None, None], FASTEST)
-        rate = xp.minimum(RECENT / (WORTH + time[..., None, :]), fastest)
+        time = smaller(noise.time + step * u, LATE)
+        new = (noise.time.sum(axis=-1) < START)[..., None, None]
+        rate = smaller(RECENT / (WORTH + time[..., None, :]), where(new, FRESH, FASTEST))
         change = noise.known * noise.known * rate * (news[..., None] * u[..., None, :])
-        learned = (noise.learned + change).clip(noise.known / MOST, noise.known * MOST)
-        learned = xp.maximum(learned, LEAST)
-        known = changed_where(new, lambda: xp.where(new[..., None, None], learned, noise.known), noise.known)
+        learned = clip(noise.learned + change, noise.known / MOST, noise.known * MOST)
+        learned = larger(learned, LEAST)
+        known = where(new, learned, noise.known)
         exact = at_rate(known, weights)
-        cautious = cautious_variances(exact, weights, dt)
         colour = slow_share(exact, dt)
-        seen = (1.0 - colour[..., None] * (AVERAGED == 0.0)) ** 2
         return SensorNoise(
-            known=pick(column(now), known, noise.known),
+            known=known,
             learned=learned,
             time=time,
-            exact=pick(now, exact, noise.exact),
-            cautious=pick(now, cautious, noise.cautious),
-            colour=pick(column(due), colour, noise.colour),
-            seen=pick(now, seen, noise.seen),
-            elapsed=stacked([pick(due, 0.0, elapsed)]),
+            exact=exact,
+            cautious=cautious_variances(exact, weights, dt),
+            colour=colour,
+            seen=(1.0 - column(colour) * (AVERAGED == 0.0)) ** 2,
+            elapsed=namespace(elapsed).zeros_like(elapsed),
         )
 
-    return changed_where(due, learn, SensorNoise(*noise[:-1], stacked([elapsed])))
+    return branch(elapsed[..., 0] > PAUSE, learn, lambda: noise._replace(elapsed=elapsed))
 
 
 def settle_noise(
     noise: SensorNoise, promoted: Column, alarm: Column, short: Mask, weights: Weights
 ) -> SensorNoise:
     """Let what is learned be known where a new anchor is set; give it up where a fault is declared."""
-    xp = namespace(noise.known)
-
-    def settle() -> SensorNoise:
-        worse = 1.0 + (SURPRISE - 1.0) * short[..., None, None] * weights[..., None, None, :]
-        known = xp.where(promoted[..., None, None], noise.learned, noise.known)
-        learned = xp.where(alarm[..., None, None], noise.known, noise.learned)
-        return noise._replace(known=known * worse, learned=learned * worse)
-
-    return changed_where(promoted | alarm | short, settle, noise)
+    worse = 1.0 + (SURPRISE - 1.0) * short[..., None, None] * weights[..., None, None, :]
+    known = where(promoted[..., None, None], noise.learned, noise.known)
+    learned = where(alarm[..., None, None], noise.known, noise.learned)
+    return noise._replace(known=known * worse, learned=learned * worse)

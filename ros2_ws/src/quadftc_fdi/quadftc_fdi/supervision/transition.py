@@ -3,7 +3,7 @@
     delta' = -omega x delta + delta_M g - delta_b
     A = exp(-[omega dt]x),   G = dt [-I, I (x) g', 0]          A to second order, so that nothing grows
 
-NumPy is quickest with F as one matrix, a batch with A and g dt, as only the upper three rows do anything.
+Only the upper three rows do anything.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from quadftc_model import arrays
 from quadftc_model.arrays import (
@@ -19,11 +18,11 @@ from quadftc_model.arrays import (
     Column,
     Float,
     Quaternion,
+    Scalar,
     Vector,
     components,
-    is_single,
     namespace,
-    product,
+    stacked,
 )
 
 Covariance = Float[arrays.AnyArray, "*batch 16 16"]  # of the error state
@@ -45,95 +44,45 @@ class FilterState(NamedTuple):
 class ProcessNoise(NamedTuple):
     """Variances that a step adds on each axis, or alike on all."""
 
-    rotation: Vector | Column | float  # [rad²]
-    bias: Column | float  # of the gyro [rad²/s²]
-    scale: Column | float = 0.0  # of its scale and alignment errors [1]
+    rotation: Vector | Column  # [rad²]
+    bias: Column  # of the gyro [rad²/s²]
+    scale: Column  # of its scale and alignment errors [1]
 
 
-def variances(P: Covariance) -> Errors:
-    """Diagonal of a covariance."""
-    if type(P) is np.ndarray and P.ndim == 2:  # pyright: ignore[reportUnknownMemberType]
-        return P.diagonal()
-    return P.reshape(*P.shape[:-2], SIZE * SIZE)[..., :: SIZE + 1]
-
-
-class MatrixTransition(NamedTuple):
-    """Transition of the error of one vehicle."""
-
-    F: NDArray[np.float64]  # (16, 16)
-
-    def of(self, x: Array) -> Array:
-        """F x of columns (16, n)."""
-        return self.F.dot(x)
-
-    def around(self, P: Covariance, earlier: Covariances, noise: ProcessNoise) -> Covariances:
-        """F P F' and the noise, for P and earlier ones."""
-        stack, added = np.concatenate([P[None], earlier]), np.empty(DELAY)
-        result = self.F @ stack.reshape(-1, SIZE).dot(self.F.T).reshape(stack.shape)
-        added[ROTATION], added[BIAS], added[SCALE] = noise.rotation, noise.bias, noise.scale
-        result.reshape(-1, SIZE * SIZE)[:, : DELAY * SIZE : SIZE + 1] += added
-        return result
-
-
-class BlockTransition(NamedTuple):
-    """Transition of the errors of a batch: A and g dt alone are a twentieth of the work."""
+class Transition(NamedTuple):
+    """A, and what G is made of."""
 
     A: Array  # (..., 3, 3)
-    g: Array  # (..., 3) gyro times dt
-    dt: float
+    g: Vector  # gyro times dt [rad]
+    dt: Scalar  # [s]
 
     def of(self, x: Array) -> Array:
         """F x of columns (..., 16, n)."""
         return namespace(x).concatenate([self._upper(x), x[..., 3:, :]], axis=-2)
 
-    def around(self, P: Covariance, earlier: Covariances, noise: ProcessNoise) -> Covariances:
-        """F P F' and the noise, symmetric, for P and earlier ones."""
-        variances = (noise.rotation * np.ones(3)) @ _ROTATION + (noise.bias * np.ones(3)) @ _BIAS
-        variances = variances + (noise.scale * np.ones(9)) @ _SCALE
-        Q = variances[..., None] * np.eye(SIZE)
-        all_P = [P, *(earlier[..., index, :, :] for index in range(earlier.shape[-3]))]
-        each = [self._around(P) + Q for P in all_P]
-        return namespace(P).stack(each, axis=-3)
-
-    def _around(self, P: Covariance) -> Covariance:
-        xp = namespace(P)
-        above = self._upper(P)
-        rotation, across = self._upper(above.swapaxes(-1, -2)), above[..., 3:]
+    def around(self, P: Covariances, noise: ProcessNoise) -> Covariances:
+        """F P F' and the noise, symmetric to the last bit."""
+        xp, several = namespace(P), Transition(self.A[..., None, :, :], self.g[..., None, :], self.dt)
+        above = several._upper(P)
+        rotation, across = several._upper(above.swapaxes(-1, -2)), above[..., 3:]
         rotation = 0.5 * (rotation + rotation.swapaxes(-1, -2))
         above = xp.concatenate([rotation, across], axis=-1)
         below = xp.concatenate([across.swapaxes(-1, -2), P[..., 3:, 3:]], axis=-1)
-        return xp.concatenate([above, below], axis=-2)
+        parts = (noise.rotation, 3), (noise.bias, 3), (noise.scale, 9), (xp.zeros_like(noise.bias), 1)
+        Q = xp.concatenate([variance * np.ones(count) for variance, count in parts], axis=-1)
+        return xp.concatenate([above, below], axis=-2) + Q[..., None, :, None] * np.eye(SIZE)
 
     def _upper(self, x: Array) -> Array:
         """Upper three rows (..., 3, n) of F x."""
-        g = components(self.g)
-        aligned = [g[i][..., None, None] * x[..., 6 + i : 15 : 3, :] for i in range(3)]
-        return product(self.A, x[..., ROTATION, :]) + sum(aligned, -self.dt * x[..., BIAS, :])
+        upper = self.A @ x[..., ROTATION, :] - self.dt * x[..., BIAS, :]
+        for i, g in enumerate(components(self.g)):
+            upper = upper + g[..., None, None] * x[..., 6 + i : 15 : 3, :]
+        return upper
 
 
-Transition = MatrixTransition | BlockTransition
-
-
-def transition(omega: Vector, gyro: Vector, dt: float) -> Transition:
+def transition(omega: Vector, gyro: Vector, dt: Scalar) -> Transition:
     """Transition over ``dt`` [s] at a body rate and a gyro sample [rad/s]."""
-    x, y, z = [each * dt for each in components(omega)]
+    x, y, z = components(omega * dt)
     xx, yy, zz, xy, xz, yz = 0.5 * x * x, 0.5 * y * y, 0.5 * z * z, 0.5 * x * y, 0.5 * x * z, 0.5 * y * z
     A = [1.0 - yy - zz, xy + z, xz - y, xy - z, 1.0 - xx - zz, yz + x, xz + y, yz - x, 1.0 - xx - yy]
-    if is_single(omega):
-        p, q, r = gyro.tolist()
-        return MatrixTransition(np.array([*A, p * dt, q * dt, r * dt, -dt, 0.0, 1.0]).take(_PLACES))
-    return BlockTransition(namespace(omega).stack(A, axis=-1).reshape(*omega.shape, 3), gyro * dt, dt)
-
-
-def _places() -> NDArray[np.int64]:
-    """Where each element of F stands among A (by rows), g dt, -dt, 0 and 1."""
-    places = np.where(np.eye(SIZE), 14, 13)
-    for row in range(3):
-        places[row, ROTATION] = 3 * row + np.arange(3)
-        places[row, 3 + row] = 12
-        places[row, 6 + 3 * row : 9 + 3 * row] = 9 + np.arange(3)
-    return places
-
-
-_PLACES = _places()
-_ROTATION, _BIAS, _SCALE = (np.eye(SIZE)[which] for which in (ROTATION, BIAS, SCALE))
+    return Transition(stacked(A).reshape(*omega.shape, 3), gyro * dt, dt)
