@@ -7,6 +7,7 @@ import numpy as np
 from quadftc_fdi.supervision.inertial_filter import (
     apply_correction,
     correct,
+    correction_factors,
     estimate_rate,
     predict,
     start_covariance,
@@ -150,3 +151,19 @@ def test_an_axis_that_is_left_out_is_not_corrected():
     used = np.array([False, True, True])
     _, dx, _ = correct(state, prediction, np.array([1.0, 0.0, 0.0]), np.full(3, 1e-6), used)
     np.testing.assert_array_equal(dx, 0.0)
+
+
+def test_a_gap_in_a_tumble_does_not_multiply_what_is_unknown():
+    state, _ = some_state()
+    tumbling = np.array([60.0, -50.0, 30.0])
+    before = np.diag(state.P)[:3].sum()
+    after, _, _ = predict(state, np.zeros((0, SIZE, SIZE)), tumbling, np.zeros(3), NONE, 0.3)
+    by_gyro = 0.3**2 * np.sum(START[3:6] ** 2) + np.sum((0.3 * 0.01 * tumbling) ** 2) * 3.0
+    assert np.diag(after.P)[:3].sum() < 1.5 * before + by_gyro
+
+
+def test_a_covariance_that_rounding_has_spoiled_still_gives_finite_factors():
+    spoiled = np.array([[1e-3, 2e-3, 0.0], [2e-3, 1e-3, 0.0], [0.0, 0.0, -1e-5]])  # is no covariance
+    variance = (1e-6, 1e-6, 1e-6)
+    factors = correction_factors(spoiled, variance, 0.5, np.full(3, 0.01), np.ones(3, bool))
+    assert np.all(np.isfinite(factors))

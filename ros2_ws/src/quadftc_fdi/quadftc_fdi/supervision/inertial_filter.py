@@ -187,10 +187,11 @@ def _inverse_cholesky(HPH: Array, R: Sequence[Scalar], lean: Scalar) -> tuple[Ar
     a, _, _, b, d, _, c, e, f = components(HPH.reshape(*HPH.shape[:-2], 9))
     x, y, z = R
     c = c + where(larger(x, z) < LEFT_OUT, lean * sqrt(x * z), 0.0)
-    i00 = 1.0 / sqrt(a + x)
+    # each pivot is that of R at least: rounding must not make it less
+    i00 = 1.0 / sqrt(larger(a + x, x))
     l10, l20 = b * i00, c * i00
-    i11 = 1.0 / sqrt(d + y - l10 * l10)
+    i11 = 1.0 / sqrt(larger(d + y - l10 * l10, y))
     l21 = (e - l20 * l10) * i11
-    i22 = 1.0 / sqrt(f + z - l20 * l20 - l21 * l21)
+    i22 = 1.0 / sqrt(larger(f + z - l20 * l20 - l21 * l21, z * (1.0 - lean * lean)))
     i10 = -l10 * i00 * i11
     return i00, i10, i11, -(l20 * i00 + l21 * i10) * i22, -l21 * i11 * i22, i22

@@ -1,9 +1,10 @@
 """Transition of the error state of `inertial_filter` over a step: F = [[A, G], [0, I]].
 
     delta' = -omega x delta + delta_M g - delta_b
-    A = exp(-[omega dt]x),   G = dt [-I, I (x) g', 0]          A to second order, so that nothing grows
+    A = exp(-[omega dt]x),   G = dt [-I, I (x) g', 0]
 
-Only the upper three rows do anything.
+Only the upper three rows do anything. A is of second order in the rotation omega dt, which is held within
+`FARTHEST`: beyond, in the gaps of a tumble, that would multiply the covariance.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ from quadftc_model.arrays import (
     Scalar,
     Vector,
     components,
+    larger,
     namespace,
+    norm,
     stacked,
 )
 
@@ -31,6 +34,7 @@ Errors = Float[arrays.AnyArray, "*batch 16"]
 
 SIZE = 16  # of the error state
 ROTATION, BIAS, SCALE, DELAY = slice(0, 3), slice(3, 6), slice(6, 15), 15
+FARTHEST = 1.0  # rad; of the rotation in A, which is an eighth too long there
 
 
 class FilterState(NamedTuple):
@@ -82,7 +86,8 @@ class Transition(NamedTuple):
 
 def transition(omega: Vector, gyro: Vector, dt: Scalar) -> Transition:
     """Transition over ``dt`` [s] at a body rate and a gyro sample [rad/s]."""
-    x, y, z = components(omega * dt)
+    rotation = omega * dt
+    x, y, z = components(rotation * (FARTHEST / larger(norm(rotation), FARTHEST)))
     xx, yy, zz, xy, xz, yz = 0.5 * x * x, 0.5 * y * y, 0.5 * z * z, 0.5 * x * y, 0.5 * x * z, 0.5 * y * z
     A = [1.0 - yy - zz, xy + z, xz - y, xy - z, 1.0 - xx - zz, yz + x, xz + y, yz - x, 1.0 - xx - yy]
     return Transition(stacked(A).reshape(*omega.shape, 3), gyro * dt, dt)
