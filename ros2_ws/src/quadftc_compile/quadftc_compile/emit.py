@@ -178,6 +178,7 @@ class Emitter:
         self._numbers = itertools.count()
         self._depth = 1
         self._storage: dict[int, Storage] = {}
+        self._noted: list[Node] = []  # these live on, as another node would get the identity of a dead one
         self._plan = Plan(Graph([], [], []))
         self._loops: Loops | None = None
         self._sources: dict[str, None] = {}
@@ -281,6 +282,7 @@ class Emitter:
     def keep(self, node: Node, storage: Storage) -> None:
         """Note where a node is kept."""
         self._storage[id(node)] = storage
+        self._noted.append(node)
 
     def _write(self, node: Node, target: Storage | None) -> None:
         """Write the statements that compute a node."""

@@ -61,19 +61,31 @@ class CEngine:
 
     def __call__(self, law: Any) -> Runner[Any, Any]:
         """Return what runs a law."""
+        if not _can_be_traced(law):
+            return NumpyRunner(law)
         runner = _Chosen(law, self._library_for)
         if hasattr(law, "example"):
             runner.choose(law.example())
         return runner
 
-    def prepare(self, laws: Iterable[Any]) -> None:
-        """Compile laws side by side, which have examples of their inputs; load what is compiled already."""
-        recipes = [_recipe(law, law.example()) for law in laws]
-        missing = [each for each in recipes if _loaded(each) is None]
-        if not missing:
-            return
-        with concurrent.futures.ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
-            list(pool.map(self._library_of, missing))
+    def prepare(self, laws: Iterable[Any]) -> list[Library | None]:
+        """Return compiled laws, which have examples of their inputs; compile what is missing side by side.
+
+        One that cannot be compiled is None.
+        """
+        recipes = [_recipe(law, law.example()) if _can_be_traced(law) else None for law in laws]
+        missing = {key_of(each): each for each in recipes if each is not None and _loaded(each) is None}
+        if missing:
+            self._announce(missing.values())
+            with concurrent.futures.ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+                list(pool.map(self._library_of, missing.values()))
+        return [None if each is None else _loaded(each) for each in recipes]
+
+    def libraries(self, laws: Mapping[str, Any]) -> dict[str, Library] | None:
+        """Return compiled laws by name; None if one cannot be compiled."""
+        found = dict(zip(laws, self.prepare(laws.values()), strict=True))
+        there = {name: library for name, library in found.items() if library is not None}
+        return there if len(there) == len(laws) else None
 
     def is_ready(self, law: Any, inputs: Any) -> bool:
         """Whether a law can be run in C without compiling it now."""
@@ -91,13 +103,20 @@ class CEngine:
         if library is not None:
             return library
         try:
-            self._tell(f"compiling {recipe.name} for this machine, once: some seconds")
+            self._announce([recipe])
             library = _build(recipe)
         except BuildError as error:
             self._tell(f"flies in NumPy, which is slower: {error}")
             return None
         with _lock:
             return _libraries.setdefault(key_of(recipe), library)
+
+    def _announce(self, recipes: Iterable[Recipe]) -> None:
+        """Say once what is compiled now."""
+        names = [name for each in recipes if (name := each.name) not in _told]
+        _told.update(names)
+        if names:
+            self._log(f"compiling {', '.join(names)} for this machine, once: some seconds")
 
     def _tell(self, words: str) -> None:
         with _lock:
@@ -150,6 +169,11 @@ class _Chosen:
     def tree(self, state: Any) -> Any:
         """Return the nested tuples of a state."""
         return state if self._runner is None else self._runner.tree(state)
+
+
+def _can_be_traced(law: Any) -> bool:
+    """Whether it is worth a try: a law may say that it cannot be traced."""
+    return bool(getattr(law, "traceable", True))
 
 
 def _recipe(law: Any, inputs: Any) -> Recipe:

@@ -65,6 +65,15 @@ class Rows:
         for column, leaf in zip(self._columns, flatten(self.layout, tree, shapes=False), strict=True):
             column[:count] = leaf
 
+    def row(self, row: int) -> Any:
+        """Return the nested tuples of one row."""
+        return unflatten(self.layout, iter([each[row] for each in self._columns]))
+
+    def write_row(self, row: int, tree: Any) -> None:
+        """Write the nested tuples of one row."""
+        for column, leaf in zip(self._columns, flatten(self.layout, tree), strict=True):
+            column[row] = leaf
+
     def view(self, count: int | None = None) -> Any:
         """Return nested tuples of views (count, ...), which change with the memory."""
         return unflatten(self.layout, iter([each[:count] for each in self._columns]))

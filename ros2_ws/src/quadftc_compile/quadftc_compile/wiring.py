@@ -14,17 +14,19 @@ import functools
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from quadftc_compile import cache
 from quadftc_compile.build import FLAGS, Library, compile_c
+from quadftc_compile.engine import CEngine
 from quadftc_compile.fingerprint import compiler, fingerprint
 from quadftc_compile.layout import Layout, layout_of, leaves_of, unflatten
 from quadftc_compile.memory import Memory, Rows
 from quadftc_compile.runner import numbers_in, write_numbers
-from quadftc_model.composition import Composition
+from quadftc_model.composition import Composition, RunnerCalls
+from quadftc_model.stepper import Engine
 
 BLOCK = 2048  # samples that are flown in one call
 CALL, COPY, SKIP = range(3)
@@ -139,6 +141,49 @@ class StateToken:
     name: str
 
 
+class Flown(Protocol):
+    """A composition that flies one vehicle."""
+
+    def begin(self) -> None:
+        """Go to the begin of a flight."""
+        ...
+
+    def run(self, inputs: Any, count: int) -> Any:
+        """Fly ``count`` samples, at most a `BLOCK`; inputs and outputs are arrays (count, ...)."""
+        ...
+
+
+def flown_by(engine: Engine, composition: Composition, inputs: Any) -> Flown:
+    """Return what flies a composition, for inputs like an example: in C, if all of its laws can be compiled."""
+    libraries = engine.libraries(composition.laws) if isinstance(engine, CEngine) else None
+    if libraries is None:
+        return OneByOne(composition, engine, inputs)
+    return Wiring(composition, libraries, inputs)
+
+
+class OneByOne:
+    """A composition whose laws are called one by one, sample by sample."""
+
+    def __init__(self, composition: Composition, engine: Engine, inputs: Any) -> None:
+        self._composition, self._calls = composition, RunnerCalls(composition.laws, engine)
+        self._layout = layout_of(inputs)
+        self.begin()
+
+    def begin(self) -> None:
+        """Go to the begin of a flight."""
+        self._state = self._composition.init(self._calls)
+
+    def run(self, inputs: Any, count: int) -> Any:
+        """Fly ``count`` samples; inputs and outputs are arrays (count, ...)."""
+        given, made = Rows(self._layout, count), None
+        given.write(inputs)
+        for row in range(count):
+            self._state, output = self._composition.step(self._calls, self._state, given.row(row))
+            made = made or Rows(layout_of(output), count)
+            made.write_row(row, output)
+        return None if made is None else made.view()
+
+
 class Wiring:
     """A composition of compiled laws for one vehicle."""
 
@@ -218,6 +263,8 @@ class Wiring:
 
     def step(self, name: str, state: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
         """Note the call of a law."""
+        if name not in self._laws and state == ():
+            state = self.init(name)
         law = self._laws[name]
         if state != StateToken(name):
             raise ValueError(f"{name}: expected its own state")
@@ -230,6 +277,8 @@ class Wiring:
 
     def branch(self, flag: Any, then: Callable[[], Any], otherwise: Callable[[], Any]) -> Any:
         """Note what is done where a flag holds."""
+        if not isinstance(flag, Token):  # it is known
+            return then() if flag else otherwise()
         at, others = len(self._instructions), otherwise()
         if len(self._instructions) != at:
             raise ValueError("a composition of laws cannot call them where a flag does not hold")
