@@ -7,19 +7,18 @@ not load JAX. A law that cannot be compiled flies in NumPy, and a line says why,
 from __future__ import annotations
 
 import concurrent.futures
-import json
 import os
-import pickle
-import subprocess
+import queue
 import sys
 import threading
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from quadftc_compile.build import BuildError, Library, build_library, find_library, key_of
 from quadftc_compile.layout import layout_of
 from quadftc_compile.recipe import Recipe, recipe_of
 from quadftc_compile.runner import CRunner
+from quadftc_compile.worker import Worker
 from quadftc_model.numbers import structure_of
 from quadftc_model.stepper import Engine, NumpyRunner, Runner
 
@@ -75,10 +74,7 @@ class CEngine:
         """
         recipes = [_recipe(law, law.example()) if _can_be_traced(law) else None for law in laws]
         missing = {key_of(each): each for each in recipes if each is not None and _loaded(each) is None}
-        if missing:
-            self._announce(missing.values())
-            with concurrent.futures.ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
-                list(pool.map(self._library_of, missing.values()))
+        self._compile([*missing.values()])
         return [None if each is None else _loaded(each) for each in recipes]
 
     def libraries(self, laws: Mapping[str, Any]) -> dict[str, Library] | None:
@@ -95,21 +91,23 @@ class CEngine:
             return False
 
     def _library_for(self, law: Any, inputs: Any) -> Library | None:
-        return self._library_of(_recipe(law, inputs))
-
-    def _library_of(self, recipe: Recipe) -> Library | None:
         """Return a compiled law, compiled now if need be; None if it has to fly in NumPy."""
-        library = _loaded(recipe)
-        if library is not None:
-            return library
-        try:
-            self._announce([recipe])
-            library = _build(recipe)
-        except BuildError as error:
-            self._tell(f"flies in NumPy, which is slower: {error}")
-            return None
-        with _lock:
-            return _libraries.setdefault(key_of(recipe), library)
+        recipe = _recipe(law, inputs)
+        if _loaded(recipe) is None:
+            self._compile([recipe])
+        return _loaded(recipe)
+
+    def _compile(self, recipes: Sequence[Recipe]) -> None:
+        """Compile laws side by side, and load them."""
+        if not recipes:
+            return
+        self._announce(recipes)
+        for recipe, library in zip(recipes, _build(recipes), strict=True):
+            if isinstance(library, BuildError):
+                self._tell(f"flies in NumPy, which is slower: {library}")
+            else:
+                with _lock:
+                    _libraries.setdefault(key_of(recipe), library)
 
     def _announce(self, recipes: Iterable[Recipe]) -> None:
         """Say once what is compiled now."""
@@ -190,32 +188,39 @@ def _loaded(recipe: Recipe) -> Library | None:
     return _libraries.get(key)
 
 
-def _build(recipe: Recipe) -> Library:
-    """Compile a law: here if JAX is loaded already, else in a process of its own."""
+def _build(recipes: Sequence[Recipe]) -> list[Library | BuildError]:
+    """Compile laws: here if JAX is loaded already, else in processes of their own."""
     if "jax" in sys.modules:
-        return _build_here(recipe)
-    try:
-        content = pickle.dumps(recipe)
-    except (pickle.PicklingError, AttributeError, TypeError):  # a law that a function has defined
-        return _build_here(recipe)
-    command = [sys.executable, "-m", "quadftc_compile.worker"]
-    told = subprocess.run(command, input=content, capture_output=True, check=False)
-    try:
-        answer = json.loads(told.stdout.decode().splitlines()[-1])
-    except (ValueError, IndexError):
-        return _build_here(recipe)
-    if answer.get("unknown"):  # it cannot import what this process can
-        return _build_here(recipe)
-    if "error" in answer:
-        raise BuildError(answer["error"])
-    return find_library(recipe) or _build_here(recipe)
+        return [_build_here(each) for each in recipes]
+    count = min(len(recipes), os.cpu_count() or 1)
+    workers = queue.SimpleQueue[Worker]()
+    for _ in range(count):
+        workers.put(Worker())
+
+    def build(recipe: Recipe) -> Library | BuildError:
+        worker = workers.get()
+        answer = worker.build(recipe)
+        workers.put(worker)
+        if "error" in answer:
+            return BuildError(answer["error"])
+        # what that process cannot import or keep, this one may
+        return (None if "unknown" in answer else find_library(recipe)) or _build_here(recipe)
+
+    with concurrent.futures.ThreadPoolExecutor(max_workers=count) as pool:
+        built = list(pool.map(build, recipes))
+    for _ in range(count):
+        workers.get().close()
+    return built
 
 
-def _build_here(recipe: Recipe) -> Library:
+def _build_here(recipe: Recipe) -> Library | BuildError:
     """Compile a law in this process; where nothing can be kept, for this process alone."""
     try:
         return build_library(recipe)
     except BuildError as error:
         if not error.unkept:
-            raise
+            return error
+    try:
         return build_library(recipe, keep=False)
+    except BuildError as error:
+        return error

@@ -18,6 +18,8 @@ IMPORT = re.compile(
     r"^[ \t]*(?:from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n(]+)|import[ \t]+([\w., \t]+))", re.M
 )
 
+WRITERS = {"quadftc_compile.program", "quadftc_compile.build"}
+
 
 def fingerprint(*parts: Any) -> str:
     """Return a short text that is another for other parts; each is told by its ``repr``."""
@@ -25,8 +27,11 @@ def fingerprint(*parts: Any) -> str:
 
 
 def sources_of(*classes: type) -> str:
-    """Return a digest of the modules of classes and of all that these import, but for installed libraries."""
-    modules = {kind.__module__ for each in classes for kind in each.__mro__}
+    """Return a digest of the modules of classes, of what writes their C, and of all that these import.
+
+    Installed libraries are left out: they have versions.
+    """
+    modules = {kind.__module__ for each in classes for kind in each.__mro__} | WRITERS
     return _digest(frozenset(modules))
 
 

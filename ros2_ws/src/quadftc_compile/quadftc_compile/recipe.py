@@ -81,7 +81,13 @@ def recipe_of(law: Any, inputs: Any, words: Any = None, name: str = "") -> Recip
     }
     if words is not None:
         functions["resumed"] = Function(resumed, {"inputs": inputs, "words": words}, ("after",), kinds)
-    return Recipe(name or _snake(getattr(law, "name", "") or type(law).__name__), law, functions)
+    return Recipe(name or name_of(law), law, functions)
+
+
+def name_of(law: Any) -> str:
+    """Return the name of a law in C: its attribute ``named_after`` says which part of it tells more."""
+    after = getattr(law, "named_after", None)
+    return _snake(type(law).__name__) if after is None else name_of(after)
 
 
 def _snake(name: str) -> str:

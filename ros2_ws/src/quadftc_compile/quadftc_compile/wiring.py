@@ -154,7 +154,7 @@ class Flown(Protocol):
 
 
 def flown_by(engine: Engine, composition: Composition, inputs: Any) -> Flown:
-    """Return what flies a composition, for inputs like an example: in C, if all of its laws can be compiled."""
+    """Return what flies a composition, for inputs like an example: in C, if all its laws can be compiled."""
     libraries = engine.libraries(composition.laws) if isinstance(engine, CEngine) else None
     if libraries is None:
         return OneByOne(composition, engine, inputs)

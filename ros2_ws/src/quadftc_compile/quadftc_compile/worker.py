@@ -1,29 +1,67 @@
-"""A process that compiles one law: a recipe comes in, pickled; a line of JSON goes out."""
+"""A process that compiles laws: recipes come in, pickled, each behind its length; lines go out."""
 
 from __future__ import annotations
 
 import json
 import os
 import pickle
+import subprocess
 import sys
+from typing import Any
+
+from quadftc_compile.recipe import Recipe
+
+LENGTH = 8  # bytes of the length of a recipe
+
+
+class Worker:
+    """Such a process, from outside; it loads JAX once for all its laws."""
+
+    def __init__(self) -> None:
+        command = [sys.executable, "-m", "quadftc_compile.worker"]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+
+    def build(self, recipe: Recipe) -> dict[str, Any]:
+        """Compile a law into the cache; ``error`` says why it cannot be, ``unknown`` why not there."""
+        try:
+            content = pickle.dumps(recipe)
+        except (pickle.PicklingError, AttributeError, TypeError) as error:  # a law that a function defines
+            return {"unknown": str(error)}
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        try:
+            self._process.stdin.write(len(content).to_bytes(LENGTH) + content)
+            self._process.stdin.flush()
+            return json.loads(self._process.stdout.readline())
+        except (OSError, ValueError) as error:  # it has died
+            return {"unknown": str(error)}
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.communicate()
 
 
 def main() -> None:
-    """Compile the recipe on standard input."""
+    """Compile the recipes on standard input."""
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # what a library prints is no answer
+    while length := sys.stdin.buffer.read(LENGTH):
+        answers.write(json.dumps(_answer(sys.stdin.buffer.read(int.from_bytes(length)))) + "\n")
+        answers.flush()
+
+
+def _answer(content: bytes) -> dict[str, Any]:
     from quadftc_compile.build import BuildError, build_library
 
     try:
-        recipe = pickle.loads(sys.stdin.buffer.read())
+        recipe = pickle.loads(content)
     except Exception as error:  # whatever a law's own module raises
-        answers.write(json.dumps({"unknown": str(error)}) + "\n")
-        return
+        return {"unknown": str(error)}
     try:
         build_library(recipe)
-        answers.write("{}\n")
     except BuildError as error:
-        answers.write(json.dumps({"unknown" if error.unkept else "error": str(error)}) + "\n")
+        return {"unknown" if error.unkept else "error": str(error)}
+    return {}
 
 
 if __name__ == "__main__":

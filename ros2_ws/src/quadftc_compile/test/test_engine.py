@@ -194,7 +194,7 @@ def test_a_law_that_cannot_be_traced_says_where_and_flies_in_numpy(law, words):
 
 def test_without_a_compiler_a_law_flies_in_numpy_and_says_so(monkeypatch):
     monkeypatch.setattr("quadftc_compile.build.compiler", lambda: None)
-    monkeypatch.setattr(engine, "_build", engine._build_here)
+    monkeypatch.setattr(engine, "_build", lambda recipes: [engine._build_here(each) for each in recipes])
     said: list[str] = []
     law, inputs = LowPass(), samples(4)
     found = run(CEngine(said.append)(law), inputs)[1]
@@ -219,7 +219,7 @@ def test_a_folder_that_cannot_be_written_costs_only_the_next_start(own_cache, mo
     monkeypatch.setattr(cache, "_replace", full)
     said: list[str] = []
     law, inputs = LowPass(), samples(4)
-    monkeypatch.setattr(engine, "_build", engine._build_here)
+    monkeypatch.setattr(engine, "_build", lambda recipes: [engine._build_here(each) for each in recipes])
     runner = CEngine(said.append)(law)
     assert type(runner._runner) is CRunner
     np.testing.assert_allclose(

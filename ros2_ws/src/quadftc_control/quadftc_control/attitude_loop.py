@@ -8,7 +8,6 @@ On the test stand the torque of the controller acts, and the thrust of the comma
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,10 +25,9 @@ from quadftc_model.samples import (
     ControllerOutput,
     ImuSample,
     RotorFeedback,
-    is_usable,
     level_sample,
+    usable,
 )
-from quadftc_model.stepper import Engine, NumpyRunner, Stepper
 from quadftc_model.vehicle import Vehicle
 
 
@@ -39,6 +37,7 @@ class AttitudeLoopInputs(NamedTuple):
     imu: ImuSample  # corrected
     command: AttitudeCommand  # its thrust counts in free flight alone
     disturbance: Vector  # estimate of d in (36) [rad/s²]
+    last: Vector  # torque that is commanded at present [N m]
     speeds: Components | None = None  # of the rotors (..., n) [rad/s]; ignored where not measured
     measured: Flag | None = None
     effectiveness: Components | None = None  # of the rotors (..., n) [1]; None: all are healthy
@@ -60,6 +59,11 @@ class AttitudeLoop(Checked):
     flies: bool = False  # in free flight; else on the test stand
 
     @property
+    def named_after(self) -> Controller:
+        """What it is called after where it is compiled."""
+        return self.controller
+
+    @property
     def vehicle(self) -> Vehicle:
         """The vehicle of the controller."""
         return self.controller.vehicle
@@ -73,7 +77,7 @@ class AttitudeLoop(Checked):
         """Return the inputs of one vehicle at rest."""
         zeros = np.zeros(3)
         command = AttitudeCommand(AttitudeReference(zeros, zeros, zeros), np.float64(self.vehicle.weight))
-        inputs = AttitudeLoopInputs(level_sample(), command, zeros)
+        inputs = AttitudeLoopInputs(level_sample(), command, zeros, zeros)
         ones = np.ones(len(self.vehicle.rotors.positions))
         rotors = {"speeds": self.vehicle.hover_speed * ones, "measured": np.True_, "effectiveness": ones}
         return inputs._replace(**rotors) if self.flies else inputs
@@ -86,6 +90,18 @@ class AttitudeLoop(Checked):
         """Compute torque and speeds for a sample."""
         state, output = self._law.step(state, self._seen(inputs), dt)
         return state, self.actuated(inputs.command.thrust, output, inputs.effectiveness)
+
+    def ready(self, inputs: AttitudeLoopInputs) -> Flag:
+        """Whether the loop can start at a sample: always."""
+        return inputs.imu.attitude_valid | True
+
+    def usable(self, output: AttitudeLoopOutput) -> Flag:
+        """Whether all numbers of an output can be used."""
+        return usable(*output.output[:3], *(() if output.speeds is None else (output.speeds,)))
+
+    def fallback(self, inputs: AttitudeLoopInputs, output: AttitudeLoopOutput) -> AttitudeLoopOutput:
+        """Return what is said in place of an output: the last torque is held."""
+        return self.actuated(inputs.command.thrust, nothing_but(inputs.last), inputs.effectiveness)
 
     def actuated(
         self, thrust: Scalar, output: ControllerOutput, effectiveness: Components | None
@@ -113,20 +129,7 @@ class AttitudeLoop(Checked):
         return seen._replace(rotors=RotorFeedback(known, inputs.measured, effectiveness))
 
 
-def attitude_stepper(
-    law: AttitudeLoop, last_torque: Callable[[], Vector], engine: Engine = NumpyRunner
-) -> Stepper[AttitudeLoopInputs, AttitudeLoopOutput]:
-    """Run the inner loop on a stream: where its output cannot be used, the last torque is held."""
-
-    def guard(inputs: AttitudeLoopInputs, said: AttitudeLoopOutput) -> AttitudeLoopOutput:
-        numbers = said.output[:3] if said.speeds is None else (*said.output[:3], said.speeds)
-        if is_usable(*numbers):
-            return said
-        return law.actuated(inputs.command.thrust, nothing_but(last_torque()), inputs.effectiveness)
-
-    return Stepper(law, guard, engine)
-
-
 def nothing_but(torque: Vector) -> ControllerOutput:
-    """Return a torque (3,) [N m] as the output of no law."""
-    return ControllerOutput(torque, np.zeros(3), np.zeros(3), np.zeros(3, dtype=bool))
+    """Return a torque (..., 3) [N m] as the output of no law."""
+    zeros = namespace(torque).zeros_like(torque)
+    return ControllerOutput(torque, zeros, zeros, zeros > 0.0)

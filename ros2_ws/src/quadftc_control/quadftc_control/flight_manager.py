@@ -18,7 +18,6 @@ from quadftc_control.attitude_loop import (
     AttitudeLoop,
     AttitudeLoopInputs,
     AttitudeLoopOutput,
-    attitude_stepper,
     nothing_but,
 )
 from quadftc_control.controller import Controller, limited
@@ -28,6 +27,7 @@ from quadftc_control.transfer import Transfer
 from quadftc_model import samples
 from quadftc_model.arrays import Components, Vector
 from quadftc_model.fade import Fade
+from quadftc_model.guarded import GuardedStepper
 from quadftc_model.rotors import wrench_from_speeds
 from quadftc_model.samples import AttitudeCommand, ControllerOutput, ImuSample
 from quadftc_model.stepper import Engine, NumpyRunner, seconds
@@ -63,7 +63,7 @@ class FlightManager:
         self._flies, self._count, self._reader = flies, count, reader
         self._law = self._loop_of(law)
         self._torque: Vector = np.zeros(3)  # last command [N m]
-        self._stepper = attitude_stepper(self._law, lambda: self._torque, engine)
+        self._stepper = GuardedStepper[AttitudeLoopInputs, AttitudeLoopOutput](self._law, engine=engine)
         self._monitor, self._transfer = InputMonitor(patience), Transfer(patience)
         self._last_words = LastWords(reader)
         self._held = HeldTorque()
@@ -211,7 +211,7 @@ class FlightManager:
         ``speeds`` (n,) [rad/s] are those measured, None if they are not; ``effectiveness`` (n,) [1] is there
         in free flight.
         """
-        inputs = AttitudeLoopInputs(imu, wanted, disturbance)
+        inputs = AttitudeLoopInputs(imu, wanted, disturbance, self._torque)
         if self._flies:
             measured = np.bool_(speeds is not None)
             speeds = np.zeros_like(self._healthy) if speeds is None else speeds

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from law_contract import assert_state_keeps_its_structure, assert_step_is_traced
 
-from quadftc_control.attitude_loop import AttitudeLoop, AttitudeLoopInputs, attitude_stepper
+from quadftc_control.attitude_loop import AttitudeLoop, AttitudeLoopInputs
 from quadftc_control.controller import Controller, controllers
+from quadftc_model.guarded import GuardedStepper
 from quadftc_model.rotations import quaternion_from_euler
 from quadftc_model.rotors import wrench_from_speeds
 from quadftc_model.samples import AttitudeCommand, AttitudeReference, ControllerInputs, ControllerOutput
@@ -152,9 +153,10 @@ class Defective(Controller):
 @WHERE
 def test_last_torque_is_held_where_the_output_is_no_number(flies):
     law = AttitudeLoop(controller=Defective(vehicle=VEHICLE), flies=flies)
-    given = []
-    stepper = attitude_stepper(law, lambda: given[-1].output.torque)
-    given.extend(stepper.step(1 + index * 4_000_000, law.example()) for index in range(5))
+    given, stepper, last = [], GuardedStepper(law), np.zeros(3)
+    for index in range(5):
+        given.append(stepper.step(1 + index * 4_000_000, law.example()._replace(last=last)))
+        last = given[-1].output.torque
     np.testing.assert_allclose([each.output.torque[0] for each in given], [0.001, 0.002, 0.003, 0.003, 0.001])
     assert stepper.replaced == 1
     if flies:

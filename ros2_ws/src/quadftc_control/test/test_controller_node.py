@@ -194,7 +194,7 @@ def test_in_free_flight_rotors_get_what_the_inner_loop_says(lockstep_bench):
         lockstep_bench.until(lambda count=index: len(commands) > count)
         imu = level_sample()._replace(q_xyzw=quaternion_from_euler(np.array(TILT)))
         given = np.where(measured, speeds, 0.0)
-        inputs = AttitudeLoopInputs(imu, command, zeros, given, measured, weak)
+        inputs = AttitudeLoopInputs(imu, command, zeros, zeros, given, measured, weak)
         state = law.init(inputs) if state is None else state
         state, output = law.step(state, inputs, PERIOD_NS / 1e9 if index else 0.0)
         np.testing.assert_allclose(commands[-1].velocity, output.speeds, rtol=1e-9)

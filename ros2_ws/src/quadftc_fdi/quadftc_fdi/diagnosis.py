@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from quadftc_fdi.observation import Observation, ObservationInputs
 from quadftc_model import samples
 from quadftc_model.arrays import Vector, rows_of
 from quadftc_model.fade import Fade
-from quadftc_model.guarded import Guarded, GuardedOutput
+from quadftc_model.guarded import ResumingStepper
 from quadftc_model.rotations import rotation_between, turn
 from quadftc_model.samples import (
     ALARMS,
@@ -31,7 +31,7 @@ from quadftc_model.samples import (
     has_attitude,
     has_rate,
 )
-from quadftc_model.stepper import NANOSECONDS_PER_SECOND, Engine, NumpyRunner, ResumingStepper, seconds
+from quadftc_model.stepper import NANOSECONDS_PER_SECOND, Engine, NumpyRunner, seconds
 
 REPORT_PERIOD_NS = 100_000_000  # ns; the topic ``diagnosis`` comes at 10 Hz, and at once on a change
 SEVEREST_FIRST = (samples.FAULTY, samples.RECOVERING, samples.SUSPECT, samples.STARTING, samples.HEALTHY)
@@ -50,7 +50,7 @@ _SHOWN_IN = {"gyro": ("deg_s", math.degrees(1.0)), "rotor": ("percent", 100.0)}
 _CONFUSED_WITH = {"attitude": "gyro", "gyro": "attitude"}  # on the same axis
 
 
-class Diagnosis(ResumingStepper[ObservationInputs, GuardedOutput[FaultEstimate], LastDiagnosis]):
+class Diagnosis(ResumingStepper[ObservationInputs, FaultEstimate, LastDiagnosis]):
     """A fault observer on a stream.
 
     It starts at the first sample with attitude and rate, also after a gap and an estimate that cannot be
@@ -59,18 +59,17 @@ class Diagnosis(ResumingStepper[ObservationInputs, GuardedOutput[FaultEstimate],
     """
 
     def __init__(self, observer: FaultObserver, engine: Engine = NumpyRunner, flies: bool = False) -> None:
-        super().__init__(Guarded(Observation(observer, flies)), engine=engine)
-        self.observer, self._flies = observer, flies
+        super().__init__(Observation(observer, flies), engine)
+        self._flies = flies
         self._published: DiagnosisReport | None = None
         self._decided: tuple[object, ...] = ()  # what decides whether a report is due, at the last sample
         self._next: FaultObserver | None = None  # takes over with the next complete sample
         self._fade = Fade()  # of turn [rad] and body rate [rad/s], (6,)
 
     @property
-    def memory(self) -> Any:
-        """State of the observer; None where it starts at the next sample."""
-        state = self.state
-        return None if state is None or state.starts else state.law
+    def observer(self) -> FaultObserver:
+        """The observer that runs."""
+        return cast("Observation", self.law).observer
 
     def switch(self, observer: FaultObserver) -> None:
         """Go on with changed parameters, or have another law take over from what is known, without a jump."""
@@ -107,11 +106,11 @@ class Diagnosis(ResumingStepper[ObservationInputs, GuardedOutput[FaultEstimate],
             self._use(self._next)
         if last is not None and dt is not None and _is_complete(sample):
             since = last.since + last.faulty * seconds(stamp_ns - self._words_ns)
-            return self._said(self.take_over(stamp_ns, inputs, last._replace(since=since)))
-        output = self.step(stamp_ns, inputs)
-        if output is None:
+            return self.take_over(stamp_ns, inputs, last._replace(since=since))
+        said = self.step(stamp_ns, inputs)
+        if said is None:
             return None
-        estimate = self._faded(stamp_ns, self._said(output))
+        estimate = self._faded(stamp_ns, said)
         if self._next is None or not _is_complete(sample):
             return estimate
         return self._hand_over(stamp_ns, inputs, estimate, self._next)
@@ -123,25 +122,26 @@ class Diagnosis(ResumingStepper[ObservationInputs, GuardedOutput[FaultEstimate],
 
         No fault is confirmed, so it starts at the attitude that is read. The gyro bias is handed over.
         """
-        last, memory = before.corrected, self.memory
-        bias = None if memory is None else self.observer.bias_of(memory)
+        last, bias = before.corrected, self._bias
         correction = last.body_rate - inputs.sample.body_rate if bias is None else -bias
         begun = samples.STARTING not in before.state.tolist() and correction.any()
         known = LastDiagnosis(np.zeros(3), _UNKNOWN, _CLEAR, correction, np.zeros(3))
         self._use(observer)
-        estimate = self._said(self.begin(stamp_ns, inputs, known if begun else None))
+        estimate = self.begin(stamp_ns, inputs, known if begun else None)
         turn = rotation_between(estimate.corrected.q_xyzw, last.q_xyzw)
         self._fade.begin(stamp_ns, np.concatenate([turn, last.body_rate - estimate.corrected.body_rate]))
         return self._faded(stamp_ns, estimate)
 
-    def _said(self, output: GuardedOutput[FaultEstimate]) -> FaultEstimate:
-        self.replaced += int(output.failed)
-        return output.said
-
     def _use(self, observer: FaultObserver) -> None:
-        law = Guarded(Observation(observer, self._flies))
+        law = Observation(observer, self._flies)
         self.replace_law(law, law.example())
-        self.observer, self._next = observer, None
+        self._next = None
+
+    @property
+    def _bias(self) -> Vector | None:
+        """Gyro bias [rad/s] that the observer knows."""
+        state = self.state
+        return None if state is None else self.observer.bias_of(state)
 
     def _faded(self, stamp_ns: int, estimate: FaultEstimate) -> FaultEstimate:
         """Add to a corrected sample what is left of the difference between two laws."""
@@ -161,8 +161,7 @@ class Diagnosis(ResumingStepper[ObservationInputs, GuardedOutput[FaultEstimate],
         if not has_rate(sample):
             return None
         taken_off = sample.body_rate - estimate.corrected.body_rate
-        memory = self.memory
-        bias = None if memory is None else self.observer.bias_of(memory)
+        bias = self._bias
         if bias is None or estimate.sensors is None:
             return taken_off if bias is None else bias
         return np.where(np.isin(estimate.sensors.gyro.state, ALARMS), taken_off, bias)

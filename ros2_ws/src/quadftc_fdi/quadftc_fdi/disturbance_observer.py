@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
 from quadftc_model.arrays import Flag, Vector, namespace
 from quadftc_model.assembly import VehicleLaw, law_from
 from quadftc_model.fade import Fade
-from quadftc_model.guarded import Guarded, GuardedOutput
+from quadftc_model.guarded import ResumingStepper
 from quadftc_model.numbers import structure_of
 from quadftc_model.registry import Registry
 from quadftc_model.samples import (
@@ -22,7 +22,7 @@ from quadftc_model.samples import (
     sanitised,
     usable,
 )
-from quadftc_model.stepper import Engine, NumpyRunner, ResumingStepper
+from quadftc_model.stepper import Engine, NumpyRunner
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -52,6 +52,11 @@ class DisturbanceObservation:
     """A disturbance observer on received samples; nodes and the closed loop without ROS run this law."""
 
     observer: DisturbanceObserver
+
+    @property
+    def named_after(self) -> DisturbanceObserver:
+        """What it is called after where it is compiled."""
+        return self.observer
 
     def init(self, inputs: DisturbanceObservationInputs) -> Any:
         """Return the state of the observer at the first sample."""
@@ -86,12 +91,11 @@ class DisturbanceObservation:
         return np.zeros(3)
 
 
-class DisturbanceEstimation(ResumingStepper[DisturbanceObservationInputs, GuardedOutput[Vector], Vector]):
+class DisturbanceEstimation(ResumingStepper[DisturbanceObservationInputs, Vector, Vector]):
     """A disturbance observer on a stream. An estimate that cannot be used becomes zero and restarts it."""
 
     def __init__(self, observer: DisturbanceObserver, engine: Engine = NumpyRunner) -> None:
-        super().__init__(Guarded(DisturbanceObservation(observer)), engine=engine)
-        self.observer = observer  # that runs
+        super().__init__(DisturbanceObservation(observer), engine)
         self._next: DisturbanceObserver | None = None  # takes over with the next body rate
         self._fade = Fade()  # of the estimate [rad/s²], (3,)
 
@@ -115,25 +119,25 @@ class DisturbanceEstimation(ResumingStepper[DisturbanceObservationInputs, Guarde
         inputs = DisturbanceObservationInputs(corrected, torque)
         last = self.words_for(stamp_ns)
         if last is not None and has_rate(corrected) and self.time_step(stamp_ns) is not None:
-            return self._said(self.take_over(stamp_ns, inputs, last))
-        output, left = self.step(stamp_ns, inputs), self._fade.at(stamp_ns)
-        if output is None:
+            return self.take_over(stamp_ns, inputs, last)
+        said, left = self.step(stamp_ns, inputs), self._fade.at(stamp_ns)
+        if said is None:
             return None
-        said = self._said(output)
         estimate = said if left is None else said + left
         if self._next is not None and has_rate(corrected):
             self._use(self._next)
-            self._fade.begin(stamp_ns, estimate - self._said(self.begin(stamp_ns, inputs, estimate)))
+            self._fade.begin(stamp_ns, estimate - self.begin(stamp_ns, inputs, estimate))
         return estimate
 
-    def _said(self, output: GuardedOutput[Vector]) -> Vector:
-        self.replaced += int(output.failed)
-        return output.said
+    @property
+    def observer(self) -> DisturbanceObserver:
+        """The observer that runs."""
+        return cast("DisturbanceObservation", self.law).observer
 
     def _use(self, observer: DisturbanceObserver) -> None:
-        law = Guarded(DisturbanceObservation(observer))
+        law = DisturbanceObservation(observer)
         self.replace_law(law, law.example())
-        self.observer, self._next = observer, None
+        self._next = None
 
 
 disturbance_observers: Registry[Any] = Registry(

@@ -219,11 +219,11 @@ class FaultObserverNode(GraphNode):
 
     def report(self) -> None:
         """Report the observer, and the fault of each axis of the attitude and of each other component."""
-        law, memory = self._diagnosis.observer, self._diagnosis.memory
+        law, state = self._diagnosis.observer, self._diagnosis.state
         self._report_observer()
         if self._estimate is None or self._observer == "none":
             return
-        more = {} if memory is None else law.describe(memory)
+        more = {} if state is None else law.describe(state)
         for axis, state, values in describe_axes(self._estimate, more):
             if law.has_detector:
                 self._report_fault(f"attitude fault {axis}", state, values)

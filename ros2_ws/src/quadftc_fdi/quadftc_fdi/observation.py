@@ -48,6 +48,11 @@ class Observation:
     flies: bool = False  # what it is compiled for before a sample comes: free flight, or the test stand
 
     @property
+    def named_after(self) -> FaultObserver:
+        """What it is called after where it is compiled."""
+        return self.observer
+
+    @property
     def has_detector(self) -> bool:
         """Whether the observer declares faults."""
         return self.observer.has_detector

@@ -14,6 +14,7 @@ from quadftc_fdi.disturbance_observers.exosystem import Exosystem
 from quadftc_fdi.fault_observer import LastDiagnosis, fault_observers
 from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_fdi.fault_observers.supervised import Supervised
+from quadftc_model.guarded import OLDEST_WORDS, ResumingStepper
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler
 from quadftc_model.samples import (
     FAULTY,
@@ -23,7 +24,7 @@ from quadftc_model.samples import (
     FaultObserverInputs,
     level_sample,
 )
-from quadftc_model.stepper import OLDEST_WORDS, ResumingStepper, Stepper
+from quadftc_model.stepper import Stepper
 from quadftc_model.vehicle import load_vehicle
 from quadftc_msgs.msg import FaultStatus
 from quadftc_ros.conversions import time_message

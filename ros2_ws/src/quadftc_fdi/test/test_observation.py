@@ -98,6 +98,6 @@ def test_diagnosis_restarts_at_the_sample_after_an_unusable_estimate(flies):
         sent = rotors._replace(command=speeds * np.nan) if flies and index == 20 else rotors
         estimate = diagnosis.diagnose(10**9 + 4_000_000 * index, level_sample(), torque, sent)
         assert is_usable_estimate(estimate)
-        starting.append(diagnosis.memory is None)
+        starting.append(diagnosis.state is None)
     assert diagnosis.replaced == 1
     assert np.flatnonzero(starting).tolist() == [20]

@@ -227,5 +227,6 @@ def rows_of(part: Any, index: Any) -> Any:
     if isinstance(part, tuple):
         parts = cast("tuple[Any, ...]", part)
         kind: Any = type(parts)
-        return kind(*(rows_of(each, index) for each in parts))
+        rows = [rows_of(each, index) for each in parts]
+        return kind(*rows) if hasattr(kind, "_fields") else tuple(rows)
     return part if part is None or isinstance(part, (bool, np.bool_)) else part[index]

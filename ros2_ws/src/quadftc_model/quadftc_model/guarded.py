@@ -6,9 +6,13 @@ import dataclasses
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from quadftc_model.arrays import Flag, branch, finite, where
+from quadftc_model.stepper import MAX_GAP, Stepper, seconds
 
 In = TypeVar("In")
 Out = TypeVar("Out")
+Words = TypeVar("Words")
+
+OLDEST_WORDS = 10.0  # s; at the first sample: a fault may have ended since
 
 
 class RestartingLaw(Protocol[In, Out]):
@@ -60,6 +64,11 @@ class Guarded(Generic[In, Out]):
 
     law: RestartingLaw[In, Out]
 
+    @property
+    def named_after(self) -> Any:
+        """What it is called after where it is compiled."""
+        return self.law
+
     def example(self) -> In:
         """Return inputs of the law as they will come, for the compiler."""
         law: Any = self.law
@@ -88,3 +97,72 @@ class Guarded(Generic[In, Out]):
         starts = waits | failed
         said = branch(starts, lambda: self.law.fallback(inputs, output), lambda: output)
         return GuardedState(after, starts), GuardedOutput(said, failed, starts)
+
+
+class GuardedStepper(Stepper[In, Out]):
+    """A guarded law on a stream; its ``law`` is the one that is guarded."""
+
+    replaced = 0  # outputs so far that could not be used
+    starts = True  # the law starts at the next sample at which it can
+
+    @property
+    def state(self) -> Any:
+        """State of the law at the last sample; None where it starts at the next."""
+        return None if self.starts or self._state is None else self._runner.tree(self._state).law
+
+    def reset(self) -> None:
+        """Forget the state; the next sample is the first."""
+        super().reset()
+        self.starts = True
+
+    def _run_law(self, law: Any) -> Any:
+        return Guarded(law)
+
+    def _keep(self, stamp_ns: int, stepped: tuple[Any, Any]) -> Out:
+        output: GuardedOutput[Out] = super()._keep(stamp_ns, stepped)
+        self.starts = bool(output.starts)
+        self.replaced += bool(output.failed)
+        return output.said
+
+
+class ResumingStepper(GuardedStepper[In, Out], Generic[In, Out, Words]):
+    """A law that resumes where another one has died: at its first samples, once.
+
+    A node that was started in a flight finds last words that others have kept, a little older than its first
+    sample.
+    """
+
+    resumed = 0  # how often it resumed where another one had died
+    _first_ns = _newest_ns = _words_ns = 0
+    _words: Words | None = None
+    _used = False
+
+    def restart(self) -> None:
+        """Start at the next sample, without state and last words."""
+        self.reset()
+        self._first_ns, self._words = 0, None
+
+    def offer(self, stamp_ns: int, words: Words) -> None:
+        """Offer the last words [stamp in ns] of a law that has died, to resume from if it has."""
+        self._words_ns, self._words = stamp_ns, words
+
+    def words_for(self, stamp_ns: int) -> Words | None:
+        """Note a sample [ns]; return the words to resume from at it: `take_over` or `drop_words`, then.
+
+        After a gap over which no state is carried, a sample is the first again.
+        """
+        if not self._first_ns or abs(seconds(stamp_ns - self._newest_ns)) > MAX_GAP:
+            self._first_ns, self._used = stamp_ns, False
+        self._newest_ns = stamp_ns
+        age = seconds(self._first_ns - self._words_ns)
+        return self._words if not self._used and 0.0 < age <= OLDEST_WORDS else None
+
+    def drop_words(self) -> None:
+        """Ignore the words, and later ones of the same loss."""
+        self._words, self._used = None, True
+
+    def take_over(self, stamp_ns: int, inputs: In, words: Words) -> Out:
+        """Resume at a sample [ns] by the last words."""
+        self.drop_words()
+        self.resumed += 1
+        return self.begin(stamp_ns, inputs, words)

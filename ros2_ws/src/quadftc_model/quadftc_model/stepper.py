@@ -15,11 +15,9 @@ In_contra = TypeVar("In_contra", contravariant=True)
 Out_co = TypeVar("Out_co", covariant=True)
 In = TypeVar("In")
 Out = TypeVar("Out")
-Words = TypeVar("Words")
 
 NANOSECONDS_PER_SECOND = 1e9
 MAX_GAP = 1.0  # s; over a longer gap nothing can be carried: the law restarts
-OLDEST_WORDS = 10.0  # s; at the first sample: a fault may have ended since
 
 
 def seconds(nanoseconds: int) -> float:
@@ -100,20 +98,10 @@ Engine = Callable[[Any], Runner[Any, Any]]  # what runs a law
 
 
 class Stepper(Generic[In, Out]):
-    """One law with its state and the stamp of its last sample.
+    """One law with its state and the stamp of its last sample; ``engine`` says what runs the law."""
 
-    ``guard`` gets inputs and output of each step. It returns the output, or another in place of one that
-    cannot be used; then the law restarts at the next sample. ``engine`` says what runs the law.
-    """
-
-    def __init__(
-        self,
-        law: Law[In, Out],
-        guard: Callable[[In, Out], Out] | None = None,
-        engine: Engine = NumpyRunner,
-    ) -> None:
-        self._engine, self._guard = engine, guard
-        self.replaced = 0  # outputs so far that could not be used
+    def __init__(self, law: Law[In, Out], engine: Engine = NumpyRunner) -> None:
+        self._engine = engine
         self.law = law
         self.reset()
 
@@ -124,15 +112,21 @@ class Stepper(Generic[In, Out]):
 
     @law.setter
     def law(self, law: Law[In, Out]) -> None:
-        if not (hasattr(self, "_runner") and self._runner.configure(law)):
-            self._runner: Runner[In, Out] = self._engine(law)
+        run = self._run_law(law)
+        if not (hasattr(self, "_runner") and self._runner.configure(run)):
+            self._runner: Runner[Any, Any] = self._engine(run)
         self._law = law
 
     def replace_law(self, law: Law[In, Out], example: In) -> None:
         """Go on with another law in flight: in NumPy, if it would have to be compiled for inputs first."""
-        state, is_ready = self.state, getattr(self._engine, "is_ready", None)
-        quick: Engine = self._engine if is_ready is None or is_ready(law, example) else NumpyRunner
-        self._law, self._runner, self._state = law, quick(law), state
+        run, is_ready = self._run_law(law), getattr(self._engine, "is_ready", None)
+        quick: Engine = self._engine if is_ready is None or is_ready(run, example) else NumpyRunner
+        state = None if self._state is None else self._runner.tree(self._state)
+        self._law, self._runner, self._state = law, quick(run), state
+
+    def _run_law(self, law: Any) -> Any:
+        """Return what is run of a law."""
+        return law
 
     def reset(self) -> None:
         """Forget the state; the next sample is the first."""
@@ -147,7 +141,7 @@ class Stepper(Generic[In, Out]):
     def begin(self, stamp_ns: int, inputs: In, words: Any = None) -> Out:
         """Start at a sample [ns]; from what another law has said last, if that is given."""
         begun = self._runner.first(inputs) if words is None else self._runner.resumed(inputs, words)
-        return self._keep(stamp_ns, inputs, begun)
+        return self._keep(stamp_ns, begun)
 
     def time_step(self, stamp_ns: int) -> float | None:
         """Return the time step [s] to a sample [ns]; None if its stamp repeats or went back: it is refused.
@@ -168,57 +162,10 @@ class Stepper(Generic[In, Out]):
             return None
         if dt == 0.0:
             return self.begin(stamp_ns, inputs)
-        return self._keep(stamp_ns, inputs, self._runner.step(self._state, inputs, dt))
+        return self._keep(stamp_ns, self._runner.step(self._state, inputs, dt))
 
-    def _keep(self, stamp_ns: int, inputs: In, stepped: tuple[Any, Out]) -> Out:
-        """Keep the state, unless the output cannot be used; return what is used."""
+    def _keep(self, stamp_ns: int, stepped: tuple[Any, Any]) -> Out:
+        """Keep the state; return what is said."""
         self._state, output = stepped
         self.stamp_ns = stamp_ns
-        used = output if self._guard is None else self._guard(inputs, output)
-        if used is not output:
-            self.replaced += 1
-            self.reset()
-        return used
-
-
-class ResumingStepper(Stepper[In, Out], Generic[In, Out, Words]):
-    """A law that resumes where another one has died: at its first samples, once.
-
-    A node that was started in a flight finds last words that others have kept, a little older than its first
-    sample.
-    """
-
-    resumed = 0  # how often it resumed where another one had died
-    _first_ns = _newest_ns = _words_ns = 0
-    _words: Words | None = None
-    _used = False
-
-    def restart(self) -> None:
-        """Start at the next sample, without state and last words."""
-        self.reset()
-        self._first_ns, self._words = 0, None
-
-    def offer(self, stamp_ns: int, words: Words) -> None:
-        """Offer the last words [stamp in ns] of a law that has died, to resume from if it has."""
-        self._words_ns, self._words = stamp_ns, words
-
-    def words_for(self, stamp_ns: int) -> Words | None:
-        """Note a sample [ns]; return the words to resume from at it: `take_over` or `drop_words`, then.
-
-        After a gap over which no state is carried, a sample is the first again.
-        """
-        if not self._first_ns or abs(seconds(stamp_ns - self._newest_ns)) > MAX_GAP:
-            self._first_ns, self._used = stamp_ns, False
-        self._newest_ns = stamp_ns
-        age = seconds(self._first_ns - self._words_ns)
-        return self._words if not self._used and 0.0 < age <= OLDEST_WORDS else None
-
-    def drop_words(self) -> None:
-        """Ignore the words, and later ones of the same loss."""
-        self._words, self._used = None, True
-
-    def take_over(self, stamp_ns: int, inputs: In, words: Words) -> Out:
-        """Resume at a sample [ns] by the last words."""
-        self.drop_words()
-        self.resumed += 1
-        return self.begin(stamp_ns, inputs, words)
+        return output

@@ -6,9 +6,10 @@ vector (..., 3) becomes (..., count, 3), a flag (...) becomes (..., count).
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, TypeVar, cast
 
-from quadftc_model.arrays import namespace
+from quadftc_model.arrays import Components, namespace
 
 T = TypeVar("T")
 
@@ -36,3 +37,23 @@ def shift_line(line: T, value: T, leading: int) -> tuple[T, T]:
         return line, value
     longer = xp.concatenate([array, xp.expand_dims(xp.asarray(value), leading)], axis=leading)
     return longer[(*before, slice(1, None))], longer[(*before, 0)]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class DelayLine:
+    """A law that says what its input (..., n) was ``count`` samples before; at first, what it was first."""
+
+    like: Components  # an input (n,), for the compiler
+    count: int
+
+    def example(self) -> Components:
+        """Return an input."""
+        return self.like
+
+    def init(self, inputs: Components) -> Components:
+        """Return the line (..., count, n) before the first sample."""
+        return fill_line(inputs, self.count, inputs.ndim - 1)
+
+    def step(self, state: Components, inputs: Components, dt: float) -> tuple[Components, Components]:
+        """Put an input into the line; return the one that leaves it."""
+        return shift_line(state, inputs, inputs.ndim - 1)

@@ -121,6 +121,11 @@ class ChannelFault:
 
     injection: Injection
 
+    @property
+    def named_after(self) -> Any:
+        """What it is called after where it is compiled."""
+        return self.injection.law
+
     def example(self) -> ChannelInputs:
         """Return inputs as at a first sample."""
         _, channels = Split().step((), level_sample(), 0.0)
@@ -186,6 +191,11 @@ class RotorsFault:
     """One fault on rotors, from its start to its stop."""
 
     injection: Injection
+
+    @property
+    def named_after(self) -> Any:
+        """What it is called after where it is compiled."""
+        return self.injection.law
 
     def example(self) -> RotorInputs:
         """Return inputs as at a first sample."""

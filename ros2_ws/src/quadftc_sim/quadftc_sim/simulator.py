@@ -51,9 +51,7 @@ class Simulator:
     ) -> None:
         self.law, self.plant, self.period_ns = law, law.plant, round(law.period * 1e9)
         self._seed = seed
-        self._runner: Runner[VehicleInputs, VehicleOutput] = (
-            engine(law) if law.plant.traceable else NumpyRunner(law)
-        )
+        self._runner: Runner[VehicleInputs, VehicleOutput] = engine(law)
         self._begin(epoch_ns)
 
     @property

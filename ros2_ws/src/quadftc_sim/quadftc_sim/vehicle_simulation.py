@@ -91,6 +91,11 @@ class VehicleSimulation:
         if not self.plant.flies and (self.position or self.magnetometer or self.barometer):
             raise ValueError("plant: a position sensor, magnetometer or barometer is for one in free flight")
 
+    @property
+    def traceable(self) -> bool:
+        """Whether a compiler can trace it."""
+        return self.plant.traceable
+
     @prepared
     def every(self) -> tuple[int | None, int | None, int | None]:
         """How many samples of the IMU come to one of position sensor, magnetometer and barometer."""
