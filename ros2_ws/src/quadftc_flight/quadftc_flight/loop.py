@@ -22,12 +22,15 @@ from quadftc_model.arrays import Components, Flag, Scalar, Vector, where
 from quadftc_model.composition import Calls
 from quadftc_model.guarded import Guarded, GuardedOutput
 from quadftc_model.samples import (
+    HEALTHY,
     NO_PLACE,
     AttitudeCommand,
     FaultEstimate,
     ImuSample,
     RotorCondition,
+    RotorEstimate,
     RotorReading,
+    effectiveness_of,
 )
 from quadftc_model.stepper import MAX_GAP, NANOSECONDS_PER_SECOND
 from quadftc_sim.delay_line import DelayLine
@@ -140,6 +143,27 @@ class SampleClock:
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class RotorTrust:
+    """What the controller takes the effectiveness of each rotor for, by what is said of them."""
+
+    rotors: int
+
+    def example(self) -> RotorEstimate:
+        """Return what is said of healthy rotors."""
+        zeros = np.zeros(self.rotors)
+        state = np.full(self.rotors, HEALTHY, np.uint8)
+        return RotorEstimate(state, zeros + 1.0, zeros, zeros, zeros, state, zeros > 0.0)
+
+    def init(self, inputs: RotorEstimate) -> tuple[()]:
+        """Return no state."""
+        return ()
+
+    def step(self, state: tuple[()], inputs: RotorEstimate, dt: float) -> tuple[tuple[()], Components]:
+        """Return the effectiveness (..., n) [1]."""
+        return state, effectiveness_of(inputs)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class ClosedLoop:
     """The laws of a vehicle, its faults and its avionics; a `quadftc_model.composition.Composition`."""
 
@@ -162,6 +186,7 @@ class ClosedLoop:
         found: dict[str, Any] = {"vehicle": self.vehicle, "clock": self.clock}
         if self.flies:
             found["speeds"] = DelayLine(self.vehicle.plant.first_command, self.vehicle.imu.delay)
+            found["trust"] = RotorTrust(rotors=self.vehicle.plant.command_size)
         if any(each.channel != ROTOR for each in self.injections):
             found |= {"split": Split(), "join": Join()}
         for number, each in enumerate(self.injections, 1):
@@ -269,7 +294,9 @@ class ClosedLoop:
             seen = ObservationInputs(sample, torque)
         observer, estimate = calls.step("observer", state.observer, seen, dt)
         corrected, known = estimate.said.corrected, estimate.said.rotors
-        effectiveness = self._all_there if known is None else known.effectiveness
+        effectiveness = self._all_there
+        if known is not None:
+            _, effectiveness = calls.step("trust", (), known, 1.0)
         rate = DisturbanceObservationInputs(corrected, torque)
         disturbance_observer, disturbance = calls.step(
             "disturbance_observer", state.disturbance_observer, rate, dt

@@ -8,9 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from quadftc_control.controller import controller_from
-from quadftc_control.position_loop import position_loop_from
-from quadftc_control.reference import reference_from
-from quadftc_control.trajectory import trajectory_from
+from quadftc_control.guidance import flight_guidance_from, stand_guidance_from
 from quadftc_fdi.disturbance_observer import disturbance_observer_from
 from quadftc_fdi.fault_observer import fault_observer_from
 from quadftc_flight.checks import refuse_wrong_checks
@@ -144,18 +142,20 @@ def test_node_parameters_build_the_very_parts_of_the_scenario(path):
             assert node_values(law, "") == node_values(getattr(scheme, role).law, "")
         simulator = simulator_from(parameters["plant"])
         assert node_values(simulator.plant, "") == node_values(scenario.plant, "")
-        assert node_values(simulator.sensor, "") == node_values(scenario.sensor, "")
+        assert node_values(simulator.law.imu, "") == node_values(scenario.sensor, "")
         assert simulator.period_ns == 4_000_000
         parts = {"disturbances": simulator.plant.disturbances}
         if scenario.plant.flies:
-            assert node_values(simulator.position_sensor, "") == node_values(scenario.position_sensor, "")
-            loop = position_loop_from(parameters["position_controller"])
+            position = simulator.law.position.sensor
+            assert node_values(position, "") == node_values(scenario.position_sensor, "")
+            guidance = flight_guidance_from(parameters["position_controller"])
+            loop = guidance.loop
             assert node_values(loop.estimator, "") == node_values(estimator_for(scenario), "")
             assert node_values(loop.controller, "") == node_values(scheme.position_controller.law, "")
             parts["winds"] = simulator.plant.winds
-            parts["trajectories"] = trajectory_from(parameters["position_controller"]).parts
+            parts["trajectories"] = guidance.trajectories
         else:
-            parts["references"] = reference_from(parameters["reference"]).parts
+            parts["references"] = stand_guidance_from(parameters["reference"]).references
         for key, laws in parts.items():
             assert [node_values(law, "") for law in laws] == [
                 node_values(part.law, "") for part in getattr(scenario, key)
@@ -446,7 +446,7 @@ def accepted_or_refused(text: str, overrides=()) -> None:
             disturbance_observer_from(parameters["disturbance_observer"])
             fault_observer_from(parameters["fault_observer"])
             controller_from(parameters["controller"])
-            reference_from(parameters["reference"])
+            stand_guidance_from(parameters["reference"])
 
 
 scalars = st.one_of(
