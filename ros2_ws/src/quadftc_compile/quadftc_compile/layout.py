@@ -86,13 +86,15 @@ def leaves_of(layout: Layout) -> list[Leaf]:
 
 
 def _leaves(layout: Layout, dtype: Any, path: tuple[str, ...], offset: int) -> Iterator[Leaf]:
+    if not _has_numbers(layout):
+        return
     if layout[0] == "array":
         yield Leaf(path, np.dtype(layout[1]), tuple(layout[2]), offset)
-    elif layout[0] == "tuple":
-        for name, inside in layout[2]:
-            if _has_numbers(inside):
-                member, at = dtype.fields[name][:2]
-                yield from _leaves(inside, member, (*path, name), offset + at)
+        return
+    for name, inside in layout[2]:
+        if _has_numbers(inside):
+            member, at = dtype.fields[name][:2]
+            yield from _leaves(inside, member, (*path, name), offset + at)
 
 
 def _has_numbers(layout: Layout) -> bool:

@@ -342,9 +342,11 @@ class Wiring:
             token = value if isinstance(value, Token) else self._constant(value)
             if token.shape != place.shape or token.dtype != place.dtype:
                 raise ValueError(f"{token.dtype} {token.shape}: expected {place.dtype} {place.shape}")
+            if not token.bytes:
+                continue
             if constants_stay and token is not value:
                 ctypes.memmove(place.address, token.address, token.bytes)
-            elif token != place and token.bytes:
+            elif token != place:
                 self._note(token, place, begin)
         if len(self._copies) > begin:
             self._instructions.append((COPY, begin, len(self._copies)))

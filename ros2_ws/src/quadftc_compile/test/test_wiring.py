@@ -26,6 +26,7 @@ class State(NamedTuple):
     spin: Any
     last: Any  # of the fast filter
     older: Any
+    empty: Any
 
 
 class Row(NamedTuple):
@@ -53,6 +54,7 @@ class Pair:
             calls.init("spin"),
             np.array([0.3, -0.2, 0.1]),
             np.zeros(3),
+            np.zeros((0, 3)),
         )
 
     def step(self, calls, state, row):
