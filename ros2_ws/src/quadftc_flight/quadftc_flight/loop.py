@@ -187,16 +187,13 @@ class ClosedLoop:
         if self.flies:
             found["speeds"] = DelayLine(self.vehicle.plant.first_command, self.vehicle.imu.delay)
             found["trust"] = RotorTrust(rotors=self.vehicle.plant.command_size)
-        if any(each.channel != ROTOR for each in self.injections):
-            found |= {"split": Split(), "join": Join()}
-        for number, each in enumerate(self.injections, 1):
-            found[f"fault{number}"] = RotorsFault(each) if each.channel == ROTOR else ChannelFault(each)
+        found |= laws_of(self.injections)
         names = ("observer", "disturbance_observer", "guidance", "attitude")
         return {**found, **{name: getattr(self, name) for name in names}}
 
     def init(self, calls: Calls) -> LoopState:
         """Return a state to begin with: no sample has come, and the rotors have their first command."""
-        said = Said(*(_said_at_first(each) for each in list(self.laws.values())[-4:]))
+        said = Said(*(said_at_first(each) for each in list(self.laws.values())[-4:]))
         first: Any = said.attitude.said
         speeds = self.vehicle.plant.first_command if self.flies else None
         nothing = first.output._replace(torque=np.zeros(3))
@@ -204,13 +201,13 @@ class ClosedLoop:
         return LoopState(
             vehicle=calls.init("vehicle"),
             speeds=calls.init("speeds") if self.flies else None,
-            injections=tuple(calls.init(f"fault{number}") for number in range(1, len(self.injections) + 1)),
+            injections=begin_by_calls(calls, self.injections),
             clock=calls.init("clock"),
             observer=calls.init("observer"),
             disturbance_observer=calls.init("disturbance_observer"),
             guidance=calls.init("guidance"),
             attitude=calls.init("attitude"),
-            faulty=_without_faults(self.observer.law.example().sample, self._healthy),
+            faulty=without_faults(self.observer.law.example().sample, self._healthy),
             said=said._replace(attitude=attitude),
         )
 
@@ -242,37 +239,14 @@ class ClosedLoop:
         inputs: LoopInputs,
     ) -> LoopState:
         """Put the faults on a sample that leaves the IMU, and react to it if it comes."""
-        injections, faulty = self._inject(calls, state.injections, motion.imu.sample, inputs)
+        given = inputs.taken, inputs.taken_dt, inputs.faults
+        injections, faulty = inject_by_calls(
+            calls, self.injections, state.injections, motion.imu.sample, self._healthy, *given
+        )
         state = state._replace(injections=injections, faulty=faulty)
         return calls.branch(
             faulty.present, lambda: self._react(calls, state, motion, speeds, inputs), lambda: state
         )
-
-    def _inject(
-        self, calls: Calls, states: tuple[Any, ...], sample: ImuSample, inputs: LoopInputs
-    ) -> tuple[tuple[Any, ...], Faulty]:
-        """Put the faults on a sample and on the rotors, as `quadftc_sim.injector.inject`."""
-        time, dt, condition = inputs.taken, inputs.taken_dt, self._healthy
-        healthy = channels = None
-        if any(each.channel != ROTOR for each in self.injections):
-            _, healthy = calls.step("split", (), sample, dt)
-            channels = healthy
-        after: list[Any] = []
-        for number, (injection, state, draws) in enumerate(
-            zip(self.injections, states, inputs.faults, strict=True), 1
-        ):
-            name, channel = f"fault{number}", injection.channel
-            if channel == ROTOR:
-                new, condition = calls.step(name, state, RotorInputs(condition, time), dt)
-            else:
-                seen = ChannelInputs(getattr(channels, channel), time, dt, draws)
-                new, made = calls.step(name, state, seen, dt)
-                channels = channels._replace(**{channel: made})
-            after.append(new)
-        if channels is None:
-            return tuple(after), _without_faults(sample, condition)
-        _, faulty = calls.step("join", (), JoinInputs(sample, healthy, channels), dt)
-        return tuple(after), faulty._replace(rotors=condition)
 
     def _react(
         self,
@@ -328,12 +302,59 @@ class ClosedLoop:
         return np.ones(self.vehicle.plant.command_size) if self.flies else None
 
 
-def _without_faults(sample: ImuSample, condition: RotorCondition | None) -> Faulty:
+def laws_of(injections: tuple[Injection, ...]) -> dict[str, Any]:
+    """Return the laws of injections by name, for `begin_by_calls` and `inject_by_calls`."""
+    found: dict[str, Any] = {}
+    if any(each.channel != ROTOR for each in injections):
+        found |= {"split": Split(), "join": Join()}
+    for number, each in enumerate(injections, 1):
+        found[f"fault{number}"] = RotorsFault(each) if each.channel == ROTOR else ChannelFault(each)
+    return found
+
+
+def begin_by_calls(calls: Calls, injections: tuple[Injection, ...]) -> tuple[Any, ...]:
+    """Return states of injections to begin with."""
+    return tuple(calls.init(f"fault{number}") for number in range(1, len(injections) + 1))
+
+
+def inject_by_calls(
+    calls: Calls,
+    injections: tuple[Injection, ...],
+    states: tuple[Any, ...],
+    sample: ImuSample,
+    condition: RotorCondition | None,
+    time: Scalar,
+    dt: Scalar,
+    draws: tuple[FaultDraws | None, ...],
+) -> tuple[tuple[Any, ...], Faulty]:
+    """Put faults on a sample and on rotors in healthy ``condition``, as `quadftc_sim.injector.inject`."""
+    healthy = channels = None
+    if any(each.channel != ROTOR for each in injections):
+        _, healthy = calls.step("split", (), sample, dt)
+        channels = healthy
+    after: list[Any] = []
+    for number, (injection, state, drawn) in enumerate(zip(injections, states, draws, strict=True), 1):
+        name, channel = f"fault{number}", injection.channel
+        if channel == ROTOR:
+            new, condition = calls.step(name, state, RotorInputs(condition, time), dt)
+        else:
+            seen = ChannelInputs(getattr(channels, channel), time, dt, drawn)
+            new, made = calls.step(name, state, seen, dt)
+            channels = channels._replace(**{channel: made})
+        after.append(new)
+    if channels is None:
+        return tuple(after), without_faults(sample, condition)
+    _, faulty = calls.step("join", (), JoinInputs(sample, healthy, channels), dt)
+    return tuple(after), faulty._replace(rotors=condition)
+
+
+def without_faults(sample: ImuSample, condition: RotorCondition | None) -> Faulty:
+    """Return a sample as it is without faults."""
     zeros = np.zeros(3)
     return Faulty(sample, np.True_, zeros, zeros, zeros, condition)
 
 
-def _said_at_first(law: Any) -> Any:
+def said_at_first(law: Any) -> Any:
     """Return what a law says of its example."""
     inputs = law.example()
     with np.errstate(all="ignore"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -36,11 +37,8 @@ class LoopDraws:
         self._period_ns, self._delay = round(loop.clock.period_ns), loop.vehicle.imu.delay
         self._random, self._vehicle, self._index = SensorDraws(seed), loop.vehicle, 0
         self._first = self._random.first(loop.vehicle.due(0))
-        places = numbers or tuple(range(1, len(loop.injections) + 1))
-        self._faults = [
-            _draw_fault(injection, self._period_ns, count, seed, number)
-            for injection, number in zip(loop.injections, places, strict=True)
-        ]
+        times = np.arange(count) * self._period_ns / NANOSECONDS_PER_SECOND
+        self._faults = draw_faults(loop.injections, times, seed, numbers)
 
     @classmethod
     def example(cls, loop: ClosedLoop) -> LoopInputs:
@@ -72,17 +70,29 @@ class LoopDraws:
                 self._random.next(count), self._random.next_place(count) if there else None, None, None
             ),
             first_draws=self._first,
-            faults=tuple(None if each is None else _between(each, taken) for each in self._faults),
+            faults=tuple(fault_draws(each, taken) for each in self._faults),
         )
 
 
+def draw_faults(
+    injections: Sequence[Injection],
+    time: NDArray[np.float64],
+    seed: int,
+    numbers: Sequence[int] | None = None,
+) -> list[FaultNumbers | None]:
+    """Draw the random numbers of injections for samples at scenario times [s] (n,); None: it takes none.
+
+    Injections draw by their ``numbers``, which count from 1; one of number 0 draws nothing.
+    """
+    places = numbers or range(1, len(injections) + 1)
+    return [_draw_fault(each, time, seed, place) for each, place in zip(injections, places, strict=True)]
+
+
 def _draw_fault(
-    injection: Injection, period_ns: int, count: int, seed: int, number: int
+    injection: Injection, time: NDArray[np.float64], seed: int, number: int
 ) -> FaultNumbers | None:
-    """Draw the random numbers of an injection for a whole flight; None: it takes none."""
     if injection.channel == ROTOR or not injection.law.is_random:
         return None
-    time = np.arange(count) * period_ns / NANOSECONDS_PER_SECOND
     steps = time < injection.stop
     if not injection.law.has_memory:
         steps &= injection.start <= time
@@ -93,8 +103,10 @@ def _draw_fault(
     )
 
 
-def _between(numbers: FaultNumbers, taken: NDArray[np.int64]) -> FaultDraws:
+def fault_draws(numbers: FaultNumbers | None, taken: NDArray[np.int64]) -> FaultDraws | None:
     """Return the numbers of an injection for samples, (count, 3); 0 where it draws none."""
+    if numbers is None:
+        return None
     place = np.searchsorted(numbers.rows, taken)
     found = np.append(numbers.rows, -1)[place] == taken
     drawn = (np.vstack([each, np.zeros(3)])[place] for each in numbers.draws)
