@@ -182,6 +182,7 @@ class Emitter:
         self._plan = Plan(Graph([], [], []))
         self._loops: Loops | None = None
         self._sources: dict[str, None] = {}
+        self._unread: dict[str, int] = {}  # variables that nothing reads, and the lines that declare them
 
     def emit(self, graph: Graph, inputs: Sequence[Storage], outputs: Sequence[Storage]) -> None:
         """Write the statements of a graph; inputs and outputs do not overlap."""
@@ -201,6 +202,12 @@ class Emitter:
             if targets.get(id(node)) is not where and node.size:
                 self.copy(node, where)
         self._plan = outer
+
+    def mark_unread(self) -> None:
+        """Tell compilers of variables that nothing reads, so that they do not warn; call it at the end."""
+        for name, line in reversed(self._unread.items()):
+            indent = " " * (len(self.lines[line]) - len(self.lines[line].lstrip()))
+            self.lines.insert(line + 1, f"{indent}(void){name};")
 
     # -- statements ------------------------------------------------------------
 
@@ -243,7 +250,9 @@ class Emitter:
             self.line(f"{kind} {name};")
             return Storage(name, single=True)
         if size <= FEW and not looped:
-            self.line(f"{kind} {', '.join(f'{name}_{k}' for k in range(size))};")
+            variables = [f"{name}_{k}" for k in range(size)]
+            self._unread |= dict.fromkeys(variables, len(self.lines))
+            self.line(f"{kind} {', '.join(variables)};")
             return Storage(name, separate=True)
         return Storage(self._take(kind, max(size, 1)))
 
@@ -418,7 +427,9 @@ class Emitter:
             return self._constant(node, at)
         storage = self._storage.get(id(node))
         if storage is not None:
-            return Expression(self.place(storage, node.shape, at))
+            place = self.place(storage, node.shape, at)
+            self._unread.pop(place, None)
+            return Expression(place)
         if node.op in VIEWS:
             return self._seen(node, at)
         assert id(node) in self._plan.inlined, node.op

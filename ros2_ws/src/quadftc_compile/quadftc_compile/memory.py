@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -148,8 +149,10 @@ def make_reader(layout: Layout, memory: Memory) -> Callable[[], Any]:
         if inside[0] == "none":
             return "None"
         if inside[0] == "array":
-            number = next(numbers, None)
-            return f"r{number}"
+            if math.prod(inside[2]):
+                return f"r{next(numbers)}"
+            names[name := f"k{len(names)}"] = np.zeros(inside[2], inside[1])
+            return name
         parts = [build(each, numbers) for _, each in inside[2]]
         content = f"({', '.join(parts)}{',' if len(parts) == 1 else ''})"
         if not inside[1]:

@@ -205,10 +205,10 @@ class _Writer:
         for key, each in traced.items():
             self._write_function(key, each)
         guard = f"{self._name.upper()}_H"
-        about = _summary_of(self._law)
+        about, kind = _summary_of(self._law)
         header = "\n".join(
             [
-                f"/* {about} Generated from the law {type(self._law).__name__}: do not change it here. */",
+                f"/* {about} Generated from the law {kind}: do not change it here. */",
                 f"#ifndef {guard}\n#define {guard}\n\n#include <stdbool.h>\n#include <stdint.h>\n",
                 *self._structs.definitions,
                 *(f"{each};\n" for each in self._declarations),
@@ -275,6 +275,7 @@ class _Writer:
             [Storage(text, node.shape == ()) for text, node in zip(texts, graph.inputs, strict=True)],
             [Storage(text, node.shape == ()) for text, node in zip(outputs, graph.outputs, strict=True)],
         )
+        emitter.mark_unread()
         self._helpers |= emitter.helpers
         unused = [each.split()[-1].lstrip("*") for each in parameters]
         body = "\n".join(emitter.lines)
@@ -409,6 +410,9 @@ def comment_of(law: Any, path: str) -> str:
     return field_comments(kind).get(last, "")
 
 
-def _summary_of(law: Any) -> str:
+def _summary_of(law: Any) -> tuple[str, str]:
+    """Return what a law is, and its name; ``named_after`` says which part of it tells more."""
+    while (part := getattr(law, "named_after", None)) is not None:
+        law = part
     words = inspect.getdoc(type(law)) or type(law).__name__
-    return words.splitlines()[0].replace("*/", "* /")
+    return words.splitlines()[0].replace("*/", "* /"), type(law).__name__
