@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,17 +14,16 @@ from quadftc_compile.wiring import BLOCK, flown_by
 from quadftc_control.attitude_loop import AttitudeLoop
 from quadftc_control.guidance import FlightGuidance, GuidanceOutput, StandGuidance
 from quadftc_control.position_loop import PositionLoop
-from quadftc_fdi.diagnosis import report_flight
 from quadftc_fdi.disturbance_observer import DisturbanceObservation
 from quadftc_fdi.observation import Observation
 from quadftc_flight.flight import Flight, onset_ns, unknown_flight
 from quadftc_flight.loop import ClosedLoop, LoopOutput, SampleClock
 from quadftc_flight.loop_draws import LoopDraws
-from quadftc_flight.reported import note_reports
+from quadftc_flight.reported import ReportLog, note_reports
 from quadftc_flight.scenario import Scenario, Scheme, estimator_for
 from quadftc_model.arrays import rows_of
 from quadftc_model.guarded import Guarded
-from quadftc_model.samples import DiagnosisReport, FaultEstimate, ImuSample
+from quadftc_model.samples import FaultEstimate, ImuSample
 from quadftc_model.stepper import seconds
 from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count, vehicle_from
 from quadftc_sim.injector import Faulty
@@ -97,12 +96,10 @@ class FlightRecord:
 
     def __init__(self, loop: ClosedLoop, epoch_ns: int, count: int, watch: Watch | None = None) -> None:
         self._loop, self._watch = loop, watch
-        self._observer = loop.observer.law.observer
         self._channels = {each.channel for each in loop.injections}
         stamps = epoch_ns + round(loop.clock.period_ns) * np.arange(count)
         self._flight = unknown_flight(stamps, loop.vehicle.plant.command_size if loop.flies else 0)
-        self._reports: list[DiagnosisReport] = []
-        self._last: tuple[Any, FaultEstimate] | None = None  # stamp [ns] and estimate, (1, ...)
+        self._reports = ReportLog(loop.observer.law.observer)
 
     def note(self, begin: int, output: LoopOutput) -> None:
         """Note what was put out from a row on, arrays (n, ...)."""
@@ -132,7 +129,7 @@ class FlightRecord:
 
     def flight(self) -> Flight:
         """Return the flight: the samples that came out before its end."""
-        note_reports(self._flight, self._reports)
+        note_reports(self._flight, self._reports.reports)
         return self._flight.first(max(len(self._flight) - self._loop.vehicle.imu.delay, 0))
 
     def _note_truth(self, rows: Rows, faulty: Faulty) -> None:
@@ -160,18 +157,4 @@ class FlightRecord:
             flight.rotor_state[rows], flight.rotor_estimate[rows] = rotors.state, rotors.effectiveness
             flight.rotor_std_dev[rows], flight.rotor_probability[rows] = rotors.std_dev, rotors.probability
             flight.rotor_ambiguous[rows] = rotors.ambiguous
-        last = self._last
-        self._last = stamps[-1:].copy(), rows_of(estimate, slice(-1, None))
-        if last is not None:
-            stamps, estimate = np.concatenate([last[0], stamps]), joined(last[1], estimate)
-        reports = report_flight(self._observer, stamps, estimate)
-        self._reports += reports if last is None else reports[1:]
-
-
-def joined(first: Any, second: Any) -> Any:
-    """Return arrays of two nested tuples alike, one behind the other."""
-    if isinstance(first, tuple):
-        parts = [joined(a, b) for a, b in zip(cast("tuple[Any, ...]", first), second, strict=True)]
-        kind: Any = type(first)
-        return kind(*parts)
-    return None if first is None else np.concatenate([first, second])
+        self._reports.note(stamps, estimate)

@@ -328,10 +328,10 @@ def inject_by_calls(
     draws: tuple[FaultDraws | None, ...],
 ) -> tuple[tuple[Any, ...], Faulty]:
     """Put faults on a sample and on rotors in healthy ``condition``, as `quadftc_sim.injector.inject`."""
-    healthy = channels = None
+    healthy: Any = None
     if any(each.channel != ROTOR for each in injections):
         _, healthy = calls.step("split", (), sample, dt)
-        channels = healthy
+    channels = healthy
     after: list[Any] = []
     for number, (injection, state, drawn) in enumerate(zip(injections, states, draws, strict=True), 1):
         name, channel = f"fault{number}", injection.channel

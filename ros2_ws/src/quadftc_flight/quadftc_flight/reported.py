@@ -6,13 +6,15 @@ A report holds until the next one, at most to the end of its `REPORT_PERIOD_NS`:
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_fdi.diagnosis import COMPONENTS, REPORT_PERIOD_NS
-from quadftc_model.samples import HEALTHY, ComponentFault, DiagnosisReport
+from quadftc_fdi.diagnosis import COMPONENTS, REPORT_PERIOD_NS, report_flight
+from quadftc_fdi.fault_observer import FaultObserver
+from quadftc_model.arrays import rows_of
+from quadftc_model.samples import HEALTHY, ComponentFault, DiagnosisReport, FaultEstimate
 
 if TYPE_CHECKING:
     from quadftc_bags.bag import Series
@@ -28,6 +30,37 @@ UNWATCHED: dict[str, Any] = {
     "ambiguous": np.False_,
 }
 WATCHED = {**UNWATCHED, "state": np.uint8(HEALTHY), "estimate": 0.0, "std_dev": -1.0, "probability": 0.0}
+
+
+class ReportLog:
+    """The reports that are due on the estimates of a flight, which come in stretches."""
+
+    def __init__(self, law: FaultObserver) -> None:
+        self.reports: list[DiagnosisReport] = []
+        self._law = law
+        self._last: tuple[Any, FaultEstimate] | None = None  # stamp [ns] and estimate, (1, ...)
+
+    def note(self, stamp_ns: NDArray[np.int64], estimates: FaultEstimate) -> None:
+        """Note the estimates of further samples [ns], (n, ...)."""
+        if not len(stamp_ns):
+            return
+        before = self._last
+        # a copy, as what was flown may be changed by what is flown next
+        self._last = joined([rows_of((stamp_ns, estimates), slice(-1, None))])
+        if before is None:
+            self.reports += report_flight(self._law, stamp_ns, estimates)
+        else:
+            self.reports += report_flight(self._law, *joined([before, (stamp_ns, estimates)]))[1:]
+
+
+def joined(parts: Sequence[Any]) -> Any:
+    """Return arrays of nested tuples alike, one behind the other."""
+    first = parts[0]
+    if isinstance(first, tuple):
+        inside = [joined(each) for each in zip(*parts, strict=True)]
+        kind: Any = type(cast("tuple[Any, ...]", first))
+        return kind(*inside) if hasattr(kind, "_fields") else tuple(inside)
+    return None if first is None else np.concatenate(parts)
 
 
 def note_reports(flight: Flight, reports: Sequence[DiagnosisReport]) -> None:

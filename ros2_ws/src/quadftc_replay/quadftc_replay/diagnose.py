@@ -1,25 +1,27 @@
-"""A recording through the diagnosis, sample by sample, as the graph does it; nothing of ROS is in between."""
+"""A recording through the diagnosis, as the graph does it; nothing of ROS is in between."""
 
 from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_fdi.diagnosis import Diagnosis
+from quadftc_compile.engine import engine_named
+from quadftc_compile.wiring import BLOCK, flown_by
 from quadftc_fdi.fault_observer import FaultObserver
 from quadftc_flight.flight import NO_STATE, Flight, onset_ns, unknown_flight
-from quadftc_flight.reported import note_reports
+from quadftc_flight.reported import ReportLog, joined, note_reports
+from quadftc_model.arrays import chosen, rows_of
 from quadftc_model.rotations import wrap
 from quadftc_model.samples import DiagnosisReport, FaultEstimate, ImuSample
 from quadftc_replay.imu_recording import Floats, Recording
-from quadftc_sim.injection import TRUTH
-from quadftc_sim.injector import FaultInjector, Faulty
+from quadftc_replay.open_loop import OpenDraws, open_loop_of
+from quadftc_sim.injection import TRUTH, Injection
 
 Progress = Callable[[float], None]  # called with the share of the samples that are done
-STRIDE = 256  # samples between two calls
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -40,36 +42,42 @@ UNSAID = FaultEstimate(_UNKNOWN, _UNKNOWN, np.full(3, NO_STATE, np.uint8), _UNKN
 
 
 def diagnose(
-    recording: Recording, law: FaultObserver, injector: FaultInjector, progress: Progress | None = None
+    recording: Recording,
+    law: FaultObserver,
+    injections: Sequence[Injection] = (),
+    seed: int = 0,
+    engine: str = "c",
+    progress: Progress | None = None,
 ) -> Diagnosed:
-    """Put the faults of an injector, which is used up, on the samples, and diagnose them."""
-    diagnosis, injected, estimates = Diagnosis(law), list[Faulty](), list[FaultEstimate]()
-    reports = list[DiagnosisReport]()
-    for row, stamp_ns in enumerate(recording.stamp_ns.tolist()):
-        faulty = injector.apply(stamp_ns, ImuSample(*(column[row] for column in recording.imu)))
-        estimate = None
-        if faulty.present:
-            torque = recording.torque[row] if recording.driven else None
-            estimate = diagnosis.diagnose(stamp_ns, faulty.sample, torque)
-            assert estimate is not None  # stamps increase
-            reports += filter(None, [diagnosis.report(stamp_ns, estimate)])
-        injected.append(faulty)
-        estimates.append(estimate or UNSAID)
-        if progress is not None and row % STRIDE == 0:
-            progress(row / len(recording))
-    *said, corrected, _, _ = zip(*estimates, strict=True)
+    """Put faults on the samples, and diagnose them; ``seed`` is that of random faults.
+
+    ``engine`` runs the laws: "c", or "numpy", the reference.
+    """
+    loop, count = open_loop_of(recording, law, injections), len(recording)
+    draws = OpenDraws(recording, loop.injections, seed)
+    flown = flown_by(engine_named(engine), loop, draws.example())
+    reports, parts, unusable = ReportLog(law), list[tuple[Any, ...]](), 0
+    for begin in range(0, count, BLOCK):
+        stop = min(begin + BLOCK, count)
+        output = flown.run(draws.rows(begin, stop), stop - begin)
+        faulty, estimate, came = output.faulty, output.estimate.said, output.faulty.present
+        reports.note(recording.stamp_ns[begin:stop][came], rows_of(estimate, came))
+        unusable += int(np.sum(output.estimate.failed & came))
+        seen = chosen(came, faulty.sample, UNSEEN)
+        overlaid = tuple(getattr(faulty, channel) for channel in TRUTH)
+        said = chosen(came, estimate._replace(sensors=None, rotors=None), UNSAID)
+        parts.append(joined([(came, seen, overlaid, said)]))  # a copy: the next block takes its place
+        if progress is not None:
+            progress(stop / count)
+    delivered, seen, overlaid, estimate = joined(parts)
     return Diagnosed(
-        delivered=np.array([each.present for each in injected], np.bool_),
-        seen=_stack([each.sample if each.present else UNSEEN for each in injected]),
-        overlaid={channel: np.stack([getattr(each, channel) for each in injected]) for channel in TRUTH},
-        estimate=FaultEstimate._make([*map(np.stack, said), _stack(corrected), None, None]),
-        reports=reports,
-        unusable=diagnosis.replaced,
+        delivered=delivered,
+        seen=seen,
+        overlaid=dict(zip(TRUTH, overlaid, strict=True)),
+        estimate=estimate,
+        reports=reports.reports,
+        unusable=unusable,
     )
-
-
-def _stack(samples: Sequence[ImuSample]) -> ImuSample:
-    return ImuSample(*(np.stack(column) for column in zip(*samples, strict=True)))
 
 
 def flight_of(recording: Recording, diagnosed: Diagnosed) -> Flight:

@@ -24,7 +24,6 @@ from quadftc_replay.imu_recording import Recording
 from quadftc_replay.overlay import faults_from, replay_events, replay_windows
 from quadftc_replay.replay_directory import YAML_WIDTH, ReplayOrigin, replay_metrics, replay_summary
 from quadftc_replay.usdlog import is_usdlog
-from quadftc_sim.injector import FaultInjector
 
 DEFAULT_OBSERVER = "supervised"
 DEFAULT_VEHICLE = "qball_x4"
@@ -45,6 +44,7 @@ class ReplayOptions:
     seed: int = 0  # of the random faults
     skip_backwards: bool = False  # leave out samples whose stamp goes back, instead of refusing the recording
     checks: tuple[Check, ...] = ()  # on the metrics of the replay
+    engine: str = "c"  # what runs the laws: "c" or "numpy"
 
 
 class ChosenObserver(NamedTuple):
@@ -64,6 +64,7 @@ class Replay:
     faults: tuple[Fault, ...]
     seed: int
     checks: tuple[Check, ...] = ()
+    engine: str = "c"  # what runs the laws: "c" or "numpy"
 
     @property
     def name(self) -> str:
@@ -92,8 +93,8 @@ class Replay:
 
     def diagnose(self, progress: Progress | None = None) -> Diagnosed:
         """Run it."""
-        injector = FaultInjector(self.seed, (fault.injection for fault in self.faults))
-        return diagnose(self.recording, self.observer.law, injector, progress)
+        injections = tuple(fault.injection for fault in self.faults)
+        return diagnose(self.recording, self.observer.law, injections, self.seed, self.engine, progress)
 
     def summary(self, diagnosed: Diagnosed) -> dict[str, Any]:
         """Summarise what came out, ready for ``summary.json``; the caller adds versions and times."""
@@ -147,7 +148,12 @@ def plan_replay(path: Path, options: ReplayOptions) -> Replay:
             raise ValueError(f"fault '{fault.spec}': start = {start:g} s: {bound}")
     observer = choose_observer(recording, options.observer, options.vehicle, options.settings)
     plan = Replay(
-        recording=recording, observer=observer, faults=faults, seed=options.seed, checks=options.checks
+        recording=recording,
+        observer=observer,
+        faults=faults,
+        seed=options.seed,
+        checks=options.checks,
+        engine=options.engine,
     )
     plan.refuse_wrong_checks()
     return plan

@@ -27,7 +27,6 @@ from quadftc_replay.overlay import faults_from, replay_events, replay_windows
 from quadftc_replay.plan import Replay, ReplayOptions, choose_observer, plan_replay
 from quadftc_replay.ros_output import replay
 from quadftc_ros.qos import topic_profile
-from quadftc_sim.injector import FaultInjector
 
 PERIOD_NS = 4_000_000
 START_NS = 7_000_000_000
@@ -143,7 +142,7 @@ def test_observer_that_gives_no_number_is_started_anew_and_counted():
 
     source = recording()
     law = Broken(vehicle=choose_observer(source, "none").law.vehicle)
-    diagnosed = diagnose(source, law, FaultInjector())
+    diagnosed = diagnose(source, law)
     assert diagnosed.unusable == COUNT
     assert np.all(diagnosed.estimate.state == STARTING)
     assert np.all(diagnosed.estimate.fault == 0.0)

@@ -71,6 +71,8 @@ def workers_here(workers: int | None, scheduler: str | None) -> int:
             f"--workers {workers}: must be positive, and is for this machine, not for --scheduler"
         )
     return workers or len(os.sched_getaffinity(0))
+
+
 EngineOption = Annotated[
     Literal["c", "numpy"], Option(help="What runs the laws: C that is generated from them, or NumPy.")
 ]

@@ -51,6 +51,7 @@ def replay(
         Option(metavar="FILE.yaml", help="Hold it to the checks of a file: the key checks of a scheme."),
     ] = [],  # noqa: B006
     junit: options.JunitOption = None,
+    engine: options.EngineOption = "c",
 ) -> int:
     """Run a recorded IMU through the diagnosis, offline, with faults overlaid if asked; write a bag.
 
@@ -72,6 +73,7 @@ def replay(
         seed=seed,
         skip_backwards=skip_backwards,
         checks=checks_from(checks, check),
+        engine=engine,
     )
     with Bars(console()) as bars:
         summary = replay_recording(bag, how, out, force, bars.add(bag.resolve().name))
