@@ -20,18 +20,13 @@ from quadftc_compile.recipe import Recipe
 from quadftc_model.numbers import structure_of
 
 # no contraction of products and sums, so that the same statement gives the same number on every machine
-STANDARD = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
+EXACT = ("-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math")
 # gcc joins products and sums in spite of -ffp-contract=off where it makes vectors of pairs (vfmaddsub)
-NATIVE = ("-march=native", "-mno-fma", "-mno-fma4", "-mno-avx512f")
-FLAGS = (
-    *STANDARD,
-    *(NATIVE if platform.machine() in ("x86_64", "i686") else ("-mcpu=native",)),
-    "-fPIC",
-    "-shared",
-    "-Wall",
-    "-Wextra",
-    "-pedantic",
-)
+X86 = ("-march=native", "-mno-fma", "-mno-fma4", "-mno-avx512f")
+NATIVE = X86 if platform.machine() in ("x86_64", "i686") else ("-mcpu=native",)
+# all that makes loops of arrays fast; -O3 takes three times as long for the statements of a large law
+LOOPS = ("-O1", "-ftree-vectorize", "-fvect-cost-model=dynamic", "-fpeel-loops", "-funswitch-loops")
+LIBRARY = ("-std=c99", *EXACT, *NATIVE, "-fPIC", "-shared", "-Wall", "-Wextra", "-pedantic")
 FORMAT = 2  # of records; another one for another way to call
 
 
@@ -72,7 +67,8 @@ def key_of(recipe: Recipe) -> str:
     }
     return fingerprint(
         FORMAT,
-        FLAGS,
+        LIBRARY,
+        LOOPS,
         recipe.name,
         structure_of(recipe.law),
         sorted(recipe.functions),
@@ -153,11 +149,12 @@ def _make(recipe: Recipe) -> tuple[bytes, dict[str, Any]]:
     return library, record
 
 
-def compile_c(name: str, header: str, source: str, flags: tuple[str, ...] = FLAGS) -> bytes:
-    """Return the library of a program; BuildError with what the compiler says."""
+def compile_c(name: str, header: str, source: str, more: tuple[str, ...] = ()) -> bytes:
+    """Return the library of a program, built with ``more`` flags; BuildError: what the compiler says."""
     found = compiler()
     if found is None:
         raise BuildError(f"{name}: there is no C compiler (cc, gcc or clang)")
+    flags = (*LIBRARY, *(("-O2",) if "clang" in found[1] else LOOPS), *more)
     try:
         with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
             place = Path(folder)

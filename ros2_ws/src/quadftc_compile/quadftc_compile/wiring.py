@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from quadftc_compile import cache
-from quadftc_compile.build import FLAGS, Library, compile_c
+from quadftc_compile.build import LIBRARY, Library, compile_c
 from quadftc_compile.engine import CEngine
 from quadftc_compile.fingerprint import compiler, fingerprint
 from quadftc_compile.layout import Layout, layout_of, leaves_of, unflatten
@@ -98,7 +98,7 @@ void conduct(const instruction *instructions, int64_t count, call *calls, const 
 @functools.cache
 def conductor() -> Any:
     """Return the function that repeats instructions; BuildError if it cannot be compiled."""
-    key = fingerprint("conductor", HEADER, SOURCE, FLAGS, compiler())
+    key = fingerprint("conductor", HEADER, SOURCE, LIBRARY, compiler())
     try:
         found = cache.load_entry(key)
         path = (
