@@ -9,6 +9,7 @@ Services: ~/reset (std_srvs/Trigger): the next sample is scenario time 0.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -75,12 +76,11 @@ class PositionControllerNode(GraphNode):
         values = self.settings.values()
         self._live = values["source"] == "topic"
         self._place = build_prefixed(PlaceParameters, values, "position")
-        build = live_guidance_from if self._live else flight_guidance_from
         engine = engine_from(values, self.get_logger().info)
-        self._stepper = Stepper[Any, GuidanceOutput](build(values), engine=engine)
-        self._clock = ScenarioClock()
+        self._stepper = Stepper[Any, GuidanceOutput](self._build(values), engine=engine)
+        self._scenario = ScenarioClock()
         self._restart()
-        self.settings.on_change(build, partial(setattr, self._stepper, "law"))
+        self.settings.on_change(self._build, partial(setattr, self._stepper, "law"))
         self._publish_command, self._command = self.publishes("attitude/reference"), ReferenceWire()
         self._publish_reference, self._pose = self.publishes("position/reference"), PoseWire()
         self._publish_estimate = self.publishes("position/estimate")
@@ -92,11 +92,16 @@ class PositionControllerNode(GraphNode):
         self.diagnostics.report("source", OK, values["source"])
         self.ready()
 
+    def _build(self, values: Mapping[str, Any]) -> Any:
+        """Build what is flown; a ValueError says which parameter is wrong, of the filter in any case."""
+        live = live_guidance_from(values)
+        return live if self._live else flight_guidance_from(values)
+
     def _restart(self) -> None:
         begin = combined(trajectories_from(self.settings.values()), 0.0)
         self._setpoint = PositionSetpoint(begin.position, begin.yaw)
         self._stepper.reset()
-        self._clock.reset()
+        self._scenario.reset()
         self._gate = PlaceGate(self.mode, self._place.period, self._place.delay, self._on_sample)
 
     def _on_imu(self, stamp_ns: int, imu: ImuSample) -> None:
@@ -120,7 +125,7 @@ class PositionControllerNode(GraphNode):
         if self._live:
             output = self._stepper.step(stamp_ns, LiveGuidanceInputs(*seen, self._setpoint))
         else:
-            elapsed = self._clock.elapsed(stamp_ns)
+            elapsed = self._scenario.elapsed(stamp_ns)
             output = self._stepper.step(stamp_ns, FlightGuidanceInputs(*seen, elapsed))
         if output is None:
             self.diagnostics.count("imu/corrected: stamp repeated or went back")

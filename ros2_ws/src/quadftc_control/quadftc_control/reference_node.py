@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -51,12 +52,10 @@ class ReferenceNode(GraphNode):
         self.settings.declare_list("references", f"each: kind key=value..., e.g. '{example}'")
         values = self.settings.values()
         self._live = values["source"] == "topic"
-        filter_from = partial(build_prefixed, SetpointFilter, prefix="setpoint")
-        build = filter_from if self._live else stand_guidance_from
         engine = engine_from(values, self.get_logger().info)
-        self._stepper, self._clock = Stepper[Any, Any](build(values), engine=engine), ScenarioClock()
+        self._stepper, self._scenario = Stepper[Any, Any](self._build(values), engine=engine), ScenarioClock()
         self._restart()
-        self.settings.on_change(build, partial(setattr, self._stepper, "law"))
+        self.settings.on_change(self._build, partial(setattr, self._stepper, "law"))
         self._publish = self.publishes("attitude/reference")
         self._message = ReferenceWire()
         self.driven_by("imu/data", self._on_imu, restart=self._restart, decode=bytes)  # for its stamp
@@ -65,9 +64,14 @@ class ReferenceNode(GraphNode):
         self.diagnostics.report("source", OK, values["source"])
         self.ready()
 
+    def _build(self, values: Mapping[str, Any]) -> Any:
+        """Build what is flown; a ValueError says which parameter is wrong, of the filter in any case."""
+        smooth = build_prefixed(SetpointFilter, values, "setpoint")
+        return smooth if self._live else stand_guidance_from(values)
+
     def _restart(self) -> None:
         self._stepper.reset()
-        self._clock.reset()
+        self._scenario.reset()
         self._setpoint = np.zeros(3)
 
     def _on_setpoint(self, stamp_ns: int, setpoint: Floats) -> None:
@@ -77,7 +81,7 @@ class ReferenceNode(GraphNode):
         self._setpoint = setpoint
 
     def _on_imu(self, stamp_ns: int, _data: bytes) -> None:
-        wanted = self._setpoint if self._live else self._clock.elapsed(stamp_ns)
+        wanted = self._setpoint if self._live else self._scenario.elapsed(stamp_ns)
         output = self._stepper.step(stamp_ns, wanted)
         if output is None:
             self.diagnostics.count("imu/data: stamp repeated or went back")
