@@ -21,6 +21,7 @@ TOPIC = {
     "bags": "read, write, repair, play bags",
     "campaign": "batch engine, campaigns, tuning",
     "cli": "the command",
+    "compile": "a law's step as C: traced, built, kept, run",
     "control": "controllers, references, flight manager",
     "fdi": "fault and disturbance observers",
     "flight": "scenario, closed loop, graph, metrics",
