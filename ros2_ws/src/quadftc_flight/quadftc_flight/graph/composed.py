@@ -11,6 +11,7 @@ from quadftc_control.reference_node import ReferenceNode
 from quadftc_fdi.disturbance_observer_node import DisturbanceObserverNode
 from quadftc_fdi.fault_observer_node import FaultObserverNode
 from quadftc_flight.graph.following import Graph
+from quadftc_flight.graph.laws import prepare_laws
 from quadftc_flight.graph.plan import AFTERMATH, GraphError, GraphPlan, Progress, always
 from quadftc_ros.executor import Pace, settled_memory
 from quadftc_ros.recorder_node import RecorderNode
@@ -43,6 +44,7 @@ class ComposedGraph(Graph):
         names = [plan.namespace.strip("/") for plan in plans]
         if len(set(names)) < len(names) or not names:
             raise ValueError(f"vehicles: {len(names)} in the namespaces {', '.join(sorted(set(names)))}")
+        prepare_laws(plans)
         super().__init__(executor)
         self._plan, self._tap = plans[0], tap
         self._vehicles: list[dict[str, Any]] = []  # the nodes of each by name, its recorder among them

@@ -5,22 +5,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from quadftc_control.controller_node import ControllerParameters
-from quadftc_control.position_controller_node import PositionControllerParameters
-from quadftc_control.reference_node import ReferenceParameters
-from quadftc_fdi import disturbance_observer_node, fault_observer_node
 from quadftc_fdi.fault_observer import fault_observers
+from quadftc_flight.graph.laws import values_of
 from quadftc_flight.graph.plan import GraphPlan
-from quadftc_model.parameters import parameters_of
-from quadftc_ros.parameters import VehicleParameters
 
-PARAMETERS: dict[str, type] = {
-    "fault_observer": fault_observer_node.ObserverParameters,
-    "disturbance_observer": disturbance_observer_node.ObserverParameters,
-    "controller": ControllerParameters,
-    "position_controller": PositionControllerParameters,
-    "reference": ReferenceParameters,
-}
 PARTS = {  # node -> the parameter that names its law, and its name in words
     "fault_observer": ("observer", "observer"),
     "disturbance_observer": ("observer", "disturbance observer"),
@@ -55,12 +43,8 @@ def introduction(plan: GraphPlan) -> list[str]:
 
 
 def _value_of(plan: GraphPlan, node: str, name: str) -> str:
-    """Return a parameter of a node, its default if it is not given; no node is started for it."""
-    given = plan.parameters.get(node, {}).get(name)
-    if given is not None:
-        return str(given)
-    specs = (*parameters_of(VehicleParameters), *parameters_of(PARAMETERS[node]))
-    return next(str(spec.default) for spec in specs if spec.name == name)
+    """Return a parameter of a node in words."""
+    return str(values_of(plan, node)[name])
 
 
 def farewell(plan: GraphPlan, wall: float) -> str:

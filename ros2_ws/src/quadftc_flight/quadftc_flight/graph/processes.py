@@ -17,6 +17,7 @@ from std_srvs.srv import Trigger
 
 from quadftc_flight.graph import plan as plans
 from quadftc_flight.graph.following import Graph
+from quadftc_flight.graph.laws import prepare_laws
 from quadftc_flight.graph.plan import STALL_TIMEOUT, GraphError, GraphPlan, Progress, always
 from quadftc_ros.children import Children
 from quadftc_ros.conversions import time_message
@@ -82,6 +83,7 @@ class ProcessGraph(Graph):
     """
 
     def __init__(self, plan: GraphPlan) -> None:
+        prepare_laws([plan])
         super().__init__("events")
         self.plan = plan
         self.children = Children()

@@ -1,0 +1,102 @@
+# pyright: basic
+"""The laws that the nodes of a graph run, compiled before the nodes start, and side by side."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from quadftc_compile.engine import CEngine
+from quadftc_control.attitude_loop import AttitudeLoop
+from quadftc_control.controller import controller_from
+from quadftc_control.controller_node import ControllerParameters
+from quadftc_control.guidance import flight_guidance_from, live_guidance_from, stand_guidance_from
+from quadftc_control.position_controller_node import PositionControllerParameters
+from quadftc_control.reference import SetpointFilter
+from quadftc_control.reference_node import ReferenceParameters
+from quadftc_fdi import disturbance_observer_node, fault_observer_node
+from quadftc_fdi.disturbance_observer import DisturbanceObservation, disturbance_observer_from
+from quadftc_fdi.fault_observer import fault_observer_from
+from quadftc_fdi.observation import Observation
+from quadftc_flight.graph.plan import GraphPlan
+from quadftc_flight.loop import laws_of
+from quadftc_model.assembly import build_prefixed
+from quadftc_model.guarded import Guarded
+from quadftc_model.parameters import parameters_of
+from quadftc_ros.parameters import VehicleParameters
+from quadftc_sim.assembly import InjectorParameters, PlantParameters, injector_from, simulator_from
+from quadftc_sim.injector import Join, Split
+
+PARAMETERS: dict[str, type] = {  # of nodes, besides those of a vehicle and of laws
+    "plant": PlantParameters,
+    "fault_injector": InjectorParameters,
+    "fault_observer": fault_observer_node.ObserverParameters,
+    "disturbance_observer": disturbance_observer_node.ObserverParameters,
+    "controller": ControllerParameters,
+    "position_controller": PositionControllerParameters,
+    "reference": ReferenceParameters,
+}
+Values = Mapping[str, Any]  # parameters of a node
+
+
+def prepare_laws(plans: Iterable[GraphPlan]) -> None:
+    """Compile the laws of graphs that are to fly in C, as far as they are not compiled yet."""
+    laws = [law for plan in plans if plan.engine == "c" for law in graph_laws(plan)]
+    CEngine().prepare(laws)
+
+
+def graph_laws(plan: GraphPlan) -> list[Any]:
+    """Return the laws that the nodes of a graph run; those of a wrong parameter not: the node says it."""
+    flies, found = plan.plant == "free_flight", list[Any]()
+    for node in plan.executables:
+        with contextlib.suppress(ValueError):
+            found += LAWS[node](values_of(plan, node), flies)
+    return found
+
+
+def values_of(plan: GraphPlan, node: str) -> dict[str, Any]:
+    """Return the parameters of a node, with the defaults of those that are not given; none is started."""
+    specs = (*parameters_of(VehicleParameters), *parameters_of(PARAMETERS[node]))
+    return {**{spec.name: spec.default for spec in specs}, **plan.node_parameters(node)}
+
+
+def _plant(values: Values, flies: bool) -> list[Any]:
+    return [simulator_from(values).law]
+
+
+def _fault_injector(values: Values, flies: bool) -> list[Any]:
+    injections = tuple(injector_from(values).injections.values())
+    return [Split(), Join(), *laws_of(injections).values()]
+
+
+def _fault_observer(values: Values, flies: bool) -> list[Any]:
+    return [Guarded(Observation(fault_observer_from(values), flies))]
+
+
+def _disturbance_observer(values: Values, flies: bool) -> list[Any]:
+    return [Guarded(DisturbanceObservation(disturbance_observer_from(values)))]
+
+
+def _controller(values: Values, flies: bool) -> list[Any]:
+    return [Guarded(AttitudeLoop(controller=controller_from(values), flies=flies))]
+
+
+def _reference(values: Values, flies: bool) -> list[Any]:
+    live = values["source"] == "topic"
+    return [build_prefixed(SetpointFilter, values, "setpoint") if live else stand_guidance_from(values)]
+
+
+def _position_controller(values: Values, flies: bool) -> list[Any]:
+    return [(live_guidance_from if values["source"] == "topic" else flight_guidance_from)(values)]
+
+
+LAWS: dict[str, Callable[[Values, bool], list[Any]]] = {
+    "plant": _plant,
+    "fault_injector": _fault_injector,
+    "fault_observer": _fault_observer,
+    "disturbance_observer": _disturbance_observer,
+    "controller": _controller,
+    "reference": _reference,
+    "position_controller": _position_controller,
+}
