@@ -111,7 +111,7 @@ class CEngine:
 
     def _announce(self, recipes: Iterable[Recipe]) -> None:
         """Say once what is compiled now."""
-        names = [name for each in recipes if (name := each.name) not in _told]
+        names = [name for name in dict.fromkeys(each.name for each in recipes) if name not in _told]
         _told.update(names)
         if names:
             self._log(f"compiling {', '.join(names)} for this machine, once: some seconds")

@@ -22,6 +22,7 @@ from quadftc_control.trajectory import combined
 from quadftc_flight.graph.composed import ComposedGraph
 from quadftc_flight.graph.introduction import farewell, introduction
 from quadftc_flight.graph.plan import GraphError, GraphPlan
+from quadftc_flight.recommended import HOVER, LEVEL
 from quadftc_flight.runs import RunOptions
 from quadftc_flight.scenario import Scenario, find_scenario, load_scenario, node_parameters, parse_scenario
 from quadftc_report.serve.local import address_of, listen
@@ -30,37 +31,6 @@ from quadftc_ros.scheduling import Scheduling
 
 START, END = 30.0, 5.0  # s; for the page to serve, and to end
 FEED = 1 << 18  # bytes that may wait for the page: some 60 frames, two seconds
-COMMON = """
-name: live
-duration: 3600 s
-rate: 250 Hz
-seed: 1
-sensors: {grade: mems}
-"""
-HOVER = f"""
-{COMMON}
-description: Hover in a light wind
-vehicle: x500
-plant: {{kind: free_flight, start: [0, 0, 1.5]}}
-position_sensor: {{grade: mocap}}
-trajectories:
-  - {{kind: hover, position: [0, 0, 1.5]}}
-wind:
-  - {{kind: dryden, wind_speed: 3, airspeed: 2, height: 6}}
-schemes:
-  isolating:
-    observer: isolating
-    disturbance_observer: exosystem
-    controller: ismc
-    position_controller: geometric
-"""
-LEVEL = f"""
-{COMMON}
-description: Level on a test stand
-vehicle: qball_x4
-schemes:
-  isolating: {{observer: isolating, disturbance_observer: exosystem, controller: ismc}}
-"""
 
 
 @dataclass(frozen=True)
