@@ -55,6 +55,19 @@ build_packages() {
     python -m colcon --log-base log build --base-paths src --event-handlers console_direct- console_cohesion+)
 }
 
+# The laws of the demo and of `quadftc live`, from the sources: the build need not be there. In the background, as
+# it takes this shell.
+compile_laws() {
+  if ! has_c_compiler; then
+    say "no C compiler: laws fly in NumPy, which is slower; install one (Debian, Ubuntu: sudo apt install gcc)"
+    exit 0
+  fi
+  enter_ros
+  PYTHONPATH="$(printf '%s:' "$WORKSPACE"/src/quadftc_*)${PYTHONPATH:-}"
+  export PYTHONPATH
+  exec python -m quadftc_flight.recommended >"$LOG_DIR/laws.log" 2>&1
+}
+
 build_workspace() {
   local log="$LOG_DIR/build.log" inputs
   inputs="$(build_inputs)"

@@ -21,6 +21,14 @@ check_compiler() {
   die 2 "no C++ compiler; install one (Debian, Ubuntu: sudo apt install g++)"
 }
 
+has_c_compiler() {
+  local compiler
+  for compiler in cc gcc clang; do
+    if command -v "$compiler" >/dev/null; then return; fi
+  done
+  return 1
+}
+
 # What the workspace needs of a ROS 2 from apt.
 check_apt_ros() {
   local package

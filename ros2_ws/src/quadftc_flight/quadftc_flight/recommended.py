@@ -5,6 +5,7 @@ python -m quadftc_flight.recommended        compile the laws of the demo and of 
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 from quadftc_compile.engine import CEngine
@@ -61,4 +62,4 @@ def _laws(scenario: Scenario, scheme: str) -> list[Any]:
 
 
 if __name__ == "__main__":
-    CEngine().prepare(recommended_laws())
+    sys.exit(None in CEngine().prepare(recommended_laws()))
