@@ -1,6 +1,6 @@
 """What is flown unless somebody asks for something else, and its laws, compiled before they are waited for.
 
-python -m quadftc_flight.recommended        compile the laws of the demo and of ``quadftc live``
+``python -m quadftc_flight.recommended`` compiles the laws of the demo and of ``quadftc live``.
 """
 
 from __future__ import annotations
