@@ -87,6 +87,9 @@ def parse(arguments: list[str]) -> argparse.Namespace:
         "--wait", choices=("sleep", "poll"), default="sleep", help="between samples; poll takes a whole core"
     )
     parser.add_argument("--realtime-priority", type=int, default=0, help="of SCHED_RR, if permitted")
+    parser.add_argument(
+        "--engine", choices=("c", "numpy"), default="c", help="what runs the laws: C made from them, or NumPy"
+    )
     parser.add_argument("--core", type=int, action="append", default=[], help="processor core to run on")
     return parser.parse_args(arguments)
 
@@ -221,6 +224,7 @@ def launch(options: argparse.Namespace) -> int:
             options.mode,
             options.namespace,
             options.record,
+            engine=options.engine,
             scheduling=scheduling,
             respawn=options.respawn,
             onboard=options.onboard,

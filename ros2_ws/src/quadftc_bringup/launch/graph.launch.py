@@ -81,6 +81,12 @@ def _arguments() -> list[DeclareLaunchArgument]:
             description="test_stand: follow attitudes; free_flight: follow positions, command rotor speeds.",
         ),
         DeclareLaunchArgument(
+            "engine",
+            default_value="c",
+            choices=["c", "numpy"],
+            description="What runs the laws: C that is generated from them, or NumPy, the reference.",
+        ),
+        DeclareLaunchArgument(
             "simulate", default_value="true", description="Start the plant and the fault injector."
         ),
         DeclareLaunchArgument(
@@ -110,7 +116,7 @@ def _arguments() -> list[DeclareLaunchArgument]:
 
 
 def _node(package: str, name: str, condition: IfCondition | None = None, **parameters: object) -> Node:
-    common: dict[str, object] = {each: LaunchConfiguration(each) for each in ("mode", "plant_kind")}
+    common: dict[str, object] = {each: LaunchConfiguration(each) for each in ("mode", "plant_kind", "engine")}
     common["frame_prefix"] = ParameterValue(LaunchConfiguration("frame_prefix"), value_type=str)
     return Node(
         package=package,

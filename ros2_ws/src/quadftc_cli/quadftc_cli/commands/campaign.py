@@ -16,7 +16,13 @@ from typer import Argument, Option
 
 from quadftc_campaign.errors import CampaignError
 from quadftc_cli.commands import INTERRUPTED
-from quadftc_cli.commands.options import JunitOption, SchedulerOption, WorkersOption, workers_here
+from quadftc_cli.commands.options import (
+    EngineOption,
+    JunitOption,
+    SchedulerOption,
+    WorkersOption,
+    workers_here,
+)
 from quadftc_cli.screen import Bars, console
 
 if TYPE_CHECKING:
@@ -50,6 +56,7 @@ def campaign(
         Path | None, Option(help="Directory of rosbag2 bags for a campaign on recordings.")
     ] = None,
     junit: JunitOption = None,
+    engine: EngineOption = "c",
 ) -> None:
     """Fly a scenario thousands of times with drawn values; write table, summary and report.
 
@@ -74,7 +81,8 @@ def campaign(
         chosen = loaded.variants[0]
         scenarios = [flight_scenario(loaded, number, chosen) for number in dict.fromkeys(flight)]
         jobs = [(scenario, scenario.scheme(chosen.scheme)) for scenario in scenarios]
-        raise typer.Exit(fly_jobs(jobs, directory / "runs", RunOptions(force=force), junit=junit))
+        how = RunOptions(force=force, engine=engine)
+        raise typer.Exit(fly_jobs(jobs, directory / "runs", how, junit=junit))
     raise typer.Exit(_fly_all(loaded, file, directory, resume, scheduler, workers, junit))
 
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 from typer import Option
 
+from quadftc_cli.commands.options import EngineOption
 from quadftc_cli.commands.run import CoreOption, PriorityOption, WaitOption
 
 
@@ -34,6 +35,7 @@ def live(
     wait: WaitOption = "sleep",
     realtime_priority: PriorityOption = 0,
     core: CoreOption = [],  # noqa: B006
+    engine: EngineOption = "c",
 ) -> None:
     """Fly in real time and show it in the browser: 3D, charts, states, faults to inject, setpoints.
 
@@ -42,7 +44,7 @@ def live(
     from quadftc_cli.live_page.flying import Wish, fly_live, show_running  # with what it needs, a second
 
     how = (wait, realtime_priority, tuple(core))
-    wish = Wish(scenario, scheme, vehicle, stand, sliders, rate, duration, record, namespace)
+    wish = Wish(scenario, scheme, vehicle, stand, sliders, rate, duration, record, namespace, engine)
     if not attach:
         raise typer.Exit(fly_live(wish, port, browser, how))
     if any((scenario, scheme, vehicle, stand, sliders, rate, duration, record)):

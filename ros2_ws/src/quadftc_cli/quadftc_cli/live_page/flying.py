@@ -46,6 +46,7 @@ class Wish:
     duration: float
     record: Path | None
     namespace: str
+    engine: str = "c"
 
 
 def scenario_of(wish: Wish) -> Scenario:
@@ -72,7 +73,8 @@ def plan_of(wish: Wish, scenario: Scenario, scheduling: Scheduling) -> GraphPlan
         for node in GUIDANCE.values():
             if node in parameters:
                 parameters[node]["source"] = "topic"
-    return GraphPlan(parameters, "realtime", wish.namespace, wish.record, scheduling=scheduling)
+    how = {"engine": wish.engine, "scheduling": scheduling}
+    return GraphPlan(parameters, "realtime", wish.namespace, wish.record, **how)
 
 
 def page_of(plan: GraphPlan, scenario: Scenario) -> dict[str, Any]:
