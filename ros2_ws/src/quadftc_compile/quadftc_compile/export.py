@@ -5,230 +5,240 @@ What is written needs nothing but a C99 compiler and libm: no heap, no globals, 
 
 from __future__ import annotations
 
-import csv
-import itertools
+import dataclasses
 import json
-import math
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from quadftc_compile.layout import Layout, flatten, leaves_of
+from quadftc_compile.build import BuildError
+from quadftc_compile.fingerprint import tracer
+from quadftc_compile.layout import Layout, Leaf, leaves_of, numpy_type
 from quadftc_compile.program import Program, path_members, write_program
 from quadftc_compile.recipe import Recipe
+from quadftc_compile.samples import number_names, sample_columns
 from quadftc_compile.text import literal
 from quadftc_model.numbers import number_at
 
-FORMATS = {"f": "%.17g", "b": "%d", "u": "%u", "i": "%ld"}
+TEMPLATES = Path(__file__).parent / "exported"
+FLAGS = ("-O2", "-ffp-contract=off", "-fno-math-errno", "-ffunction-sections")  # of the CMake file
+PRECISION = {"double": "double", "float": "single"}
+DIGITS = {"double": "%.17g", "float": "%.9g"}  # that tell every number from its neighbours
+LARGEST = 2**53  # whole numbers up to here are exact where the example reads them
 
 
-class Exported(NamedTuple):
-    """What was written."""
+@dataclasses.dataclass(frozen=True)
+class Exported:
+    """A law as it is exported."""
 
-    folder: Path
+    recipe: Recipe
     program: Program
-    columns: list[str]  # of a file of samples
+    real: str  # "double" or "float"
+
+    @property
+    def name(self) -> str:
+        """Its name in C."""
+        return self.recipe.name
+
+    @property
+    def layouts(self) -> dict[str, Layout]:
+        """Layouts of state, inputs and output of a step, and of the numbers."""
+        step = self.program.functions["step"]
+        inside = {"state": step.arguments["before"], "inputs": step.arguments["inputs"]}
+        return {**inside, "output": step.results["output"], "numbers": self.program.numbers_layout}
+
+    def bytes_of(self, part: str) -> int:
+        """Return how many bytes one of these takes, with gaps."""
+        return numpy_type(self.layouts[part]).itemsize
+
+    def type_of(self, part: str) -> str:
+        """Return the type of one of these in C."""
+        return self.program.structs[json.dumps(self.layouts[part])]
 
 
-def export_law(recipe: Recipe, folder: Path, real: str = "double", about: str = "") -> Exported:
-    """Write a law, its functions ``init`` and ``step``, into a folder; OSError if it cannot be written."""
-    program = write_program(recipe.name, recipe.law, recipe.functions, real)
-    name, columns = recipe.name, sample_columns(program.functions["step"].arguments["inputs"])
+def export_of(recipe: Recipe, real: str = "double") -> Exported:
+    """Trace a law and write it in C; ValueError if it cannot be exported."""
+    if tracer() is None:
+        raise BuildError(f"{recipe.name}: JAX is not installed, which traces laws (pip install jax)")
+    exported = Exported(recipe, write_program(recipe.name, recipe.law, recipe.functions, real), real)
+    plain = [part for part, layout in exported.layouts.items() if layout[0] != "tuple"]
+    if plain:
+        raise ValueError(f"{recipe.name}: {plain[0]} of a law that is exported: expected a NamedTuple")
+    return exported
+
+
+def write_law(exported: Exported, folder: Path) -> None:
+    """Write source, header and numbers of a law into a folder."""
+    name, program = exported.name, exported.program
     folder.mkdir(parents=True, exist_ok=True)
-    files = {
-        f"{name}.h": program.header,
-        f"{name}.c": f'#include "{name}.h"\n\n{program.source}',
-        f"{name}_numbers.h": _numbers(recipe, program, real),
-        "main.c": _main(name, program, real),
-        "CMakeLists.txt": _cmake(name),
-        "README.md": _readme(recipe, program, real, columns, about),
+    _write(folder / f"{name}.h", program.header)
+    _write(folder / f"{name}.c", f'#include "{name}.h"\n\n{program.source}')
+    _write(folder / f"{name}_numbers.h", _numbers(exported))
+
+
+def write_example(exported: Exported, folder: Path) -> None:
+    """Write the example that reads samples, and how to build it."""
+    _write(folder / "main.c", _filled("main.c", _main_parts(exported)))
+    _write(folder / "CMakeLists.txt", _filled("CMakeLists.txt", _common_parts(exported)))
+
+
+def write_readme(
+    exported: Exported,
+    folder: Path,
+    about: str,
+    notes: Iterable[str] = (),
+    footprints: Iterable[str] = (),
+) -> None:
+    """Write what a user of the folder has to know; ``footprints`` are rows of the table of what it needs."""
+    step, columns = exported.program.functions["step"], sample_columns(exported.layouts["inputs"])
+    parts = {
+        **_common_parts(exported),
+        "ABOUT": about,
+        "PRECISION": PRECISION[exported.real],
+        "NOTES": "".join(f"- {each}\n" for each in notes),
+        "STATE_BYTES": str(exported.bytes_of("state")),
+        "INPUTS_BYTES": str(exported.bytes_of("inputs")),
+        "OUTPUT_BYTES": str(exported.bytes_of("output")),
+        "NUMBERS_BYTES": str(exported.bytes_of("numbers")),
+        "OPERATIONS": str(step.operations),
+        "STATEMENTS": str(step.statements),
+        "FOOTPRINTS": "".join(f"{each}\n" for each in footprints),
+        "COLUMNS_COUNT": str(len(columns)),
+        "COLUMNS": ", ".join(f"`{each}`" for each in columns),
     }
-    for file, content in files.items():
-        (folder / file).write_text(content, encoding="utf-8")
-    return Exported(folder, program, columns)
+    _write(folder / "README.md", _filled("README.md", parts))
 
 
-def sample_columns(layout: Layout) -> list[str]:
-    """Return the columns of a file of samples: the time step, then every number of the inputs."""
-    return ["dt", *(name for leaf in leaves_of(layout) for name in _names(".".join(leaf.path), leaf.shape))]
+def _write(path: Path, content: str) -> None:
+    path.write_text(content, encoding="utf-8")
 
 
-def _names(path: str, shape: Sequence[int]) -> Iterator[str]:
-    if not shape:
-        yield path
-    for place in itertools.product(*(range(n) for n in shape)):
-        if shape:
-            yield f"{path}[{']['.join(map(str, place))}]"
+def _filled(template: str, parts: Mapping[str, str]) -> str:
+    """Return a template with its parts in the places of @NAMES@."""
+    text = (TEMPLATES / template).read_text(encoding="utf-8")
+    return re.sub(r"@([A-Z_]+)@", lambda found: parts[found[1]], text)
 
 
-def write_samples(path: Path, layout: Layout, rows: Sequence[tuple[float, Any]]) -> None:
-    """Write samples, time steps [s] with inputs, as a CSV file that the example reads."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(sample_columns(layout))
-        for dt, inputs in rows:
-            numbers = np.concatenate([np.ravel(each).astype(float) for each in flatten(layout, inputs)])
-            writer.writerow([repr(float(each)) for each in (dt, *numbers.tolist())])
+def _common_parts(exported: Exported) -> dict[str, str]:
+    return {
+        "NAME": exported.name,
+        "UPPER": exported.name.upper(),
+        "REAL": exported.real,
+        "INPUTS": exported.type_of("inputs"),
+        "STATE": exported.type_of("state"),
+        "OUTPUT": exported.type_of("output"),
+        "FLAGS": " ".join(FLAGS),
+    }
 
 
-def _numbers(recipe: Recipe, program: Program, real: str) -> str:
+# -- numbers ----------------------------------------------------------------------------------------
+
+
+def _numbers(exported: Exported) -> str:
     """Return the numbers of a law as a constant struct."""
-    values = {path: number_at(recipe.law, path) for path in program.numbers}
     tree: dict[str, Any] = {}
-    for path, value in values.items():
+    for path in exported.program.numbers:
         part = tree
         *parents, last = path_members(path)
         for each in parents:
             part = part.setdefault(each, {})
-        part[last] = value
-
-    def initial(part: Any, depth: int) -> str:
-        if isinstance(part, dict):
-            inside = ",\n".join(
-                f"{'    ' * depth}.{key} = {initial(each, depth + 1)}" for key, each in part.items()
-            )
-            return "{\n" + inside + "}"
-        numbers = [literal(each, real).text for each in np.ravel(part)]
-        return numbers[0] if np.ndim(part) == 0 else "{" + ", ".join(numbers) + "}"
-
-    name = recipe.name
-    kind = f"{name}_numbers"
-    guard = f"{name.upper()}_NUMBERS_H"
+        part[last] = number_at(exported.recipe.law, path)
+    name, guard = exported.name, f"{exported.name.upper()}_NUMBERS_H"
+    kind, value = exported.type_of("numbers"), _initial(tree, exported.real, 1)
     return (
-        f"/* The numbers of {name} for one vehicle; other vehicles and parameters need another of these files. */\n"
+        f"/* The numbers of {name} for one vehicle: another vehicle, or other parameters, need others. */\n"
         f'#ifndef {guard}\n#define {guard}\n\n#include <math.h>\n\n#include "{name}.h"\n\n'
-        f"static const {kind} {name}_default = {initial(tree, 1)};\n\n#endif\n"
+        f"static const {kind} {name}_default = {value};\n\n#endif /* {guard} */\n"
     )
 
 
-def _main(name: str, program: Program, real: str) -> str:
-    """Return an example: it reads samples from standard input and writes what comes out."""
-    step = program.functions["step"]
-    kinds = {
-        key: _kind(program, name, layout, key)
-        for key, layout in (*step.arguments.items(), *step.results.items())
+def _initial(part: Any, real: str, depth: int) -> str:
+    """Return the initialiser of a part of a struct."""
+    if not isinstance(part, dict):
+        numbers = [literal(each, real).text for each in np.ravel(part)]
+        return numbers[0] if np.ndim(part) == 0 else "{" + ", ".join(numbers) + "}"
+    members: dict[str, Any] = part or {"nothing": 0}  # pyright: ignore[reportUnknownVariableType]
+    indent = "    " * depth
+    lines = [f"{indent}.{key} = {_initial(each, real, depth + 1)}" for key, each in members.items()]
+    return "{\n" + ",\n".join(lines) + "}"
+
+
+# -- the example --------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class _Kind:
+    """A kind of number in the example's tables."""
+
+    name: str
+    words: str  # what is expected of it
+    type: str
+    test: str  # whether a double is such a number; empty: each is
+    shown: str  # format, and the type that it takes
+
+    @property
+    def put(self) -> str:
+        """Code that stores a number."""
+        test = f"        if (!({self.test})) return false;\n" if self.test else ""
+        return (
+            f"    case {self.name}: {{\n{test}"
+            f"        const {self.type} value = ({self.type})number;\n"
+            f"        memcpy(at, &value, sizeof value);\n        return true;\n    }}"
+        )
+
+    @property
+    def show(self) -> str:
+        """Code that prints a number."""
+        form, as_type = self.shown.split(" ", maxsplit=1)
+        return (
+            f"    case {self.name}: {{\n        {self.type} value;\n"
+            f"        memcpy(&value, at, sizeof value);\n"
+            f'        printf(",{form}", ({as_type})value);\n        break;\n    }}'
+        )
+
+
+def _kind_of(leaf: Leaf, real: str) -> _Kind:
+    kind, bits = leaf.dtype.kind, 8 * leaf.dtype.itemsize
+    if kind == "f":
+        return _Kind("REAL", "a number", "real", "", f"{DIGITS[real]} double")
+    if kind == "b":
+        return _Kind("FLAG", "0 or 1", "bool", "number == 0 || number == 1", "%d int")
+    limits = np.iinfo(leaf.dtype)
+    low, high = max(int(limits.min), -LARGEST), min(int(limits.max), LARGEST)
+    test = f"number >= {low}.0 && number <= {high}.0 && number == (double)(int64_t)number"
+    signed = kind == "i"
+    shown = "%ld long" if signed else "%lu unsigned long"
+    return _Kind(
+        leaf.dtype.name.upper(), f"a whole number of {bits} bits", f"{leaf.dtype.name}_t", test, shown
+    )
+
+
+def _main_parts(exported: Exported) -> dict[str, str]:
+    """Return what the example has of a law: tables of its numbers."""
+    layouts, real = exported.layouts, exported.real
+    leaves = [leaf for part in ("inputs", "output") for leaf in leaves_of(layouts[part])]
+    kinds = {kind.name: kind for kind in (_kind_of(leaf, real) for leaf in leaves)}
+    return {
+        **_common_parts(exported),
+        "KINDS": ", ".join(kinds),
+        "WORDS": ", ".join(f'"{each.words}"' for each in kinds.values()),
+        "GIVEN": "\n".join(_table(layouts["inputs"], "inputs", real)),
+        "SAID": "\n".join(_table(layouts["output"], "output", real)),
+        "PUT": "\n".join(each.put for each in kinds.values()),
+        "SHOW": "\n".join(each.show for each in kinds.values()),
     }
-    reads = [
-        f"    if (!next(&number)) return false;\n    in->{'.'.join(leaf.path)}{f'[{k}]' if leaf.shape else ''} = {_cast(leaf.dtype.kind, real)}number;"
-        for leaf in leaves_of(step.arguments["inputs"])
-        for k in range(leaf.size)
-    ]
-    shown = leaves_of(step.results["output"])
-    writes = [
-        f'    printf(",{FORMATS[leaf.dtype.kind]}", {_shown(leaf.dtype.kind)}out->{".".join(leaf.path)}{f"[{k}]" if leaf.shape else ""});'
-        for leaf in shown
-        for k in range(leaf.size)
-    ]
-    head = ",".join(["sample", *(n for leaf in shown for n in _names(".".join(leaf.path), leaf.shape))])
-    return f'''/* Reads samples from standard input (CSV, with a line of names) and writes what {name} says of them. */
-#include <stdbool.h>
-#include <stdio.h>
-#include <stdlib.h>
-
-#include "{name}.h"
-#include "{name}_numbers.h"
-
-static bool next(double *number) {{ return scanf("%lf%*[,]", number) == 1; }}
-
-static bool read_sample({real} *dt, {kinds["inputs"]} *in) {{
-    double number;
-    if (!next(&number)) return false;
-    *dt = ({real})number;
-{chr(10).join(reads)}
-    return true;
-}}
-
-static void show(long sample, const {kinds["output"]} *out) {{
-    printf("%ld", sample);
-{chr(10).join(writes)}
-    printf("\\n");
-}}
-
-int main(void) {{
-    static {kinds["before"]} states[2];
-    static {kinds["inputs"]} in;
-    static {kinds["output"]} out;
-    {real} dt;
-    long sample = 0;
-    int letter;
-    while ((letter = getchar()) != EOF && letter != '\\n') {{}}
-    printf("{head}\\n");
-    if (!read_sample(&dt, &in)) return EXIT_FAILURE;
-    {name}_init(&{name}_default, &in, &states[0]);
-    for (dt = 0; ; sample++) {{
-        {name}_step(&{name}_default, &states[sample % 2], &in, &dt, &states[(sample + 1) % 2], &out);
-        show(sample, &out);
-        if (!read_sample(&dt, &in)) break;
-    }}
-    return EXIT_SUCCESS;
-}}
-'''
 
 
-def _kind(program: Program, name: str, layout: Layout, wanted: str) -> str:
-    """Return the name of the struct of a layout, as the program has it."""
-    if layout[0] == "array":
-        return layout[1]
-    return program.structs[json.dumps(layout)]
-
-
-def _cast(kind: str, real: str) -> str:
-    return {"f": f"({real})", "b": "0 != ", "u": "(uint8_t)", "i": "(int64_t)"}[kind]
-
-
-def _shown(kind: str) -> str:
-    return {"f": "(double)", "b": "(int)", "u": "(unsigned)", "i": "(long)"}[kind]
-
-
-def _cmake(name: str) -> str:
-    return f"""cmake_minimum_required(VERSION 3.10)
-project({name} C)
-
-add_library({name} STATIC {name}.c)
-set_target_properties({name} PROPERTIES C_STANDARD 99 C_EXTENSIONS OFF)
-target_compile_options({name} PRIVATE -O2 -ffp-contract=off -fno-math-errno)
-target_include_directories({name} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}})
-target_link_libraries({name} PUBLIC m)
-
-add_executable({name}_main main.c)
-target_link_libraries({name}_main {name})
-"""
-
-
-def _readme(recipe: Recipe, program: Program, real: str, columns: Sequence[str], about: str) -> str:
-    """Return what a user of the folder has to know."""
-    name, step = recipe.name, program.functions["step"]
-    size = {key: _bytes(layout) for key, layout in (*step.arguments.items(), *step.results.items())}
-    return f"""# {name} in C
-
-{about or "A law of quadftc"}, in {"single" if real == "float" else "double"} precision: C99 and libm alone, no heap, no globals. Calls need no order between vehicles.
-
-```c
-#include "{name}.h"
-#include "{name}_numbers.h"
-
-{name}_init(&{name}_default, &in, &states[0]);                           /* at the first sample: dt = 0 */
-{name}_step(&{name}_default, &states[0], &in, &dt, &states[1], &out);    /* dt [s] after the one before */
-```
-
-A step reads one state and writes another: let two of them take turns. A state that is not finite any more is left by calling `{name}_init` again.
-
-| | |
-|---|---|
-| state, each of two | {size["before"]} bytes |
-| inputs, output | {size["inputs"]}, {size["output"]} bytes |
-| numbers | {_bytes(program.numbers_layout)} bytes |
-| stack of a step, besides registers | {step.stack} bytes |
-| operations on numbers in a step, branches counted once | {step.operations} |
-
-`cmake -B build && cmake --build build && build/{name}_main < samples.csv > out.csv` builds the example. `samples.csv` has the columns
-{", ".join(f"`{each}`" for each in columns[:6])} and so on, {len(columns)} in all; `quadftc export --samples BAG` makes one of a recording.
-"""
-
-
-def _bytes(layout: Layout) -> int:
-    from quadftc_compile.layout import numpy_type
-
-    return int(math.ceil(numpy_type(layout).itemsize))
+def _table(layout: Layout, kind: str, real: str) -> Sequence[str]:
+    """Return the rows of a table of all numbers of a struct."""
+    names = iter(number_names(layout))
+    rows: list[str] = []
+    for leaf in leaves_of(layout):
+        member = ".".join(leaf.path)
+        for k in range(leaf.size):
+            place = f"{member}[{k}]" if leaf.shape else member
+            rows.append(f'    {{"{next(names)}", offsetof({kind}, {place}), {_kind_of(leaf, real).name}}},')
+    return rows

@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -221,12 +222,17 @@ class _Writer:
                 "#include <math.h>\n",
                 emit.HELPERS.format(real=self._real, f=f),
                 *(matrices.FUNCTIONS[each].format(real=self._real, f=f) for each in sorted(self._helpers)),
-                *self._tables,
+                *(table for table in self._tables if self._is_read(table)),
                 "",
                 *self._bodies,
             ]
         )
         return Program(header, source, self._used, self._layout, self._compiled, self._structs.names)
+
+    def _is_read(self, table: str) -> bool:
+        """Whether a function reads a table of constants; one may be left over from what is not written."""
+        name = table.partition("[")[0].split()[-1]
+        return any(re.search(rf"\b{name}\b", body) for body in self._bodies)
 
     def _name_numbers(self) -> None:
         def name(layout: Layout, path: str, wanted: str) -> None:
