@@ -32,6 +32,7 @@ setup(
             "watch = quadftc_cli.commands.watch:watch",
             "live = quadftc_cli.commands.live:live",
             "new = quadftc_cli.commands.new:new",
+            "export = quadftc_cli.commands.export:export",
             "replay = quadftc_cli.commands.replay:replay",
             "diagnose = quadftc_cli.commands.diagnose:diagnose",
             "serve = quadftc_cli.commands.serve:serve",

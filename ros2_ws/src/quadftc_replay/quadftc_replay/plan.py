@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -139,9 +139,7 @@ def plan_replay(path: Path, options: ReplayOptions) -> Replay:
     faults = faults_from(options.fault_files, options.faults)
     if options.seed < 0:
         raise ValueError(f"seed = {options.seed}: must not be negative")
-    if not path.exists():
-        raise BagError(f"{path}: no such bag")
-    recording = _reader(path)(path, options.topic, options.skip_backwards)
+    recording = read_recording(path, options.topic, options.skip_backwards)
     for fault in faults:  # one that starts after the end would not act
         if (start := fault.injection.start) >= recording.duration:
             bound = f"must be before the end of {recording.name}, {recording.duration:.3f} s"
@@ -159,11 +157,14 @@ def plan_replay(path: Path, options: ReplayOptions) -> Replay:
     return plan
 
 
-def _reader(path: Path) -> Callable[[Path, str, bool], Recording]:
-    """What reads a recording."""
+def read_recording(path: Path, topic: str = "", skip_backwards: bool = False) -> Recording:
+    """Read a recording of any kind; BagError says why it cannot be used. See `ReplayOptions`."""
+    if not path.exists():
+        raise BagError(f"{path}: no such bag")
     if is_ulog(path):
-        return recording_from_ulog
-    return recording_from_usdlog if is_usdlog(path) else recording_from_bag
+        return recording_from_ulog(path, topic, skip_backwards)
+    read = recording_from_usdlog if is_usdlog(path) else recording_from_bag
+    return read(path, topic, skip_backwards)
 
 
 def choose_observer(

@@ -1,0 +1,84 @@
+"""``quadftc export``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from typer import Argument, Option
+
+from quadftc_cli.screen import say
+
+
+def complete_law(incomplete: str) -> list[str]:
+    """Complete the name of a law in the shell."""
+    from quadftc_cli.exporting import KINDS
+
+    return [name for kind in KINDS for name in kind.registry.names() if name.startswith(incomplete)]
+
+
+def export(
+    law: Annotated[
+        str,
+        Argument(
+            metavar="[LAW]",
+            help="A fault observer, a disturbance observer or a controller, see quadftc list.",
+            autocompletion=complete_law,
+        ),
+    ] = "",
+    vehicle: Annotated[str, Option(help="Vehicle that it is for, by name or TOML file.")] = "",
+    single: Annotated[bool, Option("--float", help="In single precision; default: double.")] = False,
+    flies: Annotated[
+        bool, Option("--free-flight", help="With rotors and position; default: the test stand's inputs.")
+    ] = False,
+    set_: Annotated[
+        list[str], Option("--set", help="Parameter of the law: name=value; may be repeated.")
+    ] = [],  # noqa: B006
+    samples: Annotated[
+        Path | None,
+        Option(metavar="BAG", help="Write a recording as a file of samples (CSV) for the law instead."),
+    ] = None,
+    topic: Annotated[str, Option(help="Topic of the IMU of the recording, see quadftc replay.")] = "",
+    out: Annotated[Path | None, Option(help="Directory of the C; file of the samples.")] = None,
+    force: Annotated[bool, Option("--force", help="Write over what is there.")] = False,
+) -> int:
+    """Write a law as C for the vehicle itself; or a recording as samples for it.
+
+    The C needs libm alone. Beside it are its numbers, an example that reads samples, and how to build it.
+    """
+    if out is None:
+        raise ValueError("export: --out: where to")
+    if out.exists() and not force and (samples is not None or not out.is_dir() or any(out.iterdir())):
+        raise ValueError(f"{out}: exists; choose another place, or --force")
+    if samples is not None:
+        if vehicle or single or flies or set_:
+            raise ValueError("export: --samples takes no --vehicle, --float, --free-flight or --set")
+        return _export_samples(samples, topic, law, out)
+    if not law or not vehicle:
+        raise ValueError("export: expected LAW and --vehicle, or --samples BAG")
+    from quadftc_cli.exporting import exported_law, footprint_rows, guarded_law, write_export
+
+    guarded = guarded_law(law, vehicle, set_, flies)
+    out.mkdir(parents=True, exist_ok=True)
+    say("tracing the law, and measuring flash and stack: some seconds")
+    exported = exported_law(law, guarded, "float" if single else "double")
+    found = write_export(exported, law, out, flies)
+    say(*(row.strip("| ").replace(" | ", ": ") for row in footprint_rows(exported, found)))
+    if not found:
+        say("flash and stack: not measured, there is no arm-none-eabi-gcc")
+    say(f"{law} in C: {out}; read {out / 'README.md'}")
+    return 0
+
+
+def _export_samples(recording: Path, topic: str, law: str, out: Path) -> int:
+    from quadftc_cli.exporting import write_recording
+    from quadftc_cli.screen import warn
+    from quadftc_replay.plan import read_recording
+
+    found = read_recording(recording, topic)
+    warn(found.warnings)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_recording(found, out, law)
+    torque = f"torque of {found.torque_topic}" if found.driven else "no torque"
+    say(f"{len(found)} samples of {found.topic}, {torque}: {out}")
+    return 0
