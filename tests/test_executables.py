@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +23,18 @@ CHANGES = {
     "disturbance_observer": ("exosystem.bandwidth", 12.0, -1.0, "bandwidth"),
     "controller": ("ismc.k_c2", [7.0, 7.0, 5.0], [-1.0, 7.0, 5.0], "k_c2"),
 }
+
+ALL_NODES = """
+import sys
+from rclpy.context import Context
+from quadftc_flight.graph.composed import NODE_CLASSES
+context = Context()
+context.init(args=[])
+for node_class in NODE_CLASSES.values():
+    node_class(context=context).destroy_node()
+context.try_shutdown()
+print(sorted({"jax", "scipy"} & {name.partition(".")[0] for name in sys.modules}))
+"""
 
 
 @contextmanager
@@ -109,3 +122,10 @@ def test_unknown_parameter_is_warned_of_and_the_node_runs(bench: NodeBench):
     assert process.returncode == 0
     assert "parameter 'isolating.gyro_bais' was given" in errors
     assert "did you mean 'isolating.gyro_bias'?" in errors
+
+
+def test_nodes_whose_laws_are_compiled_load_neither_jax_nor_scipy_and_compile_nothing():
+    for _ in range(2):  # the first time something may have to be compiled
+        done = subprocess.run([sys.executable, "-c", ALL_NODES], capture_output=True, text=True, check=True)
+        assert done.stdout == "[]\n"
+    assert "compiling" not in done.stderr
