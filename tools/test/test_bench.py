@@ -9,6 +9,10 @@ import numpy as np
 import pytest
 
 from quadftc_cli.main import guarded
+from quadftc_control.controller import controllers
+from quadftc_control.position_controller import position_controllers
+from quadftc_fdi.disturbance_observer import disturbance_observers
+from quadftc_fdi.fault_observer import fault_observers
 from quadftc_tools.bench.latency import (
     STAGES,
     TIMER,
@@ -21,6 +25,7 @@ from quadftc_tools.bench.latency import (
 )
 from quadftc_tools.bench.lockstep import APART, forms
 from quadftc_tools.bench.machine import Usage, machine, slowness
+from quadftc_tools.bench.step import cases
 
 RATE, PERIOD = 100.0, 10_000_000  # Hz, ns
 SLOW = 20_000_000  # ns
@@ -138,7 +143,8 @@ SHORT_FLIGHT = ["latency", "--duration", "1.5", "--rate", "100"]
 @pytest.mark.parametrize(
     ("arguments", "kind"),
     [
-        (["step", "--batches", "2"], "step"),
+        (["step", "--batches", "2", "--only", "sliding_mode", "--only", "exosystem"], "step_c"),
+        (["step", "--batches", "2", "--only", "geometric", "--engine", "numpy"], "step_numpy"),
         (["lockstep", "--duration", "0.5", "--repeat", "1", "--vehicles", "2"], "lockstep"),
         (SHORT_FLIGHT, "latency"),
         ([*SHORT_FLIGHT, "--graph", "processes", "--no-record"], "latency"),
@@ -162,23 +168,48 @@ def test_benchmark_writes_what_it_measured(tmp_path, capfd, arguments, kind):
         if "recorded" in result:
             assert result["recorded"]["stored"] > answered
     if kind == "lockstep":
-        assert [row["form"] for row in written["results"]] == list(forms(2))
+        flown = [(row["form"], row["engine"]) for row in written["results"]]
+        assert flown == forms(2, ["c", "numpy"])
         for row in written["results"]:
             steps = row["rate"] * row["vehicles"] * row["real_time_factor"]  # in a second
             assert row["sample_us"] * steps == pytest.approx(1e6, rel=0.02)
-    if kind == "step":
-        assert {row["observer"] for row in written["results"]} >= {"supervised", "sliding_mode", "none"}
+    if kind == "step_c":
+        rows = {(row["law"], row["place"]): row for row in written["results"]}
+        places = [
+            ("sliding_mode", "test stand"),
+            ("exosystem", "test stand"),
+            ("sliding_mode", "free flight"),
+        ]
+        assert sorted(rows) == sorted(places)
+        for row in rows.values():
+            assert 0.0 < row["loop_us"] < row["best_us"] <= row["median_us"]
+            assert row["statements"] > 10
+            assert row["bytes"] > 1000
+    if kind == "step_numpy":
+        (row,) = written["results"]
+        assert "statements" not in row
     assert "load" in capfd.readouterr().out
 
 
 def test_processes_for_each_vehicle_are_measured_for_more_than_one():
-    assert set(forms(2)) - set(forms(1)) == {APART}
+    assert set(forms(2)) - set(forms(1)) == {(APART, "c")}
+
+
+def test_every_registered_law_has_its_costs_where_it_can_fly():
+    laws = {(case.kind, case.law, case.place) for case in cases()}
+    for kind, registry in (("observer", fault_observers), ("controller", controllers)):
+        for name in registry.names():
+            assert {(kind, name, "test stand"), (kind, name, "free flight")} <= laws
+    assert {("disturbance observer", name, "test stand") for name in disturbance_observers.names()} <= laws
+    assert {("position controller", name, "free flight") for name in position_controllers.names()} <= laws
 
 
 @pytest.mark.parametrize(
     "arguments",
     [
         ["latency", "--rate", "-5"],
+        ["step", "--only", "nobody"],
+        ["lockstep", "--engine", "jax"],
         ["latency", "--observer", "nobody"],
         ["latency", "--duration", "1"],
         ["latency", "--core", "4096"],

@@ -13,6 +13,7 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from quadftc_cli.commands import GOOD, INTERRUPTED
+from quadftc_cli.commands.options import EngineOption
 from quadftc_cli.commands.run import CoreOption, GraphOption, PriorityOption
 from quadftc_cli.screen import console, say
 from quadftc_flight.runs import RunError
@@ -39,15 +40,20 @@ class Precision(str, enum.Enum):
     float32 = "float32"
 
 
+class Runs(str, enum.Enum):
+    """What runs the laws."""
+
+    c = "c"
+    numpy = "numpy"
+
+
 bench = typer.Typer(
     help="Measure how fast it is, on this machine: each within two minutes, or with --thorough for longer.",
     no_args_is_help=True,
 )
 
 Observer = Annotated[str, typer.Option(help="Fault observer.")]
-CompiledOption = Annotated[
-    bool, typer.Option("--compiled", help="Laws compiled by JAX; lockstep: beside NumPy.")
-]
+Engines = Annotated[list[Runs], typer.Option("--engine", help="What runs the laws; several in turn.")]
 Out = Annotated[
     Path | None,
     typer.Option(help="Directory for the results: JSON, and a figure of latencies or of batches."),
@@ -67,7 +73,7 @@ def latency(
     ] = None,
     repeat: Annotated[int, typer.Option(min=1, help="How often; medians are shown.")] = 1,
     record: Annotated[bool, typer.Option(help="Record a bag meanwhile.")] = True,
-    compiled: CompiledOption = False,
+    engine: Engines = [Runs.c],  # noqa: B006
     wait: Annotated[
         Literal["sleep", "poll"] | None,
         typer.Option(help="Between samples; default: poll, where it is possible."),
@@ -84,23 +90,23 @@ def latency(
         wait = "sleep" if graph == "processes" or realtime_priority else "poll"
     length = duration or (60.0 if thorough else 20.0)
     scheduling = Scheduling(wait, realtime_priority, tuple(core))
-    options = part.LatencyOptions(graph, executor, record, compiled, scheduling)
+    forms = {each: part.LatencyOptions(graph, executor, record, each, scheduling) for each in _values(engine)}
     results: list[dict[str, Any]] = []
     with StopSignals() as stop, _bars() as bars:
-        for each, number in itertools.product(rate, range(repeat)):
+        for each, number, runs in itertools.product(rate, range(repeat), forms):
             scenario = _scenario(observer, length, each)
-            bar = bars.add_task(f"{each:g} Hz, {number + 1} of {repeat}", total=length * each)
+            bar = bars.add_task(f"{each:g} Hz, {runs}, {number + 1} of {repeat}", total=length * each)
             bars.refresh()  # not in flight: drawing would take milliseconds from it
 
             def follow(samples: int, bar: Any = bar) -> bool:
                 bars.update(bar, completed=samples)
                 return not stop.requested
 
-            found = part.measure_latency(scenario, scenario.scheme(None), options, follow)
+            found = part.measure_latency(scenario, scenario.scheme(None), forms[runs], follow)
             results.append(_unless_stopped(found))
             bars.refresh()
-    for each in rate:
-        of_rate = [item for item in results if item["rate"] == each]
+    for each, runs in itertools.product(rate, forms):
+        of_rate = [item for item in results if (item["rate"], item["engine"]) == (each, runs)]
         console().print(part.latency_table(of_rate))
         say(*map(part.counts_line, of_rate), part.usage_line(of_rate))
     _finish(out, "latency", results, part.latency_figure)
@@ -112,7 +118,7 @@ def lockstep(
     vehicles: Annotated[list[int], typer.Option(min=1, help="In one process, and in as many.")] = [1],  # noqa: B006
     scenario: Annotated[str, typer.Option(help="Scenario to fly, by its first scheme.")] = SCENARIO,
     observer: Observer = "sliding_mode",
-    compiled: CompiledOption = False,
+    engine: Engines = [Runs.c, Runs.numpy],  # noqa: B006
     duration: Annotated[
         float | None, typer.Option(min=0.5, help="Length of a flight [s]; default: 10, thorough 20.")
     ] = None,
@@ -130,11 +136,12 @@ def lockstep(
     with StopSignals() as stop, _bars() as bars:
         for each, count in itertools.product(rate, vehicles):
             flown = _scenario(observer, length, each, scenario)
-            chosen = forms(count, compiled)
+            chosen = forms(count, _values(engine))
             bar = bars.add_task(f"{each:g} Hz, vehicles: {count}", total=times * len(chosen))
             # all forms in turn, so that a busy machine is as bad for all
             for _, form in itertools.product(range(times), chosen):
-                found = measure_lockstep(flown, flown.scheme(None), form, count, lambda _: not stop.requested)
+                what = flown, flown.scheme(None), *form, count
+                found = measure_lockstep(*what, lambda _: not stop.requested)
                 results.append(_unless_stopped(found))
                 bars.advance(bar)
                 bars.refresh()
@@ -144,16 +151,19 @@ def lockstep(
 
 @bench.command()
 def step(
-    batches: Annotated[int, typer.Option(min=1, help="How often 250 steps are timed.")] = 40,
-    compiled: CompiledOption = False,
+    batches: Annotated[int, typer.Option(min=1, help="How often 250 steps are timed.")] = 20,
+    engine: EngineOption = "c",
+    only: Annotated[list[str], typer.Option(help="Only laws of this name; may be repeated.")] = [],  # noqa: B006
     out: Out = None,
 ) -> None:
-    """What one step of each fault observer costs, for one vehicle: half a minute."""
-    from quadftc_tools.bench.lockstep import step_costs, step_table
+    """What one step of each law costs, for one vehicle, and in C what it takes to compile: a minute."""
+    from quadftc_tools.bench.step import cases, step_costs, step_table
 
-    results = list(step_costs(batches, compiled))
+    if lost := sorted(set(only) - {case.law for case in cases()}):
+        raise RunError(f"--only {lost[0]}: no such law")
+    results = list(step_costs(engine, batches, only))
     console().print(step_table(results))
-    _finish(out, "step", results)
+    _finish(out, f"step_{engine}", results)
 
 
 @bench.command()
@@ -217,6 +227,10 @@ def batch(
 def _scenario(observer: str, duration: float, rate: float, name: str = SCENARIO) -> Scenario:
     loaded = with_duration(load_scenario(find_scenario(name), [NO_DELAY]), duration)
     return with_components(with_rate(loaded, rate), observer=observer)
+
+
+def _values(engines: list[Runs]) -> list[str]:
+    return [each.value for each in dict.fromkeys(engines)]
 
 
 def _bars() -> Progress:

@@ -61,7 +61,7 @@ class LatencyOptions:
     graph: str = "composed"  # or "processes"
     executor: str = "events"  # or "single"; of the composed graph
     record: bool = True  # write a bag meanwhile, and throw it away
-    compiled: bool = False  # plant, fault observer and controllers, by JAX
+    engine: str = "c"  # what runs the laws: "c" or "numpy"
     scheduling: Scheduling = ORDINARY
 
     def __post_init__(self) -> None:
@@ -80,9 +80,8 @@ def measure_latency(
         traces.mkdir()
         paths = {"bag": bag, "traces": traces}
         parameters = node_parameters(scenario, scheme)
-        plan = GraphPlan(
-            parameters, "realtime", **paths, scheduling=options.scheduling, compiled=options.compiled
-        )
+        how = {"scheduling": options.scheduling, "engine": options.engine}
+        plan = GraphPlan(parameters, "realtime", **paths, **how)
         going_on, processes = True, options.graph == "processes"
 
         def follow(samples: int) -> bool:
