@@ -1,8 +1,7 @@
 """Write what a step of each law costs into a document, as a table between its marks.
 
-quadftc bench step --out results/step
-quadftc bench step --engine numpy --out results/step
-python -m quadftc_tools.docs.law_costs results/step docs/performance.md
+First: ``quadftc bench step --out results/step``, and the same with ``--engine numpy``. Then:
+``python -m quadftc_tools.docs.law_costs results/step docs/performance.md``.
 """
 
 from __future__ import annotations
@@ -15,10 +14,9 @@ from pathlib import Path
 from typing import Any
 
 MARKS = re.compile(r"(<!-- law costs: begin[^\n]*-->\n).*?(<!-- law costs: end -->)", re.S)
-HEAD = """\
-| law | where | NumPy [us] | C from Python [us] | in a loop of C [us] | statements | trace [s] | compile [s] | KiB |
-|---|---|---|---|---|---|---|---|---|
-"""
+COLUMNS = ("law", "where", "NumPy [us]", "C from Python [us]", "in a loop of C [us]", "statements")
+COLUMNS += ("trace [s]", "compile [s]", "KiB")
+HEAD = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|\n"
 
 
 def table(folder: Path) -> str:
