@@ -25,7 +25,7 @@ from quadftc_compile.fingerprint import compiler, fingerprint
 from quadftc_compile.layout import Layout, layout_of, leaves_of, unflatten
 from quadftc_compile.memory import Memory, Rows
 from quadftc_compile.runner import numbers_in, write_numbers
-from quadftc_model.composition import Composition, RunnerCalls
+from quadftc_model.composition import Composition, PlainCalls, RunnerCalls
 from quadftc_model.stepper import Engine
 
 BLOCK = 2048  # samples that are flown in one call
@@ -83,8 +83,15 @@ void conduct(const instruction *instructions, int64_t count, call *calls, const 
                 law->now = !law->now;
             } else if (instructions[k].kind == 1) {
                 for (int64_t n = first; n < last; n++) {
-                    memcpy(copies[n].to + sample * copies[n].to_stride,
-                           copies[n].from + sample * copies[n].from_stride, (size_t)copies[n].bytes);
+                    char *to = copies[n].to + sample * copies[n].to_stride;
+                    const char *from = copies[n].from + sample * copies[n].from_stride;
+                    switch (copies[n].bytes) { /* the usual sizes without a call */
+                    case 1: *to = *from; break;
+                    case 8: memcpy(to, from, 8); break;
+                    case 24: memcpy(to, from, 24); break;
+                    case 32: memcpy(to, from, 32); break;
+                    default: memcpy(to, from, (size_t)copies[n].bytes);
+                    }
                 }
             } else if (!copies[first].from[sample * copies[first].from_stride]) {
                 k = last - 1;
@@ -148,8 +155,16 @@ class Flown(Protocol):
         """Go to the begin of a flight."""
         ...
 
+    def configure(self, composition: Composition) -> None:
+        """Go to the begin of a flight of a composition of the same structure."""
+        ...
+
     def run(self, inputs: Any, count: int) -> Any:
         """Fly ``count`` samples, at most a `BLOCK`; inputs and outputs are arrays (count, ...)."""
+        ...
+
+    def state_of(self, name: str) -> Any:
+        """Return the state of a law at the last sample."""
         ...
 
 
@@ -165,13 +180,17 @@ class OneByOne:
     """A composition whose laws are called one by one, sample by sample."""
 
     def __init__(self, composition: Composition, engine: Engine, inputs: Any) -> None:
-        self._composition, self._calls = composition, RunnerCalls(composition.laws, engine)
-        self._layout = layout_of(inputs)
-        self.begin()
+        self._engine, self._layout = engine, layout_of(inputs)
+        self.configure(composition)
 
     def begin(self) -> None:
         """Go to the begin of a flight."""
         self._state = self._composition.init(self._calls)
+
+    def configure(self, composition: Composition) -> None:
+        """Go to the begin of a flight of another composition."""
+        self._composition, self._calls = composition, RunnerCalls(composition.laws, self._engine)
+        self.begin()
 
     def run(self, inputs: Any, count: int) -> Any:
         """Fly ``count`` samples; inputs and outputs are arrays (count, ...)."""
@@ -182,6 +201,10 @@ class OneByOne:
             made = made or Rows(layout_of(output), count)
             made.write_row(row, output)
         return None if made is None else made.view()
+
+    def state_of(self, name: str) -> Any:
+        """Return the state of a law at the last sample."""
+        return self._calls.state_of(name)
 
 
 class Wiring:
@@ -198,8 +221,8 @@ class Wiring:
         self._calls: list[tuple[int, ...]] = []
         self._laws: dict[str, _Law] = {}
         self._called_laws: set[str] = set()
-        self._begin: list[tuple[Memory, Any]] = []  # what a flight begins with
-        kept = self._keep(composition.init(self))
+        self._memories: dict[Token, Memory] = {}  # of constants, and of what goes from sample to sample
+        kept = self._kept = self._keep(composition.init(self))
         given = Rows(layout_of(inputs), block)
         after, output = composition.step(self, kept, _tokens(given.layout, given.address, given.size))
         made = Rows(self._layout(output), block)
@@ -214,15 +237,28 @@ class Wiring:
 
     def begin(self) -> None:
         """Go to the begin of a flight."""
-        for memory, value in self._begin:
+        with np.errstate(all="ignore"):
+            state = self._composition.init(PlainCalls(self._composition.laws))
+        for value, place in _pairs(state, self._kept):
+            is_state = isinstance(place, StateToken)
+            memory = self._laws[place.name].states[0] if is_state else self._memories[place]
             memory.write(value)
         self._called["now"] = 0
 
     def configure(self, composition: Composition) -> None:
-        """Fly with the numbers of other laws of the same structures; call `begin` then."""
-        self._composition = composition
+        """Go to the begin of a flight of a composition of the same structure, with numbers of its own.
+
+        What its step gives to laws as constants must not depend on numbers.
+        """
+        self._composition, laws = composition, composition.laws
         for name, law in self._laws.items():
-            write_numbers(self._libraries[name], composition.laws[name], law.numbers)
+            write_numbers(self._libraries[name], laws[name], law.numbers)
+        self.begin()
+
+    def state_of(self, name: str) -> Any:
+        """Return the state of a law at the last sample."""
+        law = self._laws[name]
+        return law.states[int(self._called["now"][law.number])].read()
 
     def run(self, inputs: Any, count: int) -> Any:
         """Fly ``count`` samples, at most a block; inputs and outputs are arrays (count, ...).
@@ -250,14 +286,13 @@ class Wiring:
         places = {key: Memory(layout) for key, layout in {**entry.arguments, **entry.results}.items()}
         numbers = numbers_in(library, law)
         self._held += [numbers, *places.values(), library]
-        with np.errstate(all="ignore"):
-            self._begin.append((places["before"], law.init(law.example())))
         functions = (ctypes.cast(each.call, ctypes.c_void_p).value or 0 for each in (init, entry))
         order = (numbers, *(places[key] for key in ("before", "after", "inputs", "dt", "output")))
         inputs, dt, output = (
             _tokens(places[key].layout, places[key].address, 0) for key in ("inputs", "dt", "output")
         )
-        self._laws[name] = _Law(len(self._calls), numbers, inputs, dt, output)
+        states = (places["before"], places["after"])
+        self._laws[name] = _Law(len(self._calls), numbers, states, inputs, dt, output)
         self._calls.append((*functions, *(each.address for each in order), 0))
         return StateToken(name)
 
@@ -297,16 +332,14 @@ class Wiring:
         """Return tokens for a state."""
         if isinstance(state, tuple):
             return _like(state, [self._keep(each) for each in state])
-        return state if state is None or isinstance(state, StateToken) else self._constant(state, begins=True)
+        return state if state is None or isinstance(state, StateToken) else self._constant(state)
 
-    def _constant(self, value: Any, begins: bool = False) -> Token:
-        memory = Memory(layout_of(value))
+    def _constant(self, value: Any) -> Token:
+        memory, array = Memory(layout_of(value)), np.asarray(value)
         memory.write(value)
-        self._held.append(memory)
-        if begins:
-            self._begin.append((memory, np.copy(value)))
-        array = np.asarray(value)
-        return Token(memory.address, 0, array.dtype, array.shape)
+        token = Token(memory.address, 0, array.dtype, array.shape)
+        self._memories[token] = memory
+        return token
 
     def _keep_like(self, tree: Any) -> Any:
         """Return tokens of new memory, as large as what is in a tree; states stay themselves."""
@@ -368,6 +401,7 @@ class Wiring:
 class _Law:
     number: int
     numbers: Memory
+    states: tuple[Memory, Memory]
     inputs: Any  # tokens
     dt: Any
     output: Any

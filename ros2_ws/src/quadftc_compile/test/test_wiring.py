@@ -16,7 +16,7 @@ from small_laws import Inputs, LowPass, Rotation
 from quadftc_compile.build import build_library
 from quadftc_compile.recipe import recipe_of
 from quadftc_compile.runner import CRunner
-from quadftc_compile.wiring import Wiring
+from quadftc_compile.wiring import OneByOne, Wiring
 from quadftc_model.composition import RunnerCalls
 from quadftc_model.stepper import NumpyRunner
 
@@ -56,7 +56,7 @@ class Pair:
             calls.init("slow"),
             calls.init("fast"),
             calls.init("spin"),
-            np.array([0.3, -0.2, 0.1]),
+            0.3 * np.array(self.slow.gain),
             np.zeros(3),
             np.zeros((0, 3)),
         )
@@ -115,16 +115,27 @@ def test_wired_laws_give_the_numbers_of_laws_called_one_by_one(libraries):
         wiring.begin()
 
 
-def test_other_numbers_fly_in_the_same_wires(libraries):
+def test_other_numbers_fly_in_the_same_wires_from_another_begin(libraries):
     given = rows()
     wiring = Wiring(Pair(), libraries, Row(np.zeros(3), np.True_, 0.01))
+    wiring.run(given, COUNT)
     other = Pair(slow=LowPass(time=0.1, gain=(2.0, 1.0, 0.5)))
-    wiring.configure(other)
-    wiring.begin()
-    wanted = fly(other, RunnerCalls(other.laws, NumpyRunner), given)
+    one_by_one = OneByOne(Pair(), NumpyRunner, Row(np.zeros(3), np.True_, 0.01))
+    for flown in (wiring, one_by_one):
+        flown.configure(other)
+    wanted = one_by_one.run(given, COUNT)
     for found, expected in zip(wiring.run(given, COUNT), wanted, strict=True):
         if expected is not None:
             np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
+    for name in other.laws:
+        state, expected = wiring.state_of(name), one_by_one.state_of(name)
+        np.testing.assert_allclose(
+            np.concatenate(leaves(state)), np.concatenate(leaves(expected)), rtol=1e-12
+        )
+
+
+def leaves(tree):
+    return [leaf for each in tree for leaf in leaves(each)] if isinstance(tree, tuple) else [np.ravel(tree)]
 
 
 class Deciding(Pair):

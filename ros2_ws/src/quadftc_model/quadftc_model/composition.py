@@ -77,6 +77,7 @@ class RunnerCalls:
     def __init__(self, laws: Mapping[str, Any], engine: Engine) -> None:
         self._laws = laws
         self._runners: dict[str, Runner[Any, Any]] = {name: engine(law) for name, law in laws.items()}
+        self._states: dict[str, Any] = {}  # at their last steps
 
     def init(self, name: str) -> Any:
         """Return the state of a law at its example."""
@@ -86,7 +87,13 @@ class RunnerCalls:
     def step(self, name: str, state: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
         """Step a law by ``dt`` [s]; where that is 0, the law begins."""
         runner = self._runners[name]
-        return runner.first(inputs) if dt == 0.0 else runner.step(state, inputs, float(dt))
+        after = runner.first(inputs) if dt == 0.0 else runner.step(state, inputs, float(dt))
+        self._states[name] = after[0]
+        return after
+
+    def state_of(self, name: str) -> Any:
+        """Return the state of a law at its last step."""
+        return self._runners[name].tree(self._states[name])
 
     def branch(self, flag: Any, then: Callable[[], T], otherwise: Callable[[], T]) -> T:
         """Return ``then()`` if a flag holds, or ``otherwise()``."""

@@ -1,7 +1,7 @@
 """Delay lines: the values of the last samples, of a fixed number, oldest first.
 
-A line holds NamedTuples of arrays, nested or not, with any leading axes, and its own axis behind those: a
-vector (..., 3) becomes (..., count, 3), a flag (...) becomes (..., count).
+A line holds NamedTuples of arrays and None, nested or not, with any leading axes, and its own axis behind
+those: a vector (..., 3) becomes (..., count, 3), a flag (...) becomes (..., count).
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ def fill_line(value: T, count: int, leading: int) -> T:
         parts = cast("tuple[Any, ...]", value)
         kind: Any = type(parts)
         return kind(*(fill_line(each, count, leading) for each in parts))
+    if value is None:
+        return value
     xp = namespace(value)
     array = xp.expand_dims(xp.asarray(value), leading)
     return xp.broadcast_to(array, (*array.shape[:leading], count, *array.shape[leading + 1 :]))
@@ -32,6 +34,8 @@ def shift_line(line: T, value: T, leading: int) -> tuple[T, T]:
         kind: Any = type(lines)
         parts = [shift_line(a, b, leading) for a, b in zip(lines, values, strict=True)]
         return kind(*(kept for kept, _ in parts)), kind(*(out for _, out in parts))
+    if value is None:
+        return line, value
     xp, before, array = namespace(line, value), (slice(None),) * leading, cast("Any", line)
     if array.shape[leading] == 0:
         return line, value
