@@ -5,20 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from quadftc_bags.cdr.message import leading_stamp_ns
 from quadftc_bags.writer import BagStatus
-from quadftc_ros.conversions import END_NS
 from quadftc_ros.diagnostics import ERROR, OK, WARN
 from quadftc_ros.topics import GRAPHS, TOPICS, PlantKind, Topic
-
-
-def flight_stamp_ns(data: bytes) -> int | None:
-    """Return the stamp [ns] of a serialised message, zero before the flight; None without."""
-    try:
-        stamp_ns = leading_stamp_ns(data)
-    except ValueError:
-        return None
-    return stamp_ns if 0 <= stamp_ns < END_NS else None
 
 
 def judge(status: BagStatus) -> tuple[bytes, str, Mapping[str, int]]:

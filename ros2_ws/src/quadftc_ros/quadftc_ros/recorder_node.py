@@ -13,20 +13,21 @@ import dataclasses
 import sys
 import time
 from collections.abc import Collection
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from quadftc_bags.bag_format import COMPRESSIONS
+from quadftc_bags.cdr.message import leading_stamp_ns
 from quadftc_bags.interfaces import load_message_class
 from quadftc_bags.writer import BagStatus
 from quadftc_bags.writer_process import BagProcess, Input
 from quadftc_model.parameters import parameter
+from quadftc_ros.conversions import END_NS
 from quadftc_ros.diagnostics import OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.node import GraphNode
 from quadftc_ros.qos import topic_profile
-from quadftc_ros.recorder import choose_topics, flight_stamp_ns, judge, read_attachments
+from quadftc_ros.recorder import choose_topics, judge, read_attachments
 from quadftc_ros.topics import Topic
 from quadftc_ros.transport import Take
 from quadftc_ros.versions import versions
@@ -126,29 +127,38 @@ class RecorderNode(GraphNode):
         offered, name = topic_profile(row.qos, self.mode), self.resolve_topic_name(row.name)
         stored = self.resolve_topic_name(row.name, only_expand=True)
         self._writer.add_topic(stored, row.type_name, offered)
-        take_timed = self._take_by_stamp if self.lockstep else self._take_by_clock
-        self._takes[name] = take = partial(take_timed, self._writer.input(stored))
+        taking = self._taking_by_stamp if self.lockstep else self._taking_by_clock
+        self._takes[name] = take = taking(self._writer.input(stored))
         if subscribes:
             offered.depth = RECEIVE_DEPTH[self.mode]
             self.create_subscription(load_message_class(row.type_name), row.name, take, offered, raw=True)
 
-    def _take_by_stamp(self, write: Input, data: bytes) -> None:
-        stamp_ns = flight_stamp_ns(data)
-        if not self.active:
-            return
-        if stamp_ns is None:
-            self.diagnostics.count("messages without a stamp, not recorded")
-        elif stamp_ns:  # how many come before the flight depends on how fast the processes start
-            self._flying = True
-            self._newest_ns = stamp_ns
-            self.received += 1
-            write(data, stamp_ns, stamp_ns)
+    def _taking_by_stamp(self, write: Input) -> Take:
+        def take(data: bytes) -> None:
+            if not self.active:
+                return
+            try:
+                stamp_ns = leading_stamp_ns(data)
+            except ValueError:
+                stamp_ns = -1
+            if 0 < stamp_ns < END_NS:
+                self._flying = True
+                self._newest_ns = stamp_ns
+                self.received += 1
+                write(data, stamp_ns, stamp_ns)
+            elif stamp_ns:  # 0: how many come before the flight depends on how fast the processes start
+                self.diagnostics.count("messages without a stamp, not recorded")
 
-    def _take_by_clock(self, write: Input, data: bytes) -> None:
-        if self.active:
-            now_ns = time.time_ns()
-            self.received += 1
-            write(data, now_ns, now_ns)
+        return take
+
+    def _taking_by_clock(self, write: Input) -> Take:
+        def take(data: bytes) -> None:
+            if self.active:
+                now_ns = time.time_ns()
+                self.received += 1
+                write(data, now_ns, now_ns)
+
+        return take
 
     def _check(self) -> None:
         """Report how the recording stands; in lock-step, where all goes by samples, only what is wrong."""

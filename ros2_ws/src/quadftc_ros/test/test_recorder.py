@@ -1,21 +1,11 @@
 """What the recorder decides, without a node."""
 
-import numpy as np
 import pytest
-from rclpy.serialization import serialize_message
 
-from message_objects import VectorWriter
 from quadftc_bags.writer import BagStatus
 from quadftc_ros.diagnostics import ERROR, OK, WARN
-from quadftc_ros.recorder import choose_topics, flight_stamp_ns, judge, read_attachments
+from quadftc_ros.recorder import choose_topics, judge, read_attachments
 from quadftc_ros.topics import GRAPHS, TOPICS
-
-
-def test_lockstep_stores_by_stamp_and_leaves_out_what_has_none():
-    for stamp_ns in (5, 0):  # zero: before the flight
-        assert flight_stamp_ns(serialize_message(VectorWriter("map")(stamp_ns, np.zeros(3)))) == stamp_ns
-    assert flight_stamp_ns(b"") is None
-    assert flight_stamp_ns(b"\0\1\0\0" + b"\xff" * 4 + bytes(4)) is None  # negative
 
 
 @pytest.mark.parametrize(
