@@ -83,7 +83,7 @@ def find_library(recipe: Recipe) -> Library | None:
     """Return a law that is compiled already; None if it is not, or has no cache."""
     try:
         entry = cache.load_entry(key_of(recipe))
-        return None if entry is None else _load(*entry)
+        return None if entry is None else load_library(*entry)
     except OSError:
         return None
 
@@ -98,7 +98,7 @@ def build_library(recipe: Recipe, keep: bool = True) -> Library:
         with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
             path = Path(folder) / f"{recipe.name}.so"
             path.write_bytes(library)
-            return _load(path, record)
+            return load_library(path, record)
     key = key_of(recipe)
     with cache.lock_entry(key):
         found = find_library(recipe)
@@ -108,8 +108,9 @@ def build_library(recipe: Recipe, keep: bool = True) -> Library:
         try:
             path = cache.store_entry(key, library, record)
         except OSError as error:
-            raise BuildError(f"{recipe.name}: cannot be kept: {error}", unkept=True) from None
-    return _load(path, record)
+            words = f"{cache.cache_folder()}: {error.strerror}" if error.strerror else str(error)
+            raise BuildError(f"{recipe.name}: cannot be kept: {words}", unkept=True) from None
+    return load_library(path, record)
 
 
 def _make(recipe: Recipe) -> tuple[bytes, dict[str, Any]]:
@@ -117,7 +118,7 @@ def _make(recipe: Recipe) -> tuple[bytes, dict[str, Any]]:
     if tracer() is None:
         raise BuildError(f"{recipe.name}: JAX is not installed, which traces laws (pip install jax)")
     if compiler() is None:
-        raise BuildError(f"{recipe.name}: there is no C compiler (cc, gcc or clang)")
+        raise BuildError(f"{recipe.name}: there is no C compiler that works (cc, gcc or clang)")
     from quadftc_compile.program import write_program
 
     begin = time.process_time()
@@ -153,7 +154,7 @@ def compile_c(name: str, header: str, source: str, more: tuple[str, ...] = ()) -
     """Return the library of a program, built with ``more`` flags; BuildError: what the compiler says."""
     found = compiler()
     if found is None:
-        raise BuildError(f"{name}: there is no C compiler (cc, gcc or clang)")
+        raise BuildError(f"{name}: there is no C compiler that works (cc, gcc or clang)")
     flags = (*LIBRARY, *(("-O2",) if "clang" in found[1] else LOOPS), *more)
     try:
         with tempfile.TemporaryDirectory(prefix="quadftc_") as folder:
@@ -170,7 +171,7 @@ def compile_c(name: str, header: str, source: str, more: tuple[str, ...] = ()) -
         raise BuildError(f"{name}: {error}") from None
 
 
-def _load(path: Path, record: Mapping[str, Any]) -> Library:
+def load_library(path: Path, record: Mapping[str, Any]) -> Library:
     """Load a library that can be trusted."""
     held = ctypes.CDLL(str(path))
     entries: dict[str, Entry] = {}

@@ -15,7 +15,7 @@ import os
 import platform
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +80,11 @@ def store_entry(key: str, library: bytes, record: dict[str, Any]) -> Path:
     path = folder / f"{key}-{digest[:16]}{LIBRARY}"
     _replace(path, library)
     whole = {**record, "key": key, "processor": processor(), "sha256": digest}
-    _replace(folder / f"{key}{RECORD}", json.dumps(whole).encode())
+    try:
+        _replace(folder / f"{key}{RECORD}", json.dumps(whole).encode())
+    except OSError:
+        path.unlink(missing_ok=True)  # nobody would find it
+        raise
     return path
 
 
@@ -99,7 +103,7 @@ def _replace(path: Path, content: bytes) -> None:
 
 
 @contextlib.contextmanager
-def lock_entry(key: str) -> Iterator[None]:
+def lock_entry(key: str) -> Generator[None]:
     """Hold an entry: of several processes one makes it, the others wait. Without a folder, no lock."""
     try:
         path = cache_folder() / f"{key}.lock"

@@ -102,7 +102,7 @@ class CEngine:
         if not recipes:
             return
         self._announce(recipes)
-        for recipe, library in zip(recipes, _build(recipes), strict=True):
+        for recipe, library in zip(recipes, _build(recipes, self._tell), strict=True):
             if isinstance(library, BuildError):
                 self._tell(f"flies in NumPy, which is slower: {library}")
             else:
@@ -188,10 +188,10 @@ def _loaded(recipe: Recipe) -> Library | None:
     return _libraries.get(key)
 
 
-def _build(recipes: Sequence[Recipe]) -> list[Library | BuildError]:
+def _build(recipes: Sequence[Recipe], tell: Log) -> list[Library | BuildError]:
     """Compile laws: here if JAX is loaded already, else in processes of their own."""
     if "jax" in sys.modules:
-        return [_build_here(each) for each in recipes]
+        return [_build_here(each, tell) for each in recipes]
     count = min(len(recipes), os.cpu_count() or 1)
     workers = queue.SimpleQueue[Worker]()
     for _ in range(count):
@@ -204,7 +204,7 @@ def _build(recipes: Sequence[Recipe]) -> list[Library | BuildError]:
         if "error" in answer:
             return BuildError(answer["error"])
         # what that process cannot import or keep, this one may
-        return (None if "unknown" in answer else find_library(recipe)) or _build_here(recipe)
+        return (None if "unknown" in answer else find_library(recipe)) or _build_here(recipe, tell)
 
     with concurrent.futures.ThreadPoolExecutor(max_workers=count) as pool:
         built = list(pool.map(build, recipes))
@@ -213,13 +213,14 @@ def _build(recipes: Sequence[Recipe]) -> list[Library | BuildError]:
     return built
 
 
-def _build_here(recipe: Recipe) -> Library | BuildError:
+def _build_here(recipe: Recipe, tell: Log) -> Library | BuildError:
     """Compile a law in this process; where nothing can be kept, for this process alone."""
     try:
         return build_library(recipe)
     except BuildError as error:
         if not error.unkept:
             return error
+        tell(f"compiled for this process alone: {error}")
     try:
         return build_library(recipe, keep=False)
     except BuildError as error:

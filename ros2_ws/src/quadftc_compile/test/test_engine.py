@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -192,14 +193,18 @@ def test_a_law_that_cannot_be_traced_says_where_and_flies_in_numpy(law, words):
     assert len([each for each in said if "flies in NumPy" in each]) == 1
 
 
+def build_here(recipes, tell):
+    return [engine._build_here(each, tell) for each in recipes]
+
+
 def test_without_a_compiler_a_law_flies_in_numpy_and_says_so(monkeypatch):
     monkeypatch.setattr("quadftc_compile.build.compiler", lambda: None)
-    monkeypatch.setattr(engine, "_build", lambda recipes: [engine._build_here(each) for each in recipes])
+    monkeypatch.setattr(engine, "_build", build_here)
     said: list[str] = []
     law, inputs = LowPass(), samples(4)
     found = run(CEngine(said.append)(law), inputs)[1]
     np.testing.assert_array_equal(found, run(NumpyRunner(law), inputs)[1])
-    assert said[-1].endswith("there is no C compiler (cc, gcc or clang)")
+    assert said[-1].endswith("there is no C compiler that works (cc, gcc or clang)")
 
 
 def test_a_compiler_that_fails_is_quoted(monkeypatch, tmp_path):
@@ -219,9 +224,12 @@ def test_a_folder_that_cannot_be_written_costs_only_the_next_start(own_cache, mo
     monkeypatch.setattr(cache, "_replace", full)
     said: list[str] = []
     law, inputs = LowPass(), samples(4)
-    monkeypatch.setattr(engine, "_build", lambda recipes: [engine._build_here(each) for each in recipes])
+    monkeypatch.setattr(engine, "_build", build_here)
     runner = CEngine(said.append)(law)
     assert type(runner._runner) is CRunner
+    folder = re.escape(str(own_cache))
+    told = rf"compiled for this process alone: low_pass: cannot be kept: {folder}: No space left on device"
+    assert re.fullmatch(told, said[-1])
     np.testing.assert_allclose(
         run(runner, inputs)[1], run(NumpyRunner(law), inputs)[1], rtol=1e-12, atol=1e-13
     )
