@@ -13,8 +13,6 @@ from typing import IO, Any
 import pytest
 from hypothesis import settings
 
-from quadftc_model.jax_settings import environment
-
 # property tests: the same examples in every run, and no time limit for one
 settings.register_profile("thorough", derandomize=True, database=None, deadline=None)
 settings.register_profile("usual", settings.get_profile("thorough"), max_examples=40)
@@ -112,7 +110,7 @@ def pytest_configure(config: pytest.Config) -> None:
     for library in ("OPENBLAS", "OMP"):  # with small matrices, threads do little but wait for each other
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     os.environ.setdefault("XLA_FLAGS", QUICK_TO_COMPILE)
-    os.environ.update(environment())  # otherwise JAX compiles as in a campaign
+    os.environ.setdefault("NPROC", "1")  # so many threads has JAX
     os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in a background job; its children ignore it, too
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -5,18 +5,13 @@ Call it by ``. scripts/lib/env.sh && python examples/batch_in_ten_lines.py [FLIG
 
 from __future__ import annotations
 
-import os
 import sys
 
 import numpy as np
 
-from quadftc_model.jax_settings import environment
-
-os.environ.update(environment())  # flags that XLA reads once, so before JAX is imported
-
-from quadftc_campaign.batch.engine import Engine
+from quadftc_campaign.batch.engine import fly_all
 from quadftc_campaign.batch.records import flight_record
-from quadftc_campaign.flights import parts_of
+from quadftc_campaign.flights import batch_flight
 from quadftc_flight.scenario import find_scenario, load_scenario
 
 
@@ -26,8 +21,7 @@ def fly(flights: int, scheme: str = "supervised") -> tuple[np.ndarray, np.ndarra
     sizes = np.random.default_rng(1).uniform(0.5, 10.0, flights)  # deg
     changes = [[f"faults.0.value={size} deg", f"seed={number}"] for number, size in enumerate(sizes)]
     scenarios = [load_scenario(path, each) for each in changes]
-    parts = [parts_of(scenario, scheme) for scenario in scenarios]
-    outcomes = Engine().fly(parts, [scenario.fault_events for scenario in scenarios])
+    outcomes = fly_all([batch_flight(scenario, scheme) for scenario in scenarios])
     return sizes, np.array([flight_record(outcome)["tracking_rmse_deg.roll"] for outcome in outcomes])
 
 

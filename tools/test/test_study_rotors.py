@@ -14,18 +14,15 @@ ROWS, BEGIN = round(DURATION * RATE), round(ONSET * RATE)
 
 def said(rotor=None, sensor=None, delay=10, loss=0.25):
     """What an observer says that names one rotor or sensor, ``delay`` samples after the onset."""
-    states = {name: np.full((ROWS, 3), HEALTHY) for name in SENSORS}
+    states = {f"{name}_state": np.full((ROWS, 3), HEALTHY) for name in SENSORS}
     rotors, left = np.full((ROWS, 4), HEALTHY), np.ones((ROWS, 4))
     if sensor is not None:
-        states[sensor][BEGIN + delay :, 0] = FAULTY
+        states[f"{sensor}_state"][BEGIN + delay :, 0] = FAULTY
     if rotor is not None:
         rotors[BEGIN + delay :, rotor], left[BEGIN + delay :, rotor] = FAULTY, 1.0 - loss
     clear = np.zeros((ROWS, 3), np.bool_)
-    sensors = SimpleNamespace(
-        **{name: SimpleNamespace(state=state, ambiguous=clear) for name, state in states.items()}
-    )
-    estimate = SimpleNamespace(rotors=SimpleNamespace(state=rotors, effectiveness=left), sensors=sensors)
-    return SimpleNamespace(trace=SimpleNamespace(estimate=estimate))
+    watched = {"attitude_ambiguous": clear, "gyro_ambiguous": clear, **states}
+    return SimpleNamespace(rotor_state=rotors, rotor_estimate=left, **watched)
 
 
 def test_delay_and_error_of_a_rotor_are_measured():

@@ -19,18 +19,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_campaign.batch.engine import Engine
-from quadftc_campaign.batch.parts import differing, numbers_of, with_common_faults
-from quadftc_campaign.batch.records import flight_record
-from quadftc_campaign.flights import parts_of
 from quadftc_cli.screen import say
+from quadftc_flight.closed_loop import fly
+from quadftc_flight.flight import Flight
+from quadftc_flight.metrics import flight_metrics
 from quadftc_model.samples import ALARMS
 from quadftc_tools.study.numbers import write_number, write_per_cent, write_times
 from quadftc_tools.study.page import NOTHING, markdown, publish, publish_tables
 from quadftc_tools.study.rotors_figure import Curve, draw_delays
 from quadftc_tools.study.rotors_flights import ONSET, RATE, Case, case_of, faulty_sensor, weak_rotor
 
-LANES = 32  # flights that fly together, each with all its samples
+TOLD = 64  # healthy flights after which it says how far it is
 LONGER, HEALTHY = 13.0, 80.0  # s; of flights with any fault, and without one
 JUDGED, FALLING = 2.0, 0.7  # s after the onset; with a rotor off, as this vehicle falls to the ground then
 SEEDS = {
@@ -96,29 +95,23 @@ class Said(NamedTuple):
     error: float  # estimated less true loss 1 s after it is named [1]
 
 
-def fly_all(cases: Sequence[Case], scheme: str = "isolating", lanes: int = LANES) -> Iterator[Any]:
-    """Fly all cases; yield the outcome of each, with all its samples."""
-    parts = with_common_faults([parts_of(case.scenario, scheme) for case in cases])
-    # what differs anywhere may differ in each block: one compilation for all
-    engine = Engine(lanes=lanes, free=tuple(differing([numbers_of(part.loop) for part in parts])))
-    for start in range(0, len(cases), lanes):
-        block = slice(start, start + lanes)
-        events = [case.scenario.fault_events for case in cases[block]]
-        yield from engine.fly(parts[block], events, traced=True)
+def fly_all(cases: Sequence[Case], scheme: str = "isolating") -> Iterator[Flight]:
+    """Fly all cases, one after the other."""
+    return (fly(case.scenario, scheme) for case in cases)
 
 
-def hear(case: Case, outcome: Any, onset: float = ONSET, judged: float = JUDGED) -> Said:
+def hear(case: Case, flight: Flight, onset: float = ONSET, judged: float = JUDGED) -> Said:
     """Return what is named in a flight."""
-    judged, estimate = FALLING if case.loss >= 1.0 else judged, outcome.trace.estimate
-    rotors = np.isin(np.asarray(estimate.rotors.state), ALARMS)
-    sensors = [getattr(estimate.sensors, name) for name in SENSORS]
-    named = [np.isin(np.asarray(each.state), ALARMS) & ~np.asarray(each.ambiguous) for each in sensors]
+    judged, rotors = FALLING if case.loss >= 1.0 else judged, np.isin(flight.rotor_state, ALARMS)
+    named = [np.isin(getattr(flight, f"{name}_state"), ALARMS) for name in SENSORS]
+    for place, name in enumerate(SENSORS[:2]):
+        named[place] &= ~getattr(flight, f"{name}_ambiguous")
     begin, end = round(onset * RATE), round((onset + judged) * RATE)
     times = first_times(rotors[begin:end])
     error = np.nan
     if case.rotor >= 0 and np.isfinite(times[case.rotor]):
         row = min(begin + round((times[case.rotor] + 1.0) * RATE), len(rotors) - 1)
-        error = 1.0 - float(np.asarray(estimate.rotors.effectiveness)[row, case.rotor]) - case.loss
+        error = 1.0 - float(flight.rotor_estimate[row, case.rotor]) - case.loss
     seen = [first_times(each[begin:end]).min() for each in named]
     return Said(times, np.array(seen), error)
 
@@ -196,16 +189,16 @@ def study_mixed(share: float) -> str:
     cases = [case for group in groups for case in group]
     flown, bare = fly_all(cases), fly_all(cases, "undiagnosed")
     for (label, *_), group in zip(kinds, groups, strict=True):
-        outcomes = [next(flown) for _ in group]
-        said = [hear(case, outcome) for case, outcome in zip(group, outcomes, strict=True)]
-        held = (*holding(outcomes), *holding([next(bare) for _ in group]))
+        flights = [next(flown) for _ in group]
+        said = [hear(case, flight) for case, flight in zip(group, flights, strict=True)]
+        held = (*holding(flights), *holding([next(bare) for _ in group]))
         rows.append((*mixed_row(label, group, said), *held))
     return markdown(MIXED_HEAD, rows)
 
 
-def holding(outcomes: Sequence[Any]) -> tuple[str, str]:
+def holding(flights: Sequence[Flight]) -> tuple[str, str]:
     """Return the share of flights that are lost, and how far the others get from their place."""
-    records = [flight_record(outcome._replace(trace=None)) for outcome in outcomes]
+    records = [flight_metrics(flight, ()) for flight in flights]
     far = [record["position_max_m"] for record in records if not record["lost"]]
     spread = f"{np.median(far):.2f} / {max(far):.2f} m" if far else NOTHING
     return write_per_cent((float(np.mean([record["lost"] for record in records])),)), spread
@@ -232,15 +225,15 @@ def mixed_row(label: str, cases: Sequence[Case], said: Sequence[Said]) -> tuple[
     return (label, str(len(cases)), *(write_per_cent((float(each),)) for each in shares))
 
 
-def study_healthy(flights: int, lanes: int = 16) -> str:
+def study_healthy(flights: int) -> str:
     """Fly without a fault; return the table of what is named all the same."""
     seed, named, sensed = SEEDS["healthy"], 0, 0
     cases = [case_of(seed + index, "", lambda _: ("", -1, 0.0), HEALTHY) for index in range(flights)]
-    for number, outcome in enumerate(fly_all(cases, lanes=lanes), 1):
-        said = hear(cases[number - 1], outcome, 0.0, HEALTHY)
+    for number, flight in enumerate(fly_all(cases), 1):
+        said = hear(cases[number - 1], flight, 0.0, HEALTHY)
         named += bool(np.isfinite(said.rotors).any())
         sensed += bool(np.isfinite(said.sensors).any())
-        if number % (4 * lanes) == 0:
+        if number % TOLD == 0:
             say(f"{number} healthy flights: a rotor named in {named}, a sensor in {sensed}", stderr=True)
     hours = write_number(flights * HEALTHY / 3600.0)
     head = ("flights of 80 s", "hours", "flights in which a rotor is named", "a sensor")

@@ -21,6 +21,7 @@ vary:
   faults.0.value: {uniform: [0.5 deg, 5 deg], sign: random}
   faults.*.start: {uniform: [10 s, 20 s]}            # of each fault
   rate: {grid: [125 Hz, 250 Hz]}
+precision: float32                 # of JAX; C and NumPy compute in double
 report: {map: [faults.0.value, rate], metric: fault.estimate_rmse_deg}
 checks:                            # bounds on what comes out, see quadftc_campaign.campaign_checks
   - {metric: tracking_rmse_deg.q95, below: 0.1}                      # of each variant, on every axis
@@ -43,8 +44,10 @@ from typing import Annotated, Any, Literal, NamedTuple, cast
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PlainValidator, ValidationError
 
+from quadftc_campaign.batch.engine import ENGINES, JAX
 from quadftc_campaign.batch.records import ROOTS, VARIATION
 from quadftc_campaign.campaign_checks import CampaignCheck, wrong_checks
+from quadftc_campaign.cluster import has_accelerator
 from quadftc_campaign.distributions import GRID, Distribution, distribution
 from quadftc_control.controller import controllers
 from quadftc_fdi.fault_observer import fault_observers
@@ -161,6 +164,12 @@ class Campaign(CampaignKeys):
     base: Document  # the scenario, with the values that all flights share
     variants: tuple[Variant, ...]
     recordings: tuple[Path, ...]  # flight k is on recording k modulo their number
+    engine: str  # that flies it, of `ENGINES`
+
+    @property
+    def flown_precision(self) -> str:
+        """Precision in which it is flown: only JAX has another than double."""
+        return self.precision if self.engine == JAX else "float64"
 
     @property
     def cells(self) -> int:
@@ -169,11 +178,16 @@ class Campaign(CampaignKeys):
 
 
 def load_campaign(
-    path: Path, flights: int | None = None, recordings: Path | None = None, seed: int | None = None
+    path: Path,
+    flights: int | None = None,
+    recordings: Path | None = None,
+    seed: int | None = None,
+    engine: str | None = None,
 ) -> Campaign:
     """Load a campaign file; a `ScenarioError` has one line for each problem.
 
     ``flights`` and ``seed`` count in place of the file's, ``recordings`` in place of its source's directory.
+    ``engine`` flies it; None: JAX flies a closed loop where it has an accelerator, and C all else.
     """
     document = read_document(path)
     for key, value in {"flights": flights, "seed": seed}.items():
@@ -185,6 +199,10 @@ def load_campaign(
         raise document.error(problems_of(error, _model_at)) from None
     base, scenario = _read_scenario(document, keys)
     problems, bags = [*_find_unknown_parts(keys, scenario)], tuple[Path, ...]()
+    is_loop = keys.source.kind == "loop"
+    if engine == JAX and not is_loop:
+        said = f"{keys.source.kind}: expected 'loop', which alone flies in JAX"
+        problems.append(Problem(("source", "kind"), said))
     if scenario.plant.flies and keys.source.kind != "loop":
         said = f"{keys.source.kind}: expected 'loop', as a free flight has no motion without its loop"
         problems.append(Problem(("source", "kind"), said))
@@ -198,6 +216,7 @@ def load_campaign(
     given: dict[str, Any] = dict(keys)
     given |= {"name": keys.name or path.stem, "flights": keys.flights * max(len(bags), 1)}
     given |= {"vary": _expand_paths(keys, base, problems), "variants": _variants(keys, scenario)}
+    given["engine"] = engine or (JAX if is_loop and has_accelerator() else ENGINES[0])
     campaign = Campaign.model_construct(None, **given, document=document, base=base, recordings=bags)
     if campaign.cells > MAX_CELLS:
         problems.append(Problem(("vary",), f"{campaign.cells} combinations of grids: at most {MAX_CELLS}"))

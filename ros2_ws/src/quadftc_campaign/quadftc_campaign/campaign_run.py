@@ -12,6 +12,7 @@ import contextlib
 import hashlib
 import itertools
 import json
+import operator
 import os
 from collections.abc import Callable, Generator, Iterator, Sequence
 from pathlib import Path
@@ -19,20 +20,22 @@ from typing import Any, NamedTuple, cast
 
 import polars as pl
 
-from quadftc_campaign.batch.parts import Progress, structure_of
+from quadftc_campaign.batch.engine import JAX, Progress, compile_laws, fly_all, without_words
+from quadftc_campaign.batch.records import fault_records, flight_record
 from quadftc_campaign.campaign_checks import campaign_results
 from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.cluster import cluster_client, devices, run_tasks
 from quadftc_campaign.errors import CampaignError
-from quadftc_campaign.flights import first_columns, flight_scenario, parts_of
+from quadftc_campaign.flights import batch_flight, first_columns, flight_scenario
 from quadftc_campaign.table import ORDER, Row, Rows, summary_of, table_of, with_ratios
 from quadftc_flight.scenario import Scenario
+from quadftc_sim.assembly import sample_count
 
 MANIFEST, CHUNKS, FLIGHTS, SUMMARY = "campaign.json", "chunks", "flights.parquet", "summary.json"
-FORMAT = 2
+FORMAT = 3
 ANOTHER = "choose another --out"
-FLIGHTS_A_CHUNK = 256  # what a kill loses at most, of each worker; as many as are flown together
-OPEN_FLIGHTS_A_CHUNK = 16  # without a control loop: these are in memory together, 10 to 50 MB each
+FLIGHTS_A_CHUNK = 32  # what a kill loses at most, of each worker
+TOGETHER_A_CHUNK = 1024  # in JAX, which flies them together
 
 
 class Extent(NamedTuple):
@@ -69,7 +72,8 @@ class CampaignRun:
         """Make the directory or go on with it; say how much is to be flown.
 
         A `CampaignError` refuses a directory with another campaign, or with this one if it is not to be
-        resumed. The first flight of each chunk is built: better an error now than when hours are over.
+        resumed. The first flight of each chunk is built: better an error now than when hours are over. So are
+        its laws, in C, for all workers of this machine.
         """
         first = [flight_scenario(self.campaign, numbers[0], variant) for numbers, variant in self._chunks]
         directory, path = self._directory, self._directory / MANIFEST
@@ -82,8 +86,12 @@ class CampaignRun:
             (directory / CHUNKS).mkdir(parents=True, exist_ok=True)
             path.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
         missing = self._missing
-        samples = sum(len(self._chunks[place][0]) * parts_of(first[place]).loop.count for place in missing)
-        return Extent(len(self._chunks), len(missing), samples)
+        scenarios = [first[place] for place in missing]
+        if self.campaign.source.kind == "loop" and self.campaign.engine == "c":
+            compile_laws(map(batch_flight, scenarios))
+        counts = (sample_count(scenario.duration, scenario.rate) for scenario in scenarios)
+        sizes = (len(self._chunks[place][0]) for place in missing)
+        return Extent(len(self._chunks), len(missing), sum(map(operator.mul, sizes, counts)))
 
     def fly(
         self,
@@ -99,7 +107,7 @@ class CampaignRun:
         chunks = [self._chunks[place] for place in missing]
         tasks = [(self.campaign.model_copy(update={"variants": (one,)}), numbers) for numbers, one in chunks]
         with cluster_client(address, min(workers, len(missing))) as client:
-            told(devices(client))
+            told(devices(client, self.campaign.engine))
             for index, rows in run_tasks(client, fly_chunk, tasks, progress):
                 _write_table(table_of(rows), self._paths[missing[index]])
 
@@ -122,19 +130,19 @@ class CampaignRun:
 def chunks_of(campaign: Campaign, size: int | None = None) -> list[list[int]]:
     """Divide the flights into chunks of about equal size, each with flights of one structure.
 
-    What changes the structure (`quadftc_campaign.batch.parts`) from one combination of the grids to another,
-    such as the rate, keeps them apart. Others, such as inertias, are mixed: nothing is compiled for each.
-    Structures take turns, so that workers compile one each and not the same one at the same time. Flights on
-    one recording stay together: they are stepped together.
+    What changes the structure (`quadftc_model.numbers`) from one combination of the grids to another, such as
+    the rate, keeps them apart. Others, such as inertias, are mixed. Structures take turns, so that workers
+    that compile have one each and not the same one at the same time. Flights on one recording stay together:
+    it is read once.
     """
     is_loop, bags = campaign.source.kind == "loop", len(campaign.recordings)
     cells = bags or campaign.cells
-    size = size or (FLIGHTS_A_CHUNK if is_loop else OPEN_FLIGHTS_A_CHUNK)
+    size = size or (TOGETHER_A_CHUNK if campaign.engine == JAX else FLIGHTS_A_CHUNK)
     groups: dict[Any, list[int]] = {}
     for cell in range(min(cells, campaign.flights)):
         structure = cell if bags else None
         if is_loop and cells > 1:
-            structure = structure_of(parts_of(flight_scenario(campaign, cell, campaign.variants[0])).loop)
+            structure = batch_flight(flight_scenario(campaign, cell, campaign.variants[0])).structure
         groups.setdefault(structure, []).extend(range(cell, campaign.flights, cells))
     turns = itertools.zip_longest(*(pieces_of(sorted(numbers), size) for numbers in groups.values()))
     return [chunk for turn in turns for chunk in turn if chunk is not None]
@@ -150,7 +158,7 @@ def pieces_of(numbers: list[int], size: int) -> list[list[int]]:
 def fly_chunk(campaign: Campaign, numbers: Sequence[int], progress: Progress = lambda samples: None) -> Rows:
     """Fly some flights of a campaign with all its variants here; return rows of `quadftc_campaign.table`.
 
-    A `ScenarioError`: drawn values make no scenario. A `ValueError`: a part cannot be flown in a batch.
+    A `ScenarioError`: drawn values make no scenario. A `ValueError`: JAX cannot trace a law.
     """
     rows: Rows = []
     if campaign.source.kind == "loop":
@@ -174,14 +182,17 @@ def _fly_loop(
     campaign: Campaign, numbers: Sequence[int], scenarios: Sequence[Scenario], progress: Progress
 ) -> Iterator[tuple[Row, Rows]]:
     """Yield the metrics of each flight and of its faults, from the batch engine."""
-    from quadftc_campaign.batch.engine import engine_of_process, lanes_for
-    from quadftc_campaign.batch.records import fault_records, flight_record
+    flights = list(map(batch_flight, scenarios))
+    if campaign.engine == JAX:
+        from quadftc_campaign.batch.jax_engine import engine_of_process, lanes_for
 
-    engine = engine_of_process(campaign.precision == "float32", lanes_for(len(numbers)))
-    events = [(*scenario.fault_events, *scenario.rotor_events) for scenario in scenarios]
-    outcomes = engine.fly(list(map(parts_of, scenarios)), events, progress)
-    for outcome, judged_by in zip(outcomes, events, strict=True):
-        yield flight_record(outcome), fault_records(outcome, judged_by)
+        jax_engine = engine_of_process(campaign.precision == "float32", lanes_for(len(numbers)))
+        outcomes = jax_engine.fly(flights, progress)
+    else:
+        outcomes = fly_all(flights, campaign.engine, progress, without_words)
+    for outcome, scenario in zip(outcomes, scenarios, strict=True):
+        events = (*scenario.fault_events, *scenario.rotor_events)
+        yield flight_record(outcome), fault_records(outcome, events)
 
 
 def _describe(campaign: Campaign, chunks: int) -> dict[str, Any]:
@@ -194,7 +205,8 @@ def _describe(campaign: Campaign, chunks: int) -> dict[str, Any]:
         "seed": campaign.seed,
         "variants": [variant.name for variant in campaign.variants],
         "vary": {path: repr(each) for path, each in campaign.vary.items()},
-        "precision": campaign.precision,
+        "engine": campaign.engine,
+        "precision": campaign.flown_precision,
         "scenario": hashlib.sha256(base.encode()).hexdigest(),
         "chunks": chunks,
     }

@@ -5,20 +5,22 @@ from __future__ import annotations
 
 import collections
 import contextlib
+import importlib.metadata
+import importlib.util
 import logging
 import os
-import sys
 from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import Any
 
-from quadftc_campaign.batch.parts import Progress
+from quadftc_campaign.batch.engine import JAX, Progress
 from quadftc_campaign.errors import CampaignError
-from quadftc_model.jax_settings import environment
 
 RETRIES = 3  # of a chunk whose worker is lost
 TOPIC = "quadftc-samples"  # on which workers say how far they are
+ONE_CORE = {"NPROC": "1"}  # JAX has so many threads
 NO_PROFILE = {"DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False"}  # a sampler that takes 3 % of a core
 TIMEOUT = 30.0  # s, to reach a scheduler
+PLUGINS = "jax_plugins"  # where JAX looks for accelerators
 
 
 @contextlib.contextmanager
@@ -38,7 +40,7 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
                 host="127.0.0.1",
                 dashboard_address="127.0.0.1:0",  # any free port: it cannot be left out
                 silence_logs=logging.ERROR,
-                env=environment() | NO_PROFILE | ({} if path is None else {"PYTHONPATH": path}),
+                env=ONE_CORE | NO_PROFILE | ({} if path is None else {"PYTHONPATH": path}),
             )
         )
         try:
@@ -49,9 +51,17 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
         yield client
 
 
-def devices(client: Any) -> str:
-    """Say what the workers compute on, such as ``2 x cpu``."""
-    found = collections.Counter(client.run(_find_device).values())
+def has_accelerator() -> bool:
+    """Whether JAX has another device than the CPU; without a plugin for one, JAX is not even loaded."""
+    named = (
+        bool(importlib.metadata.entry_points(group=PLUGINS)) or importlib.util.find_spec(PLUGINS) is not None
+    )
+    return named and _find_device(JAX) != "cpu"
+
+
+def devices(client: Any, engine: str) -> str:
+    """Say what the workers compute on with an engine, such as ``2 x cpu``."""
+    found = collections.Counter(client.run(_find_device, engine).values())
     return ", ".join(f"{count} x {name}" for name, count in sorted(found.items()))
 
 
@@ -89,22 +99,16 @@ def _call(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
     """In a worker."""
     from distributed import get_worker
 
-    _set_environment()
     worker = get_worker()
     return function(*arguments, lambda samples: worker.log_event(TOPIC, samples))
 
 
-def _find_device() -> str:
-    _set_environment()
+def _find_device(engine: str) -> str:
+    if engine != JAX:
+        return "cpu"
     import jax
 
     return jax.devices()[0].device_kind
-
-
-def _set_environment() -> None:
-    """Set what JAX reads when it is imported: in workers that others have started, it is not set yet."""
-    if "jax" not in sys.modules:
-        os.environ.update(environment())
 
 
 def _first_line(error: BaseException) -> str:

@@ -7,14 +7,15 @@ from typing import Any, cast
 
 import numpy as np
 
-from quadftc_campaign.batch.parts import FlightParts, Loop, Place
+from quadftc_campaign.batch.engine import BatchFlight
+from quadftc_campaign.batch.judge import Judge, schedule_of
+from quadftc_campaign.batch.judged_loop import JudgedLoop
 from quadftc_campaign.campaign_file import Campaign, Variant
 from quadftc_campaign.distributions import GRID, Value, plain
 from quadftc_campaign.errors import CampaignError
-from quadftc_flight.closed_loop import plant_of
-from quadftc_flight.guidance import position_loop_of
+from quadftc_flight.closed_loop import loop_of
 from quadftc_flight.scenario import MAX_SEED, Scenario, ScenarioError, build_scenario
-from quadftc_sim.assembly import period_ns, sample_count
+from quadftc_sim.assembly import sample_count
 from quadftc_sim.injection import RESERVED
 
 SEED = "seed"
@@ -77,32 +78,14 @@ def flight_scenario(campaign: Campaign, number: int, variant: Variant) -> Scenar
         raise ScenarioError("\n".join(lines)) from None
 
 
-def parts_of(scenario: Scenario, scheme: str | None = None) -> FlightParts:
-    """Return what acts in a flight of a scenario with one of its schemes (the first by default)."""
-    chosen = scenario.scheme(scheme)
-    loop = Loop(
-        plant=plant_of(scenario),
-        sensor=scenario.sensor,
-        injections=tuple(fault.injection for fault in scenario.faults),
-        observer=chosen.observer.law,
-        disturbance_observer=chosen.disturbance_observer.law,
-        controller=chosen.controller.law,
-        references=tuple(part.law for part in scenario.references),
-        period_ns=period_ns(scenario.rate),
-        count=sample_count(scenario.duration, scenario.rate),
-        place=_place_of(scenario),
-        position_loop=position_loop_of(scenario, chosen) if scenario.plant.flies else None,
-        trajectories=tuple(part.law for part in scenario.trajectories),
-    )
-    return FlightParts(loop, scenario.seed, tuple(range(1, len(scenario.faults) + 1)))
-
-
-def _place_of(scenario: Scenario) -> Place | None:
-    """Return the position sensor of a free flight."""
-    sensor, rate = scenario.position_sensor, scenario.rate
-    if sensor is None:
-        return None
-    return Place(sensor=sensor, every=sensor.every(rate), behind=scenario.sensor.delay + sensor.lag(rate))
+def batch_flight(scenario: Scenario, scheme: str | None = None) -> BatchFlight:
+    """Return a scenario with one of its schemes (the first by default) as a flight of a batch."""
+    loop = loop_of(scenario, scenario.scheme(scheme))
+    rotors = loop.vehicle.plant.command_size if loop.flies else 0
+    events = (*scenario.fault_events, *scenario.rotor_events)
+    judge = Judge(schedule=schedule_of(events, rotors), delay=scenario.sensor.delay)
+    count = sample_count(scenario.duration, scenario.rate)
+    return BatchFlight(JudgedLoop(loop=loop, judge=judge), scenario.seed, count)
 
 
 def first_columns(campaign: Campaign, number: int, variant: Variant, scenario: Scenario) -> dict[str, Any]:

@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from quadftc_campaign.batch.parts import Progress
+from quadftc_campaign.batch.engine import Progress
 from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.flights import generator_of
-from quadftc_campaign.open_batch import OpenFlight, diagnose_all
-from quadftc_campaign.open_motion import simulate, simulate_all
+from quadftc_campaign.open_motion import simulate
 from quadftc_campaign.table import Row, Rows
 from quadftc_flight.diagnosis_metrics import GRACE_TIME
 from quadftc_flight.diagnosis_metrics.columns import Columns
@@ -29,7 +28,7 @@ from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.scenario import Fault, Scenario
 from quadftc_model.samples import AXES
 from quadftc_model.units import quantity
-from quadftc_replay.diagnose import flight_of
+from quadftc_replay.diagnose import diagnose, flight_of
 from quadftc_replay.imu_from_bag import recording_from_bag
 from quadftc_replay.imu_recording import Recording
 from quadftc_replay.overlay import replay_events
@@ -53,15 +52,10 @@ def fly_open(
     campaign: Campaign, numbers: Sequence[int], scenarios: Sequence[Scenario], progress: Progress
 ) -> Iterator[tuple[Row, Rows]]:
     """Diagnose some flights of a campaign; yield the metrics of each flight and of its faults."""
-    simulated = [None] * len(scenarios) if campaign.recordings else simulate_all(scenarios)
-    given = zip(numbers, scenarios, simulated, strict=True)
-    prepared = [prepare(campaign, *each) for each in given]
-    flights = [
-        OpenFlight(recording, tuple(fault.injection for fault in faults), scenario.seed)
-        for (recording, faults, _), scenario in zip(prepared, scenarios, strict=True)
-    ]
-    laws = [scenario.scheme(None).observer.law for scenario in scenarios]
-    for (recording, faults, delay), diagnosed in zip(prepared, diagnose_all(flights, laws), strict=True):
+    for number, scenario in zip(numbers, scenarios, strict=True):
+        recording, faults, delay = prepare(campaign, number, scenario)
+        law, injections = scenario.scheme(None).observer.law, [fault.injection for fault in faults]
+        diagnosed = diagnose(recording, law, injections, scenario.seed, campaign.engine)
         flight = flight_of(recording, diagnosed)
         every = replay_events(recording, faults)
         events = attitude_events(every)
@@ -84,17 +78,12 @@ def fly_open(
         yield whole, records
 
 
-def prepare(
-    campaign: Campaign, number: int, scenario: Scenario, simulated: Recording | None = None
-) -> tuple[Recording, list[Fault], float]:
-    """Return samples without faults of flight ``number``, the faults to put on them, and their delay [s].
-
-    ``simulated`` are the samples of a campaign without recordings, if they are there already.
-    """
+def prepare(campaign: Campaign, number: int, scenario: Scenario) -> tuple[Recording, list[Fault], float]:
+    """Return samples without faults of flight ``number``, the faults to put on them, and their delay [s]."""
     delay, delays, bags = 0.0, campaign.source.delay, campaign.recordings
     if delays is not None:
         delay = quantity(delays.draw(generator_of(campaign, number, DELAY)), "s")
-    recording = _read_recording(bags[number % len(bags)]) if bags else simulated or simulate(scenario)
+    recording = _read_recording(bags[number % len(bags)]) if bags else simulate(scenario, campaign.engine)
     end = recording.duration - GRACE_TIME if bags else scenario.duration
     faults: list[Fault] = []
     for injection, given in ((fault.injection, fault.given) for fault in scenario.faults):

@@ -1,78 +1,111 @@
-"""Simulated samples without a control loop: vehicles that follow the references of their scenarios exactly.
+"""Simulated samples without a control loop: a vehicle that follows the references of its scenario exactly.
 
-Each is seen by the healthy IMU of its scenario, without a delay. Nothing acts on the vehicle that an observer
+It is seen by the healthy IMU of the scenario, without a delay. Nothing acts on the vehicle that an observer
 could know, so the torque is zero.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from quadftc_compile.engine import engine_named
+from quadftc_compile.wiring import BLOCK, flown_by
 from quadftc_control.reference import combined
+from quadftc_flight.reported import joined
 from quadftc_flight.scenario import Scenario
+from quadftc_model.arrays import Array, Quaternion, Vector
+from quadftc_model.composition import Calls
 from quadftc_model.rotations import body_rates, quaternion_from_euler
 from quadftc_model.samples import AXES, ImuSample
-from quadftc_replay.imu_recording import Recording
+from quadftc_replay.imu_recording import Floats, Recording
 from quadftc_sim.assembly import EPOCH_NS, period_ns, sample_count
-from quadftc_sim.sensor_draws import SensorDraws, TurnOn
-from quadftc_sim.sensors import resting_force
+from quadftc_sim.sensor_draws import DRAWS, SensorDraws, TurnOn
+from quadftc_sim.sensors import ImuInputs, ImuSensor, ImuState, resting_force
 
 
-def simulate(scenario: Scenario) -> Recording:
-    """Simulate the healthy IMU of one scenario."""
-    return simulate_all([scenario])[0]
+class MotionInputs(NamedTuple):
+    """How a vehicle moves, and the random numbers of its IMU."""
+
+    q_xyzw: Quaternion
+    body_rate: Vector  # [rad/s]
+    draws: Array  # (..., 7, 3), see `quadftc_sim.sensor_draws`
+    turn_on: TurnOn  # read at the first sample alone
 
 
-def simulate_all(scenarios: Sequence[Scenario]) -> list[Recording]:
-    """Simulate the healthy IMU of each scenario; those with the same sensor, rate and duration at once."""
-    groups: dict[Any, list[int]] = {}
-    for place, each in enumerate(scenarios):
-        key = (each.rate, each.duration, *dataclasses.astuple(each.sensor))
-        groups.setdefault(key, []).append(place)
-    found: dict[int, Recording] = {}
-    for places in groups.values():
-        found |= dict(zip(places, _simulate_alike([scenarios[place] for place in places]), strict=True))
-    return [found[place] for place in range(len(scenarios))]
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class MovedImu:
+    """An IMU on a body that moves in a known way and does not accelerate."""
+
+    imu: ImuSensor  # without a delay
+    period: float  # [s]
+
+    def example(self) -> MotionInputs:
+        """Return the inputs at a first sample."""
+        level = np.array([0.0, 0.0, 0.0, 1.0])
+        return MotionInputs(level, np.zeros(3), np.zeros(DRAWS), SensorDraws(0).turn_on)
+
+    def init(self, inputs: MotionInputs) -> ImuState:
+        """Return the state before the first sample."""
+        return self.imu.init(inputs.turn_on)
+
+    def step(self, state: ImuState, inputs: MotionInputs, dt: float) -> tuple[ImuState, ImuSample]:
+        """Measure the motion."""
+        force = resting_force(inputs.q_xyzw)
+        seen = ImuInputs(inputs.q_xyzw, inputs.body_rate, force, inputs.draws)
+        state, output = self.imu.step(state, seen, self.period)
+        return state, output.sample
 
 
-def _simulate_alike(scenarios: Sequence[Scenario]) -> list[Recording]:
-    """Simulate scenarios of one sensor, rate and duration."""
-    first = scenarios[0]
-    count, dt = sample_count(first.duration, first.rate), 1.0 / first.rate
-    sensor = dataclasses.replace(first.sensor, delay=0)
-    random = [SensorDraws(each.seed) for each in scenarios]
-    q_xyzw, body_rate = (np.stack(each, axis=1) for each in zip(*map(_motion, scenarios), strict=True))
-    draws = np.stack([each.next(count, sensor.wanders) for each in random], axis=1)
-    turn_on = TurnOn(*map(np.stack, zip(*(each.turn_on for each in random), strict=True)))
-    state, samples = sensor.turn_on(turn_on), list[ImuSample]()
-    for row in range(count):
-        force = resting_force(q_xyzw[row])
-        state, sample = sensor.step(state, q_xyzw[row], body_rate[row], force, draws[row], dt)
-        samples.append(cast("ImuSample", sample))  # as nothing is delayed
-    columns = [np.stack(column, axis=1) for column in zip(*samples, strict=True)]  # (flights, n, ...)
-    return [
-        Recording(
-            name="simulated",
-            path=Path("simulated"),
-            topic="/imu/data",
-            namespace="/",
-            stamp_ns=EPOCH_NS + period_ns(first.rate) * np.arange(count, dtype=np.int64),
-            imu=ImuSample(*(column[flight] for column in columns)),
-            torque=np.zeros((count, len(AXES))),
-        )
-        for flight in range(len(scenarios))
-    ]
+@dataclasses.dataclass(frozen=True, eq=False)
+class Alone:
+    """A law alone as a composition, of inputs and time steps."""
+
+    law: Any
+
+    @property
+    def laws(self) -> Mapping[str, Any]:
+        """It alone."""
+        return {"law": self.law}
+
+    def init(self, calls: Calls) -> Any:
+        """Return its state."""
+        return calls.init("law")
+
+    def step(self, calls: Calls, state: Any, inputs: tuple[Any, Any]) -> tuple[Any, Any]:
+        """Advance to the next sample."""
+        return calls.step("law", state, *inputs)
 
 
-def _motion(scenario: Scenario) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def simulate(scenario: Scenario, engine: str = "c") -> Recording:
+    """Simulate the healthy IMU of a scenario."""
+    count, period = sample_count(scenario.duration, scenario.rate), period_ns(scenario.rate)
+    law = MovedImu(imu=dataclasses.replace(scenario.sensor, delay=0), period=1.0 / scenario.rate)
+    flown = flown_by(engine_named(engine), Alone(law), (law.example(), 0.0))
+    random, motion = SensorDraws(scenario.seed), _motion(scenario, count)
+    draws, dt = random.next(count), np.where(np.arange(count) == 0, 0.0, law.period)
+    parts: list[ImuSample] = []
+    for begin in range(0, count, BLOCK):
+        rows = slice(begin, min(begin + BLOCK, count))
+        inputs = MotionInputs(*(each[rows] for each in (*motion, draws)), random.turn_on)
+        parts.append(joined([flown.run((inputs, dt[rows]), rows.stop - begin)]))  # a copy
+    return Recording(
+        name="simulated",
+        path=Path("simulated"),
+        topic="/imu/data",
+        namespace="/",
+        stamp_ns=EPOCH_NS + period * np.arange(count, dtype=np.int64),
+        imu=joined(parts),
+        torque=np.zeros((count, len(AXES))),
+    )
+
+
+def _motion(scenario: Scenario, count: int) -> tuple[Floats, Floats]:
     """Attitude (n, 4) and body rate (n, 3) [rad/s] along the references of a scenario."""
-    count = sample_count(scenario.duration, scenario.rate)
     time = np.arange(count, dtype=np.float64)[:, None] / scenario.rate
     motion = combined([part.law for part in scenario.references], time)
     angles, rates = (np.broadcast_to(each, (count, len(AXES))) for each in (motion.angles, motion.rates))

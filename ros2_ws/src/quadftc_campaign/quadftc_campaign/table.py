@@ -69,7 +69,7 @@ def summary_of(campaign: Campaign, frame: pl.DataFrame) -> dict[str, Any]:
         "description": campaign.description,
         "flights": campaign.flights,
         "seed": campaign.seed,
-        "precision": campaign.precision,
+        "precision": campaign.flown_precision,
         "varied": {path: each.unit for path, each in campaign.vary.items()},
         "variants": {
             variant.name: _variant(campaign, frame.filter(pl.col("variant") == variant.name))

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from batch_flights import assert_same_flight, assert_same_metrics, stepped, traced
+from batch_flights import assert_same_metrics, assert_same_outcome
 
-from quadftc_campaign.batch.engine import Engine
-from quadftc_campaign.flights import parts_of
+from quadftc_campaign.batch.engine import fly_all
+from quadftc_campaign.batch.jax_engine import JaxEngine
+from quadftc_campaign.flights import batch_flight
 from quadftc_flight.closed_loop import fly
-from quadftc_flight.scenario import build_scenario, parse_scenario
+from quadftc_flight.scenario import build_scenario, find_scenario, load_scenario, parse_scenario
 from quadftc_model.samples import FAULTY
 
 FREE = """
@@ -37,14 +38,11 @@ def free(observer="none", **changes):
     return build_scenario(scenario.document.replaced(changed, "test")) if changed else scenario
 
 
-@pytest.mark.thorough
-def test_a_compiled_flight_is_that_of_the_closed_loop():
-    scenario = free(observer="none")
-    expected = fly(scenario)
-    ((outcome, flight),) = traced([parts_of(scenario)], [scenario])
-    assert np.isfinite(flight.position_reference[flight.delivered]).all()
-    assert_same_flight(flight, expected)
-    assert_same_metrics(outcome, expected, scenario)
+@pytest.mark.parametrize("name", ["free_circle", "rotor_loss"])
+def test_a_scenario_is_judged_by_its_metrics_to_its_end(name):
+    scenario = load_scenario(find_scenario(name))
+    (outcome,) = fly_all([batch_flight(scenario, "isolating")])
+    assert_same_metrics(outcome, fly(scenario, "isolating"), scenario)
 
 
 WEAK = {"kind": "loss", "rotors": [1], "value": 0.3, "start": 2.2}  # once the diagnosis has learned
@@ -67,18 +65,24 @@ GPS = {"grade": "gps", "rate": 20.0, "delay": 0.05}
         {"vehicle": "crazyflie_2x", "disturbances": [], "schemes": {"tested": {"controller": "indi"}}},
     ],
 )
-def test_a_step_is_that_of_the_closed_loop(changes):
+def test_a_flight_in_c_is_that_in_numpy_and_is_judged_by_its_metrics(changes):
     """With an observer of all sensors, late positions, withheld samples, faulty rotors, measured speeds."""
     scenario = free(**changes)
-    flight = fly(scenario)
-    assert_same_flight(stepped(scenario)[1], flight)
+    flights = [batch_flight(scenario)]
+    flight, (outcome,), (other,) = fly(scenario), fly_all(flights), fly_all(flights, "numpy")
+    assert_same_metrics(outcome, flight, scenario)
+    assert_same_outcome(outcome, other)
     assert bool(np.any(flight.rotor_state == FAULTY)) == (WEAK in changes.get("faults", ()))
 
 
-def test_plant_that_cannot_be_traced_is_refused_by_name():
+@pytest.mark.parametrize("observer", ["none", pytest.param("isolating", marks=pytest.mark.thorough)])
+def test_a_flight_in_jax_is_that_in_c(observer):
+    flights = [batch_flight(free(observer=observer))]
+    assert_same_outcome(*JaxEngine().fly(flights), *fly_all(flights))
+
+
+def test_a_plant_that_cannot_be_traced_flies_all_the_same():
     pytest.importorskip("mujoco")
-    flights = [
-        parts_of(free(plant={"kind": "mujoco", "inertia_factor": [factor, 1, 1]})) for factor in (1, 1.1)
-    ]
-    with pytest.raises(ValueError, match=r"plant \(Mujoco\) cannot be flown in a batch"):
-        Engine().fly(flights, [(), ()])
+    scenario = free(plant={"kind": "mujoco"}, duration=0.4, faults=[])
+    (outcome,) = fly_all([batch_flight(scenario)])
+    assert_same_metrics(outcome, fly(scenario), scenario)

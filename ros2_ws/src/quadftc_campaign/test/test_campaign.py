@@ -339,7 +339,7 @@ def in_this_process(monkeypatch):
         return enumerate(function(*each, progress) for each in arguments)
 
     monkeypatch.setattr(campaign_run, "cluster_client", lambda address, workers: contextlib.nullcontext())
-    monkeypatch.setattr(campaign_run, "devices", lambda client: "here")
+    monkeypatch.setattr(campaign_run, "devices", lambda client, engine: "here")
     monkeypatch.setattr(campaign_run, "run_tasks", run_here)
 
 

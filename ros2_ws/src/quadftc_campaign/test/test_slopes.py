@@ -9,17 +9,27 @@ import jax
 import numpy as np
 import pytest
 
-from quadftc_campaign.batch.compiled import SlopeFlight
-from quadftc_campaign.batch.engine import Engine
-from quadftc_campaign.batch.parts import FlightParts
-from quadftc_campaign.flights import parts_of
-from quadftc_flight.fault_schedule import FaultEvent
+from quadftc_campaign.batch.engine import BatchFlight
+from quadftc_campaign.batch.jax_engine import JaxEngine, SlopeFlight
+from quadftc_campaign.flights import batch_flight
 from quadftc_flight.scenario import find_scenario, load_scenario
 
-FREE = ("controller.k_c1", "controller.phi", "disturbance_observer.bandwidth")
+PATHS = {
+    "controller": "loop.attitude.law.controller",
+    "disturbance_observer": "loop.disturbance_observer.law.observer",
+}
 
 
-def built(scheme: str, **gains: object) -> tuple[FlightParts, tuple[FaultEvent, ...]]:
+def path_of(gain: str) -> str:
+    """Return the path of a gain among the numbers of a flight."""
+    role, _, name = gain.partition("__")
+    return f"{PATHS[role]}.{name}"
+
+
+FREE = tuple(map(path_of, ("controller__k_c1", "controller__phi", "disturbance_observer__bandwidth")))
+
+
+def built(scheme: str, **gains: object) -> BatchFlight:
     """A flight of 8 s with a fault from the 3rd to the 5th."""
     values = [f"schemes.{scheme}.{name.replace('__', '.')}={value}" for name, value in gains.items()]
     scenario = load_scenario(
@@ -32,14 +42,14 @@ def built(scheme: str, **gains: object) -> tuple[FlightParts, tuple[FaultEvent, 
             *values,
         ],
     )
-    return parts_of(scenario, scheme), scenario.fault_events
+    return batch_flight(scenario, scheme)
 
 
 @pytest.fixture(scope="module")
-def engine() -> Iterator[Engine]:
+def engine() -> Iterator[JaxEngine]:
     """One that compiles a scheme once."""
     with careful():
-        yield Engine(lanes=8, free=FREE)
+        yield JaxEngine(lanes=8, free=FREE)
 
 
 @contextlib.contextmanager
@@ -57,7 +67,7 @@ def careful() -> Iterator[None]:
         yield
 
 
-def test_slopes_are_those_of_differences(engine: Engine) -> None:
+def test_slopes_are_those_of_differences(engine: JaxEngine) -> None:
     """Gains of the controller and of the disturbance observer, on axes of their own and together."""
     scheme = "proposed"  # compiles soonest
     base = {
@@ -70,16 +80,16 @@ def test_slopes_are_those_of_differences(engine: Engine) -> None:
         "controller__phi": (np.array([1.0, 0.0, 0.0]), 1e-6),
         "disturbance_observer__bandwidth": (np.array(1.0), 1e-4),
     }
-    parts, events = built(scheme, **base)
-    still = {name.replace("__", "."): np.zeros_like(direction) for name, (direction, _) in steps.items()}
-    directions = [{**still, name.replace("__", "."): way} for name, (way, _) in steps.items()]
-    found = engine.fly([parts] * 3, [events] * 3, directions=directions)
+    flight = built(scheme, **base)
+    still = {path_of(name): np.zeros_like(direction) for name, (direction, _) in steps.items()}
+    directions = [{**still, path_of(name): way} for name, (way, _) in steps.items()]
+    found = engine.fly([flight] * 3, directions=directions)
     moved = [
-        built(scheme, **{**base, name: (np.array(base[name]) + sign * size * way).tolist()})[0]
+        built(scheme, **{**base, name: (np.array(base[name]) + sign * size * way).tolist()})
         for name, (way, size) in steps.items()
         for sign in (-1, 1)
     ]
-    flown = engine.fly(moved, [events] * 6)
+    flown = engine.fly(moved)
     for place, (_, size) in enumerate(steps.values()):
         before, after = flown[2 * place].sums, flown[2 * place + 1].sums
         for kind in ("tracking", "estimate", "disturbance", "torque", "variation", "delivered"):
@@ -94,40 +104,40 @@ def test_slopes_are_those_of_differences(engine: Engine) -> None:
     )  # the flight does not depend on the direction
 
 
-def test_a_free_number_is_compiled_once(engine: Engine) -> None:
+def test_a_free_number_is_compiled_once(engine: JaxEngine) -> None:
     """Other gains, same compiled flight."""
-    engine.fly(*([each] for each in built("proposed")))
+    engine.fly([built("proposed")])
     there = len(engine._compiled)
-    engine.fly(*([each] for each in built("proposed", controller__phi=[0.2, 0.2, 0.2])))
+    engine.fly([built("proposed", controller__phi=[0.2, 0.2, 0.2])])
     assert len(engine._compiled) == there
 
 
-def built_flight(**gains: list[float]) -> tuple[FlightParts, tuple[FaultEvent, ...]]:
+def built_flight(**gains: list[float]) -> BatchFlight:
     """A circle of 4 s through space, with a controller's gains."""
     values = [f"schemes.conventional.controller.{name}={value}" for name, value in gains.items()]
     short = ["duration=4 s", "faults=[]", "trajectories.0.start=0.5 s", "trajectories.0.stop=3.5 s"]
     scenario = load_scenario(find_scenario("free_circle"), [*short, *values])
-    return parts_of(scenario, "conventional"), scenario.fault_events
+    return batch_flight(scenario, "conventional")
 
 
 @pytest.mark.thorough
 def test_slopes_in_free_flight_are_those_of_differences() -> None:
     """Through position control, allocation, rotors, wind and position sensor."""
     base, ways = {"k_c2": [4.0, 4.0, 3.0], "phi": [0.5, 0.5, 0.5]}, np.eye(3)
-    free = tuple(f"controller.{name}" for name in base)
+    free = tuple(path_of(f"controller__{name}") for name in base)
     steps = {"k_c2": (ways[1], 1e-4), "phi": (ways[0] + ways[2], 1e-5)}
     with careful():
-        engine = Engine(lanes=8, free=free)
-        parts, events = built_flight(**base)
+        engine = JaxEngine(lanes=8, free=free)
+        flight = built_flight(**base)
         still = dict.fromkeys(free, np.zeros(3))
-        directions = [{**still, f"controller.{name}": way} for name, (way, _) in steps.items()]
-        found = engine.fly([parts] * 2, [events] * 2, directions=directions)
+        directions = [{**still, path_of(f"controller__{name}"): way} for name, (way, _) in steps.items()]
+        found = engine.fly([flight] * 2, directions=directions)
         moved = [
-            built_flight(**{**base, name: (np.array(base[name]) + sign * size * way).tolist()})[0]
+            built_flight(**{**base, name: (np.array(base[name]) + sign * size * way).tolist()})
             for name, (way, size) in steps.items()
             for sign in (-1, 1)
         ]
-        flown = engine.fly(moved, [events] * 4)
+        flown = engine.fly(moved)
     for place, (_, size) in enumerate(steps.values()):
         before, after = flown[2 * place].sums, flown[2 * place + 1].sums
         for kind in ("tracking", "position", "torque", "variation"):

@@ -120,8 +120,8 @@ def test_directions_are_those_of_what_is_built(tmp_path):
     gains = checked(campaign)
     ways = directions(campaign, campaign.variants[0], gains, 0)
     assert len(ways) == 6
-    np.testing.assert_allclose(ways[1]["controller.k_c1"], [0.0, 16.0, 0.0], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(ways[5]["controller.k_c2"], [0.0, 0.0, 6.0], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(ways[1]["loop.attitude.law.controller.k_c1"], [0.0, 16.0, 0.0], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(ways[5]["loop.attitude.law.controller.k_c2"], [0.0, 0.0, 6.0], rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize(

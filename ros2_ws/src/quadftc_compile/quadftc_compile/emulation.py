@@ -73,7 +73,7 @@ def emulate(folder: Path, name: str, target: Target, samples: Path, sources: Seq
 def _build(folder: Path, name: str, target: Target, program: Path, sources: Sequence[Path]) -> None:
     """Link the example with start, meter and C library for an emulated board."""
     start = told(name, [*target.command, "-print-file-name=rdimon-crt0.o"], folder).strip()
-    files = [PARTS / "startup.c", PARTS / "meter.c", folder / "main.c", folder / f"{name}.c", *sources]
+    files = [PARTS / "startup.c", PARTS / "meter.c", *sorted(folder.glob("*.c")), *sources]
     step = f"{name}_step"
     command = [
         *(*target.command, "-std=gnu99", *FLAGS, f"-DMETERED={step}"),

@@ -76,7 +76,8 @@ def write_law(exported: Exported, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     _write(folder / f"{name}.h", program.header)
     _write(folder / f"{name}.c", f'#include "{name}.h"\n\n{program.source}')
-    _write(folder / f"{name}_numbers.h", _numbers(exported))
+    _write(folder / f"{name}_numbers.h", _filled("numbers.h", _common_parts(exported)))
+    _write(folder / f"{name}_numbers.c", _numbers(exported))
 
 
 def write_example(exported: Exported, folder: Path) -> None:
@@ -130,6 +131,7 @@ def _common_parts(exported: Exported) -> dict[str, str]:
         "INPUTS": exported.type_of("inputs"),
         "STATE": exported.type_of("state"),
         "OUTPUT": exported.type_of("output"),
+        "NUMBERS": exported.type_of("numbers"),
         "FLAGS": " ".join(FLAGS),
     }
 
@@ -146,12 +148,10 @@ def _numbers(exported: Exported) -> str:
         for each in parents:
             part = part.setdefault(each, {})
         part[last] = number_at(exported.recipe.law, path)
-    name, guard = exported.name, f"{exported.name.upper()}_NUMBERS_H"
-    kind, value = exported.type_of("numbers"), _initial(tree, exported.real, 1)
+    name, value = exported.name, _initial(tree, exported.real, 1)
     return (
-        f"/* The numbers of {name} for one vehicle: another vehicle, or other parameters, need others. */\n"
-        f'#ifndef {guard}\n#define {guard}\n\n#include <math.h>\n\n#include "{name}.h"\n\n'
-        f"static const {kind} {name}_default = {value};\n\n#endif /* {guard} */\n"
+        f'#include "{name}_numbers.h"\n\n#include <math.h>\n\n'
+        f"const {exported.type_of('numbers')} {name}_default = {value};\n"
     )
 
 

@@ -212,7 +212,9 @@ class _Writer:
                 f"/* {about} Generated from the law {kind}: do not change it here. */",
                 f"#ifndef {guard}\n#define {guard}\n\n#include <stdbool.h>\n#include <stdint.h>\n",
                 *self._structs.definitions,
-                *(f"{each};\n" for each in self._declarations),
+                '#ifdef __cplusplus\nextern "C" {\n#endif\n',
+                *(f"{each.replace('*restrict ', '*')};\n" for each in self._declarations),  # no word of C++
+                "#ifdef __cplusplus\n}\n#endif\n",
                 f"#endif /* {guard} */\n",
             ]
         )

@@ -141,7 +141,7 @@ def write_inputs(exported: Exported, path: Path, dt: Any, inputs: Any) -> Path:
 
 def built(exported: Exported, folder: Path, *more: str) -> Path:
     """Build the example of a law that is written already, with warnings as errors."""
-    sources = ["main.c", f"{exported.name}.c", *more]
+    sources = ["main.c", f"{exported.name}.c", f"{exported.name}_numbers.c", *more]
     command = ["cc", "-std=c99", *FLAGS, *WARNINGS, *sources, "-lm", "-o", "example"]
     subprocess.run(command, cwd=folder, check=True)
     return folder / "example"

@@ -89,7 +89,7 @@ def test_numbers_of_all_kinds_go_in_and_out(tagged, tmp_path):
     [
         ("", ":1: line: expected the names of the columns, not 'the end of the file'"),
         (HEAD, ":2: line: expected a sample, not 'the end of the file'"),
-        (HEAD.replace("there", "theer") + GOOD, ":1: name: expected there, not 'theer'"),
+        (HEAD.replace("there", "yonder") + GOOD, ":1: name: expected there, not 'yonder'"),
         (HEAD.replace(",shift", "") + GOOD, ":1: expected 7 columns, found 6"),
         (HEAD + GOOD + "0.1,1,2,3,1,7\n", ":3: expected 7 columns, found 6"),
         (HEAD + GOOD + "0.1,1,2,3,1,7,-2,\n", ":3: expected 7 columns, found 8"),

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from quadftc_campaign.batch.tally import Floats, Outcome
+from quadftc_campaign.batch.engine import Floats, Outcome
 from quadftc_flight.diagnosis_metrics.columns import number
 from quadftc_flight.diagnosis_metrics.which_rotor import SAID as SAID_KINDS
 from quadftc_flight.diagnosis_metrics.which_rotor import TRUE as TRUE_KINDS
@@ -66,7 +66,7 @@ def flight_record(outcome: Outcome) -> dict[str, Any]:
     }
     unusable = bool(marks["unusable"] or marks.get("astray"))
     record: dict[str, Any] = {
-        "finite": not unusable,
+        "finite": not (unusable or marks["restarted"]),
         "lost": bool(marks["lost"] or unusable),
         **_sensor_record(sums, outcome.period),
         **_rotor_record(sums, outcome.period),

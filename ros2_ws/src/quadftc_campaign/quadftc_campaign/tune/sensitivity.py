@@ -8,16 +8,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_campaign.batch.parts import Progress, numbers_of
+from quadftc_campaign.batch.engine import Outcome, Progress
 from quadftc_campaign.batch.records import ROOTS, metric_of
-from quadftc_campaign.batch.tally import Outcome
 from quadftc_campaign.campaign_file import Campaign, Variant
-from quadftc_campaign.flights import flight_scenario, parts_of
+from quadftc_campaign.flights import batch_flight, flight_scenario
 from quadftc_flight.scenario import ROLES, Part, Problem, Scheme
+from quadftc_model.numbers import numbers_of
 from quadftc_model.parameters import parameters_of
 
 Floats = NDArray[np.float64]
 
+LANES = 128  # flights that fly together
 DIFFERENCE = 1e-5  # of a logarithm, between two builds
 DIGITS = 4  # significant, of gains that are given out
 
@@ -82,15 +83,15 @@ def with_gains(campaign: Campaign, scheme: str, gains: Gains) -> Campaign:
 
 
 def directions(campaign: Campaign, variant: Variant, gains: Gains, number: int) -> list[Mapping[str, Floats]]:
-    """Return how the numbers of a flight's parts (`numbers_of`) change by the logarithm of each gain.
+    """Return how the numbers of a flight's laws (`numbers_of`) change by the logarithm of each gain.
 
-    The parts are built by their own code, from gains a little larger and smaller: that covers whatever a part
+    The laws are built by their own code, from gains a little larger and smaller: that covers whatever a law
     computes of its gains when it is built. The mappings of all gains have the same paths.
     """
 
     def build(logarithms: Floats) -> dict[str, Any]:
         tried = with_gains(campaign, variant.scheme, gains.at(logarithms))
-        return numbers_of(parts_of(flight_scenario(tried, number, variant)).loop)
+        return numbers_of(batch_flight(flight_scenario(tried, number, variant)).loop)
 
     middle = gains.logarithms
     steps = DIFFERENCE * np.eye(len(middle))
@@ -103,22 +104,16 @@ def sensitivity(
     campaign: Campaign, gains: Gains, metrics: Sequence[str], numbers: Sequence[int], progress: Progress
 ) -> Sensitivity:
     """Fly some flights of a campaign that has these gains, each once for each gain; metrics: `COSTS`."""
-    from quadftc_campaign.batch.engine import LANES, engine_of_process
+    from quadftc_campaign.batch.jax_engine import engine_of_process
 
     variant = campaign.variants[0]
     ways = directions(campaign, variant, gains, numbers[0])
-    scenarios = [flight_scenario(campaign, number, variant) for number in numbers]
-    parts = [parts_of(scenario) for scenario in scenarios]
+    flights = [batch_flight(flight_scenario(campaign, number, variant)) for number in numbers]
     engine = engine_of_process(campaign.precision == "float32", LANES, tuple(ways[0]))
-    flown = engine.fly(
-        [each for each in parts for _ in ways],
-        [scenario.fault_events for scenario in scenarios for _ in ways],
-        progress,
-        ways * len(parts),
-    )
+    flown = engine.fly([each for each in flights for _ in ways], progress, ways * len(flights))
     values = [[metric_of(name, each) for name in metrics] for each in flown[:: len(ways)]]
     slopes = [[_slope_of_metric(name, each) for name in metrics] for each in flown]
-    shape = (len(parts), len(ways), len(metrics), 3)
+    shape = (len(flights), len(ways), len(metrics), 3)
     return Sensitivity(np.array(values), np.array(slopes).reshape(shape))
 
 

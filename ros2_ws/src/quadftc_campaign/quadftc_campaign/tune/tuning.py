@@ -172,7 +172,7 @@ def _judge_gains(client: Any, campaign: Campaign, each: Sequence[Gains], shares:
     """Fly the flights after those of the campaign, with each of some gains."""
     total = campaign.flights + _keys(campaign).held_out
     pieces = pieces_of(list(range(campaign.flights, total)), FLIGHTS_A_CHUNK)
-    longer = campaign.model_copy(update={"flights": total})
+    longer = campaign.model_copy(update={"flights": total, "engine": "c"})
     tried = [with_gains(longer, campaign.variants[0].scheme, gains) for gains in each]
     rows: list[Rows] = [[] for _ in each]
     tasks = [(one, piece) for one in tried for piece in pieces]

@@ -7,7 +7,7 @@ import math
 import os
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.markup import escape
@@ -16,13 +16,7 @@ from typer import Argument, Option
 
 from quadftc_campaign.errors import CampaignError
 from quadftc_cli.commands import INTERRUPTED
-from quadftc_cli.commands.options import (
-    EngineOption,
-    JunitOption,
-    SchedulerOption,
-    WorkersOption,
-    workers_here,
-)
+from quadftc_cli.commands.options import JunitOption, SchedulerOption, WorkersOption, workers_here
 from quadftc_cli.screen import Bars, console
 
 if TYPE_CHECKING:
@@ -56,7 +50,10 @@ def campaign(
         Path | None, Option(help="Directory of rosbag2 bags for a campaign on recordings.")
     ] = None,
     junit: JunitOption = None,
-    engine: EngineOption = "c",
+    engine: Annotated[
+        Literal["c", "numpy", "jax"] | None,
+        Option(help="What runs the laws; default: JAX where it has a GPU, else C that is generated."),
+    ] = None,
 ) -> None:
     """Fly a scenario thousands of times with drawn values; write table, summary and report.
 
@@ -65,7 +62,7 @@ def campaign(
     from quadftc_campaign.campaign_file import load_campaign  # with what it needs, half a second
     from quadftc_campaign.flights import flight_scenario, variant_of
 
-    loaded = load_campaign(file, flights, recordings, seed)
+    loaded = load_campaign(file, flights, recordings, seed, engine)
     directory = out or Path("results") / loaded.name
     if variant:
         some = tuple(variant_of(loaded, name) for name in dict.fromkeys(variant))
@@ -78,10 +75,12 @@ def campaign(
             raise CampaignError("--flight: flies the closed loop; this campaign has samples alone")
         if len(variant) > 1:
             raise CampaignError(f"--variant: {len(variant)} given; expected one at most with --flight")
+        if engine == "jax":
+            raise CampaignError("--engine jax: flies batches; expected c or numpy with --flight")
         chosen = loaded.variants[0]
         scenarios = [flight_scenario(loaded, number, chosen) for number in dict.fromkeys(flight)]
         jobs = [(scenario, scenario.scheme(chosen.scheme)) for scenario in scenarios]
-        how = RunOptions(force=force, engine=engine)
+        how = RunOptions(force=force, engine=engine or "c")
         raise typer.Exit(fly_jobs(jobs, directory / "runs", how, junit=junit))
     raise typer.Exit(_fly_all(loaded, file, directory, resume, scheduler, workers, junit))
 
@@ -105,7 +104,7 @@ def _fly_all(
     flown = CampaignRun(loaded, directory)
     extent = flown.open(resume)
     where = scheduler or f"{min(cores, max(extent.missing, 1))} of {len(os.sched_getaffinity(0))} cores here"
-    extents = f"{loaded.flights} flights x {len(loaded.variants)} variants, {loaded.precision}, on {where}"
+    extents = f"{loaded.flights} flights x {len(loaded.variants)} variants, {loaded.flown_precision}, on {where}"
     screen.print(f"{loaded.name}: {extents}; {extent.missing} of {extent.chunks} chunks to fly")
     started, steps = time.monotonic(), list[int]()
 
