@@ -24,8 +24,11 @@ from typing import Any, cast
 import numpy as np
 
 Layout = list[Any]  # as described above
-C_TYPES = {"f8": "double", "f4": "float", "b1": "bool", "u1": "uint8_t", "i4": "int32_t", "i8": "int64_t"}
-C_TYPES |= {"u4": "uint32_t", "u8": "uint64_t", "i1": "int8_t", "i2": "int16_t", "u2": "uint16_t"}
+C_TYPES = {"f8": "double", "f4": "float", "b1": "bool"} | {
+    f"{kind}{size}": f"{word}{8 * size}_t"
+    for kind, word in (("i", "int"), ("u", "uint"))
+    for size in (1, 2, 4, 8)
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -125,9 +128,8 @@ def _flat(layout: Layout, tree: Any, path: str, shapes: bool) -> Iterator[Any]:
     else:
         fields = layout[2]
         if not isinstance(tree, tuple) or len(cast("tuple[Any, ...]", tree)) != len(fields):
-            raise ValueError(
-                f"{path or 'value'}: expected a tuple of {len(fields)}, not {type(tree).__name__}"
-            )
+            found = type(cast("Any", tree)).__name__
+            raise ValueError(f"{path or 'value'}: expected a tuple of {len(fields)}, not {found}")
         for (name, inside), each in zip(fields, cast("tuple[Any, ...]", tree), strict=True):
             yield from _flat(inside, each, f"{path}.{name}" if path else name, shapes)
 

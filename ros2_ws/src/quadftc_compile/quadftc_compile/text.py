@@ -6,14 +6,20 @@ import collections
 import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 # how tightly an expression holds together; operands that hold less tightly get parentheses
 ATOM, UNARY, TIMES, PLUS, COMPARE, EQUAL, AND, OR, CHOICE = range(9)
-BINARY = {"*": TIMES, "/": TIMES, "%": TIMES, "+": PLUS, "-": PLUS, "<": COMPARE, "<=": COMPARE, ">": COMPARE}
-BINARY |= {">=": COMPARE, "==": EQUAL, "!=": EQUAL, "&&": AND, "||": OR}
+BINARY = {
+    **dict.fromkeys(("*", "/", "%"), TIMES),
+    **dict.fromkeys(("+", "-"), PLUS),
+    **dict.fromkeys(("<", "<=", ">", ">="), COMPARE),
+    **dict.fromkeys(("==", "!="), EQUAL),
+    "&&": AND,
+    "||": OR,
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,8 +66,9 @@ def literal(value: Any, real: str) -> Expression:
     if isinstance(value, (bool, np.bool_)):
         return Expression("true" if value else "false")
     if isinstance(value, (int, np.integer)):
-        text = str(int(value)) if abs(int(value)) < 2**31 else f"INT64_C({int(value)})"
-        return Expression(text, UNARY if int(value) < 0 else ATOM)
+        whole = int(cast("int", value))
+        text = str(whole) if abs(whole) < 2**31 else f"INT64_C({whole})"
+        return Expression(text, UNARY if whole < 0 else ATOM)
     with np.errstate(over="ignore"):
         number = np.float32(value) if real == "float" else np.float64(value)
     if math.isnan(number):
