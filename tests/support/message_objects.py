@@ -145,7 +145,7 @@ class ControlStatusWriter:
         self._message.header.frame_id = BASE_FRAME
 
     def __call__(
-        self, stamp_ns: int, output: ControllerOutput, mode: int, compute_time: float
+        self, stamp_ns: int, output: ControllerOutput, mode: int, restarts: int, compute_time: float
     ) -> ControlStatus:
         """Return the message of a control step of one vehicle; ``compute_time`` in seconds."""
         message = self._message
@@ -154,5 +154,6 @@ class ControlStatusWriter:
         fill_vector(message.sliding_variable, output.sliding_variable)
         message.saturated = output.saturated.tolist()
         message.mode = int(mode)
+        message.restarts = restarts
         message.compute_time = compute_time
         return message

@@ -87,6 +87,7 @@ class ControllerNode(GraphNode):
         self._publish_status = self.publishes("control/status")
         self._body, self._status = wire.VectorWire(self.base_frame), wire.ControlStatusWire(self.base_frame)
         self._mode: Mode | None = None
+        self._restarts = 0  # of the law, up to the last report
         inputs = ("imu", "reference", "disturbance", *(["speeds", "rotors"] if flies else []))
         self._join = StampJoin(inputs, partial(self._act, self._manager.fly))
         self.driven_by("imu/corrected", self._on_corrected, restart=self._manager.restart, decode=wire.imu_of)
@@ -167,15 +168,20 @@ class ControllerNode(GraphNode):
         if speeds is not None:
             self._publish_speeds(self._rotors(stamp_ns, speeds))
         self._publish_torque(self._body(stamp_ns, output.torque))
-        self._publish_status(self._status(stamp_ns, output, mode, perf_counter() - begin))
+        self._publish_status(
+            self._status(stamp_ns, output, mode, self._manager.restarts, perf_counter() - begin)
+        )
         if mode is not self._mode:
             self._mode = mode
             self.diagnostics.report("mode", *_REPORTS[mode])
         self.sampled(stamp_ns)
 
     def report(self) -> None:
-        """Report a reference that stands still because its node does."""
+        """Report a law that restarts, and a reference that stands still because its node does."""
         manager = self._manager
+        failed, self._restarts = manager.restarts > self._restarts, manager.restarts
+        words = "restarts: its output was unusable, the last torque is held" if failed else "flies"
+        self.diagnostics.report("law", ERROR if failed else OK, words)
         if not self.lockstep and manager.stamp_ns and manager.wanted is not None:
             old = seconds(manager.stamp_ns - manager.wanted_ns) > REFERENCE_AGE
             words = "attitude/reference does not come: the last is held" if old else "comes"

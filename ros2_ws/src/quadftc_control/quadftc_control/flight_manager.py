@@ -28,7 +28,6 @@ from quadftc_model import samples
 from quadftc_model.arrays import Components, Vector
 from quadftc_model.fade import Fade
 from quadftc_model.guarded import GuardedStepper
-from quadftc_model.rotors import wrench_from_speeds
 from quadftc_model.samples import AttitudeCommand, ControllerOutput, ImuSample
 from quadftc_model.stepper import Engine, NumpyRunner, seconds
 
@@ -97,6 +96,11 @@ class FlightManager:
         """Return whether it flies a law of this kind now."""
         return type(law) is type(self._law.controller)
 
+    @property
+    def restarts(self) -> int:
+        """How often the law gave what cannot be used, and started again."""
+        return self._stepper.replaced
+
     def must_keep(self) -> str:
         """Return why another law must not take over now; empty: it may."""
         if self._mode not in (None, Mode.FULL):
@@ -127,8 +131,7 @@ class FlightManager:
 
     def take_speeds(self, stamp_ns: int, speeds: Components) -> Components | None:
         """Note measured rotor speeds [rad/s]; return them, None if they cannot be used."""
-        torque, _ = wrench_from_speeds(self._law.vehicle, speeds)
-        if not samples.is_usable(speeds, torque):
+        if not samples.is_usable(speeds, speeds * speeds):  # as thrust grows with the square
             self._count("rotors/speed: not finite")
             return None
         self._speeds = stamp_ns, speeds

@@ -12,7 +12,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from quadftc_control.position_loop import PositionLoop, PositionLoopInputs, position_loop_from
+from quadftc_control.position_loop import (
+    PositionLoop,
+    PositionLoopInputs,
+    PositionLoopOutput,
+    position_loop_from,
+)
 from quadftc_control.reference import Reference, combined, level, references_from
 from quadftc_control.trajectory import (
     PositionSetpoint,
@@ -22,9 +27,10 @@ from quadftc_control.trajectory import (
     trajectories_from,
 )
 from quadftc_control.trajectory import combined as combined_trajectory
-from quadftc_model.arrays import Scalar, chosen, column, namespace, stacked
+from quadftc_model.arrays import Flag, Quaternion, Scalar, Vector, chosen, column, namespace, stacked
 from quadftc_model.assembly import NodeParameters, build_prefixed
 from quadftc_model.parameters import Checked
+from quadftc_model.rotations import quaternion_from_euler, to_body
 from quadftc_model.samples import (
     NO_PLACE,
     AttitudeCommand,
@@ -84,6 +90,9 @@ class GuidanceOutput(NamedTuple):
     reference: PositionReference
     estimate: PositionEstimate
     command: AttitudeCommand
+    good: Flag  # False: the outer loop's could not be used, these are the last that could
+    heading: Quaternion  # of the reference
+    body_velocity: Vector  # the estimated velocity in body axes [m/s]
 
 
 class State(NamedTuple):
@@ -114,7 +123,7 @@ class FlightGuidance(Checked):
         reference = self._reference(inputs.elapsed, state.reference)
         seen = PositionLoopInputs(inputs.imu, inputs.place, reference)
         loop, output = self.loop.step(state.loop, seen, dt)
-        return State(loop, reference), GuidanceOutput(reference, *output)
+        return State(loop, reference), _told(inputs.imu, reference, output)
 
     def _reference(self, elapsed: Scalar, last: PositionReference) -> PositionReference:
         """Return the sum of the trajectories at a time [s], or the last one where it cannot be used."""
@@ -145,7 +154,14 @@ class LiveGuidance(Checked):
         filtered, reference = self.smooth.step(state.reference, inputs.setpoint, dt)
         seen = PositionLoopInputs(inputs.imu, inputs.place, reference)
         loop, output = self.loop.step(state.loop, seen, dt)
-        return State(loop, filtered), GuidanceOutput(reference, *output)
+        return State(loop, filtered), _told(inputs.imu, reference, output)
+
+
+def _told(imu: ImuSample, reference: PositionReference, output: PositionLoopOutput) -> GuidanceOutput:
+    """Return what the outer loop gives, and the reference, as others are told of them."""
+    zero = namespace(reference.yaw).zeros_like(reference.yaw)
+    heading = quaternion_from_euler(stacked([zero, zero, reference.yaw]))
+    return GuidanceOutput(reference, *output, heading, to_body(imu.q_xyzw, output.estimate.velocity))
 
 
 class ScenarioClock:

@@ -13,8 +13,6 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from quadftc_compile.engine import engine_from
 from quadftc_control.guidance import (
     FlightGuidanceInputs,
@@ -34,11 +32,11 @@ from quadftc_control.trajectory import (
 from quadftc_model.assembly import build_prefixed
 from quadftc_model.parameters import parameter
 from quadftc_model.position_estimator import PositionEstimator
-from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, to_body
+from quadftc_model.rotations import euler_from_quaternion
 from quadftc_model.samples import NO_PLACE, ImuSample, PositionSample, is_usable
 from quadftc_model.stepper import Stepper
 from quadftc_ros.conversions import Floats
-from quadftc_ros.diagnostics import OK
+from quadftc_ros.diagnostics import ERROR, OK
 from quadftc_ros.executor import run_node
 from quadftc_ros.join import PlaceGate, PlaceParameters
 from quadftc_ros.motion_wire import OdometryWire, PoseWire, PositionSampleReader
@@ -79,6 +77,7 @@ class PositionControllerNode(GraphNode):
         engine = engine_from(values, self.get_logger().info)
         self._stepper = Stepper[Any, GuidanceOutput](self._build(values), engine=engine)
         self._scenario = ScenarioClock()
+        self._restarts = 0  # of its law, since the last report
         self._restart()
         self.settings.on_change(self._build, partial(setattr, self._stepper, "law"))
         self._publish_command, self._command = self.publishes("attitude/reference"), ReferenceWire()
@@ -131,14 +130,21 @@ class PositionControllerNode(GraphNode):
             self.diagnostics.count("imu/corrected: stamp repeated or went back")
             return
         # the controller waits for the attitude: publish it first
-        reference, estimate, (attitude, thrust) = output
+        position, (attitude, thrust) = output.estimate.position, output.command
         self._publish_command(self._command(stamp_ns, attitude, float(thrust)))
-        heading = quaternion_from_euler(np.array([0.0, 0.0, reference.yaw]))
-        self._publish_reference(self._pose(stamp_ns, reference.position, heading))
-        forward = to_body(imu.q_xyzw, estimate.velocity)
-        odometry = self._odometry(stamp_ns, estimate.position, imu.q_xyzw, forward, imu.body_rate)
+        self._publish_reference(self._pose(stamp_ns, output.reference.position, output.heading))
+        odometry = self._odometry(stamp_ns, position, imu.q_xyzw, output.body_velocity, imu.body_rate)
         self._publish_estimate(odometry)
+        if not output.good:
+            self._restarts += 1
+            self.diagnostics.count("the position controller gave no number: the last command is held")
         self.sampled(stamp_ns)
+
+    def report(self) -> None:
+        """Report a law that restarts."""
+        words = "restarts: its output was unusable, the last command is held" if self._restarts else "flies"
+        self.diagnostics.report("law", ERROR if self._restarts else OK, words)
+        self._restarts = 0
 
 
 main = partial(run_node, PositionControllerNode)

@@ -42,6 +42,7 @@ class PositionLoopOutput(NamedTuple):
 
     estimate: PositionEstimate
     command: AttitudeCommand
+    good: Flag  # False: this sample's could not be used; it is the last that could, and both laws start again
 
 
 class State(NamedTuple):
@@ -50,7 +51,6 @@ class State(NamedTuple):
     estimator: Any
     controller: Any
     last: PositionLoopOutput
-    good: Flag  # it is that of the last sample
 
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
@@ -74,20 +74,19 @@ class PositionLoop(Checked):
         return State(
             self.estimator.init(PositionEstimatorInputs(inputs.imu, place._replace(position=start))),
             self.controller.init(PositionControllerInputs(inputs.imu, estimate, shall)),
-            PositionLoopOutput(PositionEstimate(shall.position, zeros, zeros), hover),
-            place.there | True,
+            PositionLoopOutput(PositionEstimate(shall.position, zeros, zeros), hover, place.there | True),
         )
 
     def step(self, state: State, inputs: PositionLoopInputs, dt: float) -> tuple[State, PositionLoopOutput]:
         """Advance by ``dt`` [s] to a sample."""
-        state = branch(state.good, lambda: state, lambda: self.init(inputs)._replace(last=state.last))
+        state = branch(state.last.good, lambda: state, lambda: self.init(inputs)._replace(last=state.last))
         seen = PositionEstimatorInputs(inputs.imu, inputs.place)
         estimator, estimate = self.estimator.step(state.estimator, seen, dt)
         wanted = PositionControllerInputs(inputs.imu, estimate, inputs.reference)
         controller, command = self.controller.step(state.controller, wanted, dt)
         good = usable(*estimate, *command.attitude, column(command.thrust))
-        last = chosen(good, PositionLoopOutput(estimate, command), state.last)
-        return State(estimator, controller, last, good), last
+        last = chosen(good, PositionLoopOutput(estimate, command, good), state.last)._replace(good=good)
+        return State(estimator, controller, last), last
 
 
 def position_loop_from(parameters: NodeParameters) -> PositionLoop:

@@ -395,6 +395,12 @@ def test_law_that_gives_no_number_is_counted_and_the_last_torque_held(lockstep_b
     assert {pair.key: pair.value for pair in said.values} == {
         "the controller gave no number: the last torque is held": "1"
     }
+    assert [state.restarts for state in pilot.states] == [0, 0, 0, 1, 1]
+    law = pilot.until_status("law", DiagnosticStatus.ERROR)
+    assert law.message == "restarts: its output was unusable, the last torque is held"
+    for _ in range(3):
+        pilot.step()
+    assert [state.restarts for state in pilot.states[5:]] == [1, 1, 2]
 
 
 def test_reset_forgets_the_integral(lockstep_bench):

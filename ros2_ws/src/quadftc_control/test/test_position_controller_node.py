@@ -1,7 +1,11 @@
 """The position controller node: attitude and thrust for every sample, by trajectories or live setpoints."""
 
+import dataclasses
+import uuid
+
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped
 from std_srvs.srv import Trigger
 
@@ -12,6 +16,7 @@ from quadftc_control.position_controller import position_controllers
 from quadftc_control.position_controller_node import PositionControllerNode
 from quadftc_control.position_loop import PositionLoop
 from quadftc_control.trajectory import trajectories
+from quadftc_model.arrays import where
 from quadftc_model.position_estimator import PositionEstimator
 from quadftc_model.samples import NO_PLACE, PositionSample
 from quadftc_model.vehicle import load_vehicle
@@ -72,6 +77,39 @@ def test_live_setpoint_begins_where_the_trajectories_do_and_is_followed(lockstep
     pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = 5.0, -0.2, 0.9
     source.wish(pose)
     lockstep_bench.until(lambda: source.step() or reference_of(source.found[-1]).angles[1] > 0.05)
+
+
+@pytest.fixture
+def defective():
+    """The name of a position controller that wants no number of thrust at more than 2 m east."""
+
+    @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+    class Defective(position_controllers.get("geometric")):
+        """Gives no thrust far in the east."""
+
+        def step(self, state, inputs, dt):
+            state, command = super().step(state, inputs, dt)
+            far = inputs.estimate.position[..., 0] > 2.0
+            return state, command._replace(thrust=where(far, np.nan, command.thrust))
+
+    name = f"defective_{uuid.uuid4().hex}"
+    position_controllers.register(name)(Defective)
+    yield name
+    del position_controllers._components[name]
+
+
+def test_law_that_gives_no_number_is_an_error_and_the_last_command_held(lockstep_bench, defective):
+    source = Source(lockstep_bench, position_controller=defective)
+    status = lockstep_bench.watch_diagnostics()
+    source.step(2)
+    source.step(99, place=np.array([200.0, 0.0, 0.0]))  # the estimator believes it after half a second
+    assert source.found[-1].thrust == source.found[-2].thrust
+    told = "position_controller: law"
+    lockstep_bench.until(lambda: told in status and status[told].level == DiagnosticStatus.ERROR)
+    assert "the last command is held" in status[told].message
+    source.step(201)  # to the diagnostics of the next second
+    lockstep_bench.until(lambda: status[told].level == DiagnosticStatus.OK)
+    assert np.isfinite([message.thrust for message in source.found]).all()
 
 
 def test_reset_begins_the_scenario_anew(lockstep_bench):

@@ -195,8 +195,10 @@ class ControlStatusWire:
     def __init__(self, frame: str = BASE_FRAME) -> None:
         self._write = NumberWriter(ControlStatus(header=Header(frame_id=frame)))
 
-    def __call__(self, stamp_ns: int, output: ControllerOutput, mode: int, compute_time: float) -> bytes:
+    def __call__(
+        self, stamp_ns: int, output: ControllerOutput, mode: int, restarts: int, compute_time: float
+    ) -> bytes:
         """Return the message of a control step of one vehicle; ``compute_time`` in seconds."""
         error, sliding, saturated = output.error, output.sliding_variable, output.saturated
         numbers = *error.tolist(), *sliding.tolist(), *saturated.tolist()
-        return self._write(stamp_ns, *numbers, mode, compute_time)
+        return self._write(stamp_ns, *numbers, mode, restarts, compute_time)

@@ -193,8 +193,10 @@ def test_diagnosis_is_written_as_rclpy_does(stamp_ns, numbers, rivals, count):
     assert same_message(DiagnosisWire()(report), wanted)
 
 
-@given(STAMPS, doubles((3, 3)), arrays(np.bool_, 3), st.integers(0, 4), st.floats(0.0, 1.0))
-def test_control_status_is_written_as_rclpy_does(stamp_ns, numbers, saturated, mode, compute_time):
-    output = ControllerOutput(*numbers, saturated)
-    mine = ControlStatusWire()(stamp_ns, output, mode, compute_time)
-    assert same_message(mine, ControlStatusWriter()(stamp_ns, output, mode, compute_time))
+COUNTS = st.integers(0, 2**32 - 1)
+
+
+@given(STAMPS, doubles((3, 3)), arrays(np.bool_, 3), st.integers(0, 4), COUNTS, st.floats(0.0, 1.0))
+def test_control_status_is_written_as_rclpy_does(stamp_ns, numbers, saturated, mode, restarts, compute_time):
+    told = stamp_ns, ControllerOutput(*numbers, saturated), mode, restarts, compute_time
+    assert same_message(ControlStatusWire()(*told), ControlStatusWriter()(*told))

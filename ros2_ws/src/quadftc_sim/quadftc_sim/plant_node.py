@@ -19,6 +19,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import numpy as np
 from std_srvs.srv import Trigger
 
 from quadftc_compile.engine import engine_from
@@ -197,7 +198,11 @@ class PlantNode(GraphNode):
             self._take("command", stamp_ns)
 
     def _on_rotors(self, stamp_ns: int, condition: RotorCondition) -> None:
-        self.flight.simulator.set_rotors(condition)
+        limited = not np.isnan(condition.speed_limit).any()  # a healthy rotor has none: infinite
+        if limited and is_usable(condition.effectiveness, condition.unbalance):
+            self.flight.simulator.set_rotors(condition)
+        else:
+            self.diagnostics.count("rotors/fault: not finite")
         if self.lockstep:
             self._take("rotors", stamp_ns)
 

@@ -12,7 +12,9 @@ from std_srvs.srv import Trigger
 
 from node_bench import vector_message
 from quadftc_ros.conversions import stamp_of, time_message
+from quadftc_ros.rotor_wire import RotorConditionWire
 from quadftc_sim.plant_node import PlantNode
+from quadftc_sim.rotor_fault import healthy_rotors
 from quadftc_sim.simulator import NEVER_NS
 
 FIRST_NS = 1_000_000_000
@@ -96,6 +98,21 @@ def test_torque_turns_the_vehicle_as_its_inertia_says(lockstep_bench):
     inertia = 0.03  # kg m², Qball-X4 in roll
     wanted = [0.01 / inertia * 0.004, 0.0, 0.0]  # less what drag takes within a period
     assert values(flight.truth["plant/rate"][1]) == pytest.approx(wanted, rel=2e-3, abs=1e-9)
+
+
+def test_condition_of_rotors_that_is_no_number_is_counted_and_not_used(lockstep_bench):
+    kinds = {"plant": "free_flight", "plant_kind": "free_flight", "vehicle": "x500"}
+    node = lockstep_bench.run(PlantNode, start_when_connected=False, **kinds)
+    send, status = lockstep_bench.talk("rotors/fault"), lockstep_bench.watch_diagnostics()
+    lockstep_bench.connect()
+    weak = healthy_rotors(np.zeros(4))._replace(effectiveness=np.array([1.0, np.nan, 1.0, 1.0]))
+    send(RotorConditionWire(4)(FIRST_NS, weak))
+    name = "plant: samples"
+    told = {"rotors/fault: not finite": "1"}
+    lockstep_bench.until(
+        lambda: name in status and {pair.key: pair.value for pair in status[name].values} == told
+    )
+    assert np.all(node.flight.simulator._rotors.effectiveness == 1.0)
 
 
 def test_sensor_that_is_late_does_not_keep_lockstep_from_starting(lockstep_bench):
