@@ -37,7 +37,6 @@ from quadftc_replay.inspection.verdict import unjudged
 from quadftc_replay.overlay import faults_from
 from quadftc_replay.plan import FROM_GYRO
 from quadftc_replay.readers import read_log
-from quadftc_sim.injector import FaultInjector
 from quadftc_tools.study.league_flights import FLOWN_FAULTY, FLOWN_HEALTHY, Truth, fly_log, truths
 from quadftc_tools.study.numbers import write_number
 from quadftc_tools.study.page import NOTHING, has_detector, markdown, publish_tables
@@ -88,7 +87,7 @@ def judge_by(observer: type[FaultObserver]) -> Judge:
         law = observer(vehicle=load_vehicle(log.vehicle or VEHICLE), **known)
         named: list[Named] = []
         named_before: set[tuple[str, str]] = set()
-        for report in diagnose(recording, law, FaultInjector(0)).reports:
+        for report in diagnose(recording, law).reports:
             faults = [fault for fault in report.faults if not fault.ambiguous_with]
             for fault in faults:
                 if (fault.component, fault.element) not in named_before:

@@ -86,13 +86,14 @@ def simulate(scenario: Scenario, engine: str = "c") -> Recording:
     count, period = sample_count(scenario.duration, scenario.rate), period_ns(scenario.rate)
     law = MovedImu(imu=dataclasses.replace(scenario.sensor, delay=0), period=1.0 / scenario.rate)
     flown = flown_by(engine_named(engine), Alone(law), (law.example(), 0.0))
-    random, motion = SensorDraws(scenario.seed), _motion(scenario, count)
-    draws, dt = random.next(count), np.where(np.arange(count) == 0, 0.0, law.period)
+    random, dt = SensorDraws(scenario.seed), np.where(np.arange(count) == 0, 0.0, law.period)
+    inputs = MotionInputs(*_motion(scenario, count), random.next(count), random.turn_on)
     parts: list[ImuSample] = []
     for begin in range(0, count, BLOCK):
         rows = slice(begin, min(begin + BLOCK, count))
-        inputs = MotionInputs(*(each[rows] for each in (*motion, draws)), random.turn_on)
-        parts.append(joined([flown.run((inputs, dt[rows]), rows.stop - begin)]))  # a copy
+        q_xyzw, body_rate, draws = (each[rows] for each in inputs[:3])
+        given = MotionInputs(q_xyzw, body_rate, draws, inputs.turn_on)
+        parts.append(joined([flown.run((given, dt[rows]), rows.stop - begin)]))  # a copy
     return Recording(
         name="simulated",
         path=Path("simulated"),

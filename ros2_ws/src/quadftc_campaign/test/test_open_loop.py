@@ -19,10 +19,10 @@ from quadftc_campaign.flights import flight_scenario
 from quadftc_campaign.open_loop import AGES, WITHIN, error_profile, prepare, score_counts
 from quadftc_campaign.open_motion import simulate
 from quadftc_campaign.table import summary_of, table_of
+from quadftc_fdi.fault_observer import fault_observers
 from quadftc_flight.diagnosis_metrics.roc import detection_scores, estimate_size, roc
 from quadftc_flight.fault_schedule import FaultEvent
 from quadftc_flight.flight import VECTORS, Flight, unknown_flight
-from quadftc_fdi.fault_observer import fault_observers
 from quadftc_flight.scenario import ScenarioError, parse_scenario, with_seed
 from quadftc_model.samples import AXES, FAULTY
 from quadftc_sim.sensors import GRADES

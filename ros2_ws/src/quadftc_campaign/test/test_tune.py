@@ -120,8 +120,9 @@ def test_directions_are_those_of_what_is_built(tmp_path):
     gains = checked(campaign)
     ways = directions(campaign, campaign.variants[0], gains, 0)
     assert len(ways) == 6
-    np.testing.assert_allclose(ways[1]["loop.attitude.law.controller.k_c1"], [0.0, 16.0, 0.0], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(ways[5]["loop.attitude.law.controller.k_c2"], [0.0, 0.0, 6.0], rtol=1e-9, atol=1e-9)
+    gain, other = (f"loop.attitude.law.controller.{name}" for name in ("k_c1", "k_c2"))
+    np.testing.assert_allclose(ways[1][gain], [0.0, 16.0, 0.0], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(ways[5][other], [0.0, 0.0, 6.0], rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize(

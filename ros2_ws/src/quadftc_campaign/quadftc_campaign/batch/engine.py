@@ -35,19 +35,19 @@ class BatchFlight(NamedTuple):
 
     loop: JudgedLoop
     seed: int  # of the sensors' and the injector's random numbers
-    count: int  # samples
+    samples: int
     # of each injection, as the injector counts them from 1; 0: not in this flight
     numbers: tuple[int, ...] | None = None
 
     @property
     def structure(self) -> Any:
         """What two flights must have in common to fly together; hashable."""
-        return structure_of(self.loop), self.count, self.period
+        return structure_of(self.loop), self.samples, self.period
 
     @property
     def draws(self) -> LoopDraws:
         """Times and random numbers of the flight."""
-        return LoopDraws(self.loop.loop, self.seed, self.count, self.numbers)
+        return LoopDraws(self.loop.loop, self.seed, self.samples, self.numbers)
 
     @property
     def period(self) -> float:
@@ -99,8 +99,8 @@ def fly_all(
 
 def _fly(flight: BatchFlight, flown: Flown, progress: Progress) -> Outcome:
     draws = flight.draws
-    for begin in range(0, flight.count, BLOCK):
-        rows = min(BLOCK, flight.count - begin)
+    for begin in range(0, flight.samples, BLOCK):
+        rows = min(BLOCK, flight.samples - begin)
         flown.run(draws.next(rows), rows)
         progress(rows)
     return outcome_of(flight, flown.state_of("judge").tally)
@@ -112,5 +112,5 @@ def outcome_of(flight: BatchFlight, tally: Tally) -> Outcome:
         {name: value for name, value in part._asdict().items() if value is not None} for part in tally
     )
     merged = {name: value for part in marks for name, value in part.items()}
-    span = (flight.count - flight.loop.judge.delay - 1) * flight.period
+    span = (flight.samples - flight.loop.judge.delay - 1) * flight.period
     return Outcome(sums, merged, span, flight.period)

@@ -158,8 +158,9 @@ class TracedCalls(PlainCalls):
             return super().step(name, state, inputs, dt)
         except (TypeError, jax.errors.UnexpectedTracerError) as error:
             reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
+            what = f"{name} ({name_of(self._laws[name])})"
             advice = "a law must not branch on data or ask for numbers; see CONTRIBUTING.md"
-            raise ValueError(f"{name} ({name_of(self._laws[name])}) cannot be traced by JAX: {reason}; {advice}") from error
+            raise ValueError(f"{what} cannot be traced by JAX: {reason}; {advice}") from error
 
 
 class CompiledFlight:
@@ -167,7 +168,7 @@ class CompiledFlight:
 
     def __init__(self, loop: JudgedLoop, dtype: np.dtype[Any]) -> None:
         self._loop, self._dtype = loop, dtype
-        axes = LoopInputs(*(None if name in SHARED else 0 for name in LoopInputs._fields))
+        axes: Any = LoopInputs._make(None if name in SHARED else 0 for name in LoopInputs._fields)
         self._step_all = jax.vmap(self._step, in_axes=(0, axes, 0))
         self.fly_stretch = jax.jit(self._fly_stretch, donate_argnums=0)
 
@@ -175,7 +176,7 @@ class CompiledFlight:
         self, flights: Sequence[BatchFlight], per_flight: PerFlight, count: int, progress: Progress
     ) -> list[Outcome]:
         """Fly a block of flights, one in each lane; outcomes are wanted of the first ``count``."""
-        draws, total = [flight.draws for flight in flights], flights[0].count
+        draws, total = [flight.draws for flight in flights], flights[0].samples
         per_flight = self._cast(per_flight)
         carried, sums = self._begin(flights), None
         for start in range(0, total, STRETCH):

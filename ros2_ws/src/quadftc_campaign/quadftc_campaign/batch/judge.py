@@ -6,7 +6,6 @@ A law adds them up sample by sample, in C as in JAX. Metrics come from them in `
 from __future__ import annotations
 
 import dataclasses
-import functools
 import math
 import operator
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -273,9 +272,13 @@ class Judge:
 
     def _add(self, before: Tally, inputs: JudgeInputs, motion: Motion) -> Tally:
         xp, now = namespace(inputs.torque), self._tally(inputs, motion, before.last)
-        operations = (operator.add, operator.or_, xp.maximum, xp.minimum)
-        merged = (merge(operation, *pair) for operation, *pair in zip(operations, before, now, strict=False))
-        return Tally(*merged, now.last)
+        return Tally(
+            sums=merge(operator.add, before.sums, now.sums),
+            ever=merge(xp.logical_or, before.ever, now.ever),
+            largest=merge(xp.maximum, before.largest, now.largest),
+            smallest=merge(xp.minimum, before.smallest, now.smallest),
+            last=now.last,
+        )
 
     def _tally(self, inputs: JudgeInputs, motion: Motion, last: Last) -> Tally:
         """Tally one sample, after those of which the last is given."""
@@ -334,10 +337,9 @@ def _tally_attitude(inputs: JudgeInputs, motion: Motion, schedule: Schedule, las
         "event_delivered": 1.0 * event,
         "event_declared": 1.0 * (event & declared),
     }
-    restarts = functools.reduce(operator.or_, inputs.failed)
     ever = {
         "unusable": there & ~(xp.abs(angles).sum(axis=-1) < UNUSABLE),
-        "restarted": there & restarts,
+        "restarted": there & xp.stack(inputs.failed, axis=-1).any(axis=-1),
         "event_sized": event_known & (fault != 0.0),
     }
     largest = {
@@ -424,7 +426,7 @@ def _tally_position(inputs: JudgeInputs, motion: Motion) -> Parts:
 def _tally_rotors(inputs: JudgeInputs, motion: Motion, schedule: Schedule, last: Last) -> Parts:
     """Tally which rotor is named, as `quadftc_flight.diagnosis_metrics.which_rotor` judges it."""
     rotors, said = schedule.rotors, inputs.rotors
-    if rotors is None or said is None or inputs.place is None:
+    if rotors is None or said is None or inputs.place is None or last.rotors_named is None:
         return {}, {}, {}, {}, {}
     xp, there, time = namespace(inputs.torque), inputs.delivered, inputs.time
     named = name_rotors(said.state, said.ambiguous)

@@ -78,7 +78,7 @@ def judged(output: LoopOutput, inputs: LoopInputs) -> JudgeInputs:
 
 
 def _sensors_of(estimate: FaultEstimate) -> tuple[OfSensors, tuple[Any, Any]]:
-    """Return what is said of the sensors, and where it is ambiguous; a sensor that is not watched is healthy."""
+    """Return what is said of the sensors, and where it is ambiguous; one that is not watched is healthy."""
     said = estimate.sensors
     if said is None:
         return OfSensors(estimate.state, STATES, STATES), (NOT, NOT)

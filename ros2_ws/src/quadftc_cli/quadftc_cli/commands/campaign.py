@@ -104,8 +104,9 @@ def _fly_all(
     flown = CampaignRun(loaded, directory)
     extent = flown.open(resume)
     where = scheduler or f"{min(cores, max(extent.missing, 1))} of {len(os.sched_getaffinity(0))} cores here"
-    extents = f"{loaded.flights} flights x {len(loaded.variants)} variants, {loaded.flown_precision}, on {where}"
-    screen.print(f"{loaded.name}: {extents}; {extent.missing} of {extent.chunks} chunks to fly")
+    how = f"by {loaded.engine}, {loaded.flown_precision}, on {where}"
+    extents = f"{loaded.flights} flights x {len(loaded.variants)} variants"
+    screen.print(f"{loaded.name}: {extents}, {how}; {extent.missing} of {extent.chunks} chunks to fly")
     started, steps = time.monotonic(), list[int]()
 
     def advance(samples: int) -> None:
