@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from quadftc_campaign.batch import compiled
+from quadftc_campaign.batch import engine
 from quadftc_cli.main import guarded
 from quadftc_flight.scenario import find_scenario, load_scenario
 from quadftc_tools.bench.batch import OURS, THEIRS, Measurement, _summary, measure, measurements
@@ -25,16 +25,15 @@ JOB = {
 
 
 @pytest.fixture
-def _supply_is_put_back(monkeypatch):
-    monkeypatch.setattr(
-        compiled, "InputSource", compiled.InputSource
-    )  # the worker puts a timed one in its place
+def _draws_are_put_back(monkeypatch):
+    monkeypatch.setattr(engine, "LoopDraws", engine.LoopDraws)  # the worker puts timed ones in their place
 
 
-@pytest.mark.usefixtures("_supply_is_put_back")
-def test_every_step_of_every_flight_is_counted_in_each_run():
+@pytest.mark.usefixtures("_draws_are_put_back")
+@pytest.mark.parametrize("runs", ["c", "jax"])
+def test_every_step_of_every_flight_is_counted_in_each_run(runs):
     flights = 3
-    subject = prepare({**JOB, "flights": flights, "float32": False})
+    subject = prepare({**JOB, "engine": runs, "flights": flights, "float32": False})
     for _ in range(2):
         flown = subject.run()
         assert flown.steps == flights * SAMPLES
@@ -51,13 +50,13 @@ def test_faults_come_at_the_same_parts_of_a_shorter_flight():
 
 
 def test_bare_loop_holds_the_attitude_of_each_flight():
-    subject = bare_subject(bare_scenario(5.0, motor_lag=True), 3, float32=False)
+    subject = bare_subject(bare_scenario(5.0, motor_lag=True), 3)
     assert subject.run().steps == 3 * 1250  # it raises if the attitude is not there at the end
 
 
 def test_bare_flight_holds_the_attitude_of_each_flight_too():
     """With as many states as crazyflow's."""
-    subject = bare_subject(bare_flight(5.0), 3, float32=False)
+    subject = bare_subject(bare_flight(5.0), 3)
     assert subject.run().steps == 3 * 2500  # it raises if the attitude is not there at the end
     assert "(17)" in subject.what["states"]
 
@@ -82,7 +81,8 @@ def test_other_simulators_and_the_bare_loop_are_measured_too():
 
 
 def test_all_batch_sizes_are_flown_on_the_fewest_cores_and_the_largest_on_all():
-    plan = [each for each in measurements([1, 8], [False, True], [1, 2], 8.0) if each.name == "supervised"]
+    plan = measurements([1, 8], [False, True], [1, 2], 8.0)
+    plan = [each for each in plan if each.name == "supervised, jax"]
     places = {(each.flights, each.cores, each.float32) for each in plan}
     assert len(plan) == len(places) == 6
     assert {(n, c) for n, c, _ in places} == {(1, 1), (8, 1), (8, 2)}
@@ -112,7 +112,7 @@ def measured(tmp_path, capfd, monkeypatch):
         monkeypatch.setattr("quadftc_tools.bench.batch.SCHEME", "conventional")  # quickest to compile
         monkeypatch.setattr("quadftc_tools.bench.batch.OTHER_SCHEMES", ())
         monkeypatch.setattr("quadftc_tools.bench.batch.LEAST", 0.01)
-        short = ["--only", only, "--flights", "2", "--precision", "float32", "--cores", "1"]
+        short = ["--only", only, "--flights", "2", "--cores", "1"]
         short += ["--repeats", "2", "--duration", "0.2"]
         assert guarded(["bench", "batch", *short, "--out", str(tmp_path)]) == 0
         assert (tmp_path / "batch.png").stat().st_size > 5000
@@ -127,21 +127,21 @@ def test_benchmark_writes_what_it_measured(measured):
     rows, printed = measured("one whole flight")
     assert set(rows) == {"conventional, one whole flight"}
     whole = rows["conventional, one whole flight"]
-    assert (whole["flights"], whole["precision"], len(whole["repeats"])) == (1, "float32", 2)
+    assert (whole["flights"], whole["precision"], len(whole["repeats"])) == (1, "float64", 2)
     assert 0 < whole["steps_per_second"]["median"] <= whole["steps_per_second"]["best"]
     assert whole["memory_mib"] > 50.0
     assert whole["seconds"]["best"] == pytest.approx(20_000 / whole["steps_per_second"]["best"], rel=1e-3)
-    assert f"conventional, one whole flight of 80 s, float32: {whole['seconds']['best']:.3f} s" in printed
+    assert f"conventional, one whole flight of 80 s, float64: {whole['seconds']['best']:.3f} s" in printed
     assert "load" in printed
 
 
 @pytest.mark.thorough
-def test_benchmark_measures_the_plain_step_and_free_flight_too(measured):
+def test_benchmark_measures_jax_and_free_flight_too(measured):
     rows, printed = measured("conventional")
-    ours = {"conventional", "conventional, plain vmap", "conventional, one whole flight"}
+    ours = {"conventional", "conventional, jax", "conventional, one whole flight"}
     assert set(rows) == {*ours, "free flight, conventional"}
-    assert {rows[name]["flights"] for name in ("conventional", "conventional, plain vmap")} == {2}
-    assert "conventional, float32: the rewritten step is " in printed
+    assert {rows[name]["flights"] for name in ("conventional", "conventional, jax")} == {2}
+    assert "conventional: C is " in printed
 
 
 @pytest.mark.parametrize(

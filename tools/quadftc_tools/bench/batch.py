@@ -1,7 +1,7 @@
 """Steps of the closed loop per second and memory of the batch engine, beside other simulators.
 
-Each measurement starts new processes, one pinned to each core, that fly at the same time: JAX reads its
-settings when it is imported. See `quadftc_tools.bench.batch_child`.
+Each measurement starts new processes, one pinned to each core, that fly at the same time. In C a process
+flies one flight after the other, in JAX all at once. See `quadftc_tools.bench.batch_child`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from typing import Any
 
 import quadftc_tools
 from quadftc_flight.runs import RunError
-from quadftc_model.jax_settings import environment
 
 SCENARIO, SCHEME = "mems_faults", "supervised"
 OTHER_SCHEMES = ("proposed", "conventional")
@@ -30,7 +29,8 @@ BARE_ENGINE, BARE = "bare, in the engine", "bare"
 FREE, FREE_SCENARIO, FREE_SCHEMES = "free flight", "free_circle", ("isolating", "conventional")
 BARE_FLIGHT = "bare, free flight"
 CRAZYFLOW, ROTORPY = "crazyflow", "RotorPy"
-PLAIN_VMAP = "plain vmap"
+IN_JAX = "jax"
+IN_TURN = 16  # flights at most, where they are flown one after the other
 LEAST = 0.5  # s; a shorter run is repeated
 OURS, THEIRS = "quadftc_tools.bench.batch_worker", "quadftc_tools.bench.batch_others"
 NANOSECONDS = 1e9
@@ -63,12 +63,16 @@ class Measurement:
 def measurements(
     flights: Sequence[int], float32: Sequence[bool], cores: Sequence[int], duration: float
 ) -> list[Measurement]:
-    """Plan the measurements: all numbers of flights of a process on the fewest cores, the most on all."""
+    """Plan the measurements: all numbers of flights of a process on the fewest cores, the most on all.
+
+    What is flown in C is in double precision, and how many flights there are makes no difference.
+    """
     fewest, most = min(cores), max(flights)
     everywhere = [(count, fewest) for count in flights]
     everywhere += [(most, count) for count in cores if count != fewest]
     largest = [(most, count) for count in cores]
     first, alone = largest[:1], [(1, fewest)]
+    in_turn = [(min(most, IN_TURN), count) for count in cores]
     engine = {"task": "engine", "scenario": SCENARIO, "duration": duration}
     whole = {**engine, "scheme": SCHEME, "duration": WHOLE_DURATION}
     free = {**engine, "scenario": FREE_SCENARIO}
@@ -77,17 +81,13 @@ def measurements(
     crazyflow_rk4 = {**crazyflow, "integrator": "rk4", "steps_a_call": 500}
     crazyflow_euler = {**crazyflow, "integrator": "euler", "steps_a_call": 1}
     rows: list[tuple[str, str, Sequence[tuple[int, int]], Sequence[bool], dict[str, Any]]] = [
-        (SCHEME, OURS, everywhere, both, {**engine, "scheme": SCHEME}),
-        *((each, OURS, first, both, {**engine, "scheme": each}) for each in OTHER_SCHEMES),
-        *(
-            (f"{each}, {PLAIN_VMAP}", OURS, first, both, {**engine, "scheme": each, "staged": False})
-            for each in (SCHEME, *OTHER_SCHEMES)
-        ),
-        (f"{SCHEME}, {WHOLE}", OURS, alone, both, whole),
-        (BARE_ENGINE, OURS, largest, both, {"task": "bare engine", "duration": duration}),
-        (BARE, OURS, everywhere, both, {"task": "bare", "duration": duration}),
-        *((f"{FREE}, {each}", OURS, largest, single, {**free, "scheme": each}) for each in FREE_SCHEMES),
-        (BARE_FLIGHT, OURS, everywhere, single, {"task": "bare flight", "duration": duration}),
+        *((each, OURS, in_turn, double, {**engine, "scheme": each}) for each in (SCHEME, *OTHER_SCHEMES)),
+        (f"{SCHEME}, {IN_JAX}", OURS, everywhere, both, {**engine, "scheme": SCHEME, "engine": IN_JAX}),
+        (f"{SCHEME}, {WHOLE}", OURS, alone, double, whole),
+        (BARE_ENGINE, OURS, in_turn, double, {"task": "bare engine", "duration": duration}),
+        (BARE, OURS, in_turn, double, {"task": "bare", "duration": duration}),
+        *((f"{FREE}, {each}", OURS, in_turn, double, {**free, "scheme": each}) for each in FREE_SCHEMES),
+        (BARE_FLIGHT, OURS, in_turn, double, {"task": "bare flight", "duration": duration}),
         (CRAZYFLOW, THEIRS, everywhere, single, crazyflow_rk4),
         (f"{CRAZYFLOW}, its own way", THEIRS, first, single, crazyflow_euler),
         (ROTORPY, THEIRS, everywhere, double, {**rotorpy, "single": False}),
@@ -176,7 +176,7 @@ class FlyingProcess:
                 stderr=self._errors,
                 text=True,
                 cwd=None if python is None else self._folder.name,
-                env={"JAX_PLATFORMS": "cpu", **os.environ, **single, **environment(1)},
+                env={"JAX_PLATFORMS": "cpu", "NPROC": "1", **os.environ, **single},
             )
         except OSError as error:
             self._clean_up()

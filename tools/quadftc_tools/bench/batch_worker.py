@@ -3,10 +3,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
+import numpy as np
+
+from quadftc_campaign.batch import engine as batch_engine
+from quadftc_campaign.batch.engine import JAX, BatchFlight, Outcome, compile_laws, without_words
+from quadftc_campaign.flights import batch_flight
+from quadftc_campaign.open_motion import Alone
+from quadftc_compile.engine import engine_named
+from quadftc_compile.wiring import BLOCK, flown_by
+from quadftc_control.allocation import allocate
+from quadftc_control.controller import Controller
+from quadftc_flight.closed_loop import plant_of
 from quadftc_flight.scenario import (
     Scenario,
     find_scenario,
@@ -15,10 +27,12 @@ from quadftc_flight.scenario import (
     with_duration,
     with_seed,
 )
+from quadftc_model.arrays import Quaternion, Vector
+from quadftc_model.rotations import euler_from_quaternion
+from quadftc_model.samples import AttitudeReference, ControllerInputs, ImuSample
+from quadftc_sim.assembly import sample_count
+from quadftc_sim.plant import Plant
 from quadftc_tools.bench.batch_child import Job, Run, Subject, serve
-
-if TYPE_CHECKING:
-    from quadftc_campaign.batch.parts import Loop
 
 BARE_SCENARIO, BARE_SCHEME, BARE_CONTROLLER = "paper_faults", "conventional", "pid"
 FREE_SCENARIO = "free_circle"
@@ -30,12 +44,12 @@ TOLERANCE = 1e-3  # rad
 def prepare(job: Job) -> Subject:
     """Build the subject of a job, whose ``task`` is "engine", "bare engine", "bare" or "bare flight".
 
-    ``staged`` is False for plain ``jax.vmap``; ``duration`` is in s.
+    ``engine`` is "c", or else "jax"; ``duration`` is in s.
     """
     if job["task"] == "bare":
-        return bare_subject(bare_scenario(job["duration"], motor_lag=True), job["flights"], job["float32"])
+        return bare_subject(bare_scenario(job["duration"], motor_lag=True), job["flights"])
     if job["task"] == "bare flight":
-        return bare_subject(bare_flight(job["duration"]), job["flights"], job["float32"])
+        return bare_subject(bare_flight(job["duration"]), job["flights"])
     if job["task"] == "bare engine":
         return _engine(job, bare_scenario(job["duration"]), BARE_SCHEME)
     return _engine(job, compressed(job["scenario"], job["duration"]), job["scheme"])
@@ -73,28 +87,21 @@ def bare_flight(duration: float) -> Scenario:
 
 
 def _engine(job: Job, scenario: Scenario, scheme: str) -> Subject:
-    import jax
-
-    from quadftc_campaign.batch.engine import Engine
-    from quadftc_campaign.flights import parts_of
-
     seeds = range(job["first_seed"], job["first_seed"] + job["flights"])
-    scenarios = (with_seed(scenario, seed) for seed in seeds)
-    parts = [parts_of(each, scheme) for each in scenarios]
-    drawing = _time_inputs()
-    engine, device = Engine(job["float32"], staged=job.get("staged")), jax.devices()[0]
+    flights = [batch_flight(with_seed(scenario, seed), scheme) for seed in seeds]
+    drawing = _time_draws()
+    by, fly = _flying(job, flights)
 
     def run() -> Run:
-        before, samples = drawing[0], list[int]()
-        outcomes = engine.fly(parts, [scenario.fault_events] * len(parts), samples.append)
-        if any(outcome.marks["unusable"] for outcome in outcomes):
+        before = drawing[0]
+        if any(outcome.marks["unusable"] for outcome in fly()):
             raise ValueError("a flight has non-finite values")
-        return Run(sum(samples), drawing[0] - before)
+        return Run(sum(flight.samples for flight in flights), drawing[0] - before)
 
     chosen = scenario.scheme(scheme)
     laws = (chosen.observer.kind, chosen.disturbance_observer.kind, chosen.controller.kind)
     what = {
-        "by": f"quadftc, JAX {jax.__version__}, {device.platform} ({device.device_kind})",
+        "by": by,
         "states": f"{_states_of(scenario)}, observers and controller",
         "integrator": f"RK4, {scenario.rate:g} Hz",
         "control": "fault observer {}, disturbance observer {}, controller {}".format(*laws),
@@ -109,10 +116,22 @@ def _states_of(scenario: Scenario) -> str:
     return f"attitude, body rate{', rotor commands (11)' if scenario.plant.motor_lag else ' (7)'}"
 
 
-def _time_inputs() -> list[float]:
-    """Time the source of random numbers; the list's one number is the time spent in it so far [s]."""
-    from quadftc_campaign.batch import compiled
+def _flying(job: Job, flights: list[BatchFlight]) -> tuple[str, Callable[[], list[Outcome]]]:
+    """Return what flies, in words, and a function that flies."""
+    if job.get("engine", "c") != JAX:
+        compile_laws(flights)
+        return "quadftc, in C", lambda: batch_engine.fly_all(flights, log=without_words)
+    import jax
 
+    from quadftc_campaign.batch.jax_engine import JaxEngine
+
+    engine, device = JaxEngine(job["float32"]), jax.devices()[0]
+    words = f"quadftc, JAX {jax.__version__}, {device.platform} ({device.device_kind})"
+    return words, lambda: engine.fly(flights)
+
+
+def _time_draws() -> list[float]:
+    """Time the source of random numbers; the list's one number is the time spent in it so far [s]."""
     spent = [0.0]
 
     def timed(method: Callable[..., Any]) -> Callable[..., Any]:
@@ -125,92 +144,83 @@ def _time_inputs() -> list[float]:
 
         return call
 
-    base = compiled.InputSource
+    base = batch_engine.LoopDraws
     methods = {"__init__": timed(base.__init__), "next": timed(base.next)}
-    compiled.InputSource = type("TimedInputSource", (base,), methods)
+    batch_engine.LoopDraws = type("TimedLoopDraws", (base,), methods)
     return spent
 
 
-def bare_subject(scenario: Scenario, flights: int, float32: bool) -> Subject:
+class BareState(NamedTuple):
+    """A vehicle, its controller, and what that commands."""
+
+    plant: Any
+    controller: Any
+    command: Any
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class BareLoop:
+    """A law: a plant, and a controller of its true attitude."""
+
+    plant: Plant
+    controller: Controller
+
+    def example(self) -> Vector:
+        """Return angles to hold [rad]."""
+        return np.zeros(3)
+
+    def init(self, inputs: Vector) -> BareState:
+        """Return a vehicle that is level and still."""
+        plant = self.plant.init(np.array([0.0, 0.0, 0.0, 1.0]), 0.0 * inputs)
+        seen = self._seen(plant, inputs)
+        return self._control(plant, self.controller.init(seen), seen, 0.0)
+
+    def step(self, state: BareState, inputs: Vector, dt: float) -> tuple[BareState, Quaternion]:
+        """Fly on, and command the next step; return the attitude."""
+        plant = self.plant.step(state.plant, state.command, 0.0, dt)
+        return self._control(plant, state.controller, self._seen(plant, inputs), dt), plant.q_xyzw
+
+    def _seen(self, plant: Any, angles: Vector) -> ControllerInputs:
+        zeros, there = 0.0 * angles, np.True_
+        imu = ImuSample(plant.q_xyzw, plant.body_rate, zeros, there, there, there)
+        return ControllerInputs(imu, AttitudeReference(angles, zeros, zeros), zeros)
+
+    def _control(self, plant: Any, state: Any, seen: ControllerInputs, dt: float) -> BareState:
+        state, output = self.controller.step(state, seen, dt)
+        command = output.torque
+        if self.plant.flies:
+            command = allocate(self.plant.vehicle, self.plant.vehicle.weight, command).speeds
+        return BareState(plant, state, command)
+
+
+def bare_subject(scenario: Scenario, flights: int) -> Subject:
     """Build plant and controller of many vehicles on the true state; each holds another attitude."""
-    import jax
-    import jax.numpy as jnp
-    import numpy as np
-
-    from quadftc_campaign.flights import parts_of
-    from quadftc_model.jax_settings import settle_precision
-    from quadftc_model.rotations import euler_from_quaternion
-    from quadftc_model.staged_step import StagedStep
-    from quadftc_model.stepper import seconds
-
-    settle_precision(float32)
-    dtype = np.dtype(np.float32 if float32 else np.float64)
-    controller_kind = scenario.scheme(BARE_SCHEME).controller.kind
-    loop = parts_of(scenario, BARE_SCHEME).loop
-    dt = seconds(loop.period_ns)
-    control = _attitude_control(loop, dt, dtype)
-
-    def begin(angles: Any) -> Any:
-        level_and_still: Any = (jnp.asarray([0.0, 0.0, 0.0, 1.0], dtype), jnp.zeros_like(angles))
-        return control(loop.plant.init(*level_and_still), angles)
-
-    def step(state: Any, angles: Any, _: tuple[()]) -> tuple[Any, tuple[()]]:
-        plant, controller, command = state
-        return control(loop.plant.step(plant, command, 0.0, dt), angles, controller), ()
-
-    one = jax.ShapeDtypeStruct((3,), dtype)
-    step_all = StagedStep(step, jax.eval_shape(begin, one), one, ())
-    drawn = np.random.default_rng(0).uniform(-LARGEST_ANGLE, LARGEST_ANGLE, (3, flights))
-    angles = jnp.asarray(drawn, dtype)
-    start = jax.jit(jax.vmap(begin, in_axes=-1, out_axes=-1))(angles)
-
-    @jax.jit
-    def fly(state: Any, angles: Any) -> Any:
-        return jax.lax.scan(lambda now, _: (step_all(now, angles, ())[0], None), state, length=loop.count)[0]
+    controller = scenario.scheme(BARE_SCHEME).controller
+    law = BareLoop(plant=plant_of(scenario), controller=controller.law)
+    flown = flown_by(engine_named("c"), Alone(law), (law.example(), 0.0))
+    count = sample_count(scenario.duration, scenario.rate)
+    drawn = np.random.default_rng(0).uniform(-LARGEST_ANGLE, LARGEST_ANGLE, (flights, 3))
+    dt = np.where(np.arange(count) == 0, 0.0, 1.0 / scenario.rate)
 
     def run() -> Run:
-        plant, *_ = jax.block_until_ready(fly(start, angles))
-        error = euler_from_quaternion(np.moveaxis(np.asarray(plant.q_xyzw), 0, -1)) - drawn.T
-        if scenario.duration >= SETTLED and not float(np.abs(error).max()) < TOLERANCE:
-            raise ValueError("the attitude is not what it should be")
-        return Run(loop.count * flights)
+        for angles in drawn:
+            flown.begin()
+            for begin in range(0, count, BLOCK):
+                rows = min(BLOCK, count - begin)
+                reached = flown.run((angles, dt[begin : begin + rows]), rows)[-1]
+            error = euler_from_quaternion(reached) - angles
+            if scenario.duration >= SETTLED and not float(np.abs(error).max()) < TOLERANCE:
+                raise ValueError("the attitude is not what it should be")
+        return Run(count * flights)
 
     what = {
-        "by": f"quadftc, JAX {jax.__version__}, {jax.default_backend()}",
+        "by": "quadftc, in C",
         "states": _states_of(scenario) + (", drag" if scenario.plant.flies else ""),
         "integrator": f"RK4, {scenario.rate:g} Hz",
-        "control": f"attitude ({controller_kind}), at every step, rotor mixer with limits",
+        "control": f"attitude ({controller.kind}), at every step, rotor mixer with limits",
         "sensors": "none",
     }
     return Subject(what, run)
-
-
-def _attitude_control(loop: Loop, dt: float, dtype: Any) -> Callable[..., tuple[Any, Any, Any]]:
-    """Return a function of plant, angles to hold and state of the controller; it adds the command."""
-    import jax
-    import jax.numpy as jnp
-
-    from quadftc_control.allocation import allocate
-    from quadftc_model.samples import AttitudeReference, ControllerInputs, ImuSample
-
-    vehicle = loop.plant.vehicle
-
-    def control(plant: Any, angles: Any, state: Any = None) -> tuple[Any, Any, Any]:
-        zeros: Any = jnp.zeros_like(angles)
-        there: Any = jnp.asarray(True)
-        imu = ImuSample(plant.q_xyzw, plant.body_rate, zeros, there, there, there)
-        inputs, law = ControllerInputs(imu, AttitudeReference(angles, zeros, zeros), zeros), loop.controller
-        if state is None:
-            state, output = law.step(law.init(inputs), inputs, 0.0)
-        else:
-            state, output = law.step(state, inputs, dt)
-        command = output.torque
-        if loop.plant.flies:
-            thrust: Any = jnp.asarray(vehicle.weight, dtype)
-            command = allocate(vehicle, thrust, command).speeds
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), (plant, state, command))
-
-    return control
 
 
 if __name__ == "__main__":
