@@ -5,6 +5,8 @@ Readers raise ValueError for bytes that are no such message.
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
 from rclpy.serialization import serialize_message
@@ -30,6 +32,7 @@ from quadftc_ros.topics import BASE_FRAME, DIAGNOSIS, EARTH_FRAME, IMU_FRAME
 
 _UNKNOWN = (0.0,) * 9  # a covariance
 _ABSENT = (ABSENT, *_UNKNOWN[1:])
+_CLOCK = struct.Struct("<4siI")
 _YES, _NO = np.bool_(True), np.bool_(False)
 
 
@@ -81,6 +84,11 @@ def fault_states_of(data: bytes) -> tuple[int, ...]:
 def fault_status_of(data: bytes) -> FaultStatus:
     """Message of a serialised FaultStatus."""
     return read_message(data, FaultStatus)
+
+
+def clock_message(stamp_ns: int) -> bytes:
+    """Return the serialised Clock of a time [ns]: little-endian CDR of one time."""
+    return _CLOCK.pack(b"\0\1\0\0", *divmod(stamp_ns, NANOSECONDS))
 
 
 class VectorWire:

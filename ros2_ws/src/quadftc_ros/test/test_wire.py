@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from rclpy.serialization import serialize_message
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Imu
 
 from message_objects import (
@@ -28,7 +29,7 @@ from quadftc_model import samples
 from quadftc_model.samples import AttitudeReference, ControllerOutput, FaultEstimate, ImuSample, level_sample
 from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
 from quadftc_msgs.msg import ComponentFault, Diagnosis
-from quadftc_ros.conversions import array_of
+from quadftc_ros.conversions import array_of, time_message
 from quadftc_ros.wire import (
     ControlStatusWire,
     DiagnosisWire,
@@ -37,6 +38,7 @@ from quadftc_ros.wire import (
     ReferenceWire,
     VectorWire,
     attitude_command_in,
+    clock_message,
     imu_of,
     reference_in,
     vector_of,
@@ -134,6 +136,11 @@ def same_message(mine: bytes, theirs) -> bool:
     package, name = type(theirs).__module__.partition(".")[0], type(theirs).__name__
     clean = PaddingCleaner(f"{package}/msg/{name}").clean
     return clean(mine) == clean(serialize_message(theirs))
+
+
+@given(STAMPS)
+def test_clock_is_written_as_rclpy_does(stamp_ns):
+    assert clock_message(stamp_ns) == serialize_message(Clock(clock=time_message(stamp_ns)))
 
 
 @given(STAMPS, doubles(3), st.sampled_from(["map", "base_link", "imu_link"]))

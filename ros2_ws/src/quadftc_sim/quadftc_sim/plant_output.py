@@ -6,13 +6,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from rosgraph_msgs.msg import Clock
-
-from quadftc_ros.conversions import NANOSECONDS
 from quadftc_ros.motion_wire import OdometryWire, PositionSampleWire, RotorsWire
 from quadftc_ros.node import GraphNode
 from quadftc_ros.topics import EARTH_FRAME
-from quadftc_ros.wire import FieldWire, ImuWire, PressureWire, VectorWire
+from quadftc_ros.wire import FieldWire, ImuWire, PressureWire, VectorWire, clock_message
 from quadftc_sim.simulator import Emission
 from quadftc_sim.vehicle_simulation import VehicleSimulation
 
@@ -39,7 +36,6 @@ class PlantOutput:
         )
         self._flight = FlightOutput(node, flight) if flight is not None else None
         self._publish_clock = node.publishes("/clock") if node.lockstep else None
-        self._clock = Clock()
         self._stamp_ns = 0  # of the last emission
         self.pending: Emission | None = None  # whose truth is still to be published
 
@@ -51,8 +47,7 @@ class PlantOutput:
             self._node.sampled(self._stamp_ns)
             return
         if self._publish_clock is not None:
-            self._clock.clock.sec, self._clock.clock.nanosec = divmod(emission.stamp_ns, NANOSECONDS)
-            self._publish_clock(self._clock)
+            self._publish_clock(clock_message(emission.stamp_ns))
         if self._flight is not None:
             self._flight.show_sensors(emission)
         if emission.sample is not None:  # before the truth, as others wait for it
