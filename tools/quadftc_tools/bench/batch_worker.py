@@ -119,7 +119,7 @@ def _states_of(scenario: Scenario) -> str:
 def _flying(job: Job, flights: list[BatchFlight]) -> tuple[str, Callable[[], list[Outcome]]]:
     """Return what flies, in words, and a function that flies."""
     if job.get("engine", "c") != JAX:
-        compile_laws(flights)
+        compile_laws(flight.loop for flight in flights)
         return "quadftc, in C", lambda: batch_engine.fly_all(flights, log=without_words)
     import jax
 

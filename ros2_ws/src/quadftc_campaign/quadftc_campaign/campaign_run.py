@@ -27,8 +27,10 @@ from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.cluster import cluster_client, devices, run_tasks
 from quadftc_campaign.errors import CampaignError
 from quadftc_campaign.flights import batch_flight, first_columns, flight_scenario
+from quadftc_campaign.open_loop import fly_open, loops_of
 from quadftc_campaign.table import ORDER, Row, Rows, summary_of, table_of, with_ratios
 from quadftc_flight.scenario import Scenario
+from quadftc_model.composition import Composition
 from quadftc_sim.assembly import sample_count
 
 MANIFEST, CHUNKS, FLIGHTS, SUMMARY = "campaign.json", "chunks", "flights.parquet", "summary.json"
@@ -87,8 +89,8 @@ class CampaignRun:
             path.write_text(json.dumps(manifest, indent=2) + "\n", encoding="utf-8")
         missing = self._missing
         scenarios = [first[place] for place in missing]
-        if self.campaign.source.kind == "loop" and self.campaign.engine == "c":
-            compile_laws(map(batch_flight, scenarios))
+        if self.campaign.engine == "c":
+            compile_laws(loop for scenario in scenarios for loop in _loops_of(self.campaign, scenario))
         counts = (sample_count(scenario.duration, scenario.rate) for scenario in scenarios)
         sizes = (len(self._chunks[place][0]) for place in missing)
         return Extent(len(self._chunks), len(missing), sum(map(operator.mul, sizes, counts)))
@@ -161,12 +163,7 @@ def fly_chunk(campaign: Campaign, numbers: Sequence[int], progress: Progress = l
     A `ScenarioError`: drawn values make no scenario. A `ValueError`: JAX cannot trace a law.
     """
     rows: Rows = []
-    if campaign.source.kind == "loop":
-        fly = _fly_loop
-    else:
-        from quadftc_campaign import open_loop
-
-        fly = open_loop.fly_open
+    fly = _fly_loop if campaign.source.kind == "loop" else fly_open
     for variant in campaign.variants:
         scenarios = [flight_scenario(campaign, number, variant) for number in numbers]
         flown = zip(numbers, scenarios, fly(campaign, numbers, scenarios, progress), strict=True)
@@ -176,6 +173,12 @@ def fly_chunk(campaign: Campaign, numbers: Sequence[int], progress: Progress = l
             of_faults = [{**flight, "fault": index, **fault} for index, fault in enumerate(faults)]
             rows += of_faults or [{**flight, "fault": None}]
     return rows
+
+
+def _loops_of(campaign: Campaign, scenario: Scenario) -> list[Composition]:
+    """Return what flies a flight of a campaign."""
+    is_loop = campaign.source.kind == "loop"
+    return [batch_flight(scenario).loop] if is_loop else loops_of(scenario)
 
 
 def _fly_loop(

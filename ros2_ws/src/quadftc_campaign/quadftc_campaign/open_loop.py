@@ -16,8 +16,9 @@ import numpy as np
 from quadftc_campaign.batch.engine import Progress
 from quadftc_campaign.campaign_file import Campaign
 from quadftc_campaign.flights import generator_of
-from quadftc_campaign.open_motion import simulate
+from quadftc_campaign.open_motion import Alone, MovedImu, simulate
 from quadftc_campaign.table import Row, Rows
+from quadftc_fdi.observation import Observation
 from quadftc_flight.diagnosis_metrics import GRACE_TIME
 from quadftc_flight.diagnosis_metrics.columns import Columns
 from quadftc_flight.diagnosis_metrics.roc import detection_scores, estimate_over_std_dev, estimate_size
@@ -26,11 +27,14 @@ from quadftc_flight.fault_schedule import FaultEvent, attitude_events
 from quadftc_flight.flight import Flight
 from quadftc_flight.metrics import flight_metrics
 from quadftc_flight.scenario import Fault, Scenario
+from quadftc_model.composition import Composition
+from quadftc_model.guarded import Guarded
 from quadftc_model.samples import AXES
 from quadftc_model.units import quantity
 from quadftc_replay.diagnose import diagnose, flight_of
 from quadftc_replay.imu_from_bag import recording_from_bag
 from quadftc_replay.imu_recording import Recording
+from quadftc_replay.open_loop import OpenLoop
 from quadftc_replay.overlay import replay_events
 
 if TYPE_CHECKING:
@@ -76,6 +80,13 @@ def fly_open(
         }
         progress(len(recording))
         yield whole, records
+
+
+def loops_of(scenario: Scenario) -> list[Composition]:
+    """Return what simulates and diagnoses the samples of a scenario."""
+    injections = tuple(fault.injection.for_period(1.0 / scenario.rate) for fault in scenario.faults)
+    observer = Guarded(Observation(scenario.scheme(None).observer.law))
+    return [Alone(MovedImu.of(scenario)), OpenLoop(injections=injections, observer=observer)]
 
 
 def prepare(campaign: Campaign, number: int, scenario: Scenario) -> tuple[Recording, list[Fault], float]:

@@ -44,6 +44,11 @@ class MovedImu:
     imu: ImuSensor  # without a delay
     period: float  # [s]
 
+    @classmethod
+    def of(cls, scenario: Scenario) -> MovedImu:
+        """Return that of a scenario."""
+        return cls(imu=dataclasses.replace(scenario.sensor, delay=0), period=1.0 / scenario.rate)
+
     def example(self) -> MotionInputs:
         """Return the inputs at a first sample."""
         level = np.array([0.0, 0.0, 0.0, 1.0])
@@ -84,7 +89,7 @@ class Alone:
 def simulate(scenario: Scenario, engine: str = "c") -> Recording:
     """Simulate the healthy IMU of a scenario."""
     count, period = sample_count(scenario.duration, scenario.rate), period_ns(scenario.rate)
-    law = MovedImu(imu=dataclasses.replace(scenario.sensor, delay=0), period=1.0 / scenario.rate)
+    law = MovedImu.of(scenario)
     flown = flown_by(engine_named(engine), Alone(law), (law.example(), 0.0))
     random, dt = SensorDraws(scenario.seed), np.where(np.arange(count) == 0, 0.0, law.period)
     inputs = MotionInputs(*_motion(scenario, count), random.next(count), random.turn_on)

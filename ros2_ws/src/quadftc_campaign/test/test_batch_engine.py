@@ -303,7 +303,7 @@ class Branching(Threshold):
 def test_a_law_that_cannot_be_traced_flies_in_numpy_and_says_so_once():
     scenario = busy(BIAS, observer="threshold")
     flight, said = with_observer(scenario, Branching), []
-    compile_laws([flight, flight], said.append)
+    compile_laws([flight.loop, flight.loop], said.append)
     assert sum("branching" in words for words in said if "compiling" not in words) == len(said) - 1
     assert any("law by law" in words for words in said)
     count = len(said)

@@ -20,6 +20,7 @@ from quadftc_compile.engine import CEngine, Log, engine_named, say
 from quadftc_compile.recipe import name_of
 from quadftc_compile.wiring import BLOCK, Flown, flown_by
 from quadftc_flight.loop_draws import LoopDraws
+from quadftc_model.composition import Composition
 from quadftc_model.numbers import structure_of
 from quadftc_model.stepper import seconds
 
@@ -65,10 +66,10 @@ class Outcome(NamedTuple):
     slope: dict[str, Floats] | None = None  # of the sums, along the direction of the flight
 
 
-def compile_laws(flights: Iterable[BatchFlight], log: Log = say) -> None:
-    """Compile what flights need, side by side; ``log`` gets a line on each law that cannot be compiled."""
-    loops = {flight.structure: flight.loop for flight in flights}.values()
-    laws = [law for loop in loops for law in loop.laws.values()]
+def compile_laws(loops: Iterable[Composition], log: Log = say) -> None:
+    """Compile what loops need, side by side; ``log`` gets a line on each law that cannot be compiled."""
+    different = {structure_of(loop): loop for loop in loops}.values()
+    laws = [law for loop in different for law in loop.laws.values()]
     libraries = CEngine(log).prepare(laws)
     slow = {name_of(law) for law, library in zip(laws, libraries, strict=True) if library is None}
     if slow:
