@@ -125,7 +125,11 @@ def write_export(exported: Exported, name: str, folder: Path, flies: bool = Fals
     summary = (inspect.getdoc(kind.registry.get(name)) or "").partition("\n")[0]
     place = "free flight" if flies else "the test stand"
     about = f"{summary} A {kind.registry.kind} of quadftc for {law.vehicle.name}, {place}."
-    write_readme(exported, folder, about, [*GUARD, *kind.notes(flies)], footprint_rows(exported, found))
+    recorded = (
+        "" if flies or kind.inputs is None else f"quadftc export {name} --samples BAG --out samples.csv"
+    )
+    rows = footprint_rows(exported, found)
+    write_readme(exported, folder, about, [*GUARD, *kind.notes(flies)], rows, recorded)
     return found
 
 
@@ -144,12 +148,16 @@ def footprint_rows(exported: Exported, found: dict[Target, Footprint]) -> list[s
     ]
 
 
-def write_recording(recording: Recording, path: Path, name: str = "") -> None:
-    """Write the samples of a recording as inputs of a law: by default, of fault observers."""
+def recorded_inputs(name: str = "") -> Callable[[Recording], Any]:
+    """Return what takes the inputs of a law out of a recording: by default, of fault observers."""
     kind = kind_of(name) if name else KINDS[0]
     if kind.inputs is None:
         raise ValueError(f"--samples: a recording has no inputs of a {kind.registry.kind} ('{name}')")
-    inputs = kind.inputs(recording)
+    return kind.inputs
+
+
+def write_recording(recording: Recording, path: Path, inputs: Any) -> None:
+    """Write the samples of a recording with the inputs that a law takes of it, arrays (n, ...)."""
     gaps = np.diff(recording.stamp_ns) / NANOSECONDS_PER_SECOND
     dt = np.concatenate([[0.0], np.where(gaps > MAX_GAP, 0.0, gaps)])  # 0: the law begins
     write_samples(path, layout_of(rows_of(inputs, 0)), dt, inputs)

@@ -71,14 +71,15 @@ def export(
 
 
 def _export_samples(recording: Path, topic: str, law: str, out: Path) -> int:
-    from quadftc_cli.exporting import write_recording
+    from quadftc_cli.exporting import recorded_inputs, write_recording
     from quadftc_cli.screen import warn
     from quadftc_replay.plan import read_recording
 
+    inputs_of = recorded_inputs(law)
     found = read_recording(recording, topic)
     warn(found.warnings)
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_recording(found, out, law)
+    write_recording(found, out, inputs_of(found))
     torque = f"torque of {found.torque_topic}" if found.driven else "no torque"
     say(f"{len(found)} samples of {found.topic}, {torque}: {out}")
     return 0
