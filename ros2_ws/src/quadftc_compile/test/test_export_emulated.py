@@ -30,7 +30,11 @@ from exported_laws import (
 
 pytestmark = pytest.mark.skipif(not can_emulate(), reason="there is no compiler or emulator for Cortex-M")
 LIBM = Path(__file__).parent / "shared_libm.c"
-CASES = [("double", CORTEX_M7), ("float", CORTEX_M7), ("float", CORTEX_M4F)]
+CASES = [
+    ("double", CORTEX_M7),
+    pytest.param(("float", CORTEX_M7), marks=pytest.mark.thorough),
+    ("float", CORTEX_M4F),
+]
 LOOPS = 12345
 COUNTED = f"""\
 #include "counted.h"
