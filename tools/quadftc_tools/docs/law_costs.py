@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 MARKS = re.compile(r"(<!-- law costs: begin[^\n]*-->\n).*?(<!-- law costs: end -->)", re.S)
-COLUMNS = ("law", "where", "NumPy [us]", "C from Python [us]", "in a loop of C [us]", "statements")
-COLUMNS += ("trace [s]", "compile [s]", "KiB")
+TIMES = ("NumPy [us]", "C from Python [us]", "in a loop of C [us]")
+COLUMNS = ("law", "where", *TIMES, "statements", "trace [s]", "compile [s]", "KiB")
 HEAD = f"| {' | '.join(COLUMNS)} |\n{'|---' * len(COLUMNS)}|\n"
 
 

@@ -156,7 +156,7 @@ def _inputs(law: Any, imu: ImuSample, rng: np.random.Generator, flies: bool) -> 
     )
     return ObservationInputs(
         imu,
-        rotors=RotorReading(*speeds, rng.random(count) < 0.7),
+        rotors=RotorReading(speeds[0], speeds[1], rng.random(count) < 0.7),
         position=place._replace(there=rng.random(count) < 0.3),
         driven=np.ones(count, np.bool_),
     )

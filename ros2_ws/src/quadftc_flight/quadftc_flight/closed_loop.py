@@ -99,7 +99,8 @@ class FlightRecord:
         self._channels = {each.channel for each in loop.injections}
         stamps = epoch_ns + round(loop.clock.period_ns) * np.arange(count)
         self._flight = unknown_flight(stamps, loop.vehicle.plant.command_size if loop.flies else 0)
-        self._reports = ReportLog(loop.observer.law.observer)
+        observation: Any = loop.observer.law
+        self._reports = ReportLog(observation.observer)
 
     def note(self, begin: int, output: LoopOutput) -> None:
         """Note what was put out from a row on, arrays (n, ...)."""

@@ -58,7 +58,7 @@ class LoopInputs(NamedTuple):
     now: Scalar  # [s]
     dt: Scalar  # between these [s]; 0 at the first
     taken: Scalar  # when the sample was taken that leaves the IMU now [s]
-    count: Scalar  # of samples that were taken before that one
+    number: Scalar  # of samples that were taken before that one
     taken_dt: Scalar  # since the sample before that one [s]; 0 at the first
     due: Due
     draws: SampleDraws
@@ -207,19 +207,20 @@ class ClosedLoop:
             disturbance_observer=calls.init("disturbance_observer"),
             guidance=calls.init("guidance"),
             attitude=calls.init("attitude"),
-            faulty=without_faults(self.observer.law.example().sample, self._healthy),
+            faulty=without_faults(self.observer.example().sample, self._healthy),
             said=said._replace(attitude=attitude),
         )
 
     def step(self, calls: Calls, state: LoopState, inputs: LoopInputs) -> tuple[LoopState, LoopOutput]:
         """Fly to the next sample, and react to the one that leaves the IMU then."""
         given = state.said.attitude.said
-        command = given.speeds if self.flies else given.output.torque
-        times = inputs.before, inputs.now
+        command = given.output.torque if given.speeds is None else given.speeds
+        since: Any = inputs.before
+        now: Any = inputs.now
         draws = inputs.due, inputs.draws, inputs.first_draws
         condition = state.faulty.rotors
         vehicle, motion = calls.step(
-            "vehicle", state.vehicle, VehicleInputs(command, condition, *times, *draws), inputs.dt
+            "vehicle", state.vehicle, VehicleInputs(command, condition, since, now, *draws), inputs.dt
         )
         state = state._replace(vehicle=vehicle)
         speeds = None
@@ -257,11 +258,11 @@ class ClosedLoop:
         inputs: LoopInputs,
     ) -> LoopState:
         """Run the avionics over a sample that comes."""
-        clock, times = calls.step("clock", state.clock, inputs.count, 1.0)
+        clock, times = calls.step("clock", state.clock, inputs.number, 1.0)
         sample, before, dt = state.faulty.sample, state.said.attitude.said, times.dt
         torque = before.output.torque
         measured = np.True_ if self.flies else None
-        if self.flies:
+        if speeds is not None and before.speeds is not None:
             rotors, place = RotorReading(before.speeds, speeds, measured), motion.position or NO_PLACE
             seen = ObservationInputs(sample, None, rotors, place)
         else:
@@ -324,7 +325,7 @@ def inject_by_calls(
     sample: ImuSample,
     condition: RotorCondition | None,
     time: Scalar,
-    dt: Scalar,
+    dt: Any,
     draws: tuple[FaultDraws | None, ...],
 ) -> tuple[tuple[Any, ...], Faulty]:
     """Put faults on a sample and on rotors in healthy ``condition``, as `quadftc_sim.injector.inject`."""
@@ -336,6 +337,7 @@ def inject_by_calls(
     for number, (injection, state, drawn) in enumerate(zip(injections, states, draws, strict=True), 1):
         name, channel = f"fault{number}", injection.channel
         if channel == ROTOR:
+            assert condition is not None
             new, condition = calls.step(name, state, RotorInputs(condition, time), dt)
         else:
             seen = ChannelInputs(getattr(channels, channel), time, dt, drawn)

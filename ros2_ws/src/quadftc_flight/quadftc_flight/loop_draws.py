@@ -63,7 +63,7 @@ class LoopDraws:
             now=now,
             dt=np.where(index == 0, 0.0, period),
             taken=then,
-            count=taken.astype(np.float64),
+            number=taken.astype(np.float64),
             taken_dt=np.where(index <= self._delay, 0.0, period),
             due=Due(index % every == 0 if every is not None else None, None, None),
             draws=SampleDraws(

@@ -206,8 +206,9 @@ def branch(flag: Flag, then: Callable[[], T], otherwise: Callable[[], T]) -> T:
         return chosen(flag, then(), otherwise())
     if xp is np:
         return then() if flag else otherwise()
-    from jax import lax  # an array of JAX says that it is there
+    import jax  # an array of JAX says that it is there
 
+    lax: Any = jax.lax
     return lax.cond(flag, then, otherwise)
 
 
@@ -229,4 +230,5 @@ def rows_of(part: Any, index: Any) -> Any:
         kind: Any = type(parts)
         rows = [rows_of(each, index) for each in parts]
         return kind(*rows) if hasattr(kind, "_fields") else tuple(rows)
-    return part if part is None or isinstance(part, (bool, np.bool_)) else part[index]
+    rows: Any = part
+    return rows if part is None or isinstance(part, (bool, np.bool_)) else rows[index]

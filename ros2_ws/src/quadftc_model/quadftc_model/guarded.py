@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar, cast
 
 from quadftc_model.arrays import Flag, branch, finite, where
-from quadftc_model.stepper import MAX_GAP, Stepper, seconds
+from quadftc_model.stepper import MAX_GAP, In_contra, Stepper, seconds
 
 In = TypeVar("In")
 Out = TypeVar("Out")
@@ -15,18 +15,18 @@ Words = TypeVar("Words")
 OLDEST_WORDS = 10.0  # s; at the first sample: a fault may have ended since
 
 
-class RestartingLaw(Protocol[In, Out]):
+class RestartingLaw(Protocol[In_contra, Out]):
     """A law that can be guarded."""
 
-    def init(self, inputs: In) -> Any:
+    def init(self, inputs: In_contra) -> Any:
         """Return the state at the first sample."""
         ...
 
-    def step(self, state: Any, inputs: In, dt: float) -> tuple[Any, Out]:
+    def step(self, state: Any, inputs: In_contra, dt: float) -> tuple[Any, Out]:
         """Advance by ``dt`` [s] to a sample."""
         ...
 
-    def ready(self, inputs: In) -> Flag:
+    def ready(self, inputs: In_contra) -> Flag:
         """Whether the law can start at a sample (...)."""
         ...
 
@@ -34,7 +34,7 @@ class RestartingLaw(Protocol[In, Out]):
         """Whether an output can be used (...)."""
         ...
 
-    def fallback(self, inputs: In, output: Out) -> Out:
+    def fallback(self, inputs: In_contra, output: Out) -> Out:
         """Return what is said in place of an output, shaped as it."""
         ...
 
@@ -119,7 +119,7 @@ class GuardedStepper(Stepper[In, Out]):
         return Guarded(law)
 
     def _keep(self, stamp_ns: int, stepped: tuple[Any, Any]) -> Out:
-        output: GuardedOutput[Out] = super()._keep(stamp_ns, stepped)
+        output = cast("GuardedOutput[Out]", super()._keep(stamp_ns, stepped))
         self.starts = bool(output.starts)
         self.replaced += bool(output.failed)
         return output.said

@@ -43,7 +43,7 @@ def numbers_of(part: Any) -> dict[str, Numbers]:
 def number_at(part: Any, path: str) -> Numbers:
     """Return the number of a part at a path."""
     for name in path.split(".") if path else ():
-        part = cast("Any", part)[int(name)] if name.isdecimal() else getattr(part, name)
+        part = part[int(name)] if name.isdecimal() else getattr(part, name)
     number = _as_number(part)
     if number is None:
         raise ValueError(f"{path}: {part!r} is no number")
@@ -59,7 +59,7 @@ def with_numbers(part: Any, values: Mapping[str, Any], path: str = "") -> Any:
         return part
     inside = {name: with_numbers(each, values, f"{start}{name}") for name, each in _children(part)}
     if isinstance(part, tuple):
-        kind: Any = type(part)  # pyright: ignore[reportUnknownVariableType]
+        kind: Any = type(cast("tuple[Any, ...]", part))
         return kind(*inside.values()) if hasattr(kind, "_fields") else tuple(inside.values())
     changed = copy.copy(part)
     for name, value in inside.items():

@@ -239,13 +239,8 @@ class ControllerOutput(NamedTuple):
     saturated: Mask  # the law asked for more than the rotors can give
 
 
-def effectiveness_of(rotors: RotorEstimate | None) -> Components | None:
-    """Effectiveness (..., n) of the rotors for a controller: 1 of those that no fault is confirmed of.
-
-    None where the observer says nothing of the rotors.
-    """
-    if rotors is None:
-        return None
+def effectiveness_of(rotors: RotorEstimate) -> Components:
+    """Effectiveness (..., n) of the rotors for a controller: 1 of those that no fault is confirmed of."""
     xp = namespace(rotors.effectiveness)
     confirmed = (rotors.state == FAULTY) | (rotors.state == RECOVERING)
     return xp.where(confirmed, xp.clip(rotors.effectiveness, 0.0, 1.0), 1.0)

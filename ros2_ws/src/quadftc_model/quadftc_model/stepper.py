@@ -37,18 +37,18 @@ class Law(Protocol[In_contra, Out_co]):
         ...
 
 
-class Runner(Protocol[In, Out]):
+class Runner(Protocol[In_contra, Out_co]):
     """Runs a law for one vehicle, in NumPy or in C; states are its own, `tree` shows them."""
 
-    def first(self, inputs: In) -> tuple[Any, Out]:
+    def first(self, inputs: In_contra) -> tuple[Any, Out_co]:
         """Return state and output at the first sample."""
         ...
 
-    def resumed(self, inputs: In, words: Any) -> tuple[Any, Out]:
+    def resumed(self, inputs: In_contra, words: Any) -> tuple[Any, Out_co]:
         """Return state and output at a sample from which the law resumes by last words."""
         ...
 
-    def step(self, state: Any, inputs: In, dt: float) -> tuple[Any, Out]:
+    def step(self, state: Any, inputs: In_contra, dt: float) -> tuple[Any, Out_co]:
         """Advance by ``dt`` [s] to a sample."""
         ...
 
