@@ -58,8 +58,8 @@ QUIET = (
 
 
 CAMPAIGN_HEADS = (
-    *("campaign", "observer", "precision", "faults", "missed", "delay, median", "RMSE, median / 95 %"),
-    *("false alarms", "sensor not named", "wrong sensor named", "flights judged otherwise"),
+    *("campaign", "observer", "precision", "attitude: missed", "delay, median", "RMSE, median / 95 %"),
+    *("false alarms", "sensors: not named", "wrongly named", "flights judged otherwise"),
 )
 QUIET_HEADS = (
     *("scenario", "rate", "observer", "precision", "RMSE", "false alarms"),
@@ -176,14 +176,17 @@ def _campaign_rows(name: str, observer: str, found: Sequence[tuple[Told, Told]])
     for precision, each in zip(PRECISIONS, zip(*found, strict=True), strict=True):
         pooled, errors = pool([one.diagnosis for one in each]), np.array([one.rmse for one in each])
         delay = pooled["delay_median_s"].get("all")
-        named = (str(sum(one.sensors[key]["all"] or 0 for one in each)) for key in ("unnamed", "misnamed"))
+        faults, *unnamed = (
+            sum(one.sensors[key]["all"] or 0 for one in each)
+            for key in ("sensor_faults", "unnamed", "misnamed")
+        )
         rows.append(
             [
-                *(name, observer, precision, str(pooled["fault_count"]), str(pooled["missed"])),
+                *(name, observer, precision, f"{pooled['missed']} of {pooled['fault_count']}"),
                 "-" if delay is None else f"{write_number(1e3 * delay)} ms",
                 f"{write_numbers((float(np.median(errors)), float(np.quantile(errors, 0.95))))} deg",
                 str(pooled["total_false_alarms"]),
-                *named,
+                *(f"{count} of {faults}" for count in unnamed),
                 "" if precision == "double" else f"{otherwise} of {len(found)}",
             ]
         )
