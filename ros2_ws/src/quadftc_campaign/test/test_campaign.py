@@ -11,6 +11,7 @@ import time
 
 import numpy as np
 import pytest
+from polars.testing import assert_frame_equal
 
 from quadftc_campaign import campaign_run
 from quadftc_campaign.campaign_checks import CampaignCheck, campaign_results
@@ -237,6 +238,14 @@ def test_a_row_says_what_the_flight_alone_says(campaign):
             assert row["faults.0.value"] == pytest.approx(
                 plain(drawn(campaign, number)["faults.0.value"]), rel=1e-15
             )
+
+
+def test_a_campaign_in_jax_says_what_one_in_c_says(alike):
+    numbers = range(SIZE)
+    in_c, in_jax = (
+        table_of(fly_chunk(alike.model_copy(update={"engine": engine}), numbers)) for engine in ("c", "jax")
+    )
+    assert_frame_equal(in_c, in_jax, rel_tol=1e-9, abs_tol=1e-9)
 
 
 def flown_alone(campaign):

@@ -286,6 +286,13 @@ def test_faults_that_a_recording_is_too_short_for_are_left_out(tmp_path):
     assert [fault.axes for fault in prepare(campaign, 0, scenario)[1]] == [("roll",)]
 
 
+def test_samples_alone_do_not_fly_in_jax(tmp_path):
+    with pytest.raises(
+        ScenarioError, match=r"source.kind: motion: expected 'loop', which alone flies in JAX"
+    ):
+        written(tmp_path, CAMPAIGN, engine="jax")
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
