@@ -25,7 +25,7 @@ from quadftc_model.stepper import Engine, NumpyRunner, Runner
 ENGINES = ("c", "numpy")
 Log = Callable[[str], object]
 
-_libraries: dict[str, Library] = {}  # that this process has loaded
+_libraries: dict[str, Library | None] = {}  # that this process has loaded; None: it cannot be compiled
 _told: set[str] = set()  # what has been said already
 _lock = threading.Lock()
 
@@ -73,8 +73,7 @@ class CEngine:
         One that cannot be compiled is None.
         """
         recipes = [_recipe(law, law.example()) if _can_be_traced(law) else None for law in laws]
-        missing = {key_of(each): each for each in recipes if each is not None and _loaded(each) is None}
-        self._compile([*missing.values()])
+        self._compile([each for each in recipes if each is not None])
         return [None if each is None else _loaded(each) for each in recipes]
 
     def libraries(self, laws: Mapping[str, Any]) -> dict[str, Library] | None:
@@ -93,21 +92,22 @@ class CEngine:
     def _library_for(self, law: Any, inputs: Any) -> Library | None:
         """Return a compiled law, compiled now if need be; None if it has to fly in NumPy."""
         recipe = _recipe(law, inputs)
-        if _loaded(recipe) is None:
-            self._compile([recipe])
+        self._compile([recipe])
         return _loaded(recipe)
 
-    def _compile(self, recipes: Sequence[Recipe]) -> None:
-        """Compile laws side by side, and load them."""
-        if not recipes:
+    def _compile(self, recipes: Iterable[Recipe]) -> None:
+        """Compile side by side what is missing, and load it; what cannot be compiled is not tried again."""
+        missing = {key_of(each): each for each in recipes if _loaded(each) is None}
+        missing = {key: each for key, each in missing.items() if key not in _libraries}
+        if not missing:
             return
-        self._announce(recipes)
-        for recipe, library in zip(recipes, _build(recipes, self._tell), strict=True):
-            if isinstance(library, BuildError):
+        self._announce(missing.values())
+        for key, library in zip(missing, _build([*missing.values()], self._tell), strict=True):
+            failed = isinstance(library, BuildError)
+            if failed:
                 self._tell(f"flies in NumPy, which is slower: {library}")
-            else:
-                with _lock:
-                    _libraries.setdefault(key_of(recipe), library)
+            with _lock:
+                _libraries.setdefault(key, None if failed else library)
 
     def _announce(self, recipes: Iterable[Recipe]) -> None:
         """Say once what is compiled now."""
