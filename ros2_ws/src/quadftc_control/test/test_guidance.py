@@ -150,7 +150,8 @@ def test_command_that_is_no_number_is_the_last_one_and_the_loop_begins_again(fir
     sequence[first] = bad._replace(imu=bad.imu._replace(q_xyzw=np.full(4, np.nan)))
     found = flown(law, sequence)
     for output in found:
-        assert all(np.all(np.isfinite(each)) for each in leaves(output))
+        told = leaves(output._replace(body_velocity=()))  # which needs the attitude of the sample
+        assert all(np.all(np.isfinite(each)) for each in told)
     if first:
         np.testing.assert_array_equal(found[first].command.attitude, found[first - 1].command.attitude)
         assert np.any(found[first + 1].command.attitude.angles != found[first].command.attitude.angles)
@@ -164,7 +165,7 @@ def test_trajectory_and_outer_loop_are_those_of_the_guidance():
     shall = [combined_trajectory(TRAJECTORIES, each.elapsed) for each in sequence]
     inner = [PositionLoopInputs(each.imu, each.place, to) for each, to in zip(sequence, shall, strict=True)]
     for found, to, expected in zip(flown(law, sequence), shall, flown(law.loop, inner), strict=True):
-        for one, other in zip(leaves(found), leaves((to, *expected)), strict=True):
+        for one, other in zip(leaves(found[:4]), leaves((to, *expected)), strict=True):
             np.testing.assert_array_equal(one, other)
 
 
