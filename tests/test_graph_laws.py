@@ -45,7 +45,7 @@ def test_laws_of_a_graph_are_those_of_the_closed_loop(name, scheme):
 def test_nodes_compile_nothing_once_the_laws_of_their_graph_are_prepared(text, monkeypatch):
     plan, compiled = live_plan(text), []
     prepare_laws([plan])
-    monkeypatch.setattr(CEngine, "_compile", lambda _, recipes: compiled.extend(recipes))
+    monkeypatch.setattr(CEngine, "_announce", lambda _, recipes: compiled.extend(recipes))
     with ComposedGraph(plan):
         assert [recipe.name for recipe in compiled] == []
 
