@@ -7,11 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from law_contract import assert_state_keeps_its_structure, assert_step_is_traced
 
+from quadftc_compile.engine import CEngine
 from quadftc_control.controller import controllers
 from quadftc_model.rigid_body import angular_acceleration, propeller_momentum, rk4
 from quadftc_model.rotations import euler_from_quaternion, normalise, quaternion_from_euler, quaternion_rate
 from quadftc_model.rotors import commands_from_torque, torque_from_commands
 from quadftc_model.samples import AttitudeReference, ControllerInputs, ImuSample, RotorFeedback
+from quadftc_model.stepper import Stepper
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 
 EVERY_CONTROLLER = pytest.mark.parametrize("name", controllers.names())
@@ -61,12 +63,11 @@ def flown(law, sequence):
 def closed_loop(law, angles, duration):
     """Angles over time (n, 3) of a vehicle that starts at ``angles`` and shall be level."""
     vehicle, zeros = law.vehicle, np.zeros(3)
-    motion, state, course = (quaternion_from_euler(angles), np.zeros(3)), None, []
+    stepper, motion, course = Stepper(law, CEngine()), (quaternion_from_euler(angles), np.zeros(3)), []
     for index in range(round(duration / DT)):
         course.append(euler_from_quaternion(motion[0]))
         inputs = inputs_of(course[-1], motion[1].copy(), [zeros, zeros, zeros], zeros)
-        state = law.init(inputs) if state is None else state
-        state, output = law.step(state, inputs, DT if index else 0.0)
+        output = stepper.step(round(1e9 * DT) * index, inputs)
         commands = commands_from_torque(vehicle, output.torque)
 
         def derivative(_time, motion, commands=commands):

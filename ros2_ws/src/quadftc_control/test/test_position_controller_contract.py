@@ -6,16 +6,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from law_contract import assert_state_keeps_its_structure, assert_step_is_traced
 
+from quadftc_compile.engine import CEngine
 from quadftc_control.position_controller import PositionControllerInputs, position_controllers
 from quadftc_control.trajectory import trajectories
 from quadftc_model.parameters import build
 from quadftc_model.rotations import quaternion_from_euler, to_earth
 from quadftc_model.samples import STANDARD_GRAVITY, ImuSample, PositionEstimate, PositionReference
+from quadftc_model.stepper import Stepper
 from quadftc_model.vehicle import load_vehicle, vehicle_names
 
 EVERY_CONTROLLER = pytest.mark.parametrize("name", position_controllers.names())
 EVERY_VEHICLE = pytest.mark.parametrize("vehicle", vehicle_names())
-DT, COUNT, LANES = 0.004, 40, 5
+DT_NS, DT, COUNT, LANES = 4_000_000, 0.004, 40, 5
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -54,6 +56,12 @@ def lane(inputs, index):
     at = [type(each)(*(array[index] for array in each)) for each in (imu, estimate, reference)]
     yaw, yaw_rate = float(at[2].yaw), float(at[2].yaw_rate)
     return PositionControllerInputs(at[0], at[1], at[2]._replace(yaw=yaw, yaw_rate=yaw_rate))
+
+
+def flown_long(law, sequence):
+    """All outputs over a sequence of inputs, in C; the first step takes no time."""
+    stepper = Stepper(law, CEngine())
+    return [stepper.step(index * DT_NS, inputs) for index, inputs in enumerate(sequence)]
 
 
 def flown(law, sequence, step=None):
@@ -121,7 +129,7 @@ def test_tilt_and_thrust_are_within_their_limits_for_wild_inputs(
     name, vehicle, angles, p, v, pd, vd, ad, yaw
 ):
     law = controller(name, vehicle)
-    outputs = flown(law, [inputs_of(angles, p, v, PositionReference(pd, vd, ad, yaw, 0.1, vd))] * 600)
+    outputs = flown_long(law, [inputs_of(angles, p, v, PositionReference(pd, vd, ad, yaw, 0.1, vd))] * 600)
     most = law.vehicle.thrust_max
     for output in outputs:
         assert law.min_thrust * most <= output.thrust <= law.max_thrust * most
@@ -136,7 +144,7 @@ def test_rates_and_accelerations_fit_the_angles_and_the_rotors(name):
     law = controller(name)
     far = [inputs_of(np.zeros(3), np.zeros(3), np.zeros(3), resting([5.0, -5.0, 3.0], 1.0))] * 300
     angles, rates, accelerations = (
-        np.array(part) for part in zip(*(output.attitude for output in flown(law, far)), strict=True)
+        np.array(part) for part in zip(*(output.attitude for output in flown_long(law, far)), strict=True)
     )
     np.testing.assert_allclose(np.diff(angles, axis=0) / DT, 0.5 * (rates[1:] + rates[:-1]), atol=1e-9)
     np.testing.assert_allclose(np.diff(rates, axis=0) / DT, accelerations[1:], atol=1e-9)
@@ -187,15 +195,14 @@ class PointMass:
 
     def errors(self, trajectory, duration):
         """Position minus reference over time, (n, 3)."""
-        state, out = None, []
+        stepper, out = Stepper(self.law, CEngine()), []
         share = DT / self.law.vehicle.rotors.time_constant
         for index in range(round(duration / DT)):
             reference = trajectory.sample(index * DT)
             motion = (self.angles, self.position, self.velocity)
             inputs = inputs_of(*(each.copy() for each in motion), reference, self.acceleration)
             out.append(self.position - reference.position)
-            state = self.law.init(inputs) if state is None else state
-            state, output = self.law.step(state, inputs, DT if index else 0.0)
+            output = stepper.step(index * DT_NS, inputs)
             self.angles = output.attitude.angles
             self.thrust += share * (output.thrust - self.thrust)
             lift = to_earth(quaternion_from_euler(self.angles), UP) * self.thrust / self.law.vehicle.mass
@@ -240,5 +247,5 @@ def test_integral_does_not_wind_up_while_the_limits_hold(name):
     law = controller(name)
     far = inputs_of(np.zeros(3), np.zeros(3), np.zeros(3), resting([100.0, 0.0, 0.0]))
     there = inputs_of(np.zeros(3), np.zeros(3), np.zeros(3), resting())
-    tilts = [flown(law, [far] * count + [there] * 300)[-1].attitude.angles[1] for count in (100, 3000)]
+    tilts = [flown_long(law, [far] * count + [there] * 300)[-1].attitude.angles[1] for count in (100, 3000)]
     assert tilts[1] == pytest.approx(tilts[0], abs=1e-3)
