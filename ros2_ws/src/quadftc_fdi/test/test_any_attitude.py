@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from in_c import fly_law
 
 from quadftc_fdi.fault_observers.supervised import Supervised
 from quadftc_fdi.supervision.inertial_filter import apply_correction, start_filter
@@ -113,7 +114,7 @@ def flown(faulty_from):
         2,
     )  # samples
     inverse = np.linalg.inv(np.eye(3) + M)
-    observer, there, peak = Supervised(vehicle=load_vehicle("qball_x4")), np.ones(4, bool), 800.0 * DEG
+    observer, there, peak = Supervised(vehicle=load_vehicle("qball_x4")), np.bool_(True), 800.0 * DEG
 
     def rate(t):
         omega = 0.5 * np.sin(np.array([1.1, 1.7, 0.6]) * t)
@@ -123,7 +124,7 @@ def flown(faulty_from):
                 omega[axis] += 0.5 * peak * (1.0 - math.cos(2.0 * math.pi * part))
         return omega
 
-    late, state, states, faults, estimates = [np.array([0.0, 0.0, 0.0, 1.0])], None, [], [], []
+    late, faults, samples = [np.array([0.0, 0.0, 0.0, 1.0])], [], []
     for k in range(round(11.0 / DT)):
         for part in (0.25, 0.75) if k else ():
             late.append(turn(late[-1], 0.5 * DT * rate((k - 1 + part) * DT)))
@@ -131,14 +132,18 @@ def flown(faulty_from):
         fault = 5.0 * DEG * np.eye(4, 3, -1) * (k * DT >= faulty_from)
         gyro = inverse @ (rate(k * DT) + bias) + 0.1 * DEG * rng.normal(size=3)
         attitude = quaternion_from_euler(euler_from_quaternion(read) + fault)
-        imu = ImuSample(attitude, np.tile(gyro, (4, 1)), np.zeros((4, 3)), there, there, there)
-        inputs = FaultObserverInputs(imu, np.zeros((4, 3)))
-        state, estimate = observer.step(
-            observer.init(inputs) if state is None else state, inputs, DT if k else 0.0
-        )
-        states.append(estimate.state)
         faults.append(fault)
-        estimates.append(estimate.fault)
+        samples.append(
+            [
+                FaultObserverInputs(ImuSample(q, gyro, np.zeros(3), there, there, there), np.zeros(3))
+                for q in attitude
+            ]
+        )
+    flights = [fly_law(observer, each, DT)[1] for each in zip(*samples, strict=True)]
+    rows = [*zip(*flights, strict=True)]
+    states, estimates = (
+        [[getattr(each, name) for each in row] for row in rows] for name in ("state", "fault")
+    )
     return np.array(states), np.array(faults), np.array(estimates)
 
 

@@ -4,9 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from in_c import fly_arrays
 
 from quadftc_fdi.fault_observers.supervised import Supervised
 from quadftc_fdi.supervision import gravity
+from quadftc_model.arrays import rows_of
 from quadftc_model.rotations import quaternion_from_euler, rotation_between, to_body, turn
 from quadftc_model.samples import STANDARD_GRAVITY, FaultObserverInputs, ImuSample
 from quadftc_model.vehicle import load_vehicle
@@ -58,16 +60,10 @@ def samples_of(flights):
     return together, np.stack(attitudes, axis=1)
 
 
-def diagnose(samples, count):
-    """Attitudes (n, ..., 4) that fly, and the last state."""
-    state, found = None, []
-    for k in range(count):
-        imu = ImuSample(*(part[k] for part in samples))
-        inputs = FaultObserverInputs(imu, 0.0 * imu.body_rate)
-        state = OBSERVER.init(inputs) if state is None else state
-        state, estimate = OBSERVER.step(state, inputs, DT if k else 0.0)
-        found.append(estimate.corrected.q_xyzw)
-    return np.array(found), state
+def diagnose(samples):
+    """Attitudes (n, 4) that fly, and the last state."""
+    state, estimates = fly_arrays(OBSERVER, FaultObserverInputs(samples, 0.0 * samples.body_rate), DT)
+    return estimates.corrected.q_xyzw, state
 
 
 @pytest.fixture(scope="module")
@@ -75,11 +71,13 @@ def flown():
     """By flight: largest error of the tilt [deg] in the fault, what gravity is off by [deg], the gyro's scale
     error about x as it is known then, and its standard deviation."""
     samples, true = samples_of(FLIGHTS.values())
-    found, state = diagnose(samples, len(TIME))
-    verticals = [to_body(q, UP / STANDARD_GRAVITY) for q in (found, true)]
+    lanes = range(len(FLIGHTS))
+    found, states = zip(*(diagnose(rows_of(samples, (slice(None), lane))) for lane in lanes), strict=True)
+    verticals = [to_body(q, UP / STANDARD_GRAVITY) for q in (np.stack(found, axis=1), true)]
     error = np.linalg.norm(np.cross(*verticals), axis=-1)[TIME > FAULT].max(axis=0) / DEG
-    off, scale = np.sqrt(state.gravity.off[:, 0]) / DEG, state.filter.x[:, 3]
-    known = np.sqrt(state.filter.P[:, SCALE, SCALE])
+    off = np.sqrt([each.gravity.off[0] for each in states]) / DEG
+    scale = [each.filter.x[3] for each in states]
+    known = np.sqrt([each.filter.P[SCALE, SCALE] for each in states])
     return dict(zip(FLIGHTS, zip(error, off, scale, known, strict=True), strict=True))
 
 
@@ -111,12 +109,15 @@ def test_it_learns_by_what_gravity_is_off(flown):
     assert flown["good gyro, accelerometer off"][1] > 1.5
 
 
-def test_one_vehicle_and_a_batch_agree():
+def test_batch_in_numpy_gives_the_numbers_of_a_flight_in_c():
     samples, _ = samples_of([FLIGHTS["moves"]])
-    until = round(24.0 / DT)
-    batch, _ = diagnose(samples, until)
-    one, _ = diagnose(ImuSample(*(part[:, 0] for part in samples)), until)
-    np.testing.assert_allclose(one, batch[:, 0], atol=1e-9)
+    samples, state = rows_of(samples, slice(round(24.0 / DT))), None
+    flown, _ = diagnose(rows_of(samples, (slice(None), 0)))
+    for k, wanted in enumerate(flown):
+        imu = rows_of(samples, k)
+        inputs = FaultObserverInputs(imu, 0.0 * imu.body_rate)
+        state, found = OBSERVER.step(OBSERVER.init(inputs) if k == 0 else state, inputs, DT if k else 0.0)
+        np.testing.assert_allclose(found.corrected.q_xyzw, [wanted], atol=1e-9)
 
 
 def test_a_tilt_error_is_seen_as_the_matrix_says():

@@ -293,7 +293,13 @@ def test_parameter_out_of_bounds_is_refused_by_name(name):
 
 
 @pytest.mark.slow
-@EVERY_OBSERVER
+@pytest.mark.parametrize(
+    "name",  # XLA takes half a minute for isolating, of which supervised is a part
+    [
+        pytest.param(name, marks=pytest.mark.thorough if name == "isolating" else ())
+        for name in fault_observers.names()
+    ],
+)
 def test_jax_gives_the_same_numbers(name):
     """One law, two array libraries: compiled, and with the state carried by its loop."""
     jax.config.update("jax_enable_x64", True)

@@ -5,6 +5,7 @@ import functools
 
 import numpy as np
 import pytest
+from in_c import fly_law
 
 from quadftc_fdi.fault_observers.isolating import Isolating
 from quadftc_fdi.isolation import hypotheses, rate_filter
@@ -37,18 +38,18 @@ class Hover:
         self.state, self.estimates = None, []
 
     def on(self, count, change=lambda index, sample: sample):
-        for index in range(count):
-            sample = level_sample()._replace(
-                q_xyzw=quaternion_from_euler(0.1 * DEG * self.rng.standard_normal(3)),
-                body_rate=0.002 * self.rng.standard_normal(3),
-                specific_force=np.array([0.0, 0.0, 9.80665]) + 0.02 * self.rng.standard_normal(3),
-            )
-            inputs = FaultObserverInputs(change(index, sample), np.zeros(3), driven=np.bool_(self.driven))
-            start = self.state is None
-            state = self.law.init(inputs) if start else self.state
-            self.state, estimate = self.law.step(state, inputs, 0.0 if start else DT)
-            self.estimates.append(estimate)
+        samples = [change(index, self.measured()) for index in range(count)]
+        inputs = [FaultObserverInputs(each, np.zeros(3), driven=np.bool_(self.driven)) for each in samples]
+        self.state, estimates = fly_law(self.law, inputs, DT, self.state)
+        self.estimates += estimates
         return self
+
+    def measured(self):
+        return level_sample()._replace(
+            q_xyzw=quaternion_from_euler(0.1 * DEG * self.rng.standard_normal(3)),
+            body_rate=0.002 * self.rng.standard_normal(3),
+            specific_force=np.array([0.0, 0.0, 9.80665]) + 0.02 * self.rng.standard_normal(3),
+        )
 
 
 @functools.cache

@@ -2,10 +2,9 @@
 
 import functools
 
-import jax
 import numpy as np
 import pytest
-from lanes import diagnose_together
+from in_c import fly_law
 
 from quadftc_fdi.fault_observers.isolating import Isolating
 from quadftc_model.rigid_body import gyroscopic_acceleration
@@ -63,17 +62,6 @@ def flight(count, change=lambda elapsed, sample: sample, gusts=1.0, place=True):
 
 
 LAW = Isolating(vehicle=VEHICLE, position_noise=0.001)
-
-
-@np.errstate(all="ignore")  # as the runner of a law
-def diagnose(inputs):
-    """Estimates of a flight."""
-    state, first = LAW.step(LAW.init(inputs[0]), inputs[0], 0.0)
-    estimates = [first]
-    for each in inputs[1:]:
-        state, estimate = LAW.step(state, each, DT)
-        estimates.append(estimate)
-    return estimates
 
 
 def named(estimate):
@@ -156,9 +144,8 @@ FLIGHTS = {
 
 @pytest.fixture(scope="module")
 def flown():
-    """Estimates of all flights by name, diagnosed in one batch."""
-    estimates = diagnose_together(diagnose, [flight(**case) for case in FLIGHTS.values()])
-    return dict(zip(FLIGHTS, estimates, strict=True))
+    """Estimates of all flights by name."""
+    return {name: fly_law(LAW, flight(**case), DT)[1] for name, case in FLIGHTS.items()}
 
 
 @pytest.mark.parametrize("name", ["gusts", "gusts alone", "front"])
@@ -215,18 +202,3 @@ def test_yaw_stays_ambiguous(flown, name):
 
 def test_without_position_a_drift_stays_ambiguous(flown):
     assert verdicts(flown["tilt alone"]) == ["attitude 1?", "gyro 1?"]
-
-
-def test_jax_gives_the_same_numbers(flown):
-    jax.config.update("jax_enable_x64", True)
-    inputs = flight(**FLIGHTS["both"])
-
-    @jax.jit
-    def fly(first, rest):
-        state, _ = LAW.step(LAW.init(first), first, 0.0)
-        return jax.lax.scan(lambda state, each: LAW.step(state, each, DT), state, rest)[1]
-
-    found = fly(inputs[0], jax.tree.map(lambda *rows: np.stack(rows), *inputs[1:]))
-    wanted = jax.tree.map(lambda *rows: np.stack(rows), *flown["both"][1:])
-    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):
-        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-9)

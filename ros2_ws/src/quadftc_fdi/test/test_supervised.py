@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from in_c import fly_arrays
 
 from quadftc_fdi.fault_observers.supervised import Supervised
 from quadftc_model.rotations import (
@@ -44,6 +45,12 @@ class Scenario:
         self.flights, self.pitch, self.gyro_error = flights, pitch, gyro_error
 
 
+def inputs_of(attitude, gyro, there):
+    """Inputs of samples (n, ...) that give no force."""
+    yes, zeros = np.ones(len(there), bool), np.zeros((len(there), 3))
+    return FaultObserverInputs(ImuSample(attitude, gyro, zeros, there, yes, yes), zeros)
+
+
 class Diagnosed:
     """Flights (leading axis) with MEMS sensors, diagnosed."""
 
@@ -66,20 +73,14 @@ class Diagnosed:
         gyro = omega + (wrong @ omega[..., None])[..., 0] + bias + white
         noise = quaternion_from_rotation_vector(0.1 * DEG * rng.standard_normal(omega.shape))
         attitude = quaternion_product(quaternion_from_euler(self.angles + fault), noise)
-        every, zeros = np.ones(flights, bool), np.zeros((flights, 3))
-        observer = observer or Supervised(vehicle=QBALL)
-        state, found = None, []
-        for k in range(n):
-            imu = ImuSample(attitude[k], gyro[k], zeros, there[k], every, every)
-            inputs = FaultObserverInputs(imu, zeros)
-            state = observer.init(inputs) if state is None else state
-            state, estimate = observer.step(state, inputs, dt if k else 0.0)
-            found.append(estimate)
-        self.state = np.array([each.state for each in found])
-        self.estimate = np.array([each.fault for each in found])
-        self.std_dev = np.array([each.std_dev for each in found])
-        self.onset_age = np.array([each.onset_age for each in found])
-        self.attitude = euler_from_quaternion(np.array([each.corrected.q_xyzw for each in found]))
+        observer, found = observer or Supervised(vehicle=QBALL), []
+        for lane in range(flights):
+            inputs = inputs_of(attitude[:, lane], gyro[:, lane], there[:, lane])
+            _, flown = fly_arrays(observer, inputs, dt)
+            found.append((flown.state, flown.fault, flown.std_dev, flown.onset_age, flown.corrected.q_xyzw))
+        columns = (np.stack(column, axis=1) for column in zip(*found, strict=True))
+        self.state, self.estimate, self.std_dev, self.onset_age, q_xyzw = columns
+        self.attitude = euler_from_quaternion(q_xyzw)
         self._derive(fault)
 
     def _derive(self, fault):
@@ -127,7 +128,7 @@ SCENARIOS = {
 
 @pytest.fixture(scope="module")
 def flown():
-    """All scenarios by name, flown in one batch."""
+    """All scenarios by name."""
     batch = Diagnosed(list(SCENARIOS.values()))
     ends = np.cumsum([each.flights for each in SCENARIOS.values()])
     rows = zip(SCENARIOS.items(), ends, strict=True)
@@ -211,14 +212,9 @@ def test_missing_samples_in_a_tumble_raise_no_alarm():
         quaternion_from_euler(angles),
         quaternion_from_rotation_vector(0.1 * DEG * rng.standard_normal(angles.shape)),
     )
-    observer, state, zeros, there = Supervised(vehicle=QBALL), None, np.zeros(3), np.bool_(True)
-    seen: set[int] = set()
-    for k, dt in enumerate(np.diff(time, prepend=time[0])):
-        inputs = FaultObserverInputs(ImuSample(attitude[k], rates[k], zeros, there, there, there), zeros)
-        state = observer.init(inputs) if state is None else state
-        state, estimate = observer.step(state, inputs, float(dt))
-        seen |= set(estimate.state.tolist())
-    assert seen <= {STARTING, HEALTHY}
+    inputs = inputs_of(attitude, rates, np.ones(len(time), bool))
+    _, flown = fly_arrays(Supervised(vehicle=QBALL), inputs, np.diff(time, prepend=time[0]))
+    assert np.isin(flown.state, (STARTING, HEALTHY)).all()
 
 
 def test_a_fault_from_the_start_does_not_lock_it_out():
