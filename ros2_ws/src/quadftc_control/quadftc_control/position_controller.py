@@ -167,7 +167,7 @@ class PositionController(VehicleLaw[PositionControllerInputs, AttitudeCommand]):
         x, y, z = components(reference.acceleration)
         jx, jy, jz = components(reference.jerk)
         u, v, _ = components(reference.velocity)
-        lag, drag = 2.0 / self.bandwidth, self.drag(sqrt(u * u + v * v))
+        lag, drag = 2.0 / self.bandwidth, self.drag(length(reference.velocity[..., :2]))
         z_earlier = z + self.vehicle.rotors.time_constant * jz
         return stacked([x + lag * jx + drag * u, y + lag * jy + drag * v, z_earlier])
 

@@ -142,6 +142,6 @@ class FreeFlight(FlyingPlant):
         stiffness = share * STANDARD_GRAVITY / SINKING
         damping = 2.0 * DAMPING * sqrt(share * stiffness)
         load = larger(stiffness * larger(sunk, 0.0) - damping * z * (sunk > 0.0), 0.0)
-        hold = -FRICTION * load / larger(sqrt(x * x + y * y), SLIDING)
+        hold = -FRICTION * load / sqrt(larger(x * x + y * y, SLIDING**2))
         force = to_body(q_xyzw, stacked([hold * x, hold * y, load]))
         return force.sum(axis=-2), cross(feet, force).sum(axis=-2)
