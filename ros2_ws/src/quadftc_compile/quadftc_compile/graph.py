@@ -494,6 +494,12 @@ def _power(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> No
     return b.add("div", [_spread(b, one, out[0]), found], out[0], source)
 
 
+@_rule("add_any")
+def _add(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
+    """Add two slopes."""
+    return b.add("add", x, out[0], source)
+
+
 @_rule("square")
 def _square(b: _Builder, x: list[Node], out: Any, source: Any, params: Any) -> Node:
     return b.add("mul", [x[0], x[0]], out[0], source)

@@ -42,12 +42,18 @@ def numbers_of(part: Any) -> dict[str, Numbers]:
 
 def number_at(part: Any, path: str) -> Numbers:
     """Return the number of a part at a path."""
+    found = part_at(part, path)
+    number = _as_number(found)
+    if number is None:
+        raise ValueError(f"{path}: {found!r} is no number")
+    return number
+
+
+def part_at(part: Any, path: str) -> Any:
+    """Return what a part has at a path, as it is: a tracer of JAX, say."""
     for name in path.split(".") if path else ():
         part = part[int(name)] if name.isdecimal() else getattr(part, name)
-    number = _as_number(part)
-    if number is None:
-        raise ValueError(f"{path}: {part!r} is no number")
-    return number
+    return part
 
 
 def with_numbers(part: Any, values: Mapping[str, Any], path: str = "") -> Any:

@@ -44,7 +44,7 @@ class Plant(Checked, abc.ABC):
         """How many numbers a command has."""
         return len(self.vehicle.rotors.positions) if self.flies else 3
 
-    @property
+    @prepared
     def first_command(self) -> Components:
         """Command before the first one comes: no torque; in free flight hover."""
         return np.full(self.command_size, self.vehicle.hover_speed if self.flies else 0.0)

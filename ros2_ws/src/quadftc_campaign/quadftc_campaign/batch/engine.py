@@ -63,7 +63,6 @@ class Outcome(NamedTuple):
     marks: dict[str, Any]  # all else of the tally
     span: float  # time from the first to the last sample [s]
     period: float  # of the samples [s]
-    slope: dict[str, Floats] | None = None  # of the sums, along the direction of the flight
 
 
 def compile_laws(loops: Iterable[Composition], log: Log = say) -> None:

@@ -1,5 +1,5 @@
 # pyright: basic
-"""The batch engine of JAX: many flights at once on a GPU, and slopes of flights along changes of numbers.
+"""The batch engine of JAX: many flights at once on a GPU.
 
 It flies the same laws as `quadftc_campaign.batch.engine`, traced as a whole. Numbers that all flights share
 are constants of the compiled code, the others are arrays with a value per flight.
@@ -13,14 +13,14 @@ import math
 import os
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_campaign.batch.engine import BatchFlight, Floats, Outcome, Progress, outcome_of
+from quadftc_campaign.batch.engine import BatchFlight, Outcome, Progress, outcome_of
 from quadftc_campaign.batch.judged_loop import JudgedLoop, JudgedState
 from quadftc_compile.recipe import name_of
 from quadftc_flight.loop import LoopInputs
@@ -30,25 +30,11 @@ from quadftc_model.numbers import numbers_of, structure_of, with_numbers
 LANES = 1024  # flights that fly together at most
 STRETCH = 200  # samples of one call of the compiled function; between calls sums are taken out
 NEVER = math.inf  # s; start of a fault that only other flights of the batch have
-SHARED = ("before", "now", "dt", "taken", "count", "taken_dt", "due")  # times, the same in all flights
+SHARED = ("before", "now", "dt", "taken", "number", "taken_dt", "due")  # times, the same in all flights
 
 _precisions: set[bool] = set()  # whether this process computes in single precision, once it is known
 
-Directions = Sequence[Mapping[str, Floats]]
-
-
-class PerFlight(NamedTuple):
-    """Constants of a flight; arrays (flights, ...)."""
-
-    numbers: dict[str, Any]  # of its laws, by path
-    direction: dict[str, Any]  # in which some numbers change, for slopes
-
-
-class Carried(NamedTuple):
-    """What goes from sample to sample; arrays (flights, ...)."""
-
-    state: JudgedState
-    slopes: Any = None  # of the floats of the state; no stretch sets those of the sums to zero
+Numbers = dict[str, Any]  # by path, arrays (flights, ...)
 
 
 class JaxEngine:
@@ -58,71 +44,54 @@ class JaxEngine:
         self,
         float32: bool = False,  # precision; one process has one
         lanes: int | None = None,  # flights that fly together; None: as the flights are, up to `LANES`
-        free: Sequence[str] = (),  # numbers (`numbers_of`) that may change without another compilation
     ) -> None:
         if lanes is not None and lanes < 1:
             raise ValueError(f"lanes = {lanes}: must be positive")
         settle_precision(float32)
-        self._lanes, self._free = lanes, frozenset(free)
+        self._lanes = lanes
         self._dtype = np.dtype(np.float32 if float32 else np.float64)
         self._compiled: dict[Any, CompiledFlight] = {}
 
-    def fly(
-        self,
-        flights: Sequence[BatchFlight],
-        progress: Progress = lambda samples: None,
-        directions: Directions = (),
-    ) -> list[Outcome]:
-        """Fly all flights; ValueError if a law cannot be traced.
-
-        For slopes of the sums, ``directions`` say how some numbers of each flight change, by path.
-        """
+    def fly(self, flights: Sequence[BatchFlight], progress: Progress = lambda samples: None) -> list[Outcome]:
+        """Fly all flights; ValueError if a law cannot be traced."""
         flights = with_common_faults(flights)
         groups: dict[Any, list[int]] = {}
         for place, flight in enumerate(flights):
             groups.setdefault(flight.structure, []).append(place)
         outcomes: dict[int, Outcome] = {}
         for key, places in groups.items():
-            along = [directions[place] for place in places if directions]
-            compiled, per_flight = self._prepare(key, [flights[place] for place in places], along)
+            compiled, varying = self._prepare(key, [flights[place] for place in places])
             lanes = self._lanes or lanes_for(len(places))
             for start in range(0, len(places), lanes):
                 block = places[start : start + lanes]
                 # the last flight fills the lanes that are left
                 rows = np.minimum(np.arange(start, start + lanes), start + len(block) - 1)
                 in_lanes = [flights[places[row]] for row in rows]
-                flown = compiled.fly(in_lanes, take(per_flight, rows), len(block), progress)
+                flown = compiled.fly(in_lanes, take(varying, rows), len(block), progress)
                 outcomes.update(zip(block, flown, strict=True))
         return [outcomes[place] for place in range(len(flights))]
 
-    def _prepare(
-        self, structure: Any, flights: Sequence[BatchFlight], directions: Directions
-    ) -> tuple[CompiledFlight, PerFlight]:
-        """Return flights of one structure compiled, and what they do not share."""
-        tuned = tuple(directions[0]) if directions else ()
+    def _prepare(self, structure: Any, flights: Sequence[BatchFlight]) -> tuple[CompiledFlight, Numbers]:
+        """Return flights of one structure compiled, and the numbers of their laws that they do not share."""
         numbers = [numbers_of(flight.loop) for flight in flights]
         # the schedule differs, if not in these flights, and where kinds of faults differ, so do their axes
         differ = any(0 in flight.numbers for flight in flights if flight.numbers is not None)
         free = {
             path for path in numbers[0] if path.startswith("judge.") or (differ and path.endswith(".mask"))
         }
-        varying = differing(numbers, self._free | set(tuned) | free)
+        varying = differing(numbers, free)
         fixed = tuple(value.tobytes() for path, value in numbers[0].items() if path not in varying)
-        per_flight = PerFlight(
-            varying, {path: np.stack([each[path] for each in directions]) for path in tuned}
-        )
-        key = structure, fixed, tuple(varying), tuned
+        key = structure, fixed, tuple(varying)
         if key not in self._compiled:
-            kind = SlopeFlight if tuned else CompiledFlight
-            self._compiled[key] = kind(flights[0].loop, self._dtype)
-        return self._compiled[key], per_flight
+            self._compiled[key] = CompiledFlight(flights[0].loop, self._dtype)
+        return self._compiled[key], varying
 
 
 @functools.cache
-def engine_of_process(float32: bool, lanes: int | None = None, free: tuple[str, ...] = ()) -> JaxEngine:
+def engine_of_process(float32: bool, lanes: int | None = None) -> JaxEngine:
     """Return the engine of this process for such flights; what it compiles is kept on disk, too."""
     keep_compiled_code()
-    return JaxEngine(float32, lanes, free)
+    return JaxEngine(float32, lanes)
 
 
 def settle_precision(float32: bool) -> None:
@@ -173,28 +142,21 @@ class CompiledFlight:
         self.fly_stretch = jax.jit(self._fly_stretch, donate_argnums=0)
 
     def fly(
-        self, flights: Sequence[BatchFlight], per_flight: PerFlight, count: int, progress: Progress
+        self, flights: Sequence[BatchFlight], numbers: Numbers, count: int, progress: Progress
     ) -> list[Outcome]:
         """Fly a block of flights, one in each lane; outcomes are wanted of the first ``count``."""
         draws, total = [flight.draws for flight in flights], flights[0].samples
-        per_flight = self._cast(per_flight)
-        carried, sums = self._begin(flights), None
+        numbers = self._cast(numbers)
+        state, sums = self._begin(flights), None
         for start in range(0, total, STRETCH):
             samples = min(STRETCH, total - start)
             inputs = self._stretch([each.next(samples) for each in draws])
-            carried = self.fly_stretch(carried, inputs, per_flight, samples)
-            part = to_float64(carried.state.judge.tally.sums)
+            state = self.fly_stretch(state, inputs, numbers, samples)
+            part = to_float64(state.judge.tally.sums)
             sums = part if sums is None else jax.tree.map(np.add, sums, part)
             progress(samples * count)
-        tally = to_float64(carried.state.judge.tally)._replace(sums=sums)
-        slope = to_float64(carried.slopes and carried.slopes.judge.tally.sums)
-        return [
-            outcome_of(flight, take(tally, lane))._replace(
-                slope=slope
-                and {name: each[lane] for name, each in slope._asdict().items() if each is not None}
-            )
-            for lane, flight in enumerate(flights[:count])
-        ]
+        tally = to_float64(state.judge.tally)._replace(sums=sums)
+        return [outcome_of(flight, take(tally, lane)) for lane, flight in enumerate(flights[:count])]
 
     def _stretch(self, drawn: Sequence[LoopInputs]) -> LoopInputs:
         """Join the inputs of some samples of all flights: (samples, ...), or (samples, flights, ...).
@@ -218,64 +180,36 @@ class CompiledFlight:
                 joined[name] = jax.tree.map(lambda *a: fill(np.stack(a, axis=1)), *each)
         return first._replace(**joined)
 
-    def _begin(self, flights: Sequence[BatchFlight]) -> Carried:
+    def _begin(self, flights: Sequence[BatchFlight]) -> JudgedState:
         """Return what flights begin with."""
         with np.errstate(all="ignore"):
             states = [flight.loop.init(PlainCalls(flight.loop.laws)) for flight in flights]
-        return self._cast(Carried(jax.tree.map(lambda *leaves: np.stack(leaves), *states)))
+        return self._cast(jax.tree.map(lambda *leaves: np.stack(leaves), *states))
 
-    def _step(self, carried: Carried, inputs: LoopInputs, per_flight: PerFlight) -> Carried:
+    def _step(self, state: JudgedState, inputs: LoopInputs, numbers: Numbers) -> JudgedState:
         """Take a sample of one flight."""
-        loop = with_numbers(self._loop, per_flight.numbers)
-        state, _ = loop.step(TracedCalls(loop.laws), carried.state, inputs)
-        return self._cast(Carried(state))
+        loop = with_numbers(self._loop, numbers)
+        after, _ = loop.step(TracedCalls(loop.laws), state, inputs)
+        return self._cast(after)
 
     def _fly_stretch(
-        self, carried: Carried, inputs: LoopInputs, per_flight: PerFlight, count: int
-    ) -> Carried:
+        self, state: JudgedState, inputs: LoopInputs, numbers: Numbers, count: int
+    ) -> JudgedState:
         """Fly all flights over the first ``count`` samples of the inputs, with sums that begin at zero."""
-        state, tally = carried.state, carried.state.judge.tally
+        tally = state.judge.tally
         tally = tally._replace(sums=jax.tree.map(jnp.zeros_like, tally.sums))
-        start = carried._replace(state=state._replace(judge=state.judge._replace(tally=tally)))
+        start = state._replace(judge=state.judge._replace(tally=tally))
         first = take(inputs.first_draws, 0)
 
-        def body(index: Any, carried: Carried) -> Carried:
+        def body(index: Any, state: JudgedState) -> JudgedState:
             given = take(inputs._replace(first_draws=None), index)._replace(first_draws=first)
-            return self._step_all(carried, given, per_flight)
+            return self._step_all(state, given, numbers)
 
         return jax.lax.fori_loop(0, count, body, start)
 
     def _cast(self, tree: Any) -> Any:
         """Put every float in the precision of the flights: a state must keep its types."""
         return jax.tree.map(lambda leaf: _cast_float(jnp.asarray(leaf), self._dtype), tree)
-
-
-class SlopeFlight(CompiledFlight):
-    """Functions that fly all flights of one structure, each with its slope along its direction.
-
-    Forward mode: beside every float that a flight carries goes its slope along one direction of the gains. A
-    flight of any length takes the same memory, and a gradient takes one lane for each gain. The slope follows
-    the branch that was taken: it leaves out what a gain does by moving a decision (a detection, say) to
-    another sample. Where a function has no slope (a norm at zero), it counts as 0.
-    """
-
-    def _begin(self, flights: Sequence[BatchFlight]) -> Carried:
-        """Return what flights begin with, whatever the gains: laws begin at the first sample."""
-        carried = super()._begin(flights)
-        return carried._replace(slopes=jax.tree.map(jnp.zeros_like, _floats_of(carried.state)))
-
-    def _step(self, carried: Carried, inputs: LoopInputs, per_flight: PerFlight) -> Carried:
-        step = super()._step
-
-        def fly(floats: Any, tuned: dict[str, Any]) -> tuple[Any, Carried]:
-            state = Carried(_with_floats(carried.state, floats))
-            after = step(state, inputs, per_flight._replace(numbers=per_flight.numbers | tuned))
-            return _floats_of(after.state), after
-
-        tuned = {path: per_flight.numbers[path] for path in per_flight.direction}
-        given, along = (_floats_of(carried.state), tuned), (carried.slopes, per_flight.direction)
-        _, slopes, after = jax.jvp(fly, given, along, has_aux=True)
-        return after._replace(slopes=jax.tree.map(lambda x: jnp.where(jnp.isfinite(x), x, 0.0), slopes))
 
 
 def with_common_faults(flights: Sequence[BatchFlight]) -> list[BatchFlight]:
@@ -327,17 +261,3 @@ def to_float64(arrays: Any) -> Any:
 
 def _cast_float(array: Any, dtype: np.dtype[Any]) -> Any:
     return array.astype(dtype) if jnp.issubdtype(array.dtype, jnp.floating) else array
-
-
-def _floats_of(state: Any) -> Any:
-    def keep(leaf: Any) -> Any:
-        return leaf if jnp.issubdtype(jnp.result_type(leaf), jnp.floating) else None
-
-    return jax.tree.map(keep, state)
-
-
-def _with_floats(state: Any, floats: Any) -> Any:
-    def exchange(number: Any, leaf: Any) -> Any:
-        return leaf if number is None else number
-
-    return jax.tree.map(exchange, floats, state, is_leaf=lambda each: each is None)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from quadftc_campaign.batch.engine import Outcome, Progress
+from quadftc_campaign.batch.engine import Progress
 from quadftc_campaign.batch.records import ROOTS, metric_of
 from quadftc_campaign.campaign_file import Campaign, Variant
 from quadftc_campaign.flights import batch_flight, flight_scenario
@@ -16,9 +16,11 @@ from quadftc_flight.scenario import ROLES, Part, Problem, Scheme
 from quadftc_model.numbers import numbers_of
 from quadftc_model.parameters import parameters_of
 
+if TYPE_CHECKING:
+    from quadftc_campaign.batch.slope import Sloped
+
 Floats = NDArray[np.float64]
 
-LANES = 128  # flights that fly together
 DIFFERENCE = 1e-5  # of a logarithm, between two builds
 DIGITS = 4  # significant, of gains that are given out
 
@@ -82,11 +84,11 @@ def with_gains(campaign: Campaign, scheme: str, gains: Gains) -> Campaign:
     return campaign.model_copy(update={"base": campaign.base.with_values(values, "tuned")})
 
 
-def directions(campaign: Campaign, variant: Variant, gains: Gains, number: int) -> list[Mapping[str, Floats]]:
+def directions(campaign: Campaign, variant: Variant, gains: Gains, number: int) -> dict[str, Floats]:
     """Return how the numbers of a flight's laws (`numbers_of`) change by the logarithm of each gain.
 
-    The laws are built by their own code, from gains a little larger and smaller: that covers whatever a law
-    computes of its gains when it is built. The mappings of all gains have the same paths.
+    By the path of a number: (gains, ...). The laws are built by their own code, from gains a little larger
+    and smaller: that covers whatever a law computes of its gains when it is built.
     """
 
     def build(logarithms: Floats) -> dict[str, Any]:
@@ -97,24 +99,23 @@ def directions(campaign: Campaign, variant: Variant, gains: Gains, number: int) 
     steps = DIFFERENCE * np.eye(len(middle))
     pairs = [(build(middle - step), build(middle + step)) for step in steps]
     paths = [path for path in pairs[0][0] if any(np.any(low[path] != high[path]) for low, high in pairs)]
-    return [{path: (high[path] - low[path]) / (2.0 * DIFFERENCE) for path in paths} for low, high in pairs]
+    return {
+        path: np.stack([high[path] - low[path] for low, high in pairs]) / (2.0 * DIFFERENCE) for path in paths
+    }
 
 
 def sensitivity(
     campaign: Campaign, gains: Gains, metrics: Sequence[str], numbers: Sequence[int], progress: Progress
 ) -> Sensitivity:
-    """Fly some flights of a campaign that has these gains, each once for each gain; metrics: `COSTS`."""
-    from quadftc_campaign.batch.jax_engine import engine_of_process
+    """Fly some flights of a campaign that has these gains, with their slopes; metrics: `COSTS`."""
+    from quadftc_campaign.batch.slope import fly_with_slopes
 
     variant = campaign.variants[0]
-    ways = directions(campaign, variant, gains, numbers[0])
     flights = [batch_flight(flight_scenario(campaign, number, variant)) for number in numbers]
-    engine = engine_of_process(campaign.precision == "float32", LANES, tuple(ways[0]))
-    flown = engine.fly([each for each in flights for _ in ways], progress, ways * len(flights))
-    values = [[metric_of(name, each) for name in metrics] for each in flown[:: len(ways)]]
-    slopes = [[_slope_of_metric(name, each) for name in metrics] for each in flown]
-    shape = (len(flights), len(ways), len(metrics), 3)
-    return Sensitivity(np.array(values), np.array(slopes).reshape(shape))
+    flown = fly_with_slopes(flights, directions(campaign, variant, gains, numbers[0]), progress)
+    values = [[metric_of(name, each.outcome) for name in metrics] for each in flown]
+    slopes = [[_slopes_of_metric(name, each) for name in metrics] for each in flown]
+    return Sensitivity(np.array(values), np.moveaxis(np.array(slopes), 2, 1))
 
 
 def mean_cost(shares: Floats, values: Floats) -> float:
@@ -137,14 +138,14 @@ def shares_of_cost(weights: Mapping[str, float], values: Floats) -> Floats:
     return shares / shares.sum() / np.where(counts, scale, 1.0)
 
 
-def _slope_of_metric(name: str, outcome: Outcome) -> Floats:
-    """Return the slope (3,) of a metric, from that of the sums; 0 where it is 0 or has no value."""
-    slope = outcome.slope or {}
+def _slopes_of_metric(name: str, flown: Sloped) -> Floats:
+    """Return the slopes (gains, 3) of a metric, from those of the sums; 0 where it is 0 or has no value."""
+    outcome, slopes = flown
     if name not in ROOTS:
-        return np.asarray(slope["variation"] / outcome.span)
+        return np.asarray(slopes["variation"] / outcome.span)
     squares, count = ROOTS[name]
     value, scale = metric_of(name, outcome), float(np.degrees(1.0)) if name.endswith("_deg") else 1.0
-    change = slope[squares] / np.maximum(outcome.sums[count], 1)
+    change = slopes[squares] / np.maximum(outcome.sums[count], 1)
     return np.where(value > 0.0, scale**2 * change / (2.0 * np.where(value > 0.0, value, 1.0)), 0.0)
 
 

@@ -37,7 +37,6 @@ Floats = NDArray[np.float64]
 HALVINGS = 8  # of a step that leads to where a condition fails
 AVERAGED = 3  # the result is the mean of the last third of the steps
 LARGEST = 0.3  # of a logarithm in one step
-TOGETHER = 256  # lanes: flights times gains
 
 # flies flights with slopes: campaign with the gains, gains, numbers of the flights
 Fly = Callable[[Campaign, Gains, Sequence[int]], Sensitivity]
@@ -79,8 +78,7 @@ def tune(campaign: Campaign, address: str | None, workers: int, told: Callable[[
     with cluster_client(address, workers) as client:
 
         def fly(with_them: Campaign, gains: Gains, numbers: Sequence[int]) -> Sensitivity:
-            size = min(max(TOGETHER // len(gains.logarithms), 1), -(-len(numbers) // workers))
-            pieces = [list(numbers[at : at + size]) for at in range(0, len(numbers), size)]
+            pieces = pieces_of(list(numbers), -(-len(numbers) // len(client.nthreads())))
             arguments = [(with_them, gains, metrics, piece) for piece in pieces]
             flown = sorted(run_tasks(client, sensitivity, arguments), key=lambda each: each[0])
             return Sensitivity(*map(np.concatenate, zip(*(part for _, part in flown), strict=True)))
