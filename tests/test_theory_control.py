@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from in_c import in_c, moving
 
 from quadftc_control.controller import controllers
 from quadftc_control.controllers import pid
@@ -12,6 +13,7 @@ from quadftc_fdi.disturbance_observer import disturbance_observers
 from quadftc_model.parameters import build
 from quadftc_model.rotations import euler_from_quaternion, euler_rates, quaternion_from_euler
 from quadftc_model.samples import AttitudeReference, ControllerInputs, DisturbanceObserverInputs, ImuSample
+from quadftc_model.stepper import NumpyRunner
 from quadftc_model.vehicle import load_vehicle
 from quadftc_sim.disturbance import disturbances
 from quadftc_sim.plants.test_stand import AttitudeStand
@@ -52,6 +54,7 @@ def flown(
     dt=DT,
     body_rate=ZEROS,
     seen_at_start=None,
+    run=in_c,
     **parameters,
 ):
     """Times (n,), attitude errors (n, 3) [rad], sliding variables (n, 3) and torques (n, 3) of a flight.
@@ -62,21 +65,21 @@ def flown(
     estimator = disturbance_observers.get(observer)(vehicle=vehicle)
     plant = AttitudeStand(vehicle=vehicle, disturbances=tuple(pushes))
     motion, torque = plant.init(quaternion_from_euler(angles), body_rate), ZEROS
-    memory, estimates, rows = None, None, []
+    memory, estimates, observing, rows, move = None, None, None, [], moving(plant, 3)
     for index in range(round(duration / dt)):
         time, step = index * dt, dt if index else 0.0
         seen = DisturbanceObserverInputs(motion.body_rate, TRUE, torque)
-        estimates = estimator.init(seen) if estimates is None else estimates
-        estimates, estimate = estimator.step(estimates, seen, step)
+        observing = observing or in_c(estimator, seen)
+        estimates, estimate = observing.step(estimates, seen, dt) if index else observing.first(seen)
         imu = ImuSample(motion.q_xyzw, motion.body_rate, ZEROS, TRUE, TRUE, TRUE)
         inputs = ControllerInputs(imu, reference(time), estimate)
         if memory is None:
             first = imu if seen_at_start is None else imu._replace(body_rate=seen_at_start)
-            memory = law.init(inputs._replace(imu=first))
-        memory, output = law.step(memory, inputs, step)
+            memory, controlling = law.init(inputs._replace(imu=first)), run(law, inputs)
+        memory, output = controlling.step(memory, inputs, step)
         torque = output.torque
         rows.append((np.full(3, time), output.error, output.sliding_variable, torque))
-        motion = plant.step(motion, torque, time, dt)
+        motion = move(motion, torque, time, dt)
     assert np.all(np.isfinite(euler_from_quaternion(motion.q_xyzw)))
     times, *columns = (np.array(column) for column in zip(*rows, strict=True))
     return times[:, 0], *columns
@@ -222,7 +225,7 @@ def test_integral_of_the_pid_does_not_wind_up(monkeypatch):
     monkeypatch.setattr(
         pid, "anti_windup", lambda integral, error, _wanted, _given, dt: integral + dt * error
     )
-    without = -np.min(flown("pid", level, **flight)[1][:, 2])
+    without = -np.min(flown("pid", level, run=lambda law, _: NumpyRunner(law), **flight)[1][:, 2])
     assert np.degrees(without) > 10.0
     assert overshoot < 0.01 * without
 

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from in_c import in_c, moving
 
 from quadftc_control.allocation import allocate
 from quadftc_control.controller import controllers
@@ -41,14 +42,15 @@ def flown(duration=4.0, angles=ZEROS, push=PUSH, late=0, plant=None, **parameter
     settings = {"motor_lag": True, "substeps": 2, **(plant or {})}
     stand = AttitudeStand(vehicle=VEHICLE, disturbances=pushes, **settings)
     motion, memory, errors, samples = stand.init(quaternion_from_euler(angles), ZEROS), None, [], []
+    move, runner = moving(stand, 3), None
     for index in range(round(duration / DT)):
         imu = ImuSample(motion.q_xyzw, motion.body_rate, ZEROS, TRUE, TRUE, TRUE)
         samples.append(ControllerInputs(imu, LEVEL, ZEROS))
         inputs = samples[max(index - late, 0)]
-        memory = law.init(inputs) if memory is None else memory
-        memory, output = law.step(memory, inputs, DT if index else 0.0)
+        runner = runner or in_c(law, inputs)
+        memory, output = runner.step(memory, inputs, DT) if index else runner.first(inputs)
         errors.append(output.error)
-        motion = stand.step(motion, output.torque, index * DT, DT)
+        motion = move(motion, output.torque, index * DT, DT)
     return np.array(errors)
 
 
@@ -102,18 +104,19 @@ def flown_free(law=None, noise=0.0, motor_bandwidth=0.0, duration=4.0, angles=ZE
     controller = build(controllers.get("indi"), parameters, vehicle=law or X500)
     plant = FreeFlight(vehicle=X500, motor_bandwidth=motor_bandwidth, substeps=2, ground=False)
     motion, memory, errors, torques = plant.init(quaternion_from_euler(angles), ZEROS), None, [], []
+    move, runner = moving(plant, 4), None
     generator = np.random.default_rng(1)
     for index in range(round(duration / DT)):
         seen = motion.body_rate + noise * generator.standard_normal(3)
         imu = ImuSample(motion.q_xyzw, seen, ZEROS, TRUE, TRUE, TRUE)
         torque, _ = wrench_from_speeds(X500, motion.speeds)
         inputs = ControllerInputs(imu, LEVEL, ZEROS, RotorFeedback(torque, np.bool_(True), np.ones(4)))
-        memory = controller.init(inputs) if memory is None else memory
-        memory, output = controller.step(memory, inputs, DT if index else 0.0)
+        runner = runner or in_c(controller, inputs)
+        memory, output = runner.step(memory, inputs, DT) if index else runner.first(inputs)
         errors.append(output.error)
         torques.append(output.torque)
         speeds = allocate(X500, X500.mass * STANDARD_GRAVITY, output.torque).speeds
-        motion = plant.step(motion, speeds, index * DT, DT)
+        motion = move(motion, speeds, index * DT, DT)
     return np.array(errors), np.array(torques)
 
 

@@ -1,12 +1,17 @@
 """Laws over long flights, in C: sample by sample in NumPy they take tests minutes."""
 
+import dataclasses
+from typing import NamedTuple
+
 import jax
 import numpy as np
 
 from quadftc_compile.build import build_library
 from quadftc_compile.recipe import recipe_of
 from quadftc_compile.runner import CRunner
-from quadftc_model.arrays import rows_of
+from quadftc_model.arrays import namespace, rows_of
+
+LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def fly_arrays(law, inputs, dt, state=None):
@@ -15,7 +20,7 @@ def fly_arrays(law, inputs, dt, state=None):
     Without a state the law begins at the first sample. Single flags are the same at all samples.
     """
     first = rows_of(inputs, 0)
-    runner = CRunner(law, build_library(recipe_of(law, first)))
+    runner = in_c(law, first)
     count = max(len(leaf) for leaf in jax.tree.leaves(inputs) if np.ndim(leaf))
     steps = np.array(np.broadcast_to(np.asarray(dt, float), count))
     if state is not None:
@@ -31,3 +36,38 @@ def fly_law(law, samples, dt, state=None):
     inputs = jax.tree.map(lambda *rows: np.stack(rows), *samples)
     state, outputs = fly_arrays(law, inputs, dt, state)
     return state, [rows_of(outputs, row) for row in range(len(samples))]
+
+
+def in_c(law, inputs):
+    """A runner in C of a law that sees such inputs."""
+    return CRunner(law, build_library(recipe_of(law, inputs)))
+
+
+class Moved(NamedTuple):
+    """What moves a plant: the command that acts over a period, and when that begins [s]."""
+
+    command: np.ndarray
+    time: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class MovedPlant:
+    """A plant as a law: its output is its state."""
+
+    plant: object
+
+    def init(self, inputs):
+        """The state at rest, level."""
+        xp = namespace(inputs.command)
+        return self.plant.init(xp.asarray(LEVEL), xp.zeros(3))
+
+    def step(self, state, inputs, dt):
+        """Move the plant."""
+        after = self.plant.step(state, inputs.command, inputs.time, dt)
+        return after, after
+
+
+def moving(plant, size):
+    """A function of state, command (``size``,), time [s] and ``dt`` [s]: the plant's step, in C."""
+    runner = in_c(MovedPlant(plant), Moved(np.zeros(size), 0.0))
+    return lambda state, command, time, dt: runner.step(state, Moved(command, time), dt)[1]
