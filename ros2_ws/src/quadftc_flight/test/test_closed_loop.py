@@ -27,25 +27,17 @@ from quadftc_sim.assembly import simulator_from
 DEG = math.pi / 180.0
 PAPER = ("paper_faults", "paper_constant_disturbance", "paper_varying_disturbance")
 MEMS = ("mems_faults", "mems_constant_disturbance", "mems_varying_disturbance")
-# scenario, scheme, how much of it is flown [s]; None: all
-CHECKED: dict[tuple[str, str], float | None] = {
-    **{(name, "proposed"): None for name in PAPER},
-    ("paper_faults", "conventional"): 42.0,
-    ("mems_catalogue", "supervised"): 60.0,
-    ("mems_varying_disturbance", "supervised"): 45.0,
-    ("mems_varying_disturbance", "indi"): 30.0,
-    ("mems_faults", "supervised"): 45.0,
-    ("mems_constant_disturbance", "supervised"): 45.0,
-    ("gyro_faults", "isolating"): 32.0,
-    ("gyro_faults", "supervised"): 32.0,
-}
-# The others have their parts and faults.
-THOROUGH = {
-    ("paper_constant_disturbance", "proposed"),
+CHECKED = [  # scenario, scheme
+    *((name, "proposed") for name in PAPER),
+    ("paper_faults", "conventional"),
+    ("mems_catalogue", "supervised"),
     ("mems_varying_disturbance", "supervised"),
+    ("mems_varying_disturbance", "indi"),
+    ("mems_faults", "supervised"),
     ("mems_constant_disturbance", "supervised"),
+    ("gyro_faults", "isolating"),
     ("gyro_faults", "supervised"),
-}
+]
 LARGEST = ([0.0, 0.0, 0.0], [0.05, 0.04, 0.015], [0.10, 0.08, 0.03])  # N m; disturbances of each
 
 SHORT = """
@@ -58,18 +50,14 @@ schemes: {only: {observer: sliding_mode, disturbance_observer: exosystem, contro
 """
 
 
-def marked(case: tuple[str, str]):
-    return pytest.param(*case, marks=[pytest.mark.thorough] if case in THOROUGH else [])
-
-
-EVERY_PAPER = pytest.mark.parametrize(("name", "scheme"), [marked((name, "proposed")) for name in PAPER])
+EVERY_PAPER = pytest.mark.parametrize(("name", "scheme"), [(name, "proposed") for name in PAPER])
 
 
 @functools.cache
 def whole(name: str, scheme: str) -> tuple[Scenario, Flight]:
-    """A scenario and its flight, as long as `CHECKED` says, flown once for all tests."""
-    scenario, end = load_scenario(find_scenario(name)), CHECKED[name, scheme]
-    return scenario, fly(scenario if end is None else with_duration(scenario, end), scheme)
+    """A scenario and its flight, flown once for all tests."""
+    scenario = load_scenario(find_scenario(name))
+    return scenario, fly(scenario, scheme)
 
 
 def short(*overrides: str) -> Flight:
@@ -83,7 +71,7 @@ def identical(one: Flight, other: Flight) -> bool:
     )
 
 
-@pytest.mark.parametrize(("name", "scheme"), [*map(marked, CHECKED)])
+@pytest.mark.parametrize(("name", "scheme"), CHECKED)
 def test_scheme_passes_the_checks_of_its_scenario(name, scheme):
     scenario, flight = whole(name, scheme)
     checks = summary(flight, scenario, scenario.scheme(scheme), wall_time=1.0)["checks"]
@@ -91,7 +79,6 @@ def test_scheme_passes_the_checks_of_its_scenario(name, scheme):
     assert [check for check in checks if not check["passed"]] == []
 
 
-@pytest.mark.thorough
 def test_supervised_diagnosis_costs_nothing_without_faults():
     """Once the gyro bias is known, it tracks no worse than the same controller without diagnosis."""
     scenario = with_duration(load_scenario(find_scenario("mems_constant_disturbance"), ["faults=[]"]), 24.0)
