@@ -140,7 +140,6 @@ def test_thrust_follows_the_stick_within_its_limit():
     assert [share(stick, 0.8) for stick in (-1.0, 0.0, 1.0, float("nan"))] == [0.0, 0.5, 0.8, 0.0]
 
 
-@pytest.mark.slow
 def test_batch_in_ten_lines_flies_each_flight():
     example = loaded(EXAMPLES / "batch_in_ten_lines.py")
     sizes, errors = example.fly(3, "conventional")

@@ -158,7 +158,6 @@ def test_batch_equals_the_loop():
                 np.testing.assert_allclose(column[one], value, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.slow
 def test_jax_gives_the_same_numbers():
     jax.config.update("jax_enable_x64", True)
     inputs, effects = flight(QUAD, one_rotor(QUAD, 2, 0.3), 850), effects_of(QUAD)
