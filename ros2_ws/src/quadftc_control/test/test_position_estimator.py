@@ -5,12 +5,14 @@ import dataclasses
 import numpy as np
 import pytest
 
+from quadftc_compile.engine import CEngine
 from quadftc_control.trajectory import trajectories
 from quadftc_model.assembly import build_prefixed, node_values
 from quadftc_model.parameters import parameters_of
 from quadftc_model.position_estimator import PositionEstimator, PositionEstimatorInputs
 from quadftc_model.rotations import quaternion_from_euler, to_body
 from quadftc_model.samples import STANDARD_GRAVITY, ImuSample, PositionSample
+from quadftc_model.stepper import Stepper
 
 DT = 0.004
 MOCAP = PositionEstimator(delay=0.008)
@@ -56,12 +58,10 @@ class Flight:
 
     def errors(self, sensor, duration=12.0):
         """Errors of position, velocity and acceleration, and the estimated bias; (n, 3) each."""
-        law, state, out = SENSORS[sensor][0], None, []
-        for inputs, true in self.inputs(sensor, duration):
-            dt = DT if state is not None else 0.0
-            state = law.init(inputs) if state is None else state
-            state, estimate = law.step(state, inputs, dt)
-            out.append([a - b for a, b in zip(estimate, true[:3], strict=True)] + [state.bias])
+        stepper, out = Stepper(SENSORS[sensor][0], CEngine()), []
+        for index, (inputs, true) in enumerate(self.inputs(sensor, duration)):
+            estimate = stepper.step(round(1e9 * DT) * index, inputs)
+            out.append([a - b for a, b in zip(estimate, true[:3], strict=True)] + [stepper.state.bias])
         return [np.array(column) for column in zip(*out, strict=True)]
 
 
