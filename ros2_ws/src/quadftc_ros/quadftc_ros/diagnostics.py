@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
-from quadftc_ros.conversions import NANOSECONDS, time_message
+from quadftc_bags.cdr.writer import MessageWriter
+from quadftc_ros.conversions import NANOSECONDS
 from quadftc_ros.qos import topic_profile
 from quadftc_ros.transport import Tap, tapped
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 WINDOW_NS = 900_000_000  # ns; shorter ones say little: diagnostics come at once on a change
 LATE = 2.0  # periods; one may pass in the sensor itself
+
+
+class _Status(NamedTuple):
+    """What is said of one part."""
+
+    level: bytes
+    message: str
+    values: Mapping[str, object]
 
 
 class Diagnostics:
@@ -30,7 +40,7 @@ class Diagnostics:
         self._name = node.get_fully_qualified_name().lstrip("/")
         profile = topic_profile("reliable", "realtime")
         self._publish = tapped(node.create_publisher(DiagnosticArray, "/diagnostics", profile), tap)
-        self._statuses: dict[str, DiagnosticStatus] = {}
+        self._statuses: dict[str, _Status] = {}
         self.counts: Counter[str] = Counter()  # what should not have happened, and how often it did
         self._counted = False  # since the last message
         self._due_ns = 0
@@ -38,13 +48,9 @@ class Diagnostics:
 
     def report(self, part: str, level: bytes, message: str, **values: object) -> None:
         """Set the status of one part; a changed level or message is published with the next :meth:`tick`."""
-        if part not in self._statuses:
-            new = DiagnosticStatus(name=f"{self._name}: {part}", hardware_id=self._hardware_id)
-            self._statuses[part], self.changed = new, True
-        status = self._statuses[part]
-        if (status.level, status.message) != (level, message):
-            status.level, status.message, self.changed = level, message, True
-        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+        last = self._statuses.get(part)
+        self.changed |= last is None or last[:2] != (level, message)
+        self._statuses[part] = _Status(level, message, values)
 
     def forget(self, *parts: str) -> None:
         """Report parts no longer."""
@@ -72,9 +78,18 @@ class Diagnostics:
         level, words = (WARN, "some were rejected or doubtful") if self._counted else (OK, "all used")
         self.report("samples", level, words, **self.counts)
         self.changed = self._counted = False
-        message = DiagnosticArray(status=[self._statuses[part] for part in sorted(self._statuses)])
-        message.header.stamp = time_message(stamp_ns)
-        self._publish(message)
+        writer = MessageWriter(stamp_ns)
+        writer.number("I", len(self._statuses))
+        for part, status in sorted(self._statuses.items()):
+            writer.number("B", status.level[0])
+            writer.text(f"{self._name}: {part}")
+            writer.text(status.message)
+            writer.text(self._hardware_id)
+            writer.number("I", len(status.values))
+            for key, value in status.values.items():
+                writer.text(key)
+                writer.text(str(value))
+        self._publish(writer.data)
 
 
 class SampleTiming:

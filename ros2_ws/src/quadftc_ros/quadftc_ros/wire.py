@@ -9,13 +9,11 @@ import struct
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, Vector3Stamped
-from rclpy.serialization import serialize_message
 from sensor_msgs.msg import FluidPressure, Imu, MagneticField
 from std_msgs.msg import Header
 
-from quadftc_bags.cdr.layout import PaddingCleaner
 from quadftc_bags.cdr.message import NANOSECONDS, NumberWriter, read_message, read_numbers
-from quadftc_model import samples
+from quadftc_bags.cdr.writer import MessageWriter
 from quadftc_model.samples import (
     ABSENT,
     AttitudeCommand,
@@ -26,9 +24,9 @@ from quadftc_model.samples import (
     ImuSample,
 )
 from quadftc_msgs.msg import AttitudeReference as AttitudeReferenceMessage
-from quadftc_msgs.msg import ComponentFault, ControlStatus, Diagnosis, FaultStatus
-from quadftc_ros.conversions import Floats, time_message
-from quadftc_ros.topics import BASE_FRAME, DIAGNOSIS, EARTH_FRAME, IMU_FRAME
+from quadftc_msgs.msg import ControlStatus, FaultStatus
+from quadftc_ros.conversions import Floats
+from quadftc_ros.topics import BASE_FRAME, EARTH_FRAME, IMU_FRAME
 
 _UNKNOWN = (0.0,) * 9  # a covariance
 _ABSENT = (ABSENT, *_UNKNOWN[1:])
@@ -180,21 +178,25 @@ class DiagnosisWire:
     """Makes serialised reports on all components."""
 
     def __init__(self, frame: str = IMU_FRAME) -> None:
-        self._header = Header(frame_id=frame)
-        self._clean = PaddingCleaner(DIAGNOSIS).clean
+        self._frame = frame
 
     def __call__(self, report: DiagnosisReport) -> bytes:
         """Return the message of a report."""
-        self._header.stamp = time_message(report.stamp_ns)
-        faults = [_fault_message(fault) for fault in report.faults]
-        message = Diagnosis(header=self._header, watched=list(report.watched), faults=faults)
-        return self._clean(serialize_message(message))
-
-
-def _fault_message(fault: samples.ComponentFault) -> ComponentFault:
-    values = fault._asdict()
-    onset, rivals = time_message(values.pop("onset_ns")), list(values.pop("ambiguous_with"))
-    return ComponentFault(**values, ambiguous_with=rivals, onset=onset)
+        writer = MessageWriter(report.stamp_ns, self._frame)
+        writer.texts(report.watched)
+        writer.number("I", len(report.faults))
+        for fault in report.faults:
+            writer.text(fault.component)
+            writer.text(fault.element)
+            writer.text(fault.kind)
+            writer.number("B", fault.state)
+            writer.number("d", fault.size)
+            writer.number("d", fault.std_dev)
+            writer.text(fault.unit)
+            writer.number("d", fault.probability)
+            writer.texts(fault.ambiguous_with)
+            writer.time(fault.onset_ns)
+        return writer.data
 
 
 class ControlStatusWire:
