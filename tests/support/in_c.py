@@ -35,7 +35,8 @@ def fly_law(law, samples, dt, state=None):
     """The same for a sequence of inputs; outputs are a list."""
     inputs = jax.tree.map(lambda *rows: np.stack(rows), *samples)
     state, outputs = fly_arrays(law, inputs, dt, state)
-    return state, [rows_of(outputs, row) for row in range(len(samples))]
+    leaves, structure = jax.tree.flatten(outputs)
+    return state, [structure.unflatten(row) for row in zip(*leaves, strict=True)]
 
 
 def in_c(law, inputs):
