@@ -18,6 +18,14 @@ Floats = NDArray[np.float64]
 MAIN = ""  # name of the first or only sensor of its kind; others are named by the log, such as "2"
 
 
+class Event(NamedTuple):
+    """What the autopilot itself said."""
+
+    time: float  # since the first sample of the log [s]
+    source: str  # such as "MSG", "ERR", "failure_detector_status"
+    text: str
+
+
 class Signal(NamedTuple):
     """One signal; samples in the order of their times, which increase strictly."""
 
@@ -49,6 +57,7 @@ class FlightLog:
     body_rate: Signal | None = None  # (n, 3) [rad/s]: estimated rate, where no gyro is logged
     position: Signal | None = None  # (n, 3) [m]
     velocity: Signal | None = None  # (n, 3) [m/s]
+    gps_velocity: Signal | None = None  # (n, 3) [m/s], east, north, up: as the receiver measures it
     acceleration: Signal | None = None  # (n, 3) [m/s²]: estimated, without gravity, earth axes
     rotor_speeds: Signal | None = None  # (n, rotors), measured [rad/s]
     rotor_commands: Signal | None = None  # (n, rotors), 0 to 1: what the autopilot takes for shares of thrust
@@ -59,6 +68,7 @@ class FlightLog:
     vehicle: str = ""  # name of the vehicle file, where the log says it
     rotor_positions: Floats | None = None  # (rotors, 2) [m], or directions alone
     rotor_yaw_signs: Floats | None = None  # (rotors,) of the reaction torque about z
+    events: tuple[Event, ...] = ()  # in the order of their times
     notes: tuple[str, ...] = ()  # one line each: what was left out, what is damaged, what was assumed
 
     @property
@@ -66,6 +76,6 @@ class FlightLog:
         """Time of the last sample of all signals [s]."""
         single = [self.magnetometer, self.attitude, self.body_rate, self.position, self.velocity]
         single += [self.acceleration, self.rotor_speeds, self.rotor_commands, self.torque_command]
-        single += [self.thrust_command, self.battery, self.angles]
+        single += [self.thrust_command, self.battery, self.angles, self.gps_velocity]
         signals = [*self.gyros.values(), *self.accelerometers.values(), *filter(None, single)]
         return max((float(each.time[-1]) for each in signals if len(each)), default=0.0)

@@ -5,13 +5,15 @@
 | gyros | ``IMU`` or ``GYR``, whichever has more samples: ``GyrX`` to ``GyrZ`` [rad/s] of each instance |
 | accelerometers | ``IMU`` or ``ACC``: ``AccX`` to ``AccZ`` [m/s²] of each instance |
 | magnetometer | ``MAG``: ``MagX`` to ``MagZ`` [mGauss] of the first instance |
-| attitude | ``ATT``: ``Roll``, ``Pitch``, ``Yaw`` [deg] |
+| attitude | ``ATT`` or ``ANG``, whichever has more samples: ``Roll``, ``Pitch``, ``Yaw`` [deg] |
 | body rate | ``RATE``: ``R``, ``P``, ``Y`` [deg/s], without a gyro |
 | position, velocity | ``XKF1``, ``NKF1`` or ``EKF1``: ``PN`` ... [m], ``VN`` ... [m/s] of the first core |
+| velocity by satellites | ``GPS``: ``Spd`` [m/s], ``GCrs`` [deg], ``VZ`` [m/s] of the first receiver |
 | rotor speeds | ``ESC``: ``RPM`` of each instance |
 | rotor commands | ``RCOU``: ``C1`` to ``C14`` [µs] |
 | torque, thrust command | ``RATE``: ``ROut``, ``POut``, ``YOut``, ``AOut``, shares of the greatest |
 | battery | ``BAT``: ``Volt`` [V] |
+| events | ``MSG``; ``ERR`` and ``EV`` in words |
 | layout of the rotors | ``PARM``: ``FRAME_CLASS``, ``FRAME_TYPE``, of a quadplane with ``Q_`` |
 
 ``SERVOn_FUNCTION`` says which output drives which motor; without it output n drives motor n. Commands are the
@@ -56,7 +58,11 @@ _FIELDS = {
     "GYR": ("SampleUS", *_GYRO),
     "ACC": ("SampleUS", *_FORCE),
     "MAG": ("MagX", "MagY", "MagZ"),
-    "ATT": ("Roll", "Pitch", "Yaw"),
+    **dict.fromkeys(("ATT", "ANG"), ("Roll", "Pitch", "Yaw")),
+    "GPS": ("Spd", "GCrs", "VZ"),
+    "MSG": ("Message",),
+    "ERR": ("Subsys", "ECode"),
+    "EV": ("Id",),
     "RATE": ("R", "P", "Y", "ROut", "POut", "YOut", "AOut"),
     "ESC": ("RPM",),
     "RCOU": tuple(f"C{k + 1}" for k in range(14)),
@@ -73,6 +79,34 @@ MOTOR_FUNCTIONS = {33 + k: k for k in range(8)} | {
 }  # SERVOn_FUNCTION -> motor
 LEAST_RANGE = 50.0  # µs; the pulses of a motor in flight differ by more
 OUTPUTS = 14  # in RCOU; SERVOn_FUNCTION of each is one of these
+# what a pilot or an autopilot did, of ``EV``; what failed, of ``ERR`` (LogEvent, LogErrorSubsystem)
+EVENTS = {
+    10: "armed",
+    11: "disarmed",
+    15: "armed",
+    17: "landed",
+    18: "landed",
+    28: "not landed",
+    62: "EKF yaw reset",
+}
+SUBSYSTEMS = {
+    2: "radio",
+    3: "compass",
+    5: "radio failsafe",
+    6: "battery failsafe",
+    8: "GCS failsafe",
+    11: "GPS",
+    12: "crash check",
+    16: "EKF check",
+    17: "EKF failsafe",
+    18: "barometer",
+    19: "CPU",
+    24: "EKF primary",
+    25: "thrust loss check",
+    26: "sensors failsafe",
+    28: "pilot input",
+    29: "vibration failsafe",
+}
 CLASSES = {1: 4, 2: 6, 3: 8}  # FRAME_CLASS -> rotors
 # FRAME_TYPE -> frame; 2 is a V, whose rotors turn as those of an X
 _X = {1: "x", 2: "x", 12: "betaflight x", 13: "dji x", 14: "clockwise x", 18: "betaflight x reversed"}
@@ -87,6 +121,7 @@ def read(path: Path) -> FlightLog:
     for field, (fast, fields) in SENSORS.items():
         _add_sensors(signals, log.messages, field, fast, fields)
     _add_states(signals, log.messages)
+    _add_events(signals, log.messages)
     parameters = sound(log.parameters)
     layout, note = _layout(parameters, log.messages.get("RCOU"))
     signals.notes += note
@@ -147,10 +182,15 @@ def _add_sensors(
 
 def _add_states(signals: Signals, messages: Mapping[str, Table]) -> None:
     """Add attitude, position, velocity, rates and torques, magnetometer and battery."""
-    if table := _first(messages.get("ATT"), "Roll", "Pitch", "Yaw"):
+    attitudes = (_first(messages.get(name), "Roll", "Pitch", "Yaw") for name in ("ATT", "ANG"))
+    if table := max(filter(None, attitudes), key=lambda each: len(each["TimeUS"]), default=None):
         roll, pitch, yaw = DEGREE * columns(table, ("Roll", "Pitch", "Yaw")).T
         angles = np.stack([roll, -pitch, math.pi / 2 - yaw], axis=-1)
-        signals.add("attitude", _stamps(table), quaternion_from_euler(angles), "ATT")
+        signals.add("attitude", _stamps(table), quaternion_from_euler(angles), "attitude")
+    if table := _first(messages.get("GPS"), "Spd", "GCrs", "VZ"):
+        speed, course, down = columns(table, ("Spd", "GCrs", "VZ")).T
+        value = np.stack([speed * np.sin(DEGREE * course), speed * np.cos(DEGREE * course), -down], axis=-1)
+        signals.add("gps_velocity", _stamps(table), value, "GPS")
     for name in ESTIMATES:
         if table := _first(messages.get(name), "PN", "PE", "PD", "VN", "VE", "VD"):
             for field, letter in (("position", "P"), ("velocity", "V")):
@@ -170,6 +210,26 @@ def _add_states(signals: Signals, messages: Mapping[str, Table]) -> None:
         signals.add("magnetometer", _stamps(table), value, "MAG")
     if table := _first(messages.get("BAT"), "Volt"):
         signals.add("battery", _stamps(table), table["Volt"], "BAT")
+
+
+def _add_events(signals: Signals, messages: Mapping[str, Table]) -> None:
+    """Add what the autopilot said: its messages as they are, errors and events in words."""
+    said: list[tuple[int, str, str]] = []
+    if (table := messages.get("MSG")) and {"TimeUS", "Message"} <= table.keys():
+        texts = (bytes(each).split(b"\0")[0].decode("ascii", "replace") for each in table["Message"])  # type: ignore
+        said += [(int(stamp), "MSG", text) for stamp, text in zip(_stamps(table), texts, strict=True)]
+    if (table := messages.get("ERR")) and {"TimeUS", "Subsys", "ECode"} <= table.keys():
+        for stamp, part, code in zip(_stamps(table), table["Subsys"], table["ECode"], strict=True):
+            name = SUBSYSTEMS.get(int(part), f"subsystem {part:g}")
+            said.append((int(stamp), "ERR", f"{name}: {'resolved' if code == 0 else f'error {code:g}'}"))
+    if (table := messages.get("EV")) and {"TimeUS", "Id"} <= table.keys():
+        known = (
+            (stamp, EVENTS.get(int(number)))
+            for stamp, number in zip(_stamps(table), table["Id"], strict=True)
+        )
+        said += [(int(stamp), "EV", name) for stamp, name in known if name]
+    for stamp, source, text in sorted(said):
+        signals.say(stamp, source, text)
 
 
 def _layout(parameters: Mapping[str, float], outputs: Table | None) -> tuple[Layout | None, list[str]]:

@@ -12,12 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from quadftc_bags.bag import BagError
 from quadftc_model.stepper import NANOSECONDS_PER_SECOND
-from quadftc_replay.flight_log import FlightLog, Floats, Signal
+from quadftc_replay.flight_log import Event, FlightLog, Floats, Signal
 
 Stamps = NDArray[np.int64]
 MAX_PAUSE = 3600.0  # s; what is further from the other samples than this has a damaged stamp
 LARGEST = 1e9  # of a parameter
 NAMED = ("gyros", "accelerometers")
+MOST_EVENTS, LONGEST_EVENT = 500, 120  # of a log; characters
+REPEATS = 10  # events before, of which a new one is no repetition
 
 
 class Stamped(NamedTuple):
@@ -35,6 +37,14 @@ class Signals:
         self.notes: list[str] = []
         self._named: dict[str, dict[str, Stamped]] = {kind: {} for kind in NAMED}
         self._single: dict[str, Stamped] = {}
+        self._events: list[tuple[int, str, str]] = []
+
+    def say(self, stamp_ns: int, source: str, text: str) -> None:
+        """Take what the autopilot said; what it repeats counts once, and control characters do not count."""
+        line = " ".join("".join(each if each.isprintable() else " " for each in text).split())[:LONGEST_EVENT]
+        is_new = not any(each[1:] == (source, line) for each in self._events[-REPEATS:])
+        if line and is_new and len(self._events) < MOST_EVENTS:
+            self._events.append((int(stamp_ns), source, line))
 
     def add(self, field: str, stamp_ns: Stamps, value: ArrayLike, source: str, name: str = "") -> bool:
         """Take a signal for a field of `FlightLog`; whether two samples or more are left of it.
@@ -83,10 +93,17 @@ class Signals:
             path=self.path,
             format=self.format,
             start_ns=start_ns,
+            events=tuple(self._said(start_ns, max(int(each.stamp_ns[-1]) for _, _, each in everything))),
             notes=tuple(self.notes),
             **fields,
             **{name: value for name, value in known.items() if value is not None},
         )
+
+    def _said(self, start_ns: int, end_ns: int) -> Iterable[Event]:
+        """What was said from the first to the last sample, in order."""
+        for stamp_ns, source, text in sorted(self._events):
+            if start_ns <= stamp_ns <= end_ns:
+                yield Event((stamp_ns - start_ns) / NANOSECONDS_PER_SECOND, source, text)
 
     def _all(self) -> Iterable[tuple[dict[str, Stamped], str, Stamped]]:
         for holder in (self._single, *self._named.values()):

@@ -9,6 +9,8 @@
 | magnetometer | ``vehicle_magnetometer.magnetometer_ga`` |
 | attitude | ``vehicle_attitude.q`` |
 | position, velocity, acceleration | ``vehicle_local_position`` |
+| velocity by satellites | ``vehicle_gps_position`` or ``sensor_gps``: ``vel_n_m_s`` ... [m/s] |
+| events | messages, ``failure_detector_status``, ``estimator_selector_status``, resets of the attitude |
 | rotor speeds | ``esc_status.esc[].esc_rpm`` |
 | rotor commands | ``actuator_motors.control``, else ``actuator_outputs.output`` over its range |
 | torque, thrust command | ``vehicle_torque_``, ``vehicle_thrust_setpoint``; else ``actuator_controls_0`` |
@@ -27,7 +29,7 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -56,8 +58,11 @@ ATTITUDE, POSITION, MAGNETOMETER = "vehicle_attitude", "vehicle_local_position",
 MOTORS, OUTPUTS, ESCS, BATTERY = "actuator_motors", "actuator_outputs", "esc_status", "battery_status"
 TORQUE, THRUST, CONTROLS = "vehicle_torque_setpoint", "vehicle_thrust_setpoint", "actuator_controls_0"
 SELECTION = "sensor_selection"
+SATELLITES = ("vehicle_gps_position", "sensor_gps")
+DETECTOR, SELECTOR = "failure_detector_status", "estimator_selector_status"
 TOPICS = (
     *(ATTITUDE, POSITION, MAGNETOMETER, MOTORS, OUTPUTS, ESCS, BATTERY, TORQUE, THRUST, CONTROLS, SELECTION),
+    *(*SATELLITES, DETECTOR, SELECTOR),
     *dict.fromkeys([*GYROS, *FORCES, *INSTANCES["gyros"], *INSTANCES["accelerometers"]]),
 )
 INVALID_TIME = 0x7FFFFFFF  # sensor_combined.accelerometer_timestamp_relative: no accelerometer in this sample
@@ -80,6 +85,7 @@ class Contents(NamedTuple):
     parameters: Mapping[str, float]
     corrupt: bool
     notes: tuple[str, ...]  # one line each
+    messages: tuple[tuple[int, str], ...] = ()  # stamp [ns], text
 
     def get(self, topic: str, instance: int = 0) -> Dataset | None:
         """Samples of a topic."""
@@ -102,6 +108,7 @@ def read(path: Path) -> FlightLog:
     for field, topics in INSTANCES.items():
         _add_others(signals, log, field, topics)
     _add_states(signals, log)
+    _add_events(signals, log)
     rotors = _add_rotors(signals, log)
     _add_setpoints(signals, log)
     layout = _layout(log.parameters, rotors)
@@ -138,7 +145,8 @@ def read_contents(path: Path, topics: Sequence[str] = TOPICS) -> Contents:
     filled = [each for each in log.data_list if len(each.data.get("timestamp", ()))]
     data = {(each.name, each.multi_id): each.data for each in filled}
     notes = tuple(note for name, each in buffers.items() for note in each.thinning.notes(name))
-    return Contents(data, sound(log.initial_parameters), log.file_corruption, notes)
+    messages = tuple((int(each.timestamp) * 1000, str(each.message)) for each in log.logged_messages)
+    return Contents(data, sound(log.initial_parameters), log.file_corruption, notes, messages)
 
 
 def stamps_of(data: Dataset) -> Stamps:
@@ -218,11 +226,42 @@ def _add_states(signals: Signals, log: Contents) -> None:
         for field, names in fields.items():
             if (value := _fields(data, *names.split())) is not None:
                 signals.add(field, stamps_of(data), enu_from_ned(value), f"{POSITION}: {names}")
+    satellites = next(filter(None, map(log.get, SATELLITES)), None)
+    if satellites and (value := _fields(satellites, "vel_n_m_s", "vel_e_m_s", "vel_d_m_s")) is not None:
+        signals.add("gps_velocity", stamps_of(satellites), enu_from_ned(value), "GPS")
     data = log.get(MAGNETOMETER)
     if data and (value := vectors(data, "magnetometer_ga")) is not None:
         signals.add("magnetometer", stamps_of(data), flu_from_frd(value), MAGNETOMETER)
     if (data := log.get(BATTERY)) and "voltage_v" in data:
         signals.add("battery", stamps_of(data), data["voltage_v"], BATTERY)
+
+
+def _add_events(signals: Signals, log: Contents) -> None:
+    """Add what the autopilot said: messages, failures it detected, changes of estimator, resets."""
+    said = [(stamp, "message", text) for stamp, text in log.messages]
+    if data := log.get(DETECTOR):
+        for name in data:
+            if name.startswith(("fd_", "motor_failure_mask")):
+                said += [
+                    (stamp, DETECTOR, f"{name} {value}") for stamp, value in _changes(data, name) if value
+                ]
+    if data := log.get(SELECTOR):
+        name = "primary_instance"
+        said += [(stamp, SELECTOR, f"{name} {value}") for stamp, value in _changes(data, name)]
+    if data := log.get(ATTITUDE):
+        said += [
+            (stamp, ATTITUDE, "the estimator reset it") for stamp, _ in _changes(data, "quat_reset_counter")
+        ]
+    for stamp, source, text in sorted(said):
+        signals.say(stamp, source, text)
+
+
+def _changes(data: Dataset, field: str) -> Iterator[tuple[int, int]]:
+    """Stamp [ns] and new value of a whole number, whenever it changes."""
+    if field in data:
+        value, stamp_ns = data[field].astype(np.int64), stamps_of(data)
+        for row in np.flatnonzero(np.diff(value)) + 1:
+            yield int(stamp_ns[row]), int(value[row])
 
 
 def _add_setpoints(signals: Signals, log: Contents) -> None:
