@@ -11,20 +11,47 @@ from typer import Argument, Option
 from quadftc_cli.commands import CHECK_FAILED, GOOD
 from quadftc_cli.screen import Bars, console, plain_table, say
 
+LOG_HELP = (
+    "Flight log: ROS 1 or ROS 2 bag, PX4 ULog, ArduPilot .BIN or .log, MAVLink .tlog, Betaflight or INAV"
+    " blackbox, Crazyflie uSD, CSV with --mapping; or any of them in a ZIP, gzip or Zstandard file."
+)
 FAULT_HELP = "Overlay a fault: 'bias channel=gyro axis=roll value=0.3 start=20s'; may be repeated."
 
 
 def diagnose(
     log: Annotated[
         Path,
-        Argument(
-            metavar="LOG", help="Flight log: rosbag2, PX4 ULog, ArduPilot BIN, or of a Crazyflie's uSD."
-        ),
+        Argument(metavar="LOG", help=LOG_HELP),
     ],
+    number: Annotated[
+        int,
+        Option(
+            "--log", min=0, metavar="N", show_default=False, help="Which of several logs in the file, from 1."
+        ),
+    ] = 0,
+    system: Annotated[
+        int,
+        Option(
+            min=0,
+            max=255,
+            metavar="N",
+            show_default=False,
+            help="Which of several vehicles, by its MAVLink system.",
+        ),
+    ] = 0,
+    mapping: Annotated[
+        Path | None, Option(metavar="FILE", help="What the columns of a CSV table mean (docs/diagnose.md).")
+    ] = None,
     baseline: Annotated[
         Path | None,
         Option(metavar="LOG", help="Healthy flight of the same vehicle, to compare the rotors with."),
     ] = None,
+    baseline_log: Annotated[
+        int,
+        Option(
+            min=0, metavar="N", show_default=False, help="Which of several logs in the file of the baseline."
+        ),
+    ] = 0,
     fault: Annotated[list[str], Option(metavar="SPEC", help=FAULT_HELP)] = [],  # noqa: B006
     vehicle: Annotated[
         str, Option(help="Vehicle, by name or TOML file, for the layout of the rotors; default: the log's.")
@@ -46,8 +73,16 @@ def diagnose(
         write_verdict,
         write_verdict_junit,
     )
+    from quadftc_replay.readers import LogChoice
 
-    options = DiagnosisOptions(baseline=baseline, faults=tuple(fault), vehicle=vehicle, seed=seed)
+    options = DiagnosisOptions(
+        choice=LogChoice(number, system, mapping),
+        baseline=baseline,
+        baseline_log=baseline_log,
+        faults=tuple(fault),
+        vehicle=vehicle,
+        seed=seed,
+    )
     with Bars(console()) as bars:
         inspection = diagnose_log(log, options, bars.add(log.resolve().name))
     verdict = inspection.verdict

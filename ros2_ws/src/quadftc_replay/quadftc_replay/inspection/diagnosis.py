@@ -14,7 +14,8 @@ from quadftc_replay.inspection.inspect import Inspection, Progress, inspect
 from quadftc_replay.inspection.overlay import overlay_faults
 from quadftc_replay.inspection.verdict import Verdict, show, unjudged
 from quadftc_replay.overlay import faults_from
-from quadftc_replay.readers import read_log
+from quadftc_replay.readers import ONLY_ONE, LogChoice
+from quadftc_replay.readers.bounded import read_bounded
 
 VERDICT = "verdict.json"
 READING = 0.2  # share of the work
@@ -26,6 +27,8 @@ class DiagnosisOptions:
 
     baseline: Path | None = None  # healthy flight of the same vehicle
     faults: tuple[str, ...] = ()  # specifications of faults to overlay
+    choice: LogChoice = ONLY_ONE  # which log of the file, and how it is read
+    baseline_log: int = 0  # of several in the file of the baseline, from 1; 0: the only one
     vehicle: str = ""  # name or TOML file, for the layout of the rotors; empty: what the log says
     seed: int = 0  # of random faults
 
@@ -35,8 +38,11 @@ def diagnose_log(
 ) -> Inspection:
     """Read and judge a log; a ValueError of one line says what is wrong with it or with the options."""
     faults: tuple[Fault, ...] = faults_from((), options.faults)
-    log = _with_layout(read_log(path), options.vehicle)
-    baseline = None if options.baseline is None else _with_layout(read_log(options.baseline), options.vehicle)
+    log = _with_layout(read_bounded(path, options.choice), options.vehicle)
+    baseline = None
+    if options.baseline is not None:
+        choice = options.choice._replace(log=options.baseline_log)
+        baseline = _with_layout(read_bounded(options.baseline, choice), options.vehicle)
     progress(READING)
     if faults:
         log = overlay_faults(log, faults, options.seed)

@@ -1,71 +1,118 @@
 """Readers of flight logs, one file per format; `read_log` chooses by the first bytes.
 
 A reader takes a path and gives a `FlightLog`. A new format is one more file, and one more line in `READERS`.
+`bounded` runs a reader in a process with limits, as whatever comes from outside has to.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import dataclasses
+import tempfile
+from collections.abc import Callable, Generator
 from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
 from quadftc_bags.bag import BagError
 from quadftc_replay.flight_log import FlightLog
+from quadftc_replay.readers.contents import HEAD, begins, is_text, name_content
+from quadftc_replay.readers.unpacking import PACKED, unpack
 
-HEAD = 16  # bytes that tell a format
+
+class LogChoice(NamedTuple):
+    """What of a file is meant, and how it is to be read."""
+
+    log: int = 0  # of several in a file, from 1; 0: the only one
+    system: int = 0  # of several vehicles in a telemetry log: MAVLink system; 0: the only one
+    mapping: Path | None = None  # what the columns of a table mean
+
+
+ONLY_ONE = LogChoice()
+
+
+class Source(NamedTuple):
+    """A file with a log, perhaps unpacked."""
+
+    file: Path
+    choice: LogChoice  # of the logs in it
+    notes: tuple[str, ...]  # of the unpacking, one line each
+
+    def finish(self, log: FlightLog, path: Path) -> FlightLog:
+        """Name the log by the file it came in."""
+        return dataclasses.replace(log, path=path, notes=(*self.notes, *log.notes))
 
 
 class Reader(NamedTuple):
-    """A format: how its files begin, and the module with ``read(path)``, imported when it is needed."""
+    """A format: how its files are known, and the module with ``read(path)``, imported when it is needed."""
 
     name: str
-    begins: tuple[bytes, ...]
+    knows: Callable[[bytes], bool]  # by the first `HEAD` bytes
     module: str
+    cost: float  # processor time of 1 MB [s], measured on the costliest log at hand
+    option: str = ""  # field of `LogChoice` that `read` takes
 
-    def read(self, path: Path) -> FlightLog:
+    def read(self, path: Path, choice: LogChoice = ONLY_ONE) -> FlightLog:
         """Read a log."""
-        read: Callable[[Path], FlightLog] = import_module(f"{__name__}.{self.module}").read
-        return read(path)
+        read: Callable[..., FlightLog] = import_module(f"{__name__}.{self.module}").read
+        return read(path, **({self.option: getattr(choice, self.option)} if self.option else {}))
 
 
 READERS = (
-    Reader("ROS 2 bag", (b"\x89MCAP0\r\n", b"SQLite format 3\0"), "rosbag"),
-    Reader("PX4 ULog", (b"ULog\x01\x12\x35",), "ulog"),
-    Reader("ArduPilot BIN", (b"\xa3\x95",), "ardupilot"),
-    Reader("Crazyflie uSD", (b"\xbc\x01\x00", b"\xbc\x02\x00"), "crazyflie"),
+    Reader("ROS 2 bag", begins(b"\x89MCAP0\r\n", b"SQLite format 3\0"), "rosbag", 0.1),
+    Reader("PX4 ULog", begins(b"ULog\x01\x12\x35"), "ulog", 0.1),
+    Reader("ArduPilot BIN", begins(b"\xa3\x95"), "ardupilot", 0.1),
+    Reader("Crazyflie uSD", begins(b"\xbc\x01\x00", b"\xbc\x02\x00"), "crazyflie", 0.1),
 )
+TABLE = Reader("CSV with --mapping", is_text, "table", 1.0, "mapping")
 
 
-OTHERS = {  # what people try as well
-    b"\x1f\x8b": "a file compressed by gzip, which has to be unpacked",
-    b"\x28\xb5\x2f\xfd": "a file compressed by zstd, which has to be unpacked",
-    b"PK\x03\x04": "a ZIP archive, which has to be unpacked",
-    b"FMT, ": "an ArduPilot log as text, whose .BIN can be read",
-    b"H Product:": "a Blackbox log",
-}
-
-
-def find_reader(path: Path) -> Reader:
-    """Find what reads a file; a BagError of one line if nothing does."""
+def find_reader(path: Path, choice: LogChoice = ONLY_ONE) -> Reader:
+    """Find what reads a file; a BagError of one line if nothing does, or not with this choice."""
     if path.is_dir():  # of the formats only a bag is a directory
-        return READERS[0]
+        reader = READERS[0]
+    else:
+        head = read_head(path)
+        known = [TABLE] if choice.mapping and is_text(head) else READERS
+        reader = next((each for each in known if each.knows(head)), None)
+        if reader is None:
+            names = ", ".join(each.name for each in (*READERS, TABLE))
+            raise BagError(f"{path}: {name_content(head)}; expected a log of one of the formats {names}")
+    for option, value in choice._asdict().items():
+        if value and option != reader.option:
+            raise BagError(f"--{option} {value}: {path} is a {reader.name} log, which takes no --{option}")
+    return reader
+
+
+def read_head(path: Path) -> bytes:
+    """Read the bytes that tell a format; BagError if the path is no file that can be read."""
     if path.exists() and not path.is_file():  # a pipe would have us wait
         raise BagError(f"{path}: neither a file nor a directory; expected a log")
     try:
         with path.open("rb") as stream:
-            head = stream.read(HEAD)
+            return stream.read(HEAD)
     except OSError as error:
         raise BagError(f"{path}: {error.strerror or error}") from None
-    for reader in READERS:
-        if head.startswith(reader.begins):
-            return reader
-    other = next((name for begin, name in OTHERS.items() if head.startswith(begin)), None)
-    found = other or (f"a file that begins with {head[:8].hex(' ')}" if head else "an empty file")
-    known = ", ".join(reader.name for reader in READERS)
-    raise BagError(f"{path}: {found}; expected a log of one of the formats {known}")
 
 
-def read_log(path: Path) -> FlightLog:
+@contextlib.contextmanager
+def unpacked(path: Path, choice: LogChoice) -> Generator[Source, None, None]:
+    """Give the log itself and what is meant of it, unpacked into a directory that goes away behind it."""
+    if path.is_dir() or not read_head(path).startswith(PACKED):
+        yield Source(path, choice, ())
+        return
+    with tempfile.TemporaryDirectory(prefix="quadftc-") as directory:
+        known = (*READERS, TABLE) if choice.mapping else READERS
+        file, log, notes = unpack(
+            path, Path(directory), choice.log, lambda head: any(each.knows(head) for each in known)
+        )
+        try:
+            yield Source(file, choice._replace(log=log), notes)
+        except BagError as error:  # whose text names the unpacked file
+            raise BagError(str(error).replace(str(file), str(path))) from None
+
+
+def read_log(path: Path, choice: LogChoice = ONLY_ONE) -> FlightLog:
     """Read a log of any format; a BagError of one line says why it cannot be read."""
-    return find_reader(path).read(path)
+    with unpacked(path, choice) as source:
+        return source.finish(find_reader(source.file, source.choice).read(source.file, source.choice), path)

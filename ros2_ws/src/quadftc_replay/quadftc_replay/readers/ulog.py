@@ -139,6 +139,8 @@ def read_contents(path: Path, topics: Sequence[str] = TOPICS) -> Contents:
             log = Thinned(stream, list(topics))
     except OSError as error:
         raise BagError(f"{path}: {error.strerror or error}") from None
+    except MemoryError:
+        raise
     except Exception as error:  # whatever the library makes of bytes that are no log
         words = " ".join(str(error).split()) or type(error).__name__
         raise BagError(f"{path}: not a PX4 log (ULog): {words}") from None

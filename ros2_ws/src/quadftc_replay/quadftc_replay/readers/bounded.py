@@ -1,0 +1,121 @@
+"""A reader in a process of its own, whose processor time, memory and output are in proportion to the file.
+
+    python -m quadftc_replay.readers.bounded SECONDS SIZE LOG RESULT [--log=N] [--system=N] [--mapping=FILE]
+
+Libraries that decode what comes from outside may loop, fill the memory or crash on a damaged file; then this
+process ends, and says on standard output what is wrong. What it read is pickled into RESULT.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from quadftc_bags.bag import BagError
+from quadftc_replay.flight_log import FlightLog
+from quadftc_replay.readers import ONLY_ONE, LogChoice, Reader, find_reader, unpacked
+
+BAD_INPUT, NO_MEMORY = 2, 3  # exit codes
+MEGABYTE = 1e6  # bytes
+START, MARGIN = 10, 10  # s of processor time for any log, and how many times what its format takes
+PATIENCE = 10  # s of waiting for a second of processor time, as on a busy machine
+# bytes that any log may have, and more of a byte of the log
+MEMORY, MEMORY_SHARE = 2 << 30, 4  # of address space, libraries among them
+OUTPUT, OUTPUT_SHARE = 64 << 20, 40  # of the result
+# threads reserve memory; modules in the working directory are not to be imported
+SETTINGS = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONSAFEPATH": "1"}
+
+
+def read_bounded(path: Path, choice: LogChoice = ONLY_ONE) -> FlightLog:
+    """Read a log of any format as `read_log` does; a BagError says as well which limit was passed."""
+    with unpacked(path, choice) as source, tempfile.NamedTemporaryFile(prefix="quadftc-") as result:
+        reader = find_reader(source.file, source.choice)
+        _run(reader, source.file, source.choice, Path(result.name))
+        log: FlightLog = pickle.load(result)  # written by this very package
+        return source.finish(log, path)
+
+
+def _run(reader: Reader, path: Path, choice: LogChoice, result: Path) -> None:
+    """Run the process; BagError if it could not read the log."""
+    size = _size(path)
+    seconds = processor_time(reader, size)
+    options = [f"--{name}={value}" for name, value in choice._asdict().items() if value]
+    command = [sys.executable, "-m", __name__, str(seconds), str(size), str(path), str(result), *options]
+    what = f"{path}: the reader of a {reader.name} log"
+    try:
+        done = subprocess.run(
+            command, env=os.environ | SETTINGS, capture_output=True, check=False, timeout=PATIENCE * seconds
+        )
+    except subprocess.TimeoutExpired:
+        raise BagError(f"{what} was stopped: more than {PATIENCE * seconds} s") from None
+    if done.returncode == BAD_INPUT:
+        raise BagError(done.stdout.decode("utf-8", "replace").strip())
+    share = f"for {size / MEGABYTE:.3g} MB"
+    if done.returncode == NO_MEMORY:
+        raise BagError(f"{what} was stopped: more than {memory(size) >> 20} MiB of memory {share}")
+    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        raise BagError(f"{what} was stopped: more than {seconds} s of processor time {share}")
+    if done.returncode < 0:
+        raise BagError(f"{what} crashed ({signal.Signals(-done.returncode).name})")
+    if done.returncode:
+        last = done.stderr.decode("utf-8", "replace").strip().rpartition("\n")[2]
+        raise BagError(f"{what} failed: {last or f'exit code {done.returncode}'}")
+
+
+def _size(path: Path) -> int:
+    """Bytes of a file, or of all files of a directory."""
+    files = [each for each in path.iterdir() if each.is_file()] if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files)
+
+
+def processor_time(reader: Reader, size: int) -> int:
+    """Processor time that a log may take [s]."""
+    return START + round(MARGIN * reader.cost * size / MEGABYTE)
+
+
+def memory(size: int) -> int:
+    """Address space that a log may take [bytes]."""
+    return MEMORY + MEMORY_SHARE * size
+
+
+def limit_resources(seconds: int, size: int) -> None:
+    """Bound what this process can use up."""
+    for what, most in (
+        (resource.RLIMIT_AS, memory(size)),
+        (resource.RLIMIT_CPU, seconds),
+        (resource.RLIMIT_FSIZE, OUTPUT + OUTPUT_SHARE * size),
+        (resource.RLIMIT_CORE, 0),
+    ):
+        hard = resource.getrlimit(what)[1]
+        bound = most if hard == resource.RLIM_INFINITY else min(most, hard)
+        resource.setrlimit(what, (bound, bound))
+
+
+def main(arguments: list[str]) -> int:
+    """Read the log of the command line."""
+    seconds, size, path, result = int(arguments[0]), int(arguments[1]), Path(arguments[2]), Path(arguments[3])
+    asked = dict(each.removeprefix("--").split("=", 1) for each in arguments[4:])
+    mapping = Path(asked["mapping"]) if "mapping" in asked else None
+    choice = LogChoice(int(asked.get("log", 0)), int(asked.get("system", 0)), mapping)
+    try:
+        reader = find_reader(path, choice)
+        limit_resources(seconds, size)
+        log = reader.read(path, choice)
+        with result.open("wb") as stream:
+            pickle.dump(log, stream, pickle.HIGHEST_PROTOCOL)
+    except MemoryError:
+        return NO_MEMORY
+    except (BagError, OSError) as error:
+        sys.stdout.write(" ".join(str(error).split()))
+        return BAD_INPUT
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
