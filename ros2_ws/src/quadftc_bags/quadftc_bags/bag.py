@@ -1,4 +1,4 @@
-"""Reading bags: any rosbag2 bag (MCAP or SQLite), whole topics as NumPy arrays.
+"""Reading bags: any rosbag2 bag (MCAP or SQLite) or ROS 1 bag, whole topics as NumPy arrays.
 
 >>> bag = read_bag("out/paper_faults-proposed")
 >>> imu = bag.series("imu/data")
@@ -23,9 +23,11 @@ from numpy.typing import NDArray
 from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
 from quadftc_bags.cdr.arrays import Arrays, decode_topic
+from quadftc_bags.ros1 import is_ros1, read_ros1
 from quadftc_bags.storage import (
     BagError,
     Damage,
+    IsWanted,
     Record,
     is_sqlite,
     open_sqlite,
@@ -208,14 +210,21 @@ class Bag:
         return present
 
 
+def file_records(file: Path, is_wanted: IsWanted) -> Iterator[Record]:
+    """Yield the records of a file of a bag, at least those of the topics that are wanted."""
+    if is_sqlite(file):
+        return read_sqlite(file, is_wanted)
+    return read_ros1(file, is_wanted) if is_ros1(file) else read_records(file)
+
+
 def read_bag(path: str | os.PathLike[str], topics: Collection[str] | None = None) -> Bag:
-    """Read a bag: a rosbag2 directory, an ``.mcap`` or a ``.db3`` file; BagError if it is none.
+    """Read a bag: a rosbag2 directory, an ``.mcap``, a ``.db3`` or a ROS 1 file; BagError if it is none.
 
     ``topics`` (full, relative or short names) are those to keep, to save memory; default: all.
     """
     bag = Bag(Path(path), topics)
     for file in storage_files(bag.path):
-        bag.load(read_sqlite(file, bag.wants) if is_sqlite(file) else read_records(file))
+        bag.load(file_records(file, lambda topic, _kind: bag.wants(topic)))
     return bag
 
 
@@ -227,5 +236,5 @@ def bag_topics(path: Path) -> dict[str, TopicInfo]:
             return {name: TopicInfo(name, topic.msgtype or "", topic.msgcount) for name, topic in topics}
     bag = Bag(path)
     for file in storage_files(path):
-        bag.load(read_records(file), keep=False)
+        bag.load(file_records(file, lambda _topic, _kind: True), keep=False)
     return bag.topics

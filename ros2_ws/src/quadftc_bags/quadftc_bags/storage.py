@@ -60,6 +60,7 @@ class Damage:
 
 
 Message: TypeAlias = tuple[int, int, int, memoryview]  # channel, log time, publish time [ns], data
+IsWanted: TypeAlias = Callable[[str, str], bool]  # by name and type of a topic
 Record: TypeAlias = Header | Schema | Channel | Attachment | Metadata | Message | Damage
 
 
@@ -209,13 +210,13 @@ def open_sqlite(path: Path) -> Generator[Reader, None, None]:
         raise BagError(f"{path}: not a bag that can be read: {words}") from None
 
 
-def read_sqlite(path: Path, is_wanted: Callable[[str], bool]) -> Iterator[Record]:
+def read_sqlite(path: Path, is_wanted: IsWanted) -> Iterator[Record]:
     """Yield the schemas and channels of the wanted topics as `read_records` does, then their messages."""
     from rosbags.interfaces import MessageDefinitionFormat
     from rosbags.typesys import Stores, get_typestore
 
     with open_sqlite(path) as reader:
-        chosen = [each for each in reader.connections if is_wanted(each.topic)]
+        chosen = [each for each in reader.connections if is_wanted(each.topic, each.msgtype)]
         for each in chosen:
             form, text = each.msgdef
             if form is MessageDefinitionFormat.NONE:  # then the type is as ROS 2 Jazzy has it

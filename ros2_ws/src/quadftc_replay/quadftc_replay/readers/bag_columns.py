@@ -14,8 +14,8 @@ import numpy as np
 from mcap.records import Channel, Schema
 from numpy.typing import NDArray
 
-from quadftc_bags.bag import Bag, BagError, TopicInfo
-from quadftc_bags.storage import is_sqlite, read_records, read_sqlite, storage_files
+from quadftc_bags.bag import Bag, BagError, TopicInfo, file_records
+from quadftc_bags.storage import storage_files
 from quadftc_replay.thinning import Thinning
 
 SQLITE = b"SQLite format 3\0"
@@ -102,7 +102,7 @@ def read_columns(path: Path, find_choice: Callable[[str, str], Choose | None]) -
         for file in storage_files(path):
             named = _named_by_content(file, stack)
             try:
-                bag.load(read_sqlite(named, lambda _: True) if is_sqlite(named) else read_records(named))
+                bag.load(file_records(named, lambda name, kind: find_choice(name, kind) is not None))
             except BagError as error:
                 bag.problem = str(error).replace(str(named), str(file))
     if bag.problem and not any(topic.count for topic in bag.topics.values()):

@@ -3,7 +3,7 @@
 Topics that end in ``rotors/speed`` and ``rotors/command`` come first, else those whose names say so, such
 as ``motor_speeds`` or ``esc/rpm``. Of `sensor_msgs/JointState` the first of velocity, effort and position is
 taken, ordered by the numbers at the end of the joints' names; of `actuator_msgs/Actuators` velocity, else
-normalized; of arrays the data, at the times of recording.
+normalized, and of `mav_msgs/Actuators` alike; of arrays the data, at the times of recording.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from quadftc_replay.readers.bag_columns import Choose, Columns, trailing_number
 from quadftc_replay.readers.signals import Signals
 
 JOINTS, ACTUATORS = "sensor_msgs/msg/JointState", "actuator_msgs/msg/Actuators"
+MAV_ACTUATORS = "mav_msgs/msg/Actuators"  # of ROS 1
 ARRAYS = ("std_msgs/msg/Float64MultiArray", "std_msgs/msg/Float32MultiArray")
 SPEEDS, COMMANDS = "rotors/speed", "rotors/command"
 ROTORS = r"(rotor|motor|propeller|prop|esc)s?[_/]?"
@@ -37,7 +38,7 @@ def _first_filled(fields: Columns, names: tuple[str, ...]) -> Columns:
     for name in names:
         value: NDArray[Any] = fields.get(name, np.zeros(0))
         if value.ndim == 2 and FEWEST <= value.shape[1] <= MOST:
-            is_speed = np.full(len(value), name in ("velocity", "data"))
+            is_speed = np.full(len(value), name in ("velocity", "angular_velocities", "data"))
             return {"value": value.astype(np.float64), "is_speed": is_speed}
     raise ValueError("no values, or a number of rotors that changes")
 
@@ -54,6 +55,7 @@ def _joints(fields: Columns) -> Columns:
 CHOOSERS: Mapping[str, Choose] = {
     JOINTS: _joints,
     ACTUATORS: lambda fields: _first_filled(fields, ("velocity", "normalized", "position")),
+    MAV_ACTUATORS: lambda fields: _first_filled(fields, ("angular_velocities", "normalized", "angles")),
     **dict.fromkeys(ARRAYS, lambda fields: _first_filled(fields, ("data",))),
 }
 

@@ -1,4 +1,4 @@
-"""A ROS 2 bag (MCAP or SQLite) as a flight log.
+"""A bag of ROS 2 (MCAP or SQLite) or ROS 1 as a flight log.
 
 | signal | message type, topic |
 |---|---|
@@ -30,6 +30,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from quadftc_bags.ros1 import is_ros1
 from quadftc_flight.run_directory import NO_PARAMETERS, PARAMETERS, attached_text
 from quadftc_model.rotations import to_earth
 from quadftc_model.samples import ABSENT
@@ -45,7 +46,7 @@ from quadftc_replay.readers.bag_columns import (
 from quadftc_replay.readers.bag_rotors import add_rotors, find_rotor_choice
 from quadftc_replay.readers.signals import Signals
 
-FORMAT = "ROS 2 bag"
+FORMAT, FORMAT_1 = "ROS 2 bag", "ROS 1 bag"
 IMU, FIELD = "sensor_msgs/msg/Imu", "sensor_msgs/msg/MagneticField"
 ODOMETRY, POSE = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
 VECTOR, BATTERY = "geometry_msgs/msg/Vector3Stamped", "sensor_msgs/msg/BatteryState"
@@ -97,9 +98,11 @@ CHOOSERS: Mapping[str, Choose] = {
 def read(path: Path) -> FlightLog:
     """Read a bag; BagError if it cannot be opened, or if nothing in it can be used."""
     bag = read_columns(path, _find_choice)
-    signals = Signals(path, FORMAT)
+    is_old = path.is_file() and is_ros1(path)
+    signals = Signals(path, FORMAT_1 if is_old else FORMAT)
     if bag.problem or bag.truncated:
-        signals.notes.append(bag.problem or f"cut short or damaged; read what is there{bag.remedy}")
+        remedy = "" if is_old else bag.remedy
+        signals.notes.append(bag.problem or f"cut short or damaged; read what is there{remedy}")
     topics = _Topics(bag, signals.notes)
     vehicle = _vehicle(bag)
     _add_imus(signals, topics)
