@@ -40,9 +40,11 @@ def stored_verdicts(observer: str) -> dict[str, Verdict]:
 
 
 def table(judged: Iterable[tuple[Trial, Verdict]]) -> str:
-    """Write counts by set and kind of trial."""
+    """Write counts by set and kind of trial; first those of all recordings."""
     groups: dict[tuple[str, str], list[Verdict]] = {}
     for trial, verdict in judged:
+        if verdict.error_deg is None:
+            groups.setdefault((trial.part, "all recordings"), []).append(verdict)
         groups.setdefault((trial.part, trial.kind), []).append(verdict)
     return count_table(groups)
 

@@ -168,7 +168,7 @@ def _shown(alarm: Alarm) -> str:
 
 HEADS = (
     *("set", "kind", "trials", "flown", "false alarms", "in alarm", "per hour"),
-    *("faults", "named", "misnamed", "named after, median", "largest error", "lost"),
+    *("faults", "declared", "named", "misnamed", "named after, median", "largest error", "lost"),
 )
 
 
@@ -179,13 +179,14 @@ class Count(NamedTuple):
     alarms: int  # false ones, by axis: attitude/roll and gyro/x at once are one
     alarmed: float  # time in which a false one lasts [s]
     delays: tuple[float | None, ...]  # of each true fault until it is named [s]; None: never
+    declared: int  # true faults that are named, or AMBIGUOUS
     misnamed: int  # true faults during which a healthy element is named
     errors: tuple[float, ...]  # largest attitude error of each flight [deg]
 
 
 def count(verdicts: Iterable[Verdict]) -> Count:
     """Count what the verdicts on some trials come to."""
-    flown, alarms, alarmed, misnamed = 0.0, 0, 0.0, 0
+    flown, alarms, alarmed, declared, misnamed = 0.0, 0, 0.0, 0, 0
     delays, errors = list[float | None](), list[float]()
     for verdict in verdicts:
         begin, end = verdict.judged
@@ -194,10 +195,11 @@ def count(verdicts: Iterable[Verdict]) -> Count:
         alarms += sum(len(_merged(spans)) for spans in false.values())
         every = [span for spans in false.values() for span in spans]
         alarmed += sum(min(last, end) - first for first, last in _merged(every))
-        delays += (_delay(event, verdict.alarms) for event in verdict.events)
+        delays += (_delay(event, verdict.alarms, STATES[1:2]) for event in verdict.events)
+        declared += sum(_delay(event, verdict.alarms, STATES) is not None for event in verdict.events)
         misnamed += sum(_is_misnamed(event, verdict) for event in verdict.events)
         errors += [] if verdict.error_deg is None else [verdict.error_deg]
-    return Count(flown, alarms, alarmed, tuple(delays), misnamed, tuple(errors))
+    return Count(flown, alarms, alarmed, tuple(delays), declared, misnamed, tuple(errors))
 
 
 Span = tuple[float, float]
@@ -237,12 +239,13 @@ def _merged(spans: Iterable[Span]) -> list[Span]:
     return merged
 
 
-def _delay(event: Event, alarms: Sequence[Alarm]) -> float | None:
-    """Time until the element of a fault is declared FAULTY, while it lasts [s]."""
+def _delay(event: Event, alarms: Sequence[Alarm], states: Sequence[str]) -> float | None:
+    """Time until the element of a fault is declared, in some state, while the fault lasts [s]."""
     named = [
         alarm.declared - event.start
         for alarm in alarms
-        if (alarm.element, alarm.state) == (event.element, STATES[1])
+        if alarm.element == event.element
+        and alarm.state in states
         and event.start <= alarm.declared < event.stop
     ]
     return min(named, default=None)
@@ -271,7 +274,7 @@ def _cells(half: str, group: str, verdicts: Sequence[Verdict]) -> tuple[str, ...
     return (
         *(half, group, str(len(verdicts)), f"{found.flown / 3600.0:.3f} h"),
         *(str(found.alarms), f"{found.alarmed:.1f} s", write_number(3600.0 * found.alarms / found.flown)),
-        *((str(faults), str(len(named)), str(found.misnamed)) if faults else (NOTHING,) * 3),
+        *(map(str, (faults, found.declared, len(named), found.misnamed)) if faults else (NOTHING,) * 4),
         write_times((float(np.median(named)),)) if named else NOTHING,
         *((write_degrees((max(errors),)), str(lost)) if errors else (NOTHING,) * 2),
     )

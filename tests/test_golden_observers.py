@@ -1,0 +1,52 @@
+"""What fault observers say on recordings and flights is what is stored, until somebody stores it anew."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from quadftc_tools.study.golden import STORED, judge, stored_verdicts
+from quadftc_tools.study.golden_alarms import differences
+from quadftc_tools.study.golden_trials import RECORDINGS, SETS, recorded_trials, simulated_trials, trials
+
+PARENTS = Path(__file__).resolve().parents
+ROOT = PARENTS[1]
+DATA = next((parent / "shared/data" for parent in PARENTS if (parent / "shared/data/broad").is_dir()), None)
+OBSERVERS = sorted(path.stem for path in STORED.glob("*.json"))
+SHARE = 4  # one trial in so many
+
+
+def refuse_differences(chosen, observer):
+    said = {trial.name: verdict for trial, verdict in judge(chosen, observer)}
+    assert sum(len(verdict.alarms) for verdict in said.values())
+    assert differences(stored_verdicts(observer), said) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("observer", OBSERVERS)
+def test_observer_says_on_some_flights_what_is_stored(observer):
+    refuse_differences([*simulated_trials()][::SHARE], observer)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(DATA is None, reason="no recordings beside the repository (shared/data)")
+@pytest.mark.parametrize("observer", OBSERVERS)
+def test_observer_says_on_some_recordings_what_is_stored(observer):
+    refuse_differences([*recorded_trials(DATA)][::SHARE], observer)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("observer", OBSERVERS)
+def test_observer_says_everywhere_what_is_stored(observer):
+    refuse_differences(trials(DATA), observer)
+
+
+def test_page_names_every_recording_in_its_set():
+    rows = re.findall(r"^\| `(\w+)`.*?\|(.*)\|(.*)\|$", (ROOT / "docs/judging.md").read_text(), re.MULTILINE)
+    for name, *cells in rows:
+        for part, cell in zip(SETS, cells, strict=True):
+            named = tuple(filter(None, re.split(r"[*, ]+", cell)))
+            assert named == RECORDINGS[part].get(name, ()), (part, name)
+    assert {name for name, *_ in rows} == {kind for kinds in RECORDINGS.values() for kind in kinds}
