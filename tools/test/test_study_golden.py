@@ -65,10 +65,11 @@ def test_alarm_is_what_is_declared_without_a_break_and_in_one_state():
     )
 
 
-def test_every_alarm_of_a_healthy_recording_that_begins_where_it_counts_is_false():
+def test_every_alarm_of_a_healthy_recording_that_lasts_where_it_counts_is_false():
     found = count([Verdict((ROLL, GYRO, PITCH), judged=(0.5, 10.5))])
     assert (found.flown, found.alarms, found.alarmed) == (10.0, 2, 3.0)  # one axis counts once
-    assert count([Verdict((ROLL, GYRO, PITCH), judged=(2.0, 5.5))])[1:3] == (1, 0.5)
+    assert count([Verdict((ROLL, GYRO, PITCH), judged=(2.0, 5.5))])[1:3] == (2, 1.5)
+    assert count([Verdict((ROLL, GYRO, PITCH), judged=(3.0, 5.0))])[1:3] == (0, 0.0)
     absent = Event("attitude", 0.8, 1.1), Event("attitude", 4.0, 4.9)
     assert count([Verdict((ROLL, GYRO, PITCH), judged=(0.5, 10.5), absences=absent)])[1:3] == (1, 1.0)
 

@@ -71,7 +71,7 @@ def _run(directory: Path | None, observer: str, part: str | None, write: bool) -
     stored = stored_verdicts(observer)
     judged = judge([trial for trial in trials(directory) if part in (None, trial.part)], observer)
     verdicts = {trial.name: verdict for trial, verdict in judged}
-    changes = differences(stored, verdicts)
+    changes = differences(stored, verdicts) if stored else ["nothing is stored of it"]
     say(f"{observer}\n\n{table(judged)}\n", *changes)
     if write:
         write_verdicts(STORED / f"{observer}.json", verdicts)

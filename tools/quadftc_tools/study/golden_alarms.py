@@ -194,7 +194,7 @@ def count(verdicts: Iterable[Verdict]) -> Count:
         false = _false_alarms(verdict)
         alarms += sum(len(_merged(spans)) for spans in false.values())
         every = [span for spans in false.values() for span in spans]
-        alarmed += sum(min(last, end) - first for first, last in _merged(every))
+        alarmed += sum(min(last, end) - max(first, begin) for first, last in _merged(every))
         delays += (_delay(event, verdict.alarms, STATES[1:2]) for event in verdict.events)
         declared += sum(_delay(event, verdict.alarms, STATES) is not None for event in verdict.events)
         misnamed += sum(_is_misnamed(event, verdict) for event in verdict.events)
@@ -206,7 +206,7 @@ Span = tuple[float, float]
 
 
 def _false_alarms(verdict: Verdict) -> dict[str, list[Span]]:
-    """Times of alarms that begin where they count, while nothing is faulty or absent, by axis."""
+    """Times of alarms that last where they count, and begin while nothing is faulty or absent, by axis."""
     begin, end = verdict.judged
     excused = (*verdict.events, *verdict.absences)
     spans: dict[str, list[Span]] = {}
@@ -216,7 +216,7 @@ def _false_alarms(verdict: Verdict) -> dict[str, list[Span]]:
         axis: [
             span
             for span in _merged(found)
-            if begin <= span[0] < end and not any(e.start <= span[0] < e.stop for e in excused)
+            if span[0] < end and begin < span[1] and not any(e.start <= span[0] < e.stop for e in excused)
         ]
         for axis, found in spans.items()
     }
