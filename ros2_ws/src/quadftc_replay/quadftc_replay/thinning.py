@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 MOST = 2**20  # samples of a signal: 17 min at 1 kHz; half of them are left at least
 WINDOW = 1 << 26  # bytes of a mapped file that may be in memory
@@ -88,3 +89,25 @@ class Forgetting:
         if at > self.limit and isinstance(self.data, mmap.mmap):
             self.data.madvise(mmap.MADV_DONTNEED)
             self.limit = at + WINDOW
+
+
+class Blocks:
+    """Rows that come in blocks."""
+
+    def __init__(self) -> None:
+        self.thinning = Thinning()
+        self._blocks: list[NDArray[Any]] = []
+
+    def add(self, rows: NDArray[Any]) -> None:
+        """Take rows (n, ...)."""
+        thinning = self.thinning
+        kept = rows[-thinning.count % thinning.stride :: thinning.stride]
+        thinning.count += len(rows)
+        thinning.kept += len(kept)
+        self._blocks.append(kept)
+        while thinning.is_full():
+            self._blocks = [np.concatenate(self._blocks)[::2].copy()]
+
+    def rows(self) -> NDArray[Any]:
+        """All rows that are kept; at least one block has to be there."""
+        return np.concatenate(self._blocks)

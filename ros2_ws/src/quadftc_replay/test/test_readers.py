@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,18 +15,7 @@ from quadftc_replay.readers import read_log
 from quadftc_replay.readers.crazyflie import distribute
 from quadftc_replay.readers.layouts import FRAMES, frame_layout
 from quadftc_replay.readers.signals import good_stamps, sound
-
-DATA = next(
-    (
-        parent / "shared/data"
-        for parent in Path(__file__).resolve().parents
-        if (parent / "shared/data").is_dir()
-    ),
-    Path("/no shared data"),
-)
-needs_data = pytest.mark.skipif(
-    not DATA.is_dir(), reason="no recorded logs beside the repository (shared/data)"
-)
+from recorded_logs import DATA, needs_data
 
 
 def held(log: FlightLog) -> set[str]:
