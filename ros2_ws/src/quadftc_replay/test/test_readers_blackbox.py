@@ -13,6 +13,7 @@ from quadftc_model.rotations import euler_from_quaternion
 from quadftc_replay import blackbox, thinning
 from quadftc_replay.blackbox import read_blackbox
 from quadftc_replay.readers import LogChoice, read_log
+from quadftc_replay.readers.layouts import FRAMES, frame_layout, mixer_layout
 from recorded_logs import DATA, needs_data
 
 START = "H Product:Blackbox flight data recorder by Nicholas Sherlock\nH Data version:2\n"
@@ -396,3 +397,20 @@ def test_real_logs_turn_as_their_rotor_does():
         near = (frequency > 20.0) & (frequency < 60.0)
         peak = frequency[near][np.argmax(power[near])]
         assert peak == pytest.approx(truth["expectedMainRotorPeakHz"], abs=1.0)
+
+
+def test_mixer_tells_where_the_rotors_are():
+    rng = np.random.default_rng(8)
+    torques = 0.05 * rng.normal(size=(2000, 3))
+    for rotors, frame in FRAMES:
+        layout = frame_layout(rotors, frame)
+        assert layout is not None
+        x, y = layout.positions.T
+        mixer = np.stack([y, -x, layout.yaw_signs])
+        commands = np.clip(rng.uniform(0.3, 0.5, (2000, 1)) + torques @ mixer, 0.0, 1.0)
+        found = mixer_layout(commands + 0.002 * rng.normal(size=commands.shape), torques)
+        assert found is not None
+        np.testing.assert_array_equal(found.yaw_signs, layout.yaw_signs)
+        np.testing.assert_allclose(found.positions, layout.positions, atol=0.02)
+    assert mixer_layout(rng.uniform(0.3, 0.5, (2000, 4)), torques) is None
+    assert mixer_layout(np.zeros((2000, 4)), torques) is None

@@ -14,9 +14,9 @@
 | battery | ``vbatLatest``, ``vbat`` [0.01 V; 0.1 V before Betaflight 4] |
 
 The body frame is forward-left-up, as the firmware's attitude estimator has it: at rest the accelerometer
-reads +1 g along z. Earth axes of the estimator are north-west-up, of the navigation north-east-up. The log
-does not say where the rotors are: four motors are taken for Betaflight's quad X. Those of a helicopter
-(Rotorflight) are no rotors in this sense. INAV has not been proven on a real log.
+reads +1 g along z. Earth axes of the estimator are north-west-up, of the navigation north-east-up. How the
+torques were mixed into the commands tells where the rotors are; else four motors are taken for Betaflight's
+quad X. Those of a helicopter (Rotorflight) are no rotors in this sense. INAV was not proven on a real log.
 
 Source: betaflight and iNavFlight/inav, src/main/blackbox/blackbox.c, src/main/flight/imu.c, mixer_init.c.
 """
@@ -36,7 +36,7 @@ from quadftc_model.rotations import quaternion_from_euler, quaternion_product
 from quadftc_model.samples import STANDARD_GRAVITY
 from quadftc_replay.blackbox import BlackboxLog, read_blackbox
 from quadftc_replay.flight_log import FlightLog, Floats
-from quadftc_replay.readers.layouts import Layout, frame_layout
+from quadftc_replay.readers.layouts import Layout, frame_layout, mixer_layout
 from quadftc_replay.readers.signals import Signals
 
 DEGREE = math.pi / 180.0  # rad
@@ -150,15 +150,19 @@ def _add_rotors(
     if value is None:
         return None
     low, high = _output_range(header)
-    signals.add("rotor_commands", stamp_ns, np.clip((value - low) / (high - low), 0.0, 1.0), "motor")
+    commands = np.clip((value - low) / (high - low), 0.0, 1.0)
+    signals.add("rotor_commands", stamp_ns, commands, "motor")
     signals.notes.append(f"rotor commands: motor, {low:g} to {high:g}")
     speeds, poles = _vectors(content, "eRPM", count), _number(header, "motor_poles")
     if speeds is not None and poles > 0.0 and np.any(speeds):
         signals.add("rotor_speeds", stamp_ns, speeds * (100.0 * 2.0 / poles * math.pi / 30.0), "eRPM")
-    is_reversed = header.get("yaw_motors_reversed") == "1"
-    layout = frame_layout(count, "betaflight x reversed" if is_reversed else "betaflight x")
-    how = f"taken as {'a reversed ' if is_reversed else ''}quad X of Betaflight" if layout else "not known"
-    signals.notes.append(f"the log does not say where its {count} rotors are; {how}")
+    torques = _torques(content)
+    if torques is not None and (layout := mixer_layout(commands, torques)):
+        signals.notes.append("where the rotors are: by how the firmware mixed torques into their commands")
+        return layout
+    layout = frame_layout(count, "betaflight x")
+    how = "taken as quad X of Betaflight" if layout else "not known"
+    signals.notes.append(f"the log does not tell where its {count} rotors are; {how}")
     return layout
 
 
@@ -174,13 +178,20 @@ def _output_range(header: Mapping[str, str]) -> tuple[float, float]:
     return 1000.0, 2000.0
 
 
+def _torques(content: BlackboxLog) -> Floats | None:
+    """Torques that the controller asked for (n, 3), as shares of the range of a motor."""
+    if _vectors(content, TERMS[0]) is None:
+        return None
+    columns, absent = content.columns, np.zeros(len(content.columns["time"]), np.int64)
+    sums = [sum((columns.get(f"{term}[{k}]", absent) for term in TERMS), absent) for k in range(3)]
+    return np.stack(sums, axis=-1) / 1000.0
+
+
 def _add_setpoints(signals: Signals, content: BlackboxLog, stamp_ns: NDArray[np.int64]) -> None:
     """Add torque and thrust that the controller asked for, as shares."""
     columns = content.columns
-    if _vectors(content, TERMS[0]) is not None:
-        absent = np.zeros(len(stamp_ns), np.int64)
-        sums = [sum((columns.get(f"{term}[{k}]", absent) for term in TERMS), absent) for k in range(3)]
-        signals.add("torque_command", stamp_ns, np.stack(sums, axis=-1) / 1000.0, ", ".join(TERMS))
+    if (torques := _torques(content)) is not None:
+        signals.add("torque_command", stamp_ns, torques, ", ".join(TERMS))
     if "setpoint[3]" in columns:
         signals.add("thrust_command", stamp_ns, columns["setpoint[3]"] / 1000.0, "setpoint[3]")
     elif "rcCommand[3]" in columns:

@@ -30,6 +30,9 @@ FRAMES = {
     (8, "plus"): ((0.0, 180.0, 45.0, 135.0, -45.0, -135.0, -90.0, 90.0), "cw cw ccw ccw ccw ccw cw cw"),
     (8, "x"): ((22.5, -157.5, 67.5, 157.5, -22.5, -112.5, -67.5, 112.5), "cw cw ccw ccw ccw ccw cw cw"),
 }
+FEWEST = 100  # samples that tell a mixer
+ROUNDING = 1e-12  # of a share squared
+LEAST_FIT = 0.9  # R² of each rotor; 0.994 and more in a flight of Betaflight
 
 
 class Layout(NamedTuple):
@@ -47,3 +50,22 @@ def frame_layout(rotors: int, frame: str) -> Layout | None:
     radians = np.radians(np.array(angles))
     signs = [-1.0 if sense == "ccw" else 1.0 for sense in senses.split()]
     return Layout(np.stack([np.cos(radians), -np.sin(radians)], axis=-1), np.array(signs))
+
+
+def mixer_layout(commands: Floats, torques: Floats) -> Layout | None:
+    """Layout by how the firmware mixes torques (n, 3) into commands (n, rotors); None if they do not tell.
+
+    Commands less their mean are u = M τ, where no rotor is at a limit. With the columns of M for roll, pitch
+    and yaw a rotor is at y = M_roll, x = -M_pitch, and turns the vehicle by the sign of M_yaw.
+    """
+    free = ((commands > 0.0) & (commands < 1.0)).all(axis=1)
+    if free.sum() < FEWEST:
+        return None
+    shares = commands[free] - commands[free].mean(axis=1, keepdims=True)
+    given = np.concatenate([torques[free], np.ones((int(free.sum()), 1))], axis=1)
+    mixer: Floats = np.linalg.pinv(given) @ shares
+    left, spread = np.var(shares - given @ mixer, axis=0), np.var(shares, axis=0)
+    if not np.all(left < (1.0 - LEAST_FIT) * spread - ROUNDING) or not np.all(mixer[2]):
+        return None
+    positions = np.stack([-mixer[1], mixer[0]], axis=-1)
+    return Layout(positions / np.linalg.norm(positions, axis=1).max(), np.sign(mixer[2]))
