@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from quadftc_bags.bag import BagError
-from quadftc_cli.commands import BAD_INPUT, CHECK_FAILED, GOOD
+from quadftc_cli.commands import BAD_INPUT
+from quadftc_cli.commands.diagnose import EXIT_CODES
 from quadftc_cli.screen import say
 from quadftc_replay.inspection.diagnosis import DiagnosisOptions, diagnose_log
 
@@ -42,8 +43,7 @@ def judge_log(path: Path) -> dict[str, Any]:
         [each.component, each.element, each.kind, round(each.onset_s, 3), round(each.probability, 3)]
         for each in verdict.findings[:SHOWN]
     ]
-    code = GOOD if verdict.healthy else CHECK_FAILED
-    return {"exit": code, "headline": verdict.sentence, "findings": findings}
+    return {"exit": EXIT_CODES[verdict.outcome], "headline": verdict.sentence, "findings": findings}
 
 
 def main() -> None:

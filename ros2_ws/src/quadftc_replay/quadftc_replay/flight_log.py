@@ -40,6 +40,11 @@ class Signal(NamedTuple):
         """One over the median time between two samples [Hz]; 0 for less than two."""
         return 1.0 / float(np.median(np.diff(self.time))) if len(self) > 1 else 0.0
 
+    def at(self, time: Floats) -> Floats:
+        """Values at other times (m, k), straight between samples; beyond them the nearest."""
+        columns = [np.interp(time, self.time, column) for column in np.asarray(self.value, np.float64).T]
+        return np.stack(columns, axis=-1)
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FlightLog:

@@ -38,9 +38,9 @@ def test_page_of_a_finding_has_sentence_timeline_and_evidence(tmp_path: Path):
     assert {"judged", "not judged", "fault"} == {trace["name"] for trace in timeline["data"]}
 
 
-def test_page_of_a_healthy_log_is_escaped_and_says_what_is_missing(tmp_path: Path):
+def test_page_of_a_log_that_lacks_much_is_escaped_and_says_what_is_missing(tmp_path: Path):
     text = write(tmp_path, name="<b>log")
     assert "&lt;b&gt;log" in text
     assert "<b>log" not in text
-    assert "verdict healthy" in text
+    assert "verdict unsure" in text
     assert "no voltage is logged" in text

@@ -8,13 +8,15 @@ from typing import Annotated, Any
 
 from typer import Argument, Option
 
-from quadftc_cli.commands import CHECK_FAILED, GOOD
+from quadftc_cli.commands import CHECK_FAILED, GOOD, NOT_ENOUGH
 from quadftc_cli.screen import Bars, console, plain_table, say
 
 LOG_HELP = (
     "Flight log: ROS 1 or ROS 2 bag, PX4 ULog, ArduPilot .BIN or .log, MAVLink .tlog, Betaflight or INAV"
     " blackbox, Crazyflie uSD, CSV with --mapping; or any of them in a ZIP, gzip or Zstandard file."
 )
+SHOWN = 40  # moments of the timeline on the screen
+EXIT_CODES = {"healthy": GOOD, "fault": CHECK_FAILED, "not enough to say": NOT_ENOUGH}
 FAULT_HELP = "Overlay a fault: 'bias channel=gyro axis=roll value=0.3 start=20s'; may be repeated."
 
 
@@ -66,7 +68,10 @@ def diagnose(
     junit: Annotated[Path | None, Option(metavar="FILE", help="Write the verdict as JUnit XML, too.")] = None,
     report: Annotated[bool, Option(help="Write report.html beside the verdict.")] = True,
 ) -> int:
-    """Say what failed in a flight log, when, how badly and how sure; exit code 1 if there is a finding."""
+    """Say what failed in a flight log, when, how badly and how sure.
+
+    The exit code is 0 for a healthy flight, 1 with a finding, 4 if the log does not hold enough to say.
+    """
     from quadftc_replay.inspection.diagnosis import (
         DiagnosisOptions,
         diagnose_log,
@@ -96,7 +101,7 @@ def diagnose(
     if junit is not None:
         written.append(write_verdict_junit(verdict, junit))
     say(f"written: {', '.join(map(str, written))}")
-    return GOOD if verdict.healthy else CHECK_FAILED
+    return EXIT_CODES[verdict.outcome]
 
 
 def _show(verdict: Any) -> None:
@@ -117,5 +122,9 @@ def _show(verdict: Any) -> None:
             table.add_row(each.name, each.kind, f"{each.onset_s:.3f}", end, size, sigma, probability, others)
         console().print(table)
         say(*(f"{each.name}: {line}" for each in verdict.findings for line in each.evidence))
+    if len(verdict.timeline) > 1:
+        shown = verdict.timeline[:SHOWN]
+        say("timeline:", *(f"  {each.time_s:8.2f} s  {each.source}: {each.text}" for each in shown))
     say(*(f"not judged: {each.component}: {each.reason}" for each in verdict.not_judged))
+    say(*(f"for the next flight: {each}" for each in verdict.advice))
     say(*(f"note: {note}" for note in verdict.notes))

@@ -100,7 +100,7 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Jump]) -> l
                 watched, np.abs(mean) / (np.maximum(CREEP_LEVEL * scatter, least) + share * moving), 0.0
             )
             score[: count // 2] = score[len(score) - count // 2 :] = 0.0  # less than a window
-            for run, best in _stretches(mean, score, round(BETWEEN / usual)):
+            for run, best in stretches(mean, score, round(BETWEEN / usual)):
                 span = Interval(float(time[run.start]), float(time[run.stop - 1]))
                 lasts = run.stop > len(time) - round(BETWEEN / usual)
                 end = None if lasts else span.end
@@ -110,7 +110,7 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Jump]) -> l
     return sorted(found, key=lambda creep: creep.span.start)
 
 
-def _stretches(mean: Floats, score: Floats, apart: int) -> Iterator[tuple[slice, float]]:
+def stretches(mean: Floats, score: Floats, apart: int) -> Iterator[tuple[slice, float]]:
     """Stretches with a score beyond 1, and their largest; each goes on while the mean is half as large."""
     left = score.copy()
     while len(left) and left.max() > 1.0:

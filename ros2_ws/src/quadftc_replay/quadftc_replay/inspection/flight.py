@@ -31,9 +31,10 @@ SHORTEST = 2.0  # s; of a flight
 TAKE_OFF, LANDING = 1.5, 0.5  # s; left out at the begin and at the end
 IMPACT = 3.5 * STANDARD_GRAVITY  # m/s²; specific force of a collision or a hard landing
 SHAKEN = 2.0  # 1; times what most seconds reach, where vibration alone exceeds that
-CRASH = 3.0  # s; an impact so shortly before the end of a flight ends it
+CRASH = 3.0  # s; after an impact, at which the vehicle lies still
 BEFORE_IMPACT = 0.3  # s
 AFTER_IMPACT = 0.1  # s; around which nothing is judged
+STILL = 0.05  # rad/s; scatter of a gyro of a vehicle that lies still
 
 
 class Interval(NamedTuple):
@@ -52,6 +53,7 @@ class Flight:
     phases_known: bool
     impacts: Floats  # times [s]
     rate_is_estimated: bool  # no gyro is logged: `gyro` is the vehicle's own estimate
+    crash: float | None  # time of the impact that ends the flight [s]
 
     @functools.cached_property
     def gyro(self) -> tuple[str, Signal] | None:
@@ -63,6 +65,11 @@ class Flight:
             name = max(gyros, key=lambda each: len(gyros[each]))
             return name, gyros[name]
         return (MAIN, self.log.body_rate) if self.log.body_rate is not None else None
+
+    @property
+    def until(self) -> float:
+        """Time until which the vehicle moves as rotors and air make it [s]."""
+        return self.log.end if self.crash is None else self.crash - AFTER_IMPACT
 
     @functools.cached_property
     def duration(self) -> float:
@@ -90,11 +97,28 @@ def prepare(log: FlightLog) -> Flight:
     """Find the phases of a log."""
     impacts = _find_impacts(log)
     level = rotor_level(log)
-    intervals = () if level is None else _find_flights(level, log.end, impacts)
+    intervals = () if level is None else _find_flights(level, log.end)
     known = bool(intervals)
-    whole = (Interval(0.0, log.end),)
+    crash = _crash(log, impacts, intervals[-1].start if intervals else 0.0)
+    if crash is not None:
+        cut = (Interval(start, min(end, crash - BEFORE_IMPACT)) for start, end in intervals)
+        intervals = tuple(each for each in cut if each.end > each.start)
+    whole = (Interval(0.0, log.end if crash is None else crash - BEFORE_IMPACT),)
     has_gyro = any(len(each) > 1 for each in log.gyros.values())
-    return Flight(log, intervals or whole, known, impacts, not has_gyro and log.body_rate is not None)
+    return Flight(log, intervals or whole, known, impacts, not has_gyro and log.body_rate is not None, crash)
+
+
+def _crash(log: FlightLog, impacts: Floats, start: float) -> float | None:
+    """Return when an impact ends a flight [s]: soon after it the vehicle lies still, or the log ends."""
+    gyro = next((each for each in log.gyros.values() if len(each) > 1), log.body_rate)
+    if gyro is None:
+        return None
+    size = np.linalg.norm(np.nan_to_num(gyro.value), axis=1)
+    for impact in impacts[impacts > start].tolist():
+        first, last = np.searchsorted(gyro.time, (impact + CRASH, impact + 2.0 * CRASH))
+        if first >= len(size) - 1 or float(np.median(size[first:last])) < STILL:
+            return impact
+    return None
 
 
 def rotor_level(log: FlightLog) -> Signal | None:
@@ -125,7 +149,7 @@ def _find_impacts(log: FlightLog) -> Floats:
     return np.unique(np.concatenate(found))
 
 
-def _find_flights(level: Signal, end: float, impacts: Floats) -> tuple[Interval, ...]:
+def _find_flights(level: Signal, end: float) -> tuple[Interval, ...]:
     time, values = level.time, np.nan_to_num(level.value[:, 0])
     period = float(np.median(np.diff(time)))
     smooth = ndimage.uniform_filter1d(values, max(1, round(SMOOTH / period)))
@@ -140,15 +164,12 @@ def _find_flights(level: Signal, end: float, impacts: Floats) -> tuple[Interval,
             found[-1] = Interval(found[-1].start, last)
         else:
             found.append(Interval(first, last))
-    trimmed = (_trim(each, float(time[0]), min(end, float(time[-1])), impacts) for each in found)
+    trimmed = (_trim(each, float(time[0]), min(end, float(time[-1]))) for each in found)
     return tuple(each for each in trimmed if each.end - each.start >= SHORTEST)
 
 
-def _trim(flight: Interval, first: float, last: float, impacts: Floats) -> Interval:
-    """Leave out take-off, landing and crash; a log may begin and end in flight."""
+def _trim(flight: Interval, first: float, last: float) -> Interval:
+    """Leave out take-off and landing; a log may begin and end in flight."""
     start = flight.start if flight.start - first < 1.0 else flight.start + TAKE_OFF
     end = flight.end if last - flight.end < 1.0 else flight.end - LANDING
-    crash = impacts[(impacts > end - CRASH) & (impacts > start)]
-    if len(crash):
-        end = min(end, float(crash[0]) - BEFORE_IMPACT)
     return Interval(start, end)

@@ -28,7 +28,7 @@ class Found(NamedTuple):
 
     finding: Finding
     curve: Curve | None = None
-    shakes: bool = False  # from its onset on, the vehicle moves as no sensor test expects
+    is_direct: bool = False  # no motion of the vehicle makes it, so that it follows from nothing else
 
 
 def make_finding(component: str, element: str, kind: str, onset: float, **others: Any) -> Finding:

@@ -23,6 +23,7 @@ LONGER = 5.0  # 1; times the longest usual run
 USUAL = 0.999  # share of the runs that count as usual
 LIMIT_RUN = 3  # equal readings at the largest magnitude that are a limit
 LIMIT_RUNS = 2  # how many such runs
+SAME = 1e-6  # 1; by which readings at a limit differ: a quiet sensor at rest is that near to its largest, too
 LEVELS = 100  # different readings that a sensor has below a limit
 ABSENT = 0.2  # s
 OTHERS_GO_ON = 0.6  # 1; share of the samples that the other sensors have meanwhile
@@ -89,9 +90,10 @@ def stuck_intervals(flight: Flight, time: Floats, values: Floats) -> list[Interv
     least = max(by_chance, LONGER * float(usual.max()))
     found: list[Interval] = []
     for k in np.flatnonzero(lengths > least):
-        stretch = Interval(float(times[starts[k]]), float(times[ends[k] - 1]))
-        if stretch.end - stretch.start >= STUCK:
-            found.append(stretch)
+        begin, end = int(rows[starts[k]]), int(rows[ends[k] - 1])
+        if time[end] - time[begin] >= STUCK:  # it may have begun before take-off, and last beyond the landing
+            other = np.flatnonzero(values[:begin] != values[begin])
+            found.append(Interval(float(time[other[-1] + 1 if len(other) else 0]), float(time[end])))
     return found
 
 
@@ -101,7 +103,7 @@ def limit_intervals(time: Floats, values: Floats) -> list[Interval]:
     top = float(magnitude.max(initial=0.0))
     if top <= 0.0:
         return []
-    at_limit = magnitude >= top * (1.0 - 1e-4)
+    at_limit = magnitude >= top * (1.0 - SAME)
     runs = [run for run in runs_of(at_limit) if run.stop - run.start >= LIMIT_RUN]
     # a coarse sensor at rest repeats its largest reading, too
     if len(runs) < LIMIT_RUNS or len(np.unique(magnitude[~at_limit])) < LEVELS:
@@ -155,9 +157,9 @@ def absent_findings(
 
 
 def noise_findings(
-    flight: Flight, component: str, sensor: Signal, names: tuple[str, ...], unit: str
+    flight: Flight, component: str, sensor: Signal, names: tuple[str, ...], unit: str, least: float
 ) -> Iterator[Found]:
-    """Say when one axis gets noisy and the others do not."""
+    """Say when one axis gets noisy and the others do not; ``least`` is what every such sensor may have."""
     if len(sensor) < 500 or sensor.rate < SLOWEST:
         return
     level, lasts = (NOISY, NOISE_LASTS) if flight.phases_known else (HANDLED * NOISY, HANDLED * NOISE_LASTS)
@@ -165,9 +167,7 @@ def noise_findings(
     flying = flight.in_flight(sensor.time) & ~flight.near_impact(sensor.time)
     if flying.sum() < 200:
         return
-    floor = np.quantile(noise[flying], CALM if flight.phases_known else 0.5, axis=0)
-    if not np.all(floor > 0.0):  # an axis that repeats its readings has no noise to compare with
-        return
+    floor = np.maximum(np.quantile(noise[flying], CALM if flight.phases_known else 0.5, axis=0), least)
     ratio = noise / floor
     for axis, name in enumerate(names):
         others = np.delete(ratio, axis, axis=1).max(axis=1)

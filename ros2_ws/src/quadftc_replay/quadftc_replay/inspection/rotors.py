@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from quadftc_replay.flight_log import FlightLog
+from quadftc_replay.flight_log import FlightLog, Signal
 from quadftc_replay.inspection.flight import Flight, prepare, row_means
 from quadftc_replay.inspection.found import CERTAIN, Curve, Found, confidence, curve_around, make_finding
 from quadftc_replay.inspection.identification import (
@@ -19,6 +19,8 @@ from quadftc_replay.inspection.identification import (
     make_grid,
 )
 from quadftc_replay.inspection.rotor_loss import SCORE, Loss, search_loss, turns_as_without, unexplained
+from quadftc_replay.inspection.rotor_step import LEVEL as STEP_LEVEL
+from quadftc_replay.inspection.rotor_step import RotorStep, find_step
 from quadftc_replay.inspection.rotor_trim import (
     SHARPER,
     Weak,
@@ -40,6 +42,7 @@ STANDS_FOR = 0.1  # s; though it was told to turn
 STOPS_FOR = 0.25  # s; else: manoeuvres stop rotors for less
 UNASKED = 0.8  # probability that it is a fault, where nobody knows what it was told
 ASKED = 0.6  # where it was told to: whoever flies on three rotors tells the fourth to stand
+TURNS_IN = 0.3  # s; within which a vehicle turns after a rotor has stopped
 ALL_OF_IT = 0.75  # 1; share of the thrust from which a rotor is off
 AROUND = 0.6  # s
 
@@ -58,26 +61,18 @@ def judge_rotors(flight: Flight, baseline: FlightLog | None) -> Rotors:
     log = flight.log
     if log.rotor_speeds is None and log.rotor_commands is None and log.torque_command is None:
         return Rotors([], None, False, [_not_judged("neither rotor commands nor speeds are logged")])
-    drive = drive_of(log)
-    has_rotors = drive is not None and drive[0] != "torque_command"
-    grid = None if drive is None else make_grid(flight, drive[1])
-    loss, model = None, None
-    if grid is not None and drive is not None:
-        loss, model = (
-            search_loss(drive[0], grid) if has_rotors else (None, identify(drive[0], grid, in_blocks(grid)))
-        )
-    missing: list[NotJudged] = []
-    can_see_loss = model is not None and bool(model.usable[:2].all())
-    stopped = min(_standing(flight), key=lambda each: each.finding.onset_s, default=None)
-    lost, turns = None, False
-    if grid is not None and model is not None:
-        lost = None if loss is None else _loss_found(flight, grid, model, loss)
-        if stopped is not None:
-            moment = min(each.finding.onset_s for each in (stopped, lost) if each is not None)
-            turns = turns_as_without(grid, model, int(stopped.finding.element) - 1, moment)
-    found = _first(stopped, lost, turns)
     has_rotors = log.rotor_speeds is not None or log.rotor_commands is not None
-    trim = trim_of(flight)
+    step, knows_layout = find_step(flight)
+    standing = list(_standing(flight))
+    stands = (each for each in standing if each.finding.component == "rotor")
+    stopped = min(stands, key=lambda each: each.finding.onset_s, default=None)
+    if knows_layout:
+        lost, model, turns, can_see_loss = None if step is None else _step_found(step), None, False, True
+    else:
+        lost, model, turns, can_see_loss = _by_free_gains(flight, stopped)
+    found = _first(stopped, lost, turns)
+    found += [each for each in standing if each.finding.component != "rotor"]
+    trim, missing = trim_of(flight), list[NotJudged]()
     if trim is not None:
         healthy = None if baseline is None else trim_of(prepare(baseline))
         weak = find_weak(trim, healthy, effects(log))
@@ -86,8 +81,68 @@ def judge_rotors(flight: Flight, baseline: FlightLog | None) -> Rotors:
             found.append(_weak_found(flight, weak, healthy is not None))
         if baseline is not None and healthy is None:
             missing.append(_not_judged("the baseline has no steady flight with rotor commands or speeds"))
-    missing += _missing(has_rotors, trim is not None, baseline is not None, drive is not None, grid, model)
-    return Rotors(found, model, has_rotors and (can_see_loss or trim is not None), missing)
+    if not can_see_loss:
+        missing.append(_not_judged(_why_no_loss(flight, has_rotors, model)))
+    return Rotors(found, model, has_rotors and can_see_loss, missing)
+
+
+def _by_free_gains(
+    flight: Flight, stopped: Found | None
+) -> tuple[Found | None, Identified | None, bool, bool]:
+    """Look for a lost rotor where nobody knows the layout: by gains of each rotor that are fitted to the log.
+
+    Returns it, the model, whether the vehicle turns as without the rotor that stands, and whether it shows.
+    """
+    drive = drive_of(flight.log)
+    grid = None if drive is None else make_grid(flight, drive[1])
+    if grid is None or drive is None:
+        return None, None, False, False
+    if drive[0] == "torque_command":
+        return None, identify(drive[0], grid, in_blocks(grid)), False, False
+    loss, model = search_loss(drive[0], grid)
+    if model is None:
+        return None, None, False, False
+    lost, turns = None if loss is None else _loss_found(flight, grid, model, loss), False
+    if stopped is not None:
+        moment = min(each.finding.onset_s for each in (stopped, lost) if each is not None)
+        turns = turns_as_without(grid, model, int(stopped.finding.element) - 1, moment)
+    return lost, model, turns, bool(model.usable[:2].all())
+
+
+def _why_no_loss(flight: Flight, has_rotors: bool, model: Identified | None) -> str:
+    """Say why a sudden loss of a rotor could not be seen."""
+    if not has_rotors:
+        return "only the torque of all rotors together is logged"
+    if flight.gyro is None:
+        return "no body rate is logged beside the rotors"
+    if model is not None:
+        shares = " and ".join(f"{value:.2f}" for value in model.r2[:2])
+        return f"their layout is not known, and the flight hardly excites roll and pitch (R² {shares})"
+    return (
+        "their layout is not known, and commands or speeds are slower than 25 Hz, or there are less than 5 s"
+    )
+
+
+def _step_found(step: RotorStep) -> Found:
+    """The finding of a rotor that lost thrust."""
+    others = () if step.second is None else (f"rotor/{step.second + 1}",)
+    said = (
+        f"from {step.onset:.2f} s on the controller asks for {100 * step.share:.0f} % of its thrust more,"
+        f" and the vehicle does not turn for it, {step.score:.0f} standard deviations",
+    )
+    finding = make_finding(
+        *("rotor", str(step.rotor + 1), "off" if step.share > ALL_OF_IT else "loss", step.onset),
+        size=step.share,
+        sigma=step.sigma,
+        unit="1",
+        probability=confidence(step.score, 0.5 * STEP_LEVEL) * (0.6 if others else 1.0),
+        ambiguous_with=others,
+        evidence=said,
+    )
+    lines = {"roll": step.rest[:, 0], "pitch": step.rest[:, 1]}
+    span = (step.onset - 5.0 * AROUND, step.onset + 5.0 * AROUND)
+    title = "torque asked for that the vehicle does not follow"
+    return Found(finding, curve_around(title, "1", step.time, lines, span))
 
 
 def _first(stopped: Found | None, lost: Found | None, turns: bool) -> list[Found]:
@@ -102,7 +157,7 @@ def _first(stopped: Found | None, lost: Found | None, turns: bool) -> list[Found
     if stopped.finding.element == lost.finding.element:
         said = tuple(dict.fromkeys([*stopped.finding.evidence, *lost.finding.evidence]))
         finding = stopped.finding.model_copy(update={"onset_s": early.finding.onset_s, "evidence": said})
-        return [Found(finding, stopped.curve or lost.curve, True)]
+        return [Found(finding, stopped.curve or lost.curve)]
     if late.finding.onset_s - early.finding.onset_s < AT_ONCE:
         return [stopped if turns else lost]
     return [early]
@@ -110,34 +165,6 @@ def _first(stopped: Found | None, lost: Found | None, turns: bool) -> list[Found
 
 def _not_judged(reason: str) -> NotJudged:
     return NotJudged(component="rotor", reason=reason)
-
-
-def _missing(
-    has_rotors: bool,
-    has_trim: bool,
-    has_baseline: bool,
-    has_drive: bool,
-    grid: Grid | None,
-    model: Identified | None,
-) -> list[NotJudged]:
-    """Say what of the rotors cannot be judged, and why."""
-    if not has_rotors:
-        return [_not_judged("only the torque of all rotors together is logged")]
-    reasons: list[str] = []
-    if not has_drive:
-        reasons.append("a sudden loss: rotors are logged slower than 25 Hz")
-    elif grid is None:
-        reasons.append("a sudden loss: there is no gyro of 25 Hz or more beside the rotors")
-    elif model is None:
-        reasons.append("a sudden loss: there are less than 5 s of flight")
-    elif not model.usable[:2].all():
-        shares = " and ".join(f"{value:.2f}" for value in model.r2[:2])
-        reasons.append(f"a sudden loss: the log hardly excites roll and pitch (R² {shares})")
-    if not has_trim:
-        reasons.append("a weak rotor: there is no steady flight of 6 s")
-    elif not has_baseline:
-        reasons.append("a loss of less than a quarter: it needs a healthy flight (--baseline)")
-    return [_not_judged(reason) for reason in reasons]
 
 
 def _standing(flight: Flight) -> Iterator[Found]:
@@ -165,6 +192,9 @@ def _standing(flight: Flight) -> Iterator[Found]:
             least = STANDS_FOR if asked is not None and not is_asked else STOPS_FOR
             if end - start < max(least, 1.5 / sensor.rate):
                 continue
+            if _flies_on(flight, onset):
+                yield _speed_absent(sensor, rotor, onset, end)
+                break
             speed, rest = float(speeds[run, rotor].mean()), float(others[run].mean())
             said = [f"it turns at {speed:.0f} rad/s while the others turn at {rest:.0f} rad/s"]
             said.append(
@@ -184,8 +214,31 @@ def _standing(flight: Flight) -> Iterator[Found]:
             )
             lines = {f"rotor {k + 1}": sensor.value[:, k] for k in range(speeds.shape[1])}
             span = (start - AROUND, min(end, start + 2.0) + AROUND)
-            yield Found(finding, curve_around("speed of the rotors", "rad/s", sensor.time, lines, span), True)
+            yield Found(finding, curve_around("speed of the rotors", "rad/s", sensor.time, lines, span))
             break
+
+
+def _flies_on(flight: Flight, onset: float) -> bool:
+    """Whether the vehicle goes on to turn as it did before a moment [s]: then no rotor has stopped."""
+    if flight.gyro is None:
+        return False
+    time = flight.gyro[1].time
+    rates = Signal(time, np.nan_to_num(flight.gyro[1].value[:, :2]))
+    flying = time[flight.in_flight(time) & (time < onset)]
+    if len(flying) < 20 or onset + TURNS_IN > float(time[-1]):
+        return False
+    moments = np.append(np.arange(flying[0], onset - TURNS_IN, 0.5 * TURNS_IN), onset)
+    changes = np.linalg.norm(rates.at(moments + TURNS_IN) - rates.at(moments), axis=1)
+    return len(changes) > 4 and bool(changes[-1] <= changes[:-1].max())
+
+
+def _speed_absent(sensor: Signal, rotor: int, onset: float, end: float) -> Found:
+    """The finding of a speed sensor that drops out."""
+    said = "it reads next to nothing, and the vehicle flies on as before: no rotor has stopped"
+    finding = make_finding("speed sensor", str(rotor + 1), "absent", onset, end_s=end, evidence=(said,))
+    span = (onset - AROUND, end + AROUND)
+    lines = {f"rotor {k + 1}": sensor.value[:, k] for k in range(sensor.value.shape[1])}
+    return Found(finding, curve_around("speed of the rotors", "rad/s", sensor.time, lines, span))
 
 
 def _slows_down(time: Floats, speed: Floats, row: int) -> float:
@@ -236,7 +289,7 @@ def _loss_found(flight: Flight, grid: Grid, model: Identified, loss: Loss) -> Fo
         ambiguous_with=other,
         evidence=tuple(said),
     )
-    return Found(finding, _unexplained_curve(grid, model, loss.onset), True)
+    return Found(finding, _unexplained_curve(grid, model, loss.onset))
 
 
 def _unexplained_curve(grid: Grid, model: Identified, onset: float) -> Curve:

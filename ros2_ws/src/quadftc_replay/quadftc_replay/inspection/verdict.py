@@ -15,9 +15,9 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-VERSION = 1  # of the schema; a key that changes its meaning raises it
-SENTENCE_FINDINGS = 3  # findings that the sentence names
+VERSION = 2  # of the schema; a key that changes its meaning raises it
 
+Outcome = Literal["fault", "healthy", "not enough to say"]
 Kind = Literal["offset", "stuck", "saturation", "noise", "absent", "loss", "off", "brownout", "unknown"]
 
 
@@ -28,7 +28,9 @@ class _Strict(BaseModel):
 class Finding(_Strict):
     """A fault of one element of one component."""
 
-    component: str = Field(description="gyro, accelerometer, attitude, rotor, battery; another IMU: 'gyro 2'")
+    component: str = Field(
+        description="gyro, accelerometer, attitude, rotor, battery, speed sensor; another IMU: 'gyro 2'"
+    )
     element: str = Field(description="x, y, z; roll, pitch, yaw; a rotor's number from 1; '': all of it")
     kind: Kind = Field(description="what the fault looks like; loss: a part is missing, off: all of it")
     onset_s: float = Field(ge=0.0, description="begin, in seconds from the first sample of the log")
@@ -64,71 +66,52 @@ class Model(_Strict):
     usable: tuple[bool, bool, bool] = Field(description="whether the log excites the axis enough")
 
 
+class Ending(_Strict):
+    """How the flight ended."""
+
+    kind: Literal["in flight", "landed", "switched off in the air", "hit the ground", "out of control"]
+    time_s: float = Field(description="when it began to end so; in flight: the end of the log")
+    impact_s: float | None = Field(description="when it hit the ground; null: it did not, or gently")
+    sentence: str
+
+
+class Moment(_Strict):
+    """Something that happened, and who says so."""
+
+    time_s: float
+    source: str = Field(description="diagnose, or where the log says it: MSG, ERR, EV, a topic of PX4")
+    text: str
+
+
 class Verdict(_Strict):
     """What is said of a log."""
 
-    version: Literal[1]
+    version: Literal[2]
     log: str = Field(description="file name")
     format: str
     duration_s: float = Field(ge=0.0)
     flight_s: float = Field(ge=0.0, description="time in flight; the whole log where phases are not known")
     baseline: str | None = Field(description="file name of the healthy log; null: none was given")
-    healthy: bool = Field(description="whether there is no finding")
+    outcome: Outcome = Field(
+        description="healthy: no finding, and all that can bring a vehicle down was judged; exit code 1, 0, 4"
+    )
+    healthy: bool = Field(description="whether the outcome is healthy")
     sentence: str
-    findings: tuple[Finding, ...] = Field(description="most probable first")
+    findings: tuple[Finding, ...] = Field(description="the earliest cause first; doubtful ones last")
+    ending: Ending
+    timeline: tuple[Moment, ...] = Field(
+        description="findings, what followed from them, how it ended, and what the autopilot said, in order"
+    )
     not_judged: tuple[NotJudged, ...]
     judged: tuple[str, ...] = Field(description="components that were tested")
     model: Model | None = Field(description="null: none could be identified")
+    advice: tuple[str, ...] = Field(description="what to log in the next flight, in the autopilot's words")
     notes: tuple[str, ...] = Field(description="of the reader and the tests, one line each")
-
-
-def summarise(findings: Sequence[Finding], judged: Sequence[str], not_judged: Sequence[NotJudged]) -> str:
-    """Say the verdict in one sentence."""
-    if not judged:
-        reasons = "; ".join(dict.fromkeys(each.reason for each in not_judged)) or "no sensor was logged"
-        return f"Nothing can be said: {reasons}."
-    if not findings:
-        missing = unjudged(judged, not_judged)
-        rest = f"; {join(missing)} could not be judged" if missing else ""
-        partial = {each.component for each in not_judged}
-        found = [f"{each} (in part)" if each in partial else each for each in judged]
-        return f"No fault found in {join(found)}{rest}."
-    parts = [_describe(each) for each in findings[:SENTENCE_FINDINGS]]
-    if more := len(findings) - SENTENCE_FINDINGS:
-        parts += [f"{more} more finding{'s' if more > 1 else ''}"] if more > 0 else []
-    text = join(parts)
-    return f"{text[0].upper()}{text[1:]}."
 
 
 def unjudged(judged: Sequence[str], not_judged: Sequence[NotJudged]) -> list[str]:
     """Return the components of which nothing was judged."""
     return [each for each in dict.fromkeys(entry.component for entry in not_judged) if each not in judged]
-
-
-def _describe(finding: Finding) -> str:
-    size = f" of {show(finding.size, finding.unit)}" if finding.size is not None else ""
-    what = {
-        "offset": f"{finding.name} has an offset{size}",
-        "stuck": f"{finding.name} is stuck",
-        "saturation": f"{finding.name} is saturated",
-        "noise": f"{finding.name} is noisy",
-        "absent": f"{finding.name} gives no usable reading",
-        "loss": f"{finding.name} lost {_share(finding.size)} of its thrust",
-        "off": f"{finding.name} gives no thrust",
-        "brownout": f"{finding.name} breaks down",
-        "unknown": f"{finding.name} is at fault",
-    }[finding.kind]
-    until = "" if finding.end_s is None else f" to {finding.end_s:.2f} s"
-    doubt = (
-        f" (or {join([each.replace('/', ' ') for each in finding.ambiguous_with], 'or')})"
-        if finding.ambiguous_with
-        else ""
-    )
-    return f"{what} from {finding.onset_s:.2f} s{until}{doubt}"
-
-
-def _share(size: float | None) -> str:
-    return "part" if size is None else f"{100.0 * size:.0f} %"
 
 
 def show(value: float, unit: str) -> str:

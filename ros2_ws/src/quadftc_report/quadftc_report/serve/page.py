@@ -113,8 +113,8 @@ def _buttons(jobs: Jobs, job: Job) -> None:
 def _badge(job: Job) -> None:
     if job.verdict is None:
         ui.badge(job.state, color=COLOURS.get(job.state, "grey"))
-    elif job.verdict.healthy:
-        ui.badge("no finding", color="positive")
+    elif job.verdict.outcome != "fault":
+        ui.badge(job.verdict.outcome, color="positive" if job.verdict.healthy else "warning")
     else:
         count = len(job.verdict.findings)
         ui.badge(f"{count} finding{'s' if count > 1 else ''}", color="negative")
@@ -146,6 +146,8 @@ def _verdict(jobs: Jobs, job: Job) -> None:
             {"name": key, "label": label, "field": key, "align": "left"} for key, label in heads.items()
         ]
         ui.table(rows=rows, columns=columns).props("dense flat")
+    for each in job.verdict.advice:
+        ui.label(f"for the next flight: {each}")
     for each in job.verdict.not_judged:
         ui.label(f"not judged: {each.component}: {each.reason}").classes("text-grey")
     with ui.row():

@@ -1,0 +1,94 @@
+"""One cause first: the earliest finding that suffices, and what follows from it.
+
+A rotor that is lost, or a gyro that the controller believes, moves the vehicle as no other test expects, and
+estimators go wrong after their sensors. Such findings are told as consequences. Readings that repeat or stop
+are facts, whenever they begin; what attitude or velocity do while the estimator says that it resets is none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from quadftc_replay.flight_log import Event
+from quadftc_replay.inspection.ending import Ending
+from quadftc_replay.inspection.found import Found
+from quadftc_replay.inspection.verdict import Finding
+
+SUFFICES = 0.7  # probability of a finding that is a cause
+SLACK = 0.6  # s; tests over windows see what begins so much earlier
+AT_ONCE = 0.1  # s
+RECOVERED = 5.0  # s; after a fault that ended, within which estimators find back
+FACTS = ("stuck", "absent", "brownout")  # kinds that no motion makes
+# component: what goes wrong after it, besides
+FOLLOWS = {
+    "rotor": ("rotor", "gyro", "accelerometer", "attitude"),
+    "gyro": ("rotor", "gyro", "accelerometer", "attitude"),
+    "accelerometer": ("accelerometer", "attitude"),
+    "attitude": ("attitude",),
+}
+RESETS = ("reset", "lane switch", "primary", "aligned")  # words of an estimator that starts anew
+RESET = 0.5  # s; from its words to the jump
+
+
+def first_cause(
+    found: Sequence[Found], ending: Ending, events: Sequence[Event]
+) -> tuple[list[Found], list[Found]]:
+    """Divide findings into causes, the earliest first, and what follows from them or is explained."""
+    left = sorted(_without_doubles(found), key=lambda each: _rank(each.finding))
+    causes, follows = list[Found](), list[Found]()
+    for each in left:
+        finding = each.finding
+        out = ending.kind == "out of control" and finding.onset_s > ending.time and finding.kind not in FACTS
+        is_reset = finding.component == "attitude" and any(
+            abs(event.time - finding.onset_s) < RESET and any(word in event.text for word in RESETS)
+            for event in events
+        )
+        follows_one = not each.is_direct and any(_follows(finding, cause.finding) for cause in causes)
+        explained = out or is_reset or follows_one
+        (follows if explained else causes).append(each)
+    return causes, follows
+
+
+def _rank(finding: Finding) -> tuple[bool, float]:
+    """Order of causes: those that suffice, by onset; estimates go wrong after their sensors."""
+    return finding.probability < SUFFICES, finding.onset_s + SLACK * (finding.component == "attitude")
+
+
+def _follows(finding: Finding, cause: Finding) -> bool:
+    """Whether a finding may follow from a cause."""
+    if finding.kind in FACTS or cause.probability < SUFFICES:
+        return False
+    if finding.component == cause.component and abs(finding.onset_s - cause.onset_s) < AT_ONCE:
+        return False  # several elements of one sensor
+    ends = float("inf") if cause.end_s is None else cause.end_s + RECOVERED
+    within = cause.onset_s - SLACK < finding.onset_s < ends
+    return within and finding.component.split()[0] in FOLLOWS.get(cause.component.split()[0], ())
+
+
+def _without_doubles(found: Sequence[Found]) -> list[Found]:
+    """Of findings on one element at one time keep the first: readings tell more than comparisons."""
+    kept: list[Found] = []
+    for each in found:
+        if not any(_repeats(each.finding, other.finding) for other in kept):
+            kept.append(each)
+    return kept
+
+
+def _repeats(finding: Finding, known: Finding) -> bool:
+    """Whether a finding says again what another says, of the same element or of a sensor known to be dead."""
+    if finding.component != known.component or not _overlap(finding, known):
+        return False
+    if known.kind in ("stuck", "saturation", "absent", "noise") and finding.kind in (
+        "offset",
+        "noise",
+        "unknown",
+        "absent",
+    ):
+        return known.kind != finding.kind or known.element == finding.element
+    return known.kind == finding.kind and known.element == finding.element
+
+
+def _overlap(finding: Finding, known: Finding) -> bool:
+    end = float("inf") if known.end_s is None else known.end_s
+    ends = float("inf") if finding.end_s is None else finding.end_s
+    return known.onset_s - 1.0 <= ends and finding.onset_s <= end + 1.0

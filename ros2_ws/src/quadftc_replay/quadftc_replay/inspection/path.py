@@ -1,0 +1,164 @@
+"""The path that attitude and accelerometer say against the velocity that a satellite receiver measures.
+
+    r(t) = R' (1/T) (integral of (R f - g) dt - delta v),    over a window T around t, in body axes
+
+R is the logged attitude, f the specific force. r is next to zero, whatever vehicle and wind do. An offset b
+of the accelerometer shows as r = b. An attitude that follows a gyro with an offset b of its rate
+tilts away, so that r grows as g b t. A velocity that jumps shows for one window. The receiver's delay is the
+one that leaves least.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from quadftc_model.rotations import to_body, to_earth
+from quadftc_model.samples import STANDARD_GRAVITY
+from quadftc_replay.flight_log import Signal
+from quadftc_replay.inspection.flight import Flight
+from quadftc_replay.inspection.whitening import Floats, runs_of
+
+WINDOW = 1.0  # s; T
+STEP = 0.1  # s; between two windows
+DELAYS = np.arange(0.0, 0.45, 0.05)  # s; of satellite receivers
+LEAST = 20  # windows
+CALM = 0.3  # 1; quantile of the scatter that is the usual one
+LEVEL = 6.0  # standard deviations
+SMALLEST = 1.0  # m/s²; 6 deg of tilt, which estimators reach without a fault
+USABLE = 0.5  # m/s²; sigma of a path that says anything
+AROUND = (2.0, 1.5)  # s; before and after, over which causes are compared: later, estimators have learned
+
+
+class Path(NamedTuple):
+    """What specific force and velocity do not agree on."""
+
+    time: Floats  # (n,) middle of the window [s]
+    rest: Floats  # (n, 3) r [m/s²], body axes; NaN where it is not known
+    sigma: float  # m/s²; of each component, in calm
+
+
+class Cause(NamedTuple):
+    """What explains a path that parts from the velocity."""
+
+    component: str  # gyro, accelerometer or gps
+    element: str
+    onset: float  # s
+    size: float  # rad/s, m/s² or m/s
+    sigma: float
+    score: float  # standard deviations
+    second: str  # the next best cause
+
+
+def path_of(attitude: Signal | None, force: Signal | None, velocity: Signal | None) -> Path | None:
+    """Compare the paths; None where a signal is missing or they hardly overlap."""
+    if (
+        attitude is None
+        or force is None
+        or velocity is None
+        or min(map(len, (attitude, force, velocity))) < LEAST
+    ):
+        return None
+    begin = max(float(each.time[0]) for each in (attitude, force, velocity)) + 0.5 * WINDOW
+    end = min(float(each.time[-1]) for each in (attitude, force, velocity)) - 0.5 * WINDOW - DELAYS[-1]
+    time = np.arange(begin, end, STEP)
+    if len(time) < LEAST:
+        return None
+    q = _attitude_at(attitude, force.time)
+    total = _integral(force.time, to_earth(q, np.nan_to_num(force.value)) - [0.0, 0.0, STANDARD_GRAVITY])
+    gained = _change(time, Signal(force.time, total))
+    middle = _attitude_at(attitude, time)
+    rests = [
+        to_body(middle, (gained - _change(time + delay, velocity)) / WINDOW) for delay in DELAYS.tolist()
+    ]
+    rest = min(rests, key=lambda each: float(np.median(np.linalg.norm(each, axis=1))))
+    known = _covered(time, velocity.time, DELAYS[-1]) & _covered(time, force.time, 0.0)
+    blocks = np.array_split(np.linalg.norm(rest[known], axis=1), max(1, round(known.sum() * STEP / WINDOW)))
+    if known.sum() < LEAST:
+        return None
+    usual = float(np.quantile([np.median(each) for each in blocks], CALM)) / np.sqrt(2.4)  # of 3 components
+    return Path(time, np.where(known[:, None], rest, np.nan), usual) if usual < USABLE else None
+
+
+def _attitude_at(attitude: Signal, time: Floats) -> Floats:
+    """Attitudes (m, 4) at other times, straight between samples."""
+    q = attitude.value.copy()
+    flips = np.sum(q[1:] * q[:-1], axis=1) < 0.0
+    q[1:] *= np.where(np.cumsum(flips) % 2 == 1, -1.0, 1.0)[:, None]
+    found = Signal(attitude.time, q).at(time)
+    return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-9)
+
+
+def _integral(time: Floats, values: Floats) -> Floats:
+    means = 0.5 * (values[1:] + values[:-1]) * np.diff(time)[:, None]
+    return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(means, axis=0)])
+
+
+def _change(time: Floats, signal: Signal) -> Floats:
+    """Change of a signal over the window around each time (n, 3)."""
+    return signal.at(time + 0.5 * WINDOW) - signal.at(time - 0.5 * WINDOW)
+
+
+def _covered(time: Floats, at: Floats, delay: float) -> np.ndarray:
+    """Whether no gap of a signal is in the window around each time (n,)."""
+    gaps = np.flatnonzero(np.diff(at) > 0.5 * WINDOW)
+    dark = np.zeros(len(time), np.bool_)
+    for gap in gaps.tolist():
+        dark |= (time > at[gap] - 0.5 * WINDOW - delay) & (time < at[gap + 1] + 0.5 * WINDOW)
+    return ~dark
+
+
+def causes_of(flight: Flight, path: Path) -> Iterator[Cause]:
+    """Name the first cause of a path that parts from the velocity in flight."""
+    size = np.nan_to_num(np.linalg.norm(path.rest, axis=1))
+    watched = flight.in_flight(path.time) & ~flight.near_impact(path.time)
+    apart = watched & (size > SMALLEST + LEVEL * path.sigma)
+    for run in runs_of(apart):
+        if path.time[run.stop - 1] - path.time[run.start] >= 0.5 * WINDOW:
+            yield _best_cause(path, float(path.time[run.start]))
+            return
+
+
+def _best_cause(path: Path, moment: float) -> Cause:
+    """Compare all causes around a moment [s], by what they leave."""
+    rows = slice(*np.searchsorted(path.time, (moment - AROUND[0], moment + AROUND[1])))
+    time, rest = path.time[rows], np.nan_to_num(path.rest[rows])
+    found: list[tuple[float, Cause]] = []
+    for onset in np.arange(moment - 1.5 * WINDOW, moment + 0.5 * WINDOW, 0.5 * STEP).tolist():
+        for name, shape, axis, scale in _shapes(time - onset):
+            component, element = name
+            along = rest[:, axis]
+            power = float(shape @ shape)
+            amount = float(shape @ along) / max(power, 1e-9)
+            left = float(np.sum(rest**2)) - amount**2 * power
+            sigma = max(path.sigma, np.sqrt(max(left, 0.0) / rest.size))
+            score = abs(amount) * np.sqrt(power) / max(sigma, 1e-9)
+            cause = Cause(
+                component,
+                element,
+                onset,
+                amount * scale,
+                abs(scale) * sigma / np.sqrt(max(power, 1e-9)),
+                score,
+                "",
+            )
+            found.append((left, cause))
+    found.sort(key=lambda each: each[0])
+    best = found[0][1]
+    other = next((each for _, each in found if each[:2] != best[:2]), best)
+    return best._replace(second=f"{other.component}/{other.element}".rstrip("/"))
+
+
+def _shapes(late: Floats) -> Iterator[tuple[tuple[str, str], Floats, int, float]]:
+    """Each cause: its name, what it adds to r at times after its onset (n,), where, and its unit's scale."""
+    half = 0.5 * WINDOW
+    step = np.clip((late + half) / WINDOW, 0.0, 1.0)
+    ramp = np.where(late > half, late, 0.5 * np.clip(late + half, 0.0, None) ** 2 / WINDOW)
+    pulse = (np.abs(late) < half) / WINDOW
+    for axis, element in enumerate("xyz"):
+        yield ("accelerometer", element), step, axis, 1.0
+        yield ("gps", ""), pulse, axis, 1.0
+    yield ("gyro", "x"), ramp, 1, -1.0 / STANDARD_GRAVITY
+    yield ("gyro", "y"), ramp, 0, 1.0 / STANDARD_GRAVITY

@@ -1,0 +1,283 @@
+"""Loss of a rotor by what it takes to hold the vehicle, at any rate.
+
+A controller answers a lost rotor: it asks the others for a torque, at once and for as long as the rotor is
+lost. With the layout B (rows roll and pitch, each of length 1) and commands u, shares of the thrust,
+
+    r = B u - J alpha - L d(B u)/dt - D omega,
+
+the torque that is asked for less what inertia, the rotors' lag and damping take of it, is next to constant in
+healthy flight. Rotor i that loses the share s moves r by s B_i u_i. J, L and D (roll, pitch) are fitted to
+the flight before. A vehicle goes out of control in this direction, too: the controller asks for one turn and
+gets the opposite.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from quadftc_replay.flight_log import FlightLog, Signal
+from quadftc_replay.inspection.flight import Flight
+from quadftc_replay.inspection.rotor_trim import effects
+from quadftc_replay.inspection.whitening import TO_SIGMA, Floats, Mask
+
+WINDOWS = (0.3, 1.0)  # s; over which r has moved
+BEFORE = 2.0  # s; over which it was known
+FASTEST = 100.0  # Hz; of commands that are used
+FEWEST = 3  # commands in a window
+FLOOR = 0.01  # 1; standard deviation of r, at least: that of Crazyflies from flight to flight
+LEVEL = 4.5  # standard deviations; the largest in healthy logs, of a share of a fifth or more, is 3.2
+LEAST, MOST = 0.2, 2.0  # 1; share of the rotor's thrust
+ASIDE = 0.5  # 1; of what r moves by, that may point elsewhere
+CALM = 0.35  # 1; quantile of the steps of a flight that is their usual size
+STAYS = 0.5  # 1; of the share, that is missing until the vehicle is down
+ROUNDS = 3  # of fit and judgement
+PARTS = (0.35, 0.5, 0.75, 1.0)  # 1; of the flight, by which models are fitted
+LEAST_FLOWN = 30  # commands in flight
+MIXED = 0.98  # 1; R² of a mixer from which it is used
+USUAL = np.array([0.01, 0.03, 0.0])  # J [s²], L [s] and D [s], before anything is fitted
+PRIOR = np.array([0.01, 0.03, 0.02])  # their standard deviations
+GAINS = 0.35  # 1; by which they may be off whatever the fit says: closed loops hide them
+TOGETHER = 5.0  # 1; samples that tell as much as one that is independent
+NEARLY = 0.8  # 1; of the score of the first, from which a second rotor is named
+QUIET = 4.0  # standard deviations of the rate, at which it has begun to turn
+
+
+class RotorStep(NamedTuple):
+    """A rotor that lost thrust."""
+
+    rotor: int
+    onset: float  # s
+    share: float
+    sigma: float
+    score: float  # standard deviations
+    second: int | None  # the rotor that explains it nearly as well
+    time: Floats  # (n,) [s]
+    rest: Floats  # (n, 2) r
+
+
+class Torque(NamedTuple):
+    """What is asked for and what the vehicle does, at the commands' times."""
+
+    time: Floats  # (n,) [s]
+    commands: Floats  # (n, rotors)
+    asked: Floats  # (n, 2) B u
+    columns: Floats  # (n, 2, 3) alpha, d(B u)/dt, omega of each axis
+    flying: Mask  # (n,)
+    layout: Floats  # (2, rotors) B
+
+    def rows(self, rows: NDArray[np.int_]) -> Torque:
+        """Return some samples."""
+        time, commands, asked, columns, flying, layout = self
+        return Torque(time[rows], commands[rows], asked[rows], columns[rows], flying[rows], layout)
+
+
+def fast_commands(log: FlightLog) -> Signal | None:
+    """Return the commands of the rotors (n, rotors): by torque and thrust where these are logged faster.
+
+    The mixer between the two is fitted to the log itself.
+    """
+    commands, torque, thrust = log.rotor_commands, log.torque_command, log.thrust_command
+    if commands is None or torque is None or thrust is None or torque.rate < 1.5 * commands.rate:
+        return commands
+    ones = np.ones((len(torque), 1))
+    asked = Signal(torque.time, np.hstack([torque.value, thrust.at(torque.time)[:, :1], ones]))
+    at = asked.at(commands.time)
+    inside = (commands.value > 0.02).all(axis=1) & (commands.value < 0.98).all(axis=1)
+    inside &= (
+        np.isfinite(at).all(axis=1) & (commands.time >= torque.time[0]) & (commands.time <= torque.time[-1])
+    )
+    if inside.sum() < 20:
+        return commands
+    mixer = np.linalg.lstsq(at[inside], commands.value[inside], rcond=None)[0]
+    left = commands.value[inside] - at[inside] @ mixer
+    explained = 1.0 - left.var() / max(float(commands.value[inside].var()), 1e-12)
+    mixed = np.clip(asked.value @ mixer, 0.0, 1.0)
+    return Signal(torque.time, mixed) if explained > MIXED else commands
+
+
+def torque_of(flight: Flight) -> Torque | None:
+    """Put commands and gyro together; None where one of them, or the layout, is missing."""
+    commands, layout = fast_commands(flight.log), effects(flight.log)
+    if (
+        commands is None
+        or layout is None
+        or flight.gyro is None
+        or commands.value.shape[1] != layout.shape[1]
+    ):
+        return None
+    gyro = flight.gyro[1]
+    stride = max(1, round(commands.rate / FASTEST))
+    whole = np.isfinite(commands.value).all(axis=1)
+    time, value = commands.time[whole][::stride], commands.value[whole][::stride]
+    inside = (time > gyro.time[0]) & (time < gyro.time[-1])
+    time, value = time[inside], value[inside]
+    if len(time) < 30 or gyro.rate < 5.0:
+        return None
+    asked = value @ layout[:2].T
+    half = 0.5 * max(float(np.median(np.diff(time))), 2.0 / gyro.rate)
+    rates = Signal(gyro.time, np.nan_to_num(gyro.value[:, :2]))
+    later, sooner, now = rates.at(time + half), rates.at(time - half), rates.at(time)
+    alpha = (later - sooner) / (2.0 * half)
+    columns = np.stack([alpha, np.gradient(asked, time, axis=0), now], axis=-1)
+    flying = flight.in_flight(time) & (time < flight.until)
+    return Torque(time, value, asked, columns, flying, layout[:2])
+
+
+def fit(torque: Torque, moved: Floats) -> tuple[Floats, Floats]:
+    """Fit J, L, D of both axes to flight, robustly (2, 3), with their covariance (2, 3, 3).
+
+    ``moved`` (n, 2) is what a loss makes.
+    """
+    found, covariance = np.tile(USUAL, (2, 1)), np.zeros((2, 3, 3))
+    flying = torque.flying
+    for axis in range(2):
+        rows = torque.columns[flying, axis]
+        asked = (torque.asked - moved)[flying, axis]
+        weight = np.ones(len(rows))
+        for _ in range(2 * ROUNDS):
+            middle = np.average(asked - rows @ found[axis], weights=weight)
+            scaled = rows * weight[:, None]
+            power = scaled.T @ rows / TOGETHER + np.diag((FLOOR / PRIOR) ** 2)
+            known = scaled.T @ (asked - middle) / TOGETHER + (FLOOR / PRIOR) ** 2 * USUAL
+            found[axis] = np.linalg.solve(power, known)
+            found[axis, 0] = max(
+                found[axis, 0], 0.0
+            )  # gusts that the controller answers look like less inertia
+            left = np.abs(asked - middle - rows @ found[axis])
+            bound = 2.0 * TO_SIGMA * float(np.median(left)) + 1e-9
+            weight = np.minimum(1.0, bound / np.maximum(left, 1e-12))
+            noise = bound**2 / 4.0 + FLOOR**2
+            covariance[axis] = noise * np.linalg.inv(power) + np.diag((GAINS * found[axis]) ** 2)
+    return found, covariance
+
+
+def find_step(flight: Flight) -> tuple[RotorStep | None, bool]:
+    """Find the first rotor that lost thrust; and whether rotors could be judged so.
+
+    What comes after a loss spoils the model. So models of longer and longer parts of the flight look for one,
+    and it has to show with the model of what came before it, too.
+    """
+    torque = torque_of(flight)
+    if torque is None or torque.flying.sum() < LEAST_FLOWN:
+        return None, False
+    ends = np.quantile(torque.time[torque.flying], PARTS).tolist()
+    for end in ends:
+        step = search(torque, *_model(torque, end))
+        for _ in range(ROUNDS):
+            if step is None:
+                break
+            again = search(torque, *_model(torque, step.onset, step))
+            if again is not None and again.rotor == step.rotor and again.onset == step.onset:
+                return again._replace(onset=_begins_to_turn(flight, torque, again)), True
+            step = again
+    return None, True
+
+
+def _model(torque: Torque, end: float, step: RotorStep | None = None) -> tuple[Floats, Floats]:
+    """Fit to the flight up to a time [s]; if that is too little, to all of it less what a loss makes."""
+    moved, before = np.zeros_like(torque.asked), torque.flying & (torque.time < end)
+    if step is not None and before.sum() < LEAST_FLOWN:
+        late = (torque.time >= step.onset)[:, None]
+        moved = step.share * late * torque.commands[:, step.rotor, None] * torque.layout[:, step.rotor]
+        before = torque.flying
+    return fit(torque._replace(flying=before), moved)
+
+
+def search(torque: Torque, factors: Floats, covariance: Floats) -> RotorStep | None:
+    """Find the first step of r that a rotor explains and that stays, by a model and its covariance."""
+    period = float(np.median(np.diff(torque.time)))
+    rows = np.flatnonzero(torque.flying)
+    part = torque.rows(rows)
+    rest = part.asked - np.einsum("nak,ak->na", part.columns, factors)
+    doubt = np.einsum("nak,akl,nal->na", part.columns, covariance, part.columns)
+    before = max(2 * FEWEST, round(BEFORE / period))
+    best: RotorStep | None = None
+    for window in WINDOWS:
+        count = max(FEWEST, round(window / period))
+        k = np.arange(FEWEST, len(rows) - FEWEST + 1)
+        if not len(k):
+            continue
+        step = _steps(rest, k, before, count)
+        unsure = _steps(part.columns.reshape(len(rows), 6), k, before, count).reshape(len(k), 2, 3)
+        variance = np.einsum("nak,akl,nal->na", unsure, covariance, unsure) + _scatter(step) ** 2 + FLOOR**2
+        driven = _after(part.commands, k, count)
+        effect = driven[:, :, None] * torque.layout.T  # (m, rotors, 2)
+        power = np.sum(effect**2 / variance[:, None], axis=2) + 1e-12
+        share = np.einsum("mra,ma->mr", effect, step / variance) / power
+        aside = np.linalg.norm(step[:, None] - share[..., None] * effect, axis=2)
+        score = share * np.sqrt(power)
+        fits = (score > LEVEL) & (share > LEAST) & (share < MOST)
+        fits &= aside < ASIDE * np.linalg.norm(step, axis=1)[:, None]
+        score: Floats = np.where(fits, score, 0.0)
+        starts: list[int] = np.flatnonzero(fits.any(axis=1)).tolist()
+        for first in starts:
+            at = first + int(np.argmax(score[first : first + count].max(axis=1)))
+            rotor = int(np.argmax(score[at]))
+            whole = _whole(part, rest, doubt, int(k[at]), before, rotor)
+            if whole < STAYS * share[at, rotor]:
+                continue
+            others: Floats = score[at].copy()
+            others[rotor] = 0.0
+            second = int(np.argmax(others))
+            found = RotorStep(
+                rotor=rotor,
+                onset=float(part.time[k[at]]),
+                share=min(
+                    max(whole, float(share[at, rotor])), 1.0
+                ),  # inertia that is fitted too small hides some
+                sigma=float(1.0 / np.sqrt(power[at, rotor])),
+                score=float(score[at, rotor]),
+                second=second if others[second] > NEARLY * score[at, rotor] else None,
+                time=part.time,
+                rest=rest,
+            )
+            if best is None or found.onset < best.onset - window:
+                best = found
+            break
+    return best
+
+
+def _after(values: Floats, k: NDArray[np.int_], count: int) -> Floats:
+    """Means over the ``count`` rows from each moment on (m, ...)."""
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    last = np.minimum(k + count, len(values))
+    return (total[last] - total[k]) / (last - k)[:, None]
+
+
+def _steps(values: Floats, k: NDArray[np.int_], before: int, count: int) -> Floats:
+    """Means after each moment less those before it (m, ...)."""
+    total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    first = np.maximum(k - before, 0)
+    return _after(values, k, count) - (total[k] - total[first]) / (k - first)[:, None]
+
+
+def _scatter(step: Floats) -> float:
+    """Standard deviation of the steps of a flight (m, 2), by its calmer part."""
+    return TO_SIGMA * float(np.quantile(np.linalg.norm(step, axis=1), CALM))
+
+
+def _whole(part: Torque, rest: Floats, doubt: Floats, row: int, before: int, rotor: int) -> float:
+    """Share of a rotor that is missing from a row on to the end, where the model is still sure."""
+    base = rest[max(row - before, 0) : row].mean(axis=0)
+    effect = part.commands[row:, rotor, None] * part.layout[:, rotor]
+    weight = 1.0 / (FLOOR**2 + doubt[row:])
+    power = float(np.sum(weight * effect**2))
+    return float(np.sum(weight * (rest[row:] - base) * effect)) / max(power, 1e-12)
+
+
+def _begins_to_turn(flight: Flight, torque: Torque, step: RotorStep) -> float:
+    """Return when the vehicle begins to turn as it does without the rotor [s]; the answer comes later."""
+    assert flight.gyro is not None  # else there were no torques
+    gyro = flight.gyro[1]
+    direction = -torque.layout[:, step.rotor] / np.linalg.norm(torque.layout[:, step.rotor])
+    period = float(np.median(np.diff(torque.time)))
+    first, last = np.searchsorted(gyro.time, (step.onset - BEFORE, step.onset + 2.0 * period))
+    along = np.nan_to_num(gyro.value[first:last, :2]) @ direction
+    change = np.diff(along, prepend=along[:1])
+    usual = TO_SIGMA * float(np.median(np.abs(change))) + 1e-6
+    near = np.flatnonzero(gyro.time[first:last] > step.onset - max(3.0 * period, 0.15))
+    turning = near[change[near] > QUIET * usual]
+    return float(gyro.time[first + turning[0]]) if len(turning) else step.onset

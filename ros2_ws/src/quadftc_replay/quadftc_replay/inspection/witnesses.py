@@ -1,0 +1,197 @@
+"""Who is right, where sensors part: findings of pairs of IMUs, and of the path that satellites measure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from quadftc_replay.flight_log import Signal
+from quadftc_replay.inspection.agreement import compare
+from quadftc_replay.inspection.flight import Flight
+from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.gyro import BODY_AXES, component_name
+from quadftc_replay.inspection.pairs import CLEAR, LONG, Parting, differ, jumps_more, partings
+from quadftc_replay.inspection.path import LEVEL, SMALLEST, Cause, Path, causes_of, path_of
+from quadftc_replay.inspection.verdict import Finding
+from quadftc_replay.inspection.whitening import Floats
+
+UNITS = {"gyro": "rad/s", "accelerometer": "m/s^2"}
+AROUND = 2.0  # s; drawn before and after a finding
+NEAR = 0.5  # s; from a step that the path shows to the same in the readings
+
+
+def pair_findings(
+    flight: Flight, kind: str, sensors: Mapping[str, Signal], known: Sequence[Finding]
+) -> list[Found]:
+    """Name the wrong one of two or more sensors of a kind; ``known`` is what their readings alone say."""
+    ignored = [
+        (name, each.onset_s, np.inf if each.end_s is None else each.end_s)
+        for each in known
+        for name in sensors
+        if each.component == component_name(kind, name)
+    ]
+    apart = list(partings(flight, kind, sensors, ignored))
+    found: list[Found] = []
+    for parting in sorted(apart, key=lambda each: each.onset):
+        others = [each for each in apart if each is not parting and _at_once(each, parting)]
+        common = [name for name in parting.names if any(name in each.names for each in others)]
+        if len(common) == 1:  # it differs from two others
+            if not any(_is_of(each.finding, kind, common[0], parting) for each in found):
+                found.append(
+                    _pair_found(kind, sensors, parting, 2.0 if common[0] == parting.names[0] else -2.0)
+                )
+        else:
+            found.append(_pair_found(kind, sensors, parting, _blame(flight, kind, sensors, parting)))
+    return found
+
+
+def _at_once(parting: Parting, other: Parting) -> bool:
+    """Whether two partings are on one axis at one time."""
+    ends = [np.inf if each.end is None else each.end for each in (parting, other)]
+    return parting.axis == other.axis and parting.onset <= ends[1] and other.onset <= ends[0]
+
+
+def _is_of(finding: Finding, kind: str, name: str, parting: Parting) -> bool:
+    same = finding.component == component_name(kind, name) and finding.element == BODY_AXES[parting.axis]
+    return same and abs(finding.onset_s - parting.onset) < NEAR
+
+
+def _blame(flight: Flight, kind: str, sensors: Mapping[str, Signal], parting: Parting) -> float:
+    """By how much the first of two is worse than the second: what three witnesses say, each -1 to 1."""
+    first, second = (sensors[name] for name in parting.names)
+    a, b, _ = differ(first, second)
+    total = jumps_more(a, b, parting)
+    end = flight.until if parting.end is None else min(parting.end, flight.until)
+    if kind == "gyro":
+        total += _by_attitude(flight, (first, second), parting, end)
+        if parting.axis < 2 and parting.names[0] == next(iter(sensors)):
+            total += _by_path_of_attitude(flight, parting, end)
+    else:
+        total += _by_path(flight, (first, second), parting, end)
+    return total
+
+
+def _by_attitude(flight: Flight, gyros: tuple[Signal, Signal], parting: Parting, end: float) -> float:
+    """Compare both gyros with the attitude's rate, over the whole stretch."""
+    if flight.log.attitude is None:
+        return 0.0
+    misses: list[float] = []
+    for gyro in gyros:
+        agreement = compare(flight.log.attitude, gyro)
+        if agreement is None:
+            return 0.0
+        rows = slice(*np.searchsorted(agreement.time, (parting.onset, end)))
+        seconds = float(np.sum(agreement.dt[rows]))
+        misses.append(abs(float(np.sum(agreement.rest[rows, parting.axis]))) / max(seconds, 1e-9))
+    trust = 1.0 if flight.log.attitude_from_gyro is False else min((end - parting.onset) / LONG, 1.0)
+    return trust * float(np.clip((misses[0] - misses[1]) / abs(parting.size), -1.0, 1.0))
+
+
+def _by_path_of_attitude(flight: Flight, parting: Parting, end: float) -> float:
+    """Ask the path whether the attitude, which follows the first gyro, tilts away."""
+    path = path_of(flight.log.attitude, _main_force(flight), flight.log.gps_velocity)
+    if path is None or end - parting.onset < 1.5:
+        return 0.0
+    rows = slice(*np.searchsorted(path.time, (parting.onset, min(end, parting.onset + LONG))))
+    size = np.linalg.norm(np.nan_to_num(path.rest[rows]), axis=1)
+    if not len(size):
+        return 0.0
+    return 1.0 if float(size.max()) > SMALLEST + LEVEL * path.sigma else -1.0
+
+
+def _by_path(flight: Flight, forces: tuple[Signal, Signal], parting: Parting, end: float) -> float:
+    """Compare both accelerometers with the velocity that satellites measure."""
+    misses: list[float] = []
+    for force in forces:
+        path = path_of(flight.log.attitude, force, flight.log.gps_velocity)
+        if path is None:
+            return 0.0
+        rows = slice(*np.searchsorted(path.time, (parting.onset + NEAR, min(end, parting.onset + LONG))))
+        along = path.rest[rows, parting.axis]
+        if not np.isfinite(along).any():
+            return 0.0
+        misses.append(abs(float(np.nanmedian(along))))
+    return float(np.clip((misses[0] - misses[1]) / abs(parting.size), -1.0, 1.0))
+
+
+def _pair_found(kind: str, sensors: Mapping[str, Signal], parting: Parting, blame: float) -> Found:
+    """The finding of two sensors that part; ``blame`` beyond 0: the first is wrong."""
+    is_first, is_clear = blame >= 0.0, abs(blame) > CLEAR
+    wrong, right = parting.names if is_first else parting.names[::-1]
+    component, other = component_name(kind, wrong), component_name(kind, right)
+    element, unit = BODY_AXES[parting.axis], UNITS[kind]
+    size = parting.size if is_first else -parting.size
+    said = [f"it reads {size:+.3g} {unit.replace('^2', '²')} more than {other}, on the same vehicle"]
+    if not is_clear:
+        said.append("nothing tells which of the two is right")
+    finding = make_finding(
+        *(component, element, "offset", parting.onset),
+        end_s=parting.end,
+        size=size,
+        sigma=parting.sigma,
+        unit=unit,
+        probability=confidence(parting.score, 0.5) * (1.0 if is_clear else 0.5),
+        ambiguous_with=() if is_clear else (f"{other}/{element}",),
+        evidence=tuple(said),
+    )
+    time = sensors[wrong].time
+    lines: dict[str, Floats] = {
+        component_name(kind, name): np.interp(time, each.time, each.value[:, parting.axis])
+        for name, each in sensors.items()
+        if name in parting.names
+    }
+    span = (parting.onset - AROUND, (parting.end or parting.onset) + AROUND)
+    return Found(
+        finding, curve_around(f"{kind} {element}", unit.replace("^2", "²"), time, lines, span), is_clear
+    )
+
+
+def _main_force(flight: Flight) -> Signal | None:
+    return next(iter(flight.log.accelerometers.values()), None)
+
+
+def path_findings(flight: Flight) -> tuple[list[Found], bool]:
+    """Name what parts from the path that satellites measure; and whether there is such a path."""
+    path = path_of(flight.log.attitude, _main_force(flight), flight.log.gps_velocity)
+    if path is None:
+        return [], False
+    return [
+        _path_found(flight, path, cause) for cause in causes_of(flight, path) if cause.component != "gps"
+    ], True
+
+
+def _path_found(flight: Flight, path: Path, cause: Cause) -> Found:
+    """The finding of a sensor that the path blames; its onset is that of the step in the readings."""
+    is_gyro = cause.component == "gyro"
+    sensor = flight.gyro[1] if is_gyro and flight.gyro is not None else _main_force(flight)
+    axis = BODY_AXES.index(cause.element)
+    onset = cause.onset if sensor is None else _steepest(sensor, axis, cause.onset)
+    what = "the attitude tilts away from" if is_gyro else "the specific force parts from"
+    unit = UNITS[cause.component]
+    said = (
+        f"{what} the path that satellites measure as with {cause.size:+.3g} {unit.replace('^2', '²')} here,"
+        f" {cause.score:.0f} standard deviations",
+    )
+    finding = make_finding(
+        *(cause.component, cause.element, "offset", onset),
+        size=cause.size,
+        sigma=cause.sigma,
+        unit=unit,
+        probability=confidence(cause.score, LEVEL),
+        evidence=said,
+    )
+    lines = {name: path.rest[:, k] for k, name in enumerate(BODY_AXES)}
+    span = (onset - 2.0 * AROUND, onset + 2.0 * AROUND)
+    return Found(
+        finding, curve_around("specific force less what satellites measure", "m/s²", path.time, lines, span)
+    )
+
+
+def _steepest(sensor: Signal, axis: int, moment: float) -> float:
+    """Return when a sensor changes most from sample to sample, near a moment [s]."""
+    first, last = np.searchsorted(sensor.time, (moment - NEAR, moment + NEAR))
+    if last - first < 3:
+        return moment
+    change = np.abs(np.diff(sensor.value[first:last, axis]))
+    return float(sensor.time[first + 1 + int(np.argmax(np.nan_to_num(change)))])

@@ -1,0 +1,193 @@
+"""The verdict in words: headline, timeline, and what to log in the next flight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from quadftc_replay.flight_log import FlightLog
+from quadftc_replay.inspection.ending import Ending
+from quadftc_replay.inspection.flight import Flight
+from quadftc_replay.inspection.found import Found
+from quadftc_replay.inspection.identification import Identified
+from quadftc_replay.inspection.verdict import (
+    VERSION,
+    Finding,
+    Model,
+    Moment,
+    NotJudged,
+    Outcome,
+    Verdict,
+    join,
+    show,
+)
+from quadftc_replay.inspection.verdict import Ending as SaidEnding
+
+REQUIRED = ("gyro", "accelerometer", "attitude", "rotor", "battery")  # what can bring a vehicle down
+SENTENCE_FINDINGS = 3  # findings that the sentence names
+PLAIN = ("in flight", "landed")  # endings that go without saying
+# how a format begins, or a vehicle of it: what to set so that all can be judged
+ADVICE = {
+    "ArduCopter": "set LOG_BITMASK bits 0 (fast attitude), 1 (attitude), 10 (RC output) and 18 (fast IMU)",
+    "ArduPilot": "log attitude, IMU and RC output at full rate (LOG_BITMASK)",
+    "PX4": "set SDLOG_PROFILE bit 4 (high rate)",
+    "Crazyflie": "log gyro, acc, stateEstimate (attitude), motor.m1 to m4 and pm.vbat at 100 Hz or more",
+    "": "log gyro, accelerometer, attitude, rotor commands or speeds, and the voltage at 100 Hz or more",
+}
+
+
+def make_verdict(
+    flight: Flight,
+    baseline: FlightLog | None,
+    ending: Ending,
+    found: Sequence[Found],
+    follows: Sequence[Found],
+    judged: Sequence[str],
+    missing: Sequence[NotJudged],
+    model: Identified | None,
+) -> Verdict:
+    """Put what was found into words; ``follows`` are findings that others explain."""
+    log, findings = flight.log, [each.finding for each in found]
+    outcome = outcome_of(findings, judged, ending)
+    return Verdict(
+        version=VERSION,
+        log=log.path.name,
+        format=log.format,
+        duration_s=log.end,
+        flight_s=flight.duration,
+        baseline=baseline.path.name if baseline is not None else None,
+        outcome=outcome,
+        healthy=outcome == "healthy",
+        sentence=summarise(flight, outcome, findings, judged, missing, ending),
+        findings=tuple(findings),
+        ending=SaidEnding(
+            kind=ending.kind, time_s=ending.time, impact_s=ending.impact, sentence=ending.sentence
+        ),
+        timeline=tuple(sorted(_moments(log, findings, follows, ending), key=lambda each: each.time_s)),
+        not_judged=tuple(missing),
+        judged=tuple(judged),
+        model=None if model is None else _model(model),
+        advice=() if outcome != "not enough to say" or not _lacks(judged) else (advice_for(log),),
+        notes=tuple(_notes(flight)),
+    )
+
+
+def _lacks(judged: Sequence[str]) -> list[str]:
+    """Return what can bring a vehicle down and was not judged."""
+    return [each for each in REQUIRED if each not in judged]
+
+
+def outcome_of(findings: Sequence[Finding], judged: Sequence[str], ending: Ending) -> Outcome:
+    """Say which of three outcomes it is."""
+    if findings:
+        return "fault"
+    return "not enough to say" if _lacks(judged) or ending.kind == "out of control" else "healthy"
+
+
+def summarise(
+    flight: Flight,
+    outcome: Outcome,
+    findings: Sequence[Finding],
+    judged: Sequence[str],
+    missing: Sequence[NotJudged],
+    ending: Ending,
+) -> str:
+    """Say the verdict in one sentence, what matters most first."""
+    ended = "" if ending.kind in PLAIN else ending.sentence
+    if outcome == "fault":
+        parts = [_describe(each) for each in findings[:SENTENCE_FINDINGS]]
+        more = len(findings) - SENTENCE_FINDINGS
+        parts += [f"{more} more finding{'s' if more > 1 else ''}"] if more > 0 else []
+        text = join(parts) + (f"; then: {ended}" if ended else "")
+    elif outcome == "healthy":
+        all_of_it = f"{join([*REQUIRED])} were judged over the whole flight, {flight.duration:.0f} s"
+        text = f"{ended}; no fault found: {all_of_it}" if ended else f"No fault found: {all_of_it}"
+    else:
+        text = _why_not(judged, missing, ended)
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def _why_not(judged: Sequence[str], missing: Sequence[NotJudged], ended: str) -> str:
+    """Say what could not be judged."""
+    lacking = _lacks(judged)
+    reasons = join([f"{name} ({_reason(name, missing)})" for name in lacking])
+    parts = [
+        ended,
+        f"not enough to say: {reasons} could not be judged" if reasons else "the cause is not known",
+    ]
+    parts.append(f"no fault found in {join(list(judged))}" if judged else "")
+    return "; ".join(filter(None, parts))
+
+
+def _reason(component: str, missing: Sequence[NotJudged]) -> str:
+    return next((each.reason for each in missing if each.component == component), "it is not logged")
+
+
+def advice_for(log: FlightLog) -> str:
+    """Return what to set for the next flight, by the words of autopilot and vehicle."""
+    said = " ".join(each.text for each in log.events)
+    is_copter = "Frame: " in said or "ArduCopter" in said or log.rotor_positions is not None
+    if log.format.startswith("ArduPilot"):
+        return ADVICE["ArduCopter" if is_copter else "ArduPilot"]
+    return next((text for name, text in ADVICE.items() if name and log.format.startswith(name)), ADVICE[""])
+
+
+def _moments(
+    log: FlightLog, findings: Sequence[Finding], follows: Sequence[Found], ending: Ending
+) -> Iterator[Moment]:
+    for finding in findings:
+        yield Moment(time_s=finding.onset_s, source="diagnose", text=_describe(finding))
+    for each in follows:
+        finding = each.finding
+        yield Moment(time_s=finding.onset_s, source="diagnose", text=f"it follows: {_describe(finding)}")
+    yield Moment(time_s=ending.time, source="diagnose", text=ending.sentence)
+    for event in log.events:
+        yield Moment(time_s=event.time, source=event.source, text=event.text)
+
+
+def _notes(flight: Flight) -> Iterator[str]:
+    log = flight.log
+    yield from log.notes
+    if flight.rate_is_estimated:
+        yield "no gyro is logged; the vehicle's own estimate of the body rate took its place"
+    if not flight.phases_known:
+        yield "neither rotors nor thrust tell when it flies: the whole log was judged"
+    if log.attitude is not None and log.attitude_from_gyro is not False:
+        is_sure = log.attitude_from_gyro
+        words = (
+            "the attitude is computed from this gyro"
+            if is_sure
+            else "the attitude may be computed from this gyro"
+        )
+        yield f"{words}: an error of the gyro that it followed does not show between them"
+
+
+def _model(model: Identified) -> Model:
+    roll, pitch, yaw = (float(value) for value in model.r2[:3])
+    usable = (bool(model.usable[0]), bool(model.usable[1]), bool(model.usable[2]))
+    return Model(source=model.source, lag_s=model.lag, r2=(roll, pitch, yaw), usable=usable)  # type: ignore[arg-type]
+
+
+def _describe(finding: Finding) -> str:
+    size = f" of {show(finding.size, finding.unit)}" if finding.size is not None else ""
+    what = {
+        "offset": f"{finding.name} has an offset{size}",
+        "stuck": f"{finding.name} is stuck",
+        "saturation": f"{finding.name} is saturated",
+        "noise": f"{finding.name} is noisy",
+        "absent": f"{finding.name} gives no usable reading",
+        "loss": f"{finding.name} lost {_share(finding.size)} of its thrust",
+        "off": f"{finding.name} gives no thrust",
+        "brownout": f"{finding.name} breaks down",
+        "unknown": f"{finding.name} is at fault",
+    }[finding.kind]
+    until = "" if finding.end_s is None else f" to {finding.end_s:.2f} s"
+    doubt = (
+        f" (or {join([each.replace('/', ' ') for each in finding.ambiguous_with], 'or')})"
+        if finding.ambiguous_with
+        else ""
+    )
+    return f"{what} from {finding.onset_s:.2f} s{until}{doubt}"
+
+
+def _share(size: float | None) -> str:
+    return "part" if size is None else f"{100.0 * size:.0f} %"

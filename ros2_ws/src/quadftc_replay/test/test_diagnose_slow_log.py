@@ -1,0 +1,156 @@
+"""Logs as autopilots write them: IMU at 25 Hz, attitude and commands at 10 Hz, satellites at 5 Hz."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from quadftc_model.rotations import to_earth, turn
+from quadftc_replay.flight_log import Event, FlightLog, Signal
+from quadftc_replay.inspection.inspect import inspect
+from quadftc_replay.inspection.verdict import Verdict
+
+PLACES = np.array([[1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [-1.0, -1.0]])
+SIGNS = np.array([-1.0, -1.0, 1.0, 1.0])
+GAINS = np.stack([60.0 * PLACES[:, 1], -60.0 * PLACES[:, 0], 8.0 * SIGNS], axis=1)  # rad/s² per unit
+HOVER, DT, ONSET, GRAVITY = 0.4, 0.005, 15.0, np.array([0.0, 0.0, 9.80665])
+
+
+def fly(
+    lost: tuple[int, float] | None = None,
+    gyro: np.ndarray | None = None,
+    force: np.ndarray | None = None,
+    imus: int = 2,
+    wrong: tuple[int, ...] = (0,),
+    seconds: float = 25.0,
+    stop: float = np.inf,
+    seed: int = 3,
+) -> FlightLog:
+    """A quadrotor in gusts that its own first gyro steers; from `ONSET` on the faults act.
+
+    ``lost`` is a rotor and the share of its thrust; ``gyro`` and ``force`` are offsets of the IMUs ``wrong``.
+    At ``stop`` the rotors are switched off.
+    """
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, seconds, DT)
+    q = estimate = np.array([0.0, 0.0, 0.0, 1.0])
+    rate = velocity = np.zeros(3)
+    thrust, gust = np.full(4, HOVER), np.zeros(3)
+    rates, forces, commands, attitudes, velocities = (np.zeros((len(time), k)) for k in (3, 3, 4, 4, 3))
+    for row, now in enumerate(time):
+        late = float(now >= ONSET)
+        wanted = 0.15 * np.array([np.sin(0.9 * now), np.cos(0.7 * now), 0.0])
+        believed = rate + (late * gyro if gyro is not None and 0 in wrong else 0.0)
+        tilt = 2.0 * estimate[:3] * np.sign(estimate[3])
+        asked = -30.0 * (tilt - wanted) - 10.0 * believed
+        command = np.clip(HOVER + np.linalg.pinv(GAINS.T) @ asked, 0.0, 1.0)
+        command = command * float(now < stop)
+        thrust += DT / 0.04 * (command - thrust)
+        given = thrust.copy()
+        if lost is not None:
+            given[lost[0]] *= 1.0 - lost[1] * late
+        gust += DT * (-gust / 0.5 + 2.0 * rng.standard_normal(3) / np.sqrt(DT))
+        rate = rate + DT * (given @ GAINS + gust)
+        q, estimate = turn(q, rate * DT), turn(estimate, believed * DT)
+        lift = np.array([0.0, 0.0, given.sum() / (4 * HOVER) * 9.80665])
+        velocity = velocity + DT * (to_earth(q, lift) - GRAVITY)
+        rates[row], forces[row], commands[row] = rate, lift, command
+        attitudes[row], velocities[row] = estimate, velocity
+
+    def thinned(values: np.ndarray, period: float, noise: float = 0.0) -> Signal:
+        stride = round(period / DT)
+        part = values[::stride]
+        return Signal(time[::stride], part + noise * rng.standard_normal(part.shape))
+
+    late = (time >= ONSET)[:, None]
+    names = ("", "1", "2")[:imus]
+    sensors = {"gyros": (rates, gyro, 0.003), "accelerometers": (forces, force, 0.05)}
+    imu = {
+        kind: {
+            name: thinned(values + late * (offset if offset is not None and k in wrong else 0.0), 0.04, noise)
+            for k, name in enumerate(names)
+        }
+        for kind, (values, offset, noise) in sensors.items()
+    }
+    return FlightLog(
+        path=Path("slow"),
+        format="ArduPilot BIN",
+        **imu,
+        attitude=thinned(attitudes, 0.1),
+        attitude_from_gyro=True,
+        velocity=thinned(velocities, 0.4),
+        gps_velocity=thinned(velocities, 0.2, 0.01),
+        rotor_commands=thinned(commands, 0.1),
+        battery=Signal(time[::20], np.full((len(time[::20]), 1), 12.0)),
+        rotor_positions=PLACES,
+        rotor_yaw_signs=SIGNS,
+    )
+
+
+def judge(log: FlightLog) -> Verdict:
+    return inspect(log).verdict
+
+
+def test_healthy_flight_is_healthy_as_all_of_it_was_judged():
+    verdict = judge(fly())
+    assert (verdict.outcome, verdict.findings, verdict.advice) == ("healthy", (), ())
+    assert verdict.ending.kind == "in flight"
+
+
+@pytest.mark.parametrize("share", [0.4, 1.0])
+@pytest.mark.parametrize("rotor", [0, 3])
+def test_rotor_that_loses_thrust_is_the_first_cause(rotor: int, share: float):
+    verdict = judge(fly(lost=(rotor, share), seconds=ONSET + 3.0))
+    first = verdict.findings[0]
+    assert (first.component, first.element) == ("rotor", str(rotor + 1))
+    assert first.onset_s == pytest.approx(ONSET, abs=0.3)
+    assert verdict.outcome == "fault"
+
+
+def test_wrong_gyro_of_two_is_named_though_the_controller_follows_it():
+    (found,) = judge(fly(gyro=np.array([0.0, 0.3, 0.0]))).findings
+    assert (found.component, found.element, found.kind) == ("gyro", "y", "offset")
+    assert found.size == pytest.approx(0.3, abs=0.02)
+    assert found.onset_s == pytest.approx(ONSET, abs=0.1)
+
+
+def test_wrong_accelerometer_of_two_is_named_by_the_velocity_of_satellites():
+    (found,) = judge(fly(force=np.array([2.0, 0.0, 0.0]), wrong=(1,))).findings
+    assert (found.component, found.element) == ("accelerometer 1", "x")
+    assert found.size == pytest.approx(2.0, abs=0.1)
+
+
+def test_wrong_accelerometer_of_three_is_the_one_that_differs_from_both():
+    log = dataclasses.replace(fly(force=np.array([0.0, 0.0, 3.0]), imus=3, wrong=(1,)), gps_velocity=None)
+    (found,) = judge(log).findings
+    assert (found.component, found.element) == ("accelerometer 1", "z")
+
+
+def test_fault_that_all_imus_share_is_seen_by_the_path():
+    (found,) = judge(fly(force=np.array([0.0, 2.0, 0.0]), wrong=(0, 1))).findings
+    assert (found.component, found.element) == ("accelerometer", "y")
+    assert found.size == pytest.approx(2.0, abs=0.2)
+    first = judge(fly(gyro=np.array([0.15, 0.0, 0.0]), wrong=(0, 1), seconds=ONSET + 5.0)).findings[0]
+    assert (first.component, first.element) == ("gyro", "x")
+    assert first.size == pytest.approx(0.15, abs=0.03)
+
+
+def test_log_without_rotors_is_not_enough_to_say_and_says_what_to_set():
+    log = dataclasses.replace(fly(), rotor_commands=None, events=(Event(0.0, "MSG", "Frame: QUAD/X"),))
+    verdict = judge(log)
+    assert (verdict.outcome, verdict.healthy) == ("not enough to say", False)
+    assert verdict.sentence.startswith("Not enough to say: rotor")
+    assert "LOG_BITMASK bits 0" in verdict.advice[0]
+
+
+def test_rotors_that_are_switched_off_in_the_air_are_no_fault():
+    log = fly(stop=20.0, seconds=22.0)
+    force, end = log.accelerometers[""], np.array([100.0, 0.0, 0.0])
+    log.accelerometers[""].value[force.time > 21.9] = end  # it hits the ground
+    verdict = judge(log)
+    assert (verdict.outcome, verdict.ending.kind) == ("healthy", "switched off in the air")
+    assert verdict.ending.time_s == pytest.approx(20.0, abs=0.2)
+    assert verdict.sentence.startswith("The rotors were stopped in the air")
