@@ -14,7 +14,7 @@ from quadftc_model.rotations import euler_from_quaternion
 from quadftc_replay import thinning
 from quadftc_replay.dataflash import read_dataflash
 from quadftc_replay.readers import read_log
-from quadftc_replay.readers.ardupilot import group_reports
+from quadftc_replay.readers.ardupilot_tables import group_reports
 
 FORMATS = {  # as ArduPilot 4.5 has them
     "PARM": (64, "QNff", "TimeUS,Name,Value,Default"),
