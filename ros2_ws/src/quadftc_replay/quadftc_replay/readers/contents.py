@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import struct
 from collections.abc import Callable
 
@@ -73,7 +74,7 @@ def is_mavlink(head: bytes) -> bool:
     return True
 
 
-def message_length(data: bytes, at: int) -> int:
+def message_length(data: bytes | mmap.mmap, at: int) -> int:
     """Bytes of a MAVLink message that begins at a place, with its signature."""
     place, beside = MAVLINK[data[at]]
     is_signed = data[at] == 0xFD and data[at + 2] & 1

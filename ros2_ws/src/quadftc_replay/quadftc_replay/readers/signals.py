@@ -73,6 +73,10 @@ class Signals:
         """Whether there is a signal for a field."""
         return bool(self._named.get(field)) or field in self._single
 
+    def names(self, field: str) -> list[str]:
+        """Names of the gyros or accelerometers."""
+        return list(self._named[field])
+
     def flight_log(self, **known: Any) -> FlightLog:
         """Put everything together; BagError if there is no signal at all."""
         self._leave_out_other_times()
