@@ -70,10 +70,10 @@ def read_dataflash(
         raise BagError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     if not scan.formats:
         raise BagError(f"{path}: not an ArduPilot log: no format of a message (FMT) in it")
-    return DataflashLog(messages, _parameters(parameters), tuple(scan.notes()))
+    return DataflashLog(messages, parameters_of(parameters), tuple(scan.notes()))
 
 
-def _parameters(table: Mapping[str, NDArray[Any]]) -> dict[str, float]:
+def parameters_of(table: Mapping[str, NDArray[Any]]) -> dict[str, float]:
     """Parameters by name; of those that come again the last counts."""
     if not {*PARAMETER_FIELDS} <= table.keys():
         return {}

@@ -17,7 +17,15 @@ from typing import NamedTuple
 from quadftc_bags.bag import BagError
 from quadftc_bags.ros1 import ROS1_MAGIC
 from quadftc_replay.flight_log import FlightLog
-from quadftc_replay.readers.contents import HEAD, begins, is_blackbox, is_mavlink, is_text, name_content
+from quadftc_replay.readers.contents import (
+    HEAD,
+    begins,
+    is_blackbox,
+    is_dataflash_text,
+    is_mavlink,
+    is_text,
+    name_content,
+)
 from quadftc_replay.readers.unpacking import PACKED, unpack
 
 
@@ -64,11 +72,12 @@ READERS = (
     Reader("ROS 1 bag", begins(ROS1_MAGIC), "rosbag", 0.3),
     Reader("PX4 ULog", begins(b"ULog\x01\x12\x35"), "ulog", 0.1),
     Reader("ArduPilot BIN", begins(b"\xa3\x95"), "ardupilot", 0.1),
-    Reader("MAVLink tlog", is_mavlink, "telemetry", 0.5, "system"),
+    Reader("ArduPilot .log", is_dataflash_text, "ardupilot_text", 0.1),
+    Reader("MAVLink tlog", is_mavlink, "telemetry", 0.1, "system"),
     Reader("blackbox", is_blackbox, "blackbox", 0.1, "log"),
     Reader("Crazyflie uSD", begins(b"\xbc\x01\x00", b"\xbc\x02\x00"), "crazyflie", 0.1),
 )
-TABLE = Reader("CSV with --mapping", is_text, "table", 1.0, "mapping")
+TABLE = Reader("CSV with --mapping", is_text, "table", 0.1, "mapping")
 
 
 def find_reader(path: Path, choice: LogChoice = ONLY_ONE) -> Reader:

@@ -1,4 +1,4 @@
-"""A log of ArduPilot (DataFlash, ``.BIN``) as a flight log.
+"""A log of ArduPilot (DataFlash, ``.BIN``, or ``.log`` as text) as a flight log.
 
 | signal | message: fields |
 |---|---|
@@ -35,7 +35,8 @@ import numpy as np
 
 from quadftc_model.frames import enu_from_ned, flu_from_frd
 from quadftc_model.rotations import quaternion_from_euler
-from quadftc_replay.dataflash import read_dataflash
+from quadftc_replay.dataflash import DataflashLog, read_dataflash
+from quadftc_replay.dataflash_text import read_dataflash_text
 from quadftc_replay.flight_log import FlightLog
 from quadftc_replay.readers.ardupilot_tables import (
     INSTANCES,
@@ -47,7 +48,7 @@ from quadftc_replay.readers.ardupilot_tables import (
 )
 from quadftc_replay.readers.signals import Signals, columns, sound
 
-FORMAT = "ArduPilot BIN"
+FORMAT, FORMAT_TEXT = "ArduPilot BIN", "ArduPilot log"
 
 ESTIMATES = ("XKF1", "NKF1", "EKF1")
 _GYRO, _FORCE = ([f"{begin}{axis}" for axis in "XYZ"] for begin in ("Gyr", "Acc"))
@@ -102,8 +103,16 @@ SUBSYSTEMS = {
 
 def read(path: Path) -> FlightLog:
     """Read a log; BagError if it is none, or if nothing in it can be used."""
-    log = read_dataflash(path, NAMES, INSTANCES)
-    signals = Signals(path, FORMAT)
+    return _flight_log(path, FORMAT, read_dataflash(path, NAMES, INSTANCES))
+
+
+def read_text(path: Path) -> FlightLog:
+    """Read a log as text; BagError if nothing in it can be used."""
+    return _flight_log(path, FORMAT_TEXT, read_dataflash_text(path, NAMES, INSTANCES))
+
+
+def _flight_log(path: Path, name: str, log: DataflashLog) -> FlightLog:
+    signals = Signals(path, name)
     signals.notes += log.notes
     for field, (fast, fields) in SENSORS.items():
         _add_sensors(signals, log.messages, field, fast, fields)

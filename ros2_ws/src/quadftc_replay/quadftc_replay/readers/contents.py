@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import mmap
+import re
 import struct
 from collections.abc import Callable
 
 HEAD = 4096  # bytes that tell a format
 
 BLACKBOX = b"H Product:Blackbox flight data recorder"
+DATAFLASH_TEXT = re.compile(rb"^(FMT, *\d+, *\d+, *\w+,|\S+ \S+: [A-Z0-9]+ \{(Type|TimeUS) : )", re.MULTILINE)
 STAMP = struct.Struct(">Q")  # of a message in a telemetry log: since 1970 [µs]
 LATEST = 4_102_444_800_000_000  # µs; the year 2100
 # MAVLink version by its first byte -> where the length of the payload is, bytes beside payload and signature
@@ -62,6 +64,11 @@ def begins(*starts: bytes) -> Callable[[bytes], bool]:
 def is_blackbox(head: bytes) -> bool:
     """Whether a blackbox log begins here, perhaps behind the rest of an earlier one."""
     return BLACKBOX in head
+
+
+def is_dataflash_text(head: bytes) -> bool:
+    """Whether an ArduPilot log as text begins here, perhaps behind lines about the firmware."""
+    return DATAFLASH_TEXT.search(head) is not None
 
 
 def is_mavlink(head: bytes) -> bool:
