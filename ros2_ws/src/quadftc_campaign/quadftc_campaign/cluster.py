@@ -17,7 +17,8 @@ from quadftc_campaign.errors import CampaignError
 
 RETRIES = 3  # of a chunk whose worker is lost
 TOPIC = "quadftc-samples"  # on which workers say how far they are
-ONE_CORE = {"NPROC": "1"}  # JAX has so many threads
+THREADS = "NPROC"  # so many threads has JAX
+TAKE_ALL = "XLA_PYTHON_CLIENT_PREALLOCATE"  # whether JAX takes most of a GPU's memory at once
 NO_PROFILE = {"DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False"}  # a sampler that takes 3 % of a core
 TIMEOUT = 30.0  # s, to reach a scheduler
 PLUGINS = "jax_plugins"  # where JAX looks for accelerators
@@ -32,6 +33,7 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
     from distributed import Client, LocalCluster
 
     path = os.environ.get("PYTHONPATH")
+    cores = max(1, len(os.sched_getaffinity(0)) // workers)  # for each worker: JAX compiles in threads
     with contextlib.ExitStack() as stack:
         target = address or stack.enter_context(
             LocalCluster(
@@ -40,7 +42,7 @@ def cluster_client(address: str | None, workers: int) -> Generator[Any, None, No
                 host="127.0.0.1",
                 dashboard_address="127.0.0.1:0",  # any free port: it cannot be left out
                 silence_logs=logging.ERROR,
-                env=ONE_CORE | NO_PROFILE | ({} if path is None else {"PYTHONPATH": path}),
+                env={THREADS: str(cores)} | NO_PROFILE | ({} if path is None else {"PYTHONPATH": path}),
             )
         )
         try:
@@ -106,6 +108,7 @@ def _call(function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
 def _find_device(engine: str) -> str:
     if engine != JAX:
         return "cpu"
+    os.environ.setdefault(TAKE_ALL, "false")  # workers share a GPU
     import jax
 
     return jax.devices()[0].device_kind

@@ -17,7 +17,7 @@ from quadftc_campaign import campaign_run
 from quadftc_campaign.campaign_checks import CampaignCheck, campaign_results
 from quadftc_campaign.campaign_file import load_campaign
 from quadftc_campaign.campaign_run import CampaignRun, chunks_of, fly_chunk
-from quadftc_campaign.cluster import cluster_client, run_tasks
+from quadftc_campaign.cluster import TAKE_ALL, cluster_client, devices, run_tasks
 from quadftc_campaign.distributions import distribution, plain
 from quadftc_campaign.errors import CampaignError
 from quadftc_campaign.flights import drawn, flight_scenario, variant_of
@@ -291,6 +291,13 @@ def test_a_worker_that_is_killed_in_the_middle_loses_nothing():
         assert victim not in client.run(os.getpid).values()
     assert killed.is_set()
     assert found == {number: 2 * number for number in range(4)}
+
+
+def test_workers_that_fly_in_jax_share_the_memory_of_a_gpu(monkeypatch):
+    monkeypatch.delenv(TAKE_ALL, raising=False)
+    with cluster_client(None, 2) as client:
+        assert "2 x " in devices(client, "jax")
+        assert set(client.run(os.getenv, TAKE_ALL).values()) == {"false"}
 
 
 @pytest.fixture
