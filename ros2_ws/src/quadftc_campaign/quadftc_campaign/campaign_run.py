@@ -37,7 +37,7 @@ MANIFEST, CHUNKS, FLIGHTS, SUMMARY = "campaign.json", "chunks", "flights.parquet
 FORMAT = 3
 ANOTHER = "choose another --out"
 FLIGHTS_A_CHUNK = 32  # what a kill loses at most, of each worker
-TOGETHER_A_CHUNK = 1024  # in JAX, which flies them together
+TOGETHER_A_CHUNK = 2048  # in JAX, which flies them together
 
 
 class Extent(NamedTuple):

@@ -24,13 +24,15 @@ from quadftc_campaign.batch.engine import BatchFlight, Outcome, Progress, outcom
 from quadftc_campaign.batch.judged_loop import JudgedLoop, JudgedState
 from quadftc_compile.recipe import name_of
 from quadftc_flight.loop import LoopInputs
+from quadftc_model.arrays import chosen
 from quadftc_model.composition import PlainCalls
 from quadftc_model.numbers import numbers_of, structure_of, with_numbers
 
-LANES = 1024  # flights that fly together at most
-STRETCH = 200  # samples of one call of the compiled function; between calls sums are taken out
+LANES = 2048  # flights that fly together at most
+STRETCH = 500  # samples of one call of the compiled function; between calls sums are taken out
 NEVER = math.inf  # s; start of a fault that only other flights of the batch have
 SHARED = ("before", "now", "dt", "taken", "number", "taken_dt", "due")  # times, the same in all flights
+BEGINNERS = "judge.", "loop.injections."  # begin at their first sample, whatever their state was before
 
 _precisions: set[bool] = set()  # whether this process computes in single precision, once it is known
 
@@ -122,12 +124,17 @@ class TracedCalls(PlainCalls):
     """Calls the laws while they are traced; ValueError names the one that cannot be."""
 
     def step(self, name: str, state: Any, inputs: Any, dt: Any) -> tuple[Any, Any]:
-        """Step a law by ``dt`` [s]; where that is 0, the law begins."""
+        """Step a law by ``dt`` [s]; where that is 0, the law begins.
+
+        Both states are computed and one is chosen: a GPU would copy them to branch.
+        """
+        law = self._laws[name]
         try:
-            return super().step(name, state, inputs, dt)
+            before = chosen(dt == 0.0, law.init(inputs), state)
+            return law.step(before, inputs, dt)
         except (TypeError, jax.errors.UnexpectedTracerError) as error:
             reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
-            what = f"{name} ({name_of(self._laws[name])})"
+            what = f"{name} ({name_of(law)})"
             advice = "a law must not branch on data or ask for numbers; see CONTRIBUTING.md"
             raise ValueError(f"{what} cannot be traced by JAX: {reason}; {advice}") from error
 
@@ -138,7 +145,7 @@ class CompiledFlight:
     def __init__(self, loop: JudgedLoop, dtype: np.dtype[Any]) -> None:
         self._loop, self._dtype = loop, dtype
         axes: Any = LoopInputs._make(None if name in SHARED else 0 for name in LoopInputs._fields)
-        self._step_all = jax.vmap(self._step, in_axes=(0, axes, 0))
+        self._step_all = jax.vmap(self._step, in_axes=(0, axes, 0, None))
         self.fly_stretch = jax.jit(self._fly_stretch, donate_argnums=0)
 
     def fly(
@@ -146,49 +153,58 @@ class CompiledFlight:
     ) -> list[Outcome]:
         """Fly a block of flights, one in each lane; outcomes are wanted of the first ``count``."""
         draws, total = [flight.draws for flight in flights], flights[0].samples
+        counts = [min(STRETCH, total - start) for start in range(0, total, STRETCH)]
+        stretches = (self._join([each.next(samples) for each in draws]) for samples in counts)
+        state, sums, inputs = self._begin(flights, numbers), None, next(stretches)
         numbers = self._cast(numbers)
-        state, sums = self._begin(flights), None
-        for start in range(0, total, STRETCH):
-            samples = min(STRETCH, total - start)
-            inputs = self._stretch([each.next(samples) for each in draws])
+        for samples in counts:
             state = self.fly_stretch(state, inputs, numbers, samples)
+            inputs = next(stretches, inputs)  # drawn while the device computes
             part = to_float64(state.judge.tally.sums)
             sums = part if sums is None else jax.tree.map(np.add, sums, part)
             progress(samples * count)
         tally = to_float64(state.judge.tally)._replace(sums=sums)
         return [outcome_of(flight, take(tally, lane)) for lane, flight in enumerate(flights[:count])]
 
-    def _stretch(self, drawn: Sequence[LoopInputs]) -> LoopInputs:
-        """Join the inputs of some samples of all flights: (samples, ...), or (samples, flights, ...).
+    def _join(self, drawn: Sequence[LoopInputs]) -> LoopInputs:
+        """Join the inputs of some samples of all flights: (samples, ...), or (flights, samples, ...).
 
         All stretches are as long, so that nothing is compiled for the last one alone.
         """
+        first, joined = drawn[0], dict[str, Any]()
+        rows = np.minimum(np.arange(STRETCH), np.size(first.now) - 1)
 
         def fill(array: Any) -> Any:
-            rows = np.minimum(np.arange(STRETCH), len(array) - 1)
-            return _cast_float(np.asarray(array)[rows], self._dtype)
+            return array if len(array) == STRETCH else array[rows]
 
-        first = drawn[0]
-        joined = {}
+        def stack(*arrays: Any) -> Any:
+            kind = self._dtype if arrays[0].dtype.kind == "f" else None
+            return np.stack(arrays, dtype=kind, casting="same_kind")
+
         for name in LoopInputs._fields:
             each = [getattr(one, name) for one in drawn]
             if name in SHARED:
-                joined[name] = jax.tree.map(fill, each[0])
+                joined[name] = jax.tree.map(lambda array: _cast_float(fill(array), self._dtype), each[0])
             elif name == "first_draws":  # the same at all samples
-                joined[name] = jax.tree.map(lambda *a: np.stack(a).astype(self._dtype)[None], *each)
+                joined[name] = jax.tree.map(stack, *each)
             else:
-                joined[name] = jax.tree.map(lambda *a: fill(np.stack(a, axis=1)), *each)
+                joined[name] = jax.tree.map(lambda *arrays: stack(*map(fill, arrays)), *each)
         return first._replace(**joined)
 
-    def _begin(self, flights: Sequence[BatchFlight]) -> JudgedState:
-        """Return what flights begin with."""
+    def _begin(self, flights: Sequence[BatchFlight], numbers: Numbers) -> JudgedState:
+        """Return what flights begin with, computed once for those that differ in `BEGINNERS` alone."""
+        paths = [path for path in numbers if not path.startswith(BEGINNERS)]
+        keys = [tuple(numbers[path][lane].tobytes() for path in paths) for lane in range(len(flights))]
         with np.errstate(all="ignore"):
-            states = [flight.loop.init(PlainCalls(flight.loop.laws)) for flight in flights]
-        return self._cast(jax.tree.map(lambda *leaves: np.stack(leaves), *states))
+            different = {key: flight.loop for key, flight in zip(keys, flights, strict=True)}
+            states = {key: loop.init(PlainCalls(loop.laws)) for key, loop in different.items()}
+        return self._cast(jax.tree.map(lambda *leaves: np.stack(leaves), *map(states.get, keys)))
 
-    def _step(self, state: JudgedState, inputs: LoopInputs, numbers: Numbers) -> JudgedState:
-        """Take a sample of one flight."""
+    def _step(self, state: JudgedState, stretch: LoopInputs, numbers: Numbers, index: Any) -> JudgedState:
+        """Take a sample of one flight, at an index of a stretch."""
         loop = with_numbers(self._loop, numbers)
+        samples = stretch._replace(first_draws=None)
+        inputs = take(samples, index)._replace(first_draws=stretch.first_draws)
         after, _ = loop.step(TracedCalls(loop.laws), state, inputs)
         return self._cast(after)
 
@@ -199,11 +215,9 @@ class CompiledFlight:
         tally = state.judge.tally
         tally = tally._replace(sums=jax.tree.map(jnp.zeros_like, tally.sums))
         start = state._replace(judge=state.judge._replace(tally=tally))
-        first = take(inputs.first_draws, 0)
 
         def body(index: Any, state: JudgedState) -> JudgedState:
-            given = take(inputs._replace(first_draws=None), index)._replace(first_draws=first)
-            return self._step_all(state, given, numbers)
+            return self._step_all(state, inputs, numbers, index)
 
         return jax.lax.fori_loop(0, count, body, start)
 
