@@ -11,6 +11,7 @@ from quadftc_replay.flight_log import Signal
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
 from quadftc_replay.inspection.gyro import BODY_AXES, change_at
+from quadftc_replay.inspection.rests import begins_between, rests_of
 from quadftc_replay.inspection.steps import LEVEL, Limits, Step, join_ends, step_sizes, steps_of
 
 LIMITS = Limits(smallest=1.5, floor=0.1)  # m/s²
@@ -18,7 +19,6 @@ PULSE = 0.1  # s; what goes back within it is a knock
 SEEN = 0.5  # 1; share of a step that another accelerometer has to show
 NEAR = 0.02  # s; over which another accelerometer is asked before and after a step
 REST = 0.15  # m/s²; largest scatter at rest
-REST_TIME = 2.0  # s
 OFFSET = 1.0  # m/s²; of the magnitude at rest
 AROUND = 0.5  # s
 
@@ -29,7 +29,7 @@ def accelerometer_findings(
     """Test an accelerometer; ``others`` are those beside it."""
     if flight.phases_known:
         yield from _step_findings(flight, component, sensor, others)
-    yield from _rest_findings(component, sensor)
+    yield from _rest_findings(flight, component, sensor)
 
 
 def _step_findings(
@@ -66,26 +66,31 @@ def _shows(sensor: Signal, step: Step) -> bool:
     return change is not None and change * np.sign(step.size) > SEEN * abs(step.size)
 
 
-def _rest_findings(component: str, sensor: Signal) -> Iterator[Found]:
+def _rest_findings(flight: Flight, component: str, sensor: Signal) -> Iterator[Found]:
     """Say where it does not read gravity while the vehicle stands still."""
-    count = round(REST_TIME * sensor.rate)
-    if count < 10 or len(sensor) < count:
+    rests = rests_of(flight, sensor, REST)
+    if not rests:
         return
-    blocks = len(sensor) // count
-    values = sensor.value[: blocks * count].reshape(blocks, count, -1)
-    quiet = (values.std(axis=1) < REST).all(axis=1)
-    if not quiet.any():
+    means = np.array([each.mean for each in rests])
+    sizes = np.linalg.norm(means, axis=1) - STANDARD_GRAVITY
+    off = np.abs(sizes) > OFFSET
+    if not off.any():
         return
-    sizes = np.linalg.norm(values.mean(axis=1)[quiet], axis=1) - STANDARD_GRAVITY
-    size, start = float(np.median(sizes)), float(sensor.time[: blocks * count : count][quiet][0])
-    if abs(size) > OFFSET:
-        said = f"it reads {size + STANDARD_GRAVITY:.2f} m/s² at rest, where gravity is 9.81 m/s²"
-        yield Found(
-            make_finding(
-                *(component, "", "offset", start),
-                size=size,
-                sigma=float(sizes.std()),
-                unit="m/s^2",
-                evidence=(said,),
-            )
-        )
+    first = int(np.argmax(off))
+    size, element, onset = float(np.median(sizes[off])), "", rests[first].start
+    said = [f"it reads {size + STANDARD_GRAVITY:.2f} m/s² at rest, where gravity is 9.81 m/s²"]
+    if first > 0:  # it was right before
+        change = means[off].mean(axis=0) - means[first - 1]
+        axis = int(np.argmax(np.abs(change)))
+        element, size = BODY_AXES[axis], float(change[axis])
+        begin, end = rests[first - 1].end, rests[first].start
+        onset = begins_between(flight, sensor, LIMITS, axis, size, (begin, end))
+        said.append(f"at rest until {begin:.2f} s it was right, from {end:.2f} s on it is not")
+    finding = make_finding(
+        *(component, element, "offset", onset),
+        size=size,
+        sigma=float(sizes[off].std()),
+        unit="m/s^2",
+        evidence=tuple(said),
+    )
+    yield Found(finding, None, True)

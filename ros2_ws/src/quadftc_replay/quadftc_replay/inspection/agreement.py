@@ -6,7 +6,8 @@ theta = integral of omega. Their difference
     phi - theta = S theta + tau (omega_{k+1} - omega_k) + b dt + e
 
 has what healthy sensors do not agree on: scale and alignment S, a delay tau, a bias b. A robust least-squares
-fit takes it out. A jump of the attitude is in one e alone; an offset f of the gyro adds -f dt to each.
+fit takes S and tau out, by what is faster than `SLOW`: so an offset that begins does not pass for a scale. A
+jump of the attitude is in one e alone; an offset f of the gyro adds -f dt to each.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from quadftc_model.rotations import quaternion_product
 from quadftc_replay.flight_log import Signal
@@ -25,7 +27,8 @@ Floats = NDArray[np.float64]
 FASTEST = 400.0  # Hz; attitudes beyond are thinned out
 ROUNDS = 6  # of the reweighted fit
 HUBER = 2.0  # standard deviations
-SCALE = 0.1  # 1; largest scale and alignment: else an offset in a calm flight passes for one
+SCALE = 0.1  # 1; largest scale and alignment
+SLOW = 2.0  # s
 ASIDE = 0.5  # s; before and after a step of the gyro, over which it parts from the attitude
 CLEAR = 4.0  # standard deviations of what it parts by otherwise
 SAME = 0.5  # 1; of the step
@@ -102,19 +105,21 @@ def _turns(q: Floats) -> Floats:
 def _fit(
     difference: Floats, theta: Floats, change: Floats, dt: Floats, good: NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
-    """Take out scale, delay and bias, axis by axis; return the rest (n, 3) and the bias (3,)."""
-    rest, bias = np.zeros_like(difference), np.zeros(3)
+    """Take out scale and delay, axis by axis; return the rest (n, 3), bias included, and the bias (3,)."""
+    rest = np.zeros_like(difference)
+    count = max(3, round(SLOW / float(np.median(dt))))
     for axis in range(3):
-        columns = np.column_stack([theta, change[:, axis], dt])
+        columns = np.column_stack([theta, change[:, axis]])
+        everything = np.where(good[:, None], np.column_stack([columns, difference[:, axis]]), 0.0)
+        fast = everything - ndimage.uniform_filter1d(everything, count, axis=0)
         weight = good.astype(float)
         found = np.zeros(columns.shape[1])
         for _ in range(ROUNDS):
-            scaled = columns * weight[:, None]
-            found = np.linalg.lstsq(scaled.T @ columns, scaled.T @ difference[:, axis], rcond=1e-10)[0]
+            scaled = fast[:, :-1] * weight[:, None]
+            found = np.linalg.lstsq(scaled.T @ fast[:, :-1], scaled.T @ fast[:, -1], rcond=1e-10)[0]
             found[:3] = np.clip(found[:3], -SCALE, SCALE)
-            rest[:, axis] = difference[:, axis] - columns @ found
-            sigma = TO_SIGMA * float(np.median(np.abs(rest[good, axis]))) + 1e-12
-            weight = good * np.minimum(1.0, HUBER * sigma / np.maximum(np.abs(rest[:, axis]), 1e-15))
-        bias[axis] = found[-1]
-        rest[:, axis] += bias[axis] * dt  # the bias stays in: it is the gyro's, or the attitude's drift
-    return rest, bias
+            left = np.abs(fast[:, -1] - fast[:, :-1] @ found)
+            sigma = TO_SIGMA * float(np.median(left[good])) + 1e-12
+            weight = good * np.minimum(1.0, HUBER * sigma / np.maximum(left, 1e-15))
+        rest[:, axis] = difference[:, axis] - columns @ found
+    return rest, np.median(rest[good] / dt[good, None], axis=0)

@@ -94,7 +94,8 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Jump]) -> l
         means = ndimage.uniform_filter1d(rates, count, axis=0)
         moving = ndimage.uniform_filter1d(np.nan_to_num(turning), count)
         for axis in range(3):
-            mean = means[:, axis] - float(np.median(means[:, axis]))
+            level = float(np.median(means[:, axis]))
+            mean = means[:, axis] - (level if abs(level) < least else 0.0)  # no healthy sensor is off by more
             scatter = TO_SIGMA * float(np.median(np.abs(mean))) + 1e-9
             score = np.where(
                 watched, np.abs(mean) / (np.maximum(CREEP_LEVEL * scatter, least) + share * moving), 0.0

@@ -24,7 +24,10 @@ def cannot_judge_battery(flight: Flight) -> str | None:
         return "no voltage is logged"
     if not flight.phases_known:
         return "neither rotors nor thrust tell when it flies"
-    count = int(flight.in_flight(battery.time).sum())
+    flying = flight.in_flight(battery.time)
+    count = int(flying.sum())
+    if count >= FEWEST and (usual := float(np.median(battery.value[flying, 0]))) < LEAST:
+        return f"it reads {usual:.3g} V in flight: nothing flies on that, so the voltage is not measured"
     return f"{count} samples of the voltage in flight are too few" if count < FEWEST else None
 
 
@@ -35,11 +38,6 @@ def battery_findings(flight: Flight) -> Iterator[Found]:
     flying = flight.in_flight(battery.time)
     volts = battery.value[:, 0]
     usual = float(np.median(volts[flying]))
-    if usual < LEAST:
-        said = f"it reads {usual:.3g} V in flight: nothing flies on that, so the voltage is not measured"
-        start = flight.intervals[0].start
-        yield Found(make_finding("battery", "", "absent", start, size=usual, unit="V", evidence=(said,)))
-        return
     low = flying & (volts < (1.0 - SAG) * usual)
     level = rotor_level(flight.log)
     for run in runs_of(low):

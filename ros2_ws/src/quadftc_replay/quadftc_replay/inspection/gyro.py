@@ -17,6 +17,7 @@ from quadftc_replay.inspection.agreement import Agreement, parts_by
 from quadftc_replay.inspection.attitude import Creep
 from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
+from quadftc_replay.inspection.rests import begins_between, rests_of
 from quadftc_replay.inspection.steps import LEVEL, TOGETHER, Limits, Step, join_ends, step_sizes, steps_of
 
 Floats = NDArray[np.float64]
@@ -27,7 +28,6 @@ SEEN = 0.5  # 1; share of a step that another sensor has to show
 CANDIDATE = 5.0  # standard deviations; of a step that a witness confirms
 NEAR = 0.35  # s; between a step and the border of a creep that it makes
 REST = 0.02  # rad/s; largest scatter of a gyro at rest
-REST_TIME = 2.0  # s
 OFFSET = 0.1  # rad/s; a standing offset that is a fault: what calibrated gyros do not have
 MANY = 8  # steps of one axis that are noise, not offsets
 AROUND = 0.5  # s
@@ -202,30 +202,26 @@ def _step_found(flight: Flight, component: str, sensor: Signal, step: Step, is_s
 
 def _rest_findings(flight: Flight, name: str, sensor: Signal) -> Iterator[Found]:
     """Say where a gyro reads a rate while the vehicle stands."""
-    count = round(REST_TIME * sensor.rate)
-    if count < 10 or len(sensor) < count or not flight.phases_known:
+    rests = rests_of(flight, sensor, REST) if flight.phases_known else []
+    if not rests:
         return
-    standing = ~flight.in_flight(sensor.time)
-    blocks = len(sensor) // count
-    values = sensor.value[: blocks * count].reshape(blocks, count, -1)
-    quiet = (values.std(axis=1) < REST).all(axis=1) & standing[: blocks * count].reshape(blocks, count).all(
-        axis=1
-    )
-    if not quiet.any():
-        return
-    means = values.mean(axis=1)[quiet]
-    starts = sensor.time[: blocks * count : count][quiet]
+    means = np.array([each.mean for each in rests])
     for axis, element in enumerate(BODY_AXES):
         off = np.abs(means[:, axis]) > OFFSET
-        if off[-1] or off.mean() > 0.5:
-            size, start = float(np.median(means[off, axis])), float(starts[np.argmax(off)])
-            said = f"it reads {size:+.3g} rad/s while the vehicle stands still"
-            yield Found(
-                make_finding(
-                    *(component_name("gyro", name), element, "offset", start),
-                    size=size,
-                    sigma=float(means[off, axis].std()),
-                    unit="rad/s",
-                    evidence=(said,),
-                )
-            )
+        if not (off[-1] or off.mean() > 0.5):
+            continue
+        first = int(np.argmax(off))
+        size, onset = float(np.median(means[off, axis])), rests[first].start
+        said = [f"it reads {size:+.3g} rad/s while the vehicle stands still"]
+        if first > 0:  # it was right before
+            between = rests[first - 1].end, rests[first].start
+            onset = begins_between(flight, sensor, LIMITS, axis, size, between)
+            said.append(f"until {between[0]:.2f} s it was right, from {between[1]:.2f} s on it is not")
+        finding = make_finding(
+            *(component_name("gyro", name), element, "offset", onset),
+            size=size,
+            sigma=float(means[off, axis].std()),
+            unit="rad/s",
+            evidence=tuple(said),
+        )
+        yield Found(finding, None, True)

@@ -174,11 +174,11 @@ def _accelerometers(flight: Flight, has_path: bool, judgement: _Judgement) -> No
         if len(sensor) < FEWEST:
             judgement.cannot(component, f"{len(sensor)} samples are too few")
             continue
-        if len(sensors) > 1 or has_path or sensor.rate >= SLOWEST:
+        if len(sensors) > 1 or has_path or (sensor.rate >= SLOWEST and flight.phases_known):
             judgement.judged.append(component)
         else:
             judgement.cannot(
-                component, f"at {sensor.rate:.0f} Hz, without a second one, steps look like motion"
+                component, "without a second one, motors or satellites, its steps look like motion"
             )
         others = [each for other, each in sensors.items() if other != name]
         judgement.found += accelerometer_findings(flight, component, sensor, others)
