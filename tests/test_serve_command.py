@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
+import numpy as np
 import pytest
 from browser import start_browser
 
@@ -139,6 +140,44 @@ def test_next_logs_are_judged_against_the_baseline_and_with_the_faults(tmp_path,
         assert jobs.baseline == ""
 
     monkeypatch.setattr(Jobs, "_run", run)
+    asyncio.run(judge())
+
+
+MAPPING = """
+[time]
+column = "t"
+[[signal]]
+quantity = "gyro"
+columns = ["x", "y", "z"]
+unit = "rad/s"
+"""
+
+
+def test_table_is_judged_by_the_mapping_that_is_chosen(tmp_path):
+    noise = np.random.default_rng(1).normal(scale=0.01, size=(2000, 3))
+    rows = "".join(f"{0.01 * k:.2f},{x},{y},{z}\n" for k, (x, y, z) in enumerate(noise))
+
+    async def content():
+        yield f"t,x,y,z\n{rows}".encode()
+
+    async def judge():
+        jobs = Jobs(tmp_path)
+        job = await jobs.receive("flight.csv", content())
+        await asyncio.gather(*jobs._tasks.values())
+        assert "perhaps a table, whose columns --mapping FILE explains" in job.message
+        jobs.choose(job.id, 0, 0, MAPPING.replace('"z"', '"w"'))
+        await asyncio.gather(*jobs._tasks.values())
+        assert job.message == (
+            "mapping: signal 1 (gyro): no column 'w' in flight.csv; columns there: t, x, y, z"
+        )
+        jobs.choose(job.id, 0, 0, MAPPING)
+        await asyncio.gather(*jobs._tasks.values())
+        assert job.verdict is not None, job.message
+        assert job.verdict.judged == ("gyro",)
+        jobs.choose(job.id, 2, 0, MAPPING)
+        await asyncio.gather(*jobs._tasks.values())
+        assert "--log 2: flight.csv is a CSV with --mapping log, which takes no --log" in job.message
+
     asyncio.run(judge())
 
 

@@ -1,6 +1,7 @@
 """Judge one log in a process of its own.
 
-    python -m quadftc_report.serve.job LOG DIR [--baseline=LOG] [--fault=SPEC]...
+    python -m quadftc_report.serve.job LOG DIR [--log=N] [--system=N] [--mapping=FILE]
+        [--baseline=LOG] [--baseline-log=N] [--fault=SPEC]...
 
 writes ``verdict.json`` and ``report.html`` into DIR. Standard output has the share of the work that is done,
 a number a line, and last, with exit code 2, one line that says what is wrong with the log.
@@ -37,12 +38,17 @@ def main() -> int:
     """Judge the log of the command line."""
     limit_resources()
     from quadftc_replay.inspection.diagnosis import DiagnosisOptions, diagnose_log, write_verdict
+    from quadftc_replay.readers import LogChoice
     from quadftc_report.verdict_page import write_page
 
     parser = argparse.ArgumentParser(allow_abbrev=False)
     parser.add_argument("log", type=Path)
     parser.add_argument("directory", type=Path)
+    parser.add_argument("--log", type=int, default=0, dest="number")
+    parser.add_argument("--system", type=int, default=0)
+    parser.add_argument("--mapping", type=Path)
     parser.add_argument("--baseline", type=Path)
+    parser.add_argument("--baseline-log", type=int, default=0)
     parser.add_argument("--fault", action="append", default=[])
     asked = parser.parse_args()
     log, said = asked.log, -1.0
@@ -55,13 +61,19 @@ def main() -> int:
             sys.stdout.flush()
 
     try:
-        options = DiagnosisOptions(baseline=asked.baseline, faults=tuple(asked.fault))
+        options = DiagnosisOptions(
+            choice=LogChoice(asked.number, asked.system, asked.mapping),
+            baseline=asked.baseline,
+            baseline_log=asked.baseline_log,
+            faults=tuple(asked.fault),
+        )
         inspection = diagnose_log(log, options, progress)
     except MemoryError:
         sys.stdout.write("the log needs more memory than it may have\n")
         return BAD_INPUT
     except (ValueError, OSError) as error:
-        words = " ".join(str(error).replace(f"{log}: ", "").replace(str(log), log.name).split())
+        words = str(error).replace(f"{log}: ", "").replace(str(log), log.name)
+        words = " ".join(words.replace(str(asked.mapping), "mapping").split())
         sys.stdout.write(f"{words}\n")
         return BAD_INPUT
     write_page(inspection, asked.directory)

@@ -2,6 +2,7 @@
 
     FOLDER/<id>/in/<name>      the file as it came; it is read, never run
     FOLDER/<id>/job.json       its name, when it came, what became of it
+    FOLDER/<id>/mapping.toml   what the columns of a table mean, if somebody said so
     FOLDER/<id>/verdict.json   and what else the judgement wrote
 
 The id is made here. Of the file's name only letters, digits, dots, hyphens and underscores get into a path.
@@ -28,6 +29,7 @@ from quadftc_replay.inspection.verdict import Verdict
 from quadftc_replay.overlay import faults_from
 
 JOB, VERDICT, REPORT = "job.json", "verdict.json", "report.html"
+MAPPING = "mapping.toml"
 RESULTS = {
     VERDICT: "application/json",
     REPORT: "text/html; charset=utf-8",
@@ -57,6 +59,9 @@ class Job(BaseModel):
     progress: float = 0.0  # share of the work that is done
     baseline: str = ""  # id of the healthy log it is judged against
     faults: tuple[str, ...] = ()  # specifications of faults that are put on it first
+    log: int = 0  # which of several logs in the file; 0: the only one
+    system: int = 0  # which of several vehicles, by its MAVLink system; 0: the only one
+    mapping: str = ""  # what the columns of a table mean
     verdict: Verdict | None = None
 
 
@@ -130,6 +135,13 @@ class Jobs:
         job.verdict, job.message, job.progress = None, "", 0.0
         self._start(job)
 
+    def choose(self, key: str, log: int, system: int, mapping: str) -> None:
+        """Judge a log once more: of several the one that is meant, a table by a mapping."""
+        if (job := self._jobs.get(key)) is None or key in self._tasks:
+            return
+        job.log, job.system, job.mapping = max(log, 0), max(system, 0), mapping.strip()
+        self.judge_again(key)
+
     def name_of(self, key: str) -> str:
         """Name of a log; empty if there is none of this id."""
         return self._jobs[key].name if key in self._jobs else ""
@@ -195,10 +207,17 @@ class Jobs:
     async def _run(self, job: Job) -> str:
         """Run the process that judges; return what is wrong, empty if nothing is."""
         options = [f"--fault={spec}" for spec in job.faults]
+        options += [
+            f"--{name}={number}" for name, number in (("log", job.log), ("system", job.system)) if number
+        ]
+        if job.mapping:
+            mapping = self.folder / job.id / MAPPING
+            mapping.write_text(job.mapping, "utf-8")
+            options.append(f"--mapping={mapping}")
         if job.baseline:
             if (healthy := self._jobs.get(job.baseline)) is None:
                 return "its baseline was removed"
-            options.append(f"--baseline={self._log(healthy)}")
+            options += [f"--baseline={self._log(healthy)}", f"--baseline-log={healthy.log}"]
         process = await asyncio.create_subprocess_exec(
             *(sys.executable, "-m", "quadftc_report.serve.job", self._log(job), self.folder / job.id),
             *options,

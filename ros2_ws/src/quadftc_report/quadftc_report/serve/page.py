@@ -3,13 +3,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from fastapi import FastAPI
 from nicegui import ui
 
 from quadftc_replay.inspection.verdict import show
 from quadftc_report.serve.jobs import REPORT, VERDICT, Job, Jobs
 
+Ask = Callable[[Job], None]
 PERIOD = 0.5  # s; the list is looked at this often
+FORMATS = (
+    "ROS 1 and ROS 2 bags, PX4 ULog, ArduPilot .BIN and .log, MAVLink .tlog, Betaflight and INAV blackbox,"
+    " Crazyflie uSD, tables (CSV); as they are, or in a ZIP, gzip or Zstandard file"
+)
 COLOURS = {"waiting": "grey", "running": "primary", "failed": "warning"}
 
 
@@ -19,15 +26,15 @@ def add_page(app: FastAPI, jobs: Jobs) -> None:
     @ui.page("/")
     def page() -> None:
         ui.label("quadftc: what failed in this flight?").classes("text-h5")
-        formats = "ROS 2 bags (.mcap, .db3), PX4 ULog, ArduPilot .BIN, Crazyflie uSD logs"
-        ui.label(f"Drop flight logs here: {formats}. They stay on this machine, in {jobs.folder}.")
+        ui.label(f"Drop flight logs here: {FORMATS}. They stay on this machine, in {jobs.folder}.")
         _uploader(jobs)
         _settings(jobs)
+        ask = _choice(jobs)
 
         @ui.refreshable
         def listing() -> None:
             for job in jobs.all():
-                _card(jobs, job)
+                _card(jobs, job, ask)
             if not jobs.all():
                 ui.label("No log yet.").classes("text-grey")
 
@@ -74,7 +81,31 @@ def _settings(jobs: Jobs) -> None:
     faults.style("width: 100%; max-width: 50rem").on("blur", put)
 
 
-def _card(jobs: Jobs, job: Job) -> None:
+def _choice(jobs: Jobs) -> Ask:
+    """Add a dialog about one log: which of several in the file it is, and what its columns mean."""
+    asked: list[Job] = []
+
+    def judge() -> None:
+        dialog.close()
+        jobs.choose(asked[-1].id, int(number.value or 0), int(system.value or 0), mapping.value or "")
+
+    def ask(job: Job) -> None:
+        asked.append(job)
+        number.value, system.value = job.log or None, job.system or None
+        mapping.value = job.mapping or mapping.value
+        dialog.open()
+
+    with ui.dialog() as dialog, ui.card().style("width: 100%; max-width: 50rem"):
+        number = ui.number("Log, of several in the file (--log)", min=1, precision=0)
+        system = ui.number("Vehicle, by its MAVLink system (--system)", min=1, max=255, precision=0)
+        mapping = ui.textarea("What the columns of a table mean (--mapping)").props("outlined autogrow")
+        for field in (number, system, mapping):
+            field.style("width: 100%")
+        ui.button("Judge", on_click=judge)
+    return ask
+
+
+def _card(jobs: Jobs, job: Job, ask: Ask) -> None:
     """Show one log."""
     with ui.card().style("width: 100%; max-width: 50rem").props(f'data-state="{job.state}"'):
         with ui.row().style("width: 100%; align-items: center"):
@@ -93,15 +124,16 @@ def _card(jobs: Jobs, job: Job) -> None:
             ui.label(job.message)
         if job.verdict is not None:
             _verdict(jobs, job)
-        _buttons(jobs, job)
+        _buttons(jobs, job, ask)
 
 
-def _buttons(jobs: Jobs, job: Job) -> None:
+def _buttons(jobs: Jobs, job: Job, ask: Ask) -> None:
     is_baseline = jobs.baseline == job.id
     actions = {
         "No longer the baseline" if is_baseline else "Baseline of the others": lambda: jobs.mark_baseline(
             "" if is_baseline else job.id
         ),
+        "Choose": lambda: ask(job),
         "Judge again": lambda: jobs.judge_again(job.id),
         "Remove": lambda: jobs.remove(job.id),
     }
