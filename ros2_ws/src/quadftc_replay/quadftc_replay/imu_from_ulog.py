@@ -29,10 +29,16 @@ from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
 from quadftc_model.frames import enu_flu_from_ned_frd, flu_from_frd
-from quadftc_model.rotations import quaternion_from_rotation_vector, quaternion_product
 from quadftc_model.samples import ImuSample
-from quadftc_model.stepper import NANOSECONDS_PER_SECOND
-from quadftc_replay.imu_recording import Floats, Recording, Stamps, clean_samples, keep_good_stamps
+from quadftc_replay.imu_recording import (
+    Floats,
+    Recording,
+    Stamps,
+    carried_attitudes,
+    clean_samples,
+    keep_good_stamps,
+    latest_rows,
+)
 from quadftc_replay.readers.ulog import (
     ATTITUDE,
     FORCES,
@@ -62,7 +68,8 @@ def recording_from_ulog(path: Path, topic: str = "", skip_backwards: bool = Fals
     gyro, where = data[name], f"{path}: {name}"
     kept = keep_good_stamps(stamps_of(gyro), None, where, skip_backwards)
     rate = flu_from_frd(_columns(gyro, GYROS[name], 3, where)[kept.rows])
-    q_xyzw, attitude_valid = _attitudes(data[ATTITUDE], kept.stamp_ns, rate, f"{path}: {ATTITUDE}")
+    attitude = enu_flu_from_ned_frd(_columns(data[ATTITUDE], "q", 4, f"{path}: {ATTITUDE}"))
+    q_xyzw, attitude_valid = carried_attitudes(kept.stamp_ns, rate, stamps_of(data[ATTITUDE]), attitude)
     force, force_valid = _forces(data, kept.stamp_ns, path)
     imu = ImuSample(q_xyzw, rate, force, attitude_valid, np.ones(len(rate), np.bool_), force_valid)
     samples, absences = clean_samples(imu, kept.stamp_ns, where)
@@ -102,42 +109,13 @@ def _columns(data: Dataset, field: str, width: int, where: str) -> Floats:
     return value
 
 
-def _attitudes(data: Dataset, stamp_ns: Stamps, rate: Floats, where: str) -> tuple[Floats, NDArray[np.bool_]]:
-    """Attitude of each gyro sample (n, 4), and where there is one (n,)."""
-    attitude = enu_flu_from_ned_frd(_columns(data, "q", 4, where))
-    stamps = stamps_of(data)
-    chosen = nearest_rows(stamp_ns, stamps)
-    there = chosen >= 0
-    elapsed = np.where(there, stamp_ns - stamps[chosen], 0) / NANOSECONDS_PER_SECOND
-    turn = quaternion_from_rotation_vector(np.nan_to_num(rate) * elapsed[:, None])
-    carried = quaternion_product(attitude[chosen], turn)
-    return np.where(there[:, None], carried, 0.0), there
-
-
-def nearest_rows(stamp_ns: Stamps, others_ns: Stamps) -> NDArray[np.intp]:
-    """For each stamp, the row of the other stamp that belongs to it; -1: none.
-
-    Each of the others belongs to the stamp nearest to it, if that is less than a median period away; of
-    several that belong to one stamp, the nearest is taken.
-    """
-    after = np.clip(np.searchsorted(stamp_ns, others_ns), 1, len(stamp_ns) - 1)
-    is_earlier = others_ns - stamp_ns[after - 1] <= stamp_ns[after] - others_ns
-    nearest = np.where(is_earlier, after - 1, after)
-    distance = np.abs(stamp_ns[nearest] - others_ns)
-    near = np.flatnonzero(distance < np.median(np.diff(stamp_ns)))
-    order = near[np.argsort(-distance[near], kind="stable")]  # the nearest comes last, and stays
-    rows = np.full(len(stamp_ns), -1)
-    rows[nearest[order]] = order
-    return rows
-
-
 def _forces(data: Mapping[str, Dataset], stamp_ns: Stamps, path: Path) -> tuple[Floats, NDArray[np.bool_]]:
     """Specific force of each sample (n, 3): the latest that was measured; and where there is one (n,)."""
     name = next((name for name in FORCES if name in data), None)
     if name is None:
         return np.zeros((len(stamp_ns), 3)), np.zeros(len(stamp_ns), np.bool_)
     force = flu_from_frd(_columns(data[name], FORCES[name], 3, f"{path}: {name}"))
-    last = np.searchsorted(stamps_of(data[name]), stamp_ns, side="right") - 1
+    last = latest_rows(stamp_ns, stamps_of(data[name]))
     valid = last >= 0
     relative = data[name].get("accelerometer_timestamp_relative")
     if relative is not None:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from quadftc_bags.bag import BagError
 from quadftc_flight.fault_schedule import FaultEvent, FaultWindow
+from quadftc_model.rotations import quaternion_from_rotation_vector, quaternion_product
 from quadftc_model.samples import ImuSample, sanitised
 from quadftc_model.stepper import MAX_GAP, NANOSECONDS_PER_SECOND
 
@@ -144,6 +145,42 @@ def clean_samples(imu: ImuSample, stamp_ns: Stamps, where: str) -> tuple[ImuSamp
         long = f"gaps of more than {MAX_GAP:g} s: {gaps}"
         warnings.append(f"{where}: {long}; the diagnosis restarts after each")
     return clean, warnings
+
+
+def carried_attitudes(
+    stamp_ns: Stamps, rate: Floats, attitude_ns: Stamps, attitude: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Attitude of each gyro sample (n, 4), and where there is one (n,).
+
+    Each attitude belongs to the gyro sample nearest in time, and is carried there by the body rate (n, 3).
+    """
+    chosen = nearest_rows(stamp_ns, attitude_ns)
+    there = chosen >= 0
+    elapsed = np.where(there, stamp_ns - attitude_ns[chosen], 0) / NANOSECONDS_PER_SECOND
+    turn = quaternion_from_rotation_vector(np.nan_to_num(rate) * elapsed[:, None])
+    return np.where(there[:, None], quaternion_product(attitude[chosen], turn), 0.0), there
+
+
+def nearest_rows(stamp_ns: Stamps, others_ns: Stamps) -> NDArray[np.intp]:
+    """For each stamp, the row of the other stamp that belongs to it; -1: none.
+
+    Each of the others belongs to the stamp nearest to it, if that is less than a median period away; of
+    several that belong to one stamp, the nearest is taken.
+    """
+    after = np.clip(np.searchsorted(stamp_ns, others_ns), 1, len(stamp_ns) - 1)
+    is_earlier = others_ns - stamp_ns[after - 1] <= stamp_ns[after] - others_ns
+    nearest = np.where(is_earlier, after - 1, after)
+    distance = np.abs(stamp_ns[nearest] - others_ns)
+    near = np.flatnonzero(distance < np.median(np.diff(stamp_ns)))
+    order = near[np.argsort(-distance[near], kind="stable")]  # the nearest comes last, and stays
+    rows = np.full(len(stamp_ns), -1)
+    rows[nearest[order]] = order
+    return rows
+
+
+def latest_rows(stamp_ns: Stamps, others_ns: Stamps) -> NDArray[np.intp]:
+    """For each stamp, the row of the latest other one that is not after it; -1: none."""
+    return np.searchsorted(others_ns, stamp_ns, side="right") - 1
 
 
 def torque_before(stamp_ns: Stamps, command_ns: Stamps, command: Floats) -> Floats:

@@ -18,13 +18,16 @@ from quadftc_flight.scenario import Check, Fault, parse_value
 from quadftc_model.assembly import get, node_values
 from quadftc_replay.diagnose import Diagnosed, Progress, diagnose, flight_of
 from quadftc_replay.imu_from_bag import recording_from_bag
+from quadftc_replay.imu_from_log import recording_from_log
 from quadftc_replay.imu_from_ulog import is_ulog, recording_from_ulog
 from quadftc_replay.imu_from_usdlog import recording_from_usdlog
 from quadftc_replay.imu_recording import Recording
 from quadftc_replay.overlay import faults_from, replay_events, replay_windows
+from quadftc_replay.readers import ONLY_ONE, LogChoice
 from quadftc_replay.replay_directory import YAML_WIDTH, ReplayOrigin, replay_metrics, replay_summary
 from quadftc_replay.usdlog import is_usdlog
 
+BAGS = (".mcap", ".db3", ".bag")
 DEFAULT_OBSERVER = "supervised"
 DEFAULT_VEHICLE = "qball_x4"
 FROM_GYRO = "attitude_from_gyro"  # parameter of an observer to which it matters
@@ -36,6 +39,7 @@ class ReplayOptions:
     """What to replay, and how."""
 
     topic: str = ""  # of the IMU (PX4: of the gyro; Crazyflie: the event); empty: see `recording_from_bag`
+    choice: LogChoice = ONLY_ONE  # which log of a file, and how it is read
     observer: str = ""  # empty: as recorded, see `choose_observer`
     settings: tuple[str, ...] = ()  # ``observer.<parameter>=value``
     vehicle: str = ""  # empty: as recorded
@@ -132,14 +136,13 @@ class Replay:
 def plan_replay(path: Path, options: ReplayOptions) -> Replay:
     """Read a recording and build everything; nothing is written.
 
-    It is a rosbag2 directory, an ``.mcap`` or ``.db3`` file, a PX4 log (``.ulg``), or a log of a Crazyflie's
-    uSD card (told by its first byte). A ValueError says why it cannot be used (`BagError`), or which option
-    is wrong.
+    It is a bag of ROS 2 or ROS 1 or a log of any format that `readers` knows. A ValueError says why it cannot
+    be used (`BagError`), or which option is wrong.
     """
     faults = faults_from(options.fault_files, options.faults)
     if options.seed < 0:
         raise ValueError(f"seed = {options.seed}: must not be negative")
-    recording = read_recording(path, options.topic, options.skip_backwards)
+    recording = read_recording(path, options.topic, options.skip_backwards, options.choice)
     for fault in faults:  # one that starts after the end would not act
         if (start := fault.injection.start) >= recording.duration:
             bound = f"must be before the end of {recording.name}, {recording.duration:.3f} s"
@@ -157,14 +160,19 @@ def plan_replay(path: Path, options: ReplayOptions) -> Replay:
     return plan
 
 
-def read_recording(path: Path, topic: str = "", skip_backwards: bool = False) -> Recording:
+def read_recording(
+    path: Path, topic: str = "", skip_backwards: bool = False, choice: LogChoice = ONLY_ONE
+) -> Recording:
     """Read a recording of any kind; BagError says why it cannot be used. See `ReplayOptions`."""
     if not path.exists():
         raise BagError(f"{path}: no such bag")
     if is_ulog(path):
         return recording_from_ulog(path, topic, skip_backwards)
-    read = recording_from_usdlog if is_usdlog(path) else recording_from_bag
-    return read(path, topic, skip_backwards)
+    if is_usdlog(path):
+        return recording_from_usdlog(path, topic, skip_backwards)
+    if path.is_dir() or path.suffix in BAGS:
+        return recording_from_bag(path, topic, skip_backwards)
+    return recording_from_log(path, topic, choice)
 
 
 def choose_observer(

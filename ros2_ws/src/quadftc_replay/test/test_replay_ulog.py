@@ -11,8 +11,8 @@ import pytest
 from quadftc_bags.bag import BagError
 from quadftc_model.frames import enu_flu_from_ned_frd, flu_from_frd
 from quadftc_model.rotations import euler_from_quaternion, quaternion_from_euler, quaternion_rate
-from quadftc_replay.imu_from_ulog import nearest_rows, recording_from_ulog
-from quadftc_replay.imu_recording import sampling_rate
+from quadftc_replay.imu_from_ulog import recording_from_ulog
+from quadftc_replay.imu_recording import nearest_rows, sampling_rate
 from quadftc_replay.plan import ReplayOptions, plan_replay
 
 GYRO_PERIOD_US = 5000  # 200 Hz

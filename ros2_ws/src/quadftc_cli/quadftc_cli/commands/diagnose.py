@@ -8,42 +8,19 @@ from typing import Annotated, Any
 
 from typer import Argument, Option
 
-from quadftc_cli.commands import CHECK_FAILED, GOOD, NOT_ENOUGH
+from quadftc_cli.commands import CHECK_FAILED, GOOD, NOT_ENOUGH, options
 from quadftc_cli.screen import Bars, console, plain_table, say
 
-LOG_HELP = (
-    "Flight log: ROS 1 or ROS 2 bag, PX4 ULog, ArduPilot .BIN or .log, MAVLink .tlog, Betaflight or INAV"
-    " blackbox, Crazyflie uSD, CSV with --mapping; or any of them in a ZIP, gzip or Zstandard file."
-)
 SHOWN = 40  # moments of the timeline on the screen
 EXIT_CODES = {"healthy": GOOD, "fault": CHECK_FAILED, "not enough to say": NOT_ENOUGH}
 FAULT_HELP = "Overlay a fault: 'bias channel=gyro axis=roll value=0.3 start=20s'; may be repeated."
 
 
 def diagnose(
-    log: Annotated[
-        Path,
-        Argument(metavar="LOG", help=LOG_HELP),
-    ],
-    number: Annotated[
-        int,
-        Option(
-            "--log", min=0, metavar="N", show_default=False, help="Which of several logs in the file, from 1."
-        ),
-    ] = 0,
-    system: Annotated[
-        int,
-        Option(
-            min=0,
-            max=255,
-            metavar="N",
-            show_default=False,
-            help="Which of several vehicles, by its MAVLink system.",
-        ),
-    ] = 0,
-    mapping: Annotated[
-        Path | None, Option(metavar="FILE", help="What the columns of a CSV table mean (docs/diagnose.md).")
-    ] = None,
+    log: Annotated[Path, Argument(metavar="LOG", help=options.LOG_HELP)],
+    number: options.NumberOption = 0,
+    system: options.SystemOption = 0,
+    mapping: options.MappingOption = None,
     baseline: Annotated[
         Path | None,
         Option(metavar="LOG", help="Healthy flight of the same vehicle, to compare the rotors with."),
@@ -80,7 +57,7 @@ def diagnose(
     )
     from quadftc_replay.readers import LogChoice
 
-    options = DiagnosisOptions(
+    how = DiagnosisOptions(
         choice=LogChoice(number, system, mapping),
         baseline=baseline,
         baseline_log=baseline_log,
@@ -89,7 +66,7 @@ def diagnose(
         seed=seed,
     )
     with Bars(console()) as bars:
-        inspection = diagnose_log(log, options, bars.add(log.resolve().name))
+        inspection = diagnose_log(log, how, bars.add(log.resolve().name))
     verdict = inspection.verdict
     _show(verdict)
     directory = out or Path("results", f"{log.resolve().name}-diagnosis")

@@ -76,3 +76,26 @@ def workers_here(workers: int | None, scheduler: str | None) -> int:
 EngineOption = Annotated[
     Literal["c", "numpy"], Option(help="What runs the laws: C that is generated from them, or NumPy.")
 ]
+LOG_HELP = (
+    "Flight log: ROS 1 or ROS 2 bag, PX4 ULog, ArduPilot .BIN or .log, MAVLink .tlog, Betaflight or INAV"
+    " blackbox, Crazyflie uSD, CSV with --mapping; or any of them in a ZIP, gzip or Zstandard file."
+)
+NumberOption = Annotated[
+    int,
+    Option(
+        "--log", min=0, metavar="N", show_default=False, help="Which of several logs in the file, from 1."
+    ),
+]
+SystemOption = Annotated[
+    int,
+    Option(
+        min=0,
+        max=255,
+        metavar="N",
+        show_default=False,
+        help="Which of several vehicles, by its MAVLink system.",
+    ),
+]
+MappingOption = Annotated[
+    Path | None, Option(metavar="FILE", help="What the columns of a CSV table mean (docs/diagnose.md).")
+]

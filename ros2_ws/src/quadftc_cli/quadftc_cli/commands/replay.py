@@ -23,10 +23,15 @@ def replay(
         Path,
         Argument(
             metavar="BAG",
-            help="A rosbag2 directory, an .mcap or .db3 file, a PX4 log (.ulg), a Crazyflie's uSD log.",
+            help=options.LOG_HELP,
         ),
     ],
-    topic: Annotated[str, Option(help="Topic of the IMU; default: the only one there is, or imu/data.")] = "",
+    number: options.NumberOption = 0,
+    system: options.SystemOption = 0,
+    mapping: options.MappingOption = None,
+    topic: Annotated[
+        str, Option(help="Topic of the IMU, or name of a gyro; default: the only one, or imu/data.")
+    ] = "",
     observer: Annotated[
         str, Option(help="Fault observer; default: the recorded one with its parameters.")
     ] = "",
@@ -61,10 +66,12 @@ def replay(
     from quadftc_cli.metric_table import axis_table, diagnosis_table
     from quadftc_flight.checks import checks_from
     from quadftc_replay.plan import ReplayOptions
+    from quadftc_replay.readers import LogChoice
     from quadftc_replay.ros_output import replay as replay_recording
 
     how = ReplayOptions(
         topic=topic,
+        choice=LogChoice(number, system, mapping),
         observer=observer,
         settings=tuple(set_),
         vehicle=vehicle,
