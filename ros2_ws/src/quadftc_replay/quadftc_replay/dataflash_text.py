@@ -43,15 +43,16 @@ class _Table:
         self.thinning = Thinning()
 
     def add(self, row: Mapping[str, bytes], line: int) -> None:
-        """Take a row; ValueError if a number is none."""
+        """Take a row; ValueError or KeyError if a field is no number or missing."""
         values = {field: float(row[field]) for field in self.numbers}
+        words = {field: row[field][:LONGEST_TEXT] for field in self.texts}
         if not self.thinning.keeps():
             return
         self.lines.append(line)
         for field, value in values.items():
             self.numbers[field].append(value)
-        for field, texts in self.texts.items():
-            texts.append(row[field][:LONGEST_TEXT])
+        for field, text in words.items():
+            self.texts[field].append(text)
         if self.thinning.is_full():
             for kept in (self.lines, *self.numbers.values(), *self.texts.values()):
                 del kept[1::2]

@@ -59,7 +59,8 @@ def read_telemetry(path: Path, names: Collection[str]) -> TelemetryLog:
             messages: dict[int, dict[str, dict[str, NDArray[Any]]]] = {}
             for (system, number), component in most.items():
                 table = scan.gather((system, component, number))
-                messages.setdefault(system, {})[wanted[number]] = table
+                if len(table[RECEIVED]):
+                    messages.setdefault(system, {})[wanted[number]] = table
     except (OSError, ValueError) as error:
         raise BagError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
     return TelemetryLog(messages, tuple(scan.notes()))

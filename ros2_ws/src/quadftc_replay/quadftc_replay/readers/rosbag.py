@@ -213,7 +213,8 @@ def _add_attitude(
     signals: Signals, stamp_ns: NDArray[np.int64], q_xyzw: Floats, covariance: Floats, name: str
 ) -> bool:
     """Add an orientation, if it is one: of unit length, and not always the same."""
-    length = np.linalg.norm(q_xyzw, axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):  # damaged numbers may be of any size
+        length = np.linalg.norm(q_xyzw, axis=1)
     good = (np.abs(length - 1.0) < 0.1) & (covariance != ABSENT)  # False for NaN, too
     if not good.any() or np.all(q_xyzw[good] == q_xyzw[good][0]):
         return False

@@ -1,11 +1,13 @@
 """Logs in a ZIP archive, or compressed by gzip or Zstandard, unpacked block by block up to a limit.
 
 Of an archive only the log is unpacked. With several logs in it, one has to be chosen; with only one, the
-choice is one of the logs in that file.
+choice is one of the logs in that file. An archive that was cut has lost the list of its files, which stands
+at its end; the first log is taken.
 """
 
 from __future__ import annotations
 
+import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Generator, Iterator
@@ -18,8 +20,9 @@ from quadftc_bags.bag import BagError
 from quadftc_replay.readers.contents import HEAD
 
 ZIP, GZIP, ZSTANDARD = b"PK\x03\x04", b"\x1f\x8b", b"\x28\xb5\x2f\xfd"
+ENTRY = struct.Struct("<4s4sH8s2I2H")  # of a file: signature, method, size packed, length of name and more
 PACKED = (ZIP, GZIP, ZSTANDARD)
-BLOCK = 1 << 20  # bytes unpacked at a time
+BLOCK = 1 << 16  # bytes unpacked at a time, so that damage costs no more of what is before it
 FREE, RATIO = 64 << 20, 100  # bytes that any log may have unpacked, and more of a packed byte
 LARGEST = 8 << 30  # bytes
 WINDOW = 1 << 27  # bytes that Zstandard may keep
@@ -49,10 +52,12 @@ def unpack(path: Path, directory: Path, log: int, is_log: Callable[[bytes], bool
         with path.open("rb") as stream:
             head = stream.read(len(ZIP))
             stream.seek(0)
-            if head == ZIP:
+            if head == ZIP and zipfile.is_zipfile(stream):
                 archive = zipfile.ZipFile(stream)
                 entry, inner = _choose(archive, path, log, is_log)
                 said, blocks = f"{entry.filename} in the archive", _read_entry(archive, entry)
+            elif head == ZIP:
+                blocks = _read_first_log(stream, is_log)
             else:
                 blocks = _read_gzip(stream) if head.startswith(GZIP) else _read_zstandard(stream)
             problem = _store(blocks, file, path)
@@ -91,6 +96,31 @@ def _read_entry(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Iterator[by
     with archive.open(entry) as source:
         while block := source.read(BLOCK):
             yield block
+
+
+def _read_first_log(stream: IO[bytes], is_log: Callable[[bytes], bool]) -> Iterator[bytes]:
+    """Unpack the first log of an archive without a list of files; EOFError at the cut."""
+    at = 0
+    while True:
+        stream.seek(at)
+        header = stream.read(ENTRY.size)
+        if len(header) < ENTRY.size or not header.startswith(ZIP):
+            raise EOFError("the list of files at the end of the archive is missing, and no log is before it")
+        _, _, method, _, size, _, name, extra = ENTRY.unpack(header)
+        at += ENTRY.size + name + extra
+        stream.seek(at)
+        blocks = _inflate(stream) if method == zipfile.ZIP_DEFLATED else iter(lambda: stream.read(BLOCK), b"")
+        if is_log((first := next(blocks, b""))[:HEAD]):
+            yield first
+            yield from blocks
+            raise EOFError("the list of files at the end of the archive is missing")
+        at += size
+
+
+def _inflate(stream: IO[bytes]) -> Iterator[bytes]:
+    member = zlib.decompressobj(-zlib.MAX_WBITS)
+    while not member.eof and (block := member.unconsumed_tail or stream.read(BLOCK)):
+        yield member.decompress(block, BLOCK)
 
 
 def _read_gzip(stream: IO[bytes]) -> Generator[bytes, None, None]:
