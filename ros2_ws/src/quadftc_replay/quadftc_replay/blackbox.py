@@ -37,7 +37,7 @@ from quadftc_replay.blackbox_frames import (
     groups_of,
     read_frame,
 )
-from quadftc_replay.thinning import Blocks
+from quadftc_replay.thinning import Blocks, Forgetting
 
 MARKER = b"H Product:Blackbox flight data recorder"
 VERSION = "2"
@@ -45,7 +45,7 @@ LETTERS = b"IPSGHE"
 IS_LETTER = np.isin(np.arange(256), list(LETTERS))
 WRAP = 1 << 32  # of a time [µs], and of other fields
 MOST_HEADER = 1 << 18  # bytes
-BLOCK = 1 << 23  # bytes decoded at a time
+BLOCK = 1 << 21  # bytes decoded at a time
 PAD = 64  # zero bytes behind a block, for places that run over its end
 MAX_STEP = 10_000_000  # µs between two main frames
 PREVIOUS, STRAIGHT_LINE, AVERAGE, MOTOR_0, INCREMENT = 1, 2, 3, 5, 6  # predictors
@@ -60,7 +60,7 @@ class BlackboxLog(NamedTuple):
     """One of the logs in a file."""
 
     header: Mapping[str, str]
-    columns: Mapping[str, Ints]  # of the main frames, by field (n,); ``time`` [µs] without its wraps
+    columns: Mapping[str, NDArray[Any]]  # of the main frames, by field (n,); ``time`` [µs] without its wraps
     notes: tuple[str, ...]  # one line each
 
 
@@ -185,24 +185,26 @@ class _Decoder:
             self.constants[predictor] = int(first) if first.isdigit() else 0
         self.skipped = self.dropped = 0
 
-    def run(self, at: int, stop: int) -> tuple[dict[str, Ints], tuple[str, ...]]:
+    def run(self, at: int, stop: int) -> tuple[dict[str, NDArray[Any]], tuple[str, ...]]:
         """Decode the frames between two places; BagError if there are none."""
         blocks, is_ended = Blocks(), False
-        blocks.add(np.empty((0, len(self.names)), np.int64))
+        blocks.add(np.empty((0, len(self.names)), np.int32))
+        forgetting = Forgetting(self.data)
         while at < stop and not is_ended:
+            forgetting.passed(at)
             raw = self.data[at : min(at + BLOCK, stop)]
             block = block_of(raw, PAD)
             chain = self._follow(block, len(raw), at + len(raw) == stop)
-            blocks.add(self._decode(block, chain))
+            blocks.add(_wrapped(self._decode(block, chain)).astype(np.int32))
             self.skipped += chain.skipped
             at, is_ended = at + chain.after, chain.is_ended
         rows = blocks.rows()
         if not len(rows):
             raise BagError(f"{self.where}: no frames that make sense")
-        rows = (rows + WRAP // 2) % WRAP - WRAP // 2  # fields have 32 bits
-        steps = (np.diff(rows[:, 0]) + WRAP // 2) % WRAP - WRAP // 2
-        rows[:, 0] = np.cumsum(np.concatenate([rows[:1, 0] % WRAP, steps]))
-        columns = {name: rows[:, k] for k, name in enumerate(self.names)}
+        time = rows[:, 0].astype(np.int64)
+        steps = _wrapped(np.diff(time))
+        time = np.cumsum(np.concatenate([time[:1] % WRAP, steps]))
+        columns = {name: rows[:, k] for k, name in enumerate(self.names)} | {"time": time}
         return columns, (*self._notes(is_ended), *blocks.thinning.notes("frames"))
 
     def _notes(self, is_ended: bool) -> Iterator[str]:
@@ -269,7 +271,7 @@ class _Decoder:
         begins = np.flatnonzero(whole)
         self._predict(values, begins)
         # the rest of a stretch behind damage counts no more
-        steps = (np.diff(values[:, 0], prepend=values[0, 0]) + WRAP // 2) % WRAP - WRAP // 2
+        steps = _wrapped(np.diff(values[:, 0], prepend=values[0, 0]))
         bad = ~whole & (broken | (steps < 0) | (steps > MAX_STEP))
         count = np.cumsum(bad)
         good = count == np.repeat(count[begins], np.diff([*begins.tolist(), len(rows)]))
@@ -303,6 +305,11 @@ class _Decoder:
         if len(like_motor := np.flatnonzero(predictors == MOTOR_0)) and "motor[0]" in self.names:
             first = values[rows, self.names.index("motor[0]")]
             values[np.ix_(rows, like_motor)] += first[:, None]
+
+
+def _wrapped(values: Ints) -> Ints:
+    """Numbers as the firmware has them, in 32 bits with a sign."""
+    return (values + WRAP // 2) % WRAP - WRAP // 2
 
 
 def _events(block: Block, places: Ints) -> tuple[Ints, NDArray[np.bool_]]:
