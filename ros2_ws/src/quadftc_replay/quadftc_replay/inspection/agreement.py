@@ -40,7 +40,9 @@ class Agreement(NamedTuple):
     time: Floats  # (n,) end of the interval [s]
     dt: Floats  # (n,) [s]
     rest: Floats  # (n, 3) e [rad], body axes
-    bias: Floats  # (3,) attitude rate less gyro, on the whole [rad/s]
+    scale: (
+        Floats  # (3,) what of a rate on each axis was taken for a scale: an offset f adds -(1 + scale) f dt
+    )
     turn: Floats  # (n, 3) phi [rad]
 
 
@@ -63,8 +65,8 @@ def compare(attitude: Signal, gyro: Signal) -> Agreement | None:
     good = (dt < GAP * usual) & ~dark & np.isfinite(turn).all(axis=1)
     if good.sum() < 50:
         return None
-    rest, bias = _fit(turn - theta, theta, np.diff(rate, axis=0), dt, good)
-    return Agreement(time[1:], dt, np.where(good[:, None], rest, 0.0), bias, turn)
+    rest, scale = _fit(turn - theta, theta, np.diff(rate, axis=0), dt, good)
+    return Agreement(time[1:], dt, np.where(good[:, None], rest, 0.0), scale, turn)
 
 
 def parts_by(agreement: Agreement, axis: int, moment: float, size: float) -> bool:
@@ -105,8 +107,8 @@ def _turns(q: Floats) -> Floats:
 def _fit(
     difference: Floats, theta: Floats, change: Floats, dt: Floats, good: NDArray[np.bool_]
 ) -> tuple[Floats, Floats]:
-    """Take out scale and delay, axis by axis; return the rest (n, 3), bias included, and the bias (3,)."""
-    rest = np.zeros_like(difference)
+    """Take out scale and delay, axis by axis; return the rest (n, 3), bias included, and the scales (3,)."""
+    rest, scale = np.zeros_like(difference), np.zeros(3)
     count = max(3, round(SLOW / float(np.median(dt))))
     for axis in range(3):
         columns = np.column_stack([theta, change[:, axis]])
@@ -122,4 +124,5 @@ def _fit(
             sigma = TO_SIGMA * float(np.median(left[good])) + 1e-12
             weight = good * np.minimum(1.0, HUBER * sigma / np.maximum(left, 1e-15))
         rest[:, axis] = difference[:, axis] - columns @ found
-    return rest, np.median(rest[good] / dt[good, None], axis=0)
+        scale[axis] = found[axis]
+    return rest, scale

@@ -96,7 +96,9 @@ def find_creeps(agreement: Agreement, watched: Mask, jumps: Sequence[Jump]) -> l
         for axis in range(3):
             level = float(np.median(means[:, axis]))
             mean = means[:, axis] - (level if abs(level) < least else 0.0)  # no healthy sensor is off by more
-            scatter = TO_SIGMA * float(np.median(np.abs(mean))) + 1e-9
+            mean /= 1.0 + agreement.scale[axis]
+            changes = mean[count:] - mean[:-count]
+            scatter = TO_SIGMA * float(np.median(np.abs(changes))) / np.sqrt(2.0) + 1e-9
             score = np.where(
                 watched, np.abs(mean) / (np.maximum(CREEP_LEVEL * scatter, least) + share * moving), 0.0
             )

@@ -28,6 +28,7 @@ from quadftc_replay.inspection.wording import make_verdict
 Progress = Callable[[float], None]
 SENSORS = {"gyro": ("rad/s", RATE_LIMITS.floor), "accelerometer": ("m/s^2", FORCE_LIMITS.floor)}
 FEWEST = 200  # samples of a sensor
+PATH_SEES = 1.5  # s; by which the path, over a window, may date what a pair shows too early
 QUATERNION = ("",)  # the elements of an attitude are judged together
 
 
@@ -131,7 +132,8 @@ def _sensors(
     pairs = [*pair_findings(flight, "gyro", gyros, known)]
     pairs += pair_findings(flight, "accelerometer", log.accelerometers, known)
     paths, has_path = path_findings(flight)
-    judgement.found += pairs + paths
+    begun = min((each.finding.onset_s for each in pairs), default=float("inf"))
+    judgement.found += pairs + [each for each in paths if each.finding.onset_s < begun - PATH_SEES]
     is_own = log.attitude_from_gyro is not False
     jumps, creeps = (
         ([], []) if agreement is None else disagreements(flight, agreement, log.attitude_from_gyro)

@@ -25,7 +25,7 @@ WINDOW = 1.0  # s; T
 STEP = 0.1  # s; between two windows
 DELAYS = np.arange(0.0, 0.45, 0.05)  # s; of satellite receivers
 LEAST = 20  # windows
-CALM = 0.3  # 1; quantile of the scatter that is the usual one
+CALM = 0.3  # 1; quantile of the changes that is the usual one; chi² of three components is 1.4 there
 LEVEL = 6.0  # standard deviations
 SMALLEST = 1.0  # m/s²; 6 deg of tilt, which estimators reach without a fault
 USABLE = 0.5  # m/s²; sigma of a path that says anything
@@ -75,10 +75,13 @@ def path_of(attitude: Signal | None, force: Signal | None, velocity: Signal | No
     ]
     rest = min(rests, key=lambda each: float(np.median(np.linalg.norm(each, axis=1))))
     known = _covered(time, velocity.time, DELAYS[-1]) & _covered(time, force.time, 0.0)
-    blocks = np.array_split(np.linalg.norm(rest[known], axis=1), max(1, round(known.sum() * STEP / WINDOW)))
     if known.sum() < LEAST:
         return None
-    usual = float(np.quantile([np.median(each) for each in blocks], CALM)) / np.sqrt(2.4)  # of 3 components
+    apart = round(WINDOW / STEP)
+    changes = np.linalg.norm(rest[apart:] - rest[:-apart], axis=1)[known[apart:] & known[:-apart]]
+    if len(changes) < LEAST:
+        return None
+    usual = float(np.quantile(changes, CALM)) / np.sqrt(2.0 * 1.4)  # of two times, of three components
     return Path(time, np.where(known[:, None], rest, np.nan), usual) if usual < USABLE else None
 
 
@@ -117,7 +120,9 @@ def causes_of(flight: Flight, path: Path) -> Iterator[Cause]:
     apart = watched & (size > SMALLEST + LEVEL * path.sigma)
     for run in runs_of(apart):
         if path.time[run.stop - 1] - path.time[run.start] >= 0.5 * WINDOW:
-            yield _best_cause(path, float(path.time[run.start]))
+            before = np.flatnonzero(~(size[: run.start] > SMALLEST))
+            start = int(before[-1]) + 1 if len(before) else 0  # it may have begun before take-off
+            yield _best_cause(path, float(path.time[start]))
             return
 
 

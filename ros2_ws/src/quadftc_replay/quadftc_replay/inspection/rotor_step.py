@@ -29,6 +29,7 @@ FASTEST = 100.0  # Hz; of commands that are used
 FEWEST = 3  # commands in a window
 FLOOR = 0.01  # 1; standard deviation of r, at least: that of Crazyflies from flight to flight
 LEVEL = 4.5  # standard deviations; the largest in healthy logs, of a share of a fifth or more, is 3.2
+CANDIDATE = 3.0  # standard deviations; of a step that the model of all before it has to confirm
 LEAST, MOST = 0.2, 2.0  # 1; share of the rotor's thrust
 ASIDE = 0.5  # 1; of what r moves by, that may point elsewhere
 CALM = 0.35  # 1; quantile of the steps of a flight that is their usual size
@@ -165,12 +166,13 @@ def find_step(flight: Flight) -> tuple[RotorStep | None, bool]:
         return None, False
     ends = np.quantile(torque.time[torque.flying], PARTS).tolist()
     for end in ends:
-        step = search(torque, *_model(torque, end))
+        step = search(torque, *_model(torque, end), level=CANDIDATE)
         for _ in range(ROUNDS):
             if step is None:
                 break
-            again = search(torque, *_model(torque, step.onset, step))
-            if again is not None and again.rotor == step.rotor and again.onset == step.onset:
+            again = search(torque, *_model(torque, step.onset - WINDOWS[0], step))
+            is_same = again is not None and again.rotor == step.rotor
+            if again is not None and is_same and abs(again.onset - step.onset) < WINDOWS[0]:
                 return again._replace(onset=_begins_to_turn(flight, torque, again)), True
             step = again
     return None, True
@@ -186,7 +188,7 @@ def _model(torque: Torque, end: float, step: RotorStep | None = None) -> tuple[F
     return fit(torque._replace(flying=before), moved)
 
 
-def search(torque: Torque, factors: Floats, covariance: Floats) -> RotorStep | None:
+def search(torque: Torque, factors: Floats, covariance: Floats, level: float = LEVEL) -> RotorStep | None:
     """Find the first step of r that a rotor explains and that stays, by a model and its covariance."""
     period = float(np.median(np.diff(torque.time)))
     rows = np.flatnonzero(torque.flying)
@@ -209,7 +211,7 @@ def search(torque: Torque, factors: Floats, covariance: Floats) -> RotorStep | N
         share = np.einsum("mra,ma->mr", effect, step / variance) / power
         aside = np.linalg.norm(step[:, None] - share[..., None] * effect, axis=2)
         score = share * np.sqrt(power)
-        fits = (score > LEVEL) & (share > LEAST) & (share < MOST)
+        fits = (score > level) & (share > LEAST) & (share < MOST)
         fits &= aside < ASIDE * np.linalg.norm(step, axis=1)[:, None]
         score: Floats = np.where(fits, score, 0.0)
         starts: list[int] = np.flatnonzero(fits.any(axis=1)).tolist()

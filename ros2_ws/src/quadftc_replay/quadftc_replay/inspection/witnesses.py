@@ -12,7 +12,7 @@ from quadftc_replay.inspection.flight import Flight
 from quadftc_replay.inspection.found import Found, confidence, curve_around, make_finding
 from quadftc_replay.inspection.gyro import BODY_AXES, component_name
 from quadftc_replay.inspection.pairs import CLEAR, LONG, Parting, differ, jumps_more, partings
-from quadftc_replay.inspection.path import LEVEL, SMALLEST, Cause, Path, causes_of, path_of
+from quadftc_replay.inspection.path import LEVEL, SMALLEST, WINDOW, Cause, Path, causes_of, path_of
 from quadftc_replay.inspection.verdict import Finding
 from quadftc_replay.inspection.whitening import Floats
 
@@ -64,16 +64,16 @@ def _blame(flight: Flight, kind: str, sensors: Mapping[str, Signal], parting: Pa
     total = jumps_more(a, b, parting)
     end = flight.until if parting.end is None else min(parting.end, flight.until)
     if kind == "gyro":
-        total += _by_attitude(flight, (first, second), parting, end)
-        if parting.axis < 2 and parting.names[0] == next(iter(sensors)):
-            total += _by_path_of_attitude(flight, parting, end)
+        trust = 1.0 if flight.log.attitude_from_gyro is False else min((end - parting.onset) / LONG, 1.0)
+        total += trust * _by_attitude(flight, (first, second), parting, end)
+        total += _by_path_of_attitude(flight, (first, second), parting, end)
     else:
         total += _by_path(flight, (first, second), parting, end)
     return total
 
 
 def _by_attitude(flight: Flight, gyros: tuple[Signal, Signal], parting: Parting, end: float) -> float:
-    """Compare both gyros with the attitude's rate, over the whole stretch."""
+    """Compare both gyros with the attitude's rate, over a stretch that ends at some time [s]."""
     if flight.log.attitude is None:
         return 0.0
     misses: list[float] = []
@@ -84,20 +84,21 @@ def _by_attitude(flight: Flight, gyros: tuple[Signal, Signal], parting: Parting,
         rows = slice(*np.searchsorted(agreement.time, (parting.onset, end)))
         seconds = float(np.sum(agreement.dt[rows]))
         misses.append(abs(float(np.sum(agreement.rest[rows, parting.axis]))) / max(seconds, 1e-9))
-    trust = 1.0 if flight.log.attitude_from_gyro is False else min((end - parting.onset) / LONG, 1.0)
-    return trust * float(np.clip((misses[0] - misses[1]) / abs(parting.size), -1.0, 1.0))
+    return float(np.clip((misses[0] - misses[1]) / abs(parting.size), -1.0, 1.0))
 
 
-def _by_path_of_attitude(flight: Flight, parting: Parting, end: float) -> float:
-    """Ask the path whether the attitude, which follows the first gyro, tilts away."""
+def _by_path_of_attitude(flight: Flight, gyros: tuple[Signal, Signal], parting: Parting, end: float) -> float:
+    """Ask the path whether the attitude tilts away: then the gyro that it follows at first is wrong."""
     path = path_of(flight.log.attitude, _main_force(flight), flight.log.gps_velocity)
-    if path is None or end - parting.onset < 1.5:
+    if path is None or parting.axis == 2 or end - parting.onset < 1.5 * WINDOW:
         return 0.0
     rows = slice(*np.searchsorted(path.time, (parting.onset, min(end, parting.onset + LONG))))
     size = np.linalg.norm(np.nan_to_num(path.rest[rows]), axis=1)
     if not len(size):
         return 0.0
-    return 1.0 if float(size.max()) > SMALLEST + LEVEL * path.sigma else -1.0
+    tilts = float(size.max()) > SMALLEST + LEVEL * path.sigma
+    follows_first = -_by_attitude(flight, gyros, parting, parting.onset + WINDOW)
+    return follows_first if tilts else -follows_first
 
 
 def _by_path(flight: Flight, forces: tuple[Signal, Signal], parting: Parting, end: float) -> float:
