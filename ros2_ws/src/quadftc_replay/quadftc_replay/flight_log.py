@@ -42,8 +42,8 @@ class Signal(NamedTuple):
 
     def at(self, time: Floats) -> Floats:
         """Values at other times (m, k), straight between samples; beyond them the nearest."""
-        columns = [np.interp(time, self.time, column) for column in np.asarray(self.value, np.float64).T]
-        return np.stack(columns, axis=-1)
+        width = self.value.shape[1]
+        return np.stack([np.interp(time, self.time, self.value[:, k]) for k in range(width)], axis=-1)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -74,6 +74,7 @@ class FlightLog:
     rotor_positions: Floats | None = None  # (rotors, 2) [m], or directions alone
     rotor_yaw_signs: Floats | None = None  # (rotors,) of the reaction torque about z
     events: tuple[Event, ...] = ()  # in the order of their times
+    incomplete: str = ""  # what of the log is missing, as it was cut or damaged; empty: nothing
     notes: tuple[str, ...] = ()  # one line each: what was left out, what is damaged, what was assumed
 
     @property

@@ -47,7 +47,7 @@ def make_verdict(
 ) -> Verdict:
     """Put what was found into words; ``follows`` are findings that others explain."""
     log, findings = flight.log, [each.finding for each in found]
-    outcome = outcome_of(findings, judged, ending)
+    outcome = outcome_of(log, findings, judged, ending)
     return Verdict(
         version=VERSION,
         log=log.path.name,
@@ -76,11 +76,12 @@ def _lacks(judged: Sequence[str]) -> list[str]:
     return [each for each in REQUIRED if each not in judged]
 
 
-def outcome_of(findings: Sequence[Finding], judged: Sequence[str], ending: Ending) -> Outcome:
+def outcome_of(log: FlightLog, findings: Sequence[Finding], judged: Sequence[str], ending: Ending) -> Outcome:
     """Say which of three outcomes it is."""
     if findings:
         return "fault"
-    return "not enough to say" if _lacks(judged) or ending.kind == "out of control" else "healthy"
+    is_open = log.incomplete or _lacks(judged) or ending.kind == "out of control"
+    return "not enough to say" if is_open else "healthy"
 
 
 def summarise(
@@ -98,22 +99,22 @@ def summarise(
         more = len(findings) - SENTENCE_FINDINGS
         parts += [f"{more} more finding{'s' if more > 1 else ''}"] if more > 0 else []
         text = join(parts) + (f"; then: {ended}" if ended else "")
+        text += f"; the log is not whole ({flight.log.incomplete})" if flight.log.incomplete else ""
     elif outcome == "healthy":
         all_of_it = f"{join([*REQUIRED])} were judged over the whole flight, {flight.duration:.0f} s"
         text = f"{ended}; no fault found: {all_of_it}" if ended else f"No fault found: {all_of_it}"
     else:
-        text = _why_not(judged, missing, ended)
+        text = _why_not(flight.log, judged, missing, ended)
     return f"{text[0].upper()}{text[1:]}."
 
 
-def _why_not(judged: Sequence[str], missing: Sequence[NotJudged], ended: str) -> str:
+def _why_not(log: FlightLog, judged: Sequence[str], missing: Sequence[NotJudged], ended: str) -> str:
     """Say what could not be judged."""
+    cut = f"the log is not whole ({log.incomplete})" if log.incomplete else ""
     lacking = _lacks(judged)
     reasons = join([f"{name} ({_reason(name, missing)})" for name in lacking])
-    parts = [
-        ended,
-        f"not enough to say: {reasons} could not be judged" if reasons else "the cause is not known",
-    ]
+    open_ = join(list(filter(None, [cut, f"{reasons} could not be judged" if reasons else ""])))
+    parts = [ended, f"not enough to say: {open_}" if open_ else "the cause is not known"]
     parts.append(f"no fault found in {join(list(judged))}" if judged else "")
     return "; ".join(filter(None, parts))
 

@@ -19,6 +19,8 @@ MAX_PAUSE = 3600.0  # s; what is further from the other samples than this has a 
 LARGEST = 1e9  # of a parameter
 NAMED = ("gyros", "accelerometers")
 MOST_EVENTS, LONGEST_EVENT = 500, 120  # of a log; characters
+MOST_LOST = 0.05  # 1; share of the samples of a signal, beyond which the log is not whole
+CUT = ("cut short", "cut or damaged", "damaged; read")  # words of a reader that did not get to the end
 REPEATS = 10  # events before, of which a new one is no repetition
 
 
@@ -38,6 +40,7 @@ class Signals:
         self._named: dict[str, dict[str, Stamped]] = {kind: {} for kind in NAMED}
         self._single: dict[str, Stamped] = {}
         self._events: list[tuple[int, str, str]] = []
+        self._lost = ""  # what most is left out of
 
     def say(self, stamp_ns: int, source: str, text: str) -> None:
         """Take what the autopilot said; what it repeats counts once, and control characters do not count."""
@@ -58,6 +61,8 @@ class Signals:
         kept = _take(kept, chosen)
         if complaint:
             self.notes.append(f"{source}: {complaint}")
+            if len(kept) < (1.0 - MOST_LOST) * len(stamp_ns):
+                self._lost = self._lost or self.notes[-1]
         if len(kept) < 2:
             if len(stamp_ns):
                 self.notes.append(f"{source}: {len(kept)} usable samples; left out")
@@ -97,6 +102,8 @@ class Signals:
             path=self.path,
             format=self.format,
             start_ns=start_ns,
+            incomplete=self._lost
+            or next((each for each in self.notes if any(word in each for word in CUT)), ""),
             events=tuple(self._said(start_ns, max(int(each.stamp_ns[-1]) for _, _, each in everything))),
             notes=tuple(self.notes),
             **fields,
