@@ -97,6 +97,7 @@ class _Scan:
         self.formats: dict[int, _Format] = {}
         self.places: dict[int, defaultdict[int, Places]] = {}  # type -> instance -> places
         self._instance_at: dict[int, int] = {}  # type -> byte of a message that tells the instance
+        self.is_cut = False  # the log ends within a message
         self.skipped = self.gaps = self.left = self.wrong_formats = 0
         self._lengths = [0] * 256
         self._lengths[FORMAT_TYPE] = BEGIN + FORMAT.size
@@ -123,6 +124,8 @@ class _Scan:
                 self._learn(at)
             at = end = after
         self.left = size - end
+        is_message = self.left >= BEGIN and data[end : end + len(HEAD)] == HEAD
+        self.is_cut = is_message and lengths[data[end + len(HEAD)]] > self.left
 
     def _is_followed(self, at: int, after: int, size: int) -> bool:
         """Whether a message is followed by another or the end, or has at least no other inside."""
@@ -158,7 +161,9 @@ class _Scan:
         """Say what is wrong with the log."""
         if self.gaps:
             yield f"{self.skipped} bytes at {self.gaps} places are no messages; left out"
-        if self.left > PAGE:
+        if self.is_cut:
+            yield "cut short: the log ends within a message"
+        elif self.left > PAGE:
             yield f"cut short or damaged: {self.left} bytes behind the last message; left out"
         if self.wrong_formats:
             yield f"{self.wrong_formats} formats of messages make no sense; left out"

@@ -186,3 +186,11 @@ def test_log_without_a_layout_or_a_signal_says_so(tmp_path):
     path.write_bytes(b"\xa3\x95" + bytes(500))
     with pytest.raises(BagError, match="no format of a message"):
         read_log(path)
+
+
+def test_log_that_is_cut_is_read_up_to_the_cut(path):
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2 + 3])
+    log = read_log(path)
+    assert log.notes == ("cut short: the log ends within a message",)
+    assert 0.4 * COUNT < len(log.gyros[""]) < 0.6 * COUNT

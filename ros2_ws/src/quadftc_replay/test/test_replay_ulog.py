@@ -219,4 +219,6 @@ def test_other_file_is_refused(tmp_path, content):
 def test_log_cut_short_is_read_up_to_the_cut(tmp_path):
     path = write_ulog(tmp_path / "log.ulg", flight())
     path.write_bytes(path.read_bytes()[:-5000])
-    assert 100 < len(recording_from_ulog(path)) < COUNT
+    recording = recording_from_ulog(path)
+    assert 100 < len(recording) < COUNT
+    assert recording.warnings[0] == f"{path}: cut short: the log ends within a message"

@@ -120,6 +120,19 @@ def read(path: Path) -> FlightLog:
     )
 
 
+class _Watched(io.BufferedReader):
+    """A file that notes when it has less than was asked for: the library passes over that."""
+
+    is_short = False
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Read bytes."""
+        data = super().read(size)
+        if size is not None and 0 < len(data) < size:
+            self.is_short = True
+        return data
+
+
 def read_contents(path: Path, topics: Sequence[str] = TOPICS) -> Contents:
     """Read some topics; BagError if the file is no log."""
     from pyulog import ULog  # takes its time, and is needed here only
@@ -135,7 +148,8 @@ def read_contents(path: Path, topics: Sequence[str] = TOPICS) -> Contents:
                 self.buffer = buffers[f"{self.message_name}[{self.multi_id}]"] = Messages()
 
     try:
-        with path.open("rb") as stream, contextlib.redirect_stdout(io.StringIO()):  # the library prints
+        with path.open("rb", 0) as file, contextlib.redirect_stdout(io.StringIO()):  # the library prints
+            stream = _Watched(file)
             log = Thinned(stream, list(topics))
     except OSError as error:
         raise BagError(f"{path}: {error.strerror or error}") from None
@@ -146,9 +160,11 @@ def read_contents(path: Path, topics: Sequence[str] = TOPICS) -> Contents:
         raise BagError(f"{path}: not a PX4 log (ULog): {words}") from None
     filled = [each for each in log.data_list if len(each.data.get("timestamp", ()))]
     data = {(each.name, each.multi_id): each.data for each in filled}
-    notes = tuple(note for name, each in buffers.items() for note in each.thinning.notes(name))
+    notes = [note for name, each in buffers.items() for note in each.thinning.notes(name)]
+    if stream.is_short:
+        notes.append("cut short: the log ends within a message")
     messages = tuple((int(each.timestamp) * 1000, str(each.message)) for each in log.logged_messages)
-    return Contents(data, sound(log.initial_parameters), log.file_corruption, notes, messages)
+    return Contents(data, sound(log.initial_parameters), log.file_corruption, tuple(notes), messages)
 
 
 def stamps_of(data: Dataset) -> Stamps:
